@@ -1,0 +1,1 @@
+"""The display node: stream → playout → prediction → strain target → force loop → actuator."""

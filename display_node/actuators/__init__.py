@@ -1,0 +1,1 @@
+"""Actuators, one file a kind."""

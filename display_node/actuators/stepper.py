@@ -1,0 +1,87 @@
+"""A physical stepper: microsteps on a lead screw, pressing through rubber on a fingertip.
+
+Defaults: the paper's Tables 2A and 2B (1.8° motor, 0.1 m stroke, 0.4 m/s, 100 N).
+"""
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from display_node.actuators.contact import ContactLaw
+from display_node.step_rate import StepCommand
+from protocol.quantities import (
+    Metres,
+    MetresPerSecond,
+    MetresPerSecond2,
+    Newtons,
+    NewtonsPerMetre,
+    Radians,
+)
+from protocol.scene import Section
+from protocol.tactile import ElasticLayer
+
+
+class StepperScene(Section):
+    """The `actuator` table of kind "stepper"."""
+
+    kind: Literal["stepper"]
+    step_angle_rad: Annotated[Radians, Field(gt=0)] = math.radians(1.8)
+    microsteps: Annotated[int, Field(ge=1, le=256)] = 16
+    lead_m: Annotated[Metres, Field(gt=0, le=0.1)] = 2e-3
+    max_speed_m_per_s: Annotated[MetresPerSecond, Field(gt=0)] = 0.4
+    max_acceleration_m_per_s2: Annotated[MetresPerSecond2, Field(gt=0)] = 20.0
+    stroke_m: Annotated[Metres, Field(gt=0)] = 0.1
+    thrust_n: Annotated[Newtons, Field(gt=0)] = 100.0
+    tip_radius_m: Annotated[Metres, Field(gt=0)] = 5e-3
+    fingertip_n_per_m: Annotated[NewtonsPerMetre, Field(gt=0)] = 1e3
+
+    @property
+    def step_m(self) -> float:
+        """Travel of one microstep."""
+        return self.lead_m * self.step_angle_rad / (2 * math.pi) / self.microsteps
+
+    def contact(self, layer: ElasticLayer) -> ContactLaw:
+        """The contact law of this tip on the local layer; the tip itself is rigid."""
+        reduced_pa = layer.young_modulus_pa / (1 - layer.poisson_ratio**2)
+        return ContactLaw(self.tip_radius_m, reduced_pa, self.fingertip_n_per_m)
+
+
+class Stepper:
+    """Counts microsteps and says how hard the tip presses.
+
+    Not modelled here: the rotor's own resonance, backlash, lost steps below the thrust limit.
+    """
+
+    def __init__(self, scene: StepperScene, law: ContactLaw, tick_s: float) -> None:
+        self._law = law
+        self._step_m = scene.step_m
+        self._tick_s = tick_s
+        self._max_rate_hz = scene.max_speed_m_per_s / scene.step_m
+        self._max_change_hz = scene.max_acceleration_m_per_s2 / scene.step_m * tick_s
+        # The thrust limit is where the motor stalls: it cannot be driven further in.
+        furthest_m = min(scene.stroke_m, law.position(scene.thrust_n))
+        self._last_step = math.floor(furthest_m / scene.step_m)
+        self._phase = 0.0
+        self._rate_hz = 0.0
+        self.force_n = 0.0
+
+    @property
+    def position_m(self) -> float:
+        """Tip position from first touch."""
+        return round(self._phase) * self._step_m
+
+    def step(self, command: StepCommand) -> float:
+        """Run one tick at a commanded rate and direction; the force in N at its end."""
+        wanted_hz = command.rate_hz * command.direction
+        change_hz = wanted_hz - self._rate_hz
+        limit_hz = self._max_change_hz
+        rate_hz = self._rate_hz + min(max(change_hz, -limit_hz), limit_hz)
+        rate_hz = min(max(rate_hz, -self._max_rate_hz), self._max_rate_hz)
+        phase = self._phase + rate_hz * self._tick_s
+        if not 0.0 <= phase <= self._last_step:
+            phase = min(max(phase, 0.0), float(self._last_step))
+            rate_hz = 0.0
+        self._phase, self._rate_hz = phase, rate_hz
+        self.force_n = self._law.force(round(phase) * self._step_m)
+        return self.force_n

@@ -1,0 +1,100 @@
+"""Command line of the display node."""
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from display_node.node import DisplayNode
+from display_node.scene import DisplayScene
+from protocol.commands import one_line_errors, warn_if_open
+from protocol.scene import load_section
+from protocol.signals import stop_on_signals
+from protocol.summary import print_summary, write_json
+
+PROGRAM = "display-node"
+SCREEN_ENDS_WITHIN_S = 5
+app = typer.Typer(add_completion=False, rich_markup_mode="markdown")
+
+
+@app.command()
+def display(
+    scene: Annotated[Path, typer.Argument(help="Scene file; its [display] section is used.")],
+    connect: Annotated[
+        str,
+        typer.Option(
+            help="Address of the sensing node: tcp://HOST:5555 or ipc://PATH. It need not be"
+            " there yet."
+        ),
+    ] = "tcp://127.0.0.1:5555",
+    seconds: Annotated[
+        float | None, typer.Option(min=0.1, help="Stop after this long; else run until Ctrl-C.")
+    ] = None,
+    once: Annotated[
+        bool, typer.Option("--once", help="Stop when the stream has ended and was played.")
+    ] = False,
+    json: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the closing summary here as JSON.")
+    ] = None,
+    telemetry: Annotated[
+        str, typer.Option(help="Address to publish telemetry on; * picks a free port.")
+    ] = "tcp://127.0.0.1:*",
+    screen: Annotated[
+        bool,
+        typer.Option(help="Show the live state: a panel in a terminal, a line a second elsewhere."),
+    ] = True,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+    insecure: Annotated[
+        bool, typer.Option("--insecure", help="Do not warn of an unprotected link.")
+    ] = False,
+) -> None:
+    """Feel a remote pulse: play a sensing node's stream on the local actuator.
+
+    The scene's **[display]** section names the perceived delay (`compensation`), the
+    controller, the actuator, the rubber layer under the finger and the safety limits. What the
+    wrist's layer is comes with the stream; the force is chosen so that both strains are equal.
+
+    The sensing node may start later, stop and come back: the display waits at rest, joins by
+    itself and ramps up.
+
+        display-node scenes/radial.toml --connect tcp://HOST:5555
+
+    The real-time loop is alone in this process. The live state is drawn by a second process
+    from the telemetry, which other programs may read as well (`--telemetry`).
+
+    Exit status: 0 when stopped or at the stream's end (`--once`), 2 when the scene or an
+    address cannot be used; the reason is one line on stderr.
+    """
+    console = Console(quiet=quiet)
+    with one_line_errors(PROGRAM):
+        section = load_section(scene, "display", DisplayScene)
+        node = DisplayNode(section, connect, telemetry)
+        warn_if_open(PROGRAM, connect, insecure)
+    stop_on_signals(node.stop)
+    console.print(f"waiting for {connect}; telemetry on {node.telemetry_address}")
+    watcher = None
+    if screen and not quiet:
+        watcher = subprocess.Popen(
+            [sys.executable, "-m", "display_node.screen", node.telemetry_address]
+        )
+    summary = node.run(seconds, once)
+    if watcher is not None:
+        try:
+            watcher.wait(SCREEN_ENDS_WITHIN_S)
+        except subprocess.TimeoutExpired:
+            watcher.kill()
+    print_summary(summary, "display node", console)
+    if json is not None:
+        write_json(summary, json)
+
+
+def main() -> None:
+    """Entry point of `display-node`."""
+    app()
+
+
+if __name__ == "__main__":
+    main()

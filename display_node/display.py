@@ -1,0 +1,228 @@
+"""The display as one pure machine: bytes and ticks in, force at the finger out.
+
+The live node and the virtual-time simulation drive this same class; time is an argument.
+"""
+
+from dataclasses import dataclass
+
+from display_node.fidelity import Fidelity
+from display_node.force_loop import build_force_loop
+from display_node.playout import PlayoutClock
+from display_node.prediction import PREDICTORS
+from display_node.receiver import Receiver, sample_times_ns
+from display_node.safety import Safety
+from display_node.scene import DisplayScene
+from protocol.histogram import Histogram
+from protocol.messages import Control, Report
+from protocol.summary import (
+    Clock,
+    Errors,
+    Frames,
+    Loop,
+    OneWayDelay,
+    PlayoutDelay,
+    Samples,
+    Summary,
+    TickTime,
+)
+from protocol.tactile import matching_force_ratio
+
+REPORT_EVERY_NS = 1_000_000_000
+# "auto" adds what the loop itself needs: the sample after the instant, and the next tick's.
+RESERVE_TICKS = 2
+
+
+@dataclass(slots=True)
+class Felt:
+    """How things stood at the beginning of the last tick.
+
+    instant_ns is on the sensing clock; `scored`: the pulse was being felt at its full strength.
+    """
+
+    now_ns: int = 0
+    sensing_now_ns: int = 0
+    instant_ns: int = 0
+    target_n: float = 0.0
+    felt_n: float = 0.0
+    scored: bool = False
+
+    @property
+    def playout_delay_ns(self) -> int:
+        """The perceived delay E of this tick."""
+        return self.sensing_now_ns - self.instant_ns
+
+
+class Display:
+    """One display: receives a stream and plays it on its actuator.
+
+    score: keep the running errors against what was received.
+    """
+
+    def __init__(self, scene: DisplayScene, name: str, score: bool = True) -> None:
+        self._scene = scene
+        self._name = name
+        self._layer = scene.layer.layer()
+        self._tick_ns = scene.tick_ns
+        self._predict = PREDICTORS[scene.predictor]
+        self._loop = build_force_loop(
+            scene.controller, scene.actuator, self._layer, scene.film.film(), scene.tick_ns * 1e-9
+        )
+        self._playout = PlayoutClock()
+        self._sessions = 0
+        self._force_ratio = 1.0
+        self._covered_ns = 0
+        self._covered_ticks = 0
+        self._next_report_ns = 0
+        self._playout_delay_ms = Histogram(0.5, 8_000)
+        self.fidelity = Fidelity(self._layer.strain_per_newton) if score else None
+        self.receiver = Receiver(name, scene.channel, scene.late_target)
+        self.safety = Safety(scene.safety, scene.tick_ns)
+        self.felt = Felt()
+        self.ticks = 0
+
+    @property
+    def state(self) -> str:
+        """One word for people: waiting, starting, playing, stale, ended or fault."""
+        if self.safety.faults:
+            return "fault"
+        if not self.receiver.ready:
+            return "waiting"
+        if self.felt.scored:
+            return "playing"
+        if self.receiver.buffer.ended:
+            return "ended"
+        return "starting" if self.safety.gain else "stale"
+
+    @property
+    def force_ratio(self) -> float:
+        """Force at the finger per force at the wrist that makes both strains equal."""
+        return self._force_ratio
+
+    @property
+    def over(self) -> bool:
+        """Whether the session has ended and was played to its end."""
+        return self.receiver.over(self.felt.now_ns, self.felt.playout_delay_ns)
+
+    def on_frame(self, data: bytes, now_ns: int) -> None:
+        """A data message arrived."""
+        frame = self.receiver.on_frame(data, now_ns)
+        if frame is not None and self.fidelity is not None:
+            wrist_n = frame.values[:, self._scene.channel].astype(float)
+            self.fidelity.truth(sample_times_ns(frame), wrist_n * self._force_ratio)
+
+    def on_control(self, data: bytes, now_ns: int) -> None:
+        """A control message arrived."""
+        self.receiver.on_control(data, now_ns)
+        if self.receiver.sessions != self._sessions and self.receiver.description is not None:
+            self._sessions = self.receiver.sessions
+            self._force_ratio = matching_force_ratio(self.receiver.description.layer, self._layer)
+            self._playout = PlayoutClock()
+
+    def requests(self, now_ns: int) -> list[Control]:
+        """What to send to the sensing node now: requests and reports."""
+        wanted = self.receiver.requests(now_ns)
+        if now_ns >= self._next_report_ns and self.receiver.session is not None:
+            self._next_report_ns = now_ns + REPORT_EVERY_NS
+            wanted.append(self._report(self.receiver.session))
+        return wanted
+
+    def tick(self, now_ns: int, elapsed_ticks: int = 1) -> Felt:
+        """Advance the force loop to `now_ns`, `elapsed_ticks` ticks after the last one."""
+        reference_n, alive = self._reference(now_ns)
+        safety, felt, loop = self.safety, self.felt, self._loop
+        felt_n = loop.felt_n
+        safety.watch(felt_n)
+        reference_n = safety.bound(reference_n, alive)
+        for _ in range(elapsed_ticks):
+            loop.tick(reference_n)
+        self.ticks += 1
+        felt.target_n, felt.felt_n = reference_n[0], felt_n
+        felt.scored = alive and safety.gain == 1.0
+        if felt.scored and self.fidelity is not None:
+            self.fidelity.felt(felt.sensing_now_ns, felt.instant_ns, felt_n)
+        return felt
+
+    def _reference(self, now_ns: int) -> tuple[list[float], bool]:
+        """The force wanted now and a tick later, and whether the stream is alive."""
+        receiver, felt = self.receiver, self.felt
+        felt.now_ns = now_ns
+        delay_ns = receiver.delay.delay_ns
+        if not receiver.ready or delay_ns is None:
+            return [0.0, 0.0], False
+        sensing_now_ns = receiver.clock.remote_ns(now_ns)
+        wanted_delay_ns = self._scene.compensation_ns
+        if wanted_delay_ns is None:
+            wanted_delay_ns = delay_ns + RESERVE_TICKS * self._tick_ns
+        instant_ns = self._playout.instant(now_ns, sensing_now_ns - wanted_delay_ns)
+        felt.sensing_now_ns, felt.instant_ns = sensing_now_ns, instant_ns
+        buffer = receiver.buffer
+        buffer.advance(instant_ns)
+        wrist_n = buffer.known(self._tick_ns, 2)
+        newest_ns = buffer.newest_ns
+        if newest_ns is None or (not wrist_n and instant_ns < newest_ns):
+            return [0.0, 0.0], False
+        while len(wrist_n) < 2:
+            at_ns = instant_ns + len(wrist_n) * self._tick_ns
+            wrist_n.append(self._predict(*buffer.newest_values, at_ns))
+        ratio = self._force_ratio
+        alive = instant_ns - newest_ns <= self._scene.safety.stale_after_ns
+        if alive:
+            self._playout_delay_ms.add((sensing_now_ns - instant_ns) * 1e-6)
+            self._covered_ns += sensing_now_ns - min(instant_ns, newest_ns)
+            self._covered_ticks += 1
+        return [ratio * wrist_n[0], ratio * wrist_n[1]], alive
+
+    def _report(self, session: int) -> Report:
+        account = self.receiver.account()
+        delay = self.receiver.one_way_delay_ms
+        aligned = self.fidelity.force_rmse_n.aligned if self.fidelity is not None else None
+        return Report(
+            session=session,
+            display=self._name,
+            played=account.played,
+            late=account.late,
+            lost=account.lost,
+            one_way_delay_p50_ms=_or_nan(delay.quantile(0.5)),
+            one_way_delay_p99_ms=_or_nan(delay.quantile(0.99)),
+            playout_delay_ms=_or_nan(self._playout_delay_ms.mean),
+            force_rmse_n=_or_nan(aligned),
+        )
+
+    def summary(
+        self, deadline_misses: int | None = None, tick_us: TickTime | None = None
+    ) -> Summary:
+        """The summary so far; the loop's figures come from whoever runs it."""
+        receiver, clock = self.receiver, self.receiver.clock
+        account, delay = receiver.account(), receiver.one_way_delay_ms
+        frames, reordered = receiver.frames
+        group_delay_ns = receiver.description.group_delay_ns if receiver.description else 0
+        covered_ms = None
+        if self._covered_ticks:
+            covered_ms = (self._covered_ns / self._covered_ticks + group_delay_ns) * 1e-6
+        known = clock.ready
+        return Summary(
+            samples=Samples(
+                account.sent, account.played, account.late, account.lost, account.before_joining
+            ),
+            frames=Frames(frames, reordered),
+            one_way_delay_ms=OneWayDelay(delay.quantile(0.5), delay.quantile(0.99), delay.maximum),
+            playout_delay_ms=PlayoutDelay(
+                self._playout_delay_ms.mean, self._playout_delay_ms.quantile(0.99)
+            ),
+            covered_delay_ms=covered_ms,
+            clock=Clock(
+                clock.offset_ns(self.felt.now_ns) * 1e-6 if known else None,
+                clock.skew_ppm if known else None,
+                clock.uncertainty_ns * 1e-6 if known else None,
+            ),
+            force_rmse_n=self.fidelity.force_rmse_n if self.fidelity else Errors(),
+            strain_rmse=self.fidelity.strain_rmse if self.fidelity else Errors(),
+            within_jnd=self.fidelity.within_jnd if self.fidelity else None,
+            loop=Loop(self.ticks, deadline_misses, tick_us or TickTime()),
+            rejected=dict(receiver.rejected),
+            faults=list(self.safety.faults),
+        )
+
+
+def _or_nan(value: float | None) -> float:
+    return float("nan") if value is None else value

@@ -1,0 +1,120 @@
+"""How true the felt force is to the pulse: running RMSE, aligned and in phase (eqs 23-25).
+
+Truth and felt force come in as they are known, both on the sensing clock; a felt force is
+scored when the truth around its instant is there. Used by the display on what it received, and
+by a demo or simulation on what was really sensed.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.summary import Errors
+
+BLOCK = 256
+# Felt forces wait this many ticks for the truth of their instant to arrive.
+PATIENCE = 2_048
+# Truth further apart than this (a cut link) is not interpolated: nothing is scored there.
+MAX_GAP_NS = 60_000_000
+JND = 0.10
+SPAN_NS = 2_000_000_000
+
+
+class Fidelity:
+    """Accumulates both errors; strain_per_newton is the local layer's."""
+
+    def __init__(self, strain_per_newton: float) -> None:
+        self._strain_per_newton = abs(strain_per_newton)
+        self._t_ns: list[NDArray[np.int64]] = []
+        self._target_n: list[NDArray[np.float64]] = []
+        self._felt: list[tuple[int, int, float]] = []
+        self._aligned = self._in_phase = 0.0
+        self._aligned_count = self._in_phase_count = 0
+        self._within = 0
+
+    def truth(self, t_ns: NDArray[np.int64], target_n: NDArray[np.float64]) -> None:
+        """What the finger should feel of consecutive samples taken at t_ns; may come late."""
+        self._t_ns.append(t_ns)
+        self._target_n.append(target_n)
+
+    def felt(self, now_ns: int, instant_ns: int, force_n: float) -> None:
+        """What the finger feels at now_ns, when the pulse of instant_ns is played."""
+        felt = self._felt
+        felt.append((now_ns, instant_ns, force_n))
+        if len(felt) >= PATIENCE + BLOCK:
+            self._score_oldest()
+
+    def finish(self) -> None:
+        """Score what is left."""
+        while self._felt:
+            self._score_oldest()
+
+    @property
+    def force_rmse_n(self) -> Errors:
+        """RMSE of the force, in N."""
+        return Errors(
+            _root(self._aligned, self._aligned_count), _root(self._in_phase, self._in_phase_count)
+        )
+
+    @property
+    def strain_rmse(self) -> Errors:
+        """RMSE of the strain: the force's by the local layer."""
+        force = self.force_rmse_n
+        return Errors(
+            None if force.aligned is None else force.aligned * self._strain_per_newton,
+            None if force.in_phase is None else force.in_phase * self._strain_per_newton,
+        )
+
+    @property
+    def within_jnd(self) -> float | None:
+        """Share of time the aligned force error is below 10 % of the pulse's peak to peak."""
+        return self._within / self._aligned_count if self._aligned_count else None
+
+    def _score_oldest(self) -> None:
+        block, self._felt = self._felt[:BLOCK], self._felt[BLOCK:]
+        if not self._t_ns:
+            return
+        t_ns, target_n = self._gathered(until_ns=block[0][1] - SPAN_NS)
+        now_ns = np.array([now for now, _, _ in block])
+        instant_ns = np.array([instant for _, instant, _ in block])
+        felt_n = np.array([force for _, _, force in block])
+        aligned = felt_n - _interpolate(instant_ns, t_ns, target_n)
+        in_phase = felt_n - _interpolate(now_ns, t_ns, target_n)
+        aligned, in_phase = aligned[~np.isnan(aligned)], in_phase[~np.isnan(in_phase)]
+        self._aligned += float(aligned @ aligned)
+        self._aligned_count += len(aligned)
+        self._in_phase += float(in_phase @ in_phase)
+        self._in_phase_count += len(in_phase)
+        self._within += int(np.count_nonzero(np.abs(aligned) < JND * np.ptp(target_n)))
+
+    def _gathered(self, until_ns: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """All truth in order of time, forgetting what is older than `until_ns`."""
+        t_ns, target_n = np.concatenate(self._t_ns), np.concatenate(self._target_n)
+        if np.any(t_ns[1:] < t_ns[:-1]):
+            order = np.argsort(t_ns, kind="stable")
+            t_ns, target_n = t_ns[order], target_n[order]
+        keep = max(0, int(np.searchsorted(t_ns, until_ns)) - 1)
+        t_ns, target_n = t_ns[keep:], target_n[keep:]
+        self._t_ns, self._target_n = [t_ns], [target_n]
+        return t_ns, target_n
+
+
+def _interpolate(
+    at_ns: NDArray[np.int64], t_ns: NDArray[np.int64], values: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Linear interpolation; NaN outside of t_ns and inside of gaps."""
+    if len(t_ns) < 2:
+        return np.full(len(at_ns), np.nan)
+    right = np.searchsorted(t_ns, at_ns, side="right")
+    inside = (right > 0) & (right < len(t_ns))
+    right = np.clip(right, 1, len(t_ns) - 1)
+    gap_ns = t_ns[right] - t_ns[right - 1]
+    share = (at_ns - t_ns[right - 1]) / np.maximum(gap_ns, 1)
+    result: NDArray[np.float64] = values[right - 1] + share * (values[right] - values[right - 1])
+    result[~inside | (gap_ns > MAX_GAP_NS)] = np.nan
+    return result
+
+
+def _root(total: float, count: int) -> float | None:
+    return math.sqrt(total / count) if count else None

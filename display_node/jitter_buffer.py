@@ -1,0 +1,211 @@
+"""The jitter buffer: one session's samples in time order, and the account of each of them.
+
+All times are the sensing clock's. `advance` says which instant is being played; a sample whose
+instant has passed by then was played, one that arrives later is late, one that never arrives
+is lost. A late sample is kept all the same: it still serves the predictor.
+"""
+
+from bisect import bisect_left, bisect_right
+from dataclasses import dataclass
+
+from protocol.errors import WireError
+from protocol.messages import Frame
+
+KEEP_SAMPLES = 16_384
+MAX_AHEAD_SAMPLES = 65_536
+TIME_TOLERANCE_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Account:
+    """sent = played + late + lost, of the samples whose instant has passed."""
+
+    sent: int = 0
+    played: int = 0
+    late: int = 0
+    before_joining: int = 0
+
+    @property
+    def lost(self) -> int:
+        """Samples that never arrived."""
+        return self.sent - self.played - self.late
+
+    def __add__(self, other: "Account") -> "Account":
+        return Account(
+            self.sent + other.sent,
+            self.played + other.played,
+            self.late + other.late,
+            self.before_joining + other.before_joining,
+        )
+
+
+class JitterBuffer:
+    """Holds one channel of one session's samples."""
+
+    def __init__(self, channel: int) -> None:
+        self._channel = channel
+        self._indices: list[int] = []
+        self._times: list[int] = []
+        self._values: list[float] = []
+        # Samples before this list position have had their instant.
+        self._settled = 0
+        self._settled_index: int | None = None
+        self._instant_ns: int | None = None
+        self._first_index: int | None = None
+        self._floor_index = 0
+        self._period_ns = 1
+        self._end_index: int | None = None
+        self._played = 0
+        self._late = 0
+        self.frames = 0
+        self.reordered = 0
+
+    @property
+    def newest_ns(self) -> int | None:
+        """Time of the newest sample; None while there is none."""
+        return self._times[-1] if self._times else None
+
+    @property
+    def newest_values(self) -> tuple[list[int], list[float]]:
+        """Times and values of the last samples, oldest first, for a predictor."""
+        return self._times[-32:], self._values[-32:]
+
+    @property
+    def waiting(self) -> int:
+        """Samples that wait for their instant."""
+        return len(self._times) - self._settled
+
+    def put(self, frame: Frame) -> None:
+        """Take a frame. Raises WireError: "duplicate", "overlap", "timestamp", "overflow"."""
+        count = len(frame.values)
+        first = frame.first_sample
+        period_ns = frame.period_ns
+        position = len(self._indices)
+        if position and first <= self._indices[-1]:
+            position = bisect_left(self._indices, first)
+        self._check(frame, position, count)
+        times = list(range(frame.t_first_ns, frame.t_first_ns + count * period_ns, period_ns))
+        if position < len(self._indices):
+            self.reordered += 1
+        self._indices[position:position] = range(first, first + count)
+        self._times[position:position] = times
+        self._values[position:position] = frame.values[:, self._channel].tolist()
+        self._period_ns = period_ns
+        self.frames += 1
+        if self._first_index is None or first < self._first_index:
+            self._first_index = first
+        if self._instant_ns is not None and times[0] <= self._instant_ns:
+            self._settle_late(position, bisect_right(times, self._instant_ns))
+        if len(self._times) > 2 * KEEP_SAMPLES:
+            self._trim()
+
+    def _check(self, frame: Frame, position: int, count: int) -> None:
+        """Refuse what is here already or cannot be true beside its neighbours."""
+        indices, times = self._indices, self._times
+        first, t_first_ns = frame.first_sample, frame.t_first_ns
+        last_ns = t_first_ns + (count - 1) * frame.period_ns
+        if position < len(indices):
+            if indices[position] == first:
+                raise WireError("duplicate", f"sample {first} is here already")
+            if indices[position] < first + count:
+                raise WireError("overlap", f"sample {indices[position]} is here already")
+            if times[position] <= last_ns:
+                raise WireError("timestamp", "a frame's time is after that of a later sample")
+        if not position:
+            if first < self._floor_index:
+                raise WireError("too_old", f"sample {first} is older than the buffer reaches")
+            return
+        if indices[position - 1] >= first:
+            raise WireError("overlap", f"sample {first} is here already")
+        gap_ns = t_first_ns - times[position - 1]
+        expected_ns = (first - indices[position - 1]) * frame.period_ns
+        if gap_ns <= 0 or abs(gap_ns - expected_ns) > TIME_TOLERANCE_NS + expected_ns // 5:
+            raise WireError("timestamp", "a frame's time does not fit its sequence number")
+        if len(times) - self._settled + count > MAX_AHEAD_SAMPLES:
+            raise WireError("overflow", f"more than {MAX_AHEAD_SAMPLES} samples wait already")
+
+    def _settle_late(self, position: int, count: int) -> None:
+        self._late += count
+        self._settled += count
+        last_index = self._indices[position] + count - 1
+        if self._settled_index is None or last_index > self._settled_index:
+            self._settled_index = last_index
+
+    def _trim(self) -> None:
+        surplus = min(len(self._times) - KEEP_SAMPLES, self._settled)
+        if surplus:
+            self._floor_index = self._indices[surplus - 1] + 1
+        del self._indices[:surplus], self._times[:surplus], self._values[:surplus]
+        self._settled -= surplus
+
+    def advance(self, instant_ns: int) -> None:
+        """Play the instant: settles every sample up to it. Instants do not go back."""
+        times, settled = self._times, self._settled
+        length = len(times)
+        while settled < length and times[settled] <= instant_ns:
+            settled += 1
+        if settled > self._settled:
+            self._played += settled - self._settled
+            self._settled = settled
+            self._settled_index = self._indices[settled - 1]
+        self._instant_ns = instant_ns
+
+    def known(self, step_ns: int, count: int) -> list[float]:
+        """Values at the instant being played and `step_ns` apart after it, by linear
+        interpolation; ends early where the newest sample ends, empty before the first."""
+        times, values, position = self._times, self._values, self._settled
+        length = len(times)
+        if self._instant_ns is None or not position:
+            return []
+        result = []
+        t_ns = self._instant_ns
+        for _ in range(count):
+            while position < length and times[position] <= t_ns:
+                position += 1
+            before_ns = times[position - 1]
+            if position == length:
+                if before_ns == t_ns:
+                    result.append(values[-1])
+                break
+            share = (t_ns - before_ns) / (times[position] - before_ns)
+            before = values[position - 1]
+            result.append(before + share * (values[position] - before))
+            t_ns += step_ns
+        return result
+
+    def end(self, samples_sent: int, now_ns: int | None) -> None:
+        """The session ended after `samples_sent` samples; what is missing of them is lost.
+
+        now_ns is the sensing clock's, if known. Raises WireError("implausible") when that is
+        more than there was time for, or less than came.
+        """
+        if self._indices:
+            missing = samples_sent - 1 - self._indices[-1]
+            if missing < 0:
+                raise WireError("implausible", f"the end at {samples_sent} is before the newest")
+            room_ns = TIME_TOLERANCE_NS + (now_ns or self._times[-1]) - self._times[-1]
+            if missing * self._period_ns > room_ns:
+                raise WireError("implausible", f"no time for {missing} further samples")
+        self._end_index = samples_sent
+
+    @property
+    def ended(self) -> bool:
+        """Whether the session's end is known."""
+        return self._end_index is not None
+
+    @property
+    def end_ns(self) -> int | None:
+        """Time of the session's last sample, once its end is known."""
+        if self._end_index is None or not self._times:
+            return None
+        return self._times[-1] + (self._end_index - 1 - self._indices[-1]) * self._period_ns
+
+    def account(self) -> Account:
+        """The account so far; once the session has ended and played out, of all of it."""
+        first = self._first_index
+        if first is None:
+            return Account(before_joining=self._end_index or 0)
+        settled_end = first if self._settled_index is None else self._settled_index + 1
+        if self._end_index is not None and not self.waiting:
+            settled_end = max(settled_end, self._end_index)
+        return Account(settled_end - first, self._played, self._late, first)

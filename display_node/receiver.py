@@ -1,0 +1,182 @@
+"""The receiving half of a display: session, clock, jitter buffer, delay estimate.
+
+Bytes and their arrival times come in, requests to the sensing node come out; what cannot be
+used is counted under its cause. No sockets here.
+"""
+
+from collections import Counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from display_node.jitter_buffer import Account, JitterBuffer
+from display_node.playout import DelayEstimator
+from protocol.clock import ClockEstimator, ClockExchange
+from protocol.errors import WireError
+from protocol.histogram import Histogram
+from protocol.messages import (
+    Bye,
+    ClockReply,
+    ClockRequest,
+    Control,
+    Frame,
+    Hello,
+    Welcome,
+    decode_control,
+    decode_frame,
+)
+from protocol.stream import StreamDescription
+
+HELLO_EVERY_NS = 250_000_000
+CLOCK_FAST_NS = 20_000_000
+CLOCK_EVERY_NS = 250_000_000
+CLOCK_FAST_COUNT = 10
+SILENT_AFTER_NS = 1_000_000_000
+FUTURE_NS = 1_000_000_000
+# After the last sample's instant, this long for late ones to come in.
+GRACE_NS = 500_000_000
+
+
+class Receiver:
+    """Follows the stream of one sensing node through its sessions."""
+
+    def __init__(self, name: str, channel: int, late_target: float) -> None:
+        self._name = name
+        self._channel = channel
+        self._late_target = late_target
+        self._closed = Account()
+        self._frames_closed = self._reordered_closed = 0
+        self._next_hello_ns = self._next_clock_ns = 0
+        self._clock_requests = 0
+        self._heard_ns = 0
+        self.rejected: Counter[str] = Counter()
+        self.one_way_delay_ms = Histogram(0.1, 20_000)
+        self.sessions = 0
+        self.session: int | None = None
+        self.description: StreamDescription | None = None
+        self.clock = ClockEstimator()
+        self.delay = DelayEstimator(late_target)
+        self.buffer = JitterBuffer(channel)
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is a stream, its clock is known and samples have come."""
+        return self.session is not None and self.clock.ready and self.delay.settled
+
+    def on_frame(self, data: bytes, now_ns: int) -> Frame | None:
+        """Take a data message; the frame if it was new and valid."""
+        try:
+            frame = decode_frame(data)
+            self._accept(frame, now_ns)
+        except WireError as error:
+            self.rejected[error.cause] += 1
+            return None
+        return frame
+
+    def on_control(self, data: bytes, now_ns: int) -> None:
+        """Take a control message."""
+        try:
+            message = decode_control(data)
+            self._take(message, now_ns)
+        except WireError as error:
+            self.rejected[error.cause] += 1
+
+    def requests(self, now_ns: int) -> list[Control]:
+        """What should be asked of the sensing node now: hello, clock."""
+        wanted: list[Control] = []
+        silent = now_ns - self._heard_ns > SILENT_AFTER_NS
+        if (self.session is None or silent) and now_ns >= self._next_hello_ns:
+            self._next_hello_ns = now_ns + HELLO_EVERY_NS
+            wanted.append(Hello(self._name))
+        if self.session is not None and now_ns >= self._next_clock_ns:
+            fast = self._clock_requests < CLOCK_FAST_COUNT
+            self._next_clock_ns = now_ns + (CLOCK_FAST_NS if fast else CLOCK_EVERY_NS)
+            self._clock_requests += 1
+            wanted.append(ClockRequest(now_ns))
+        return wanted
+
+    def account(self) -> Account:
+        """The account of all samples of all sessions so far."""
+        return self._closed + self.buffer.account()
+
+    @property
+    def frames(self) -> tuple[int, int]:
+        """Frames received, and how many of them came after a later one."""
+        return (
+            self._frames_closed + self.buffer.frames,
+            self._reordered_closed + self.buffer.reordered,
+        )
+
+    def over(self, now_ns: int, playout_delay_ns: int) -> bool:
+        """Whether the session has ended and everything that may still come has had its time."""
+        if not self.buffer.ended:
+            return False
+        end_ns = self.buffer.end_ns
+        if end_ns is None:
+            return True
+        return self.clock.remote_ns(now_ns) > end_ns + playout_delay_ns + GRACE_NS
+
+    def _accept(self, frame: Frame, now_ns: int) -> None:
+        """Check a frame against its session and put it into the buffer. Raises WireError."""
+        description = self.description
+        if description is None:
+            raise WireError("before_welcome", "a frame before the stream's description")
+        if frame.session != self.session:
+            self._next_hello_ns, self._heard_ns = min(self._next_hello_ns, now_ns), 0
+            raise WireError("session", "a frame of another session")
+        values = frame.values
+        if (
+            values.shape[1] != len(description.channels)
+            or values.shape[0] > description.batch
+            or values.dtype.itemsize != description.bytes_per_sample
+            or self._channel >= values.shape[1]
+        ):
+            raise WireError("mismatch", "a frame does not match the stream's description")
+        last_ns = frame.t_first_ns + (len(values) - 1) * frame.period_ns
+        if not self.clock.ready:
+            self.buffer.put(frame)
+            return
+        sensing_now_ns = self.clock.remote_ns(now_ns)
+        if last_ns > sensing_now_ns + FUTURE_NS:
+            raise WireError("timestamp", "a frame's time is in the future")
+        self.buffer.put(frame)
+        self._heard_ns = now_ns
+        self.delay.observe(sensing_now_ns - frame.t_first_ns, now_ns)
+        self.one_way_delay_ms.add((sensing_now_ns - last_ns) * 1e-6)
+
+    def _take(self, message: Control, now_ns: int) -> None:
+        match message:
+            case Welcome(session=session, description=description):
+                self._heard_ns = now_ns
+                if session != self.session:
+                    self._begin(session, description)
+            case ClockReply() if message.session != self.session:
+                self._next_hello_ns, self._heard_ns = now_ns, 0
+                raise WireError("session", "a clock reply of another session")
+            case ClockReply(t1_ns=t1_ns, t2_ns=t2_ns, t3_ns=t3_ns):
+                if not self.clock.add(ClockExchange(t1_ns, t2_ns, t3_ns, now_ns)):
+                    raise WireError("implausible", "a clock reply before its request")
+            case Bye() if message.session != self.session:
+                raise WireError("session", "the end of another session")
+            case Bye(samples_sent=samples_sent):
+                sensing_now_ns = self.clock.remote_ns(now_ns) if self.clock.ready else None
+                self.buffer.end(samples_sent, sensing_now_ns)
+            case _:
+                raise WireError("unexpected", "a message that only displays send")
+
+    def _begin(self, session: int, description: StreamDescription) -> None:
+        """A new session: its samples, times and clock have nothing to do with the last one's."""
+        self._closed = self.account()
+        self._frames_closed, self._reordered_closed = self.frames
+        self.session, self.description = session, description
+        self.sessions += 1
+        self._clock_requests = 0
+        self._next_clock_ns = 0
+        self.clock = ClockEstimator()
+        self.delay = DelayEstimator(self._late_target)
+        self.buffer = JitterBuffer(self._channel)
+
+
+def sample_times_ns(frame: Frame) -> NDArray[np.int64]:
+    """Times of a frame's samples."""
+    return frame.t_first_ns + np.arange(len(frame.values), dtype=np.int64) * frame.period_ns

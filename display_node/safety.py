@@ -1,0 +1,72 @@
+"""Safety: what may reach the actuator, whatever the peer sends.
+
+Bounds on the target force and its slew; a gain that falls to nothing when the stream is stale
+and comes back by a ramp; a latch that holds the actuator at rest after a fault.
+"""
+
+import math
+from typing import Annotated
+
+from pydantic import Field
+
+from protocol.quantities import Nanoseconds, Newtons, NewtonsPerSecond
+from protocol.scene import Section
+
+
+class SafetyScene(Section):
+    """The `safety` table: default force limit is the calibrated range of the paper's Fig. 4.
+
+    overforce: felt force, as a multiple of the limit, that counts as a fault.
+    """
+
+    force_limit_n: Annotated[Newtons, Field(gt=0, le=100)] = 2.5
+    slew_limit_n_per_s: Annotated[NewtonsPerSecond, Field(gt=0)] = 50.0
+    stale_after_ns: Annotated[Nanoseconds, Field(ge=1_000_000, le=10_000_000_000)] = 60_000_000
+    fade_ns: Annotated[Nanoseconds, Field(ge=1_000_000, le=1_000_000_000)] = 40_000_000
+    ramp_ns: Annotated[Nanoseconds, Field(ge=1_000_000, le=10_000_000_000)] = 500_000_000
+    overforce: Annotated[float, Field(ge=1, le=10)] = 1.5
+
+
+class Safety:
+    """Bounds the reference of one actuator, tick by tick."""
+
+    def __init__(self, scene: SafetyScene, tick_ns: int) -> None:
+        self._limit_n = scene.force_limit_n
+        self._slew_n = scene.slew_limit_n_per_s * tick_ns * 1e-9
+        self._fade = tick_ns / scene.fade_ns
+        self._ramp = tick_ns / scene.ramp_ns
+        self._overforce_n = scene.force_limit_n * scene.overforce
+        self._last_n = 0.0
+        self.gain = 0.0
+        self.faults: list[str] = []
+
+    @property
+    def full(self) -> bool:
+        """Whether the pulse is felt at its full strength."""
+        return self.gain == 1.0
+
+    def watch(self, feedback_n: float) -> None:
+        """Look at the felt force; a reading that cannot be trusted is a fault, and latches."""
+        if not math.isfinite(feedback_n):
+            self._fault("feedback is not a number")
+        elif feedback_n > self._overforce_n:
+            self._fault(f"felt force above {self._overforce_n:.3g} N")
+
+    def bound(self, reference_n: list[float], alive: bool) -> list[float]:
+        """The reference within force and slew limits; towards 0 N when not alive or at fault."""
+        if alive and not self.faults:
+            self.gain = min(1.0, self.gain + self._ramp)
+        else:
+            self.gain = max(0.0, self.gain - self._fade)
+        gain, limit_n, slew_n, last_n = self.gain, self._limit_n, self._slew_n, self._last_n
+        bounded = []
+        for force_n in reference_n:
+            wanted_n = min(max(gain * force_n, 0.0), limit_n)
+            last_n = min(max(wanted_n, last_n - slew_n), last_n + slew_n)
+            bounded.append(last_n)
+        self._last_n = bounded[0]
+        return bounded
+
+    def _fault(self, name: str) -> None:
+        if name not in self.faults:
+            self.faults.append(name)

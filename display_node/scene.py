@@ -1,0 +1,57 @@
+"""The [display] section of a scene."""
+
+from typing import Annotated, Literal
+
+from pydantic import BeforeValidator, Field
+
+from display_node.actuators.second_order import SecondOrderScene
+from display_node.actuators.stepper import StepperScene
+from display_node.controller import ControllerScene
+from display_node.safety import SafetyScene
+from protocol.quantities import Metres, Nanoseconds, Ratio, parse_quantity
+from protocol.scene import Section
+from protocol.stream import LayerTable
+from protocol.tactile import Film
+
+MAX_COMPENSATION_NS = 10_000_000_000
+
+
+def _time_or_auto(value: object) -> int | None:
+    if value == "auto":
+        return None
+    delay_ns = round(parse_quantity(value, "time") * 1e9)
+    if not 0 <= delay_ns <= MAX_COMPENSATION_NS:
+        raise ValueError(f"{value!r} is out of range: 0 s to 10 s, or 'auto'")
+    return delay_ns
+
+
+class FilmTable(Section):
+    """The `film` table: the PVDF film under the finger (Table 1: r_pv2 = 9 mm)."""
+
+    radius_m: Annotated[Metres, Field(gt=0)] = 9e-3
+
+    def film(self) -> Film:
+        """The film this table describes."""
+        return Film(self.radius_m)
+
+
+class DisplayScene(Section):
+    """What the display node does.
+
+    compensation: the perceived delay E as a time, or "auto" for the least delay the link can
+    carry with at most `late_target` of the samples late; None stands for auto. predictor: what
+    is felt where no sample has arrived yet. channel: which of the stream's channels is felt.
+    paths: TCP connections to the sensing node; the first copy of a frame wins.
+    """
+
+    controller: ControllerScene
+    actuator: Annotated[SecondOrderScene | StepperScene, Field(discriminator="kind")]
+    layer: LayerTable = LayerTable()
+    film: FilmTable = FilmTable()
+    safety: SafetyScene = SafetyScene()
+    compensation_ns: Annotated[int | None, BeforeValidator(_time_or_auto)] = None
+    late_target: Annotated[Ratio, Field(gt=0, le=0.5)] = 0.01
+    predictor: Literal["hold", "linear"] = "linear"
+    tick_ns: Annotated[Nanoseconds, Field(ge=100_000, le=100_000_000)] = 1_000_000
+    channel: Annotated[int, Field(ge=0, le=63)] = 0
+    paths: Annotated[int, Field(ge=1, le=8)] = 1

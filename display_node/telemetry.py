@@ -1,0 +1,88 @@
+"""Telemetry: what the real-time loop tells the world, for another process to show or record.
+
+Two topics, each a multipart message [topic, msgpack]: "trace" holds every tick since the last
+one; "status" holds the running summary. A last status has final = true.
+"""
+
+from typing import Any, NamedTuple
+
+import msgpack
+import numpy as np
+from numpy.typing import NDArray
+
+from display_node.display import Display, Felt
+from protocol.errors import WireError
+from protocol.summary import Summary
+
+TRACE = b"trace"
+STATUS = b"status"
+TRACE_TICKS = 20
+STATUS_TRACES = 10
+
+
+class Trace(NamedTuple):
+    """Consecutive ticks: arrays of equal length, one value a tick.
+
+    now_ns on the display's clock; instant_ns on the sensing clock; target and felt force in N;
+    scored: whether the pulse was being felt at its full strength.
+    """
+
+    now_ns: NDArray[np.int64]
+    instant_ns: NDArray[np.int64]
+    target_n: NDArray[np.float64]
+    felt_n: NDArray[np.float64]
+    scored: NDArray[np.bool_]
+
+
+class TraceWriter:
+    """Collects ticks and gives them out as messages."""
+
+    def __init__(self) -> None:
+        self._ints: list[int] = []
+        self._forces: list[float] = []
+
+    def add(self, felt: Felt) -> bytes | None:
+        """A tick; a trace message when one is full."""
+        ints = self._ints
+        ints += (felt.now_ns, felt.instant_ns, felt.scored)
+        self._forces += (felt.target_n, felt.felt_n)
+        if len(ints) < 3 * TRACE_TICKS:
+            return None
+        message = [np.array(ints, "<i8").tobytes(), np.array(self._forces, "<f8").tobytes()]
+        self._ints, self._forces = [], []
+        return bytes(msgpack.packb(message))
+
+
+def read_trace(data: bytes) -> Trace:
+    """The trace in a message. Raises WireError."""
+    try:
+        ints, forces = msgpack.unpackb(data)
+        now_ns, instant_ns, scored = np.frombuffer(ints, "<i8").reshape(-1, 3).T
+        target_n, felt_n = np.frombuffer(forces, "<f8").reshape(len(now_ns), 2).T
+    except (ValueError, TypeError) as error:
+        raise WireError("malformed", f"not a trace: {error}") from None
+    return Trace(now_ns, instant_ns, target_n, felt_n, scored.astype(bool))
+
+
+class Status(NamedTuple):
+    """Where the display stands: a word, what it plays, its running summary."""
+
+    state: str
+    stream: str
+    summary: dict[str, Any]
+    final: bool
+
+
+def write_status(display: Display, summary: Summary, final: bool) -> bytes:
+    """A status message."""
+    description = display.receiver.description
+    stream = description.name if description else ""
+    return bytes(msgpack.packb([display.state, stream, summary.to_dict(), final]))
+
+
+def read_status(data: bytes) -> Status:
+    """The status in a message. Raises WireError."""
+    try:
+        return Status(*msgpack.unpackb(data))
+    except (ValueError, TypeError) as error:
+        raise WireError("malformed", f"not a status: {error}") from None

@@ -1,0 +1,85 @@
+"""Quantities as people write them ("40 ms", "0.3 N", "75 /min") read into SI numbers.
+
+A scene file carries the unit in the value, the code carries it in the name: the key
+`delay = "40 ms"` becomes the field `delay_ns`.
+"""
+
+import math
+import re
+from typing import Annotated
+
+from pydantic import BeforeValidator
+
+UNITS: dict[str, dict[str, float]] = {
+    "time": {"ns": 1e-9, "us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0},
+    "frequency": {"/min": 1 / 60, "Hz": 1.0, "kHz": 1e3, "MHz": 1e6},
+    "length": {"nm": 1e-9, "um": 1e-6, "µm": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0},
+    "force": {"mN": 1e-3, "N": 1.0},
+    "force rate": {"mN/s": 1e-3, "N/s": 1.0},
+    "pressure": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9},
+    "speed": {"mm/s": 1e-3, "m/s": 1.0},
+    "acceleration": {"mm/s²": 1e-3, "m/s²": 1.0},
+    "stiffness": {"N/m": 1.0, "N/mm": 1e3},
+    "damping": {"N·s/m": 1.0},
+    "mass": {"g": 1e-3, "kg": 1.0},
+    "voltage": {"µV": 1e-6, "mV": 1e-3, "V": 1.0},
+    "angle": {"°": math.pi / 180, "deg": math.pi / 180, "rad": 1.0},
+}
+_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S*)\s*")
+
+
+def parse_quantity(text: object, dimension: str) -> float:
+    """Read a number and its unit into SI.
+
+    `text` is such as "40 ms"; `dimension` a key of `UNITS`. Raises ValueError with one line
+    that says what is allowed when the number or its unit is missing or does not fit.
+    """
+    units = UNITS[dimension]
+    example = f"a {dimension} is a number and one of {', '.join(units)}"
+    match = _NUMBER.fullmatch(text) if isinstance(text, str) else None
+    if match is None:
+        raise ValueError(f"{text!r} is no {dimension}: {example}")
+    number, unit = match.groups()
+    if unit not in units:
+        raise ValueError(f"{text!r} is no {dimension}: {example}")
+    value = float(number) * units[unit]
+    if not math.isfinite(value):
+        raise ValueError(f"{text!r} is not finite")
+    return value
+
+
+def parse_ratio(text: object) -> float:
+    """Read a plain number or a percentage ("1 %") as a ratio. Raises ValueError otherwise."""
+    if isinstance(text, int | float) and not isinstance(text, bool) and math.isfinite(text):
+        return float(text)
+    match = _NUMBER.fullmatch(text) if isinstance(text, str) else None
+    if match is None or match.group(2) not in ("", "%"):
+        raise ValueError(f"{text!r} is no ratio: write 0.01 or '1 %'")
+    return float(match.group(1)) * (0.01 if match.group(2) == "%" else 1.0)
+
+
+def _reader(dimension: str) -> BeforeValidator:
+    def read(text: object) -> float:
+        return parse_quantity(text, dimension)
+
+    return BeforeValidator(read)
+
+
+def _nanoseconds(text: object) -> int:
+    return round(parse_quantity(text, "time") * 1e9)
+
+
+Nanoseconds = Annotated[int, BeforeValidator(_nanoseconds)]
+Hertz = Annotated[float, _reader("frequency")]
+Metres = Annotated[float, _reader("length")]
+Newtons = Annotated[float, _reader("force")]
+NewtonsPerSecond = Annotated[float, _reader("force rate")]
+Pascals = Annotated[float, _reader("pressure")]
+MetresPerSecond = Annotated[float, _reader("speed")]
+MetresPerSecond2 = Annotated[float, _reader("acceleration")]
+NewtonsPerMetre = Annotated[float, _reader("stiffness")]
+NewtonSecondsPerMetre = Annotated[float, _reader("damping")]
+Kilograms = Annotated[float, _reader("mass")]
+Volts = Annotated[float, _reader("voltage")]
+Radians = Annotated[float, _reader("angle")]
+Ratio = Annotated[float, BeforeValidator(parse_ratio)]

@@ -1,0 +1,116 @@
+"""ZeroMQ sockets: addresses, heartbeats, limits.
+
+One address names a stream. Data is PUB to SUB there; control is ROUTER to DEALER one port
+higher (for ipc: the path with ".control" behind it). Reconnecting is ZeroMQ's own; heartbeats
+find a dead peer on a link that only went silent.
+"""
+
+import re
+import select
+from collections.abc import Iterator, Sequence
+from typing import cast
+
+import zmq
+
+from protocol.errors import AddressError
+from protocol.messages import MAX_FRAME_BYTES
+
+HEARTBEAT_MS = 500
+HEARTBEAT_TIMEOUT_MS = 2_000
+RECONNECT_MS = 100
+HIGH_WATER_FRAMES = 1_000
+LINGER_MS = 500
+MAX_MESSAGES = 200
+
+Context = zmq.Context[zmq.Socket[bytes]]
+Socket = zmq.Socket[bytes]
+_TCP = re.compile(r"tcp://(?P<host>[^\s/]+):(?P<port>\d{1,5})")
+_LOOPBACK = re.compile(r"(127\.\d+\.\d+\.\d+|localhost|\[::1\])")
+
+
+def control_address(address: str) -> str:
+    """The control address that belongs to a data address. Raises AddressError."""
+    match = _TCP.fullmatch(address)
+    if match and 0 < int(match["port"]) < 65_535:
+        return f"tcp://{match['host']}:{int(match['port']) + 1}"
+    if address.startswith("ipc://") and len(address) > len("ipc://"):
+        return address + ".control"
+    raise AddressError(
+        f"{address}: not an address; write tcp://HOST:PORT with a port of 1 to 65534, or ipc://PATH"
+    )
+
+
+def beyond_loopback(address: str) -> bool:
+    """Whether the address can be reached from, or reaches, another machine."""
+    match = _TCP.fullmatch(address)
+    return match is not None and _LOOPBACK.fullmatch(match["host"]) is None
+
+
+def bind(context: Context, kind: int, address: str) -> Socket:
+    """A socket of `kind` bound to `address`. Raises AddressError."""
+    socket = _socket(context, kind)
+    try:
+        socket.bind(address)
+    except zmq.ZMQError as error:
+        socket.close(0)
+        hint = "; another program holds it" if error.errno == zmq.EADDRINUSE else ""
+        raise AddressError(f"cannot bind {address}: {error.strerror}{hint}") from None
+    return socket
+
+
+def connect(context: Context, kind: int, address: str) -> Socket:
+    """A socket of `kind` that connects to `address`, now or when it appears."""
+    socket = _socket(context, kind)
+    try:
+        socket.connect(address)
+    except zmq.ZMQError as error:
+        socket.close(0)
+        raise AddressError(f"cannot connect to {address}: {error.strerror}") from None
+    return socket
+
+
+def receive_all(socket: Socket) -> Iterator[list[bytes]]:
+    """The messages that wait, without blocking; a message is its list of parts.
+
+    At most `MAX_MESSAGES` a call, so that a flood cannot keep a loop from its ticks.
+    """
+    for _ in range(MAX_MESSAGES):
+        if not cast(int, socket.getsockopt(zmq.EVENTS)) & zmq.POLLIN:
+            return
+        yield socket.recv_multipart(zmq.NOBLOCK)
+
+
+def send(socket: Socket, *parts: bytes) -> bool:
+    """Send without blocking; False when the peer cannot take it now."""
+    try:
+        socket.send_multipart(parts, zmq.NOBLOCK)
+    except zmq.Again:
+        return False
+    return True
+
+
+def wait_readable(sockets: Sequence[Socket], timeout_ns: int) -> None:
+    """Sleep until a socket may have something to read, or the time is over.
+
+    ZeroMQ's own poll counts whole milliseconds, too coarse for a 1 kHz loop. Its descriptors
+    are edge-triggered: read every socket empty (`receive_all`) before waiting again.
+    """
+    if timeout_ns > 0:
+        descriptors = [cast(int, socket.getsockopt(zmq.FD)) for socket in sockets]
+        select.select(descriptors, [], [], timeout_ns * 1e-9)
+
+
+def _socket(context: Context, kind: int) -> Socket:
+    socket = context.socket(kind)
+    socket.setsockopt(zmq.LINGER, LINGER_MS)
+    socket.setsockopt(zmq.SNDHWM, HIGH_WATER_FRAMES)
+    socket.setsockopt(zmq.RCVHWM, HIGH_WATER_FRAMES)
+    socket.setsockopt(zmq.HEARTBEAT_IVL, HEARTBEAT_MS)
+    socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, HEARTBEAT_TIMEOUT_MS)
+    socket.setsockopt(zmq.HEARTBEAT_TTL, HEARTBEAT_TIMEOUT_MS)
+    socket.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
+    # Requests to a peer that is not there would be answered late and all at once.
+    socket.setsockopt(zmq.IMMEDIATE, 1)
+    # A little above what is decoded, so that an oversized message is counted, not only cut off.
+    socket.setsockopt(zmq.MAXMSGSIZE, 4 * MAX_FRAME_BYTES)
+    return socket

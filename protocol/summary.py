@@ -1,0 +1,195 @@
+"""The summary every command and node ends with: the same keys everywhere, null where a thing
+does not apply."""
+
+import dataclasses
+import json
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """sent = played + late + lost. Played: in the buffer when its instant was played; late:
+    arrived after that; lost: never arrived. `before_joining`: sent before a display listened."""
+
+    sent: int | None = None
+    played: int | None = None
+    late: int | None = None
+    lost: int | None = None
+    before_joining: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class OneWayDelay:
+    """Time on the network of a frame's last sample, in ms."""
+
+    p50: float | None = None
+    p99: float | None = None
+    max: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PlayoutDelay:
+    """Perceived delay E from the wrist's instant to its playing, in ms."""
+
+    mean: float | None = None
+    p99: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """The sensing clock against the display's."""
+
+    offset_ms: float | None = None
+    skew_ppm: float | None = None
+    uncertainty_ms: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """RMSE against the pulse as it was when sampled (aligned) and at that very instant."""
+
+    aligned: float | None = None
+    in_phase: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class TickTime:
+    """Cost of a tick in µs."""
+
+    p50: float | None = None
+    p99: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Loop:
+    """The display's real-time loop."""
+
+    ticks: int | None = None
+    deadline_misses: int | None = None
+    tick_us: TickTime = TickTime()
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """Frames taken, and how many of them came after a later one."""
+
+    received: int | None = None
+    reordered: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """See docs/telemetry.md for each key."""
+
+    samples: Samples = Samples()
+    frames: Frames = Frames()
+    one_way_delay_ms: OneWayDelay = OneWayDelay()
+    playout_delay_ms: PlayoutDelay = PlayoutDelay()
+    covered_delay_ms: float | None = None
+    clock: Clock = Clock()
+    force_rmse_n: Errors = Errors()
+    strain_rmse: Errors = Errors()
+    within_jnd: float | None = None
+    loop: Loop = Loop()
+    speed: float | None = None
+    rejected: dict[str, int] = field(default_factory=dict)
+    faults: list[str] = field(default_factory=list)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain types for JSON and msgpack; NaN becomes None."""
+        table: dict[str, Any] = _without_nan(dataclasses.asdict(self))
+        return table
+
+
+def write_json(summary: Summary, path: Path) -> None:
+    """Write the summary as JSON."""
+    path.write_text(json.dumps(summary.to_dict(), indent=2) + "\n", encoding="utf-8")
+
+
+def print_summary(summary: Summary, title: str, console: Console) -> None:
+    """Print the summary for people, one line a row; a row without a value is left out."""
+    table = Table(title=title, show_header=False, title_justify="left", box=None, pad_edge=False)
+    for name, text in _rows(summary):
+        if "–" not in text:
+            table.add_row(name, text)
+    console.print(table)
+
+
+def _rows(s: Summary) -> list[tuple[str, str]]:
+    causes = ", ".join(f"{count} {cause}" for cause, count in sorted(s.rejected.items()))
+    return [
+        (
+            "samples",
+            f"{_n(s.samples.sent)} sent = {_n(s.samples.played)} played"
+            f" + {_n(s.samples.late)} late + {_n(s.samples.lost)} lost",
+        ),
+        (
+            "before joining",
+            f"{_n(s.samples.before_joining)} samples sent before a display listened",
+        ),
+        ("frames", f"{_n(s.frames.received)} received, {_n(s.frames.reordered)} out of order"),
+        (
+            "one-way delay",
+            f"p50 {_f(s.one_way_delay_ms.p50)} ms, p99 {_f(s.one_way_delay_ms.p99)} ms,"
+            f" max {_f(s.one_way_delay_ms.max)} ms",
+        ),
+        (
+            "playout delay",
+            f"mean {_f(s.playout_delay_ms.mean)} ms, p99 {_f(s.playout_delay_ms.p99)} ms",
+        ),
+        ("covered delay", f"{_f(s.covered_delay_ms)} ms from the wrist to the force at the finger"),
+        (
+            "clock",
+            f"offset {_f(s.clock.offset_ms, 3)} ± {_f(s.clock.uncertainty_ms, 3)} ms,"
+            f" skew {_f(s.clock.skew_ppm, 1)} ppm",
+        ),
+        (
+            "force RMSE",
+            f"aligned {_f(_milli(s.force_rmse_n.aligned), 3)} mN,"
+            f" in phase {_f(_milli(s.force_rmse_n.in_phase), 3)} mN",
+        ),
+        (
+            "strain RMSE",
+            f"aligned {_e(s.strain_rmse.aligned)}, in phase {_e(s.strain_rmse.in_phase)}",
+        ),
+        ("within JND", f"{_f(_percent(s.within_jnd))} % of the time"),
+        ("loop", f"{_n(s.loop.ticks)} ticks, {_n(s.loop.deadline_misses)} deadline misses"),
+        ("tick", f"p50 {_f(s.loop.tick_us.p50, 0)} µs, p99 {_f(s.loop.tick_us.p99, 0)} µs"),
+        ("speed", f"{_f(s.speed, 0)} times real time"),
+        ("rejected", causes or "nothing"),
+        ("faults", "; ".join(s.faults) or "none"),
+    ]
+
+
+def _n(value: int | None) -> str:
+    return "–" if value is None else str(value)
+
+
+def _f(value: float | None, digits: int = 1) -> str:
+    return "–" if value is None or math.isnan(value) else f"{value:.{digits}f}"
+
+
+def _e(value: float | None) -> str:
+    return "–" if value is None or math.isnan(value) else f"{value:.3e}"
+
+
+def _milli(value: float | None) -> float | None:
+    return None if value is None else value * 1e3
+
+
+def _percent(value: float | None) -> float | None:
+    return None if value is None else value * 100
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_nan(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(inner) for inner in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,122 @@
+"""The tactile model: PVDF film and elastic half-space (Dargahi, Xie and Ji 2008, eqs 1-21).
+
+Forces are in newtons and positive when they press; strains follow eq 16, so compression is
+negative. Every function takes a number or an array and keeps its shape.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = TypeVar("Floats", float, NDArray[np.float64])
+
+
+@dataclass(frozen=True, slots=True)
+class Film:
+    """A biaxial PVDF film loaded round its rim (eqs 1-8, 21).
+
+    radius_m: contact radius r_pv. g31, g32: voltage coefficients in V·m/N; Table 1 prints g32
+    with the unit of a charge coefficient, so g32 = g31 as eq 2 asks of a biaxial film.
+    The film's thickness cancels between eqs 2 and 4.
+    """
+
+    radius_m: float
+    g31: float = 0.15
+    g32: float = 0.15
+
+    def __post_init__(self) -> None:
+        if not self.radius_m > 0:
+            raise ValueError(f"radius_m is {self.radius_m}; a film's radius is above 0")
+        if not self.g31 + self.g32 > 0:
+            raise ValueError(f"g31 + g32 is {self.g31 + self.g32}; it must be above 0")
+
+    @property
+    def volts_per_newton(self) -> float:
+        """Sensitivity (g31 + g32) / (2 π r), from eqs 2, 4 and 5."""
+        return (self.g31 + self.g32) / (2 * math.pi * self.radius_m)
+
+    def volts(self, force_n: Floats) -> Floats:
+        """Film voltage in V under a force in N (eqs 2-4)."""
+        return force_n * self.volts_per_newton
+
+    def newtons(self, volts: Floats) -> Floats:
+        """Force in N that makes a film voltage in V (eqs 5, 8, 21)."""
+        return volts / self.volts_per_newton
+
+
+@dataclass(frozen=True, slots=True)
+class ElasticLayer:
+    """The rubber layer: an elastic half-space under a line load (eqs 9-20, Table 3).
+
+    young_modulus_pa above 0; thickness_m: depth d at which the strain is taken, above 0;
+    poisson_ratio in [0, 0.5]; contact_length_m: the length over which a force spreads into the
+    line load P of eq 9. The paper's numbers imply 1 m, which is the default.
+    """
+
+    young_modulus_pa: float = 0.05e9
+    thickness_m: float = 2e-3
+    poisson_ratio: float = 0.5
+    contact_length_m: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("young_modulus_pa", "thickness_m", "contact_length_m"):
+            value = getattr(self, name)
+            if not (value > 0 and math.isfinite(value)):
+                raise ValueError(f"{name} is {value}; it must be above 0 and finite")
+        if not 0 <= self.poisson_ratio <= 0.5:
+            raise ValueError(f"poisson_ratio is {self.poisson_ratio}; it must be in 0 to 0.5")
+        if not math.isfinite(self.strain_per_newton) or self.strain_per_newton == 0:
+            raise ValueError("the layer's strain per newton is not a usable number")
+
+    @property
+    def strain_per_newton(self) -> float:
+        """On-axis strain εz of 1 N: 2 (ν² − 1) / (E π d L), in 1/N (eq 16)."""
+        return (
+            2
+            * (self.poisson_ratio**2 - 1)
+            / (self.young_modulus_pa * math.pi * self.thickness_m * self.contact_length_m)
+        )
+
+    def strain(self, force_n: Floats) -> Floats:
+        """On-axis strain εz at depth d under a force in N: h1 and h2 of eqs 17-20."""
+        return force_n * self.strain_per_newton
+
+    def force(self, strain: Floats) -> Floats:
+        """Force in N that makes an on-axis strain εz: the inverse of eqs 17-20."""
+        return strain / self.strain_per_newton
+
+
+def half_space_stress(
+    line_load_n_per_m: float, x_m: NDArray[np.float64], z_m: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Stress field (σx, σz) in Pa of a line load on a half-space in plane strain (eqs 9-12).
+
+    x_m along the surface, z_m depth above 0; the two broadcast. The printed equations drop the
+    powers; this is the standard (Flamant) solution, which gives eqs 11-12 on the axis.
+    Raises ValueError for a depth that is not above 0.
+    """
+    if not np.all(z_m > 0):
+        raise ValueError("z_m must be above 0: the stress is singular at the load itself")
+    # Dividing before raising to powers keeps the far and the near field from overflowing.
+    ratio = x_m / z_m
+    common = -2 * line_load_n_per_m / (math.pi * z_m * (1 + ratio**2) ** 2)
+    return common * ratio**2, common
+
+
+def plane_strain(
+    sigma_x_pa: Floats, sigma_z_pa: Floats, young_modulus_pa: float, poisson_ratio: float
+) -> tuple[Floats, Floats]:
+    """Strains (εx, εz) of the two stresses in Pa under plane strain (eqs 13-14)."""
+    nu = poisson_ratio
+    along, across = (1 - nu**2) / young_modulus_pa, nu * (1 + nu) / young_modulus_pa
+    strain_x = along * sigma_x_pa - across * sigma_z_pa
+    strain_z = along * sigma_z_pa - across * sigma_x_pa
+    return strain_x, strain_z
+
+
+def matching_force_ratio(sensing: ElasticLayer, display: ElasticLayer) -> float:
+    """Force at the finger per force at the wrist that makes both strains equal (eqs 17-20)."""
+    return sensing.strain_per_newton / display.strain_per_newton

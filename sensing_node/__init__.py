@@ -1,0 +1,1 @@
+"""The sensing node: sensor → calibrated force → stream."""

@@ -1,0 +1,86 @@
+"""Command line of the sensing node."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from protocol.commands import one_line_errors, warn_if_open
+from protocol.scene import load_section
+from protocol.signals import stop_on_signals
+from protocol.sockets import control_address
+from protocol.summary import print_summary, write_json
+from sensing_node.node import SensingNode
+from sensing_node.scene import SensingScene, build_source, describe_stream
+
+PROGRAM = "sensing-node"
+app = typer.Typer(add_completion=False, rich_markup_mode="markdown")
+
+
+@app.command()
+def sense(
+    scene: Annotated[Path, typer.Argument(help="Scene file; its [sensing] section is used.")],
+    bind: Annotated[
+        str,
+        typer.Option(
+            help="Address to stream from: tcp://*:5555 for all interfaces, tcp://127.0.0.1:5555"
+            " for this machine alone, or ipc://PATH. Control uses the next port."
+        ),
+    ] = "tcp://127.0.0.1:5555",
+    seconds: Annotated[
+        float | None, typer.Option(min=0.1, help="Stop after this long; else run until Ctrl-C.")
+    ] = None,
+    json: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the closing summary here as JSON.")
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+    insecure: Annotated[
+        bool, typer.Option("--insecure", help="Do not warn of an unprotected link.")
+    ] = False,
+) -> None:
+    """Stream the pulse of a source to every display that asks for it.
+
+    The scene's **[sensing]** section names the source (synthetic or recording), the batch that
+    a frame holds, and the rubber layer at the wrist. Frames go out over ZeroMQ whether or not
+    somebody listens; displays may join, leave and come back at any time.
+
+    On the machine at the wrist:
+
+        sensing-node scenes/radial.toml --bind tcp://*:5555
+
+    On the machine at the finger:
+
+        display-node scenes/radial.toml --connect tcp://HOST:5555
+
+    Open ports 5555 (data) and 5556 (control). Ctrl-C or SIGTERM ends the stream cleanly: every
+    display is told how many samples were sent, so that none goes unaccounted for.
+
+    Exit status: 0 at the end of the stream, 2 when the scene, the recording or the address
+    cannot be used; the reason is one line on stderr.
+    """
+    console = Console(quiet=quiet)
+    with one_line_errors(PROGRAM):
+        section = load_section(scene, "sensing", SensingScene)
+        source = build_source(section, scene.parent)
+        description = describe_stream(section, source)
+        node = SensingNode(source, description, bind, log=console.print)
+        warn_if_open(PROGRAM, bind, insecure)
+    stop_on_signals(node.stop)
+    console.print(
+        f"streaming {description.name!r}: {description.rate_hz:g} Hz in frames of"
+        f" {description.batch} on {bind} (control {control_address(bind)})"
+    )
+    summary = node.run(seconds)
+    print_summary(summary, "sensing node", console)
+    if json is not None:
+        write_json(summary, json)
+
+
+def main() -> None:
+    """Entry point of `sensing-node`."""
+    app()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,35 @@
+"""Samples into frames: numbers every sample of a session and cuts blocks into batches."""
+
+import numpy as np
+
+from protocol.messages import Frame
+from protocol.stream import StreamDescription
+from sensing_node.sources import Block
+
+
+class Framer:
+    """Cuts the blocks of one session into frames of at most `batch` samples."""
+
+    def __init__(self, description: StreamDescription, session: int) -> None:
+        self._session = session
+        self._batch = description.batch
+        self._dtype = np.dtype(f"<f{description.bytes_per_sample}")
+        self.samples_sent = 0
+
+    def frames(self, block: Block) -> list[Frame]:
+        """The block's samples as frames, in order."""
+        values = block.values.astype(self._dtype)
+        frames = []
+        for start in range(0, len(values), self._batch):
+            part = values[start : start + self._batch]
+            frames.append(
+                Frame(
+                    session=self._session,
+                    first_sample=self.samples_sent,
+                    t_first_ns=block.t_first_ns + start * block.period_ns,
+                    period_ns=block.period_ns,
+                    values=part,
+                )
+            )
+            self.samples_sent += len(part)
+        return frames

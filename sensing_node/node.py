@@ -1,0 +1,112 @@
+"""The sensing node's shell: sockets, the clock on the wall, and the sending loop."""
+
+import secrets
+import time
+from collections.abc import Callable
+
+import zmq
+
+from protocol import sockets
+from protocol.messages import Bye, encode_control, encode_frame
+from protocol.stream import StreamDescription
+from protocol.summary import Samples as SampleCounts
+from protocol.summary import Summary
+from sensing_node.desk import Desk
+from sensing_node.framing import Framer
+from sensing_node.sources import Paced, Samples
+
+SILENCE_CHECK_NS = 1_000_000_000
+# Room for the source's first samples to be ready before they are due.
+START_NS = 20_000_000
+
+
+class SensingNode:
+    """Streams one source on real sockets and answers its displays."""
+
+    def __init__(
+        self,
+        samples: Samples,
+        description: StreamDescription,
+        address: str,
+        log: Callable[[str], None],
+    ) -> None:
+        """Raises AddressError when `address` cannot be bound."""
+        self._samples = samples
+        self._description = description
+        self._log = log
+        self._stopping = False
+        self._session = secrets.randbits(62)
+        self._framer = Framer(description, self._session)
+        self._desk = Desk(description, self._session)
+        self._context: sockets.Context = zmq.Context()
+        self._control = sockets.bind(self._context, zmq.ROUTER, sockets.control_address(address))
+        self._data = sockets.bind(self._context, zmq.PUB, address)
+
+    def stop(self) -> None:
+        """End the stream after the present batch."""
+        self._stopping = True
+
+    def run(self, seconds: float | None = None) -> Summary:
+        """Stream until stopped, `seconds` are over or the source has ended."""
+        start_ns = time.monotonic_ns() + START_NS
+        paced = Paced(self._samples, start_ns)
+        end_ns = None if seconds is None else start_ns + round(seconds * 1e9)
+        next_check_ns = start_ns
+        try:
+            while not self._stopping and not paced.exhausted:
+                due_ns = paced.due_ns(self._description.batch)
+                if end_ns is not None and due_ns >= end_ns:
+                    break
+                self._serve_until(due_ns)
+                block = paced.read(time.monotonic_ns())
+                for frame in self._framer.frames(block) if block is not None else ():
+                    sockets.send(self._data, encode_frame(frame))
+                if due_ns >= next_check_ns:
+                    next_check_ns = due_ns + SILENCE_CHECK_NS
+                    self._forget_silent()
+            self._say_bye()
+            return self._summary()
+        finally:
+            self._context.destroy(linger=sockets.LINGER_MS)
+
+    def _serve_until(self, due_ns: int) -> None:
+        """Answer displays until the next batch is due."""
+        while not self._stopping:
+            for *envelope, data in sockets.receive_all(self._control):
+                self._answer(envelope, data)
+            wait_ns = due_ns - time.monotonic_ns()
+            if wait_ns <= 0:
+                return
+            sockets.wait_readable([self._control], wait_ns)
+
+    def _answer(self, envelope: list[bytes], data: bytes) -> None:
+        known = len(self._desk.guests)
+        sender = tuple(envelope)
+        reply = self._desk.answer(sender, data, time.monotonic_ns(), self._framer.samples_sent)
+        if reply is not None:
+            sockets.send(self._control, *envelope, encode_control(reply))
+        if len(self._desk.guests) > known:
+            self._log(f"{self._desk.guests[sender].name} joined")
+
+    def _forget_silent(self) -> None:
+        for guest in self._desk.forget_silent(time.monotonic_ns()):
+            self._log(f"{guest.name} is silent, forgotten")
+
+    def _say_bye(self) -> None:
+        """Tell every display where the stream ended, so that it can account for the tail."""
+        bye = encode_control(Bye(self._session, self._framer.samples_sent))
+        for sender in self._desk.guests:
+            sockets.send(self._control, *sender, bye)
+
+    def _summary(self) -> Summary:
+        for guest in self._desk.guests.values():
+            if guest.report is not None:
+                report = guest.report
+                self._log(
+                    f"{guest.name} last reported {report.played} played, {report.late} late,"
+                    f" {report.lost} lost, playout delay {report.playout_delay_ms:.1f} ms"
+                )
+        return Summary(
+            samples=SampleCounts(sent=self._framer.samples_sent),
+            rejected=dict(self._desk.rejected),
+        )

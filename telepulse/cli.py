@@ -1,0 +1,118 @@
+"""Command line of telepulse: what runs both nodes."""
+
+import threading
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from protocol.commands import one_line_errors
+from protocol.signals import stop_on_signals
+from protocol.summary import print_summary, write_json
+from telepulse.demo import run_demo
+from telepulse.link import LinkScene, parse_link
+from telepulse.link_relay import LinkRelay
+from telepulse.scene import DEFAULT_SCENE, Scene, find_scene, load_scene
+from telepulse.simulate import simulate
+
+PROGRAM = "telepulse"
+app = typer.Typer(
+    add_completion=False,
+    rich_markup_mode="markdown",
+    no_args_is_help=True,
+    help="A pulse sensed in one place, felt in another: demo, simulation and link emulation.",
+)
+
+SceneArgument = Annotated[
+    str, typer.Argument(help="A scene file, or the name of one that comes with telepulse.")
+]
+JsonOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Write the closing summary here as JSON.")
+]
+LinkOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="'delay=40ms,jitter=10ms,loss=1%'",
+        help="What the link between the nodes does; overrides the scene's [link].",
+    ),
+]
+
+
+@app.command()
+def demo(
+    scene: SceneArgument = DEFAULT_SCENE,
+    seconds: Annotated[float, typer.Option(min=1, help="How long the pulse is streamed.")] = 15.0,
+    link: LinkOption = None,
+    json: JsonOption = None,
+    ui: Annotated[
+        bool, typer.Option(help="Show the live state: a panel, or a line a second.")
+    ] = True,
+) -> None:
+    """Run both nodes on this machine over TCP, watch them live, and sum up.
+
+    A sensing node and a display node start as two processes. With --link, a third stands
+    between them and delays, jitters and loses frames. At the end, every sample sent is
+    accounted for: sent = played + late + lost.
+    """
+    console = Console()
+    with one_line_errors(PROGRAM):
+        path = find_scene(scene)
+        summary = run_demo(path, seconds, parse_link(link) if link else None, ui, console)
+    print_summary(summary, f"demo of {path.stem}, {seconds:g} s", console)
+    if json is not None:
+        write_json(summary, json)
+
+
+@app.command(name="simulate")
+def simulate_command(
+    scene: SceneArgument = DEFAULT_SCENE,
+    seconds: Annotated[float, typer.Option(min=1, help="How much time to simulate.")] = 60.0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the link's chances.")] = 1,
+    link: LinkOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Run a scene in virtual time: the nodes' own modules, no sockets, no waiting.
+
+    The same scene and seed give the same figures, many times faster than real time.
+    """
+    with one_line_errors(PROGRAM):
+        loaded = load_scene(find_scene(scene))
+        if link:
+            loaded = Scene(loaded.path, loaded.sensing, loaded.display, parse_link(link))
+        summary = simulate(loaded, seconds, seed)
+    print_summary(summary, f"simulation of {loaded.path.stem}, {seconds:g} s", Console())
+    if json is not None:
+        write_json(summary, json)
+
+
+@app.command(name="link")
+def link_command(
+    connect: Annotated[str, typer.Option(help="Address of the sensing node.")],
+    bind: Annotated[str, typer.Option(help="Address for displays to connect to.")],
+    link: LinkOption = None,
+    seconds: Annotated[float | None, typer.Option(min=0.1, help="Stop after this long.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the link's chances.")] = 1,
+) -> None:
+    """Stand between two nodes and make the link between them worse.
+
+    Delays, jitters and loses data frames on their way to the displays; control messages are
+    delayed both ways and never lost.
+    """
+    with one_line_errors(PROGRAM):
+        relay = LinkRelay(parse_link(link) if link else LinkScene(), connect, bind, seed)
+    stop_on_signals(relay.stop)
+    if seconds is not None:
+        timer = threading.Timer(seconds, relay.stop)
+        timer.daemon = True
+        timer.start()
+    relay.run()
+
+
+def main() -> None:
+    """Entry point of `telepulse`."""
+    app()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,202 @@
+"""The demo: both nodes as real processes on this machine, watched live, summed up at the end.
+
+On one host the truth of both ends is known: the demo listens to the sensing node directly and
+to the display's telemetry, and scores what was felt against what was really sensed.
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from socket import AF_INET, SOCK_STREAM, socket
+
+import zmq
+from pydantic import TypeAdapter
+from rich.console import Console
+
+from display_node.fidelity import Fidelity
+from display_node.receiver import sample_times_ns
+from display_node.screen import watch
+from display_node.telemetry import Trace
+from protocol import sockets
+from protocol.errors import TelepulseError
+from protocol.messages import decode_frame
+from protocol.summary import Summary
+from protocol.tactile import matching_force_ratio
+from telepulse.link import LinkScene
+from telepulse.scene import Scene, load_scene
+
+HOST = "127.0.0.1"
+ENDS_WITHIN_S = 20.0
+# The display is listening before the pulse begins.
+HEAD_START_S = 0.7
+
+_SUMMARY = TypeAdapter(Summary)
+
+
+class DemoError(TelepulseError, RuntimeError):
+    """A node of the demo failed, or the accounts of the two nodes do not agree."""
+
+
+def run_demo(
+    path: Path, seconds: float, link: LinkScene | None, draw: bool, console: Console
+) -> Summary:
+    """Run both nodes for `seconds` of pulse; `link` overrides the scene's.
+
+    Raises SceneError or DemoError.
+    """
+    scene = load_scene(path)
+    link = scene.link if link is None else link
+    impaired = link != LinkScene()
+    sensing_address, link_address, telemetry_address = _free_addresses(3)
+    display_address = link_address if impaired else sensing_address
+    with tempfile.TemporaryDirectory(prefix="telepulse-") as folder, _Processes() as processes:
+        sensing_json, display_json = Path(folder, "sensing.json"), Path(folder, "display.json")
+        display = processes.start(
+            "display_node.cli",
+            *(str(path), "--connect", display_address, "--telemetry", telemetry_address),
+            *("--once", "--seconds", str(seconds + ENDS_WITHIN_S), "--quiet"),
+            *("--json", str(display_json)),
+        )
+        if impaired:
+            processes.start(
+                "telepulse.cli",
+                *("link", "--connect", sensing_address, "--bind", display_address),
+                *("--link", link.text(), "--seconds", str(seconds + ENDS_WITHIN_S)),
+            )
+        time.sleep(HEAD_START_S)
+        sensing = processes.start(
+            "sensing_node.cli",
+            *(str(path), "--bind", sensing_address, "--seconds", str(seconds), "--quiet"),
+            *("--json", str(sensing_json)),
+        )
+        with _Referee(scene, sensing_address) as referee:
+
+            def meanwhile() -> bool:
+                referee.listen()
+                return display.poll() is None and not sensing.poll()
+
+            watch(telemetry_address, console, referee.felt, draw, meanwhile)
+        _await(sensing, "sensing node")
+        _await(display, "display node")
+        return _compose(_read(sensing_json), _read(display_json), referee.fidelity)
+
+
+class _Referee:
+    """Hears both ends: the pulse as it is sensed, and the force as it is felt."""
+
+    def __init__(self, scene: Scene, sensing_address: str) -> None:
+        layer = scene.display.layer.layer()
+        self._channel = scene.display.channel
+        self._ratio = matching_force_ratio(scene.sensing.layer.layer(), layer)
+        self._context: sockets.Context = zmq.Context()
+        self._data = sockets.connect(self._context, zmq.SUB, sensing_address)
+        self._data.subscribe(b"")
+        self.fidelity = Fidelity(layer.strain_per_newton)
+
+    def __enter__(self) -> "_Referee":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.listen()
+        self.fidelity.finish()
+        self._context.destroy(linger=0)
+
+    def listen(self) -> None:
+        """Take what the sensing node has sent."""
+        for (message,) in sockets.receive_all(self._data):
+            frame = decode_frame(message)
+            wrist_n = frame.values[:, self._channel].astype(float)
+            self.fidelity.truth(sample_times_ns(frame), wrist_n * self._ratio)
+
+    def felt(self, trace: Trace) -> None:
+        """Take what the finger felt."""
+        for now_ns, instant_ns, force_n, scored in zip(
+            *(column.tolist() for column in (trace.now_ns, trace.instant_ns, trace.felt_n)),
+            trace.scored.tolist(),
+            strict=True,
+        ):
+            if scored:
+                self.fidelity.felt(now_ns, instant_ns, force_n)
+
+
+class _Processes:
+    """Child processes that do not outlive the demo, however it ends."""
+
+    def __init__(self) -> None:
+        self._children: list[subprocess.Popen[str]] = []
+
+    def __enter__(self) -> "_Processes":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for child in self._children:
+            child.terminate()
+        for child in self._children:
+            try:
+                child.communicate(timeout=5)
+            except subprocess.TimeoutExpired:
+                child.kill()
+                child.communicate()
+
+    def start(self, module: str, *arguments: str) -> subprocess.Popen[str]:
+        """Run a module of ours as a process of its own."""
+        child = subprocess.Popen(
+            [sys.executable, "-m", module, *arguments], stderr=subprocess.PIPE, text=True
+        )
+        self._children.append(child)
+        return child
+
+
+def _await(process: subprocess.Popen[str], name: str) -> None:
+    try:
+        _, errors = process.communicate(timeout=ENDS_WITHIN_S)
+    except subprocess.TimeoutExpired:
+        raise DemoError(f"the {name} did not end within {ENDS_WITHIN_S:.0f} s") from None
+    if process.returncode:
+        last = errors.strip().splitlines()[-1:] or ["it said nothing"]
+        raise DemoError(f"the {name} ended with status {process.returncode}: {last[0]}")
+
+
+def _compose(sensing: Summary, display: Summary, fidelity: Fidelity) -> Summary:
+    """The display's summary with the true errors, after both accounts were compared."""
+    sent = sensing.samples.sent
+    accounted = (display.samples.sent or 0) + (display.samples.before_joining or 0)
+    if sent != accounted:
+        raise DemoError(
+            f"the sensing node sent {sent} samples, the display accounts for {accounted}"
+        )
+    causes = {*display.rejected, *sensing.rejected}
+    return replace(
+        display,
+        force_rmse_n=fidelity.force_rmse_n,
+        strain_rmse=fidelity.strain_rmse,
+        within_jnd=fidelity.within_jnd,
+        rejected={c: display.rejected.get(c, 0) + sensing.rejected.get(c, 0) for c in causes},
+    )
+
+
+def _read(path: Path) -> Summary:
+    return _SUMMARY.validate_python(json.loads(path.read_text(encoding="utf-8")))
+
+
+def _free_addresses(count: int) -> list[str]:
+    """Loopback addresses whose port and the next one are free."""
+    addresses: list[str] = []
+    held: list[socket] = []
+    while len(addresses) < count:
+        first, second = socket(AF_INET, SOCK_STREAM), socket(AF_INET, SOCK_STREAM)
+        held += (first, second)
+        first.bind((HOST, 0))
+        port = first.getsockname()[1]
+        try:
+            second.bind((HOST, port + 1))
+        except (OSError, OverflowError):
+            continue
+        addresses.append(f"tcp://{HOST}:{port}")
+    for holder in held:
+        holder.close()
+    return addresses

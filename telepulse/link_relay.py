@@ -1,0 +1,74 @@
+"""A link between two real nodes: relays every message with the delay, jitter and loss of a
+`Link`. Run as a process of its own; data frames can be lost, control only delayed."""
+
+import heapq
+import itertools
+import time
+
+import zmq
+
+from protocol import sockets
+from telepulse.link import Link, LinkScene
+
+IDLE_NS = 50_000_000
+
+
+class LinkRelay:
+    """Stands between a sensing node at `connect` and displays that connect to `bind`."""
+
+    def __init__(self, scene: LinkScene, connect: str, bind: str, seed: int) -> None:
+        """Raises AddressError."""
+        self._down, self._up = Link(scene, seed), Link(scene, seed + 1)
+        self._stopping = False
+        self._waiting: list[tuple[int, int, sockets.Socket, list[bytes]]] = []
+        self._order = itertools.count()
+        self._context: sockets.Context = zmq.Context()
+        context = self._context
+        self._data_in = sockets.connect(context, zmq.SUB, connect)
+        self._data_in.subscribe(b"")
+        self._control_in = sockets.connect(context, zmq.DEALER, sockets.control_address(connect))
+        self._data_out = sockets.bind(context, zmq.PUB, bind)
+        self._control_out = sockets.bind(context, zmq.ROUTER, sockets.control_address(bind))
+
+    @property
+    def lost_frames(self) -> int:
+        """Data frames this link has lost."""
+        return self._down.lost
+
+    def stop(self) -> None:
+        """End after the present message."""
+        self._stopping = True
+
+    def run(self) -> None:
+        """Relay until stopped."""
+        readable = [self._data_in, self._control_in, self._control_out]
+        try:
+            while not self._stopping:
+                self._receive()
+                wait_ns = self._deliver()
+                sockets.wait_readable(readable, wait_ns)
+        finally:
+            self._context.destroy(linger=sockets.LINGER_MS)
+
+    def _receive(self) -> None:
+        for parts in sockets.receive_all(self._data_in):
+            if not self._down.loses():
+                self._delay(self._down, self._data_out, parts)
+        for parts in sockets.receive_all(self._control_in):
+            self._delay(self._down, self._control_out, parts)
+        for parts in sockets.receive_all(self._control_out):
+            self._delay(self._up, self._control_in, parts)
+
+    def _delay(self, link: Link, socket: sockets.Socket, parts: list[bytes]) -> None:
+        due_ns = time.monotonic_ns() + link.delay_ns()
+        heapq.heappush(self._waiting, (due_ns, next(self._order), socket, parts))
+
+    def _deliver(self) -> int:
+        """Send what is due; how long until the next one is."""
+        while self._waiting:
+            wait_ns = self._waiting[0][0] - time.monotonic_ns()
+            if wait_ns > 0:
+                return min(wait_ns, IDLE_NS)
+            _, _, socket, parts = heapq.heappop(self._waiting)
+            sockets.send(socket, *parts)
+        return IDLE_NS

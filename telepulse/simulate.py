@@ -1,0 +1,125 @@
+"""Both nodes and the link between them in virtual time: the same modules, no sockets, no sleep.
+
+source → frames → wire bytes → link → display, one event after the other.
+"""
+
+import heapq
+import itertools
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from display_node.display import Display
+from display_node.fidelity import Fidelity
+from display_node.receiver import sample_times_ns
+from protocol.messages import Bye, Frame, encode_control, encode_frame
+from protocol.summary import Summary
+from sensing_node.desk import Desk
+from sensing_node.framing import Framer
+from sensing_node.scene import build_source, describe_stream
+from sensing_node.sources import Paced
+from telepulse.link import Link
+from telepulse.scene import Scene
+
+# The sensing clock of a simulation runs this far ahead, so that a mix-up of clocks shows.
+SENSING_CLOCK_AHEAD_NS = 3_600_000_000_000
+STREAM_BEGINS_NS = 500_000_000
+SENDER = (b"simulated display",)
+# A scene's own seed makes the pulse; this one makes the link.
+DRAIN_LIMIT_NS = 15_000_000_000
+
+
+class Simulation:
+    """One run of a scene in virtual time; the same scene and seed give the same summary."""
+
+    def __init__(self, scene: Scene, seed: int) -> None:
+        """Raises SceneError or SourceError."""
+        self._scene = scene
+        source = build_source(scene.sensing, scene.path.parent)
+        self._description = describe_stream(scene.sensing, source)
+        self._paced = Paced(source, STREAM_BEGINS_NS + SENSING_CLOCK_AHEAD_NS)
+        self._framer = Framer(self._description, session=seed + 1)
+        self._desk = Desk(self._description, session=seed + 1)
+        self._display = Display(scene.display, "simulated display", score=False)
+        self._fidelity = Fidelity(scene.display.layer.layer().strain_per_newton)
+        self._down, self._up = Link(scene.link, seed), Link(scene.link, seed + 1)
+        self._events: list[tuple[int, int, Callable[[bytes, int], None], bytes]] = []
+        self._order = itertools.count()
+        self.lost_frames = 0
+
+    def run(self, seconds: float) -> Summary:
+        """Simulate `seconds` of stream and its playing to the end."""
+        began_s = time.perf_counter()
+        end_ns = STREAM_BEGINS_NS + round(seconds * 1e9)
+        now_ns = 0
+        tick_ns = self._scene.display.tick_ns
+        display, events = self._display, self._events
+        next_batch_ns = self._next_batch_ns()
+        streaming = True
+        while not display.over and now_ns < end_ns + DRAIN_LIMIT_NS:
+            now_ns += tick_ns
+            while streaming and next_batch_ns <= now_ns:
+                if next_batch_ns > end_ns or self._paced.exhausted:
+                    streaming = False
+                    bye = Bye(self._framer_session, self._framer.samples_sent)
+                    self._post(self._down, next_batch_ns, display.on_control, encode_control(bye))
+                    break
+                self._sense(next_batch_ns)
+                next_batch_ns = self._next_batch_ns()
+            while events and events[0][0] <= now_ns:
+                at_ns, _, deliver, data = heapq.heappop(events)
+                deliver(data, at_ns)
+            felt = display.tick(now_ns)
+            if felt.scored:
+                true_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS
+                self._fidelity.felt(true_now_ns, felt.instant_ns, felt.felt_n)
+            for message in display.requests(now_ns):
+                self._post(self._up, now_ns, self._answer, encode_control(message))
+        self._fidelity.finish()
+        return self._summary(now_ns / 1e9 / (time.perf_counter() - began_s))
+
+    @property
+    def _framer_session(self) -> int:
+        return self._display.receiver.session or 0
+
+    def _next_batch_ns(self) -> int:
+        return self._paced.due_ns(self._description.batch) - SENSING_CLOCK_AHEAD_NS
+
+    def _sense(self, now_ns: int) -> None:
+        block = self._paced.read(now_ns + SENSING_CLOCK_AHEAD_NS)
+        for frame in self._framer.frames(block) if block is not None else ():
+            self._note_truth(frame)
+            if not self._down.loses():
+                self._post(self._down, now_ns, self._display.on_frame, encode_frame(frame))
+
+    def _note_truth(self, frame: Frame) -> None:
+        wrist_n = frame.values[:, self._scene.display.channel].astype(np.float64)
+        self._fidelity.truth(sample_times_ns(frame), wrist_n * self._display.force_ratio)
+
+    def _answer(self, data: bytes, now_ns: int) -> None:
+        sensing_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS
+        reply = self._desk.answer(SENDER, data, sensing_now_ns, self._framer.samples_sent)
+        if reply is not None:
+            self._post(self._down, now_ns, self._display.on_control, encode_control(reply))
+
+    def _post(
+        self, link: Link, now_ns: int, deliver: Callable[[bytes, int], None], data: bytes
+    ) -> None:
+        event = (now_ns + link.delay_ns(), next(self._order), deliver, data)
+        heapq.heappush(self._events, event)
+
+    def _summary(self, speed: float) -> Summary:
+        return replace(
+            self._display.summary(),
+            force_rmse_n=self._fidelity.force_rmse_n,
+            strain_rmse=self._fidelity.strain_rmse,
+            within_jnd=self._fidelity.within_jnd,
+            speed=speed,
+        )
+
+
+def simulate(scene: Scene, seconds: float, seed: int) -> Summary:
+    """Run a scene in virtual time. Raises SceneError or SourceError."""
+    return Simulation(scene, seed).run(seconds)
