@@ -1,13 +1,34 @@
-"""What the three command lines share: one way to fail, one way to warn."""
+"""What the command lines share: options, one way to fail, one way to warn, one way to sum up."""
 
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
 
 from protocol.errors import TelepulseError
 from protocol.sockets import beyond_loopback
+from protocol.summary import Summary, print_summary, write_json
 
 USAGE_ERROR = 2
+LONGEST_S = 1e9
+
+
+StopAfterOption = Annotated[
+    float | None,
+    typer.Option(min=0.1, max=LONGEST_S, help="Stop after this long; else at Ctrl-C."),
+]
+DurationOption = Annotated[float, typer.Option(min=1, max=LONGEST_S, help="Seconds of pulse.")]
+JsonOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Write the closing summary here as JSON.")
+]
+QuietOption = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
+InsecureOption = Annotated[
+    bool, typer.Option("--insecure", help="Do not warn of an unprotected link.")
+]
 
 
 @contextmanager
@@ -20,6 +41,11 @@ def one_line_errors(program: str) -> Iterator[None]:
         raise SystemExit(USAGE_ERROR) from None
 
 
+def plain_console(quiet: bool = False) -> Console:
+    """A console that prints what it is given: text from peers is no markup, lines are not cut."""
+    return Console(quiet=quiet, markup=False, emoji=False, soft_wrap=True)
+
+
 def warn_if_open(program: str, address: str, insecure: bool) -> None:
     """Say that a link beyond this machine is neither encrypted nor authenticated."""
     if beyond_loopback(address) and not insecure:
@@ -28,3 +54,11 @@ def warn_if_open(program: str, address: str, insecure: bool) -> None:
             " nor authenticated; use it on a network you trust (--insecure silences this)",
             file=sys.stderr,
         )
+
+
+def sum_up(program: str, summary: Summary, title: str, console: Console, json: Path | None) -> None:
+    """Print the closing summary, and write it where asked."""
+    print_summary(summary, title, console)
+    if json is not None:
+        with one_line_errors(program):
+            write_json(summary, json)

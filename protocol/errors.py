@@ -5,6 +5,7 @@ TelepulseError
  +-- WireError       (ValueError)  bytes from a peer are not a valid message
  +-- AddressError    (OSError)     a socket cannot be bound or connected
  +-- SourceError     (OSError)     a sensor or recording cannot be read
+ +-- OutputError     (OSError)     a result cannot be written
 """
 
 
@@ -42,4 +43,11 @@ class SourceError(TelepulseError, OSError):
     """A source of samples cannot be opened or read.
 
     Example scenarios: a missing recording, a column that is not there, a file with no numbers.
+    """
+
+
+class OutputError(TelepulseError, OSError):
+    """A result cannot be written.
+
+    Example scenarios: the folder does not exist, the disk is full.
     """

@@ -29,6 +29,7 @@ MAX_CONTROL_BYTES = 65_536
 MAX_CHANNELS = 64
 MAX_PERIOD_NS = 10_000_000_000
 _INT63 = 1 << 63
+_COUNT, _TIME = range(_INT63), range(-_INT63, _INT63)
 _FORMATS: dict[int, np.dtype[Any]] = {4: np.dtype("<f4"), 8: np.dtype("<f8")}
 
 _pack: Callable[[object], bytes] = msgpack.Packer(use_bin_type=True).pack
@@ -149,14 +150,14 @@ class Report:
 
 Control = Hello | Welcome | Bye | ClockRequest | ClockReply | Report
 
-# Each kind with the types of its fields; "float" admits an int and NaN.
-_KINDS: dict[str, tuple[type[Control], tuple[type, ...]]] = {
+# Each kind with what its fields hold: a type, or the range of an int; float admits int and NaN.
+_KINDS: dict[str, tuple[type[Control], tuple[type | range, ...]]] = {
     "hello": (Hello, (str,)),
-    "welcome": (Welcome, (int, int, dict)),
-    "bye": (Bye, (int, int)),
-    "clock?": (ClockRequest, (int,)),
-    "clock": (ClockReply, (int, int, int, int)),
-    "report": (Report, (int, str, int, int, int, float, float, float, float)),
+    "welcome": (Welcome, (_COUNT, _COUNT, dict)),
+    "bye": (Bye, (_COUNT, _COUNT)),
+    "clock?": (ClockRequest, (_TIME,)),
+    "clock": (ClockReply, (_COUNT, _TIME, _TIME, _TIME)),
+    "report": (Report, (_COUNT, str, _COUNT, _COUNT, _COUNT, float, float, float, float)),
 }
 _NAMES = {kind: name for name, (kind, _) in _KINDS.items()}
 _MAX_NAME = 80
@@ -176,7 +177,7 @@ def decode_control(data: bytes) -> Control:
     fields = _unpack(data, MAX_CONTROL_BYTES)
     name = fields[1] if len(fields) > 1 else None
     if not isinstance(name, str) or name not in _KINDS:
-        raise WireError("malformed", f"unknown kind of control message {str(name)[:40]!r}")
+        raise WireError("malformed", f"unknown kind of control message {_shown(name)}")
     kind, types = _KINDS[name]
     values = fields[2:]
     if len(values) != len(types):
@@ -189,12 +190,15 @@ def decode_control(data: bytes) -> Control:
     return kind(*values)
 
 
-def _fits(value: object, expected: type) -> bool:
+def _fits(value: object, expected: type | range) -> bool:
+    if isinstance(expected, range):
+        return type(value) is int and value in expected
     if expected is float:
         return type(value) in (float, int)
-    if expected is int:
-        return type(value) is int and -_INT63 <= value < _INT63
-    return type(value) is expected and not (expected is str and len(str(value)) > _MAX_NAME)
+    if expected is str:
+        # Names are printed on terminals.
+        return isinstance(value, str) and len(value) <= _MAX_NAME and value.isprintable()
+    return type(value) is expected
 
 
 def _unpack(data: bytes, limit: int) -> list[Any]:
@@ -202,14 +206,21 @@ def _unpack(data: bytes, limit: int) -> list[Any]:
     if len(data) > limit:
         raise WireError("oversized", f"{len(data)} bytes, at most {limit} are taken")
     try:
-        fields = msgpack.unpackb(data, raw=False)
-    except msgpack.OutOfData:
-        raise WireError("truncated", "the message ends too early") from None
+        # Room for a container is made before its content is seen: without the limits a message
+        # of nested, empty promises would take hundreds of megabytes.
+        fields = msgpack.unpackb(
+            data, raw=False, max_array_len=MAX_CHANNELS, max_map_len=MAX_CHANNELS
+        )
     except (ValueError, msgpack.UnpackException) as error:
         cause = "truncated" if "incomplete" in str(error) else "not_msgpack"
-        raise WireError(cause, f"not a msgpack message: {str(error)[:80]}") from None
+        raise WireError(cause, f"not a msgpack message: {error!r:.80}") from None
     if type(fields) is not list or not fields:
         raise WireError("malformed", "a message is a msgpack array")
     if type(fields[0]) is not int or fields[0] != VERSION:
-        raise WireError("version", f"protocol version {VERSION} is spoken, got {fields[0]!r:.40}")
+        raise WireError("version", f"protocol version {VERSION} is spoken, got {_shown(fields[0])}")
     return fields
+
+
+def _shown(field: object) -> str:
+    """A field in an error; of a container its type, as nesting may be too deep to be shown."""
+    return f"{field!r:.40}" if isinstance(field, int | str) else type(field).__name__

@@ -26,6 +26,7 @@ UNITS: dict[str, dict[str, float]] = {
     "angle": {"°": math.pi / 180, "deg": math.pi / 180, "rad": 1.0},
 }
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S*)\s*")
+_LARGEST = 1e100
 
 
 def parse_quantity(text: object, dimension: str) -> float:
@@ -42,20 +43,34 @@ def parse_quantity(text: object, dimension: str) -> float:
     number, unit = match.groups()
     if unit not in units:
         raise ValueError(f"{text!r} is no {dimension}: {example}")
-    value = float(number) * units[unit]
-    if not math.isfinite(value):
-        raise ValueError(f"{text!r} is not finite")
-    return value
+    return _sane(float(number) * units[unit], text)
 
 
 def parse_ratio(text: object) -> float:
     """Read a plain number or a percentage ("1 %") as a ratio. Raises ValueError otherwise."""
-    if isinstance(text, int | float) and not isinstance(text, bool) and math.isfinite(text):
-        return float(text)
-    match = _NUMBER.fullmatch(text) if isinstance(text, str) else None
+    written = isinstance(text, int | float | str) and not isinstance(text, bool)
+    match = _NUMBER.fullmatch(str(text)) if written else None
     if match is None or match.group(2) not in ("", "%"):
         raise ValueError(f"{text!r} is no ratio: write 0.01 or '1 %'")
-    return float(match.group(1)) * (0.01 if match.group(2) == "%" else 1.0)
+    return _sane(float(match.group(1)) * (0.01 if match.group(2) == "%" else 1.0), text)
+
+
+def in_unit_of(value: float, text: object) -> str:
+    """A value in the code's unit, written in the unit that `text` has."""
+    match = _NUMBER.fullmatch(text) if isinstance(text, str) else None
+    unit = match.group(2) if match else ""
+    for dimension, units in UNITS.items():
+        if unit in units:
+            ours = 1e-9 if dimension == "time" else 1.0
+            return f"{value * ours / units[unit]:g} {unit}"
+    return f"{value:g}"
+
+
+def _sane(value: float, text: object) -> float:
+    """The value; ValueError where it is so large that the code's own unit would overflow."""
+    if not abs(value) < _LARGEST:
+        raise ValueError(f"{text!r:.40} is too large")
+    return value
 
 
 def _reader(dimension: str) -> BeforeValidator:

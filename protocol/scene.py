@@ -5,16 +5,21 @@ the section and the key.
 """
 
 import difflib
+import json
 import re
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic_core import ErrorDetails, PydanticCustomError
 
 from protocol.errors import SceneError
+from protocol.quantities import in_unit_of
 
 SECTIONS = ("sensing", "display", "link")
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 _UNIT_SUFFIX = re.compile(r"_(ns|hz|m|n|n_per_s|pa|m_per_s|m_per_s2|n_per_m|n_s_per_m|kg|v|rad)$")
 
 
@@ -27,9 +32,22 @@ class Section(BaseModel):
     model_config = ConfigDict(
         extra="forbid",
         frozen=True,
+        allow_inf_nan=False,
         alias_generator=lambda name: _UNIT_SUFFIX.sub("", name),
         validate_by_name=False,
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _know_keys(cls, table: object) -> object:
+        """Refuse an unknown key before anything else, as the error can name what is known."""
+        known = [field.alias or name for name, field in cls.model_fields.items()]
+        for key in table if isinstance(table, dict) else ():
+            if key not in known:
+                raise PydanticCustomError(
+                    "unknown_key", "unknown key {key}", {"key": key, "known": known}
+                )
+        return table
 
 
 SectionT = TypeVar("SectionT", bound=Section)
@@ -43,11 +61,12 @@ def load_document(path: Path) -> dict[str, Any]:
         raise SceneError(f"{path}: no such scene file") from None
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"{path}: cannot be read: {error}") from None
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:
+        # Beside TOMLDecodeError: a number of thousands of digits, thousands of brackets.
         raise SceneError(f"{path}: not TOML: {error}") from None
     for key in document:
         if key not in (*SECTIONS, "title"):
-            raise SceneError(f"{path}: {key}: unknown key{_suggestion(key, SECTIONS)}")
+            raise SceneError(f"{path}: {_place([key])}: unknown key{_suggestion(key, SECTIONS)}")
     return document
 
 
@@ -64,30 +83,65 @@ def validate(table: object, schema: type[SectionT], where: str) -> SectionT:
     try:
         return schema.model_validate(table)
     except ValidationError as error:
-        raise SceneError(f"{where} {_first_line(error)}") from None
+        raise SceneError(f"{where} {_first_line(error, table)}") from None
 
 
-def _first_line(error: ValidationError) -> str:
+def _first_line(error: ValidationError, table: Any) -> str:
     """The first of pydantic's errors in one line, with how many more there are."""
     first = error.errors(include_url=False)[0]
-    place = ".".join(str(part) for part in first["loc"])
+    context = first.get("ctx", {})
+    keys, written = _find(first, table)
     match first["type"]:
-        case "extra_forbidden":
-            text = "unknown key"
+        case "unknown_key":
+            keys.append(context["key"])
+            text = "unknown key" + _suggestion(context["key"], context["known"])
         case "missing":
             text = "missing; it must be given"
+        case "model_type" | "model_attributes_type":
+            text = f"must be a table, got {written!r:.80}"
         case "union_tag_invalid":
-            text = f"unknown kind; known: {first['ctx']['expected_tags']}"
+            text = f"unknown kind {context['tag']!r:.80}; known: {context['expected_tags']}"
         case "union_tag_not_found":
-            text = "needs a kind"
+            text = f"{context['discriminator']} is missing; it must be given"
         case "value_error":
-            text = str(first["ctx"]["error"])
+            text = str(context["error"])
         case _:
-            text = f"{first['msg']}, got {first['input']!r}"
+            text = f"{_demand(first, written)}, got {written!r:.80}"
+    place = f"{_place(keys)}: " if keys else ""
     more = error.error_count() - 1
-    return f"{place}: {text}" + (f" (and {more} more)" if more else "")
+    return place + text + (f" (and {more} more)" if more else "")
 
 
-def _suggestion(key: str, known: tuple[str, ...]) -> str:
+def _find(error: ErrorDetails, table: Any) -> tuple[list[int | str], Any]:
+    """The keys that lead through the table to the error, and what is written there.
+
+    pydantic puts names of its own between them, such as which member of a union it tried.
+    """
+    keys: list[int | str] = []
+    for part in error["loc"]:
+        inside = isinstance(table, dict) and part in table
+        if inside or (isinstance(table, list) and isinstance(part, int)):
+            keys.append(part)
+            table = table[part]
+    if error["type"] == "missing":
+        keys.append(error["loc"][-1])
+    return keys, table
+
+
+def _demand(error: ErrorDetails, written: object) -> str:
+    """What pydantic demands; a limit in the unit that the value has in the file."""
+    text = error["msg"].replace("Input should", "must")
+    for limit in error.get("ctx", {}).values():
+        if isinstance(limit, int | float):
+            text = text.replace(str(limit), in_unit_of(limit, written))
+    return text
+
+
+def _place(keys: list[int | str]) -> str:
+    parts = (str(key) for key in keys)
+    return ".".join(part if _BARE_KEY.fullmatch(part) else json.dumps(part) for part in parts)
+
+
+def _suggestion(key: str, known: Iterable[str]) -> str:
     close = difflib.get_close_matches(key, known, n=1)
     return f"; did you mean {close[0]}?" if close else f"; known: {', '.join(known)}"

@@ -5,9 +5,11 @@ higher (for ipc: the path with ".control" behind it). Reconnecting is ZeroMQ's o
 find a dead peer on a link that only went silent.
 """
 
+import errno
 import re
 import select
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from typing import cast
 
 import zmq
@@ -21,17 +23,23 @@ RECONNECT_MS = 100
 HIGH_WATER_FRAMES = 1_000
 LINGER_MS = 500
 MAX_MESSAGES = 200
+MAX_PORT = 65_535
 
 Context = zmq.Context[zmq.Socket[bytes]]
 Socket = zmq.Socket[bytes]
 _TCP = re.compile(r"tcp://(?P<host>[^\s/]+):(?P<port>\d{1,5})")
 _LOOPBACK = re.compile(r"(127\.\d+\.\d+\.\d+|localhost|\[::1\])")
+_HINTS = {
+    zmq.EADDRINUSE: "; another program holds it",
+    zmq.EADDRNOTAVAIL: "; this machine does not have it",
+    errno.ENODEV: "; this machine does not have it",
+}
 
 
 def control_address(address: str) -> str:
     """The control address that belongs to a data address. Raises AddressError."""
     match = _TCP.fullmatch(address)
-    if match and 0 < int(match["port"]) < 65_535:
+    if match and 0 < int(match["port"]) < MAX_PORT:
         return f"tcp://{match['host']}:{int(match['port']) + 1}"
     if address.startswith("ipc://") and len(address) > len("ipc://"):
         return address + ".control"
@@ -42,31 +50,41 @@ def control_address(address: str) -> str:
 
 def beyond_loopback(address: str) -> bool:
     """Whether the address can be reached from, or reaches, another machine."""
-    match = _TCP.fullmatch(address)
-    return match is not None and _LOOPBACK.fullmatch(match["host"]) is None
+    host = address.removeprefix("tcp://").rpartition(":")[0]
+    return address.startswith("tcp://") and _LOOPBACK.fullmatch(host) is None
 
 
 def bind(context: Context, kind: int, address: str) -> Socket:
     """A socket of `kind` bound to `address`. Raises AddressError."""
-    socket = _socket(context, kind)
+    socket = _socket(context, kind, address)
     try:
         socket.bind(address)
     except zmq.ZMQError as error:
         socket.close(0)
-        hint = "; another program holds it" if error.errno == zmq.EADDRINUSE else ""
-        raise AddressError(f"cannot bind {address}: {error.strerror}{hint}") from None
+        raise AddressError(f"cannot bind {address}: {_reason(error)}") from None
     return socket
 
 
 def connect(context: Context, kind: int, address: str) -> Socket:
     """A socket of `kind` that connects to `address`, now or when it appears."""
-    socket = _socket(context, kind)
+    socket = _socket(context, kind, address)
     try:
         socket.connect(address)
     except zmq.ZMQError as error:
         socket.close(0)
-        raise AddressError(f"cannot connect to {address}: {error.strerror}") from None
+        raise AddressError(f"cannot connect to {address}: {_reason(error)}") from None
     return socket
+
+
+def reconnect(socket: Socket, address: str) -> None:
+    """Connect once more, for a socket that hears nothing.
+
+    ZeroMQ reconnects by itself, but not after a peer broke the protocol, as with a message
+    above our size limit: then the connection is gone for good.
+    """
+    with suppress(zmq.ZMQError):  # it may know the address no more
+        socket.disconnect(address)
+    socket.connect(address)
 
 
 def receive_all(socket: Socket) -> Iterator[list[bytes]]:
@@ -75,7 +93,7 @@ def receive_all(socket: Socket) -> Iterator[list[bytes]]:
     At most `MAX_MESSAGES` a call, so that a flood cannot keep a loop from its ticks.
     """
     for _ in range(MAX_MESSAGES):
-        if not cast(int, socket.getsockopt(zmq.EVENTS)) & zmq.POLLIN:
+        if not _has_message(socket):
             return
         yield socket.recv_multipart(zmq.NOBLOCK)
 
@@ -93,15 +111,29 @@ def wait_readable(sockets: Sequence[Socket], timeout_ns: int) -> None:
     """Sleep until a socket may have something to read, or the time is over.
 
     ZeroMQ's own poll counts whole milliseconds, too coarse for a 1 kHz loop. Its descriptors
-    are edge-triggered: read every socket empty (`receive_all`) before waiting again.
+    are edge-triggered, and sending uses the edge up too: so each socket is asked first.
     """
-    if timeout_ns > 0:
+    if timeout_ns > 0 and not any(_has_message(socket) for socket in sockets):
         descriptors = [cast(int, socket.getsockopt(zmq.FD)) for socket in sockets]
         select.select(descriptors, [], [], timeout_ns * 1e-9)
 
 
-def _socket(context: Context, kind: int) -> Socket:
+def _has_message(socket: Socket) -> bool:
+    return bool(cast(int, socket.getsockopt(zmq.EVENTS)) & zmq.POLLIN)
+
+
+def _reason(error: zmq.ZMQError) -> str:
+    number = error.errno or 0
+    return zmq.strerror(number) + _HINTS.get(number, "")
+
+
+def _socket(context: Context, kind: int, address: str) -> Socket:
+    match = _TCP.fullmatch(address)
+    if match and int(match["port"]) > MAX_PORT:
+        # ZeroMQ takes it modulo 65536.
+        raise AddressError(f"{address}: there is no such port; the highest is {MAX_PORT}")
     socket = context.socket(kind)
+    socket.setsockopt(zmq.IPV6, "[" in address)
     socket.setsockopt(zmq.LINGER, LINGER_MS)
     socket.setsockopt(zmq.SNDHWM, HIGH_WATER_FRAMES)
     socket.setsockopt(zmq.RCVHWM, HIGH_WATER_FRAMES)
@@ -109,8 +141,6 @@ def _socket(context: Context, kind: int) -> Socket:
     socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, HEARTBEAT_TIMEOUT_MS)
     socket.setsockopt(zmq.HEARTBEAT_TTL, HEARTBEAT_TIMEOUT_MS)
     socket.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
-    # Requests to a peer that is not there would be answered late and all at once.
-    socket.setsockopt(zmq.IMMEDIATE, 1)
     # A little above what is decoded, so that an oversized message is counted, not only cut off.
     socket.setsockopt(zmq.MAXMSGSIZE, 4 * MAX_FRAME_BYTES)
     return socket

@@ -15,7 +15,7 @@ from protocol.scene import Section
 from protocol.tactile import ElasticLayer
 
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
-Name = Annotated[str, Field(min_length=1, max_length=80)]
+Name = Annotated[str, Field(strict=True, min_length=1, max_length=80)]
 SECOND_NS = 1_000_000_000
 
 
@@ -37,12 +37,12 @@ class StreamDescription:
     """
 
     name: Name
-    period_ns: Annotated[int, Field(ge=1_000, le=10 * SECOND_NS)]
-    batch: Annotated[int, Field(ge=1, le=4096)]
+    period_ns: Annotated[int, Field(strict=True, ge=1_000, le=10 * SECOND_NS)]
+    batch: Annotated[int, Field(strict=True, ge=1, le=4096)]
     channels: Annotated[tuple[Channel, ...], Field(min_length=1, max_length=64)]
     layer: ElasticLayer
     bytes_per_sample: Literal[4, 8] = 4
-    group_delay_ns: Annotated[int, Field(ge=0, le=10 * SECOND_NS)] = 0
+    group_delay_ns: Annotated[int, Field(strict=True, ge=0, le=10 * SECOND_NS)] = 0
 
     @property
     def rate_hz(self) -> float:

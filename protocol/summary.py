@@ -9,7 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
+
+from protocol.errors import OutputError
+
+# Stands in a row's text for a value that there is none of; no fault's text has it.
+_ABSENT = "\0"
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,16 +115,30 @@ class Summary:
 
 
 def write_json(summary: Summary, path: Path) -> None:
-    """Write the summary as JSON."""
-    path.write_text(json.dumps(summary.to_dict(), indent=2) + "\n", encoding="utf-8")
+    """Write the summary as JSON. Raises OutputError."""
+    try:
+        path.write_text(json.dumps(summary.to_dict(), indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def check_writable(path: Path | None) -> None:
+    """See before a long run that its result can be written. Raises OutputError."""
+    if path is not None and not path.parent.is_dir():
+        raise OutputError(f"{path}: cannot be written: the folder {path.parent} does not exist")
+    if path is not None and path.is_dir():
+        raise OutputError(f"{path}: cannot be written: it is a folder")
 
 
 def print_summary(summary: Summary, title: str, console: Console) -> None:
     """Print the summary for people, one line a row; a row without a value is left out."""
-    table = Table(title=title, show_header=False, title_justify="left", box=None, pad_edge=False)
+    table = Table(
+        title=escape(title), show_header=False, title_justify="left", box=None, pad_edge=False
+    )
     for name, text in _rows(summary):
-        if "–" not in text:
-            table.add_row(name, text)
+        if _ABSENT not in text:
+            # As Text, for a fault may name a [section], which is markup to rich.
+            table.add_row(name, Text(text))
     console.print(table)
 
 
@@ -126,7 +147,9 @@ def _rows(s: Summary) -> list[tuple[str, str]]:
     return [
         (
             "samples",
-            f"{_n(s.samples.sent)} sent = {_n(s.samples.played)} played"
+            f"{_n(s.samples.sent)} sent"
+            if s.samples.played is None
+            else f"{_n(s.samples.sent)} sent = {_n(s.samples.played)} played"
             f" + {_n(s.samples.late)} late + {_n(s.samples.lost)} lost",
         ),
         (
@@ -168,15 +191,15 @@ def _rows(s: Summary) -> list[tuple[str, str]]:
 
 
 def _n(value: int | None) -> str:
-    return "–" if value is None else str(value)
+    return _ABSENT if value is None else str(value)
 
 
 def _f(value: float | None, digits: int = 1) -> str:
-    return "–" if value is None or math.isnan(value) else f"{value:.{digits}f}"
+    return _ABSENT if value is None or math.isnan(value) else f"{value:.{digits}f}"
 
 
 def _e(value: float | None) -> str:
-    return "–" if value is None or math.isnan(value) else f"{value:.3e}"
+    return _ABSENT if value is None or math.isnan(value) else f"{value:.3e}"
 
 
 def _milli(value: float | None) -> float | None:

@@ -28,10 +28,10 @@ class Film:
     g32: float = 0.15
 
     def __post_init__(self) -> None:
-        if not self.radius_m > 0:
-            raise ValueError(f"radius_m is {self.radius_m}; a film's radius is above 0")
-        if not self.g31 + self.g32 > 0:
-            raise ValueError(f"g31 + g32 is {self.g31 + self.g32}; it must be above 0")
+        if not 0 < self.radius_m < math.inf:
+            raise ValueError(f"radius_m is {self.radius_m}; it must be above 0 and finite")
+        if not 0 < self.g31 + self.g32 < math.inf:
+            raise ValueError(f"g31 + g32 is {self.g31 + self.g32}; it must be above 0 and finite")
 
     @property
     def volts_per_newton(self) -> float:
@@ -64,7 +64,7 @@ class ElasticLayer:
     def __post_init__(self) -> None:
         for name in ("young_modulus_pa", "thickness_m", "contact_length_m"):
             value = getattr(self, name)
-            if not (value > 0 and math.isfinite(value)):
+            if not 0 < value < math.inf:
                 raise ValueError(f"{name} is {value}; it must be above 0 and finite")
         if not 0 <= self.poisson_ratio <= 0.5:
             raise ValueError(f"poisson_ratio is {self.poisson_ratio}; it must be in 0 to 0.5")
@@ -74,11 +74,9 @@ class ElasticLayer:
     @property
     def strain_per_newton(self) -> float:
         """On-axis strain εz of 1 N: 2 (ν² − 1) / (E π d L), in 1/N (eq 16)."""
-        return (
-            2
-            * (self.poisson_ratio**2 - 1)
-            / (self.young_modulus_pa * math.pi * self.thickness_m * self.contact_length_m)
-        )
+        # One division after the other: the product of small divisors could be 0.
+        pressed = 2 * (self.poisson_ratio**2 - 1) / (math.pi * self.young_modulus_pa)
+        return pressed / self.thickness_m / self.contact_length_m
 
     def strain(self, force_n: Floats) -> Floats:
         """On-axis strain εz at depth d under a force in N: h1 and h2 of eqs 17-20."""

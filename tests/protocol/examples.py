@@ -1,0 +1,78 @@
+"""One of each message with its bytes on the wire, written out so that no change goes unseen."""
+
+import math
+
+import numpy as np
+
+from protocol.messages import (
+    Bye,
+    ClockReply,
+    ClockRequest,
+    Control,
+    Frame,
+    Hello,
+    Report,
+    Welcome,
+)
+from protocol.stream import Channel, StreamDescription
+from protocol.tactile import ElasticLayer
+
+DESCRIPTION = StreamDescription(
+    name="radial pulse",
+    period_ns=1_000_000,
+    batch=5,
+    channels=(Channel("force"),),
+    layer=ElasticLayer(),
+    group_delay_ns=3,
+)
+
+FLOAT32_FRAME = Frame(
+    session=7,
+    first_sample=1000,
+    t_first_ns=1_700_000_000_000_000_000,
+    period_ns=1_000_000,
+    values=np.array([[0.5], [-1.25]], "<f4"),
+)
+FLOAT32_BYTES = bytes.fromhex(
+    "98 01 07 cd03e8 cf17979cfe362a0000 ce000f4240 01 04"
+) + bytes.fromhex("c408 0000003f 0000a0bf")
+FLOAT64_FRAME = Frame(
+    session=2**62,
+    first_sample=0,
+    t_first_ns=-1,
+    period_ns=1,
+    values=np.array([[1.0, -2.0]], "<f8"),
+)
+FLOAT64_BYTES = bytes.fromhex("98 01 cf4000000000000000 00 ff 01 02 08") + bytes.fromhex(
+    "c410 000000000000f03f 00000000000000c0"
+)
+
+CONTROL: dict[str, tuple[Control, bytes]] = {
+    "hello": (Hello("display-1"), b"\x93\x01\xa5hello\xa9display-1"),
+    "welcome": (
+        Welcome(7, 250, DESCRIPTION),
+        b"\x95\x01\xa7welcome\x07\xcc\xfa\x87"
+        b"\xa4name\xacradial pulse"
+        b"\xa9period_ns\xce\x00\x0f\x42\x40"
+        b"\xa5batch\x05"
+        b"\xa8channels\x91\x82\xa4name\xa5force\xa4unit\xa1N"
+        b"\xa5layer\x84"
+        b"\xb0young_modulus_pa\xcb\x41\x87\xd7\x84\x00\x00\x00\x00"
+        b"\xabthickness_m\xcb\x3f\x60\x62\x4d\xd2\xf1\xa9\xfc"
+        b"\xadpoisson_ratio\xcb\x3f\xe0\x00\x00\x00\x00\x00\x00"
+        b"\xb0contact_length_m\xcb\x3f\xf0\x00\x00\x00\x00\x00\x00"
+        b"\xb0bytes_per_sample\x04"
+        b"\xaegroup_delay_ns\x03",
+    ),
+    "bye": (Bye(7, 5000), b"\x94\x01\xa3bye\x07\xcd\x13\x88"),
+    "clock request": (ClockRequest(-5), b"\x93\x01\xa6clock?\xfb"),
+    "clock reply": (ClockReply(7, 1, 2, 3), b"\x96\x01\xa5clock\x07\x01\x02\x03"),
+    "report": (
+        Report(7, "display-1", 90, 6, 4, 1.5, math.nan, 40.0, 0.25),
+        b"\x9b\x01\xa6report\x07\xa9display-1\x5a\x06\x04"
+        b"\xcb\x3f\xf8\x00\x00\x00\x00\x00\x00"
+        b"\xcb\x7f\xf8\x00\x00\x00\x00\x00\x00"
+        b"\xcb\x40\x44\x00\x00\x00\x00\x00\x00"
+        b"\xcb\x3f\xd0\x00\x00\x00\x00\x00\x00",
+    ),
+}

@@ -1,0 +1,239 @@
+import random
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol.clock import ClockEstimator, ClockExchange
+
+MS = 1_000_000
+S = 1_000 * MS
+HOUR = 3_600 * S
+Jitter = Callable[[random.Random], float]
+
+JITTERS: dict[str, Jitter] = {
+    "none": lambda rng: 0,
+    "exponential of 5 ms": lambda rng: rng.expovariate(1 / (5 * MS)),
+    "exponential of 50 ms": lambda rng: rng.expovariate(1 / (50 * MS)),
+    "heavy-tailed": lambda rng: min(2 * S, MS * rng.paretovariate(1.1)),
+    "in bursts": lambda rng: rng.uniform(0, 400 * MS) if rng.random() < 0.7 else 0,
+    "uniform to 200 ms": lambda rng: rng.uniform(0, 200 * MS),
+}
+MODEST = JITTERS["exponential of 5 ms"]
+
+
+@dataclass
+class Remote:
+    """A remote clock behind a link, asked four times a second; local time begins at 5 s."""
+
+    offset_ns: int = HOUR
+    skew: float = 0.0
+    delay_ns: int = 20 * MS
+    extra_request_ns: int = 0
+    jitter: Jitter = JITTERS["none"]
+    seed: int = 1
+    local_ns: float = 5 * S
+
+    def __post_init__(self) -> None:
+        self.rng = random.Random(self.seed)
+
+    def now_ns(self, local_ns: float) -> int:
+        return round(local_ns + self.offset_ns + self.skew * local_ns)
+
+    def exchange(self) -> ClockExchange:
+        sent_ns = self.local_ns
+        there_ns = sent_ns + self.delay_ns + self.extra_request_ns + self.jitter(self.rng)
+        answered_ns = there_ns + 50_000
+        back_ns = answered_ns + self.delay_ns + self.jitter(self.rng)
+        self.local_ns = max(sent_ns + 250 * MS, back_ns)
+        return ClockExchange(
+            round(sent_ns), self.now_ns(there_ns), self.now_ns(answered_ns), round(back_ns)
+        )
+
+    def error_ns(self, estimator: ClockEstimator) -> int:
+        local_ns = round(self.local_ns)
+        return abs(estimator.remote_ns(local_ns) - self.now_ns(local_ns))
+
+
+def follow(remote: Remote, estimator: ClockEstimator, seconds: float) -> Iterator[int]:
+    """Exchange for so long; the estimate's error after each."""
+    end_ns = remote.local_ns + seconds * S
+    while remote.local_ns < end_ns:
+        assert estimator.add(remote.exchange())
+        yield remote.error_ns(estimator)
+
+
+def followed(remote: Remote, seconds: float) -> ClockEstimator:
+    estimator = ClockEstimator()
+    for _ in follow(remote, estimator, seconds):
+        pass
+    return estimator
+
+
+def test_an_exchange_measures_offset_and_round_trip() -> None:
+    exchange = ClockExchange(t1_ns=100, t2_ns=1120, t3_ns=1125, t4_ns=145)
+    assert exchange.offset_ns == 1000
+    assert exchange.round_trip_ns == 40
+
+
+def test_it_is_ready_after_three_exchanges() -> None:
+    estimator, remote = ClockEstimator(), Remote()
+    ready = []
+    for _ in range(4):
+        ready.append(estimator.ready)
+        estimator.add(remote.exchange())
+    assert ready == [False, False, False, True]
+
+
+def test_without_jitter_the_first_exchange_tells_the_offset() -> None:
+    estimator, remote = ClockEstimator(), Remote(offset_ns=-HOUR)
+    estimator.add(remote.exchange())
+    assert estimator.offset_ns(round(remote.local_ns)) == -HOUR
+    assert estimator.uncertainty_ns == 20 * MS
+
+
+@pytest.mark.parametrize("offset_ns", [-HOUR, 0, 50 * 365 * 24 * HOUR])
+@pytest.mark.parametrize("skew_ppm", [-200, 0, 50])
+def test_without_jitter_offset_and_skew_are_found_exactly(skew_ppm: int, offset_ns: int) -> None:
+    remote = Remote(offset_ns, skew_ppm * 1e-6)
+    estimator = followed(remote, 60)
+    assert remote.error_ns(estimator) < 20_000
+    assert estimator.skew_ppm == pytest.approx(skew_ppm, abs=0.1)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("skew_ppm", [-200, 0, 50])
+def test_with_jitter_offset_and_skew_come_close(skew_ppm: int, seed: int) -> None:
+    remote = Remote(skew=skew_ppm * 1e-6, jitter=MODEST, seed=seed)
+    estimator = ClockEstimator()
+    errors_ns = list(follow(remote, estimator, 120))
+    assert max(errors_ns[-100:]) < 1 * MS
+    assert estimator.skew_ppm == pytest.approx(skew_ppm, abs=30)
+
+
+def test_the_error_shrinks_as_exchanges_come() -> None:
+    early_ns = late_ns = 0
+    for seed in range(20):
+        errors_ns = list(follow(Remote(jitter=MODEST, seed=seed), ClockEstimator(), 90))
+        early_ns += sum(errors_ns[:8])
+        late_ns += sum(errors_ns[-8:])
+    assert late_ns < early_ns / 4
+
+
+@pytest.mark.parametrize("extra_ns", [0, 10 * MS, 40 * MS])
+def test_what_a_longer_way_there_costs_is_within_the_uncertainty(extra_ns: int) -> None:
+    remote = Remote(extra_request_ns=extra_ns)
+    estimator = followed(remote, 30)
+    assert remote.error_ns(estimator) == pytest.approx(extra_ns / 2, abs=1000)
+    assert remote.error_ns(estimator) <= estimator.uncertainty_ns
+
+
+def test_the_estimate_reaches_into_the_future() -> None:
+    remote = Remote(skew=100e-6)
+    estimator = followed(remote, 60)
+    later_ns = round(remote.local_ns) + 60 * S
+    assert estimator.remote_ns(later_ns) == pytest.approx(remote.now_ns(later_ns), abs=50_000)
+
+
+@pytest.mark.parametrize(
+    "exchange",
+    [
+        ClockExchange(100, 0, 0, 99),
+        ClockExchange(100, 1000, 1051, 150),
+        ClockExchange(100, 1001, 1000, 150),
+    ],
+    ids=["answered before it was asked", "longer there than away", "sent before it came"],
+)
+def test_an_exchange_that_cannot_be_is_refused(exchange: ClockExchange) -> None:
+    estimator = followed(Remote(), 10)
+    before = estimator.remote_ns(20 * S), estimator.uncertainty_ns
+    assert not estimator.add(exchange)
+    assert (estimator.remote_ns(20 * S), estimator.uncertainty_ns) == before
+
+
+def test_an_exchange_on_an_instant_link_is_taken() -> None:
+    estimator = ClockEstimator()
+    assert estimator.add(ClockExchange(100, 1100, 1100, 100))
+    assert estimator.remote_ns(100) == 1100
+
+
+@pytest.mark.parametrize("before_s", [1, 3, 30, 90])
+@pytest.mark.parametrize("step_ns", [HOUR, -HOUR, S], ids=["1 h", "-1 h", "1 s"])
+@pytest.mark.parametrize("jitter", ["none", "exponential of 5 ms"])
+def test_a_step_is_noticed_and_followed(jitter: str, step_ns: int, before_s: int) -> None:
+    remote = Remote(skew=50e-6, jitter=JITTERS[jitter])
+    estimator = followed(remote, before_s)
+    remote.offset_ns += step_ns
+    for _ in range(5):
+        estimator.add(remote.exchange())
+    assert estimator.steps == 1
+    assert estimator.ready
+    assert remote.error_ns(estimator) < 20 * MS
+    errors_ns = list(follow(remote, estimator, 100))
+    assert estimator.steps == 1
+    assert errors_ns[-1] < 1 * MS
+
+
+@pytest.mark.parametrize("skew_ppm", [-200, 0, 200])
+@pytest.mark.parametrize("jitter", JITTERS)
+def test_jitter_is_no_step(jitter: str, skew_ppm: int) -> None:
+    for seed in range(3):
+        remote = Remote(skew=skew_ppm * 1e-6, jitter=JITTERS[jitter], seed=seed)
+        assert followed(remote, 150).steps == 0
+
+
+@pytest.mark.parametrize("skew_ppm", [-200, 200])
+def test_skew_is_no_step_on_a_link_that_leaves_no_doubt(skew_ppm: int) -> None:
+    remote = Remote(skew=skew_ppm * 1e-6, delay_ns=50_000)
+    assert followed(remote, 150).steps == 0
+
+
+@pytest.mark.parametrize("before_s", [2, 30])
+@pytest.mark.parametrize("late_ns", [200 * MS, 2 * S])
+def test_one_long_round_trip_moves_the_estimate_little(late_ns: int, before_s: int) -> None:
+    remote = Remote()
+    estimator = followed(remote, before_s)
+    remote.extra_request_ns = late_ns
+    estimator.add(remote.exchange())
+    assert remote.error_ns(estimator) < 0.2 * MS
+
+
+@pytest.mark.parametrize("before_s", [1, 30])
+def test_one_or_two_exchanges_against_all_others_move_nothing(before_s: int) -> None:
+    remote = Remote()
+    estimator = followed(remote, before_s)
+    for _ in range(3):
+        remote.offset_ns += HOUR
+        estimator.add(remote.exchange())
+        estimator.add(remote.exchange())
+        remote.offset_ns -= HOUR
+        estimator.add(remote.exchange())
+        assert remote.error_ns(estimator) < 1000
+    assert estimator.steps == 0
+
+
+def test_the_longer_an_exchange_took_the_less_it_counts() -> None:
+    estimator = ClockEstimator()
+    for round_trip_ms, error_ms in ((30, 14), (10, 1), (50, -20)):
+        t1_ns, middle_ns = 10 * S, 10 * S + round_trip_ms * MS // 2
+        there_ns = middle_ns + error_ms * MS
+        estimator.add(ClockExchange(t1_ns, there_ns, there_ns, t1_ns + round_trip_ms * MS))
+    # The plain mean of the three is -1.7 ms.
+    assert estimator.offset_ns(10 * S) == pytest.approx(1 * MS, abs=1 * MS)
+    assert estimator.uncertainty_ns == 5 * MS
+
+
+int64 = st.integers(-(2**63), 2**63 - 1)
+
+
+@given(st.lists(st.tuples(int64, int64, int64, st.integers(0, 30 * S)), max_size=80))
+def test_no_replies_make_it_fail(replies: list[tuple[int, int, int, int]]) -> None:
+    estimator = ClockEstimator()
+    local_ns = 0
+    for t1_ns, t2_ns, t3_ns, passed_ns in replies:
+        local_ns += passed_ns
+        estimator.add(ClockExchange(t1_ns, t2_ns, t3_ns, local_ns))
+        assert isinstance(estimator.remote_ns(local_ns), int)
+        assert estimator.uncertainty_ns >= 0

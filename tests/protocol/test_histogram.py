@@ -1,0 +1,76 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol.histogram import Histogram
+
+SHARES = [0.0, 0.01, 0.25, 0.5, 0.9, 0.99, 1.0]
+BIN, BINS = 0.5, 200
+
+
+def filled(values: list[float]) -> Histogram:
+    histogram = Histogram(BIN, BINS)
+    for value in values:
+        histogram.add(value)
+    return histogram
+
+
+@given(st.lists(st.floats(0, BIN * (BINS - 1), exclude_max=True), min_size=1, max_size=300))
+def test_a_quantile_is_exact_to_one_bin(values: list[float]) -> None:
+    histogram = filled(values)
+    for share in SHARES:
+        exact = np.quantile(values, share, method="inverted_cdf")
+        assert histogram.quantile(share) == pytest.approx(exact, abs=BIN)
+
+
+@given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=300))
+def test_count_mean_and_maximum_are_exact(values: list[float]) -> None:
+    histogram = filled(values)
+    assert histogram.count == len(values)
+    assert histogram.mean == pytest.approx(np.mean(values), abs=1e-9)
+    assert histogram.maximum == max(values)
+
+
+@given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=100))
+def test_quantiles_rise_and_stay_below_the_maximum(values: list[float]) -> None:
+    histogram = filled(values)
+    quantiles = [histogram.quantile(share) for share in SHARES]
+    known = [quantile for quantile in quantiles if quantile is not None]
+    assert len(known) == len(SHARES)
+    assert known == sorted(known)
+    assert known[-1] <= max(values)
+
+
+def test_without_values_there_is_nothing_to_tell() -> None:
+    histogram = Histogram(BIN, BINS)
+    assert histogram.count == 0
+    assert histogram.mean is None
+    assert histogram.maximum is None
+    assert histogram.quantile(0.5) is None
+
+
+def test_above_the_last_bin_the_maximum_stands_in() -> None:
+    histogram = filled([1.2] * 98 + [1e3, 5e6])
+    assert histogram.quantile(0.5) == pytest.approx(1.2, abs=BIN)
+    assert histogram.quantile(0.99) == 5e6
+    assert histogram.maximum == 5e6
+
+
+def test_negative_values_count_in_the_first_bin() -> None:
+    histogram = filled([-3.0] * 10 + [7.2] * 10)
+    quantile = histogram.quantile(0.5)
+    assert quantile is not None
+    assert 0 <= quantile <= BIN
+    assert histogram.quantile(0.9) == pytest.approx(7.2, abs=BIN)
+
+
+def test_the_middle_of_a_bin_is_no_quantile_where_nothing_is_as_large() -> None:
+    assert filled([0.1]).quantile(0.5) == 0.1
+    assert filled([-0.1]).quantile(0.5) == -0.1
+
+
+def test_a_tail_of_one_in_a_hundred_is_seen() -> None:
+    histogram = filled([1.2] * 99 + [50.2])
+    assert histogram.quantile(0.99) == pytest.approx(1.2, abs=BIN)
+    assert histogram.quantile(0.991) == pytest.approx(50.2, abs=BIN)

@@ -1,0 +1,207 @@
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import TypeAdapter
+
+from protocol import quantities
+from protocol.quantities import UNITS, in_unit_of, parse_quantity, parse_ratio
+
+# Written out once more, so that a slip of the pen in the table does not go unseen.
+ONE_OF_EACH = [
+    ("time", "ns", 1e-9),
+    ("time", "us", 1e-6),
+    ("time", "µs", 1e-6),
+    ("time", "ms", 1e-3),
+    ("time", "s", 1),
+    ("time", "min", 60),
+    ("frequency", "/min", 1 / 60),
+    ("frequency", "Hz", 1),
+    ("frequency", "kHz", 1e3),
+    ("frequency", "MHz", 1e6),
+    ("length", "nm", 1e-9),
+    ("length", "um", 1e-6),
+    ("length", "µm", 1e-6),
+    ("length", "mm", 1e-3),
+    ("length", "cm", 1e-2),
+    ("length", "m", 1),
+    ("force", "mN", 1e-3),
+    ("force", "N", 1),
+    ("force rate", "mN/s", 1e-3),
+    ("force rate", "N/s", 1),
+    ("pressure", "Pa", 1),
+    ("pressure", "kPa", 1e3),
+    ("pressure", "MPa", 1e6),
+    ("pressure", "GPa", 1e9),
+    ("speed", "mm/s", 1e-3),
+    ("speed", "m/s", 1),
+    ("acceleration", "mm/s²", 1e-3),
+    ("acceleration", "m/s²", 1),
+    ("stiffness", "N/m", 1),
+    ("stiffness", "N/mm", 1e3),
+    ("damping", "N·s/m", 1),
+    ("mass", "g", 1e-3),
+    ("mass", "kg", 1),
+    ("voltage", "µV", 1e-6),
+    ("voltage", "mV", 1e-3),
+    ("voltage", "V", 1),
+    ("angle", "°", math.pi / 180),
+    ("angle", "deg", math.pi / 180),
+    ("angle", "rad", 1),
+]
+
+
+@pytest.mark.parametrize(("dimension", "unit", "factor"), ONE_OF_EACH)
+def test_every_unit(dimension: str, unit: str, factor: float) -> None:
+    assert parse_quantity(f"2.5 {unit}", dimension) == pytest.approx(2.5 * factor, rel=1e-15)
+
+
+def test_every_unit_is_tested() -> None:
+    known = {(dimension, unit) for dimension, units in UNITS.items() for unit in units}
+    assert known == {(dimension, unit) for dimension, unit, _ in ONE_OF_EACH}
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [
+        ("40 ms", 0.04),
+        ("40ms", 0.04),
+        ("  40  ms ", 0.04),
+        ("+40 ms", 0.04),
+        ("-40 ms", -0.04),
+        ("4e1 ms", 0.04),
+        ("4.E+1 ms", 0.04),
+        (".5 s", 0.5),
+        ("0 s", 0),
+        ("-0.0 s", 0),
+    ],
+)
+def test_ways_to_write_a_number(text: str, seconds: float) -> None:
+    assert parse_quantity(text, "time") == pytest.approx(seconds)
+
+
+@pytest.mark.parametrize("dimension", UNITS)
+@pytest.mark.parametrize(
+    "text", ["", " ", "40", 40, 40.0, True, None, ["40 ms"], "ms", "forty ms", "40 parsec"]
+)
+def test_what_is_no_quantity_is_told_what_is_one(text: object, dimension: str) -> None:
+    with pytest.raises(ValueError, match="is a number and one of") as caught:
+        parse_quantity(text, dimension)
+    line = str(caught.value)
+    assert repr(text) in line
+    assert dimension in line
+    assert ", ".join(UNITS[dimension]) in line
+    assert "\n" not in line
+
+
+@pytest.mark.parametrize(
+    ("text", "dimension"),
+    [("1 mm", "force"), ("1 N", "length"), ("1 s", "frequency"), ("1 HZ", "frequency")],
+)
+def test_a_unit_of_something_else_is_refused(text: str, dimension: str) -> None:
+    with pytest.raises(ValueError, match=f"is no {dimension}"):
+        parse_quantity(text, dimension)
+
+
+@pytest.mark.parametrize(
+    "text", ["nan ms", "inf ms", "-inf s", "infinity s", "1,5 ms", "1 2 ms", "1 ms ms", "0x1 ms"]
+)
+def test_what_only_looks_like_a_number_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="is no time"):
+        parse_quantity(text, "time")
+
+
+@pytest.mark.parametrize("text", ["1e999 s", "-1e999 s", "1e300 s", "9" * 400 + " min"])
+def test_a_number_beyond_all_use_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="too large"):
+        parse_quantity(text, "time")
+
+
+@given(st.text(max_size=20))
+def test_no_text_does_anything_else(text: str) -> None:
+    try:
+        value = parse_quantity(text, "time")
+    except ValueError:
+        return
+    assert math.isfinite(value)
+
+
+@pytest.mark.parametrize(
+    ("text", "ratio"),
+    [
+        (0, 0),
+        (1, 1),
+        (0.01, 0.01),
+        (1e-7, 1e-7),
+        (-0.5, -0.5),
+        ("0.01", 0.01),
+        ("1 %", 0.01),
+        ("12.5%", 0.125),
+        (" 100 % ", 1),
+    ],
+)
+def test_a_ratio_is_a_number_or_a_percentage(text: object, ratio: float) -> None:
+    assert parse_ratio(text) == pytest.approx(ratio, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [math.nan, math.inf, -math.inf, "nan", "inf %", True, None, [1], "", "%", "1 ms", "one"],
+)
+def test_what_is_no_ratio_is_told_what_is_one(text: object) -> None:
+    with pytest.raises(ValueError, match=r"is no ratio: write 0.01 or '1 %'"):
+        parse_ratio(text)
+
+
+@pytest.mark.parametrize("text", [10**400, "1e999", "1e999 %", 1e300], ids=lambda t: str(t)[:8])
+def test_a_ratio_beyond_all_use_is_refused(text: object) -> None:
+    with pytest.raises(ValueError, match="too large"):
+        parse_ratio(text)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "value"),
+    [
+        ("Nanoseconds", "40 ms", 40_000_000),
+        ("Nanoseconds", "0.1 µs", 100),
+        ("Nanoseconds", "0.6 ns", 1),
+        ("Nanoseconds", "1 min", 60_000_000_000),
+        ("Hertz", "75 /min", 1.25),
+        ("Metres", "2 mm", 2e-3),
+        ("Newtons", "300 mN", 0.3),
+        ("NewtonsPerSecond", "5 mN/s", 5e-3),
+        ("Pascals", "0.05 GPa", 0.05e9),
+        ("MetresPerSecond", "400 mm/s", 0.4),
+        ("MetresPerSecond2", "9 m/s²", 9.0),
+        ("NewtonsPerMetre", "1 N/mm", 1000.0),
+        ("NewtonSecondsPerMetre", "0.61 N·s/m", 0.61),
+        ("Kilograms", "650 g", 0.65),
+        ("Volts", "110 mV", 0.11),
+        ("Radians", "1.8 °", math.pi / 100),
+        ("Ratio", "1 %", 0.01),
+    ],
+)
+def test_each_type_of_a_scenes_field_reads_its_dimension(
+    name: str, text: str, value: float
+) -> None:
+    read = TypeAdapter(getattr(quantities, name)).validate_python(text)
+    assert read == pytest.approx(value, rel=1e-15)
+    assert type(read) is type(value)
+
+
+@pytest.mark.parametrize(
+    ("value", "like", "text"),
+    [
+        (100_000, "1 us", "100 us"),
+        (1e9, "3 s", "1 s"),
+        (0.002, "-1 mm", "2 mm"),
+        (0.5, "60 %", "0.5"),
+        (0.5, 3, "0.5"),
+        (80, "a name", "80"),
+    ],
+)
+def test_a_limit_is_written_in_the_unit_it_is_compared_with(
+    value: float, like: object, text: str
+) -> None:
+    assert in_unit_of(value, like) == text

@@ -1,0 +1,229 @@
+from pathlib import Path
+from typing import Annotated, Literal
+
+import pytest
+from pydantic import Field, ValidationError
+
+from protocol.errors import SceneError
+from protocol.quantities import Metres, Nanoseconds, Newtons, Ratio
+from protocol.scene import Section, load_document, load_section, validate
+
+
+class Motor(Section):
+    kind: Literal["motor"]
+    lead_m: Annotated[Metres, Field(gt=0)]
+
+
+class Spring(Section):
+    kind: Literal["spring"]
+    gain: float = 1.0
+
+
+class Table(Section):
+    actuator: Annotated[Motor | Spring, Field(discriminator="kind")] = Spring(kind="spring")
+    tick_ns: Annotated[Nanoseconds, Field(ge=100_000, le=100_000_000)] = 1_000_000
+    limit_n: Newtons | None = None
+    force_n: Literal["auto"] | Newtons = "auto"
+    share: Annotated[Ratio, Field(gt=0, le=0.5)] = 0.1
+    channel: Annotated[int, Field(ge=0, le=63)] = 0
+    mode: Literal["hold", "linear"] = "hold"
+    name: Annotated[str, Field(min_length=1)] = "x"
+    springs: tuple[Spring, ...] = ()
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "a scene.toml"
+
+
+def load(path: Path, text: str) -> Table:
+    path.write_text(text, encoding="utf-8")
+    return load_section(path, "display", Table)
+
+
+def line_of(path: Path, text: str) -> str:
+    """The error's line, without the file's name that it begins with."""
+    with pytest.raises(SceneError) as caught:
+        load(path, text)
+    line = str(caught.value)
+    assert "\n" not in line
+    assert line.startswith(f"{path}: ")
+    return line.removeprefix(f"{path}: ")
+
+
+def test_a_scene_is_read_into_si_units(path: Path) -> None:
+    table = load(
+        path,
+        """
+        title = "of no matter to a node"
+        [sensing]
+        anything = "goes here, for this node"
+        [display]
+        tick = "2 ms"
+        limit = "300 mN"
+        force = "0.5 N"
+        share = "5 %"
+        [display.actuator]
+        kind = "motor"
+        lead = "2 mm"
+        [[display.springs]]
+        kind = "spring"
+        """,
+    )
+    assert table.actuator == Motor.model_validate({"kind": "motor", "lead": "2 mm"})
+    assert (table.tick_ns, table.limit_n, table.force_n) == (2_000_000, 0.3, 0.5)
+    assert table.share == pytest.approx(0.05)
+    assert table.mode == "hold"
+    assert table.springs == (Spring(kind="spring"),)
+
+
+def test_a_section_cannot_be_changed(path: Path) -> None:
+    table = load(path, "[display]")
+    with pytest.raises(ValidationError):
+        table.channel = 1  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("chanel = 1", "chanel: unknown key; did you mean channel?"),
+        ("tick_ns = 5", "tick_ns: unknown key; did you mean tick?"),
+        ('"a\\nb" = 1', '"a\\nb": unknown key; known: actuator, tick, limit,'),
+        ('tick = "1 N"', "tick: '1 N' is no time: a time is a number and one of ns, us, µs,"),
+        ("tick = 5", "tick: 5 is no time: a time is a number and one of"),
+        ('tick = "1e300 s"', "tick: '1e300 s' is too large"),
+        ('tick = "1 us"', "tick: must be greater than or equal to 100 us, got '1 us'"),
+        ('tick = "3 s"', "tick: must be less than or equal to 0.1 s, got '3 s'"),
+        ('limit = "x"', "limit: 'x' is no force: a force is a number and one of mN, N"),
+        ('force = "x"', "force: must be 'auto', got 'x' (and 1 more)"),
+        ('share = "60 %"', "share: must be less than or equal to 0.5, got '60 %'"),
+        ("share = nan", "share: nan is no ratio: write 0.01 or '1 %'"),
+        ("channel = 64", "channel: must be less than or equal to 63, got 64"),
+        ('channel = "a"', "channel: must be a valid integer"),
+        ("channel = 1.5", "channel: must be a valid integer"),
+        ('mode = "lin"', "mode: must be 'hold' or 'linear', got 'lin'"),
+        ('mode = "a\\nb"', "mode: must be 'hold' or 'linear', got 'a\\nb'"),
+        ("name = 5", "name: must be a valid string, got 5"),
+        ('name = ""', "name: String should have at least 1 character, got ''"),
+        ('actuator = "motor"', "actuator: must be a table, got 'motor'"),
+        ("springs = 5", "springs: must be a valid tuple, got 5"),
+    ],
+)
+def test_a_wrong_key_or_value_is_named(path: Path, text: str, line: str) -> None:
+    assert line_of(path, f"[display]\n{text}").startswith(f"[display] {line}")
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ('kind = "moter"', "actuator: unknown kind 'moter'; known: 'motor', 'spring'"),
+        ("kind = 5", "actuator: unknown kind '5'; known: 'motor', 'spring'"),
+        ('lead = "1 mm"', "actuator: 'kind' is missing; it must be given"),
+        ('kind = "motor"', "actuator.lead: missing; it must be given"),
+        ('kind = "motor"\nlead = "1 N"', "actuator.lead: '1 N' is no length: a length is"),
+        (
+            'kind = "motor"\nlead = "-2 mm"',
+            "actuator.lead: must be greater than 0 mm, got '-2 mm'",
+        ),
+        (
+            'kind = "motor"\nlead = "2 mm"\ngian = 1',
+            "actuator.gian: unknown key; known: kind, lead",
+        ),
+        ('kind = "spring"\ngian = 1', "actuator.gian: unknown key; did you mean gain?"),
+        ('kind = "spring"\ngain = inf', "actuator.gain: must be a finite number, got inf"),
+        ('kind = "spring"\ngain = nan', "actuator.gain: must be a finite number, got nan"),
+    ],
+)
+def test_a_key_of_an_inner_table_is_named_as_in_the_file(path: Path, text: str, line: str) -> None:
+    assert line_of(path, f"[display.actuator]\n{text}").startswith(f"[display] {line}")
+
+
+def test_a_table_in_a_list_is_named_by_its_number(path: Path) -> None:
+    text = '[[display.springs]]\nkind = "spring"\n[[display.springs]]\nkind = "spring"\ngain = "a"'
+    assert line_of(path, text).startswith("[display] springs.1.gain: must be a valid number")
+
+
+def test_further_errors_are_counted(path: Path) -> None:
+    line = line_of(path, '[display]\nchannel = -1\nmode = "x"\nshare = 2')
+    assert line.endswith("(and 2 more)")
+
+
+def test_a_long_value_is_cut(path: Path) -> None:
+    assert len(line_of(path, f'[display]\nmode = "{"x" * 10_000}"')) < 200
+
+
+@pytest.mark.parametrize("text", ["display = 3", "display = []", "[[display]]"])
+def test_a_section_that_is_no_table(path: Path, text: str) -> None:
+    assert line_of(path, text).startswith("[display] must be a table, got ")
+
+
+@pytest.mark.parametrize("text", ["", 'title = "empty"', "[sensing]"])
+def test_a_missing_section(path: Path, text: str) -> None:
+    assert line_of(path, text) == "section [display] is missing"
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("[displya]", "displya: unknown key; did you mean display?"),
+        ("[sensor]", "sensor: unknown key; did you mean sensing?"),
+        ("[foo]", "foo: unknown key; known: sensing, display, link"),
+        ('"a\\nb" = 1', '"a\\nb": unknown key; known: sensing, display, link'),
+        ("[display]\n[foo]", "foo: unknown key"),
+    ],
+)
+def test_an_unknown_section(path: Path, text: str, line: str) -> None:
+    assert line_of(path, text).startswith(line)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[display",
+        "tick 5",
+        "[display]\ntick = \n",
+        "[display]\n[display]",
+        "x = " + "1" * 5000,
+        "x = " + "[" * 5000,
+    ],
+    ids=["bracket", "equals", "value", "twice", "digits", "nesting"],
+)
+def test_a_file_that_is_not_toml(path: Path, text: str) -> None:
+    assert line_of(path, text).startswith("not TOML: ")
+
+
+def test_a_toml_error_tells_the_line(path: Path) -> None:
+    assert "line 2" in line_of(path, "[display]\ntick 5")
+
+
+def read_error(path: Path) -> str:
+    with pytest.raises(SceneError) as caught:
+        load_document(path)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_a_missing_file(path: Path) -> None:
+    assert read_error(path) == f"{path}: no such scene file"
+
+
+def test_a_directory(tmp_path: Path) -> None:
+    line = read_error(tmp_path)
+    assert line.startswith(f"{tmp_path}: cannot be read: ")
+    assert "directory" in line
+
+
+def test_a_file_within_a_file(path: Path) -> None:
+    path.write_text("", encoding="utf-8")
+    assert "cannot be read" in read_error(path / "inner.toml")
+
+
+@pytest.mark.parametrize("data", [b"\xff\xfe[\x00", b'title = "caf\xe9"'])
+def test_a_file_that_is_not_utf_8(path: Path, data: bytes) -> None:
+    path.write_bytes(data)
+    assert read_error(path).startswith(f"{path}: cannot be read: 'utf-8' codec")
+
+
+def test_a_table_from_elsewhere_is_named_by_its_origin() -> None:
+    with pytest.raises(SceneError, match=r"^--link 'x': mod: unknown key; did you mean mode\?$"):
+        validate({"mod": "hold"}, Table, where="--link 'x':")

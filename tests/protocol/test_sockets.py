@@ -1,0 +1,199 @@
+import itertools
+import socket as plain
+from pathlib import Path
+
+import pytest
+import zmq
+
+from protocol import sockets
+from protocol.messages import MAX_FRAME_BYTES
+from protocol.sockets import MAX_MESSAGES, Context, Socket
+
+# Longer than any test may take: who waits for it in vain fails by pytest's own timeout.
+FOREVER_NS = 3_600_000_000_000
+LOOPBACK = "tcp://127.0.0.1:*"
+
+pytestmark = pytest.mark.timeout(30)
+
+
+def endpoint(socket: Socket) -> str:
+    return str(socket.getsockopt_string(zmq.LAST_ENDPOINT))
+
+
+def pair(context: Context, address: str = "inproc://pair") -> tuple[Socket, Socket]:
+    bound = sockets.bind(context, zmq.PAIR, address)
+    return bound, sockets.connect(context, zmq.PAIR, endpoint(bound))
+
+
+def assert_delivers(one: Socket, other: Socket) -> None:
+    while not sockets.send(one, b"x"):
+        sockets.wait_readable([one], 1_000_000)
+    sockets.wait_readable([other], FOREVER_NS)
+    assert list(sockets.receive_all(other)) == [[b"x"]]
+
+
+def meet(publisher: Socket, subscriber: Socket) -> None:
+    """Publish until the subscriber hears it, and let it hear all of that."""
+    while not list(sockets.receive_all(subscriber)):
+        sockets.send(publisher, b"hello?")
+        sockets.wait_readable([subscriber], 1_000_000)
+    sockets.send(publisher, b"hello!")
+    while True:
+        sockets.wait_readable([subscriber], FOREVER_NS)
+        if [b"hello!"] in sockets.receive_all(subscriber):
+            return
+
+
+def test_a_message_keeps_its_parts(context: Context) -> None:
+    one, other = pair(context)
+    assert sockets.send(one, b"first", b"", b"third")
+    assert sockets.send(one, b"alone")
+    assert list(sockets.receive_all(other)) == [[b"first", b"", b"third"], [b"alone"]]
+
+
+def test_nothing_waits_where_nothing_was_sent(context: Context) -> None:
+    one, other = pair(context)
+    assert list(sockets.receive_all(one)) == list(sockets.receive_all(other)) == []
+
+
+def test_one_call_takes_a_bounded_number_of_messages(context: Context) -> None:
+    one, other = pair(context)
+    numbers = [b"%d" % i for i in range(2 * MAX_MESSAGES + 5)]
+    assert all(sockets.send(one, number) for number in numbers)
+    calls = [[data for (data,) in sockets.receive_all(other)] for _ in range(4)]
+    assert [len(call) for call in calls] == [MAX_MESSAGES, MAX_MESSAGES, 5, 0]
+    assert [*itertools.chain(*calls)] == numbers
+
+
+@pytest.mark.parametrize("address", ["inproc://pair", LOOPBACK])
+def test_many_messages_all_come_in_their_order(context: Context, address: str) -> None:
+    one, other = pair(context, address)
+    sent, count = 0, 5_000
+    received: list[int] = []
+    while len(received) < count:
+        while sent < count and sockets.send(one, b"%d" % sent):
+            sent += 1
+        sockets.wait_readable([other], 1_000_000 if sent < count else FOREVER_NS)
+        received += [int(data) for (data,) in sockets.receive_all(other)]
+    assert received == list(range(count))
+
+
+def test_what_is_published_reaches_every_subscriber(context: Context) -> None:
+    publisher = sockets.bind(context, zmq.PUB, LOOPBACK)
+    subscribers = [sockets.connect(context, zmq.SUB, endpoint(publisher)) for _ in range(3)]
+    for subscriber in subscribers:
+        subscriber.subscribe(b"")
+        meet(publisher, subscriber)
+    for number in range(500):
+        sockets.send(publisher, b"%d" % number)
+    for subscriber in subscribers:
+        received: list[bytes] = []
+        while b"499" not in received:
+            sockets.wait_readable([subscriber], FOREVER_NS)
+            received += [data for (data,) in sockets.receive_all(subscriber)]
+        # Those who met the publisher first heard the others meet it.
+        assert [data for data in received if data.isdigit()] == [b"%d" % i for i in range(500)]
+
+
+def test_waiting_sees_a_message_on_any_socket(context: Context) -> None:
+    pairs = [pair(context, f"inproc://{name}") for name in "abc"]
+    readable = [other for _, other in pairs]
+    for one, other in pairs:
+        sockets.send(one, b"x")
+        sockets.wait_readable(readable, FOREVER_NS)
+        assert list(sockets.receive_all(other)) == [[b"x"]]
+
+
+def test_waiting_sees_what_a_bounded_read_has_left(context: Context) -> None:
+    one, other = pair(context)
+    for _ in range(MAX_MESSAGES + 1):
+        sockets.send(one, b"x")
+    assert len(list(sockets.receive_all(other))) == MAX_MESSAGES
+    sockets.wait_readable([other], FOREVER_NS)
+    assert len(list(sockets.receive_all(other))) == 1
+
+
+def test_waiting_sees_what_came_before_something_was_sent(context: Context) -> None:
+    one, other = pair(context)
+    sockets.send(other, b"open")
+    assert list(sockets.receive_all(one)) == [[b"open"]]
+    sockets.send(one, b"x")
+    # Sending handles what has come too: the descriptor shows nothing new after it.
+    sockets.send(other, b"y")
+    sockets.wait_readable([other], FOREVER_NS)
+    assert list(sockets.receive_all(other)) == [[b"x"]]
+
+
+@pytest.mark.parametrize("timeout_ns", [-1_000_000_000, 0, 1, 100_000])
+def test_waiting_ends_without_a_message_too(context: Context, timeout_ns: int) -> None:
+    sockets.wait_readable(pair(context), timeout_ns)
+    sockets.wait_readable([], timeout_ns)
+
+
+def test_sending_to_nobody_queues_to_the_high_water_mark_and_then_says_so(
+    context: Context,
+) -> None:
+    with plain.socket() as deaf:
+        deaf.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{deaf.getsockname()[1]}"
+        lonely = sockets.connect(context, zmq.DEALER, address)
+        sent = [sockets.send(lonely, b"x") for _ in range(sockets.HIGH_WATER_FRAMES + 10)]
+        assert sent == [True] * sockets.HIGH_WATER_FRAMES + [False] * 10
+
+
+def test_what_a_peer_said_last_is_heard_after_it_has_gone(context: Context) -> None:
+    dying: Context = zmq.Context()
+    try:
+        router = sockets.bind(dying, zmq.ROUTER, "tcp://127.0.0.1:*")
+        address = router.getsockopt_string(zmq.LAST_ENDPOINT)
+        listener = sockets.connect(context, zmq.DEALER, address)
+        sockets.send(listener, b"hello")
+        assert router.poll(10_000)
+        sender, _ = router.recv_multipart()
+        sockets.send(router, sender, b"bye")
+    finally:
+        dying.destroy(linger=1000)
+    # Nothing was read before the connection was gone.
+    monitored = listener.get_monitor_socket(zmq.EVENT_CONNECT_RETRIED)
+    assert monitored.poll(10_000)
+    assert list(sockets.receive_all(listener)) == [[b"bye"]]
+
+
+def test_a_stream_on_a_file_has_both_its_addresses(context: Context, tmp_path: Path) -> None:
+    address = f"ipc://{tmp_path}/pulse"
+    for place in (address, sockets.control_address(address)):
+        assert_delivers(*pair(context, place))
+
+
+def test_ipv6(context: Context) -> None:
+    try:
+        with plain.socket(plain.AF_INET6) as probe:
+            probe.bind(("::1", 0))
+    except OSError:
+        pytest.skip("this machine has no IPv6")
+    assert_delivers(*pair(context, "tcp://[::1]:*"))
+
+
+def test_a_peer_that_breaks_the_limit_is_heard_again_after_connecting_once_more(
+    context: Context,
+) -> None:
+    publisher = sockets.bind(context, zmq.PUB, LOOPBACK)
+    subscriber = sockets.connect(context, zmq.SUB, endpoint(publisher))
+    subscriber.subscribe(b"")
+    meet(publisher, subscriber)
+    largest = bytes(4 * MAX_FRAME_BYTES)
+    sockets.send(publisher, largest)
+    sockets.wait_readable([subscriber], FOREVER_NS)
+    assert list(sockets.receive_all(subscriber)) == [[largest]]
+    sockets.send(publisher, largest + b"\0")
+    sockets.reconnect(subscriber, endpoint(publisher))
+    meet(publisher, subscriber)
+
+
+def test_connecting_once_more_to_what_was_never_connected(context: Context) -> None:
+    publisher = sockets.bind(context, zmq.PUB, LOOPBACK)
+    other = sockets.bind(context, zmq.PUB, LOOPBACK)
+    subscriber = sockets.connect(context, zmq.SUB, endpoint(other))
+    subscriber.subscribe(b"")
+    sockets.reconnect(subscriber, endpoint(publisher))
+    meet(publisher, subscriber)

@@ -1,0 +1,194 @@
+import io
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from protocol.errors import OutputError
+from protocol.summary import (
+    Clock,
+    Errors,
+    Frames,
+    Loop,
+    OneWayDelay,
+    PlayoutDelay,
+    Samples,
+    Summary,
+    TickTime,
+    check_writable,
+    print_summary,
+    write_json,
+)
+
+FULL = Summary(
+    samples=Samples(sent=1000, played=950, late=30, lost=20, before_joining=7),
+    frames=Frames(received=196, reordered=3),
+    one_way_delay_ms=OneWayDelay(p50=20.12, p99=35.5, max=41.0),
+    playout_delay_ms=PlayoutDelay(mean=42.0, p99=45.0),
+    covered_delay_ms=44.5,
+    clock=Clock(offset_ms=-12.3456, skew_ppm=50.25, uncertainty_ms=0.125),
+    force_rmse_n=Errors(aligned=0.00025, in_phase=0.0301),
+    strain_rmse=Errors(aligned=9.4249e-9, in_phase=5.7802e-8),
+    within_jnd=0.875,
+    loop=Loop(ticks=5000, deadline_misses=2, tick_us=TickTime(p50=85.0, p99=140.0)),
+    speed=312.0,
+    rejected={"truncated": 2, "duplicate": 400},
+    faults=["silence", "force limit"],
+)
+KEYS = {
+    "samples": {"sent", "played", "late", "lost", "before_joining"},
+    "frames": {"received", "reordered"},
+    "one_way_delay_ms": {"p50", "p99", "max"},
+    "playout_delay_ms": {"mean", "p99"},
+    "covered_delay_ms": None,
+    "clock": {"offset_ms", "skew_ppm", "uncertainty_ms"},
+    "force_rmse_n": {"aligned", "in_phase"},
+    "strain_rmse": {"aligned", "in_phase"},
+    "within_jnd": None,
+    "loop": {"ticks", "deadline_misses", "tick_us"},
+    "speed": None,
+    "rejected": set(),
+    "faults": None,
+}
+
+
+def printed(summary: Summary, title: str = "display-node") -> str:
+    out = io.StringIO()
+    print_summary(summary, title, Console(file=out, width=200))
+    return out.getvalue()
+
+
+def rows(text: str) -> dict[str, str]:
+    """The printed rows by their names, which end where two spaces are."""
+    parts = (line.partition("  ") for line in text.splitlines()[1:])
+    return {name: value.strip() for name, _, value in parts}
+
+
+@pytest.mark.parametrize("summary", [Summary(), FULL], ids=["empty", "full"])
+def test_the_keys_are_the_same_everywhere(summary: Summary) -> None:
+    table = summary.to_dict()
+    assert set(table) == set(KEYS)
+    if summary is FULL:
+        assert set(table.pop("rejected")) == {"truncated", "duplicate"}
+    for key, value in table.items():
+        assert (set(value) if isinstance(value, dict) else None) == KEYS[key]
+    assert set(table["loop"]["tick_us"]) == {"p50", "p99"}
+
+
+def leaves(value: Any) -> list[Any]:
+    if isinstance(value, dict):
+        return [leaf for inner in value.values() for leaf in leaves(inner)]
+    return [value]
+
+
+def test_what_does_not_apply_is_null() -> None:
+    table = Summary().to_dict()
+    assert table.pop("rejected") == {}
+    assert table.pop("faults") == []
+    assert set(leaves(table)) == {None}
+
+
+def test_what_is_known_is_there() -> None:
+    table = FULL.to_dict()
+    assert table["samples"] == {
+        "sent": 1000,
+        "played": 950,
+        "late": 30,
+        "lost": 20,
+        "before_joining": 7,
+    }
+    assert table["loop"]["tick_us"] == {"p50": 85.0, "p99": 140.0}
+    assert table["rejected"] == {"truncated": 2, "duplicate": 400}
+    assert table["faults"] == ["silence", "force limit"]
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_what_is_no_number_is_null(value: float) -> None:
+    summary = Summary(
+        covered_delay_ms=value,
+        force_rmse_n=Errors(aligned=value),
+        loop=Loop(tick_us=TickTime(p50=value)),
+    )
+    table = summary.to_dict()
+    assert table["covered_delay_ms"] is None
+    assert table["force_rmse_n"]["aligned"] is None
+    assert table["loop"]["tick_us"]["p50"] is None
+
+
+@pytest.mark.parametrize(
+    "summary", [Summary(), FULL, Summary(speed=math.nan), Summary(faults=["zu spät"])]
+)
+def test_the_file_holds_the_summary(summary: Summary, tmp_path: Path) -> None:
+    path = tmp_path / "summary.json"
+    write_json(summary, path)
+
+    def refuse(word: str) -> float:
+        raise AssertionError(f"{word} is not JSON")
+
+    text = path.read_text(encoding="utf-8")
+    assert json.loads(text, parse_constant=refuse) == summary.to_dict()
+    assert text.endswith("}\n")
+
+
+def test_a_file_that_cannot_be_written_is_told_before_and_after(tmp_path: Path) -> None:
+    for path in (tmp_path / "no such folder" / "out.json", tmp_path):
+        with pytest.raises(OutputError) as before:
+            check_writable(path)
+        with pytest.raises(OutputError) as after:
+            write_json(FULL, path)
+        for caught in (before, after):
+            assert str(caught.value).startswith(f"{path}: cannot be written: ")
+            assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_can_be_written_is_let_be(tmp_path: Path) -> None:
+    check_writable(tmp_path / "out.json")
+    check_writable(None)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_people_read_the_same() -> None:
+    assert rows(printed(FULL)) == {
+        "samples": "1000 sent = 950 played + 30 late + 20 lost",
+        "before joining": "7 samples sent before a display listened",
+        "frames": "196 received, 3 out of order",
+        "one-way delay": "p50 20.1 ms, p99 35.5 ms, max 41.0 ms",
+        "playout delay": "mean 42.0 ms, p99 45.0 ms",
+        "covered delay": "44.5 ms from the wrist to the force at the finger",
+        "clock": "offset -12.346 ± 0.125 ms, skew 50.2 ppm",
+        "force RMSE": "aligned 0.250 mN, in phase 30.100 mN",
+        "strain RMSE": "aligned 9.425e-09, in phase 5.780e-08",
+        "within JND": "87.5 % of the time",
+        "loop": "5000 ticks, 2 deadline misses",
+        "tick": "p50 85 µs, p99 140 µs",
+        "speed": "312 times real time",
+        "rejected": "400 duplicate, 2 truncated",
+        "faults": "silence; force limit",
+    }
+    assert printed(FULL).splitlines()[0].strip() == "display-node"
+
+
+def test_a_row_without_a_value_is_left_out() -> None:
+    assert rows(printed(Summary())) == {"rejected": "nothing", "faults": "none"}
+    partly = Summary(
+        samples=Samples(sent=5),
+        speed=math.nan,
+        within_jnd=1.0,
+        force_rmse_n=Errors(aligned=0.001),
+        strain_rmse=Errors(in_phase=math.nan),
+    )
+    shown = rows(printed(partly))
+    assert set(shown) == {"samples", "within JND", "rejected", "faults"}
+    assert shown["samples"] == "5 sent"
+
+
+@pytest.mark.parametrize("fault", ["2–3 mm off", "no [actuator]", "[/red] is no end", "[bold]"])
+def test_a_fault_is_printed_as_it_is(fault: str) -> None:
+    assert rows(printed(Summary(faults=[fault])))["faults"] == fault
+
+
+def test_a_title_is_printed_as_it_is() -> None:
+    assert "[sensing] of [/x]" in printed(FULL, "[sensing] of [/x]")
