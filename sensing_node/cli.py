@@ -4,13 +4,21 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
-from protocol.commands import one_line_errors, warn_if_open
+from protocol.commands import (
+    InsecureOption,
+    JsonOption,
+    QuietOption,
+    StopAfterOption,
+    one_line_errors,
+    plain_console,
+    sum_up,
+    warn_if_open,
+)
 from protocol.scene import load_section
 from protocol.signals import stop_on_signals
 from protocol.sockets import control_address
-from protocol.summary import print_summary, write_json
+from protocol.summary import check_writable
 from sensing_node.node import SensingNode
 from sensing_node.scene import SensingScene, build_source, describe_stream
 
@@ -28,16 +36,10 @@ def sense(
             " for this machine alone, or ipc://PATH. Control uses the next port."
         ),
     ] = "tcp://127.0.0.1:5555",
-    seconds: Annotated[
-        float | None, typer.Option(min=0.1, help="Stop after this long; else run until Ctrl-C.")
-    ] = None,
-    json: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the closing summary here as JSON.")
-    ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
-    insecure: Annotated[
-        bool, typer.Option("--insecure", help="Do not warn of an unprotected link.")
-    ] = False,
+    seconds: StopAfterOption = None,
+    json: JsonOption = None,
+    quiet: QuietOption = False,
+    insecure: InsecureOption = False,
 ) -> None:
     """Stream the pulse of a source to every display that asks for it.
 
@@ -59,8 +61,9 @@ def sense(
     Exit status: 0 at the end of the stream, 2 when the scene, the recording or the address
     cannot be used; the reason is one line on stderr.
     """
-    console = Console(quiet=quiet)
+    console = plain_console(quiet)
     with one_line_errors(PROGRAM):
+        check_writable(json)
         section = load_section(scene, "sensing", SensingScene)
         source = build_source(section, scene.parent)
         description = describe_stream(section, source)
@@ -72,9 +75,7 @@ def sense(
         f" {description.batch} on {bind} (control {control_address(bind)})"
     )
     summary = node.run(seconds)
-    print_summary(summary, "sensing node", console)
-    if json is not None:
-        write_json(summary, json)
+    sum_up(PROGRAM, summary, "sensing node", console, json)
 
 
 def main() -> None:

@@ -17,6 +17,8 @@ from protocol.stream import StreamDescription
 
 FORGET_AFTER_NS = 5_000_000_000
 MAX_GUESTS = 1_000
+# Each relay on the way adds an address to the envelope.
+MAX_HOPS = 4
 
 Sender = tuple[bytes, ...]
 """The envelope a control message came in; a reply goes back in the same."""
@@ -29,6 +31,11 @@ class Guest:
     name: str
     seen_ns: int
     report: Report | None = None
+
+    @property
+    def shown_name(self) -> str:
+        """The name in letters that every terminal has: a peer chose it."""
+        return ascii(self.name)[1:-1] or "a display"
 
 
 class Desk:
@@ -43,29 +50,45 @@ class Desk:
     def answer(self, sender: Sender, data: bytes, now_ns: int, samples_sent: int) -> Control | None:
         """The reply to a message of `sender`, if one is due; what is invalid is counted."""
         try:
+            if not 1 <= len(sender) <= MAX_HOPS:
+                raise WireError("malformed", f"an envelope holds 1 to {MAX_HOPS} addresses")
             message = decode_control(data)
+            guest = self._guest(sender, message, now_ns)
         except WireError as error:
             self.rejected[error.cause] += 1
             return None
-        guest = self.guests.get(sender)
-        if guest is not None:
-            guest.seen_ns = now_ns
         match message:
-            case Hello(display=name):
-                if guest is None and len(self.guests) >= MAX_GUESTS:
-                    self.rejected["too_many_displays"] += 1
-                    return None
-                self.guests[sender] = guest or Guest(name, now_ns)
+            case Hello():
                 return Welcome(self._session, samples_sent, self._description)
             case ClockRequest(t1_ns=t1_ns):
                 return ClockReply(self._session, t1_ns, now_ns, now_ns)
             case Report() if message.session != self._session:
                 self.rejected["session"] += 1
-            case Report() if guest is not None:
+            case Report():
                 guest.report = message
-            case _:
-                self.rejected["unexpected"] += 1
         return None
+
+    def _guest(self, sender: Sender, message: Control, now_ns: int) -> Guest:
+        """The display that sent a message. Raises WireError.
+
+        A display that was forgotten, or whose connection was made anew, goes on without
+        another hello and still must be told where the stream ends.
+        """
+        match message:
+            case Hello(display=name) | Report(display=name):
+                pass
+            case ClockRequest():
+                name = ""
+            case _:
+                raise WireError("unexpected", "a message that only sensing nodes send")
+        guest = self.guests.get(sender)
+        if guest is None:
+            if len(self.guests) >= MAX_GUESTS:
+                raise WireError("too_many_displays", f"there are {MAX_GUESTS} already")
+            guest = self.guests[sender] = Guest(name, now_ns)
+        guest.name = name or guest.name
+        guest.seen_ns = now_ns
+        return guest
 
     def forget_silent(self, now_ns: int) -> list[Guest]:
         """Drop displays not heard of for `FORGET_AFTER_NS`; returns them."""

@@ -11,11 +11,14 @@ from protocol.messages import Bye, encode_control, encode_frame
 from protocol.stream import StreamDescription
 from protocol.summary import Samples as SampleCounts
 from protocol.summary import Summary
-from sensing_node.desk import Desk
+from sensing_node.desk import Desk, Sender
 from sensing_node.framing import Framer
 from sensing_node.sources import Paced, Samples
 
 SILENCE_CHECK_NS = 1_000_000_000
+# Python goes on waiting after a signal: however long a batch is, Ctrl-C is heeded this soon.
+MAX_WAIT_NS = 50_000_000
+FOREVER_NS = 1 << 62
 # Room for the source's first samples to be ready before they are due.
 START_NS = 20_000_000
 
@@ -47,18 +50,16 @@ class SensingNode:
         self._stopping = True
 
     def run(self, seconds: float | None = None) -> Summary:
-        """Stream until stopped, `seconds` are over or the source has ended."""
+        """Stream until stopped, the source has ended, or the samples of `seconds` are sent."""
         start_ns = time.monotonic_ns() + START_NS
         paced = Paced(self._samples, start_ns)
-        end_ns = None if seconds is None else start_ns + round(seconds * 1e9)
+        last_ns = start_ns + (FOREVER_NS if seconds is None else round(seconds * 1e9)) - 1
         next_check_ns = start_ns
         try:
-            while not self._stopping and not paced.exhausted:
-                due_ns = paced.due_ns(self._description.batch)
-                if end_ns is not None and due_ns >= end_ns:
-                    break
+            while not self._stopping and not paced.exhausted and paced.due_ns(1) <= last_ns:
+                due_ns = min(paced.due_ns(self._description.batch), last_ns)
                 self._serve_until(due_ns)
-                block = paced.read(time.monotonic_ns())
+                block = paced.read(min(time.monotonic_ns(), last_ns))
                 for frame in self._framer.frames(block) if block is not None else ():
                     sockets.send(self._data, encode_frame(frame))
                 if due_ns >= next_check_ns:
@@ -73,24 +74,23 @@ class SensingNode:
         """Answer displays until the next batch is due."""
         while not self._stopping:
             for *envelope, data in sockets.receive_all(self._control):
-                self._answer(envelope, data)
+                self._answer(tuple(envelope), data)
             wait_ns = due_ns - time.monotonic_ns()
             if wait_ns <= 0:
                 return
-            sockets.wait_readable([self._control], wait_ns)
+            sockets.wait_readable([self._control], min(wait_ns, MAX_WAIT_NS))
 
-    def _answer(self, envelope: list[bytes], data: bytes) -> None:
+    def _answer(self, sender: Sender, data: bytes) -> None:
         known = len(self._desk.guests)
-        sender = tuple(envelope)
         reply = self._desk.answer(sender, data, time.monotonic_ns(), self._framer.samples_sent)
         if reply is not None:
-            sockets.send(self._control, *envelope, encode_control(reply))
+            sockets.send(self._control, *sender, encode_control(reply))
         if len(self._desk.guests) > known:
-            self._log(f"{self._desk.guests[sender].name} joined")
+            self._log(f"{self._desk.guests[sender].shown_name} joined")
 
     def _forget_silent(self) -> None:
         for guest in self._desk.forget_silent(time.monotonic_ns()):
-            self._log(f"{guest.name} is silent, forgotten")
+            self._log(f"{guest.shown_name} is silent, forgotten")
 
     def _say_bye(self) -> None:
         """Tell every display where the stream ended, so that it can account for the tail."""
@@ -103,7 +103,7 @@ class SensingNode:
             if guest.report is not None:
                 report = guest.report
                 self._log(
-                    f"{guest.name} last reported {report.played} played, {report.late} late,"
+                    f"{guest.shown_name} last reported {report.played} played, {report.late} late,"
                     f" {report.lost} lost, playout delay {report.playout_delay_ms:.1f} ms"
                 )
         return Summary(

@@ -2,7 +2,7 @@
 
 import csv
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,8 @@ from protocol.tactile import Film
 
 NEWTONS_PER_UNIT = {"N": 1.0, "mN": 1e-3}
 VOLTS_PER_UNIT = {"V": 1.0, "mV": 1e-3}
+# No unit of a recording takes a value of this size beyond what float32 holds.
+LARGEST = 1e30
 
 
 class RecordingScene(Section):
@@ -80,62 +82,83 @@ def _in_newtons(
 
 
 def _load(path: Path, column: int | str) -> NDArray[np.float64]:
-    """One column of a file as finite float64. Raises SourceError."""
+    """One column of a file as usable float64. Raises SourceError."""
     try:
         match path.suffix.lower():
             case ".csv" | ".txt":
                 values = _load_csv(path, column)
-            case ".npy":
-                values = _column_of(np.load(path, allow_pickle=False), column, path)
-            case ".npz":
-                values = _load_npz(path, column)
+            case ".npy" | ".npz":
+                values = _load_numpy(path, column)
             case suffix:
                 raise SourceError(f"{path}: {suffix or 'no suffix'} is not .csv, .npy or .npz")
-    except FileNotFoundError:
-        raise SourceError(f"{path}: no such recording") from None
     except SourceError:
         raise
-    except (OSError, ValueError, EOFError) as error:
-        raise SourceError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
+    except FileNotFoundError:
+        raise SourceError(f"{path}: no such recording") from None
+    except Exception as error:  # damaged, it raises whatever NumPy, zipfile or csv stumble over
+        lines = str(getattr(error, "strerror", None) or error).splitlines()
+        reason = lines[0] if lines else type(error).__name__
+        raise SourceError(f"{path}: cannot be read: {reason}") from None
     if len(values) < 2:
-        raise SourceError(f"{path}: holds {len(values)} samples; a recording has at least 2")
-    bad = np.flatnonzero(~np.isfinite(values))
+        raise SourceError(f"{path}: number of samples is {len(values)}; it must be 2 or more")
+    bad = np.flatnonzero(~(np.abs(values) <= LARGEST))
     if len(bad):
         raise SourceError(
-            f"{path}: {len(bad)} values are NaN or infinite, the first is sample {bad[0]}"
+            f"{path}: {len(bad)} values are NaN or beyond {LARGEST:g}, the first is sample {bad[0]}"
         )
     return values
 
 
 def _load_csv(path: Path, column: int | str) -> NDArray[np.float64]:
-    with path.open(newline="", encoding="utf-8") as file:
-        head = next(csv.reader(file), [])
-    names = [name.strip() for name in head]
-    has_header = not all(_is_number(name) for name in names)
-    if isinstance(column, str) and column not in names:
-        raise SourceError(f"{path}: no column {column!r}; it has {', '.join(names)[:200]}")
-    position = names.index(column) if isinstance(column, str) else column
-    if position >= len(names):
-        raise SourceError(f"{path}: no column {column}; it has {len(names)}")
-    return np.loadtxt(
-        path, delimiter=",", skiprows=int(has_header), usecols=position, ndmin=1, encoding="utf-8"
-    )
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        rows = csv.reader(file)
+        names = [name.strip() for name in next(rows, [])]
+        if not names:
+            raise SourceError(f"{path}: is empty, or its first line is")
+        if isinstance(column, str) and column not in names:
+            raise SourceError(f"{path}: no column {column!r}; it has {', '.join(names)[:200]}")
+        position = names.index(column) if isinstance(column, str) else column
+        if position >= len(names):
+            raise SourceError(f"{path}: no column {column}; it has {len(names)}")
+        has_header = isinstance(column, str) or not _is_number(names[position])
+        values = [] if has_header else [float(names[position])]
+        for row in rows:
+            if row:
+                values.append(_number(row, position, f"{path}: line {rows.line_num}"))
+    return np.array(values, dtype=np.float64)
 
 
-def _load_npz(path: Path, column: int | str) -> NDArray[np.float64]:
-    with np.load(path, allow_pickle=False) as arrays:
-        names = list(arrays)
-        if isinstance(column, int) and column < len(names):
-            column = names[column]
-        if column not in names:
-            raise SourceError(f"{path}: no array {column!r}; it has {', '.join(names)[:200]}")
-        return _column_of(arrays[str(column)], 0, path)
+def _number(row: list[str], position: int, where: str) -> float:
+    """A row's number; `where` opens the error's line. Raises SourceError."""
+    if position >= len(row):
+        raise SourceError(f"{where}: no column {position}; it has {len(row)}")
+    if not _is_number(row[position]):
+        raise SourceError(f"{where}: {row[position][:40]!r} is not a number")
+    return float(row[position])
 
 
-def _column_of(array: NDArray[np.float64], column: int | str, path: Path) -> NDArray[np.float64]:
+def _load_numpy(path: Path, column: int | str) -> NDArray[np.float64]:
+    """A column of an .npy, or one of an .npz's arrays; what it is its bytes tell."""
+    with path.open("rb") as file:
+        loaded = np.load(file, allow_pickle=False)
+        if isinstance(loaded, np.ndarray):
+            return _column_of(loaded, column, path)
+        with loaded:
+            names = list(loaded)
+            if isinstance(column, int) and column < len(names):
+                column = names[column]
+            if column not in names:
+                raise SourceError(f"{path}: no array {column!r}; it has {', '.join(names)[:200]}")
+            return _column_of(np.asarray(loaded[str(column)]), 0, path)
+
+
+def _column_of(array: NDArray[Any], column: int | str, path: Path) -> NDArray[np.float64]:
     if array.ndim not in (1, 2) or array.dtype.kind not in "iuf":
-        raise SourceError(f"{path}: needs numbers in one or two dimensions, has {array.dtype}")
-    table = array.reshape(len(array), -1)
+        raise SourceError(
+            f"{path}: needs real numbers in one or two dimensions,"
+            f" has {array.dtype} in {array.ndim}"
+        )
+    table = array[:, np.newaxis] if array.ndim == 1 else array
     if not isinstance(column, int) or column >= table.shape[1]:
         raise SourceError(f"{path}: no column {column!r}; it has {table.shape[1]}")
     return np.ascontiguousarray(table[:, column], dtype=np.float64)

@@ -35,6 +35,8 @@ PRESETS: dict[str, tuple[Wave, ...]] = {
 # A wave is drawn this many widths to either side; beyond, it is below 1e-9 of its amplitude.
 REACH = 6.5
 SLOW_RHYTHM_HZ = 0.1
+# Share of the beat interval's variance that the two slow rhythms have; the rest is chance.
+RHYTHMIC = 0.8
 ECTOPIC_EARLY, ECTOPIC_PAUSE, ECTOPIC_AMPLITUDE = 0.6, 1.4, 0.6
 
 
@@ -84,9 +86,12 @@ class Synthetic:
 
     def take(self, count: int) -> NDArray[np.float64]:
         """The next `count` samples in N, shape (count, 1)."""
-        while len(self._ready) < count:
-            self._ready = np.concatenate([self._ready, self._next_beat()])
-        taken, self._ready = self._ready[:count], self._ready[count:]
+        parts, missing = [self._ready], count - len(self._ready)
+        while missing > 0:
+            parts.append(self._next_beat())
+            missing -= len(parts[-1])
+        ready = parts[0] if len(parts) == 1 else np.concatenate(parts)
+        taken, self._ready = ready[:count], ready[count:]
         return taken[:, np.newaxis]
 
     def _normalisation(self) -> tuple[float, float, float]:
@@ -105,17 +110,18 @@ class Synthetic:
 
     def _interval_s(self, onset_s: float) -> float:
         """The beat interval at a time: slow rhythm, respiratory rhythm and chance."""
-        scene = self._scene
-        interval_s = 1 / scene.heart_rate_hz
-        if scene.heart_rate_variability == 0:
-            return interval_s
+        scene, variability = self._scene, self._scene.heart_rate_variability
+        if variability == 0:
+            return 1 / scene.heart_rate_hz
         phase = self._rhythm_phase_rad
         unit = (
-            math.sin(2 * math.pi * SLOW_RHYTHM_HZ * onset_s + phase) * math.sqrt(0.8)
-            + math.sin(2 * math.pi * scene.respiration_rate_hz * onset_s) * math.sqrt(0.8)
-            + self._rng.standard_normal() * math.sqrt(0.2)
+            math.sin(2 * math.pi * SLOW_RHYTHM_HZ * onset_s + phase) * math.sqrt(RHYTHMIC)
+            + math.sin(2 * math.pi * scene.respiration_rate_hz * onset_s) * math.sqrt(RHYTHMIC)
+            + self._rng.standard_normal() * math.sqrt(1 - RHYTHMIC)
         )
-        return interval_s * max(0.4, 1 + scene.heart_rate_variability * unit)
+        # More beats fall where the rhythms make them short: longer ones keep the mean rate.
+        mean_s = (1 + RHYTHMIC * variability**2) / scene.heart_rate_hz
+        return mean_s * max(0.4, 1 + variability * unit)
 
     def _next_beat(self) -> NDArray[np.float64]:
         """Draw one beat and return the samples that no later beat can change."""
@@ -127,7 +133,8 @@ class Synthetic:
                 interval_s * ECTOPIC_PAUSE,
                 False,
             )
-        elif scene.ectopic and self._rng.random() < scene.ectopic:
+        elif scene.ectopic and self._rng.random() < scene.ectopic / (1 - scene.ectopic):
+            # Drawn for the beats that are not premature themselves, hence the odds.
             interval_s, self._early = interval_s * ECTOPIC_EARLY, True
         # Systole shortens less than the interval: times go with its square root.
         stretch = math.sqrt(min(interval_s, 1 / scene.heart_rate_hz) / NOMINAL_BEAT_S)

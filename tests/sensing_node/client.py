@@ -1,0 +1,57 @@
+"""A display's side of the wire, for tests of the real node."""
+
+import zmq
+
+from protocol.messages import (
+    Bye,
+    Control,
+    Frame,
+    Hello,
+    Welcome,
+    decode_control,
+    decode_frame,
+    encode_control,
+)
+from protocol.sockets import control_address
+
+PATIENCE_MS = 20_000
+
+
+class Client:
+    """A raw ZeroMQ peer of a sensing node."""
+
+    def __init__(self, address: str) -> None:
+        self._context = zmq.Context()
+        self.data = self._connected(zmq.SUB, address)
+        self.data.subscribe(b"")
+        self.control = self._connected(zmq.DEALER, control_address(address))
+
+    def _connected(self, kind: int, address: str) -> zmq.Socket[bytes]:
+        connected = self._context.socket(kind)
+        connected.setsockopt(zmq.RCVTIMEO, PATIENCE_MS)
+        connected.connect(address)
+        return connected
+
+    def ask(self, message: Control) -> Control:
+        self.control.send(encode_control(message))
+        return decode_control(self.control.recv())
+
+    def join(self, name: str = "raw") -> Welcome:
+        welcome = self.ask(Hello(name))
+        assert isinstance(welcome, Welcome)
+        return welcome
+
+    def frames_until(self, samples_sent: int) -> list[Frame]:
+        """Every frame that comes, to the one with the stream's last sample."""
+        frames = [decode_frame(self.data.recv())]
+        while frames[-1].first_sample + len(frames[-1].values) < samples_sent:
+            frames.append(decode_frame(self.data.recv()))
+        return frames
+
+    def bye(self) -> Bye:
+        bye = decode_control(self.control.recv())
+        assert isinstance(bye, Bye)
+        return bye
+
+    def close(self) -> None:
+        self._context.destroy(linger=0)

@@ -1,0 +1,23 @@
+"""What several tests of the sensing node stand on."""
+
+from protocol.stream import Channel, StreamDescription
+from protocol.tactile import ElasticLayer
+from sensing_node.sources.synthetic import Synthetic, SyntheticScene
+
+MS = 1_000_000
+
+
+def description(**changes: object) -> StreamDescription:
+    fields: dict[str, object] = {
+        "name": "test pulse",
+        "period_ns": MS,
+        "batch": 5,
+        "channels": (Channel("pulse"),),
+        "layer": ElasticLayer(),
+    }
+    return StreamDescription(**(fields | changes))  # type: ignore[arg-type]
+
+
+def synthetic(**keys: object) -> Synthetic:
+    """A synthetic source from the keys of a scene's table."""
+    return Synthetic(SyntheticScene.model_validate({"kind": "synthetic"} | keys))
