@@ -6,14 +6,22 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from display_node.node import DisplayNode
 from display_node.scene import DisplayScene
-from protocol.commands import one_line_errors, warn_if_open
+from protocol.commands import (
+    InsecureOption,
+    JsonOption,
+    QuietOption,
+    StopAfterOption,
+    one_line_errors,
+    plain_console,
+    sum_up,
+    warn_if_open,
+)
 from protocol.scene import load_section
 from protocol.signals import stop_on_signals
-from protocol.summary import print_summary, write_json
+from protocol.summary import check_writable
 
 PROGRAM = "display-node"
 SCREEN_ENDS_WITHIN_S = 5
@@ -30,15 +38,11 @@ def display(
             " there yet."
         ),
     ] = "tcp://127.0.0.1:5555",
-    seconds: Annotated[
-        float | None, typer.Option(min=0.1, help="Stop after this long; else run until Ctrl-C.")
-    ] = None,
+    seconds: StopAfterOption = None,
     once: Annotated[
         bool, typer.Option("--once", help="Stop when the stream has ended and was played.")
     ] = False,
-    json: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the closing summary here as JSON.")
-    ] = None,
+    json: JsonOption = None,
     telemetry: Annotated[
         str, typer.Option(help="Address to publish telemetry on; * picks a free port.")
     ] = "tcp://127.0.0.1:*",
@@ -46,10 +50,8 @@ def display(
         bool,
         typer.Option(help="Show the live state: a panel in a terminal, a line a second elsewhere."),
     ] = True,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
-    insecure: Annotated[
-        bool, typer.Option("--insecure", help="Do not warn of an unprotected link.")
-    ] = False,
+    quiet: QuietOption = False,
+    insecure: InsecureOption = False,
 ) -> None:
     """Feel a remote pulse: play a sensing node's stream on the local actuator.
 
@@ -68,8 +70,9 @@ def display(
     Exit status: 0 when stopped or at the stream's end (`--once`), 2 when the scene or an
     address cannot be used; the reason is one line on stderr.
     """
-    console = Console(quiet=quiet)
+    console = plain_console(quiet)
     with one_line_errors(PROGRAM):
+        check_writable(json)
         section = load_section(scene, "display", DisplayScene)
         node = DisplayNode(section, connect, telemetry)
         warn_if_open(PROGRAM, connect, insecure)
@@ -86,9 +89,7 @@ def display(
             watcher.wait(SCREEN_ENDS_WITHIN_S)
         except subprocess.TimeoutExpired:
             watcher.kill()
-    print_summary(summary, "display node", console)
-    if json is not None:
-        write_json(summary, json)
+    sum_up(PROGRAM, summary, "display node", console, json)
 
 
 def main() -> None:

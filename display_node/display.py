@@ -28,8 +28,6 @@ from protocol.summary import (
 from protocol.tactile import matching_force_ratio
 
 REPORT_EVERY_NS = 1_000_000_000
-# "auto" adds what the loop itself needs: the sample after the instant, and the next tick's.
-RESERVE_TICKS = 2
 
 
 @dataclass(slots=True)
@@ -65,11 +63,17 @@ class Display:
         self._tick_ns = scene.tick_ns
         self._predict = PREDICTORS[scene.predictor]
         self._loop = build_force_loop(
-            scene.controller, scene.actuator, self._layer, scene.film.film(), scene.tick_ns * 1e-9
+            scene.controller,
+            scene.actuator,
+            self._layer,
+            scene.film.film(),
+            scene.safety.force_limit_n,
+            scene.tick_ns * 1e-9,
         )
         self._playout = PlayoutClock()
         self._sessions = 0
         self._force_ratio = 1.0
+        self._reserve_ns = 0
         self._covered_ns = 0
         self._covered_ticks = 0
         self._next_report_ns = 0
@@ -101,6 +105,8 @@ class Display:
     @property
     def over(self) -> bool:
         """Whether the session has ended and was played to its end."""
+        if not self.receiver.buffer.ended:
+            return False
         return self.receiver.over(self.felt.now_ns, self.felt.playout_delay_ns)
 
     def on_frame(self, data: bytes, now_ns: int) -> None:
@@ -117,6 +123,8 @@ class Display:
             self._sessions = self.receiver.sessions
             self._force_ratio = matching_force_ratio(self.receiver.description.layer, self._layer)
             self._playout = PlayoutClock()
+            # What "auto" adds for the loop itself: the sample after the next tick's instant.
+            self._reserve_ns = self.receiver.description.period_ns + self._tick_ns
 
     def requests(self, now_ns: int) -> list[Control]:
         """What to send to the sensing node now: requests and reports."""
@@ -130,11 +138,12 @@ class Display:
         """Advance the force loop to `now_ns`, `elapsed_ticks` ticks after the last one."""
         reference_n, alive = self._reference(now_ns)
         safety, felt, loop = self.safety, self.felt, self._loop
+        if elapsed_ticks > 1:
+            loop.coast(elapsed_ticks - 1)
         felt_n = loop.felt_n
         safety.watch(felt_n)
         reference_n = safety.bound(reference_n, alive)
-        for _ in range(elapsed_ticks):
-            loop.tick(reference_n)
+        loop.tick(reference_n)
         self.ticks += 1
         felt.target_n, felt.felt_n = reference_n[0], felt_n
         felt.scored = alive and safety.gain == 1.0
@@ -152,7 +161,7 @@ class Display:
         sensing_now_ns = receiver.clock.remote_ns(now_ns)
         wanted_delay_ns = self._scene.compensation_ns
         if wanted_delay_ns is None:
-            wanted_delay_ns = delay_ns + RESERVE_TICKS * self._tick_ns
+            wanted_delay_ns = delay_ns + self._reserve_ns
         instant_ns = self._playout.instant(now_ns, sensing_now_ns - wanted_delay_ns)
         felt.sensing_now_ns, felt.instant_ns = sensing_now_ns, instant_ns
         buffer = receiver.buffer

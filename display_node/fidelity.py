@@ -15,6 +15,9 @@ from protocol.summary import Errors
 BLOCK = 256
 # Felt forces wait this many ticks for the truth of their instant to arrive.
 PATIENCE = 2_048
+# Truth that no felt force asks for (a display at fault) is forgotten after this.
+KEEP_NS = 30_000_000_000
+MAX_PIECES = 1_024
 # Truth further apart than this (a cut link) is not interpolated: nothing is scored there.
 MAX_GAP_NS = 60_000_000
 JND = 0.10
@@ -37,6 +40,11 @@ class Fidelity:
         """What the finger should feel of consecutive samples taken at t_ns; may come late."""
         self._t_ns.append(t_ns)
         self._target_n.append(target_n)
+        if len(self._t_ns) > MAX_PIECES:
+            until_ns = int(t_ns[-1]) - KEEP_NS
+            while self._felt and self._felt[0][1] < until_ns:
+                self._score_oldest()
+            self._gathered(until_ns)
 
     def felt(self, now_ns: int, instant_ns: int, force_n: float) -> None:
         """What the finger feels at now_ns, when the pulse of instant_ns is played."""

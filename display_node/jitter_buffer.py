@@ -14,6 +14,7 @@ from protocol.messages import Frame
 KEEP_SAMPLES = 16_384
 MAX_AHEAD_SAMPLES = 65_536
 TIME_TOLERANCE_NS = 1_000_000_000
+NEVER_NS = -(1 << 64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +52,8 @@ class JitterBuffer:
         self._settled = 0
         self._settled_index: int | None = None
         self._instant_ns: int | None = None
+        # The latest instant ever played: it stays where it was when the playout jumps back.
+        self._passed_ns = NEVER_NS
         self._first_index: int | None = None
         self._floor_index = 0
         self._period_ns = 1
@@ -59,6 +62,7 @@ class JitterBuffer:
         self._late = 0
         self.frames = 0
         self.reordered = 0
+        self.ended = False
 
     @property
     def newest_ns(self) -> int | None:
@@ -76,7 +80,10 @@ class JitterBuffer:
         return len(self._times) - self._settled
 
     def put(self, frame: Frame) -> None:
-        """Take a frame. Raises WireError: "duplicate", "overlap", "timestamp", "overflow"."""
+        """Take a frame.
+
+        Raises WireError: "duplicate", "overlap", "timestamp", "too_old", "overflow".
+        """
         count = len(frame.values)
         first = frame.first_sample
         period_ns = frame.period_ns
@@ -94,33 +101,29 @@ class JitterBuffer:
         self.frames += 1
         if self._first_index is None or first < self._first_index:
             self._first_index = first
-        if self._instant_ns is not None and times[0] <= self._instant_ns:
-            self._settle_late(position, bisect_right(times, self._instant_ns))
+        if times[0] <= self._passed_ns:
+            self._settle_late(position, bisect_right(times, self._passed_ns))
         if len(self._times) > 2 * KEEP_SAMPLES:
             self._trim()
 
     def _check(self, frame: Frame, position: int, count: int) -> None:
         """Refuse what is here already or cannot be true beside its neighbours."""
         indices, times = self._indices, self._times
-        first, t_first_ns = frame.first_sample, frame.t_first_ns
-        last_ns = t_first_ns + (count - 1) * frame.period_ns
+        first, t_first_ns, period_ns = frame.first_sample, frame.t_first_ns, frame.period_ns
+        last = first + count - 1
         if position < len(indices):
-            if indices[position] == first:
-                raise WireError("duplicate", f"sample {first} is here already")
-            if indices[position] < first + count:
-                raise WireError("overlap", f"sample {indices[position]} is here already")
-            if times[position] <= last_ns:
-                raise WireError("timestamp", "a frame's time is after that of a later sample")
-        if not position:
-            if first < self._floor_index:
-                raise WireError("too_old", f"sample {first} is older than the buffer reaches")
-            return
-        if indices[position - 1] >= first:
-            raise WireError("overlap", f"sample {first} is here already")
-        gap_ns = t_first_ns - times[position - 1]
-        expected_ns = (first - indices[position - 1]) * frame.period_ns
-        if gap_ns <= 0 or abs(gap_ns - expected_ns) > TIME_TOLERANCE_NS + expected_ns // 5:
-            raise WireError("timestamp", "a frame's time does not fit its sequence number")
+            later = indices[position]
+            if later <= last:
+                all_here = indices[position + count - 1 : position + count] == [last]
+                cause = "duplicate" if all_here else "overlap"
+                raise WireError(cause, f"sample {later} is here already")
+            last_ns = t_first_ns + (count - 1) * period_ns
+            _check_gap(times[position] - last_ns, (later - last) * period_ns)
+        if position:
+            earlier = indices[position - 1]
+            _check_gap(t_first_ns - times[position - 1], (first - earlier) * period_ns)
+        elif first < self._floor_index:
+            raise WireError("too_old", f"sample {first} is older than the buffer reaches")
         if len(times) - self._settled + count > MAX_AHEAD_SAMPLES:
             raise WireError("overflow", f"more than {MAX_AHEAD_SAMPLES} samples wait already")
 
@@ -132,14 +135,22 @@ class JitterBuffer:
             self._settled_index = last_index
 
     def _trim(self) -> None:
-        surplus = min(len(self._times) - KEEP_SAMPLES, self._settled)
-        if surplus:
+        # The last settled sample is still needed: the instant lies between it and the next.
+        surplus = min(len(self._times) - KEEP_SAMPLES, self._settled - 1)
+        if surplus > 0:
             self._floor_index = self._indices[surplus - 1] + 1
-        del self._indices[:surplus], self._times[:surplus], self._values[:surplus]
-        self._settled -= surplus
+            del self._indices[:surplus], self._times[:surplus], self._values[:surplus]
+            self._settled -= surplus
 
     def advance(self, instant_ns: int) -> None:
-        """Play the instant: settles every sample up to it. Instants do not go back."""
+        """Play the instant: settles every sample up to it.
+
+        After a jump back of the playout what was settled stays settled, and is known again.
+        """
+        self._instant_ns = instant_ns
+        if instant_ns <= self._passed_ns:
+            return
+        self._passed_ns = instant_ns
         times, settled = self._times, self._settled
         length = len(times)
         while settled < length and times[settled] <= instant_ns:
@@ -148,17 +159,18 @@ class JitterBuffer:
             self._played += settled - self._settled
             self._settled = settled
             self._settled_index = self._indices[settled - 1]
-        self._instant_ns = instant_ns
 
     def known(self, step_ns: int, count: int) -> list[float]:
         """Values at the instant being played and `step_ns` apart after it, by linear
         interpolation; ends early where the newest sample ends, empty before the first."""
         times, values, position = self._times, self._values, self._settled
         length = len(times)
-        if self._instant_ns is None or not position:
+        t_ns = self._instant_ns
+        if t_ns is not None and t_ns < self._passed_ns:
+            position = bisect_right(times, t_ns)
+        if t_ns is None or not position:
             return []
         result = []
-        t_ns = self._instant_ns
         for _ in range(count):
             while position < length and times[position] <= t_ns:
                 position += 1
@@ -187,11 +199,7 @@ class JitterBuffer:
             if missing * self._period_ns > room_ns:
                 raise WireError("implausible", f"no time for {missing} further samples")
         self._end_index = samples_sent
-
-    @property
-    def ended(self) -> bool:
-        """Whether the session's end is known."""
-        return self._end_index is not None
+        self.ended = True
 
     @property
     def end_ns(self) -> int | None:
@@ -209,3 +217,8 @@ class JitterBuffer:
         if self._end_index is not None and not self.waiting:
             settled_end = max(settled_end, self._end_index)
         return Account(settled_end - first, self._played, self._late, first)
+
+
+def _check_gap(gap_ns: int, expected_ns: int) -> None:
+    if gap_ns <= 0 or abs(gap_ns - expected_ns) > TIME_TOLERANCE_NS + expected_ns // 5:
+        raise WireError("timestamp", "a frame's time does not fit its sequence number")

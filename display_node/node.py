@@ -13,6 +13,8 @@ from protocol.histogram import Histogram
 from protocol.messages import encode_control
 from protocol.summary import Summary, TickTime
 
+RECONNECT_EVERY_NS = 2_000_000_000
+
 
 class DisplayNode:
     """A display on real sockets. One thread: poll until the next tick, ingest, tick."""
@@ -27,8 +29,10 @@ class DisplayNode:
         self._traces = 0
         self._subscribed = False
         self._context: sockets.Context = zmq.Context()
-        self._control = sockets.connect(self._context, zmq.DEALER, sockets.control_address(address))
+        self._address, self._control_address = address, sockets.control_address(address)
+        self._control = sockets.connect(self._context, zmq.DEALER, self._control_address)
         self._data = [sockets.connect(self._context, zmq.SUB, address) for _ in range(scene.paths)]
+        self._next_reconnect_ns = time.monotonic_ns() + RECONNECT_EVERY_NS
         self._telemetry = sockets.bind(self._context, zmq.PUB, telemetry_address)
         self.telemetry_address = self._telemetry.getsockopt_string(zmq.LAST_ENDPOINT)
         self._display = Display(scene, name=f"display-{uuid.uuid4().hex[:6]}")
@@ -66,8 +70,7 @@ class DisplayNode:
         display = self._display
         for parts in sockets.receive_all(self._control):
             display.on_control(b"".join(parts), time.monotonic_ns())
-        if not self._subscribed and display.receiver.description is not None:
-            # Frames before the description could not be understood.
+        if not self._subscribed and display.receiver.listening:
             self._subscribed = True
             for socket in self._data:
                 socket.subscribe(b"")
@@ -79,12 +82,21 @@ class DisplayNode:
         felt = self._display.tick(now_ns, elapsed_ticks)
         for message in self._display.requests(now_ns):
             sockets.send(self._control, encode_control(message))
+        if now_ns >= self._next_reconnect_ns:
+            self._next_reconnect_ns = now_ns + RECONNECT_EVERY_NS
+            if self._display.receiver.silent(now_ns):
+                self._reconnect()
         trace = self._trace.add(felt)
         if trace is not None:
             sockets.send(self._telemetry, TRACE, trace)
             self._traces += 1
             if self._traces % STATUS_TRACES == 0:
                 self._send_status(final=False)
+
+    def _reconnect(self) -> None:
+        sockets.reconnect(self._control, self._control_address)
+        for socket in self._data:
+            sockets.reconnect(socket, self._address)
 
     def _summary(self) -> Summary:
         times = TickTime(self._tick_us.quantile(0.5), self._tick_us.quantile(0.99))

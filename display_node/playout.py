@@ -4,14 +4,15 @@ The perceived delay E is the one knob: at time t the finger feels the pulse of t
 """
 
 import math
-from collections import deque
 
+# Every delay from a clock that is still poorly known to the longest compensation has its bin.
+LOWEST_NS = -1_000_000_000
 BIN_NS = 1_000_000
-BINS = 4_000
-BASE_WINDOW_NS = 2_000_000_000
+BINS = 11_000
 FORGET_NS = 10_000_000_000
 RELEASE_PER_NS = 0.005
-WARP = 0.02
+# A time-warp of at most one part in 50: 2 %.
+WARP_PARTS = 50
 JUMP_NS = 500_000_000
 LATE_TARGET = 0.01
 SETTLED_NS = 250_000_000
@@ -20,17 +21,18 @@ SETTLED_NS = 250_000_000
 class DelayEstimator:
     """The smallest delay that keeps late samples below a target share.
 
-    A forgetting histogram of the delay over its minimum of the last 2 s, and its quantile;
-    rises at once, falls by 5 ms a second. Pure: delays and times come in.
+    A forgetting histogram of the delay and its quantile; rises at once, falls by 5 ms a
+    second. Pure: delays and times come in.
     """
 
     def __init__(self, late_target: float = LATE_TARGET) -> None:
         self._late_target = late_target
-        self._minima: deque[tuple[int, int]] = deque()
         self._weights = [0.0] * BINS
         self._weight = 1.0
         self._total = 0.0
-        self._top = 0
+        # The quantile's bin and the weight above it, both carried on from frame to frame.
+        self._position = 0
+        self._above = 0.0
         self._first_ns: int | None = None
         self._last_ns = 0
         self.delay_ns: int | None = None
@@ -42,52 +44,46 @@ class DelayEstimator:
 
     def observe(self, delay_ns: int, now_ns: int) -> None:
         """A frame needed `delay_ns` from its first sample's instant to its arrival."""
-        base_ns = self._base(delay_ns, now_ns)
         if self._first_ns is None:
             self._first_ns = self._last_ns = now_ns
         elapsed_ns = now_ns - self._last_ns
         self._last_ns = now_ns
-        # Growing the new weight instead of shrinking all old ones forgets at the same rate.
-        self._weight *= math.exp(elapsed_ns / FORGET_NS)
-        if self._weight > 1e100:
-            self._weights = [weight / self._weight for weight in self._weights]
-            self._total /= self._weight
-            self._weight = 1.0
-        position = min((delay_ns - base_ns) // BIN_NS, BINS - 1)
-        self._weights[position] += self._weight
-        self._total += self._weight
-        wanted_ns = base_ns + self._quantile_ns(position)
+        self._forget(elapsed_ns)
+        wanted_ns = LOWEST_NS + (self._quantile_position(delay_ns) + 1) * BIN_NS
         if self.delay_ns is None or wanted_ns >= self.delay_ns:
             self.delay_ns = wanted_ns
         else:
             self.delay_ns = max(wanted_ns, self.delay_ns - round(RELEASE_PER_NS * elapsed_ns))
 
-    def _base(self, delay_ns: int, now_ns: int) -> int:
-        """Minimum of the last 2 s, by a queue of rising candidates."""
-        while self._minima and self._minima[-1][1] >= delay_ns:
-            self._minima.pop()
-        self._minima.append((now_ns, delay_ns))
-        while self._minima[0][0] < now_ns - BASE_WINDOW_NS:
-            self._minima.popleft()
-        return self._minima[0][1]
+    def _forget(self, elapsed_ns: int) -> None:
+        """Grow the weight of what comes next, which forgets like shrinking all old ones."""
+        # The bound keeps a silence of hours from overflowing; nothing is left of the old then.
+        self._weight *= math.exp(min(elapsed_ns / FORGET_NS, 100.0))
+        if self._weight > 1e100:
+            scale = 1 / self._weight
+            self._weights = [weight * scale for weight in self._weights]
+            self._total *= scale
+            self._above *= scale
+            self._weight = 1.0
 
-    def _quantile_ns(self, newest_position: int) -> int:
-        """Upper edge of the bin above which at most the late target's share of weight lies."""
+    def _quantile_position(self, delay_ns: int) -> int:
+        """Count a delay; the lowest bin above which at most the late target's share lies."""
+        weights, weight = self._weights, self._weight
+        counted = min(max((delay_ns - LOWEST_NS) // BIN_NS, 0), BINS - 1)
+        weights[counted] += weight
+        self._total += weight
         allowed = self._late_target * self._total
-        above = 0.0
-        for position in range(self._highest(newest_position), -1, -1):
-            above += self._weights[position]
-            if above > allowed:
-                return (position + 1) * BIN_NS
-        return BIN_NS
-
-    def _highest(self, position: int) -> int:
-        """The highest bin in use, remembered so that quantiles do not walk empty bins."""
-        self._top = max(position, self._top)
-        negligible = self._weight * 1e-9
-        while self._top and self._weights[self._top] < negligible:
-            self._top -= 1
-        return self._top
+        position, above = self._position, self._above
+        if counted > position:
+            above += weight
+        while above > allowed:
+            position += 1
+            above -= weights[position]
+        while position and above + weights[position] <= allowed:
+            above += weights[position]
+            position -= 1
+        self._position, self._above = position, above
+        return position
 
 
 class PlayoutClock:
@@ -114,9 +110,8 @@ class PlayoutClock:
         error_ns = wanted_ns - self._instant_ns - elapsed_ns
         if abs(error_ns) > JUMP_NS:
             self.jumps += 1
-        else:
-            bound_ns = WARP * elapsed_ns
-            error_ns = round(min(max(error_ns, -bound_ns), bound_ns))
+        elif abs(error_ns) > elapsed_ns // WARP_PARTS:
+            error_ns = elapsed_ns // WARP_PARTS * (1 if error_ns > 0 else -1)
         self._instant_ns += elapsed_ns + error_ns
         self._now_ns = now_ns
         return self._instant_ns

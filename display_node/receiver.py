@@ -33,6 +33,7 @@ CLOCK_EVERY_NS = 250_000_000
 CLOCK_FAST_COUNT = 10
 SILENT_AFTER_NS = 1_000_000_000
 FUTURE_NS = 1_000_000_000
+OLDEST_NS = 60_000_000_000
 # After the last sample's instant, this long for late ones to come in.
 GRACE_NS = 500_000_000
 
@@ -47,21 +48,19 @@ class Receiver:
         self._closed = Account()
         self._frames_closed = self._reordered_closed = 0
         self._next_hello_ns = self._next_clock_ns = 0
+        self._in_doubt = False
         self._clock_requests = 0
         self._heard_ns = 0
         self.rejected: Counter[str] = Counter()
         self.one_way_delay_ms = Histogram(0.1, 20_000)
         self.sessions = 0
         self.session: int | None = None
+        # There is a stream, its clock is known, and enough has come to start playing.
+        self.ready = False
         self.description: StreamDescription | None = None
         self.clock = ClockEstimator()
         self.delay = DelayEstimator(late_target)
         self.buffer = JitterBuffer(channel)
-
-    @property
-    def ready(self) -> bool:
-        """Whether there is a stream, its clock is known and samples have come."""
-        return self.session is not None and self.clock.ready and self.delay.settled
 
     def on_frame(self, data: bytes, now_ns: int) -> Frame | None:
         """Take a data message; the frame if it was new and valid."""
@@ -81,14 +80,25 @@ class Receiver:
         except WireError as error:
             self.rejected[error.cause] += 1
 
+    @property
+    def listening(self) -> bool:
+        """Whether frames can be understood: the stream's description and its clock are known."""
+        return self.session is not None and self.clock.ready
+
+    def silent(self, now_ns: int) -> bool:
+        """Whether nothing valid has come for a while."""
+        return now_ns - self._heard_ns > SILENT_AFTER_NS
+
     def requests(self, now_ns: int) -> list[Control]:
         """What should be asked of the sensing node now: hello, clock."""
         wanted: list[Control] = []
-        silent = now_ns - self._heard_ns > SILENT_AFTER_NS
-        if (self.session is None or silent) and now_ns >= self._next_hello_ns:
+        silent = self.silent(now_ns)
+        lost = self.session is None or silent or self._in_doubt
+        if lost and now_ns >= self._next_hello_ns:
             self._next_hello_ns = now_ns + HELLO_EVERY_NS
+            self._in_doubt = False
             wanted.append(Hello(self._name))
-        if self.session is not None and now_ns >= self._next_clock_ns:
+        if self.session is not None and not silent and now_ns >= self._next_clock_ns:
             fast = self._clock_requests < CLOCK_FAST_COUNT
             self._next_clock_ns = now_ns + (CLOCK_FAST_NS if fast else CLOCK_EVERY_NS)
             self._clock_requests += 1
@@ -108,9 +118,7 @@ class Receiver:
         )
 
     def over(self, now_ns: int, playout_delay_ns: int) -> bool:
-        """Whether the session has ended and everything that may still come has had its time."""
-        if not self.buffer.ended:
-            return False
+        """Whether, once the session has ended, all that may still come has had its time."""
         end_ns = self.buffer.end_ns
         if end_ns is None:
             return True
@@ -122,26 +130,27 @@ class Receiver:
         if description is None:
             raise WireError("before_welcome", "a frame before the stream's description")
         if frame.session != self.session:
-            self._next_hello_ns, self._heard_ns = min(self._next_hello_ns, now_ns), 0
+            self._in_doubt = True
             raise WireError("session", "a frame of another session")
         values = frame.values
         if (
             values.shape[1] != len(description.channels)
             or values.shape[0] > description.batch
             or values.dtype.itemsize != description.bytes_per_sample
+            or not description.period_ns <= 2 * frame.period_ns <= 4 * description.period_ns
             or self._channel >= values.shape[1]
         ):
             raise WireError("mismatch", "a frame does not match the stream's description")
         last_ns = frame.t_first_ns + (len(values) - 1) * frame.period_ns
         if not self.clock.ready:
-            self.buffer.put(frame)
-            return
+            raise WireError("before_clock", "a frame before the sensing clock is known")
         sensing_now_ns = self.clock.remote_ns(now_ns)
-        if last_ns > sensing_now_ns + FUTURE_NS:
-            raise WireError("timestamp", "a frame's time is in the future")
+        if not -OLDEST_NS < last_ns - sensing_now_ns < FUTURE_NS:
+            raise WireError("timestamp", "a frame's time is not near the present")
         self.buffer.put(frame)
         self._heard_ns = now_ns
         self.delay.observe(sensing_now_ns - frame.t_first_ns, now_ns)
+        self.ready = self.ready or self.delay.settled
         self.one_way_delay_ms.add((sensing_now_ns - last_ns) * 1e-6)
 
     def _take(self, message: Control, now_ns: int) -> None:
@@ -151,7 +160,7 @@ class Receiver:
                 if session != self.session:
                     self._begin(session, description)
             case ClockReply() if message.session != self.session:
-                self._next_hello_ns, self._heard_ns = now_ns, 0
+                self._in_doubt = True
                 raise WireError("session", "a clock reply of another session")
             case ClockReply(t1_ns=t1_ns, t2_ns=t2_ns, t3_ns=t3_ns):
                 if not self.clock.add(ClockExchange(t1_ns, t2_ns, t3_ns, now_ns)):
@@ -170,6 +179,7 @@ class Receiver:
         self._frames_closed, self._reordered_closed = self.frames
         self.session, self.description = session, description
         self.sessions += 1
+        self.ready = False
         self._clock_requests = 0
         self._next_clock_ns = 0
         self.clock = ClockEstimator()

@@ -54,16 +54,24 @@ class Safety:
 
     def bound(self, reference_n: list[float], alive: bool) -> list[float]:
         """The reference within force and slew limits; towards 0 N when not alive or at fault."""
-        if alive and not self.faults:
-            self.gain = min(1.0, self.gain + self._ramp)
-        else:
+        if not alive or self.faults:
             self.gain = max(0.0, self.gain - self._fade)
+        elif self.gain < 1.0:
+            self.gain = min(1.0, self.gain + self._ramp)
         gain, limit_n, slew_n, last_n = self.gain, self._limit_n, self._slew_n, self._last_n
         bounded = []
         for force_n in reference_n:
-            wanted_n = min(max(gain * force_n, 0.0), limit_n)
-            last_n = min(max(wanted_n, last_n - slew_n), last_n + slew_n)
-            bounded.append(last_n)
+            wanted_n = gain * force_n
+            if wanted_n > limit_n:
+                wanted_n = limit_n
+            elif not wanted_n >= 0.0:  # a NaN as well: overflow of two enormous samples
+                wanted_n = 0.0
+            if wanted_n > last_n + slew_n:
+                wanted_n = last_n + slew_n
+            elif wanted_n < last_n - slew_n:
+                wanted_n = last_n - slew_n
+            last_n = wanted_n
+            bounded.append(wanted_n)
         self._last_n = bounded[0]
         return bounded
 

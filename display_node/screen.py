@@ -30,6 +30,7 @@ KEEP_S = 6.0
 THIN = 10
 PLOT_S = 3.0
 PLOT_COLUMNS, PLOT_ROWS = 64, 6
+BRAILLE_BITS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
 
 
 class Screen:
@@ -71,7 +72,8 @@ class Screen:
         half = (len(rows) + 1) // 2
         for left, right in zip(rows[:half], [*rows[half:], ("", "")], strict=False):
             table.add_row(left[0], Text(left[1], "bold"), "  ", right[0], Text(right[1], "bold"))
-        title = f"telepulse · {self.status.stream or 'no stream'} · {self.status.state}"
+        stream = "".join(c if c.isprintable() else "?" for c in self.status.stream)
+        title = Text(f"telepulse · {stream or 'no stream'} · {self.status.state}")
         return Panel(Group(table, Text(), *self._plot()), title=title, expand=False)
 
     def _rows(self) -> list[tuple[str, str]]:
@@ -111,17 +113,27 @@ class Screen:
 def _braille(
     line: Sequence[float], dots: Sequence[float], low: float, high: float
 ) -> list[RenderableType]:
-    """Two curves as braille characters, 2 × 4 dots a cell."""
-    bits = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
+    """A curve as a line and one as dots, in braille characters of 2 × 4 dots a cell."""
     columns, rows = 2 * PLOT_COLUMNS, 4 * PLOT_ROWS
     cells = [[0] * PLOT_COLUMNS for _ in range(PLOT_ROWS)]
-    scale = (rows - 1) / (high - low) if high > low else 0.0
-    for curve, spacing in ((line, 1), (dots, 3)):
-        at = np.interp(np.linspace(0, len(curve) - 1, columns), np.arange(len(curve)), curve)
-        for x in range(0, columns, spacing):
-            y = rows - 1 - round((float(at[x]) - low) * scale)
-            cells[y // 4][x // 2] |= bits[x % 2][y % 4]
+    line_y, dots_y = (_heights(curve, columns, rows, low, high) for curve in (line, dots))
+    for x in range(columns):
+        before, here = line_y[max(x - 1, 0)], line_y[x]
+        # The line runs down or up to where the column before it ended.
+        marked = {*range(min(before + 1, here), max(before, here + 1))}
+        if x % 3 == 0:
+            marked.add(dots_y[x])
+        for y in marked:
+            cells[y // 4][x // 2] |= BRAILLE_BITS[x % 2][y % 4]
     return [Text("".join(chr(0x2800 + cell) for cell in row), "cyan") for row in cells]
+
+
+def _heights(curve: Sequence[float], columns: int, rows: int, low: float, high: float) -> list[int]:
+    """The curve at each column, as a row counted from the top."""
+    at = np.interp(np.linspace(0, len(curve) - 1, columns), np.arange(len(curve)), curve)
+    share = (at - low) / (high - low) if high > low else np.zeros(columns)
+    heights: list[int] = (rows - 1 - np.rint(share * (rows - 1)).astype(int)).tolist()
+    return heights
 
 
 def _show(value: float | None, unit: str, digits: int = 1, scale: float = 1.0) -> str:
@@ -187,4 +199,4 @@ def watch(
 if __name__ == "__main__":
     # The display ends on Ctrl-C and says so by its last status; then this ends too.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    watch(sys.argv[1], Console())
+    watch(sys.argv[1], Console(markup=False, emoji=False))

@@ -83,6 +83,9 @@ def write_status(display: Display, summary: Summary, final: bool) -> bytes:
 def read_status(data: bytes) -> Status:
     """The status in a message. Raises WireError."""
     try:
-        return Status(*msgpack.unpackb(data))
+        state, stream, summary, final = msgpack.unpackb(data)
     except (ValueError, TypeError) as error:
         raise WireError("malformed", f"not a status: {error}") from None
+    if not (type(state) is type(stream) is str and type(summary) is dict and type(final) is bool):
+        raise WireError("malformed", "a status' field has the wrong type")
+    return Status(state, stream, summary, final)

@@ -21,7 +21,8 @@ class ContactLaw:
         """Tip position in m that presses with `force_n`; 0 for no force."""
         if force_n <= 0:
             return 0.0
-        return self._rubber * math.cbrt(force_n * force_n) + force_n * self._finger
+        root = math.cbrt(force_n)
+        return self._rubber * root * root + force_n * self._finger
 
     def force(self, position_m: float) -> float:
         """Force in N at a tip position; 0 where the tip does not touch."""
@@ -31,7 +32,7 @@ class ContactLaw:
         # In the cube root u of the force: finger u³ + rubber u² = x, convex for u > 0. Each
         # term alone bounds u from above, so Newton comes down to the root without overshoot.
         u = math.sqrt(position_m / rubber)
-        if finger:
+        if finger and u:
             u = min(u, math.cbrt(position_m / finger))
             for _ in range(60):
                 step = (u * u * (finger * u + rubber) - position_m) / (

@@ -48,19 +48,21 @@ class StepperScene(Section):
 
 
 class Stepper:
-    """Counts microsteps and says how hard the tip presses.
+    """Counts microsteps and says how hard the tip presses; never harder than force_limit_n.
 
     Not modelled here: the rotor's own resonance, backlash, lost steps below the thrust limit.
     """
 
-    def __init__(self, scene: StepperScene, law: ContactLaw, tick_s: float) -> None:
+    def __init__(
+        self, scene: StepperScene, law: ContactLaw, force_limit_n: float, tick_s: float
+    ) -> None:
         self._law = law
         self._step_m = scene.step_m
         self._tick_s = tick_s
         self._max_rate_hz = scene.max_speed_m_per_s / scene.step_m
         self._max_change_hz = scene.max_acceleration_m_per_s2 / scene.step_m * tick_s
-        # The thrust limit is where the motor stalls: it cannot be driven further in.
-        furthest_m = min(scene.stroke_m, law.position(scene.thrust_n))
+        # A soft stop where the tip would press with the limit, whatever is commanded.
+        furthest_m = min(scene.stroke_m, law.position(min(scene.thrust_n, force_limit_n)))
         self._last_step = math.floor(furthest_m / scene.step_m)
         self._phase = 0.0
         self._rate_hz = 0.0
@@ -73,11 +75,12 @@ class Stepper:
 
     def step(self, command: StepCommand) -> float:
         """Run one tick at a commanded rate and direction; the force in N at its end."""
-        wanted_hz = command.rate_hz * command.direction
-        change_hz = wanted_hz - self._rate_hz
+        rate_hz = min(command.rate_hz, self._max_rate_hz) * command.direction
         limit_hz = self._max_change_hz
-        rate_hz = self._rate_hz + min(max(change_hz, -limit_hz), limit_hz)
-        rate_hz = min(max(rate_hz, -self._max_rate_hz), self._max_rate_hz)
+        if rate_hz > self._rate_hz + limit_hz:
+            rate_hz = self._rate_hz + limit_hz
+        elif rate_hz < self._rate_hz - limit_hz:
+            rate_hz = self._rate_hz - limit_hz
         phase = self._phase + rate_hz * self._tick_s
         if not 0.0 <= phase <= self._last_step:
             phase = min(max(phase, 0.0), float(self._last_step))

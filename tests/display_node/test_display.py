@@ -1,0 +1,181 @@
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from display_node.display import Display
+from display_node.scene import DisplayScene
+from protocol.errors import SceneError
+from protocol.messages import Bye, Frame, encode_control, encode_frame
+from protocol.scene import load_section, validate
+from protocol.tactile import ElasticLayer
+
+from .sender import AHEAD_NS, MS, Sender, description, run
+
+SCENES = Path(__file__).parents[2] / "scenes"
+LIMIT_N = 2.5
+
+
+def display(name: str = "radial", **changes: object) -> Display:
+    scene = load_section(SCENES / f"{name}.toml", "display", DisplayScene)
+    return Display(scene.model_copy(update=changes), "test")
+
+
+def test_a_steady_force_is_felt_to_half_a_microstep() -> None:
+    felt = run(display(), Sender(), 0, 2000, force_n=0.4)
+    assert felt[0] == 0.0
+    assert felt[-1] == pytest.approx(0.4, abs=0.35e-3)
+
+
+def test_it_starts_with_a_ramp_and_not_with_a_jump() -> None:
+    felt = np.array(run(display(), Sender(), 0, 2000, force_n=0.5))
+    start = int(np.flatnonzero(felt > 0.01)[0])
+    full = int(np.flatnonzero(felt > 0.49)[0])
+    assert 400 <= full - start <= 600
+    assert np.abs(np.diff(felt)).max() < 3e-3
+
+
+def test_the_strain_is_matched_where_the_two_layers_differ() -> None:
+    thick = ElasticLayer(thickness_m=3e-3, young_modulus_pa=0.02e9)
+    under_test = display()
+    felt = run(under_test, Sender(stream=description(layer=thick)), 0, 2000, force_n=0.2)
+    local = ElasticLayer()
+    assert local.strain(felt[-1]) == pytest.approx(thick.strain(0.2), rel=2e-3)
+    assert under_test.force_ratio == pytest.approx((0.05 * 2) / (0.02 * 3))
+
+
+def test_a_cut_link_brings_the_actuator_to_rest_and_its_return_ramps() -> None:
+    under_test, sender = display(), Sender()
+    run(under_test, sender, 0, 1500)
+    assert under_test.state == "playing"
+    cut = run(under_test, None, 1500, 1700)
+    assert max(cut[150:]) < 1e-3
+    assert under_test.state == "stale"
+    sender.sent += 200
+    back = run(under_test, sender, 1700, 3000)
+    assert max(back[:100]) < 0.1
+    assert back[-1] == pytest.approx(0.3, abs=1e-3)
+    account = under_test.receiver.account()
+    assert account.lost == 200
+    assert account.sent == account.played + account.late + account.lost
+
+
+def test_a_restarted_sensing_node_is_followed_by_itself() -> None:
+    under_test = display()
+    run(under_test, Sender(session=7), 0, 1500)
+    felt = run(under_test, Sender(session=8), 1500, 4000, force_n=0.5)
+    assert felt[-1] == pytest.approx(0.5, abs=1e-3)
+    assert under_test.receiver.sessions == 2
+    assert set(under_test.summary().rejected) == {"session", "before_clock"}
+
+
+def test_the_end_of_the_stream_is_played_out_and_accounted_for() -> None:
+    under_test, sender = display(), Sender()
+    run(under_test, sender, 0, 1500)
+    sender.sent += 10
+    under_test.on_control(encode_control(Bye(7, sender.sent)), 1500 * MS)
+    assert not under_test.over
+    run(under_test, None, 1500, 2100)
+    assert under_test.over
+    samples = under_test.summary().samples
+    assert samples.lost == 10
+    assert samples.sent is not None
+    assert samples.sent + (samples.before_joining or 0) == sender.sent
+
+
+@pytest.mark.parametrize("force_n", [1e30, -1e30, 100.0, -100.0, 3.4e38])
+def test_no_force_a_peer_sends_passes_the_limit(force_n: float) -> None:
+    felt = run(display(), Sender(), 0, 3000, force_n=force_n)
+    assert min(felt) >= 0
+    assert max(felt) <= LIMIT_N
+
+
+def test_no_layer_a_peer_claims_passes_the_limit() -> None:
+    soft = ElasticLayer(young_modulus_pa=1e-3, thickness_m=1e-9)
+    felt = run(display(), Sender(stream=description(layer=soft)), 0, 3000)
+    assert max(felt) <= LIMIT_N
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.lists(st.floats(-1e6, 1e6), min_size=20, max_size=60))
+def test_no_sequence_of_forces_passes_the_limit_or_the_slew(forces: list[float]) -> None:
+    under_test, sender = display(), Sender()
+    run(under_test, sender, 0, 1000, force_n=1.0)
+    felt = [0.0]
+    for number, force_n in enumerate(forces):
+        felt = run(under_test, sender, 1000 + 10 * number, 1010 + 10 * number, force_n)
+        assert min(felt) >= 0
+        assert max(felt) <= LIMIT_N
+        # The target's 50 N/s over a tick, and what the loop makes up for its acceleration.
+        assert np.abs(np.diff(felt)).max() < 1.5 * 0.05
+
+
+def test_the_papers_actuator_faults_rather_than_overshoot_without_end() -> None:
+    unstable = display("paper")
+    scene = load_section(SCENES / "paper.toml", "display", DisplayScene)
+    gains = scene.controller.model_copy(update={"kd": 0.5})
+    unstable = Display(scene.model_copy(update={"controller": gains}), "test")
+    run(unstable, Sender(), 0, 2000)
+    assert unstable.state == "fault"
+    assert any("above" in fault for fault in unstable.summary().faults)
+
+
+def test_missed_ticks_are_coasted_and_a_long_stall_stops_the_drive() -> None:
+    under_test, sender = display(), Sender()
+    run(under_test, sender, 0, 1500)
+    felt_n = under_test.tick(1510 * MS, elapsed_ticks=10).felt_n
+    assert felt_n == pytest.approx(0.3, abs=5e-3)
+    felt_n = under_test.tick(6510 * MS, elapsed_ticks=5000).felt_n
+    assert felt_n <= LIMIT_N
+
+
+def test_a_compensation_time_is_the_delay_that_is_felt() -> None:
+    under_test = display(compensation_ns=40 * MS)
+    run(under_test, Sender(), 0, 2000)
+    delay_ms = under_test.summary().playout_delay_ms
+    assert delay_ms.mean == pytest.approx(40, abs=0.1)
+    assert under_test.summary().samples.late == 0
+
+
+def test_no_compensation_predicts_what_has_not_arrived() -> None:
+    under_test, sender = display(compensation_ns=0), Sender()
+    run(under_test, sender, 0, 1000)
+    for ms in range(1000, 2000):
+        under_test.tick(ms * MS)
+        if ms % 5 == 0:
+            t_ns = (ms - 4 + np.arange(5)) * MS
+            ramp = (0.3 + 0.1 * (t_ns - 1000 * MS) * 1e-9).astype("<f4")[:, np.newaxis]
+            frame = Frame(7, sender.sent, int(t_ns[0]) + AHEAD_NS, MS, ramp)
+            sender.sent += 5
+            under_test.on_frame(encode_frame(frame), ms * MS)
+    # Samples are up to 5 ms old, yet the force on a straight ramp is that of this instant.
+    assert under_test.felt.target_n == pytest.approx(0.3 + 0.1 * 0.999, abs=1e-4)
+    assert (under_test.summary().samples.late or 0) > 900
+
+
+def test_summary_reports_clock_and_delays() -> None:
+    under_test = display()
+    run(under_test, Sender(), 0, 4000)
+    summary = under_test.summary()
+    assert summary.clock.offset_ms == pytest.approx(5000)
+    assert summary.one_way_delay_ms.max == pytest.approx(0, abs=0.1)
+    assert summary.covered_delay_ms == pytest.approx(7, abs=0.5)
+    assert summary.force_rmse_n.aligned is not None
+    assert math.isclose(
+        summary.strain_rmse.aligned or 0,
+        summary.force_rmse_n.aligned * abs(ElasticLayer().strain_per_newton),
+    )
+
+
+def test_scene_errors_are_one_line() -> None:
+    scene = {
+        "compensation": "40 N",
+        "controller": {"kp": 1},
+        "actuator": {"kind": "second_order"},
+    }
+    with pytest.raises(SceneError, match=r"compensation: '40 N' is no time") as caught:
+        validate(scene, DisplayScene, "scene: [display]")
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,211 @@
+import math
+import tracemalloc
+from collections.abc import Callable, Iterable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from display_node.fidelity import Fidelity
+from protocol.tactile import ElasticLayer
+
+MS = 1_000_000
+T0_NS = 1_700_000_000_000_000_000
+TICK_NS = MS
+DELAY_NS = 43 * MS
+STRAIN_PER_NEWTON = ElasticLayer().strain_per_newton
+Times = NDArray[np.int64]
+Forces = NDArray[np.float64]
+Wave = Callable[[Times], Forces]
+
+
+def pulse_n(t_ns: Times) -> Forces:
+    """0.3 N from peak to peak at 75 a minute."""
+    return 0.3 + 0.15 * np.sin(2 * math.pi * 1.25 * (t_ns - T0_NS) * 1e-9)
+
+
+def sample_times_ns(duration_s: float) -> Times:
+    return T0_NS + np.arange(round(duration_s * 1000), dtype=np.int64) * MS
+
+
+def tick_times_ns(from_s: float, to_s: float) -> Times:
+    """Ticks that fall between the samples."""
+    first, last = round(from_s * 1000), round(to_s * 1000)
+    return T0_NS + np.arange(first, last, dtype=np.int64) * TICK_NS + 370_000
+
+
+def frames(t_ns: Times, size: int = 5) -> list[Times]:
+    return np.split(t_ns, range(size, len(t_ns), size))
+
+
+def tell(fidelity: Fidelity, pieces: Iterable[Times], wave: Wave = pulse_n) -> None:
+    for t_ns in pieces:
+        fidelity.truth(t_ns, wave(t_ns))
+
+
+def feel(fidelity: Fidelity, ticks_ns: Times, forces_n: Forces, delay_ns: int = DELAY_NS) -> None:
+    for now_ns, force_n in zip(ticks_ns.tolist(), forces_n.tolist(), strict=True):
+        fidelity.felt(now_ns, now_ns - delay_ns, force_n)
+
+
+def scored(ticks_ns: Times, felt_n: Forces, truth_s: float = 6.0) -> Fidelity:
+    fidelity = Fidelity(STRAIN_PER_NEWTON)
+    tell(fidelity, frames(sample_times_ns(truth_s)))
+    feel(fidelity, ticks_ns, felt_n)
+    fidelity.finish()
+    return fidelity
+
+
+def rms(values: Forces) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def test_a_delayed_pulse_is_aligned_but_out_of_phase() -> None:
+    ticks_ns = tick_times_ns(1.0, 5.0)
+    fidelity = scored(ticks_ns, pulse_n(ticks_ns - DELAY_NS))
+    expected_n = 0.15 * 2 * math.sin(math.pi * 1.25 * DELAY_NS * 1e-9) / math.sqrt(2)
+    force, strain = fidelity.force_rmse_n, fidelity.strain_rmse
+    # What is left is the linear interpolation of 1 kHz samples.
+    assert force.aligned == pytest.approx(0, abs=2e-6)
+    assert force.in_phase == pytest.approx(expected_n, rel=1e-4)
+    assert strain.aligned == pytest.approx(abs(STRAIN_PER_NEWTON) * force.aligned)
+    assert strain.in_phase == pytest.approx(abs(STRAIN_PER_NEWTON) * expected_n, rel=1e-4)
+    assert fidelity.within_jnd == 1.0
+
+
+def test_it_agrees_with_numpy_on_noise() -> None:
+    ticks_ns = tick_times_ns(1.0, 5.5)
+    felt_n = pulse_n(ticks_ns) + np.random.default_rng(4).normal(0, 0.03, len(ticks_ns))
+    t_ns = sample_times_ns(6.0)
+    at_ms = (t_ns - T0_NS) / MS
+    aligned_n = felt_n - np.interp((ticks_ns - DELAY_NS - T0_NS) / MS, at_ms, pulse_n(t_ns))
+    in_phase_n = felt_n - np.interp((ticks_ns - T0_NS) / MS, at_ms, pulse_n(t_ns))
+    fidelity = scored(ticks_ns, felt_n)
+    assert fidelity.force_rmse_n.aligned == pytest.approx(rms(aligned_n), rel=1e-9)
+    assert fidelity.force_rmse_n.in_phase == pytest.approx(rms(in_phase_n), rel=1e-9)
+    within = np.mean(np.abs(aligned_n) < 0.03)
+    assert fidelity.within_jnd == pytest.approx(within, abs=1e-3)
+
+
+def test_within_jnd_is_the_share_below_10_percent_of_peak_to_peak() -> None:
+    ticks_ns = tick_times_ns(1.0, 5.0)
+    felt_n = pulse_n(ticks_ns - DELAY_NS)
+    felt_n[:1000] += 0.031
+    felt_n[1000:] -= 0.029
+    assert scored(ticks_ns, felt_n).within_jnd == 0.75
+
+
+def test_nothing_is_known_before_anything_was_scored() -> None:
+    fidelity = Fidelity(STRAIN_PER_NEWTON)
+    feel(fidelity, tick_times_ns(1.0, 5.0), np.zeros(4000))
+    fidelity.finish()
+    assert fidelity.force_rmse_n.aligned is None
+    assert fidelity.strain_rmse.in_phase is None
+    assert fidelity.within_jnd is None
+
+
+def test_truth_that_comes_after_the_felt_force_is_waited_for() -> None:
+    # In the order of a display: the error in phase needs samples that have yet to arrive.
+    ticks_ns = tick_times_ns(2.0, 14.0)
+    felt_n = pulse_n(ticks_ns)
+    fidelity, late_ns = Fidelity(STRAIN_PER_NEWTON), 1900 * MS
+    pending = frames(sample_times_ns(16.0))
+    for now_ns, force_n in zip(ticks_ns.tolist(), felt_n.tolist(), strict=True):
+        while pending and pending[0][-1] + late_ns <= now_ns:
+            tell(fidelity, [pending.pop(0)])
+        fidelity.felt(now_ns, now_ns - DELAY_NS, force_n)
+    tell(fidelity, pending)
+    fidelity.finish()
+    assert fidelity.force_rmse_n.in_phase == pytest.approx(0, abs=2e-6)
+    expected_n = 0.15 * 2 * math.sin(math.pi * 1.25 * DELAY_NS * 1e-9) / math.sqrt(2)
+    assert fidelity.force_rmse_n.aligned == pytest.approx(expected_n, rel=1e-3)
+
+
+def test_truth_out_of_order_is_put_right() -> None:
+    ticks_ns = tick_times_ns(1.0, 5.0)
+    felt_n = pulse_n(ticks_ns) + np.random.default_rng(4).normal(0, 0.03, len(ticks_ns))
+    shuffled = frames(sample_times_ns(6.0))
+    np.random.default_rng(1).shuffle(shuffled)
+    fidelity = Fidelity(STRAIN_PER_NEWTON)
+    tell(fidelity, shuffled)
+    feel(fidelity, ticks_ns, felt_n)
+    fidelity.finish()
+    in_order = scored(ticks_ns, felt_n)
+    assert fidelity.force_rmse_n == in_order.force_rmse_n
+    assert fidelity.within_jnd == in_order.within_jnd
+
+
+@pytest.mark.parametrize(("gap_ms", "is_scored"), [(50, True), (70, False), (900, False)])
+def test_where_truth_is_missing_nothing_is_scored(gap_ms: int, is_scored: bool) -> None:
+    t_ns = sample_times_ns(6.0)
+    gap_ns = (T0_NS + 3000 * MS, T0_NS + (3000 + gap_ms) * MS)
+    here = (t_ns <= gap_ns[0]) | (t_ns >= gap_ns[1])
+    ticks_ns = tick_times_ns(1.0, 5.0)
+    felt_n = pulse_n(ticks_ns)
+    felt_n[(ticks_ns > gap_ns[0]) & (ticks_ns < gap_ns[1])] += 100.0
+    fidelity = Fidelity(STRAIN_PER_NEWTON)
+    tell(fidelity, frames(t_ns[here], size=1))
+    feel(fidelity, ticks_ns, felt_n, delay_ns=0)
+    fidelity.finish()
+    assert fidelity.force_rmse_n.aligned is not None
+    assert (fidelity.force_rmse_n.aligned > 1) == is_scored
+
+
+def test_before_and_after_all_truth_nothing_is_scored() -> None:
+    ticks_ns = tick_times_ns(-1.0, 9.0)
+    inside = (ticks_ns > T0_NS) & (ticks_ns < T0_NS + 5999 * MS)
+    fidelity = Fidelity(STRAIN_PER_NEWTON)
+    tell(fidelity, frames(sample_times_ns(6.0)))
+    feel(fidelity, ticks_ns, np.where(inside, pulse_n(ticks_ns), 100.0), delay_ns=0)
+    fidelity.finish()
+    assert fidelity.force_rmse_n.aligned == pytest.approx(0, abs=2e-6)
+    assert fidelity.force_rmse_n.in_phase == pytest.approx(0, abs=2e-6)
+
+
+def test_one_sample_of_truth_scores_nothing() -> None:
+    fidelity = Fidelity(STRAIN_PER_NEWTON)
+    tell(fidelity, [sample_times_ns(0.001)])
+    feel(fidelity, tick_times_ns(0.0, 1.0), np.zeros(1000))
+    fidelity.finish()
+    assert fidelity.force_rmse_n.aligned is None
+
+
+def grown_bytes(run: Callable[[int], None], minutes: int = 10) -> int:
+    """What memory grows by from the first minute to the last."""
+    tracemalloc.start()
+    try:
+        run(0)
+        after_first, _ = tracemalloc.get_traced_memory()
+        for minute in range(1, minutes):
+            run(minute)
+        return tracemalloc.get_traced_memory()[0] - after_first
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("felt_share", [1.0, 0.3, 0.0], ids=["felt", "a fault after 18 s", "never"])
+def test_memory_does_not_grow_in_ten_minutes(felt_share: float) -> None:
+    fidelity = Fidelity(STRAIN_PER_NEWTON)
+
+    def one_minute(minute: int) -> None:
+        for frame in range(minute * 6000, (minute + 1) * 6000):
+            t_ns = T0_NS + frame * 10 * MS + np.arange(10, dtype=np.int64) * MS
+            fidelity.truth(t_ns, pulse_n(t_ns))
+            if felt_share == 1.0 or frame < 6000 * felt_share:
+                fidelity.felt(int(t_ns[0]), int(t_ns[0]) - DELAY_NS, 0.3)
+
+    # Ten minutes are 9.6 MB of truth.
+    assert grown_bytes(one_minute) < 500_000
+    fidelity.finish()
+    assert (fidelity.within_jnd is None) == (felt_share == 0.0)
+
+
+def test_what_was_felt_before_a_fault_is_scored_however_long_it_lasts() -> None:
+    fidelity = Fidelity(STRAIN_PER_NEWTON)
+    ticks_ns = tick_times_ns(1.0, 2.0)
+    pieces = frames(sample_times_ns(120.0))
+    tell(fidelity, pieces[:400])
+    feel(fidelity, ticks_ns, pulse_n(ticks_ns - DELAY_NS) + 0.01)
+    tell(fidelity, pieces[400:])
+    fidelity.finish()
+    assert fidelity.force_rmse_n.aligned == pytest.approx(0.01, rel=1e-3)

@@ -1,0 +1,193 @@
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from display_node.actuators.second_order import SecondOrderScene
+from display_node.actuators.stepper import StepperScene
+from display_node.controller import ControllerScene
+from display_node.force_loop import WATCHDOG_S, ForceLoop, build_force_loop
+from protocol.errors import SceneError
+from protocol.tactile import ElasticLayer, Film
+from sensing_node.sources.synthetic import Synthetic, SyntheticScene
+
+TICK_S = 1e-3
+LIMIT_N = 2.5
+STEPPER = StepperScene.model_validate({"kind": "stepper"})
+SECOND_ORDER = SecondOrderScene.model_validate({"kind": "second_order"})
+FOLLOWING = {"kp": 100, "error": "position", "feed_forward": True}
+PAPERS_EXPERIMENT = {
+    "kp": 15,
+    "ki": 0.15,
+    "kd": 0.03,
+    "error": "millivolts",
+    "derivative_filter": "200 Hz",
+}
+
+
+def force_loop(
+    controller: dict[str, object],
+    actuator: SecondOrderScene | StepperScene = STEPPER,
+    limit_n: float = LIMIT_N,
+) -> ForceLoop:
+    gains = ControllerScene.model_validate(controller)
+    return build_force_loop(gains, actuator, ElasticLayer(), Film(9e-3), limit_n, TICK_S)
+
+
+@pytest.fixture(scope="module")
+def pulse_n() -> NDArray[np.float64]:
+    """8 s of the paper's pulse: 0.3 N from peak to peak, on 0.3 N."""
+    source = Synthetic(SyntheticScene.model_validate({"kind": "synthetic", "preset": "paper"}))
+    return source.take(8001)[:, 0]
+
+
+def rmse_n(loop: ForceLoop, pulse_n: NDArray[np.float64]) -> float:
+    """Of the force at each tick's beginning, once it follows the pulse."""
+    felt_n = []
+    reference = pulse_n.tolist()
+    for now_n, next_n in pairwise(reference):
+        felt_n.append(loop.felt_n)
+        loop.tick([now_n, next_n])
+    error_n = np.array(felt_n) - pulse_n[:-1]
+    return float(np.sqrt(np.mean(error_n[2000:] ** 2)))
+
+
+def quantisation_floor_n(pulse_n: NDArray[np.float64]) -> float:
+    law, step_m = STEPPER.contact(ElasticLayer()), STEPPER.step_m
+    nearest_n = [law.force(round(law.position(n) / step_m) * step_m) for n in pulse_n.tolist()]
+    return float(np.sqrt(np.mean((np.array(nearest_n) - pulse_n) ** 2)))
+
+
+def test_with_feed_forward_a_stepper_follows_to_its_quantisation(
+    pulse_n: NDArray[np.float64],
+) -> None:
+    # No drive of 0.625 µm microsteps can do better than 0.18 mN here.
+    assert quantisation_floor_n(pulse_n) == pytest.approx(0.18e-3, abs=0.01e-3)
+    assert rmse_n(force_loop(FOLLOWING), pulse_n) <= 0.25e-3
+
+
+@pytest.mark.parametrize(
+    "gains",
+    [
+        {"kp": 100, "error": "position"},
+        {"kp": 300, "error": "position"},
+        {"kp": 15, "ki": 0.15, "kd": 0.03},
+        {"kp": 0.1},
+    ],
+)
+def test_without_feed_forward_the_lag_is_felt(
+    gains: dict[str, object], pulse_n: NDArray[np.float64]
+) -> None:
+    assert 5e-3 < rmse_n(force_loop(gains), pulse_n) < 50e-3
+
+
+def test_the_papers_gains_as_millivolts_follow_on_its_own_actuator(
+    pulse_n: NDArray[np.float64],
+) -> None:
+    assert rmse_n(force_loop(PAPERS_EXPERIMENT, SECOND_ORDER), pulse_n) < 2e-3
+
+
+def test_the_papers_gains_as_newtons_do_not_follow(pulse_n: NDArray[np.float64]) -> None:
+    newtons = PAPERS_EXPERIMENT | {"error": "force"}
+    assert rmse_n(force_loop(newtons, SECOND_ORDER), pulse_n) > 20e-3
+
+
+def test_the_voltage_is_limited() -> None:
+    weak = SecondOrderScene.model_validate({"kind": "second_order", "voltage_limit": 1.0})
+    loop = force_loop(PAPERS_EXPERIMENT, weak)
+    for _ in range(20_000):
+        loop.tick([2.0, 2.0])
+    # 1 V is 1/k newtons; what is above is the model's own ringing.
+    assert 0.1 < loop.felt_n < 2 / 4.23
+
+
+@pytest.mark.parametrize("limit_n", [0.4, 2.5])
+def test_no_reference_presses_harder_than_the_limit(limit_n: float) -> None:
+    loop = force_loop(FOLLOWING, limit_n=limit_n)
+    rng = np.random.default_rng(3)
+    for now_n, next_n in rng.uniform(-5, 10, (3000, 2)).tolist():
+        assert 0 <= loop.tick([now_n, next_n]) <= limit_n
+
+
+@pytest.mark.parametrize("gains", [{"kp": 1, "feed_forward": True}, {"kp": 1, "error": "position"}])
+def test_what_needs_a_contact_law_is_refused_without_one(gains: dict[str, object]) -> None:
+    with pytest.raises(SceneError, match="need a stepper's contact law") as caught:
+        force_loop(gains, SECOND_ORDER)
+    assert "\n" not in str(caught.value)
+
+
+def test_at_rest_it_stays_at_rest() -> None:
+    for loop in (force_loop(FOLLOWING), force_loop(PAPERS_EXPERIMENT, SECOND_ORDER)):
+        assert [loop.tick([0.0, 0.0]) for _ in range(100)] == [0.0] * 100
+
+
+def rising() -> ForceLoop:
+    """A loop whose drive goes at a steady 1 N/s."""
+    loop = force_loop(FOLLOWING)
+    for tick in range(500):
+        loop.tick([tick * 1e-3, (tick + 1) * 1e-3])
+    return loop
+
+
+@pytest.mark.parametrize("ticks", [1, 10, 100])
+def test_missed_ticks_go_on_with_the_last_command(ticks: int) -> None:
+    loop = rising()
+    before_n = loop.felt_n
+    loop.coast(ticks)
+    assert loop.felt_n - before_n == pytest.approx(ticks * 1e-3, abs=1e-3 + 0.03e-3 * ticks)
+
+
+def test_before_the_first_tick_there_is_no_command_to_go_on_with() -> None:
+    loop = force_loop(FOLLOWING)
+    loop.coast(10)
+    assert loop.felt_n == 0.0
+
+
+def test_no_missed_ticks_change_nothing() -> None:
+    loop = rising()
+    before_n = loop.felt_n
+    loop.coast(0)
+    assert loop.felt_n == before_n
+
+
+@pytest.mark.parametrize("ticks", [150, 5000, 10**12])
+def test_a_long_stall_is_stopped_by_the_watchdog(ticks: int) -> None:
+    loop = rising()
+    before_n = loop.felt_n
+    loop.coast(ticks)
+    stopped_n = loop.felt_n
+    assert stopped_n - before_n == pytest.approx(WATCHDOG_S * 1.0, rel=0.05)
+    loop.coast(50)
+    assert loop.felt_n == stopped_n
+
+
+def test_a_fast_drive_brakes_to_rest_within_the_stall() -> None:
+    loop = force_loop({"kp": 1000}, limit_n=100.0)
+    for _ in range(20):
+        loop.tick([90.0, 90.0])
+    loop.coast(200)
+    stopped_n = loop.felt_n
+    loop.coast(1)
+    assert loop.felt_n == stopped_n
+    assert 30 < stopped_n < 60
+
+
+def test_a_stall_that_just_meets_the_watchdog_leaves_no_time_to_brake() -> None:
+    loop = force_loop({"kp": 1000}, limit_n=100.0)
+    for _ in range(20):
+        loop.tick([90.0, 90.0])
+    loop.coast(101)
+    barely_n = loop.felt_n
+    loop.coast(1)
+    assert loop.felt_n > barely_n + 0.3
+
+
+def test_after_a_stall_it_follows_again() -> None:
+    loop = rising()
+    loop.coast(10_000)
+    for _ in range(300):
+        felt_n = loop.tick([0.5, 0.5])
+    assert felt_n == pytest.approx(0.5, abs=0.7e-3)
+    assert math.isfinite(felt_n)

@@ -1,0 +1,57 @@
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from display_node.heart_rate import heart_rate_per_min
+from sensing_node.sources.synthetic import Synthetic, SyntheticScene
+
+
+def pulse_n(duration_s: float, spacing_s: float = 1e-3, **table: object) -> NDArray[np.float64]:
+    scene = SyntheticScene.model_validate({"kind": "synthetic"} | table)
+    thin = round(spacing_s / 1e-3)
+    return Synthetic(scene).take(round(duration_s * 1000))[::thin, 0]
+
+
+def times_s(forces_n: NDArray[np.float64], spacing_s: float = 1e-3) -> NDArray[np.float64]:
+    return 1234.5 + np.arange(len(forces_n)) * spacing_s
+
+
+@pytest.mark.parametrize("spacing_s", [1e-3, 1e-2])
+@pytest.mark.parametrize("preset", ["paper", "wide"])
+@pytest.mark.parametrize("rate", [40, 60, 75, 100, 140, 180])
+@pytest.mark.parametrize("noise", ["0 mN", "10 mN"])
+def test_the_rate_of_a_pulse(rate: int, preset: str, noise: str, spacing_s: float) -> None:
+    forces_n = pulse_n(6.0, spacing_s, preset=preset, heart_rate=f"{rate} /min", noise=noise)
+    found = heart_rate_per_min(times_s(forces_n, spacing_s), forces_n)
+    assert found == pytest.approx(rate, rel=0.02)
+
+
+def test_two_beats_are_enough() -> None:
+    forces_n = pulse_n(1.9, heart_rate="60 /min")
+    assert heart_rate_per_min(times_s(forces_n), forces_n) == pytest.approx(60, rel=0.02)
+
+
+def test_breathing_does_not_disturb_it() -> None:
+    forces_n = pulse_n(10.0, preset="paper", respiration="25 %")
+    assert heart_rate_per_min(times_s(forces_n), forces_n) == pytest.approx(75, rel=0.02)
+
+
+def test_variable_beats_give_their_median() -> None:
+    forces_n = pulse_n(60.0, heart_rate_variability="4 %", heart_rate="60 /min")
+    assert heart_rate_per_min(times_s(forces_n), forces_n) == pytest.approx(60, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    "forces_n",
+    [
+        np.zeros(0),
+        np.zeros(1),
+        np.array([0.1, 0.5]),
+        np.full(6000, 0.3),
+        np.linspace(0, 1, 6000),
+        pulse_n(0.5),
+    ],
+    ids=["nothing", "one sample", "two samples", "flat", "a ramp", "one beat"],
+)
+def test_no_rate_without_two_beats(forces_n: NDArray[np.float64]) -> None:
+    assert heart_rate_per_min(times_s(forces_n), forces_n) is None

@@ -1,0 +1,182 @@
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from display_node.receiver import Receiver
+from protocol.messages import (
+    Bye,
+    ClockReply,
+    ClockRequest,
+    Frame,
+    Hello,
+    Welcome,
+    encode_control,
+    encode_frame,
+)
+from protocol.stream import Channel
+
+from .sender import AHEAD_NS, MS, Sender, description
+
+
+def joined(sender: Sender) -> Receiver:
+    """A receiver that knows the stream and its clock at 100 ms."""
+    receiver = Receiver("test", channel=0, late_target=0.01)
+    for now_ns in range(0, 101 * MS, MS):
+        for request in receiver.requests(now_ns):
+            answer = sender.answer(request, now_ns)
+            if answer is not None:
+                receiver.on_control(answer, now_ns)
+    return receiver
+
+
+def test_asks_for_the_stream_until_it_is_welcomed() -> None:
+    receiver = Receiver("test", 0, 0.01)
+    asked = [ns for ns in range(0, 2000 * MS, MS) if receiver.requests(ns)]
+    assert len(asked) == 8
+    sender = Sender()
+    receiver.on_control(encode_control(Welcome(7, 0, sender.stream)), 2000 * MS)
+    requests = [r for ns in range(2000 * MS, 2900 * MS, MS) for r in receiver.requests(ns)]
+    assert {type(r) for r in requests} == {ClockRequest}
+
+
+def test_frames_before_the_clock_is_known_are_counted() -> None:
+    sender = Sender()
+    receiver = Receiver("test", 0, 0.01)
+    receiver.on_control(encode_control(Welcome(7, 0, sender.stream)), 0)
+    receiver.on_frame(sender.frame(0, 0.3), 0)
+    assert receiver.rejected == {"before_clock": 1}
+
+
+def test_plays_nothing_before_enough_of_the_stream_has_come() -> None:
+    sender = Sender()
+    receiver = joined(sender)
+    ready = []
+    for ms in range(100, 400, 5):
+        receiver.on_frame(sender.frame(ms * MS, 0.3), ms * MS)
+        ready.append(receiver.ready)
+    assert not any(ready[:50])
+    assert ready[-1]
+
+
+def bad_frames(sender: Sender) -> dict[str, tuple[bytes, str]]:
+    good = sender.frame(200 * MS, 0.3)
+    fields = msgpack.unpackb(good)
+    t_ns = 200 * MS + AHEAD_NS
+
+    def frame(**changes: object) -> bytes:
+        values = np.full((5, 1), 0.3, "<f4")
+        base = Frame(sender.session, 100, t_ns, MS, values)
+        return encode_frame(base._replace(**changes))  # type: ignore[arg-type]
+
+    return {
+        "not msgpack": (b"\xc1\xc1\xc1", "not_msgpack"),
+        "truncated": (good[:-3], "truncated"),
+        "another version": (msgpack.packb([99, *fields[1:]]), "version"),
+        "another session": (frame(session=8), "session"),
+        "NaN": (frame(values=np.full((5, 1), np.nan, "<f4")), "not_finite"),
+        "oversized": (frame(values=np.zeros((20_000, 1), "<f4")), "oversized"),
+        "more channels": (frame(values=np.zeros((5, 2), "<f4")), "mismatch"),
+        "more samples than a batch": (frame(values=np.zeros((6, 1), "<f4")), "mismatch"),
+        "another sample format": (frame(values=np.zeros((5, 1), "<f8")), "mismatch"),
+        "another rate": (frame(period_ns=5 * MS), "mismatch"),
+        "from the future": (frame(t_first_ns=t_ns + 3_000 * MS), "timestamp"),
+        "from long ago": (frame(t_first_ns=t_ns - 3_600_000 * MS), "timestamp"),
+    }
+
+
+@pytest.mark.parametrize("name", list(bad_frames(Sender())))
+def test_a_bad_frame_is_refused_under_its_cause(name: str) -> None:
+    sender = Sender()
+    receiver = joined(sender)
+    data, cause = bad_frames(sender)[name]
+    assert receiver.on_frame(data, 200 * MS) is None
+    assert receiver.rejected == {cause: 1}
+    assert receiver.frames == (0, 0)
+
+
+def test_a_duplicate_is_refused_and_disorder_is_counted() -> None:
+    sender = Sender()
+    receiver = joined(sender)
+    frames = [sender.frame((200 + 5 * i) * MS, 0.3) for i in range(4)]
+    for i in (0, 2, 1, 1, 3):
+        receiver.on_frame(frames[i], 220 * MS)
+    assert receiver.rejected == {"duplicate": 1}
+    assert receiver.frames == (4, 1)
+
+
+def test_a_frame_of_an_unknown_session_makes_it_ask_once_not_at_every_frame() -> None:
+    sender = Sender()
+    receiver = joined(sender)
+    receiver.on_frame(sender.frame(200 * MS, 0.3), 200 * MS)
+    stranger = Sender(session=8)
+    hellos = 0
+    for ms in range(400, 600):
+        receiver.on_frame(stranger.frame(ms * MS, 0.3), ms * MS)
+        hellos += sum(isinstance(r, Hello) for r in receiver.requests(ms * MS))
+    assert hellos == 1
+    assert receiver.rejected == {"session": 200}
+
+
+def test_a_new_session_starts_afresh_and_keeps_the_old_account() -> None:
+    sender = Sender()
+    receiver = joined(sender)
+    for ms in range(100, 200, 5):
+        receiver.on_frame(sender.frame(ms * MS, 0.3), ms * MS)
+    receiver.buffer.advance(300 * MS + AHEAD_NS)
+    assert receiver.account().played == 100
+    again = Sender(session=8)
+    receiver.on_control(encode_control(Welcome(8, 0, again.stream)), 300 * MS)
+    assert not receiver.listening
+    assert receiver.account().played == 100
+    assert receiver.frames == (20, 0)
+    # The old session's clock says nothing about the new one's.
+    receiver.on_control(encode_control(ClockReply(7, 0, AHEAD_NS, AHEAD_NS)), 301 * MS)
+    assert receiver.rejected == {"session": 1}
+
+
+@pytest.mark.parametrize(
+    ("message", "cause"),
+    [
+        (encode_control(Hello("me")), "unexpected"),
+        (encode_control(Bye(99, 5)), "session"),
+        (encode_control(ClockReply(7, 500 * MS, 0, 0)), "implausible"),
+        (b"", "truncated"),
+        (b"\x93\x01", "truncated"),
+        (msgpack.packb([1, "welcome", 7, 0, {"name": "x"}]), "description"),
+        (msgpack.packb("hello"), "malformed"),
+    ],
+)
+def test_a_bad_control_message_is_refused_under_its_cause(message: bytes, cause: str) -> None:
+    receiver = joined(Sender())
+    receiver.on_control(message, 200 * MS)
+    assert receiver.rejected == {cause: 1}
+
+
+def test_an_end_that_there_was_no_time_for_is_refused() -> None:
+    sender = Sender()
+    receiver = joined(sender)
+    receiver.on_frame(sender.frame(200 * MS, 0.3), 200 * MS)
+    receiver.on_control(encode_control(Bye(7, 10**15)), 210 * MS)
+    receiver.on_control(encode_control(Bye(7, 3)), 210 * MS)
+    assert receiver.rejected == {"implausible": 2}
+
+
+def test_a_channel_the_stream_does_not_have_is_a_mismatch() -> None:
+    sender = Sender(stream=description(channels=(Channel("a"), Channel("b"))))
+    receiver = Receiver("test", channel=2, late_target=0.01)
+    receiver.on_control(encode_control(Welcome(7, 0, sender.stream)), 0)
+    for i in range(5):
+        receiver.on_control(encode_control(ClockReply(7, i, AHEAD_NS + i, AHEAD_NS + i)), i)
+    receiver.on_frame(sender.frame(10 * MS, 0.3), 10 * MS)
+    assert receiver.rejected == {"mismatch": 1}
+
+
+@given(st.lists(st.binary(max_size=200), max_size=20))
+def test_no_bytes_make_it_raise(messages: list[bytes]) -> None:
+    receiver = joined(Sender())
+    for data in messages:
+        receiver.on_frame(data, 200 * MS)
+        receiver.on_control(data, 200 * MS)
+    assert sum(receiver.rejected.values()) == 2 * len(messages)

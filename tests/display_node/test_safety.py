@@ -1,0 +1,147 @@
+import math
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from display_node.safety import Safety, SafetyScene
+
+TICK_NS = 1_000_000
+LIMIT_N = 2.5
+SLEW_N = 0.05
+ROUNDING_N = 1e-12
+
+
+def safety(tick_ns: int = TICK_NS, **table: object) -> Safety:
+    return Safety(SafetyScene.model_validate(table), tick_ns)
+
+
+def at_full_strength() -> Safety:
+    """A safety whose ramp is over, at rest."""
+    ready = safety()
+    while not ready.full:
+        ready.bound([0.0, 0.0], alive=True)
+    return ready
+
+
+def ticked(under_test: Safety, force_n: float, ticks: int, alive: bool = True) -> list[float]:
+    return [under_test.bound([force_n, force_n], alive)[0] for _ in range(ticks)]
+
+
+@settings(deadline=None)
+@given(
+    st.lists(
+        st.tuples(st.floats(), st.floats(), st.booleans(), st.floats(-1, 4) | st.just(math.nan)),
+        max_size=100,
+    )
+)
+def test_no_sequence_passes_the_limit_or_the_slew(
+    ticks: list[tuple[float, float, bool, float]],
+) -> None:
+    under_test = at_full_strength()
+    last_n = 0.0
+    for now_n, next_n, alive, feedback_n in ticks:
+        under_test.watch(feedback_n)
+        bounded_n = under_test.bound([now_n, next_n], alive)
+        assert len(bounded_n) == 2
+        assert all(0.0 <= force_n <= LIMIT_N for force_n in bounded_n)
+        assert abs(bounded_n[0] - last_n) <= SLEW_N + ROUNDING_N
+        assert abs(bounded_n[1] - bounded_n[0]) <= SLEW_N + ROUNDING_N
+        last_n = bounded_n[0]
+
+
+@settings(deadline=None)
+@given(st.lists(st.floats(0.5, 1.5), min_size=3, max_size=50))
+def test_a_reference_within_the_bounds_passes_unchanged(forces_n: list[float]) -> None:
+    under_test = safety(slew_limit="1000000 N/s")
+    ticked(under_test, forces_n[0], 600)
+    for now_n, next_n in pairwise(forces_n):
+        assert under_test.bound([now_n, next_n], alive=True) == [now_n, next_n]
+
+
+@pytest.mark.parametrize(
+    ("force_n", "expected_n"),
+    [
+        (1.0, 1.0),
+        (100.0, LIMIT_N),
+        (1e308, LIMIT_N),
+        (math.inf, LIMIT_N),
+        (-1.0, 0.0),
+        (-math.inf, 0.0),
+        (math.nan, 0.0),
+    ],
+)
+def test_a_force_is_limited(force_n: float, expected_n: float) -> None:
+    assert ticked(at_full_strength(), force_n, 100)[-1] == expected_n
+
+
+def test_slew_is_that_of_the_tick() -> None:
+    for tick_ns in (100_000, 1_000_000, 10_000_000):
+        under_test = safety(tick_ns, ramp="1 ms")
+        ticked(under_test, 0.0, 20)
+        assert under_test.bound([2.0, 2.0], True)[0] == pytest.approx(50 * tick_ns * 1e-9)
+
+
+def test_a_jump_of_the_reference_is_climbed_and_descended_at_the_slew_limit() -> None:
+    under_test = at_full_strength()
+    rising_n = ticked(under_test, 1.0, 21)
+    assert rising_n[:20] == pytest.approx([SLEW_N * tick for tick in range(1, 21)])
+    assert rising_n[20] == 1.0
+    falling_n = ticked(under_test, 0.2, 17)
+    assert falling_n[:16] == pytest.approx([1 - SLEW_N * tick for tick in range(1, 17)])
+    assert falling_n[16] == pytest.approx(0.2)
+    # Between the two values of one reference as well.
+    assert under_test.bound([0.2, 1.0], alive=True)[1] == pytest.approx(0.2 + SLEW_N)
+    assert under_test.bound([0.2, 0.0], alive=True)[1] == pytest.approx(0.2 - SLEW_N)
+
+
+def test_it_begins_at_rest_and_ramps_up() -> None:
+    under_test = safety(ramp="500 ms")
+    assert (under_test.gain, under_test.full) == (0.0, False)
+    felt_n = ticked(under_test, 1.0, 501)
+    assert felt_n[:500] == pytest.approx([tick / 500 for tick in range(1, 501)])
+    assert felt_n[500] == 1.0
+    assert under_test.full
+
+
+def test_a_stale_stream_fades_to_nothing() -> None:
+    under_test = at_full_strength()
+    ticked(under_test, 1.0, 100)
+    fading_n = ticked(under_test, 1.0, 45, alive=False)
+    assert fading_n[:40] == pytest.approx([1 - tick / 40 for tick in range(1, 41)], abs=1e-9)
+    assert fading_n[40:] == [0.0] * 5
+    assert not under_test.full
+
+
+def test_a_short_gap_costs_only_what_was_faded() -> None:
+    under_test = at_full_strength()
+    ticked(under_test, 1.0, 100)
+    assert ticked(under_test, 1.0, 10, alive=False)[-1] == pytest.approx(0.75)
+    back_n = ticked(under_test, 1.0, 126)
+    assert back_n[0] == pytest.approx(0.752)
+    assert back_n[-1] == 1.0
+
+
+@pytest.mark.parametrize("feedback_n", [math.nan, math.inf, -math.inf])
+def test_feedback_that_is_no_number_is_a_fault(feedback_n: float) -> None:
+    under_test = at_full_strength()
+    under_test.watch(feedback_n)
+    assert under_test.faults == ["feedback is not a number"]
+
+
+@pytest.mark.parametrize(("feedback_n", "faults"), [(3.75, 0), (3.76, 1), (-9.0, 0)])
+def test_felt_force_far_above_the_limit_is_a_fault(feedback_n: float, faults: int) -> None:
+    under_test = at_full_strength()
+    under_test.watch(feedback_n)
+    assert under_test.faults == ["felt force above 3.75 N"] * faults
+
+
+def test_a_fault_brings_the_actuator_to_rest_for_good() -> None:
+    under_test = at_full_strength()
+    ticked(under_test, 1.0, 100)
+    for feedback_n in (9.0, 9.0, math.nan, 1.0):
+        under_test.watch(feedback_n)
+    assert under_test.faults == ["felt force above 3.75 N", "feedback is not a number"]
+    assert ticked(under_test, 1.0, 45)[-1] == 0.0
+    assert max(ticked(under_test, 1.0, 2000)) == 0.0

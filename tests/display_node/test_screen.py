@@ -1,0 +1,99 @@
+import io
+import math
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from display_node.screen import Screen
+from display_node.telemetry import Status, Trace
+from protocol.summary import Errors, Loop, OneWayDelay, PlayoutDelay, Samples, Summary
+
+BEAT_S = 0.8
+
+
+def trace_of_a_pulse(seconds: float) -> Trace:
+    t_s = np.arange(0, seconds, 1e-3)
+    phase = (t_s % BEAT_S) - 0.2
+    force_n = 0.3 + 0.3 * np.exp(-0.5 * (phase / 0.05) ** 2)
+    now_ns = (t_s * 1e9).astype(np.int64)
+    return Trace(now_ns, now_ns, force_n, force_n, np.ones(len(t_s), bool))
+
+
+def status() -> Status:
+    summary = Summary(
+        samples=Samples(1000, 990, 7, 3, 0),
+        one_way_delay_ms=OneWayDelay(1.25, 4.5, 9.0),
+        playout_delay_ms=PlayoutDelay(12.5, 14.0),
+        strain_rmse=Errors(1.5e-9, 2e-8),
+        loop=Loop(1000, 42),
+    )
+    return Status("playing", "my pulse", summary.to_dict(), False)
+
+
+def printed(screen: Screen) -> str:
+    console = Console(width=100, record=True, file=io.StringIO())
+    console.print(screen.panel())
+    return console.export_text()
+
+
+def test_the_panel_shows_what_a_person_watches() -> None:
+    screen = Screen()
+    screen.add_trace(trace_of_a_pulse(6))
+    screen.status = status()
+    text = printed(screen)
+    for word in ("my pulse", "playing", "75 /min", "1.50e-09", "1.2 ms", "4.5 ms", "12.5 ms"):
+        assert word in text
+    for count in ("7", "3", "42"):
+        assert count in text
+
+
+def test_the_line_shows_the_same_in_one_line() -> None:
+    screen = Screen()
+    screen.add_trace(trace_of_a_pulse(6))
+    screen.status = status()
+    line = screen.line()
+    assert "\n" not in line
+    assert line.startswith("playing: heart rate 75 /min, force target")
+
+
+def test_the_plot_is_a_line_without_holes() -> None:
+    screen = Screen()
+    screen.add_trace(trace_of_a_pulse(3))
+    screen.status = status()
+    rows = [
+        [ord(c) - 0x2800 for c in line if 0x2800 <= ord(c) <= 0x28FF]
+        for line in printed(screen).splitlines()
+        if any(0x2801 <= ord(c) <= 0x28FF for c in line)
+    ]
+    columns = np.array(rows).T
+    assert columns.shape == (64, 6)
+    assert (columns.max(axis=1) > 0).all()
+
+
+def test_before_anything_is_known_it_says_so() -> None:
+    screen = Screen()
+    assert "waiting" in printed(screen)
+    assert "waiting" in screen.line()
+    screen.status = Status("waiting", "", Summary().to_dict(), False)
+    assert "no pulse yet" in printed(screen)
+
+
+def test_only_the_last_seconds_are_kept() -> None:
+    screen = Screen()
+    for start_s in range(0, 120, 2):
+        trace = trace_of_a_pulse(2)
+        shifted = trace._replace(now_ns=trace.now_ns + start_s * 10**9)
+        screen.add_trace(shifted)
+    rate = screen.heart_rate_per_min
+    assert rate is not None
+    assert math.isclose(rate, 60 / BEAT_S, rel_tol=0.3)
+
+
+@pytest.mark.parametrize("name", ["[red]evil[/red]", "\x1b[31mevil", "[/]"])
+def test_a_streams_name_cannot_draw_on_the_screen(name: str) -> None:
+    screen = Screen()
+    screen.status = status()._replace(stream=name)
+    text = printed(screen)
+    assert "\x1b" not in text
+    assert "evil" in text or "[/]" in text

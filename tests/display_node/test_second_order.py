@@ -1,0 +1,72 @@
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import lsim
+
+from display_node.actuators.second_order import SecondOrder, SecondOrderScene
+
+TABLE_4 = (0.65, 0.61, 4.23)
+
+
+def forces_n(
+    volts: NDArray[np.float64], tick_s: float, m: float, c: float, k: float
+) -> NDArray[np.float64]:
+    scene = SecondOrderScene.model_validate({"kind": "second_order", "m": m, "c": c, "k": k})
+    model = SecondOrder(scene, tick_s)
+    forces = [model.force_n]
+    for held in volts.tolist():
+        forces.append(model.step(held))
+        assert model.force_n == forces[-1]
+    return np.array(forces)
+
+
+def test_the_defaults_are_the_papers_table_4() -> None:
+    scene = SecondOrderScene.model_validate({"kind": "second_order"})
+    assert (scene.m, scene.c, scene.k) == TABLE_4
+
+
+@pytest.mark.parametrize("tick_s", [1e-6, 1e-3, 0.1])
+@pytest.mark.parametrize("mck", [TABLE_4, (1.0, 0.0, 4.0), (0.65, 0.61, 0.0), (0.01, 5.0, 4.23)])
+def test_held_voltages_agree_with_lsim(tick_s: float, mck: tuple[float, float, float]) -> None:
+    m, c, k = mck
+    volts = np.random.default_rng(2).normal(0, 10, 500)
+    t_s = np.arange(501) * tick_s
+    held = np.append(volts, volts[-1])
+    # State space: lsim of a transfer function warns of k = 0.
+    system = ([[0, 1], [-k / m, -c / m]], [[0], [1 / m]], [[1, 0]], [[0]])
+    _, expected, _ = lsim(system, held, t_s, interp=False)
+    forces = forces_n(volts, tick_s, *mck)
+    assert np.abs(forces - expected).max() <= 1e-9 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("tick_s", [1e-6, 1e-3, 0.1])
+def test_the_step_response_is_that_of_theory(tick_s: float) -> None:
+    m, c, k = TABLE_4
+    count = round(min(20.0, 10_000 * tick_s) / tick_s)
+    t_s = np.arange(count + 1) * tick_s
+    decay = c / (2 * m)
+    omega = math.sqrt(k / m - decay**2)
+    swing = np.cos(omega * t_s) + decay / omega * np.sin(omega * t_s)
+    expected = 10 / k * (1 - np.exp(-decay * t_s) * swing)
+    forces = forces_n(np.full(count, 10.0), tick_s, m, c, k)
+    assert np.abs(forces - expected).max() < 1e-9
+
+
+def test_without_stiffness_a_held_voltage_makes_a_ramp() -> None:
+    m, c = 0.65, 0.61
+    t_s = np.arange(10_001) * 1e-3
+    expected = 2.0 / c * (t_s - m / c * (1 - np.exp(-c / m * t_s)))
+    forces = forces_n(np.full(10_000, 2.0), 1e-3, m, c, 0.0)
+    assert np.abs(forces - expected).max() < 1e-9 * expected.max()
+
+
+def test_without_stiffness_and_damping_it_is_a_double_integrator() -> None:
+    t_s = np.arange(1001) * 1e-3
+    forces = forces_n(np.full(1000, 3.0), 1e-3, 2.0, 0.0, 0.0)
+    assert np.abs(forces - 3.0 / 2.0 * t_s**2 / 2).max() < 1e-12
+
+
+def test_a_held_voltage_settles_at_its_static_force() -> None:
+    assert forces_n(np.full(600, 8.46), 0.1, *TABLE_4)[-1] == pytest.approx(2.0, rel=1e-9)

@@ -1,0 +1,156 @@
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from display_node.actuators.stepper import Stepper, StepperScene
+from display_node.step_rate import StepCommand
+from protocol.tactile import ElasticLayer
+
+TICK_S = 1e-3
+LIMIT_N = 2.5
+FORWARD = StepCommand(math.inf, 1)
+BACK = StepCommand(math.inf, -1)
+HALT = StepCommand(0.0, 0)
+
+
+def scene(**table: object) -> StepperScene:
+    return StepperScene.model_validate({"kind": "stepper"} | table)
+
+
+def stepper(limit_n: float = LIMIT_N, tick_s: float = TICK_S, **table: object) -> Stepper:
+    description = scene(**table)
+    return Stepper(description, description.contact(ElasticLayer()), limit_n, tick_s)
+
+
+def positions_m(under_test: Stepper, command: StepCommand, ticks: int) -> list[float]:
+    positions = []
+    for _ in range(ticks):
+        under_test.step(command)
+        positions.append(under_test.position_m)
+    return positions
+
+
+def test_the_defaults_are_the_papers_tables_2a_and_2b() -> None:
+    default = scene()
+    assert math.degrees(default.step_angle_rad) == pytest.approx(1.8)
+    assert (default.stroke_m, default.max_speed_m_per_s, default.thrust_n) == (0.1, 0.4, 100.0)
+
+
+def test_a_microstep_is_the_lead_over_3200_steps() -> None:
+    assert scene(lead="2 mm").step_m == pytest.approx(2e-3 / 3200)
+    assert scene(lead="6 mm", microsteps=1).step_m == pytest.approx(6e-3 / 200)
+
+
+def test_it_starts_at_rest_without_a_force() -> None:
+    under_test = stepper()
+    assert (under_test.force_n, under_test.position_m) == (0.0, 0.0)
+    assert under_test.step(HALT) == 0.0
+
+
+commands = st.tuples(
+    st.builds(StepCommand, st.floats(0, 1e7) | st.just(math.inf), st.sampled_from([-1, 0, 1])),
+    st.integers(1, 40),
+)
+
+
+@pytest.mark.parametrize("limit_n", [0.3, 2.5, 200.0])
+@pytest.mark.parametrize("fingertip", ["1 N/mm", "1000 N/mm"])
+@settings(deadline=None)
+@given(sequence=st.lists(commands, max_size=12))
+def test_no_command_presses_harder_than_the_limit_or_leaves_the_stroke(
+    limit_n: float, fingertip: str, sequence: list[tuple[StepCommand, int]]
+) -> None:
+    under_test = stepper(limit_n, fingertip=fingertip, stroke="20 mm")
+    step_m, last_m = scene().step_m, 0.0
+    law = scene(fingertip=fingertip).contact(ElasticLayer())
+    for command, ticks in sequence:
+        for _ in range(ticks):
+            force_n, position_m = under_test.step(command), under_test.position_m
+            assert 0 <= force_n <= min(limit_n, 100.0) * (1 + 1e-12)
+            assert 0 <= position_m <= 20e-3
+            assert abs(position_m - last_m) <= 0.4 * TICK_S + step_m
+            assert position_m / step_m == pytest.approx(round(position_m / step_m), abs=1e-6)
+            assert force_n == law.force(position_m) == under_test.force_n
+            last_m = position_m
+
+
+@pytest.mark.parametrize(
+    ("limit_n", "table", "end_n"),
+    [(2.5, {}, 2.5), (0.5, {}, 0.5), (100.0, {"thrust": "5 N", "max_speed": "0.1 m/s"}, 5.0)],
+)
+def test_driven_on_and_on_it_stops_within_a_microstep_of_the_limit(
+    limit_n: float, table: dict[str, object], end_n: float
+) -> None:
+    under_test = stepper(limit_n, **table)
+    positions_m(under_test, FORWARD, 2000)
+    microstep_n = 1e3 * scene().step_m
+    assert end_n - 1.01 * microstep_n < under_test.force_n <= end_n
+    assert positions_m(under_test, FORWARD, 10) == [under_test.position_m] * 10
+
+
+def test_it_comes_back_from_the_stop_at_once() -> None:
+    under_test = stepper()
+    stopped_m = positions_m(under_test, FORWARD, 2000)[-1]
+    assert positions_m(under_test, BACK, 3)[-1] < stopped_m
+
+
+def test_a_short_stroke_ends_it_before_the_limit() -> None:
+    under_test = stepper(stroke="1 mm")
+    end_m = positions_m(under_test, FORWARD, 1000)[-1]
+    assert end_m == pytest.approx(1e-3, abs=scene().step_m)
+    assert end_m <= 1e-3 * (1 + 1e-12)
+    assert under_test.force_n < 1.0
+
+
+def test_drawn_back_it_rests_at_zero() -> None:
+    under_test = stepper()
+    positions_m(under_test, FORWARD, 100)
+    assert positions_m(under_test, BACK, 500)[-1] == 0.0
+    assert under_test.force_n == 0.0
+
+
+def test_rate_times_time_is_distance() -> None:
+    under_test = stepper(limit_n=100.0)
+    at_speed = StepCommand(1000.0, 1)
+    start_m = positions_m(under_test, at_speed, 10)[-1]
+    end_m = positions_m(under_test, at_speed, 2000)[-1]
+    assert end_m - start_m == pytest.approx(2000 * scene().step_m, rel=1e-9)
+
+
+def test_a_rate_below_one_step_a_tick_adds_up() -> None:
+    under_test = stepper()
+    positions = positions_m(under_test, StepCommand(50.0, 1), 1000)
+    assert positions[-1] == pytest.approx(50 * scene().step_m)
+    assert len(set(positions)) == 51
+
+
+@pytest.mark.parametrize("tick_s", [1e-4, 1e-3, 5e-3])
+def test_acceleration_and_speed_are_limited(tick_s: float) -> None:
+    under_test = stepper(limit_n=100.0, tick_s=tick_s)
+    start_ticks = round(0.02 / tick_s)
+    starting = positions_m(under_test, FORWARD, start_ticks)
+    for tick, position_m in enumerate(starting, start=1):
+        expected_m = 20.0 * tick_s**2 * tick * (tick + 1) / 2
+        assert position_m == pytest.approx(expected_m, abs=0.51 * scene().step_m)
+    end_m = positions_m(under_test, FORWARD, round(0.1 / tick_s))[-1]
+    assert end_m - starting[-1] == pytest.approx(0.4 * 0.1, rel=1e-3)
+
+
+def test_turning_round_takes_as_long_as_braking() -> None:
+    under_test = stepper(limit_n=100.0)
+    positions_m(under_test, FORWARD, 30)
+    turning = positions_m(under_test, BACK, 60)
+    # From 0.4 m/s at 20 m/s².
+    assert turning.index(max(turning)) in (18, 19, 20)
+    assert turning[-1] < turning[19]
+
+
+@pytest.mark.parametrize("command", [HALT, StepCommand(1e6, 0)])
+def test_halting_brakes_to_rest(command: StepCommand) -> None:
+    under_test = stepper(limit_n=100.0)
+    positions_m(under_test, FORWARD, 30)
+    halting = positions_m(under_test, command, 60)
+    assert halting[25:] == [halting[-1]] * 35
+    assert halting[-1] > halting[0]

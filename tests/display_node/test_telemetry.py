@@ -1,0 +1,123 @@
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from display_node.display import Display, Felt
+from display_node.scene import DisplayScene
+from display_node.telemetry import (
+    TRACE_TICKS,
+    TraceWriter,
+    read_status,
+    read_trace,
+    write_status,
+)
+from protocol.errors import WireError
+from protocol.scene import load_section
+
+from .sender import Sender, run
+
+RADIAL = Path(__file__).parents[2] / "scenes" / "radial.toml"
+int64 = st.integers(-(2**63), 2**63 - 1)
+ticks = st.builds(
+    Felt,
+    now_ns=int64,
+    instant_ns=int64,
+    target_n=st.floats(),
+    felt_n=st.floats(),
+    scored=st.booleans(),
+)
+
+
+def traces(felt: list[Felt]) -> list[bytes]:
+    writer = TraceWriter()
+    return [message for tick in felt if (message := writer.add(tick)) is not None]
+
+
+@settings(deadline=None)
+@given(st.lists(ticks, min_size=TRACE_TICKS, max_size=3 * TRACE_TICKS))
+def test_every_tick_comes_through_a_trace(felt: list[Felt]) -> None:
+    read = [read_trace(message) for message in traces(felt)]
+    assert len(read) == len(felt) // TRACE_TICKS
+    sent = felt[: len(read) * TRACE_TICKS]
+    for name in ("now_ns", "instant_ns", "target_n", "felt_n", "scored"):
+        together = np.concatenate([getattr(trace, name) for trace in read])
+        np.testing.assert_array_equal(together, [getattr(tick, name) for tick in sent])
+        assert all(len(getattr(trace, name)) == TRACE_TICKS for trace in read)
+
+
+def test_the_status_comes_through() -> None:
+    scene = load_section(RADIAL, "display", DisplayScene)
+    display = Display(scene, "test")
+    run(display, Sender(), 0, 1500)
+    summary = display.summary()
+    status = read_status(write_status(display, summary, final=False))
+    assert (status.state, status.stream, status.final) == ("playing", "test pulse", False)
+    assert status.summary == summary.to_dict()
+
+
+def test_the_status_comes_through_before_there_is_a_stream() -> None:
+    display = Display(load_section(RADIAL, "display", DisplayScene), "test")
+    status = read_status(write_status(display, display.summary(), final=True))
+    assert (status.state, status.stream, status.final) == ("waiting", "", True)
+
+
+good_trace = traces([Felt()] * TRACE_TICKS)[0]
+plain = st.recursive(
+    st.none() | st.booleans() | int64 | st.floats() | st.text(max_size=5) | st.binary(max_size=60),
+    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text(max_size=3), inner),
+    max_leaves=10,
+)
+
+
+@pytest.mark.parametrize("read", [read_trace, read_status])
+@settings(deadline=None, max_examples=300)
+@given(
+    st.binary(max_size=100)
+    | plain.map(msgpack.packb)
+    | st.lists(plain, min_size=2, max_size=4).map(msgpack.packb)
+    | st.integers(0, len(good_trace)).map(lambda end: good_trace[:end])
+)
+def test_bytes_are_read_or_refused(read: Callable[[bytes], object], data: bytes) -> None:
+    with suppress(WireError):
+        assert isinstance(read(data), tuple)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        [b"\0" * 48, b"\0" * 16],
+        [b"\0" * 24, b"\0" * 32],
+        [b"\0" * 23, b"\0" * 16],
+        [b"\0" * 24],
+        ["a", "b"],
+        [None, None],
+        17,
+    ],
+)
+def test_what_is_no_trace_is_refused(value: object) -> None:
+    with pytest.raises(WireError):
+        read_trace(msgpack.packb(value))
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        "abcd",
+        {"a": 1, "b": 2, "c": 3, "d": 4},
+        [1, "stream", {}, True],
+        ["playing", None, {}, True],
+        ["playing", "stream", [], True],
+        ["playing", "stream", {}, 1],
+        ["playing", "stream", {}],
+        None,
+    ],
+)
+def test_what_is_no_status_is_refused(value: object) -> None:
+    with pytest.raises(WireError):
+        read_status(msgpack.packb(value))
