@@ -1,15 +1,20 @@
 """Command line of telepulse: what runs both nodes."""
 
 import threading
-from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
-from protocol.commands import one_line_errors
+from protocol.commands import (
+    DurationOption,
+    JsonOption,
+    StopAfterOption,
+    one_line_errors,
+    plain_console,
+    sum_up,
+)
 from protocol.signals import stop_on_signals
-from protocol.summary import print_summary, write_json
+from protocol.summary import check_writable
 from telepulse.demo import run_demo
 from telepulse.link import LinkScene, parse_link
 from telepulse.link_relay import LinkRelay
@@ -27,9 +32,6 @@ app = typer.Typer(
 SceneArgument = Annotated[
     str, typer.Argument(help="A scene file, or the name of one that comes with telepulse.")
 ]
-JsonOption = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Write the closing summary here as JSON.")
-]
 LinkOption = Annotated[
     str | None,
     typer.Option(
@@ -42,7 +44,7 @@ LinkOption = Annotated[
 @app.command()
 def demo(
     scene: SceneArgument = DEFAULT_SCENE,
-    seconds: Annotated[float, typer.Option(min=1, help="How long the pulse is streamed.")] = 15.0,
+    seconds: DurationOption = 15.0,
     link: LinkOption = None,
     json: JsonOption = None,
     ui: Annotated[
@@ -55,19 +57,18 @@ def demo(
     between them and delays, jitters and loses frames. At the end, every sample sent is
     accounted for: sent = played + late + lost.
     """
-    console = Console()
+    console = plain_console()
     with one_line_errors(PROGRAM):
+        check_writable(json)
         path = find_scene(scene)
         summary = run_demo(path, seconds, parse_link(link) if link else None, ui, console)
-    print_summary(summary, f"demo of {path.stem}, {seconds:g} s", console)
-    if json is not None:
-        write_json(summary, json)
+    sum_up(PROGRAM, summary, f"demo of {path.stem}, {seconds:g} s", console, json)
 
 
 @app.command(name="simulate")
 def simulate_command(
     scene: SceneArgument = DEFAULT_SCENE,
-    seconds: Annotated[float, typer.Option(min=1, help="How much time to simulate.")] = 60.0,
+    seconds: DurationOption = 60.0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the link's chances.")] = 1,
     link: LinkOption = None,
     json: JsonOption = None,
@@ -77,13 +78,13 @@ def simulate_command(
     The same scene and seed give the same figures, many times faster than real time.
     """
     with one_line_errors(PROGRAM):
+        check_writable(json)
         loaded = load_scene(find_scene(scene))
         if link:
             loaded = Scene(loaded.path, loaded.sensing, loaded.display, parse_link(link))
         summary = simulate(loaded, seconds, seed)
-    print_summary(summary, f"simulation of {loaded.path.stem}, {seconds:g} s", Console())
-    if json is not None:
-        write_json(summary, json)
+    title = f"simulation of {loaded.path.stem}, {seconds:g} s"
+    sum_up(PROGRAM, summary, title, plain_console(), json)
 
 
 @app.command(name="link")
@@ -91,7 +92,7 @@ def link_command(
     connect: Annotated[str, typer.Option(help="Address of the sensing node.")],
     bind: Annotated[str, typer.Option(help="Address for displays to connect to.")],
     link: LinkOption = None,
-    seconds: Annotated[float | None, typer.Option(min=0.1, help="Stop after this long.")] = None,
+    seconds: StopAfterOption = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the link's chances.")] = 1,
 ) -> None:
     """Stand between two nodes and make the link between them worse.

@@ -30,7 +30,7 @@ from telepulse.link import LinkScene
 from telepulse.scene import Scene, load_scene
 
 HOST = "127.0.0.1"
-ENDS_WITHIN_S = 20.0
+ENDS_WITHIN_S = 10.0
 # The display is listening before the pulse begins.
 HEAD_START_S = 0.7
 
@@ -61,8 +61,9 @@ def run_demo(
             *("--once", "--seconds", str(seconds + ENDS_WITHIN_S), "--quiet"),
             *("--json", str(display_json)),
         )
+        relay = None
         if impaired:
-            processes.start(
+            relay = processes.start(
                 "telepulse.cli",
                 *("link", "--connect", sensing_address, "--bind", display_address),
                 *("--link", link.text(), "--seconds", str(seconds + ENDS_WITHIN_S)),
@@ -80,6 +81,8 @@ def run_demo(
                 return display.poll() is None and not sensing.poll()
 
             watch(telemetry_address, console, referee.felt, draw, meanwhile)
+        if relay is not None and relay.poll():
+            _await(relay, "link between the nodes")
         _await(sensing, "sensing node")
         _await(display, "display node")
         return _compose(_read(sensing_json), _read(display_json), referee.fidelity)
@@ -164,6 +167,8 @@ def _await(process: subprocess.Popen[str], name: str) -> None:
 def _compose(sensing: Summary, display: Summary, fidelity: Fidelity) -> Summary:
     """The display's summary with the true errors, after both accounts were compared."""
     sent = sensing.samples.sent
+    if display.clock.offset_ms is None:
+        raise DemoError("the display never heard from the sensing node")
     accounted = (display.samples.sent or 0) + (display.samples.before_joining or 0)
     if sent != accounted:
         raise DemoError(

@@ -24,11 +24,12 @@ class LinkRelay:
         self._order = itertools.count()
         self._context: sockets.Context = zmq.Context()
         context = self._context
+        control_in, control_out = (sockets.control_address(a) for a in (connect, bind))
         self._data_in = sockets.connect(context, zmq.SUB, connect)
         self._data_in.subscribe(b"")
-        self._control_in = sockets.connect(context, zmq.DEALER, sockets.control_address(connect))
+        self._control_in = sockets.connect(context, zmq.DEALER, control_in)
         self._data_out = sockets.bind(context, zmq.PUB, bind)
-        self._control_out = sockets.bind(context, zmq.ROUTER, sockets.control_address(bind))
+        self._control_out = sockets.bind(context, zmq.ROUTER, control_out)
 
     @property
     def lost_frames(self) -> int:

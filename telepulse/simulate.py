@@ -27,8 +27,10 @@ from telepulse.scene import Scene
 SENSING_CLOCK_AHEAD_NS = 3_600_000_000_000
 STREAM_BEGINS_NS = 500_000_000
 SENDER = (b"simulated display",)
-# A scene's own seed makes the pulse; this one makes the link.
 DRAIN_LIMIT_NS = 15_000_000_000
+
+Event = Callable[[bytes, int], None]
+"""What happens to some bytes at a time."""
 
 
 class Simulation:
@@ -40,37 +42,27 @@ class Simulation:
         source = build_source(scene.sensing, scene.path.parent)
         self._description = describe_stream(scene.sensing, source)
         self._paced = Paced(source, STREAM_BEGINS_NS + SENSING_CLOCK_AHEAD_NS)
-        self._framer = Framer(self._description, session=seed + 1)
-        self._desk = Desk(self._description, session=seed + 1)
+        self._session = seed + 1
+        self._framer = Framer(self._description, self._session)
+        self._desk = Desk(self._description, self._session)
         self._display = Display(scene.display, "simulated display", score=False)
         self._fidelity = Fidelity(scene.display.layer.layer().strain_per_newton)
         self._down, self._up = Link(scene.link, seed), Link(scene.link, seed + 1)
-        self._events: list[tuple[int, int, Callable[[bytes, int], None], bytes]] = []
+        self._events: list[tuple[int, int, Event, bytes]] = []
         self._order = itertools.count()
-        self.lost_frames = 0
 
     def run(self, seconds: float) -> Summary:
         """Simulate `seconds` of stream and its playing to the end."""
         began_s = time.perf_counter()
-        end_ns = STREAM_BEGINS_NS + round(seconds * 1e9)
-        now_ns = 0
-        tick_ns = self._scene.display.tick_ns
+        last_ns = STREAM_BEGINS_NS + round(seconds * 1e9) - 1
+        self._plan_batch(last_ns)
+        now_ns, tick_ns = 0, self._scene.display.tick_ns
         display, events = self._display, self._events
-        next_batch_ns = self._next_batch_ns()
-        streaming = True
-        while not display.over and now_ns < end_ns + DRAIN_LIMIT_NS:
+        while not display.over and now_ns < last_ns + DRAIN_LIMIT_NS:
             now_ns += tick_ns
-            while streaming and next_batch_ns <= now_ns:
-                if next_batch_ns > end_ns or self._paced.exhausted:
-                    streaming = False
-                    bye = Bye(self._framer_session, self._framer.samples_sent)
-                    self._post(self._down, next_batch_ns, display.on_control, encode_control(bye))
-                    break
-                self._sense(next_batch_ns)
-                next_batch_ns = self._next_batch_ns()
             while events and events[0][0] <= now_ns:
-                at_ns, _, deliver, data = heapq.heappop(events)
-                deliver(data, at_ns)
+                at_ns, _, happen, data = heapq.heappop(events)
+                happen(data, at_ns)
             felt = display.tick(now_ns)
             if felt.scored:
                 true_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS
@@ -81,18 +73,28 @@ class Simulation:
         return self._summary(now_ns / 1e9 / (time.perf_counter() - began_s))
 
     @property
-    def _framer_session(self) -> int:
-        return self._display.receiver.session or 0
+    def lost_frames(self) -> int:
+        """Data frames that the link has lost."""
+        return self._down.lost
 
-    def _next_batch_ns(self) -> int:
-        return self._paced.due_ns(self._description.batch) - SENSING_CLOCK_AHEAD_NS
+    def _plan_batch(self, last_ns: int) -> None:
+        """Sense the next batch when it is due, the last one short; then say how many there were."""
 
-    def _sense(self, now_ns: int) -> None:
-        block = self._paced.read(now_ns + SENSING_CLOCK_AHEAD_NS)
-        for frame in self._framer.frames(block) if block is not None else ():
-            self._note_truth(frame)
-            if not self._down.loses():
-                self._post(self._down, now_ns, self._display.on_frame, encode_frame(frame))
+        def sense(_: bytes, now_ns: int) -> None:
+            block = self._paced.read(now_ns + SENSING_CLOCK_AHEAD_NS)
+            for frame in self._framer.frames(block) if block is not None else ():
+                self._note_truth(frame)
+                if not self._down.loses():
+                    self._post(self._down, now_ns, self._display.on_frame, encode_frame(frame))
+            self._plan_batch(last_ns)
+
+        ahead_ns = SENSING_CLOCK_AHEAD_NS
+        if self._paced.exhausted or self._paced.due_ns(1) - ahead_ns > last_ns:
+            bye = encode_control(Bye(self._session, self._framer.samples_sent))
+            self._post(self._down, last_ns, self._display.on_control, bye)
+            return
+        due_ns = min(self._paced.due_ns(self._description.batch) - ahead_ns, last_ns)
+        heapq.heappush(self._events, (due_ns, next(self._order), sense, b""))
 
     def _note_truth(self, frame: Frame) -> None:
         wrist_n = frame.values[:, self._scene.display.channel].astype(np.float64)
@@ -104,9 +106,7 @@ class Simulation:
         if reply is not None:
             self._post(self._down, now_ns, self._display.on_control, encode_control(reply))
 
-    def _post(
-        self, link: Link, now_ns: int, deliver: Callable[[bytes, int], None], data: bytes
-    ) -> None:
+    def _post(self, link: Link, now_ns: int, deliver: Event, data: bytes) -> None:
         event = (now_ns + link.delay_ns(), next(self._order), deliver, data)
         heapq.heappush(self._events, event)
 

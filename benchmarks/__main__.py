@@ -1,0 +1,20 @@
+"""`python -m benchmarks [NAME ...]`: run all benchmarks, or the named ones."""
+
+import importlib
+import sys
+
+NAMES = ("wire", "simulation")
+
+
+def main() -> int:
+    """Run the benchmarks named on the command line."""
+    chosen = sys.argv[1:] or NAMES
+    for name in chosen:
+        if name not in NAMES:
+            print(f"benchmarks: no benchmark {name!r}; known: {', '.join(NAMES)}", file=sys.stderr)
+            return 2
+        importlib.import_module(f"benchmarks.{name}").main()
+    return 0
+
+
+sys.exit(main())

@@ -1,0 +1,48 @@
+"""One way to time a call, one way to show a table."""
+
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from rich.console import Console
+from rich.table import Table
+
+REPEATS = 15
+BATCH_S = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """Cost of one call in µs: median, least and most of the repeats."""
+
+    median_us: float
+    least_us: float
+    most_us: float
+
+
+def time_call(call: Callable[[], object]) -> Timing:
+    """Time `call` in batches of about 20 ms."""
+    call()
+    count = 1
+    while (elapsed_s := _batch_s(call, count)) < BATCH_S:
+        count = max(count + 1, round(count * min(10.0, 1.2 * BATCH_S / max(elapsed_s, 1e-9))))
+    costs_us = [_batch_s(call, count) / count * 1e6 for _ in range(REPEATS)]
+    return Timing(statistics.median(costs_us), min(costs_us), max(costs_us))
+
+
+def show(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table."""
+    table = Table(title=title, title_justify="left")
+    for position, column in enumerate(columns):
+        table.add_column(column, justify="left" if position == 0 else "right")
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table)
+
+
+def _batch_s(call: Callable[[], object], count: int) -> float:
+    began_s = time.perf_counter()
+    for _ in range(count):
+        call()
+    return time.perf_counter() - began_s

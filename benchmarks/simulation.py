@@ -1,0 +1,52 @@
+"""Speed of `telepulse simulate` in times real time, on one core."""
+
+import statistics
+from dataclasses import replace
+
+from benchmarks.measure import show
+from protocol.scene import Section
+from telepulse.link import parse_link
+from telepulse.scene import Scene, find_scene, load_scene
+from telepulse.simulate import simulate
+
+SECONDS = 20.0
+REPEATS = 5
+
+
+def main() -> None:
+    """Print the table; the bar is 50 times for the default scene."""
+    radial = load_scene(find_scene("radial"))
+    controller = radial.display.controller
+    scenes = {
+        "radial (default)": radial,
+        "radial over 40±10 ms, 1 % loss": replace(
+            radial, link=parse_link("delay=40ms,jitter=10ms,loss=1%")
+        ),
+        "radial without feed-forward": _display(
+            radial, controller=_with(controller, feed_forward=False)
+        ),
+        "radial with a derivative": _display(radial, controller=_with(controller, kd=0.01)),
+        "paper (second-order actuator)": load_scene(find_scene("paper")),
+    }
+    base = 0.0
+    rows = []
+    for name, scene in scenes.items():
+        speeds = [simulate(scene, SECONDS, seed=1).speed or 0.0 for _ in range(REPEATS)]
+        speed = statistics.median(speeds)
+        base = base or speed
+        rows.append(
+            (name, f"{speed:.0f}", f"{min(speeds):.0f} to {max(speeds):.0f}", f"{speed / base:.2f}")
+        )
+    show(
+        f"Simulation of {SECONDS:g} s: times real time, median of {REPEATS}",
+        ("scene", "speed", "range", "over default"),
+        rows,
+    )
+
+
+def _with(section: Section, **changes: object) -> Section:
+    return section.model_copy(update=changes)
+
+
+def _display(scene: Scene, **changes: object) -> Scene:
+    return replace(scene, display=scene.display.model_copy(update=changes))

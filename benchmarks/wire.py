@@ -1,0 +1,34 @@
+"""Cost of a data frame on the wire: encode and decode, by its number of samples."""
+
+import numpy as np
+
+from benchmarks.measure import show, time_call
+from protocol.messages import Frame, decode_frame, encode_frame
+
+BAR_US = 15.0
+
+
+def main() -> None:
+    """Print the table; the bar is 15 µs for both of a 5-sample frame."""
+    rows = []
+    for samples, channels in ((1, 1), (5, 1), (5, 4), (50, 1)):
+        values = np.linspace(0, 1, samples * channels, dtype="<f4").reshape(samples, channels)
+        frame = Frame(1 << 60, 123_456, 987_654_321_000, 1_000_000, values)
+        data = encode_frame(frame)
+        encode, decode = (
+            time_call(lambda f=frame: encode_frame(f)),
+            time_call(lambda d=data: decode_frame(d)),
+        )
+        both_us = encode.median_us + decode.median_us
+        rows.append(
+            (
+                f"{samples} × {channels}",
+                str(len(data)),
+                f"{encode.median_us:.2f}",
+                f"{decode.median_us:.2f}",
+                f"{both_us:.2f}",
+                f"{both_us / BAR_US:.0%}" if (samples, channels) == (5, 1) else "",
+            )
+        )
+    columns = ("samples × channels", "bytes", "encode µs", "decode µs", "both µs", "of the bar")
+    show("Data frames: median cost a frame", columns, rows)

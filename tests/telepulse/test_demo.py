@@ -1,0 +1,131 @@
+import os
+import pty
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from ..nodes import ROOT, assert_accounted, read_json, run
+
+MODULE = "telepulse.cli"
+KEYS = {
+    "samples": {"sent", "played", "late", "lost", "before_joining"},
+    "frames": {"received", "reordered"},
+    "one_way_delay_ms": {"p50", "p99", "max"},
+    "playout_delay_ms": {"mean", "p99"},
+    "clock": {"offset_ms", "skew_ppm", "uncertainty_ms"},
+    "force_rmse_n": {"aligned", "in_phase"},
+    "strain_rmse": {"aligned", "in_phase"},
+    "loop": {"ticks", "deadline_misses", "tick_us"},
+}
+
+
+def test_the_demo_carries_the_pulse_and_accounts_for_every_sample(tmp_path: Path) -> None:
+    out = tmp_path / "out.json"
+    result = run(MODULE, "demo", "--seconds", "4", "--json", str(out), "--no-ui")
+    assert result.returncode == 0, result.stderr
+    summary = read_json(out)
+    for key, inner in KEYS.items():
+        assert set(summary[key]) == inner
+    assert {"covered_delay_ms", "within_jnd", "speed", "rejected", "faults"} <= set(summary)
+    samples = summary["samples"]
+    assert_accounted(samples)
+    assert samples["sent"] + samples["before_joining"] == pytest.approx(4000, abs=5)
+    assert summary["within_jnd"] > 0.95
+    assert summary["force_rmse_n"]["aligned"] < 5e-3
+    assert "sent =" in result.stdout
+    assert result.stderr == ""
+
+
+def test_the_demo_over_a_bad_link_counts_what_is_late_and_lost(tmp_path: Path) -> None:
+    out = tmp_path / "out.json"
+    link = "delay=40ms,jitter=10ms,loss=5%"
+    arguments = ("--seconds", "6", "--json", str(out), "--link", link, "--no-ui")
+    result = run(MODULE, "demo", *arguments)
+    assert result.returncode == 0, result.stderr
+    summary = read_json(out)
+    assert_accounted(summary["samples"])
+    assert summary["samples"]["lost"] > 50
+    assert 30 < summary["one_way_delay_ms"]["p50"] < 50
+    assert summary["playout_delay_ms"]["mean"] > 45
+
+
+def test_in_a_terminal_the_demo_draws_a_panel_with_a_pulse_trace() -> None:
+    leader, follower = pty.openpty()
+    environment = os.environ | {"COLUMNS": "100", "LINES": "40", "TERM": "xterm"}
+    child = subprocess.Popen(
+        [sys.executable, "-m", MODULE, "demo", "--seconds", "4"],
+        cwd=ROOT,
+        stdin=follower,
+        stdout=follower,
+        stderr=follower,
+        env=environment,
+    )
+    os.close(follower)
+    output = b""
+    while chunk := read_or_end(leader):
+        output += chunk
+    os.close(leader)
+    assert child.wait(10) == 0
+    text = output.decode(errors="replace")
+    for word in ("heart rate", "force felt", "strain RMSE", "playout delay", "deadline misses"):
+        assert word in text
+    assert any("\u2801" <= character <= "\u28ff" for character in text)
+    assert "sent =" in text
+
+
+def read_or_end(descriptor: int) -> bytes:
+    try:
+        return os.read(descriptor, 65_536)
+    except OSError:
+        # Linux ends a pseudo-terminal this way when its last writer has gone.
+        return b""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (("demo", "nowhere"), "radial"),
+        (("demo", "nowhere.toml"), "no such scene file"),
+        (("demo", "--link", "delay=40"), "time"),
+        (("simulate", "radial", "--link", "loss=7"), "less"),
+        (("link", "--connect", "tcp://h", "--bind", "tcp://127.0.0.1:1"), "address"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(arguments: tuple[str, ...], word: str) -> None:
+    result = run(MODULE, *arguments)
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert word in result.stderr
+
+
+def test_simulate_prints_the_same_summary(tmp_path: Path) -> None:
+    out = tmp_path / "out.json"
+    result = run(MODULE, "simulate", "wan", "--seconds", "5", "--json", str(out))
+    assert result.returncode == 0, result.stderr
+    summary = read_json(out)
+    assert_accounted(summary["samples"])
+    assert summary["speed"] > 0
+    assert summary["loop"]["deadline_misses"] is None
+    for word in ("sent =", "one-way delay", "force RMSE", "times real time"):
+        assert word in result.stdout
+
+
+@pytest.mark.parametrize("seconds", ["nan", "inf", "-1", "0", "soon"])
+def test_no_time_is_refused(seconds: str) -> None:
+    result = run(MODULE, "simulate", "--seconds", seconds)
+    assert result.returncode == 2
+    assert "--seconds" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+@pytest.mark.parametrize("command", ["demo", "simulate"])
+def test_a_result_that_cannot_be_written_is_said_before_the_run(
+    command: str, tmp_path: Path
+) -> None:
+    missing = tmp_path / "nowhere" / "out.json"
+    result = run(MODULE, command, "--seconds", "1000", "--json", str(missing))
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert str(missing) in result.stderr
