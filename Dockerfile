@@ -1,9 +1,15 @@
 FROM python:3.11-slim-bookworm
 
 ENV PYTHONUNBUFFERED=1
-WORKDIR /telepulse
+RUN useradd --create-home telepulse
+
+WORKDIR /src
 COPY . .
-RUN pip install --no-cache-dir -c constraints.txt . && useradd --create-home telepulse
+RUN pip install --no-cache-dir -c constraints.txt .
+
+# Away from the source, so that what runs is what was installed.
+WORKDIR /telepulse
+COPY scenes scenes
 USER telepulse
 
 # 5555 data, 5556 control

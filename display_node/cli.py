@@ -74,7 +74,7 @@ def display(
     with one_line_errors(PROGRAM):
         check_writable(json)
         section = load_section(scene, "display", DisplayScene)
-        node = DisplayNode(section, connect, telemetry)
+        node = DisplayNode(section, connect, telemetry, log=console.print)
         warn_if_open(PROGRAM, connect, insecure)
     stop_on_signals(node.stop)
     console.print(f"waiting for {connect}; telemetry on {node.telemetry_address}")

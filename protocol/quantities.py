@@ -48,8 +48,7 @@ def parse_quantity(text: object, dimension: str) -> float:
 
 def parse_ratio(text: object) -> float:
     """Read a plain number or a percentage ("1 %") as a ratio. Raises ValueError otherwise."""
-    written = isinstance(text, int | float | str) and not isinstance(text, bool)
-    match = _NUMBER.fullmatch(str(text)) if written else None
+    match = _NUMBER.fullmatch(str(text)) if isinstance(text, int | float | str) else None
     if match is None or match.group(2) not in ("", "%"):
         raise ValueError(f"{text!r} is no ratio: write 0.01 or '1 %'")
     return _sane(float(match.group(1)) * (0.01 if match.group(2) == "%" else 1.0), text)

@@ -56,7 +56,7 @@ def beyond_loopback(address: str) -> bool:
 
 def bind(context: Context, kind: int, address: str) -> Socket:
     """A socket of `kind` bound to `address`. Raises AddressError."""
-    socket = _socket(context, kind, address)
+    socket = _socket_for(context, kind, address)
     try:
         socket.bind(address)
     except zmq.ZMQError as error:
@@ -67,7 +67,7 @@ def bind(context: Context, kind: int, address: str) -> Socket:
 
 def connect(context: Context, kind: int, address: str) -> Socket:
     """A socket of `kind` that connects to `address`, now or when it appears."""
-    socket = _socket(context, kind, address)
+    socket = _socket_for(context, kind, address)
     try:
         socket.connect(address)
     except zmq.ZMQError as error:
@@ -76,15 +76,32 @@ def connect(context: Context, kind: int, address: str) -> Socket:
     return socket
 
 
-def reconnect(socket: Socket, address: str) -> None:
-    """Connect once more, for a socket that hears nothing.
+def unconnected(context: Context, kind: int) -> Socket:
+    """A socket of `kind` for `reconnect` to connect."""
+    socket = context.socket(kind)
+    socket.setsockopt(zmq.LINGER, LINGER_MS)
+    socket.setsockopt(zmq.SNDHWM, HIGH_WATER_FRAMES)
+    socket.setsockopt(zmq.RCVHWM, HIGH_WATER_FRAMES)
+    socket.setsockopt(zmq.HEARTBEAT_IVL, HEARTBEAT_MS)
+    socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, HEARTBEAT_TIMEOUT_MS)
+    socket.setsockopt(zmq.HEARTBEAT_TTL, HEARTBEAT_TIMEOUT_MS)
+    socket.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
+    # A little above what is decoded, so that an oversized message is counted, not only cut off.
+    socket.setsockopt(zmq.MAXMSGSIZE, 4 * MAX_FRAME_BYTES)
+    return socket
+
+
+def reconnect(socket: Socket, old: str | None, new: str) -> None:
+    """Connect to `new` instead of `old`; the two may be the same.
 
     ZeroMQ reconnects by itself, but not after a peer broke the protocol, as with a message
     above our size limit: then the connection is gone for good.
     """
-    with suppress(zmq.ZMQError):  # it may know the address no more
-        socket.disconnect(address)
-    socket.connect(address)
+    if old is not None:
+        with suppress(zmq.ZMQError):  # it may know the address no more
+            socket.disconnect(old)
+    socket.setsockopt(zmq.IPV6, "[" in new)
+    socket.connect(new)
 
 
 def receive_all(socket: Socket) -> Iterator[list[bytes]]:
@@ -127,20 +144,11 @@ def _reason(error: zmq.ZMQError) -> str:
     return zmq.strerror(number) + _HINTS.get(number, "")
 
 
-def _socket(context: Context, kind: int, address: str) -> Socket:
+def _socket_for(context: Context, kind: int, address: str) -> Socket:
     match = _TCP.fullmatch(address)
     if match and int(match["port"]) > MAX_PORT:
         # ZeroMQ takes it modulo 65536.
         raise AddressError(f"{address}: there is no such port; the highest is {MAX_PORT}")
-    socket = context.socket(kind)
+    socket = unconnected(context, kind)
     socket.setsockopt(zmq.IPV6, "[" in address)
-    socket.setsockopt(zmq.LINGER, LINGER_MS)
-    socket.setsockopt(zmq.SNDHWM, HIGH_WATER_FRAMES)
-    socket.setsockopt(zmq.RCVHWM, HIGH_WATER_FRAMES)
-    socket.setsockopt(zmq.HEARTBEAT_IVL, HEARTBEAT_MS)
-    socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, HEARTBEAT_TIMEOUT_MS)
-    socket.setsockopt(zmq.HEARTBEAT_TTL, HEARTBEAT_TIMEOUT_MS)
-    socket.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
-    # A little above what is decoded, so that an oversized message is counted, not only cut off.
-    socket.setsockopt(zmq.MAXMSGSIZE, 4 * MAX_FRAME_BYTES)
     return socket

@@ -83,12 +83,18 @@ class Desk:
                 raise WireError("unexpected", "a message that only sensing nodes send")
         guest = self.guests.get(sender)
         if guest is None:
+            self._forget_namesake(name)
             if len(self.guests) >= MAX_GUESTS:
                 raise WireError("too_many_displays", f"there are {MAX_GUESTS} already")
             guest = self.guests[sender] = Guest(name, now_ns)
         guest.name = name or guest.name
         guest.seen_ns = now_ns
         return guest
+
+    def _forget_namesake(self, name: str) -> None:
+        """A display that connects anew speaks from another address; the old one is dead."""
+        for sender in [k for k, guest in self.guests.items() if name and guest.name == name]:
+            del self.guests[sender]
 
     def forget_silent(self, now_ns: int) -> list[Guest]:
         """Drop displays not heard of for `FORGET_AFTER_NS`; returns them."""

@@ -104,6 +104,15 @@ def test_nothing_is_known_before_anything_was_scored() -> None:
     assert fidelity.within_jnd is None
 
 
+def test_the_errors_are_known_while_it_runs() -> None:
+    ticks_ns = tick_times_ns(1.0, 5.0)
+    fidelity = Fidelity(STRAIN_PER_NEWTON)
+    tell(fidelity, frames(sample_times_ns(6.0), size=100))
+    feel(fidelity, ticks_ns, pulse_n(ticks_ns - DELAY_NS) + 0.01)
+    assert fidelity.force_rmse_n.aligned == pytest.approx(0.01, rel=1e-3)
+    assert fidelity.within_jnd == 1.0
+
+
 def test_truth_that_comes_after_the_felt_force_is_waited_for() -> None:
     # In the order of a display: the error in phase needs samples that have yet to arrive.
     ticks_ns = tick_times_ns(2.0, 14.0)
@@ -186,13 +195,14 @@ def grown_bytes(run: Callable[[int], None], minutes: int = 10) -> int:
 @pytest.mark.parametrize("felt_share", [1.0, 0.3, 0.0], ids=["felt", "a fault after 18 s", "never"])
 def test_memory_does_not_grow_in_ten_minutes(felt_share: float) -> None:
     fidelity = Fidelity(STRAIN_PER_NEWTON)
+    first_ns, force_n = T0_NS + np.arange(25, dtype=np.int64) * MS, np.linspace(0.3, 0.4, 25)
 
     def one_minute(minute: int) -> None:
-        for frame in range(minute * 6000, (minute + 1) * 6000):
-            t_ns = T0_NS + frame * 10 * MS + np.arange(10, dtype=np.int64) * MS
-            fidelity.truth(t_ns, pulse_n(t_ns))
-            if felt_share == 1.0 or frame < 6000 * felt_share:
-                fidelity.felt(int(t_ns[0]), int(t_ns[0]) - DELAY_NS, 0.3)
+        for frame in range(minute * 2400, (minute + 1) * 2400):
+            fidelity.truth(first_ns + frame * 25 * MS, force_n.copy())
+            now_ns = T0_NS + frame * 25 * MS
+            if felt_share == 1.0 or frame < 2400 * felt_share:
+                fidelity.felt(now_ns, now_ns - DELAY_NS, 0.3)
 
     # Ten minutes are 9.6 MB of truth.
     assert grown_bytes(one_minute) < 500_000

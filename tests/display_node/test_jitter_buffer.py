@@ -78,7 +78,7 @@ def test_memory_does_not_grow_with_the_stream() -> None:
     buffer = JitterBuffer(0)
     tracemalloc.start()
     try:
-        for number in range(100):
+        for number in range(40):
             buffer.put(frame(3000 * number, 3000))
             buffer.advance(at_ns(3000 * number))
         _, peak = tracemalloc.get_traced_memory()
@@ -95,6 +95,14 @@ def test_samples_that_wait_are_limited(order: int) -> None:
         buffer.put(frame(first, 4096))
     assert refusal(buffer, frame(firsts[MAX_AHEAD_SAMPLES // 4096], 4096)) == "overflow"
     assert buffer.waiting == MAX_AHEAD_SAMPLES
+
+
+def test_samples_that_were_played_do_not_count_against_that_limit() -> None:
+    buffer = filled(*(frame(first, 4000) for first in range(0, 24_000, 4000)))
+    buffer.advance(at_ns(23_999))
+    for first in range(24_000, 24_000 + MAX_AHEAD_SAMPLES - 4000, 4000):
+        buffer.put(frame(first, 4000))
+    assert buffer.waiting == 64_000
 
 
 def test_the_instant_is_known_with_many_samples_waiting() -> None:

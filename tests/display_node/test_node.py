@@ -1,7 +1,6 @@
 import secrets
 import signal
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import msgpack
@@ -20,7 +19,7 @@ from protocol.messages import (
     encode_control,
     encode_frame,
 )
-from protocol.sockets import control_address
+from protocol.sockets import Context, control_address
 
 from ..nodes import RADIAL, assert_accounted, free_address, process, read_json, run
 from .sender import description
@@ -29,32 +28,8 @@ MODULE = "display_node.cli"
 PATIENCE_S = 20.0
 
 
-class Sockets:
-    """Sockets of a test, closed at its end."""
-
-    def __init__(self) -> None:
-        self._context = zmq.Context()
-        self._open: list[zmq.Socket] = []
-
-    def socket(self, kind: int) -> zmq.Socket:
-        self._open.append(self._context.socket(kind))
-        return self._open[-1]
-
-    def close(self) -> None:
-        for socket in self._open:
-            socket.close(linger=0)
-        self._context.term()
-
-
-@pytest.fixture
-def sockets() -> Iterator[Sockets]:
-    sockets = Sockets()
-    yield sockets
-    sockets.close()
-
-
-def subscribe(sockets: Sockets, address: str) -> zmq.Socket:
-    socket = sockets.socket(zmq.SUB)
+def subscribe(context: Context, address: str) -> zmq.Socket:
+    socket = context.socket(zmq.SUB)
     socket.setsockopt(zmq.RCVTIMEO, 200)
     socket.subscribe(b"")
     socket.connect(address)
@@ -86,19 +61,19 @@ def sensing_arguments(address: str, seconds: float) -> tuple[str, ...]:
 
 
 @pytest.mark.parametrize("first", ["display", "sensing"])
-def test_either_node_may_start_first(first: str, sockets: Sockets, tmp_path: Path) -> None:
+def test_either_node_may_start_first(first: str, context: Context, tmp_path: Path) -> None:
     address, telemetry_address = free_address(), free_address()
     summary = tmp_path / "display.json"
     display = display_arguments(address, telemetry_address, "--once", "--json", str(summary))
     nodes = [(MODULE, display), ("sensing_node.cli", sensing_arguments(address, 4))]
     if first == "sensing":
         nodes.reverse()
-    telemetry = subscribe(sockets, telemetry_address)
+    telemetry = subscribe(context, telemetry_address)
     with process(nodes[0][0], *nodes[0][1]) as one:
         if first == "display":
             await_state(telemetry, "waiting")
         else:
-            await_bound(sockets, address)
+            await_bound(context, address)
         with process(nodes[1][0], *nodes[1][1]) as other:
             await_state(telemetry, "playing")
             assert one.wait(PATIENCE_S) == 0
@@ -108,18 +83,18 @@ def test_either_node_may_start_first(first: str, sockets: Sockets, tmp_path: Pat
     assert samples["played"] > 1000
 
 
-def await_bound(sockets: Sockets, address: str) -> None:
-    data = subscribe(sockets, address)
+def await_bound(context: Context, address: str) -> None:
+    data = subscribe(context, address)
     data.setsockopt(zmq.RCVTIMEO, int(PATIENCE_S * 1000))
     data.recv()
 
 
 def test_a_killed_sensing_node_comes_back_and_is_felt_again(
-    sockets: Sockets, tmp_path: Path
+    context: Context, tmp_path: Path
 ) -> None:
     address, telemetry_address = free_address(), free_address()
     summary = tmp_path / "display.json"
-    telemetry = subscribe(sockets, telemetry_address)
+    telemetry = subscribe(context, telemetry_address)
     arguments = display_arguments(address, telemetry_address, "--json", str(summary))
     with process(MODULE, *arguments) as display:
         with process("sensing_node.cli", *sensing_arguments(address, 60)) as sensing:
@@ -136,13 +111,13 @@ def test_a_killed_sensing_node_comes_back_and_is_felt_again(
 
 
 def test_a_killed_display_comes_back_while_the_sensing_node_goes_on(
-    sockets: Sockets,
+    context: Context,
 ) -> None:
     address = free_address()
     with process("sensing_node.cli", *sensing_arguments(address, 60)) as sensing:
         for _ in range(2):
             telemetry_address = free_address()
-            telemetry = subscribe(sockets, telemetry_address)
+            telemetry = subscribe(context, telemetry_address)
             with process(MODULE, *display_arguments(address, telemetry_address)) as display:
                 await_state(telemetry, "playing")
                 display.kill()
@@ -150,10 +125,10 @@ def test_a_killed_display_comes_back_while_the_sensing_node_goes_on(
 
 
 def test_telemetry_has_every_tick_and_ends_with_a_final_status(
-    sockets: Sockets, tmp_path: Path
+    context: Context, tmp_path: Path
 ) -> None:
     address, telemetry_address = free_address(), free_address()
-    telemetry = subscribe(sockets, telemetry_address)
+    telemetry = subscribe(context, telemetry_address)
     ticks, final = [], None
     end_s = time.monotonic() + PATIENCE_S
     with (
@@ -182,14 +157,14 @@ def test_telemetry_has_every_tick_and_ends_with_a_final_status(
 
 
 def test_a_peer_that_sends_garbage_neither_stops_nor_moves_it(
-    sockets: Sockets, tmp_path: Path
+    context: Context, tmp_path: Path
 ) -> None:
     address, telemetry_address = free_address(), free_address()
     summary = tmp_path / "display.json"
-    data, control = sockets.socket(zmq.PUB), sockets.socket(zmq.ROUTER)
+    data, control = context.socket(zmq.PUB), context.socket(zmq.ROUTER)
     data.bind(address)
     control.bind(control_address(address))
-    telemetry = subscribe(sockets, telemetry_address)
+    telemetry = subscribe(context, telemetry_address)
     arguments = display_arguments(address, telemetry_address, "--json", str(summary))
     with process(MODULE, *arguments) as display:
         peer = answer_for(control, seconds=1.5)
@@ -269,8 +244,8 @@ def test_with_three_paths_the_first_copy_of_each_frame_is_played(tmp_path: Path)
     assert result["rejected"]["duplicate"] == pytest.approx(2 * result["frames"]["received"], abs=9)
 
 
-def test_a_taken_telemetry_port_is_one_line(sockets: Sockets) -> None:
-    holder = sockets.socket(zmq.PUB)
+def test_a_taken_telemetry_port_is_one_line(context: Context) -> None:
+    holder = context.socket(zmq.PUB)
     address = free_address()
     holder.bind(address)
     result = run(MODULE, *display_arguments(free_address(), address))

@@ -76,7 +76,7 @@ plain = st.recursive(
 
 
 @pytest.mark.parametrize("read", [read_trace, read_status])
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None)
 @given(
     st.binary(max_size=100)
     | plain.map(msgpack.packb)

@@ -186,7 +186,7 @@ def test_a_peer_that_breaks_the_limit_is_heard_again_after_connecting_once_more(
     sockets.wait_readable([subscriber], FOREVER_NS)
     assert list(sockets.receive_all(subscriber)) == [[largest]]
     sockets.send(publisher, largest + b"\0")
-    sockets.reconnect(subscriber, endpoint(publisher))
+    sockets.reconnect(subscriber, endpoint(publisher), endpoint(publisher))
     meet(publisher, subscriber)
 
 
@@ -195,5 +195,5 @@ def test_connecting_once_more_to_what_was_never_connected(context: Context) -> N
     other = sockets.bind(context, zmq.PUB, LOOPBACK)
     subscriber = sockets.connect(context, zmq.SUB, endpoint(other))
     subscriber.subscribe(b"")
-    sockets.reconnect(subscriber, endpoint(publisher))
+    sockets.reconnect(subscriber, "tcp://127.0.0.1:1", endpoint(publisher))
     meet(publisher, subscriber)

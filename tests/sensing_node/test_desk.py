@@ -146,12 +146,18 @@ def test_a_display_that_goes_on_after_it_was_forgotten_is_a_guest_again(
 
 def test_guests_are_bounded_and_known_ones_stay_welcome(desk: Desk) -> None:
     for number in range(MAX_GUESTS):
-        assert ask(desk, (str(number).encode(),), Hello("a display")) is not None
+        assert ask(desk, (str(number).encode(),), Hello(f"display {number}")) is not None
     for message in (Hello("anna's"), ClockRequest(1), report()):
         assert ask(desk, ANNA, message) is None
     assert len(desk.guests) == MAX_GUESTS
     assert desk.rejected == {"too_many_displays": 3}
-    assert isinstance(ask(desk, (b"0",), Hello("a display")), Welcome)
+    assert isinstance(ask(desk, (b"0",), Hello("display 0")), Welcome)
+
+
+def test_a_display_that_connects_anew_is_one_guest(desk: Desk) -> None:
+    for sender in (ANNA, BERT):
+        ask(desk, sender, Hello("anna's"))
+    assert list(desk.guests) == [BERT]
 
 
 @pytest.mark.parametrize(
