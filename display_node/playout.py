@@ -16,13 +16,17 @@ WARP_PARTS = 50
 JUMP_NS = 500_000_000
 LATE_TARGET = 0.01
 SETTLED_NS = 250_000_000
+# Delays this far above the estimate are an outage's backlog, unless they go on for so long.
+OUTAGE_NS = 500_000_000
+OUTAGE_ENDS_NS = 1_000_000_000
 
 
 class DelayEstimator:
     """The smallest delay that keeps late samples below a target share.
 
     A forgetting histogram of the delay and its quantile; rises at once, falls by 5 ms a
-    second. Pure: delays and times come in.
+    second. What was queued while the link was cut says nothing of its jitter and is left out.
+    Pure: delays and times come in.
     """
 
     def __init__(self, late_target: float = LATE_TARGET) -> None:
@@ -33,6 +37,7 @@ class DelayEstimator:
         # The quantile's bin and the weight above it, both carried on from frame to frame.
         self._position = 0
         self._above = 0.0
+        self._backlog_since_ns: int | None = None
         self._first_ns: int | None = None
         self._last_ns = 0
         self.delay_ns: int | None = None
@@ -49,11 +54,22 @@ class DelayEstimator:
         elapsed_ns = now_ns - self._last_ns
         self._last_ns = now_ns
         self._forget(elapsed_ns)
+        if self._is_backlog(delay_ns, now_ns):
+            return
         wanted_ns = LOWEST_NS + (self._quantile_position(delay_ns) + 1) * BIN_NS
         if self.delay_ns is None or wanted_ns >= self.delay_ns:
             self.delay_ns = wanted_ns
         else:
             self.delay_ns = max(wanted_ns, self.delay_ns - round(RELEASE_PER_NS * elapsed_ns))
+
+    def _is_backlog(self, delay_ns: int, now_ns: int) -> bool:
+        """Whether a frame was held up by an outage; a longer path shows itself by lasting."""
+        if self.delay_ns is None or delay_ns < self.delay_ns + OUTAGE_NS:
+            self._backlog_since_ns = None
+            return False
+        if self._backlog_since_ns is None:
+            self._backlog_since_ns = now_ns
+        return now_ns - self._backlog_since_ns < OUTAGE_ENDS_NS
 
     def _forget(self, elapsed_ns: int) -> None:
         """Grow the weight of what comes next, which forgets like shrinking all old ones."""

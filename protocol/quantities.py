@@ -18,11 +18,8 @@ UNITS: dict[str, dict[str, float]] = {
     "force rate": {"mN/s": 1e-3, "N/s": 1.0},
     "pressure": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9},
     "speed": {"mm/s": 1e-3, "m/s": 1.0},
-    "acceleration": {"mm/s²": 1e-3, "m/s²": 1.0},
+    "acceleration": {"mm/s^2": 1e-3, "mm/s²": 1e-3, "m/s^2": 1.0, "m/s²": 1.0},
     "stiffness": {"N/m": 1.0, "N/mm": 1e3},
-    "damping": {"N·s/m": 1.0},
-    "mass": {"g": 1e-3, "kg": 1.0},
-    "voltage": {"µV": 1e-6, "mV": 1e-3, "V": 1.0},
     "angle": {"°": math.pi / 180, "deg": math.pi / 180, "rad": 1.0},
 }
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S*)\s*")
@@ -92,8 +89,5 @@ Pascals = Annotated[float, _reader("pressure")]
 MetresPerSecond = Annotated[float, _reader("speed")]
 MetresPerSecond2 = Annotated[float, _reader("acceleration")]
 NewtonsPerMetre = Annotated[float, _reader("stiffness")]
-NewtonSecondsPerMetre = Annotated[float, _reader("damping")]
-Kilograms = Annotated[float, _reader("mass")]
-Volts = Annotated[float, _reader("voltage")]
 Radians = Annotated[float, _reader("angle")]
 Ratio = Annotated[float, BeforeValidator(parse_ratio)]

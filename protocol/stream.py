@@ -6,7 +6,7 @@ It travels in the sensing node's welcome, so a display that joins late has it to
 import dataclasses
 from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from protocol.errors import WireError
@@ -15,7 +15,15 @@ from protocol.scene import Section
 from protocol.tactile import ElasticLayer
 
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
-Name = Annotated[str, Field(strict=True, min_length=1, max_length=80)]
+
+
+def _printable(name: str) -> str:
+    if not name.isprintable():
+        raise ValueError("holds characters that a terminal cannot show")
+    return name
+
+
+Name = Annotated[str, Field(strict=True, min_length=1, max_length=80), AfterValidator(_printable)]
 SECOND_NS = 1_000_000_000
 
 

@@ -8,7 +8,7 @@ from pydantic import Field
 from protocol.errors import SceneError
 from protocol.quantities import Nanoseconds
 from protocol.scene import Section
-from protocol.stream import LayerTable, StreamDescription
+from protocol.stream import LayerTable, Name, StreamDescription
 from sensing_node.sources import Samples
 from sensing_node.sources.recording import Recording, RecordingScene
 from sensing_node.sources.synthetic import Synthetic, SyntheticScene
@@ -20,7 +20,7 @@ class SensingScene(Section):
     """What the sensing node does. `batch`: how much time one frame covers, rounded to samples."""
 
     source: Annotated[SyntheticScene | RecordingScene, Field(discriminator="kind")]
-    stream: Annotated[str, Field(min_length=1, max_length=80)] = "pulse"
+    stream: Name = "pulse"
     batch_ns: Annotated[Nanoseconds, Field(ge=100_000, le=1_000_000_000)] = 5_000_000
     samples: Literal["float32", "float64"] = "float32"
     layer: LayerTable = LayerTable()

@@ -97,12 +97,13 @@ def test_a_frame_from_before_the_first_counts_as_late() -> None:
     assert buffer.account().lost == 5
 
 
-def test_a_frame_that_is_half_late_is_half_played() -> None:
+@pytest.mark.parametrize(("instant", "late"), [(4.9, 0), (5, 1), (7, 3), (8.9, 4), (9, 5)])
+def test_a_frame_that_is_partly_late_is_partly_played(instant: float, late: int) -> None:
     buffer = filled(frame(0))
-    buffer.advance(at_ns(7))
+    buffer.advance(at_ns(instant))
     buffer.put(frame(5))
-    buffer.advance(at_ns(9))
-    assert counts(buffer.account()) == (10, 7, 3, 0)
+    buffer.advance(at_ns(9.5))
+    assert counts(buffer.account()) == (10, 10 - late, late, 0)
 
 
 def test_what_is_forgotten_stays_in_the_account() -> None:

@@ -98,9 +98,9 @@ def test_samples_that_wait_are_limited(order: int) -> None:
 
 
 def test_samples_that_were_played_do_not_count_against_that_limit() -> None:
-    buffer = filled(*(frame(first, 4000) for first in range(0, 24_000, 4000)))
-    buffer.advance(at_ns(23_999))
-    for first in range(24_000, 24_000 + MAX_AHEAD_SAMPLES - 4000, 4000):
+    buffer = filled(*(frame(first, 4000) for first in range(0, 32_000, 4000)))
+    buffer.advance(at_ns(31_999))
+    for first in range(32_000, 32_000 + MAX_AHEAD_SAMPLES - 4000, 4000):
         buffer.put(frame(first, 4000))
     assert buffer.waiting == 64_000
 

@@ -284,7 +284,7 @@ def test_without_a_terminal_the_screen_prints_a_line_a_second() -> None:
     ):
         output, errors = display.communicate(timeout=PATIENCE_S + 10)
     lines = [line for line in output.splitlines() if line.startswith("playing:")]
-    assert 2 <= len(lines) <= 5
+    assert 1 <= len(lines) <= 5
     for word in ("heart rate", "strain RMSE", "one-way delay p99", "deadline misses"):
         assert word in lines[-1]
     assert "samples" in output

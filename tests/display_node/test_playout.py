@@ -82,6 +82,29 @@ def test_a_longer_path_is_followed_at_once_and_not_overshot() -> None:
     assert min(after_ms[seconds(5) :]) > before_ms + 58
 
 
+def test_what_queued_during_a_cut_is_no_jitter() -> None:
+    estimator = DelayEstimator()
+    watched(estimator, [20] * seconds(10), T0_NS)
+    before_ns = estimator.delay_ns
+    back_ns = T0_NS + 15 * SECOND_NS
+    for number in range(seconds(5)):
+        # Five seconds of frames in a tenth of a second, the oldest first.
+        delay_ns = 5 * SECOND_NS - number * FRAME_NS
+        estimator.observe(delay_ns, back_ns + number * MS // 10)
+    watched(estimator, [20] * seconds(1), back_ns + SECOND_NS // 5)
+    assert estimator.delay_ns is not None
+    assert before_ns is not None
+    assert estimator.delay_ns < before_ns + 600 * MS
+
+
+def test_a_path_longer_by_a_second_is_believed_when_it_lasts() -> None:
+    estimator = DelayEstimator()
+    watched(estimator, [20] * seconds(10), T0_NS)
+    longer = watched(estimator, [1020] * seconds(2), T0_NS + 10 * SECOND_NS)
+    assert longer[seconds(0.9)] == pytest.approx(20, abs=1)
+    assert longer[-1] == pytest.approx(1020, abs=1)
+
+
 def test_a_shorter_path_is_followed_at_5_ms_a_second() -> None:
     estimator = DelayEstimator()
     watched(estimator, [80.0] * seconds(2), 0)

@@ -185,7 +185,10 @@ def test_a_peer_that_breaks_the_limit_is_heard_again_after_connecting_once_more(
     sockets.send(publisher, largest)
     sockets.wait_readable([subscriber], FOREVER_NS)
     assert list(sockets.receive_all(subscriber)) == [[largest]]
+    monitor = subscriber.get_monitor_socket(zmq.EVENT_DISCONNECTED)
     sockets.send(publisher, largest + b"\0")
+    assert monitor.poll(10_000)
+    assert list(sockets.receive_all(subscriber)) == []
     sockets.reconnect(subscriber, endpoint(publisher), endpoint(publisher))
     meet(publisher, subscriber)
 

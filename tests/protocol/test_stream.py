@@ -54,6 +54,7 @@ def test_what_must_not_be_missing(missing: str) -> None:
     [
         ({"name": ""}, "name"),
         ({"name": "x" * 81}, "name"),
+        ({"name": "\x1b[31mred"}, "name"),
         ({"name": b"pulse"}, "name"),
         ({"name": None}, "name"),
         ({"period_ns": 999}, "period_ns"),
