@@ -11,7 +11,6 @@ import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
-from socket import AF_INET, SOCK_STREAM, socket
 
 import zmq
 from pydantic import TypeAdapter
@@ -24,12 +23,13 @@ from display_node.telemetry import Trace
 from protocol import sockets
 from protocol.errors import TelepulseError
 from protocol.messages import decode_frame
+from protocol.signals import stop_on_signals
 from protocol.summary import Summary
 from protocol.tactile import matching_force_ratio
 from telepulse.link import LinkScene
+from telepulse.ports import free_addresses
 from telepulse.scene import Scene, load_scene
 
-HOST = "127.0.0.1"
 ENDS_WITHIN_S = 10.0
 # The display is listening before the pulse begins.
 HEAD_START_S = 0.7
@@ -51,7 +51,7 @@ def run_demo(
     scene = load_scene(path)
     link = scene.link if link is None else link
     impaired = link != LinkScene()
-    sensing_address, link_address, telemetry_address = _free_addresses(3)
+    sensing_address, link_address, telemetry_address = free_addresses(3)
     display_address = link_address if impaired else sensing_address
     with tempfile.TemporaryDirectory(prefix="telepulse-") as folder, _Processes() as processes:
         sensing_json, display_json = Path(folder, "sensing.json"), Path(folder, "display.json")
@@ -74,6 +74,8 @@ def run_demo(
             *(str(path), "--bind", sensing_address, "--seconds", str(seconds), "--quiet"),
             *("--json", str(sensing_json)),
         )
+        # Ctrl-C ends the pulse; what was sent of it is played and summed up all the same.
+        stop_on_signals(sensing.terminate)
         with _Referee(scene, sensing_address) as referee:
 
             def meanwhile() -> bool:
@@ -148,7 +150,10 @@ class _Processes:
     def start(self, module: str, *arguments: str) -> subprocess.Popen[str]:
         """Run a module of ours as a process of its own."""
         child = subprocess.Popen(
-            [sys.executable, "-m", module, *arguments], stderr=subprocess.PIPE, text=True
+            [sys.executable, "-m", module, *arguments],
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
         )
         self._children.append(child)
         return child
@@ -186,22 +191,3 @@ def _compose(sensing: Summary, display: Summary, fidelity: Fidelity) -> Summary:
 
 def _read(path: Path) -> Summary:
     return _SUMMARY.validate_python(json.loads(path.read_text(encoding="utf-8")))
-
-
-def _free_addresses(count: int) -> list[str]:
-    """Loopback addresses whose port and the next one are free."""
-    addresses: list[str] = []
-    held: list[socket] = []
-    while len(addresses) < count:
-        first, second = socket(AF_INET, SOCK_STREAM), socket(AF_INET, SOCK_STREAM)
-        held += (first, second)
-        first.bind((HOST, 0))
-        port = first.getsockname()[1]
-        try:
-            second.bind((HOST, port + 1))
-        except (OSError, OverflowError):
-            continue
-        addresses.append(f"tcp://{HOST}:{port}")
-    for holder in held:
-        holder.close()
-    return addresses

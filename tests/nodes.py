@@ -6,25 +6,17 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from socket import AF_INET, SOCK_STREAM, socket
 from typing import Any
+
+from telepulse.ports import free_addresses
 
 ROOT = Path(__file__).parents[1]
 RADIAL = ROOT / "scenes" / "radial.toml"
-HOST = "127.0.0.1"
 
 
 def free_address() -> str:
     """A loopback address whose port and the next one are free."""
-    while True:
-        with socket(AF_INET, SOCK_STREAM) as first, socket(AF_INET, SOCK_STREAM) as second:
-            first.bind((HOST, 0))
-            port = first.getsockname()[1]
-            try:
-                second.bind((HOST, port + 1))
-            except (OSError, OverflowError):
-                continue
-            return f"tcp://{HOST}:{port}"
+    return free_addresses(1)[0]
 
 
 def start(module: str, *arguments: str) -> subprocess.Popen[str]:

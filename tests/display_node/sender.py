@@ -15,22 +15,12 @@ from protocol.messages import (
     encode_control,
     encode_frame,
 )
-from protocol.stream import Channel, StreamDescription
-from protocol.tactile import ElasticLayer
+from protocol.stream import StreamDescription
+
+from ..streams import description
 
 MS = 1_000_000
 AHEAD_NS = 5_000_000_000
-
-
-def description(**changes: object) -> StreamDescription:
-    fields: dict[str, object] = {
-        "name": "test pulse",
-        "period_ns": MS,
-        "batch": 5,
-        "channels": (Channel("pulse"),),
-        "layer": ElasticLayer(),
-    }
-    return StreamDescription(**(fields | changes))  # type: ignore[arg-type]
 
 
 @dataclass

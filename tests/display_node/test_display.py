@@ -13,7 +13,8 @@ from protocol.messages import Bye, Frame, encode_control, encode_frame
 from protocol.scene import load_section, validate
 from protocol.tactile import ElasticLayer
 
-from .sender import AHEAD_NS, MS, Sender, description, run
+from ..streams import description
+from .sender import AHEAD_NS, MS, Sender, run
 
 SCENES = Path(__file__).parents[2] / "scenes"
 LIMIT_N = 2.5

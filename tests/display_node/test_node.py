@@ -22,7 +22,7 @@ from protocol.messages import (
 from protocol.sockets import Context, control_address
 
 from ..nodes import RADIAL, assert_accounted, free_address, process, read_json, run
-from .sender import description
+from ..streams import description
 
 MODULE = "display_node.cli"
 PATIENCE_S = 20.0

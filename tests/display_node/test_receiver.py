@@ -17,7 +17,8 @@ from protocol.messages import (
 )
 from protocol.stream import Channel
 
-from .sender import AHEAD_NS, MS, Sender, description
+from ..streams import description
+from .sender import AHEAD_NS, MS, Sender
 
 
 def joined(sender: Sender) -> Receiver:

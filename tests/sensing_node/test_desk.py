@@ -15,7 +15,7 @@ from protocol.messages import (
 )
 from sensing_node.desk import FORGET_AFTER_NS, MAX_GUESTS, MAX_HOPS, Desk, Sender
 
-from .streams import description
+from ..streams import description
 
 SESSION = 99
 NOW_NS = 8_000_000_000

@@ -8,7 +8,7 @@ from protocol.stream import Channel
 from sensing_node.framing import Framer
 from sensing_node.sources import Block
 
-from .streams import MS, description
+from ..streams import MS, description
 
 START_NS = 5_000_000_123
 

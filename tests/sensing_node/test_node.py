@@ -23,8 +23,9 @@ from protocol.messages import (
     encode_control,
 )
 from protocol.sockets import control_address
+from telepulse.ports import HOST
 
-from ..nodes import HOST, RADIAL, free_address, process, read_json, run
+from ..nodes import RADIAL, free_address, process, read_json, run
 from .client import PATIENCE_MS, Client
 
 MODULE = "sensing_node.cli"

@@ -10,7 +10,7 @@ from scipy import signal
 
 from sensing_node.sources.synthetic import PRESETS
 
-from .streams import synthetic
+from ..streams import synthetic
 
 RESTLESS: dict[str, Any] = {
     "heart_rate_variability": "10 %",

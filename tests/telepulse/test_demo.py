@@ -1,12 +1,13 @@
 import os
 import pty
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from ..nodes import ROOT, assert_accounted, read_json, run
+from ..nodes import ROOT, assert_accounted, process, read_json, run
 
 MODULE = "telepulse.cli"
 KEYS = {
@@ -50,6 +51,20 @@ def test_the_demo_over_a_bad_link_counts_what_is_late_and_lost(tmp_path: Path) -
     assert summary["samples"]["lost"] > 50
     assert 25 < summary["one_way_delay_ms"]["p50"] < 60
     assert summary["playout_delay_ms"]["mean"] > 45
+
+
+def test_ctrl_c_ends_the_pulse_and_sums_up(tmp_path: Path) -> None:
+    out = tmp_path / "out.json"
+    with process(MODULE, "demo", "--seconds", "100", "--json", str(out)) as demo:
+        assert demo.stdout is not None
+        while not demo.stdout.readline().startswith("playing:"):
+            assert demo.poll() is None
+        demo.send_signal(signal.SIGINT)
+        output, errors = demo.communicate(timeout=20)
+        assert demo.returncode == 0
+    assert errors == ""
+    assert "sent =" in output
+    assert_accounted(read_json(out)["samples"])
 
 
 def test_in_a_terminal_the_demo_draws_a_panel_with_a_pulse_trace() -> None:

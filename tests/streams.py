@@ -1,4 +1,4 @@
-"""What several tests of the sensing node stand on."""
+"""A stream and a source for tests."""
 
 from protocol.stream import Channel, StreamDescription
 from protocol.tactile import ElasticLayer
