@@ -15,6 +15,8 @@ READY_AFTER = 3
 MIN_DOUBT_NS = 20_000
 # Clocks of computers run alike to about this; what a few seconds seem to say beyond it is jitter.
 USUAL_SKEW = 100e-6
+# Beyond this it is no clock.
+MAX_SKEW = 0.01
 STEP_AFTER = 3
 STEP_MARGIN_NS = 5_000_000
 
@@ -113,6 +115,7 @@ class ClockEstimator:
         mean_t_ns = float(weight @ since_ns) / weight_sum
         mean_drift_ns = float(weight @ drift_ns) / weight_sum
         x, y = since_ns - mean_t_ns, drift_ns - mean_drift_ns
-        self._skew = float((weight * x) @ y) / (float((weight * x) @ x) + USUAL_SKEW**-2)
+        skew = float((weight * x) @ y) / (float((weight * x) @ x) + USUAL_SKEW**-2)
+        self._skew = min(max(skew, -MAX_SKEW), MAX_SKEW)
         self._reference_ns = self._base_t_ns + round(mean_t_ns)
         self._offset_ns = self._base_offset_ns + round(mean_drift_ns)

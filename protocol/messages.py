@@ -28,8 +28,12 @@ MAX_FRAME_BYTES = 65_536
 MAX_CONTROL_BYTES = 65_536
 MAX_CHANNELS = 64
 MAX_PERIOD_NS = 10_000_000_000
-_INT63 = 1 << 63
-_COUNT, _TIME = range(_INT63), range(-_INT63, _INT63)
+# Room to add and to extrapolate without leaving 64 bits: 34 years of samples at 1 kHz, and
+# clocks within 146 years of their zero.
+MAX_SAMPLES = 1 << 40
+MAX_TIME_NS = 1 << 62
+_SESSION, _COUNT = range(1 << 63), range(MAX_SAMPLES)
+_TIME = range(-MAX_TIME_NS, MAX_TIME_NS)
 _FORMATS: dict[int, np.dtype[Any]] = {4: np.dtype("<f4"), 8: np.dtype("<f8")}
 
 _pack: Callable[[object], bytes] = msgpack.Packer(use_bin_type=True).pack
@@ -76,9 +80,9 @@ def decode_frame(data: bytes) -> Frame:
     ):
         raise WireError("malformed", "a frame's field has the wrong type")
     if not (
-        0 <= session < _INT63
-        and 0 <= first_sample < _INT63
-        and -_INT63 <= t_first_ns < _INT63
+        0 <= session < 1 << 63
+        and 0 <= first_sample < MAX_SAMPLES
+        and -MAX_TIME_NS <= t_first_ns < MAX_TIME_NS
         and 0 < period_ns <= MAX_PERIOD_NS
         and 0 < channels <= MAX_CHANNELS
         and width in _FORMATS
@@ -153,11 +157,11 @@ Control = Hello | Welcome | Bye | ClockRequest | ClockReply | Report
 # Each kind with what its fields hold: a type, or the range of an int; float admits int and NaN.
 _KINDS: dict[str, tuple[type[Control], tuple[type | range, ...]]] = {
     "hello": (Hello, (str,)),
-    "welcome": (Welcome, (_COUNT, _COUNT, dict)),
-    "bye": (Bye, (_COUNT, _COUNT)),
+    "welcome": (Welcome, (_SESSION, _COUNT, dict)),
+    "bye": (Bye, (_SESSION, _COUNT)),
     "clock?": (ClockRequest, (_TIME,)),
-    "clock": (ClockReply, (_COUNT, _TIME, _TIME, _TIME)),
-    "report": (Report, (_COUNT, str, _COUNT, _COUNT, _COUNT, float, float, float, float)),
+    "clock": (ClockReply, (_SESSION, _TIME, _TIME, _TIME)),
+    "report": (Report, (_SESSION, str, _COUNT, _COUNT, _COUNT, float, float, float, float)),
 }
 _NAMES = {kind: name for name, (kind, _) in _KINDS.items()}
 _MAX_NAME = 80

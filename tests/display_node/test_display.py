@@ -1,6 +1,7 @@
 import math
 from pathlib import Path
 
+import msgpack
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,8 +9,9 @@ from hypothesis import strategies as st
 
 from display_node.display import Display
 from display_node.scene import DisplayScene
+from display_node.telemetry import TraceWriter, read_status, read_trace, write_status
 from protocol.errors import SceneError
-from protocol.messages import Bye, Frame, encode_control, encode_frame
+from protocol.messages import Bye, ClockReply, Frame, Welcome, encode_control, encode_frame
 from protocol.scene import load_section, validate
 from protocol.tactile import ElasticLayer
 
@@ -180,3 +182,80 @@ def test_scene_errors_are_one_line() -> None:
     with pytest.raises(SceneError, match=r"compensation: '40 N' is no time") as caught:
         validate(scene, DisplayScene, "scene: [display]")
     assert "\n" not in str(caught.value)
+
+
+EXTREMES = [0, 1, -1, 2**31, 2**40 - 1, 2**53, 2**62, -(2**62), 2**63 - 1, -(2**63)]
+extreme = st.sampled_from(EXTREMES) | st.integers(-(2**63), 2**63 - 1)
+position = extreme.filter(lambda number: number >= 0)
+hostile_message = st.one_of(
+    st.builds(ClockReply, st.just(7), extreme, extreme, extreme).map(encode_control),
+    st.builds(Bye, st.just(7), position).map(encode_control),
+    st.builds(Welcome, position, position, st.just(description())).map(encode_control),
+)
+hostile_frame = st.builds(
+    lambda first, t_ns, force_n: encode_frame(
+        Frame(7, first, t_ns, MS, np.full((5, 1), force_n, "<f4"))
+    ),
+    position,
+    extreme,
+    st.floats(allow_nan=False, allow_infinity=False, width=32),
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.integers(0, 300), st.lists(st.tuples(st.booleans(), hostile_message, hostile_frame)))
+def test_no_number_a_peer_sends_breaks_the_loop_or_its_telemetry(
+    good_ms: int, messages: list[tuple[bool, bytes, bytes]]
+) -> None:
+    under_test, writer = display(), TraceWriter()
+    run(under_test, Sender(), 0, good_ms)
+    for number, (is_frame, message, frame) in enumerate(messages):
+        now_ns = (good_ms + 20 * number) * MS
+        if is_frame:
+            under_test.on_frame(frame, now_ns)
+        else:
+            under_test.on_control(message, now_ns)
+        for tick in range(20):
+            felt = under_test.tick(now_ns + tick * MS)
+            assert 0 <= felt.felt_n <= LIMIT_N
+            under_test.requests(now_ns + tick * MS)
+            trace = writer.add(felt)
+            if trace is not None:
+                read_trace(trace)
+        read_status(write_status(under_test, under_test.summary(), final=False))
+
+
+@pytest.mark.parametrize("claimed_ns", EXTREMES)
+@pytest.mark.parametrize("drift", [0, 1000])
+def test_no_clock_a_peer_claims_breaks_the_loop_or_its_telemetry(
+    claimed_ns: int, drift: int
+) -> None:
+    under_test, writer = display(), TraceWriter()
+    under_test.on_control(encode_control(Welcome(7, 0, description())), 0)
+    for ms in range(3000):
+        now_ns = ms * MS
+        t_ns = min(max(claimed_ns + drift * now_ns, -(2**63)), 2**63 - 1)
+        if ms % 20 == 0:
+            under_test.on_control(_raw_clock_reply(now_ns, t_ns), now_ns)
+        if ms % 5 == 0:
+            frame = Frame(7, ms, t_ns, MS, np.full((5, 1), 0.3, "<f4"))
+            under_test.on_frame(encode_frame(frame), now_ns)
+        trace = writer.add(under_test.tick(now_ns))
+        if trace is not None:
+            read_trace(trace)
+    read_status(write_status(under_test, under_test.summary(), final=False))
+
+
+def test_sessions_that_claim_enormous_counts_do_not_break_the_telemetry() -> None:
+    under_test = display()
+    for session in range(50):
+        for message in (
+            ["welcome", session, 0, description().to_wire()],
+            ["bye", session, 2**63 - 1],
+        ):
+            under_test.on_control(msgpack.packb([1, *message]), session * MS)
+    read_status(write_status(under_test, under_test.summary(), final=False))
+
+
+def _raw_clock_reply(t1_ns: int, t_ns: int) -> bytes:
+    return bytes(msgpack.packb([1, "clock", 7, t1_ns, t_ns, t_ns]))

@@ -49,7 +49,7 @@ def test_each_kind_has_these_very_bytes(message: Control, data: bytes) -> None:
         Hello(""),
         Hello("žilice " * 10),
         Bye(2**63 - 1, 0),
-        ClockReply(0, -(2**63), 2**63 - 1, 0),
+        ClockReply(0, -(2**62), 2**62 - 1, 0),
         Report(0, "me", 1, 2, 3, 0.1, 0.2, 0.3, 0.4),
         Welcome(
             1,
