@@ -189,4 +189,5 @@ class Receiver:
 
 def sample_times_ns(frame: Frame) -> NDArray[np.int64]:
     """Times of a frame's samples."""
-    return frame.t_first_ns + np.arange(len(frame.values), dtype=np.int64) * frame.period_ns
+    end_ns = frame.t_first_ns + len(frame.values) * frame.period_ns
+    return np.arange(frame.t_first_ns, end_ns, frame.period_ns, dtype=np.int64)
