@@ -9,14 +9,13 @@ from display_node.fidelity import Fidelity
 from display_node.force_loop import build_force_loop
 from display_node.playout import PlayoutClock
 from display_node.prediction import PREDICTORS
-from display_node.receiver import Receiver, sample_times_ns
+from display_node.receiver import Receiver
 from display_node.safety import Safety
 from display_node.scene import DisplayScene
 from protocol.histogram import Histogram
 from protocol.messages import Control, Report
 from protocol.summary import (
     Clock,
-    Errors,
     Frames,
     Loop,
     OneWayDelay,
@@ -113,8 +112,7 @@ class Display:
         """A data message arrived."""
         frame = self.receiver.on_frame(data, now_ns)
         if frame is not None and self.fidelity is not None:
-            wrist_n = frame.values[:, self._scene.channel].astype(float)
-            self.fidelity.truth(sample_times_ns(frame), wrist_n * self._force_ratio)
+            self.fidelity.sensed(frame, self._scene.channel, self._force_ratio)
 
     def on_control(self, data: bytes, now_ns: int) -> None:
         """A control message arrived."""
@@ -170,9 +168,11 @@ class Display:
         newest_ns = buffer.newest_ns
         if newest_ns is None or (not wrist_n and instant_ns < newest_ns):
             return [0.0, 0.0], False
-        while len(wrist_n) < 2:
-            at_ns = instant_ns + len(wrist_n) * self._tick_ns
-            wrist_n.append(self._predict(*buffer.newest_values, at_ns))
+        if len(wrist_n) < 2:
+            times_ns, values_n = buffer.newest_values
+            for step in range(len(wrist_n), 2):
+                at_ns = instant_ns + step * self._tick_ns
+                wrist_n.append(self._predict(times_ns, values_n, at_ns))
         ratio = self._force_ratio
         alive = instant_ns - newest_ns <= self._scene.safety.stale_after_ns
         if alive:
@@ -209,7 +209,7 @@ class Display:
         if self._covered_ticks:
             covered_ms = (self._covered_ns / self._covered_ticks + group_delay_ns) * 1e-6
         known = clock.ready
-        return Summary(
+        summary = Summary(
             samples=Samples(
                 account.sent, account.played, account.late, account.lost, account.before_joining
             ),
@@ -224,13 +224,11 @@ class Display:
                 clock.skew_ppm if known else None,
                 clock.uncertainty_ns * 1e-6 if known else None,
             ),
-            force_rmse_n=self.fidelity.force_rmse_n if self.fidelity else Errors(),
-            strain_rmse=self.fidelity.strain_rmse if self.fidelity else Errors(),
-            within_jnd=self.fidelity.within_jnd if self.fidelity else None,
             loop=Loop(self.ticks, deadline_misses, tick_us or TickTime()),
             rejected=dict(receiver.rejected),
             faults=list(self.safety.faults),
         )
+        return self.fidelity.scored(summary) if self.fidelity is not None else summary
 
 
 def _or_nan(value: float | None) -> float:

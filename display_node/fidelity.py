@@ -6,11 +6,13 @@ by a demo or simulation on what was really sensed.
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.summary import Errors
+from protocol.messages import Frame
+from protocol.summary import Errors, Summary
 
 BLOCK = 256
 # Felt forces wait this many ticks for the truth of their instant to arrive.
@@ -46,6 +48,12 @@ class Fidelity:
                 self._score_oldest()
             self._gathered(until_ns)
 
+    def sensed(self, frame: Frame, channel: int, force_ratio: float) -> None:
+        """A frame of the pulse; `force_ratio` is the right force at the finger per wrist force."""
+        end_ns = frame.t_first_ns + len(frame.values) * frame.period_ns
+        t_ns = np.arange(frame.t_first_ns, end_ns, frame.period_ns, dtype=np.int64)
+        self.truth(t_ns, frame.values[:, channel].astype(np.float64) * force_ratio)
+
     def felt(self, now_ns: int, instant_ns: int, force_n: float) -> None:
         """What the finger feels at now_ns, when the pulse of instant_ns is played."""
         felt = self._felt
@@ -78,6 +86,15 @@ class Fidelity:
     def within_jnd(self) -> float | None:
         """Share of time the aligned force error is below 10 % of the pulse's peak to peak."""
         return self._within / self._aligned_count if self._aligned_count else None
+
+    def scored(self, summary: Summary) -> Summary:
+        """The summary with the errors found here."""
+        return replace(
+            summary,
+            force_rmse_n=self.force_rmse_n,
+            strain_rmse=self.strain_rmse,
+            within_jnd=self.within_jnd,
+        )
 
     def _score_oldest(self) -> None:
         block, self._felt = self._felt[:BLOCK], self._felt[BLOCK:]

@@ -6,9 +6,6 @@ used is counted under its cause. No sockets here.
 
 from collections import Counter
 
-import numpy as np
-from numpy.typing import NDArray
-
 from display_node.jitter_buffer import Account, JitterBuffer
 from display_node.playout import DelayEstimator
 from protocol.clock import ClockEstimator, ClockExchange
@@ -185,9 +182,3 @@ class Receiver:
         self.clock = ClockEstimator()
         self.delay = DelayEstimator(self._late_target)
         self.buffer = JitterBuffer(self._channel)
-
-
-def sample_times_ns(frame: Frame) -> NDArray[np.int64]:
-    """Times of a frame's samples."""
-    end_ns = frame.t_first_ns + len(frame.values) * frame.period_ns
-    return np.arange(frame.t_first_ns, end_ns, frame.period_ns, dtype=np.int64)

@@ -16,7 +16,6 @@ from protocol.summary import Summary, print_summary, write_json
 USAGE_ERROR = 2
 LONGEST_S = 1e9
 
-
 StopAfterOption = Annotated[
     float | None,
     typer.Option(min=0.1, max=LONGEST_S, help="Stop after this long; else at Ctrl-C."),

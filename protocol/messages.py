@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import WireError
-from protocol.stream import StreamDescription, description_from_wire
+from protocol.stream import MAX_NAME, StreamDescription, description_from_wire
 
 VERSION = 1
 MAX_FRAME_BYTES = 65_536
@@ -30,10 +30,7 @@ MAX_CHANNELS = 64
 MAX_PERIOD_NS = 10_000_000_000
 # Room to add and to extrapolate without leaving 64 bits: 34 years of samples at 1 kHz, and
 # clocks within 146 years of their zero.
-MAX_SAMPLES = 1 << 40
-MAX_TIME_NS = 1 << 62
-_SESSION, _COUNT = range(1 << 63), range(MAX_SAMPLES)
-_TIME = range(-MAX_TIME_NS, MAX_TIME_NS)
+_SESSION, _COUNT, _TIME = range(1 << 63), range(1 << 40), range(-(1 << 62), 1 << 62)
 _FORMATS: dict[int, np.dtype[Any]] = {4: np.dtype("<f4"), 8: np.dtype("<f8")}
 
 _pack: Callable[[object], bytes] = msgpack.Packer(use_bin_type=True).pack
@@ -80,9 +77,9 @@ def decode_frame(data: bytes) -> Frame:
     ):
         raise WireError("malformed", "a frame's field has the wrong type")
     if not (
-        0 <= session < 1 << 63
-        and 0 <= first_sample < MAX_SAMPLES
-        and -MAX_TIME_NS <= t_first_ns < MAX_TIME_NS
+        session in _SESSION
+        and first_sample in _COUNT
+        and t_first_ns in _TIME
         and 0 < period_ns <= MAX_PERIOD_NS
         and 0 < channels <= MAX_CHANNELS
         and width in _FORMATS
@@ -164,7 +161,6 @@ _KINDS: dict[str, tuple[type[Control], tuple[type | range, ...]]] = {
     "report": (Report, (_SESSION, str, _COUNT, _COUNT, _COUNT, float, float, float, float)),
 }
 _NAMES = {kind: name for name, (kind, _) in _KINDS.items()}
-_MAX_NAME = 80
 
 
 def encode_control(message: Control) -> bytes:
@@ -201,7 +197,7 @@ def _fits(value: object, expected: type | range) -> bool:
         return type(value) in (float, int)
     if expected is str:
         # Names are printed on terminals.
-        return isinstance(value, str) and len(value) <= _MAX_NAME and value.isprintable()
+        return isinstance(value, str) and len(value) <= MAX_NAME and value.isprintable()
     return type(value) is expected
 
 

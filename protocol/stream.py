@@ -14,6 +14,7 @@ from protocol.quantities import Metres, Pascals
 from protocol.scene import Section
 from protocol.tactile import ElasticLayer
 
+MAX_NAME = 80
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
@@ -23,7 +24,9 @@ def _printable(name: str) -> str:
     return name
 
 
-Name = Annotated[str, Field(strict=True, min_length=1, max_length=80), AfterValidator(_printable)]
+Name = Annotated[
+    str, Field(strict=True, min_length=1, max_length=MAX_NAME), AfterValidator(_printable)
+]
 SECOND_NS = 1_000_000_000
 
 

@@ -1,6 +1,7 @@
 """Command line of telepulse: what runs both nodes."""
 
 import threading
+from dataclasses import replace
 from typing import Annotated
 
 import typer
@@ -18,7 +19,7 @@ from protocol.summary import check_writable
 from telepulse.demo import run_demo
 from telepulse.link import LinkScene, parse_link
 from telepulse.link_relay import LinkRelay
-from telepulse.scene import DEFAULT_SCENE, Scene, find_scene, load_scene
+from telepulse.scene import DEFAULT_SCENE, find_scene, load_scene
 from telepulse.simulate import simulate
 
 PROGRAM = "telepulse"
@@ -81,7 +82,7 @@ def simulate_command(
         check_writable(json)
         loaded = load_scene(find_scene(scene))
         if link:
-            loaded = Scene(loaded.path, loaded.sensing, loaded.display, parse_link(link))
+            loaded = replace(loaded, link=parse_link(link))
         summary = simulate(loaded, seconds, seed)
     title = f"simulation of {loaded.path.stem}, {seconds:g} s"
     sum_up(PROGRAM, summary, title, plain_console(), json)

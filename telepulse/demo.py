@@ -17,7 +17,6 @@ from pydantic import TypeAdapter
 from rich.console import Console
 
 from display_node.fidelity import Fidelity
-from display_node.receiver import sample_times_ns
 from display_node.screen import watch
 from display_node.telemetry import Trace
 from protocol import sockets
@@ -113,9 +112,7 @@ class _Referee:
     def listen(self) -> None:
         """Take what the sensing node has sent."""
         for (message,) in sockets.receive_all(self._data):
-            frame = decode_frame(message)
-            wrist_n = frame.values[:, self._channel].astype(float)
-            self.fidelity.truth(sample_times_ns(frame), wrist_n * self._ratio)
+            self.fidelity.sensed(decode_frame(message), self._channel, self._ratio)
 
     def felt(self, trace: Trace) -> None:
         """Take what the finger felt."""
@@ -181,10 +178,7 @@ def _compose(sensing: Summary, display: Summary, fidelity: Fidelity) -> Summary:
         )
     causes = {*display.rejected, *sensing.rejected}
     return replace(
-        display,
-        force_rmse_n=fidelity.force_rmse_n,
-        strain_rmse=fidelity.strain_rmse,
-        within_jnd=fidelity.within_jnd,
+        fidelity.scored(display),
         rejected={c: display.rejected.get(c, 0) + sensing.rejected.get(c, 0) for c in causes},
     )
 

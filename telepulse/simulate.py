@@ -9,12 +9,9 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
-
 from display_node.display import Display
 from display_node.fidelity import Fidelity
-from display_node.receiver import sample_times_ns
-from protocol.messages import Bye, Frame, encode_control, encode_frame
+from protocol.messages import Bye, encode_control, encode_frame
 from protocol.summary import Summary
 from sensing_node.desk import Desk
 from sensing_node.framing import Framer
@@ -83,7 +80,8 @@ class Simulation:
         def sense(_: bytes, now_ns: int) -> None:
             block = self._paced.read(now_ns + SENSING_CLOCK_AHEAD_NS)
             for frame in self._framer.frames(block) if block is not None else ():
-                self._note_truth(frame)
+                ratio = self._display.force_ratio
+                self._fidelity.sensed(frame, self._scene.display.channel, ratio)
                 if not self._down.loses():
                     self._post(self._down, now_ns, self._display.on_frame, encode_frame(frame))
             self._plan_batch(last_ns)
@@ -96,10 +94,6 @@ class Simulation:
         due_ns = min(self._paced.due_ns(self._description.batch) - ahead_ns, last_ns)
         heapq.heappush(self._events, (due_ns, next(self._order), sense, b""))
 
-    def _note_truth(self, frame: Frame) -> None:
-        wrist_n = frame.values[:, self._scene.display.channel].astype(np.float64)
-        self._fidelity.truth(sample_times_ns(frame), wrist_n * self._display.force_ratio)
-
     def _answer(self, data: bytes, now_ns: int) -> None:
         sensing_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS
         reply = self._desk.answer(SENDER, data, sensing_now_ns, self._framer.samples_sent)
@@ -111,13 +105,7 @@ class Simulation:
         heapq.heappush(self._events, event)
 
     def _summary(self, speed: float) -> Summary:
-        return replace(
-            self._display.summary(),
-            force_rmse_n=self._fidelity.force_rmse_n,
-            strain_rmse=self._fidelity.strain_rmse,
-            within_jnd=self._fidelity.within_jnd,
-            speed=speed,
-        )
+        return replace(self._fidelity.scored(self._display.summary()), speed=speed)
 
 
 def simulate(scene: Scene, seconds: float, seed: int) -> Summary:
