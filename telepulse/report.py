@@ -168,7 +168,7 @@ def _draw(plot: Plot, theme: Theme, path: Path) -> None:
     from cycler import cycler
     from matplotlib.figure import Figure
 
-    style: dict[str, Any] = {
+    style: Any = {
         "figure.facecolor": theme.ground,
         "axes.facecolor": theme.ground,
         "savefig.facecolor": theme.ground,
