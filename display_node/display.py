@@ -65,7 +65,7 @@ class Display:
             scene.controller,
             scene.actuator,
             self._layer,
-            scene.film.film(),
+            scene.film,
             scene.safety.force_limit_n,
             scene.tick_ns * 1e-9,
         )
@@ -73,6 +73,7 @@ class Display:
         self._sessions = 0
         self._force_ratio = 1.0
         self._reserve_ns = 0
+        self._group_delay_ns = 0
         self._covered_ns = 0
         self._covered_ticks = 0
         self._next_report_ns = 0
@@ -112,17 +113,22 @@ class Display:
         """A data message arrived."""
         frame = self.receiver.on_frame(data, now_ns)
         if frame is not None and self.fidelity is not None:
-            self.fidelity.sensed(frame, self._scene.channel, self._force_ratio)
+            self.fidelity.sensed(
+                frame, self._scene.channel, self._force_ratio, self._group_delay_ns
+            )
 
     def on_control(self, data: bytes, now_ns: int) -> None:
         """A control message arrived."""
         self.receiver.on_control(data, now_ns)
         if self.receiver.sessions != self._sessions and self.receiver.description is not None:
             self._sessions = self.receiver.sessions
-            self._force_ratio = matching_force_ratio(self.receiver.description.layer, self._layer)
+            description = self.receiver.description
+            self._force_ratio = matching_force_ratio(description.layer, self._layer)
+            self._group_delay_ns = description.group_delay_ns
             self._playout = PlayoutClock()
-            # What "auto" adds for the loop itself: the sample after the next tick's instant.
-            self._reserve_ns = self.receiver.description.period_ns + self._tick_ns
+            # What "auto" adds for the loop itself: the sample after its horizon's end.
+            horizon_ns = self._loop.horizon * self._tick_ns
+            self._reserve_ns = description.period_ns + horizon_ns
 
     def requests(self, now_ns: int) -> list[Control]:
         """What to send to the sensing node now: requests and reports."""
@@ -138,10 +144,10 @@ class Display:
         safety, felt, loop = self.safety, self.felt, self._loop
         if elapsed_ticks > 1:
             loop.coast(elapsed_ticks - 1)
-        felt_n = loop.felt_n
-        safety.watch(felt_n)
+        felt_n, reading_n = loop.felt_n, loop.read_film()
+        safety.watch(reading_n)
         reference_n = safety.bound(reference_n, alive)
-        loop.tick(reference_n)
+        loop.tick(reference_n, reading_n)
         self.ticks += 1
         felt.target_n, felt.felt_n = reference_n[0], felt_n
         felt.scored = alive and safety.gain == 1.0
@@ -150,36 +156,39 @@ class Display:
         return felt
 
     def _reference(self, now_ns: int) -> tuple[list[float], bool]:
-        """The force wanted now and a tick later, and whether the stream is alive."""
-        receiver, felt = self.receiver, self.felt
+        """The force wanted now and until the loop's horizon, and whether the stream is alive."""
+        receiver, felt, count = self.receiver, self.felt, self._loop.horizon + 1
         felt.now_ns = now_ns
         delay_ns = receiver.delay.delay_ns
         if not receiver.ready or delay_ns is None:
-            return [0.0, 0.0], False
+            return [0.0] * count, False
         sensing_now_ns = receiver.clock.remote_ns(now_ns)
         wanted_delay_ns = self._scene.compensation_ns
         if wanted_delay_ns is None:
-            wanted_delay_ns = delay_ns + self._reserve_ns
+            wanted_delay_ns = delay_ns + self._reserve_ns + self._group_delay_ns
         instant_ns = self._playout.instant(now_ns, sensing_now_ns - wanted_delay_ns)
         felt.sensing_now_ns, felt.instant_ns = sensing_now_ns, instant_ns
+        # The sensing chain is slow by its group delay: the pulse of an instant is in the sample
+        # that was taken so much later.
+        sampled_ns = instant_ns + self._group_delay_ns
         buffer = receiver.buffer
-        buffer.advance(instant_ns)
-        wrist_n = buffer.known(self._tick_ns, 2)
+        buffer.advance(sampled_ns)
+        wrist_n = buffer.known(self._tick_ns, count)
         newest_ns = buffer.newest_ns
-        if newest_ns is None or (not wrist_n and instant_ns < newest_ns):
-            return [0.0, 0.0], False
-        if len(wrist_n) < 2:
+        if newest_ns is None or (not wrist_n and sampled_ns < newest_ns):
+            return [0.0] * count, False
+        if len(wrist_n) < count:
             times_ns, values_n = buffer.newest_values
-            for step in range(len(wrist_n), 2):
-                at_ns = instant_ns + step * self._tick_ns
+            for step in range(len(wrist_n), count):
+                at_ns = sampled_ns + step * self._tick_ns
                 wrist_n.append(self._predict(times_ns, values_n, at_ns))
         ratio = self._force_ratio
-        alive = instant_ns - newest_ns <= self._scene.safety.stale_after_ns
+        alive = sampled_ns - newest_ns <= self._scene.safety.stale_after_ns
         if alive:
             self._playout_delay_ms.add((sensing_now_ns - instant_ns) * 1e-6)
-            self._covered_ns += sensing_now_ns - min(instant_ns, newest_ns)
+            self._covered_ns += sensing_now_ns - min(sampled_ns, newest_ns)
             self._covered_ticks += 1
-        return [ratio * wrist_n[0], ratio * wrist_n[1]], alive
+        return [ratio * force_n for force_n in wrist_n], alive
 
     def _report(self, session: int) -> Report:
         account = self.receiver.account()
@@ -204,10 +213,9 @@ class Display:
         receiver, clock = self.receiver, self.receiver.clock
         account, delay = receiver.account(), receiver.one_way_delay_ms
         frames, reordered = receiver.frames
-        group_delay_ns = receiver.description.group_delay_ns if receiver.description else 0
         covered_ms = None
         if self._covered_ticks:
-            covered_ms = (self._covered_ns / self._covered_ticks + group_delay_ns) * 1e-6
+            covered_ms = (self._covered_ns / self._covered_ticks + self._group_delay_ns) * 1e-6
         known = clock.ready
         summary = Summary(
             samples=Samples(

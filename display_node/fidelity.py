@@ -48,10 +48,14 @@ class Fidelity:
                 self._score_oldest()
             self._gathered(until_ns)
 
-    def sensed(self, frame: Frame, channel: int, force_ratio: float) -> None:
-        """A frame of the pulse; `force_ratio` is the right force at the finger per wrist force."""
-        end_ns = frame.t_first_ns + len(frame.values) * frame.period_ns
-        t_ns = np.arange(frame.t_first_ns, end_ns, frame.period_ns, dtype=np.int64)
+    def sensed(
+        self, frame: Frame, channel: int, force_ratio: float, group_delay_ns: int = 0
+    ) -> None:
+        """A frame of the pulse; `force_ratio` is the right force at the finger per wrist force,
+        group_delay_ns by how much a sample is later than the pulse in it."""
+        first_ns = frame.t_first_ns - group_delay_ns
+        end_ns = first_ns + len(frame.values) * frame.period_ns
+        t_ns = np.arange(first_ns, end_ns, frame.period_ns, dtype=np.int64)
         self.truth(t_ns, frame.values[:, channel].astype(np.float64) * force_ratio)
 
     def felt(self, now_ns: int, instant_ns: int, force_n: float) -> None:

@@ -1,4 +1,4 @@
-"""The local force loop: controller → drive → actuator → film, once a tick.
+"""The local force loop: film → controller → drive → actuator, once a tick.
 
 It closes here and nowhere else, so the network's delay cannot destabilise it.
 """
@@ -7,7 +7,11 @@ from collections.abc import Callable
 
 from display_node.actuators.second_order import SecondOrder, SecondOrderScene
 from display_node.actuators.stepper import Stepper, StepperScene
-from display_node.controller import Controller, ControllerScene, Pid
+from display_node.controller import ControllerScene, StepperController, VoltageController
+from display_node.feed_forward import ScrewPath
+from display_node.film import FeedbackFilm, FilmTable
+from display_node.margins import refuse_unstable
+from display_node.observer import Observer
 from display_node.step_rate import StepRate
 from protocol.errors import SceneError
 from protocol.tactile import ElasticLayer, Film
@@ -16,16 +20,24 @@ WATCHDOG_S = 0.1
 
 
 class ForceLoop:
-    """Presses with the reference force, as the film under the finger tells it."""
+    """Presses with the reference force, as the film under the finger tells it.
+
+    horizon: how many ticks after the present one the reference must reach.
+    """
 
     def __init__(
-        self, controller: Controller, drive: Callable[[float], float], film: Film, tick_s: float
+        self,
+        controller: StepperController | VoltageController,
+        drive: Callable[[float], float],
+        film: FeedbackFilm,
+        tick_s: float,
     ) -> None:
         self._controller = controller
         self._drive = drive
-        self._volts_per_newton = film.volts_per_newton
+        self._film = film
         self._watchdog_ticks = round(WATCHDOG_S / tick_s)
         self._output = 0.0
+        self.horizon = controller.horizon
         self.felt_n = 0.0
 
     def coast(self, ticks: int) -> None:
@@ -34,15 +46,20 @@ class ForceLoop:
         told = min(ticks, self._watchdog_ticks)
         for _ in range(told):
             self.felt_n = self._drive(self._output)
+        self._controller.coast(told)
         if ticks > told:
             self._output = 0.0
             for _ in range(min(ticks - told, self._watchdog_ticks)):
                 self.felt_n = self._drive(0.0)
 
-    def tick(self, reference_n: list[float]) -> float:
-        """Advance one tick towards the reference (now and a tick later); the felt force."""
-        film_volts = self.felt_n * self._volts_per_newton
-        self._output = self._controller.output(reference_n, film_volts)
+    def read_film(self) -> float:
+        """What the film says of the felt force, in N. Call it once before each tick."""
+        return self._film.read(self.felt_n)
+
+    def tick(self, reference_n: list[float], reading_n: float) -> float:
+        """Advance one tick towards the reference (now and the next `horizon` ticks); the felt
+        force at its end."""
+        self._output = self._controller.output(reference_n, reading_n)
         self.felt_n = self._drive(self._output)
         return self.felt_n
 
@@ -51,29 +68,68 @@ def build_force_loop(
     controller: ControllerScene,
     actuator: SecondOrderScene | StepperScene,
     layer: ElasticLayer,
-    film: Film,
+    film: FilmTable,
     force_limit_n: float,
     tick_s: float,
+    actual: SecondOrderScene | StepperScene | None = None,
 ) -> ForceLoop:
-    """The force loop that a scene names. Raises SceneError where its parts do not fit."""
-    if isinstance(actuator, StepperScene):
-        law = actuator.contact(layer)
-        stepper = Stepper(actuator, law, force_limit_n, tick_s)
-        vco = StepRate(
-            1 / actuator.step_m, actuator.max_speed_m_per_s / actuator.step_m, controller.dead_band
-        )
-        pid = Pid(controller, tick_s, limit=actuator.max_speed_m_per_s)
-        return ForceLoop(
-            Controller(controller, pid, film, law, tick_s),
-            lambda output: stepper.step(vco.command(output)),
-            film,
-            tick_s,
-        )
-    if controller.feed_forward or controller.error == "position":
+    """The force loop that a scene names.
+
+    actual: what the actuator really is, where that differs from what the controller takes it
+    for. Raises SceneError where the scene's parts do not fit, and for a loop that is not stable.
+    """
+    if isinstance(actuator, SecondOrderScene) and (
+        controller.feed_forward or controller.error == "position"
+    ):
         raise SceneError(
             "[display] controller: feed_forward and error = 'position' need a stepper's contact"
             " law; this actuator is second_order"
         )
-    pid = Pid(controller, tick_s, limit=actuator.voltage_limit)
-    model = SecondOrder(actuator, tick_s)
-    return ForceLoop(Controller(controller, pid, film, None, tick_s), model.step, film, tick_s)
+    refuse_unstable(controller, actuator, layer, film, force_limit_n, tick_s)
+    if isinstance(actuator, StepperScene):
+        truth = actual if isinstance(actual, StepperScene) else actuator
+        return _stepper_loop(controller, actuator, truth, layer, film, force_limit_n, tick_s)
+    truth_model = SecondOrder(actual if isinstance(actual, SecondOrderScene) else actuator, tick_s)
+    voltage = VoltageController(
+        controller,
+        controller.pid(tick_s, actuator.voltage_limit),
+        1e3 * Film(film.radius_m).volts_per_newton,
+        SecondOrder(actuator, tick_s),
+    )
+    return ForceLoop(voltage, truth_model.step, FeedbackFilm(film, tick_s), tick_s)
+
+
+def _stepper_loop(
+    controller: ControllerScene,
+    scene: StepperScene,
+    actual: StepperScene,
+    layer: ElasticLayer,
+    film: FilmTable,
+    force_limit_n: float,
+    tick_s: float,
+) -> ForceLoop:
+    law = scene.contact(layer)
+    stepper = Stepper(actual, actual.contact(layer), force_limit_n, tick_s)
+    max_rate_hz = scene.max_speed_m_per_s / scene.step_m
+    vco = StepRate(1 / scene.step_m, max_rate_hz, controller.dead_band)
+    observer = None
+    if controller.observer is not None:
+        twin = Stepper(scene, law, force_limit_n, tick_s)
+        observer = Observer(controller.observer, twin, law, film, scene.step_m, tick_s)
+    speed = StepperController(
+        controller,
+        controller.pid(tick_s, scene.max_speed_m_per_s),
+        law,
+        1e3 * Film(film.radius_m).volts_per_newton,
+        ScrewPath(scene, law, tick_s) if controller.feed_forward else None,
+        observer,
+        tick_s,
+    )
+
+    def drive(output: float) -> float:
+        command = vco.command(output)
+        if observer is not None:
+            observer.move(command)
+        return stepper.step(command)
+
+    return ForceLoop(speed, drive, FeedbackFilm(film, tick_s), tick_s)

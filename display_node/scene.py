@@ -7,11 +7,11 @@ from pydantic import BeforeValidator, Field
 from display_node.actuators.second_order import SecondOrderScene
 from display_node.actuators.stepper import StepperScene
 from display_node.controller import ControllerScene
+from display_node.film import FilmTable
 from display_node.safety import SafetyScene
-from protocol.quantities import Metres, Nanoseconds, Ratio, parse_quantity
+from protocol.quantities import Nanoseconds, Ratio, parse_quantity
 from protocol.scene import Section
 from protocol.stream import LayerTable
-from protocol.tactile import Film
 
 MAX_COMPENSATION_NS = 10_000_000_000
 
@@ -23,16 +23,6 @@ def _time_or_auto(value: object) -> int | None:
     if not 0 <= delay_ns <= MAX_COMPENSATION_NS:
         raise ValueError(f"{value!r} is out of range: 0 s to 10 s, or 'auto'")
     return delay_ns
-
-
-class FilmTable(Section):
-    """The `film` table: the PVDF film under the finger (Table 1: r_pv2 = 9 mm)."""
-
-    radius_m: Annotated[Metres, Field(gt=0)] = 9e-3
-
-    def film(self) -> Film:
-        """The film this table describes."""
-        return Film(self.radius_m)
 
 
 class DisplayScene(Section):

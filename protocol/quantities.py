@@ -20,6 +20,8 @@ UNITS: dict[str, dict[str, float]] = {
     "speed": {"mm/s": 1e-3, "m/s": 1.0},
     "acceleration": {"mm/s^2": 1e-3, "mm/s²": 1e-3, "m/s^2": 1.0, "m/s²": 1.0},
     "stiffness": {"N/m": 1.0, "N/mm": 1e3},
+    "voltage": {"uV": 1e-6, "µV": 1e-6, "mV": 1e-3, "V": 1.0},
+    "sensitivity": {"mV/N": 1e-3, "V/N": 1.0},
     "angle": {"°": math.pi / 180, "deg": math.pi / 180, "rad": 1.0},
 }
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S*)\s*")
@@ -89,5 +91,7 @@ Pascals = Annotated[float, _reader("pressure")]
 MetresPerSecond = Annotated[float, _reader("speed")]
 MetresPerSecond2 = Annotated[float, _reader("acceleration")]
 NewtonsPerMetre = Annotated[float, _reader("stiffness")]
+Volts = Annotated[float, _reader("voltage")]
+VoltsPerNewton = Annotated[float, _reader("sensitivity")]
 Radians = Annotated[float, _reader("angle")]
 Ratio = Annotated[float, BeforeValidator(parse_ratio)]

@@ -24,6 +24,12 @@ class ContactLaw:
         root = math.cbrt(force_n)
         return self._rubber * root * root + force_n * self._finger
 
+    def stiffness(self, force_n: float) -> float:
+        """dF/dx in N/m where the tip presses with `force_n`; 0 where it does not touch."""
+        if force_n <= 0:
+            return 0.0
+        return 1 / (2 / 3 * self._rubber / math.cbrt(force_n) + self._finger)
+
     def force(self, position_m: float) -> float:
         """Force in N at a tip position; 0 where the tip does not touch."""
         if position_m <= 0:

@@ -26,7 +26,10 @@ class SecondOrderScene(Section):
 
 
 class SecondOrder:
-    """Steps eq 22 from tick to tick under a held voltage."""
+    """Steps eq 22 from tick to tick under a held voltage.
+
+    matrix, shape (2, 3): force and its rate after a tick, from those before it and the voltage.
+    """
 
     def __init__(self, scene: SecondOrderScene, tick_s: float) -> None:
         from scipy.linalg import expm
@@ -34,9 +37,20 @@ class SecondOrder:
         m, c, k = scene.m, scene.c, scene.k
         system = np.array([[0, 1, 0], [-k / m, -c / m, 1 / m], [0, 0, 0]])
         held = expm(system * tick_s)
-        (self._a11, self._a12, self._b1), (self._a21, self._a22, self._b2) = held[:2].tolist()
+        self.matrix = held[:2]
+        rows: list[list[float]] = self.matrix.tolist()
+        (self._a11, self._a12, self._b1), (self._a21, self._a22, self._b2) = rows
         self._rate = 0.0
         self.force_n = 0.0
+
+    @property
+    def response(self) -> float:
+        """Force in N at a tick's end for each volt held during it."""
+        return self._b1
+
+    def drift(self) -> float:
+        """By how much the force changes in the next tick under no voltage, in N."""
+        return (self._a11 - 1) * self.force_n + self._a12 * self._rate
 
     def step(self, volts: float) -> float:
         """Hold `volts` for one tick; the force in N at its end."""

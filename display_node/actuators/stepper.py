@@ -1,6 +1,7 @@
 """A physical stepper: microsteps on a lead screw, pressing through rubber on a fingertip.
 
-Defaults: the paper's Tables 2A and 2B (1.8° motor, 0.1 m stroke, 0.4 m/s, 100 N).
+Defaults: the paper's Tables 2A and 2B (1.8° motor, 0.1 m stroke, 0.4 m/s, 100 N). The rotor's
+resonance and the screw's backlash are modelled when the scene names them.
 """
 
 import math
@@ -9,8 +10,10 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from display_node.actuators.contact import ContactLaw
+from display_node.actuators.transmission import Play, Rotor
 from display_node.step_rate import StepCommand
 from protocol.quantities import (
+    Hertz,
     Metres,
     MetresPerSecond,
     MetresPerSecond2,
@@ -23,7 +26,11 @@ from protocol.tactile import ElasticLayer
 
 
 class StepperScene(Section):
-    """The `actuator` table of kind "stepper"."""
+    """The `actuator` table of kind "stepper".
+
+    rotor_resonance and its damping ratio ζ: without, the rotor is where the microstep says;
+    backlash: the screw's play.
+    """
 
     kind: Literal["stepper"]
     step_angle_rad: Annotated[Radians, Field(gt=0)] = math.radians(1.8)
@@ -35,6 +42,9 @@ class StepperScene(Section):
     thrust_n: Annotated[Newtons, Field(gt=0)] = 100.0
     tip_radius_m: Annotated[Metres, Field(gt=0)] = 5e-3
     fingertip_n_per_m: Annotated[NewtonsPerMetre, Field(gt=0)] = 1e3
+    rotor_resonance_hz: Annotated[Hertz, Field(gt=0, le=10_000)] | None = None
+    rotor_damping: Annotated[float, Field(ge=0, le=10)] = 0.2
+    backlash_m: Annotated[Metres, Field(ge=0, le=1e-3)] = 0.0
 
     @property
     def step_m(self) -> float:
@@ -48,9 +58,9 @@ class StepperScene(Section):
 
 
 class Stepper:
-    """Counts microsteps and says how hard the tip presses; never harder than force_limit_n.
+    """Counts microsteps and says how hard the tip presses; at rest never above force_limit_n.
 
-    Not modelled here: the rotor's own resonance, backlash, lost steps below the thrust limit.
+    Not modelled here: lost steps below the thrust limit, the screw's own springiness.
     """
 
     def __init__(
@@ -61,30 +71,47 @@ class Stepper:
         self._tick_s = tick_s
         self._max_rate_hz = scene.max_speed_m_per_s / scene.step_m
         self._max_change_hz = scene.max_acceleration_m_per_s2 / scene.step_m * tick_s
-        # A soft stop where the tip would press with the limit, whatever is commanded.
+        # A soft stop where the tip would press with the limit, whatever is commanded. The play
+        # is on top of it, and below the home position, or it could not be taken up there.
         furthest_m = min(scene.stroke_m, law.position(min(scene.thrust_n, force_limit_n)))
-        self._last_step = math.floor(furthest_m / scene.step_m)
+        self._first_step = -math.ceil(scene.backlash_m / scene.step_m)
+        self._last_step = math.floor((furthest_m + scene.backlash_m / 2) / scene.step_m)
+        self._rotor: Rotor | None = None
+        if scene.rotor_resonance_hz is not None:
+            self._rotor = Rotor(scene.rotor_resonance_hz, scene.rotor_damping, tick_s)
+        self._play = Play(scene.backlash_m) if scene.backlash_m else None
         self._phase = 0.0
         self._rate_hz = 0.0
+        self.tip_m = 0.0
         self.force_n = 0.0
 
     @property
-    def position_m(self) -> float:
-        """Tip position from first touch."""
-        return round(self._phase) * self._step_m
+    def screw_m(self) -> float:
+        """Commanded travel from first touch, between microsteps too."""
+        return self._phase * self._step_m
 
     def step(self, command: StepCommand) -> float:
         """Run one tick at a commanded rate and direction; the force in N at its end."""
+        self.force_n = self._law.force(self.move(command))
+        return self.force_n
+
+    def move(self, command: StepCommand) -> float:
+        """As `step`, without the contact: the tip's position from first touch at its end."""
         rate_hz = min(command.rate_hz, self._max_rate_hz) * command.direction
         limit_hz = self._max_change_hz
         if rate_hz > self._rate_hz + limit_hz:
             rate_hz = self._rate_hz + limit_hz
         elif rate_hz < self._rate_hz - limit_hz:
             rate_hz = self._rate_hz - limit_hz
-        phase = self._phase + rate_hz * self._tick_s
-        if not 0.0 <= phase <= self._last_step:
-            phase = min(max(phase, 0.0), float(self._last_step))
+        before, phase = self._phase, self._phase + rate_hz * self._tick_s
+        if not self._first_step <= phase <= self._last_step:
+            phase = float(min(max(phase, self._first_step), self._last_step))
             rate_hz = 0.0
         self._phase, self._rate_hz = phase, rate_hz
-        self.force_n = self._law.force(round(phase) * self._step_m)
-        return self.force_n
+        position_m = round(phase) * self._step_m
+        if self._rotor is not None:
+            position_m = self._rotor.step(round(before) * self._step_m, position_m)
+        if self._play is not None:
+            position_m = self._play.step(position_m)
+        self.tip_m = position_m
+        return position_m

@@ -116,14 +116,15 @@ def test_no_sequence_of_forces_passes_the_limit_or_the_slew(forces: list[float])
         assert np.abs(np.diff(felt)).max() < 1.5 * 0.05
 
 
-def test_the_papers_actuator_faults_rather_than_overshoot_without_end() -> None:
-    unstable = display("paper")
+def test_the_papers_actuator_faults_when_it_overshoots_its_limit() -> None:
     scene = load_section(SCENES / "paper.toml", "display", DisplayScene)
-    gains = scene.controller.model_copy(update={"kd": 0.5})
-    unstable = Display(scene.model_copy(update={"controller": gains}), "test")
-    run(unstable, Sender(), 0, 2000)
-    assert unstable.state == "fault"
-    assert any("above" in fault for fault in unstable.summary().faults)
+    ringing = scene.controller.model_copy(update={"kd": 0.0})
+    strict = scene.safety.model_copy(update={"force_limit_n": 0.3, "overforce": 1.0})
+    parts = {"controller": ringing, "safety": strict}
+    under_test = Display(scene.model_copy(update=parts), "test")
+    run(under_test, Sender(), 0, 2000)
+    assert under_test.state == "fault"
+    assert any("above" in fault for fault in under_test.summary().faults)
 
 
 def test_missed_ticks_are_coasted_and_a_long_stall_stops_the_drive() -> None:

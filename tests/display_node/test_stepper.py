@@ -28,7 +28,7 @@ def positions_m(under_test: Stepper, command: StepCommand, ticks: int) -> list[f
     positions = []
     for _ in range(ticks):
         under_test.step(command)
-        positions.append(under_test.position_m)
+        positions.append(under_test.tip_m)
     return positions
 
 
@@ -45,7 +45,7 @@ def test_a_microstep_is_the_lead_over_3200_steps() -> None:
 
 def test_it_starts_at_rest_without_a_force() -> None:
     under_test = stepper()
-    assert (under_test.force_n, under_test.position_m) == (0.0, 0.0)
+    assert (under_test.force_n, under_test.tip_m) == (0.0, 0.0)
     assert under_test.step(HALT) == 0.0
 
 
@@ -67,7 +67,7 @@ def test_no_command_presses_harder_than_the_limit_or_leaves_the_stroke(
     law = scene(fingertip=fingertip).contact(ElasticLayer())
     for command, ticks in sequence:
         for _ in range(ticks):
-            force_n, position_m = under_test.step(command), under_test.position_m
+            force_n, position_m = under_test.step(command), under_test.tip_m
             assert 0 <= force_n <= min(limit_n, 100.0) * (1 + 1e-12)
             assert 0 <= position_m <= 20e-3
             assert abs(position_m - last_m) <= 0.4 * TICK_S + step_m
@@ -87,7 +87,7 @@ def test_driven_on_and_on_it_stops_within_a_microstep_of_the_limit(
     positions_m(under_test, FORWARD, 2000)
     microstep_n = 1e3 * scene().step_m
     assert end_n - 1.01 * microstep_n < under_test.force_n <= end_n
-    assert positions_m(under_test, FORWARD, 10) == [under_test.position_m] * 10
+    assert positions_m(under_test, FORWARD, 10) == [under_test.tip_m] * 10
 
 
 def test_it_comes_back_from_the_stop_at_once() -> None:

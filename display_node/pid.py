@@ -1,0 +1,64 @@
+"""PID: filtered derivative, anti-windup, and stable at any tick.
+
+Backward Euler throughout, solved together with the actuator's own next step: the error it acts
+on is the one at the tick's end, which the actuator's model gives as a straight line in the
+output. The paper's gains, which diverge at 1 kHz with a backward-difference derivative, are
+stable so at every rate.
+"""
+
+import math
+
+
+class Pid:
+    """PID with the derivative's low-pass at `derivative_filter_hz`; output within ±limit.
+
+    The integral stands still while the output is at its bound and the error would push it
+    further (anti-windup by conditional integration).
+    """
+
+    def __init__(
+        self,
+        kp: float,
+        ki: float,
+        kd: float,
+        derivative_filter_hz: float,
+        tick_s: float,
+        limit: float,
+    ) -> None:
+        filter_s = 1 / (2 * math.pi * derivative_filter_hz)
+        self._ki_tick = ki * tick_s
+        self._keep = filter_s / (filter_s + tick_s)
+        self._kd_tick = kd / (filter_s + tick_s)
+        self._gain = kp + self._ki_tick + self._kd_tick
+        self._limit = limit
+        self._integral = 0.0
+        self._derivative = 0.0
+        self._last_error: float | None = None
+
+    def step(self, error: float, response: float = 0.0, feed: float = 0.0) -> float:
+        """One tick: the output, held until its end.
+
+        error: what it will be at the tick's end if the output is 0; response: how much of it
+        an output of 1 takes away by then (0: not known, the law is then explicit); feed: added
+        to the output before the bound. An error that is no number gives −limit: retract.
+        """
+        if error != error:
+            return -self._limit
+        last = error if self._last_error is None else self._last_error
+        past = self._integral + self._keep * self._derivative - self._kd_tick * last
+        unfed = error - response * feed
+        wanted = feed + (self._gain * unfed + past) / (1 + response * self._gain)
+        limit = self._limit
+        if -limit <= wanted <= limit:
+            output, free = wanted, True
+        else:
+            output = limit if wanted > limit else -limit
+            free = (error > 0) != (wanted > 0)
+        remaining = error - response * output
+        if free:
+            self._integral += self._ki_tick * remaining
+        if self._kd_tick:
+            change = self._kd_tick * (remaining - last)
+            self._derivative = self._keep * self._derivative + change
+            self._last_error = remaining
+        return output
