@@ -2,6 +2,7 @@
 
 import threading
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -19,8 +20,10 @@ from protocol.summary import check_writable
 from telepulse.demo import run_demo
 from telepulse.link import LinkScene, parse_link
 from telepulse.link_relay import LinkRelay
+from telepulse.report import check_can_report, print_tables, write_json, write_report
 from telepulse.scene import DEFAULT_SCENE, find_scene, load_scene
 from telepulse.simulate import simulate
+from telepulse.study.cli import app as study_app
 
 PROGRAM = "telepulse"
 app = typer.Typer(
@@ -29,6 +32,7 @@ app = typer.Typer(
     no_args_is_help=True,
     help="A pulse sensed in one place, felt in another: demo, simulation and link emulation.",
 )
+app.add_typer(study_app, name="study")
 
 SceneArgument = Annotated[
     str, typer.Argument(help="A scene file, or the name of one that comes with telepulse.")
@@ -86,6 +90,34 @@ def simulate_command(
         summary = simulate(loaded, seconds, seed)
     title = f"simulation of {loaded.path.stem}, {seconds:g} s"
     sum_up(PROGRAM, summary, title, plain_console(), json)
+
+
+@app.command()
+def paper(
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Write the report here.")] = Path(
+        "out/paper"
+    ),
+    json: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the tables here as JSON.")
+    ] = None,
+) -> None:
+    """Compute the paper's figures and numbers again: its, ours, and why they differ.
+
+    Prints the tables and writes a page with all plots, in seconds.
+    """
+    # The report brings the import times of scipy's signals; other commands do without.
+    from telepulse.paper.report import build_report
+
+    console = plain_console()
+    with one_line_errors(PROGRAM):
+        check_can_report(out)
+        check_writable(json)
+        report = build_report()
+        page = write_report(report, out)
+        if json is not None:
+            write_json(report, json)
+    print_tables(report, console)
+    console.print(f"report: {page}")
 
 
 @app.command(name="link")

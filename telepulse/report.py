@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 PAGE = "index.html"
 SIZE_INCHES = (8.0, 4.5)
 DOTS_PER_INCH = 144
+# Cells longer than this are words, set flush left in the terminal.
+LONGEST_NUMBER = 16
 MISSING = "reports need matplotlib and Jinja: pip install 'telepulse[report]'"
 
 
@@ -145,10 +147,17 @@ def write_report(report: Report, folder: Path) -> Path:
     )
     page = folder / PAGE
     page.write_text(environment.get_template("report.html").render(report=report), "utf-8")
-    (folder / "report.json").write_text(
-        json.dumps(report.to_dict(), indent=2, ensure_ascii=False) + "\n", "utf-8"
-    )
+    write_json(report, folder / "report.json")
     return page
+
+
+def write_json(report: Report, path: Path) -> None:
+    """Write the report's text and tables as JSON. Raises OutputError."""
+    try:
+        text = json.dumps(report.to_dict(), indent=2, ensure_ascii=False)
+        path.write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def print_tables(report: Report, console: Console) -> None:
@@ -157,7 +166,9 @@ def print_tables(report: Report, console: Console) -> None:
         for table in chapter.tables:
             shown = RichTable(title=table.title, title_justify="left", caption=table.note or None)
             for position, column in enumerate(table.columns):
-                shown.add_column(column, justify="left" if position == 0 else "right")
+                longest = max((len(row[position]) for row in table.rows), default=0)
+                words = position == 0 or longest > LONGEST_NUMBER
+                shown.add_column(column, justify="left" if words else "right")
             for row in table.rows:
                 shown.add_row(*row)
             console.print(shown)

@@ -1,0 +1,1 @@
+"""The paper's figures and numbers, computed again: the command `telepulse paper`."""

@@ -1,0 +1,21 @@
+"""The report of `telepulse paper`: its chapters in their order."""
+
+from telepulse.paper import comparison, contradictions, readings_chapter, spectrum_chapter
+from telepulse.paper.results import compute
+from telepulse.report import Report
+
+TITLE = "A teletaction system's paper, computed again"
+
+
+def build_report() -> Report:
+    """Compute everything. Raises SceneError or SourceError."""
+    results = compute()
+    return Report(
+        TITLE,
+        (
+            comparison.chapter(results),
+            contradictions.chapter(results),
+            readings_chapter.chapter(results),
+            spectrum_chapter.chapter(results),
+        ),
+    )

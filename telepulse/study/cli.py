@@ -1,0 +1,40 @@
+"""`telepulse study`: one command a study."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from protocol.commands import one_line_errors, plain_console
+from protocol.summary import check_writable
+from telepulse.report import check_can_report, print_tables, write_json, write_report
+
+PROGRAM = "telepulse"
+app = typer.Typer(no_args_is_help=True, help="Questions about the system, answered by computing.")
+
+ReportOption = Annotated[Path, typer.Option(metavar="FOLDER", help="Write the report here.")]
+JsonOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Write the tables here as JSON.")
+]
+
+
+@app.command()
+def integrators(out: ReportOption = Path("out/integrators"), json: JsonOption = None) -> None:
+    """Speed against error of the ways to integrate the paper's actuator in its loop.
+
+    Takes about half a minute. python-control takes part where it is installed.
+    """
+    # The study brings matplotlib's and scipy's import times; other commands do without.
+    from telepulse.study.integrator_scores import Effort
+    from telepulse.study.integrators_report import study_integrators
+
+    console = plain_console()
+    with one_line_errors(PROGRAM):
+        check_writable(json)
+        check_can_report(out)
+        report = study_integrators(Effort())
+        page = write_report(report, out)
+        print_tables(report, console)
+        if json is not None:
+            write_json(report, json)
+    console.print(f"report: {page}")

@@ -1,0 +1,110 @@
+import numpy as np
+import pytest
+from scipy.signal import lsim
+
+from telepulse.paper import readings
+from telepulse.paper.numbers import EXPERIMENT, LAYER, SIMULATION, Gains
+from telepulse.paper.pulse import beats, deviation_n
+from telepulse.paper.readings import (
+    FILM_MV,
+    MEASURED_FORCE,
+    MEASURED_STRAIN,
+    PRINTED,
+    READINGS,
+    SIMULATED_STRAIN,
+    Outcome,
+    Reading,
+)
+
+ERRORS = {
+    "strain": (0.238, 0.238),
+    "N": (0.295, 0.325),
+    "V by eq 21": (0.242, 0.259),
+    "mV by Fig. 4": (0.171, 0.349),
+    "mV by eq 21": (0.00222, 0.0065),
+}
+
+
+@pytest.fixture(scope="module")
+def outcomes() -> dict[str, Outcome]:
+    return {outcome.reading.name: outcome for outcome in readings.measure()}
+
+
+def test_each_reading_has_its_error(outcomes: dict[str, Outcome]) -> None:
+    assert set(outcomes) == set(ERRORS)
+    for name, (simulation, experiment) in ERRORS.items():
+        outcome = outcomes[name]
+        assert outcome.under(SIMULATION) == pytest.approx(simulation, rel=0.004)
+        assert outcome.under(EXPERIMENT) == pytest.approx(experiment, rel=0.004)
+
+
+def test_doing_nothing_over_whole_beats() -> None:
+    assert deviation_n("paper") == pytest.approx(0.233, abs=0.0005)
+
+
+@pytest.mark.parametrize("reading", READINGS, ids=lambda reading: str(reading.name))
+@pytest.mark.parametrize("gains", [SIMULATION, EXPERIMENT], ids=["simulation", "experiment"])
+def test_the_response_is_that_of_scipys_lsim(reading: Reading, gains: Gains) -> None:
+    wanted_n = beats("paper", 5000.0, 0.8)
+    t_s = np.arange(len(wanted_n)) / 5000.0
+    felt_n = lsim(readings.closed_loop(reading, gains), wanted_n, t_s)[1]
+    np.testing.assert_allclose(
+        readings.follow(reading, gains, wanted_n, 5000.0), felt_n, atol=1e-12
+    )
+
+
+def test_the_error_is_a_mean_over_time() -> None:
+    # The square of a line from 0 to 1 has the mean 1/3.
+    assert readings.rmse(np.linspace(0, 1, 1001)) == pytest.approx(3**-0.5, rel=1e-5)
+
+
+def test_the_printed_errors_as_forces() -> None:
+    millinewtons = [1e3 * printed.force_n for printed in PRINTED]
+    assert millinewtons == pytest.approx([1.974, 20.863, 12.106], abs=5e-4)
+    assert pytest.approx(9.961e-8, abs=5e-12) == MEASURED_FORCE.force_n * abs(
+        LAYER.strain_per_newton
+    )
+    assert MEASURED_STRAIN.force_n / MEASURED_FORCE.force_n == pytest.approx(0.58, abs=0.005)
+
+
+def test_eq_21_in_millivolts_gives_each_printed_error_at_another_height(
+    outcomes: dict[str, Outcome],
+) -> None:
+    heights_n = [outcomes["mV by eq 21"].peak_to_peak_n(printed) for printed in PRINTED]
+    assert heights_n == pytest.approx([0.888, 3.20, 1.86], rel=0.004)
+    implied_n = heights_n[0] * outcomes["mV by eq 21"].experiment
+    assert implied_n == pytest.approx(5.8e-3, abs=5e-5)
+
+
+def test_no_reading_gives_two_of_the_printed_errors_at_one_height(
+    outcomes: dict[str, Outcome],
+) -> None:
+    for outcome in outcomes.values():
+        simulated_n, force_n, strain_n = (outcome.peak_to_peak_n(p) for p in PRINTED)
+        assert force_n / strain_n == pytest.approx(MEASURED_FORCE.force_n / MEASURED_STRAIN.force_n)
+        assert strain_n > 1.5 * simulated_n
+
+
+def test_the_figure_of_a_height_is_the_printed_one(outcomes: dict[str, Outcome]) -> None:
+    height_n = outcomes["mV by eq 21"].peak_to_peak_n(SIMULATED_STRAIN)
+    wanted_n = height_n * beats("paper", readings.RATE_HZ, 6.0)
+    error = LAYER.strain(readings.follow(FILM_MV, SIMULATION, wanted_n) - wanted_n)
+    assert readings.rmse(error) == pytest.approx(9.4249e-9, rel=1e-9)
+
+
+def test_starting_on_the_pulse_is_easier(outcomes: dict[str, Outcome]) -> None:
+    settled = readings.rmse_without_the_start(FILM_MV, SIMULATION)
+    assert 0.9 < settled / outcomes["mV by eq 21"].simulation < 0.97
+
+
+def test_the_fastest_poles() -> None:
+    assert readings.poles(FILM_MV, SIMULATION)[0] == pytest.approx(-4056, abs=0.5)
+    pair = readings.poles(FILM_MV, EXPERIMENT)[:2]
+    assert pair[0] == pair[1].conjugate()
+
+
+def test_the_actuator_by_its_own_numbers() -> None:
+    assert readings.natural_frequency_hz() == pytest.approx(0.41, abs=0.005)
+    volts = readings.volts_for_one_newton()
+    assert volts == pytest.approx(2460, abs=5)
+    assert 10 / volts == pytest.approx(4e-3, abs=1e-4)

@@ -1,0 +1,49 @@
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from telepulse.cli import app
+from telepulse.report import THEMES
+from telepulse.study import integrators_report
+from telepulse.study.integrator_scores import DEFAULT, Effort
+
+from ...nodes import run
+
+LITTLE = Effort(seconds=0.1, rounds=1, substeps=(1,), solvers=(), rotor_seconds=0.02)
+
+
+def test_the_command_prints_its_tables_and_writes_page_pictures_and_json(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study = integrators_report.study_integrators
+    monkeypatch.setattr(integrators_report, "study_integrators", lambda _: study(LITTLE))
+    out, table = tmp_path / "new" / "folder", tmp_path / "tables.json"
+    result = CliRunner().invoke(
+        app, ["study", "integrators", "--out", str(out), "--json", str(table)]
+    )
+    assert result.exit_code == 0, result.output
+    assert DEFAULT in result.output
+    assert result.output.endswith(f"report: {out / 'index.html'}\n")
+    page = (out / "index.html").read_text(encoding="utf-8")
+    for theme in THEMES:
+        picture = f"work-precision-{theme.name}.png"
+        assert picture in page
+        assert (out / picture).read_bytes().startswith(b"\x89PNG")
+    written = json.loads(table.read_text(encoding="utf-8"))
+    assert written == json.loads((out / "report.json").read_text(encoding="utf-8"))
+    rows = written["chapters"][0]["tables"][0]["rows"]
+    assert rows[0]["integrator"] == DEFAULT
+    assert float(rows[0]["error"]) < 1e-14
+
+
+@pytest.mark.parametrize("option", ["--out", "--json"])
+def test_what_cannot_be_written_is_one_line_before_the_work(option: str, tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    result = run("telepulse.cli", "study", "integrators", option, str(file / "below"))
+    assert result.returncode == 2
+    assert result.stdout == ""
+    assert result.stderr.count("\n") == 1
+    assert result.stderr.startswith(f"telepulse: {file / 'below'}: cannot be written")

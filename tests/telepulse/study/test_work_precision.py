@@ -1,0 +1,71 @@
+import math
+
+import pytest
+
+from telepulse.study.integrators import Step
+from telepulse.study.work_precision import ROUNDING, Point, beaten_by, costs_us, verdict
+
+FAST = Point("fast", "fast", 1e-3, 0.1)
+MIDDLE = Point("middle", "middle × 2", 1e-6, 1.0)
+EXACT = Point("exact", "exact", 1e-16, 10.0)
+WORSE = Point("worse", "worse", 1e-5, 2.0)
+
+
+def test_the_frontier_is_what_no_other_point_beats() -> None:
+    points = [FAST, WORSE, EXACT, MIDDLE]
+    assert [point for point in points if not beaten_by(point, points)] == [FAST, EXACT, MIDDLE]
+    assert beaten_by(WORSE, points) == [MIDDLE]
+
+
+def test_errors_at_rounding_are_equal_so_that_only_speed_counts() -> None:
+    slower = Point("slower", "slower", ROUNDING * 1e-3, 11.0)
+    assert beaten_by(slower, [EXACT, slower]) == [EXACT]
+    assert beaten_by(EXACT, [EXACT, slower]) == []
+
+
+def test_at_equal_cost_the_more_accurate_wins() -> None:
+    coarser = Point("coarser", "coarser", 1e-5, MIDDLE.cost_us)
+    assert beaten_by(coarser, [coarser, MIDDLE]) == [MIDDLE]
+    assert beaten_by(MIDDLE, [coarser, MIDDLE]) == []
+
+
+def test_points_that_are_equal_do_not_beat_each_other() -> None:
+    twin = Point("twin", "twin", MIDDLE.error, MIDDLE.cost_us)
+    assert beaten_by(MIDDLE, [MIDDLE, twin]) == []
+
+
+def test_a_diverged_point_is_on_the_frontier_only_if_it_is_the_fastest() -> None:
+    diverged = Point("diverged", "diverged", math.inf, 0.5)
+    assert beaten_by(diverged, [diverged, FAST]) == [FAST]
+    assert beaten_by(diverged, [diverged, MIDDLE]) == []
+
+
+def test_the_verdict_says_who_is_better() -> None:
+    assert "fast, is on the frontier: of the other 3 rows" in verdict(
+        FAST, [FAST, MIDDLE, WORSE, EXACT]
+    )
+    sentence = verdict(WORSE, [WORSE, FAST, MIDDLE])
+    assert sentence == "The default, worse, is not on the frontier; it is beaten by: middle × 2."
+
+
+def test_every_stepper_plays_the_same_voltages_anew_each_round() -> None:
+    played: dict[str, list[float]] = {}
+
+    def make(name: str) -> Step[float]:
+        played[name] = []
+        return lambda volts: played[name].append(volts) or volts
+
+    costs = costs_us([lambda: make("first"), lambda: make("second")], [1.0, 2.0, 3.0], rounds=2)
+    assert len(costs) == 2
+    assert all(cost > 0 for cost in costs)
+    for voltages in played.values():
+        assert voltages[:3] == [1.0, 2.0, 3.0]
+        assert len(voltages) % 3 == 0
+
+
+def test_a_cost_is_that_of_one_step() -> None:
+    now_s = iter([0.0, 0.5, 10.0, 13.0, 20.0, 21.0])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("time.perf_counter", lambda: next(now_s))
+        costs = costs_us([lambda: lambda volts: volts], [0.0] * 100, rounds=3)
+    assert costs == [pytest.approx(1.0 / 100 * 1e6)]
