@@ -79,10 +79,13 @@ class LinearLoop:
         """How many states plant and controller have."""
         return self.plant.states + self.law.states
 
+    def closed(self) -> Array:
+        """Matrix of the closed loop, from tick to tick."""
+        return _matrix(lambda state: self.step(state, 0.0)[:-1], self.states)
+
     def poles(self) -> NDArray[np.complex128]:
         """Poles of the closed loop, complex, without those of `Law.counts`."""
-        closed = _matrix(lambda state: self.step(state, 0.0)[:-1], self.states)
-        poles = np.linalg.eigvals(closed).astype(np.complex128)
+        poles = np.linalg.eigvals(self.closed()).astype(np.complex128)
         return poles[np.argsort(np.abs(poles - 1))][self.law.counts :]
 
     def cut(self) -> tuple[Array, Array, Array]:

@@ -22,7 +22,10 @@ from protocol.tactile import ElasticLayer
 # usual mean (0.3 of 2.5 N), pressing with all that is allowed.
 FORCE_SHARES = (0.008, 0.12, 1.0)
 FREQUENCIES = 2_000
+COARSE = 400
 RESPONSE_S = 4.0
+# Ms above this: a tenth more gain or a little more delay, and the loop is unstable.
+FRAGILE = 10.0
 # Poles this close to the circle are rounding, or the slow integral of a small ki.
 ROUNDING = 1e-9
 
@@ -46,11 +49,21 @@ class Margins:
         """Whether every pole lies inside the unit circle."""
         return self.pole_radius < 1 + ROUNDING
 
+    @property
+    def unfit(self) -> str | None:
+        """Why no finger should be put on this loop; None when it may."""
+        if not self.stable:
+            return f"is not stable (largest pole {self.pole_radius:.4g}, must be below 1)"
+        if self.peak_sensitivity > FRAGILE:
+            peak = f"peak sensitivity {self.peak_sensitivity:.3g}, above {FRAGILE:g}"
+            return f"is hardly stable ({peak})"
+        return None
 
-def margins(loop: LinearLoop) -> Margins:
-    """Margins of a loop, from its frequency response up to half the tick rate."""
+
+def margins(loop: LinearLoop, frequencies: int = FREQUENCIES) -> Margins:
+    """Margins of a loop, from its response at so many frequencies up to half the tick rate."""
     nyquist = math.pi / loop.tick_s
-    w = np.geomspace(nyquist * 1e-5, nyquist, FREQUENCIES)
+    w = np.geomspace(nyquist * 1e-5, nyquist, frequencies)
     response = _cut_response(loop, w)
     phase = np.unwrap(np.angle(response))
     size = np.log(np.maximum(np.abs(response), 1e-300))
@@ -79,20 +92,19 @@ def felt_noise(loop: LinearLoop, wander: float, noise: float) -> float:
 
     wander: RMS change of the finger's place in 1 s; noise: RMS of a reading's error, white.
     """
-    ticks = round(RESPONSE_S / loop.tick_s)
     at_rest = np.zeros(loop.states)
-    heard = _energy(loop, loop.step(at_rest, 0.0, noise=1.0)[:-1], ticks)
+    heard = _energy(loop, loop.step(at_rest, 0.0, noise=1.0)[:-1])
     at_rest[: loop.plant.states] = loop.plant.displaced
-    moved = _energy(loop, at_rest, ticks)
+    moved = _energy(loop, at_rest)
     return math.sqrt(noise**2 * heard + wander**2 * loop.tick_s * moved)
 
 
-def _energy(loop: LinearLoop, state: Array, ticks: int) -> float:
+def _energy(loop: LinearLoop, state: Array) -> float:
     """Sum of squares of the tip's way from a state, left alone."""
-    total = 0.0
-    for _ in range(ticks):
+    closed, total = loop.closed(), 0.0
+    for _ in range(round(RESPONSE_S / loop.tick_s)):
         total += loop.plant.tip(state[: loop.plant.states]) ** 2
-        state = loop.step(state, 0.0)[:-1]
+        state = closed @ state
     return total
 
 
@@ -104,16 +116,16 @@ def refuse_unstable(
     force_limit_n: float,
     tick_s: float,
 ) -> None:
-    """Raises SceneError for a loop that is not stable at some force up to the limit."""
+    """Raises SceneError for a loop that is not stable, or next to it, at some force up to the
+    limit."""
     for share in FORCE_SHARES:
         force_n = share * force_limit_n
-        loop = linear_loop(controller, actuator, layer, film, tick_s, force_n)
-        radius = float(np.max(np.abs(loop.poles())))
-        if not radius < 1 + ROUNDING:
+        found = margins(linear_loop(controller, actuator, layer, film, tick_s, force_n), COARSE)
+        reason = found.unfit
+        if reason is not None:
             raise SceneError(
-                f"[display] controller: the force loop is not stable at {force_n:.2g} N (its"
-                f" largest pole is {radius:.4g}; it must be below 1): lower kp, or see"
-                " `telepulse tune`"
+                f"[display] controller: the force loop {reason} at {force_n:.2g} N: lower its"
+                " gains, or take those that `telepulse tune` proposes"
             )
 
 

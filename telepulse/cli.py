@@ -120,6 +120,33 @@ def paper(
     console.print(f"report: {page}")
 
 
+@app.command()
+def tune(
+    scene: SceneArgument = DEFAULT_SCENE,
+    json: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the tables here as JSON.")
+    ] = None,
+) -> None:
+    """Print the margins of a scene's force loop, and gains by design with theirs.
+
+    Exit status 2 when the scene's own loop is not stable: no node would run it.
+    """
+    # The design brings scipy's import times; other commands do without.
+    from telepulse.tune import as_toml, design, judge, refuse, report_design
+
+    console = plain_console()
+    with one_line_errors(PROGRAM):
+        check_writable(json)
+        loaded = load_scene(find_scene(scene))
+        present, proposed = judge(loaded.display, loaded.display.controller), design(loaded.display)
+        report = report_design(loaded.path.stem, present, proposed)
+        if json is not None:
+            write_json(report, json)
+        print_tables(report, console)
+        console.print(as_toml(proposed.controller), markup=False)
+        refuse(loaded.path, present)
+
+
 @app.command(name="link")
 def link_command(
     connect: Annotated[str, typer.Option(help="Address of the sensing node.")],

@@ -25,14 +25,16 @@ def integrators(out: ReportOption = Path("out/integrators"), json: JsonOption = 
     Takes about half a minute. python-control takes part where it is installed.
     """
     # The study brings matplotlib's and scipy's import times; other commands do without.
-    from telepulse.study.integrator_scores import Effort
-    from telepulse.study.integrators_report import study_integrators
+    from telepulse.study.integrator_scores import Effort, score_integrators
+    from telepulse.study.integrators_report import report_integrators
+    from telepulse.study.one_thread import in_one_thread
 
     console = plain_console()
     with one_line_errors(PROGRAM):
         check_writable(json)
         check_can_report(out)
-        report = study_integrators(Effort())
+        effort = Effort()
+        report = report_integrators(in_one_thread(score_integrators, effort), effort)
         page = write_report(report, out)
         print_tables(report, console)
         if json is not None:

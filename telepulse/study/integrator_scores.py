@@ -7,7 +7,12 @@ from dataclasses import dataclass
 from decimal import Decimal, localcontext
 from functools import partial
 
+from display_node.actuators.second_order import SecondOrderScene
+from protocol.errors import SceneError
+from protocol.scene import load_section
+from sensing_node.scene import SensingScene
 from sensing_node.sources.synthetic import SyntheticScene
+from telepulse.scene import find_scene
 from telepulse.study.integrator_loop import (
     close_loop,
     decimal_pid,
@@ -75,8 +80,8 @@ class Method:
 
 
 @dataclass(frozen=True, slots=True)
-class Scores:
-    """What the loop gave: a point a method, and how sure the reference is.
+class LoopScores:
+    """What the paper's loop gave: a point a method, and how sure the reference is.
 
     Errors are over the pulse's peak to peak. digits_error: the reference against the same in
     more digits; method_error: against RK4 in as many digits. whole_us: µs a tick of one lsim
@@ -87,6 +92,41 @@ class Scores:
     digits_error: float
     method_error: float
     whole_us: float
+
+
+@dataclass(frozen=True, slots=True)
+class Scores:
+    """The loop's scores, and a rotor's errors by its damping: a row a method, a column a tick."""
+
+    loop: LoopScores
+    rotors: dict[float, dict[str, list[float]]]
+    has_control: bool
+
+
+def score_integrators(effort: Effort) -> Scores:
+    """Score every integrator on both. Raises SceneError."""
+    scene = _pulse_scene()
+    on_rotor = methods(substeps=(1,), solvers=(("RK45", 1e-6),))
+    rotors = {
+        damping: {method.name: score_rotor(method, damping, scene, effort) for method in on_rotor}
+        for damping in ROTOR_DAMPING
+    }
+    tested = methods(effort.substeps, effort.solvers)
+    return Scores(score_loop(table_4(), scene, effort, tested), rotors, has_control())
+
+
+def table_4() -> Plant[float]:
+    """The paper's actuator."""
+    scene = SecondOrderScene(kind="second_order")
+    return Plant(scene.m, scene.c, scene.k)
+
+
+def _pulse_scene() -> SyntheticScene:
+    path = find_scene("paper")
+    source = load_section(path, "sensing", SensingScene).source
+    if not isinstance(source, SyntheticScene):
+        raise SceneError(f"{path}: [sensing.source]: this study needs a synthetic pulse")
+    return source
 
 
 def has_control() -> bool:
@@ -134,7 +174,7 @@ def _adaptive(solver: Solver, rtol: float) -> Method:
 
 def score_loop(
     plant: Plant[float], scene: SyntheticScene, effort: Effort, tested: Sequence[Method]
-) -> Scores:
+) -> LoopScores:
     """Close the paper's loop with every method, and time each on the voltages of the loop."""
     pulse_n = pulse_from_rest(scene, effort.seconds, TICK_S)
     peak_to_peak_n = scene.peak_to_peak_n
@@ -149,7 +189,7 @@ def score_loop(
         forces_n, _ = close_loop(make(), paper_pid(TICK_S), pulse_n)
         error = largest_error(decimals(forces_n), truth_n) / peak_to_peak_n
         points.append(Point(method.family, method.name, error, cost_us, method.library))
-    return Scores(
+    return LoopScores(
         points,
         largest_error(more_n, truth_n) / peak_to_peak_n,
         largest_error(other_n, truth_n) / peak_to_peak_n,
@@ -158,22 +198,24 @@ def score_loop(
 
 
 def score_rotor(
-    damping: float, tick_s: float, scene: SyntheticScene, seconds: float, tested: Sequence[Method]
+    method: Method, damping: float, scene: SyntheticScene, effort: Effort
 ) -> list[float]:
-    """Errors over peak to peak of a resonant rotor told to follow the pulse, open loop.
+    """Errors over peak to peak, a tick each, of a resonant rotor told to follow the pulse.
 
     m = 1, 100 Hz, the voltage k times the pulse: a controller would add a stability of its own.
     """
     omega = 2 * math.pi * ROTOR_HZ
     plant = Plant(1.0, 2 * damping * omega, omega**2)
-    voltages = [plant.k * force_n for force_n in pulse_from_rest(scene, seconds, tick_s)]
-    with localcontext(prec=DIGITS):
-        truth_n = hold_open(exact_hold(decimal_plant(plant), Decimal(tick_s)), decimals(voltages))
-    return [
-        largest_error(decimals(hold_open(method.make(plant, tick_s), voltages)), truth_n)
-        / scene.peak_to_peak_n
-        for method in tested
-    ]
+    errors = []
+    for tick_s in ROTOR_TICKS_S:
+        pulse_n = pulse_from_rest(scene, effort.rotor_seconds, tick_s)
+        voltages = [plant.k * force_n for force_n in pulse_n]
+        with localcontext(prec=DIGITS):
+            true_step = exact_hold(decimal_plant(plant), Decimal(tick_s))
+            truth_n = hold_open(true_step, decimals(voltages))
+        forces_n = hold_open(method.make(plant, tick_s), voltages)
+        errors.append(largest_error(decimals(forces_n), truth_n) / scene.peak_to_peak_n)
+    return errors
 
 
 def largest_error(forces_n: Sequence[Decimal], truth_n: Sequence[Decimal]) -> float:
@@ -199,6 +241,6 @@ def _fine_rk4(plant: Plant[Decimal], tick_s: Decimal) -> Step[Decimal]:
 
 
 def _whole_us(plant: Plant[float], voltages: Sequence[float]) -> float:
-    began_s = time.perf_counter()
+    began_s = time.process_time()
     lsim_whole(plant, TICK_S, voltages)
-    return (time.perf_counter() - began_s) / len(voltages) * 1e6
+    return (time.process_time() - began_s) / len(voltages) * 1e6

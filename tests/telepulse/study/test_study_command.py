@@ -6,10 +6,8 @@ from typer.testing import CliRunner
 
 from telepulse.cli import app
 from telepulse.report import THEMES
-from telepulse.study import integrators_report
+from telepulse.study import one_thread
 from telepulse.study.integrator_scores import DEFAULT, Effort
-
-from ...nodes import run
 
 LITTLE = Effort(seconds=0.1, rounds=1, substeps=(1,), solvers=(), rotor_seconds=0.02)
 
@@ -17,8 +15,8 @@ LITTLE = Effort(seconds=0.1, rounds=1, substeps=(1,), solvers=(), rotor_seconds=
 def test_the_command_prints_its_tables_and_writes_page_pictures_and_json(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    study = integrators_report.study_integrators
-    monkeypatch.setattr(integrators_report, "study_integrators", lambda _: study(LITTLE))
+    alone = one_thread.in_one_thread
+    monkeypatch.setattr(one_thread, "in_one_thread", lambda work, _: alone(work, LITTLE))
     out, table = tmp_path / "new" / "folder", tmp_path / "tables.json"
     result = CliRunner().invoke(
         app, ["study", "integrators", "--out", str(out), "--json", str(table)]
@@ -39,11 +37,16 @@ def test_the_command_prints_its_tables_and_writes_page_pictures_and_json(
 
 
 @pytest.mark.parametrize("option", ["--out", "--json"])
-def test_what_cannot_be_written_is_one_line_before_the_work(option: str, tmp_path: Path) -> None:
+def test_what_cannot_be_written_is_one_line_before_the_work(
+    option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(one_thread, "in_one_thread", lambda *_: pytest.fail("it went to work"))
     file = tmp_path / "file"
     file.touch()
-    result = run("telepulse.cli", "study", "integrators", option, str(file / "below"))
-    assert result.returncode == 2
+    result = CliRunner().invoke(
+        app, ["study", "integrators", "--out", str(tmp_path), option, str(file / "below")]
+    )
+    assert result.exit_code == 2
     assert result.stdout == ""
     assert result.stderr.count("\n") == 1
     assert result.stderr.startswith(f"telepulse: {file / 'below'}: cannot be written")
