@@ -3,6 +3,7 @@
 The output is a speed for a stepper and a voltage for the paper's second-order actuator.
 """
 
+import math
 from collections.abc import Callable
 from typing import Annotated, Literal
 
@@ -61,9 +62,12 @@ class StepperController:
         path: ScrewPath | None,
         observer: Observer | None,
         tick_s: float,
+        slew_limit_n_per_s: float = math.inf,
     ) -> None:
         self._pid = pid
         self._tick_s = tick_s
+        self._slew_limit_n_per_s = slew_limit_n_per_s
+        self._stiffness = law.stiffness
         self._path = path
         self._observer = observer
         self.horizon = path.horizon if path is not None else 1
@@ -88,11 +92,13 @@ class StepperController:
         """
         path, observer = self._path, self._observer
         feed = path.advance(reference_n) if path is not None else 0.0
+        # Making up for a lag, too, the force rises no faster than its limit allows.
+        fastest = self._slew_limit_n_per_s / (self._stiffness(reference_n[0]) or 1e-9)
         if path is not None and observer is not None:
             observer.correct(reading_n)
-            return self._pid.step(path.screw_m - observer.screw_m, self._tick_s, feed)
+            return self._pid.step(path.screw_m - observer.screw_m, self._tick_s, feed, fastest)
         error, response = self._error(reference_n[1], reading_n)
-        return self._pid.step(error, response, feed)
+        return self._pid.step(error, response, feed, fastest)
 
     def coast(self, ticks: int) -> None:
         """Ticks that were missed."""

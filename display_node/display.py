@@ -68,6 +68,7 @@ class Display:
             scene.film,
             scene.safety.force_limit_n,
             scene.tick_ns * 1e-9,
+            slew_limit_n_per_s=scene.safety.slew_limit_n_per_s,
         )
         self._playout = PlayoutClock()
         self._sessions = 0

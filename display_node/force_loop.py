@@ -3,6 +3,7 @@
 It closes here and nowhere else, so the network's delay cannot destabilise it.
 """
 
+import math
 from collections.abc import Callable
 
 from display_node.actuators.second_order import SecondOrder, SecondOrderScene
@@ -72,6 +73,7 @@ def build_force_loop(
     force_limit_n: float,
     tick_s: float,
     actual: SecondOrderScene | StepperScene | None = None,
+    slew_limit_n_per_s: float = math.inf,
 ) -> ForceLoop:
     """The force loop that a scene names.
 
@@ -88,7 +90,9 @@ def build_force_loop(
     refuse_unstable(controller, actuator, layer, film, force_limit_n, tick_s)
     if isinstance(actuator, StepperScene):
         truth = actual if isinstance(actual, StepperScene) else actuator
-        return _stepper_loop(controller, actuator, truth, layer, film, force_limit_n, tick_s)
+        return _stepper_loop(
+            controller, actuator, truth, layer, film, force_limit_n, slew_limit_n_per_s, tick_s
+        )
     truth_model = SecondOrder(actual if isinstance(actual, SecondOrderScene) else actuator, tick_s)
     voltage = VoltageController(
         controller,
@@ -106,6 +110,7 @@ def _stepper_loop(
     layer: ElasticLayer,
     film: FilmTable,
     force_limit_n: float,
+    slew_limit_n_per_s: float,
     tick_s: float,
 ) -> ForceLoop:
     law = scene.contact(layer)
@@ -124,6 +129,7 @@ def _stepper_loop(
         ScrewPath(scene, law, tick_s) if controller.feed_forward else None,
         observer,
         tick_s,
+        slew_limit_n_per_s,
     )
 
     def drive(output: float) -> float:

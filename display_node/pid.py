@@ -35,12 +35,15 @@ class Pid:
         self._derivative = 0.0
         self._last_error: float | None = None
 
-    def step(self, error: float, response: float = 0.0, feed: float = 0.0) -> float:
+    def step(
+        self, error: float, response: float = 0.0, feed: float = 0.0, within: float = math.inf
+    ) -> float:
         """One tick: the output, held until its end.
 
         error: what it will be at the tick's end if the output is 0; response: how much of it
         an output of 1 takes away by then (0: not known, the law is then explicit); feed: added
-        to the output before the bound. An error that is no number gives −limit: retract.
+        to the output before the bound; within: a bound for this tick, besides the limit. An
+        error that is no number gives −limit: retract.
         """
         if error != error:
             return -self._limit
@@ -48,7 +51,7 @@ class Pid:
         past = self._integral + self._keep * self._derivative - self._kd_tick * last
         unfed = error - response * feed
         wanted = feed + (self._gain * unfed + past) / (1 + response * self._gain)
-        limit = self._limit
+        limit = self._limit if self._limit < within else within
         if -limit <= wanted <= limit:
             output, free = wanted, True
         else:

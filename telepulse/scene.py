@@ -27,7 +27,7 @@ class Scene:
 def find_scene(name: str) -> Path:
     """A scene file by its path, or by its name among those that come with telepulse."""
     path = Path(name)
-    if path.exists() or path.suffix == ".toml":
+    if path.suffix == ".toml" or path.name != name:
         return path
     for folder in SCENE_FOLDERS:
         candidate = folder / f"{name}.toml"

@@ -57,7 +57,7 @@ class Effort:
     """How much to compute. The defaults are the study's; tests do with less."""
 
     seconds: float = 6.0
-    rounds: int = 5
+    rounds: int = 9
     substeps: tuple[int, ...] = (1, 2, 4, 8, 16)
     solvers: tuple[tuple[Solver, float], ...] = (
         ("RK45", 1e-3),

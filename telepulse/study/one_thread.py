@@ -16,8 +16,7 @@ def in_one_thread(function: Callable[[Argument], Result], argument: Argument) ->
     """Call a function of a module in a fresh process whose linear algebra has one thread.
 
     Matrices of a few rows gain nothing from threads, and on a busy machine the threads wait for
-    each other: we measured 15 ms for a call of lsim that takes 0.1 ms alone. What the function
-    raises is raised here.
+    each other far longer than they work. What the function raises is raised here.
     """
     before = os.environ.get(THREADS)
     os.environ[THREADS] = "1"
