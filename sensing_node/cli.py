@@ -74,6 +74,9 @@ def sense(
         f"streaming {description.name!r}: {description.rate_hz:g} Hz in frames of"
         f" {description.batch} on {bind} (control {control_address(bind)})"
     )
+    if description.group_delay_ns:
+        delay_ms = description.group_delay_ns * 1e-6
+        console.print(f"the conditioning chain delays the pulse by {delay_ms:.1f} ms")
     summary = node.run(seconds)
     sum_up(PROGRAM, summary, "sensing node", console, json)
 

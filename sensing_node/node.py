@@ -11,6 +11,7 @@ from protocol.messages import Bye, encode_control, encode_frame
 from protocol.stream import StreamDescription
 from protocol.summary import Samples as SampleCounts
 from protocol.summary import Summary
+from sensing_node.conditioning import faults_of
 from sensing_node.desk import Desk, Sender
 from sensing_node.framing import Framer
 from sensing_node.sources import Paced, Samples
@@ -109,4 +110,5 @@ class SensingNode:
         return Summary(
             samples=SampleCounts(sent=self._framer.samples_sent),
             rejected=dict(self._desk.rejected),
+            faults=faults_of(self._samples),
         )

@@ -9,6 +9,7 @@ from protocol.errors import SceneError
 from protocol.quantities import Nanoseconds
 from protocol.scene import Section
 from protocol.stream import LayerTable, Name, StreamDescription
+from sensing_node.conditioning import Conditioned, ConditioningScene
 from sensing_node.sources import Samples
 from sensing_node.sources.recording import Recording, RecordingScene
 from sensing_node.sources.synthetic import Synthetic, SyntheticScene
@@ -24,13 +25,20 @@ class SensingScene(Section):
     batch_ns: Annotated[Nanoseconds, Field(ge=100_000, le=1_000_000_000)] = 5_000_000
     samples: Literal["float32", "float64"] = "float32"
     layer: LayerTable = LayerTable()
+    conditioning: ConditioningScene | None = None
 
 
 def build_source(scene: SensingScene, folder: Path) -> Samples:
-    """The source the scene names; `folder` is the scene file's. Raises SourceError."""
+    """The source the scene names, heard through its conditioning chain if it has one.
+
+    `folder` is the scene file's. Raises SourceError or SceneError.
+    """
+    source: Samples
     if isinstance(scene.source, SyntheticScene):
-        return Synthetic(scene.source)
-    return Recording(scene.source, folder)
+        source = Synthetic(scene.source)
+    else:
+        source = Recording(scene.source, folder)
+    return source if scene.conditioning is None else Conditioned(source, scene.conditioning)
 
 
 def describe_stream(scene: SensingScene, samples: Samples) -> StreamDescription:
@@ -45,4 +53,5 @@ def describe_stream(scene: SensingScene, samples: Samples) -> StreamDescription:
         channels=samples.channels,
         layer=scene.layer.layer(),
         bytes_per_sample=_WIDTHS[scene.samples],
+        group_delay_ns=samples.group_delay_ns if isinstance(samples, Conditioned) else 0,
     )

@@ -28,6 +28,7 @@ from protocol.tactile import matching_force_ratio
 from telepulse.link import LinkScene
 from telepulse.ports import free_addresses
 from telepulse.scene import Scene, load_scene
+from telepulse.truth import Truth
 
 ENDS_WITHIN_S = 10.0
 # The display is listening before the pulse begins.
@@ -95,6 +96,7 @@ class _Referee:
     def __init__(self, scene: Scene, sensing_address: str) -> None:
         layer = scene.display.layer.layer()
         self._channel = scene.display.channel
+        self._truth = Truth(scene.sensing, scene.path.parent)
         self._ratio = matching_force_ratio(scene.sensing.layer.layer(), layer)
         self._context: sockets.Context = zmq.Context()
         self._data = sockets.connect(self._context, zmq.SUB, sensing_address)
@@ -112,7 +114,8 @@ class _Referee:
     def listen(self) -> None:
         """Take what the sensing node has sent."""
         for (message,) in sockets.receive_all(self._data):
-            self.fidelity.sensed(decode_frame(message), self._channel, self._ratio)
+            true_frame = self._truth.of(decode_frame(message))
+            self.fidelity.sensed(true_frame, self._channel, self._ratio)
 
     def felt(self, trace: Trace) -> None:
         """Take what the finger felt."""
@@ -180,6 +183,7 @@ def _compose(sensing: Summary, display: Summary, fidelity: Fidelity) -> Summary:
     return replace(
         fidelity.scored(display),
         rejected={c: display.rejected.get(c, 0) + sensing.rejected.get(c, 0) for c in causes},
+        faults=display.faults + sensing.faults,
     )
 
 

@@ -13,12 +13,14 @@ from display_node.display import Display
 from display_node.fidelity import Fidelity
 from protocol.messages import Bye, encode_control, encode_frame
 from protocol.summary import Summary
+from sensing_node.conditioning import faults_of
 from sensing_node.desk import Desk
 from sensing_node.framing import Framer
 from sensing_node.scene import build_source, describe_stream
 from sensing_node.sources import Paced
 from telepulse.link import Link
 from telepulse.scene import Scene
+from telepulse.truth import Truth
 
 # The sensing clock of a simulation runs this far ahead, so that a mix-up of clocks shows.
 SENSING_CLOCK_AHEAD_NS = 3_600_000_000_000
@@ -36,9 +38,10 @@ class Simulation:
     def __init__(self, scene: Scene, seed: int) -> None:
         """Raises SceneError or SourceError."""
         self._scene = scene
-        source = build_source(scene.sensing, scene.path.parent)
-        self._description = describe_stream(scene.sensing, source)
-        self._paced = Paced(source, STREAM_BEGINS_NS + SENSING_CLOCK_AHEAD_NS)
+        self._source = build_source(scene.sensing, scene.path.parent)
+        self._truth = Truth(scene.sensing, scene.path.parent)
+        self._description = describe_stream(scene.sensing, self._source)
+        self._paced = Paced(self._source, STREAM_BEGINS_NS + SENSING_CLOCK_AHEAD_NS)
         self._session = seed + 1
         self._framer = Framer(self._description, self._session)
         self._desk = Desk(self._description, self._session)
@@ -81,7 +84,8 @@ class Simulation:
             block = self._paced.read(now_ns + SENSING_CLOCK_AHEAD_NS)
             for frame in self._framer.frames(block) if block is not None else ():
                 ratio = self._display.force_ratio
-                self._fidelity.sensed(frame, self._scene.display.channel, ratio)
+                true_frame = self._truth.of(frame)
+                self._fidelity.sensed(true_frame, self._scene.display.channel, ratio)
                 if not self._down.loses():
                     self._post(self._down, now_ns, self._display.on_frame, encode_frame(frame))
             self._plan_batch(last_ns)
@@ -105,7 +109,9 @@ class Simulation:
         heapq.heappush(self._events, event)
 
     def _summary(self, speed: float) -> Summary:
-        return replace(self._fidelity.scored(self._display.summary()), speed=speed)
+        display = self._display.summary()
+        faults = display.faults + faults_of(self._source)
+        return replace(self._fidelity.scored(display), speed=speed, faults=faults)
 
 
 def simulate(scene: Scene, seconds: float, seed: int) -> Summary:

@@ -1,7 +1,7 @@
 """A synthetic pulse: a sum of Gaussians over each beat.
 
-Percussion, tidal and dicrotic wave; heart-rate variability, respiration, ectopic beats and
-noise as options. The same seed gives the same samples, however they are taken.
+Percussion, tidal and dicrotic wave; heart-rate variability, respiration, ectopic beats, noise
+and mains hum as options. The same seed gives the same samples, however they are taken.
 """
 
 import math
@@ -45,6 +45,7 @@ class SyntheticScene(Section):
 
     heart_rate_variability: standard deviation of the beat interval over its mean;
     respiration: its RMS over the beat's standard deviation; ectopic: share of premature beats.
+    hum: amplitude of what the mains adds, a sine of hum_rate.
     """
 
     kind: Literal["synthetic"]
@@ -58,6 +59,8 @@ class SyntheticScene(Section):
     respiration_rate_hz: Annotated[Hertz, Field(ge=0.05, le=1)] = 0.25
     ectopic: Annotated[Ratio, Field(ge=0, le=0.5)] = 0.0
     noise_n: Annotated[Newtons, Field(ge=0, le=1)] = 0.0
+    hum_n: Annotated[Newtons, Field(ge=0, le=1)] = 0.0
+    hum_rate_hz: Annotated[Hertz, Field(ge=1, le=1000)] = 50.0
     seed: Annotated[int, Field(ge=0)] = 1
 
 
@@ -168,6 +171,9 @@ class Synthetic:
         force_n = scene.preload_n + self._scale_n * unit
         if scene.noise_n:
             force_n = force_n + scene.noise_n * self._rng.standard_normal(count)
+        if scene.hum_n:
+            hum = np.sin(2 * math.pi * scene.hum_rate_hz * indices * self._period_s)
+            force_n = force_n + scene.hum_n * hum
         return force_n[indices >= 0]
 
 

@@ -107,6 +107,21 @@ def test_exactly_the_samples_of_the_asked_seconds_are_sent(
     assert read_json(summary)["samples"]["sent"] == sent
 
 
+def test_the_chains_delay_and_samples_beyond_the_adcs_range_are_told(
+    address: str, tmp_path: Path
+) -> None:
+    # 5 mV are 0.114 N at Fig. 4's sensitivity: below all of the pulse.
+    chain = "[sensing.conditioning]\nanti_alias = '40 Hz'\nadc_bits = 16\nadc_range = '5 mV'"
+    scene = scene_file(tmp_path, f'kind = "synthetic"\n{chain}')
+    summary = tmp_path / "summary.json"
+    arguments = ("--bind", address, "--seconds", "0.3", "--json", str(summary))
+    result = run(MODULE, str(scene), *arguments)
+    assert result.returncode == 0
+    assert read_json(summary)["faults"] == ["300 samples beyond the ADC's range"]
+    assert "300 samples beyond the ADC's range" in result.stdout
+    assert "delays the pulse by 10.5 ms" in result.stdout
+
+
 @pytest.mark.parametrize("length", [1003, 1000])
 def test_a_recording_played_once_is_sent_to_its_last_sample(
     address: str, client: Client, tmp_path: Path, length: int

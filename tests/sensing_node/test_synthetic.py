@@ -17,6 +17,7 @@ RESTLESS: dict[str, Any] = {
     "respiration": "20 %",
     "ectopic": "10 %",
     "noise": "1 mN",
+    "hum": "5 mN",
 }
 LONGEST = 20_000
 RESTLESS_PULSE = synthetic(**RESTLESS).take(LONGEST)
@@ -105,7 +106,7 @@ def test_the_pulse_is_an_endless_sum_of_beats(preset: str, per_minute: int) -> N
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_uneven_beats_join_without_a_step(preset: str) -> None:
-    keys = RESTLESS | {"noise": "0 N", "preset": preset, "heart_rate": "120 /min"}
+    keys = RESTLESS | {"noise": "0 N", "hum": "0 N", "preset": preset, "heart_rate": "120 /min"}
     coarse_n, fine_n = pulse(60, 1000, **keys), pulse(60, 10_000, **keys)
     np.testing.assert_allclose(fine_n[::10], coarse_n, atol=1e-8)
     # Of a smooth curve, steps ten times closer are ten times smaller; a jump stays as it is.
@@ -141,6 +142,14 @@ def test_noise_is_white_and_of_its_rms() -> None:
     assert noise_n.std() == pytest.approx(2e-3, rel=0.02)
     assert abs(noise_n.mean()) < 5e-5
     assert abs(np.corrcoef(noise_n[1:], noise_n[:-1])[0, 1]) < 0.02
+
+
+@pytest.mark.parametrize("rate_hz", [50, 60])
+def test_hum_is_a_sine_of_its_rate_and_size_and_leaves_the_rest_alone(rate_hz: int) -> None:
+    quiet = RESTLESS | {"hum": "0 N"}
+    hum_n = pulse(10, **quiet | {"hum": "20 mN", "hum_rate": f"{rate_hz} Hz"}) - pulse(10, **quiet)
+    t_s = np.arange(len(hum_n)) / 1000
+    np.testing.assert_allclose(hum_n, 0.02 * np.sin(2 * np.pi * rate_hz * t_s), atol=1e-12)
 
 
 def test_energy_shares_are_those_of_the_paper() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from ..nodes import ROOT, assert_accounted, process, read_json, run
+from ..nodes import RADIAL, ROOT, assert_accounted, process, read_json, run
 
 MODULE = "telepulse.cli"
 KEYS = {
@@ -51,6 +51,20 @@ def test_the_demo_over_a_bad_link_counts_what_is_late_and_lost(tmp_path: Path) -
     assert summary["samples"]["lost"] > 50
     assert 25 < summary["one_way_delay_ms"]["p50"] < 60
     assert summary["playout_delay_ms"]["mean"] > 45
+
+
+def test_the_demo_scores_against_the_pulse_before_the_sensing_chain(tmp_path: Path) -> None:
+    scene, out = tmp_path / "clipping.toml", tmp_path / "out.json"
+    # 10 mV are 0.227 N at Fig. 4's sensitivity, and no sample of the stream is above.
+    chain = '[sensing.conditioning]\nadc_bits = 16\nadc_range = "10 mV"\n\n'
+    text = RADIAL.read_text(encoding="utf-8")
+    scene.write_text(text.replace("[sensing.layer]", chain + "[sensing.layer]"), "utf-8")
+    result = run(MODULE, "demo", str(scene), "--seconds", "3", "--json", str(out), "--no-ui")
+    assert result.returncode == 0, result.stderr
+    summary = read_json(out)
+    assert summary["force_rmse_n"]["aligned"] > 50e-3
+    (fault,) = summary["faults"]
+    assert fault.endswith("samples beyond the ADC's range")
 
 
 def test_ctrl_c_ends_the_pulse_and_sums_up(tmp_path: Path) -> None:

@@ -1,0 +1,188 @@
+"""The sensing-side chain between the film and the frames, simulated on a source's samples.
+
+force → film volts → charge amplifier → mains notch → anti-alias filter → ADC → inverse
+calibration → + hold-down force. Each part is there when the scene names it.
+"""
+
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from protocol.errors import SceneError
+from protocol.instrument import Adc, Calibration
+from protocol.quantities import Hertz, Metres, Newtons, Volts, VoltsPerNewton
+from protocol.scene import Section
+from protocol.tactile import Film
+from sensing_node.sources import Samples
+from sensing_node.sources.synthetic import PRESETS
+
+# The delay is the paper's pulse's: next to nothing of it is above this.
+DELAY_BAND_HZ, DELAY_STEP_HZ = 40.0, 0.05
+
+_NEEDS = {
+    "hold_down": "charge_amplifier",
+    "mains_quality": "mains",
+    "anti_alias_order": "anti_alias",
+    "adc_range": "adc_bits",
+}
+
+
+class ConditioningScene(Section):
+    """The `conditioning` table; what it leaves out is not in the chain.
+
+    sensitivity: of the film with its amplifier (Fig. 4: 44 mV/N), or film_radius, by eq 21.
+    charge_amplifier: the corner of its high-pass. It loses the static force; hold_down stands
+    in its place, so that the display presses at all. mains: what the notch rejects;
+    mains_quality: its frequency over its width; a wide notch rejects a grid that wanders, and
+    delays the pulse more. anti_alias: corner of a Butterworth low-pass.
+    adc_bits: resolution over ±adc_range.
+    """
+
+    sensitivity_v_per_n: Annotated[VoltsPerNewton, Field(ge=1e-6, le=1e6)] | None = None
+    film_radius_m: Annotated[Metres, Field(ge=1e-6, le=1)] | None = None
+    charge_amplifier_hz: Annotated[Hertz, Field(ge=1e-3, le=5)] | None = None
+    hold_down_n: Annotated[Newtons, Field(ge=0, le=10)] | None = None
+    mains_hz: Annotated[Hertz, Field(ge=45, le=65)] | None = None
+    mains_quality: Annotated[float, Field(ge=1, le=100)] = 10.0
+    anti_alias_hz: Annotated[Hertz, Field(ge=1, le=50_000)] | None = None
+    anti_alias_order: Annotated[int, Field(ge=1, le=8)] = 4
+    adc_bits: Annotated[int, Field(ge=2, le=32)] | None = None
+    adc_range_v: Annotated[Volts, Field(ge=1e-6, le=1000)] = 10.0
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> "ConditioningScene":
+        fields = type(self).model_fields
+        given = {fields[name].alias for name in self.model_fields_set}
+        for key, needed in _NEEDS.items():
+            if key in given and needed not in given:
+                raise ValueError(f"{key} needs {needed}, which is not given")
+        if "charge_amplifier" in given and "hold_down" not in given:
+            raise ValueError(
+                "charge_amplifier loses the static force; give hold_down, such as"
+                ' "0.3 N", for the display to press with in its place'
+            )
+        if {"sensitivity", "film_radius"} <= given:
+            raise ValueError("sensitivity and film_radius both say it; give one of them")
+        return self
+
+    def calibration(self) -> Calibration:
+        """The line from newtons to the chain's volts and back."""
+        if self.film_radius_m is not None:
+            return Calibration.of_film(Film(self.film_radius_m))
+        if self.sensitivity_v_per_n is not None:
+            return Calibration(self.sensitivity_v_per_n)
+        return Calibration()
+
+    def without_losses(self) -> "ConditioningScene":
+        """The chain of an ideal film: the charge amplifier and the hold-down force alone."""
+        return self.model_copy(update={"mains_hz": None, "anti_alias_hz": None, "adc_bits": None})
+
+
+class Conditioned:
+    """A source heard through the chain; it starts settled at the source's first sample.
+
+    So with a charge amplifier the first sample is hold_down, and the mean comes to it within a
+    few time constants. group_delay_ns: by how much the notch and the low-pass delay the pulse
+    (`pulse_delay_s`). The charge amplifier is not in it: it tilts the slow waves and leaves the
+    upstroke where it is, which no shift makes good. clipped: samples beyond the ADC's range.
+    Raises SceneError for a corner that is not below half the source's rate.
+    """
+
+    def __init__(self, source: Samples, scene: ConditioningScene) -> None:
+        rate_hz = 1e9 / source.period_ns
+        self._source = source
+        self._calibration = scene.calibration()
+        self._hold_down_n = scene.hold_down_n or 0.0
+        high_pass, delaying = _design(scene, rate_hz)
+        self._filter = np.concatenate([high_pass, delaying])
+        self._state: NDArray[np.float64] | None = None
+        self._adc = None if scene.adc_bits is None else Adc(scene.adc_bits, scene.adc_range_v)
+        self.group_delay_ns = round(pulse_delay_s(delaying, rate_hz) * 1e9)
+        self.period_ns = source.period_ns
+        self.channels = source.channels
+        self.clipped = 0
+
+    def take(self, count: int) -> NDArray[np.float64]:
+        """The next samples in N, as the source gives them."""
+        force_n = self._source.take(count)
+        if not len(force_n):
+            return force_n
+        volts = self._filtered(self._calibration.volts(force_n))
+        if self._adc is not None:
+            self.clipped += self._adc.clips(volts)
+            volts = self._adc.quantise(volts)
+        return self._calibration.newtons(volts) + self._hold_down_n
+
+    def _filtered(self, volts: NDArray[np.float64]) -> NDArray[np.float64]:
+        if not len(self._filter):
+            return volts
+        from scipy.signal import sosfilt, sosfilt_zi
+
+        if self._state is None:
+            self._state = sosfilt_zi(self._filter)[:, :, np.newaxis] * volts[0]
+        filtered: NDArray[np.float64]
+        filtered, self._state = sosfilt(self._filter, volts, axis=0, zi=self._state)
+        return filtered
+
+
+def faults_of(samples: Samples) -> list[str]:
+    """What went wrong in a source's chain, one line each, for the summary."""
+    if not isinstance(samples, Conditioned) or not samples.clipped:
+        return []
+    return [f"{samples.clipped} samples beyond the ADC's range"]
+
+
+def pulse_delay_s(sections: NDArray[np.float64], rate_hz: float) -> float:
+    """By how much second-order sections H delay the paper's pulse, in s.
+
+    The mean of the phase delay −φ/ω over the pulse's spectrum S, weighted by ω² |S|² |H|: the
+    shift that makes the RMSE between their input and output least, where the phase left over is
+    small. S is one beat of 75 /min; other pulses differ by what the delay varies over theirs.
+    """
+    if not len(sections):
+        return 0.0
+    from scipy.signal import sosfreqz
+
+    frequency_hz = np.arange(DELAY_STEP_HZ, min(DELAY_BAND_HZ, rate_hz / 2), DELAY_STEP_HZ)
+    omega = 2 * np.pi * frequency_hz
+    beat = sum(
+        wave.amplitude
+        * wave.width_s
+        * np.exp(-0.5 * (omega * wave.width_s) ** 2 - 1j * omega * wave.centre_s)
+        for wave in PRESETS["paper"]
+    )
+    _, response = sosfreqz(sections, frequency_hz, fs=rate_hz)
+    weight = np.abs(beat) ** 2 * np.abs(response)
+    phase_rad = np.unwrap(np.angle(response))
+    return float(-(weight * omega * phase_rad).sum() / (weight * omega**2).sum())
+
+
+def _design(
+    scene: ConditioningScene, rate_hz: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Second-order sections of the charge amplifier, and of the filters that delay the pulse.
+
+    Analogue filters through the prewarped bilinear transform: exact at their corner, the notch
+    at its centre and width; towards half the rate they reject more than the analogue ones.
+    """
+    from scipy.signal import butter, iirnotch, tf2sos
+
+    for key in ("charge_amplifier", "mains", "anti_alias"):
+        corner_hz = getattr(scene, f"{key}_hz")
+        if corner_hz is not None and corner_hz >= rate_hz / 2:
+            raise SceneError(
+                f"[sensing.conditioning] {key}: {corner_hz:g} Hz is not below half the source's"
+                f" rate, {rate_hz / 2:g} Hz; lower it or leave it out"
+            )
+    high_pass, delaying = np.empty((0, 6)), np.empty((0, 6))
+    if scene.charge_amplifier_hz is not None:
+        high_pass = butter(1, scene.charge_amplifier_hz, "highpass", fs=rate_hz, output="sos")
+    if scene.mains_hz is not None:
+        delaying = tf2sos(*iirnotch(scene.mains_hz, scene.mains_quality, fs=rate_hz))
+    if scene.anti_alias_hz is not None:
+        order, corner_hz = scene.anti_alias_order, scene.anti_alias_hz
+        low_pass = butter(order, corner_hz, fs=rate_hz, output="sos")
+        delaying = np.concatenate([delaying, low_pass])
+    return high_pass, delaying
