@@ -1,9 +1,10 @@
 """The observer: how hard the finger is pressed now, from a film that is slow, noisy and coarse.
 
-A twin of the actuator makes every commanded step and says where the tip is; a twin of the
-film's filter says what the film should read then. What it reads instead moves the one thing
-that the twins cannot know: where the finger is. So the film's lag is undone by its model, and
-its noise weighs as much as a Kalman filter grants it.
+A twin of the actuator makes every commanded step and says where the tip is; a model of the
+film's filter says what the film should read then. What it reads instead tells what the twin
+cannot know: where the finger is and how soft. So the film's lag is undone by its model, its
+noise weighs as much as an extended Kalman filter grants it, and a finger softer or stiffer
+than the scene says is learnt within a few beats.
 """
 
 import math
@@ -16,26 +17,38 @@ from display_node.actuators.contact import ContactLaw
 from display_node.actuators.stepper import Stepper
 from display_node.film import FilmTable
 from display_node.step_rate import StepCommand
-from protocol.quantities import Metres
+from protocol.quantities import Metres, Ratio
 from protocol.scene import Section
 
 # The force at which the gains are designed: a pulse's usual mean.
 DESIGN_FORCE_N = 0.3
 # A finger further off than this is another finger.
 MAX_OFFSET_M = 1e-3
+# What is known of finger and place before the first reading, RMS; never known less later.
+FIRST_OFFSET_M = 1e-4
+FIRST_SOFTNESS = 0.3
+SOFTNESS_RANGE = (0.2, 5.0)
 LEAST_FORCE_N = 0.01
+# A reading further off than so many standard deviations is trusted no more than this one.
+OUTLIER = 8.0
 
 
 class ObserverScene(Section):
-    """The `observer` table. wander: by how much the finger moves under the tip in 1 s, RMS."""
+    """The `observer` table.
+
+    wander: by how much the finger moves under the tip in 1 s, RMS; softening: by which share
+    its compliance changes in 1 s, RMS (0: it is what the scene says).
+    """
 
     wander_m: Annotated[Metres, Field(gt=0, le=0.1)]
+    softening: Annotated[Ratio, Field(ge=0, le=1)] = 0.01
 
 
 def observer_gains(
     film: FilmTable, wander_n: float, least_noise_n: float, tick_s: float
 ) -> tuple[float, list[float]]:
-    """Stationary Kalman gains for the offset, as a force, and for the film filter's states.
+    """Stationary Kalman gains for the offset, as a force, and for the film filter's states:
+    what the observer settles to on a finger whose compliance it knows.
 
     wander_n: RMS change of the offset in 1 s; least_noise_n: RMS of what a reading is off by
     at least (a microstep). Gains are per newton of innovation, for the next tick's state.
@@ -59,7 +72,11 @@ def observer_gains(
 
 
 class Observer:
-    """Follows the actuator by its commands, and the finger by what the film says."""
+    """Follows the actuator by its commands, and the finger by what the film says.
+
+    The states of its Kalman filter: offset of the finger in m, its compliance in m/N (which is
+    the contact law's own), and those of the film's filter.
+    """
 
     def __init__(
         self,
@@ -72,11 +89,20 @@ class Observer:
     ) -> None:
         self._twin = twin
         self._law = law
-        self._low_pass = film.low_pass(tick_s)
-        stiffness = law.stiffness(DESIGN_FORCE_N)
-        self._offset_gain, self._filter_gains = observer_gains(
-            film, scene.wander_m * stiffness, step_m * stiffness / math.sqrt(12), tick_s
-        )
+        self._low_pass = low_pass = film.low_pass(tick_s)
+        self._softness_m_per_n = softness = law.finger_m_per_n
+        states = 2 + (film.filter_order if low_pass is not None else 0)
+        self._a, self._c, self._through = np.eye(states), np.zeros(states), 1.0
+        if low_pass is not None:
+            self._a[2:, 2:], self._c[2:] = low_pass.a, low_pass.c[0]
+            self._through = float(low_pass.d[0, 0])
+        first = [FIRST_OFFSET_M, FIRST_SOFTNESS * softness if scene.softening else 0.0]
+        self._first = np.array(first) ** 2
+        self._spread = np.zeros((states, states))
+        self._spread[0, 0], self._spread[1, 1] = self._first
+        self._growth = np.array([scene.wander_m, scene.softening * softness]) ** 2 * tick_s
+        step_n = step_m * law.stiffness(DESIGN_FORCE_N)
+        self._noise = film.noise_with_adc_n**2 + step_n**2 / 12
         self._offset_m = 0.0
         self.force_n = 0.0
 
@@ -92,14 +118,44 @@ class Observer:
         error_n = reading_n - expected_n
         if low_pass is not None:
             low_pass.advance(force_n)
-        if not math.isfinite(error_n):
-            return
-        if low_pass is not None:
-            low_pass.correct(self._filter_gains, error_n)
-        stiffness = self._law.stiffness(max(force_n, reading_n, LEAST_FORCE_N))
-        offset_m = self._offset_m + self._offset_gain * error_n / stiffness
-        self._offset_m = min(max(offset_m, -MAX_OFFSET_M), MAX_OFFSET_M)
+        if math.isfinite(error_n):
+            self._believe(self._weigh(error_n))
 
     def move(self, command: StepCommand) -> None:
         """The actuator runs one tick as commanded."""
         self.force_n = self._law.force(self._twin.move(command) + self._offset_m)
+
+    def _weigh(self, error_n: float) -> list[float]:
+        """One step of the Kalman filter: what the reading's error says of each state."""
+        a, c, spread = self._a, self._c, self._spread
+        force_n = max(self.force_n, LEAST_FORCE_N)
+        stiffness = self._law.stiffness(force_n)
+        # The force's slope by offset and by compliance, at the filter's input.
+        slopes = stiffness, -force_n * stiffness
+        c[0], c[1] = self._through * slopes[0], self._through * slopes[1]
+        if self._low_pass is not None:
+            into = self._low_pass.b[:, 0]
+            a[2:, 0], a[2:, 1] = into * slopes[0], into * slopes[1]
+        heard = spread @ c
+        variance = float(c @ heard) + self._noise
+        spread = a @ (spread - np.outer(heard, heard) / variance) @ a.T
+        self._spread = spread = (spread + spread.T) / 2
+        # Unobserved, the spread grows, but never beyond what it was at first.
+        for state in (0, 1):
+            if spread[state, state] < self._first[state]:
+                spread[state, state] += self._growth[state]
+        bound_n = OUTLIER * math.sqrt(variance)
+        error_n = min(max(error_n, -bound_n), bound_n)
+        shares: list[float] = (a @ heard * (error_n / variance)).tolist()
+        return shares
+
+    def _believe(self, changes: list[float]) -> None:
+        """Take over what the filter says of offset, compliance and the film's filter."""
+        offset_m = self._offset_m + changes[0]
+        self._offset_m = min(max(offset_m, -MAX_OFFSET_M), MAX_OFFSET_M)
+        law, softness = self._law, self._softness_m_per_n
+        least, most = SOFTNESS_RANGE
+        learnt = law.finger_m_per_n + changes[1]
+        law.finger_m_per_n = min(max(learnt, least * softness), most * softness)
+        if self._low_pass is not None:
+            self._low_pass.correct(changes[2:], 1.0)
