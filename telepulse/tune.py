@@ -27,7 +27,7 @@ from telepulse.report import Chapter, Report, Table
 MOST_SENSITIVITY = 1.4
 LEAST_DELAY_TICKS = 5
 # How a finger wanders under the tip in 1 s where the scene does not say.
-WANDER_M = 1e-4
+WANDER_M = 2e-5
 KP_RANGE = (1.0, 2_000.0)
 BISECTIONS = 20
 PLACED_DAMPING = 0.8
