@@ -115,9 +115,13 @@ def as_toml(controller: ControllerScene) -> str:
     lines += [f"{name} = {getattr(controller, name):g}" for name in ("kp", "ki", "kd")]
     if controller.kd:
         lines.append(f'derivative_filter = "{controller.derivative_filter_hz:g} Hz"')
+    if controller.dead_band:
+        lines.append(f"dead_band = {controller.dead_band:g}")
     if controller.observer is not None:
-        wander_mm = controller.observer.wander_m * 1e3
-        lines += ["", "[display.controller.observer]", f'wander = "{wander_mm:g} mm"']
+        observer = controller.observer
+        lines += ["", "[display.controller.observer]"]
+        lines.append(f'wander = "{observer.wander_m * 1e6:g} µm"')
+        lines.append(f"softening = {observer.softening:g}")
     return "\n".join(lines)
 
 
@@ -131,7 +135,8 @@ def _design_stepper(scene: DisplayScene, actuator: StepperScene) -> Design:
     fixed = {"ki": 0.0, "kd": 0.0, "error": "position", "feed_forward": True, "observer": observer}
 
     def with_kp(log_kp: float) -> ControllerScene:
-        return scene.controller.model_copy(update=fixed | {"kp": math.exp(log_kp)})
+        kp = _two_digits(math.exp(log_kp))
+        return scene.controller.model_copy(update=fixed | {"kp": kp})
 
     lowest, highest = (math.log(kp) for kp in KP_RANGE)
     highest = _most_robust(scene, with_kp, lowest, highest)
@@ -140,7 +145,9 @@ def _design_stepper(scene: DisplayScene, actuator: StepperScene) -> Design:
         bounds=(lowest, highest),
         method="bounded",
     )
-    return judge(scene, with_kp(math.log(_two_digits(math.exp(best.x)))))
+    return judge(
+        scene, min((with_kp(best.x), with_kp(highest)), key=lambda it: _felt_n(scene, actuator, it))
+    )
 
 
 def _design_second_order(scene: DisplayScene, actuator: SecondOrderScene) -> Design:

@@ -1,10 +1,11 @@
-"""The paper's experiment on the display's own force loop, as scenes/paper.toml describes it."""
+"""A pulse on the display's own force loop, as a scene describes it; nothing between them."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from display_node.actuators.stepper import StepperScene
 from display_node.force_loop import build_force_loop
 from sensing_node.scene import build_source
 from telepulse.paper import numbers
@@ -27,11 +28,11 @@ class Run:
         return float(np.sqrt(np.mean((self.felt_n - self.wanted_n) ** 2)))
 
 
-def run(scene: Scene) -> Run:
+def run(scene: Scene, actual: StepperScene | None = None) -> Run:
     """The first 6 s of pulse, after the finger has settled on the pulse's first force.
 
-    The scene's link and playout are left out: the paper had none. Raises SceneError or
-    SourceError.
+    The scene's link and playout are left out: the paper had none. actual: what the stepper
+    really is, where the controller is wrong about it. Raises SceneError or SourceError.
     """
     display, tick_s = scene.display, scene.display.tick_ns * 1e-9
     loop = build_force_loop(
@@ -41,6 +42,7 @@ def run(scene: Scene) -> Run:
         display.film,
         display.safety.force_limit_n,
         tick_s,
+        actual,
     )
     ticks, reach = round(numbers.FIRST_S / tick_s), loop.horizon + 1
     wanted_n = build_source(scene.sensing, scene.path.parent).take(ticks + reach)[:, 0]

@@ -1,6 +1,12 @@
 """The report of `telepulse paper`: its chapters in their order."""
 
-from telepulse.paper import comparison, contradictions, readings_chapter, spectrum_chapter
+from telepulse.paper import (
+    bench_chapter,
+    comparison,
+    contradictions,
+    readings_chapter,
+    spectrum_chapter,
+)
 from telepulse.paper.results import compute
 from telepulse.report import Report
 
@@ -17,5 +23,6 @@ def build_report() -> Report:
             contradictions.chapter(results),
             readings_chapter.chapter(results),
             spectrum_chapter.chapter(results),
+            bench_chapter.chapter(),
         ),
     )

@@ -1,0 +1,85 @@
+import pytest
+
+from display_node.film import FilmTable
+from telepulse.paper import bench, numbers
+from telepulse.paper.bench import Trial
+from telepulse.paper.bench_chapter import chapter
+from telepulse.scene import Scene
+
+CLEAN_BAR_N = 0.3e-3
+REAL_BAR_N = 4e-3
+
+
+def rmse_n(trials: list[Trial]) -> dict[str, float]:
+    return {t.name: t.force_rmse_n for t in trials if t.force_rmse_n is not None}
+
+
+def test_the_shipped_benches_are_those_of_the_bars() -> None:
+    clean, real = bench.clean_bench().display, bench.real_bench().display
+    for display in (clean, real):
+        assert display.actuator.kind == "stepper"
+        assert (display.actuator.microsteps, display.actuator.lead_m) == (16, 2e-3)
+        assert display.actuator.fingertip_n_per_m == 1e3
+    assert clean.film == FilmTable()
+    assert (real.film.filter_hz, real.film.noise_n, real.film.adc_bits) == (40, 1e-3, 16)
+    assert real.actuator.kind == "stepper"
+    assert real.actuator.backlash_m == pytest.approx(10e-6)
+    assert (real.actuator.rotor_resonance_hz, real.actuator.rotor_damping) == (100, 0.2)
+
+
+@pytest.fixture(scope="module")
+def clean() -> Scene:
+    return bench.clean_bench()
+
+
+def test_the_clean_bench_is_at_the_microsteps_floor(clean: Scene) -> None:
+    floor_n = bench.floor_n(clean)
+    assert floor_n == pytest.approx(0.18e-3, abs=0.01e-3)
+    shipped = bench.controllers(clean)[-1].force_rmse_n
+    assert shipped is not None
+    assert floor_n <= shipped <= CLEAN_BAR_N
+
+
+def test_the_real_bench_is_followed_by_seeing_it_through_its_model() -> None:
+    found = bench.controllers(bench.real_bench())
+    papers, proportional, blind, observed, shipped = found
+    assert papers.force_rmse_n is None
+    assert "not stable" in papers.refused
+    errors = [t.force_rmse_n for t in (proportional, blind, observed, shipped)]
+    assert all(error is not None for error in errors)
+    assert errors[0] > REAL_BAR_N < errors[1]  # type: ignore[operator]
+    assert max(errors[2:]) <= REAL_BAR_N / 2  # type: ignore[type-var]
+
+
+def test_no_mistake_about_the_real_bench_costs_the_bar() -> None:
+    found = rmse_n(bench.mistakes())
+    assert len(found) == 11
+    assert max(found.values()) <= REAL_BAR_N < numbers.EXPERIMENT_FORCE_RMSE_N
+    # What is learnt costs nothing; what is not, shows.
+    assert found["fingertip half as stiff"] < 1.5 * found["nothing"]
+    assert found["no backlash"] > 1.5 * found["nothing"]
+
+
+def test_a_finer_lead_and_a_better_film_tell() -> None:
+    found = rmse_n(bench.other_benches())
+    leads = [found[f"clean, lead {lead} mm"] for lead in (1, 2, 6)]
+    assert leads == sorted(leads)
+    assert leads[2] == pytest.approx(6 * leads[0], rel=0.3)
+    assert max(error for name, error in found.items() if "real" in name) <= REAL_BAR_N
+
+
+def test_the_observer_undoes_the_films_lag() -> None:
+    parts = {reading.name: (reading, observed) for reading, observed in bench.parts()}
+    reading, observed = parts["film's filter, 40 Hz"]
+    assert reading.force_rmse_n is not None
+    assert observed.force_rmse_n is not None
+    assert reading.force_rmse_n > 5e-3
+    assert observed.force_rmse_n <= CLEAN_BAR_N
+
+
+def test_the_chapter_shows_what_was_refused_and_why() -> None:
+    tables = {table.title: table for table in chapter().tables}
+    knowing = tables["Force RMSE by what the controller knows"]
+    assert knowing.rows[0][2] == "refused"
+    assert "not stable" in knowing.note
+    assert len(tables) == 5
