@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 ARGS ?=
 
-.PHONY: install demo test bench lint clean
+.PHONY: install demo test report bench clean
 
 install: .venv/installed
 
@@ -16,6 +16,10 @@ test: .venv/installed-test
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest $(ARGS)
 
+report: .venv/installed-report
+	$(BIN)/telepulse paper
+	$(BIN)/telepulse study integrators
+
 bench: .venv/installed-test
 	$(BIN)/python -m benchmarks $(ARGS)
 
@@ -27,6 +31,10 @@ clean:
 
 .venv/installed: pyproject.toml constraints.txt | .venv/bin/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	touch $@
+
+.venv/installed-report: .venv/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[report,bench]'
 	touch $@
 
 .venv/installed-test: .venv/installed
