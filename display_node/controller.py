@@ -100,10 +100,12 @@ class StepperController:
         error, response = self._error(reference_n[1], reading_n)
         return self._pid.step(error, response, feed, fastest)
 
-    def coast(self, ticks: int) -> None:
-        """Ticks that were missed."""
+    def skip(self, speed_m_per_s: float) -> None:
+        """A tick was missed, in which the drive went on at a speed."""
         if self._path is not None:
-            self._path.coast(ticks)
+            self._path.skip(speed_m_per_s)
+        if self._observer is not None:
+            self._observer.skip()
 
 
 class VoltageController:
@@ -127,5 +129,5 @@ class VoltageController:
         twin.step(volts)
         return volts
 
-    def coast(self, ticks: int) -> None:
-        """Ticks that were missed: the film says where they led."""
+    def skip(self, volts: float) -> None:
+        """A tick was missed: the film says where it led."""

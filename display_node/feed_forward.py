@@ -35,7 +35,6 @@ class ScrewPath:
             self._gap = Gap(scene, tick_s)
             self.horizon = max(self.horizon, 2 + self._gap.lead)
         self._fed_m: float | None = None
-        self._speed_m_per_s = 0.0
         self.tip_m = 0.0
         self.screw_m = 0.0
 
@@ -56,14 +55,14 @@ class ScrewPath:
         if self._fed_m is None:
             self._fed_m = position(reference_n[0]) + screw_m - self.tip_m
         self.screw_m = screw_m
-        self._speed_m_per_s = (screw_m - self._fed_m) / self._tick_s
+        speed_m_per_s = (screw_m - self._fed_m) / self._tick_s
         self._fed_m = screw_m
-        return self._speed_m_per_s
+        return speed_m_per_s
 
-    def coast(self, ticks: int) -> None:
-        """Ticks that were missed, in which the drive went on at its speed."""
+    def skip(self, speed_m_per_s: float) -> None:
+        """A tick was missed, in which the drive went on at a speed."""
         if self._fed_m is not None:
-            self._fed_m += self._speed_m_per_s * self._tick_s * ticks
+            self._fed_m += speed_m_per_s * self._tick_s
 
 
 class Gap:

@@ -65,7 +65,12 @@ class FeedbackFilm:
         self._volts_per_newton = table.volts_per_newton
 
     def read(self, force_n: float) -> float:
-        """This tick's reading in N, when the finger feels `force_n`. Call it once a tick."""
+        """This tick's reading in N, when the finger feels `force_n`. Call it once a tick.
+
+        A force that is no number is handed through, for safety to see.
+        """
+        if not math.isfinite(force_n):
+            return force_n
         if self._noise is not None:
             force_n += next(self._noise)
         if self._low_pass is not None:

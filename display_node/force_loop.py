@@ -46,12 +46,16 @@ class ForceLoop:
         brings it to rest."""
         told = min(ticks, self._watchdog_ticks)
         for _ in range(told):
-            self.felt_n = self._drive(self._output)
-        self._controller.coast(told)
+            self._miss()
         if ticks > told:
             self._output = 0.0
             for _ in range(min(ticks - told, self._watchdog_ticks)):
-                self.felt_n = self._drive(0.0)
+                self._miss()
+
+    def _miss(self) -> None:
+        self.read_film()
+        self._controller.skip(self._output)
+        self.felt_n = self._drive(self._output)
 
     def read_film(self) -> float:
         """What the film says of the felt force, in N. Call it once before each tick."""

@@ -140,8 +140,9 @@ def _pid(
     keep, kd_tick = filter_s / (filter_s + tick_s), scene.kd / (filter_s + tick_s)
     ki_tick = scene.ki * tick_s
     gain = scene.kp + ki_tick + kd_tick
-    # An integral that nothing feeds is no state; left in, it would be a pole at 1.
+    # What nothing feeds is no state; left in, an integral would be a pole at 1.
     kept = 1.0 if scene.ki else 0.0
+    keep = keep if scene.kd else 0.0
 
     def step(state: Array, error: float, response: float) -> tuple[float, Array]:
         integral, derivative, last = state

@@ -74,10 +74,13 @@ def margins(loop: LinearLoop, frequencies: int = FREQUENCIES) -> Margins:
         level = math.exp(-_between(size, at, phase, opposite_rad))
         if level > 1:
             gain = min(gain, level)
+    at_nyquist = float(response[-1].real)
+    if -1 < at_nyquist < 0:
+        gain = min(gain, -1 / at_nyquist)
     for at in np.flatnonzero(np.diff(np.sign(size))).tolist():
         over_rad = (_between(phase, at, size, 0.0) + math.pi) % (2 * math.pi)
         phase_rad = min(phase_rad, over_rad, 2 * math.pi - over_rad)
-        delay_s = min(delay_s, over_rad / float(w[at]))
+        delay_s = min(delay_s, over_rad / _between(w, at, size, 0.0))
     return Margins(
         pole_radius=float(np.max(np.abs(loop.poles()))),
         gain=gain,

@@ -121,6 +121,11 @@ class Observer:
         if math.isfinite(error_n):
             self._believe(self._weigh(error_n))
 
+    def skip(self) -> None:
+        """A tick without a reading: the film's filter goes on all the same."""
+        if self._low_pass is not None:
+            self._low_pass.advance(self.force_n)
+
     def move(self, command: StepCommand) -> None:
         """The actuator runs one tick as commanded."""
         self.force_n = self._law.force(self._twin.move(command) + self._offset_m)

@@ -43,9 +43,9 @@ class Pid:
         error: what it will be at the tick's end if the output is 0; response: how much of it
         an output of 1 takes away by then (0: not known, the law is then explicit); feed: added
         to the output before the bound; within: a bound for this tick, besides the limit. An
-        error that is no number gives −limit: retract.
+        error that is no finite number gives −limit: retract.
         """
-        if error != error:
+        if not math.isfinite(error):
             return -self._limit
         last = error if self._last_error is None else self._last_error
         past = self._integral + self._keep * self._derivative - self._kd_tick * last

@@ -58,9 +58,11 @@ class StepperScene(Section):
 
 
 class Stepper:
-    """Counts microsteps and says how hard the tip presses; at rest never above force_limit_n.
+    """Counts microsteps and says how hard the tip presses; at rest not above force_limit_n.
 
-    Not modelled here: lost steps below the thrust limit, the screw's own springiness.
+    A soft stop holds the screw there. A rotor that rings swings past it, and backlash may keep
+    the tip where it swung to: safety's fault on the felt force is the bound of that. Not
+    modelled here: lost steps below the thrust limit, the screw's own springiness.
     """
 
     def __init__(

@@ -6,8 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from display_node.actuators.second_order import SecondOrder, SecondOrderScene
 from display_node.controller import ControllerScene
 from display_node.pid import Pid
+from protocol.tactile import Film
 
 TICK_S = 1e-3
 ENDLESS = 1e15
@@ -114,3 +116,128 @@ def test_a_constant_error_is_integrated_over_time() -> None:
 def test_feed_forward_is_added_before_the_limit() -> None:
     assert pid(kp=2).step(0.1, feed=3.0) == pytest.approx(3.2)
     assert pid(limit=1.0, kp=2).step(0.1, feed=3.0) == 1.0
+
+
+@settings(deadline=None)
+@given(
+    st.lists(st.tuples(st.floats(-10, 10), st.floats(-10, 10)), min_size=1, max_size=60),
+    st.floats(0, 100),
+    st.floats(0, 1000),
+    st.floats(0, 1),
+    st.floats(1, 5000),
+    st.floats(1e-6, 10),
+)
+def test_the_law_holds_for_the_error_at_the_ticks_end(
+    steps: list[tuple[float, float]],
+    kp: float,
+    ki: float,
+    kd: float,
+    corner_hz: float,
+    response: float,
+) -> None:
+    under_test = pid(kp=kp, ki=ki, kd=kd, derivative_filter=f"{corner_hz:.6f} Hz")
+    outputs = np.array([under_test.step(error, response, feed) for error, feed in steps])
+    errors, feeds = np.array(steps).T
+    remaining = errors - response * outputs
+    # The first error before anything was done about it is the past that the derivative sees.
+    past_and_remaining = np.concatenate([errors[:1], remaining])
+    expected = outputs_by_sums(past_and_remaining, kp, ki, kd, float(f"{corner_hz:.6f}"))[1:]
+    expected -= ki * TICK_S * errors[0]
+    scale = 1 + np.abs(outputs).max() * (1 + kp + ki + 1e3 * kd) * (1 + response)
+    assert outputs == pytest.approx(expected + feeds, abs=1e-9 * scale)
+
+
+@pytest.mark.parametrize("response", [1e-6, 1e-3, 1.0])
+def test_an_endless_gain_leaves_no_error_and_does_no_more(response: float) -> None:
+    output = pid(kp=1e12).step(0.3, response)
+    assert output == pytest.approx(0.3 / response, rel=1e-5)
+
+
+def run_closed(under_test: Pid, drifts: list[float], response: float) -> list[float]:
+    """The error of a plant that adds up what it is told, and drifts; after each tick."""
+    error, errors = 0.0, []
+    for drift in drifts:
+        error += drift
+        error -= response * under_test.step(error, response)
+        errors.append(error)
+    return errors
+
+
+@pytest.mark.parametrize("response", [1e-3, 0.05])
+def test_what_was_saturated_goes_on_as_if_it_had_only_begun(response: float) -> None:
+    def from_afar(start: float) -> list[float]:
+        return run_closed(pid(limit=1.0, kp=5, ki=20), [start] + [0.0] * 3000, response)
+
+    far = 2 + 500 * response
+    all_the_way = from_afar(far)
+    # Of 500 ticks at the bound none has charged the integral.
+    at_bound = [far - response * tick for tick in range(1, 501)]
+    assert all_the_way[:500] == pytest.approx(at_bound)
+    assert all_the_way[500:] == pytest.approx(from_afar(at_bound[-1])[:-500], abs=1e-9)
+    assert min(all_the_way) < 0
+    assert abs(all_the_way[-1]) < 0.02 * far
+
+
+@settings(deadline=None)
+@given(
+    st.lists(st.tuples(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6)), max_size=60),
+    st.floats(0, 1e6),
+)
+def test_no_response_lets_it_pass_its_limit(
+    steps: list[tuple[float, float]], response: float
+) -> None:
+    under_test = pid(limit=0.4, kp=15, ki=100, kd=0.5)
+    for error, feed in steps:
+        assert abs(under_test.step(error, response, feed)) <= 0.4
+
+
+@pytest.mark.parametrize("response", [0.0, 1e-3])
+def test_an_error_that_is_no_number_retracts_and_leaves_no_trace(response: float) -> None:
+    errors = np.random.default_rng(4).normal(0, 1, 50).tolist()
+    under_test = pid(limit=1e4, kp=15, ki=100, kd=0.5)
+    undisturbed = pid(limit=1e4, kp=15, ki=100, kd=0.5)
+    assert under_test.step(math.nan, response) == -1e4
+    for error in errors:
+        assert under_test.step(error, response) == undisturbed.step(error, response)
+        assert under_test.step(math.nan, response, feed=3.0) == -1e4
+
+
+PAPERS_SIMULATION = {"kp": 13, "ki": 0.85, "kd": 0.5}
+PAPERS_EXPERIMENT = {"kp": 15, "ki": 0.15, "kd": 0.03}
+MILLIVOLTS_PER_NEWTON = 1e3 * Film(9e-3).volts_per_newton
+WANTED_N = 0.3
+
+
+def paper_actuator(tick_s: float) -> SecondOrder:
+    return SecondOrder(SecondOrderScene.model_validate({"kind": "second_order"}), tick_s)
+
+
+@pytest.mark.parametrize("derivative_filter", ["100 Hz", "1 kHz"])
+@pytest.mark.parametrize("rate_hz", [100, 300, 1000, 3000, 10_000])
+@pytest.mark.parametrize("gains", [PAPERS_SIMULATION, PAPERS_EXPERIMENT])
+def test_the_papers_gains_are_stable_at_every_rate(
+    gains: dict[str, float], rate_hz: int, derivative_filter: str
+) -> None:
+    tick_s = 1 / rate_hz
+    under_test = pid(tick_s=tick_s, derivative_filter=derivative_filter, **gains)
+    actuator = paper_actuator(tick_s)
+    forces_n = []
+    for _ in range(rate_hz):
+        error_mv = MILLIVOLTS_PER_NEWTON * (WANTED_N - actuator.force_n - actuator.drift())
+        volts = under_test.step(error_mv, MILLIVOLTS_PER_NEWTON * actuator.response)
+        forces_n.append(actuator.step(volts))
+    assert min(forces_n) > 0
+    # The experiment's gains overshoot by a third when they meet a jump.
+    assert max(forces_n) < 1.35 * WANTED_N
+    assert max(abs(force_n - WANTED_N) for force_n in forces_n[rate_hz // 2 :]) < 1e-3
+
+
+def test_with_a_backward_difference_the_simulations_gains_diverge_at_1_khz() -> None:
+    kp, ki, kd = (PAPERS_SIMULATION[name] for name in ("kp", "ki", "kd"))
+    actuator, total, last_mv = paper_actuator(TICK_S), 0.0, MILLIVOLTS_PER_NEWTON * WANTED_N
+    for _ in range(100):
+        error_mv = MILLIVOLTS_PER_NEWTON * (WANTED_N - actuator.force_n)
+        total += error_mv * TICK_S
+        actuator.step(kp * error_mv + ki * total + kd * (error_mv - last_mv) / TICK_S)
+        last_mv = error_mv
+    assert abs(actuator.force_n) > 1e6 * WANTED_N

@@ -5,6 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from display_node.actuators.stepper import Stepper, StepperScene
+from display_node.actuators.transmission import Play, Rotor
 from display_node.step_rate import StepCommand
 from protocol.tactile import ElasticLayer
 
@@ -154,3 +155,81 @@ def test_halting_brakes_to_rest(command: StepCommand) -> None:
     halting = positions_m(under_test, command, 60)
     assert halting[25:] == [halting[-1]] * 35
     assert halting[-1] > halting[0]
+
+
+@pytest.mark.parametrize("table", [{}, {"rotor_resonance": "100 Hz"}, {"backlash": "20 µm"}])
+def test_its_way_is_that_of_its_rotor_and_its_play(table: dict[str, object]) -> None:
+    under_test, named = stepper(**table), scene(**table)
+    rotor = None
+    if named.rotor_resonance_hz is not None:
+        rotor = Rotor(named.rotor_resonance_hz, named.rotor_damping, TICK_S)
+    play = Play(named.backlash_m)
+    law = named.contact(ElasticLayer())
+    before_m = 0.0
+    for tick in range(600):
+        # To and fro at 5 Hz, well within speed and acceleration.
+        speed_hz = 20_000 * math.sin(2 * math.pi * 5 * tick * TICK_S)
+        force_n = under_test.step(StepCommand(abs(speed_hz), 1 if speed_hz > 0 else -1))
+        at_m = round(under_test.screw_m / named.step_m) * named.step_m
+        driving_m = at_m if rotor is None else rotor.step(before_m, at_m)
+        before_m = at_m
+        assert under_test.tip_m == pytest.approx(play.step(driving_m), abs=1e-15)
+        assert force_n == law.force(under_test.tip_m)
+
+
+def test_a_rotor_rings_after_a_halt_and_comes_to_rest() -> None:
+    rigid, ringing = stepper(), stepper(rotor_resonance="100 Hz")
+    for under_test in (rigid, ringing):
+        positions_m(under_test, StepCommand(50_000, 1), 30)
+    halted_m = positions_m(rigid, HALT, 300)
+    rung_m = positions_m(ringing, HALT, 300)
+    # Braking from 31 mm/s within 2 ms, a rotor of 100 Hz swings past its rest.
+    assert max(rung_m) > halted_m[-1] + 5e-6
+    assert rung_m[-1] == pytest.approx(halted_m[-1], abs=1e-9)
+
+
+@pytest.mark.parametrize("limit_n", [0.3, 2.5])
+@pytest.mark.parametrize("backlash", ["3 µm", "20 µm", "1 mm"])
+def test_with_backlash_the_whole_range_is_reached_and_no_more(
+    backlash: str, limit_n: float
+) -> None:
+    under_test = stepper(limit_n, backlash=backlash)
+    positions_m(under_test, FORWARD, 1000)
+    microstep_n = 1e3 * scene().step_m
+    assert limit_n - 1.01 * microstep_n < under_test.force_n <= limit_n * (1 + 1e-12)
+    positions_m(under_test, BACK, 1000)
+    assert under_test.tip_m <= 0
+    assert under_test.force_n == 0.0
+    # And again: what was taken up below the home position is there to be taken up above it.
+    positions_m(under_test, FORWARD, 1000)
+    assert limit_n - 1.01 * microstep_n < under_test.force_n <= limit_n * (1 + 1e-12)
+
+
+@settings(deadline=None, max_examples=30)
+@given(
+    st.lists(commands, max_size=8),
+    st.sampled_from([0.3, 2.5, 50.0]),
+    st.floats(50, 500),
+    st.floats(0.2, 2),
+)
+def test_at_rest_a_rotor_never_presses_harder_than_the_limit(
+    sequence: list[tuple[StepCommand, int]], limit_n: float, resonance_hz: float, damping: float
+) -> None:
+    resonance = f"{resonance_hz} Hz"
+    under_test = stepper(limit_n, rotor_resonance=resonance, rotor_damping=damping)
+    for command, ticks in sequence:
+        positions_m(under_test, command, ticks)
+    positions_m(under_test, HALT, 500)
+    assert 0 <= under_test.force_n <= limit_n * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("limit_n", [0.3, 2.5])
+@pytest.mark.parametrize("backlash", ["3 µm", "20 µm"])
+def test_a_rotor_with_play_rests_at_most_where_it_has_swung_to(
+    backlash: str, limit_n: float
+) -> None:
+    under_test = stepper(limit_n, backlash=backlash, rotor_resonance="100 Hz")
+    swung_n = [under_test.step(FORWARD) for _ in range(1000)]
+    positions_m(under_test, HALT, 500)
+    # The play keeps a little of the swing; the felt force's own fault bounds the swing.
+    assert limit_n < under_test.force_n <= min(max(swung_n), 1.05 * limit_n)

@@ -1,0 +1,126 @@
+import math
+
+import numpy as np
+import pytest
+
+from display_node.film import FeedbackFilm, FilmTable
+
+TICK_S = 1e-3
+
+
+def table(**keys: object) -> FilmTable:
+    return FilmTable.model_validate(keys)
+
+
+def film(**keys: object) -> FeedbackFilm:
+    return FeedbackFilm(table(**keys), TICK_S)
+
+
+def readings(under_test: FeedbackFilm, force_n: float, ticks: int) -> list[float]:
+    return [under_test.read(force_n) for _ in range(ticks)]
+
+
+@pytest.mark.parametrize("force_n", [0.0, 0.3, -1.0, 1e9, 5e-324])
+def test_where_nothing_is_named_it_says_what_is_felt(force_n: float) -> None:
+    assert readings(film(), force_n, 3) == [force_n] * 3
+
+
+def test_eq_21_is_the_sensitivity_unless_the_scene_has_one() -> None:
+    assert table().volts_per_newton == pytest.approx(0.3 / (2 * math.pi * 9e-3))
+    assert table(radius="8 mm").volts_per_newton == pytest.approx(0.3 / (2 * math.pi * 8e-3))
+    assert table(sensitivity="44 mV/N").volts_per_newton == pytest.approx(0.044)
+
+
+def test_the_noise_has_its_rms_and_no_mean_or_memory() -> None:
+    off_n = np.array(readings(film(noise="2 mN"), 0.3, 20_000)) - 0.3
+    assert math.sqrt(np.mean(off_n**2)) == pytest.approx(2e-3, rel=0.03)
+    assert abs(off_n.mean()) < 4 * 2e-3 / math.sqrt(20_000)
+    assert abs(np.corrcoef(off_n[1:], off_n[:-1])[0, 1]) < 4 / math.sqrt(20_000)
+
+
+def test_a_seed_is_its_noise() -> None:
+    films = [FeedbackFilm(table(noise="2 mN"), TICK_S, seed) for seed in (1, 1, 2)]
+    first, again, other = (readings(each, 0.3, 3000) for each in films)
+    assert first == again
+    assert not set(first) & set(other)
+
+
+@pytest.mark.parametrize("order", [1, 2, 4])
+def test_the_filters_lag_is_felt_on_a_ramp(order: int) -> None:
+    under_test = film(filter="40 Hz", filter_order=order)
+    slope_n_per_s = 0.5
+    for tick in range(1000):
+        reading_n = under_test.read(slope_n_per_s * tick * TICK_S)
+    # A low-pass is late by its delay at 0 Hz, which for a Butterworth is Σ 2 sin θ / ω over
+    # half of its poles.
+    thetas = (2 * np.arange(order) + 1) * math.pi / (2 * order)
+    delay_s = float(np.sin(thetas).sum()) / (2 * math.pi * 40)
+    assert reading_n == pytest.approx(slope_n_per_s * (0.999 - delay_s), rel=1e-9)
+
+
+def test_the_filter_quietens_the_noise_before_it() -> None:
+    loud, quiet = film(noise="2 mN"), film(noise="2 mN", filter="40 Hz")
+    loud_n, quiet_n = (np.std(readings(each, 0.0, 20_000)) for each in (loud, quiet))
+    assert quiet_n < 0.4 * loud_n
+
+
+@pytest.mark.parametrize(
+    ("keys", "step_n"),
+    [
+        ({"sensitivity": "44 mV/N"}, 20 / 2**16 / 0.044),
+        ({}, 20 / 2**16 / (0.3 / (2 * math.pi * 9e-3))),
+        ({"sensitivity": "44 mV/N", "adc_range": "1 V"}, 2 / 2**16 / 0.044),
+    ],
+    ids=["Fig. 4", "eq 21", "Fig. 4 over 1 V"],
+)
+def test_a_converter_reads_in_whole_steps(keys: dict[str, object], step_n: float) -> None:
+    forces_n = np.linspace(0.1, 0.2, 501)
+    under_test = film(adc_bits=16, **keys)
+    read_n = np.array([under_test.read(force_n) for force_n in forces_n.tolist()])
+    assert np.abs(read_n / step_n - np.rint(read_n / step_n)).max() < 1e-6
+    assert np.abs(read_n - forces_n).max() <= step_n / 2 * (1 + 1e-9)
+    assert np.abs(read_n - forces_n).max() > 0.4 * step_n
+
+
+def test_fig_4_makes_a_step_118_times_that_of_eq_21() -> None:
+    fig_4, eq_21 = (
+        table(adc_bits=16, **keys).noise_with_adc_n for keys in ({"sensitivity": "45 mV/N"}, {})
+    )
+    assert fig_4 / eq_21 == pytest.approx(118, abs=0.5)
+    assert table(sensitivity="44 mV/N", adc_bits=16).noise_with_adc_n == pytest.approx(
+        6.9e-3 / math.sqrt(12), rel=0.01
+    )
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_force_beyond_the_converters_range_reads_as_its_end(sign: int) -> None:
+    read_n = film(sensitivity="1 V/N", adc_bits=8, adc_range="2 V").read(sign * 50.0)
+    assert read_n == (2 - 4 / 2**8 if sign > 0 else -2)
+
+
+def test_noise_and_rounding_add_as_squares() -> None:
+    named = table(noise="3 mN", adc_bits=16, sensitivity="44 mV/N")
+    under_test = FeedbackFilm(named, TICK_S)
+    forces_n = np.random.default_rng(5).uniform(0.1, 0.5, 20_000)
+    errors_n = np.array([under_test.read(n) for n in forces_n.tolist()]) - forces_n
+    assert np.std(errors_n) == pytest.approx(named.noise_with_adc_n, rel=0.03)
+
+
+@pytest.mark.parametrize("keys", [{}, {"noise": "1 mN"}, {"filter": "40 Hz"}, {"adc_bits": 16}])
+@pytest.mark.parametrize("force_n", [math.nan, math.inf, -math.inf])
+def test_a_force_that_is_no_number_is_not_read_as_one(
+    keys: dict[str, object], force_n: float
+) -> None:
+    under_test = film(**keys)
+    under_test.read(0.3)
+    assert not math.isfinite(under_test.read(force_n))
+    assert math.isfinite(under_test.read(0.3))
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [{"filter": "0 Hz"}, {"filter_order": 5}, {"noise": "-1 mN"}, {"adc_bits": 1}],
+)
+def test_what_no_film_has_is_refused(keys: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match="validation error"):
+        table(**keys)

@@ -1,0 +1,85 @@
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import butter, lsim
+
+from display_node.low_pass import LowPass
+
+TICK_S = 1e-3
+orders = pytest.mark.parametrize("order", [1, 2, 3, 4])
+
+
+def run(low_pass: LowPass, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    outputs = []
+    for value in values.tolist():
+        outputs.append(low_pass.output(value))
+        low_pass.advance(value)
+    return np.array(outputs)
+
+
+@orders
+@pytest.mark.parametrize("corner_hz", [5.0, 40.0, 2000.0])
+def test_it_is_lsims_butterworth_for_a_signal_straight_from_tick_to_tick(
+    order: int, corner_hz: float
+) -> None:
+    values = np.random.default_rng(1).normal(0, 1, 500)
+    values[0] = 0.0
+    analog = butter(order, 2 * math.pi * corner_hz, analog=True)
+    _, expected, _ = lsim(analog, values, np.arange(500) * TICK_S)
+    assert np.abs(run(LowPass(corner_hz, order, TICK_S), values) - expected).max() < 1e-8
+
+
+@orders
+def test_it_starts_at_rest(order: int) -> None:
+    assert run(LowPass(40.0, order, TICK_S), np.zeros(20)).tolist() == [0.0] * 20
+
+
+@orders
+def test_settled_it_gives_what_it_is_given(order: int) -> None:
+    low_pass = LowPass(40.0, order, TICK_S)
+    low_pass.settle(0.7)
+    assert run(low_pass, np.full(100, 0.7)) == pytest.approx(0.7, rel=1e-9)
+
+
+@orders
+def test_settling_is_an_endless_time_of_the_value(order: int) -> None:
+    waited, settled = LowPass(40.0, order, TICK_S), LowPass(40.0, order, TICK_S)
+    run(waited, np.full(1000, 0.7))
+    settled.settle(0.7)
+    jump = np.full(50, -2.0)
+    assert run(settled, jump) == pytest.approx(run(waited, jump), rel=1e-9, abs=1e-9)
+
+
+@orders
+def test_its_corner_is_3_db_down(order: int) -> None:
+    tick_s, corner_hz = 1e-4, 40.0
+    t_s = np.arange(10_000) * tick_s
+    outputs = run(LowPass(corner_hz, order, tick_s), np.sin(2 * math.pi * corner_hz * t_s))
+    # The last 20 periods, of 250 ticks each.
+    rms = math.sqrt(np.mean(outputs[-5000:] ** 2))
+    assert 20 * math.log10(rms * math.sqrt(2)) == pytest.approx(10 * math.log10(0.5), abs=0.01)
+
+
+@orders
+def test_reading_moves_nothing(order: int) -> None:
+    low_pass = LowPass(40.0, order, TICK_S)
+    run(low_pass, np.linspace(0, 1, 30))
+    first = low_pass.output(2.0)
+    assert low_pass.output(-3.0) != first == low_pass.output(2.0)
+
+
+@orders
+def test_a_correction_moves_the_state_by_its_shares_of_the_error(order: int) -> None:
+    low_pass, untouched = LowPass(40.0, order, TICK_S), LowPass(40.0, order, TICK_S)
+    start = np.linspace(0, 1, 30)
+    run(low_pass, start)
+    run(untouched, start)
+    shares = [0.5 / (1 + state) for state in range(order)]
+    low_pass.correct(shares, 0.2)
+    moved = run(low_pass, np.ones(40)) - run(untouched, np.ones(40))
+    state = 0.2 * np.array(shares)
+    for difference in moved.tolist():
+        assert difference == pytest.approx(float(low_pass.c[0] @ state), rel=1e-7, abs=1e-9)
+        state = low_pass.a @ state

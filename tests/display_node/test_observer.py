@@ -1,0 +1,266 @@
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from display_node.actuators.contact import ContactLaw
+from display_node.actuators.stepper import Stepper, StepperScene
+from display_node.film import FeedbackFilm, FilmTable
+from display_node.observer import (
+    DESIGN_FORCE_N,
+    MAX_OFFSET_M,
+    OUTLIER,
+    SOFTNESS_RANGE,
+    Observer,
+    ObserverScene,
+    observer_gains,
+)
+from display_node.step_rate import StepRate
+from protocol.tactile import ElasticLayer
+
+TICK_S = 1e-3
+SCENE = StepperScene.model_validate({"kind": "stepper", "rotor_resonance": "100 Hz"})
+# The finger is as soft as the scene says, or it is learnt how soft it is.
+KNOWN = ObserverScene.model_validate({"wander": "0.1 mm", "softening": 0})
+LEARNING = ObserverScene.model_validate({"wander": "0.1 mm"})
+SLOW = FilmTable.model_validate({"filter": "40 Hz"})
+# As the gains are designed for it; the film of the bench itself is then without noise.
+NOISY = FilmTable.model_validate({"filter": "40 Hz", "noise": "2 mN"})
+
+
+def contact(fingertip_n_per_m: float = 1e3) -> ContactLaw:
+    finger = SCENE.model_copy(update={"fingertip_n_per_m": fingertip_n_per_m})
+    return finger.contact(ElasticLayer())
+
+
+def stepper() -> Stepper:
+    return Stepper(SCENE, contact(), 2.5, TICK_S)
+
+
+class Bench:
+    """A stepper, a film without noise and an observer of both.
+
+    The finger is `displaced_m` nearer than the observer takes it to be.
+    """
+
+    def __init__(
+        self,
+        film: FilmTable = NOISY,
+        scene: ObserverScene = KNOWN,
+        fingertip_n_per_m: float = 1e3,
+    ) -> None:
+        quiet = film.model_copy(update={"noise_n": 0.0})
+        # What the observer learns it writes into its own law.
+        self.believed = contact()
+        self.observer = Observer(scene, stepper(), self.believed, film, SCENE.step_m, TICK_S)
+        self.law = contact(fingertip_n_per_m)
+        self.displaced_m = 0.0
+        self._film = FeedbackFilm(quiet, TICK_S)
+        self._stepper = stepper()
+        self._drive = StepRate(1 / SCENE.step_m, 1e9, 0.0)
+        self.felt_n = self.reading_n = 0.0
+
+    def tick(self, speed_m_per_s: float, film_says: float | None = None) -> None:
+        self.reading_n = self._film.read(self.felt_n)
+        self.observer.correct(self.reading_n if film_says is None else film_says)
+        command = self._drive.command(speed_m_per_s)
+        self.observer.move(command)
+        self.felt_n = self.law.force(self._stepper.move(command) + self.displaced_m)
+
+    def swing(self, ticks: int) -> None:
+        """Press and let go a little, five times a second."""
+        for tick in range(ticks):
+            self.tick(0.003 * math.cos(2 * math.pi * 5 * tick * TICK_S))
+
+    @property
+    def missed_m(self) -> float:
+        """By how much it does not know yet where the finger is."""
+        return self.law.position(self.felt_n) - self.law.position(self.observer.force_n)
+
+
+def pressing(bench: Bench, force_n: float = DESIGN_FORCE_N) -> Bench:
+    """The bench at rest with a force that it knows."""
+    way_m = bench.law.position(force_n)
+    for _ in range(100):
+        bench.tick(way_m / 0.1)
+    for _ in range(200):
+        bench.tick(0.0)
+    return bench
+
+
+@pytest.mark.parametrize("order", [1, 2, 4])
+def test_without_noise_it_knows_what_is_felt_behind_a_slow_film(order: int) -> None:
+    bench = pressing(Bench(NOISY.model_copy(update={"filter_order": order})))
+    lag_n = []
+    for tick in range(500):
+        bench.tick(0.005 * math.cos(2 * math.pi * 5 * tick * TICK_S))
+        assert bench.observer.force_n == pytest.approx(bench.felt_n, rel=1e-9)
+        lag_n.append(bench.felt_n - bench.reading_n)
+    # The film itself is late by 4 ms and more, at up to 3 N/s.
+    assert max(lag_n) > 5e-3
+
+
+@pytest.mark.parametrize("displaced_m", [50e-6, -50e-6])
+def test_it_finds_a_finger_that_is_elsewhere(displaced_m: float) -> None:
+    bench = pressing(Bench())
+    bench.displaced_m = displaced_m
+    bench.tick(0.0)
+    assert bench.missed_m == pytest.approx(displaced_m, rel=1e-6)
+    for _ in range(1000):
+        bench.tick(0.0)
+    assert bench.missed_m == pytest.approx(0, abs=1e-9)
+    expected_m = bench.law.position(bench.felt_n)
+    assert bench.observer.screw_m == pytest.approx(expected_m, abs=SCENE.step_m)
+
+
+def test_it_finds_the_finger_while_the_tip_moves() -> None:
+    bench = pressing(Bench())
+    bench.displaced_m = 50e-6
+    bench.swing(1000)
+    assert bench.missed_m == pytest.approx(0, abs=20e-9)
+
+
+def gains(film: FilmTable, wander_n: float = 0.05) -> tuple[float, list[float]]:
+    return observer_gains(film, wander_n, 1e-4, TICK_S)
+
+
+def error_dynamics(film: FilmTable) -> NDArray[np.float64]:
+    """What a tick leaves of an error in (offset, filter states), by the gains."""
+    low_pass = film.low_pass(TICK_S)
+    assert low_pass is not None
+    stiffness = contact().stiffness(DESIGN_FORCE_N)
+    offset_gain, filter_gains = observer_gains(
+        film, KNOWN.wander_m * stiffness, SCENE.step_m * stiffness / math.sqrt(12), TICK_S
+    )
+    a = np.block([[np.ones((1, 1)), np.zeros((1, len(low_pass.a)))], [low_pass.b, low_pass.a]])
+    gain = np.array([offset_gain, *filter_gains])
+    left: NDArray[np.float64] = a - np.outer(gain, np.hstack([low_pass.d, low_pass.c]))
+    return left
+
+
+@pytest.mark.parametrize("order", [1, 3])
+@pytest.mark.parametrize("noise_n", [0.2e-3, 2e-3, 20e-3])
+def test_it_finds_it_as_fast_as_its_gains_say(noise_n: float, order: int) -> None:
+    film = NOISY.model_copy(update={"noise_n": noise_n, "filter_order": order})
+    bench, left = pressing(Bench(film)), error_dynamics(film)
+    # So little that the contact law is straight.
+    bench.displaced_m = 1e-9
+    error = np.array([1e-9] + [0.0] * order)
+    for _ in range(100):
+        bench.tick(0.0)
+        assert bench.missed_m == pytest.approx(error[0], abs=2e-12)
+        error = left @ error
+    assert abs(error[0]) < 20e-12
+
+
+@pytest.mark.parametrize("reading_n", [math.nan, math.inf, -math.inf])
+def test_a_reading_that_is_no_number_is_passed_over(reading_n: float) -> None:
+    bench, undisturbed = pressing(Bench()), pressing(Bench())
+    for tick in range(300):
+        speed = 0.005 * math.cos(2 * math.pi * 5 * tick * TICK_S)
+        bench.tick(speed, film_says=reading_n if 50 <= tick < 80 else None)
+        undisturbed.tick(speed)
+        # What the film has missed meanwhile its model has followed.
+        assert bench.observer.force_n == pytest.approx(undisturbed.observer.force_n, rel=1e-9)
+        assert bench.observer.force_n == pytest.approx(bench.felt_n, rel=1e-9)
+
+
+@pytest.mark.parametrize("filter_hz", [None, 40.0])
+def test_it_trusts_the_film_more_when_the_finger_wanders(filter_hz: float | None) -> None:
+    film = NOISY.model_copy(update={"filter_hz": filter_hz})
+    offset_gains = [gains(film, wander_n)[0] for wander_n in (0.005, 0.05, 0.5, 5.0)]
+    assert offset_gains[0] > 0
+    assert offset_gains == sorted(offset_gains)
+    assert offset_gains[-1] > 5 * offset_gains[0]
+
+
+@pytest.mark.parametrize("filter_hz", [None, 40.0])
+def test_it_trusts_a_noisy_film_less(filter_hz: float | None) -> None:
+    film = NOISY.model_copy(update={"filter_hz": filter_hz})
+    noises_n = (0.2e-3, 2e-3, 20e-3, 200e-3)
+    offset_gains = [gains(film.model_copy(update={"noise_n": n}))[0] for n in noises_n]
+    assert offset_gains == sorted(offset_gains, reverse=True)
+    assert offset_gains[0] > 5 * offset_gains[-1] > 0
+
+
+def test_a_coarse_converter_counts_as_noise() -> None:
+    table = {"filter": "40 Hz", "sensitivity": "44 mV/N"}
+    coarse, fine = (FilmTable.model_validate(table | {"adc_bits": bits}) for bits in (12, 16))
+    assert gains(coarse)[0] < 0.5 * gains(fine)[0]
+
+
+@pytest.mark.parametrize("wander_n", [0.005, 0.05, 0.5])
+def test_without_a_filter_the_gain_is_that_of_a_scalar_kalman_filter(wander_n: float) -> None:
+    noise_n, least_n = 2e-3, 1e-4
+    film = FilmTable.model_validate({"noise": "2 mN"})
+    offset_gain, filter_gains = observer_gains(film, wander_n, least_n, TICK_S)
+    # p = p r / (p + r) + q.
+    q, r = wander_n**2 * TICK_S, noise_n**2 + least_n**2
+    p = (q + math.sqrt(q * q + 4 * q * r)) / 2
+    assert filter_gains == []
+    assert offset_gain == pytest.approx(p / (p + r), rel=1e-6)
+
+
+@pytest.mark.parametrize(("reading_n", "bound_m"), [(1e3, MAX_OFFSET_M), (-1e3, -MAX_OFFSET_M)])
+def test_no_reading_makes_it_believe_in_another_finger(reading_n: float, bound_m: float) -> None:
+    bench = Bench(SLOW, LEARNING)
+    softness = bench.believed.finger_m_per_n
+    for _ in range(3000):
+        bench.observer.correct(reading_n)
+        assert abs(bench.observer.screw_m) <= MAX_OFFSET_M
+        assert math.isfinite(bench.believed.finger_m_per_n)
+    assert bench.observer.screw_m == bound_m
+    least, most = SOFTNESS_RANGE
+    assert least * softness <= bench.believed.finger_m_per_n <= most * softness
+
+
+@pytest.mark.parametrize("glitch_n", [1.0, 100.0, -100.0])
+def test_one_wild_reading_counts_no_more_than_an_outlier(glitch_n: float) -> None:
+    bench, mildly = pressing(Bench()), pressing(Bench())
+    before_m = bench.observer.screw_m
+    bench.tick(0.0, film_says=DESIGN_FORCE_N + glitch_n)
+    mildly.tick(0.0, film_says=DESIGN_FORCE_N + math.copysign(10.0, glitch_n))
+    moved_m = bench.observer.screw_m - before_m
+    assert math.copysign(1.0, moved_m) == math.copysign(1.0, glitch_n)
+    assert moved_m == mildly.observer.screw_m - before_m
+    # A settled Kalman filter moves a random walk by its own step at every standard deviation.
+    step_m = KNOWN.wander_m * math.sqrt(TICK_S)
+    assert abs(moved_m) == pytest.approx(OUTLIER * step_m, rel=1e-3)
+
+
+def test_a_light_touch_does_not_throw_it_off() -> None:
+    # Where nothing touches there is no stiffness to divide by.
+    bench = Bench(SLOW)
+    bench.observer.correct(1e-4)
+    assert 0 < bench.observer.screw_m < 10e-6
+
+
+@pytest.mark.parametrize("fingertip_n_per_m", [500.0, 1200.0])
+def test_it_learns_how_soft_the_finger_is(fingertip_n_per_m: float) -> None:
+    learning = pressing(Bench(NOISY, LEARNING, fingertip_n_per_m))
+    taking_it_as_it_is = pressing(Bench(NOISY, KNOWN, fingertip_n_per_m))
+    for bench in (learning, taking_it_as_it_is):
+        bench.swing(6000)
+    assert learning.believed.finger_m_per_n == pytest.approx(1 / fingertip_n_per_m, rel=0.02)
+    assert taking_it_as_it_is.believed.finger_m_per_n == 1e-3
+    missed_n: dict[str, list[float]] = {"learning": [], "not": []}
+    for tick in range(200):
+        for name, bench in (("learning", learning), ("not", taking_it_as_it_is)):
+            bench.tick(0.003 * math.cos(2 * math.pi * 5 * tick * TICK_S))
+            missed_n[name].append(bench.felt_n - bench.observer.force_n)
+    assert np.std(missed_n["learning"]) < 0.2 * np.std(missed_n["not"])
+
+
+def test_a_finger_at_rest_tells_nothing_of_its_softness() -> None:
+    # Where and how soft are one number there: it finds the force all the same.
+    bench = pressing(Bench(NOISY, LEARNING, 500.0))
+    for _ in range(2000):
+        bench.tick(0.0)
+    assert bench.observer.force_n == pytest.approx(bench.felt_n, abs=0.1e-3)
+
+
+@pytest.mark.parametrize("table", [{"wander": "0 mm"}, {"wander": "1 mm", "softening": 2}])
+def test_what_no_finger_does_is_refused(table: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match="validation error"):
+        ObserverScene.model_validate(table)
