@@ -26,8 +26,7 @@ class ControllerScene(Section):
     which makes the loop's gain the same at every force. feed_forward: drive the reference's
     own motion without waiting for an error (stepper only). observer: see what is felt through
     a model of actuator and film (stepper only, error "position"). derivative_filter: corner of
-    the derivative's low-pass. dead_band: drive outputs below this are no motion (in the unit
-    of the PID's output: V, or m/s for a stepper).
+    the derivative's low-pass. dead_band: an error within ±this is none, in the error's unit.
     """
 
     kp: Annotated[float, Field(ge=0)]
@@ -47,7 +46,9 @@ class ControllerScene(Section):
 
     def pid(self, tick_s: float, limit: float) -> Pid:
         """The PID with these gains."""
-        return Pid(self.kp, self.ki, self.kd, self.derivative_filter_hz, tick_s, limit)
+        return Pid(
+            self.kp, self.ki, self.kd, self.derivative_filter_hz, tick_s, limit, self.dead_band
+        )
 
 
 class StepperController:
@@ -70,6 +71,7 @@ class StepperController:
         self._stiffness = law.stiffness
         self._path = path
         self._observer = observer
+        self._last_reading_n = 0.0
         self.horizon = path.horizon if path is not None else 1
         self._error: Callable[[float, float], tuple[float, float]]
         if scene.error == "position":
@@ -88,7 +90,7 @@ class StepperController:
         """Speed for this tick.
 
         reference_n: the force wanted now and in each of the next `horizon` ticks; reading_n:
-        what the feedback film says now.
+        what the feedback film says now, NaN when it says nothing that can be true.
         """
         path, observer = self._path, self._observer
         feed = path.advance(reference_n) if path is not None else 0.0
@@ -97,7 +99,9 @@ class StepperController:
         if path is not None and observer is not None:
             observer.correct(reading_n)
             return self._pid.step(path.screw_m - observer.screw_m, self._tick_s, feed, fastest)
-        error, response = self._error(reference_n[1], reading_n)
+        if reading_n == reading_n:
+            self._last_reading_n = reading_n
+        error, response = self._error(reference_n[1], self._last_reading_n)
         return self._pid.step(error, response, feed, fastest)
 
     def skip(self, speed_m_per_s: float) -> None:
@@ -123,11 +127,15 @@ class VoltageController:
     def output(self, reference_n: list[float], reading_n: float) -> float:
         """Voltage for this tick; see `StepperController.output`."""
         twin, unit = self._twin, self._unit
-        twin.force_n = reading_n
+        # Without a reading the twin's own force takes its place.
+        if reading_n == reading_n:
+            twin.force_n = reading_n
+        reading_n = twin.force_n
         error = unit * (reference_n[1] - reading_n - twin.drift())
         volts = self._pid.step(error, unit * twin.response)
         twin.step(volts)
         return volts
 
     def skip(self, volts: float) -> None:
-        """A tick was missed: the film says where it led."""
+        """A tick was missed, in which the voltage was held."""
+        self._twin.step(volts)

@@ -69,6 +69,7 @@ class Display:
             scene.safety.force_limit_n,
             scene.tick_ns * 1e-9,
             slew_limit_n_per_s=scene.safety.slew_limit_n_per_s,
+            overforce=scene.safety.overforce,
         )
         self._playout = PlayoutClock()
         self._sessions = 0

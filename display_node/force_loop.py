@@ -23,7 +23,8 @@ WATCHDOG_S = 0.1
 class ForceLoop:
     """Presses with the reference force, as the film under the finger tells it.
 
-    horizon: how many ticks after the present one the reference must reach.
+    horizon: how many ticks after the present one the reference must reach. plausible_n: a
+    reading beyond this, to either side, is no reading of a force.
     """
 
     def __init__(
@@ -31,8 +32,10 @@ class ForceLoop:
         controller: StepperController | VoltageController,
         drive: Callable[[float], float],
         film: FeedbackFilm,
+        plausible_n: float,
         tick_s: float,
     ) -> None:
+        self._plausible_n = plausible_n
         self._controller = controller
         self._drive = drive
         self._film = film
@@ -64,6 +67,8 @@ class ForceLoop:
     def tick(self, reference_n: list[float], reading_n: float) -> float:
         """Advance one tick towards the reference (now and the next `horizon` ticks); the felt
         force at its end."""
+        if not -self._plausible_n <= reading_n <= self._plausible_n:
+            reading_n = math.nan
         self._output = self._controller.output(reference_n, reading_n)
         self.felt_n = self._drive(self._output)
         return self.felt_n
@@ -78,8 +83,11 @@ def build_force_loop(
     tick_s: float,
     actual: SecondOrderScene | StepperScene | None = None,
     slew_limit_n_per_s: float = math.inf,
+    overforce: float = 1.5,
 ) -> ForceLoop:
     """The force loop that a scene names.
+
+    overforce: readings beyond so many times the force limit are passed over.
 
     actual: what the actuator really is, where that differs from what the controller takes it
     for. Raises SceneError where the scene's parts do not fit, and for a loop that is not stable.
@@ -91,12 +99,14 @@ def build_force_loop(
             "[display] controller: feed_forward and error = 'position' need a stepper's contact"
             " law; this actuator is second_order"
         )
+    plausible_n = overforce * force_limit_n
     refuse_unstable(controller, actuator, layer, film, force_limit_n, tick_s)
     if isinstance(actuator, StepperScene):
         truth = actual if isinstance(actual, StepperScene) else actuator
-        return _stepper_loop(
+        speed, drive = _stepper(
             controller, actuator, truth, layer, film, force_limit_n, slew_limit_n_per_s, tick_s
         )
+        return ForceLoop(speed, drive, FeedbackFilm(film, tick_s), plausible_n, tick_s)
     truth_model = SecondOrder(actual if isinstance(actual, SecondOrderScene) else actuator, tick_s)
     voltage = VoltageController(
         controller,
@@ -104,10 +114,10 @@ def build_force_loop(
         1e3 * Film(film.radius_m).volts_per_newton,
         SecondOrder(actuator, tick_s),
     )
-    return ForceLoop(voltage, truth_model.step, FeedbackFilm(film, tick_s), tick_s)
+    return ForceLoop(voltage, truth_model.step, FeedbackFilm(film, tick_s), plausible_n, tick_s)
 
 
-def _stepper_loop(
+def _stepper(
     controller: ControllerScene,
     scene: StepperScene,
     actual: StepperScene,
@@ -116,11 +126,11 @@ def _stepper_loop(
     force_limit_n: float,
     slew_limit_n_per_s: float,
     tick_s: float,
-) -> ForceLoop:
+) -> tuple[StepperController, Callable[[float], float]]:
+    """Controller of a stepper, and what its output does."""
     law = scene.contact(layer)
     stepper = Stepper(actual, actual.contact(layer), force_limit_n, tick_s)
-    max_rate_hz = scene.max_speed_m_per_s / scene.step_m
-    vco = StepRate(1 / scene.step_m, max_rate_hz, controller.dead_band)
+    vco = StepRate(1 / scene.step_m, scene.max_speed_m_per_s / scene.step_m)
     observer = None
     if controller.observer is not None:
         twin = Stepper(scene, law, force_limit_n, tick_s)
@@ -142,4 +152,4 @@ def _stepper_loop(
             observer.move(command)
         return stepper.step(command)
 
-    return ForceLoop(speed, drive, FeedbackFilm(film, tick_s), tick_s)
+    return speed, drive

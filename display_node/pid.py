@@ -12,8 +12,8 @@ import math
 class Pid:
     """PID with the derivative's low-pass at `derivative_filter_hz`; output within ±limit.
 
-    The integral stands still while the output is at its bound and the error would push it
-    further (anti-windup by conditional integration).
+    dead_band: an error within ±this counts as none. The integral stands still while the output
+    is at its bound and the error would push it further (anti-windup by conditional integration).
     """
 
     def __init__(
@@ -24,6 +24,7 @@ class Pid:
         derivative_filter_hz: float,
         tick_s: float,
         limit: float,
+        dead_band: float = 0.0,
     ) -> None:
         filter_s = 1 / (2 * math.pi * derivative_filter_hz)
         self._ki_tick = ki * tick_s
@@ -31,6 +32,7 @@ class Pid:
         self._kd_tick = kd / (filter_s + tick_s)
         self._gain = kp + self._ki_tick + self._kd_tick
         self._limit = limit
+        self._dead_band = dead_band
         self._integral = 0.0
         self._derivative = 0.0
         self._last_error: float | None = None
@@ -47,9 +49,11 @@ class Pid:
         """
         if not math.isfinite(error):
             return -self._limit
+        unfed = error - response * feed
+        if -self._dead_band <= unfed <= self._dead_band:
+            error, unfed = response * feed, 0.0
         last = error if self._last_error is None else self._last_error
         past = self._integral + self._keep * self._derivative - self._kd_tick * last
-        unfed = error - response * feed
         wanted = feed + (self._gain * unfed + past) / (1 + response * self._gain)
         limit = self._limit if self._limit < within else within
         if -limit <= wanted <= limit:

@@ -49,7 +49,7 @@ class Safety:
         """Look at the felt force; a reading that cannot be trusted is a fault, and latches."""
         if not math.isfinite(feedback_n):
             self._fault("feedback is not a number")
-        elif feedback_n > self._overforce_n:
+        elif abs(feedback_n) > self._overforce_n:
             self._fault(f"felt force above {self._overforce_n:.3g} N")
 
     def bound(self, reference_n: list[float], alive: bool) -> list[float]:

@@ -13,15 +13,14 @@ class StepCommand(NamedTuple):
 class StepRate:
     """The paper's VCO and direction logic: a control output becomes step rate and direction."""
 
-    def __init__(self, hz_per_unit: float, max_rate_hz: float, dead_band: float) -> None:
+    def __init__(self, hz_per_unit: float, max_rate_hz: float) -> None:
         self._hz_per_unit = hz_per_unit
         self._max_rate_hz = max_rate_hz
-        self._dead_band = dead_band
 
     def command(self, output: float) -> StepCommand:
-        """Rate by the magnitude, direction by the sign; at rest inside the dead band."""
+        """Rate by the magnitude, direction by the sign; at rest without an output."""
         size = abs(output)
-        if size <= self._dead_band:
+        if not size:
             return StepCommand(0.0, 0)
         rate_hz = min(size * self._hz_per_unit, self._max_rate_hz)
         return StepCommand(rate_hz, 1 if output > 0 else -1)

@@ -68,7 +68,7 @@ class ElasticLayer:
                 raise ValueError(f"{name} is {value}; it must be above 0 and finite")
         if not 0 <= self.poisson_ratio <= 0.5:
             raise ValueError(f"poisson_ratio is {self.poisson_ratio}; it must be in 0 to 0.5")
-        if not math.isfinite(self.strain_per_newton) or self.strain_per_newton == 0:
+        if not 1e-100 < abs(self.strain_per_newton) < 1e100:
             raise ValueError("the layer's strain per newton is not a usable number")
 
     @property

@@ -28,12 +28,16 @@ MISSING = "reports need matplotlib and Jinja: pip install 'telepulse[report]'"
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table of text; the first column names the row."""
+    """A table of text; the first column names the row.
+
+    summary: what a terminal shows in the place of a table that is too long for it.
+    """
 
     title: str
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     note: str = ""
+    summary: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,6 +168,9 @@ def print_tables(report: Report, console: Console) -> None:
     """Print the report's tables to the terminal."""
     for chapter in report.chapters:
         for table in chapter.tables:
+            if table.summary:
+                console.print(f"{table.title}: {table.summary}", markup=False)
+                continue
             shown = RichTable(title=table.title, title_justify="left", caption=table.note or None)
             for position, column in enumerate(table.columns):
                 longest = max((len(row[position]) for row in table.rows), default=0)

@@ -47,6 +47,7 @@ _ROWS: dict[str, Callable[[Design], str]] = {
     "kp": lambda design: f"{design.controller.kp:g}",
     "ki": lambda design: f"{design.controller.ki:g}",
     "kd": lambda design: f"{design.controller.kd:g}",
+    "dead band": lambda design: f"{design.controller.dead_band:g}",
     "observer": lambda design: "yes" if design.controller.observer is not None else "no",
     "stable": lambda design: "yes" if design.worst.stable else "no",
     "largest pole": lambda design: f"{design.worst.pole_radius:.6f}",
@@ -136,7 +137,11 @@ def _design_stepper(scene: DisplayScene, actuator: StepperScene) -> Design:
 
     def with_kp(log_kp: float) -> ControllerScene:
         kp = _two_digits(math.exp(log_kp))
-        return scene.controller.model_copy(update=fixed | {"kp": kp})
+        changes = fixed | {"kp": kp, "dead_band": 0.0}
+        if observer is None:
+            # Without it, a reference between two microsteps turns the motor round at every tick.
+            changes["dead_band"] = float(f"{1.01 * actuator.step_m / 2:.2g}")
+        return scene.controller.model_copy(update=changes)
 
     lowest, highest = (math.log(kp) for kp in KP_RANGE)
     highest = _most_robust(scene, with_kp, lowest, highest)

@@ -6,6 +6,7 @@ from telepulse.paper import (
     contradictions,
     readings_chapter,
     spectrum_chapter,
+    stability_chapter,
 )
 from telepulse.paper.results import compute
 from telepulse.report import Report
@@ -24,5 +25,6 @@ def build_report() -> Report:
             readings_chapter.chapter(results),
             spectrum_chapter.chapter(results),
             bench_chapter.chapter(),
+            stability_chapter.chapter(),
         ),
     )

@@ -58,7 +58,7 @@ class Bench:
         self.displaced_m = 0.0
         self._film = FeedbackFilm(quiet, TICK_S)
         self._stepper = stepper()
-        self._drive = StepRate(1 / SCENE.step_m, 1e9, 0.0)
+        self._drive = StepRate(1 / SCENE.step_m, 1e9)
         self.felt_n = self.reading_n = 0.0
 
     def tick(self, speed_m_per_s: float, film_says: float | None = None) -> None:

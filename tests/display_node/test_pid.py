@@ -241,3 +241,18 @@ def test_with_a_backward_difference_the_simulations_gains_diverge_at_1_khz() -> 
         actuator.step(kp * error_mv + ki * total + kd * (error_mv - last_mv) / TICK_S)
         last_mv = error_mv
     assert abs(actuator.force_n) > 1e6 * WANTED_N
+
+
+@pytest.mark.parametrize("response", [0.0, 1e-3])
+def test_an_error_within_the_dead_band_is_none(response: float) -> None:
+    under_test = pid(kp=100, ki=50, kd=0.1, dead_band=0.01)
+    assert [under_test.step(error, response) for error in (0.01, -0.01, 0.004)] == [0.0] * 3
+    assert under_test.step(0.011, response) > 0
+
+
+def test_the_dead_band_leaves_the_feed_alone() -> None:
+    under_test = pid(kp=100, dead_band=0.01)
+    # What is fed makes an error of 2 within the tick and answers it: nothing is left over.
+    assert under_test.step(2.0, response=1e-3, feed=2000.0) == pytest.approx(2000.0)
+    assert under_test.step(2.005, response=1e-3, feed=2000.0) == pytest.approx(2000.0)
+    assert under_test.step(2.5, response=1e-3, feed=2000.0) > 2000.0

@@ -130,7 +130,7 @@ def test_feedback_that_is_no_number_is_a_fault(feedback_n: float) -> None:
     assert under_test.faults == ["feedback is not a number"]
 
 
-@pytest.mark.parametrize(("feedback_n", "faults"), [(3.75, 0), (3.76, 1), (-9.0, 0)])
+@pytest.mark.parametrize(("feedback_n", "faults"), [(3.75, 0), (3.76, 1), (-3.76, 1), (-0.5, 0)])
 def test_felt_force_far_above_the_limit_is_a_fault(feedback_n: float, faults: int) -> None:
     under_test = at_full_strength()
     under_test.watch(feedback_n)
