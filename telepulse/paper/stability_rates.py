@@ -52,7 +52,9 @@ class Sampled:
 def sampled(name: str, filter_hz: float, rate_hz: float) -> Sampled:
     """Run one gain set at one rate, on the paper's pulse with the error in mV by eq 21."""
     gains, tick_s = GAINS[name], 1 / rate_hz
-    wanted_n = HELD_N + PEAK_TO_PEAK_N * beats("paper", rate_hz, SECONDS)
+    # From the pulse's foot at rest, or the slow mode of a small ki outlasts the run.
+    shape = beats("paper", rate_hz, SECONDS)
+    wanted_n = PEAK_TO_PEAK_N * (shape - shape[0])
     loop = papers(gains, filter_hz, tick_s)
     linear = linear_loop(loop.controller, loop.actuator, loop.layer, loop.film, tick_s, HELD_N)
     found = margins(linear, FREQUENCIES)
