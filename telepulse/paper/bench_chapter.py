@@ -36,9 +36,9 @@ def chapter() -> Chapter:
             " screw is driven where contact, rotor and backlash will have it, before any error"
             " shows. An observer: twins of drive and film are stepped along, so that the film's"
             " lag is known and not mistaken for an error. And the finger is learnt: its place and"
-            " its softness are states of the observer's Kalman filter. Feed-forward alone makes the real"
-            " bench worse than a plain gain does: the slow film reports the motion late, and the"
-            " gain works against it.",
+            " its softness are states of the observer's Kalman filter.",
+            "Feed-forward alone makes the real bench worse than a plain gain does: the slow film"
+            " reports the motion late, and the gain works against it.",
         ),
         (
             _knowing_table(*knowing),
