@@ -40,7 +40,8 @@ def test_every_scene_that_comes_with_us_is_felt_within_the_jnd(path: Path) -> No
 def test_over_a_perfect_link_every_sample_is_played() -> None:
     summary = simulate(load_scene(RADIAL), seconds=10, seed=1)
     assert accounted(summary) == summary.samples.played == 10_000
-    assert summary.force_rmse_n.aligned == pytest.approx(0.195e-3, rel=0.1)
+    # The nearest microstep leaves 0.18 mN: nothing that a link can cost is in it.
+    assert summary.force_rmse_n.aligned == pytest.approx(0.18e-3, rel=0.1)
     assert summary.one_way_delay_ms.max == 0
 
 
