@@ -5,15 +5,16 @@ The perceived delay E is the one knob: at time t the finger feels the pulse of t
 
 import math
 
-# Every delay from a clock that is still poorly known to the longest compensation has its bin.
+from display_node.delay_track import JUMP_NS, LongerPath, Track, released
+from display_node.forgetting_quantile import BIN_NS
+
+# Every delay from a clock that is still poorly known to the longest compensation.
 LOWEST_NS = -1_000_000_000
-BIN_NS = 1_000_000
-BINS = 11_000
-FORGET_NS = 10_000_000_000
-RELEASE_PER_NS = 0.005
+HIGHEST_NS = 9_999_000_000
+# A share of 1 % needs some events of its own to be seen in.
+FORGET_NS = 60_000_000_000
 # A time-warp of at most one part in 50: 2 %.
 WARP_PARTS = 50
-JUMP_NS = 500_000_000
 LATE_TARGET = 0.01
 SETTLED_NS = 250_000_000
 # Delays this far above the estimate are an outage's backlog, unless they go on for so long.
@@ -24,20 +25,18 @@ OUTAGE_ENDS_NS = 1_000_000_000
 class DelayEstimator:
     """The smallest delay that keeps late samples below a target share.
 
-    A forgetting histogram of the delay and its quantile; rises at once, falls by 5 ms a
-    second. What was queued while the link was cut says nothing of its jitter and is left out.
-    Pure: delays and times come in.
+    Two tracks read the link (see `Track`): to one, a burst of long delays is jitter that has to
+    be covered; to the other, a longer path that can be followed. Following is done where it
+    takes less delay on average and the playout, whose time is warped by `warp` at most (infinity:
+    it jumps), is not too slow for it. What was queued while the link was cut says nothing of its
+    jitter and is left out. Pure: delays and times come in.
     """
 
-    def __init__(self, late_target: float = LATE_TARGET) -> None:
+    def __init__(self, late_target: float = LATE_TARGET, warp: float = 1 / WARP_PARTS) -> None:
         self._late_target = late_target
-        self._weights = [0.0] * BINS
-        self._weight = 1.0
-        self._total = 0.0
-        # The quantile's bin and the weight above it, both carried on from frame to frame.
-        self._position = 0
-        self._above = 0.0
-        self._backlog_since_ns: int | None = None
+        self._covering = Track(late_target, follows=False, warp=warp)
+        self._following = Track(late_target, follows=True, warp=warp)
+        self._outage = LongerPath(OUTAGE_ENDS_NS)
         self._first_ns: int | None = None
         self._last_ns = 0
         self.delay_ns: int | None = None
@@ -48,58 +47,42 @@ class DelayEstimator:
         return self._first_ns is not None and self._last_ns - self._first_ns >= SETTLED_NS
 
     def observe(self, delay_ns: int, now_ns: int) -> None:
-        """A frame needed `delay_ns` from its first sample's instant to its arrival."""
+        """A frame needed `delay_ns` from its first sample's instant to its arrival.
+
+        It is below 0 while the clock offset is not well known; counted within −1 s and 10 s.
+        """
         if self._first_ns is None:
             self._first_ns = self._last_ns = now_ns
-        elapsed_ns = now_ns - self._last_ns
-        self._last_ns = now_ns
-        self._forget(elapsed_ns)
+        delay_ns = min(max(delay_ns, LOWEST_NS), HIGHEST_NS)
         if self._is_backlog(delay_ns, now_ns):
             return
-        wanted_ns = LOWEST_NS + (self._quantile_position(delay_ns) + 1) * BIN_NS
-        if self.delay_ns is None or wanted_ns >= self.delay_ns:
-            self.delay_ns = wanted_ns
-        else:
-            self.delay_ns = max(wanted_ns, self.delay_ns - round(RELEASE_PER_NS * elapsed_ns))
+        elapsed_ns = now_ns - self._last_ns
+        self._last_ns = now_ns
+        # The bound keeps a silence of hours from underflowing; nothing is left of the old then.
+        kept = math.exp(-min(elapsed_ns / FORGET_NS, 100.0))
+        covering_ns = self._covering.observe(delay_ns, now_ns, elapsed_ns, kept)
+        following_ns = self._following.observe(delay_ns, now_ns, elapsed_ns, kept)
+        wanted_ns = following_ns if self._follows() else covering_ns
+        self.delay_ns = min(released(self.delay_ns, wanted_ns, elapsed_ns), HIGHEST_NS)
+
+    def _follows(self) -> bool:
+        """Whether to follow. Preferred where it hardly matters: it is first to be right."""
+        covering, following = self._covering, self._following
+        dearer_ns = following.mean_ns - covering.mean_ns
+        later = following.late_share - covering.late_share
+        return dearer_ns < BIN_NS and later < self._late_target
 
     def _is_backlog(self, delay_ns: int, now_ns: int) -> bool:
         """Whether a frame was held up by an outage; a longer path shows itself by lasting."""
-        if self.delay_ns is None or delay_ns < self.delay_ns + OUTAGE_NS:
-            self._backlog_since_ns = None
+        if self.delay_ns is None:
             return False
-        if self._backlog_since_ns is None:
-            self._backlog_since_ns = now_ns
-        return now_ns - self._backlog_since_ns < OUTAGE_ENDS_NS
-
-    def _forget(self, elapsed_ns: int) -> None:
-        """Grow the weight of what comes next, which forgets like shrinking all old ones."""
-        # The bound keeps a silence of hours from overflowing; nothing is left of the old then.
-        self._weight *= math.exp(min(elapsed_ns / FORGET_NS, 100.0))
-        if self._weight > 1e100:
-            scale = 1 / self._weight
-            self._weights = [weight * scale for weight in self._weights]
-            self._total *= scale
-            self._above *= scale
-            self._weight = 1.0
-
-    def _quantile_position(self, delay_ns: int) -> int:
-        """Count a delay; the lowest bin above which at most the late target's share lies."""
-        weights, weight = self._weights, self._weight
-        counted = min(max((delay_ns - LOWEST_NS) // BIN_NS, 0), BINS - 1)
-        weights[counted] += weight
-        self._total += weight
-        allowed = self._late_target * self._total
-        position, above = self._position, self._above
-        if counted > position:
-            above += weight
-        while above > allowed:
-            position += 1
-            above -= weights[position]
-        while position and above + weights[position] <= allowed:
-            above += weights[position]
-            position -= 1
-        self._position, self._above = position, above
-        return position
+        # Once a backlog has begun, all of it is left out, down to the first frame on time.
+        spared_ns = 0 if self._outage.suspected else OUTAGE_NS
+        base_ns = self._outage.base_ns(delay_ns, self.delay_ns + spared_ns, now_ns)
+        if base_ns is not None:
+            self._covering.lift(base_ns)
+            self._following.lift(base_ns)
+        return self._outage.suspected
 
 
 class PlayoutClock:

@@ -40,3 +40,25 @@ def integrators(out: ReportOption = Path("out/integrators"), json: JsonOption = 
         if json is not None:
             write_json(report, json)
     console.print(f"report: {page}")
+
+
+@app.command()
+def playout(out: ReportOption = Path("out/playout"), json: JsonOption = None) -> None:
+    """Delay against late frames of the ways to set the playout delay, and what is best possible.
+
+    Uses all cores; takes about a minute on two.
+    """
+    from telepulse.study import playout_scores
+    from telepulse.study.playout_report import CURVES, report_playout
+
+    console = plain_console()
+    with one_line_errors(PROGRAM):
+        check_writable(json)
+        check_can_report(out)
+        effort = playout_scores.Effort(curves=CURVES)
+        report = report_playout(playout_scores.score_playout(effort), effort)
+        page = write_report(report, out)
+        print_tables(report, console)
+        if json is not None:
+            write_json(report, json)
+    console.print(f"report: {page}")

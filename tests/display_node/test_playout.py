@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from display_node.playout import BIN_NS, DelayEstimator, PlayoutClock
+from display_node.forgetting_quantile import BIN_NS
+from display_node.playout import DelayEstimator, PlayoutClock
 
 MS = 1_000_000
 SECOND_NS = 1_000 * MS
@@ -44,8 +45,9 @@ def test_the_share_of_late_frames_is_near_its_target(draw: Draw, late_target: fl
     late = delays_ms[first:] > estimates_ms[first - 1 : -1]
     assert 0.6 * late_target < late.mean() <= late_target
     constant_ms = np.quantile(delays_ms[first:], 1 - late_target)
-    assert constant_ms < estimates_ms[first:].mean() < constant_ms + 1.5
-    assert np.abs(estimates_ms[first:] - constant_ms).max() < 4
+    assert constant_ms < estimates_ms[first:].mean() < constant_ms + 2
+    # The smallest delay of 2 s, which all else is measured from, wanders by a standard deviation.
+    assert np.abs(estimates_ms[first:] - constant_ms).max() < 6
 
 
 @pytest.mark.parametrize("delay_ms", [0.0, 20.3, 1999.9, 9000.0, -30.0])
@@ -76,9 +78,12 @@ def test_a_longer_path_is_followed_at_once_and_not_overshot() -> None:
     estimator = DelayEstimator()
     before_ms = watched(estimator, jittered_ms(20, 20), 0)[-1]
     after_ms = watched(estimator, jittered_ms(80, 100), 20 * SECOND_NS)
-    # As soon as the late frames are more than 1 % of the last 10 s.
-    assert after_ms[seconds(0.12)] == pytest.approx(before_ms + 58, abs=3)
-    assert max(after_ms) < before_ms + 63
+    # As soon as it has lasted for 50 ms.
+    assert max(after_ms[: seconds(0.05)]) < before_ms + 1
+    assert after_ms[seconds(0.06)] == pytest.approx(before_ms + 62, abs=3)
+    # The smallest delay of 50 ms is not as small as that of 2 s.
+    assert max(after_ms) < before_ms + 64
+    assert max(after_ms[seconds(2) :]) < before_ms + 62
     assert min(after_ms[seconds(5) :]) > before_ms + 58
 
 
@@ -105,15 +110,15 @@ def test_a_path_longer_by_a_second_is_believed_when_it_lasts() -> None:
     assert longer[-1] == pytest.approx(1020, abs=1)
 
 
-def test_a_shorter_path_is_followed_at_5_ms_a_second() -> None:
+def test_a_shorter_path_is_followed_at_20_ms_a_second() -> None:
     estimator = DelayEstimator()
     watched(estimator, [80.0] * seconds(2), 0)
     after_ms = np.array(watched(estimator, [20.0] * seconds(70), 2 * SECOND_NS))
-    assert np.diff(after_ms).min() == pytest.approx(-5e-3 * FRAME_NS / MS)
+    assert np.diff(after_ms).min() == pytest.approx(-20e-3 * FRAME_NS / MS)
     falling = np.flatnonzero(np.diff(after_ms) < 0)
     took_s = (falling[-1] - falling[0]) * FRAME_NS / SECOND_NS
-    assert (after_ms[0], after_ms[-1]) == (81.0, 21.0)
-    assert took_s == pytest.approx(60 / 5, rel=0.01)
+    assert (after_ms[0], after_ms[-1]) == (80.9, 21.0)
+    assert took_s == pytest.approx(60 / 20, rel=0.01)
 
 
 def test_one_straggler_in_a_thousand_is_not_waited_for() -> None:
@@ -147,8 +152,8 @@ def test_hours_of_frames_wear_nothing_out() -> None:
         old.observe(delay_ns, number * SECOND_NS)
         if number >= 2000:
             young.observe(delay_ns, number * SECOND_NS)
-        # Nothing of what is 500 s old counts any more.
-        assert number < 2500 or old.delay_ns == young.delay_ns
+        # Nothing of what is 1000 s old counts any more.
+        assert number < 3000 or old.delay_ns == young.delay_ns
 
 
 @settings(deadline=None)

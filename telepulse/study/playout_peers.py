@@ -1,0 +1,188 @@
+"""Published ways to set the playout delay, as rules for every frame.
+
+Speech is only adjusted between talkspurts; a pulse has none, so here each says a delay after
+every frame. Written from the papers' equations. Delays and times in ns.
+"""
+
+from bisect import bisect_left, insort
+from collections import deque
+
+MS = 1_000_000
+
+
+class FixedDelay:
+    """The first frame's delay and a reserve, for ever. The reserve is chosen beforehand."""
+
+    def __init__(self, reserve_ns: int) -> None:
+        self._reserve_ns = reserve_ns
+        self.delay_ns: int | None = None
+
+    def observe(self, delay_ns: int, now_ns: int) -> None:
+        """A frame needed `delay_ns`."""
+        if self.delay_ns is None:
+            self.delay_ns = delay_ns + self._reserve_ns
+
+
+class Ramjee1:
+    """Mean + β · mean deviation, both by exponential smoothing with α = 0.998002.
+
+    Algorithm 1 of Ramjee, Kurose, Towsley and Schulzrinne, "Adaptive playout mechanisms for
+    packetized audio applications in wide-area networks", INFOCOM 1994; β = 4 there.
+    """
+
+    ALPHA = 0.998002
+
+    def __init__(self, beta: float) -> None:
+        self._beta = beta
+        self._mean_ns = self._deviation_ns = 0.0
+        self.delay_ns: int | None = None
+
+    def observe(self, delay_ns: int, now_ns: int) -> None:
+        """A frame needed `delay_ns`."""
+        if self.delay_ns is None:
+            self._mean_ns = float(delay_ns)
+        alpha = self.ALPHA
+        self._mean_ns = alpha * self._mean_ns + (1 - alpha) * delay_ns
+        off_ns = abs(delay_ns - self._mean_ns)
+        self._deviation_ns = alpha * self._deviation_ns + (1 - alpha) * off_ns
+        self.delay_ns = round(self._mean_ns + self._beta * self._deviation_ns)
+
+
+class Ramjee4:
+    """Algorithm 4 of Ramjee et al., INFOCOM 1994: smoothing with α = 0.875, and a spike mode.
+
+    A step of more than twice the deviation + 100 ms begins a spike, in which the mean follows
+    each delay; it ends when its slope has flattened to 63/8 ms. (The paper's 800 and 63 are in
+    samples of 8 kHz speech.) β = 4.
+    """
+
+    ALPHA = 0.875
+    STEP_NS = 100 * MS
+    FLAT_NS = 63 * MS / 8
+
+    def __init__(self, beta: float) -> None:
+        self._beta = beta
+        self._mean_ns = self._deviation_ns = self._slope_ns = 0.0
+        self._last_ns = self._before_ns = 0
+        self._spike = False
+        self.delay_ns: int | None = None
+
+    def observe(self, delay_ns: int, now_ns: int) -> None:
+        """A frame needed `delay_ns`."""
+        if self.delay_ns is None:
+            self._mean_ns = float(delay_ns)
+            self._last_ns = self._before_ns = delay_ns
+        last_ns, before_ns = self._last_ns, self._before_ns
+        self._last_ns, self._before_ns = delay_ns, last_ns
+        if not self._spike:
+            if abs(delay_ns - last_ns) > 2 * self._deviation_ns + self.STEP_NS:
+                self._spike, self._slope_ns = True, 0.0
+        else:
+            turn_ns = abs(2 * delay_ns - last_ns - before_ns) / 8
+            self._slope_ns = self._slope_ns / 2 + turn_ns
+            if self._slope_ns <= self.FLAT_NS:
+                self._spike = False
+                return
+        alpha = self.ALPHA
+        if self._spike:
+            self._mean_ns += delay_ns - last_ns
+        else:
+            self._mean_ns = alpha * self._mean_ns + (1 - alpha) * delay_ns
+        off_ns = abs(delay_ns - self._mean_ns)
+        self._deviation_ns = alpha * self._deviation_ns + (1 - alpha) * off_ns
+        self.delay_ns = round(self._mean_ns + self._beta * self._deviation_ns)
+
+
+class MoonPercentile:
+    """The percentile of the last 10 000 delays, and a spike mode that plays with each delay.
+
+    Moon, Kurose and Towsley, "Packet audio playout delay adjustment: performance bounds and
+    algorithms", Multimedia Systems 6 (1998): a spike begins above 4 × the delay in use, and
+    ends below 2 × the one before it; 99 %. Delays count from the smallest seen.
+    """
+
+    WINDOW = 10_000
+    HEAD, TAIL = 4, 2
+
+    def __init__(self, late_target: float) -> None:
+        self._late_target = late_target
+        self._window: deque[int] = deque()
+        self._sorted: list[int] = []
+        self._smallest_ns = 0
+        self._before_spike_ns: int | None = None
+        self.delay_ns: int | None = None
+
+    def observe(self, delay_ns: int, now_ns: int) -> None:
+        """A frame needed `delay_ns`."""
+        if self.delay_ns is None:
+            self._smallest_ns = self.delay_ns = delay_ns
+        smallest_ns = self._smallest_ns = min(self._smallest_ns, delay_ns)
+        excess_ns, used_ns = delay_ns - smallest_ns, self.delay_ns - smallest_ns
+        if self._before_spike_ns is not None:
+            if excess_ns <= self.TAIL * self._before_spike_ns:
+                self._before_spike_ns = None
+        elif len(self._window) > 1 and excess_ns > self.HEAD * used_ns:
+            self._before_spike_ns = used_ns
+        if self._before_spike_ns is not None:
+            self.delay_ns = delay_ns
+            return
+        self._count(delay_ns)
+        allowed = int(self._late_target * len(self._sorted))
+        self.delay_ns = self._sorted[-1 - allowed]
+
+    def _count(self, delay_ns: int) -> None:
+        self._window.append(delay_ns)
+        insort(self._sorted, delay_ns)
+        if len(self._window) > self.WINDOW:
+            del self._sorted[bisect_left(self._sorted, self._window.popleft())]
+
+
+class NetEqLike:
+    """The smallest delay of 2 s, and over it a quantile of the largest excess of each 500 ms.
+
+    What the delay manager of WebRTC's NetEQ does with its defaults: buckets of 20 ms, 100 of
+    them, forgetting by 0.983 a count, the quantile 0.95, its bucket's upper edge
+    (modules/audio_coding/neteq, 2023). Its reordering and packet-count limits are not here.
+    """
+
+    HISTORY_NS = 2_000 * MS
+    EVERY_NS = 500 * MS
+    BUCKET_NS, BUCKETS = 20 * MS, 100
+    FORGET = 0.983
+    START_NS = 80 * MS
+
+    def __init__(self, late_target: float) -> None:
+        self._late_target = late_target
+        self._window: deque[tuple[int, int]] = deque()
+        self._shares = [0.0] * self.BUCKETS
+        self._largest_ns = 0
+        self._count_at_ns: int | None = None
+        self._target_ns = self.START_NS
+        self.delay_ns: int | None = None
+
+    def observe(self, delay_ns: int, now_ns: int) -> None:
+        """A frame needed `delay_ns` and is here now."""
+        window = self._window
+        while window and window[-1][1] >= delay_ns:
+            window.pop()
+        window.append((now_ns, delay_ns))
+        while window[0][0] < now_ns - self.HISTORY_NS:
+            window.popleft()
+        base_ns = window[0][1]
+        self._largest_ns = max(self._largest_ns, delay_ns - base_ns)
+        if self._count_at_ns is None:
+            self._count_at_ns = now_ns + self.EVERY_NS
+        elif now_ns >= self._count_at_ns:
+            self._count(min(self._largest_ns // self.BUCKET_NS, self.BUCKETS - 1))
+            self._largest_ns, self._count_at_ns = 0, now_ns + self.EVERY_NS
+        self.delay_ns = base_ns + self._target_ns
+
+    def _count(self, bucket: int) -> None:
+        self._shares = [share * self.FORGET for share in self._shares]
+        self._shares[bucket] += 1 - self.FORGET
+        above, allowed = 0.0, self._late_target * sum(self._shares)
+        position = self.BUCKETS - 1
+        while position and above + self._shares[position] <= allowed:
+            above += self._shares[position]
+            position -= 1
+        self._target_ns = (position + 1) * self.BUCKET_NS

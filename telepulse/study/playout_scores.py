@@ -1,0 +1,183 @@
+"""Every rule on every link: at 1 % late, at its defaults, and what the optima need."""
+
+import math
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+
+from display_node.playout import LATE_TARGET, DelayEstimator
+from telepulse.study.playout_optimum import best_constant_ms, best_moving, cheapest
+from telepulse.study.playout_peers import FixedDelay, MoonPercentile, NetEqLike, Ramjee1, Ramjee4
+from telepulse.study.playout_play import DelayRule, MakeRule, Played, play
+from telepulse.study.playout_traces import FRAME_NS, LINKS, SECONDS, make_trace
+
+MS = 1e6
+FRAME_MS = FRAME_NS / MS
+# Prices of a late share, in ms, for the optimum's curve.
+PRICES_MS = (10.0, 30.0, 100.0, 300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """A rule and its one knob, from the setting with fewest late frames to that with most."""
+
+    name: str
+    make: MakeRule
+    knob: str
+    fewest: float
+    most: float
+    default: float
+
+
+def _ours(late_target: float) -> DelayRule:
+    return DelayEstimator(late_target, warp=math.inf)
+
+
+def _fixed(reserve_ms: float) -> DelayRule:
+    return FixedDelay(round(reserve_ms * MS))
+
+
+OURS = "ours"
+RULES: dict[str, Rule] = {
+    rule.name: rule
+    for rule in (
+        Rule(OURS, _ours, "late target", 1e-4, 0.3, LATE_TARGET),
+        Rule("Ramjee 1", Ramjee1, "β", 60.0, 0.5, 4.0),
+        Rule("Ramjee 4", Ramjee4, "β", 60.0, 0.5, 4.0),
+        Rule("Moon percentile", MoonPercentile, "late target", 1e-4, 0.3, 0.01),
+        Rule("NetEQ-like", NetEqLike, "late target", 1e-4, 0.999, 0.05),
+        Rule("fixed", _fixed, "reserve in ms", 600.0, 1.0, 40.0),
+    )
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """How much is computed. scan: settings over a knob's whole range; bisections: after it."""
+
+    seconds: float = SECONDS
+    scan: int = 4
+    bisections: int = 5
+    links: tuple[str, ...] = tuple(LINKS)
+    curves: tuple[str, ...] = ()
+    late: float = LATE_TARGET
+
+
+@dataclass(frozen=True, slots=True)
+class RuleScore:
+    """One rule on one link. tuned: at `knob`, the least delay that has at most the share late.
+
+    reached: some setting had it; else `tuned` is the one with the fewest late frames.
+    default: at its default; warped: as the display would play that. tried: every setting that
+    was played, by its late share.
+    """
+
+    tuned: Played
+    knob: float
+    reached: bool
+    default: Played
+    warped: Played
+    tried: tuple[Played, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class LinkScore:
+    """What is known of a link beforehand: its smallest delay and both optima, in ms.
+
+    moving_ms is a bound, found_ms what the path found needs; curve: the optimum at prices.
+    """
+
+    smallest_ms: float
+    constant_ms: float
+    moving_ms: float
+    found_ms: float
+    curve: tuple[Played, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Scores:
+    """By link; rules by link and name."""
+
+    links: dict[str, LinkScore]
+    rules: dict[str, dict[str, RuleScore]]
+
+
+def score_playout(effort: Effort) -> Scores:
+    """Play everything, on all cores; the same for the same effort."""
+    # A fork of a process with threads, which matplotlib and numpy may have, is not safe.
+    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
+        links = {link: pool.submit(score_link, link, effort) for link in effort.links}
+        rules = {
+            link: {name: pool.submit(score_rule, name, link, effort) for name in RULES}
+            for link in effort.links
+        }
+        return Scores(
+            {link: job.result() for link, job in links.items()},
+            {
+                link: {name: job.result() for name, job in jobs.items()}
+                for link, jobs in rules.items()
+            },
+        )
+
+
+def score_link(link: str, effort: Effort) -> LinkScore:
+    """The optima of a link."""
+    delay_ms = make_trace(link, effort.seconds).delay_ns / MS
+    optimum = best_moving(delay_ms, effort.late, FRAME_MS)
+    prices_ms = PRICES_MS if link in effort.curves else ()
+    paths = (cheapest(delay_ms, price_ms, FRAME_MS) for price_ms in prices_ms)
+    return LinkScore(
+        float(delay_ms.min()),
+        best_constant_ms(delay_ms, effort.late),
+        optimum.bound_ms,
+        optimum.best.delay_ms,
+        (
+            Played(optimum.bound_ms, effort.late),
+            *(Played(path.delay_ms, path.late) for path in paths),
+        ),
+    )
+
+
+def score_rule(name: str, link: str, effort: Effort) -> RuleScore:
+    """A rule on a link."""
+    rule, trace = RULES[name], make_trace(link, effort.seconds)
+
+    def at(knob: float) -> Played:
+        return play(rule.make(knob), trace)
+
+    tried = _search(at, rule, effort)
+    within = {knob: played for knob, played in tried.items() if played.late <= effort.late}
+    if within:
+        knob = min(within, key=lambda one: within[one].delay_ms)
+    else:
+        knob = min(tried, key=lambda one: tried[one].late)
+    # The display tells our estimator how slowly it follows; the others have no ear for it.
+    follower = DelayEstimator(rule.default) if name == OURS else rule.make(rule.default)
+    return RuleScore(
+        tuned=tried[knob],
+        knob=knob,
+        reached=bool(within),
+        default=at(rule.default),
+        warped=play(follower, trace, warped=True),
+        tried=tuple(sorted(tried.values(), key=lambda played: played.late)),
+    )
+
+
+def _search(at: Callable[[float], Played], rule: Rule, effort: Effort) -> dict[float, Played]:
+    """Settings evenly over the knob's logarithm, then bisection to the share that may be late."""
+    few, many = math.log(rule.fewest), math.log(rule.most)
+    scanned = [few + (many - few) * step / (effort.scan - 1) for step in range(effort.scan)]
+    tried = {math.exp(one): at(math.exp(one)) for one in scanned}
+    over = [one for one in scanned if tried[math.exp(one)].late > effort.late]
+    if not over or over[0] == few:
+        return tried
+    many, few = over[0], scanned[scanned.index(over[0]) - 1]
+    for _ in range(effort.bisections):
+        middle = (few + many) / 2
+        played = tried[math.exp(middle)] = at(math.exp(middle))
+        if played.late <= effort.late:
+            few = middle
+        else:
+            many = middle
+    return tried
