@@ -3,7 +3,7 @@
 import importlib
 import sys
 
-NAMES = ("wire", "simulation")
+NAMES = ("wire", "simulation", "paths")
 
 
 def main() -> int:

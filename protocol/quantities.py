@@ -13,6 +13,7 @@ from pydantic import BeforeValidator
 UNITS: dict[str, dict[str, float]] = {
     "time": {"ns": 1e-9, "us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0},
     "frequency": {"/min": 1 / 60, "Hz": 1.0, "kHz": 1e3, "MHz": 1e6},
+    "bit rate": {"bit/s": 1.0, "kbit/s": 1e3, "Mbit/s": 1e6},
     "length": {"nm": 1e-9, "um": 1e-6, "µm": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0},
     "force": {"mN": 1e-3, "N": 1.0},
     "force rate": {"mN/s": 1e-3, "N/s": 1.0},
@@ -84,6 +85,7 @@ def _nanoseconds(text: object) -> int:
 
 Nanoseconds = Annotated[int, BeforeValidator(_nanoseconds)]
 Hertz = Annotated[float, _reader("frequency")]
+BitsPerSecond = Annotated[float, _reader("bit rate")]
 Metres = Annotated[float, _reader("length")]
 Newtons = Annotated[float, _reader("force")]
 NewtonsPerSecond = Annotated[float, _reader("force rate")]

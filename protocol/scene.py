@@ -20,7 +20,9 @@ from protocol.quantities import in_unit_of
 
 SECTIONS = ("sensing", "display", "link")
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
-_UNIT_SUFFIX = re.compile(r"_(ns|hz|m|n|n_per_s|pa|m_per_s|m_per_s2|n_per_m|v|v_per_n|rad)$")
+_UNIT_SUFFIX = re.compile(
+    r"_(ns|hz|bit_per_s|m|n|n_per_s|pa|m_per_s|m_per_s2|n_per_m|v|v_per_n|rad)$"
+)
 
 
 class Section(BaseModel):

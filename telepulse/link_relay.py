@@ -1,5 +1,5 @@
-"""A link between two real nodes: relays every message with the delay, jitter and loss of a
-`Link`. Run as a process of its own; data frames can be lost, control only delayed."""
+"""A link between two real nodes: relays every message as a `MessageLink` says. Run as a process
+of its own; data frames can be lost, control only delayed."""
 
 import heapq
 import itertools
@@ -8,7 +8,7 @@ import time
 import zmq
 
 from protocol import sockets
-from telepulse.link import Link, LinkScene
+from telepulse.link import LinkScene, MessageLink
 
 IDLE_NS = 50_000_000
 
@@ -18,7 +18,8 @@ class LinkRelay:
 
     def __init__(self, scene: LinkScene, connect: str, bind: str, seed: int) -> None:
         """Raises AddressError."""
-        self._down, self._up = Link(scene, seed), Link(scene, seed + 1)
+        now_ns = time.monotonic_ns()
+        self._down, self._up = (MessageLink(scene, seed + i, now_ns) for i in (0, 1))
         self._stopping = False
         self._waiting: list[tuple[int, int, sockets.Socket, list[bytes]]] = []
         self._order = itertools.count()
@@ -34,7 +35,7 @@ class LinkRelay:
     @property
     def lost_frames(self) -> int:
         """Data frames this link has lost."""
-        return self._down.lost
+        return self._down.lost_data
 
     def stop(self) -> None:
         """End after the present message."""
@@ -53,15 +54,17 @@ class LinkRelay:
 
     def _receive(self) -> None:
         for parts in sockets.receive_all(self._data_in):
-            if not self._down.loses():
-                self._delay(self._down, self._data_out, parts)
+            due_ns = self._down.data_arrival_ns(time.monotonic_ns(), _size_bytes(parts))
+            if due_ns is not None:
+                self._plan(due_ns, self._data_out, parts)
         for parts in sockets.receive_all(self._control_in):
-            self._delay(self._down, self._control_out, parts)
+            due_ns = self._down.control_arrival_ns(time.monotonic_ns(), _size_bytes(parts))
+            self._plan(due_ns, self._control_out, parts)
         for parts in sockets.receive_all(self._control_out):
-            self._delay(self._up, self._control_in, parts)
+            due_ns = self._up.control_arrival_ns(time.monotonic_ns(), _size_bytes(parts))
+            self._plan(due_ns, self._control_in, parts)
 
-    def _delay(self, link: Link, socket: sockets.Socket, parts: list[bytes]) -> None:
-        due_ns = time.monotonic_ns() + link.delay_ns()
+    def _plan(self, due_ns: int, socket: sockets.Socket, parts: list[bytes]) -> None:
         heapq.heappush(self._waiting, (due_ns, next(self._order), socket, parts))
 
     def _deliver(self) -> int:
@@ -73,3 +76,7 @@ class LinkRelay:
             _, _, socket, parts = heapq.heappop(self._waiting)
             sockets.send(socket, *parts)
         return IDLE_NS
+
+
+def _size_bytes(parts: list[bytes]) -> int:
+    return sum(map(len, parts))

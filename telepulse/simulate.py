@@ -11,14 +11,14 @@ from dataclasses import replace
 
 from display_node.display import Display
 from display_node.fidelity import Fidelity
-from protocol.messages import Bye, encode_control, encode_frame
+from protocol.messages import Bye, Control, encode_control, encode_frame
 from protocol.summary import Summary
 from sensing_node.conditioning import faults_of
 from sensing_node.desk import Desk
 from sensing_node.framing import Framer
 from sensing_node.scene import build_source, describe_stream
 from sensing_node.sources import Paced
-from telepulse.link import Link
+from telepulse.link import MessageLink
 from telepulse.scene import Scene
 from telepulse.truth import Truth
 
@@ -47,7 +47,7 @@ class Simulation:
         self._desk = Desk(self._description, self._session)
         self._display = Display(scene.display, "simulated display", score=False)
         self._fidelity = Fidelity(scene.display.layer.layer().strain_per_newton)
-        self._down, self._up = Link(scene.link, seed), Link(scene.link, seed + 1)
+        self._down, self._up = MessageLink(scene.link, seed), MessageLink(scene.link, seed + 1)
         self._events: list[tuple[int, int, Event, bytes]] = []
         self._order = itertools.count()
 
@@ -68,14 +68,14 @@ class Simulation:
                 true_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS
                 self._fidelity.felt(true_now_ns, felt.instant_ns, felt.felt_n)
             for message in display.requests(now_ns):
-                self._post(self._up, now_ns, self._answer, encode_control(message))
+                self._post(self._up, now_ns, self._answer, message)
         self._fidelity.finish()
         return self._summary(now_ns / 1e9 / (time.perf_counter() - began_s))
 
     @property
     def lost_frames(self) -> int:
         """Data frames that the link has lost."""
-        return self._down.lost
+        return self._down.lost_data
 
     def _plan_batch(self, last_ns: int) -> None:
         """Sense the next batch when it is due, the last one short; then say how many there were."""
@@ -86,27 +86,32 @@ class Simulation:
                 ratio = self._display.force_ratio
                 true_frame = self._truth.of(frame)
                 self._fidelity.sensed(true_frame, self._scene.display.channel, ratio)
-                if not self._down.loses():
-                    self._post(self._down, now_ns, self._display.on_frame, encode_frame(frame))
+                data = encode_frame(frame)
+                arrival_ns = self._down.data_arrival_ns(now_ns, len(data))
+                if arrival_ns is not None:
+                    self._plan(arrival_ns, self._display.on_frame, data)
             self._plan_batch(last_ns)
 
         ahead_ns = SENSING_CLOCK_AHEAD_NS
         if self._paced.exhausted or self._paced.due_ns(1) - ahead_ns > last_ns:
-            bye = encode_control(Bye(self._session, self._framer.samples_sent))
+            bye = Bye(self._session, self._framer.samples_sent)
             self._post(self._down, last_ns, self._display.on_control, bye)
             return
         due_ns = min(self._paced.due_ns(self._description.batch) - ahead_ns, last_ns)
-        heapq.heappush(self._events, (due_ns, next(self._order), sense, b""))
+        self._plan(due_ns, sense, b"")
 
     def _answer(self, data: bytes, now_ns: int) -> None:
         sensing_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS
         reply = self._desk.answer(SENDER, data, sensing_now_ns, self._framer.samples_sent)
         if reply is not None:
-            self._post(self._down, now_ns, self._display.on_control, encode_control(reply))
+            self._post(self._down, now_ns, self._display.on_control, reply)
 
-    def _post(self, link: Link, now_ns: int, deliver: Event, data: bytes) -> None:
-        event = (now_ns + link.delay_ns(), next(self._order), deliver, data)
-        heapq.heappush(self._events, event)
+    def _post(self, link: MessageLink, now_ns: int, deliver: Event, message: Control) -> None:
+        data = encode_control(message)
+        self._plan(link.control_arrival_ns(now_ns, len(data)), deliver, data)
+
+    def _plan(self, at_ns: int, happen: Event, data: bytes) -> None:
+        heapq.heappush(self._events, (at_ns, next(self._order), happen, data))
 
     def _summary(self, speed: float) -> Summary:
         display = self._display.summary()

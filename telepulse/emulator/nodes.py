@@ -1,0 +1,89 @@
+"""The two real nodes over an emulated link, for tests and benchmarks."""
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import TypeAdapter
+
+from protocol.summary import Summary
+from telepulse.emulator.emulated_link import emulate
+from telepulse.emulator.namespace import EmulatorError, Namespace
+from telepulse.emulator.relay import Carried
+from telepulse.link import LinkScene
+
+PORT = 5555
+# The display is listening before the pulse begins.
+HEAD_START_S = 1.0
+# From the pulse's end: a display that waits for what TCP repeats, and the slowest start of both.
+ENDS_WITHIN_S = 20.0
+
+_SUMMARY = TypeAdapter(Summary)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """Both nodes' summaries of a run, and what the link has carried."""
+
+    sensing: Summary
+    display: Summary
+    carried: Carried | None
+
+
+def run_nodes(path: Path, link: LinkScene, seconds: float, seed: int = 1) -> Outcome:
+    """Run both nodes with the scene at `path`, a namespace each, for `seconds` of pulse.
+
+    `link` counts, not the scene's. Raises EmulatorError.
+    """
+    with (
+        tempfile.TemporaryDirectory(prefix="telepulse-") as folder,
+        emulate(link, seed) as emulated,
+    ):
+        sensing_json, display_json = Path(folder, "sensing.json"), Path(folder, "display.json")
+        address = f"tcp://{emulated.sensing.address}:{PORT}"
+        common = (str(path), "--quiet", "--insecure", "--json")
+        listen = ("--connect", address, "--once", "--seconds", str(seconds + ENDS_WITHIN_S))
+        send = ("--bind", address, "--seconds", str(seconds))
+        with _node(
+            emulated.display, "display_node", *common, str(display_json), *listen
+        ) as display:
+            time.sleep(HEAD_START_S)
+            with _node(
+                emulated.sensing, "sensing_node", *common, str(sensing_json), *send
+            ) as sensing:
+                _await(sensing, "sensing node", seconds + ENDS_WITHIN_S)
+                _await(display, "display node", ENDS_WITHIN_S)
+        sensed, played = _read(sensing_json), _read(display_json)
+    return Outcome(sensed, played, emulated.carried)
+
+
+def _read(path: Path) -> Summary:
+    return _SUMMARY.validate_python(json.loads(path.read_text(encoding="utf-8")))
+
+
+@contextmanager
+def _node(namespace: Namespace, package: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """A node in a namespace that does not outlive the `with`."""
+    command = (sys.executable, "-m", f"{package}.cli", *arguments)
+    process = namespace.start(*command, stderr=subprocess.PIPE)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def _await(process: subprocess.Popen[str], name: str, seconds: float) -> None:
+    try:
+        _, errors = process.communicate(timeout=seconds)
+    except subprocess.TimeoutExpired:
+        raise EmulatorError(f"the {name} did not end within {seconds:.0f} s") from None
+    if process.returncode:
+        last = errors.strip().splitlines()[-1:] or ["it said nothing"]
+        raise EmulatorError(f"the {name} ended with status {process.returncode}: {last[0]}")

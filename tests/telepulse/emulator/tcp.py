@@ -1,0 +1,57 @@
+"""TCP over an emulated link, for its tests."""
+
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from telepulse.emulator import EmulatedLink, unavailable
+
+PORT = 5000
+PATIENCE_S = 20.0
+reason = unavailable()
+needs_emulator = pytest.mark.skipif(reason is not None, reason=str(reason))
+
+
+@contextmanager
+def connected(link: EmulatedLink) -> Iterator[tuple[socket.socket, socket.socket]]:
+    """A TCP connection over the link: its end at the sensing node, its end at the display."""
+    with link.sensing.entered():
+        listener = socket.create_server((link.sensing.address, PORT))
+    with listener:
+        with link.display.entered():
+            display = socket.create_connection(listener.getsockname(), timeout=PATIENCE_S)
+        sensing, _ = listener.accept()
+    with sensing, display:
+        for end in (sensing, display):
+            end.settimeout(PATIENCE_S)
+            end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        yield sensing, display
+
+
+def stream(
+    sensing: socket.socket, display: socket.socket, messages: int, step_ms: float
+) -> tuple[list[int], list[int]]:
+    """When each of the one-byte messages was sent, and when it was read, in ns."""
+    sent_ns: list[int] = []
+
+    def send() -> None:
+        for number in range(messages):
+            sent_ns.append(time.monotonic_ns())
+            sensing.sendall(bytes([number % 256]))
+            time.sleep(step_ms * 1e-3)
+
+    sender = threading.Thread(target=send)
+    sender.start()
+    read_ns: list[int] = []
+    try:
+        while len(read_ns) < messages:
+            data, now_ns = display.recv(4096), time.monotonic_ns()
+            assert data == bytes((len(read_ns) + i) % 256 for i in range(len(data)))
+            read_ns += [now_ns] * len(data)
+    finally:
+        sender.join()
+    return sent_ns, read_ns

@@ -1,0 +1,170 @@
+"""Each impairment of a link, by its statistics over many packets, one a millisecond."""
+
+import math
+from itertools import groupby
+
+import numpy as np
+import pytest
+
+from telepulse.link import Direction, MessageLink, parse_link
+
+MS = 1_000_000
+PACKETS = 40_000
+BYTES = 100
+
+
+def arrivals(text: str, packets: int = PACKETS, seed: int = 1) -> list[int | None]:
+    """When the packet of each millisecond arrives, in ns."""
+    direction = Direction(parse_link(text), seed)
+    return [direction.arrival_ns(sent * MS, BYTES) for sent in range(packets)]
+
+
+def delays_ms(text: str, packets: int = PACKETS) -> np.ndarray:
+    """Delays of the packets that arrive."""
+    return np.array(
+        [arrival / MS - sent for sent, arrival in enumerate(arrivals(text, packets)) if arrival]
+    )
+
+
+def runs_of_loss(text: str, packets: int = PACKETS) -> list[int]:
+    """How many packets in a row are lost, each time that any are."""
+    fates = groupby(arrivals(text, packets), key=lambda arrival: arrival is None)
+    return [len(list(run)) for lost, run in fates if lost]
+
+
+def test_a_link_without_properties_does_nothing() -> None:
+    assert arrivals("", 1000) == [sent * MS for sent in range(1000)]
+
+
+def test_gaussian_jitter_goes_both_ways_and_never_below_no_delay() -> None:
+    delays = delays_ms("delay=40ms,jitter=10ms")
+    assert delays.mean() == pytest.approx(40, abs=0.2)
+    assert delays.std() == pytest.approx(10, abs=0.2)
+    assert np.mean(delays < 30) == pytest.approx(0.1587, abs=0.01)
+    assert delays_ms("delay=1ms,jitter=10ms").min() == 0
+
+
+def test_pareto_jitter_only_makes_later_with_a_heavy_tail() -> None:
+    extra = delays_ms("delay=40ms,jitter=10ms,jitter_kind=pareto") - 40
+    # A Lomax distribution of shape 3: mean scale/2, deviation scale·√3/2.
+    scale = 10 * 2 / math.sqrt(3)
+    assert extra.min() >= 0
+    assert extra.mean() == pytest.approx(scale / 2, rel=0.03)
+    for share in (0.5, 0.9, 0.99):
+        quantile = scale * ((1 - share) ** (-1 / 3) - 1)
+        assert np.quantile(extra, share) == pytest.approx(quantile, rel=0.06)
+
+
+def test_jitter_in_bursts_is_a_link_that_stands_still_and_then_brings_all_at_once() -> None:
+    extra = delays_ms("delay=40ms,jitter=10ms,jitter_kind=bursts", 10 * PACKETS) - 40
+    assert extra.min() == 0
+    assert np.mean(extra > 0) == pytest.approx(0.1, abs=0.01)
+    assert extra.std() == pytest.approx(10, rel=0.1)
+    times = arrivals("delay=40ms,jitter=10ms,jitter_kind=bursts")
+    assert times == sorted(time for time in times if time)
+    held = [sent for sent, time in enumerate(times) if time and time > (sent + 40) * MS]
+    assert len({times[sent] for sent in held}) < len(held) / 10
+
+
+def test_random_loss_has_its_share_and_no_memory() -> None:
+    runs = runs_of_loss("loss=5%")
+    assert sum(runs) / PACKETS == pytest.approx(0.05, rel=0.1)
+    assert np.mean(runs) == pytest.approx(1 / 0.95, rel=0.03)
+
+
+@pytest.mark.parametrize("share", [0.05, 0.4])
+def test_loss_in_bursts_has_its_share_and_its_length(share: float) -> None:
+    runs = runs_of_loss(f"burst_loss.share={share},burst_loss.length=20ms", 10 * PACKETS)
+    assert sum(runs) / (10 * PACKETS) == pytest.approx(share, rel=0.1)
+    # A burst that falls between two packets is not seen, and what is seen has no memory either.
+    assert np.mean(runs) == pytest.approx(1 / (1 - math.exp(-1 / 20)), rel=0.1)
+
+
+def test_a_share_of_packets_is_overtaken_by_as_many_as_were_sent_meanwhile() -> None:
+    times = np.array(arrivals("delay=40ms,reorder.share=5%,reorder.by=10.5ms"))
+    order = np.argsort(times, kind="stable")
+    late = np.flatnonzero(times > (np.arange(PACKETS) + 40) * MS)
+    assert len(late) / PACKETS == pytest.approx(0.05, rel=0.1)
+    place = np.empty(PACKETS, int)
+    place[order] = np.arange(PACKETS)
+    # Ten pass it, but for those among them that are late themselves.
+    depth = place[late] - late
+    assert depth.max() == 10
+    assert depth.mean() == pytest.approx(10 * (1 - 2 * 0.05 * 0.95), rel=0.1)
+
+
+def test_a_rate_limit_queues_and_loses_what_would_wait_too_long() -> None:
+    # 100 bytes a millisecond are 800 kbit/s, twice what goes through.
+    times = arrivals("delay=40ms,rate=400kbit/s", 2000)
+    through = [time for time in times if time is not None]
+    assert set(np.diff(through)) == {2 * MS}
+    assert len(through) / len(times) == pytest.approx(0.5, abs=0.06)
+    waits = [time / MS - sent for sent, time in enumerate(times) if time]
+    assert waits[0] == 42
+    assert max(waits) == pytest.approx(240, abs=3)
+    assert set(delays_ms("rate=1600kbit/s", 100)) == {0.5}
+
+
+def test_the_delay_changes_with_the_route() -> None:
+    times = arrivals("delay=40ms,route_change.at=50ms,route_change.by=30ms", 100)
+    assert times == [(sent + (40 if sent < 50 else 70)) * MS for sent in range(100)]
+    shorter = arrivals("delay=40ms,route_change.at=50ms,route_change.by=-60ms", 100)
+    assert shorter[49:51] == [89 * MS, 50 * MS]
+
+
+def test_nothing_comes_through_a_cut_and_all_before_and_after() -> None:
+    times = arrivals("delay=40ms,cut.from=50ms,cut.for=30ms", 100)
+    assert [sent for sent, time in enumerate(times) if time is None] == list(range(50, 80))
+
+
+def test_times_count_from_the_links_beginning() -> None:
+    began_ns = 10**15
+    text = "cut.from=50ms,cut.for=30ms,route_change.at=90ms,route_change.by=5ms"
+    direction = Direction(parse_link(text), 1, began_ns)
+    times = [direction.arrival_ns(began_ns + sent * MS, BYTES) for sent in range(100)]
+    assert [sent for sent, time in enumerate(times) if time is None] == list(range(50, 80))
+    assert times[89:91] == [began_ns + 89 * MS, began_ns + 95 * MS]
+
+
+def test_the_same_seed_gives_the_same_fate() -> None:
+    text = "delay=40ms,jitter=10ms,loss=10%,burst_loss.share=5%,burst_loss.length=20ms"
+    assert arrivals(text, 500, seed=1) == arrivals(text, 500, seed=1)
+    assert arrivals(text, 500, seed=1) != arrivals(text, 500, seed=2)
+
+
+def test_bursts_are_the_links_whatever_is_sent_over_it() -> None:
+    text = "jitter=1ms,burst_loss.share=20%,burst_loss.length=20ms"
+    every = [arrival is None for arrival in arrivals(text, 1000)]
+    direction = Direction(parse_link(text), 1)
+    # The last first: which is nothing that a link can know of.
+    some = {sent: direction.arrival_ns(sent * MS, BYTES) is None for sent in range(990, -1, -10)}
+    assert some == {sent: every[sent] for sent in range(0, 1000, 10)}
+    assert {*some.values()} == {True, False}
+
+
+def test_an_outage_ends_when_both_the_cut_and_a_burst_have_ended() -> None:
+    burst, cut = "burst_loss.share=50%,burst_loss.length=50ms", "cut.from=0s,cut.for=100ms"
+    outlasted = 0
+    for seed in range(20):
+        burst_end_ns = Direction(parse_link(burst), seed).outage_until(99 * MS) or 0
+        end_ns = Direction(parse_link(f"{burst},{cut}"), seed).outage_until(99 * MS)
+        assert end_ns == max(100 * MS, burst_end_ns)
+        outlasted += burst_end_ns > 100 * MS
+    assert 0 < outlasted < 20
+
+
+def test_control_is_never_lost_and_waits_for_the_end_of_a_cut() -> None:
+    link = MessageLink(parse_link("delay=40ms,loss=100%,cut.from=50ms,cut.for=30ms"), 1)
+    assert link.control_arrival_ns(0, BYTES) == 40 * MS
+    assert link.control_arrival_ns(60 * MS, BYTES) == 120 * MS
+    assert [link.data_arrival_ns(90 * MS, BYTES) for _ in range(3)] == [None] * 3
+    assert link.lost_data == 3
+
+
+def test_over_tcp_control_does_not_wait_for_data() -> None:
+    link = MessageLink(parse_link("delay=40ms,cut.from=50ms,cut.for=1ms,transport=tcp"), 1)
+    assert link.data_arrival_ns(40 * MS, BYTES) == 80 * MS
+    assert link.data_arrival_ns(50 * MS, BYTES) == (51 + 10 + 100 + 40) * MS
+    assert link.control_arrival_ns(60 * MS, BYTES) == 100 * MS
+    assert link.data_arrival_ns(60 * MS, BYTES) == (51 + 10 + 100 + 40) * MS
+    assert link.lost_data == 0
