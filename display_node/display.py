@@ -81,7 +81,7 @@ class Display:
         self._next_report_ns = 0
         self._playout_delay_ms = Histogram(0.5, 8_000)
         self.fidelity = Fidelity(self._layer.strain_per_newton) if score else None
-        self.receiver = Receiver(name, scene.channel, scene.late_target)
+        self.receiver = Receiver(name, scene.channel, scene.late_target, scene.paths)
         self.safety = Safety(scene.safety, scene.tick_ns)
         self.felt = Felt()
         self.ticks = 0
@@ -223,7 +223,7 @@ class Display:
             samples=Samples(
                 account.sent, account.played, account.late, account.lost, account.before_joining
             ),
-            frames=Frames(frames, reordered),
+            frames=Frames(frames, reordered, receiver.copies),
             one_way_delay_ms=OneWayDelay(delay.quantile(0.5), delay.quantile(0.99), delay.maximum),
             playout_delay_ms=PlayoutDelay(
                 self._playout_delay_ms.mean, self._playout_delay_ms.quantile(0.99)

@@ -36,10 +36,15 @@ GRACE_NS = 500_000_000
 
 
 class Receiver:
-    """Follows the stream of one sensing node through its sessions."""
+    """Follows the stream of one sensing node through its sessions.
 
-    def __init__(self, name: str, channel: int, late_target: float) -> None:
+    paths: connections that frames come over; with more than one, all but the first of a frame
+    are copies, and none is refused for it.
+    """
+
+    def __init__(self, name: str, channel: int, late_target: float, paths: int = 1) -> None:
         self._name = name
+        self._paths = paths
         self._channel = channel
         self._late_target = late_target
         self._closed = Account()
@@ -48,6 +53,7 @@ class Receiver:
         self._in_doubt = False
         self._clock_requests = 0
         self._heard_ns = 0
+        self.copies = 0
         self.rejected: Counter[str] = Counter()
         self.one_way_delay_ms = Histogram(0.1, 20_000)
         self.sessions = 0
@@ -65,7 +71,10 @@ class Receiver:
             frame = decode_frame(data)
             self._accept(frame, now_ns)
         except WireError as error:
-            self.rejected[error.cause] += 1
+            if error.cause == "duplicate" and self._paths > 1:
+                self.copies += 1
+            else:
+                self.rejected[error.cause] += 1
             return None
         return frame
 

@@ -84,10 +84,11 @@ class Loop:
 
 @dataclass(frozen=True, slots=True)
 class Frames:
-    """Frames taken, and how many of them came after a later one."""
+    """Frames taken, how many of them came after a later one, and copies over further paths."""
 
     received: int | None = None
     reordered: int | None = None
+    copies: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +157,11 @@ def _rows(s: Summary) -> list[tuple[str, str]]:
             "before joining",
             f"{_n(s.samples.before_joining)} samples sent before a display listened",
         ),
-        ("frames", f"{_n(s.frames.received)} received, {_n(s.frames.reordered)} out of order"),
+        (
+            "frames",
+            f"{_n(s.frames.received)} received, {_n(s.frames.reordered)} out of order"
+            + (f", {s.frames.copies} copies over further paths" if s.frames.copies else ""),
+        ),
         (
             "one-way delay",
             f"p50 {_f(s.one_way_delay_ms.p50)} ms, p99 {_f(s.one_way_delay_ms.p99)} ms,"

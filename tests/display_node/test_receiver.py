@@ -21,9 +21,9 @@ from ..streams import description
 from .sender import AHEAD_NS, MS, Sender
 
 
-def joined(sender: Sender) -> Receiver:
+def joined(sender: Sender, paths: int = 1) -> Receiver:
     """A receiver that knows the stream and its clock at 100 ms."""
-    receiver = Receiver("test", channel=0, late_target=0.01)
+    receiver = Receiver("test", channel=0, late_target=0.01, paths=paths)
     for now_ns in range(0, 101 * MS, MS):
         for request in receiver.requests(now_ns):
             answer = sender.answer(request, now_ns)
@@ -105,6 +105,14 @@ def test_a_duplicate_is_refused_and_disorder_is_counted() -> None:
         receiver.on_frame(frames[i], 220 * MS)
     assert receiver.rejected == {"duplicate": 1}
     assert receiver.frames == (4, 1)
+
+
+def test_over_several_paths_further_copies_are_no_refusals() -> None:
+    receiver = joined(sender := Sender(), paths=3)
+    data = sender.frame(200 * MS, 0.3)
+    for _ in range(3):
+        receiver.on_frame(data, 220 * MS)
+    assert (receiver.frames, receiver.copies, receiver.rejected) == ((1, 0), 2, {})
 
 
 def test_a_frame_of_an_unknown_session_makes_it_ask_once_not_at_every_frame() -> None:

@@ -25,7 +25,7 @@ from protocol.summary import (
 
 FULL = Summary(
     samples=Samples(sent=1000, played=950, late=30, lost=20, before_joining=7),
-    frames=Frames(received=196, reordered=3),
+    frames=Frames(received=196, reordered=3, copies=392),
     one_way_delay_ms=OneWayDelay(p50=20.12, p99=35.5, max=41.0),
     playout_delay_ms=PlayoutDelay(mean=42.0, p99=45.0),
     covered_delay_ms=44.5,
@@ -40,7 +40,7 @@ FULL = Summary(
 )
 KEYS = {
     "samples": {"sent", "played", "late", "lost", "before_joining"},
-    "frames": {"received", "reordered"},
+    "frames": {"received", "reordered", "copies"},
     "one_way_delay_ms": {"p50", "p99", "max"},
     "playout_delay_ms": {"mean", "p99"},
     "covered_delay_ms": None,
@@ -154,7 +154,7 @@ def test_people_read_the_same() -> None:
     assert rows(printed(FULL)) == {
         "samples": "1000 sent = 950 played + 30 late + 20 lost",
         "before joining": "7 samples sent before a display listened",
-        "frames": "196 received, 3 out of order",
+        "frames": "196 received, 3 out of order, 392 copies over further paths",
         "one-way delay": "p50 20.1 ms, p99 35.5 ms, max 41.0 ms",
         "playout delay": "mean 42.0 ms, p99 45.0 ms",
         "covered delay": "44.5 ms from the wrist to the force at the finger",
