@@ -3,17 +3,18 @@
 The live node and the virtual-time simulation drive this same class; time is an argument.
 """
 
+import math
 from dataclasses import dataclass
 
 from display_node.fidelity import Fidelity
 from display_node.force_loop import build_force_loop
 from display_node.playout import PlayoutClock
-from display_node.prediction import PREDICTORS
+from display_node.prediction import build_predictor
 from display_node.receiver import Receiver
 from display_node.safety import Safety
 from display_node.scene import DisplayScene
 from protocol.histogram import Histogram
-from protocol.messages import Control, Report
+from protocol.messages import Control, Frame, Report
 from protocol.summary import (
     Clock,
     Frames,
@@ -33,7 +34,9 @@ REPORT_EVERY_NS = 1_000_000_000
 class Felt:
     """How things stood at the beginning of the last tick.
 
-    instant_ns is on the sensing clock; `scored`: the pulse was being felt at its full strength.
+    instant_ns is on the sensing clock; `scored`: the pulse was being felt at its full strength;
+    predictor_error_n: RMSE that the predictor expects of what it stood in with, NaN where it
+    did not or cannot tell.
     """
 
     now_ns: int = 0
@@ -42,6 +45,7 @@ class Felt:
     target_n: float = 0.0
     felt_n: float = 0.0
     scored: bool = False
+    predictor_error_n: float = math.nan
 
     @property
     def playout_delay_ns(self) -> int:
@@ -60,7 +64,7 @@ class Display:
         self._name = name
         self._layer = scene.layer.layer()
         self._tick_ns = scene.tick_ns
-        self._predict = PREDICTORS[scene.predictor]
+        self._predictor = build_predictor(scene.predictor, scene.tick_ns)
         self._loop = build_force_loop(
             scene.controller,
             scene.actuator,
@@ -114,10 +118,19 @@ class Display:
     def on_frame(self, data: bytes, now_ns: int) -> None:
         """A data message arrived."""
         frame = self.receiver.on_frame(data, now_ns)
-        if frame is not None and self.fidelity is not None:
+        if frame is None:
+            return
+        self._observe(frame)
+        if self.fidelity is not None:
             self.fidelity.sensed(
                 frame, self._scene.channel, self._force_ratio, self._group_delay_ns
             )
+
+    def _observe(self, frame: Frame) -> None:
+        first_ns, period_ns = frame.t_first_ns, frame.period_ns
+        values = frame.values[:, self._scene.channel].tolist()
+        end_ns = first_ns + len(values) * period_ns
+        self._predictor.observe(list(range(first_ns, end_ns, period_ns)), values)
 
     def on_control(self, data: bytes, now_ns: int) -> None:
         """A control message arrived."""
@@ -128,6 +141,7 @@ class Display:
             self._force_ratio = matching_force_ratio(description.layer, self._layer)
             self._group_delay_ns = description.group_delay_ns
             self._playout = PlayoutClock()
+            self._predictor = build_predictor(self._scene.predictor, self._tick_ns)
             # What "auto" adds for the loop itself: the sample after its horizon's end.
             horizon_ns = self._loop.horizon * self._tick_ns
             self._reserve_ns = description.period_ns + horizon_ns
@@ -160,7 +174,7 @@ class Display:
     def _reference(self, now_ns: int) -> tuple[list[float], bool]:
         """The force wanted now and until the loop's horizon, and whether the stream is alive."""
         receiver, felt, count = self.receiver, self.felt, self._loop.horizon + 1
-        felt.now_ns = now_ns
+        felt.now_ns, felt.predictor_error_n = now_ns, math.nan
         delay_ns = receiver.delay.delay_ns
         if not receiver.ready or delay_ns is None:
             return [0.0] * count, False
@@ -173,18 +187,19 @@ class Display:
         # The sensing chain is slow by its group delay: the pulse of an instant is in the sample
         # that was taken so much later.
         sampled_ns = instant_ns + self._group_delay_ns
+        self._predictor.work()
         buffer = receiver.buffer
         buffer.advance(sampled_ns)
         wrist_n = buffer.known(self._tick_ns, count)
         newest_ns = buffer.newest_ns
         if newest_ns is None or (not wrist_n and sampled_ns < newest_ns):
             return [0.0] * count, False
-        if len(wrist_n) < count:
-            times_ns, values_n = buffer.newest_values
-            for step in range(len(wrist_n), count):
-                at_ns = sampled_ns + step * self._tick_ns
-                wrist_n.append(self._predict(times_ns, values_n, at_ns))
         ratio = self._force_ratio
+        if not wrist_n:
+            error_n = self._predictor.error_n(sampled_ns - newest_ns)
+            felt.predictor_error_n = math.nan if error_n is None else ratio * error_n
+        for step in range(len(wrist_n), count):
+            wrist_n.append(self._predictor.predict(sampled_ns + step * self._tick_ns))
         alive = sampled_ns - newest_ns <= self._scene.safety.stale_after_ns
         if alive:
             self._playout_delay_ms.add((sensing_now_ns - instant_ns) * 1e-6)

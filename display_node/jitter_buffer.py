@@ -70,11 +70,6 @@ class JitterBuffer:
         return self._times[-1] if self._times else None
 
     @property
-    def newest_values(self) -> tuple[list[int], list[float]]:
-        """Times and values of the last samples, oldest first, for a predictor."""
-        return self._times[-32:], self._values[-32:]
-
-    @property
     def waiting(self) -> int:
         """Samples that wait for their instant."""
         return len(self._times) - self._settled

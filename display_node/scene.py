@@ -1,6 +1,6 @@
 """The [display] section of a scene."""
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import BeforeValidator, Field
 
@@ -8,6 +8,7 @@ from display_node.actuators.second_order import SecondOrderScene
 from display_node.actuators.stepper import StepperScene
 from display_node.controller import ControllerScene
 from display_node.film import FilmTable
+from display_node.prediction import PredictorName
 from display_node.safety import SafetyScene
 from protocol.quantities import Nanoseconds, Ratio, parse_quantity
 from protocol.scene import Section
@@ -41,7 +42,7 @@ class DisplayScene(Section):
     safety: SafetyScene = SafetyScene()
     compensation_ns: Annotated[int | None, BeforeValidator(_time_or_auto)] = None
     late_target: Annotated[Ratio, Field(gt=0, le=0.5)] = 0.01
-    predictor: Literal["hold", "linear"] = "linear"
+    predictor: PredictorName = "linear"
     tick_ns: Annotated[Nanoseconds, Field(ge=100_000, le=100_000_000)] = 1_000_000
     channel: Annotated[int, Field(ge=0, le=63)] = 0
     paths: Annotated[int, Field(ge=1, le=8)] = 1

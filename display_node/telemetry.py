@@ -24,7 +24,8 @@ class Trace(NamedTuple):
     """Consecutive ticks: arrays of equal length, one value a tick.
 
     now_ns on the display's clock; instant_ns on the sensing clock; target and felt force in N;
-    scored: whether the pulse was being felt at its full strength.
+    scored: whether the pulse was being felt at its full strength; predictor_error_n: RMSE that the
+    predictor expects, NaN where it did not stand in or cannot tell.
     """
 
     now_ns: NDArray[np.int64]
@@ -32,6 +33,7 @@ class Trace(NamedTuple):
     target_n: NDArray[np.float64]
     felt_n: NDArray[np.float64]
     scored: NDArray[np.bool_]
+    predictor_error_n: NDArray[np.float64] = np.empty(0)
 
 
 class TraceWriter:
@@ -45,7 +47,7 @@ class TraceWriter:
         """A tick; a trace message when one is full."""
         ints = self._ints
         ints += (felt.now_ns, felt.instant_ns, felt.scored)
-        self._forces += (felt.target_n, felt.felt_n)
+        self._forces += (felt.target_n, felt.felt_n, felt.predictor_error_n)
         if len(ints) < 3 * TRACE_TICKS:
             return None
         message = [np.array(ints, "<i8").tobytes(), np.array(self._forces, "<f8").tobytes()]
@@ -58,10 +60,10 @@ def read_trace(data: bytes) -> Trace:
     try:
         ints, forces = msgpack.unpackb(data)
         now_ns, instant_ns, scored = np.frombuffer(ints, "<i8").reshape(-1, 3).T
-        target_n, felt_n = np.frombuffer(forces, "<f8").reshape(len(now_ns), 2).T
+        target_n, felt_n, error_n = np.frombuffer(forces, "<f8").reshape(len(now_ns), 3).T
     except (ValueError, TypeError) as error:
         raise WireError("malformed", f"not a trace: {error}") from None
-    return Trace(now_ns, instant_ns, target_n, felt_n, scored.astype(bool))
+    return Trace(now_ns, instant_ns, target_n, felt_n, scored.astype(bool), error_n)
 
 
 class Status(NamedTuple):

@@ -62,3 +62,26 @@ def playout(out: ReportOption = Path("out/playout"), json: JsonOption = None) ->
         if json is not None:
             write_json(report, json)
     console.print(f"report: {page}")
+
+
+@app.command()
+def prediction(out: ReportOption = Path("out/prediction"), json: JsonOption = None) -> None:
+    """Error against horizon and cost of the predictors, on pulses and recordings.
+
+    Uses all cores; takes about a minute on two. Recordings take part where heartpy is installed.
+    """
+    from telepulse.study import one_thread
+    from telepulse.study.prediction_report import report_prediction
+    from telepulse.study.prediction_scores import Effort, score_predictors
+
+    console = plain_console()
+    with one_line_errors(PROGRAM):
+        check_writable(json)
+        check_can_report(out)
+        effort = Effort()
+        report = report_prediction(one_thread.in_one_thread(score_predictors, effort), effort)
+        page = write_report(report, out)
+        print_tables(report, console)
+        if json is not None:
+            write_json(report, json)
+    console.print(f"report: {page}")

@@ -104,7 +104,7 @@ def _moves(
     here, below, above = padded[1:-1], padded[:-2], padded[2:]
     here[:] = 0.0
     for step in range(len(on_time) - 1, -1, -1):
-        moves[step] = (above < here)
+        moves[step] = above < here
         moves[step] -= (below < here) & (below <= above)
         here[:] = np.minimum(np.minimum(below, above), here)
         here += level_costs

@@ -1,0 +1,194 @@
+"""Experts and their stack as one predictor, its work cut into pieces for a real-time loop.
+
+Samples → grid → history → experts → stack → a path over the next 250 ms, which `predict` reads
+between its points.
+"""
+
+from collections.abc import Iterator
+from math import ceil, isfinite
+
+import numpy as np
+from numpy.typing import NDArray
+
+from display_node.prediction.analogue import Analogue
+from display_node.prediction.expert import HORIZONS, SPACING, Expert, Trajectories
+from display_node.prediction.fir import Fir
+from display_node.prediction.grid import STEP_NS, Cell, Grid
+from display_node.prediction.harmonic import Harmonic
+from display_node.prediction.history import History
+from display_node.prediction.rhythm import Rhythm
+from display_node.prediction.stack import Stack
+
+CAPACITY = 8_192
+# The signal's level and size are taken from its first 2 s; nothing is predicted before.
+WARM_UP = 400
+# A step is four pieces, and a piece a millisecond leaves one in five to catch up.
+SPACING_NS = SPACING * STEP_NS
+PIECE_NS = 1_000_000
+# Paths stay within what was seen in the last 5 s, and this share of its range beyond.
+RECENT, MARGIN = 1_000, 0.25
+
+
+class Ensemble:
+    """Predicts a stream of force; holds the newest value until it has learnt to do better.
+
+    kind: "stack" of all experts, or the name of a single one. names: of the predictions that
+    are weighted, then "stack".
+    """
+
+    def __init__(self, kind: str, tick_ns: int) -> None:
+        self._kind = kind
+        self._pieces_a_tick = ceil(tick_ns / PIECE_NS)
+        self._grid = Grid()
+        self._newest_ns, self._newest = -(1 << 64), 0.0
+        self._begin()
+        self.names = (*(name for expert in self._experts for name in expert.names), "stack")
+
+    def _begin(self) -> None:
+        self._rhythm = Rhythm()
+        self._experts = _experts(self._kind, self._rhythm)
+        self._stack = Stack(np.array([e.trust for e in self._experts for _ in e.names]))
+        self._history = History(CAPACITY)
+        self._warm_up: list[float] = []
+        self._level, self._scale = 0.0, 0.0
+        self._work: Iterator[None] = iter(())
+        # Cells are numbered by the grid; this one is the history's newest.
+        self._number = -1
+        self._middle_ns = 0
+        self._rows: NDArray[np.float64] | None = None
+        self._path: list[float] = []
+
+    def observe(self, times_ns: list[int], values: list[float]) -> None:
+        """Samples have newly arrived, in order among themselves; times on the sensing clock."""
+        if times_ns[-1] > self._newest_ns:
+            self._newest_ns, self._newest = times_ns[-1], values[-1]
+        self._grid.observe(times_ns, values)
+
+    def work(self) -> None:
+        """Do the next piece of the work that waits, or two after a burst; once a tick."""
+        with np.errstate(all="ignore"):
+            # Samples that were held up come in a burst: it is caught up with in double time.
+            hurry = 2 if len(self._grid.fresh) > 1 else 1
+            for _ in range(hurry * self._pieces_a_tick):
+                if next(self._work, self) is self and self._grid.fresh:
+                    self._work = self._step(self._grid.fresh.popleft())
+                    next(self._work, None)
+
+    def predict(self, instant_ns: int) -> float:
+        """The force in N at an instant after the newest sample."""
+        path = self._path
+        if not path:
+            return self._newest
+        return _between(path, (instant_ns - self._middle_ns) / SPACING_NS)
+
+    def predict_each(self, instant_ns: int) -> list[float]:
+        """What each of `names` predicts, for studies."""
+        if self._rows is None:
+            return [self._newest] * len(self.names)
+        before = self._path[:2]
+        position = (instant_ns - self._middle_ns) / SPACING_NS
+        rows = (before[1] + self._scale * self._rows).tolist()
+        return [*(_between(before + row, position) for row in rows), self.predict(instant_ns)]
+
+    def error_n(self, horizon_ns: int) -> float | None:
+        """RMSE in N of the last 2 s of predictions so far ahead of the newest sample."""
+        # From the middle of the newest cell.
+        horizon = round((horizon_ns / STEP_NS + 0.5) / SPACING)
+        rms = self._stack.rms(min(max(horizon, 1), HORIZONS) - 1)
+        return None if rms is None else self._scale * rms
+
+    def _step(self, cell: Cell) -> Iterator[None]:
+        """All that a new cell asks for, piece by piece."""
+        if not self._scale:
+            self._settle(cell)
+            return
+        history = self._history
+        self._push(cell.value)
+        self._number = cell.number
+        self._mend()
+        # The first expert is the dearest: it predicts a tick after it has observed.
+        first, *others = self._experts
+        first.observe(history)
+        yield
+        trajectories = [first.predict(history), *map(self._ask, others[:-1])]
+        yield
+        trajectories += map(self._ask, others[-1:])
+        self._publish(cell, np.concatenate(trajectories))
+        yield
+        self._stack.learn(history.newest)
+
+    def _ask(self, expert: Expert) -> Trajectories:
+        expert.observe(self._history)
+        return expert.predict(self._history)
+
+    def _settle(self, cell: Cell) -> None:
+        """Collect the warm-up; at its end, learn its level and size and take it in."""
+        seen = self._warm_up
+        seen.append(cell.value)
+        if len(seen) < WARM_UP:
+            return
+        self._level, scale = float(np.mean(seen)), float(np.std(seen))
+        if not 0 < scale < np.inf:
+            del seen[0]
+            return
+        self._scale = scale
+        for value in seen:
+            self._push(value)
+        self._number = cell.number
+
+    def _push(self, value: float) -> None:
+        history = self._history
+        history.push((value - self._level) / self._scale)
+        before, _, newest = history.last(3).tolist()
+        self._rhythm.push(newest - before)
+
+    def _mend(self) -> None:
+        """Write late samples' cells over what had been guessed."""
+        for cell in self._grid.late:
+            mended = (cell.value - self._level) / self._scale
+            self._history.rewrite(self._number - cell.number, mended)
+        self._grid.late.clear()
+
+    def _publish(self, cell: Cell, rows: NDArray[np.float64]) -> None:
+        """Make the path of the stack, in N, and its errors; begin anew if they left all bounds."""
+        history, scale = self._history, self._scale
+        newest = history.newest
+        ahead = newest + self._stack.predict(newest, rows)
+        recent = history.last(min(RECENT, history.count))
+        low, high = float(recent.min()), float(recent.max())
+        margin = MARGIN * (high - low)
+        ahead = np.minimum(np.maximum(ahead, low - margin), high + margin)
+        values = np.concatenate([history.last(SPACING + 1)[::SPACING], ahead])
+        path = (self._level + scale * values).tolist()
+        if not all(map(isfinite, path)):
+            self._begin()
+            return
+        self._path, self._rows = path, rows
+        self._middle_ns = cell.end_ns - STEP_NS // 2
+
+
+def _experts(kind: str, rhythm: Rhythm) -> list[Expert]:
+    match kind:
+        case "fir":
+            return [Fir()]
+        case "analogue":
+            return [Analogue()]
+        case "harmonic":
+            return [Harmonic(rhythm)]
+        case _:
+            return [Analogue(), Fir(), Harmonic(rhythm)]
+
+
+def _between(path: list[float], position: float) -> float:
+    """A path's value, by the cubic through its neighbours' slopes (Catmull and Rom).
+
+    path: points a step apart, the second at position 0; it is held beyond its ends.
+    """
+    last = len(path) - 2
+    position = min(max(position, 0.0), last)
+    whole = min(int(position), last - 1)
+    u = position - whole
+    before, start, end = path[whole], path[whole + 1], path[whole + 2]
+    after = path[min(whole + 3, last + 1)]
+    bend = 2 * before - 5 * start + 4 * end - after
+    return start + 0.5 * u * (end - before + u * (bend + u * (3 * (start - end) + after - before)))

@@ -1,0 +1,98 @@
+"""An extended Kalman filter of phase, frequency and harmonics.
+
+    x(t) = m + Σ a_k cos kθ + b_k sin kθ,  θ ← θ + ω;  m, ω, a, b wander.
+
+It starts at the rhythm's frequency, and is dropped when it diverges.
+"""
+
+import numpy as np
+
+from display_node.prediction.expert import AHEAD, HORIZONS, Trajectories
+from display_node.prediction.history import History
+from display_node.prediction.rhythm import Rhythm
+
+HARMONICS = 8
+ORDER = np.arange(1, HARMONICS + 1)
+# Per step, in units of the signal's standard deviation: noise, and what wanders.
+NOISE = 0.05
+WANDER = 0.01
+PHASE_WANDER = 0.01
+FREQUENCY_WANDER = 3e-5
+# Diverged: the running mean square of its surprise is above this share of the signal's power.
+DIVERGED = 0.5
+PATIENCE_STEPS = 400
+SIZE = 3 + 2 * HARMONICS
+
+
+class Harmonic:
+    """One trajectory. alive: it has started and has not diverged."""
+
+    names: tuple[str, ...] = ("harmonic",)
+    trust = 0.0
+
+    def __init__(self, rhythm: Rhythm) -> None:
+        self._rhythm = rhythm
+        self._wander = np.diag(
+            [PHASE_WANDER**2, FREQUENCY_WANDER**2, WANDER**2] + [WANDER**2 / 4] * 2 * HARMONICS
+        )
+        self._drop()
+
+    def _drop(self) -> None:
+        self.alive = False
+        self._surprise = 0.0
+        self._age = 0
+
+    def _start(self, newest: float, interval: float) -> None:
+        self.alive = True
+        self._state = np.zeros(SIZE)
+        self._state[1], self._state[2] = 2 * np.pi / interval, newest
+        spread = np.full(SIZE, 1.0)
+        spread[0], spread[1] = 0.0, (0.05 * self._state[1]) ** 2
+        self._covariance = np.diag(spread)
+
+    def observe(self, history: History) -> None:
+        """Correct the state by the newest value; start, or drop it, where that is due."""
+        newest, interval = history.newest, self._rhythm.interval
+        if interval is None:
+            return
+        if not self.alive:
+            self._start(newest, interval)
+        self._follow(newest)
+        if not self._sane(interval):
+            self._drop()
+
+    def predict(self, history: History) -> Trajectories:
+        """One trajectory (`Expert`)."""
+        if not self.alive:
+            return np.zeros((1, HORIZONS))
+        state, newest = self._state, history.newest
+        angles = np.multiply.outer(state[0] + AHEAD * state[1], ORDER)
+        a, b = state[3 : 3 + HARMONICS], state[3 + HARMONICS :]
+        values = state[2] + np.cos(angles) @ a + np.sin(angles) @ b
+        return np.asarray((values - newest)[np.newaxis])
+
+    def _follow(self, newest: float) -> None:
+        state, covariance = self._state, self._covariance
+        state[0] = (state[0] + state[1]) % (2 * np.pi)
+        covariance[0] += covariance[1]
+        covariance[:, 0] += covariance[:, 1]
+        covariance += self._wander
+        cos, sin = np.cos(ORDER * state[0]), np.sin(ORDER * state[0])
+        a, b = state[3 : 3 + HARMONICS], state[3 + HARMONICS :]
+        slope = float((ORDER * (b * cos - a * sin)).sum())
+        sensitivity = np.concatenate([[slope, 0.0, 1.0], cos, sin])
+        surprise = newest - state[2] - float(a @ cos + b @ sin)
+        spread = covariance @ sensitivity
+        power = NOISE**2 + float(sensitivity @ spread)
+        state += spread * (surprise / power)
+        covariance -= np.multiply.outer(spread / power, spread)
+        self._surprise += (surprise * surprise - self._surprise) / PATIENCE_STEPS
+        self._age += 1
+
+    def _sane(self, interval: float) -> bool:
+        if not np.isfinite(self._state).all():
+            return False
+        beats_a_turn = float(self._state[1]) * interval / (2 * np.pi)
+        if not 0.4 < beats_a_turn < 2.5:
+            return False
+        return self._age < PATIENCE_STEPS or self._surprise < DIVERGED

@@ -1,0 +1,223 @@
+"""The pulses that predictors are compared on: rhythms of our own making, and recordings.
+
+A rhythm is a list of beats; a pulse is Gaussians over each of them, as in `sources/synthetic.py`,
+whose rhythms alone know neither a ramp nor fibrillation. All pass the same causal chain of
+0.4 to 20 Hz, and then get white noise of 1 % of their standard deviation.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensing_node.sources.recording import Recording, RecordingScene
+from sensing_node.sources.synthetic import NOMINAL_BEAT_S, PRESETS, REACH
+
+Floats = NDArray[np.float64]
+RATE_HZ = 1000
+HIGH_PASS_HZ, LOW_PASS_HZ = 0.4, 20.0
+NOISE = 0.01
+# Errors count from here on; so the standard deviation is taken from here on, too.
+SCORED_FROM_S = 20.0
+BREATHS_HZ = 0.25
+# RMS of respiration over that of the pulse, where there is any.
+BREATH = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Beats:
+    """Intervals in s from each beat to the next, and amplitudes over the usual one."""
+
+    intervals_s: Floats
+    amplitudes: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Pulse:
+    """A set: what is sensed, and the same without noise; in units of its standard deviation."""
+
+    name: str
+    sensed: Floats
+    true: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """A stretch of a recording in the package heartpy."""
+
+    file: str
+    column: int
+    rate_hz: float
+    from_s: float
+
+
+def make_rhythm(
+    rng: np.random.Generator, seconds: float, variability: float, bpm: Callable[[float], float]
+) -> Beats:
+    """Beats whose rate follows `bpm` (of the time in s), with heart-rate variability.
+
+    Of the intervals' variance two fifths each follow a slow and a respiratory rhythm, the rest
+    is chance, as in `sources/synthetic.py`.
+    """
+    onset_s, phase_rad, intervals_s = 0.0, rng.uniform(0, 2 * math.pi), []
+    while onset_s < seconds + 5:
+        waves = math.sin(2 * math.pi * 0.1 * onset_s + phase_rad)
+        waves += math.sin(2 * math.pi * BREATHS_HZ * onset_s)
+        unit = math.sqrt(0.8) * waves + math.sqrt(0.2) * rng.standard_normal()
+        intervals_s.append(60 / bpm(onset_s) * max(0.4, 1 + variability * unit))
+        onset_s += intervals_s[-1]
+    return Beats(np.array(intervals_s), np.ones(len(intervals_s)))
+
+
+def with_ectopics(beats: Beats, rng: np.random.Generator, one_in: int) -> Beats:
+    """One beat in so many, anywhere among them, comes early and weak, with a pause after it."""
+    intervals_s, amplitudes = beats.intervals_s.copy(), beats.amplitudes.copy()
+    for first in range(0, len(intervals_s) - one_in, one_in):
+        beat = first + int(rng.integers(one_in - 1))
+        intervals_s[beat] *= 0.6
+        intervals_s[beat + 1] *= 1.4
+        amplitudes[beat + 1] *= 0.6
+    return Beats(intervals_s, amplitudes)
+
+
+def fibrillating(rng: np.random.Generator, seconds: float) -> Beats:
+    """Intervals of 0.7 s with a deviation of a fifth, one independent of the other."""
+    count = math.ceil((seconds + 5) / 0.7 * 1.2)
+    intervals_s = 0.7 * np.maximum(0.45, 1 + 0.2 * rng.standard_normal(count))
+    return Beats(intervals_s, np.ones(count))
+
+
+def drawn(
+    beats: Beats, preset: str, seconds: float, nominal_s: float, foretelling: bool = True
+) -> Floats:
+    """The pulse of some beats, at 1 kHz; an interval above `nominal_s` lengthens no systole.
+
+    foretelling: a beat's systole is as long as its own interval asks, as in
+    `sources/synthetic.py`, so that its shape tells when the next beat comes; else as the
+    interval before asks, and nothing but the rhythm tells it.
+    """
+    t_s = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    pulse, onset_s = np.zeros(len(t_s)), -2 * float(beats.intervals_s[0])
+    shaping_s = beats.intervals_s if foretelling else np.roll(beats.intervals_s, 1)
+    for interval_s, shape_s, amplitude in zip(
+        beats.intervals_s, shaping_s, beats.amplitudes, strict=True
+    ):
+        stretch = math.sqrt(min(float(shape_s), nominal_s) / NOMINAL_BEAT_S)
+        for wave in PRESETS[preset]:
+            centre_s, width_s = onset_s + wave.centre_s * stretch, wave.width_s * stretch
+            first, last = np.searchsorted(t_s, centre_s + REACH * width_s * np.array([-1, 1]))
+            z = (t_s[first:last] - centre_s) / width_s
+            pulse[first:last] += amplitude * wave.amplitude * np.exp(-0.5 * z * z)
+        onset_s += float(interval_s)
+    return pulse
+
+
+def breathing(pulse: Floats) -> Floats:
+    """The pulse on a respiratory wave."""
+    t_s = np.arange(len(pulse)) / RATE_HZ
+    wave = math.sqrt(2) * np.sin(2 * np.pi * BREATHS_HZ * t_s)
+    return np.asarray(pulse + BREATH * pulse.std() * wave)
+
+
+def synthetic_pulses(seconds: float, seed: int, foretelling: bool = True) -> dict[str, Floats]:
+    """Eight pulses by name, before the chain (`drawn`)."""
+
+    def rng(number: int) -> np.random.Generator:
+        return np.random.default_rng((seed, number))
+
+    def rhythm(number: int, variability: float) -> Beats:
+        return make_rhythm(rng(number), seconds, variability, lambda _: 75.0)
+
+    def wide(beats: Beats, preset: str = "wide") -> Floats:
+        return drawn(beats, preset, seconds, NOMINAL_BEAT_S, foretelling)
+
+    ramp = make_rhythm(rng(4), seconds, 0.0, lambda t_s: 60 + 60 * min(t_s / seconds, 1))
+    return {
+        "steady": breathing(wide(rhythm(0, 0.0))),
+        "variability": breathing(wide(rhythm(1, 0.04))),
+        "variability, sharp": breathing(wide(rhythm(2, 0.04), "paper")),
+        "variability, twice": breathing(wide(rhythm(3, 0.08))),
+        "ramp": drawn(ramp, "wide", seconds, 1.0, foretelling),
+        "ectopic": wide(with_ectopics(rhythm(5, 0.02), rng(6), 20)),
+        "ectopic, twice": breathing(wide(with_ectopics(rhythm(7, 0.04), rng(8), 10))),
+        "fibrillation": wide(fibrillating(rng(9), seconds)),
+    }
+
+
+SILENT = ("variability", "ramp", "ectopic", "fibrillation")
+RECORDED = {
+    "heartpy data": Recorded("data.csv", 0, 100.0, 0.0),
+    "heartpy data2": Recorded("data2.csv", 1, 117.0, 45.0),
+    "heartpy data3, early": Recorded("data3.csv", 1, 100.4, 20.0),
+    "heartpy data3, late": Recorded("data3.csv", 1, 100.4, 330.0),
+}
+"""Stretches without movement; rates by their time stamps, or heartpy's word for the first."""
+
+
+def recorded_pulses(seconds: float) -> dict[str, Floats]:
+    """The recordings inside the package heartpy, at 1 kHz; none where it is not installed.
+
+    Raises SourceError when they cannot be read.
+    """
+    package = find_spec("heartpy")
+    if package is None or package.origin is None:
+        return {}
+    folder = Path(package.origin).parent / "data"
+    return {name: _recorded(folder, each, seconds) for name, each in RECORDED.items()}
+
+
+def _recorded(folder: Path, recorded: Recorded, seconds: float) -> Floats:
+    scene = RecordingScene.model_validate(
+        {
+            "kind": "recording",
+            "path": recorded.file,
+            "rate": f"{recorded.rate_hz} Hz",
+            "unit": "N",
+            "column": recorded.column,
+            "repeat": "once",
+        }
+    )
+    source = Recording(scene, folder)
+    source.take(round(recorded.from_s * recorded.rate_hz))
+    values = source.take(round(seconds * recorded.rate_hz))[:, 0]
+    given_s = np.arange(len(values)) / recorded.rate_hz
+    return np.asarray(np.interp(np.arange(0, given_s[-1], 1 / RATE_HZ), given_s, values))
+
+
+def through_chain(pulse: Floats) -> Floats:
+    """First-order high-pass and fourth-order Butterworth low-pass, settled at the first sample."""
+    from scipy.signal import butter, sosfilt, sosfilt_zi
+
+    sections = np.concatenate(
+        [
+            butter(1, HIGH_PASS_HZ, "highpass", fs=RATE_HZ, output="sos"),
+            butter(4, LOW_PASS_HZ, fs=RATE_HZ, output="sos"),
+        ]
+    )
+    filtered, _ = sosfilt(sections, pulse, zi=sosfilt_zi(sections) * pulse[0])
+    return np.asarray(filtered)
+
+
+def pulses(seconds: float, seed: int) -> list[Pulse]:
+    """All sets: twelve, or eight without heartpy. Raises SourceError."""
+    return _sensed(synthetic_pulses(seconds, seed) | recorded_pulses(seconds), seed)
+
+
+def silent_pulses(seconds: float, seed: int) -> list[Pulse]:
+    """Those sets that a prize or an oracle is on, with shapes that foretell no interval."""
+    raw = synthetic_pulses(seconds, seed, foretelling=False)
+    return _sensed({name: raw[name] for name in SILENT}, seed)
+
+
+def _sensed(raw: dict[str, Floats], seed: int) -> list[Pulse]:
+    made = []
+    for number, (name, pulse) in enumerate(raw.items()):
+        true = through_chain(pulse)
+        true = true / true[round(SCORED_FROM_S * RATE_HZ) :].std()
+        noise = np.random.default_rng((seed, 100 + number)).standard_normal(len(true))
+        made.append(Pulse(name, true + NOISE * noise, true))
+    return made

@@ -1,0 +1,107 @@
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from display_node.prediction import PredictorName, build_predictor
+from display_node.prediction.linear import REACH_NS
+
+MS = 1_000_000
+T0_NS = 7_000 * MS
+CHEAP: tuple[PredictorName, ...] = ("hold", "linear")
+
+
+def predicted(
+    name: PredictorName, times_ns: list[int], values: list[float], instant_ns: int
+) -> float:
+    predictor = build_predictor(name, MS)
+    predictor.observe(times_ns, values)
+    predictor.work()
+    return predictor.predict(instant_ns)
+
+
+def line(slope_per_ms: float, count: int, period_ns: int = MS) -> tuple[list[int], list[float]]:
+    times_ns = [T0_NS + number * period_ns for number in range(count)]
+    return times_ns, [0.3 + slope_per_ms * (t_ns - times_ns[0]) / MS for t_ns in times_ns]
+
+
+@pytest.mark.parametrize("ahead_ns", [0, 1, 5 * MS, 10**12])
+def test_hold_keeps_the_newest_value(ahead_ns: int) -> None:
+    times_ns, values = line(0.01, 32)
+    assert predicted("hold", times_ns, values, times_ns[-1] + ahead_ns) == values[-1]
+
+
+@settings(deadline=None)
+@given(
+    st.floats(-1, 1),
+    st.integers(2, 32),
+    st.integers(10_000, 10 * MS),
+    st.integers(0, REACH_NS),
+)
+def test_linear_is_exact_on_a_straight_line(
+    slope_per_ms: float, count: int, period_ns: int, ahead_ns: int
+) -> None:
+    times_ns, values = line(slope_per_ms, count, period_ns)
+    expected = values[-1] + slope_per_ms * ahead_ns / MS
+    got = predicted("linear", times_ns, values, times_ns[-1] + ahead_ns)
+    assert got == pytest.approx(expected, abs=1e-9)
+
+
+def test_linear_looks_no_further_back_than_10_ms() -> None:
+    times_ns, values = line(0.01, 32)
+    kinked = [99.0] * 21 + values[21:]
+    ahead_ns = times_ns[-1] + 5 * MS
+    straight = predicted("linear", times_ns, values, ahead_ns)
+    assert predicted("linear", times_ns, kinked, ahead_ns) == straight
+    kinked[21] = 99.0
+    assert predicted("linear", times_ns, kinked, ahead_ns) != straight
+
+
+@pytest.mark.parametrize("ahead_ns", [21 * MS, 500 * MS, 10**15])
+def test_linear_goes_on_for_20_ms_at_most(ahead_ns: int) -> None:
+    times_ns, values = line(0.01, 32)
+    got = predicted("linear", times_ns, values, times_ns[-1] + ahead_ns)
+    assert got == pytest.approx(values[-1] + 20 * 0.01)
+
+
+@pytest.mark.parametrize(
+    ("times_ns", "values"),
+    [
+        ([5 * MS], [0.4]),
+        ([5 * MS, 5 * MS, 5 * MS], [0.1, 0.2, 0.4]),
+        ([0, 50 * MS], [0.1, 0.4]),
+    ],
+    ids=["one sample", "equal times", "samples too far apart"],
+)
+def test_linear_holds_where_there_is_no_slope(times_ns: list[int], values: list[float]) -> None:
+    assert predicted("linear", times_ns, values, times_ns[-1] + 7 * MS) == 0.4
+
+
+@pytest.mark.parametrize("name", CHEAP)
+def test_the_newest_sample_itself_is_no_prediction(name: PredictorName) -> None:
+    times_ns, values = line(0.01, 32)
+    assert predicted(name, times_ns, values, times_ns[-1]) == values[-1]
+
+
+@pytest.mark.parametrize("name", CHEAP)
+def test_frames_in_any_order_predict_alike(name: PredictorName) -> None:
+    times_ns, values = line(0.01, 30)
+    ordered, mixed = build_predictor(name, MS), build_predictor(name, MS)
+    for first in (0, 5, 10, 15, 20, 25):
+        ordered.observe(times_ns[first : first + 5], values[first : first + 5])
+    for first in (0, 10, 5, 25, 20, 15):
+        mixed.observe(times_ns[first : first + 5], values[first : first + 5])
+    instant_ns = times_ns[-1] + 8 * MS
+    assert mixed.predict(instant_ns) == ordered.predict(instant_ns) != 0
+
+
+@pytest.mark.parametrize("name", CHEAP)
+def test_enormous_samples_raise_nothing(name: PredictorName) -> None:
+    got = predicted(name, [0, MS], [-1.7e308, 1.7e308], 2 * MS)
+    assert got > 0 or math.isnan(got)
+
+
+@pytest.mark.parametrize("name", CHEAP)
+def test_they_know_nothing_of_their_error(name: PredictorName) -> None:
+    assert build_predictor(name, MS).error_n(20 * MS) is None
