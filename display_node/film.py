@@ -43,6 +43,11 @@ class FilmTable(Section):
         return Film(self.radius_m).volts_per_newton
 
     @property
+    def millivolts_per_newton(self) -> float:
+        """What the paper's gains see of a newton, by eq 21 whatever the amplifier does."""
+        return 1e3 * Film(self.radius_m).volts_per_newton
+
+    @property
     def noise_with_adc_n(self) -> float:
         """RMS of what a reading is off by: noise and the ADC's rounding."""
         if self.adc_bits is None:

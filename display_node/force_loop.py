@@ -15,7 +15,7 @@ from display_node.margins import refuse_unstable
 from display_node.observer import Observer
 from display_node.step_rate import StepRate
 from protocol.errors import SceneError
-from protocol.tactile import ElasticLayer, Film
+from protocol.tactile import ElasticLayer
 
 WATCHDOG_S = 0.1
 
@@ -111,7 +111,7 @@ def build_force_loop(
     voltage = VoltageController(
         controller,
         controller.pid(tick_s, actuator.voltage_limit),
-        1e3 * Film(film.radius_m).volts_per_newton,
+        film.millivolts_per_newton,
         SecondOrder(actuator, tick_s),
     )
     return ForceLoop(voltage, truth_model.step, FeedbackFilm(film, tick_s), plausible_n, tick_s)
@@ -139,7 +139,7 @@ def _stepper(
         controller,
         controller.pid(tick_s, scene.max_speed_m_per_s),
         law,
-        1e3 * Film(film.radius_m).volts_per_newton,
+        film.millivolts_per_newton,
         ScrewPath(scene, law, tick_s) if controller.feed_forward else None,
         observer,
         tick_s,

@@ -18,7 +18,7 @@ from display_node.actuators.transmission import Rotor
 from display_node.controller import ControllerScene
 from display_node.film import FilmTable
 from display_node.observer import DESIGN_FORCE_N, observer_gains
-from protocol.tactile import ElasticLayer, Film
+from protocol.tactile import ElasticLayer
 
 Array = NDArray[np.float64]
 
@@ -123,7 +123,7 @@ def linear_loop(
     if controller.error != "position":
         unit = contact.stiffness(force_n)
     if controller.error == "millivolts":
-        unit *= 1e3 * Film(film.radius_m).volts_per_newton
+        unit *= film.millivolts_per_newton
     pid = _pid(controller, tick_s)
 
     def decide(state: Array, reading: float) -> tuple[float, Array]:
@@ -238,7 +238,7 @@ def _voltage_law(
 ) -> Law:
     """States: the twin's rate of force, PID."""
     held = SecondOrder(actuator, tick_s).matrix
-    unit = 1e3 * Film(film.radius_m).volts_per_newton if scene.error == "millivolts" else 1.0
+    unit = film.millivolts_per_newton if scene.error == "millivolts" else 1.0
     pid = _pid(scene, tick_s)
 
     def decide(state: Array, reading: float) -> tuple[float, Array]:

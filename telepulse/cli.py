@@ -20,7 +20,8 @@ from protocol.summary import check_writable
 from telepulse.demo import run_demo
 from telepulse.link import LinkScene, parse_link
 from telepulse.link_relay import LinkRelay
-from telepulse.report import check_can_report, print_tables, write_json, write_report
+from telepulse.report import print_tables, write_json
+from telepulse.report_command import FolderOption, TablesOption, publish
 from telepulse.scene import DEFAULT_SCENE, find_scene, load_scene
 from telepulse.simulate import simulate
 from telepulse.study.cli import app as study_app
@@ -93,14 +94,7 @@ def simulate_command(
 
 
 @app.command()
-def paper(
-    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Write the report here.")] = Path(
-        "out/paper"
-    ),
-    json: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the tables here as JSON.")
-    ] = None,
-) -> None:
+def paper(out: FolderOption = Path("out/paper"), json: TablesOption = None) -> None:
     """Compute the paper's figures and numbers again: its, ours, and why they differ.
 
     Prints the tables and writes a page with all plots, in seconds.
@@ -108,24 +102,13 @@ def paper(
     # The report brings the import times of scipy's signals; other commands do without.
     from telepulse.paper.report import build_report
 
-    console = plain_console()
-    with one_line_errors(PROGRAM):
-        check_can_report(out)
-        check_writable(json)
-        report = build_report()
-        page = write_report(report, out)
-        if json is not None:
-            write_json(report, json)
-    print_tables(report, console)
-    console.print(f"report: {page}")
+    publish(build_report, out, json)
 
 
 @app.command()
 def tune(
     scene: SceneArgument = DEFAULT_SCENE,
-    json: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the tables here as JSON.")
-    ] = None,
+    json: TablesOption = None,
 ) -> None:
     """Print the margins of a scene's force loop, and gains by design with theirs.
 

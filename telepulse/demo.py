@@ -4,7 +4,6 @@ On one host the truth of both ends is known: the demo listens to the sensing nod
 to the display's telemetry, and scores what was felt against what was really sensed.
 """
 
-import json
 import subprocess
 import sys
 import tempfile
@@ -13,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import zmq
-from pydantic import TypeAdapter
 from rich.console import Console
 
 from display_node.fidelity import Fidelity
@@ -26,6 +24,7 @@ from protocol.signals import stop_on_signals
 from protocol.summary import Summary
 from protocol.tactile import matching_force_ratio
 from telepulse.link import LinkScene
+from telepulse.node_process import await_end, read_summary
 from telepulse.ports import free_addresses
 from telepulse.scene import Scene, load_scene
 from telepulse.truth import Truth
@@ -34,11 +33,9 @@ ENDS_WITHIN_S = 10.0
 # The display is listening before the pulse begins.
 HEAD_START_S = 0.7
 
-_SUMMARY = TypeAdapter(Summary)
-
 
 class DemoError(TelepulseError, RuntimeError):
-    """A node of the demo failed, or the accounts of the two nodes do not agree."""
+    """The accounts of the two nodes do not agree."""
 
 
 def run_demo(
@@ -46,7 +43,7 @@ def run_demo(
 ) -> Summary:
     """Run both nodes for `seconds` of pulse; `link` overrides the scene's.
 
-    Raises SceneError or DemoError.
+    Raises SceneError, NodeError or DemoError.
     """
     scene = load_scene(path)
     link = scene.link if link is None else link
@@ -84,10 +81,10 @@ def run_demo(
 
             watch(telemetry_address, console, referee.felt, draw, meanwhile)
         if relay is not None and relay.poll():
-            _await(relay, "link between the nodes")
-        _await(sensing, "sensing node")
-        _await(display, "display node")
-        return _compose(_read(sensing_json), _read(display_json), referee.fidelity)
+            await_end(relay, "link between the nodes", ENDS_WITHIN_S)
+        await_end(sensing, "sensing node", ENDS_WITHIN_S)
+        await_end(display, "display node", ENDS_WITHIN_S)
+        return _compose(read_summary(sensing_json), read_summary(display_json), referee.fidelity)
 
 
 class _Referee:
@@ -159,16 +156,6 @@ class _Processes:
         return child
 
 
-def _await(process: subprocess.Popen[str], name: str) -> None:
-    try:
-        _, errors = process.communicate(timeout=ENDS_WITHIN_S)
-    except subprocess.TimeoutExpired:
-        raise DemoError(f"the {name} did not end within {ENDS_WITHIN_S:.0f} s") from None
-    if process.returncode:
-        last = errors.strip().splitlines()[-1:] or ["it said nothing"]
-        raise DemoError(f"the {name} ended with status {process.returncode}: {last[0]}")
-
-
 def _compose(sensing: Summary, display: Summary, fidelity: Fidelity) -> Summary:
     """The display's summary with the true errors, after both accounts were compared."""
     sent = sensing.samples.sent
@@ -185,7 +172,3 @@ def _compose(sensing: Summary, display: Summary, fidelity: Fidelity) -> Summary:
         rejected={c: display.rejected.get(c, 0) + sensing.rejected.get(c, 0) for c in causes},
         faults=display.faults + sensing.faults,
     )
-
-
-def _read(path: Path) -> Summary:
-    return _SUMMARY.validate_python(json.loads(path.read_text(encoding="utf-8")))

@@ -19,7 +19,6 @@ from display_node.margins import FORCE_SHARES, Margins, felt_noise, margins
 from display_node.observer import DESIGN_FORCE_N, ObserverScene
 from display_node.scene import DisplayScene
 from protocol.errors import SceneError
-from protocol.tactile import Film
 from telepulse.report import Chapter, Report, Table
 
 # Margins that a designed loop keeps: the Nyquist curve stays 1/1.4 from −1 (a gain margin of
@@ -156,8 +155,7 @@ def _design_stepper(scene: DisplayScene, actuator: StepperScene) -> Design:
 
 
 def _design_second_order(scene: DisplayScene, actuator: SecondOrderScene) -> Design:
-    unit = 1e3 * Film(scene.film.radius_m).volts_per_newton
-    per_volt = unit if scene.controller.error == "millivolts" else 1.0
+    per_volt = scene.film.millivolts_per_newton if scene.controller.error == "millivolts" else 1.0
 
     def placed(log_w: float) -> ControllerScene:
         # m s³ + (c + kd) s² + (k + kp) s + ki = m (s + w) (s² + 2 ζ w s + w²)

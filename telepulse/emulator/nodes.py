@@ -1,6 +1,5 @@
 """The two real nodes over an emulated link, for tests and benchmarks."""
 
-import json
 import subprocess
 import sys
 import tempfile
@@ -10,21 +9,18 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from pydantic import TypeAdapter
-
 from protocol.summary import Summary
 from telepulse.emulator.emulated_link import emulate
-from telepulse.emulator.namespace import EmulatorError, Namespace
+from telepulse.emulator.namespace import Namespace
 from telepulse.emulator.relay import Carried
 from telepulse.link import LinkScene
+from telepulse.node_process import await_end, read_summary
 
 PORT = 5555
 # The display is listening before the pulse begins.
 HEAD_START_S = 1.0
 # From the pulse's end: a display that waits for what TCP repeats, and the slowest start of both.
 ENDS_WITHIN_S = 20.0
-
-_SUMMARY = TypeAdapter(Summary)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +35,7 @@ class Outcome:
 def run_nodes(path: Path, link: LinkScene, seconds: float, seed: int = 1) -> Outcome:
     """Run both nodes with the scene at `path`, a namespace each, for `seconds` of pulse.
 
-    `link` counts, not the scene's. Raises EmulatorError.
+    `link` counts, not the scene's. Raises EmulatorError or NodeError.
     """
     with (
         tempfile.TemporaryDirectory(prefix="telepulse-") as folder,
@@ -57,14 +53,10 @@ def run_nodes(path: Path, link: LinkScene, seconds: float, seed: int = 1) -> Out
             with _node(
                 emulated.sensing, "sensing_node", *common, str(sensing_json), *send
             ) as sensing:
-                _await(sensing, "sensing node", seconds + ENDS_WITHIN_S)
-                _await(display, "display node", ENDS_WITHIN_S)
-        sensed, played = _read(sensing_json), _read(display_json)
+                await_end(sensing, "sensing node", seconds + ENDS_WITHIN_S)
+                await_end(display, "display node", ENDS_WITHIN_S)
+        sensed, played = read_summary(sensing_json), read_summary(display_json)
     return Outcome(sensed, played, emulated.carried)
-
-
-def _read(path: Path) -> Summary:
-    return _SUMMARY.validate_python(json.loads(path.read_text(encoding="utf-8")))
 
 
 @contextmanager
@@ -77,13 +69,3 @@ def _node(namespace: Namespace, package: str, *arguments: str) -> Iterator[subpr
     finally:
         process.kill()
         process.communicate()
-
-
-def _await(process: subprocess.Popen[str], name: str, seconds: float) -> None:
-    try:
-        _, errors = process.communicate(timeout=seconds)
-    except subprocess.TimeoutExpired:
-        raise EmulatorError(f"the {name} did not end within {seconds:.0f} s") from None
-    if process.returncode:
-        last = errors.strip().splitlines()[-1:] or ["it said nothing"]
-        raise EmulatorError(f"the {name} ended with status {process.returncode}: {last[0]}")

@@ -1,0 +1,34 @@
+"""What every command that makes a report does: check, build, write, print."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from protocol.commands import one_line_errors, plain_console
+from protocol.summary import check_writable
+from telepulse.report import Report, check_can_report, print_tables, write_json, write_report
+
+PROGRAM = "telepulse"
+FolderOption = Annotated[Path, typer.Option(metavar="FOLDER", help="Write the report here.")]
+TablesOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Write the tables here as JSON.")
+]
+
+
+def publish(build: Callable[[], Report], out: Path, json: Path | None) -> None:
+    """Build a report, write its page into `out` and its tables to `json`, and print them.
+
+    What cannot be written is said before the work.
+    """
+    console = plain_console()
+    with one_line_errors(PROGRAM):
+        check_writable(json)
+        check_can_report(out)
+        report = build()
+        page = write_report(report, out)
+        if json is not None:
+            write_json(report, json)
+        print_tables(report, console)
+    console.print(f"report: {page}")
