@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 
 from display_node.actuators.contact import ContactLaw
 from display_node.actuators.second_order import SecondOrder
+from display_node.delay import Delay
 from display_node.feed_forward import ScrewPath
 from display_node.observer import Observer, ObserverScene
 from display_node.pid import Pid
@@ -52,7 +53,10 @@ class ControllerScene(Section):
 
 
 class StepperController:
-    """Speed in m/s of a stepper, once a tick."""
+    """Speed in m/s of a stepper, once a tick.
+
+    latency_ticks: from a command to the reading that tells of it.
+    """
 
     def __init__(
         self,
@@ -64,6 +68,7 @@ class StepperController:
         observer: Observer | None,
         tick_s: float,
         slew_limit_n_per_s: float = math.inf,
+        latency_ticks: float = 0.0,
     ) -> None:
         self._pid = pid
         self._tick_s = tick_s
@@ -72,6 +77,8 @@ class StepperController:
         self._path = path
         self._observer = observer
         self._last_reading_n = 0.0
+        self._late = Delay(latency_ticks) if latency_ticks else None
+        self._wanted_n = 0.0
         self.horizon = path.horizon if path is not None else 1
         self._error: Callable[[float, float], tuple[float, float]]
         if scene.error == "position":
@@ -101,7 +108,10 @@ class StepperController:
             return self._pid.step(path.screw_m - observer.screw_m, self._tick_s, feed, fastest)
         if reading_n == reading_n:
             self._last_reading_n = reading_n
-        error, response = self._error(reference_n[1], self._last_reading_n)
+        # A reading is to be compared with what was wanted when its command was given.
+        self._wanted_n = reference_n[1]
+        wanted_n = self._wanted_n if self._late is None else self._late.step(self._wanted_n)
+        error, response = self._error(wanted_n, self._last_reading_n)
         return self._pid.step(error, response, feed, fastest)
 
     def skip(self, speed_m_per_s: float) -> None:
@@ -110,6 +120,8 @@ class StepperController:
             self._path.skip(speed_m_per_s)
         if self._observer is not None:
             self._observer.skip()
+        elif self._late is not None:
+            self._late.step(self._wanted_n)
 
 
 class VoltageController:

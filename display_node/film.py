@@ -10,9 +10,10 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from display_node.delay import Delay
 from display_node.low_pass import LowPass
 from protocol.instrument import Adc
-from protocol.quantities import Hertz, Metres, Newtons, Volts, VoltsPerNewton
+from protocol.quantities import Hertz, Metres, Nanoseconds, Newtons, Volts, VoltsPerNewton
 from protocol.scene import Section
 from protocol.tactile import Film
 
@@ -24,7 +25,8 @@ class FilmTable(Section):
 
     sensitivity: of the film with its amplifier, as Fig. 4's 44 mV/N; without, eq 21 gives it
     from the radius. filter: corner of the low-pass of `filter_order` poles behind the film.
-    noise: RMS, before the filter. adc_bits: resolution over ±adc_range.
+    noise: RMS, before the filter. adc_bits: resolution over ±adc_range. latency: how old a
+    reading is when it is read.
     """
 
     radius_m: Annotated[Metres, Field(gt=0)] = 9e-3
@@ -34,6 +36,7 @@ class FilmTable(Section):
     noise_n: Annotated[Newtons, Field(ge=0, le=10)] = 0.0
     adc_bits: Annotated[int, Field(ge=2, le=32)] | None = None
     adc_range_v: Annotated[Volts, Field(gt=0)] = 10.0
+    latency_ns: Annotated[Nanoseconds, Field(ge=0, le=50_000_000)] = 0
 
     @property
     def volts_per_newton(self) -> float:
@@ -65,6 +68,7 @@ class FeedbackFilm:
 
     def __init__(self, table: FilmTable, tick_s: float, seed: int = 1) -> None:
         self._low_pass = table.low_pass(tick_s)
+        self._late = Delay(table.latency_ns * 1e-9 / tick_s) if table.latency_ns else None
         self._noise = _noise(table.noise_n, seed) if table.noise_n else None
         self._adc = Adc(table.adc_bits, table.adc_range_v) if table.adc_bits else None
         self._volts_per_newton = table.volts_per_newton
@@ -76,6 +80,8 @@ class FeedbackFilm:
         """
         if not math.isfinite(force_n):
             return force_n
+        if self._late is not None:
+            force_n = self._late.step(force_n)
         if self._noise is not None:
             force_n += next(self._noise)
         if self._low_pass is not None:

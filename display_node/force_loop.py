@@ -131,10 +131,14 @@ def _stepper(
     law = scene.contact(layer)
     stepper = Stepper(actual, actual.contact(layer), force_limit_n, tick_s)
     vco = StepRate(1 / scene.step_m, scene.max_speed_m_per_s / scene.step_m)
+    latency_ticks = (scene.latency_ns + film.latency_ns) * 1e-9 / tick_s
     observer = None
     if controller.observer is not None:
-        twin = Stepper(scene, law, force_limit_n, tick_s)
-        observer = Observer(controller.observer, twin, law, film, scene.step_m, tick_s)
+        at_once = scene.model_copy(update={"latency_ns": 0})
+        twin = Stepper(at_once, law, force_limit_n, tick_s)
+        observer = Observer(
+            controller.observer, twin, law, film, scene.step_m, tick_s, latency_ticks
+        )
     speed = StepperController(
         controller,
         controller.pid(tick_s, scene.max_speed_m_per_s),
@@ -144,6 +148,7 @@ def _stepper(
         observer,
         tick_s,
         slew_limit_n_per_s,
+        latency_ticks,
     )
 
     def drive(output: float) -> float:

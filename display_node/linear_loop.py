@@ -7,7 +7,6 @@ not linear is left out: microsteps, play, limits, the curve of the contact law.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +20,8 @@ from display_node.observer import DESIGN_FORCE_N, observer_gains
 from protocol.tactile import ElasticLayer
 
 Array = NDArray[np.float64]
+# (states, input) → (output, next states)
+Run = Callable[[Array, float], tuple[float, Array]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +111,7 @@ def linear_loop(
         return LinearLoop(plant, _voltage_law(controller, actuator, film, tick_s), tick_s)
     contact = actuator.contact(layer)
     plant = _stepper_plant(actuator, film, tick_s)
+    late_ticks = (film.latency_ns + actuator.latency_ns) * 1e-9 / tick_s
     if controller.observer is not None:
         stiffness = contact.stiffness(DESIGN_FORCE_N)
         gains = observer_gains(
@@ -118,7 +120,10 @@ def linear_loop(
             actuator.step_m * stiffness / np.sqrt(12),
             tick_s,
         )
-        return LinearLoop(plant, _observer_law(controller, plant, film, gains, tick_s), tick_s)
+        at_once = actuator.model_copy(update={"latency_ns": 0})
+        twin = _stepper_plant(at_once, film, tick_s)
+        law = _observer_law(controller, twin, film, late_ticks, gains, tick_s)
+        return LinearLoop(plant, law, tick_s)
     unit = 1.0
     if controller.error != "position":
         unit = contact.stiffness(force_n)
@@ -157,7 +162,7 @@ def _pid(
     return step
 
 
-def _filtered(film: FilmTable, tick_s: float) -> tuple[int, Any]:
+def _filtered(film: FilmTable, tick_s: float) -> tuple[int, Run]:
     """Number of the film filter's states, and a function (states, input) → (output, states)."""
     low_pass = film.low_pass(tick_s)
     if low_pass is None:
@@ -170,9 +175,38 @@ def _filtered(film: FilmTable, tick_s: float) -> tuple[int, Any]:
     return film.filter_order, run
 
 
-def _stepper_plant(scene: StepperScene, film: FilmTable, tick_s: float) -> Plant:
-    """States: screw, rotor position and speed, film filter."""
+def _late(ticks: float) -> tuple[int, Run]:
+    """`delay.Delay`; states: what it was given before, the newest last."""
+    if not ticks:
+        return 0, lambda state, value: (value, state)
+    whole = int(ticks)
+    part = ticks - whole
+
+    def run(state: Array, value: float) -> tuple[float, Array]:
+        past = np.append(state, value)
+        return float(past[1] + part * (past[0] - past[1])), past[1:]
+
+    return whole + 1, run
+
+
+def _read(film: FilmTable, tick_s: float) -> tuple[int, Run]:
+    """`film.FeedbackFilm` without noise and converter; states: delay, filter."""
+    waits, wait = _late(film.latency_ns * 1e-9 / tick_s)
     filters, run = _filtered(film, tick_s)
+
+    def read(state: Array, value: float) -> tuple[float, Array]:
+        value, waiting = wait(state[:waits], value)
+        output, filtered = run(state[waits:], value)
+        return output, np.concatenate([waiting, filtered])
+
+    return waits + filters, read
+
+
+def _stepper_plant(scene: StepperScene, film: FilmTable, tick_s: float) -> Plant:
+    """States: screw, rotor position and speed, commands on their way, film."""
+    waits, wait = _late(scene.latency_ns * 1e-9 / tick_s)
+    films, read = _read(film, tick_s)
+    first = 3 + waits
     rotor = None
     if scene.rotor_resonance_hz is not None:
         rotor = Rotor(scene.rotor_resonance_hz, scene.rotor_damping, tick_s).matrix
@@ -181,53 +215,59 @@ def _stepper_plant(scene: StepperScene, film: FilmTable, tick_s: float) -> Plant
         return float(state[0] if rotor is None else state[1])
 
     def move(state: Array, speed: float) -> Array:
+        speed, waiting = wait(state[3:first], speed)
         travel = tick_s * speed
         turned = np.zeros(2)
         if rotor is not None:
             turned = rotor @ np.array([state[1], state[2], state[0], travel])
-        return np.concatenate([[state[0] + travel], turned, run(state[3:], tip(state))[1]])
+        read_on = read(state[first:], tip(state))[1]
+        return np.concatenate([[state[0] + travel], turned, waiting, read_on])
 
-    displaced = np.array([1.0, 0.0 if rotor is None else 1.0, 0.0] + [0.0] * filters)
-    return Plant(displaced, lambda state: float(run(state[3:], tip(state))[0]), tip, move)
+    displaced = np.array([1.0, 0.0 if rotor is None else 1.0, 0.0] + [0.0] * (waits + films))
+    return Plant(displaced, lambda state: read(state[first:], tip(state))[0], tip, move)
 
 
 def _observer_law(
     scene: ControllerScene,
     twin: Plant,
     film: FilmTable,
+    late_ticks: float,
     gains: tuple[float, list[float]],
     tick_s: float,
 ) -> Law:
-    """States: offset, twin's actuator, twin's filter, PID."""
+    """States: offset, twin's actuator, its places that are still to be read, filter, PID."""
+    waits, wait = _late(late_ticks)
     filters, run = _filtered(film, tick_s)
+    first, last = 4 + waits, 4 + waits + filters
     pid = _pid(scene, tick_s)
     offset_gain, filter_gains = gains[0], np.array(gains[1])
 
     def decide(state: Array, reading: float) -> tuple[float, Array]:
-        offset, moved, filtered = state[0], state[1:4], state[4 : 4 + filters]
-        believed = twin.tip(moved) + offset
-        expected, filtered = run(filtered, believed)
+        offset, moved = state[0], state[1:4]
+        place, waiting = wait(state[4:first], twin.tip(moved))
+        expected, filtered = run(state[first:last], place + offset)
         error = reading - expected
         offset = offset + offset_gain * error
-        output, pid_state = pid(state[4 + filters :], -(moved[0] + offset), tick_s)
-        moved = twin.move(np.concatenate([moved, np.zeros(filters)]), output)[:3]
-        return output, np.concatenate([[offset], moved, filtered + filter_gains * error, pid_state])
+        output, pid_state = pid(state[last:], -(moved[0] + offset), tick_s)
+        moved = twin.move(np.concatenate([moved, np.zeros(twin.states - 3)]), output)[:3]
+        filtered = filtered + filter_gains * error
+        return output, np.concatenate([[offset], moved, waiting, filtered, pid_state])
 
-    return Law(4 + filters + 3, decide, counts=1)
+    return Law(last + 3, decide, counts=1)
 
 
 def _second_order_plant(scene: SecondOrderScene, film: FilmTable, tick_s: float) -> Plant:
-    """States: force, its rate, film filter."""
-    filters, run = _filtered(film, tick_s)
+    """States: force, its rate, film."""
+    films, read = _read(film, tick_s)
     held = SecondOrder(scene, tick_s).matrix
 
     def move(state: Array, volts: float) -> Array:
         moved = held @ np.array([state[0], state[1], volts])
-        return np.concatenate([moved, run(state[2:], state[0])[1]])
+        return np.concatenate([moved, read(state[2:], state[0])[1]])
 
     return Plant(
-        np.array([1.0] + [0.0] * (1 + filters)),
-        lambda state: float(run(state[2:], state[0])[0]),
+        np.array([1.0] + [0.0] * (1 + films)),
+        lambda state: read(state[2:], state[0])[0],
         lambda state: float(state[0]),
         move,
     )

@@ -15,6 +15,7 @@ from pydantic import Field
 
 from display_node.actuators.contact import ContactLaw
 from display_node.actuators.stepper import Stepper
+from display_node.delay import Delay
 from display_node.film import FilmTable
 from display_node.step_rate import StepCommand
 from protocol.quantities import Metres, Ratio
@@ -76,6 +77,9 @@ class Observer:
 
     The states of its Kalman filter: offset of the finger in m, its compliance in m/N (which is
     the contact law's own), and those of the film's filter.
+
+    twin: the actuator as if commands were obeyed at once; latency_ticks: from a command to the
+    reading that tells of it, the filter's own lag apart.
     """
 
     def __init__(
@@ -86,9 +90,12 @@ class Observer:
         film: FilmTable,
         step_m: float,
         tick_s: float,
+        latency_ticks: float = 0.0,
     ) -> None:
         self._twin = twin
         self._law = law
+        self._late = Delay(latency_ticks) if latency_ticks else None
+        self._heard_m = 0.0
         self._low_pass = low_pass = film.low_pass(tick_s)
         self._softness_m_per_n = softness = law.finger_m_per_n
         states = 2 + (film.filter_order if low_pass is not None else 0)
@@ -113,27 +120,37 @@ class Observer:
 
     def correct(self, reading_n: float) -> None:
         """Take the film's reading at this tick; one that is no number is passed over."""
-        force_n, low_pass = self.force_n, self._low_pass
+        force_n, low_pass = self._heard_n, self._low_pass
         expected_n = force_n if low_pass is None else low_pass.output(force_n)
         error_n = reading_n - expected_n
         if low_pass is not None:
             low_pass.advance(force_n)
         if math.isfinite(error_n):
-            self._believe(self._weigh(error_n))
+            self._believe(self._weigh(error_n, force_n))
 
     def skip(self) -> None:
         """A tick without a reading: the film's filter goes on all the same."""
         if self._low_pass is not None:
-            self._low_pass.advance(self.force_n)
+            self._low_pass.advance(self._heard_n)
 
     def move(self, command: StepCommand) -> None:
         """The actuator runs one tick as commanded."""
-        self.force_n = self._law.force(self._twin.move(command) + self._offset_m)
+        tip_m = self._twin.move(command)
+        self._heard_m = tip_m if self._late is None else self._late.step(tip_m)
+        self.force_n = self._law.force(tip_m + self._offset_m)
 
-    def _weigh(self, error_n: float) -> list[float]:
-        """One step of the Kalman filter: what the reading's error says of each state."""
+    @property
+    def _heard_n(self) -> float:
+        """The force that the film should tell of now: the tip's of then, the finger's of now."""
+        if self._late is None:
+            return self.force_n
+        return self._law.force(self._heard_m + self._offset_m)
+
+    def _weigh(self, error_n: float, force_n: float) -> list[float]:
+        """One step of the Kalman filter: what the reading's error says of each state, round the
+        force that it should have been."""
         a, c, spread = self._a, self._c, self._spread
-        force_n = max(self.force_n, LEAST_FORCE_N)
+        force_n = max(force_n, LEAST_FORCE_N)
         stiffness = self._law.stiffness(force_n)
         # The force's slope by offset and by compliance, at the filter's input.
         slopes = stiffness, -force_n * stiffness

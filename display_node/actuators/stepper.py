@@ -11,12 +11,14 @@ from pydantic import Field
 
 from display_node.actuators.contact import ContactLaw
 from display_node.actuators.transmission import Play, Rotor
+from display_node.delay import Delay
 from display_node.step_rate import StepCommand
 from protocol.quantities import (
     Hertz,
     Metres,
     MetresPerSecond,
     MetresPerSecond2,
+    Nanoseconds,
     Newtons,
     NewtonsPerMetre,
     Radians,
@@ -29,7 +31,7 @@ class StepperScene(Section):
     """The `actuator` table of kind "stepper".
 
     rotor_resonance and its damping ratio ζ: without, the rotor is where the microstep says;
-    backlash: the screw's play.
+    backlash: the screw's play; latency: from a command to its motion.
     """
 
     kind: Literal["stepper"]
@@ -45,6 +47,7 @@ class StepperScene(Section):
     rotor_resonance_hz: Annotated[Hertz, Field(gt=0, le=10_000)] | None = None
     rotor_damping: Annotated[float, Field(ge=0, le=10)] = 0.2
     backlash_m: Annotated[Metres, Field(ge=0, le=1e-3)] = 0.0
+    latency_ns: Annotated[Nanoseconds, Field(ge=0, le=50_000_000)] = 0
 
     @property
     def step_m(self) -> float:
@@ -82,6 +85,7 @@ class Stepper:
         if scene.rotor_resonance_hz is not None:
             self._rotor = Rotor(scene.rotor_resonance_hz, scene.rotor_damping, tick_s)
         self._play = Play(scene.backlash_m) if scene.backlash_m else None
+        self._late = Delay(scene.latency_ns * 1e-9 / tick_s) if scene.latency_ns else None
         self._phase = 0.0
         self._rate_hz = 0.0
         self.tip_m = 0.0
@@ -100,6 +104,8 @@ class Stepper:
     def move(self, command: StepCommand) -> float:
         """As `step`, without the contact: the tip's position from first touch at its end."""
         rate_hz = min(command.rate_hz, self._max_rate_hz) * command.direction
+        if self._late is not None:
+            rate_hz = self._late.step(rate_hz)
         limit_hz = self._max_change_hz
         if rate_hz > self._rate_hz + limit_hz:
             rate_hz = self._rate_hz + limit_hz

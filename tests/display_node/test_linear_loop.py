@@ -13,6 +13,7 @@ PAPERS: Table = {"kp": 15, "ki": 0.15, "kd": 0.03, "derivative_filter": "200 Hz"
 ROTOR = FINE | {"rotor_resonance": "100 Hz"}
 SECOND_ORDER: Table = {"kind": "second_order"}
 SLOW: Table = {"filter": "40 Hz", "noise": "2 mN"}
+LATE: Table = {"latency": "1.3 ms"}
 
 UNFILTERED = {
     "position": Case(POSITION),
@@ -28,11 +29,17 @@ CASES = UNFILTERED | {
     "observer": Case(OBSERVED, FINE, {"noise": "2 mN"}),
     "observer, rotor and film": Case(OBSERVED, ROTOR, SLOW),
     "observer, all": Case(OBSERVED | {"ki": 100, "kd": 0.02}, ROTOR, SLOW | {"filter_order": 3}),
+    "late drive": Case(POSITION, FINE | {"latency": "2 ms"}),
+    "late film": Case(POSITION, FINE, SLOW | LATE),
+    "late rotor and film": Case(POSITION | {"kp": 30}, ROTOR | LATE, SLOW | {"latency": "3 ms"}),
+    "observer, late drive": Case(OBSERVED, FINE | LATE, {"noise": "2 mN"}),
+    "observer, all of it late": Case(OBSERVED, ROTOR | LATE, SLOW | {"latency": "4.5 ms"}),
     "second order": Case(PAPERS | {"error": "millivolts"}, SECOND_ORDER),
     "second order, newtons": Case(PAPERS, SECOND_ORDER),
     "second order and film": Case(
         PAPERS | {"error": "millivolts"}, SECOND_ORDER, {"filter": "300 Hz"}
     ),
+    "second order and late film": Case(PAPERS, SECOND_ORDER, LATE),
 }
 every_case = pytest.mark.parametrize("case", CASES.values(), ids=CASES.keys())
 
