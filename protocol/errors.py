@@ -5,7 +5,10 @@ TelepulseError
  +-- WireError       (ValueError)  bytes from a peer are not a valid message
  +-- AddressError    (OSError)     a socket cannot be bound or connected
  +-- SourceError     (OSError)     a sensor or recording cannot be read
+ +-- DriveError      (OSError)     a drive cannot be reached, or does not do as it is told
  +-- OutputError     (OSError)     a result cannot be written
+ +-- BenchError      (RuntimeError) a bench or a calibration cannot be measured
+ +-- SweepError      (RuntimeError) a case of a study fails, or no cluster computes it
 """
 
 
@@ -46,8 +49,35 @@ class SourceError(TelepulseError, OSError):
     """
 
 
+class DriveError(TelepulseError, OSError):
+    """A drive cannot be reached, refuses, or has failed; `kind` is the short name of what.
+
+    Example scenarios: no such port, no answer, a wrong checksum, over-temperature, the home
+    switch was not found.
+    """
+
+    def __init__(self, kind: str, message: str) -> None:
+        super().__init__(message)
+        self.kind = kind
+
+
 class OutputError(TelepulseError, OSError):
     """A result cannot be written.
 
     Example scenarios: the folder does not exist, the disk is full.
+    """
+
+
+class BenchError(TelepulseError, RuntimeError):
+    """A bench cannot be measured, or a calibration fitted.
+
+    Example scenarios: the film does not move when the drive does, it says more force than
+    allowed, all reference loads are the same.
+    """
+
+
+class SweepError(TelepulseError, RuntimeError):
+    """A study cannot be computed.
+
+    Example scenarios: a case raises, a worker dies, no Dask scheduler at the address.
     """

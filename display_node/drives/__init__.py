@@ -1,0 +1,33 @@
+"""Real drives, one file a kind: what the actuator is commanded through."""
+
+from display_node.actuators.second_order import SecondOrderScene
+from display_node.actuators.stepper import StepperScene
+from display_node.drives.axis import build_axis
+from display_node.drives.cia402 import Cia402Drive
+from display_node.drives.drive import Drive
+from display_node.drives.scene import Cia402Scene, TmclScene
+from display_node.drives.tmcl import TmclDrive
+from protocol.errors import SceneError
+from protocol.tactile import ElasticLayer
+
+__all__ = ["Drive", "build_drive"]
+
+
+def build_drive(
+    scene: TmclScene | Cia402Scene,
+    actuator: StepperScene | SecondOrderScene,
+    layer: ElasticLayer,
+    force_limit_n: float,
+) -> Drive:
+    """The drive that a scene names, not started yet. Raises SceneError."""
+    if not isinstance(actuator, StepperScene):
+        raise SceneError('[display] drive: it needs an actuator of kind "stepper"')
+    axis = build_axis(scene, actuator, layer, force_limit_n)
+    if isinstance(scene, Cia402Scene):
+        return Cia402Drive(scene, axis)
+    if actuator.microsteps.bit_count() != 1:
+        raise SceneError(
+            f"[display] actuator.microsteps: a TMCL module has 1, 2, 4, to 256,"
+            f" got {actuator.microsteps}"
+        )
+    return TmclDrive(scene, axis)

@@ -1,0 +1,35 @@
+"""Bringing the tip to a place by speed alone, as any drive can, before the force loop runs."""
+
+import math
+import time
+
+from display_node.drives.drive import Drive
+from display_node.step_rate import StepCommand
+from protocol.errors import DriveError
+
+PERIOD_S = 2e-3
+# The way that is left is made in about this long: slower than any drive reports where it is.
+TIME_CONSTANT_S = 0.1
+
+
+def approach(drive: Drive, position_m: float, speed_m_per_s: float, step_m: float) -> None:
+    """Move to within a step of a position and rest there; blocks. Raises DriveError."""
+    way_m = abs(position_m - drive.status().position_m)
+    steps = max(way_m / step_m, 1.0)
+    deadline_s = time.monotonic() + 2.0 + 2 * way_m / speed_m_per_s + math.log(steps)
+    while True:
+        status = drive.status()
+        if status.fault is not None:
+            raise DriveError("fault", f"on its way to first touch: {status.fault}")
+        left_m = position_m - status.position_m
+        if abs(left_m) <= step_m:
+            drive.command(StepCommand(0.0, 0))
+            if not status.moving:
+                return
+        else:
+            rate_hz = min(speed_m_per_s, max(abs(left_m) / TIME_CONSTANT_S, 10 * step_m)) / step_m
+            drive.command(StepCommand(rate_hz, 1 if left_m > 0 else -1))
+        if time.monotonic() > deadline_s:
+            text = f"{left_m * 1e3:.3f} mm before first touch, and no nearer"
+            raise DriveError("not there", text)
+        time.sleep(PERIOD_S)

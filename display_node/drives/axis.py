@@ -1,0 +1,71 @@
+"""One driven axis: what it moves, how far it may go, and how its drive counts."""
+
+from dataclasses import dataclass
+
+from display_node.actuators.stepper import StepperScene
+from display_node.drives.scene import Cia402Scene, DriveScene
+from display_node.drives.travel import Travel
+from display_node.drives.units import Units
+from display_node.step_rate import StepCommand
+from protocol.tactile import ElasticLayer
+
+# Between a command and the motor's reaction.
+REACTION_S = 2e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """The mechanics of a drive; speeds in m/s, accelerations in m/s².
+
+    search_s: how long it may take to home, there and back over the whole stroke.
+    """
+
+    units: Units
+    travel: Travel
+    lowest_m: float
+    furthest_m: float
+    max_speed_m_per_s: float
+    max_acceleration_m_per_s2: float
+    microsteps: int
+    search_s: float
+
+    def velocity(self, command: StepCommand, position_m: float, age_ns: int) -> int:
+        """A command as the drive's number, within the limits of speed and travel."""
+        limit = self.max_speed_m_per_s
+        wanted = min(max(self.units.signed(command), -limit), limit)
+        return self.units.velocity(self.travel.bound(wanted, position_m, age_ns * 1e-9))
+
+
+def build_axis(
+    scene: DriveScene, actuator: StepperScene, layer: ElasticLayer, force_limit_n: float
+) -> Axis:
+    """The axis of a scene's drive and actuator.
+
+    It may go from home to where the model of contact says that the tip presses with the force
+    limit (or the thrust, or to the stroke's end, or to `furthest`, whichever comes first).
+    """
+    furthest_m = min(
+        actuator.stroke_m - scene.touch_m,
+        actuator.contact(layer).position(min(actuator.thrust_n, force_limit_n)),
+    )
+    if scene.furthest_m is not None:
+        furthest_m = min(furthest_m, scene.furthest_m)
+    units = Units(
+        step_m=actuator.step_m,
+        per_step=scene.position_scale if isinstance(scene, Cia402Scene) else 1.0,
+        per_step_rate=scene.velocity_scale,
+        direction=-1 if scene.inverted else 1,
+        home_m=-scene.touch_m,
+    )
+    # This command may be our last, and then it counts until the drive's watchdog ends it.
+    reaction_s = REACTION_S + scene.watchdog_ns * 1e-9
+    return Axis(
+        units=units,
+        travel=Travel(-scene.touch_m, furthest_m, actuator.max_acceleration_m_per_s2, reaction_s),
+        lowest_m=-scene.touch_m,
+        furthest_m=furthest_m,
+        max_speed_m_per_s=actuator.max_speed_m_per_s,
+        max_acceleration_m_per_s2=actuator.max_acceleration_m_per_s2,
+        microsteps=actuator.microsteps,
+        search_s=5.0 + 2 * actuator.stroke_m / scene.homing_speed_m_per_s,
+    )

@@ -1,0 +1,82 @@
+"""The state machine of CiA 402: what a statusword means, and what controlword leads on. Pure."""
+
+from enum import Enum, IntEnum
+
+
+class State(Enum):
+    """States of the power drive system, with the statusword's mask and value."""
+
+    NOT_READY = (0x4F, 0x00)
+    SWITCH_ON_DISABLED = (0x4F, 0x40)
+    READY = (0x6F, 0x21)
+    SWITCHED_ON = (0x6F, 0x23)
+    ENABLED = (0x6F, 0x27)
+    QUICK_STOP = (0x6F, 0x07)
+    REACTING = (0x4F, 0x0F)
+    FAULT = (0x4F, 0x08)
+
+    @property
+    def text(self) -> str:
+        """As a person reads it."""
+        return self.name.lower().replace("_", " ")
+
+
+class Control(IntEnum):
+    """Controlwords."""
+
+    DISABLE_VOLTAGE = 0x00
+    QUICK_STOP = 0x02
+    SHUTDOWN = 0x06
+    SWITCH_ON = 0x07
+    ENABLE = 0x0F
+    START_HOMING = 0x1F
+    RESET_FAULT = 0x80
+
+
+class Mode(IntEnum):
+    """Modes of operation."""
+
+    PROFILE_VELOCITY = 3
+    HOMING = 6
+    CYCLIC_VELOCITY = 9
+
+    @property
+    def supported_bit(self) -> int:
+        """Its bit in the supported drive modes (0x6502)."""
+        return 1 << (self - 1)
+
+
+# Bits of the statusword while homing.
+HOMING_ATTAINED = 0x1400
+HOMING_ERROR = 0x2000
+
+# Homing methods: to the negative or positive limit switch; here is home.
+NEGATIVE_SWITCH, POSITIVE_SWITCH, HERE = 17, 18, 35
+
+_NEXT = {
+    State.SWITCH_ON_DISABLED: Control.SHUTDOWN,
+    State.READY: Control.SWITCH_ON,
+    State.SWITCHED_ON: Control.ENABLE,
+    State.ENABLED: Control.ENABLE,
+    State.FAULT: Control.RESET_FAULT,
+}
+
+
+def state_of(statusword: int) -> State:
+    """The state that a statusword tells; one that tells none is not ready."""
+    for state in State:
+        mask, bits = state.value
+        if statusword & mask == bits:
+            return state
+    return State.NOT_READY
+
+
+def towards_enabled(state: State, last: Control) -> Control:
+    """The controlword that leads one state nearer to operation enabled.
+
+    last: the one before it. A fault is reset by the rising edge of a bit.
+    """
+    control = _NEXT.get(state, Control.DISABLE_VOLTAGE)
+    if control == last == Control.RESET_FAULT:
+        return Control.DISABLE_VOLTAGE
+    return control

@@ -1,0 +1,92 @@
+"""The `drive` table: how the actuator's real drive is reached. What it moves is in `actuator`."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from protocol.quantities import BitsPerSecond, Metres, MetresPerSecond, Nanoseconds
+from protocol.scene import Section
+
+Scale = Annotated[float, Field(gt=0, le=1e9)]
+
+
+class DriveScene(Section):
+    """What the tables of all kinds of drive have in common.
+
+    interface, channel, bitrate: a CAN bus as python-can names it. velocity_scale: the drive's
+    velocity units in one microstep a second. inverted: its positive goes away from the finger.
+
+    homing: "switch" runs away from the finger to a limit switch; "none" takes for home where
+    the tip stands; homing_method: the drive's own number for a way to home, instead. touch:
+    from home to where the tip first touches the finger; furthest: how far past that it may go,
+    by default to where the model of contact says the force limit is.
+
+    period: how often a command is repeated at least. watchdog: time without a command after
+    which the drive brings itself to rest, and without an answer after which it has failed.
+    """
+
+    interface: str | None = None
+    channel: str | None = None
+    bitrate_bit_per_s: Annotated[BitsPerSecond, Field(ge=10_000, le=8_000_000)] = 1e6
+    velocity_scale: Scale = 1.0
+    inverted: bool = False
+    homing: Literal["switch", "none"] = "switch"
+    homing_method: Annotated[int, Field(ge=-128, le=127)] | None = None
+    homing_speed_m_per_s: Annotated[MetresPerSecond, Field(gt=0, le=0.1)] = 5e-3
+    touch_m: Annotated[Metres, Field(ge=0, le=0.1)] = 2e-3
+    furthest_m: Annotated[Metres, Field(gt=0, le=0.1)] | None = None
+    period_ns: Annotated[Nanoseconds, Field(ge=500_000, le=100_000_000)] = 2_000_000
+    watchdog_ns: Annotated[Nanoseconds, Field(ge=10_000_000, le=1_000_000_000)] = 50_000_000
+
+    @model_validator(mode="after")
+    def _repeats_in_time(self) -> "DriveScene":
+        if 4 * self.period_ns > self.watchdog_ns:
+            raise ValueError("period must be at most a quarter of watchdog")
+        if (self.interface is None) != (self.channel is None):
+            raise ValueError("a CAN bus needs both interface and channel")
+        return self
+
+
+class TmclScene(DriveScene):
+    """The `drive` table of kind "tmcl": a module that speaks TMCL, on a serial port or on CAN.
+
+    port: a device or any URL that pyserial opens. module, host: addresses on the line.
+    acceleration_scale: the module's acceleration units in one microstep a second squared.
+    """
+
+    kind: Literal["tmcl"]
+    port: str | None = None
+    baud: Annotated[int, Field(ge=1200, le=20_000_000)] = 115_200
+    module: Annotated[int, Field(ge=1, le=255)] = 1
+    host: Annotated[int, Field(ge=1, le=255)] = 2
+    motor: Annotated[int, Field(ge=0, le=5)] = 0
+    acceleration_scale: Scale = 1.0
+    reply_timeout_ns: Annotated[Nanoseconds, Field(ge=1_000_000, le=200_000_000)] = 10_000_000
+
+    @model_validator(mode="after")
+    def _one_way_to_reach_it(self) -> "TmclScene":
+        if (self.port is None) == (self.channel is None):
+            raise ValueError("give either port (a serial line) or interface and channel (CAN)")
+        if 4 * self.reply_timeout_ns > self.watchdog_ns:
+            raise ValueError("reply_timeout must be at most a quarter of watchdog")
+        return self
+
+
+class Cia402Scene(DriveScene):
+    """The `drive` table of kind "cia402": a CANopen drive of profile CiA 402.
+
+    node: its id; host: the id of the heartbeat this side sends. mode: cyclic synchronous
+    velocity, profile velocity, or "auto": the first of them the drive has. position_scale: the
+    drive's position units in one microstep.
+    """
+
+    kind: Literal["cia402"]
+    interface: str
+    channel: str
+    node: Annotated[int, Field(ge=1, le=126)] = 1
+    host: Annotated[int, Field(ge=1, le=127)] = 127
+    mode: Literal["auto", "cyclic", "profile"] = "auto"
+    position_scale: Scale = 1.0
+
+
+DriveTable = Annotated[TmclScene | Cia402Scene, Field(discriminator="kind")]

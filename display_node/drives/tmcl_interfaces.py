@@ -1,0 +1,97 @@
+"""What carries TMCL datagrams: a serial port by URL, or any CAN bus.
+
+PyTrinamic's own interfaces open serial devices by name, and the CAN channels can0 to can7 alone.
+And it describes every request and reply in words for its log, whether one is kept or not: that
+is most of what an exchange costs (decision 19), so it is left out here.
+"""
+
+import time
+
+import can
+import serial
+from pytrinamic.connections.tmcl_interface import TmclInterface
+from pytrinamic.tmcl import TMCLReply, TMCLReplyChecksumError, TMCLReplyStatusError, TMCLRequest
+
+DATAGRAM_BYTES = 9
+# More than waits on any line after a request or two that went wrong.
+DRAIN_BYTES = 4096
+DRAIN_FRAMES = 64
+ELEVEN_BITS = 0x7FF
+
+
+class _QuietInterface(TmclInterface):  # type: ignore[misc]
+    """PyTrinamic's interface without its log."""
+
+    def send_request(self, request: TMCLRequest, *, no_reply: bool = False) -> TMCLReply:
+        """The checked reply to a request; `no_reply` is of requests that are not made here."""
+        self._send(self._host_id, request.moduleAddress, request.to_buffer())
+        reply = TMCLReply.from_buffer(self._recv(self._host_id, request.moduleAddress))
+        self._reply_check(reply)
+        if not reply.is_valid():
+            raise TMCLReplyStatusError(reply)
+        return reply
+
+
+class SerialLine(_QuietInterface):
+    """Datagrams of 9 bytes on a serial line, the last of them a checksum."""
+
+    def __init__(self, port: serial.SerialBase, host: int, module: int) -> None:
+        super().__init__(host, module)
+        self._port = port
+
+    def drain(self) -> None:
+        """Pass over what still comes, for as long as a reply may take."""
+        self._port.read(DRAIN_BYTES)
+        self._port.reset_input_buffer()
+
+    def close(self) -> None:
+        """Close the port."""
+        self._port.close()
+
+    def _send(self, host_id: int, module_id: int, data: bytes) -> None:
+        try:
+            self._port.write(data)
+        except serial.SerialTimeoutException:
+            raise TimeoutError from None
+
+    def _recv(self, host_id: int, module_id: int) -> bytes:
+        data: bytes = self._port.read(DATAGRAM_BYTES)
+        if len(data) < DATAGRAM_BYTES:
+            raise TimeoutError
+        return data
+
+    def _reply_check(self, reply: object) -> None:
+        if not reply.is_checksum_correct():  # type: ignore[attr-defined]
+            raise TMCLReplyChecksumError(reply)
+
+
+class CanLine(_QuietInterface):
+    """Frames of 7 bytes: the identifier is the address, and CAN has a checksum of its own."""
+
+    def __init__(self, bus: can.BusABC, host: int, module: int, timeout_s: float) -> None:
+        super().__init__(host, module)
+        bus.set_filters([{"can_id": host, "can_mask": ELEVEN_BITS, "extended": False}])
+        self._bus = bus
+        self._timeout_s = timeout_s
+
+    def drain(self) -> None:
+        """Pass over what still comes, for as long as a reply may take."""
+        for _ in range(DRAIN_FRAMES):
+            if self._bus.recv(self._timeout_s) is None:
+                break
+
+    def close(self) -> None:
+        """Close the bus."""
+        self._bus.shutdown()
+
+    def _send(self, host_id: int, module_id: int, data: bytes) -> None:
+        frame = can.Message(arbitration_id=module_id, is_extended_id=False, data=data[1:8])
+        self._bus.send(frame, timeout=self._timeout_s)
+
+    def _recv(self, host_id: int, module_id: int) -> bytes:
+        deadline_s = time.monotonic() + self._timeout_s
+        while (left_s := deadline_s - time.monotonic()) > 0:
+            frame = self._bus.recv(left_s)
+            if frame is not None and len(frame.data) == DATAGRAM_BYTES - 2:
+                return bytes([frame.arbitration_id, *frame.data])
+        raise TimeoutError

@@ -1,0 +1,172 @@
+"""Drives and their emulators, in one process and on real lines."""
+
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import can
+
+from display_node.actuators.stepper import StepperScene
+from display_node.drives.axis import build_axis
+from display_node.drives.cia402 import Cia402Drive
+from display_node.drives.drive import Drive
+from display_node.drives.scene import Cia402Scene, TmclScene
+from display_node.drives.tmcl import TmclDrive
+from display_node.step_rate import StepCommand
+from protocol.stream import LayerTable
+from telepulse.emulate.cia402_node import ALL_MODES, EmulatedNode
+from telepulse.emulate.motor import EmulatedMotor
+from telepulse.emulate.pty_port import PtyPort
+from telepulse.emulate.tmcl_line import CanLine, SerialLine
+from telepulse.emulate.tmcl_module import EmulatedModule
+
+LAYER = LayerTable().layer()
+FORCE_LIMIT_N = 2.5
+# Of a machine so busy that a thread waits for its turn: far longer than a bench's 50 ms.
+PATIENT = {"watchdog": "400 ms", "homing_speed": "20 mm/s", "touch": "0.6 mm"}
+LONGEST_WAIT_S = 20.0
+
+
+def stepper(**keys: Any) -> StepperScene:
+    return StepperScene.model_validate({"kind": "stepper", **keys})
+
+
+def tmcl_scene(**keys: Any) -> TmclScene:
+    table = {"kind": "tmcl", "reply_timeout": "100 ms", **PATIENT, **keys}
+    return TmclScene.model_validate(table)
+
+
+def cia402_scene(**keys: Any) -> Cia402Scene:
+    table = {"kind": "cia402", "interface": "virtual", "channel": uuid.uuid4().hex}
+    return Cia402Scene.model_validate({**table, **PATIENT, **keys})
+
+
+def emulated_motor(scene: TmclScene | Cia402Scene, actuator: StepperScene) -> EmulatedMotor:
+    law = actuator.contact(LAYER)
+    return EmulatedMotor(actuator, law, scene.touch_m, time.monotonic_ns())
+
+
+@dataclass
+class Bench:
+    """A drive, and what is at the other end of its line."""
+
+    drive: Drive
+    motor: EmulatedMotor
+    emulator: Any
+    unplug: Callable[[], None]
+    actuator: StepperScene
+
+    def keep(self, rate_hz: float, until: Callable[[], bool]) -> None:
+        """Command a signed step rate over and over until something holds."""
+        command = StepCommand(abs(rate_hz), 1 if rate_hz > 0 else -1 if rate_hz < 0 else 0)
+
+        def step() -> bool:
+            self.drive.command(command)
+            return until()
+
+        wait(step)
+
+    @property
+    def at_rest(self) -> bool:
+        return self.motor.rate_hz == 0.0
+
+
+def wait(until: Callable[[], bool]) -> None:
+    deadline_s = time.monotonic() + LONGEST_WAIT_S
+    while not until():
+        assert time.monotonic() < deadline_s, "waited for nothing"
+        time.sleep(0.002)
+
+
+@contextmanager
+def polled(poll: Callable[[], None]) -> Iterator[Callable[[], None]]:
+    """A thread that polls; yields what ends it."""
+    over = threading.Event()
+
+    def run() -> None:
+        while not over.is_set():
+            poll()
+
+    thread = threading.Thread(target=run)
+    thread.start()
+
+    def end() -> None:
+        over.set()
+        thread.join()
+
+    try:
+        yield end
+    finally:
+        end()
+
+
+@contextmanager
+def tmcl_bench(
+    on_can: bool = False, actuator: StepperScene | None = None, **keys: Any
+) -> Iterator[Bench]:
+    actuator = actuator or stepper()
+    if on_can:
+        channel = uuid.uuid4().hex
+        scene = tmcl_scene(interface="virtual", channel=channel, **keys)
+        bus = can.Bus(interface="virtual", channel=channel)
+        motor = emulated_motor(scene, actuator)
+        module = EmulatedModule(scene, motor)
+        line: CanLine | SerialLine = CanLine(module, scene, bus)
+    else:
+        port = PtyPort(None)
+        scene = tmcl_scene(port=str(port.path), **keys)
+        motor = emulated_motor(scene, actuator)
+        module = EmulatedModule(scene, motor)
+        line = SerialLine(module, port)
+    plugged = True
+
+    def poll() -> None:
+        if plugged:
+            line.serve(0.002)
+        else:
+            time.sleep(0.002)
+        motor.advance(time.monotonic_ns())
+
+    def unplug() -> None:
+        nonlocal plugged
+        if plugged:
+            plugged = False
+            time.sleep(0.01)
+            line.close()
+
+    drive = TmclDrive(scene, build_axis(scene, actuator, LAYER, FORCE_LIMIT_N))
+    with polled(poll) as end:
+        try:
+            yield Bench(drive, motor, module, unplug, actuator)
+        finally:
+            drive.close()
+            end()
+            unplug()
+
+
+@contextmanager
+def cia402_bench(
+    actuator: StepperScene | None = None, modes: Any = ALL_MODES, **keys: Any
+) -> Iterator[Bench]:
+    actuator = actuator or stepper()
+    scene = cia402_scene(**keys)
+    motor = emulated_motor(scene, actuator)
+    bus = can.Bus(interface=scene.interface, channel=scene.channel)
+    node = EmulatedNode(scene, motor, bus, modes)
+
+    def poll() -> None:
+        time.sleep(0.001)
+        node.poll()
+
+    drive = Cia402Drive(scene, build_axis(scene, actuator, LAYER, FORCE_LIMIT_N))
+    with polled(poll) as end:
+        try:
+            yield Bench(drive, motor, node, lambda: None, actuator)
+        finally:
+            drive.close()
+            end()
+            node.close()
