@@ -1,0 +1,17 @@
+"""Libraries that only some sensors need."""
+
+import importlib
+from typing import Any
+
+from protocol.errors import SourceError
+
+
+def library(name: str, needed_for: str) -> Any:
+    """The module `name`. Raises SourceError that says how to install it."""
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise SourceError(
+            f"{needed_for} needs {name}, which cannot be loaded ({error});"
+            " pip install 'telepulse[sensors]'"
+        ) from None

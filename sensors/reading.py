@@ -1,0 +1,76 @@
+"""A sensor's packets as readings: samples in newtons, each with its time on the host's clock."""
+
+from typing import NamedTuple
+
+from protocol.one_way_clock import OneWayClock
+from sensors.force_scale import SensorTable
+from sensors.packet import Packet
+from sensors.timeline import Timeline
+
+# Measured and nominal rate differ by more than any resonator's error.
+RATE_TOLERANCE = 0.02
+SETTLED_S = 2.0
+
+
+class Reading(NamedTuple):
+    """Consecutive samples on the host's clock: the first's time, when the one after the last
+    would come, forces in N, and how many samples were lost right before them."""
+
+    first_ns: int
+    end_ns: int
+    force_n: tuple[float, ...]
+    missing: int
+
+
+class Readings:
+    """Makes readings of one sensor's packets. Pure: arrivals' times come in.
+
+    samples: placed so far; missing: lost before them. restarts: how often the device's clock
+    began anew. behind: packets that were refused because the stream was past their time.
+    """
+
+    def __init__(self, table: SensorTable) -> None:
+        self._nominal_hz = table.rate_hz
+        self._scale = table.force_scale()
+        self._timeline = Timeline(table.period_ns)
+        self._clock = OneWayClock()
+        self.samples = self.missing = self.restarts = self.behind = 0
+
+    def of(self, packet: Packet, arrival_ns: int) -> Reading | None:
+        """The packet's samples in their place; None when there is no place for them."""
+        last_ns = arrival_ns
+        if packet.device_ns is not None:
+            if packet.anew:
+                self.restarts += self.samples > 0
+                self._clock = OneWayClock()
+            self._clock.observe(packet.device_ns, arrival_ns)
+            # Nothing arrives before it was taken, whatever the device says.
+            last_ns = min(self._clock.host_ns(packet.device_ns), arrival_ns)
+        span = self._timeline.place(len(packet.values), packet.missing, last_ns)
+        if span is None:
+            self.behind += 1
+            return None
+        self.samples += len(packet.values)
+        self.missing += span.missing
+        force_n = self._scale.newtons(packet.values)
+        return Reading(span.first_ns, span.end_ns, force_n, span.missing)
+
+    @property
+    def skew_ppm(self) -> float:
+        """How much faster the device's clock runs than the host's; 0 when it sends no time."""
+        return self._clock.skew_ppm
+
+    def faults(self, name: str) -> list[str]:
+        """What went wrong with the sensor of that name, one line each."""
+        if not self.samples:
+            return [f"no sample came from {name}"]
+        faults = []
+        if self.missing:
+            faults.append(f"{self.missing} samples missing from {name}")
+        if self.restarts:
+            faults.append(f"{name} began its clock anew {self.restarts} times")
+        rate_hz = self._timeline.rate_hz
+        settled = self.samples > SETTLED_S * self._nominal_hz
+        if settled and abs(rate_hz / self._nominal_hz - 1) > RATE_TOLERANCE:
+            faults.append(f"{name} sends {rate_hz:.0f} Hz, the scene says {self._nominal_hz:g} Hz")
+        return faults

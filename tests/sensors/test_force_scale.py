@@ -1,0 +1,51 @@
+import math
+from typing import Any
+
+import pytest
+
+from protocol.errors import SceneError
+from protocol.scene import validate
+from sensors.force_scale import SensorTable
+
+
+def newtons(value: float, **keys: Any) -> float:
+    table = validate({"rate": "1 kHz"} | keys, SensorTable, "scene")
+    (force_n,) = table.force_scale().newtons((value,))
+    return force_n
+
+
+@pytest.mark.parametrize(
+    ("value", "keys", "force_n"),
+    [
+        (0.3, {"unit": "N"}, 0.3),
+        (300, {"unit": "mN", "preload": "0.2 N"}, 0.5),
+        (0.022, {"unit": "V"}, 0.5),
+        (27, {"unit": "mV", "offset": "5 mV"}, 0.5),
+        (50, {"unit": "mV", "sensitivity": "100 mV/N"}, 0.5),
+        (0.3 / (2 * math.pi * 9e-3), {"unit": "V", "film_radius": "9 mm"}, 1.0),
+        (512 + 250, {"unit": "counts", "newtons_per_count": 0.002, "zero": 512}, 0.5),
+        (100, {"unit": "counts", "newtons_per_count": -0.01, "zero": 200}, 1.0),
+    ],
+)
+def test_a_unit_becomes_newtons(value: float, keys: dict[str, Any], force_n: float) -> None:
+    assert newtons(value, **keys) == pytest.approx(force_n)
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"unit": "kg"}, "'counts'"),
+        ({"unit": "counts"}, 'unit "counts" needs newtons_per_count'),
+        ({"unit": "counts", "newtons_per_count": 0}, "which is not 0"),
+        ({"unit": "N", "newtons_per_count": 1}, 'newtons_per_count is for unit counts, not "N"'),
+        ({"unit": "counts", "newtons_per_count": 1, "offset": "1 V"}, "offset is for unit V or mV"),
+        ({"unit": "mN", "sensitivity": "1 V/N"}, "sensitivity is for unit V or mV"),
+        ({"unit": "V", "sensitivity": "1 V/N", "film_radius": "9 mm"}, "give one of them"),
+        ({"unit": "V", "rate": "30 kHz"}, "less than or equal to 20 kHz"),
+    ],
+)
+def test_a_scale_that_cannot_be_is_one_line(keys: dict[str, Any], said: str) -> None:
+    with pytest.raises(SceneError, match=r"^scene") as caught:
+        newtons(1, **keys)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
