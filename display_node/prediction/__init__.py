@@ -6,6 +6,8 @@ from display_node.prediction.hold import Hold
 from display_node.prediction.linear import Linear
 
 PredictorName = Literal["hold", "linear", "fir", "analogue", "harmonic", "stack"]
+UNLEARNT: tuple[PredictorName, ...] = ("hold", "linear")
+"""Those that know nothing of their own error."""
 
 
 class Predictor(Protocol):

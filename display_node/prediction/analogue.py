@@ -40,31 +40,17 @@ class Analogue:
     trust = 0.2
 
     def __init__(self) -> None:
-        # Oldest first, like the history: index i is the lag LAGS − i.
-        self._difference = np.zeros(LAGS)
-        self._step = np.zeros(LAGS)
-        self._distances = np.zeros((len(MEMORIES_S), LAGS))
-        self._places = np.zeros((0, ANALOGUES), np.intp)
-        self._forget = np.exp(-STEP_S / np.array(MEMORIES_S))[:, np.newaxis]
+        # Oldest first, like the history: index i is the lag LAGS − i. Single precision: these are
+        # the longest rows of all, and what is in them is noisier than it is coarse.
+        self._difference = np.zeros(LAGS, np.float32)
+        self._step = np.zeros(LAGS, np.float32)
+        self._distances = np.zeros((len(MEMORIES_S), LAGS), np.float32)
+        self._places: NDArray[np.intp] | None = None
+        self._forget = np.exp(-STEP_S / np.array(MEMORIES_S, np.float32))[:, np.newaxis]
 
     def observe(self, history: History) -> None:
         """Carry the distances on and find the analogues."""
-        self._advance(history.last(LAGS + 1))
-        first = LAGS - min(LAGS, history.count - SETTLED)
-        self._places = np.zeros((0, ANALOGUES), np.intp)
-        if first < LAGS - NEAREST - 2:
-            reached = self._distances[:, first : LAGS - NEAREST + 1]
-            places = [_lowest_minima(distances) for distances in reached]
-            if all(map(len, places)):
-                self._places = first + np.array(places)
-
-    def predict(self, history: History) -> Trajectories:
-        """A trajectory a memory (`Expert`)."""
-        if not len(self._places):
-            return np.zeros((len(MEMORIES_S), HORIZONS))
-        return self._follow(history.last(LAGS + 1), self._places)
-
-    def _advance(self, past: NDArray[np.float64]) -> None:
+        past = history.last(LAGS + 1)
         # The slope's difference is the difference's step: x and its lagged self move on together.
         difference, step = self._step, self._difference
         np.subtract(past[:-1], past[-1], out=difference)
@@ -75,24 +61,44 @@ class Analogue:
         step += difference * difference
         self._distances *= self._forget
         self._distances += step
+        first = LAGS - min(LAGS, history.count - SETTLED)
+        self._places = None
+        if first < LAGS - NEAREST - 2:
+            places = _lowest_minima(self._distances[:, first : LAGS - NEAREST + 1])
+            self._places = None if places is None else first + places
 
-    def _follow(self, past: NDArray[np.float64], places: NDArray[np.intp]) -> Trajectories:
+    def predict(self, history: History) -> Trajectories:
+        """A trajectory a memory (`Expert`)."""
+        if self._places is None:
+            return np.zeros((len(MEMORIES_S), HORIZONS))
+        return self._follow(history.last(LAGS + 1), self._places)
+
+    def learn(self, history: History) -> None:
+        """There is nothing more."""
+
+    def _follow(self, past: NDArray[np.float32], places: NDArray[np.intp]) -> Trajectories:
         """What followed the analogues at places of shape (memories, analogues)."""
         nearest = self._distances[ROWS, places]
-        width = KERNEL / ANALOGUES * nearest.sum(axis=1, keepdims=True) + TINY
-        weights = np.exp((nearest.min(axis=1, keepdims=True) - nearest) / width)
-        weights /= weights.sum(axis=1, keepdims=True)
-        followed = np.einsum("mi,mih->mh", weights, past[places[:, :, np.newaxis] + NEXT])
-        followed -= past[-1]
-        return np.asarray(followed[:, 1:] - OFFSET * followed[:, :1])
+        width = KERNEL / ANALOGUES * np.add.reduce(nearest, axis=1, keepdims=True) + TINY
+        weights = np.exp((np.minimum.reduce(nearest, axis=1, keepdims=True) - nearest) / width)
+        weights /= np.add.reduce(weights, axis=1, keepdims=True)
+        ahead = past.take(places[:, :, np.newaxis] + NEXT)
+        followed = (weights[:, np.newaxis] @ ahead)[:, 0] - past[-1]
+        return np.asarray(followed[:, 1:] - OFFSET * followed[:, :1], np.float64)
 
 
-def _lowest_minima(distances: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Where the lowest local minima are, ANALOGUES of them: few repeat; empty without any."""
-    middle = distances[1:-1]
-    at = np.flatnonzero((middle < distances[:-2]) & (middle <= distances[2:]))
-    if len(at) > ANALOGUES:
-        at = at[middle[at].argpartition(ANALOGUES)[:ANALOGUES]]
-    elif len(at):
-        at = np.resize(at, ANALOGUES)
-    return at + 1
+def _lowest_minima(distances: NDArray[np.float32]) -> NDArray[np.intp] | None:
+    """Where each row's lowest local minima are, ANALOGUES of them: few repeat; None without any."""
+    middle = distances[:, 1:-1]
+    is_lowest = middle < distances[:, :-2]
+    is_lowest &= middle <= distances[:, 2:]
+    places = np.empty((len(distances), ANALOGUES), np.intp)
+    for row, chosen in enumerate(is_lowest):
+        (at,) = chosen.nonzero()
+        if len(at) > ANALOGUES:
+            at = at[middle[row, at].argpartition(ANALOGUES)[:ANALOGUES]]
+        elif not len(at):
+            return None
+        places[row] = np.resize(at, ANALOGUES) if len(at) < ANALOGUES else at
+    places += 1
+    return places

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from display_node.prediction.analogue import Analogue
-from display_node.prediction.expert import HORIZONS, SPACING, Expert, Trajectories
+from display_node.prediction.expert import HORIZONS, SPACING, Expert
 from display_node.prediction.fir import Fir
 from display_node.prediction.grid import STEP_NS, Cell, Grid
 from display_node.prediction.harmonic import Harmonic
@@ -91,10 +91,13 @@ class Ensemble:
         return [*(_between(before + row, position) for row in rows), self.predict(instant_ns)]
 
     def error_n(self, horizon_ns: int) -> float | None:
-        """RMSE in N of the last 2 s of predictions so far ahead of the newest sample."""
+        """RMSE in N of the last 2 s of predictions so far ahead of the newest sample; None before
+        any, and further ahead than is predicted."""
         # From the middle of the newest cell.
         horizon = round((horizon_ns / STEP_NS + 0.5) / SPACING)
-        rms = self._stack.rms(min(max(horizon, 1), HORIZONS) - 1)
+        if horizon > HORIZONS:
+            return None
+        rms = self._stack.rms(max(horizon, 1) - 1)
         return None if rms is None else self._scale * rms
 
     def _step(self, cell: Cell) -> Iterator[None]:
@@ -106,20 +109,18 @@ class Ensemble:
         self._push(cell.value)
         self._number = cell.number
         self._mend()
-        # The first expert is the dearest: it predicts a tick after it has observed.
         first, *others = self._experts
         first.observe(history)
         yield
-        trajectories = [first.predict(history), *map(self._ask, others[:-1])]
-        yield
-        trajectories += map(self._ask, others[-1:])
-        self._publish(cell, np.concatenate(trajectories))
+        for expert in others:
+            expert.observe(history)
+        self._publish(cell, np.concatenate([each.predict(history) for each in self._experts]))
         yield
         self._stack.learn(history.newest)
-
-    def _ask(self, expert: Expert) -> Trajectories:
-        expert.observe(self._history)
-        return expert.predict(self._history)
+        self._bound()
+        yield
+        for expert in self._experts:
+            expert.learn(history)
 
     def _settle(self, cell: Cell) -> None:
         """Collect the warm-up; at its end, learn its level and size and take it in."""
@@ -135,6 +136,7 @@ class Ensemble:
         for value in seen:
             self._push(value)
         self._number = cell.number
+        self._bound()
 
     def _push(self, value: float) -> None:
         history = self._history
@@ -149,15 +151,19 @@ class Ensemble:
             self._history.rewrite(self._number - cell.number, mended)
         self._grid.late.clear()
 
+    def _bound(self) -> None:
+        """Set what paths stay within."""
+        recent = self._history.last(min(RECENT, self._history.count))
+        low, high = float(np.minimum.reduce(recent)), float(np.maximum.reduce(recent))
+        margin = MARGIN * (high - low)
+        self._bounds = low - margin, high + margin
+
     def _publish(self, cell: Cell, rows: NDArray[np.float64]) -> None:
         """Make the path of the stack, in N, and its errors; begin anew if they left all bounds."""
         history, scale = self._history, self._scale
         newest = history.newest
-        ahead = newest + self._stack.predict(newest, rows)
-        recent = history.last(min(RECENT, history.count))
-        low, high = float(recent.min()), float(recent.max())
-        margin = MARGIN * (high - low)
-        ahead = np.minimum(np.maximum(ahead, low - margin), high + margin)
+        low, high = self._bounds
+        ahead = np.minimum(np.maximum(newest + self._stack.predict(newest, rows), low), high)
         values = np.concatenate([history.last(SPACING + 1)[::SPACING], ahead])
         path = (self._level + scale * values).tolist()
         if not all(map(isfinite, path)):

@@ -31,3 +31,6 @@ class Expert(Protocol):
 
         Zeros, which is to hold the newest, for as long as the expert knows nothing better.
         """
+
+    def learn(self, history: History) -> None:
+        """After `predict`: what of the work on the newest value can wait until then."""

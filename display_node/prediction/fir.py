@@ -6,8 +6,7 @@ arrives. Haykin, Adaptive Filter Theory, exponentially weighted RLS.
 """
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg.blas import dsymv, dsyr
+from scipy.linalg.blas import dger, dsymv, dsyr
 
 from display_node.prediction.expert import FURTHEST, HORIZONS, SPACING, Trajectories
 from display_node.prediction.history import History
@@ -38,38 +37,48 @@ class Fir:
         self._origins = np.zeros(ROWS)
         self._row = FURTHEST
         self._tap = 0
-        self._regressor = np.zeros(TAPS)
+        self._regressor = self._regressors[self._row]
 
     def observe(self, history: History) -> None:
-        """Correct every horizon's weights by the newest value; then take the next regressor."""
+        """Take the next regressor."""
         if history.count < REACH:
             return
-        row, newest = self._row, history.newest
-        # The rows that foretold this value, the shortest horizon first.
-        foretold = slice(row - SPACING, row - FURTHEST - 1 if row > FURTHEST else None, -SPACING)
-        predicted = np.einsum("ij,ij->i", self._weights, self._regressors[foretold])
-        errors = newest - self._origins[foretold] - predicted
-        self._weights += self._gains[foretold] * errors[:, np.newaxis]
-        self._keep_ridge()
-        past = history.last(REACH)
-        far = past[: FAR * STRIDE].reshape(FAR, STRIDE).sum(axis=1) / STRIDE
-        self._regressor = np.concatenate([far, past[FAR * STRIDE : -1]]) - newest
-        self._append(self._regressor, newest)
+        newest, past = history.newest, history.last(REACH)
+        regressor = self._regressor = self._regressors[self._row]
+        far = past[: FAR * STRIDE].reshape(FAR, STRIDE)
+        np.multiply(np.add.reduce(far, axis=1), 1 / STRIDE, out=regressor[:FAR])
+        regressor[FAR:] = past[FAR * STRIDE : -1]
+        regressor -= newest
+        self._origins[self._row] = newest
 
     def predict(self, history: History) -> Trajectories:
         """One trajectory (`Expert`)."""
         return np.asarray(np.einsum("ij,j->i", self._weights, self._regressor)[np.newaxis])
 
-    def _append(self, regressor: NDArray[np.float64], newest: float) -> None:
-        """Keep a regressor with its gain, and count it into the covariance."""
+    def learn(self, history: History) -> None:
+        """Correct every horizon's weights by the newest value; then count in its regressor."""
+        if history.count >= REACH:
+            self._correct(history.newest)
+            self._keep_ridge()
+            self._append()
+
+    def _correct(self, newest: float) -> None:
+        # The rows that foretold this value, the shortest horizon first.
+        row = self._row
+        foretold = slice(row - SPACING, row - FURTHEST - 1 if row > FURTHEST else None, -SPACING)
+        predicted = np.einsum("ij,ij->i", self._weights, self._regressors[foretold])
+        errors = newest - self._origins[foretold] - predicted
+        self._weights += self._gains[foretold] * errors[:, np.newaxis]
+
+    def _append(self) -> None:
+        """Count the regressor into the covariance, and keep its gain."""
+        regressor = self._regressor
         # BLAS on one triangle: the covariance cannot lose its symmetry.
         spread = dsymv(1.0, self._covariance, regressor)
         power = FORGET + float(regressor @ spread)
         dsyr(-1.0 / power, spread, a=self._covariance, overwrite_a=1)
         self._covariance *= 1 / FORGET
-        row = self._row
-        self._regressors[row], self._origins[row] = regressor, newest
-        np.divide(spread, power, out=self._gains[row])
+        np.divide(spread, power, out=self._gains[self._row])
         self._row += 1
         if self._row == ROWS:
             for rows in (self._regressors, self._gains, self._origins):
@@ -81,5 +90,6 @@ class Fir:
         tap = self._tap = (self._tap + 1) % TAPS
         spread = np.concatenate([self._covariance[:tap, tap], self._covariance[tap, tap:]])
         power = 1 / (RIDGE * TAPS * (1 - FORGET)) + spread[tap]
-        self._weights -= np.multiply.outer(self._weights[:, tap], spread / power)
+        # In place: transposed, the weights are in the order that BLAS works in.
+        dger(-1.0 / power, spread, self._weights[:, tap].copy(), a=self._weights.T, overwrite_a=1)
         dsyr(-1.0 / power, spread, a=self._covariance, overwrite_a=1)

@@ -5,6 +5,8 @@
 It starts at the rhythm's frequency, and is dropped when it diverges.
 """
 
+import math
+
 import numpy as np
 
 from display_node.prediction.expert import AHEAD, HORIZONS, Trajectories
@@ -12,7 +14,9 @@ from display_node.prediction.history import History
 from display_node.prediction.rhythm import Rhythm
 
 HARMONICS = 8
-ORDER = np.arange(1, HARMONICS + 1)
+# Of the cosines and then of the sines, which are cosines a quarter later.
+ORDER = np.tile(np.arange(1.0, HARMONICS + 1), 2)
+LATER = np.repeat([0.0, np.pi / 2], HARMONICS)
 # Per step, in units of the signal's standard deviation: noise, and what wanders.
 NOISE = 0.05
 WANDER = 0.01
@@ -35,6 +39,8 @@ class Harmonic:
         self._wander = np.diag(
             [PHASE_WANDER**2, FREQUENCY_WANDER**2, WANDER**2] + [WANDER**2 / 4] * 2 * HARMONICS
         )
+        self._sensitivity = np.zeros(SIZE)
+        self._sensitivity[2] = 1.0
         self._drop()
 
     def _drop(self) -> None:
@@ -51,6 +57,15 @@ class Harmonic:
         self._covariance = np.diag(spread)
 
     def observe(self, history: History) -> None:
+        """Nothing: the state is so slow that it predicts from a step before, and is learnt last."""
+
+    def predict(self, history: History) -> Trajectories:
+        """One trajectory (`Expert`)."""
+        if not self.alive:
+            return np.zeros((1, HORIZONS))
+        return np.asarray((self._ahead - history.newest)[np.newaxis])
+
+    def learn(self, history: History) -> None:
         """Correct the state by the newest value; start, or drop it, where that is due."""
         newest, interval = history.newest, self._rhythm.interval
         if interval is None:
@@ -60,16 +75,11 @@ class Harmonic:
         self._follow(newest)
         if not self._sane(interval):
             self._drop()
-
-    def predict(self, history: History) -> Trajectories:
-        """One trajectory (`Expert`)."""
-        if not self.alive:
-            return np.zeros((1, HORIZONS))
-        state, newest = self._state, history.newest
-        angles = np.multiply.outer(state[0] + AHEAD * state[1], ORDER)
-        a, b = state[3 : 3 + HARMONICS], state[3 + HARMONICS :]
-        values = state[2] + np.cos(angles) @ a + np.sin(angles) @ b
-        return np.asarray((values - newest)[np.newaxis])
+            return
+        state = self._state
+        # What `predict` will be asked for at the next step.
+        angles = np.multiply.outer(state[0] + (1 + AHEAD) * state[1], ORDER) - LATER
+        self._ahead = state[2] + np.cos(angles) @ state[3:]
 
     def _follow(self, newest: float) -> None:
         state, covariance = self._state, self._covariance
@@ -77,11 +87,11 @@ class Harmonic:
         covariance[0] += covariance[1]
         covariance[:, 0] += covariance[:, 1]
         covariance += self._wander
-        cos, sin = np.cos(ORDER * state[0]), np.sin(ORDER * state[0])
-        a, b = state[3 : 3 + HARMONICS], state[3 + HARMONICS :]
-        slope = float((ORDER * (b * cos - a * sin)).sum())
-        sensitivity = np.concatenate([[slope, 0.0, 1.0], cos, sin])
-        surprise = newest - state[2] - float(a @ cos + b @ sin)
+        angles = ORDER * state[0] - LATER
+        sensitivity = self._sensitivity
+        sensitivity[0] = -float((ORDER * np.sin(angles)) @ state[3:])
+        sensitivity[3:] = np.cos(angles)
+        surprise = newest - float(sensitivity[2:] @ state[2:])
         spread = covariance @ sensitivity
         power = NOISE**2 + float(sensitivity @ spread)
         state += spread * (surprise / power)
@@ -90,7 +100,7 @@ class Harmonic:
         self._age += 1
 
     def _sane(self, interval: float) -> bool:
-        if not np.isfinite(self._state).all():
+        if not math.isfinite(self._state.dot(self._state)):
             return False
         beats_a_turn = float(self._state[1]) * interval / (2 * np.pi)
         if not 0.4 < beats_a_turn < 2.5:

@@ -5,11 +5,11 @@ from numpy.typing import NDArray
 
 
 class History:
-    """The last `capacity` values; zeros stand before the first."""
+    """The last `capacity` values, in single precision; zeros stand before the first."""
 
     def __init__(self, capacity: int) -> None:
         self._capacity = capacity
-        self._values = np.zeros(3 * capacity)
+        self._values = np.zeros(3 * capacity, np.float32)
         self._end = capacity
         self.count = 0
 
@@ -33,6 +33,6 @@ class History:
         if age < min(self.count, self._capacity):
             self._values[self._end - 1 - age] = value
 
-    def last(self, count: int) -> NDArray[np.float64]:
+    def last(self, count: int) -> NDArray[np.float32]:
         """The newest `count` values, at most `capacity`; a view that the next push invalidates."""
         return self._values[self._end - count : self._end]

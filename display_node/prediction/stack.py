@@ -15,6 +15,7 @@ MEMORY_STEPS = 2_000
 FORGET = 1 - 1 / MEMORY_STEPS
 RIDGE = 0.01
 ERROR_MEMORY_STEPS = 400
+HORIZON = np.arange(HORIZONS)
 
 
 class Stack:
@@ -23,13 +24,12 @@ class Stack:
     def __init__(self, trust: Floats) -> None:
         count = len(trust)
         self._trust = trust
-        self._weights = np.tile(trust, (HORIZONS, 1))
-        self._covariances = np.tile(np.eye(count) / RIDGE, (HORIZONS, 1, 1))
-        # What was predicted at the last steps, by step, horizon and expert.
-        self._rows = FURTHEST + 1
-        self._inputs = np.zeros((self._rows, HORIZONS, count))
-        self._outputs = np.zeros((self._rows, HORIZONS))
-        self._origins = np.zeros(self._rows)
+        # By horizon: the covariance, and the weights as one more column of it.
+        start = np.vstack([np.eye(count) / RIDGE, trust]).T
+        self._state = np.tile(start, (HORIZONS, 1, 1))
+        self._covariances, self._weights = self._state[:, :, :-1], self._state[:, :, -1]
+        # What was predicted at the last steps, by step and horizon: inputs, output and origin.
+        self._made = np.zeros((FURTHEST + 1, HORIZONS, count + 2))
         self._steps = 0
         self._power = np.zeros(HORIZONS)
         self._truths = 0
@@ -44,21 +44,21 @@ class Stack:
 
     def predict(self, newest: float, trajectories: Floats) -> Floats:
         """Combine trajectories of shape (n, 25) from a newest value."""
-        row = self._steps % self._rows
-        self._inputs[row] = trajectories.T
-        self._origins[row] = newest
+        made = self._made[self._steps % len(self._made)]
+        inputs, output = made[:, :-2], made[:, -2]
+        inputs[:], made[:, -1] = trajectories.T, newest
+        np.einsum("hi,hi->h", self._weights, inputs, out=output)
         self._steps += 1
-        self._outputs[row] = np.einsum("hi,hi->h", self._weights, self._inputs[row])
-        return np.asarray(self._outputs[row])
+        return np.asarray(output)
 
     def learn(self, newest: float) -> None:
         """After `predict`: the newest value is the truth of earlier predictions."""
-        rows = (self._steps - 1 - AHEAD) % self._rows
-        horizon = np.arange(HORIZONS)
-        inputs = self._inputs[rows, horizon]
-        known = self._steps > AHEAD
-        truths = np.where(known, newest - self._origins[rows], 0.0)
-        self._score(truths - np.where(known, self._outputs[rows, horizon], 0.0))
+        made = self._made[(self._steps - 1 - AHEAD) % len(self._made), HORIZON]
+        inputs, outputs, origins = made[:, :-2], made[:, -2], made[:, -1]
+        truths = newest - origins
+        if self._steps <= FURTHEST:
+            truths[self._steps <= AHEAD] = 0.0
+        self._score(truths - outputs)
         spread = np.einsum("hij,hj->hi", self._covariances, inputs)
         power = FORGET + np.einsum("hi,hi->h", inputs, spread)
         self._correct(spread, power, truths - np.einsum("hi,hi->h", self._weights, inputs))
@@ -68,14 +68,14 @@ class Stack:
     def _keep_ridge(self) -> None:
         """Observe one weight a step, at its trust, as often as forgetting has to be made good."""
         expert = self._steps % len(self._trust)
-        spread = self._covariances[:, :, expert]
+        spread = self._covariances[:, :, expert].copy()
         power = 1 / (RIDGE * len(self._trust) * (1 - FORGET)) + spread[:, expert]
         self._correct(spread, power, self._trust[expert] - self._weights[:, expert])
 
     def _correct(self, spread: Floats, power: Floats, errors: Floats) -> None:
         gains = spread / power[:, np.newaxis]
-        self._weights += gains * errors[:, np.newaxis]
-        self._covariances -= gains[:, :, np.newaxis] * spread[:, np.newaxis, :]
+        change = np.concatenate([spread, -errors[:, np.newaxis]], axis=1)
+        self._state -= gains[:, :, np.newaxis] * change[:, np.newaxis, :]
 
     def _score(self, errors: Floats) -> None:
         self._truths += 1

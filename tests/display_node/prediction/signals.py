@@ -37,6 +37,7 @@ def expert_errors(
             before(step)
         expert.observe(history)
         trajectory = expert.predict(history)[-1]
+        expert.learn(history)
         if from_step <= step < len(signal) - AHEAD[-1]:
             worst = np.maximum(worst, np.abs(value + trajectory - signal[step + AHEAD]))
     return worst

@@ -145,7 +145,22 @@ def test_it_says_how_far_off_it_is() -> None:
     predictor = Ensemble("stack", MS)
     actual_n = np.sqrt(np.mean(errors_n(predictor, noisy_n, 12_000, 100) ** 2))
     assert predictor.error_n(100 * MS) == pytest.approx(actual_n, rel=0.5)
-    assert (predictor.error_n(10**12) or 0) > 0
+    assert (predictor.error_n(240 * MS) or 0) > 0
+    # It predicts no further than 250 ms.
+    assert predictor.error_n(260 * MS) is None
+
+
+def test_a_new_cell_is_heeded_from_the_second_tick_on() -> None:
+    predictor, samples = Ensemble("stack", MS), 10_000
+    feed(predictor, FORCE_N[:samples])
+    times_ns = [T0_NS + (samples + number) * MS for number in range(5)]
+    predictor.observe(times_ns, FORCE_N[samples : samples + 5].tolist())
+    found = [ahead(predictor, samples, 50)]
+    for _ in range(5):
+        predictor.work()
+        found.append(ahead(predictor, samples, 50))
+    assert found[1] == found[0] != found[2]
+    assert found[2:] == found[2:3] * 4
 
 
 def test_work_that_a_slow_tick_leaves_is_made_up_for() -> None:

@@ -63,7 +63,7 @@ def test_harmonic_is_dropped_when_it_diverges_and_then_holds() -> None:
     alive = []
     for value in signal.tolist():
         history.push(value)
-        expert.observe(history)
+        expert.learn(history)
         alive.append(expert.alive)
         if not expert.alive:
             assert not expert.predict(history).any()
@@ -77,11 +77,11 @@ def test_harmonic_is_dropped_where_the_rhythm_is_another(ratio: float) -> None:
     history = History(8_192)
     for value in wave(np.full(1_000, 1 / BEAT_S)).tolist():
         history.push(value)
-        expert.observe(history)
+        expert.learn(history)
     assert expert.alive
     rhythm.interval = 160 * ratio
     history.push(0.0)
-    expert.observe(history)
+    expert.learn(history)
     assert not expert.alive
 
 
@@ -105,7 +105,7 @@ def test_history_keeps_the_newest_whatever_has_passed() -> None:
     history, all_values = History(100), np.random.default_rng(1).standard_normal(1_234)
     for value in all_values.tolist():
         history.push(value)
-    np.testing.assert_array_equal(history.last(100), all_values[-100:])
+    np.testing.assert_array_equal(history.last(100), all_values[-100:].astype(np.float32))
     history.rewrite(3, 7.0)
     history.rewrite(100, 8.0)
     assert history.last(4)[0] == 7.0
