@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.console import Console
 
+from display_node.hardware import connected
 from display_node.node import DisplayNode
 from display_node.scene import DisplayScene
 from protocol.commands import (
@@ -21,7 +23,7 @@ from protocol.commands import (
 )
 from protocol.scene import load_section
 from protocol.signals import stop_on_signals
-from protocol.summary import check_writable
+from protocol.summary import Summary, check_writable
 
 PROGRAM = "display-node"
 SCREEN_ENDS_WITHIN_S = 5
@@ -32,12 +34,13 @@ app = typer.Typer(add_completion=False, rich_markup_mode="markdown")
 def display(
     scene: Annotated[Path, typer.Argument(help="Scene file; its [display] section is used.")],
     connect: Annotated[
-        str,
+        list[str],
         typer.Option(
             help="Address of the sensing node: tcp://HOST:5555 or ipc://PATH. It need not be"
-            " there yet."
+            " there yet. Give one for each network that leads to it: the first copy of a frame"
+            " wins, and while one is cut the others go on."
         ),
-    ] = "tcp://127.0.0.1:5555",
+    ] = ["tcp://127.0.0.1:5555"],  # noqa: B006
     seconds: StopAfterOption = None,
     once: Annotated[
         bool, typer.Option("--once", help="Stop when the stream has ended and was played.")
@@ -74,12 +77,27 @@ def display(
     with one_line_errors(PROGRAM):
         check_writable(json)
         section = load_section(scene, "display", DisplayScene)
-        node = DisplayNode(section, connect, telemetry, log=console.print)
-        warn_if_open(PROGRAM, connect, insecure)
+        with connected(section, scene.parent, console.print) as hardware:
+            node = DisplayNode(section, connect, telemetry, console.print, hardware)
+            for address in connect:
+                warn_if_open(PROGRAM, address, insecure)
+            summary = _run(node, connect, seconds, once, screen and not quiet, console)
+    sum_up(PROGRAM, summary, "display node", console, json)
+
+
+def _run(
+    node: DisplayNode,
+    connect: list[str],
+    seconds: float | None,
+    once: bool,
+    screen: bool,
+    console: Console,
+) -> Summary:
+    """Run the node, beside the process that draws its state."""
     stop_on_signals(node.stop)
-    console.print(f"waiting for {connect}; telemetry on {node.telemetry_address}")
+    console.print(f"waiting for {', '.join(connect)}; telemetry on {node.telemetry_address}")
     watcher = None
-    if screen and not quiet:
+    if screen:
         watcher = subprocess.Popen(
             [sys.executable, "-m", "display_node.screen", node.telemetry_address]
         )
@@ -89,7 +107,7 @@ def display(
             watcher.wait(SCREEN_ENDS_WITHIN_S)
         except subprocess.TimeoutExpired:
             watcher.kill()
-    sum_up(PROGRAM, summary, "display node", console, json)
+    return summary
 
 
 def main() -> None:

@@ -2,67 +2,140 @@
 
 ZeroMQ looks names up in the thread that moves all its messages, and a slow name server holds that
 up for seconds. So names are looked up here, by a thread that lives only while one is looked up,
-which is while nothing is felt; ZeroMQ is given numbers.
+which is while nothing is heard from its address; ZeroMQ is given numbers.
 """
 
+import itertools
 import socket as plain
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 
 import zmq
 
 from protocol import sockets
 
-RECONNECT_EVERY_NS = 2_000_000_000
-CHECK_EVERY_NS = 10_000_000
+PATIENCE_NS = 2_000_000_000
+PATIENCE_FRAMES = 3
+LOOK_UP_AGAIN_S = 2.0
 
 
 class Connection:
-    """Control and data sockets of one stream; `paths` data sockets, each a TCP connection."""
+    """Control and data sockets of one stream, over one address or several.
+
+    A path is a data socket, a TCP connection of its own; the addresses share out the paths.
+    Control goes over one address at a time and moves on to the next when it hears nothing.
+    """
+
+    def __init__(
+        self,
+        context: sockets.Context,
+        addresses: Sequence[str],
+        paths: int,
+        log: Callable[[str], None],
+    ) -> None:
+        """paths: at least one for each address. Raises AddressError."""
+        shares = [range(number, paths, len(addresses)) for number in range(len(addresses))]
+        self.routes = [
+            Route(context, address, len(share), log)
+            for address, share in zip(addresses, shares, strict=True)
+        ]
+        self._turns = itertools.cycle(self.routes)
+        self._subscribed = False
+        self.control = Line([sockets.unconnected(context, zmq.DEALER)])
+        self.all = [*self.control.sockets, *(s for r in self.routes for s in r.data.sockets)]
+
+    def subscribe(self, frame_ns: int) -> None:
+        """Ask for frames, from now on; one covers `frame_ns`."""
+        for route in self.routes:
+            route.data.patience_ns = max(PATIENCE_NS, PATIENCE_FRAMES * frame_ns)
+            if not self._subscribed:
+                route.data.subscribe()
+        self._subscribed = True
+
+    def tend(self, now_ns: int) -> bool:
+        """Connect what is silent, once its address is known; call each tick.
+
+        Returns whether control has a new connection, over which nobody knows this display yet.
+        """
+        for route in self.routes:
+            route.tend(now_ns)
+        return self.control.silent(now_ns) and self._move_control(now_ns)
+
+    def _move_control(self, now_ns: int) -> bool:
+        for route in itertools.islice(self._turns, len(self.routes)):
+            if route.data.address is not None:
+                self.control.connect(sockets.control_address(route.data.address), now_ns)
+                return True
+        return False
+
+
+class Route:
+    """One address of the sensing node and the data sockets that are connected to it.
+
+    won: frames whose first copy came this way.
+    """
 
     def __init__(
         self, context: sockets.Context, address: str, paths: int, log: Callable[[str], None]
     ) -> None:
         """Raises AddressError when `address` is none."""
         sockets.control_address(address)
+        self.address = address
+        self.data = Line([sockets.unconnected(context, zmq.SUB) for _ in range(paths)])
         self._lookup = Lookup(address, log)
-        self._connected: str | None = None
-        self._next_ns = 0
-        self._subscribed = False
-        self.control = sockets.unconnected(context, zmq.DEALER)
-        self.data = [sockets.unconnected(context, zmq.SUB) for _ in range(paths)]
-        self.all = [self.control, *self.data]
+        self.won = 0
 
-    def subscribe(self) -> None:
-        """Ask for frames, from now on."""
-        if not self._subscribed:
-            self._subscribed = True
-            for socket in self.data:
-                socket.subscribe(b"")
-
-    def tend(self, now_ns: int, silent: bool) -> None:
-        """Connect once the address is known, and anew while nothing is heard; call each tick."""
-        if now_ns < self._next_ns:
-            return
-        self._next_ns = now_ns + CHECK_EVERY_NS
+    def tend(self, now_ns: int) -> None:
+        """Look the address up while nothing is heard from it, and connect to what is found."""
         if self._lookup.running:
             return
         found = self._lookup.take()
         if found is not None:
-            self._connect(found)
-            self._next_ns = now_ns + RECONNECT_EVERY_NS
-        elif silent:
+            self.data.connect(found, now_ns)
+        elif self.data.silent(now_ns):
             self._lookup.start()
-        else:
-            self._next_ns = now_ns + RECONNECT_EVERY_NS
 
-    def _connect(self, address: str) -> None:
-        old, self._connected = self._connected, address
-        for socket in self.data:
-            sockets.reconnect(socket, old, address)
-        old_control = None if old is None else sockets.control_address(old)
-        sockets.reconnect(self.control, old_control, sockets.control_address(address))
+
+class Line:
+    """Sockets that are connected to one address together, and anew when all of them are silent.
+
+    address: what they are connected to; None before that.
+    """
+
+    def __init__(self, connected: list[sockets.Socket]) -> None:
+        self.sockets = connected
+        self.address: str | None = None
+        self.patience_ns = PATIENCE_NS
+        self._heard = False
+        self._silent_ns = 0
+
+    def messages(self) -> Iterator[bytes]:
+        """The messages that wait."""
+        for socket in self.sockets:
+            for parts in sockets.receive_all(socket):
+                self._heard = True
+                yield b"".join(parts)
+
+    def subscribe(self) -> None:
+        """Ask for all that is published, and be patient until it comes."""
+        for socket in self.sockets:
+            socket.subscribe(b"")
+        self._heard = True
+
+    def silent(self, now_ns: int) -> bool:
+        """Whether it is not connected, or has heard nothing for longer than its patience."""
+        if self._heard:
+            self._heard = False
+            self._silent_ns = now_ns + self.patience_ns
+        return self.address is None or now_ns >= self._silent_ns
+
+    def connect(self, address: str, now_ns: int) -> None:
+        """Connect to `address` instead of the one before; the two may be the same."""
+        for socket in self.sockets:
+            sockets.reconnect(socket, self.address, address)
+        self.address = address
+        self._silent_ns = now_ns + self.patience_ns
 
 
 class Lookup:
@@ -101,7 +174,7 @@ class Lookup:
             found = plain.getaddrinfo(host.strip("[]"), port, type=plain.SOCK_STREAM)
         except OSError as error:
             self._say(f"{host} is not found: {error.strerror}; trying on")
-            time.sleep(RECONNECT_EVERY_NS * 1e-9)
+            time.sleep(LOOK_UP_AGAIN_S)
             return
         # A name may stand for several numbers, not all of them reachable: one after the other.
         numbers = sorted({(family != plain.AF_INET, name[0]) for family, *_, name in found})

@@ -6,21 +6,24 @@ The live node and the virtual-time simulation drive this same class; time is an 
 import math
 from dataclasses import dataclass
 
+from display_node.compensation import PulseSize, Trust, auto_delay_ns
+from display_node.delay import Delay
+from display_node.delays import PlayedDelays
+from display_node.feedback import Feedback
 from display_node.fidelity import Fidelity
 from display_node.force_loop import build_force_loop
 from display_node.playout import PlayoutClock
-from display_node.prediction import build_predictor
+from display_node.prediction import UNLEARNT, build_predictor
 from display_node.receiver import Receiver
 from display_node.safety import Safety
 from display_node.scene import DisplayScene
-from protocol.histogram import Histogram
+from display_node.smoothing import Smoothing
 from protocol.messages import Control, Frame, Report
 from protocol.summary import (
     Clock,
     Frames,
     Loop,
     OneWayDelay,
-    PlayoutDelay,
     Samples,
     Summary,
     TickTime,
@@ -36,7 +39,7 @@ class Felt:
 
     instant_ns is on the sensing clock; `scored`: the pulse was being felt at its full strength;
     predictor_error_n: RMSE that the predictor expects of what it stood in with, NaN where it
-    did not or cannot tell.
+    did not or cannot tell; trusted: it is trusted with all of the delay.
     """
 
     now_ns: int = 0
@@ -46,6 +49,7 @@ class Felt:
     felt_n: float = 0.0
     scored: bool = False
     predictor_error_n: float = math.nan
+    trusted: bool = False
 
     @property
     def playout_delay_ns(self) -> int:
@@ -56,15 +60,25 @@ class Felt:
 class Display:
     """One display: receives a stream and plays it on its actuator.
 
-    score: keep the running errors against what was received.
+    score: keep the running errors against what was received. feedback: the real film's
+    readings, in place of those of the scene's models.
     """
 
-    def __init__(self, scene: DisplayScene, name: str, score: bool = True) -> None:
+    def __init__(
+        self,
+        scene: DisplayScene,
+        name: str,
+        score: bool = True,
+        feedback: Feedback | None = None,
+    ) -> None:
         self._scene = scene
+        self._feedback = feedback
+        # What a real film says is as old as this.
+        self._felt_before_ns = scene.film.latency_ns if feedback is not None else 0
         self._name = name
         self._layer = scene.layer.layer()
         self._tick_ns = scene.tick_ns
-        self._predictor = build_predictor(scene.predictor, scene.tick_ns)
+        self._begin_prediction()
         self._loop = build_force_loop(
             scene.controller,
             scene.actuator,
@@ -75,20 +89,29 @@ class Display:
             slew_limit_n_per_s=scene.safety.slew_limit_n_per_s,
             overforce=scene.safety.overforce,
         )
+        lead_ticks = self._loop.lead_ns / scene.tick_ns
+        self._target = Delay(lead_ticks) if lead_ticks else None
         self._playout = PlayoutClock()
-        self._sessions = 0
+        self._beginnings = 0
         self._force_ratio = 1.0
         self._reserve_ns = 0
-        self._group_delay_ns = 0
-        self._covered_ns = 0
-        self._covered_ticks = 0
+        self._group_delay_ns = self._lead_ns = 0
         self._next_report_ns = 0
-        self._playout_delay_ms = Histogram(0.5, 8_000)
+        self._delays = PlayedDelays()
         self.fidelity = Fidelity(self._layer.strain_per_newton) if score else None
         self.receiver = Receiver(name, scene.channel, scene.late_target, scene.paths)
         self.safety = Safety(scene.safety, scene.tick_ns)
         self.felt = Felt()
         self.ticks = 0
+
+    def _begin_prediction(self) -> None:
+        """Forget all that was learnt from a stream."""
+        scene = self._scene
+        self._predictor = build_predictor(scene.predictor, scene.tick_ns)
+        self._smoothing = Smoothing(scene.tick_ns)
+        self._size = PulseSize()
+        may_trust = scene.compensation_ns is None and scene.predictor not in UNLEARNT
+        self._trust = Trust() if may_trust else None
 
     @property
     def state(self) -> str:
@@ -104,6 +127,11 @@ class Display:
         return "starting" if self.safety.gain else "stale"
 
     @property
+    def output(self) -> float:
+        """What the controller wants of the actuator until the next tick: m/s of a stepper."""
+        return self._loop.output
+
+    @property
     def force_ratio(self) -> float:
         """Force at the finger per force at the wrist that makes both strains equal."""
         return self._force_ratio
@@ -117,9 +145,12 @@ class Display:
 
     def on_frame(self, data: bytes, now_ns: int) -> None:
         """A data message arrived."""
+        newest_ns = self.receiver.buffer.newest_ns
         frame = self.receiver.on_frame(data, now_ns)
         if frame is None:
             return
+        if self._trust is not None and newest_ns is not None:
+            self._judge(self._trust, newest_ns, now_ns)
         self._observe(frame)
         if self.fidelity is not None:
             self.fidelity.sensed(
@@ -131,20 +162,31 @@ class Display:
         values = frame.values[:, self._scene.channel].tolist()
         end_ns = first_ns + len(values) * period_ns
         self._predictor.observe(list(range(first_ns, end_ns, period_ns)), values)
+        if self._trust is not None:
+            self._size.observe(first_ns, values)
+
+    def _judge(self, trust: Trust, newest_ns: int, now_ns: int) -> None:
+        """How far E = 0 would have had to predict until this frame came, and how well that goes."""
+        sensing_now_ns = self.receiver.clock.remote_ns(now_ns)
+        ahead_ns = self._lead_ns + self._loop.horizon * self._tick_ns
+        error_n = self._predictor.error_n(sensing_now_ns + ahead_ns - newest_ns)
+        trust.judge(now_ns, error_n, self._size.size)
 
     def on_control(self, data: bytes, now_ns: int) -> None:
         """A control message arrived."""
         self.receiver.on_control(data, now_ns)
-        if self.receiver.sessions != self._sessions and self.receiver.description is not None:
-            self._sessions = self.receiver.sessions
+        beginnings = self.receiver.beginnings
+        if beginnings != self._beginnings and self.receiver.description is not None:
+            self._beginnings = beginnings
             description = self.receiver.description
             self._force_ratio = matching_force_ratio(description.layer, self._layer)
             self._group_delay_ns = description.group_delay_ns
+            self._lead_ns = description.group_delay_ns + self._loop.lead_ns
             self._playout = PlayoutClock()
-            self._predictor = build_predictor(self._scene.predictor, self._tick_ns)
+            self._begin_prediction()
             # What "auto" adds for the loop itself: the sample after its horizon's end.
             horizon_ns = self._loop.horizon * self._tick_ns
-            self._reserve_ns = description.period_ns + horizon_ns
+            self._reserve_ns = self._lead_ns + description.period_ns + horizon_ns
 
     def requests(self, now_ns: int) -> list[Control]:
         """What to send to the sensing node now: requests and reports."""
@@ -160,33 +202,44 @@ class Display:
         safety, felt, loop = self.safety, self.felt, self._loop
         if elapsed_ticks > 1:
             loop.coast(elapsed_ticks - 1)
-        felt_n, reading_n = loop.felt_n, loop.read_film()
-        safety.watch(reading_n)
+        if self._feedback is None:
+            felt_n, reading_n = loop.felt_n, loop.read_film()
+        else:
+            felt_n = reading_n = self._feedback.read(now_ns)
+        if self._feedback is None or self._feedback.alive(now_ns):
+            safety.watch(reading_n)
+        else:
+            safety.fault("feedback lost")
         reference_n = safety.bound(reference_n, alive)
         loop.tick(reference_n, reading_n)
         self.ticks += 1
-        felt.target_n, felt.felt_n = reference_n[0], felt_n
+        target_n = reference_n[0]
+        felt.target_n = target_n if self._target is None else self._target.step(target_n)
+        felt.felt_n = felt_n
         felt.scored = alive and safety.gain == 1.0
         if felt.scored and self.fidelity is not None:
-            self.fidelity.felt(felt.sensing_now_ns, felt.instant_ns, felt_n)
+            before_ns = self._felt_before_ns
+            self.fidelity.felt(felt.sensing_now_ns - before_ns, felt.instant_ns - before_ns, felt_n)
         return felt
 
     def _reference(self, now_ns: int) -> tuple[list[float], bool]:
         """The force wanted now and until the loop's horizon, and whether the stream is alive."""
         receiver, felt, count = self.receiver, self.felt, self._loop.horizon + 1
         felt.now_ns, felt.predictor_error_n = now_ns, math.nan
+        felt.trusted = self._trust is not None and self._trust.trusted
         delay_ns = receiver.delay.delay_ns
         if not receiver.ready or delay_ns is None:
             return [0.0] * count, False
         sensing_now_ns = receiver.clock.remote_ns(now_ns)
         wanted_delay_ns = self._scene.compensation_ns
         if wanted_delay_ns is None:
-            wanted_delay_ns = delay_ns + self._reserve_ns + self._group_delay_ns
+            carried_ns = delay_ns + self._reserve_ns
+            wanted_delay_ns = auto_delay_ns(carried_ns, felt.trusted)
         instant_ns = self._playout.instant(now_ns, sensing_now_ns - wanted_delay_ns)
         felt.sensing_now_ns, felt.instant_ns = sensing_now_ns, instant_ns
         # The sensing chain is slow by its group delay: the pulse of an instant is in the sample
-        # that was taken so much later.
-        sampled_ns = instant_ns + self._group_delay_ns
+        # that was taken so much later. And what the actuator is told now it does later.
+        sampled_ns = instant_ns + self._lead_ns
         self._predictor.work()
         buffer = receiver.buffer
         buffer.advance(sampled_ns)
@@ -198,13 +251,17 @@ class Display:
         if not wrist_n:
             error_n = self._predictor.error_n(sampled_ns - newest_ns)
             felt.predictor_error_n = math.nan if error_n is None else ratio * error_n
-        for step in range(len(wrist_n), count):
+        known = len(wrist_n)
+        for step in range(known, count):
             wrist_n.append(self._predictor.predict(sampled_ns + step * self._tick_ns))
-        alive = sampled_ns - newest_ns <= self._scene.safety.stale_after_ns
+        if known < count or self._smoothing.busy:
+            wrist_n = self._smoothing.join(wrist_n, sampled_ns, newest_ns)
+        # With a small E the newest sample is older than the instant even when it is on time.
+        due_ns = newest_ns + self._scene.safety.stale_after_ns
+        alive = sampled_ns <= due_ns or sensing_now_ns - delay_ns <= due_ns
         if alive:
-            self._playout_delay_ms.add((sensing_now_ns - instant_ns) * 1e-6)
-            self._covered_ns += sensing_now_ns - min(sampled_ns, newest_ns)
-            self._covered_ticks += 1
+            predicted_ns = 0 if known else sampled_ns - newest_ns
+            self._delays.add(sensing_now_ns - instant_ns, predicted_ns, felt.trusted)
         return [ratio * force_n for force_n in wrist_n], alive
 
     def _report(self, session: int) -> Report:
@@ -219,7 +276,7 @@ class Display:
             lost=account.lost,
             one_way_delay_p50_ms=_or_nan(delay.quantile(0.5)),
             one_way_delay_p99_ms=_or_nan(delay.quantile(0.99)),
-            playout_delay_ms=_or_nan(self._playout_delay_ms.mean),
+            playout_delay_ms=_or_nan(self._delays.playout_delay_ms.mean),
             force_rmse_n=_or_nan(aligned),
         )
 
@@ -230,9 +287,6 @@ class Display:
         receiver, clock = self.receiver, self.receiver.clock
         account, delay = receiver.account(), receiver.one_way_delay_ms
         frames, reordered = receiver.frames
-        covered_ms = None
-        if self._covered_ticks:
-            covered_ms = (self._covered_ns / self._covered_ticks + self._group_delay_ns) * 1e-6
         known = clock.ready
         summary = Summary(
             samples=Samples(
@@ -240,14 +294,15 @@ class Display:
             ),
             frames=Frames(frames, reordered, receiver.copies),
             one_way_delay_ms=OneWayDelay(delay.quantile(0.5), delay.quantile(0.99), delay.maximum),
-            playout_delay_ms=PlayoutDelay(
-                self._playout_delay_ms.mean, self._playout_delay_ms.quantile(0.99)
-            ),
-            covered_delay_ms=covered_ms,
+            playout_delay_ms=self._delays.playout_delay_ms,
+            covered_delay_ms=self._delays.covered_delay_ms,
+            compensation=self._delays.compensation(may_trust=self._trust is not None),
             clock=Clock(
                 clock.offset_ns(self.felt.now_ns) * 1e-6 if known else None,
                 clock.skew_ppm if known else None,
-                clock.uncertainty_ns * 1e-6 if known else None,
+                clock.uncertainty_ns(self.felt.now_ns) * 1e-6 if known else None,
+                clock.asymmetry_bound_ns * 1e-6 if known else None,
+                receiver.clock_steps,
             ),
             loop=Loop(self.ticks, deadline_misses, tick_us or TickTime()),
             rejected=dict(receiver.rejected),

@@ -1,4 +1,5 @@
-"""How true the felt force is to the pulse: running RMSE, aligned and in phase (eqs 23-25).
+"""How true the felt force is to the pulse: running RMSE, aligned and in phase (eqs 23-25), and
+how rough.
 
 Truth and felt force come in as they are known, both on the sensing clock; a felt force is
 scored when the truth around its instant is there. Used by the display on what it received, and
@@ -11,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from display_node.roughness import RoughnessMeter
 from protocol.messages import Frame
 from protocol.summary import Errors, Summary
 
@@ -27,7 +29,7 @@ SPAN_NS = 2_000_000_000
 
 
 class Fidelity:
-    """Accumulates both errors; strain_per_newton is the local layer's."""
+    """Accumulates both errors and the roughness; strain_per_newton is the local layer's."""
 
     def __init__(self, strain_per_newton: float) -> None:
         self._strain_per_newton = abs(strain_per_newton)
@@ -37,6 +39,7 @@ class Fidelity:
         self._aligned = self._in_phase = 0.0
         self._aligned_count = self._in_phase_count = 0
         self._within = 0
+        self._roughness = RoughnessMeter()
 
     def truth(self, t_ns: NDArray[np.int64], target_n: NDArray[np.float64]) -> None:
         """What the finger should feel of consecutive samples taken at t_ns; may come late."""
@@ -92,12 +95,13 @@ class Fidelity:
         return self._within / self._aligned_count if self._aligned_count else None
 
     def scored(self, summary: Summary) -> Summary:
-        """The summary with the errors found here."""
+        """The summary with the errors and the roughness found here."""
         return replace(
             summary,
             force_rmse_n=self.force_rmse_n,
             strain_rmse=self.strain_rmse,
             within_jnd=self.within_jnd,
+            roughness=self._roughness.roughness,
         )
 
     def _score_oldest(self) -> None:
@@ -108,7 +112,9 @@ class Fidelity:
         now_ns = np.array([now for now, _, _ in block])
         instant_ns = np.array([instant for _, instant, _ in block])
         felt_n = np.array([force for _, _, force in block])
-        aligned = felt_n - _interpolate(instant_ns, t_ns, target_n)
+        sensed_n = _interpolate(instant_ns, t_ns, target_n)
+        self._roughness.add(now_ns, felt_n, sensed_n)
+        aligned = felt_n - sensed_n
         in_phase = felt_n - _interpolate(now_ns, t_ns, target_n)
         aligned, in_phase = aligned[~np.isnan(aligned)], in_phase[~np.isnan(in_phase)]
         self._aligned += float(aligned @ aligned)

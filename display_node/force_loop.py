@@ -24,7 +24,9 @@ class ForceLoop:
     """Presses with the reference force, as the film under the finger tells it.
 
     horizon: how many ticks after the present one the reference must reach. plausible_n: a
-    reading beyond this, to either side, is no reading of a force.
+    reading beyond this, to either side, is no reading of a force. lead_ns: how much later than
+    now the reference begins, for an actuator that answers so late. output: of the controller at
+    the last tick.
     """
 
     def __init__(
@@ -34,13 +36,15 @@ class ForceLoop:
         film: FeedbackFilm,
         plausible_n: float,
         tick_s: float,
+        lead_ns: int = 0,
     ) -> None:
+        self.lead_ns = lead_ns
         self._plausible_n = plausible_n
         self._controller = controller
         self._drive = drive
         self._film = film
         self._watchdog_ticks = round(WATCHDOG_S / tick_s)
-        self._output = 0.0
+        self.output = 0.0
         self.horizon = controller.horizon
         self.felt_n = 0.0
 
@@ -51,14 +55,14 @@ class ForceLoop:
         for _ in range(told):
             self._miss()
         if ticks > told:
-            self._output = 0.0
+            self.output = 0.0
             for _ in range(min(ticks - told, self._watchdog_ticks)):
                 self._miss()
 
     def _miss(self) -> None:
         self.read_film()
-        self._controller.skip(self._output)
-        self.felt_n = self._drive(self._output)
+        self._controller.skip(self.output)
+        self.felt_n = self._drive(self.output)
 
     def read_film(self) -> float:
         """What the film says of the felt force, in N. Call it once before each tick."""
@@ -69,8 +73,8 @@ class ForceLoop:
         force at its end."""
         if not -self._plausible_n <= reading_n <= self._plausible_n:
             reading_n = math.nan
-        self._output = self._controller.output(reference_n, reading_n)
-        self.felt_n = self._drive(self._output)
+        self.output = self._controller.output(reference_n, reading_n)
+        self.felt_n = self._drive(self.output)
         return self.felt_n
 
 
@@ -102,11 +106,13 @@ def build_force_loop(
     plausible_n = overforce * force_limit_n
     refuse_unstable(controller, actuator, layer, film, force_limit_n, tick_s)
     if isinstance(actuator, StepperScene):
+        lead_ns = actuator.latency_ns
         truth = actual if isinstance(actual, StepperScene) else actuator
         speed, drive = _stepper(
             controller, actuator, truth, layer, film, force_limit_n, slew_limit_n_per_s, tick_s
         )
-        return ForceLoop(speed, drive, FeedbackFilm(film, tick_s), plausible_n, tick_s)
+        read = FeedbackFilm(film, tick_s)
+        return ForceLoop(speed, drive, read, plausible_n, tick_s, lead_ns)
     truth_model = SecondOrder(actual if isinstance(actual, SecondOrderScene) else actuator, tick_s)
     voltage = VoltageController(
         controller,

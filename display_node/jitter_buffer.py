@@ -41,10 +41,14 @@ class Account:
 
 
 class JitterBuffer:
-    """Holds one channel of one session's samples."""
+    """Holds one channel of one session's samples.
 
-    def __init__(self, channel: int) -> None:
+    begin_index: the first sample that counts, where another buffer had those before.
+    """
+
+    def __init__(self, channel: int, begin_index: int | None = None) -> None:
         self._channel = channel
+        self._joining = begin_index is None
         self._indices: list[int] = []
         self._times: list[int] = []
         self._values: list[float] = []
@@ -54,8 +58,8 @@ class JitterBuffer:
         self._instant_ns: int | None = None
         # The latest instant ever played: it stays where it was when the playout jumps back.
         self._passed_ns = NEVER_NS
-        self._first_index: int | None = None
-        self._floor_index = 0
+        self._first_index = begin_index
+        self._floor_index = begin_index or 0
         self._period_ns = 1
         self._end_index: int | None = None
         self._played = 0
@@ -203,6 +207,11 @@ class JitterBuffer:
             return None
         return self._times[-1] + (self._end_index - 1 - self._indices[-1]) * self._period_ns
 
+    @property
+    def complete(self) -> bool:
+        """Whether the session's last sample has come."""
+        return bool(self._indices) and self._indices[-1] + 1 == self._end_index
+
     def account(self) -> Account:
         """The account so far; once the session has ended and played out, of all of it."""
         first = self._first_index
@@ -211,7 +220,16 @@ class JitterBuffer:
         settled_end = first if self._settled_index is None else self._settled_index + 1
         if self._end_index is not None and not self.waiting:
             settled_end = max(settled_end, self._end_index)
-        return Account(settled_end - first, self._played, self._late, first)
+        before_joining = first if self._joining else 0
+        return Account(settled_end - first, self._played, self._late, before_joining)
+
+    def successor(self) -> "JitterBuffer":
+        """An empty buffer that goes on with the account after the last settled sample: samples
+        that wait, and those of before that still come, are lost."""
+        account = self.account()
+        if self._first_index is None:
+            return JitterBuffer(self._channel)
+        return JitterBuffer(self._channel, self._first_index + account.sent)
 
 
 def _check_gap(gap_ns: int, expected_ns: int) -> None:

@@ -2,12 +2,14 @@
 
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import zmq
 
 from display_node.connection import Connection
-from display_node.display import Display
+from display_node.display import Display, Felt
+from display_node.hardware import Hardware
 from display_node.scene import DisplayScene
 from display_node.telemetry import STATUS, STATUS_TRACES, TRACE, TraceWriter, write_status
 from protocol import sockets
@@ -22,22 +24,33 @@ class DisplayNode:
     def __init__(
         self,
         scene: DisplayScene,
-        address: str,
+        addresses: Sequence[str],
         telemetry_address: str,
         log: Callable[[str], None],
+        hardware: Hardware | None = None,
     ) -> None:
-        """Raises AddressError when an address cannot be used."""
-        self._scene = scene
+        """addresses: of the one sensing node, each over a network of its own. hardware: the real
+        bench, started, in place of the scene's models.
+
+        Raises AddressError when an address cannot be used.
+        """
+        paths = max(scene.paths, len(addresses))
+        self._scene = scene = scene.model_copy(update={"paths": paths})
         self._stopping = False
         self._misses = 0
         self._tick_us = Histogram(1.0, 5_000)
         self._trace = TraceWriter()
         self._traces = 0
         self._context: sockets.Context = zmq.Context()
-        self._connection = Connection(self._context, address, scene.paths, log)
+        self._connection = Connection(self._context, addresses, paths, log)
         self._telemetry = sockets.bind(self._context, zmq.PUB, telemetry_address)
         self.telemetry_address = self._telemetry.getsockopt_string(zmq.LAST_ENDPOINT)
-        self._display = Display(scene, name=f"display-{uuid.uuid4().hex[:6]}")
+        self._hardware = hardware
+        self._display = Display(
+            scene,
+            name=f"display-{uuid.uuid4().hex[:6]}",
+            feedback=None if hardware is None else hardware.feedback,
+        )
 
     def stop(self) -> None:
         """End the loop after the present tick."""
@@ -69,19 +82,27 @@ class DisplayNode:
 
     def _receive(self) -> None:
         display, connection = self._display, self._connection
-        for parts in sockets.receive_all(connection.control):
-            display.on_control(b"".join(parts), time.monotonic_ns())
-        if display.receiver.listening:
-            connection.subscribe()
-        for socket in connection.data:
-            for parts in sockets.receive_all(socket):
-                display.on_frame(b"".join(parts), time.monotonic_ns())
+        for message in connection.control.messages():
+            display.on_control(message, time.monotonic_ns())
+        receiver = display.receiver
+        if receiver.listening and receiver.description is not None:
+            connection.subscribe(receiver.description.batch * receiver.description.period_ns)
+        for route in connection.routes:
+            before, _ = receiver.frames
+            for message in route.data.messages():
+                display.on_frame(message, time.monotonic_ns())
+            route.won += receiver.frames[0] - before
 
     def _tick(self, now_ns: int, elapsed_ticks: int) -> None:
-        felt = self._display.tick(now_ns, elapsed_ticks)
+        if self._hardware is None:
+            felt = self._display.tick(now_ns, elapsed_ticks)
+        else:
+            felt = self._tick_bench(self._hardware, now_ns, elapsed_ticks)
+        if self._connection.tend(now_ns):
+            self._display.receiver.introduce()
+        (control,) = self._connection.control.sockets
         for message in self._display.requests(now_ns):
-            sockets.send(self._connection.control, encode_control(message))
-        self._connection.tend(now_ns, self._display.receiver.silent(now_ns))
+            sockets.send(control, encode_control(message))
         trace = self._trace.add(felt)
         if trace is not None:
             sockets.send(self._telemetry, TRACE, trace)
@@ -89,9 +110,32 @@ class DisplayNode:
             if self._traces % STATUS_TRACES == 0:
                 self._send_status(final=False)
 
+    def _tick_bench(self, hardware: Hardware, now_ns: int, elapsed_ticks: int) -> Felt:
+        """A tick on a real bench, which is told within it what the controller wants."""
+        safety = self._display.safety
+        fault = hardware.read(now_ns)
+        if fault is not None:
+            safety.fault(fault)
+        felt = self._display.tick(now_ns, elapsed_ticks)
+        if safety.faults:
+            hardware.retract()
+        else:
+            hardware.move(self._display.output)
+        return felt
+
     def _summary(self) -> Summary:
         times = TickTime(self._tick_us.quantile(0.5), self._tick_us.quantile(0.99))
-        return self._display.summary(self._misses, times)
+        summary, routes = self._display.summary(self._misses, times), self._connection.routes
+        if self._hardware is not None:
+            summary = replace(
+                summary,
+                hardware=dict(self._hardware.counts),
+                faults=[*summary.faults, *self._hardware.faults()],
+            )
+        if len(routes) == 1:
+            return summary
+        first = {route.address: route.won for route in routes}
+        return replace(summary, frames=replace(summary.frames, first=first))
 
     def _send_status(self, final: bool) -> None:
         sockets.send(self._telemetry, STATUS, write_status(self._display, self._summary(), final))

@@ -4,8 +4,9 @@ Bytes and their arrival times come in, requests to the sensing node come out; wh
 used is counted under its cause. No sockets here.
 """
 
-from collections import Counter
+from collections import Counter, deque
 
+from display_node.delay_track import JUMP_NS
 from display_node.jitter_buffer import Account, JitterBuffer
 from display_node.playout import DelayEstimator
 from protocol.clock import ClockEstimator, ClockExchange
@@ -25,14 +26,19 @@ from protocol.messages import (
 from protocol.stream import StreamDescription
 
 HELLO_EVERY_NS = 250_000_000
+# A minute of it; more often, TCP delivers requests and replies in bunches, which is a bias.
 CLOCK_FAST_NS = 20_000_000
-CLOCK_EVERY_NS = 250_000_000
-CLOCK_FAST_COUNT = 10
+CLOCK_FAST_COUNT = 3_000
+CLOCK_EVERY_NS = 50_000_000
+# Requests that no reply has come to; what is older is forgotten.
+MAX_ASKED = 256
 SILENT_AFTER_NS = 1_000_000_000
 FUTURE_NS = 1_000_000_000
 OLDEST_NS = 60_000_000_000
-# After the last sample's instant, this long for late ones to come in.
+# After the last sample's instant, this long for late ones to come in; for the last one itself as
+# long as a sensing node stays to see it off.
 GRACE_NS = 500_000_000
+LAST_GRACE_NS = 3_500_000_000
 
 
 class Receiver:
@@ -52,11 +58,16 @@ class Receiver:
         self._next_hello_ns = self._next_clock_ns = 0
         self._in_doubt = False
         self._clock_requests = 0
+        # When each request was sent that may still be answered, oldest first.
+        self._asked_ns: deque[int] = deque(maxlen=MAX_ASKED)
+        self._steps_closed = 0
         self._heard_ns = 0
         self.copies = 0
         self.rejected: Counter[str] = Counter()
         self.one_way_delay_ms = Histogram(0.1, 20_000)
         self.sessions = 0
+        # Sessions, and clock steps within one: what came before says nothing of what comes.
+        self.beginnings = 0
         self.session: int | None = None
         # There is a stream, its clock is known, and enough has come to start playing.
         self.ready = False
@@ -64,6 +75,7 @@ class Receiver:
         self.clock = ClockEstimator()
         self.delay = DelayEstimator(late_target)
         self.buffer = JitterBuffer(channel)
+        self._farewell: Bye | None = None
 
     def on_frame(self, data: bytes, now_ns: int) -> Frame | None:
         """Take a data message; the frame if it was new and valid."""
@@ -95,8 +107,12 @@ class Receiver:
         """Whether nothing valid has come for a while."""
         return now_ns - self._heard_ns > SILENT_AFTER_NS
 
+    def introduce(self) -> None:
+        """Say hello once more: control goes over a connection that nobody knows."""
+        self._in_doubt = True
+
     def requests(self, now_ns: int) -> list[Control]:
-        """What should be asked of the sensing node now: hello, clock."""
+        """What should be said to the sensing node now: hello, clock, and at last bye."""
         wanted: list[Control] = []
         silent = self.silent(now_ns)
         lost = self.session is None or silent or self._in_doubt
@@ -108,12 +124,21 @@ class Receiver:
             fast = self._clock_requests < CLOCK_FAST_COUNT
             self._next_clock_ns = now_ns + (CLOCK_FAST_NS if fast else CLOCK_EVERY_NS)
             self._clock_requests += 1
+            self._asked_ns.append(now_ns)
             wanted.append(ClockRequest(now_ns))
+        if self._farewell is not None and self.buffer.complete:
+            wanted.append(self._farewell)
+            self._farewell = None
         return wanted
 
     def account(self) -> Account:
         """The account of all samples of all sessions so far."""
         return self._closed + self.buffer.account()
+
+    @property
+    def clock_steps(self) -> int:
+        """How often a clock has stepped, in all sessions so far."""
+        return self._steps_closed + self.clock.steps
 
     @property
     def frames(self) -> tuple[int, int]:
@@ -128,7 +153,8 @@ class Receiver:
         end_ns = self.buffer.end_ns
         if end_ns is None:
             return True
-        return self.clock.remote_ns(now_ns) > end_ns + playout_delay_ns + GRACE_NS
+        grace_ns = GRACE_NS if self.buffer.complete else LAST_GRACE_NS
+        return self.clock.remote_ns(now_ns) > end_ns + playout_delay_ns + grace_ns
 
     def _accept(self, frame: Frame, now_ns: int) -> None:
         """Check a frame against its session and put it into the buffer. Raises WireError."""
@@ -169,15 +195,43 @@ class Receiver:
                 self._in_doubt = True
                 raise WireError("session", "a clock reply of another session")
             case ClockReply(t1_ns=t1_ns, t2_ns=t2_ns, t3_ns=t3_ns):
-                if not self.clock.add(ClockExchange(t1_ns, t2_ns, t3_ns, now_ns)):
-                    raise WireError("implausible", "a clock reply before its request")
+                self._follow_clock(ClockExchange(t1_ns, t2_ns, t3_ns, now_ns))
             case Bye() if message.session != self.session:
                 raise WireError("session", "the end of another session")
             case Bye(samples_sent=samples_sent):
                 sensing_now_ns = self.clock.remote_ns(now_ns) if self.clock.ready else None
                 self.buffer.end(samples_sent, sensing_now_ns)
+                self._farewell = message
+                # A stream too short to know its delays well is played all the same.
+                self.ready = self.ready or self.buffer.frames > 0
             case _:
                 raise WireError("unexpected", "a message that only displays send")
+
+    def _follow_clock(self, exchange: ClockExchange) -> None:
+        """Take a clock reply; after a step of a clock, the stream begins anew. Raises WireError."""
+        if exchange.t1_ns not in self._asked_ns:
+            raise WireError("unasked", "a clock reply to no request of ours, or once more to one")
+        self._asked_ns.remove(exchange.t1_ns)
+        clock, now_ns = self.clock, exchange.t4_ns
+        steps, expected_ns = clock.steps, clock.remote_ns(now_ns)
+        if not clock.add(exchange):
+            raise WireError("implausible", "a clock reply before its request")
+        if clock.steps != steps:
+            self._clock_requests = 0
+            if abs(clock.remote_ns(now_ns) - expected_ns) > JUMP_NS:
+                self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        """A clock has jumped, and the playout jumps with it: times before and after it do not
+        belong together. What waits to be played is given up."""
+        if self.buffer.ended:
+            return
+        self.beginnings += 1
+        self.ready = False
+        self.delay = DelayEstimator(self._late_target)
+        self._closed += self.buffer.account()
+        self._frames_closed, self._reordered_closed = self.frames
+        self.buffer = self.buffer.successor()
 
     def _begin(self, session: int, description: StreamDescription) -> None:
         """A new session: its samples, times and clock have nothing to do with the last one's."""
@@ -185,9 +239,12 @@ class Receiver:
         self._frames_closed, self._reordered_closed = self.frames
         self.session, self.description = session, description
         self.sessions += 1
+        self.beginnings += 1
         self.ready = False
         self._clock_requests = 0
         self._next_clock_ns = 0
+        self._steps_closed = self.clock_steps
         self.clock = ClockEstimator()
         self.delay = DelayEstimator(self._late_target)
         self.buffer = JitterBuffer(self._channel)
+        self._farewell = None

@@ -16,7 +16,8 @@ from protocol.scene import Section
 class SafetyScene(Section):
     """The `safety` table: default force limit is the calibrated range of the paper's Fig. 4.
 
-    overforce: felt force, as a multiple of the limit, that counts as a fault.
+    overforce: felt force, as a multiple of the limit, that counts as a fault. feedback_within:
+    a real film that says nothing for so long is lost.
     """
 
     force_limit_n: Annotated[Newtons, Field(gt=0, le=100)] = 2.5
@@ -25,6 +26,7 @@ class SafetyScene(Section):
     fade_ns: Annotated[Nanoseconds, Field(ge=1_000_000, le=1_000_000_000)] = 40_000_000
     ramp_ns: Annotated[Nanoseconds, Field(ge=1_000_000, le=10_000_000_000)] = 500_000_000
     overforce: Annotated[float, Field(ge=1, le=10)] = 1.5
+    feedback_within_ns: Annotated[Nanoseconds, Field(ge=1_000_000, le=80_000_000)] = 40_000_000
 
 
 class Safety:
@@ -48,9 +50,9 @@ class Safety:
     def watch(self, feedback_n: float) -> None:
         """Look at the felt force; a reading that cannot be trusted is a fault, and latches."""
         if not math.isfinite(feedback_n):
-            self._fault("feedback is not a number")
+            self.fault("feedback is not a number")
         elif abs(feedback_n) > self._overforce_n:
-            self._fault(f"felt force above {self._overforce_n:.3g} N")
+            self.fault(f"felt force above {self._overforce_n:.3g} N")
 
     def bound(self, reference_n: list[float], alive: bool) -> list[float]:
         """The reference within force and slew limits; towards 0 N when not alive or at fault."""
@@ -75,6 +77,7 @@ class Safety:
         self._last_n = bounded[0]
         return bounded
 
-    def _fault(self, name: str) -> None:
+    def fault(self, name: str) -> None:
+        """Something has failed: to rest, and no way back but a new start."""
         if name not in self.faults:
             self.faults.append(name)

@@ -2,17 +2,19 @@
 
 from typing import Annotated
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from display_node.actuators.second_order import SecondOrderScene
 from display_node.actuators.stepper import StepperScene
 from display_node.controller import ControllerScene
+from display_node.drives.scene import DriveTable
 from display_node.film import FilmTable
 from display_node.prediction import PredictorName
 from display_node.safety import SafetyScene
 from protocol.quantities import Nanoseconds, Ratio, parse_quantity
 from protocol.scene import Section
 from protocol.stream import LayerTable
+from sensors.scene import SensorScene
 
 MAX_COMPENSATION_NS = 10_000_000_000
 
@@ -30,13 +32,19 @@ class DisplayScene(Section):
     """What the display node does.
 
     compensation: the perceived delay E as a time, or "auto" for the least delay the link can
-    carry with at most `late_target` of the samples late; None stands for auto. predictor: what
-    is felt where no sample has arrived yet. channel: which of the stream's channels is felt.
-    paths: TCP connections to the sensing node; the first copy of a frame wins.
+    carry with at most `late_target` of the samples late, and for none while a predictor that
+    learns is to be trusted; None stands for auto. predictor: what is felt where no sample has
+    arrived yet. channel: which of the stream's channels is felt. paths: TCP connections to the
+    sensing node; the first copy of a frame wins.
+
+    drive and feedback: the real bench, in place of the models of actuator and film; without
+    feedback, where the drive says it is stands for what the film would say.
     """
 
     controller: ControllerScene
     actuator: Annotated[SecondOrderScene | StepperScene, Field(discriminator="kind")]
+    drive: DriveTable | None = None
+    feedback: Annotated[SensorScene | None, Field(discriminator="kind")] = None
     layer: LayerTable = LayerTable()
     film: FilmTable = FilmTable()
     safety: SafetyScene = SafetyScene()
@@ -46,3 +54,9 @@ class DisplayScene(Section):
     tick_ns: Annotated[Nanoseconds, Field(ge=100_000, le=100_000_000)] = 1_000_000
     channel: Annotated[int, Field(ge=0, le=63)] = 0
     paths: Annotated[int, Field(ge=1, le=8)] = 1
+
+    @model_validator(mode="after")
+    def _film_has_a_drive(self) -> "DisplayScene":
+        if self.feedback is not None and self.drive is None:
+            raise ValueError("feedback is read beside a real drive: name it in [display.drive]")
+        return self

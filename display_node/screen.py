@@ -91,6 +91,8 @@ class Screen:
             ("one-way delay p50", _show(s["one_way_delay_ms"]["p50"], "ms")),
             ("one-way delay p99", _show(s["one_way_delay_ms"]["p99"], "ms")),
             ("playout delay", _show(s["playout_delay_ms"]["mean"], "ms")),
+            ("predicted", _show(s["compensation"]["predicted"], "%", 1, 100)),
+            ("energy above 25 Hz", _show(s["roughness"]["energy_ratio"], "of the sensed", 2)),
             ("samples late", _count(s["samples"]["late"])),
             ("samples lost", _count(s["samples"]["lost"])),
             ("samples played", _count(s["samples"]["played"])),

@@ -25,7 +25,8 @@ class Trace(NamedTuple):
 
     now_ns on the display's clock; instant_ns on the sensing clock; target and felt force in N;
     scored: whether the pulse was being felt at its full strength; predictor_error_n: RMSE that the
-    predictor expects, NaN where it did not stand in or cannot tell.
+    predictor expects, NaN where it did not stand in or cannot tell; trusted: whether it is trusted
+    with all of the delay.
     """
 
     now_ns: NDArray[np.int64]
@@ -34,6 +35,7 @@ class Trace(NamedTuple):
     felt_n: NDArray[np.float64]
     scored: NDArray[np.bool_]
     predictor_error_n: NDArray[np.float64] = np.empty(0)
+    trusted: NDArray[np.bool_] = np.empty(0, bool)
 
 
 class TraceWriter:
@@ -46,9 +48,9 @@ class TraceWriter:
     def add(self, felt: Felt) -> bytes | None:
         """A tick; a trace message when one is full."""
         ints = self._ints
-        ints += (felt.now_ns, felt.instant_ns, felt.scored)
+        ints += (felt.now_ns, felt.instant_ns, felt.scored, felt.trusted)
         self._forces += (felt.target_n, felt.felt_n, felt.predictor_error_n)
-        if len(ints) < 3 * TRACE_TICKS:
+        if len(ints) < 4 * TRACE_TICKS:
             return None
         message = [np.array(ints, "<i8").tobytes(), np.array(self._forces, "<f8").tobytes()]
         self._ints, self._forces = [], []
@@ -59,11 +61,12 @@ def read_trace(data: bytes) -> Trace:
     """The trace in a message. Raises WireError."""
     try:
         ints, forces = msgpack.unpackb(data)
-        now_ns, instant_ns, scored = np.frombuffer(ints, "<i8").reshape(-1, 3).T
+        now_ns, instant_ns, scored, trusted = np.frombuffer(ints, "<i8").reshape(-1, 4).T
         target_n, felt_n, error_n = np.frombuffer(forces, "<f8").reshape(len(now_ns), 3).T
     except (ValueError, TypeError) as error:
         raise WireError("malformed", f"not a trace: {error}") from None
-    return Trace(now_ns, instant_ns, target_n, felt_n, scored.astype(bool), error_n)
+    flags = scored.astype(bool), trusted.astype(bool)
+    return Trace(now_ns, instant_ns, target_n, felt_n, flags[0], error_n, flags[1])
 
 
 class Status(NamedTuple):

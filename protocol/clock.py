@@ -1,63 +1,75 @@
 """Clock offset and skew between two hosts, from four-timestamp exchanges.
 
-Offset is remote minus local. An exchange can be wrong by at most half its round trip, so the
-shortest round trips tell most: the estimator draws a line through the last exchanges, each
-weighted by how much longer it took than the best of them.
+Offset is remote minus local. Which exchanges tell most depends on the jitter: with exponential
+delays the shortest, with Gaussian ones all alike. So exchanges are taken in blocks, each block's
+offset is computed from few and from many of its shortest delays (`protocol/exchanges.py`), a line
+is drawn through the blocks for each of these levels, and the level is used whose blocks scatter
+least about their line and which does not contradict the shortest delays.
 """
 
-from collections import deque
-from typing import NamedTuple
+import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-KEEP = 256
+from protocol.exchanges import BLOCK, LEVELS, ClockExchange, Digest, digest
+from protocol.offset_line import Floats, OffsetLines, fit_lines
+
+__all__ = ["ClockEstimator", "ClockExchange"]
+
+KEEP_BLOCKS = 256
 READY_AFTER = 3
-MIN_DOUBT_NS = 20_000
+# Nothing is timed better than this.
+LEAST_NOISE_NS = 2_000.0
 # Clocks of computers run alike to about this; what a few seconds seem to say beyond it is jitter.
-USUAL_SKEW = 100e-6
+USUAL_SKEW = 200e-6
 # Beyond this it is no clock.
 MAX_SKEW = 0.01
+# So many exchanges, or blocks, in a row have to contradict the estimate.
 STEP_AFTER = 3
-STEP_MARGIN_NS = 5_000_000
+# A smaller step is none: it leaves the memory in time.
+STEP_LEAST_NS = 1_000_000
+STEP_NOISES = 8.0
+# Before so many blocks are known, none contradicts them.
+STEADY_BLOCKS = 8
+# Blocks are compared with the better ones of them: at these shares, in order.
+SHORT, RATHER_SHORT = 0.1, 0.3
+# Exponential delays on one way alone put the shortest of a block off by this share of what they
+# put the mean off.
+UNSEEN_SHARE = 1 / (BLOCK - 1)
+# Chosen for 95 of 100 (docs/decisions/0015-the-clock-weighs-delays-by-their-scatter.md).
+ERRORS, BIASES = 2.0, 1.5
+# In standard errors: a skew of 500 ppm is not unheard of.
+SKEW_DOUBT = 3.0
 
-
-class ClockExchange(NamedTuple):
-    """t1: request leaves (local clock); t2: it arrives, t3: reply leaves (remote clock);
-    t4: reply arrives (local clock); all ns."""
-
-    t1_ns: int
-    t2_ns: int
-    t3_ns: int
-    t4_ns: int
-
-    @property
-    def offset_ns(self) -> int:
-        """Remote minus local clock, if both ways took equally long."""
-        return (self.t2_ns - self.t1_ns + self.t3_ns - self.t4_ns) // 2
-
-    @property
-    def round_trip_ns(self) -> int:
-        """Time on the network, both ways."""
-        return (self.t4_ns - self.t1_ns) - (self.t3_ns - self.t2_ns)
+Blocks = NDArray[np.void]
+_MEMORY = np.dtype(
+    [
+        ("t_ns", float),
+        ("offset_ns", float, len(LEVELS)),
+        ("round_trip_ns", float, len(LEVELS)),
+        ("noise_ns", float),
+    ]
+)
 
 
 class ClockEstimator:
-    """Follows a remote clock. Pure: local times come in with the exchanges and the questions."""
+    """Follows a remote clock. Pure: local times come in with the exchanges and the questions.
+
+    steps: how often one of the clocks has jumped; the estimate then starts afresh.
+    asymmetry_bound_ns: half the shortest round trip; one way that always takes longer than the
+    other, which no exchange can tell, puts the offset off by no more.
+    """
 
     def __init__(self) -> None:
-        self._exchanges: deque[tuple[float, float, float]] = deque(maxlen=KEEP)
-        self._disagreeing = 0
-        self._base_t_ns = self._base_offset_ns = 0
-        self._reference_ns = 0
-        self._offset_ns = 0
-        self._skew = 0.0
-        self.uncertainty_ns = 0
         self.steps = 0
+        self._blocks = np.zeros(KEEP_BLOCKS, _MEMORY)
+        self._begin()
 
     @property
     def ready(self) -> bool:
         """Enough exchanges have come to use the estimate."""
-        return len(self._exchanges) >= READY_AFTER
+        return self._taken >= READY_AFTER
 
     @property
     def skew_ppm(self) -> float:
@@ -72,50 +84,140 @@ class ClockEstimator:
         """The remote clock at a local time."""
         return local_ns + self.offset_ns(local_ns)
 
+    def uncertainty_ns(self, local_ns: int) -> int:
+        """How far off `offset_ns` may be, 95 times of 100, where the ways are alike but for
+        chance; grows while no exchanges come."""
+        since_ns = max(0, local_ns - self._reference_ns)
+        return self._uncertainty_ns + round(ERRORS * self._skew_error * since_ns)
+
     def add(self, exchange: ClockExchange) -> bool:
         """Take an exchange; False when it is refused because it cannot be (negative times).
 
         One that contradicts the estimate is set aside, until enough of them in a row say that
-        a clock has stepped: then the estimate starts afresh.
+        a clock has stepped: then the estimate starts afresh with them.
         """
         if exchange.round_trip_ns < 0 or exchange.t3_ns < exchange.t2_ns:
             return False
-        if self.ready and self._contradicts(exchange):
-            self._disagreeing += 1
-            if self._disagreeing < STEP_AFTER:
-                return True
-            self._exchanges.clear()
+        if not (self.ready and self._contradicts(exchange)):
+            self._against.clear()
+            self._take(exchange)
+            return True
+        self._against.append(exchange)
+        if len(self._against) == STEP_AFTER:
+            against = self._against
+            self._begin()
             self.steps += 1
-        self._disagreeing = 0
-        if not self._exchanges:
-            self._base_t_ns, self._base_offset_ns = exchange.t4_ns, exchange.offset_ns
-        # Kept as differences, which are exact as floats whatever the clocks' own numbers are.
-        since_ns = float(exchange.t4_ns - self._base_t_ns)
-        drift_ns = float(exchange.offset_ns - self._base_offset_ns)
-        self._exchanges.append((since_ns, drift_ns, float(exchange.round_trip_ns)))
-        self._fit()
+            for each in against:
+                self._take(each)
         return True
+
+    def _begin(self) -> None:
+        self._taken = 0
+        # Whole blocks, at the beginning of self._blocks; self._block is the next one.
+        self._known = 0
+        self._block: list[ClockExchange] = []
+        self._against: list[ClockExchange] = []
+        self._against_blocks = 0
+        self._reference_ns = self._offset_ns = self._uncertainty_ns = 0
+        self._skew, self._skew_error = 0.0, USUAL_SKEW
+        self.asymmetry_bound_ns = 0
 
     def _contradicts(self, exchange: ClockExchange) -> bool:
         """The exchange and the estimate are further apart than both can be wrong."""
         error_ns = abs(exchange.offset_ns - self.offset_ns(exchange.t4_ns))
-        return error_ns > exchange.round_trip_ns // 2 + self.uncertainty_ns + STEP_MARGIN_NS
+        allowed_ns = exchange.round_trip_ns // 2 + self.uncertainty_ns(exchange.t4_ns)
+        return error_ns > allowed_ns + self.asymmetry_bound_ns + STEP_LEAST_NS
 
-    def _fit(self) -> None:
-        """Weighted least squares, with the usual skew of clocks as what is known beforehand."""
-        since_ns, drift_ns, round_trip_ns = np.array(self._exchanges).T
-        best_ns = float(round_trip_ns.min())
-        self.uncertainty_ns = int(best_ns) // 2
-        # Half the extra round trip is how wrong an exchange can be beyond the best one; the
-        # usual extra is added so that a lucky best one does not silence all the others.
-        extra_ns = (round_trip_ns - best_ns) / 2
-        doubt_ns = MIN_DOUBT_NS + float(np.median(extra_ns)) + extra_ns
-        weight = 1 / (doubt_ns * doubt_ns)
-        weight_sum = float(weight.sum())
-        mean_t_ns = float(weight @ since_ns) / weight_sum
-        mean_drift_ns = float(weight @ drift_ns) / weight_sum
-        x, y = since_ns - mean_t_ns, drift_ns - mean_drift_ns
-        skew = float((weight * x) @ y) / (float((weight * x) @ x) + USUAL_SKEW**-2)
-        self._skew = min(max(skew, -MAX_SKEW), MAX_SKEW)
-        self._reference_ns = self._base_t_ns + round(mean_t_ns)
-        self._offset_ns = self._base_offset_ns + round(mean_drift_ns)
+    def _take(self, exchange: ClockExchange) -> None:
+        if not self._taken:
+            self._origin = exchange
+        self._taken += 1
+        self._block.append(exchange)
+        whole = len(self._block) == BLOCK
+        # The first block counts from its first exchange on.
+        if not whole and self._known:
+            return
+        block = digest(self._block, self._origin, self._skew, SKEW_DOUBT * self._skew_error)
+        if self._known >= STEADY_BLOCKS:
+            self._look_for_a_step(block)
+        if self._known == KEEP_BLOCKS:
+            self._forget_before(1)
+        self._blocks[self._known] = block
+        self._draw(self._blocks[: self._known + 1], exchange.t4_ns)
+        if whole:
+            self._known += 1
+            self._block = []
+
+    def _look_for_a_step(self, block: Digest) -> None:
+        """Keep the last blocks alone when they all are further off the line than chance and a
+        change of the round trip explain."""
+        level = self._level
+        since_ns = self._reference_ns - self._origin.t4_ns - block.t_ns
+        line_ns = self._offset_ns - self._origin.offset_ns - self._skew * since_ns
+        longer_ns = abs(block.round_trip_ns[level] - self._short_ns[level])
+        allowed_ns = longer_ns / 2 + STEP_NOISES * self._noise_ns + STEP_LEAST_NS
+        contradicts = abs(block.offset_ns[level] - line_ns) > allowed_ns
+        self._against_blocks = self._against_blocks + 1 if contradicts else 0
+        if self._against_blocks == STEP_AFTER:
+            # The first of them may lie on both sides of the step.
+            self._forget_before(self._known - STEP_AFTER + 2)
+            self._against_blocks = 0
+            self.steps += 1
+
+    def _forget_before(self, first: int) -> None:
+        kept = self._known - first
+        self._blocks[:kept] = self._blocks[first : self._known]
+        self._known = kept
+
+    def _draw(self, blocks: Blocks, now_ns: int) -> None:
+        """Draw a line for each level through the blocks, and use one."""
+        round_trip_ns = blocks["round_trip_ns"]
+        last = len(blocks) - 1
+        short, rather_short = int(SHORT * last), int(RATHER_SHORT * last)
+        ordered_ns = np.sort(round_trip_ns, axis=0)
+        self._short_ns = ordered_ns[short]
+        self._noise_ns = LEAST_NOISE_NS + float(np.sort(blocks["noise_ns"])[rather_short])
+        usual_ns = ordered_ns[rather_short] - self._short_ns + 2 * self._noise_ns
+        # Round trips of another length, be they longer or shorter, are of another route.
+        weight = 1 / (1 + ((round_trip_ns - self._short_ns) / (3 * usual_ns)) ** 2)
+        lines = fit_lines(blocks["t_ns"], blocks["offset_ns"], weight, self._noise_ns, USUAL_SKEW)
+        self._use(lines, len(blocks), now_ns)
+        self._bound(blocks)
+
+    def _use(self, lines: OffsetLines, blocks: int, now_ns: int) -> None:
+        """Take the line that is best now."""
+        since_ns = float(now_ns - self._origin.t4_ns)
+        offset_ns = lines.at(since_ns)
+        # Few blocks say little of how much they scatter.
+        error_ns = lines.error_at(since_ns) * (1 + 4 / blocks)
+        bias_ns = _bias_ns(offset_ns, error_ns)
+        level = int(np.argmin(error_ns + bias_ns))
+        self._level, self._reference_ns = level, now_ns
+        self._offset_ns = self._origin.offset_ns + round(float(offset_ns[level]))
+        self._skew = min(max(float(lines.skew[level]), -MAX_SKEW), MAX_SKEW)
+        self._skew_error = float(lines.skew_error[level])
+        self._uncertainty_ns = math.ceil(ERRORS * error_ns[level] + BIASES * bias_ns[level])
+
+    def _bound(self, blocks: Blocks) -> None:
+        """Whatever the line says: no delay is below 0, so the shortest round trip bounds the
+        offset."""
+        shortest = blocks[int(np.argmin(blocks["round_trip_ns"][:, 0]))]
+        self.asymmetry_bound_ns = math.ceil(shortest["round_trip_ns"][0] / 2)
+        since_ns = self._reference_ns - self._origin.t4_ns - float(shortest["t_ns"])
+        middle_ns = round(float(shortest["offset_ns"][0]) + self._skew * since_ns)
+        middle_ns += self._origin.offset_ns
+        bound_ns = self.asymmetry_bound_ns + round(ERRORS * self._skew_error * abs(since_ns))
+        self._offset_ns = min(max(self._offset_ns, middle_ns - bound_ns), middle_ns + bound_ns)
+        # One block may have met one stall, and then says nothing of its own error.
+        certain_ns = bound_ns if len(blocks) == 1 else 0
+        self._uncertainty_ns = min(max(self._uncertainty_ns, certain_ns), 2 * bound_ns)
+
+
+def _bias_ns(offset_ns: Floats, error_ns: Floats) -> Floats:
+    """By how much each level is off where delays vary more on one way than on the other.
+
+    Then the levels differ from that of the shortest delays beyond their errors.
+    """
+    apart_ns = np.abs(offset_ns - offset_ns[0]) - 2 * np.hypot(error_ns, error_ns[0])
+    bias_ns: Floats = np.maximum(apart_ns, 0) + UNSEEN_SHARE * max(float(apart_ns[-1]), 0)
+    return bias_ns

@@ -2,7 +2,7 @@
 
 One address names a stream. Data is PUB to SUB there; control is ROUTER to DEALER one port
 higher (for ipc: the path with ".control" behind it). Reconnecting is ZeroMQ's own; heartbeats
-find a dead peer on a link that only went silent.
+let go of a peer that is dead or beyond a cut.
 """
 
 import errno
@@ -17,8 +17,10 @@ import zmq
 from protocol.errors import AddressError
 from protocol.messages import MAX_FRAME_BYTES
 
-HEARTBEAT_MS = 500
-HEARTBEAT_TIMEOUT_MS = 2_000
+HEARTBEAT_MS = 2_000
+# Far longer than TCP stalls on a bad link: a connection given up loses all that queued on it. Who
+# has to know of a silence sooner watches for it, as a display does.
+HEARTBEAT_TIMEOUT_MS = 10_000
 RECONNECT_MS = 100
 HIGH_WATER_FRAMES = 1_000
 LINGER_MS = 500

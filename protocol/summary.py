@@ -49,12 +49,25 @@ class PlayoutDelay:
 
 
 @dataclass(frozen=True, slots=True)
+class Compensation:
+    """Shares of the time played: `predicted`, no sample was there yet of what was felt; `trusted`,
+    the predictor was trusted with all of the delay (none where it has no say)."""
+
+    predicted: float | None = None
+    trusted: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Clock:
-    """The sensing clock against the display's."""
+    """The sensing clock against the display's. Uncertainty: of the offset, where the ways there
+    and back differ by chance alone; asymmetry: what it may be off besides, if one always takes
+    longer. Steps: how often either clock has jumped."""
 
     offset_ms: float | None = None
     skew_ppm: float | None = None
     uncertainty_ms: float | None = None
+    asymmetry_ms: float | None = None
+    steps: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +76,16 @@ class Errors:
 
     aligned: float | None = None
     in_phase: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Roughness:
+    """What is above 25 Hz, where touch is keenest: RMS in N of the force felt and of what was
+    sensed at the same instants, and the ratio of their energies."""
+
+    felt_n: float | None = None
+    sensed_n: float | None = None
+    energy_ratio: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,11 +107,15 @@ class Loop:
 
 @dataclass(frozen=True, slots=True)
 class Frames:
-    """Frames taken, how many of them came after a later one, and copies over further paths."""
+    """Frames taken, how many of them came after a later one, and copies over further paths.
+
+    first: where there are several addresses, how many came first over each of them.
+    """
 
     received: int | None = None
     reordered: int | None = None
     copies: int | None = None
+    first: dict[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,17 +123,20 @@ class Summary:
     """See docs/telemetry.md for each key."""
 
     samples: Samples = Samples()
-    frames: Frames = Frames()
+    frames: Frames = field(default_factory=Frames)
     one_way_delay_ms: OneWayDelay = OneWayDelay()
     playout_delay_ms: PlayoutDelay = PlayoutDelay()
     covered_delay_ms: float | None = None
+    compensation: Compensation = Compensation()
     clock: Clock = Clock()
     force_rmse_n: Errors = Errors()
     strain_rmse: Errors = Errors()
     within_jnd: float | None = None
+    roughness: Roughness = Roughness()
     loop: Loop = Loop()
     speed: float | None = None
     rejected: dict[str, int] = field(default_factory=dict)
+    hardware: dict[str, int] = field(default_factory=dict)
     faults: list[str] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, Any]:
@@ -144,7 +174,7 @@ def print_summary(summary: Summary, title: str, console: Console) -> None:
 
 
 def _rows(s: Summary) -> list[tuple[str, str]]:
-    causes = ", ".join(f"{count} {cause}" for cause, count in sorted(s.rejected.items()))
+    causes = _counts(s.rejected)
     return [
         (
             "samples",
@@ -160,7 +190,8 @@ def _rows(s: Summary) -> list[tuple[str, str]]:
         (
             "frames",
             f"{_n(s.frames.received)} received, {_n(s.frames.reordered)} out of order"
-            + (f", {s.frames.copies} copies over further paths" if s.frames.copies else ""),
+            + (f", {s.frames.copies} copies over further paths" if s.frames.copies else "")
+            + "".join(f", {count} first over {name}" for name, count in s.frames.first.items()),
         ),
         (
             "one-way delay",
@@ -172,10 +203,16 @@ def _rows(s: Summary) -> list[tuple[str, str]]:
             f"mean {_f(s.playout_delay_ms.mean)} ms, p99 {_f(s.playout_delay_ms.p99)} ms",
         ),
         ("covered delay", f"{_f(s.covered_delay_ms)} ms from the wrist to the force at the finger"),
+        ("predicted", f"{_f(_percent(s.compensation.predicted))} % of the time"),
+        (
+            "predictor",
+            f"trusted with all of the delay {_f(_percent(s.compensation.trusted))} % of the time",
+        ),
         (
             "clock",
             f"offset {_f(s.clock.offset_ms, 3)} ± {_f(s.clock.uncertainty_ms, 3)} ms,"
-            f" skew {_f(s.clock.skew_ppm, 1)} ppm",
+            f" skew {_f(s.clock.skew_ppm, 1)} ppm"
+            + (f", steps {s.clock.steps}" if s.clock.steps else ""),
         ),
         (
             "force RMSE",
@@ -187,12 +224,22 @@ def _rows(s: Summary) -> list[tuple[str, str]]:
             f"aligned {_e(s.strain_rmse.aligned)}, in phase {_e(s.strain_rmse.in_phase)}",
         ),
         ("within JND", f"{_f(_percent(s.within_jnd))} % of the time"),
+        (
+            "above 25 Hz",
+            f"{_f(_milli(s.roughness.felt_n), 3)} mN felt, {_f(_milli(s.roughness.sensed_n), 3)} mN"
+            f" sensed: energy {_f(s.roughness.energy_ratio, 2)} times",
+        ),
         ("loop", f"{_n(s.loop.ticks)} ticks, {_n(s.loop.deadline_misses)} deadline misses"),
         ("tick", f"p50 {_f(s.loop.tick_us.p50, 0)} µs, p99 {_f(s.loop.tick_us.p99, 0)} µs"),
         ("speed", f"{_f(s.speed, 0)} times real time"),
         ("rejected", causes or "nothing"),
+        ("hardware", _counts(s.hardware) or _ABSENT),
         ("faults", "; ".join(s.faults) or "none"),
     ]
+
+
+def _counts(counts: dict[str, int]) -> str:
+    return ", ".join(f"{count} {name}" for name, count in sorted(counts.items()))
 
 
 def _n(value: int | None) -> str:

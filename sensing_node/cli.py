@@ -1,5 +1,6 @@
 """Command line of the sensing node."""
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -20,7 +21,7 @@ from protocol.signals import stop_on_signals
 from protocol.sockets import control_address
 from protocol.summary import check_writable
 from sensing_node.node import SensingNode
-from sensing_node.scene import SensingScene, build_source, describe_stream
+from sensing_node.scene import SensingScene, describe_stream, open_source
 
 PROGRAM = "sensing-node"
 app = typer.Typer(add_completion=False, rich_markup_mode="markdown")
@@ -43,9 +44,10 @@ def sense(
 ) -> None:
     """Stream the pulse of a source to every display that asks for it.
 
-    The scene's **[sensing]** section names the source (synthetic or recording), the batch that
-    a frame holds, and the rubber layer at the wrist. Frames go out over ZeroMQ whether or not
-    somebody listens; displays may join, leave and come back at any time.
+    The scene's **[sensing]** section names the source (synthetic, a recording, or a live sensor
+    on a serial port, a CAN bus or LSL), the batch that a frame holds, and the rubber layer at
+    the wrist. Frames go out over ZeroMQ whether or not somebody listens; displays may join, leave
+    and come back at any time.
 
     On the machine at the wrist:
 
@@ -58,26 +60,27 @@ def sense(
     Open ports 5555 (data) and 5556 (control). Ctrl-C or SIGTERM ends the stream cleanly: every
     display is told how many samples were sent, so that none goes unaccounted for.
 
-    Exit status: 0 at the end of the stream, 2 when the scene, the recording or the address
+    Exit status: 0 at the end of the stream, 2 when the scene, the source or the address
     cannot be used; the reason is one line on stderr.
     """
     console = plain_console(quiet)
-    with one_line_errors(PROGRAM):
-        check_writable(json)
-        section = load_section(scene, "sensing", SensingScene)
-        source = build_source(section, scene.parent)
-        description = describe_stream(section, source)
-        node = SensingNode(source, description, bind, log=console.print)
-        warn_if_open(PROGRAM, bind, insecure)
-    stop_on_signals(node.stop)
-    console.print(
-        f"streaming {description.name!r}: {description.rate_hz:g} Hz in frames of"
-        f" {description.batch} on {bind} (control {control_address(bind)})"
-    )
-    if description.group_delay_ns:
-        delay_ms = description.group_delay_ns * 1e-6
-        console.print(f"the conditioning chain delays the pulse by {delay_ms:.1f} ms")
-    summary = node.run(seconds)
+    with ExitStack() as until_the_end:
+        with one_line_errors(PROGRAM):
+            check_writable(json)
+            section = load_section(scene, "sensing", SensingScene)
+            source = until_the_end.enter_context(open_source(section, scene.parent, console.print))
+            description = describe_stream(section, source)
+            node = SensingNode(source, description, bind, log=console.print)
+            warn_if_open(PROGRAM, bind, insecure)
+        stop_on_signals(node.stop)
+        console.print(
+            f"streaming {description.name!r}: {description.rate_hz:g} Hz in frames of"
+            f" {description.batch} on {bind} (control {control_address(bind)})"
+        )
+        if description.group_delay_ns:
+            delay_ms = description.group_delay_ns * 1e-6
+            console.print(f"the conditioning chain delays the pulse by {delay_ms:.1f} ms")
+        summary = node.run(seconds)
     sum_up(PROGRAM, summary, "sensing node", console, json)
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from protocol.errors import WireError
 from protocol.messages import (
+    Bye,
     ClockReply,
     ClockRequest,
     Control,
@@ -26,11 +27,13 @@ Sender = tuple[bytes, ...]
 
 @dataclass(slots=True)
 class Guest:
-    """A display that has spoken to us: its name, when it last did, and its last report."""
+    """A display that has spoken to us: its name, when it last did, its last report, and whether
+    it has said that it has the whole stream."""
 
     name: str
     seen_ns: int
     report: Report | None = None
+    content: bool = False
 
     @property
     def shown_name(self) -> str:
@@ -47,6 +50,11 @@ class Desk:
         self.guests: dict[Sender, Guest] = {}
         self.rejected: Counter[str] = Counter()
 
+    @property
+    def all_content(self) -> bool:
+        """Whether every display has said that it has the whole stream."""
+        return all(guest.content for guest in self.guests.values())
+
     def answer(self, sender: Sender, data: bytes, now_ns: int, samples_sent: int) -> Control | None:
         """The reply to a message of `sender`, if one is due; what is invalid is counted."""
         try:
@@ -62,8 +70,10 @@ class Desk:
                 return Welcome(self._session, samples_sent, self._description)
             case ClockRequest(t1_ns=t1_ns):
                 return ClockReply(self._session, t1_ns, now_ns, now_ns)
-            case Report() if message.session != self._session:
+            case Report() | Bye() if message.session != self._session:
                 self.rejected["session"] += 1
+            case Bye():
+                guest.content = True
             case Report():
                 guest.report = message
         return None
@@ -77,13 +87,14 @@ class Desk:
         match message:
             case Hello(display=name) | Report(display=name):
                 pass
-            case ClockRequest():
+            case ClockRequest() | Bye():
                 name = ""
             case _:
                 raise WireError("unexpected", "a message that only sensing nodes send")
         guest = self.guests.get(sender)
-        if guest is None:
+        if guest is None or guest.name != name:
             self._forget_namesake(name)
+        if guest is None:
             if len(self.guests) >= MAX_GUESTS:
                 raise WireError("too_many_displays", f"there are {MAX_GUESTS} already")
             guest = self.guests[sender] = Guest(name, now_ns)
@@ -92,7 +103,10 @@ class Desk:
         return guest
 
     def _forget_namesake(self, name: str) -> None:
-        """A display that connects anew speaks from another address; the old one is dead."""
+        """A display that connects anew speaks from another address; the old one is dead.
+
+        It may have asked for the clock before it said its name.
+        """
         for sender in [k for k, guest in self.guests.items() if name and guest.name == name]:
             del self.guests[sender]
 

@@ -8,7 +8,10 @@ from sensing_node.sources import Block
 
 
 class Framer:
-    """Cuts the blocks of one session into frames of at most `batch` samples."""
+    """Cuts the blocks of one session into frames of at most `batch` samples.
+
+    samples_sent: of the session so far; with those that a live sensor took and that never came.
+    """
 
     def __init__(self, description: StreamDescription, session: int) -> None:
         self._session = session
@@ -18,6 +21,7 @@ class Framer:
 
     def frames(self, block: Block) -> list[Frame]:
         """The block's samples as frames, in order."""
+        self.samples_sent += block.missing
         values = block.values.astype(self._dtype)
         frames = []
         for start in range(0, len(values), self._batch):

@@ -14,7 +14,7 @@ from protocol.summary import Summary
 from sensing_node.conditioning import faults_of
 from sensing_node.desk import Desk, Sender
 from sensing_node.framing import Framer
-from sensing_node.sources import Paced, Samples
+from sensing_node.sources.live import Live, Source, feed_of
 
 SILENCE_CHECK_NS = 1_000_000_000
 # Python goes on waiting after a signal: however long a batch is, Ctrl-C is heeded this soon.
@@ -22,6 +22,8 @@ MAX_WAIT_NS = 50_000_000
 FOREVER_NS = 1 << 62
 # Room for the source's first samples to be ready before they are due.
 START_NS = 20_000_000
+# At its end TCP may have to repeat what a bad link has lost, and what queued behind it.
+FAREWELL_NS = 3_000_000_000
 
 
 class SensingNode:
@@ -29,15 +31,18 @@ class SensingNode:
 
     def __init__(
         self,
-        samples: Samples,
+        source: Source,
         description: StreamDescription,
         address: str,
         log: Callable[[str], None],
+        clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """Raises AddressError when `address` cannot be bound."""
-        self._samples = samples
+        """clock: what the stream is timed by, ns. Raises AddressError when `address` cannot be
+        bound."""
+        self._source = source
         self._description = description
         self._log = log
+        self._clock = clock
         self._stopping = False
         self._session = secrets.randbits(62)
         self._framer = Framer(description, self._session)
@@ -52,21 +57,22 @@ class SensingNode:
 
     def run(self, seconds: float | None = None) -> Summary:
         """Stream until stopped, the source has ended, or the samples of `seconds` are sent."""
-        start_ns = time.monotonic_ns() + START_NS
-        paced = Paced(self._samples, start_ns)
+        start_ns = self._clock() + START_NS
+        feed = feed_of(self._source, start_ns)
         last_ns = start_ns + (FOREVER_NS if seconds is None else round(seconds * 1e9)) - 1
         next_check_ns = start_ns
         try:
-            while not self._stopping and not paced.exhausted and paced.due_ns(1) <= last_ns:
-                due_ns = min(paced.due_ns(self._description.batch), last_ns)
+            while not self._stopping and not feed.exhausted and feed.due_ns(1) <= last_ns:
+                due_ns = min(feed.due_ns(self._description.batch), last_ns)
                 self._serve_until(due_ns)
-                block = paced.read(min(time.monotonic_ns(), last_ns))
-                for frame in self._framer.frames(block) if block is not None else ():
-                    sockets.send(self._data, encode_frame(frame))
+                now_ns = min(self._clock(), last_ns)
+                while (block := feed.read(now_ns)) is not None:
+                    for frame in self._framer.frames(block):
+                        sockets.send(self._data, encode_frame(frame))
                 if due_ns >= next_check_ns:
                     next_check_ns = due_ns + SILENCE_CHECK_NS
                     self._forget_silent()
-            self._say_bye()
+            self._see_off()
             return self._summary()
         finally:
             self._context.destroy(linger=sockets.LINGER_MS)
@@ -74,30 +80,45 @@ class SensingNode:
     def _serve_until(self, due_ns: int) -> None:
         """Answer displays until the next batch is due."""
         while not self._stopping:
-            for *envelope, data in sockets.receive_all(self._control):
-                self._answer(tuple(envelope), data)
-            wait_ns = due_ns - time.monotonic_ns()
+            self._answer_all()
+            wait_ns = due_ns - self._clock()
             if wait_ns <= 0:
                 return
             sockets.wait_readable([self._control], min(wait_ns, MAX_WAIT_NS))
 
+    def _answer_all(self) -> None:
+        for *envelope, data in sockets.receive_all(self._control):
+            self._answer(tuple(envelope), data)
+
     def _answer(self, sender: Sender, data: bytes) -> None:
         known = len(self._desk.guests)
-        reply = self._desk.answer(sender, data, time.monotonic_ns(), self._framer.samples_sent)
+        reply = self._desk.answer(sender, data, self._clock(), self._framer.samples_sent)
         if reply is not None:
             sockets.send(self._control, *sender, encode_control(reply))
         if len(self._desk.guests) > known:
             self._log(f"{self._desk.guests[sender].shown_name} joined")
 
     def _forget_silent(self) -> None:
-        for guest in self._desk.forget_silent(time.monotonic_ns()):
+        for guest in self._desk.forget_silent(self._clock()):
             self._log(f"{guest.shown_name} is silent, forgotten")
 
-    def _say_bye(self) -> None:
-        """Tell every display where the stream ended, so that it can account for the tail."""
+    def _see_off(self) -> None:
+        """Tell every display where the stream ended, and stay until each has all of it.
+
+        Where a socket is closed before its peer has everything, whatever the peer sends makes TCP
+        drop the rest.
+        """
         bye = encode_control(Bye(self._session, self._framer.samples_sent))
-        for sender in self._desk.guests:
-            sockets.send(self._control, *sender, bye)
+        told: set[Sender] = set()
+        until_ns = self._clock() + FAREWELL_NS
+        while self._clock() < until_ns:
+            self._answer_all()
+            for sender in self._desk.guests.keys() - told:
+                told.add(sender)
+                sockets.send(self._control, *sender, bye)
+            if self._desk.all_content:
+                return
+            sockets.wait_readable([self._control], MAX_WAIT_NS)
 
     def _summary(self) -> Summary:
         for guest in self._desk.guests.values():
@@ -107,8 +128,14 @@ class SensingNode:
                     f"{guest.shown_name} last reported {report.played} played, {report.late} late,"
                     f" {report.lost} lost, playout delay {report.playout_delay_ms:.1f} ms"
                 )
+        rejected = self._desk.rejected
+        if isinstance(self._source, Live):
+            rejected = rejected + self._source.rejected
+            faults = self._source.faults()
+        else:
+            faults = faults_of(self._source)
         return Summary(
             samples=SampleCounts(sent=self._framer.samples_sent),
-            rejected=dict(self._desk.rejected),
-            faults=faults_of(self._samples),
+            rejected=dict(rejected),
+            faults=faults,
         )

@@ -1,9 +1,11 @@
 """The [sensing] section of a scene, and the source and stream it describes."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from protocol.errors import SceneError
 from protocol.quantities import Nanoseconds
@@ -11,8 +13,14 @@ from protocol.scene import Section
 from protocol.stream import LayerTable, Name, StreamDescription
 from sensing_node.conditioning import Conditioned, ConditioningScene
 from sensing_node.sources import Samples
+from sensing_node.sources.live import Live, Source
 from sensing_node.sources.recording import Recording, RecordingScene
 from sensing_node.sources.synthetic import Synthetic, SyntheticScene
+from sensors.can_bus import CanScene
+from sensors.force_scale import SensorTable
+from sensors.lsl_inlet import LslScene
+from sensors.scene import open_sensor
+from sensors.serial_port import SerialScene
 
 _WIDTHS: dict[str, Literal[4, 8]] = {"float32": 4, "float64": 8}
 
@@ -20,38 +28,72 @@ _WIDTHS: dict[str, Literal[4, 8]] = {"float32": 4, "float64": 8}
 class SensingScene(Section):
     """What the sensing node does. `batch`: how much time one frame covers, rounded to samples."""
 
-    source: Annotated[SyntheticScene | RecordingScene, Field(discriminator="kind")]
+    source: Annotated[
+        SyntheticScene | RecordingScene | SerialScene | CanScene | LslScene,
+        Field(discriminator="kind"),
+    ]
     stream: Name = "pulse"
     batch_ns: Annotated[Nanoseconds, Field(ge=100_000, le=1_000_000_000)] = 5_000_000
     samples: Literal["float32", "float64"] = "float32"
     layer: LayerTable = LayerTable()
     conditioning: ConditioningScene | None = None
 
+    @model_validator(mode="after")
+    def _conditions_what_is_simulated(self) -> "SensingScene":
+        if self.conditioning is not None and isinstance(self.source, SensorTable):
+            raise ValueError(
+                "conditioning simulates electronics, and a live sensor has its own; leave it out"
+            )
+        return self
+
+
+@contextmanager
+def open_source(scene: SensingScene, folder: Path, log: Callable[[str], None]) -> Iterator[Source]:
+    """The source the scene names; a live sensor is read until the context is left.
+
+    `folder` is the scene file's; `log` is told when a sensor goes and is back. Raises
+    SourceError or SceneError.
+    """
+    if not isinstance(scene.source, SensorTable):
+        yield build_source(scene, folder)
+        return
+    sensor = open_sensor(scene.source, folder, log)
+    try:
+        yield Live(sensor)
+    finally:
+        sensor.close()
+
 
 def build_source(scene: SensingScene, folder: Path) -> Samples:
     """The source the scene names, heard through its conditioning chain if it has one.
 
-    `folder` is the scene file's. Raises SourceError or SceneError.
+    `folder` is the scene file's. Raises SourceError or SceneError, as for a live sensor: it
+    gives its samples to a sensing node alone.
     """
     source: Samples
     if isinstance(scene.source, SyntheticScene):
         source = Synthetic(scene.source)
-    else:
+    elif isinstance(scene.source, RecordingScene):
         source = Recording(scene.source, folder)
+    else:
+        raise SceneError(
+            f'[sensing] source: kind "{scene.source.kind}" is a live sensor; a sensing node reads'
+            " it, nothing else can"
+        )
     return source if scene.conditioning is None else Conditioned(source, scene.conditioning)
 
 
-def describe_stream(scene: SensingScene, samples: Samples) -> StreamDescription:
+def describe_stream(scene: SensingScene, source: Source) -> StreamDescription:
     """The description that travels to the displays. Raises SceneError."""
-    batch = max(1, round(scene.batch_ns / samples.period_ns))
+    batch = max(1, round(scene.batch_ns / source.period_ns))
     if batch > 4096:
         raise SceneError(f"[sensing] batch: {batch} samples a frame; at most 4096 fit")
     return StreamDescription(
         name=scene.stream,
-        period_ns=samples.period_ns,
+        period_ns=source.period_ns,
         batch=batch,
-        channels=samples.channels,
+        channels=source.channels,
         layer=scene.layer.layer(),
         bytes_per_sample=_WIDTHS[scene.samples],
-        group_delay_ns=samples.group_delay_ns if isinstance(samples, Conditioned) else 0,
+        group_delay_ns=source.group_delay_ns if isinstance(source, Conditioned) else 0,
     )

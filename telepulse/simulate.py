@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from display_node.display import Display
+from display_node.display import Display, Felt
 from display_node.fidelity import Fidelity
 from protocol.messages import Bye, Control, encode_control, encode_frame
 from protocol.summary import Summary
@@ -51,10 +51,20 @@ class Simulation:
         self._events: list[tuple[int, int, Event, bytes]] = []
         self._order = itertools.count()
 
-    def run(self, seconds: float) -> Summary:
-        """Simulate `seconds` of stream and its playing to the end."""
+    def run(
+        self,
+        seconds: float,
+        settle_seconds: float = 0.0,
+        watch: Callable[[Felt], None] | None = None,
+    ) -> Summary:
+        """Simulate `seconds` of stream and its playing to the end.
+
+        What is felt before the stream is `settle_seconds` old is not scored. watch sees every
+        tick that is, until the stream ends.
+        """
         began_s = time.perf_counter()
         last_ns = STREAM_BEGINS_NS + round(seconds * 1e9) - 1
+        scored_from_ns = STREAM_BEGINS_NS + round(settle_seconds * 1e9)
         self._plan_batch(last_ns)
         now_ns, tick_ns = 0, self._scene.display.tick_ns
         display, events = self._display, self._events
@@ -64,13 +74,20 @@ class Simulation:
                 at_ns, _, happen, data = heapq.heappop(events)
                 happen(data, at_ns)
             felt = display.tick(now_ns)
-            if felt.scored:
+            if felt.scored and now_ns >= scored_from_ns:
                 true_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS
                 self._fidelity.felt(true_now_ns, felt.instant_ns, felt.felt_n)
+                if watch is not None and now_ns <= last_ns:
+                    watch(felt)
             for message in display.requests(now_ns):
                 self._post(self._up, now_ns, self._answer, message)
         self._fidelity.finish()
         return self._summary(now_ns / 1e9 / (time.perf_counter() - began_s))
+
+    @property
+    def newest_ns(self) -> int | None:
+        """When the newest sample that the display has was taken; None before any."""
+        return self._display.receiver.buffer.newest_ns
 
     @property
     def lost_frames(self) -> int:

@@ -11,7 +11,7 @@ from telepulse.link import LinkScene
 
 from .nodes import ROOT
 
-PACKAGES = ("protocol", "sensing_node", "display_node", "telepulse")
+PACKAGES = ("protocol", "sensors", "sensing_node", "display_node", "telepulse")
 
 
 def keys(schema: type[BaseModel]) -> Iterator[str]:

@@ -1,7 +1,8 @@
 """Sources of pulse force, one file a kind.
 
 A source that knows sample number i without waiting (synthetic, recording) gives samples in
-order by `take`; `Paced` turns that into samples that fall due as time passes.
+order by `take`; `Paced` turns that into samples that fall due as time passes. A live sensor
+(`live.py`) gives blocks of what has come.
 """
 
 from dataclasses import dataclass
@@ -15,11 +16,15 @@ from protocol.stream import Channel
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Consecutive samples: values in N of shape (samples, channels), times on the local clock."""
+    """Consecutive samples: values in N of shape (samples, channels), times on the local clock.
+
+    missing: samples taken right before them that were lost on their way to this node.
+    """
 
     t_first_ns: int
     period_ns: int
     values: NDArray[np.float64]
+    missing: int = 0
 
 
 class Samples(Protocol):

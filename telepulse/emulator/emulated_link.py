@@ -1,9 +1,9 @@
-"""Two namespaces and the relay between them, as one thing to use in a `with`."""
+"""Two namespaces and the links between them, as one thing to use in a `with`."""
 
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 
@@ -11,16 +11,16 @@ from telepulse.emulator.namespace import EmulatorError, Namespace
 from telepulse.emulator.relay import Carried
 from telepulse.link import LinkScene
 
-# Nobody but the two namespaces ever sees these addresses.
-SENSING_ADDRESS, DISPLAY_ADDRESS = "10.77.0.1", "10.77.0.2"
+# Nobody but the two namespaces ever sees these addresses; one network for each link.
+SENSING_ADDRESS, DISPLAY_ADDRESS = "10.77.{}.1", "10.77.{}.2"
 
 
 @dataclass(slots=True)
 class EmulatedLink:
-    """A link between two namespaces.
+    """One link or several between two namespaces, which have an address on each.
 
-    began_ns: when the link's time began, on this machine's monotonic clock. carried: what the
-    relay has done, once the link has ended.
+    began_ns: when the links' time began, on this machine's monotonic clock. carried: what the
+    relay has done on all of them, once they have ended.
     """
 
     sensing: Namespace
@@ -30,17 +30,19 @@ class EmulatedLink:
 
 
 @contextmanager
-def emulate(scene: LinkScene, seed: int = 1) -> Iterator[EmulatedLink]:
-    """A link as the scene says, within a `with`; several may stand side by side.
+def emulate(*scenes: LinkScene, seed: int = 1) -> Iterator[EmulatedLink]:
+    """A link for each scene, all between the same two namespaces, within a `with`.
 
-    The same seed gives the same chances, but which packet meets them is the kernel's affair.
-    What was started in the namespaces is to be ended before. Raises EmulatorError.
+    Several such pairs may stand side by side. The same seed gives the same chances, but which
+    packet meets them is the kernel's affair. What was started in the namespaces is to be ended
+    before. Raises EmulatorError.
     """
+    numbers = range(len(scenes))
     with (
-        closing(Namespace(SENSING_ADDRESS)) as sensing,
-        closing(Namespace(DISPLAY_ADDRESS)) as display,
+        closing(Namespace([SENSING_ADDRESS.format(number) for number in numbers])) as sensing,
+        closing(Namespace([DISPLAY_ADDRESS.format(number) for number in numbers])) as display,
     ):
-        relay = _start_relay((sensing.tun, display.tun), scene, seed)
+        relay = _start_relay(sensing.tuns, display.tuns, scenes, seed)
         try:
             link = EmulatedLink(sensing, display, began_ns=_hear(relay)["began_ns"])
             yield link
@@ -51,10 +53,13 @@ def emulate(scene: LinkScene, seed: int = 1) -> Iterator[EmulatedLink]:
             relay.communicate()
 
 
-def _start_relay(tuns: tuple[int, int], scene: LinkScene, seed: int) -> subprocess.Popen[str]:
-    arguments = (*map(str, tuns), scene.text(), str(seed))
+def _start_relay(
+    near: Sequence[int], far: Sequence[int], scenes: Sequence[LinkScene], seed: int
+) -> subprocess.Popen[str]:
+    tuns = (*near, *far)
+    texts = (scene.text() for scene in scenes)
     return subprocess.Popen(
-        [sys.executable, "-m", "telepulse.emulator", *arguments],
+        [sys.executable, "-m", "telepulse.emulator", str(seed), *map(str, tuns), *texts],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

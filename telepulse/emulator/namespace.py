@@ -3,8 +3,8 @@
 import ctypes
 import os
 import subprocess
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from typing import IO
 
 from protocol.errors import TelepulseError
@@ -36,33 +36,46 @@ def unavailable() -> str | None:
 
 
 class Namespace:
-    """A network namespace with a loopback and a TUN device at `address`.
+    """A network namespace with a loopback and a TUN device at each of `addresses`.
 
-    tun: the descriptor its packets are read from and written to.
+    tuns: the descriptors their packets are read from and written to.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, addresses: Sequence[str]) -> None:
         """Raises EmulatorError."""
-        self.address = address
+        self.addresses = tuple(addresses)
+        self._descriptors = ExitStack()
         try:
             with _and_home_again():
                 _unshare()
+                self._namespace = self._kept(os.open(_OURS, os.O_RDONLY))
                 bring_up("lo")
-                self.tun = open_tun("tun0", address)
-                self._descriptor = os.open(_OURS, os.O_RDONLY)
+                self.tuns = tuple(
+                    self._kept(open_tun(f"tun{number}", address))
+                    for number, address in enumerate(addresses)
+                )
         except OSError as error:
-            raise EmulatorError(f"cannot make a namespace with a TUN device: {error}") from None
+            self.close()
+            raise EmulatorError(f"cannot make a namespace with TUN devices: {error}") from None
+
+    @property
+    def address(self) -> str:
+        """Its first address."""
+        return self.addresses[0]
 
     def close(self) -> None:
         """Let go of it; the kernel removes it once no program runs in it any more."""
-        os.close(self.tun)
-        os.close(self._descriptor)
+        self._descriptors.close()
+
+    def _kept(self, descriptor: int) -> int:
+        self._descriptors.callback(os.close, descriptor)
+        return descriptor
 
     @contextmanager
     def entered(self) -> Iterator[None]:
         """Within, what this thread opens or starts is in the namespace, and stays there."""
         with _and_home_again():
-            _check(_libc.setns(self._descriptor, _CLONE_NEWNET))
+            _check(_libc.setns(self._namespace, _CLONE_NEWNET))
             yield
 
     def start(

@@ -1,4 +1,4 @@
-"""The two real nodes over an emulated link, for tests and benchmarks."""
+"""The two real nodes over emulated links, for tests and benchmarks."""
 
 import subprocess
 import sys
@@ -32,20 +32,30 @@ class Outcome:
     carried: Carried | None
 
 
-def run_nodes(path: Path, link: LinkScene, seconds: float, seed: int = 1) -> Outcome:
+def run_nodes(
+    path: Path,
+    *links: LinkScene,
+    seconds: float,
+    seed: int = 1,
+    telemetry: str = "tcp://127.0.0.1:*",
+) -> Outcome:
     """Run both nodes with the scene at `path`, a namespace each, for `seconds` of pulse.
 
-    `link` counts, not the scene's. Raises EmulatorError or NodeError.
+    The display has an address to connect to for each of `links`, which count, not the scene's.
+    telemetry: where it publishes; ipc reaches out of its namespace. Raises EmulatorError or
+    NodeError.
     """
     with (
         tempfile.TemporaryDirectory(prefix="telepulse-") as folder,
-        emulate(link, seed) as emulated,
+        emulate(*links, seed=seed) as emulated,
     ):
         sensing_json, display_json = Path(folder, "sensing.json"), Path(folder, "display.json")
-        address = f"tcp://{emulated.sensing.address}:{PORT}"
+        addresses = [f"tcp://{address}:{PORT}" for address in emulated.sensing.addresses]
+        connect = [option for address in addresses for option in ("--connect", address)]
         common = (str(path), "--quiet", "--insecure", "--json")
-        listen = ("--connect", address, "--once", "--seconds", str(seconds + ENDS_WITHIN_S))
-        send = ("--bind", address, "--seconds", str(seconds))
+        listen = (*connect, "--once", "--telemetry", telemetry)
+        listen += ("--seconds", str(seconds + ENDS_WITHIN_S))
+        send = ("--bind", f"tcp://*:{PORT}", "--seconds", str(seconds))
         with _node(
             emulated.display, "display_node", *common, str(display_json), *listen
         ) as display:

@@ -1,4 +1,5 @@
-"""The relay between two TUN devices: each packet is written when the model of the link says so.
+"""The relay between pairs of TUN devices: each packet is written when
+the model of its link says so.
 
 A process of its own, so that nobody's garbage collector delays packets. It prints when the link
 begins, and what it has carried when its standard input is closed, as by its parent's end.
@@ -37,11 +38,13 @@ class Carried:
 
 
 class Relay:
-    """Carries IPv4 packets between two TUN devices; the first is at the sensing node."""
+    """Carries IPv4 packets between TUN devices.
 
-    def __init__(self, tuns: tuple[int, int], down: Direction, up: Direction) -> None:
-        """down: from the first device to the second; up: the other way."""
-        self._ways = {tuns[0]: (down, tuns[1]), tuns[1]: (up, tuns[0])}
+    ways: for each device the direction that its packets take, and the device they come out of.
+    """
+
+    def __init__(self, ways: dict[int, tuple[Direction, int]]) -> None:
+        self._ways = ways
         self._waiting: list[tuple[int, int, int, bytes]] = []
         self._order = itertools.count()
         self._packets = 0
@@ -93,13 +96,19 @@ class Relay:
 
 
 def main(arguments: list[str]) -> None:
-    """Run a relay: two descriptors of TUN devices, a link as `parse_link` reads it, a seed."""
-    near, far, text, seed = arguments
-    scene, began_ns = parse_link(text), time.monotonic_ns()
-    down, up = Direction(scene, int(seed), began_ns), Direction(scene, int(seed) + 1, began_ns)
+    """Run a relay: a seed; then, for n links, the n descriptors of the TUN devices at the sensing
+    node, the n at the display, and the n links as `parse_link` reads them."""
+    seed, count = int(arguments[0]), len(arguments) // 3
+    near, far = map(int, arguments[1 : count + 1]), map(int, arguments[count + 1 : 2 * count + 1])
+    scenes = [parse_link(text) for text in arguments[2 * count + 1 :]]
+    began_ns = time.monotonic_ns()
+    ways = {}
+    for number, (one, other, scene) in enumerate(zip(near, far, scenes, strict=True)):
+        ways[one] = Direction(scene, seed + 2 * number, began_ns), other
+        ways[other] = Direction(scene, seed + 2 * number + 1, began_ns), one
     with suppress(PermissionError):  # as in a container that was given no more than it needs
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
-    relay = Relay((int(near), int(far)), down, up)
+    relay = Relay(ways)
     _say({"began_ns": began_ns})
     relay.run(sys.stdin.fileno())
     _say(asdict(relay.carried()))

@@ -1,11 +1,19 @@
 """`telepulse study`: one command a study."""
 
 from pathlib import Path
+from typing import Annotated
 
 import typer
 
 from telepulse.report_command import FolderOption, TablesOption, publish
 
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Compute on the Dask cluster of this scheduler, not on this machine's cores.",
+    ),
+]
 app = typer.Typer(no_args_is_help=True, help="Questions about the system, answered by computing.")
 
 
@@ -25,7 +33,11 @@ def integrators(out: FolderOption = Path("out/integrators"), json: TablesOption 
 
 
 @app.command()
-def playout(out: FolderOption = Path("out/playout"), json: TablesOption = None) -> None:
+def playout(
+    out: FolderOption = Path("out/playout"),
+    json: TablesOption = None,
+    scheduler: SchedulerOption = None,
+) -> None:
     """Delay against late frames of the ways to set the playout delay, and what is best possible.
 
     Uses all cores; takes about a minute on two.
@@ -34,22 +46,46 @@ def playout(out: FolderOption = Path("out/playout"), json: TablesOption = None) 
     from telepulse.study.playout_report import CURVES, report_playout
 
     effort = playout_scores.Effort(curves=CURVES)
-    publish(lambda: report_playout(playout_scores.score_playout(effort), effort), out, json)
+    publish(
+        lambda: report_playout(playout_scores.score_playout(effort, scheduler), effort), out, json
+    )
 
 
 @app.command()
-def prediction(out: FolderOption = Path("out/prediction"), json: TablesOption = None) -> None:
+def prediction(
+    out: FolderOption = Path("out/prediction"),
+    json: TablesOption = None,
+    scheduler: SchedulerOption = None,
+) -> None:
     """Error against horizon and cost of the predictors, on pulses and recordings.
 
     Uses all cores; takes about a minute on two. Recordings take part where heartpy is installed.
     """
-    from telepulse.study import one_thread
+    from telepulse.study import prediction_scores
     from telepulse.study.prediction_report import report_prediction
-    from telepulse.study.prediction_scores import Effort, score_predictors
 
-    effort = Effort()
+    effort = prediction_scores.Effort()
     publish(
-        lambda: report_prediction(one_thread.in_one_thread(score_predictors, effort), effort),
+        lambda: report_prediction(prediction_scores.score_predictors(effort, scheduler), effort),
         out,
         json,
     )
+
+
+@app.command()
+def link(
+    out: FolderOption = Path("out/link"),
+    json: TablesOption = None,
+    scheduler: SchedulerOption = None,
+) -> None:
+    """Error of the felt force over several links, against how much is buffered and predicted.
+
+    Uses all cores; takes about three minutes on two. A recording takes part where heartpy is
+    installed.
+    """
+    from telepulse.study import link_scores
+    from telepulse.study.link_play import Effort
+    from telepulse.study.link_report import report_links
+
+    effort = Effort()
+    publish(lambda: report_links(link_scores.score_links(effort, scheduler), effort), out, json)

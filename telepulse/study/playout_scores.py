@@ -2,15 +2,16 @@
 
 import math
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
+from functools import partial
+from typing import NamedTuple
 
 from display_node.playout import LATE_TARGET, DelayEstimator
 from telepulse.study.playout_optimum import best_constant_ms, best_moving, cheapest
 from telepulse.study.playout_peers import FixedDelay, MoonPercentile, NetEqLike, Ramjee1, Ramjee4
 from telepulse.study.playout_play import DelayRule, MakeRule, Played, play
 from telepulse.study.playout_traces import FRAME_NS, LINKS, SECONDS, make_trace
+from telepulse.study.sweep import sweep
 
 MS = 1e6
 FRAME_MS = FRAME_NS / MS
@@ -103,22 +104,29 @@ class Scores:
     rules: dict[str, dict[str, RuleScore]]
 
 
-def score_playout(effort: Effort) -> Scores:
-    """Play everything, on all cores; the same for the same effort."""
-    # A fork of a process with threads, which matplotlib and numpy may have, is not safe.
-    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
-        links = {link: pool.submit(score_link, link, effort) for link in effort.links}
-        rules = {
-            link: {name: pool.submit(score_rule, name, link, effort) for name in RULES}
-            for link in effort.links
-        }
-        return Scores(
-            {link: job.result() for link, job in links.items()},
-            {
-                link: {name: job.result() for name, job in jobs.items()}
-                for link, jobs in rules.items()
-            },
-        )
+class RuleOnLink(NamedTuple):
+    """Which rule is played on which link."""
+
+    rule: str
+    link: str
+
+    def __str__(self) -> str:
+        return f"{self.rule} on {self.link}"
+
+
+def score_playout(effort: Effort, scheduler: str | None = None) -> Scores:
+    """Play everything, on all cores or a Dask cluster; the same for the same effort.
+
+    Raises SweepError.
+    """
+    cases = [RuleOnLink(name, link) for link in effort.links for name in RULES]
+    links = sweep(partial(score_link, effort=effort), effort.links, scheduler)
+    rules: dict[str, dict[str, RuleScore]] = {link: {} for link in effort.links}
+    for case, score in zip(
+        cases, sweep(partial(score_rule, effort=effort), cases, scheduler), strict=True
+    ):
+        rules[case.link][case.rule] = score
+    return Scores(dict(zip(effort.links, links, strict=True)), rules)
 
 
 def score_link(link: str, effort: Effort) -> LinkScore:
@@ -139,9 +147,9 @@ def score_link(link: str, effort: Effort) -> LinkScore:
     )
 
 
-def score_rule(name: str, link: str, effort: Effort) -> RuleScore:
+def score_rule(case: RuleOnLink, effort: Effort) -> RuleScore:
     """A rule on a link."""
-    rule, trace = RULES[name], make_trace(link, effort.seconds)
+    rule, trace = RULES[case.rule], make_trace(case.link, effort.seconds)
 
     def at(knob: float) -> Played:
         return play(rule.make(knob), trace)
@@ -153,7 +161,7 @@ def score_rule(name: str, link: str, effort: Effort) -> RuleScore:
     else:
         knob = min(tried, key=lambda one: tried[one].late)
     # The display tells our estimator how slowly it follows; the others have no ear for it.
-    follower = DelayEstimator(rule.default) if name == OURS else rule.make(rule.default)
+    follower = DelayEstimator(rule.default) if case.rule == OURS else rule.make(rule.default)
     return RuleScore(
         tuned=tried[knob],
         knob=knob,

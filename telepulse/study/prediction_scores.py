@@ -1,10 +1,7 @@
 """Errors and costs of the predictors, driven as a display drives them: frames in, ticks on."""
 
-import os
 import statistics
 import time
-from collections.abc import Iterable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import get_args
 
@@ -12,6 +9,7 @@ import numpy as np
 
 from display_node.prediction import Predictor, PredictorName, build_predictor
 from display_node.prediction.ensemble import Ensemble
+from telepulse.study.one_thread import in_one_thread
 from telepulse.study.prediction_sets import (
     RATE_HZ,
     SCORED_FROM_S,
@@ -20,6 +18,7 @@ from telepulse.study.prediction_sets import (
     pulses,
     silent_pulses,
 )
+from telepulse.study.sweep import sweep
 
 HORIZONS_MS = (20, 50, 100, 200)
 TICK_NS = 1_000_000
@@ -74,20 +73,26 @@ class Scores:
         }
 
 
-def score_predictors(effort: Effort) -> Scores:
-    """Score all predictors on all sets, over all cores. Raises SourceError."""
+def score_predictors(effort: Effort, scheduler: str | None = None) -> Scores:
+    """Score all predictors on all sets, over all cores or a Dask cluster; then cost them here.
+
+    Raises SourceError or SweepError.
+    """
     sets = pulses(effort.seconds, effort.seed)
     silent = silent_pulses(effort.seconds, effort.seed)
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
-        errors, silent_errors = [_by_name(pool.map(score, each), each) for each in (sets, silent)]
-    # Costs alone on the machine, once the others have ended.
-    short = sets[1].sensed[: round(effort.cost_seconds * RATE_HZ)]
-    costs = {name: cost(name, short) for name in get_args(PredictorName)}
+    found = sweep(score, sets + silent, scheduler)
+    errors, silent_errors = (
+        {pulse.name: errors for pulse, errors in zip(part, scored, strict=True)}
+        for part, scored in ((sets, found[: len(sets)]), (silent, found[len(sets) :]))
+    )
+    # Alone on the machine, once the others have ended.
+    costs = in_one_thread(all_costs, sets[1].sensed[: round(effort.cost_seconds * RATE_HZ)])
     return Scores(errors, silent_errors, costs)
 
 
-def _by_name(found: Iterable[Errors], sets: list[Pulse]) -> dict[str, Errors]:
-    return {pulse.name: errors for pulse, errors in zip(sets, found, strict=True)}
+def all_costs(sensed: Floats) -> dict[str, Cost]:
+    """What each predictor that a scene can name costs, one after the other."""
+    return {name: cost(name, sensed) for name in get_args(PredictorName)}
 
 
 def score(pulse: Pulse) -> Errors:

@@ -44,6 +44,9 @@ class Pulse:
     sensed: Floats
     true: Floats
 
+    def __str__(self) -> str:
+        return self.name
+
 
 @dataclass(frozen=True, slots=True)
 class Recorded:

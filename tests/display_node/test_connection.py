@@ -5,9 +5,10 @@ import time
 import pytest
 import zmq
 
-from display_node.connection import Connection, Lookup
+from display_node.connection import Connection, Line, Lookup
 from protocol.errors import AddressError
-from protocol.sockets import Context
+from protocol.sockets import Context, Socket, control_address
+from telepulse.ports import free_addresses
 
 from ..nodes import free_address
 
@@ -15,22 +16,60 @@ MS = 1_000_000
 PATIENCE_S = 10.0
 
 
-def tend_until_connected(connection: Connection, monitor: zmq.Socket) -> None:
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The names that were looked up; all of them are this machine's."""
+    names: list[str] = []
+
+    def look_up(host: str, port: str, **_: object) -> list[tuple[object, ...]]:
+        names.append(host)
+        return [(plain.AF_INET, plain.SOCK_STREAM, 6, "", ("127.0.0.1", int(port)))]
+
+    monkeypatch.setattr(plain, "getaddrinfo", look_up)
+    return names
+
+
+def control_of(connection: Connection) -> Socket:
+    (control,) = connection.control.sockets
+    return control
+
+
+def tend_until_connected(connection: Connection, monitor: Socket) -> None:
     end_s = time.monotonic() + PATIENCE_S
     while not monitor.poll(5):
         assert time.monotonic() < end_s
-        connection.tend(time.monotonic_ns(), silent=True)
+        connection.tend(time.monotonic_ns())
+
+
+def tend(connection: Connection, from_ms: int, to_ms: int) -> list[int]:
+    """Tend in virtual time; when control was connected, in ms."""
+    connected_ms = []
+    for ms in range(from_ms, to_ms, 10):
+        if connection.tend(ms * MS):
+            connected_ms.append(ms)
+        while any(route._lookup.running for route in connection.routes):
+            threading.Event().wait(0.0005)
+    return connected_ms
+
+
+def deliver(sender: Socket, line: Line) -> None:
+    """Send until one of the line's sockets has heard it."""
+    end_s = time.monotonic() + PATIENCE_S
+    while not list(line.messages()):
+        assert time.monotonic() < end_s
+        sender.send(b"a frame")
+        threading.Event().wait(0.005)
 
 
 @pytest.mark.parametrize("host", ["localhost", "127.0.0.1"])
 def test_names_and_numbers_are_connected_to(host: str, context: Context) -> None:
     address = free_address()
     server = context.socket(zmq.ROUTER)
-    server.bind(f"tcp://127.0.0.1:{int(address.rsplit(':')[-1]) + 1}")
-    connection = Connection(context, address.replace("127.0.0.1", host), 1, log=print)
-    events = zmq.EVENT_HANDSHAKE_SUCCEEDED
-    tend_until_connected(connection, connection.control.get_monitor_socket(events))
-    connection.control.send(b"hello")
+    server.bind(control_address(address))
+    connection = Connection(context, [address.replace("127.0.0.1", host)], 1, log=print)
+    control = control_of(connection)
+    tend_until_connected(connection, control.get_monitor_socket(zmq.EVENT_HANDSHAKE_SUCCEEDED))
+    control.send(b"hello")
     assert server.poll(PATIENCE_S * 1000)
     assert server.recv_multipart()[1] == b"hello"
 
@@ -46,10 +85,10 @@ def test_a_name_server_that_does_not_answer_holds_nothing_up(
         return [(plain.AF_INET, plain.SOCK_STREAM, 6, "", ("127.0.0.1", int(port)))]
 
     monkeypatch.setattr(plain, "getaddrinfo", slow)
-    connection = Connection(context, "tcp://somewhere:5555", 2, log=print)
-    monitor = connection.control.get_monitor_socket(zmq.EVENT_CONNECT_DELAYED)
+    connection = Connection(context, ["tcp://somewhere:5555"], 2, log=print)
+    monitor = control_of(connection).get_monitor_socket(zmq.EVENT_CONNECT_DELAYED)
     for ms in range(0, 60_000, 10):
-        connection.tend(ms * MS, silent=True)
+        connection.tend(ms * MS)
     assert asked == ["somewhere"]
     assert not monitor.poll(0)
     answer.set()
@@ -57,29 +96,67 @@ def test_a_name_server_that_does_not_answer_holds_nothing_up(
     assert asked == ["somewhere"]
 
 
-def test_a_connection_that_is_heard_is_let_be_and_a_silent_one_is_made_anew(
-    context: Context, monkeypatch: pytest.MonkeyPatch
+def test_a_silent_address_is_looked_up_and_connected_anew(
+    context: Context, asked: list[str]
 ) -> None:
-    asked = []
-
-    def count(host: str, port: str, **_: object) -> list[tuple[object, ...]]:
-        asked.append(host)
-        return [(plain.AF_INET, plain.SOCK_STREAM, 6, "", ("127.0.0.1", int(port)))]
-
-    monkeypatch.setattr(plain, "getaddrinfo", count)
-    connection = Connection(context, "tcp://somewhere:1", 1, log=print)
-
-    def tend(from_ms: int, to_ms: int, silent: bool) -> None:
-        for ms in range(from_ms, to_ms, 10):
-            connection.tend(ms * MS, silent)
-            threading.Event().wait(0.0005)
-
-    tend(0, 1_000, silent=True)
+    connection = Connection(context, ["tcp://somewhere:1"], 1, log=print)
+    tend(connection, 0, 1_000)
     assert len(asked) == 1
-    tend(1_000, 60_000, silent=False)
+    tend(connection, 1_000, 11_000)
+    assert 5 <= len(asked) <= 6
+
+
+def test_an_address_that_is_heard_is_let_be(context: Context, asked: list[str]) -> None:
+    address = free_address()
+    publisher = context.socket(zmq.PUB)
+    publisher.bind(address)
+    connection = Connection(context, [address, "tcp://silent:1"], 2, log=print)
+    connection.subscribe(5 * MS)
+    tend(connection, 0, 100)
+    for second in range(1, 60):
+        deliver(publisher, connection.routes[0].data)
+        tend(connection, second * 1000, second * 1000 + 20)
+    assert asked.count("127.0.0.1") == 1
+    assert asked.count("silent") > 20
+
+
+def test_a_stream_of_rare_frames_is_waited_for(context: Context, asked: list[str]) -> None:
+    connection = Connection(context, ["tcp://somewhere:1"], 1, log=print)
+    connection.subscribe(10_000 * MS)
+    tend(connection, 0, 29_000)
     assert len(asked) == 1
-    tend(60_000, 70_000, silent=True)
-    assert 4 <= len(asked) <= 7
+    tend(connection, 29_000, 32_000)
+    assert len(asked) == 2
+
+
+def test_paths_are_shared_out_and_each_address_has_one(context: Context) -> None:
+    addresses = ["tcp://127.0.0.1:1", "tcp://127.0.0.1:3", "tcp://127.0.0.1:5"]
+    for paths, shares in ((3, [1, 1, 1]), (4, [2, 1, 1]), (8, [3, 3, 2])):
+        connection = Connection(context, addresses, paths, log=print)
+        assert [len(route.data.sockets) for route in connection.routes] == shares
+
+
+def test_control_moves_on_from_an_address_that_does_not_answer_and_stays_at_one_that_does(
+    context: Context, asked: list[str]
+) -> None:
+    address, answering = free_addresses(2)
+    server = context.socket(zmq.ROUTER)
+    server.bind(control_address(answering))
+    connection = Connection(context, [address, answering], 2, log=print)
+    control = control_of(connection)
+    assert tend(connection, 0, 1_000) == [10]
+    assert tend(connection, 1_000, 3_000) == [2_010]
+    control.send(b"clock?")
+    assert server.poll(PATIENCE_S * 1000)
+    peer, _ = server.recv_multipart()
+    for second in range(3, 10):
+        server.send_multipart([peer, b"clock"])
+        assert control.poll(PATIENCE_S * 1000)
+        assert list(connection.control.messages()) == [b"clock"]
+        assert tend(connection, second * 1000, second * 1000 + 1000) == []
+    # Then that one falls silent as well, and the first has its turn again.
+    assert tend(connection, 10_000, 12_900) == [11_000]
+    assert connection.control.address == control_address(address)
 
 
 def test_a_name_nobody_knows_is_said_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -120,4 +197,4 @@ def test_the_numbers_of_a_name_are_tried_one_after_the_other(
 
 def test_a_wrong_address_is_refused_at_once(context: Context) -> None:
     with pytest.raises(AddressError):
-        Connection(context, "somewhere:5555", 1, log=print)
+        Connection(context, ["tcp://127.0.0.1:5555", "somewhere:5555"], 2, log=print)

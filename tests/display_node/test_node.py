@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import zmq
 
-from display_node.telemetry import STATUS, TRACE, Status, read_status, read_trace
+from display_node.telemetry import TRACE, read_status, read_trace
 from protocol.messages import (
     ClockReply,
     ClockRequest,
@@ -23,41 +23,14 @@ from protocol.sockets import Context, control_address
 
 from ..nodes import RADIAL, assert_accounted, free_address, process, read_json, run
 from ..streams import description
-
-MODULE = "display_node.cli"
-PATIENCE_S = 20.0
-
-
-def subscribe(context: Context, address: str) -> zmq.Socket:
-    socket = context.socket(zmq.SUB)
-    socket.setsockopt(zmq.RCVTIMEO, 200)
-    socket.subscribe(b"")
-    socket.connect(address)
-    return socket
-
-
-def await_state(telemetry: zmq.Socket, state: str) -> Status:
-    """The first status in a state, within patience."""
-    end_s = time.monotonic() + PATIENCE_S
-    while time.monotonic() < end_s:
-        try:
-            topic, data = telemetry.recv_multipart()
-        except zmq.Again:
-            continue
-        if topic == STATUS and (status := read_status(data)).state == state:
-            return status
-    pytest.fail(f"the display was not {state} within {PATIENCE_S} s")
-
-
-def display_arguments(address: str, telemetry: str, *more: str) -> tuple[str, ...]:
-    return (
-        *(str(RADIAL), "--connect", address, "--telemetry", telemetry),
-        *("--no-screen", "--seconds", "60", *more),
-    )
-
-
-def sensing_arguments(address: str, seconds: float) -> tuple[str, ...]:
-    return (str(RADIAL), "--bind", address, "--seconds", str(seconds), "--quiet")
+from .live import (
+    MODULE,
+    PATIENCE_S,
+    await_state,
+    display_arguments,
+    sensing_arguments,
+    subscribe,
+)
 
 
 @pytest.mark.parametrize("first", ["display", "sensing"])
@@ -226,23 +199,6 @@ def answer_for(control: zmq.Socket, seconds: float) -> bytes:
 def frame_now(first: int, session: int = 7, force_n: float = 0.3, ahead_s: float = 0.0) -> bytes:
     t_ns = time.monotonic_ns() - 4_000_000 + round(ahead_s * 1e9)
     return encode_frame(Frame(session, first, t_ns, 1_000_000, np.full((5, 1), force_n, "<f4")))
-
-
-def test_with_three_paths_the_first_copy_of_each_frame_is_played(tmp_path: Path) -> None:
-    scene, summary, address = tmp_path / "paths.toml", tmp_path / "out.json", free_address()
-    text = RADIAL.read_text(encoding="utf-8")
-    scene.write_text(text.replace("[display]\n", "[display]\npaths = 3\n"), encoding="utf-8")
-    arguments = (str(scene), "--connect", address, "--json", str(summary), "--once")
-    with (
-        process(MODULE, *arguments, "--no-screen", "--seconds", "30") as display,
-        process("sensing_node.cli", *sensing_arguments(address, 3)),
-    ):
-        assert display.wait(PATIENCE_S + 10) == 0
-    result = read_json(summary)
-    assert_accounted(result["samples"])
-    assert result["samples"]["lost"] == 0
-    assert result["frames"]["copies"] == pytest.approx(2 * result["frames"]["received"], abs=9)
-    assert result["rejected"] == {}
 
 
 def test_a_taken_telemetry_port_is_one_line(context: Context) -> None:

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from display_node.receiver import Receiver
+from display_node.receiver import MAX_ASKED, Receiver
 from protocol.messages import (
     Bye,
     ClockReply,
@@ -21,9 +21,9 @@ from ..streams import description
 from .sender import AHEAD_NS, MS, Sender
 
 
-def joined(sender: Sender, paths: int = 1) -> Receiver:
+def joined(sender: Sender, paths: int = 1, channel: int = 0) -> Receiver:
     """A receiver that knows the stream and its clock at 100 ms."""
-    receiver = Receiver("test", channel=0, late_target=0.01, paths=paths)
+    receiver = Receiver("test", channel, late_target=0.01, paths=paths)
     for now_ns in range(0, 101 * MS, MS):
         for request in receiver.requests(now_ns):
             answer = sender.answer(request, now_ns)
@@ -115,6 +115,16 @@ def test_over_several_paths_further_copies_are_no_refusals() -> None:
     assert (receiver.frames, receiver.copies, receiver.rejected) == ((1, 0), 2, {})
 
 
+def test_over_a_new_connection_it_says_its_name_before_anything_else() -> None:
+    receiver = joined(sender := Sender())
+    receiver.on_frame(sender.frame(500 * MS, 0.3), 500 * MS)
+    receiver.introduce()
+    assert isinstance(receiver.requests(500 * MS)[0], Hello)
+    receiver.introduce()
+    said = [m for ms in range(501, 1000) for m in receiver.requests(ms * MS)]
+    assert sum(isinstance(m, Hello) for m in said) == 1
+
+
 def test_a_frame_of_an_unknown_session_makes_it_ask_once_not_at_every_frame() -> None:
     sender = Sender()
     receiver = joined(sender)
@@ -150,7 +160,7 @@ def test_a_new_session_starts_afresh_and_keeps_the_old_account() -> None:
     [
         (encode_control(Hello("me")), "unexpected"),
         (encode_control(Bye(99, 5)), "session"),
-        (encode_control(ClockReply(7, 500 * MS, 0, 0)), "implausible"),
+        (encode_control(ClockReply(7, 500 * MS, 0, 0)), "unasked"),
         (b"", "truncated"),
         (b"\x93\x01", "truncated"),
         (msgpack.packb([1, "welcome", 7, 0, {"name": "x"}]), "description"),
@@ -163,6 +173,92 @@ def test_a_bad_control_message_is_refused_under_its_cause(message: bytes, cause:
     assert receiver.rejected == {cause: 1}
 
 
+def replies(sender: Sender, receiver: Receiver, from_ms: int, to_ms: int) -> list[bytes]:
+    """What the sender says to what it is asked, at once, and not yet delivered."""
+    asked = [(ms, r) for ms in range(from_ms, to_ms) for r in receiver.requests(ms * MS)]
+    said = [sender.answer(request, ms * MS) for ms, request in asked]
+    return [data for data in said if data is not None]
+
+
+def test_a_clock_reply_counts_once() -> None:
+    receiver = joined(sender := Sender())
+    reply = replies(sender, receiver, 101, 140)[0]
+    for _ in range(5):
+        receiver.on_control(reply, 141 * MS)
+    assert receiver.rejected == {"unasked": 4}
+
+
+def test_a_clock_reply_that_nobody_asked_for_moves_nothing() -> None:
+    receiver = joined(Sender())
+    before_ns = receiver.clock.remote_ns(200 * MS)
+    for ms in range(141, 200):
+        t_ns = 3600_000 * MS + ms * MS
+        receiver.on_control(encode_control(ClockReply(7, ms * MS - 1, t_ns, t_ns)), ms * MS)
+    assert receiver.rejected == {"unasked": 59}
+    assert receiver.clock.remote_ns(200 * MS) == before_ns
+    assert receiver.clock_steps == 0
+
+
+def test_a_reply_whose_times_cannot_be_is_refused() -> None:
+    receiver = joined(sender := Sender())
+    t1_ns = next(r.t1_ns for r in receiver.requests(120 * MS) if isinstance(r, ClockRequest))
+    late_ns = t1_ns + AHEAD_NS + 1000 * MS
+    reply = ClockReply(sender.session, t1_ns, late_ns, late_ns - 1)
+    receiver.on_control(encode_control(reply), 121 * MS)
+    assert receiver.rejected == {"implausible": 1}
+
+
+def test_requests_that_are_never_answered_are_forgotten() -> None:
+    sender = Sender()
+    receiver = joined(sender)
+    kept = []
+    for ms in range(101, 20_000):
+        receiver.on_frame(sender.frame(ms * MS, 0.3), ms * MS) if ms % 5 == 0 else None
+        for request in receiver.requests(ms * MS):
+            data = sender.answer(request, ms * MS)
+            kept += [data] if data is not None else []
+    for data in kept:
+        receiver.on_control(data, 20_000 * MS)
+    assert receiver.rejected == {"unasked": len(kept) - MAX_ASKED}
+
+
+@pytest.mark.parametrize("step_ms", [-3_600_000, 3_600_000])
+def test_a_step_of_the_sensing_clock_costs_three_exchanges(step_ms: int) -> None:
+    sender = Sender()
+    receiver = joined(sender)
+    refused = 0
+    for ms in range(101, 3000):
+        stepped_ns = step_ms * MS if ms >= 1000 else 0
+        if ms % 5 == 0:
+            frame = sender.frame(ms * MS + stepped_ns, 0.3)
+            refused += receiver.on_frame(frame, ms * MS) is None
+        for request in receiver.requests(ms * MS):
+            reply = sender.answer(request, ms * MS + stepped_ns)
+            if reply is not None:
+                receiver.on_control(reply, ms * MS)
+    assert (receiver.clock_steps, receiver.sessions, receiver.beginnings) == (1, 1, 2)
+    assert receiver.ready
+    # 3 exchanges 20 ms apart.
+    assert 0 < refused <= 12
+    receiver.buffer.advance(3000 * MS + AHEAD_NS + step_ms * MS)
+    account = receiver.account()
+    assert account.sent == sender.sent - account.before_joining
+    assert account.played == account.sent - account.lost
+    assert account.before_joining == 0
+
+
+def test_a_small_step_is_followed_without_a_break() -> None:
+    sender = Sender()
+    receiver = joined(sender)
+    for ms in range(101, 1000):
+        for request in receiver.requests(ms * MS):
+            reply = sender.answer(request, ms * MS + (50 * MS if ms >= 500 else 0))
+            if reply is not None:
+                receiver.on_control(reply, ms * MS)
+    assert (receiver.clock_steps, receiver.beginnings) == (1, 1)
+    assert receiver.clock.remote_ns(0) == AHEAD_NS + 50 * MS
+
+
 def test_an_end_that_there_was_no_time_for_is_refused() -> None:
     sender = Sender()
     receiver = joined(sender)
@@ -172,13 +268,26 @@ def test_an_end_that_there_was_no_time_for_is_refused() -> None:
     assert receiver.rejected == {"implausible": 2}
 
 
+@pytest.mark.parametrize("order", ["bye first", "bye last"])
+def test_bye_is_said_back_once_all_of_the_stream_is_here(order: str) -> None:
+    receiver = joined(sender := Sender())
+    first, last = sender.frame(200 * MS, 0.3), sender.frame(205 * MS, 0.3)
+    bye = encode_control(Bye(7, sender.sent))
+    receiver.on_frame(first, 206 * MS)
+    arrivals = [(receiver.on_control, bye), (receiver.on_frame, last)]
+    said = []
+    for arrive, data in arrivals if order == "bye first" else reversed(arrivals):
+        said.append([m for m in receiver.requests(210 * MS) if isinstance(m, Bye)])
+        arrive(data, 210 * MS)
+    assert said == [[], []]
+    said = [m for ms in range(210, 500) for m in receiver.requests(ms * MS) if isinstance(m, Bye)]
+    assert said == [Bye(7, sender.sent)]
+
+
 def test_a_channel_the_stream_does_not_have_is_a_mismatch() -> None:
     sender = Sender(stream=description(channels=(Channel("a"), Channel("b"))))
-    receiver = Receiver("test", channel=2, late_target=0.01)
-    receiver.on_control(encode_control(Welcome(7, 0, sender.stream)), 0)
-    for i in range(5):
-        receiver.on_control(encode_control(ClockReply(7, i, AHEAD_NS + i, AHEAD_NS + i)), i)
-    receiver.on_frame(sender.frame(10 * MS, 0.3), 10 * MS)
+    receiver = joined(sender, channel=2)
+    receiver.on_frame(sender.frame(110 * MS, 0.3), 110 * MS)
     assert receiver.rejected == {"mismatch": 1}
 
 

@@ -7,7 +7,16 @@ from rich.console import Console
 
 from display_node.screen import Screen
 from display_node.telemetry import Status, Trace
-from protocol.summary import Errors, Loop, OneWayDelay, PlayoutDelay, Samples, Summary
+from protocol.summary import (
+    Compensation,
+    Errors,
+    Loop,
+    OneWayDelay,
+    PlayoutDelay,
+    Roughness,
+    Samples,
+    Summary,
+)
 
 BEAT_S = 0.8
 
@@ -25,6 +34,8 @@ def status() -> Status:
         samples=Samples(1000, 990, 7, 3, 0),
         one_way_delay_ms=OneWayDelay(1.25, 4.5, 9.0),
         playout_delay_ms=PlayoutDelay(12.5, 14.0),
+        compensation=Compensation(0.375),
+        roughness=Roughness(6e-4, 5e-4, 1.44),
         strain_rmse=Errors(1.5e-9, 2e-8),
         loop=Loop(1000, 42),
     )
@@ -43,6 +54,8 @@ def test_the_panel_shows_what_a_person_watches() -> None:
     screen.status = status()
     text = printed(screen)
     for word in ("my pulse", "playing", "75 /min", "1.50e-09", "1.2 ms", "4.5 ms", "12.5 ms"):
+        assert word in text
+    for word in ("37.5 %", "1.44 of the sensed"):
         assert word in text
     for count in ("7", "3", "42"):
         assert count in text

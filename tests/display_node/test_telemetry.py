@@ -12,6 +12,7 @@ from display_node.display import Display, Felt
 from display_node.scene import DisplayScene
 from display_node.telemetry import (
     TRACE_TICKS,
+    Trace,
     TraceWriter,
     read_status,
     read_trace,
@@ -31,6 +32,8 @@ ticks = st.builds(
     target_n=st.floats(),
     felt_n=st.floats(),
     scored=st.booleans(),
+    predictor_error_n=st.floats(),
+    trusted=st.booleans(),
 )
 
 
@@ -45,7 +48,7 @@ def test_every_tick_comes_through_a_trace(felt: list[Felt]) -> None:
     read = [read_trace(message) for message in traces(felt)]
     assert len(read) == len(felt) // TRACE_TICKS
     sent = felt[: len(read) * TRACE_TICKS]
-    for name in ("now_ns", "instant_ns", "target_n", "felt_n", "scored"):
+    for name in Trace._fields:
         together = np.concatenate([getattr(trace, name) for trace in read])
         np.testing.assert_array_equal(together, [getattr(tick, name) for tick in sent])
         assert all(len(getattr(trace, name)) == TRACE_TICKS for trace in read)

@@ -10,11 +10,13 @@ from rich.console import Console
 from protocol.errors import OutputError
 from protocol.summary import (
     Clock,
+    Compensation,
     Errors,
     Frames,
     Loop,
     OneWayDelay,
     PlayoutDelay,
+    Roughness,
     Samples,
     Summary,
     TickTime,
@@ -25,32 +27,40 @@ from protocol.summary import (
 
 FULL = Summary(
     samples=Samples(sent=1000, played=950, late=30, lost=20, before_joining=7),
-    frames=Frames(received=196, reordered=3, copies=392),
+    frames=Frames(received=196, reordered=3, copies=392, first={"tcp://one:5555": 190}),
     one_way_delay_ms=OneWayDelay(p50=20.12, p99=35.5, max=41.0),
     playout_delay_ms=PlayoutDelay(mean=42.0, p99=45.0),
     covered_delay_ms=44.5,
-    clock=Clock(offset_ms=-12.3456, skew_ppm=50.25, uncertainty_ms=0.125),
+    compensation=Compensation(predicted=0.25, trusted=0.125),
+    clock=Clock(
+        offset_ms=-12.3456, skew_ppm=50.25, uncertainty_ms=0.125, asymmetry_ms=17.5, steps=1
+    ),
     force_rmse_n=Errors(aligned=0.00025, in_phase=0.0301),
     strain_rmse=Errors(aligned=9.4249e-9, in_phase=5.7802e-8),
     within_jnd=0.875,
+    roughness=Roughness(felt_n=0.0006, sensed_n=0.0005, energy_ratio=1.44),
     loop=Loop(ticks=5000, deadline_misses=2, tick_us=TickTime(p50=85.0, p99=140.0)),
     speed=312.0,
     rejected={"truncated": 2, "duplicate": 400},
+    hardware={"film crc": 3},
     faults=["silence", "force limit"],
 )
 KEYS = {
     "samples": {"sent", "played", "late", "lost", "before_joining"},
-    "frames": {"received", "reordered", "copies"},
+    "frames": {"received", "reordered", "copies", "first"},
     "one_way_delay_ms": {"p50", "p99", "max"},
     "playout_delay_ms": {"mean", "p99"},
     "covered_delay_ms": None,
-    "clock": {"offset_ms", "skew_ppm", "uncertainty_ms"},
+    "compensation": {"predicted", "trusted"},
+    "clock": {"offset_ms", "skew_ppm", "uncertainty_ms", "asymmetry_ms", "steps"},
     "force_rmse_n": {"aligned", "in_phase"},
     "strain_rmse": {"aligned", "in_phase"},
     "within_jnd": None,
+    "roughness": {"felt_n", "sensed_n", "energy_ratio"},
     "loop": {"ticks", "deadline_misses", "tick_us"},
     "speed": None,
     "rejected": set(),
+    "hardware": set(),
     "faults": None,
 }
 
@@ -73,6 +83,7 @@ def test_the_keys_are_the_same_everywhere(summary: Summary) -> None:
     assert set(table) == set(KEYS)
     if summary is FULL:
         assert set(table.pop("rejected")) == {"truncated", "duplicate"}
+        assert table.pop("hardware") == {"film crc": 3}
     for key, value in table.items():
         assert (set(value) if isinstance(value, dict) else None) == KEYS[key]
     assert set(table["loop"]["tick_us"]) == {"p50", "p99"}
@@ -87,6 +98,7 @@ def leaves(value: Any) -> list[Any]:
 def test_what_does_not_apply_is_null() -> None:
     table = Summary().to_dict()
     assert table.pop("rejected") == {}
+    assert table.pop("hardware") == {}
     assert table.pop("faults") == []
     assert set(leaves(table)) == {None}
 
@@ -154,18 +166,23 @@ def test_people_read_the_same() -> None:
     assert rows(printed(FULL)) == {
         "samples": "1000 sent = 950 played + 30 late + 20 lost",
         "before joining": "7 samples sent before a display listened",
-        "frames": "196 received, 3 out of order, 392 copies over further paths",
+        "frames": "196 received, 3 out of order, 392 copies over further paths,"
+        " 190 first over tcp://one:5555",
         "one-way delay": "p50 20.1 ms, p99 35.5 ms, max 41.0 ms",
         "playout delay": "mean 42.0 ms, p99 45.0 ms",
         "covered delay": "44.5 ms from the wrist to the force at the finger",
-        "clock": "offset -12.346 ± 0.125 ms, skew 50.2 ppm",
+        "predicted": "25.0 % of the time",
+        "predictor": "trusted with all of the delay 12.5 % of the time",
+        "clock": "offset -12.346 ± 0.125 ms, skew 50.2 ppm, steps 1",
         "force RMSE": "aligned 0.250 mN, in phase 30.100 mN",
         "strain RMSE": "aligned 9.425e-09, in phase 5.780e-08",
         "within JND": "87.5 % of the time",
+        "above 25 Hz": "0.600 mN felt, 0.500 mN sensed: energy 1.44 times",
         "loop": "5000 ticks, 2 deadline misses",
         "tick": "p50 85 µs, p99 140 µs",
         "speed": "312 times real time",
         "rejected": "400 duplicate, 2 truncated",
+        "hardware": "3 film crc",
         "faults": "silence; force limit",
     }
     assert printed(FULL).splitlines()[0].strip() == "display-node"

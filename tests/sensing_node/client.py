@@ -49,8 +49,10 @@ class Client:
         return frames
 
     def bye(self) -> Bye:
+        """The sensing node's; it is said back, so that the node ends."""
         bye = decode_control(self.control.recv())
         assert isinstance(bye, Bye)
+        self.control.send(encode_control(bye))
         return bye
 
     def close(self) -> None:

@@ -73,9 +73,23 @@ def test_a_report_of_another_session_is_counted_and_not_kept(desk: Desk) -> None
     assert desk.rejected == {"session": 1}
 
 
-@pytest.mark.parametrize(
-    "message", [Welcome(1, 0, description()), Bye(SESSION, 5), ClockReply(SESSION, 1, 2, 3)]
-)
+def test_a_bye_says_that_a_display_has_the_whole_stream(desk: Desk) -> None:
+    assert desk.all_content
+    for sender in (ANNA, BERT):
+        ask(desk, sender, Hello(sender[0].decode()))
+    ask(desk, ANNA, report())
+    ask(desk, ANNA, Bye(SESSION, 1234))
+    assert not desk.all_content
+    ask(desk, BERT, Bye(SESSION + 1, 1234))
+    assert not desk.all_content
+    assert desk.rejected == {"session": 1}
+    ask(desk, BERT, Bye(SESSION, 1234))
+    assert desk.all_content
+    # Its last report is wanted in the end.
+    assert desk.guests[ANNA].report is not None
+
+
+@pytest.mark.parametrize("message", [Welcome(1, 0, description()), ClockReply(SESSION, 1, 2, 3)])
 def test_what_only_a_sensing_node_sends_is_unexpected(desk: Desk, message: Control) -> None:
     assert ask(desk, ANNA, message) is None
     assert desk.rejected == {"unexpected": 1}
@@ -157,6 +171,18 @@ def test_guests_are_bounded_and_known_ones_stay_welcome(desk: Desk) -> None:
 def test_a_display_that_connects_anew_is_one_guest(desk: Desk) -> None:
     for sender in (ANNA, BERT):
         ask(desk, sender, Hello("anna's"))
+    assert list(desk.guests) == [BERT]
+
+
+@pytest.mark.parametrize("message", [Hello("anna's"), report()])
+def test_a_display_that_asks_for_the_clock_before_it_says_its_name_is_one_guest(
+    desk: Desk, message: Control
+) -> None:
+    ask(desk, ANNA, Hello("anna's"))
+    assert isinstance(ask(desk, BERT, ClockRequest(1)), ClockReply)
+    # It may as well be another display.
+    assert len(desk.guests) == 2
+    ask(desk, BERT, message)
     assert list(desk.guests) == [BERT]
 
 

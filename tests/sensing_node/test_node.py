@@ -19,6 +19,7 @@ from protocol.messages import (
     ClockRequest,
     Hello,
     Report,
+    decode_control,
     decode_frame,
     encode_control,
 )
@@ -188,7 +189,8 @@ GARBAGE: list[tuple[list[bytes], str]] = [
     ([bytes(100_000)], "oversized"),
     ([HELLO, b""], "truncated"),
     ([HELLO] * 1000, "malformed"),
-    ([encode_control(Bye(1, 1))], "unexpected"),
+    ([encode_control(ClockReply(1, 1, 1, 1))], "unexpected"),
+    ([encode_control(Bye(1, 1))], "session"),
     ([encode_control(Report(1, "raw", 1, 0, 0, 0.0, 0.0, 0.0, 0.0))], "session"),
 ]
 RANDOM_SIZES = (1, 10, 100, 1000, 60_000)
@@ -281,3 +283,23 @@ def test_beyond_loopback_warns_in_one_line_unless_told_not_to(address: str) -> N
     assert warned.stderr.count("\n") == 1
     assert "neither encrypted" in warned.stderr
     assert (insecure.stderr, warned.stdout) == ("", "")
+
+
+def test_it_stays_until_a_display_has_the_whole_stream(address: str, client: Client) -> None:
+    with process(MODULE, str(RADIAL), "--bind", address, "--seconds", "0.5") as node:
+        client.join()
+        bye = decode_control(client.control.recv())
+        assert isinstance(bye, Bye)
+        # One that joins now, or comes back over another connection, is told as well.
+        with closing(Client(address)) as other:
+            other.join("other")
+            assert other.bye() == bye
+        assert node.poll() is None
+        client.control.send(encode_control(bye))
+        assert node.wait(PATIENCE_MS / 1000) == 0
+
+
+def test_it_does_not_stay_for_ever(address: str, client: Client) -> None:
+    with process(MODULE, str(RADIAL), "--bind", address, "--seconds", "0.5") as node:
+        client.join()
+        assert node.wait(PATIENCE_MS / 1000) == 0

@@ -15,7 +15,7 @@ KEYS = {
     "frames": {"received", "reordered", "copies"},
     "one_way_delay_ms": {"p50", "p99", "max"},
     "playout_delay_ms": {"mean", "p99"},
-    "clock": {"offset_ms", "skew_ppm", "uncertainty_ms"},
+    "clock": {"offset_ms", "skew_ppm", "uncertainty_ms", "asymmetry_ms", "steps"},
     "force_rmse_n": {"aligned", "in_phase"},
     "strain_rmse": {"aligned", "in_phase"},
     "loop": {"ticks", "deadline_misses", "tick_us"},

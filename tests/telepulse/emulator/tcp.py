@@ -17,10 +17,11 @@ needs_emulator = pytest.mark.skipif(reason is not None, reason=str(reason))
 
 
 @contextmanager
-def connected(link: EmulatedLink) -> Iterator[tuple[socket.socket, socket.socket]]:
-    """A TCP connection over the link: its end at the sensing node, its end at the display."""
+def connected(link: EmulatedLink, number: int = 0) -> Iterator[tuple[socket.socket, socket.socket]]:
+    """A TCP connection over one of the links: its end at the sensing node, its end at the
+    display."""
     with link.sensing.entered():
-        listener = socket.create_server((link.sensing.address, PORT))
+        listener = socket.create_server((link.sensing.addresses[number], PORT))
     with listener:
         with link.display.entered():
             display = socket.create_connection(listener.getsockname(), timeout=PATIENCE_S)

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 import time
 
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from telepulse.emulator import EmulatorError, emulate, unavailable
 from telepulse.link import parse_link
 
-from .tcp import connected, needs_emulator, stream
+from .tcp import PORT, connected, needs_emulator, stream
 
 MS = 1_000_000
 
@@ -93,6 +94,30 @@ def test_two_links_do_not_see_each_other() -> None:
         one_sensing.sendall(b"1")
         other_sensing.sendall(b"2")
         assert (one_display.recv(1), other_display.recv(1)) == (b"1", b"2")
+
+
+@needs_emulator
+def test_several_links_between_the_same_two_each_do_as_they_are_told() -> None:
+    scenes = parse_link("delay=20ms"), parse_link("delay=60ms"), parse_link("loss=1")
+    with emulate(*scenes) as link:
+        assert len(set(link.sensing.addresses) | set(link.display.addresses)) == 2 * len(scenes)
+        trips_ms: dict[int, list[float]] = {0: [], 1: []}
+        for number, trips in trips_ms.items():
+            with connected(link, number) as (sensing, display):
+                for _ in range(10):
+                    began_ns = time.monotonic_ns()
+                    display.sendall(b"?")
+                    sensing.sendall(sensing.recv(1))
+                    assert display.recv(1) == b"?"
+                    trips.append((time.monotonic_ns() - began_ns) / MS)
+        with link.display.entered(), socket.socket() as caller:
+            caller.settimeout(0.3)
+            with pytest.raises(TimeoutError):
+                caller.connect((link.sensing.addresses[2], PORT))
+    assert 40 <= min(trips_ms[0]) < 45
+    assert 120 <= min(trips_ms[1]) < 125
+    assert link.carried is not None
+    assert link.carried.lost >= 1
 
 
 @needs_emulator

@@ -36,7 +36,7 @@ def play(folder: Path, paths: int) -> Outcome:
     text = RADIAL.read_text(encoding="utf-8").replace('batch = "5 ms"', 'batch = "10 ms"')
     assert 'batch = "10 ms"' in text
     scene.write_text(text.replace("[display]\n", f"[display]\npaths = {paths}\n"), "utf-8")
-    return run_nodes(scene, LOSSY, SECONDS)
+    return run_nodes(scene, LOSSY, seconds=SECONDS)
 
 
 @needs_emulator

@@ -8,7 +8,15 @@ from telepulse.cli import app
 from telepulse.report import THEMES, Report
 from telepulse.study import playout_scores
 from telepulse.study.playout_report import BARS, bars, report_playout
-from telepulse.study.playout_scores import OURS, RULES, Effort, Scores, score_playout, score_rule
+from telepulse.study.playout_scores import (
+    OURS,
+    RULES,
+    Effort,
+    RuleOnLink,
+    Scores,
+    score_playout,
+    score_rule,
+)
 from telepulse.study.playout_traces import GAUSSIAN, TCP
 
 LITTLE = Effort(seconds=20, scan=3, bisections=3, links=(GAUSSIAN, TCP), curves=(TCP,))
@@ -50,7 +58,7 @@ def test_a_tuned_rule_is_within_the_share_and_no_better_than_the_bound(scores: S
 
 def test_a_share_that_no_setting_reaches_is_said(scores: Scores, report: Report) -> None:
     strict = Effort(seconds=20, scan=2, bisections=1, links=(TCP,), late=0.0)
-    score = score_rule("Moon percentile", TCP, strict)
+    score = score_rule(RuleOnLink("Moon percentile", TCP), strict)
     assert not score.reached
     missed = Scores({TCP: scores.links[TCP]}, {TCP: dict.fromkeys(RULES, score)})
     cells = [row[1] for row in report_playout(missed, strict).chapters[0].tables[0].rows[2:]]
@@ -74,7 +82,7 @@ def test_the_verdict_is_counted_from_the_ratios(scores: Scores, report: Report) 
 def test_the_command_prints_its_tables_and_writes_page_pictures_and_json(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scores: Scores
 ) -> None:
-    monkeypatch.setattr(playout_scores, "score_playout", lambda _: scores)
+    monkeypatch.setattr(playout_scores, "score_playout", lambda *_: scores)
     out, table = tmp_path / "new" / "folder", tmp_path / "tables.json"
     result = CliRunner().invoke(app, ["study", "playout", "--out", str(out), "--json", str(table)])
     assert result.exit_code == 0, result.output
@@ -90,7 +98,7 @@ def test_the_command_prints_its_tables_and_writes_page_pictures_and_json(
 def test_what_cannot_be_written_is_one_line_before_the_work(
     option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(playout_scores, "score_playout", lambda _: pytest.fail("it worked"))
+    monkeypatch.setattr(playout_scores, "score_playout", lambda *_: pytest.fail("it worked"))
     file = tmp_path / "file"
     file.touch()
     result = CliRunner().invoke(

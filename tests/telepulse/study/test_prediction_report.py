@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from telepulse.cli import app
 from telepulse.report import THEMES
-from telepulse.study import one_thread
+from telepulse.study import prediction_scores
 from telepulse.study.prediction_bars import BARS, MEDIAN, Bar, Verdict, judge
 from telepulse.study.prediction_report import missing_sets, report_prediction
 from telepulse.study.prediction_scores import (
@@ -18,7 +18,6 @@ from telepulse.study.prediction_scores import (
     Scores,
     cost,
     score,
-    score_predictors,
 )
 from telepulse.study.prediction_sets import RECORDED, SILENT, Pulse
 
@@ -114,11 +113,7 @@ def test_missing_recordings_are_named() -> None:
 def test_the_command_prints_its_tables_and_writes_page_pictures_and_json(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def little(work: object, _: Effort) -> Scores:
-        assert work is score_predictors
-        return made_up()
-
-    monkeypatch.setattr(one_thread, "in_one_thread", little)
+    monkeypatch.setattr(prediction_scores, "score_predictors", lambda *_: made_up())
     table = tmp_path / "tables.json"
     result = CliRunner().invoke(
         app, ["study", "prediction", "--out", str(tmp_path / "new"), "--json", str(table)]

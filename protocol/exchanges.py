@@ -1,0 +1,83 @@
+"""Four-timestamp exchanges, and what a block of them says about the offset of two clocks."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from protocol.offset_line import Floats
+
+BLOCK = 16
+# An offset is computed from the so many shortest delays of each way, by turns.
+LEVELS = (1, 2, 4, 8, BLOCK)
+_COUNTS = np.array(LEVELS)
+_RANKS = np.arange(1.0, BLOCK + 1)
+
+
+class ClockExchange(NamedTuple):
+    """t1: request leaves (local clock); t2: it arrives, t3: reply leaves (remote clock);
+    t4: reply arrives (local clock); all ns."""
+
+    t1_ns: int
+    t2_ns: int
+    t3_ns: int
+    t4_ns: int
+
+    @property
+    def offset_ns(self) -> int:
+        """Remote minus local clock, if both ways took equally long."""
+        return (self.t2_ns - self.t1_ns + self.t3_ns - self.t4_ns) // 2
+
+    @property
+    def round_trip_ns(self) -> int:
+        """Time on the network, both ways."""
+        return (self.t4_ns - self.t1_ns) - (self.t3_ns - self.t2_ns)
+
+
+class Digest(NamedTuple):
+    """What a block of exchanges says, for each of `LEVELS`: offset and round trip in ns, from
+    the means of the shortest delays there and the shortest delays back.
+
+    t_ns: the block's middle, local clock; noise_ns: standard error of the mean of all offsets, as
+    those of the shortest round trips let expect it.
+    """
+
+    t_ns: float
+    offset_ns: Floats
+    round_trip_ns: Floats
+    noise_ns: float
+
+
+def digest(
+    exchanges: list[ClockExchange], origin: ClockExchange, skew: float, skew_doubt: float
+) -> Digest:
+    """Up to `BLOCK` exchanges as one; times and offsets count from `origin`'s.
+
+    skew: the clocks', as far as known, so that the order of delays is not that of the times;
+    skew_doubt: how wrong it can be. By what it may have made shorter, round trips are lengthened.
+    """
+    count = len(exchanges)
+    # Differences of whole numbers first: they are exact as floats, whatever the clocks show.
+    origin_ns, zero_ns = origin.t4_ns, origin.offset_ns
+    rows = [
+        (e.t1_ns - origin_ns, e.t4_ns - origin_ns, e.t2_ns - e.t1_ns - zero_ns,
+         e.t4_ns - e.t3_ns + zero_ns)
+        for e in exchanges
+    ]  # fmt: skip
+    asked_ns, answered_ns, there_ns, back_ns = np.array(rows, dtype=float).T
+    t_ns = (asked_ns + answered_ns) / 2
+    middle_ns = float(t_ns.mean())
+    drift_ns = skew * (t_ns - middle_ns)
+    there_ns, back_ns = there_ns - drift_ns, back_ns + drift_ns
+    shortest = (there_ns + back_ns).argsort()[: max(3, count // 4)]
+    if count > 1:
+        offsets_ns = (there_ns - back_ns)[shortest] / 2
+        noise_ns = float(offsets_ns.std(ddof=1)) / count**0.5
+    else:
+        noise_ns = float(there_ns[0] + back_ns[0]) / 2
+    level = np.minimum(_COUNTS, count) - 1
+    there_ns = (np.sort(there_ns).cumsum() / _RANKS[:count])[level]
+    back_ns = (np.sort(back_ns).cumsum() / _RANKS[:count])[level]
+    hidden_ns = skew_doubt * float(t_ns.max() - t_ns.min())
+    # Below 0 only where a clock has stepped within the block.
+    round_trip_ns = np.maximum(there_ns + back_ns + hidden_ns, 0)
+    return Digest(middle_ns, (there_ns - back_ns) / 2, round_trip_ns, noise_ns)

@@ -1,0 +1,62 @@
+"""A live sensor as a source: its samples come when they come, and some never do."""
+
+from collections import Counter, deque
+
+import numpy as np
+
+from protocol.stream import Channel
+from sensing_node.sources import Block, Paced, Samples
+from sensors.reading import Reading
+from sensors.sensor import Sensor
+
+
+class Live:
+    """What a sensor sends, as blocks of samples that follow one another.
+
+    Where samples are missing, the next block says how many: they keep their sequence numbers,
+    so that displays count them as lost. It never ends of itself.
+    """
+
+    channels = (Channel("pulse"),)
+    exhausted = False
+
+    def __init__(self, sensor: Sensor) -> None:
+        self.period_ns = sensor.period_ns
+        self._sensor = sensor
+        self._readings: deque[Reading] = deque()
+        self._read_ns = 0
+
+    def due_ns(self, count: int) -> int:
+        """When, after the last look, `count` further samples may have been taken."""
+        return self._read_ns + count * self.period_ns
+
+    def read(self, now_ns: int) -> Block | None:
+        """Samples that have come by now, up to where some are missing; None when none has."""
+        self._read_ns = now_ns
+        self._readings.extend(self._sensor.poll())
+        if not self._readings:
+            return None
+        first = last = self._readings.popleft()
+        force_n = list(first.force_n)
+        while self._readings and not self._readings[0].missing:
+            last = self._readings.popleft()
+            force_n += last.force_n
+        period_ns = round((last.end_ns - first.first_ns) / len(force_n))
+        return Block(first.first_ns, period_ns, np.array(force_n)[:, np.newaxis], first.missing)
+
+    @property
+    def rejected(self) -> Counter[str]:
+        """What the sensor sent that could not be used, by cause."""
+        return self._sensor.rejected
+
+    def faults(self) -> list[str]:
+        """What went wrong with the sensor, one line each."""
+        return self._sensor.faults()
+
+
+Source = Samples | Live
+
+
+def feed_of(source: Source, start_ns: int) -> Paced | Live:
+    """The source's blocks: of one that knows its samples ahead, as they fall due from a start."""
+    return source if isinstance(source, Live) else Paced(source, start_ns)

@@ -1,0 +1,1 @@
+"""Hardware that speaks its real bytes and is not there: sensor boards and drives."""

@@ -1,0 +1,80 @@
+"""How well the clock does over links, in virtual time: the bars of 20±3 ms with 1 % loss."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from display_node.receiver import CLOCK_FAST_NS
+from protocol.clock import ClockEstimator, ClockExchange
+from telepulse.link import Direction, parse_link
+from telepulse.link.tcp_stream import TcpStream
+
+MS = 1_000_000
+S = 1_000 * MS
+SEEDS = 15
+LINKS = {
+    "the bar's": "delay=20ms,jitter=3ms,loss=1%",
+    "heavy-tailed": "delay=20ms,jitter=5ms,jitter_kind=pareto,loss=1%",
+    "loss in bursts": "delay=20ms,jitter=3ms,burst_loss.share=2%,burst_loss.length=300ms",
+}
+
+
+def exchanges(link: str, seed: int, skew_ppm: float) -> list[ClockExchange]:
+    """A minute of exchanges over TCP; the remote clock is right at 0, but for its skew."""
+    there, back = (TcpStream(Direction(parse_link(link), 2 * seed + way)) for way in (0, 1))
+    result = []
+    for t1_ns in range(0, 60 * S, CLOCK_FAST_NS):
+        there_ns = there.arrival_ns(t1_ns, 80)
+        remote_ns = shown_ns(there_ns, skew_ppm)
+        result.append(ClockExchange(t1_ns, remote_ns, remote_ns, back.arrival_ns(there_ns, 80)))
+    return result
+
+
+def shown_ns(local_ns: int, skew_ppm: float) -> int:
+    return local_ns + round(local_ns * skew_ppm * 1e-6)
+
+
+@cache
+def trials(link: str) -> tuple[list[float], list[float], list[float], float]:
+    """Offset errors after 5 s and after 60 s in ms, skew errors in ppm, and how often the error
+    was within the stated uncertainty."""
+    early_ms, late_ms, ppm, within = [], [], [], []
+    for seed in range(SEEDS):
+        skew_ppm = (-200.0, 0.0, 200.0)[seed % 3]
+        estimator, errors_ns = ClockEstimator(), []
+        for exchange in exchanges(LINKS[link], seed, skew_ppm):
+            estimator.add(exchange)
+            now_ns = exchange.t4_ns
+            error_ns = abs(estimator.remote_ns(now_ns) - shown_ns(now_ns, skew_ppm))
+            errors_ns.append((now_ns, error_ns))
+            within.append(error_ns <= estimator.uncertainty_ns(now_ns))
+        assert estimator.steps == 0
+        early_ms.append(next(error for t_ns, error in errors_ns if t_ns > 5 * S) / MS)
+        late_ms.append(errors_ns[-1][1] / MS)
+        ppm.append(abs(estimator.skew_ppm - skew_ppm))
+    return early_ms, late_ms, ppm, float(np.mean(within))
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_the_offset_is_within_1_ms_after_5_s_and_within_a_third_after_60(link: str) -> None:
+    early_ms, late_ms, _, _ = trials(link)
+    assert max(early_ms) < 1.0
+    assert max(late_ms) < 0.3
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_the_skew_is_within_5_ppm_after_60_s_nine_times_of_ten(link: str) -> None:
+    _, _, ppm, _ = trials(link)
+    assert np.quantile(ppm, 0.9) < 5.0
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_the_stated_uncertainty_holds_and_is_not_silly(link: str) -> None:
+    _, _, _, within = trials(link)
+    assert within > 0.95
+    estimator = ClockEstimator()
+    for exchange in exchanges(LINKS[link], 1, 0.0):
+        estimator.add(exchange)
+    assert estimator.uncertainty_ns(60 * S) < 0.5 * MS
+    assert estimator.asymmetry_bound_ns > 10 * MS

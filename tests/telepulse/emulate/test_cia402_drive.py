@@ -1,0 +1,131 @@
+"""The emulated CiA 402 drive, in virtual time and without a bus."""
+
+import pytest
+
+from display_node.actuators.stepper import StepperScene
+from display_node.drives.cia402_states import (
+    HERE,
+    HOMING_ATTAINED,
+    HOMING_ERROR,
+    NEGATIVE_SWITCH,
+    POSITIVE_SWITCH,
+    Control,
+    Mode,
+    State,
+)
+from display_node.drives.scene import Cia402Scene
+from protocol.stream import LayerTable
+from telepulse.emulate.cia402_drive import HEARTBEAT_ERROR, EmulatedDrive
+from telepulse.emulate.motor import EmulatedMotor
+
+MS = 1_000_000
+ACTUATOR = StepperScene.model_validate({"kind": "stepper"})
+
+
+def drive_and_motor(**keys: object) -> tuple[EmulatedDrive, EmulatedMotor]:
+    table = {"kind": "cia402", "interface": "virtual", "channel": "x", **keys}
+    scene = Cia402Scene.model_validate(table)
+    motor = EmulatedMotor(ACTUATOR, ACTUATOR.contact(LayerTable().layer()), scene.touch_m, 0)
+    return EmulatedDrive(scene, motor, (Mode.CYCLIC_VELOCITY,)), motor
+
+
+def enabled(**keys: object) -> tuple[EmulatedDrive, EmulatedMotor]:
+    drive, motor = drive_and_motor(**keys)
+    drive.select(Mode.CYCLIC_VELOCITY)
+    for word in (Control.SHUTDOWN, Control.SWITCH_ON, Control.ENABLE):
+        drive.control(word, 0)
+    assert drive.state is State.ENABLED
+    return drive, motor
+
+
+def test_statuswords_on_the_way_to_operation_enabled() -> None:
+    drive, _ = drive_and_motor()
+    words = [drive.statusword]
+    for word in (Control.SHUTDOWN, Control.SWITCH_ON, Control.ENABLE, Control.DISABLE_VOLTAGE):
+        drive.control(word, 0)
+        words.append(drive.statusword)
+    assert words == [0x40, 0x31, 0x33, 0x37, 0x40]
+
+
+def test_it_moves_in_operation_enabled_alone() -> None:
+    drive, motor = drive_and_motor()
+    drive.select(Mode.CYCLIC_VELOCITY)
+    for word in (Control.ENABLE, Control.SHUTDOWN, Control.SWITCH_ON):
+        drive.control(word, 1000)
+        drive.advance(motor._now_ns + 10 * MS)
+        assert motor.rate_hz == 0.0
+    drive.control(Control.ENABLE, 1000)
+    drive.advance(motor._now_ns + 10 * MS)
+    assert motor.rate_hz == pytest.approx(1000.0)
+
+
+def test_a_mode_it_does_not_have_is_not_taken() -> None:
+    drive, _ = drive_and_motor()
+    drive.select(Mode.PROFILE_VELOCITY)
+    assert drive.mode == 0
+
+
+def test_units_and_direction_of_what_it_says() -> None:
+    drive, motor = enabled(inverted=True, velocity_scale=2.0, position_scale=4.0)
+    drive.control(Control.ENABLE, 2000)
+    drive.advance(100 * MS)
+    assert motor.rate_hz == pytest.approx(-1000.0)
+    assert motor.position_steps == pytest.approx(-100, abs=1)
+    assert drive.velocity == pytest.approx(2000)
+    assert drive.position == -4 * motor.position_steps
+
+
+@pytest.mark.parametrize(
+    ("inverted", "method"), [(False, NEGATIVE_SWITCH), (True, POSITIVE_SWITCH)]
+)
+def test_homing_onto_the_switch_away_from_the_finger(inverted: bool, method: int) -> None:
+    drive, motor = enabled(inverted=inverted)
+    drive.select(Mode.HOMING)
+    drive.search_by(method, 8000, 400)
+    drive.control(Control.START_HOMING, 0)
+    drive.advance(2 * MS)
+    assert not drive.statusword & HOMING_ATTAINED
+    drive.advance(2_000 * MS)
+    assert drive.statusword & HOMING_ATTAINED == HOMING_ATTAINED
+    assert abs(motor.position_steps) <= 2
+
+
+def test_here_is_home_and_another_method_is_an_error() -> None:
+    drive, motor = enabled()
+    drive.control(Control.ENABLE, 1000)
+    drive.advance(100 * MS)
+    drive.select(Mode.HOMING)
+    drive.search_by(HERE, 0, 0)
+    drive.control(Control.START_HOMING, 0)
+    assert motor.position_steps == 0
+    drive.control(Control.ENABLE, 0)
+    drive.search_by(1, 0, 0)
+    drive.control(Control.START_HOMING, 0)
+    assert drive.statusword & HOMING_ERROR
+
+
+@pytest.mark.parametrize(("option", "state"), [(3, State.SWITCH_ON_DISABLED), (1, State.FAULT)])
+def test_at_rest_within_100_ms_of_the_last_heartbeat(option: int, state: State) -> None:
+    drive, motor = enabled()
+    drive.abort_option = option
+    motor.watch(50 * MS)
+    drive.control(Control.ENABLE, 20_000)
+    for ms in range(1, 101):
+        drive.advance(ms * MS)
+    assert motor.rate_hz == 0.0
+    assert drive.state is state
+    assert drive.error_code == HEARTBEAT_ERROR
+
+
+def test_a_fault_is_reset_by_a_rising_edge_alone() -> None:
+    drive, motor = enabled()
+    motor.fail("overtemperature")
+    drive.control(Control.RESET_FAULT, 0)
+    drive.advance(10 * MS)
+    assert drive.state is State.FAULT
+    drive.control(Control.RESET_FAULT, 0)
+    assert drive.state is State.FAULT
+    drive.control(Control.DISABLE_VOLTAGE, 0)
+    drive.control(Control.RESET_FAULT, 0)
+    assert drive.state is State.SWITCH_ON_DISABLED
+    assert drive.error_code == 0

@@ -1,0 +1,108 @@
+"""The emulated TMCL module, byte by byte, and what PyTrinamic's codec says to the same bytes."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pytrinamic.tmcl import TMCLReply, TMCLRequest
+
+from display_node.actuators.stepper import StepperScene
+from display_node.drives.scene import TmclScene
+from display_node.drives.tmcl_numbers import Command, Parameter, Search
+from protocol.stream import LayerTable
+from telepulse.emulate.motor import EmulatedMotor
+from telepulse.emulate.tmcl_module import (
+    INVALID_COMMAND,
+    INVALID_VALUE,
+    WRONG_CHECKSUM,
+    WRONG_TYPE,
+    Datagrams,
+    EmulatedModule,
+)
+
+ACTUATOR = StepperScene.model_validate({"kind": "stepper"})
+LAW = ACTUATOR.contact(LayerTable().layer())
+GET_POSITION = bytes.fromhex("01 06 01 00 00 00 00 00 08")
+AT_ZERO = bytes.fromhex("02 01 64 06 00 00 00 00 6d")
+ROTATE_1000 = bytes.fromhex("01 01 00 00 00 00 03 e8 ed")
+ROTATE_BACK = bytes.fromhex("01 01 00 00 ff ff fc 18 14")
+
+
+@pytest.fixture
+def module() -> EmulatedModule:
+    scene = TmclScene.model_validate({"kind": "tmcl", "port": "x"})
+    return EmulatedModule(scene, EmulatedMotor(ACTUATOR, LAW, 2e-3, now_ns=0))
+
+
+def request(command: int, kind: int = 0, motor: int = 0, value: int = 0) -> bytes:
+    data: bytes = TMCLRequest(1, command, kind, motor, value).to_buffer()
+    return data
+
+
+def test_the_makers_codec_writes_the_same_bytes() -> None:
+    assert request(Command.GET_AXIS, Parameter.ACTUAL_POSITION) == GET_POSITION
+    assert request(Command.ROTATE_RIGHT, value=1000) == ROTATE_1000
+    assert request(Command.ROTATE_RIGHT, value=-1000) == ROTATE_BACK
+
+
+def test_golden_replies(module: EmulatedModule) -> None:
+    assert module.reply(GET_POSITION, 0) == AT_ZERO
+    assert module.reply(ROTATE_1000, 0).hex(" ") == "02 01 64 01 00 00 03 e8 53"
+    # After 100 ms at 1000 microsteps a second.
+    assert module.reply(GET_POSITION, 100_000_000).hex(" ") == "02 01 64 06 00 00 00 64 d1"
+    module.reply(ROTATE_BACK, 100_000_000)
+    # From there 200 ms the other way.
+    assert module.reply(GET_POSITION, 300_000_000).hex(" ") == "02 01 64 06 ff ff ff 9c 06"
+
+
+@pytest.mark.parametrize(
+    ("data", "status"),
+    [
+        (request(77), INVALID_COMMAND),
+        (request(Command.GET_AXIS, 99), WRONG_TYPE),
+        (request(Command.SET_AXIS, Parameter.MICROSTEPS, value=9), INVALID_VALUE),
+        (request(Command.ROTATE_RIGHT, motor=3), INVALID_VALUE),
+        (request(Command.SET_GLOBAL, 68, motor=1, value=50), WRONG_TYPE),
+        (request(Command.REFERENCE_SEARCH, 9), WRONG_TYPE),
+        (request(Command.ROTATE_RIGHT, value=1000)[:-1] + b"\0", WRONG_CHECKSUM),
+    ],
+)
+def test_what_it_cannot_do_it_refuses(module: EmulatedModule, data: bytes, status: int) -> None:
+    reply = TMCLReply.from_buffer(module.reply(data, 0))
+    assert reply.status == status
+    assert reply.is_checksum_correct()
+
+
+def test_it_does_not_hear_what_is_for_another_module(module: EmulatedModule) -> None:
+    assert module.reply(b"\2" + GET_POSITION[1:-1] + b"\x09", 0) == b""
+
+
+def test_a_search_on_the_side_that_has_no_switch_is_refused(module: EmulatedModule) -> None:
+    module.reply(request(Command.SET_AXIS, Parameter.SEARCH_MODE, value=65), 0)
+    reply = module.reply(request(Command.REFERENCE_SEARCH, Search.START), 0)
+    assert TMCLReply.from_buffer(reply).status == INVALID_VALUE
+
+
+@pytest.mark.parametrize("offset", range(10))
+@pytest.mark.parametrize("noise", [b"\0", b"\xff\x01", b"\x01\x06\x01", bytes(8)])
+def test_after_noise_anywhere_and_a_pause_it_answers_again(
+    module: EmulatedModule, offset: int, noise: bytes
+) -> None:
+    datagrams = Datagrams()
+    spoilt = GET_POSITION[:offset] + noise + GET_POSITION[offset:]
+    for data in datagrams.feed(spoilt, 1_000_000_000):
+        module.reply(data, 1_000_000_000)
+    (data,) = datagrams.feed(GET_POSITION, 1_010_000_000)
+    assert module.reply(data, 1_010_000_000) == AT_ZERO
+
+
+@given(st.binary(max_size=200), st.integers(1, 9))
+def test_no_bytes_break_it_and_none_that_are_no_request_move_it(data: bytes, cut: int) -> None:
+    scene = TmclScene.model_validate({"kind": "tmcl", "port": "x"})
+    motor = EmulatedMotor(ACTUATOR, LAW, 2e-3, now_ns=0)
+    module, datagrams, valid = EmulatedModule(scene, motor), Datagrams(), 0
+    for start in range(0, len(data), cut):
+        for whole in datagrams.feed(data[start : start + cut], 0):
+            reply = module.reply(whole, 0)
+            valid += bool(reply) and reply[2] != WRONG_CHECKSUM
+    motor.advance(100_000_000)
+    assert valid or motor.rate_hz == 0.0

@@ -1,0 +1,149 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from telepulse.cli import app
+from telepulse.report import THEMES
+from telepulse.study import link_policies, link_scores
+from telepulse.study.link_play import Cell, Effort, Outcome, play, pooled
+from telepulse.study.link_policies import CLASSIC, FRESH, HOLD, arrivals_ms, play_policies
+from telepulse.study.link_report import advice, least_in_phase, report_links
+from telepulse.study.link_scores import PREDICTORS, Link, Scores, score_links
+from telepulse.study.prediction_sets import Pulse, synthetic_pulses
+
+LITTLE = Effort(seconds=4, settle_seconds=2, seeds=(1,))
+FAR = "delay=40ms,jitter=1ms"
+STALLS = "delay=40ms,jitter=3ms,loss=1%,transport=tcp"
+OUTCOME = Outcome(
+    in_phase_n=0.03,
+    aligned_n=0.01,
+    deviation_n=0.1,
+    peak_to_peak_n=0.3,
+    delay_ms=20.0,
+    horizon_ms=5.0,
+    longest_ms=9.0,
+    predicted=0.5,
+    felt=1.0,
+    roughness=1.0,
+    late=0.0,
+    lost=0.01,
+)
+
+
+def made_up() -> Scores:
+    """Over its one link the stack is best at 0, the others at 40 ms; auto chooses 20 ms."""
+    curves = {}
+    for predictor in PREDICTORS:
+        at_once = 0.01 if predictor == "stack" else 0.06
+        curves[predictor] = {
+            0.0: replace(OUTCOME, in_phase_n=at_once, horizon_ms=44.0),
+            40.0: OUTCOME,
+            None: replace(OUTCOME, in_phase_n=0.045, aligned_n=0.0002),
+        }
+    return Scores({"here": curves}, {}, dict.fromkeys(PREDICTORS, 20.0))
+
+
+def test_what_is_not_buffered_is_predicted() -> None:
+    some = {delay_ms: play(Cell(FAR, "linear", delay_ms), LITTLE) for delay_ms in (0.0, 20.0, 80.0)}
+    for delay_ms, outcome in some.items():
+        assert outcome.delay_ms == pytest.approx(delay_ms, abs=0.5)
+    # A frame's newest sample is on average 2 ms older when it is played than when it came.
+    assert some[0.0].horizon_ms == pytest.approx(42, abs=1)
+    assert some[20.0].horizon_ms == pytest.approx(22, abs=1)
+    assert some[0.0].predicted == 1
+    assert some[80.0].horizon_ms == some[80.0].longest_ms == some[80.0].predicted == 0
+
+
+def test_both_errors_follow_the_delay() -> None:
+    hold, linear, buffered = (
+        play(Cell(FAR, predictor, delay_ms), LITTLE)
+        for predictor, delay_ms in (("hold", 0.0), ("linear", 0.0), ("linear", 80.0))
+    )
+    assert linear.in_phase < hold.in_phase < buffered.in_phase
+    assert buffered.aligned < 0.01 < linear.aligned
+    assert hold.in_phase == pytest.approx(hold.aligned, rel=0.01)
+    assert hold.in_phase_jnd == pytest.approx(hold.in_phase_n / 0.1 / hold.peak_to_peak_n)
+
+
+def test_what_is_faded_out_is_not_felt_and_not_scored() -> None:
+    cut = play(Cell("delay=20ms,cut.from=4s,cut.for=1s", "hold", 40.0), LITTLE)
+    whole = play(Cell("delay=20ms", "hold", 40.0), LITTLE)
+    assert whole.felt == pytest.approx(1, abs=0.001)
+    # A second of silence, less what it takes to notice, and half a second back to full strength.
+    assert cut.felt == pytest.approx(1 - 1.5 / 4, abs=0.05)
+    assert cut.lost == pytest.approx(1 / 6, abs=0.002)
+    assert cut.aligned < 0.3
+
+
+def test_seeds_are_pooled_by_mean_squares_and_the_longest_horizon() -> None:
+    both = pooled([OUTCOME, replace(OUTCOME, in_phase_n=0.04, lost=0.03, longest_ms=70.0)])
+    assert both.in_phase_n == pytest.approx(np.sqrt((0.03**2 + 0.04**2) / 2))
+    assert both.lost == pytest.approx(0.02)
+    assert both.longest_ms == 70
+    assert both.aligned_n == pytest.approx(OUTCOME.aligned_n)
+
+
+def test_fresh_samples_beat_a_classic_buffer_and_holding_in_every_cell(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(link_policies, "SCORED_FROM_S", 6.0)
+    true = synthetic_pulses(10, seed=1)["variability"]
+    true = true / true.std()
+    sensed = true + 0.01 * np.random.default_rng(1).standard_normal(len(true))
+    played = play_policies(Pulse("variability", sensed, true), STALLS)
+    # One frame in a hundred is late: the delay reaches far into the stalls.
+    assert 100 < played.classic_delay_ms < 160
+    errors = {name: np.array(played.errors[name]) for name in (FRESH, CLASSIC, HOLD)}
+    assert np.all(errors[FRESH] < errors[CLASSIC])
+    assert np.all(errors[FRESH] < errors[HOLD])
+    assert list(played.errors[HOLD]) == sorted(played.errors[HOLD], reverse=True)
+
+
+def test_over_tcp_frames_arrive_in_order_and_none_is_missing() -> None:
+    arrived = arrivals_ms(400, STALLS, seed=1)
+    assert np.all(np.diff(arrived) >= 0)
+    assert arrived[0] >= 4 + 30
+    with pytest.raises(ValueError, match="frames are lost"):
+        arrivals_ms(400, "loss=5%", seed=1)
+
+
+def test_the_report_says_what_to_choose() -> None:
+    scores = made_up()
+    assert [least_in_phase(scores, "here", name)[0] for name in PREDICTORS] == [40, 40, 0]
+    assert advice(scores, "here") == (
+        "Over here: buffer 20 ms, and the pulse of that long ago is felt with an error of 0.2 mN,"
+        " which is 45.0 mN (1.50 JND) off in phase; or let the stack predict all, on average 44 ms"
+        " ahead, and be 10.0 mN (0.33 JND) off."
+    )
+    table = report_links(scores, LITTLE).chapters[0].tables[0]
+    assert [row[:3] for row in table.rows[-2:]] == [
+        ("here", "stack", "0"),
+        ("here", "stack", "auto: 20.0"),
+    ]
+
+
+def test_the_command_plays_prints_its_tables_and_writes_page_pictures_and_json(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tiny = Effort(seconds=1, settle_seconds=1, seeds=(1,))
+    links = {"far": Link(FAR, (0.0, 80.0))}
+    monkeypatch.setattr(link_scores, "pulses", lambda *_, **__: [])
+    monkeypatch.setattr(
+        link_scores, "score_links", lambda _, scheduler: score_links(tiny, scheduler, links)
+    )
+    out, table = tmp_path / "new", tmp_path / "tables.json"
+    result = CliRunner().invoke(app, ["study", "link", "--out", str(out), "--json", str(table)])
+    assert result.exit_code == 0, result.output
+    assert result.output.endswith(f"report: {out / 'index.html'}\n")
+    for theme in THEMES:
+        assert (out / f"link-1-{theme.name}.png").read_bytes().startswith(b"\x89PNG")
+    choice, curves, _, cost = json.loads(table.read_text(encoding="utf-8"))["chapters"]
+    rows = choice["tables"][0]["rows"]
+    assert [row["predictor"] for row in rows[::2]] == list(PREDICTORS)
+    assert all(row["E (ms)"].startswith("auto: 4") for row in rows[1::2])
+    assert [row["E (ms)"] for row in curves["tables"][0]["rows"]] == ["0", "80"]
+    assert [row["predictor"] for row in cost["tables"][0]["rows"]] == list(PREDICTORS)
