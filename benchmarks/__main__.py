@@ -3,7 +3,17 @@
 import importlib
 import sys
 
-NAMES = ("wire", "simulation", "paths")
+NAMES = (
+    "wire",
+    "simulation",
+    "compensation",
+    "paths",
+    "peers",
+    "clock",
+    "drives",
+    "drive_faults",
+    "sensors",
+)
 
 
 def main() -> int:

@@ -1,8 +1,10 @@
-"""Redundant paths: one-way delay over real TCP on a lossy link, by the number of connections.
+"""Redundant paths: one-way delay over real TCP on a lossy link, by the number of connections; and
+what is felt of a cut, by the number of networks.
 
 Needs root, for the link emulator.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,18 +20,22 @@ SECONDS = 30.0
 LOSS_FREE = "delay=20ms,jitter=3ms"
 LOSSY = LOSS_FREE + ",loss=1%"
 BAR = 1.1
+# The link begins a second before the sensing node is started.
+CUT = LOSS_FREE + ",cut.from=10s,cut.for=5s"
+CUT_FOR_GOOD = LOSS_FREE + ",cut.from=10s,cut.for=60min"
 CONGESTION_CONTROL = Path("/proc/sys/net/ipv4/tcp_congestion_control")
 
 
 def main() -> None:
-    """Print the table; the bar is a p99 of at most 1.1 times the loss-free one, nothing lost."""
+    """Print both tables. Their bars: a p99 of at most 1.1 times the loss-free one, nothing lost;
+    nothing felt later than by the playout delay."""
     reason = unavailable()
     if reason is not None:
         print(f"paths: left out: {reason}")
         return
     with TemporaryDirectory(prefix="telepulse-") as folder:
         runs = [
-            (name, paths, play(Path(folder), link, paths))
+            (name, paths, play(Path(folder), link, paths=paths))
             for name, link, paths in (
                 ("loss-free", LOSS_FREE, 1),
                 ("1 % loss", LOSSY, 1),
@@ -38,6 +44,15 @@ def main() -> None:
             )
         ]
         runs.insert(2, ("simulated", 1, simulated(Path(folder))))
+        cuts = [
+            cut_row(name, links, play(Path(folder), *links))
+            for name, links in (
+                ("no cut", (LOSS_FREE,)),
+                ("5 s cut", (CUT,)),
+                ("5 s cut of the first", (CUT, LOSS_FREE)),
+                ("cut of the first for good", (CUT_FOR_GOOD, LOSS_FREE)),
+            )
+        ]
     base_ms = runs[0][2].one_way_delay_ms.p99
     control = CONGESTION_CONTROL.read_text(encoding="ascii").strip()
     show(
@@ -45,6 +60,12 @@ def main() -> None:
         f" the bar for 3 is {BAR} times the loss-free p99, and none lost",
         ("link", "paths", "p50", "p99", "max", "over first", "sent", "played", "late", "lost"),
         [row(*run, base_ms or 0.0) for run in runs],
+    )
+    show(
+        f"Networks at 20±3 ms, a path each, {SECONDS:g} s: what is felt of a cut, in ms; the bar"
+        " for two is that no sample is lost, or later than its instant by more than the mean E",
+        ("cut", "networks", "mean E", "longest delay", "later by", "late", "lost", "first copies"),
+        cuts,
     )
 
 
@@ -63,9 +84,24 @@ def row(name: str, paths: int, summary: Summary, base_ms: float) -> tuple[str, .
     )
 
 
-def play(folder: Path, link: str, paths: int) -> Summary:
-    """The display's summary over real TCP."""
-    return run_nodes(scene_of(folder, paths), parse_link(link), SECONDS).display
+def cut_row(name: str, links: Sequence[str], summary: Summary) -> tuple[str, ...]:
+    """A run with a cut as it stands in the table."""
+    mean_ms, longest_ms = summary.playout_delay_ms.mean or 0.0, summary.one_way_delay_ms.max or 0.0
+    figures_ms = (mean_ms, longest_ms, max(0.0, longest_ms - mean_ms))
+    first = summary.frames.first.values() or (summary.frames.received,)
+    return (
+        name,
+        str(len(links)),
+        *(f"{value:.1f}" for value in figures_ms),
+        *map(str, (summary.samples.late, summary.samples.lost)),
+        " + ".join(map(str, first)),
+    )
+
+
+def play(folder: Path, *links: str, paths: int = 1) -> Summary:
+    """The display's summary over real TCP, with an address for each link."""
+    scene = scene_of(folder, paths)
+    return run_nodes(scene, *map(parse_link, links), seconds=SECONDS).display
 
 
 def simulated(folder: Path) -> Summary:

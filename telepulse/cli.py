@@ -18,6 +18,7 @@ from protocol.commands import (
 from protocol.signals import stop_on_signals
 from protocol.summary import check_writable
 from telepulse.demo import run_demo
+from telepulse.emulate.cli import app as emulate_app
 from telepulse.link import LinkScene, parse_link
 from telepulse.link_relay import LinkRelay
 from telepulse.report import print_tables, write_json
@@ -34,6 +35,7 @@ app = typer.Typer(
     help="A pulse sensed in one place, felt in another: demo, simulation and link emulation.",
 )
 app.add_typer(study_app, name="study")
+app.add_typer(emulate_app, name="emulate")
 
 SceneArgument = Annotated[
     str, typer.Argument(help="A scene file, or the name of one that comes with telepulse.")

@@ -1,0 +1,133 @@
+"""The clock: errors of offset and skew in virtual time, then over an emulated link, beside those
+of Lab Streaming Layer.
+
+The second part needs root, for the link emulator, and pylsl. It takes four minutes.
+"""
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+
+import numpy as np
+
+from benchmarks.clock import virtual
+from benchmarks.measure import show
+from protocol.offset_line import Floats
+from telepulse.emulator import Namespace, emulate, unavailable
+from telepulse.link import parse_link
+
+LINK = "delay=20ms,jitter=3ms,loss=1%"
+SECONDS = 62.0
+RUNS = 3
+SKEWS_PPM = (-200.0, 0.0, 200.0)
+PORT = 5555
+STARTUP_S = 60.0
+MARKS_S = (5.0, 10.0, 30.0, 60.0)
+BARS = {5.0: "1 ms", 60.0: "0.3 ms, 5 ppm"}
+LSL = "LSL, 0 ppm"
+
+
+def main() -> None:
+    """Print the tables."""
+    virtual.main()
+    reason = unavailable()
+    if reason is not None:
+        print(f"clock over the emulator: left out: {reason}")
+        return
+    runs = [run(seed) for seed in range(1, RUNS + 1)]
+    rows = [
+        row(name, mark_s, [each[name] for each in runs]) for name in runs[0] for mark_s in MARKS_S
+    ]
+    show(
+        f"Clock at 20±3 ms, 1 % loss, over real TCP: offset error in the second before each time,"
+        f" {RUNS} runs, all clocks at once; ppm: worst error of the skew",
+        ("clock", "after", "median", "worst", "stated", "within", "ppm", "bar"),
+        rows,
+    )
+    print(against_lsl(runs))
+
+
+def run(seed: int) -> dict[str, Floats]:
+    """What each listener printed: a row a line, one of each skew of ours and LSL's."""
+    origin_ns = time.monotonic_ns()
+    with ExitStack() as stack:
+        link = stack.enter_context(emulate(parse_link(LINK), seed=seed))
+        listeners = {}
+        seconds = str(SECONDS + STARTUP_S)
+        for number, skew_ppm in enumerate(SKEWS_PPM):
+            address = f"tcp://{link.sensing.address}:{PORT + 10 * number}"
+            common = (address, str(skew_ppm), str(origin_ns))
+            stack.enter_context(started(link.sensing, "sense", *common, seconds))
+            listeners[f"ours, {skew_ppm:+g} ppm"] = stack.enter_context(
+                started(link.display, "follow", *common, str(SECONDS))
+            )
+        stack.enter_context(started(link.sensing, "lsl_outlet", link.display.address, seconds))
+        listeners[LSL] = stack.enter_context(
+            started(link.display, "lsl_inlet", link.sensing.address, str(SECONDS))
+        )
+        return {name: figures(process) for name, process in listeners.items()}
+
+
+@contextmanager
+def started(namespace: Namespace, *command: str) -> Iterator[subprocess.Popen[str]]:
+    """One of `benchmarks.clock.ends` in a namespace; it does not outlive the `with`."""
+    program = (sys.executable, "-m", "benchmarks.clock.ends", *command)
+    process = namespace.start(*program, stdout=subprocess.PIPE)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+        if process.stdout is not None:
+            process.stdout.close()
+
+
+def figures(process: subprocess.Popen[str]) -> Floats:
+    """What a listener has printed."""
+    lines = process.communicate(timeout=SECONDS + STARTUP_S)[0].splitlines()
+    table: Floats = np.array([[float(word) for word in line.split()] for line in lines])
+    return table
+
+
+def near(table: Floats, mark_s: float) -> Floats:
+    """The rows of the second before a time."""
+    rows: Floats = table[(table[:, 0] > mark_s - 1) & (table[:, 0] <= mark_s)]
+    return rows
+
+
+def row(name: str, mark_s: float, tables: list[Floats]) -> tuple[str, ...]:
+    """The table's row of one clock at one time."""
+    rows = np.vstack([near(table, mark_s) for table in tables])
+    error_ms = np.abs(rows[:, 1])
+    cells = [f"{np.median(error_ms):.3f} ms", f"{error_ms.max():.3f} ms"]
+    if rows.shape[1] > 2:
+        stated_ms = rows[:, 2]
+        within = np.mean(error_ms <= stated_ms)
+        worst_ppm = np.abs(rows[:, 3]).max()
+        cells += [f"±{np.median(stated_ms):.2f} ms", f"{within:.0%}", f"{worst_ppm:.1f}"]
+        cells.append(BARS.get(mark_s, ""))
+    else:
+        cells += [""] * 4
+    return (name, f"{mark_s:g} s", *cells)
+
+
+def against_lsl(runs: list[dict[str, Floats]]) -> str:
+    """Our worst clock's RMS error over LSL's, from 5 s to the end."""
+    rms = {
+        name: float(np.sqrt(np.mean(np.concatenate([after_5_s(r[name]) for r in runs]) ** 2)))
+        for name in runs[0]
+    }
+    ours = max(value for name, value in rms.items() if name != LSL)
+    listed = ", ".join(f"{name}: {value:.3f} ms" for name, value in rms.items())
+    return (
+        f"RMS error from 5 s on: {listed}\nour worst over LSL's at 0 ppm, its easiest: "
+        f"{ours / rms[LSL]:.2f} (bar: 0.33)"
+    )
+
+
+def after_5_s(table: Floats) -> Floats:
+    """Errors in ms."""
+    errors_ms: Floats = table[table[:, 0] >= 5.0, 1]
+    return errors_ms

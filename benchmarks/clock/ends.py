@@ -1,0 +1,124 @@
+"""The programs at both ends of the link, `python -m benchmarks.clock.ends END ...`.
+
+Those at the display print a line every 0.1 s: time since they met the other end in s, error in ms
+and, of ours, the stated uncertainty in ms and the error of the skew in ppm.
+"""
+
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+
+import zmq
+
+from benchmarks.clock.scaled import now_ns, scaled_ns
+from display_node.receiver import Receiver
+from protocol import sockets
+from protocol.messages import encode_control
+from protocol.scene import load_section
+from sensing_node.node import SensingNode
+from sensing_node.scene import SensingScene, describe_stream, open_source
+from telepulse.scene import find_scene
+
+EVERY_NS = 100_000_000
+TICK_NS = 1_000_000
+RESOLVE_S = 20.0
+LSL_CONFIG = """
+[ports]
+IPv6 = disable
+[lab]
+KnownPeers = {{{peer}}}
+SessionID = telepulse-clock
+[log]
+level = -3
+"""
+
+
+def sense(address: str, skew_ppm: str, origin_ns: str, seconds: str) -> None:
+    """A sensing node whose clock is wrong."""
+    path = find_scene("radial")
+    section = load_section(path, "sensing", SensingScene)
+    clock = partial(now_ns, int(origin_ns), float(skew_ppm))
+    with open_source(section, path.parent, print) as source:
+        description = describe_stream(section, source)
+        SensingNode(source, description, address, lambda _: None, clock).run(float(seconds))
+
+
+def follow(address: str, skew_ppm: str, origin_ns: str, seconds: str) -> None:
+    """A display's receiver, which hears the whole stream."""
+    context: sockets.Context = zmq.Context()
+    control = sockets.connect(context, zmq.DEALER, sockets.control_address(address))
+    data = sockets.connect(context, zmq.SUB, address)
+    data.setsockopt(zmq.SUBSCRIBE, b"")
+    receiver = Receiver("clock", channel=0, late_target=0.01)
+    began_ns: int | None = None
+    next_ns = time.monotonic_ns()
+    while began_ns is None or next_ns < began_ns + float(seconds) * 1e9:
+        for parts in sockets.receive_all(control):
+            receiver.on_control(b"".join(parts), time.monotonic_ns())
+        for parts in sockets.receive_all(data):
+            receiver.on_frame(b"".join(parts), time.monotonic_ns())
+        for request in receiver.requests(time.monotonic_ns()):
+            sockets.send(control, encode_control(request))
+        local_ns, clock = time.monotonic_ns(), receiver.clock
+        if began_ns is None and receiver.session is not None:
+            began_ns = next_ns = local_ns
+        if began_ns is not None and local_ns >= next_ns and clock.ready:
+            next_ns += EVERY_NS
+            truth_ns = scaled_ns(local_ns, int(origin_ns), float(skew_ppm))
+            error_ns = clock.remote_ns(local_ns) - truth_ns
+            _say(
+                (local_ns - began_ns) * 1e-9,
+                error_ns * 1e-6,
+                clock.uncertainty_ns(local_ns) * 1e-6,
+                clock.skew_ppm - float(skew_ppm),
+            )
+        sockets.wait_readable([control, data], TICK_NS)
+    context.destroy(linger=0)
+
+
+def lsl_outlet(peer: str, seconds: str) -> None:
+    """A Lab Streaming Layer stream."""
+    pylsl = _lsl(peer)
+    info = pylsl.StreamInfo("pulse", "force", 1, 200, pylsl.cf_float32, "clock")
+    outlet = pylsl.StreamOutlet(info)
+    end_s = time.monotonic() + float(seconds)
+    while time.monotonic() < end_s:
+        outlet.push_sample([0.0])
+        time.sleep(0.005)
+
+
+def lsl_inlet(peer: str, seconds: str) -> None:
+    """Its listener: both ends have this machine's monotonic clock, the true correction is 0."""
+    pylsl = _lsl(peer)
+    found = pylsl.resolve_byprop("source_id", "clock", timeout=RESOLVE_S)
+    if not found:
+        raise SystemExit("no LSL stream was found")
+    inlet = pylsl.StreamInlet(found[0], processing_flags=0)
+    began_s = time.monotonic()
+    inlet.time_correction(timeout=RESOLVE_S)
+    while (since_s := time.monotonic() - began_s) < float(seconds):
+        _say(since_s, inlet.time_correction(timeout=RESOLVE_S) * 1e3)
+        time.sleep(EVERY_NS * 1e-9)
+
+
+def _lsl(peer: str):  # type: ignore[no-untyped-def]
+    import pylsl
+
+    pylsl.set_config_content(LSL_CONFIG.format(peer=peer))
+    return pylsl
+
+
+def _say(*figures: float) -> None:
+    print(*(f"{figure:.6f}" for figure in figures), flush=True)
+
+
+ENDS: dict[str, Callable[..., None]] = {
+    "sense": sense,
+    "follow": follow,
+    "lsl_outlet": lsl_outlet,
+    "lsl_inlet": lsl_inlet,
+}
+
+if __name__ == "__main__":
+    ENDS[sys.argv[1]](*sys.argv[2:])

@@ -1,0 +1,175 @@
+"""Faults of real drives: how long the emulated motor goes on after each, in its own time.
+
+It runs at 5 mm/s, a fast pulse's speed, and its watchdog is the default, 50 ms.
+"""
+
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import can
+
+from benchmarks.drives import ACTUATOR, CAN_BUS, FORCE_LIMIT_N, LAYER, motor, polled
+from benchmarks.measure import show
+from display_node.drives import Drive, build_drive
+from display_node.drives.scene import Cia402Scene, TmclScene
+from display_node.step_rate import StepCommand
+from telepulse.emulate.cia402_node import EmulatedNode
+from telepulse.emulate.motor import EmulatedMotor
+from telepulse.emulate.pty_port import PtyPort
+from telepulse.emulate.tmcl_line import SerialLine
+from telepulse.emulate.tmcl_module import EmulatedModule
+
+REPEATS = 5
+BAR_MS = 100.0
+HERE = {"homing": "none", "touch": "0 m"}
+PRESS = StepCommand(5e-3 / ACTUATOR.step_m, 1)
+PERIOD_S = 2e-3
+BEFORE_S = 0.06
+AFTER_S = 0.25
+
+
+@dataclass
+class Bench:
+    """A drive that is moved, and what is at its other end; plugged: whether it is reached."""
+
+    drive: Drive
+    motor: EmulatedMotor
+    emulator: Any
+    plugged: bool = True
+
+
+def main() -> None:
+    """Print the table; the bar is 100 ms."""
+    show(
+        f"From a fault to rest in ms, {REPEATS} times each; the bar is {BAR_MS:g}",
+        ("drive", "what happens", "median", "most", "named"),
+        [
+            *(row("TMCL", tmcl_bench, event, happens) for event, happens in TMCL_EVENTS.items()),
+            *(row("CiA 402", cia402_bench, event, it) for event, it in CIA402_EVENTS.items()),
+        ],
+    )
+
+
+def row(
+    kind: str,
+    make: Callable[[], Any],
+    event: str,
+    happens: Callable[[Bench], None],
+) -> tuple[str, ...]:
+    """A fault as it stands in the table."""
+    times_ms, named = [], ""
+    while len(times_ms) < REPEATS:
+        with make() as bench:
+            bench.drive.start()
+            press(bench, BEFORE_S)
+            if bench.drive.status().fault is not None:
+                continue  # A busy machine has let the watchdog pass already.
+            happened_ns = time.monotonic_ns()
+            happens(bench)
+            press(bench, AFTER_S if event != NO_COMMAND else 0.0)
+            while bench.motor.rate_hz or bench.drive.status().fault is None:
+                time.sleep(PERIOD_S)
+            # The motor's time is of whole ms, and may lie just before the fault's.
+            times_ms.append(max(0.0, (bench.motor.rested_ns - happened_ns) / 1e6))
+            named = str(bench.drive.status().fault).split(":")[0]
+    return kind, event, f"{statistics.median(times_ms):.0f}", f"{max(times_ms):.0f}", named
+
+
+def press(bench: Bench, seconds: float) -> None:
+    """Command a speed for so long, as a force loop would that sees no fault."""
+    end_s = time.monotonic() + seconds
+    while time.monotonic() < end_s:
+        bench.drive.command(PRESS)
+        time.sleep(PERIOD_S)
+
+
+@contextmanager
+def tmcl_bench() -> Iterator[Bench]:
+    """A TMCL drive on a pseudo-terminal."""
+    port = PtyPort(None)
+    scene = TmclScene.model_validate({"kind": "tmcl", "port": str(port.path), **HERE})
+    turned = motor(0.0)
+    module = EmulatedModule(scene, turned)
+    line = SerialLine(module, port)
+    bench = Bench(build_drive(scene, ACTUATOR, LAYER, FORCE_LIMIT_N), turned, module)
+
+    open_line = ExitStack()
+    open_line.callback(line.close)
+
+    def poll() -> None:
+        if bench.plugged:
+            line.serve(1e-3)
+        else:
+            open_line.close()
+            time.sleep(1e-3)
+        turned.advance(time.monotonic_ns())
+
+    with open_line, polled(poll):
+        yield bench
+        bench.drive.close()
+
+
+@contextmanager
+def cia402_bench() -> Iterator[Bench]:
+    """A CiA 402 drive on a virtual bus."""
+    scene = Cia402Scene.model_validate({"kind": "cia402", **CAN_BUS, **HERE})
+    turned = motor(0.0)
+    node = EmulatedNode(scene, turned, can.Bus(**CAN_BUS))  # type: ignore[arg-type]
+
+    def poll() -> None:
+        time.sleep(1e-3)
+        node.poll()
+
+    with polled(poll):
+        bench = Bench(build_drive(scene, ACTUATOR, LAYER, FORCE_LIMIT_N), turned, node)
+        yield bench
+        bench.drive.close()
+    node.close()
+
+
+def break_motor(bench: Bench) -> None:
+    """The drive is too hot."""
+    bench.motor.fail("overtemperature")
+
+
+def answer(how: str) -> Callable[[Bench], None]:
+    """The module's replies are of this kind from now on."""
+
+    def happens(bench: Bench) -> None:
+        bench.emulator.answers = how
+
+    return happens
+
+
+def fall_silent(bench: Bench) -> None:
+    """The drive hears, and says nothing."""
+    bench.emulator.silent = True
+
+
+def unplug(bench: Bench) -> None:
+    """The port is gone."""
+    bench.plugged = False
+
+
+def nothing(bench: Bench) -> None:
+    """We give no command any more, as a process that hangs or is killed."""
+
+
+NO_COMMAND = "no command any more"
+TMCL_EVENTS = {
+    "over-temperature": break_motor,
+    "no replies": answer("none"),
+    "garbled replies": answer("garbled"),
+    "replies to something else": answer("wrong"),
+    "cable pulled": unplug,
+    NO_COMMAND: nothing,
+}
+CIA402_EVENTS = {
+    "over-temperature": break_motor,
+    "it falls silent": fall_silent,
+    NO_COMMAND: nothing,
+}

@@ -1,0 +1,218 @@
+"""Real drives: what a velocity command costs, and what a serial line allows.
+
+The emulated drives answer from a thread of this process. A virtual bus has no arbitration and no
+bit rate, and a pseudo-terminal no baud rate: real ones add their own times.
+"""
+
+import statistics
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+
+import can
+import numpy as np
+from pytrinamic.connections.tmcl_interface import TmclInterface
+from pytrinamic.tmcl import TMCLRequest
+
+from benchmarks.measure import show
+from display_node.actuators.stepper import StepperScene
+from display_node.drives import build_drive
+from display_node.drives.axis import build_axis
+from display_node.drives.cia402_node import Cia402Node
+from display_node.drives.cia402_states import Control
+from display_node.drives.drive import Drive
+from display_node.drives.scene import Cia402Scene, TmclScene
+from display_node.drives.tmcl_line import TmclLine
+from display_node.drives.tmcl_numbers import Command
+from display_node.step_rate import StepCommand
+from protocol.stream import LayerTable
+from telepulse.emulate.cia402_node import EmulatedNode
+from telepulse.emulate.motor import EmulatedMotor
+from telepulse.emulate.pty_port import PtyPort
+from telepulse.emulate.tmcl_line import CanLine, SerialLine
+from telepulse.emulate.tmcl_module import EmulatedModule
+
+RUNS = 5
+CALLS = 500
+BAR_US = 50.0
+DATAGRAM_BITS = 9 * 10
+BAUDS = (9_600, 57_600, 115_200, 500_000, 1_000_000)
+LAYER = LayerTable().layer()
+ACTUATOR = StepperScene.model_validate({"kind": "stepper"})
+FORCE_LIMIT_N = 2.5
+CAN_BUS = {"interface": "virtual", "channel": "benchmark"}
+# At home where it is, and that is first touch: a drive that is started at once.
+HERE = {"homing": "none", "touch": "0 m", "watchdog": "1 s"}
+TMCL = {"kind": "tmcl", "reply_timeout": "200 ms", **HERE}
+SLOWLY = StepCommand(1.0, 1)
+
+Call = Callable[[], object]
+
+
+def main() -> None:
+    """Print the tables; the bar is 50 µs p99 for the PDO of a command on the virtual bus."""
+    with ExitStack() as open_things:
+        calls = {
+            **open_things.enter_context(pdos_to_nobody()),
+            **open_things.enter_context(cia402_calls()),
+            **open_things.enter_context(tmcl_calls()),
+        }
+        # Interleaved, so that all meet the same machine.
+        runs = [{name: percentiles(call) for name, call in calls.items()} for _ in range(RUNS)]
+    show(
+        f"One velocity command in µs, median of {RUNS} interleaved runs of {CALLS};"
+        f" the bar for a PDO is a p99 of {BAR_US:g}. CPU: of the caller, whoever else runs",
+        ("what", "p50", "p99", "CPU p50", "CPU p99"),
+        [(name, *(median([run[name][k] for run in runs]) for k in range(4))) for name in calls],
+    )
+    show(
+        "What a serial line allows a TMCL module: request and reply are 9 bytes each",
+        ("baud", "there and back, ms", "commands a second, at most"),
+        [line_row(2e3 * DATAGRAM_BITS / baud, baud) for baud in BAUDS],
+    )
+
+
+def line_row(both_ms: float, baud: int) -> tuple[str, ...]:
+    """A line as it stands in the table; both_ms: a request and its reply."""
+    return str(baud), f"{both_ms:.2f}", f"{1e3 / both_ms:.0f}"
+
+
+def percentiles(call: Call) -> tuple[float, ...]:
+    """p50 and p99 of single calls in µs: of the time that passes, then of the caller's CPU time."""
+    if isinstance(call, Commands):
+        call.prepare()
+    costs_ns = np.empty((CALLS, 2))
+    for number in range(CALLS):
+        began_ns, cpu_ns = time.perf_counter_ns(), time.thread_time_ns()
+        call()
+        costs_ns[number] = time.perf_counter_ns() - began_ns, time.thread_time_ns() - cpu_ns
+    quantiles = np.quantile(costs_ns, (0.5, 0.99), axis=0) * 1e-3
+    return tuple(quantiles.T.ravel().tolist())
+
+
+def median(values: list[float]) -> str:
+    """As it stands in the table."""
+    return f"{statistics.median(values):.0f}"
+
+
+@contextmanager
+def pdos_to_nobody() -> Iterator[dict[str, Call]]:
+    """What sending costs by itself: the bus has a second member, and no thread reads it."""
+    bus = {**CAN_BUS, "channel": "nobody"}
+    scene = Cia402Scene.model_validate({"kind": "cia402", **bus})
+    node = Cia402Node(scene, build_axis(scene, ACTUATOR, LAYER, FORCE_LIMIT_N), Counter())
+    frame = can.Message(arbitration_id=0x201, is_extended_id=False, data=bytes(6))
+    with can.Bus(**bus), can.Bus(**bus) as bare:  # type: ignore[arg-type]
+
+        def tell(cyclic: bool) -> None:
+            node.cyclic = cyclic
+            node.tell(Control.ENABLE, 1_000)
+
+        yield {
+            "PDO by python-can alone": lambda: bare.send(frame),
+            "PDO": lambda: tell(False),
+            "PDO and SYNC": lambda: tell(True),
+        }
+        node.close()
+
+
+@contextmanager
+def cia402_calls() -> Iterator[dict[str, Call]]:
+    """Commands to an emulated CiA 402 drive, as the force loop gives them."""
+    scene = Cia402Scene.model_validate({"kind": "cia402", **CAN_BUS, **HERE})
+    emulated = EmulatedNode(scene, motor(scene.touch_m), can.Bus(**CAN_BUS))  # type: ignore[arg-type]
+
+    def poll() -> None:
+        time.sleep(0.001)
+        emulated.poll()
+
+    with polled(poll):
+        drive = build_drive(scene, ACTUATOR, LAYER, FORCE_LIMIT_N)
+        node = Cia402Node(scene, build_axis(scene, ACTUATOR, LAYER, FORCE_LIMIT_N), Counter())
+        yield {
+            "CiA 402 drive: command (PDO, SYNC, heartbeat)": Commands(drive),
+            "CiA 402 drive: SDO write": lambda: node.write(0x6083, 0, 1_000),
+        }
+        drive.close()
+        node.close()
+    emulated.close()
+
+
+@contextmanager
+def tmcl_calls() -> Iterator[dict[str, Call]]:
+    """Requests to emulated TMCL modules, and the mailbox before one."""
+    with ExitStack() as open_things:
+        port = PtyPort(None)
+        on_pty = TmclScene.model_validate({**TMCL, "port": str(port.path)})
+        on_can = TmclScene.model_validate({**TMCL, **CAN_BUS, "module": 9})
+        boxed_port = PtyPort(None)
+        boxed = TmclScene.model_validate({**TMCL, "port": str(boxed_port.path)})
+        for server in (
+            SerialLine(EmulatedModule(on_pty, motor(0.0)), port),
+            CanLine(EmulatedModule(on_can, motor(0.0)), on_can, can.Bus(**CAN_BUS)),  # type: ignore[arg-type]
+            SerialLine(EmulatedModule(boxed, motor(boxed.touch_m)), boxed_port),
+        ):
+            open_things.callback(server.close)
+            open_things.enter_context(polled(lambda s=server: s.serve(0.005)))  # type: ignore[misc]
+        lines = TmclLine(on_pty), TmclLine(on_can)
+        drive = build_drive(boxed, ACTUATOR, LAYER, FORCE_LIMIT_N)
+        yield {
+            "TMCL drive: command (mailbox)": Commands(drive),
+            "TMCL request and reply, pseudo-terminal": lambda: rotate(lines[0]),
+            "the same, with PyTrinamic's log lines": lambda: rotate_and_log(lines[0]),
+            "TMCL request and reply, virtual CAN": lambda: rotate(lines[1]),
+        }
+        drive.close()
+        for line in lines:
+            line.close()
+
+
+class Commands:
+    """Commands to a drive."""
+
+    def __init__(self, drive: Drive) -> None:
+        self._drive = drive
+
+    def prepare(self) -> None:
+        """Start the drive where its watchdog has met a pause of ours."""
+        if self._drive.status().fault is not None:
+            self._drive.start()
+
+    def __call__(self) -> None:
+        self._drive.command(SLOWLY)
+
+
+def rotate(line: TmclLine) -> None:
+    """One velocity command."""
+    line.ask(Command.ROTATE_RIGHT, 0, 0, 1)
+
+
+def rotate_and_log(line: TmclLine) -> None:
+    """The same, as PyTrinamic's own interfaces do it."""
+    request = TMCLRequest(1, Command.ROTATE_RIGHT, 0, 0, 1)
+    TmclInterface.send_request(line._interface, request)
+
+
+def motor(touch_m: float) -> EmulatedMotor:
+    """The emulated drives' motor."""
+    return EmulatedMotor(ACTUATOR, ACTUATOR.contact(LAYER), touch_m, time.monotonic_ns())
+
+
+@contextmanager
+def polled(poll: Call) -> Iterator[None]:
+    """A thread that polls."""
+    over = threading.Event()
+
+    def run() -> None:
+        while not over.is_set():
+            poll()
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()

@@ -1,0 +1,110 @@
+"""One-way latency at 1 kHz on loopback, process to process, of us and what others would pick.
+
+All peers stamp a message right before they encode it, and its arrival when its value can be used:
+ours when it lies in the jitter buffer, decoded, checked and known to be no copy, and the delay
+estimate has heeded it. They run in turns, in rounds of alternating order. pyzmq comes with msgpack.
+"""
+
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+
+import numpy as np
+
+from benchmarks.measure import show
+from benchmarks.peers.race import Run, run
+
+ROUNDS = 6
+MESSAGES = 2_000
+QUANTILES = (50.0, 99.0, 99.9)
+
+
+@dataclass(frozen=True, slots=True)
+class Peer:
+    """A row of the table: its module here, and the packages that it needs."""
+
+    name: str
+    module: str
+    packages: tuple[str, ...] = ()
+    curve: bool = False
+
+    @property
+    def versions(self) -> str | None:
+        """Of its packages; None when one is not installed."""
+        try:
+            return ", ".join(f"{package} {version(package)}" for package in self.packages)
+        except PackageNotFoundError:
+            return None
+
+
+UDP = Peer("UDP", "udp")
+BARE = Peer("pyzmq", "bare", ("pyzmq", "msgpack"))
+OURS = Peer("telepulse", "ours")
+BARE_CURVE = Peer("pyzmq, CURVE", "bare", ("pyzmq", "msgpack"), curve=True)
+OURS_CURVE = Peer("telepulse, CURVE", "ours", curve=True)
+LSL = Peer("LSL", "lsl", ("pylsl",))
+ZENOH = Peer("zenoh", "zenoh_peer", ("eclipse-zenoh",))
+PEERS = (UDP, BARE, OURS, BARE_CURVE, OURS_CURVE, LSL, ZENOH)
+BARS = ((OURS, BARE, 1.25), (OURS_CURVE, BARE_CURVE, 1.25), (OURS, LSL, 1.0))
+
+
+def main() -> None:
+    """Print the table, the bars and the versions."""
+    runs = run_in_turns(PEERS, ROUNDS, MESSAGES)
+    columns = ("peer", "p50", "p99", "p99.9", "CPU", "lost", "disorder", "/ pyzmq", "/ LSL")
+    show(
+        f"Peers at 1 kHz, {ROUNDS} rounds of {MESSAGES} messages: one-way latency and the"
+        " subscriber's CPU time a message, in µs; p50 over that of others",
+        columns,
+        [row(peer, runs) for peer in PEERS],
+    )
+    for ours, other, bar in BARS:
+        print(verdict(ours, other, bar, runs))
+    print("; ".join(dict.fromkeys(peer.versions for peer in runs if peer.versions)))
+
+
+def run_in_turns(peers: tuple[Peer, ...], rounds: int, messages: int) -> dict[Peer, list[Run]]:
+    """All runs of the peers that are installed, one a round."""
+    there = [peer for peer in peers if peer.versions is not None]
+    runs: dict[Peer, list[Run]] = {peer: [] for peer in there}
+    for number in range(rounds):
+        for peer in there if number % 2 == 0 else reversed(there):
+            runs[peer].append(run(peer.module, peer.curve, messages))
+    return runs
+
+
+def row(peer: Peer, runs: dict[Peer, list[Run]]) -> tuple[str, ...]:
+    """A peer as it stands in the table."""
+    if peer not in runs:
+        return peer.name, "not installed"
+    mine = runs[peer]
+    delays_us = np.concatenate([each.delays_ns for each in mine]) * 1e-3
+    cpu_us = sum(each.cpu_ns for each in mine) * 1e-3 / len(delays_us)
+    return (
+        peer.name,
+        *(f"{value:.0f}" for value in np.percentile(delays_us, QUANTILES)),
+        f"{cpu_us:.0f}",
+        str(sum(each.lost for each in mine)),
+        str(sum(each.disordered for each in mine)),
+        *(_shown(ratio(peer, other, runs)) for other in (BARE, LSL)),
+    )
+
+
+def ratio(peer: Peer, other: Peer, runs: dict[Peer, list[Run]]) -> float | None:
+    """Median over the rounds of the peer's p50 over the other's; None where one did not run."""
+    if peer not in runs or other not in runs:
+        return None
+    pairs = zip(runs[peer], runs[other], strict=True)
+    return float(np.median([np.median(a.delays_ns) / np.median(b.delays_ns) for a, b in pairs]))
+
+
+def verdict(peer: Peer, other: Peer, bar: float, runs: dict[Peer, list[Run]]) -> str:
+    """Whether the peer's p50 is at most `bar` times the other's."""
+    found = ratio(peer, other, runs)
+    if found is None:
+        return f"{peer.name}: nothing to hold against {other.name}"
+    met = "met" if found <= bar else "missed"
+    return f"{peer.name}: p50 {found:.2f} times that of {other.name}; the bar is {bar:g}: {met}"
+
+
+def _shown(value: float | None) -> str:
+    return "" if value is None else f"{value:.2f}"

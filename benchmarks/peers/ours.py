@@ -1,0 +1,69 @@
+"""telepulse: a frame through our own sockets and session until it lies in the jitter buffer."""
+
+import time
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+import zmq
+
+from benchmarks.peers import curve
+from benchmarks.peers.message import VALUE, Arrival, Wire
+from display_node.receiver import Receiver
+from protocol import sockets
+from protocol.messages import Frame, encode_control, encode_frame
+from protocol.stream import Channel, StreamDescription
+from protocol.tactile import ElasticLayer
+from sensing_node.desk import Desk
+
+SESSION = 1
+PERIOD_NS = 1_000_000
+DESCRIPTION = StreamDescription("peer", PERIOD_NS, 1, (Channel("pulse"),), ElasticLayer())
+LATE_TARGET = 0.01
+# Requests may leave so much later than they are due.
+WAIT_NS = 10_000_000
+
+
+def publish(wire: Wire, numbers: Iterable[int]) -> None:
+    """Answer the display and send a frame a number, whose time is when it is to be encoded."""
+    context: sockets.Context = zmq.Context()
+    data = curve.serve(sockets.unconnected(context, zmq.PUB), wire.keys)
+    control = curve.serve(sockets.unconnected(context, zmq.ROUTER), wire.keys)
+    data.bind(_data(wire))
+    control.bind(sockets.control_address(_data(wire)))
+    desk = Desk(DESCRIPTION, SESSION)
+    values = np.full((1, 1), VALUE, np.float32)
+    for sequence in numbers:
+        for *sender, message in sockets.receive_all(control):
+            reply = desk.answer(tuple(sender), message, time.monotonic_ns(), sequence)
+            if reply is not None:
+                sockets.send(control, *sender, encode_control(reply))
+        frame = Frame(SESSION, sequence, time.monotonic_ns(), PERIOD_NS, values)
+        sockets.send(data, encode_frame(frame))
+
+
+def subscribe(wire: Wire) -> Iterator[Arrival]:
+    """Frames as they are in the buffer, by the loop of `DisplayNode` without its ticks."""
+    context: sockets.Context = zmq.Context()
+    data = curve.join(sockets.unconnected(context, zmq.SUB), wire.keys)
+    control = curve.join(sockets.unconnected(context, zmq.DEALER), wire.keys)
+    data.connect(_data(wire))
+    control.connect(sockets.control_address(_data(wire)))
+    receiver = Receiver("peer", channel=0, late_target=LATE_TARGET)
+    subscribed = False
+    while True:
+        for parts in sockets.receive_all(control):
+            receiver.on_control(b"".join(parts), time.monotonic_ns())
+        if receiver.listening and not subscribed:
+            subscribed = True
+            data.subscribe(b"")
+        for parts in sockets.receive_all(data):
+            frame = receiver.on_frame(b"".join(parts), time.monotonic_ns())
+            if frame is not None:
+                yield Arrival(frame.first_sample, frame.t_first_ns, time.monotonic_ns())
+        for message in receiver.requests(time.monotonic_ns()):
+            sockets.send(control, encode_control(message))
+        sockets.wait_readable((control, data), WAIT_NS)
+
+
+def _data(wire: Wire) -> str:
+    return f"tcp://127.0.0.1:{wire.port}"

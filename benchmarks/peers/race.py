@@ -1,0 +1,97 @@
+"""One run of one peer: a publisher's process, a subscriber's, and what came across."""
+
+import time
+from array import array
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import import_module
+from itertools import count
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.peers.curve import make_keys
+from benchmarks.peers.message import Arrival, Wire
+from telepulse.ports import free_addresses
+
+PERIOD_NS = 1_000_000
+# Connecting, and the first messages of a process, are not what is measured.
+WARM_UP = 300
+PATIENCE_S = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """What a subscriber saw: delays in ns, messages missing and out of order, its CPU time in ns.
+
+    CPU time is of all its threads, from the end of the warm-up to the last message.
+    """
+
+    delays_ns: NDArray[np.int64]
+    lost: int
+    disordered: int
+    cpu_ns: int
+
+
+def run(module: str, curve: bool, messages: int) -> Run:
+    """Run a peer by its module in this package. Raises RuntimeError when nothing comes across."""
+    address = free_addresses(1)[0]
+    wire = Wire(int(address.rpartition(":")[2]), make_keys() if curve else None)
+    spawn = get_context("spawn")
+    ours, theirs = spawn.Pipe(duplex=False)
+    processes = [
+        spawn.Process(target=publish, args=(module, wire), daemon=True),
+        spawn.Process(target=subscribe, args=(module, wire, messages, theirs), daemon=True),
+    ]
+    try:
+        for process in processes:
+            process.start()
+        theirs.close()
+        if not ours.poll(PATIENCE_S + messages * PERIOD_NS * 1e-9):
+            raise RuntimeError(f"{module}: no figures within {PATIENCE_S:g} s of their time")
+        received: Run = ours.recv()
+        return received
+    except EOFError:
+        raise RuntimeError(f"{module}: its subscriber ended without figures") from None
+    finally:
+        for process in processes:
+            process.terminate()
+            process.join()
+
+
+def publish(module: str, wire: Wire) -> None:
+    """Send a message every millisecond until terminated."""
+    import_module(f"benchmarks.peers.{module}").publish(wire, paced())
+
+
+def paced() -> Iterator[int]:
+    """Numbers, each when it is due."""
+    due_ns = time.monotonic_ns()
+    for number in count():
+        due_ns += PERIOD_NS
+        time.sleep(max(0, due_ns - time.monotonic_ns()) * 1e-9)
+        yield number
+
+
+def subscribe(module: str, wire: Wire, messages: int, result: Connection) -> None:
+    """Receive the warm-up and then so many messages, and hand the figures over."""
+    result.send(measure(import_module(f"benchmarks.peers.{module}").subscribe(wire), messages))
+
+
+def measure(arrivals: Iterator[Arrival], messages: int) -> Run:
+    """The figures of `messages` arrivals after the warm-up."""
+    for _ in range(WARM_UP):
+        newest = next(arrivals).sequence
+    delays_ns, lost, disordered = array("q"), 0, 0
+    began_ns = time.process_time_ns()
+    for _ in range(messages):
+        sequence, sent_ns, usable_ns = next(arrivals)
+        delays_ns.append(usable_ns - sent_ns)
+        if sequence > newest:
+            lost += sequence - newest - 1
+            newest = sequence
+        else:
+            disordered += 1
+    return Run(np.array(delays_ns), lost, disordered, time.process_time_ns() - began_ns)

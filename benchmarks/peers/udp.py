@@ -1,0 +1,24 @@
+"""Raw UDP: the least that a message between two processes of Python costs."""
+
+import time
+from collections.abc import Iterable, Iterator
+from socket import AF_INET, SOCK_DGRAM, socket
+
+from benchmarks.peers.message import FIELDS, VALUE, Arrival, Wire
+
+
+def publish(wire: Wire, numbers: Iterable[int]) -> None:
+    """Send a message a number."""
+    sender = socket(AF_INET, SOCK_DGRAM)
+    address = ("127.0.0.1", wire.port)
+    for sequence in numbers:
+        sender.sendto(FIELDS.pack(sequence, time.monotonic_ns(), VALUE), address)
+
+
+def subscribe(wire: Wire) -> Iterator[Arrival]:
+    """Messages as they come."""
+    receiver = socket(AF_INET, SOCK_DGRAM)
+    receiver.bind(("127.0.0.1", wire.port))
+    while True:
+        sequence, sent_ns, _ = FIELDS.unpack(receiver.recv(FIELDS.size))
+        yield Arrival(sequence, sent_ns, time.monotonic_ns())

@@ -1,0 +1,41 @@
+"""Eclipse Zenoh: two peers on a TCP connection, no message waiting for others to share a batch."""
+
+import json
+import time
+from collections.abc import Iterable, Iterator
+
+from benchmarks.peers.message import FIELDS, VALUE, Arrival, Wire
+
+KEY = "telepulse/force"
+
+
+def publish(wire: Wire, numbers: Iterable[int]) -> None:
+    """Send a message a number."""
+    import zenoh
+
+    session = zenoh.open(zenoh.Config.from_json5(_config("listen", wire)))
+    force = session.declare_publisher(KEY, express=True)
+    for sequence in numbers:
+        force.put(FIELDS.pack(sequence, time.monotonic_ns(), VALUE))
+
+
+def subscribe(wire: Wire) -> Iterator[Arrival]:
+    """Messages as they come."""
+    import zenoh
+
+    # Both end when nothing refers to them.
+    session = zenoh.open(zenoh.Config.from_json5(_config("connect", wire)))
+    force = session.declare_subscriber(KEY)
+    for sample in force:
+        sequence, sent_ns, _ = FIELDS.unpack(sample.payload.to_bytes())
+        yield Arrival(sequence, sent_ns, time.monotonic_ns())
+
+
+def _config(side: str, wire: Wire) -> str:
+    return json.dumps(
+        {
+            "mode": "peer",
+            side: {"endpoints": [f"tcp/127.0.0.1:{wire.port}"]},
+            "scouting": {"multicast": {"enabled": False}},
+        }
+    )
