@@ -17,6 +17,8 @@ from protocol.commands import (
 )
 from protocol.signals import stop_on_signals
 from protocol.summary import check_writable
+from telepulse.bench.cli import bench
+from telepulse.calibrate.cli import calibrate
 from telepulse.demo import run_demo
 from telepulse.emulate.cli import app as emulate_app
 from telepulse.link import LinkScene, parse_link
@@ -36,6 +38,8 @@ app = typer.Typer(
 )
 app.add_typer(study_app, name="study")
 app.add_typer(emulate_app, name="emulate")
+app.command()(bench)
+app.command()(calibrate)
 
 SceneArgument = Annotated[
     str, typer.Argument(help="A scene file, or the name of one that comes with telepulse.")

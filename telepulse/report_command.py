@@ -17,18 +17,21 @@ TablesOption = Annotated[
 ]
 
 
-def publish(build: Callable[[], Report], out: Path, json: Path | None) -> None:
+def publish(build: Callable[[], Report], out: Path | None, json: Path | None) -> None:
     """Build a report, write its page into `out` and its tables to `json`, and print them.
 
-    What cannot be written is said before the work.
+    Without `out` there is no page, and nothing to draw it is needed. What cannot be written is
+    said before the work.
     """
     console = plain_console()
     with one_line_errors(PROGRAM):
         check_writable(json)
-        check_can_report(out)
+        if out is not None:
+            check_can_report(out)
         report = build()
-        page = write_report(report, out)
+        page = None if out is None else write_report(report, out)
         if json is not None:
             write_json(report, json)
         print_tables(report, console)
-    console.print(f"report: {page}")
+    if page is not None:
+        console.print(f"report: {page}")

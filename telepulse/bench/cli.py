@@ -1,0 +1,112 @@
+"""`telepulse bench`: check a bench before a finger is on it."""
+
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from display_node.scene import DisplayScene
+from protocol.commands import one_line_errors, plain_console
+from protocol.errors import SceneError
+from protocol.quantities import parse_quantity
+from protocol.scene import load_section
+from protocol.summary import check_writable
+from sensing_node.scene import SensingScene
+from telepulse.report import Report
+from telepulse.report_command import TablesOption, publish
+from telepulse.scene import DEFAULT_SCENE, find_scene
+
+PROGRAM = "telepulse"
+WARNING = (
+    "The drive will move and press with up to {force}. Keep fingers away: put a dummy of rubber"
+    " in the finger's place."
+)
+
+
+class Side(Enum):
+    """Which end of the system stands here."""
+
+    SENSING = "sensing"
+    DISPLAY = "display"
+    BOTH = "both"
+
+
+def bench(
+    scene: Annotated[str, typer.Argument(help="A scene file, or the name of one.")] = DEFAULT_SCENE,
+    only: Annotated[Side, typer.Option(help="Which end stands here.")] = Side.BOTH,
+    force: Annotated[str, typer.Option(help="Press with no more than this.")] = "0.3 N",
+    seconds: Annotated[
+        float, typer.Option(min=1, max=3600, help="How long a sensor is listened to.")
+    ] = 5.0,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before the drive moves.")] = False,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Write a page with plots here.")
+    ] = None,
+    write: Annotated[
+        Path | None,
+        typer.Option(metavar="SCENE.toml", help="Write the scene here, with what was found."),
+    ] = None,
+    json: TablesOption = None,
+) -> None:
+    """Check sensors and drive before a finger is on them, and identify the actuator.
+
+    Without [display.drive] the scene's models are checked, in virtual time. Every check ends in
+    ok, look or fail; exit status 1 when one failed.
+    """
+    # What is identified brings scipy's import times; other commands do without.
+    from telepulse.bench import run
+    from telepulse.bench.report import report_bench
+    from telepulse.bench.scene_edit import as_toml, write_scene
+    from telepulse.tune import as_toml as gains_as_toml
+
+    console, findings = plain_console(), run.Findings()
+
+    def check() -> Report:
+        check_writable(write)
+        path, force_n = find_scene(scene), _force_n(force)
+        if only is not Side.DISPLAY:
+            sensing = load_section(path, "sensing", SensingScene)
+            run.check_wrist(findings, sensing, path.parent, seconds)
+        if only is not Side.SENSING:
+            display = load_section(path, "display", DisplayScene)
+            _within_limits(force_n, display)
+            if display.drive is not None and not yes:
+                _ask(force)
+            run.check_display(findings, display, path.parent, force_n, seconds)
+            run.check_loop(findings, path)
+        return report_bench(path.stem, findings)
+
+    publish(check, out, json)
+    if findings.changes:
+        console.print("\nfound, as the scene would say it:\n\n" + as_toml(findings.changes))
+    if findings.designs is not None and findings.designs[0].worst.unfit is not None:
+        console.print("\ngains for it:\n\n" + gains_as_toml(findings.designs[1].controller))
+    if write is not None and findings.changes:
+        with one_line_errors(PROGRAM):
+            write_scene(find_scene(scene), write, findings.changes, findings.note)
+        console.print(f"\nscene: {write}")
+    if findings.failed:
+        raise SystemExit(1)
+
+
+def _ask(force: str) -> None:
+    print(WARNING.format(force=force))
+    if not typer.confirm("Is no finger there?"):
+        raise SystemExit(1)
+
+
+def _force_n(text: str) -> float:
+    try:
+        force_n = parse_quantity(text, "force")
+    except ValueError as error:
+        raise SceneError(f"--force: {error}") from None
+    if not force_n > 0:
+        raise SceneError(f"--force: {text!r} must be above 0 N")
+    return force_n
+
+
+def _within_limits(force_n: float, display: DisplayScene) -> None:
+    limit_n = display.safety.force_limit_n
+    if force_n > limit_n:
+        raise SceneError(f"--force: {force_n:g} N is above the scene's force_limit, {limit_n:g} N")

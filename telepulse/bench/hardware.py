@@ -1,0 +1,122 @@
+"""The bench itself: its drive and the sensor of its film, in real time."""
+
+import time
+
+import numpy as np
+
+from display_node.drives.drive import Drive
+from display_node.step_rate import StepCommand, StepRate
+from protocol.errors import BenchError, DriveError
+from sensors.reading import Reading
+from sensors.sensor import Sensor
+from telepulse.bench.rig import FilmSample
+from telepulse.bench.sensor_check import Heard
+from telepulse.bench.verdict import Check, graded
+
+POLL_S = 2e-4
+ANSWER_SPEED_M_PER_S = 1e-3
+ANSWERS = 20
+ANSWER_WITHIN_S = 0.2
+# A drive that says so late what it does is no use to a loop that hears of it by the film alone.
+ANSWER_LOOK_S, ANSWER_FAIL_S = 0.03, 0.1
+
+
+class HardwareRig:
+    """See `Rig`. Drive and sensor are open already; whoever opened them closes them.
+
+    Raises DriveError when the drive has failed.
+    """
+
+    def __init__(self, drive: Drive, film: Sensor, vco: StepRate, tick_s: float) -> None:
+        self.tick_s = tick_s
+        self._drive = drive
+        self._film = film
+        self._vco = vco
+        self._began_ns = self._due_ns = time.monotonic_ns()
+        film.poll()
+
+    def tick(self, output: float) -> tuple[float, list[FilmSample]]:
+        """See `Rig.tick`; a tick that comes late is held for longer, and recorded so."""
+        told_ns = time.monotonic_ns()
+        self._drive.command(self._vco.command(output))
+        # Never faster than a tick: what was missed is not made up for.
+        self._due_ns = max(self._due_ns + round(self.tick_s * 1e9), told_ns)
+        time.sleep(max(0.0, (self._due_ns - time.monotonic_ns()) * 1e-9))
+        fault = self._drive.status().fault
+        if fault is not None:
+            raise DriveError("fault", f"the drive stopped: {fault}")
+        samples = [
+            FilmSample((taken_ns - self._began_ns) * 1e-9, force_n)
+            for reading in self._film.poll()
+            for taken_ns, force_n in zip(_times_ns(reading), reading.force_n, strict=True)
+        ]
+        return (told_ns - self._began_ns) * 1e-9, samples
+
+    def stop(self) -> None:
+        """See `Rig.stop`."""
+        self._drive.stop()
+
+
+def listen(sensor: Sensor, seconds: float) -> Heard:
+    """What a sensor says for so long. Raises BenchError when it says nothing."""
+    sensor.poll()
+    end_s = time.monotonic() + seconds
+    arrivals_ns: list[int] = []
+    readings: list[Reading] = []
+    while time.monotonic() < end_s:
+        time.sleep(POLL_S)
+        for reading in sensor.poll():
+            arrivals_ns.append(time.monotonic_ns())
+            readings.append(reading)
+    if not readings:
+        raise BenchError(f"no sample came in {seconds:g} s: " + "; ".join(sensor.faults()))
+    return Heard(
+        taken_ns=np.array([t for reading in readings for t in _times_ns(reading)], np.int64),
+        force_n=np.array([f for reading in readings for f in reading.force_n]),
+        arrival_ns=np.array(arrivals_ns, np.int64),
+        arrived=np.array([len(reading.force_n) for reading in readings], np.int64),
+        missing=sum(reading.missing for reading in readings),
+    )
+
+
+def check_answers(drive: Drive, vco: StepRate) -> Check:
+    """From a command to the drive's own report of that speed: away from the finger and back."""
+    waits_s = []
+    away = vco.command(-ANSWER_SPEED_M_PER_S)
+    back, rest = StepCommand(away.rate_hz, 1), StepCommand(0.0, 0)
+    for _ in range(ANSWERS // 4):
+        for command in (away, rest, back, rest):
+            waits_s.append(_answer_s(drive, command))
+    p50_s, p99_s = np.quantile(waits_s, (0.5, 0.99))
+    return graded(
+        "drive's answer",
+        f"speed reported {p50_s * 1e3:.1f} ms after its command (p50), {p99_s * 1e3:.1f} ms (p99)",
+        float(p99_s),
+        ANSWER_LOOK_S,
+        ANSWER_FAIL_S,
+        "look at the line's rate, its errors and this machine's load",
+    )
+
+
+def _answer_s(drive: Drive, command: StepCommand) -> float:
+    """How long it takes until the drive says that it does as told; the limit where it does not."""
+    began_s = time.monotonic()
+    while (waited_s := time.monotonic() - began_s) < ANSWER_WITHIN_S:
+        drive.command(command)
+        time.sleep(POLL_S)
+        status = drive.status()
+        if status.fault is not None:
+            raise DriveError("fault", f"the drive stopped: {status.fault}")
+        towards = status.speed_m_per_s * command.direction
+        half_m_per_s = ANSWER_SPEED_M_PER_S / 2
+        if towards > half_m_per_s or (
+            not command.direction and abs(status.speed_m_per_s) < half_m_per_s
+        ):
+            return waited_s
+    return ANSWER_WITHIN_S
+
+
+def _times_ns(reading: Reading) -> list[int]:
+    """When each of a reading's samples was taken."""
+    count, span_ns = len(reading.force_n), reading.end_ns - reading.first_ns
+    return [reading.first_ns + number * span_ns // count for number in range(count)]

@@ -1,0 +1,25 @@
+"""What a check found: ok, look (it works, but not as it should) or fail, and why."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+Verdict = Literal["ok", "look", "fail"]
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One line of a bench check."""
+
+    name: str
+    found: str
+    verdict: Verdict = "ok"
+    reason: str = ""
+
+
+def graded(name: str, found: str, value: float, look: float, fail: float, reason: str) -> Check:
+    """A check of a value that should be small: above `look` or `fail`, the reason is told."""
+    if not value <= fail:
+        return Check(name, found, "fail", reason)
+    if value > look:
+        return Check(name, found, "look", reason)
+    return Check(name, found)

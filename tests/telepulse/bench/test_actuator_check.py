@@ -1,0 +1,82 @@
+import pytest
+
+from display_node.actuators.stepper import StepperScene
+from display_node.scene import DisplayScene
+from telepulse.bench.actuator_check import Actuator, check_actuator
+from telepulse.bench.rig import ModelRig
+from telepulse.scene import find_scene, load_scene
+
+from .test_press import bench
+
+
+def checked(really: DisplayScene, taken_for: DisplayScene | None = None) -> Actuator:
+    """A bench that is really so, checked with a scene that may say something else."""
+    scene = taken_for or really
+    return check_actuator(ModelRig(really), scene, 0.3, scene.film.latency_ns * 1e-9)
+
+
+def verdicts(actuator: Actuator) -> dict[str, str]:
+    return {check.name: check.verdict for check in actuator.checks if check.verdict != "ok"}
+
+
+def number(actuator: Actuator, key: str) -> float:
+    return float(actuator.changes["display.actuator"][key].strip('"').split()[0])
+
+
+def test_the_papers_actuator_is_found_exactly() -> None:
+    found = checked(load_scene(find_scene("paper")).display)
+    assert found.changes == {"display.actuator": {"m": "0.65", "c": "0.61", "k": "4.23"}}
+    assert verdicts(found) == {}
+
+
+@pytest.mark.parametrize("latency_ms", [0.0, 4.2, 13.5])
+def test_the_latency_is_found_within_a_fifth_of_a_tick(latency_ms: float) -> None:
+    scene, _ = bench()
+    really, _ = bench(latency_ns=round(latency_ms * 1e6))
+    found = checked(really, scene)
+    assert number(found, "latency") == pytest.approx(latency_ms, abs=0.2)
+    assert verdicts(found) == ({"drive's latency": "look"} if latency_ms else {})
+
+
+def test_the_films_share_of_the_latency_is_not_the_drives() -> None:
+    scene, _ = bench(latency_ns=4_000_000)
+    late_film = scene.film.model_copy(update={"latency_ns": 5_000_000})
+    scene = scene.model_copy(update={"film": late_film})
+    assert number(checked(scene), "latency") == pytest.approx(4.0, abs=0.2)
+
+
+def test_a_ringing_rotor_is_found_through_a_slow_noisy_film() -> None:
+    really, _ = bench("real_bench", backlash_m=0.0, latency_ns=4_200_000)
+    found = checked(really)
+    assert number(found, "rotor_resonance") == pytest.approx(100.0, abs=5.0)
+    assert number(found, "rotor_damping") == pytest.approx(0.2, abs=0.05)
+    assert number(found, "latency") == pytest.approx(4.2, abs=0.2)
+    assert found.identified.model.k == pytest.approx(1.0, abs=0.01)
+
+
+def test_play_is_found_and_then_the_rotor_is_left_as_it_was() -> None:
+    really, _ = bench("real_bench", fingertip_n_per_m=1500.0, backlash_m=14e-6)
+    scene, _ = bench("real_bench")
+    found = checked(really, scene)
+    assert number(found, "backlash") == pytest.approx(14.0, abs=1.5)
+    assert number(found, "fingertip") == pytest.approx(1500.0, rel=0.02)
+    assert "rotor_resonance" not in found.changes["display.actuator"]
+    assert verdicts(found) == {"finger": "look", "play": "look"}
+
+
+def test_a_drive_that_loses_steps_is_named() -> None:
+    scene, actuator = bench()
+    # It makes half of the way that it is told: wrong microsteps, or lost steps.
+    half = actuator.model_copy(update={"lead_m": actuator.lead_m / 2})
+
+    class Losing(ModelRig):
+        def __init__(self) -> None:
+            super().__init__(scene.model_copy(update={"actuator": half}))
+
+        def tick(self, output: float) -> tuple[float, list]:  # type: ignore[type-arg]
+            return super().tick(output / 2)
+
+    found = check_actuator(Losing(), scene, 0.3, 0.0)
+    assert number(found, "fingertip") == pytest.approx(500.0, rel=0.05)
+    assert verdicts(found)["finger"] == "look"
+    assert isinstance(scene.actuator, StepperScene)

@@ -1,0 +1,132 @@
+"""The real-time part on a drive and a film that are exact whatever this machine is busy with."""
+
+import time
+from collections import Counter, deque
+
+import pytest
+
+from display_node.actuators.stepper import Stepper, StepperScene
+from display_node.drives.drive import DriveStatus
+from display_node.scene import DisplayScene
+from display_node.step_rate import StepCommand, StepRate
+from protocol.errors import BenchError, DriveError
+from sensors.reading import Reading
+from telepulse.bench.actuator_check import check_actuator
+from telepulse.bench.hardware import HardwareRig, check_answers, listen
+from telepulse.bench.sensor_check import judge_sensor, measure
+
+from .test_press import bench
+
+MS = 1_000_000
+TICK_S = 4e-3
+
+
+class Bench:
+    """A drive that obeys `late_ms` after it was told, and the film under its finger, 1 kHz."""
+
+    def __init__(self, scene: DisplayScene, actuator: StepperScene, late_ms: int) -> None:
+        law = actuator.contact(scene.layer.layer())
+        self._stepper = Stepper(actuator, law, 2.5, 1e-3)
+        self._told = StepCommand(0.0, 0)
+        self._queue: deque[tuple[int, StepCommand]] = deque()
+        self._now_ns = time.monotonic_ns()
+        self._late_ns = late_ms * MS
+        self._samples: list[tuple[int, float]] = []
+        self.fault: str | None = None
+        self.counts: Counter[str] = Counter()
+        self.stops = 0
+
+    def _advance(self) -> None:
+        while self._now_ns + MS <= time.monotonic_ns():
+            self._now_ns += MS
+            while self._queue and self._queue[0][0] <= self._now_ns - MS // 2:
+                self._told = self._queue.popleft()[1]
+            self._samples.append((self._now_ns, self._stepper.step(self._told)))
+
+    def start(self) -> None:
+        """Nothing to do."""
+
+    def command(self, command: StepCommand) -> None:
+        self._advance()
+        self._queue.append((time.monotonic_ns() + self._late_ns, command))
+
+    def status(self) -> DriveStatus:
+        self._advance()
+        speed = self._told.rate_hz * self._told.direction * 6.25e-7
+        return DriveStatus(self._stepper.screw_m, speed, self.fault, speed != 0, 0)
+
+    def stop(self) -> None:
+        self.stops += 1
+
+    def close(self) -> None:
+        """Nothing to do."""
+
+    def poll(self) -> list[Reading]:
+        self._advance()
+        samples, self._samples = self._samples, []
+        return [Reading(at_ns, at_ns + MS, (force_n,), 0) for at_ns, force_n in samples]
+
+    def faults(self) -> list[str]:
+        return ["it is unplugged"]
+
+
+@pytest.fixture
+def scene() -> DisplayScene:
+    return bench()[0]
+
+
+def vco(actuator: StepperScene) -> StepRate:
+    return StepRate(1 / actuator.step_m, actuator.max_speed_m_per_s / actuator.step_m)
+
+
+def test_a_real_bench_is_identified(scene: DisplayScene) -> None:
+    _, actuator = bench(fingertip_n_per_m=1300.0)
+    drive = Bench(scene, actuator, late_ms=6)
+    rig = HardwareRig(drive, drive, vco(actuator), TICK_S)  # type: ignore[arg-type]
+    # A loaded machine may not look at the film for long.
+    patient = scene.safety.model_copy(update={"feedback_within_ns": 10**10})
+    found = check_actuator(rig, scene.model_copy(update={"safety": patient}), 0.3, 0.0)
+    assert found.contact is not None
+    assert found.contact.finger_n_per_m == pytest.approx(1300.0, rel=0.05)
+    assert found.identified.delay_s == pytest.approx(6e-3, abs=2e-3)
+    assert drive.stops == 0
+
+
+def test_a_drive_that_fails_ends_the_press(scene: DisplayScene) -> None:
+    _, actuator = bench()
+    drive = Bench(scene, actuator, late_ms=0)
+    rig = HardwareRig(drive, drive, vco(actuator), TICK_S)  # type: ignore[arg-type]
+    rig.tick(0.0)
+    drive.fault = "overtemperature"
+    with pytest.raises(DriveError, match="the drive stopped: overtemperature"):
+        rig.tick(0.0)
+    with pytest.raises(DriveError, match="overtemperature"):
+        check_answers(drive, vco(actuator))
+
+
+def test_the_drives_answer_is_timed(scene: DisplayScene) -> None:
+    _, actuator = bench()
+    late = check_answers(Bench(scene, actuator, late_ms=150), vco(actuator))
+    assert late.verdict == "fail"
+    assert "p99" in late.found
+
+
+def test_listening_gives_every_sample_its_time(scene: DisplayScene) -> None:
+    _, actuator = bench()
+    sensor = Bench(scene, actuator, late_ms=0)
+    heard = listen(sensor, 0.3)  # type: ignore[arg-type]
+    figures = measure(heard)
+    assert figures.rate_hz == pytest.approx(1000.0)
+    assert {c.name: c.verdict for c in judge_sensor(figures, 1000.0)}["rate"] == "ok"
+
+
+def test_a_sensor_that_says_nothing_is_named() -> None:
+    class Mute:
+        def poll(self) -> list[Reading]:
+            return []
+
+        def faults(self) -> list[str]:
+            return ["it is unplugged"]
+
+    with pytest.raises(BenchError, match=r"no sample came in 0\.1 s: it is unplugged"):
+        listen(Mute(), 0.1)  # type: ignore[arg-type]

@@ -1,0 +1,105 @@
+import math
+from itertools import count
+
+import numpy as np
+import pytest
+
+from display_node.actuators.stepper import StepperScene
+from display_node.scene import DisplayScene
+from protocol.errors import BenchError
+from telepulse.bench.press import GUARD, Recorder, press_stepper, profile
+from telepulse.bench.rig import FilmSample, ModelRig
+from telepulse.scene import find_scene, load_scene
+
+SILENT_S = 0.06
+
+
+def bench(name: str = "bench", **actuator: float) -> tuple[DisplayScene, StepperScene]:
+    display = load_scene(find_scene(name)).display
+    assert isinstance(display.actuator, StepperScene)
+    changed = display.actuator.model_copy(update=actuator)
+    return display.model_copy(update={"actuator": changed}), changed
+
+
+class Broken:
+    """A rig that goes wrong at a tick."""
+
+    def __init__(self, rig: ModelRig, at: int, says_n: float | None) -> None:
+        self.tick_s = rig.tick_s
+        self._rig = rig
+        self._at = at
+        self._says_n = says_n
+        self.ticks = 0
+        self.stopped_at = -1
+
+    def tick(self, output: float) -> tuple[float, list[FilmSample]]:
+        self.ticks += 1
+        told_s, samples = self._rig.tick(output)
+        if self.ticks < self._at:
+            return told_s, samples
+        return told_s, [] if self._says_n is None else [FilmSample(told_s, self._says_n)]
+
+    def stop(self) -> None:
+        self.stopped_at = self.ticks
+
+
+def test_a_profile_makes_its_way_within_its_acceleration() -> None:
+    for way_m in (1e-6, 25e-6, -3e-4):
+        speeds = profile(way_m, 10.0, 1e-3)
+        assert sum(speeds) * 1e-3 == pytest.approx(way_m)
+        assert np.max(np.abs(np.diff([0.0, *speeds, 0.0]))) <= 10.0 * 1e-3 * 1.0001
+
+
+def test_a_press_keeps_to_its_force_and_ends_where_it_began() -> None:
+    display, actuator = bench()
+    recorder = Recorder(ModelRig(display), GUARD * 0.3, SILENT_S)
+    press_stepper(recorder, actuator, 0.3)
+    assert 0.28 < max(recorder.film_n) < 0.33
+    assert recorder.film_n[-1] == 0.0
+    assert sum(recorder.output) * 1e-3 == pytest.approx(0.0, abs=1e-7)
+
+
+@pytest.mark.parametrize("says_n", [0.5, -0.5, math.nan])
+def test_it_stops_at_once_when_the_film_says_too_much(says_n: float) -> None:
+    display, actuator = bench()
+    rig = Broken(ModelRig(display), at=1500, says_n=says_n)
+    with pytest.raises(BenchError, match=r"the film says .* above 0.45 N"):
+        press_stepper(Recorder(rig, GUARD * 0.3, SILENT_S), actuator, 0.3)
+    assert rig.stopped_at == rig.ticks == 1500
+
+
+def test_it_stops_when_the_film_falls_silent() -> None:
+    display, actuator = bench()
+    rig = Broken(ModelRig(display), at=1500, says_n=None)
+    with pytest.raises(BenchError, match="said nothing for 60 ms"):
+        press_stepper(Recorder(rig, GUARD * 0.3, SILENT_S), actuator, 0.3)
+    assert rig.stopped_at == rig.ticks
+    assert 1555 <= rig.ticks <= 1565
+
+
+def test_a_finger_that_is_not_there_is_not_searched_for_ever() -> None:
+    display, actuator = bench()
+    soft = actuator.model_copy(update={"fingertip_n_per_m": 50.0})
+    rig = Broken(ModelRig(display.model_copy(update={"actuator": soft})), 10**9, None)
+    with pytest.raises(BenchError, match="nothing was touched on 3 mm"):
+        press_stepper(Recorder(rig, GUARD * 0.3, SILENT_S), actuator, 0.3)
+    assert rig.stopped_at == rig.ticks
+
+
+def test_a_stop_much_harder_than_the_scene_says_is_not_pressed_hard() -> None:
+    display, actuator = bench()
+    hard = actuator.model_copy(update={"fingertip_n_per_m": 50_000.0})
+    recorder = Recorder(
+        ModelRig(display.model_copy(update={"actuator": hard})), GUARD * 0.3, SILENT_S
+    )
+    press_stepper(recorder, actuator, 0.3)
+    assert max(recorder.film_n) < GUARD * 0.3
+
+
+def test_samples_and_outputs_are_kept_as_told() -> None:
+    display, _ = bench()
+    recorder = Recorder(ModelRig(display), 1.0, SILENT_S)
+    recorder.run([0.0, 0.01, 0.02])
+    assert recorder.output == [0.0, 0.01, 0.02]
+    assert recorder.told_s == pytest.approx([0.0, 1e-3, 2e-3])
+    assert [round(time_s, 6) for time_s, _ in zip(recorder.film_s, count())] == [1e-3, 2e-3, 3e-3]

@@ -1,0 +1,79 @@
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from protocol.errors import OutputError, SceneError
+from telepulse.bench.scene_edit import Changes, as_toml, set_keys, write_scene
+from telepulse.scene import SCENE_FOLDERS
+
+SCENE = """title = "a bench"  # mine
+
+[display.actuator] # the stepper
+kind = "stepper"
+latency = "1 ms"   # guessed
+[display.actuator.other]
+latency = "9 ms"
+
+[display.film]
+
+# the end
+"""
+
+
+def test_a_key_is_set_in_its_place_and_all_else_stays() -> None:
+    edited = set_keys(SCENE, {"display.actuator": {"latency": '"4.2 ms"'}})
+    assert edited == SCENE.replace('"1 ms"', '"4.2 ms"')
+
+
+def test_a_new_key_goes_to_the_end_of_its_table() -> None:
+    edited = set_keys(SCENE, {"display.actuator": {"backlash": '"9 µm"'}})
+    assert edited == SCENE.replace("# guessed\n", '# guessed\nbacklash = "9 µm"\n')
+    empty = set_keys(SCENE, {"display.film": {"latency": '"8 ms"'}})
+    assert tomllib.loads(empty)["display"]["film"] == {"latency": "8 ms"}
+
+
+def test_a_new_table_goes_to_the_end() -> None:
+    edited = set_keys(SCENE, {"display.safety": {"force_limit": '"1 N"'}})
+    assert edited.startswith(SCENE)
+    assert tomllib.loads(edited)["display"]["safety"] == {"force_limit": "1 N"}
+
+
+def test_every_shipped_scene_can_be_edited() -> None:
+    changes: Changes = {"display.actuator": {"latency": '"4.2 ms"', "k": "1.5"}}
+    for path in SCENE_FOLDERS[1].glob("*.toml"):
+        before = tomllib.loads(path.read_text(encoding="utf-8"))
+        after = tomllib.loads(set_keys(path.read_text(encoding="utf-8"), changes))
+        before["display"]["actuator"] |= {"latency": "4.2 ms", "k": 1.5}
+        assert after == before
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        'display = { film = { radius = "9 mm" } }\n',
+        '[display]\nfilm = { radius = "9 mm" }\n',
+        '[display]\nfilm.radius = "9 mm"\n',
+        '[display.film]\nlatency = """9\nms"""\n',
+    ],
+)
+def test_a_table_written_otherwise_is_refused(text: str, tmp_path: Path) -> None:
+    source, target = tmp_path / "odd.toml", tmp_path / "found.toml"
+    source.write_text(text, encoding="utf-8")
+    with pytest.raises(SceneError, match="by hand"):
+        write_scene(source, target, {"display.film": {"latency": '"8 ms"'}})
+    assert not target.exists()
+
+
+def test_a_comment_goes_to_the_end_of_the_written_scene(tmp_path: Path) -> None:
+    source, target = tmp_path / "scene.toml", tmp_path / "found.toml"
+    source.write_text(SCENE, encoding="utf-8")
+    write_scene(source, target, {"display.film": {"latency": '"8 ms"'}}, "# found")
+    assert target.read_text(encoding="utf-8").endswith("# found\n")
+    with pytest.raises(OutputError, match="cannot be written"):
+        write_scene(source, tmp_path / "no" / "found.toml", {})
+
+
+def test_changes_are_shown_as_a_scene_says_them() -> None:
+    changes: Changes = {"a.b": {"c": "1", "d": '"2 ms"'}, "e": {"f": "3"}}
+    assert as_toml(changes) == '[a.b]\nc = 1\nd = "2 ms"\n\n[e]\nf = 3'

@@ -1,0 +1,83 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from protocol.errors import BenchError
+from telepulse.bench.sensor_check import Heard, judge_sensor, measure
+
+PERIOD_NS = 1_000_000
+COUNT = 5_000
+
+
+def heard(noise_n: float = 1e-3, hum_n: float = 0.0, zero_n: float = 0.0, batch: int = 8) -> Heard:
+    """Samples every ms, read a batch at a time when the last of it was taken."""
+    rng, t_s = np.random.default_rng(1), np.arange(COUNT) * 1e-3
+    force_n = zero_n + noise_n * rng.standard_normal(COUNT)
+    force_n += hum_n * np.sin(2 * np.pi * 50.1 * t_s)
+    taken_ns = 10**12 + np.arange(COUNT) * PERIOD_NS
+    return Heard(taken_ns, force_n, taken_ns[batch - 1 :: batch], np.full(COUNT // batch, batch))
+
+
+def verdicts(record: Heard, nominal_hz: float = 1000.0) -> dict[str, str]:
+    checks = judge_sensor(measure(record), nominal_hz)
+    assert all(check.reason for check in checks if check.verdict != "ok")
+    return {check.name: check.verdict for check in checks if check.verdict != "ok"}
+
+
+def test_a_good_sensor_is_ok() -> None:
+    figures = measure(heard())
+    assert figures.rate_hz == pytest.approx(1000.0)
+    assert figures.jitter_s == pytest.approx(0.0, abs=1e-9)
+    assert figures.noise_n == pytest.approx(1e-3, rel=0.05)
+    assert figures.mains < 0.05
+    assert verdicts(heard()) == {}
+
+
+def test_the_age_is_that_of_the_newest_sample_just_before_a_batch() -> None:
+    assert measure(heard(batch=8)).age_s == pytest.approx(8e-3)
+    assert measure(heard(batch=1)).age_s == pytest.approx(1e-3)
+
+
+def test_mains_is_found_with_its_share() -> None:
+    figures = measure(heard(noise_n=1e-3, hum_n=10e-3))
+    assert figures.mains_hz == 50.0
+    assert figures.mains == pytest.approx(50 / 51, abs=0.02)
+    assert verdicts(heard(hum_n=10e-3)) == {"noise": "look", "mains": "look"}
+
+
+@pytest.mark.parametrize(
+    ("record", "nominal_hz", "expected"),
+    [
+        (heard(), 992.0, {"rate": "look"}),
+        (heard(), 900.0, {"rate": "fail"}),
+        (heard(noise_n=10e-3), 1000.0, {"noise": "look"}),
+        (heard(noise_n=50e-3), 1000.0, {"noise": "fail"}),
+        (heard(zero_n=-0.1), 1000.0, {"zero": "look"}),
+        (replace(heard(), missing=1), 1000.0, {"missing samples": "look"}),
+        (replace(heard(), missing=500), 1000.0, {"missing samples": "fail"}),
+    ],
+)
+def test_what_is_wrong_is_named(record: Heard, nominal_hz: float, expected: dict[str, str]) -> None:
+    assert verdicts(record, nominal_hz) == expected
+
+
+@pytest.mark.parametrize(("jitter_ns", "verdict"), [(400_000, "look"), (3_000_000, "fail")])
+def test_uneven_times_are_named(jitter_ns: int, verdict: str) -> None:
+    record = heard()
+    jitter = np.random.default_rng(2).normal(0, jitter_ns, COUNT).astype(np.int64)
+    uneven = replace(record, taken_ns=record.taken_ns + jitter)
+    assert verdicts(uneven) == {"jitter of sample times": verdict}
+
+
+def test_a_drift_is_no_noise() -> None:
+    record = heard()
+    drifting = replace(record, force_n=record.force_n + np.linspace(-0.02, 0.02, COUNT))
+    assert measure(drifting).noise_n == pytest.approx(1e-3, rel=0.05)
+
+
+def test_too_short_a_record_is_refused() -> None:
+    record = heard()
+    short = replace(record, taken_ns=record.taken_ns[:100], force_n=record.force_n[:100])
+    with pytest.raises(BenchError, match="100 samples came"):
+        measure(short)

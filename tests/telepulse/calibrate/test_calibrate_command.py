@@ -1,0 +1,152 @@
+import json
+import os
+import pty
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from protocol.errors import SceneError
+from sensors.serial_port import SerialScene
+from telepulse.calibrate.live import is_moving, parse_loads
+from telepulse.cli import app
+
+FIG_4 = "load,reading\n0,0\n0.5,22\n1,44\n2,88\n2.5,110\n"
+
+
+def calibrate(*arguments: str, answers: str = "") -> tuple[int, str, str]:
+    result = CliRunner().invoke(app, ["calibrate", *arguments], input=answers)
+    return result.exit_code, result.stdout, result.stderr
+
+
+def write(folder: Path, text: str) -> str:
+    path = folder / "loads.csv"
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "options"),
+    [
+        (FIG_4, ()),
+        ("0,0\n1,44\n2.5,110\n", ()),
+        ("# by hand\n\nReading [V], Load (mN)\n0,0\n0.044,1000\n0.11,2500\n", ()),
+        ("weight_g,voltage_mV\n0,0\n101.9716,44\n254.929,110\n", ()),
+        (
+            "mass,volts\n0,0\n0.1019716,0.044\n0.254929,0.11\n",
+            ("--load-unit", "kg", "--reading-unit", "V"),
+        ),
+    ],
+)
+def test_a_file_gives_the_lines_for_a_scene(
+    text: str, options: tuple[str, ...], tmp_path: Path
+) -> None:
+    status, out, error = calibrate(write(tmp_path, text), *options)
+    assert (status, error) == (0, "")
+    assert 'sensitivity = "44 mV/N"' in out
+    assert "Fig. 4 has 44 mV/N" in out
+
+
+def test_the_lines_are_valid_in_a_sensors_table(tmp_path: Path) -> None:
+    text = "load,counts\n0,512\n1,400\n2,290\n"
+    status, out, _ = calibrate(write(tmp_path, text), "--reading-unit", "counts")
+    assert status == 0
+    keys = dict(line.split(" = ") for line in out.splitlines() if " = " in line)
+    table = {name: float(value) for name, value in keys.items()}
+    port = {"kind": "serial", "port": "x", "framing": "text", "rate": "1 kHz"}
+    scale = SerialScene.model_validate({**port, "unit": "counts", **table}).force_scale()
+    assert scale.newtons((512.0, 290.0)) == pytest.approx((0.0, 2.0), abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", "it is empty"),
+        ("load,reading\n0,0\n1,x\n", ":3: 'x' is not a number"),
+        ("load,reading\n0,0\n1\n", ":3: 1 columns"),
+        ("load,reading\n0,0\n1,nan\n", ":3: 'nan' is not a number"),
+        ("load,time\n0,0\n", ":1: no column for the reading; name it 'reading'"),
+        ("load (lb),reading\n0,0\n", ":1: unknown unit 'lb'; known: N, mN, g, kg"),
+        ("0,0\n1,44\n", "2 loads; at least 3"),
+        ("0,0\n1,-44\n2,-88\n", "swap the film's wires"),
+    ],
+)
+def test_a_bad_file_is_one_line_with_its_place(text: str, reason: str, tmp_path: Path) -> None:
+    status, _, error = calibrate(write(tmp_path, text))
+    assert status == 2
+    assert error.count("\n") == 1
+    assert reason in error
+
+
+def test_a_missing_file_and_no_file_are_named(tmp_path: Path) -> None:
+    assert "cannot be read" in calibrate(str(tmp_path / "none.csv"))[2]
+    assert "Give a file of loads, or --scene" in calibrate()[2]
+    assert 'kind "synthetic" is not a live sensor' in calibrate("--scene", "radial")[2]
+
+
+def test_tables_and_page_hold_the_line(tmp_path: Path) -> None:
+    table, page = tmp_path / "line.json", tmp_path / "page"
+    status, out, _ = calibrate(write(tmp_path, FIG_4), "--json", str(table), "--out", str(page))
+    assert status == 0
+    assert f"report: {page / 'index.html'}" in out
+    assert (page / "line-dark.png").exists()
+    loads, line = json.loads(table.read_text(encoding="utf-8"))["chapters"][0]["tables"]
+    assert len(loads["rows"]) == 5
+    assert line["title"] == "line"
+
+
+def test_loads_are_read_with_their_unit() -> None:
+    assert parse_loads("0, 0.5, 1 N") == [0.0, 0.5, 1.0]
+    assert parse_loads("100 g") == pytest.approx([0.980665])
+    for text in ("0, 1", "1, 2 lb", "a, 2 N", ""):
+        with pytest.raises(SceneError, match="--loads"):
+            parse_loads(text)
+
+
+def test_a_reading_that_drifts_is_moving_and_noise_is_not() -> None:
+    rng = np.random.default_rng(1)
+    noise = rng.standard_normal(2000)
+    assert not is_moving(noise)
+    assert is_moving(noise + np.linspace(0, 5, 2000))
+    assert not is_moving(np.ones(2000))
+
+
+def test_a_live_sensor_is_calibrated_load_by_load(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("telepulse.calibrate.live.AVERAGE_S", 0.3)
+    monkeypatch.setattr("telepulse.calibrate.live.SETTLE_S", 0.2)
+    board, port = pty.openpty()
+    scene = tmp_path / "board.toml"
+    source = f'kind = "serial"\nport = "{os.ttyname(port)}"\nframing = "text"\nrate = "100 Hz"'
+    scene.write_text(f'[sensing.source]\n{source}\nunit = "mV"\n', encoding="utf-8")
+    asked: list[str] = []
+    done = threading.Event()
+
+    def say() -> None:
+        """The board: 3 mV, and 44 mV for each newton that was asked for last."""
+        number = 0
+        while not done.wait(0.01):
+            load_n = float(asked[-1].split()[1]) if asked else 0.0
+            number += 1
+            os.write(board, f"{3 + 44 * load_n + 0.01 * (-1) ** number}\r\n".encode())
+
+    def prompt(text: str, **_: object) -> str:
+        asked.append(text)
+        return ""
+
+    monkeypatch.setattr("typer.prompt", prompt)
+    talker = threading.Thread(target=say)
+    talker.start()
+    try:
+        status, out, error = calibrate("--scene", str(scene), "--loads", "0, 1, 2 N")
+    finally:
+        done.set()
+        talker.join()
+        os.close(board)
+        os.close(port)
+    assert (status, error) == (0, "")
+    assert asked == [f"Put {load} N on, then press Enter" for load in (0, 1, 2)]
+    assert 'sensitivity = "44 mV/N"' in out.replace("44.00", "44").replace("43.99", "44")
