@@ -48,7 +48,8 @@ LinkOption = Annotated[
     str | None,
     typer.Option(
         metavar="'delay=40ms,jitter=10ms,loss=1%'",
-        help="What the link between the nodes does; overrides the scene's [link].",
+        help="What the link between the nodes does; overrides the scene's [link]. Its keys, such"
+        " as burst_loss, rate, cut.from and transport, are in docs/scenes.md.",
     ),
 ]
 

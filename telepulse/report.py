@@ -126,7 +126,11 @@ def check_can_report(folder: Path) -> None:
         import matplotlib  # noqa: F401
 
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / PAGE).open("a").close()
+        page = folder / PAGE
+        was_there = page.exists()
+        page.open("a").close()
+        if not was_there:
+            page.unlink()
     except ImportError:
         raise OutputError(MISSING) from None
     except OSError as error:
