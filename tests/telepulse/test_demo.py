@@ -12,7 +12,7 @@ from ..nodes import RADIAL, ROOT, assert_accounted, process, read_json, run
 MODULE = "telepulse.cli"
 KEYS = {
     "samples": {"sent", "played", "late", "lost", "before_joining"},
-    "frames": {"received", "reordered", "copies"},
+    "frames": {"received", "reordered", "copies", "first"},
     "one_way_delay_ms": {"p50", "p99", "max"},
     "playout_delay_ms": {"mean", "p99"},
     "clock": {"offset_ms", "skew_ppm", "uncertainty_ms", "asymmetry_ms", "steps"},

@@ -152,7 +152,7 @@ def test_without_the_extra_it_says_what_to_install(tmp_path: Path) -> None:
         cwd=ROOT,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=110,
         check=False,
     )
     assert result.returncode == 2
