@@ -4,7 +4,8 @@ Offset is remote minus local. Which exchanges tell most depends on the jitter: w
 delays the shortest, with Gaussian ones all alike. So exchanges are taken in blocks, each block's
 offset is computed from few and from many of its shortest delays (`protocol/exchanges.py`), a line
 is drawn through the blocks for each of these levels, and the level is used whose blocks scatter
-least about their line and which does not contradict the shortest delays.
+least about their line and which does not contradict the shortest delays. Messages that come one way
+add what they say of the skew, where it agrees (`protocol/one_way_slope.py`).
 """
 
 import math
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from protocol.exchanges import BLOCK, LEVELS, ClockExchange, Digest, digest
 from protocol.offset_line import Floats, OffsetLines, fit_lines
+from protocol.one_way_slope import MAX_SKEW, OneWaySlope
 
 __all__ = ["ClockEstimator", "ClockExchange"]
 
@@ -23,8 +25,6 @@ READY_AFTER = 3
 LEAST_NOISE_NS = 2_000.0
 # Clocks of computers run alike to about this; what a few seconds seem to say beyond it is jitter.
 USUAL_SKEW = 200e-6
-# Beyond this it is no clock.
-MAX_SKEW = 0.01
 # So many exchanges, or blocks, in a row have to contradict the estimate.
 STEP_AFTER = 3
 # A smaller step is none: it leaves the memory in time.
@@ -41,6 +41,8 @@ UNSEEN_SHARE = 1 / (BLOCK - 1)
 ERRORS, BIASES = 2.0, 1.5
 # In standard errors: a skew of 500 ppm is not unheard of.
 SKEW_DOUBT = 3.0
+# Two skews agree within so many standard errors; what is beyond counts so many times as error.
+AGREE, DISAGREE = 2.0, 2.0
 
 Blocks = NDArray[np.void]
 _MEMORY = np.dtype(
@@ -85,8 +87,9 @@ class ClockEstimator:
         return local_ns + self.offset_ns(local_ns)
 
     def uncertainty_ns(self, local_ns: int) -> int:
-        """How far off `offset_ns` may be, 95 times of 100, where the ways are alike but for
-        chance; grows while no exchanges come."""
+        """How far off `offset_ns` may be, about 95 times of 100 where the ways are alike but for
+        chance, and seldom for a minute after one of them has changed; grows while no
+        exchanges come."""
         since_ns = max(0, local_ns - self._reference_ns)
         return self._uncertainty_ns + round(ERRORS * self._skew_error * since_ns)
 
@@ -111,8 +114,14 @@ class ClockEstimator:
                 self._take(each)
         return True
 
+    def hear(self, sent_ns: int, arrived_ns: int) -> None:
+        """A message that was sent at a time of the remote clock has come, at a local time."""
+        if self.ready:
+            self._one_way.hear(sent_ns, arrived_ns, self._skew)
+
     def _begin(self) -> None:
         self._taken = 0
+        self._one_way = OneWaySlope()
         # Whole blocks, at the beginning of self._blocks; self._block is the next one.
         self._known = 0
         self._block: list[ClockExchange] = []
@@ -162,6 +171,7 @@ class ClockEstimator:
             # The first of them may lie on both sides of the step.
             self._forget_before(self._known - STEP_AFTER + 2)
             self._against_blocks = 0
+            self._one_way = OneWaySlope()
             self.steps += 1
 
     def _forget_before(self, first: int) -> None:
@@ -181,7 +191,7 @@ class ClockEstimator:
         # Round trips of another length, be they longer or shorter, are of another route.
         weight = 1 / (1 + ((round_trip_ns - self._short_ns) / (3 * usual_ns)) ** 2)
         lines = fit_lines(blocks["t_ns"], blocks["offset_ns"], weight, self._noise_ns, USUAL_SKEW)
-        self._use(lines, len(blocks), now_ns)
+        self._use(_joined(lines, self._one_way), len(blocks), now_ns)
         self._bound(blocks)
 
     def _use(self, lines: OffsetLines, blocks: int, now_ns: int) -> None:
@@ -211,6 +221,23 @@ class ClockEstimator:
         # One block may have met one stall, and then says nothing of its own error.
         certain_ns = bound_ns if len(blocks) == 1 else 0
         self._uncertainty_ns = min(max(self._uncertainty_ns, certain_ns), 2 * bound_ns)
+
+
+def _joined(lines: OffsetLines, one_way: OneWaySlope) -> OffsetLines:
+    """The lines with the skew that the exchanges and the messages of one way say together.
+
+    Where they disagree, the one way has become longer or shorter, and counts little.
+    """
+    if math.isinf(one_way.error):
+        return lines
+    apart = np.abs(lines.skew - one_way.skew)
+    beyond = np.maximum(apart - AGREE * np.hypot(lines.skew_error, one_way.error), 0)
+    variance = lines.skew_error**2
+    share = variance / (variance + (one_way.error + DISAGREE * beyond) ** 2)
+    return lines._replace(
+        skew=lines.skew + share * (one_way.skew - lines.skew),
+        skew_error=lines.skew_error * np.sqrt(1 - share),
+    )
 
 
 def _bias_ns(offset_ns: Floats, error_ns: Floats) -> Floats:

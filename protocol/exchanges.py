@@ -1,5 +1,6 @@
 """Four-timestamp exchanges, and what a block of them says about the offset of two clocks."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,8 @@ BLOCK = 16
 # An offset is computed from the so many shortest delays of each way, by turns.
 LEVELS = (1, 2, 4, 8, BLOCK)
 _COUNTS = np.array(LEVELS)
-_RANKS = np.arange(1.0, BLOCK + 1)
+# What a skew adds to the delays of each way.
+_THERE_AND_BACK = np.array([[1.0], [-1.0]])
 
 
 class ClockExchange(NamedTuple):
@@ -59,24 +61,23 @@ def digest(
     # Differences of whole numbers first: they are exact as floats, whatever the clocks show.
     origin_ns, zero_ns = origin.t4_ns, origin.offset_ns
     rows = [
-        (e.t1_ns - origin_ns, e.t4_ns - origin_ns, e.t2_ns - e.t1_ns - zero_ns,
-         e.t4_ns - e.t3_ns + zero_ns)
-        for e in exchanges
-    ]  # fmt: skip
-    asked_ns, answered_ns, there_ns, back_ns = np.array(rows, dtype=float).T
-    t_ns = (asked_ns + answered_ns) / 2
-    middle_ns = float(t_ns.mean())
-    drift_ns = skew * (t_ns - middle_ns)
-    there_ns, back_ns = there_ns - drift_ns, back_ns + drift_ns
-    shortest = (there_ns + back_ns).argsort()[: max(3, count // 4)]
+        (t1_ns + t4_ns - 2 * origin_ns, t2_ns - t1_ns - zero_ns, t4_ns - t3_ns + zero_ns)
+        for t1_ns, t2_ns, t3_ns, t4_ns in exchanges
+    ]
+    table = np.array(rows, dtype=float).T
+    t_ns = table[0] / 2
+    middle_ns = float(t_ns.sum()) / count
+    ways_ns = table[1:] - skew * (t_ns - middle_ns) * _THERE_AND_BACK
     if count > 1:
-        offsets_ns = (there_ns - back_ns)[shortest] / 2
-        noise_ns = float(offsets_ns.std(ddof=1)) / count**0.5
+        shortest = (ways_ns[0] + ways_ns[1]).argsort()[: max(3, count // 4)]
+        offsets_ns = (ways_ns[0] - ways_ns[1])[shortest] / 2
+        apart_ns = offsets_ns - offsets_ns.sum() / len(offsets_ns)
+        noise_ns = math.sqrt(float(apart_ns @ apart_ns) / (len(offsets_ns) - 1) / count)
     else:
-        noise_ns = float(there_ns[0] + back_ns[0]) / 2
-    level = np.minimum(_COUNTS, count) - 1
-    there_ns = (np.sort(there_ns).cumsum() / _RANKS[:count])[level]
-    back_ns = (np.sort(back_ns).cumsum() / _RANKS[:count])[level]
+        noise_ns = float(ways_ns.sum()) / 2
+    counts = np.minimum(_COUNTS, count)
+    ways_ns.sort(axis=1)
+    there_ns, back_ns = ways_ns.cumsum(axis=1)[:, counts - 1] / counts
     hidden_ns = skew_doubt * float(t_ns.max() - t_ns.min())
     # Below 0 only where a clock has stepped within the block.
     round_trip_ns = np.maximum(there_ns + back_ns + hidden_ns, 0)

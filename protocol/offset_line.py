@@ -1,6 +1,6 @@
 """Straight lines of clock offset over time, by weighted least squares, and how sure they are."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +10,7 @@ Floats = NDArray[np.float64]
 NOISE_POINTS = 4.0
 
 
-@dataclass(frozen=True, slots=True)
-class OffsetLines:
+class OffsetLines(NamedTuple):
     """Lines offset(t) = offset_ns + skew (t - middle_ns), one an entry of the arrays.
 
     offset_error_ns: standard error in the middle; skew_error: of the slope.
@@ -44,17 +43,23 @@ def fit_lines(
     of clocks' skews. Both are known beforehand, so that few points give neither a wild slope nor
     a proud error.
     """
-    total = weight.sum(axis=0)
-    middle_ns = (weight * t_ns[:, None]).sum(axis=0) / total
-    mean_ns = (weight * offset_ns).sum(axis=0) / total
-    x_ns, y_ns = t_ns[:, None] - middle_ns, offset_ns - mean_ns
-    weighted_ns = weight * x_ns
-    spread, slope = (weighted_ns * x_ns).sum(axis=0), (weighted_ns * y_ns).sum(axis=0)
+    # Counted from points of theirs, so that the sums of squares lose no digits.
+    about_ns, zero_ns = t_ns[len(t_ns) // 2], offset_ns[-1]
+    x_ns, y_ns = t_ns - about_ns, offset_ns - zero_ns
+    powers = np.array((np.ones(len(t_ns)), x_ns, x_ns * x_ns))
+    weighted_ns = weight * y_ns
+    total, x_sum, xx_sum = powers @ weight
+    y_sum, xy_sum = powers[:2] @ weighted_ns
+    x_mean, y_mean = x_sum / total, y_sum / total
+    spread, slope = xx_sum - x_mean * x_sum, xy_sum - x_mean * y_sum
     # The free line's residuals tell the noise, and the noise how much the usual skew counts.
-    residual_ns = y_ns - x_ns * (slope / np.maximum(spread, 1.0))
-    squares = (weight * residual_ns**2).sum(axis=0) + NOISE_POINTS * np.square(noise_ns)
-    variance = squares / (np.maximum(total - 2, 0) + NOISE_POINTS)
+    squares = np.einsum("ij,ij->j", weighted_ns, y_ns) - y_mean * y_sum
+    squares -= slope * slope / np.maximum(spread, 1.0)
+    # Where a line fits exactly, rounding may leave less than nothing.
+    variance = np.maximum(squares, 0) + NOISE_POINTS * np.square(noise_ns)
+    variance /= np.maximum(total - 2, 0) + NOISE_POINTS
     known = spread + variance / usual_skew**2
+    middle_ns, mean_ns = about_ns + x_mean, zero_ns + y_mean
     return OffsetLines(
         middle_ns, mean_ns, slope / known, np.sqrt(variance / total), np.sqrt(variance / known)
     )

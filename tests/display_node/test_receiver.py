@@ -107,6 +107,23 @@ def test_a_duplicate_is_refused_and_disorder_is_counted() -> None:
     assert receiver.frames == (4, 1)
 
 
+def test_frames_tell_the_clock_of_its_skew() -> None:
+    certain_ns = []
+    for every_ms in (5, 10_000):
+        sender = Sender()
+        receiver = joined(sender)
+        for ms in range(101, 5_000):
+            for request in receiver.requests(ms * MS):
+                answer = sender.answer(request, ms * MS)
+                if answer is not None:
+                    receiver.on_control(answer, ms * MS)
+            if ms % every_ms == 0:
+                receiver.on_frame(sender.frame(ms * MS, 0.3), ms * MS)
+        certain_ns.append(receiver.clock.uncertainty_ns(60_000 * MS))
+    with_frames_ns, without_ns = certain_ns
+    assert with_frames_ns < 0.9 * without_ns
+
+
 def test_over_several_paths_further_copies_are_no_refusals() -> None:
     receiver = joined(sender := Sender(), paths=3)
     data = sender.frame(200 * MS, 0.3)

@@ -232,6 +232,20 @@ def test_a_step_that_a_round_trip_could_hide_is_told_by_its_lasting(step_ns: int
     assert remote.error_ns(estimator) < 2 * MS
 
 
+def test_after_a_step_frames_from_before_it_tell_no_skew() -> None:
+    remote = Remote(jitter=MODEST)
+    estimator = ClockEstimator()
+    for step_ns in (0, 15 * MS):
+        remote.offset_ns += step_ns
+        for _ in range(160):
+            exchange = remote.exchange()
+            estimator.add(exchange)
+            for t_ns in range(exchange.t4_ns, round(remote.local_ns), 5 * MS):
+                estimator.hear(remote.now_ns(t_ns) - 20 * MS, t_ns)
+    assert estimator.steps == 1
+    assert estimator.skew_ppm == pytest.approx(0, abs=1)
+
+
 @pytest.mark.parametrize("change_ns", [-15 * MS, 60 * MS])
 def test_a_route_that_changes_one_way_is_no_step(change_ns: int) -> None:
     remote = Remote(jitter=MODEST)

@@ -1,0 +1,94 @@
+import math
+import random
+
+import pytest
+
+from protocol.clock import ClockEstimator, ClockExchange
+from protocol.one_way_slope import BLOCK, KEEP_BLOCKS, STEADY_BLOCKS, OneWaySlope
+
+MS = 1_000_000
+S = 1_000 * MS
+EVERY_NS = 5 * MS
+
+
+def arrivals(count: int, jitter_ms: float = 0.0, seed: int = 1) -> list[tuple[int, int]]:
+    """When each message was sent and when it arrived, by one clock."""
+    rng = random.Random(seed)
+    sent_ns = range(0, count * EVERY_NS, EVERY_NS)
+    return [(t_ns, t_ns + 20 * MS + round(abs(rng.gauss(0, jitter_ms)) * MS)) for t_ns in sent_ns]
+
+
+def shown_ns(local_ns: int, skew_ppm: float) -> int:
+    return local_ns + 3_600 * S + round(local_ns * skew_ppm * 1e-6)
+
+
+def heard(messages: list[tuple[int, int]], skew_ppm: float) -> OneWaySlope:
+    slope = OneWaySlope()
+    for sent_ns, arrived_ns in messages:
+        slope.hear(shown_ns(sent_ns, skew_ppm), arrived_ns, slope.skew)
+    return slope
+
+
+def test_it_says_nothing_before_enough_has_come() -> None:
+    assert math.isinf(heard(arrivals(STEADY_BLOCKS * BLOCK - 1), 200).error)
+    assert math.isfinite(heard(arrivals(STEADY_BLOCKS * BLOCK), 200).error)
+
+
+@pytest.mark.parametrize("skew_ppm", [-500, 0, 200])
+def test_the_skew_is_found(skew_ppm: int) -> None:
+    slope = heard(arrivals(12_000, jitter_ms=3), skew_ppm)
+    assert slope.skew * 1e6 == pytest.approx(skew_ppm, abs=3)
+    assert 0 < slope.error < 3e-6
+
+
+def test_the_error_holds_what_it_says() -> None:
+    beyond = [
+        abs(slope.skew - 50e-6) > 2 * slope.error
+        for slope in (heard(arrivals(4_000, 3, seed), 50) for seed in range(40))
+    ]
+    assert sum(beyond) <= 4
+
+
+def test_the_oldest_is_forgotten() -> None:
+    early = arrivals(KEEP_BLOCKS * BLOCK)
+    end_ns = early[-1][0] + EVERY_NS
+    # From then on a quarter of a second longer on the way.
+    late = [(end_ns + t_ns, end_ns + at_ns + 250 * MS) for t_ns, at_ns in early]
+    assert heard(early + late[: len(late) // 2], 0).skew < -1e-4
+    assert heard(early + late, 0).skew == pytest.approx(0, abs=1e-5)
+
+
+def test_messages_close_together_count_once() -> None:
+    spread = arrivals(STEADY_BLOCKS * BLOCK)
+    bunched = [(t_ns + i * MS, at_ns + i * MS) for t_ns, at_ns in spread for i in (0, 1, 2)]
+    assert heard(bunched, 100).skew == heard(spread, 100).skew
+
+
+def followed(frame_skew_ppm: float | None, late_ns: int = 0) -> ClockEstimator:
+    """A minute of a clock that is 100 ppm fast; half a minute on, frames take `late_ns` longer."""
+    estimator, rng = ClockEstimator(), random.Random(4)
+    for number, (sent_ns, arrived_ns) in enumerate(arrivals(12_000, 3)):
+        if number % 4 == 0:
+            there_ns, back_ns = (round(20 * MS + rng.gauss(0, 3 * MS)) for _ in range(2))
+            remote_ns = shown_ns(sent_ns + there_ns, 100)
+            local_ns = sent_ns + there_ns + back_ns
+            estimator.add(ClockExchange(sent_ns, remote_ns, remote_ns, local_ns))
+        if frame_skew_ppm is not None:
+            later_ns = late_ns if sent_ns > 30 * S else 0
+            estimator.hear(shown_ns(sent_ns, frame_skew_ppm), arrived_ns + later_ns)
+    return estimator
+
+
+def test_frames_that_agree_make_the_offset_surer() -> None:
+    alone, together = followed(None), followed(100)
+    assert together.uncertainty_ns(60 * S) < 0.85 * alone.uncertainty_ns(60 * S)
+    assert together.skew_ppm == pytest.approx(100, abs=5)
+
+
+@pytest.mark.parametrize(("frame_skew_ppm", "late_ns"), [(0, 0), (600, 0), (100, 60 * MS)])
+def test_frames_that_contradict_the_exchanges_move_little(
+    frame_skew_ppm: float, late_ns: int
+) -> None:
+    alone, together = followed(None), followed(frame_skew_ppm, late_ns)
+    assert together.skew_ppm == pytest.approx(alone.skew_ppm, abs=0.5)
+    assert abs(together.offset_ns(60 * S) - alone.offset_ns(60 * S)) < 0.02 * MS
