@@ -12,7 +12,9 @@ from collections import deque
 LOST_ABOVE = 0.04
 GAINED_BELOW = 0.025
 DWELL_NS = 10_000_000_000
-MEMORY_NS = 1_000_000_000
+MEMORY_NS = 1_500_000_000
+# An error as large as this is as bad as any; so it is soon forgotten.
+WORST = 0.3
 # A window holds a whole beat down to 30 a minute; an artefact spoils one window or two.
 WINDOW_NS = 2_000_000_000
 WINDOWS = 5
@@ -44,34 +46,30 @@ class PulseSize:
 class Trust:
     """Whether the predictor's error would go unnoticed at E = 0.
 
-    What counts is the RMS over the last second of the error expected at the horizons that E = 0
-    asks for, over the pulse's height; what is not known counts as the whole pulse. Lost at once
-    above 4 %; won after 10 s below 2.5 %.
+    What counts is its RMS over the last 1.5 s, over the pulse's height: a stall weighs as long as
+    it lasts, and at each of its instants with the error at that horizon. What is not known counts
+    as three tenths. Lost at once from 4 % on; won below 2.5 %, 10 s later at the earliest.
     """
 
     def __init__(self) -> None:
-        self._power = 1.0
+        self._power = WORST**2
         self._judged_ns: int | None = None
-        self._good_since_ns: int | None = None
+        self._lost_ns = 0
         self.trusted = False
 
     def judge(self, now_ns: int, error_n: float | None, size_n: float | None) -> None:
-        """Before a frame is taken: the error expected of predictions from the frame before it."""
-        share = 1.0
+        """At each tick: the RMSE expected if E were 0 now, None if unknown; the pulse's size."""
+        share = WORST
         if error_n is not None and size_n:
-            share = min(error_n / size_n, 1.0)
+            share = min(error_n / size_n, WORST)
         if self._judged_ns is not None:
             weight = -math.expm1((self._judged_ns - now_ns) / MEMORY_NS)
             self._power += weight * (share * share - self._power)
         self._judged_ns = now_ns
-        if self.trusted:
-            self.trusted = self._power < LOST_ABOVE**2
-        elif self._power > GAINED_BELOW**2:
-            self._good_since_ns = None
-        elif self._good_since_ns is None:
-            self._good_since_ns = now_ns
-        elif now_ns - self._good_since_ns >= DWELL_NS:
-            self.trusted, self._good_since_ns = True, None
+        if self._power >= LOST_ABOVE**2:
+            self.trusted, self._lost_ns = False, now_ns
+        elif self._power <= GAINED_BELOW**2 and now_ns - self._lost_ns >= DWELL_NS:
+            self.trusted = True
 
 
 def auto_delay_ns(carried_ns: int, trusted: bool) -> int:

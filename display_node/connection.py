@@ -43,7 +43,8 @@ class Connection:
         self._turns = itertools.cycle(self.routes)
         self._subscribed = False
         self.control = Line([sockets.unconnected(context, zmq.DEALER)])
-        self.all = [*self.control.sockets, *(s for r in self.routes for s in r.data.sockets)]
+        data = [socket for route in self.routes for socket in route.data.sockets]
+        self.descriptors = sockets.descriptors([*self.control.sockets, *data])
 
     def subscribe(self, frame_ns: int) -> None:
         """Ask for frames, from now on; one covers `frame_ns`."""
@@ -113,9 +114,9 @@ class Line:
     def messages(self) -> Iterator[bytes]:
         """The messages that wait."""
         for socket in self.sockets:
-            for parts in sockets.receive_all(socket):
+            for message in sockets.receive_each(socket):
                 self._heard = True
-                yield b"".join(parts)
+                yield message
 
     def subscribe(self) -> None:
         """Ask for all that is published, and be patient until it comes."""

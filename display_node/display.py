@@ -6,19 +6,18 @@ The live node and the virtual-time simulation drive this same class; time is an 
 import math
 from dataclasses import dataclass
 
-from display_node.compensation import PulseSize, Trust, auto_delay_ns
+from display_node.compensation import auto_delay_ns
 from display_node.delay import Delay
 from display_node.delays import PlayedDelays
 from display_node.feedback import Feedback
 from display_node.fidelity import Fidelity
 from display_node.force_loop import build_force_loop
 from display_node.playout import PlayoutClock
-from display_node.prediction import UNLEARNT, build_predictor
 from display_node.receiver import Receiver
 from display_node.safety import Safety
 from display_node.scene import DisplayScene
-from display_node.smoothing import Smoothing
-from protocol.messages import Control, Frame, Report
+from display_node.stand_in import StandIn
+from protocol.messages import Control, Report
 from protocol.summary import (
     Clock,
     Frames,
@@ -78,7 +77,7 @@ class Display:
         self._name = name
         self._layer = scene.layer.layer()
         self._tick_ns = scene.tick_ns
-        self._begin_prediction()
+        self._stand_in = StandIn(scene)
         self._loop = build_force_loop(
             scene.controller,
             scene.actuator,
@@ -94,8 +93,7 @@ class Display:
         self._playout = PlayoutClock()
         self._beginnings = 0
         self._force_ratio = 1.0
-        self._reserve_ns = 0
-        self._group_delay_ns = self._lead_ns = 0
+        self._group_delay_ns = self._lead_ns = self._reach_ns = self._reserve_ns = 0
         self._next_report_ns = 0
         self._delays = PlayedDelays()
         self.fidelity = Fidelity(self._layer.strain_per_newton) if score else None
@@ -103,15 +101,6 @@ class Display:
         self.safety = Safety(scene.safety, scene.tick_ns)
         self.felt = Felt()
         self.ticks = 0
-
-    def _begin_prediction(self) -> None:
-        """Forget all that was learnt from a stream."""
-        scene = self._scene
-        self._predictor = build_predictor(scene.predictor, scene.tick_ns)
-        self._smoothing = Smoothing(scene.tick_ns)
-        self._size = PulseSize()
-        may_trust = scene.compensation_ns is None and scene.predictor not in UNLEARNT
-        self._trust = Trust() if may_trust else None
 
     @property
     def state(self) -> str:
@@ -145,32 +134,14 @@ class Display:
 
     def on_frame(self, data: bytes, now_ns: int) -> None:
         """A data message arrived."""
-        newest_ns = self.receiver.buffer.newest_ns
         frame = self.receiver.on_frame(data, now_ns)
         if frame is None:
             return
-        if self._trust is not None and newest_ns is not None:
-            self._judge(self._trust, newest_ns, now_ns)
-        self._observe(frame)
+        self._stand_in.observe(frame)
         if self.fidelity is not None:
             self.fidelity.sensed(
                 frame, self._scene.channel, self._force_ratio, self._group_delay_ns
             )
-
-    def _observe(self, frame: Frame) -> None:
-        first_ns, period_ns = frame.t_first_ns, frame.period_ns
-        values = frame.values[:, self._scene.channel].tolist()
-        end_ns = first_ns + len(values) * period_ns
-        self._predictor.observe(list(range(first_ns, end_ns, period_ns)), values)
-        if self._trust is not None:
-            self._size.observe(first_ns, values)
-
-    def _judge(self, trust: Trust, newest_ns: int, now_ns: int) -> None:
-        """How far E = 0 would have had to predict until this frame came, and how well that goes."""
-        sensing_now_ns = self.receiver.clock.remote_ns(now_ns)
-        ahead_ns = self._lead_ns + self._loop.horizon * self._tick_ns
-        error_n = self._predictor.error_n(sensing_now_ns + ahead_ns - newest_ns)
-        trust.judge(now_ns, error_n, self._size.size)
 
     def on_control(self, data: bytes, now_ns: int) -> None:
         """A control message arrived."""
@@ -183,10 +154,10 @@ class Display:
             self._group_delay_ns = description.group_delay_ns
             self._lead_ns = description.group_delay_ns + self._loop.lead_ns
             self._playout = PlayoutClock()
-            self._begin_prediction()
+            self._stand_in = StandIn(self._scene)
+            self._reach_ns = self._lead_ns + self._loop.horizon * self._tick_ns
             # What "auto" adds for the loop itself: the sample after its horizon's end.
-            horizon_ns = self._loop.horizon * self._tick_ns
-            self._reserve_ns = self._lead_ns + description.period_ns + horizon_ns
+            self._reserve_ns = self._reach_ns + description.period_ns
 
     def requests(self, now_ns: int) -> list[Control]:
         """What to send to the sensing node now: requests and reports."""
@@ -226,7 +197,7 @@ class Display:
         """The force wanted now and until the loop's horizon, and whether the stream is alive."""
         receiver, felt, count = self.receiver, self.felt, self._loop.horizon + 1
         felt.now_ns, felt.predictor_error_n = now_ns, math.nan
-        felt.trusted = self._trust is not None and self._trust.trusted
+        felt.trusted = bool(self._stand_in.trusted)
         delay_ns = receiver.delay.delay_ns
         if not receiver.ready or delay_ns is None:
             return [0.0] * count, False
@@ -240,27 +211,25 @@ class Display:
         # The sensing chain is slow by its group delay: the pulse of an instant is in the sample
         # that was taken so much later. And what the actuator is told now it does later.
         sampled_ns = instant_ns + self._lead_ns
-        self._predictor.work()
         buffer = receiver.buffer
         buffer.advance(sampled_ns)
         wrist_n = buffer.known(self._tick_ns, count)
         newest_ns = buffer.newest_ns
+        self._stand_in.work()
+        if newest_ns is not None:
+            self._stand_in.judge(now_ns, sensing_now_ns + self._reach_ns - newest_ns)
         if newest_ns is None or (not wrist_n and sampled_ns < newest_ns):
             return [0.0] * count, False
         ratio = self._force_ratio
+        predicted_ns = 0 if wrist_n else sampled_ns - newest_ns
         if not wrist_n:
-            error_n = self._predictor.error_n(sampled_ns - newest_ns)
+            error_n = self._stand_in.error_n(predicted_ns)
             felt.predictor_error_n = math.nan if error_n is None else ratio * error_n
-        known = len(wrist_n)
-        for step in range(known, count):
-            wrist_n.append(self._predictor.predict(sampled_ns + step * self._tick_ns))
-        if known < count or self._smoothing.busy:
-            wrist_n = self._smoothing.join(wrist_n, sampled_ns, newest_ns)
+        wrist_n = self._stand_in.complete(wrist_n, count, sampled_ns, newest_ns)
         # With a small E the newest sample is older than the instant even when it is on time.
         due_ns = newest_ns + self._scene.safety.stale_after_ns
         alive = sampled_ns <= due_ns or sensing_now_ns - delay_ns <= due_ns
         if alive:
-            predicted_ns = 0 if known else sampled_ns - newest_ns
             self._delays.add(sensing_now_ns - instant_ns, predicted_ns, felt.trusted)
         return [ratio * force_n for force_n in wrist_n], alive
 
@@ -296,7 +265,7 @@ class Display:
             one_way_delay_ms=OneWayDelay(delay.quantile(0.5), delay.quantile(0.99), delay.maximum),
             playout_delay_ms=self._delays.playout_delay_ms,
             covered_delay_ms=self._delays.covered_delay_ms,
-            compensation=self._delays.compensation(may_trust=self._trust is not None),
+            compensation=self._delays.compensation(may_trust=self._stand_in.trusted is not None),
             clock=Clock(
                 clock.offset_ns(self.felt.now_ns) * 1e-6 if known else None,
                 clock.skew_ppm if known else None,

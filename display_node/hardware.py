@@ -7,7 +7,9 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from display_node.actuators.stepper import StepperScene
+from display_node.display import Display, Felt
 from display_node.drives import Drive, build_drive
+from display_node.drives.approach import WITHDRAW_M_PER_S, withdraw
 from display_node.feedback import Feedback
 from display_node.scene import DisplayScene
 from display_node.step_rate import StepRate
@@ -17,8 +19,6 @@ from sensors.sensor import Sensor
 
 FIRST_SAMPLE_WITHIN_S = 5.0
 POLL_S = 0.01
-# Away from the finger after a fault: 0.3 mm, a usual pulse's travel, in some 15 ms.
-RETRACT_M_PER_S = 0.02
 
 
 @contextmanager
@@ -32,8 +32,12 @@ def connected(
     if scene.drive is None:
         yield None
         return
-    with closing(Hardware(scene, folder, log)) as hardware:
+    layer, force_limit_n = scene.layer.layer(), scene.safety.force_limit_n
+    drive = build_drive(scene.drive, scene.actuator, layer, force_limit_n)
+    sensor = open_sensor(scene.feedback, folder, log) if scene.feedback is not None else None
+    with closing(Hardware(scene, drive, sensor)) as hardware:
         hardware.start()
+        log("the drive is at first touch")
         yield hardware
 
 
@@ -44,21 +48,20 @@ class Hardware:
     feedback: what the display reads.
     """
 
-    def __init__(self, scene: DisplayScene, folder: Path, log: Callable[[str], None]) -> None:
-        """`folder` is the scene file's. Raises SceneError for a scene that names no real drive
-        or does not fit it, and SourceError for a sensor that is not there."""
-        if scene.drive is None or not isinstance(scene.actuator, StepperScene):
+    def __init__(self, scene: DisplayScene, drive: Drive, sensor: Sensor | None) -> None:
+        """drive and sensor are closed by `close`. Raises SceneError for a scene that names no
+        drive, or one of no stepper."""
+        actuator = scene.actuator
+        if scene.drive is None or not isinstance(actuator, StepperScene):
             raise SceneError('[display] drive: it needs an actuator of kind "stepper"')
-        self._contact = scene.actuator.contact(scene.layer.layer())
-        step_m = scene.actuator.step_m
-        self._step_rate = StepRate(1 / step_m, scene.actuator.max_speed_m_per_s / step_m)
-        self._log = log
-        self._drive: Drive = build_drive(
-            scene.drive, scene.actuator, scene.layer.layer(), scene.safety.force_limit_n
-        )
-        self._sensor: Sensor | None = None
-        if scene.feedback is not None:
-            self._sensor = open_sensor(scene.feedback, folder, log)
+        self._contact = actuator.contact(scene.layer.layer())
+        self._step_m = actuator.step_m
+        fastest_hz = actuator.max_speed_m_per_s / actuator.step_m
+        self._step_rate = StepRate(1 / actuator.step_m, fastest_hz)
+        self._drive = drive
+        self._sensor = sensor
+        self._tick_ns = scene.tick_ns
+        self._watchdog_ns = scene.drive.watchdog_ns
         self.feedback = Feedback(scene.film.latency_ns, scene.safety.feedback_within_ns)
 
     def start(self) -> None:
@@ -67,7 +70,6 @@ class Hardware:
         Raises DriveError, and SourceError when no sample comes.
         """
         self._drive.start()
-        self._log("the drive is at first touch")
         deadline_s = time.monotonic() + FIRST_SAMPLE_WITHIN_S
         while not self.feedback.alive(time.monotonic_ns()):
             if time.monotonic() > deadline_s:
@@ -90,13 +92,27 @@ class Hardware:
                     self.feedback.hear(reading.first_ns + round(number * step_ns), force_n)
         return None if status.fault is None else f"drive: {status.fault}"
 
-    def move(self, speed_m_per_s: float) -> None:
+    def tick(self, display: Display, now_ns: int, elapsed_ticks: int) -> Felt:
+        """A tick of a display on this bench: it is told within it what the controller wants, or
+        after a fault to go back."""
+        safety = display.safety
+        fault = self.read(now_ns)
+        if fault is not None:
+            safety.fault(fault)
+        silent_ns = elapsed_ticks * self._tick_ns
+        if silent_ns > self._watchdog_ns and not safety.faults:
+            # The drive has come to rest by itself, somewhere.
+            safety.fault(f"loop overrun: no command for {silent_ns * 1e-6:.0f} ms")
+        felt = display.tick(now_ns, elapsed_ticks)
+        if safety.faults:
+            self._move(-WITHDRAW_M_PER_S)
+        else:
+            self._move(display.output)
+        return felt
+
+    def _move(self, speed_m_per_s: float) -> None:
         """Go on at a speed until the next tick."""
         self._drive.command(self._step_rate.command(speed_m_per_s))
-
-    def retract(self) -> None:
-        """After a fault: back to where nothing is touched, if the drive still obeys."""
-        self._drive.command(self._step_rate.command(-RETRACT_M_PER_S))
 
     @property
     def counts(self) -> Counter[str]:
@@ -111,7 +127,8 @@ class Hardware:
         return [] if self._sensor is None else self._sensor.faults()
 
     def close(self) -> None:
-        """Bring the drive to rest and let go of both."""
+        """Leave the finger, bring the drive to rest and let go of both."""
+        withdraw(self._drive, self._step_m)
         self._drive.close()
         if self._sensor is not None:
             self._sensor.close()

@@ -8,7 +8,7 @@ from dataclasses import replace
 import zmq
 
 from display_node.connection import Connection
-from display_node.display import Display, Felt
+from display_node.display import Display
 from display_node.hardware import Hardware
 from display_node.scene import DisplayScene
 from display_node.telemetry import STATUS, STATUS_TRACES, TRACE, TraceWriter, write_status
@@ -67,12 +67,13 @@ class DisplayNode:
                 self._receive()
                 now_ns = time.monotonic_ns()
                 if now_ns < next_ns:
-                    sockets.wait_readable(self._connection.all, next_ns - now_ns)
+                    sockets.wait_drained(self._connection.descriptors, next_ns - now_ns)
                     continue
                 elapsed = 1 + (now_ns - next_ns) // tick_ns
                 self._misses += elapsed - 1
                 next_ns += elapsed * tick_ns
-                self._tick(now_ns, elapsed)
+                # As of when it was due: told so, speeds add up to the way, however late each is.
+                self._tick(next_ns - tick_ns, elapsed)
                 self._tick_us.add((time.monotonic_ns() - now_ns) * 1e-3)
                 if (end_ns is not None and now_ns >= end_ns) or (once and self._display.over):
                     break
@@ -82,26 +83,26 @@ class DisplayNode:
 
     def _receive(self) -> None:
         display, connection = self._display, self._connection
-        for message in connection.control.messages():
-            display.on_control(message, time.monotonic_ns())
         receiver = display.receiver
-        if receiver.listening and receiver.description is not None:
-            connection.subscribe(receiver.description.batch * receiver.description.period_ns)
         for route in connection.routes:
             before, _ = receiver.frames
             for message in route.data.messages():
                 display.on_frame(message, time.monotonic_ns())
             route.won += receiver.frames[0] - before
+        for message in connection.control.messages():
+            display.on_control(message, time.monotonic_ns())
+        if receiver.listening and receiver.description is not None:
+            connection.subscribe(receiver.description.batch * receiver.description.period_ns)
 
     def _tick(self, now_ns: int, elapsed_ticks: int) -> None:
         if self._hardware is None:
             felt = self._display.tick(now_ns, elapsed_ticks)
         else:
-            felt = self._tick_bench(self._hardware, now_ns, elapsed_ticks)
+            felt = self._hardware.tick(self._display, now_ns, elapsed_ticks)
         if self._connection.tend(now_ns):
             self._display.receiver.introduce()
         (control,) = self._connection.control.sockets
-        for message in self._display.requests(now_ns):
+        for message in self._display.requests(time.monotonic_ns()):
             sockets.send(control, encode_control(message))
         trace = self._trace.add(felt)
         if trace is not None:
@@ -109,19 +110,6 @@ class DisplayNode:
             self._traces += 1
             if self._traces % STATUS_TRACES == 0:
                 self._send_status(final=False)
-
-    def _tick_bench(self, hardware: Hardware, now_ns: int, elapsed_ticks: int) -> Felt:
-        """A tick on a real bench, which is told within it what the controller wants."""
-        safety = self._display.safety
-        fault = hardware.read(now_ns)
-        if fault is not None:
-            safety.fault(fault)
-        felt = self._display.tick(now_ns, elapsed_ticks)
-        if safety.faults:
-            hardware.retract()
-        else:
-            hardware.move(self._display.output)
-        return felt
 
     def _summary(self) -> Summary:
         times = TickTime(self._tick_us.quantile(0.5), self._tick_us.quantile(0.99))

@@ -49,20 +49,12 @@ class Frame(NamedTuple):
 
 def encode_frame(frame: Frame) -> bytes:
     """The frame's bytes. `values` must be float32 or float64 of shape (samples, channels)."""
-    values = frame.values
-    width = values.dtype.itemsize
-    return _pack(
-        (
-            VERSION,
-            frame.session,
-            frame.first_sample,
-            frame.t_first_ns,
-            frame.period_ns,
-            values.shape[1],
-            width,
-            values.astype(_FORMATS[width], copy=False).tobytes(),
-        )
-    )
+    session, first_sample, t_first_ns, period_ns, values = frame
+    width = values.itemsize
+    if values.dtype is not _FORMATS[width]:
+        values = values.astype(_FORMATS[width])
+    channels, payload = values.shape[1], values.tobytes()
+    return _pack((VERSION, session, first_sample, t_first_ns, period_ns, channels, width, payload))
 
 
 def decode_frame(data: bytes) -> Frame:

@@ -117,10 +117,26 @@ def receive_all(socket: Socket) -> Iterator[list[bytes]]:
         yield socket.recv_multipart(zmq.NOBLOCK)
 
 
+def receive_each(socket: Socket) -> Iterator[bytes]:
+    """As `receive_all` where a message has one part; of one with several, each is a message.
+
+    The quickest way to a frame: the socket is asked for nothing but the message.
+    """
+    for _ in range(MAX_MESSAGES):
+        try:
+            message = socket.recv(zmq.NOBLOCK)
+        except zmq.Again:
+            return
+        yield message
+
+
 def send(socket: Socket, *parts: bytes) -> bool:
     """Send without blocking; False when the peer cannot take it now."""
     try:
-        socket.send_multipart(parts, zmq.NOBLOCK)
+        if len(parts) == 1:
+            socket.send(parts[0], zmq.NOBLOCK)
+        else:
+            socket.send_multipart(parts, zmq.NOBLOCK)
     except zmq.Again:
         return False
     return True
@@ -133,8 +149,22 @@ def wait_readable(sockets: Sequence[Socket], timeout_ns: int) -> None:
     are edge-triggered, and sending uses the edge up too: so each socket is asked first.
     """
     if timeout_ns > 0 and not any(_has_message(socket) for socket in sockets):
-        descriptors = [cast(int, socket.getsockopt(zmq.FD)) for socket in sockets]
-        select.select(descriptors, [], [], timeout_ns * 1e-9)
+        wait_drained(descriptors(sockets), timeout_ns)
+
+
+def wait_drained(numbers: Sequence[int], timeout_ns: int) -> None:
+    """As `wait_readable`, for `descriptors` of sockets that were all read to their end since
+    anything was sent on them, so that there is no need to ask them again.
+
+    What was left on a socket nevertheless waits for the next message or the time's end.
+    """
+    if timeout_ns > 0:
+        select.select(numbers, (), (), timeout_ns * 1e-9)
+
+
+def descriptors(sockets: Sequence[Socket]) -> list[int]:
+    """What to wait for each socket by; it stays the same as long as the socket."""
+    return [cast(int, socket.getsockopt(zmq.FD)) for socket in sockets]
 
 
 def _has_message(socket: Socket) -> bool:

@@ -8,6 +8,7 @@ import zmq
 
 from benchmarks.peers import curve
 from benchmarks.peers.message import VALUE, Arrival, Wire
+from display_node.jitter_buffer import JitterBuffer
 from display_node.receiver import Receiver
 from protocol import sockets
 from protocol.messages import Frame, encode_control, encode_frame
@@ -28,8 +29,8 @@ def publish(wire: Wire, numbers: Iterable[int]) -> None:
     context: sockets.Context = zmq.Context()
     data = curve.serve(sockets.unconnected(context, zmq.PUB), wire.keys)
     control = curve.serve(sockets.unconnected(context, zmq.ROUTER), wire.keys)
-    data.bind(_data(wire))
-    control.bind(sockets.control_address(_data(wire)))
+    data.bind(data_address(wire))
+    control.bind(sockets.control_address(data_address(wire)))
     desk = Desk(DESCRIPTION, SESSION)
     values = np.full((1, 1), VALUE, np.float32)
     for sequence in numbers:
@@ -41,29 +42,44 @@ def publish(wire: Wire, numbers: Iterable[int]) -> None:
         sockets.send(data, encode_frame(frame))
 
 
+class StampedBuffer(JitterBuffer):
+    """A jitter buffer that says when the last frame was in it, by CLOCK_MONOTONIC."""
+
+    put_ns = 0
+
+    def put(self, frame: Frame) -> None:
+        """Take a frame. Raises WireError."""
+        super().put(frame)
+        self.put_ns = time.monotonic_ns()
+
+
 def subscribe(wire: Wire) -> Iterator[Arrival]:
     """Frames as they are in the buffer, by the loop of `DisplayNode` without its ticks."""
     context: sockets.Context = zmq.Context()
     data = curve.join(sockets.unconnected(context, zmq.SUB), wire.keys)
     control = curve.join(sockets.unconnected(context, zmq.DEALER), wire.keys)
-    data.connect(_data(wire))
-    control.connect(sockets.control_address(_data(wire)))
+    data.connect(data_address(wire))
+    control.connect(sockets.control_address(data_address(wire)))
     receiver = Receiver("peer", channel=0, late_target=LATE_TARGET)
-    subscribed = False
+    buffer = StampedBuffer(channel=0)
+    descriptors = sockets.descriptors((control, data))
     while True:
-        for parts in sockets.receive_all(control):
-            receiver.on_control(b"".join(parts), time.monotonic_ns())
-        if receiver.listening and not subscribed:
-            subscribed = True
-            data.subscribe(b"")
-        for parts in sockets.receive_all(data):
-            frame = receiver.on_frame(b"".join(parts), time.monotonic_ns())
+        for message in sockets.receive_each(data):
+            frame = receiver.on_frame(message, time.monotonic_ns())
             if frame is not None:
-                yield Arrival(frame.first_sample, frame.t_first_ns, time.monotonic_ns())
-        for message in receiver.requests(time.monotonic_ns()):
-            sockets.send(control, encode_control(message))
-        sockets.wait_readable((control, data), WAIT_NS)
+                yield Arrival(frame.first_sample, frame.t_first_ns, buffer.put_ns)
+        for message in sockets.receive_each(control):
+            receiver.on_control(message, time.monotonic_ns())
+        if receiver.listening and receiver.buffer is not buffer:
+            receiver.buffer = buffer
+            data.subscribe(b"")
+        requests = receiver.requests(time.monotonic_ns())
+        for request in requests:
+            sockets.send(control, encode_control(request))
+        if not requests:
+            sockets.wait_drained(descriptors, WAIT_NS)
 
 
-def _data(wire: Wire) -> str:
+def data_address(wire: Wire) -> str:
+    """Of the sensing node; its control is one port higher."""
     return f"tcp://127.0.0.1:{wire.port}"

@@ -26,10 +26,12 @@ PATIENCE_S = 30.0
 class Run:
     """What a subscriber saw: delays in ns, messages missing and out of order, its CPU time in ns.
 
-    CPU time is of all its threads, from the end of the warm-up to the last message.
+    delays_ns: until a value can be used. done_ns: until its subscriber has done all it does with
+    it. CPU time is of all its threads, from the end of the warm-up to the last message.
     """
 
     delays_ns: NDArray[np.int64]
+    done_ns: NDArray[np.int64]
     lost: int
     disordered: int
     cpu_ns: int
@@ -84,14 +86,16 @@ def measure(arrivals: Iterator[Arrival], messages: int) -> Run:
     """The figures of `messages` arrivals after the warm-up."""
     for _ in range(WARM_UP):
         newest = next(arrivals).sequence
-    delays_ns, lost, disordered = array("q"), 0, 0
+    delays_ns, done_ns, lost, disordered = array("q"), array("q"), 0, 0
     began_ns = time.process_time_ns()
     for _ in range(messages):
         sequence, sent_ns, usable_ns = next(arrivals)
+        done_ns.append(time.monotonic_ns() - sent_ns)
         delays_ns.append(usable_ns - sent_ns)
         if sequence > newest:
             lost += sequence - newest - 1
             newest = sequence
         else:
             disordered += 1
-    return Run(np.array(delays_ns), lost, disordered, time.process_time_ns() - began_ns)
+    cpu_ns = time.process_time_ns() - began_ns
+    return Run(np.array(delays_ns), np.array(done_ns), lost, disordered, cpu_ns)

@@ -6,13 +6,13 @@ from display_node.compensation import MOST_NS, PulseSize, Trust, auto_delay_ns
 
 MS = 1_000_000
 SECOND_NS = 1_000 * MS
-FRAME_NS = 5 * MS
+TICK_NS = 5 * MS
 
 
 def judged(trust: Trust, from_s: float, to_s: float, error_n: float | None) -> list[bool]:
-    """Whether it is trusted after each frame of a pulse of 0.3 N."""
+    """Whether it is trusted after each tick, for a pulse of 0.3 N."""
     said = []
-    for now_ns in range(round(from_s * SECOND_NS), round(to_s * SECOND_NS), FRAME_NS):
+    for now_ns in range(round(from_s * SECOND_NS), round(to_s * SECOND_NS), TICK_NS):
         trust.judge(now_ns, error_n, 0.3)
         said.append(trust.trusted)
     return said
@@ -24,7 +24,7 @@ def test_trust_is_won_slowly_and_lost_at_once() -> None:
     assert judged(trust, 15, 20, 0.003)[-1]
     # A prediction that is off by a third of the pulse.
     lost = judged(trust, 20, 20.5, 0.1)
-    assert lost.index(False) * FRAME_NS <= 50 * MS
+    assert lost.index(False) * TICK_NS <= 50 * MS
     assert not any(lost[lost.index(False) :])
     assert not any(judged(trust, 20.5, 30.5, 0.003))
     assert judged(trust, 30.5, 37, 0.003)[-1]
@@ -50,9 +50,18 @@ def test_a_silence_counts_for_as_long_as_it_lasts() -> None:
     assert not trust.trusted
 
 
+@pytest.mark.parametrize(("stall_ms", "trusted"), [(20, True), (60, False)])
+def test_it_matters_for_how_long_an_error_would_be_felt(stall_ms: int, trusted: bool) -> None:
+    trust = Trust()
+    for now_ms in range(0, 40_000, 5):
+        # A tenth of the pulse, twice a second.
+        trust.judge(now_ms * MS, 0.03 if now_ms % 500 < stall_ms else 0.0, 0.3)
+    assert trust.trusted is trusted
+
+
 def test_without_a_pulse_there_is_no_trust() -> None:
     trust = Trust()
-    for now_ns in range(0, 60 * SECOND_NS, FRAME_NS):
+    for now_ns in range(0, 60 * SECOND_NS, TICK_NS):
         trust.judge(now_ns, 0.0, 0.0)
     assert not trust.trusted
 

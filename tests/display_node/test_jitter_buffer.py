@@ -144,13 +144,16 @@ def test_nothing_is_known_before_the_first_sample() -> None:
     assert buffer.known(MS, 2) == [5.0, 5.5]
 
 
+@pytest.mark.parametrize("order", [1, -1], ids=["in order", "out of order"])
 @pytest.mark.parametrize("channel", [0, 1, 2])
-def test_one_channel_is_played(channel: int) -> None:
+def test_one_channel_is_played(channel: int, order: int) -> None:
     buffer = JitterBuffer(channel)
-    values = np.array([[1, 10, 100], [2, 20, 200]], dtype="<f4")
-    buffer.put(Frame(1, 0, at_ns(0), MS, values))
+    values = np.array([[1, 10, 100], [2, 20, 200], [3, 30, 300], [4, 40, 400]], dtype="<f4")
+    frames = [Frame(1, n, at_ns(n), MS, values[n : n + 2]) for n in (0, 2)]
+    for each in frames[::order]:
+        buffer.put(each)
     buffer.advance(at_ns(0))
-    assert buffer.known(MS, 2) == [10.0**channel, 2 * 10.0**channel]
+    assert buffer.known(MS, 4) == [n * 10.0**channel for n in (1, 2, 3, 4)]
 
 
 def test_frames_of_one_sample_are_played() -> None:

@@ -56,6 +56,27 @@ def test_nothing_waits_where_nothing_was_sent(context: Context) -> None:
     assert list(sockets.receive_all(one)) == list(sockets.receive_all(other)) == []
 
 
+def test_each_part_is_a_message_where_messages_have_one(context: Context) -> None:
+    one, other = pair(context)
+    assert list(sockets.receive_each(other)) == []
+    assert sockets.send(one, b"first", b"", b"third")
+    assert sockets.send(one, b"alone")
+    assert list(sockets.receive_each(other)) == [b"first", b"", b"third", b"alone"]
+    assert all(sockets.send(one, b"x") for _ in range(MAX_MESSAGES + 5))
+    assert [len(list(sockets.receive_each(other))) for _ in range(3)] == [MAX_MESSAGES, 5, 0]
+
+
+def test_sockets_read_to_their_end_are_waited_for_without_asking_them(context: Context) -> None:
+    one, other = pair(context, LOOPBACK)
+    waited_for = sockets.descriptors([other])
+    for number in range(200):
+        while not sockets.send(one, b"%d" % number):
+            sockets.wait_readable([one], 1_000_000)
+        while not (received := list(sockets.receive_each(other))):
+            sockets.wait_drained(waited_for, FOREVER_NS)
+        assert received == [b"%d" % number]
+
+
 def test_one_call_takes_a_bounded_number_of_messages(context: Context) -> None:
     one, other = pair(context)
     numbers = [b"%d" % i for i in range(2 * MAX_MESSAGES + 5)]

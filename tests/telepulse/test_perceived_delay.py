@@ -141,6 +141,15 @@ def test_trust_brings_the_pulse_nearly_into_phase() -> None:
     assert stack.within_jnd == 1.0
 
 
+def test_a_stall_that_is_bridged_costs_no_trust() -> None:
+    stack = played(scene(STALLS, "stack"), 46, 42)
+    assert stack.compensation.trusted is not None
+    assert stack.compensation.trusted > 0.2
+    assert stack.force_rmse_n.in_phase is not None
+    # Buffered, which takes 144 ms, the pulse is 0.11 N off in phase.
+    assert stack.force_rmse_n.in_phase < 0.04
+
+
 @pytest.mark.parametrize(
     ("link", "batch_ms"),
     [("delay=40ms,jitter=10ms", 10), (STALLS, 5)],

@@ -1,0 +1,27 @@
+"""The least of telepulse that gives a sample: wait as a display, receive, decode; no session."""
+
+import time
+from collections.abc import Iterator
+
+import zmq
+
+from benchmarks.peers import curve, ours
+from benchmarks.peers.message import Arrival, Wire
+from protocol import sockets
+from protocol.messages import decode_frame
+
+publish = ours.publish
+
+
+def subscribe(wire: Wire) -> Iterator[Arrival]:
+    """Frames as they are decoded."""
+    context: sockets.Context = zmq.Context()
+    data = curve.join(sockets.unconnected(context, zmq.SUB), wire.keys)
+    data.connect(ours.data_address(wire))
+    data.subscribe(b"")
+    descriptors = sockets.descriptors((data,))
+    while True:
+        for message in sockets.receive_each(data):
+            frame = decode_frame(message)
+            yield Arrival(frame.first_sample, frame.t_first_ns, time.monotonic_ns())
+        sockets.wait_drained(descriptors, ours.WAIT_NS)

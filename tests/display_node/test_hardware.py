@@ -1,0 +1,254 @@
+"""The bench behind a display: what it does with a fault, in virtual time."""
+
+import math
+import time
+from collections import Counter
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from display_node import hardware
+from display_node.hardware import Hardware
+from display_node.scene import DisplayScene
+from protocol.errors import SceneError, SourceError
+from protocol.scene import load_section
+from sensors.reading import Reading
+
+from ..streams import synthetic
+from .sender import MS, Sender
+from .virtual_bench import SCENES, TICK_MS, VirtualBench
+
+STILL_MM_PER_S = 1e-3
+BAR_MS = 100
+LIMIT_N = 2.5
+SLEW_N_PER_S = 50.0
+
+
+@pytest.fixture(scope="module")
+def pulse_n() -> Callable[[float], float]:
+    """The paper's pulse, by ms."""
+    samples = synthetic(preset="paper", rate="1 kHz", peak_to_peak="0.3 N", preload="0.3 N")
+    values = samples.take(8_000)[:, 0].tolist()
+    return lambda ms: values[max(0, int(ms))]
+
+
+def ended_after_ms(bench: VirtualBench, from_ms: int, pressing: bool = False) -> int:
+    """How long after a time the tip moved or, unless it may stay pressing, pressed last."""
+    last_ns = from_ms * MS
+    for moment in bench.moments:
+        moves = abs(moment.speed_m_per_s) > STILL_MM_PER_S
+        if moves if pressing else moment.force_n > 0:
+            last_ns = max(last_ns, moment.time_ns)
+    return last_ns // MS - from_ms
+
+
+def test_the_pulse_is_followed_through_drive_and_film(pulse_n: Callable[[float], float]) -> None:
+    bench = VirtualBench(pulse_n)
+    bench.run(6_000)
+    assert bench.display.fidelity is not None
+    bench.display.fidelity.finish()
+    summary = bench.display.summary()
+    assert summary.faults == []
+    assert summary.force_rmse_n.aligned is not None
+    assert summary.force_rmse_n.aligned < 0.5e-3
+
+
+def test_ticks_that_come_late_cost_little(pulse_n: Callable[[float], float]) -> None:
+    """They are of the time when they were due, and only their commands are late."""
+    bench = VirtualBench(pulse_n)
+    bench.command_late_ns = lambda ms: MS if ms % 20 == 0 else 0
+    bench.run(6_000)
+    assert bench.display.fidelity is not None
+    bench.display.fidelity.finish()
+    aligned_n = bench.display.summary().force_rmse_n.aligned
+    assert aligned_n is not None
+    assert aligned_n < 0.6e-3
+
+
+def lose_the_film(bench: VirtualBench) -> None:
+    bench.film.silent = True
+
+
+def lose_the_stream(bench: VirtualBench) -> None:
+    bench.sending = False
+
+
+def overheat(bench: VirtualBench) -> None:
+    bench.drive.motor.fail("overtemperature")
+
+
+def hang(bench: VirtualBench) -> None:
+    bench.display_runs = False
+
+
+@pytest.mark.parametrize(
+    ("happens", "pressing", "fault"),
+    [
+        (lose_the_film, False, "feedback lost"),
+        (lose_the_stream, False, None),
+        (overheat, True, "drive: fault: overtemperature"),
+        (hang, True, None),
+    ],
+    ids=["feedback lost", "stale stream", "drive fault", "process hangs"],
+)
+@pytest.mark.parametrize("from_ms", [2_000, 2_130, 2_311, 2_502, 2_777])
+def test_after_a_fault_it_rests_or_has_left_the_finger_within_100_ms(
+    pulse_n: Callable[[float], float],
+    happens: Callable[[VirtualBench], None],
+    pressing: bool,
+    fault: str | None,
+    from_ms: int,
+) -> None:
+    bench = VirtualBench(pulse_n)
+    bench.run(from_ms)
+    began_ms = bench.now_ms
+    assert bench.moments[-1].force_n > 0.1
+    happens(bench)
+    bench.run(600)
+    assert ended_after_ms(bench, began_ms, pressing) <= BAR_MS
+    assert bench.display.safety.faults == ([fault] if fault else [])
+
+
+def test_a_loop_that_hung_is_at_fault_when_it_goes_on(pulse_n: Callable[[float], float]) -> None:
+    bench = VirtualBench(pulse_n)
+    bench.run(2_000)
+    bench.display_runs = False
+    bench.run(300)
+    rested_ms = bench.now_ms
+    bench.display_runs = True
+    bench.run(500)
+    faults = bench.display.safety.faults
+    assert faults[0] == "drive: fault: it missed us"
+    assert ended_after_ms(bench, rested_ms, pressing=True) == 0
+
+
+def test_a_long_overrun_is_a_fault_whatever_the_drive_says(
+    pulse_n: Callable[[float], float],
+) -> None:
+    bench = VirtualBench(pulse_n)
+    bench.run(2_000)
+    bench.drive.motor.watch(0)
+    bench.display_runs = False
+    bench.run(300)
+    bench.display_runs = True
+    began_ms = bench.now_ms
+    bench.run(500)
+    assert bench.display.safety.faults == ["loop overrun: no command for 302 ms"]
+    assert bench.moments[-1].force_n == 0
+    # By then it had gone on for 300 ms, up to its soft limit.
+    assert ended_after_ms(bench, began_ms) <= 2 * BAR_MS
+
+
+@pytest.mark.parametrize(
+    "force_n",
+    [
+        lambda ms: 1_000.0,
+        lambda ms: 1e30 if int(ms) // 40 % 2 else -1e30,
+        lambda ms: 1e30 if int(ms) % 2 else -1e30,
+    ],
+    ids=["1000 N", "±1e30 N", "±1e30 N each sample"],
+)
+def test_no_peer_presses_harder_or_faster_than_safety_allows(
+    force_n: Callable[[float], float],
+) -> None:
+    bench = VirtualBench(force_n)
+    bench.run(3_000)
+    felt_n = np.array([moment.force_n for moment in bench.moments])
+    assert felt_n.max() <= LIMIT_N
+    within_n = felt_n[10:] - felt_n[:-10]
+    assert within_n.max() <= SLEW_N_PER_S * 10e-3 * 1.1
+    target_n = np.array([target_n for _, target_n, _ in bench.felt])
+    assert np.diff(target_n).max() <= SLEW_N_PER_S * TICK_MS * 1e-3 * (1 + 1e-9)
+    assert bench.display.safety.faults == []
+
+
+def test_a_sensing_node_that_is_started_anew_is_felt_by_a_ramp(
+    pulse_n: Callable[[float], float],
+) -> None:
+    bench = VirtualBench(lambda ms: 0.5)
+    bench.run(2_000)
+    bench.sending = False
+    bench.run(1_000)
+    assert bench.moments[-1].force_n == 0
+    bench.sender, bench.sending = Sender(session=8), True
+    bench.run(3_000)
+    felt_n = np.array([moment.force_n for moment in bench.moments])[2_900:]
+    begins, full = np.argmax(felt_n > 0.02), np.argmax(felt_n > 0.48)
+    assert felt_n[-1] == pytest.approx(0.5, abs=2e-3)
+    assert full - begins > 400
+    assert np.diff(felt_n).max() < 5e-3
+
+
+def test_what_goes_wrong_is_counted_and_told() -> None:
+    bench = VirtualBench(lambda ms: 0.3)
+    bench.drive.counts["superseded"] = 3
+    bench.film.rejected["garbled"] = 2
+    assert bench.hardware.counts == Counter({"drive superseded": 3, "film garbled": 2})
+    lose_the_film(bench)
+    assert bench.hardware.faults() == ["the film is torn"]
+
+
+def test_when_it_is_closed_the_tip_leaves_the_finger(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = VirtualBench(lambda ms: 0.5)
+    bench.run(2_000)
+    assert bench.moments[-1].force_n > 0.4
+
+    def sleep(seconds: float) -> None:
+        bench.drive.now_ns += round(seconds * 1e9)
+
+    monkeypatch.setattr(time, "sleep", sleep)
+    bench.hardware.close()
+    assert bench.drive.motor.force_n == 0
+    assert bench.drive.closed
+    assert bench.film.closed
+
+
+class Quiet(VirtualBench):
+    """A film whose first sample comes with the third look at it, or never."""
+
+    looks = 0
+
+    def poll(self) -> list[Reading]:
+        self.looks += 1
+        now_ns = time.monotonic_ns()
+        return [Reading(now_ns, now_ns + MS, (0.1,), 0)] if self.looks >= 3 else []
+
+
+@pytest.fixture
+def scene() -> DisplayScene:
+    return load_section(SCENES / "tmcl_bench.toml", "display", DisplayScene)
+
+
+def test_it_starts_with_the_films_first_sample(scene: DisplayScene) -> None:
+    bench = Quiet(lambda ms: 0.3)
+    started = Hardware(scene, bench.drive, bench)  # type: ignore[arg-type]
+    started.start()
+    assert bench.looks == 3
+    assert started.feedback.samples == 1
+
+
+def test_without_a_first_sample_it_does_not_start(
+    scene: DisplayScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hardware, "FIRST_SAMPLE_WITHIN_S", 0.05)
+    bench = Quiet(lambda ms: 0.3)
+    bench.looks = -10_000
+    with pytest.raises(SourceError, match=r"no sample within 0\.05 s"):
+        Hardware(scene, bench.drive, bench).start()  # type: ignore[arg-type]
+
+
+def test_without_a_sensor_the_drive_says_where_it_presses(scene: DisplayScene) -> None:
+    bench = VirtualBench(lambda ms: 0.5)
+    bench.run(2_000)
+    told = Hardware(scene, bench.drive, sensor=None)
+    told.read(bench.now_ms * MS)
+    read_n = told.feedback.read(bench.now_ms * MS)
+    assert read_n == pytest.approx(bench.drive.motor.force_n, rel=1e-6)
+    assert not math.isnan(read_n)
+
+
+def test_a_scene_without_a_drive_is_refused(scene: DisplayScene) -> None:
+    bench = VirtualBench(lambda ms: 0.3)
+    with pytest.raises(SceneError, match="drive"):
+        Hardware(scene.model_copy(update={"drive": None}), bench.drive, None)

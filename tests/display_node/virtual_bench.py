@@ -1,0 +1,193 @@
+"""A whole bench in virtual time: a wrist, a display, an emulated motor and the film under it."""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from display_node.actuators.stepper import StepperScene
+from display_node.display import Display, Felt
+from display_node.drives.axis import Axis, build_axis
+from display_node.drives.drive import DriveStatus
+from display_node.hardware import Hardware
+from display_node.scene import DisplayScene
+from display_node.step_rate import StepCommand
+from protocol.messages import Frame, encode_frame
+from protocol.scene import load_section
+from sensors.packet import Packet
+from sensors.reading import Reading, Readings
+from telepulse.emulate.film import FRAME
+from telepulse.emulate.motor import EmulatedMotor, Moment
+
+from .sender import AHEAD_NS, MS, Sender
+
+SCENES = Path(__file__).parents[2] / "scenes"
+BATCH = 5
+TICK_MS = 2
+FIRST_MS = 20
+WAY_NS = 2 * MS
+DELIVERY_NS = MS // 4
+
+
+class VirtualDrive:
+    """A drive that obeys `late_ns` after it was told, with soft limits."""
+
+    def __init__(self, motor: EmulatedMotor, axis: Axis, late_ns: int) -> None:
+        self.motor, self._axis, self._late_ns = motor, axis, late_ns
+        self.now_ns = self.told_ns = 0
+        self.fault: str | None = None
+        self.counts: Counter[str] = Counter()
+        self.commands: list[float] = []
+        self.closed = False
+
+    def start(self) -> None:
+        """It stands at first touch already."""
+
+    def command(self, command: StepCommand) -> None:
+        if self.fault is not None:
+            return
+        motor = self.motor
+        motor.advance(max(self.now_ns, self.told_ns) + self._late_ns)
+        if motor.fault or motor.tripped:
+            return
+        motor.feed()
+        velocity = self._axis.velocity(command, motor.tip_m, 0)
+        self.commands.append(velocity * self._axis.units.step_m)
+        motor.run(velocity)
+
+    def status(self) -> DriveStatus:
+        motor = self.motor
+        motor.advance(self.now_ns)
+        if motor.fault or motor.tripped:
+            self.fault = f"fault: {motor.fault or 'it missed us'}"
+        speed_m_per_s = motor.rate_hz * self._axis.units.step_m
+        return DriveStatus(motor.tip_m, speed_m_per_s, self.fault, bool(speed_m_per_s), 0)
+
+    def stop(self) -> None:
+        self.motor.run(0.0)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class VirtualFilm:
+    """The film's sensor: four samples a frame, which take a while to come."""
+
+    def __init__(self, motor: EmulatedMotor, readings: Readings) -> None:
+        self._motor, self._readings = motor, readings
+        self._sent = 0
+        self.now_ns = 0
+        self.silent = self.closed = False
+        self.rejected: Counter[str] = Counter()
+
+    def poll(self) -> list[Reading]:
+        found: list[Reading] = []
+        forces_n = self._motor.forces_n
+        if self.silent:
+            return found
+        while len(forces_n) >= FRAME and (self._sent + FRAME) * MS + DELIVERY_NS <= self.now_ns:
+            packet = Packet(tuple(forces_n.popleft() for _ in range(FRAME)), self._device_ns())
+            reading = self._readings.of(packet, self._sent * MS + DELIVERY_NS)
+            found += [reading] if reading is not None else []
+        return found
+
+    def _device_ns(self) -> int:
+        self._sent += FRAME
+        return self._sent * MS
+
+    def faults(self) -> list[str]:
+        return ["the film is torn"] if self.silent else []
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@dataclass
+class VirtualBench:
+    """What happens on it is changed between two runs: `sending`, `display_runs`, `drive`, `film`.
+
+    moments: of the motor, every ms; felt: of the display's ticks, with their times.
+    """
+
+    force_n: Callable[[float], float]
+    changes: dict[str, object] = field(default_factory=dict)
+    sending: bool = True
+    display_runs: bool = True
+    command_late_ns: Callable[[int], int] = lambda _: 0
+
+    def __post_init__(self) -> None:
+        scene = load_section(SCENES / "tmcl_bench.toml", "display", DisplayScene)
+        self.scene = scene = scene.model_copy(update=self.changes)
+        assert scene.feedback is not None
+        motor, axis = at_touch(scene)
+        self.moments: list[Moment] = []
+        motor.trace = self.moments.append
+        # The film's delivery is part of the latency that a bench shows.
+        assert isinstance(scene.actuator, StepperScene)
+        late_ns = scene.actuator.latency_ns - DELIVERY_NS
+        self.drive = VirtualDrive(motor, axis, late_ns)
+        self.film = VirtualFilm(motor, Readings(scene.feedback))
+        self.hardware = Hardware(scene, self.drive, self.film)  # type: ignore[arg-type]
+        self.display = Display(scene, "virtual", feedback=self.hardware.feedback)
+        self.sender = Sender()
+        self._waiting: list[tuple[int, bytes]] = []
+        self.felt: list[tuple[int, float, float]] = []
+        # The film's first samples come before the first tick, as `Hardware.start` sees to.
+        self.now_ms = self._ticked_ms = FIRST_MS
+        self.drive.now_ns = self.film.now_ns = FIRST_MS * MS
+        motor.advance(FIRST_MS * MS)
+        self.hardware.read(FIRST_MS * MS)
+
+    def run(self, ms: int) -> None:
+        """Let time pass: a frame every 5 ms, a tick every 2."""
+        for _ in range(ms):
+            self.now_ms += 1
+            now_ns = self.now_ms * MS
+            if self.sending and self.now_ms % BATCH == 0:
+                self._waiting.append((now_ns + WAY_NS, self._frame()))
+            while self._waiting and self._waiting[0][0] <= now_ns:
+                self.display.on_frame(self._waiting.pop(0)[1], now_ns)
+            self.drive.motor.advance(now_ns)
+            if self.display_runs and self.now_ms % TICK_MS == 0:
+                self._tick(now_ns)
+
+    def _tick(self, now_ns: int) -> None:
+        self.drive.now_ns = self.film.now_ns = now_ns
+        elapsed = max(1, (self.now_ms - self._ticked_ms) // TICK_MS)
+        self._ticked_ms = self.now_ms
+        self.drive.told_ns = now_ns + self.command_late_ns(self.now_ms)
+        felt: Felt = self.hardware.tick(self.display, now_ns, elapsed)
+        self.felt.append((now_ns, felt.target_n, felt.felt_n))
+        for request in self.display.requests(now_ns):
+            answer = self.sender.answer(request, now_ns) if self.sending else None
+            if answer is not None:
+                self.display.on_control(answer, now_ns)
+
+    def _frame(self) -> bytes:
+        sender, now_ms = self.sender, self.now_ms
+        width = sender.stream.bytes_per_sample
+        values = [[self.force_n(now_ms - BATCH + 1 + i)] for i in range(BATCH)]
+        first_ns = now_ms * MS + AHEAD_NS - (BATCH - 1) * MS
+        frame = Frame(sender.session, sender.sent, first_ns, MS, np.array(values, f"<f{width}"))
+        sender.sent += BATCH
+        return encode_frame(frame)
+
+
+def at_touch(scene: DisplayScene) -> tuple[EmulatedMotor, Axis]:
+    """The motor, at time 0 at rest where the tip first touches, and its axis."""
+    actuator, drive, layer = scene.actuator, scene.drive, scene.layer.layer()
+    assert isinstance(actuator, StepperScene)
+    assert drive is not None
+    now_ns = -2_000 * MS
+    motor = EmulatedMotor(actuator, actuator.contact(layer), drive.touch_m, now_ns)
+    motor.run(1e-3 / actuator.step_m)
+    while motor.tip_m < 0:
+        now_ns += MS
+        motor.advance(now_ns)
+    motor.run(0.0)
+    motor.advance(0)
+    motor.forces_n.clear()
+    motor.watch(drive.watchdog_ns)
+    return motor, build_axis(drive, actuator, layer, scene.safety.force_limit_n)
