@@ -86,6 +86,8 @@ class Stepper:
             self._rotor = Rotor(scene.rotor_resonance_hz, scene.rotor_damping, tick_s)
         self._play = Play(scene.backlash_m) if scene.backlash_m else None
         self._late = Delay(scene.latency_ns * 1e-9 / tick_s) if scene.latency_ns else None
+        # On whole microsteps the tip comes to the same places again and again.
+        self._forces_n: dict[float, float] = {}
         self._phase = 0.0
         self._rate_hz = 0.0
         self.tip_m = 0.0
@@ -98,8 +100,14 @@ class Stepper:
 
     def step(self, command: StepCommand) -> float:
         """Run one tick at a commanded rate and direction; the force in N at its end."""
-        self.force_n = self._law.force(self.move(command))
-        return self.force_n
+        position_m, forces_n = self.move(command), self._forces_n
+        force_n = forces_n.get(position_m)
+        if force_n is None:
+            force_n = self._law.force(position_m)
+            if self._rotor is None:
+                forces_n[position_m] = force_n
+        self.force_n = force_n
+        return force_n
 
     def move(self, command: StepCommand) -> float:
         """As `step`, without the contact: the tip's position from first touch at its end."""
