@@ -134,13 +134,17 @@ def test_a_peer_that_sends_garbage_neither_stops_nor_moves_it(
 ) -> None:
     address, telemetry_address = free_address(), free_address()
     summary = tmp_path / "display.json"
-    data, control = context.socket(zmq.PUB), context.socket(zmq.ROUTER)
+    # An XPUB is a PUB that hears who subscribes.
+    data, control = context.socket(zmq.XPUB), context.socket(zmq.ROUTER)
     data.bind(address)
     control.bind(control_address(address))
     telemetry = subscribe(context, telemetry_address)
     arguments = display_arguments(address, telemetry_address, "--json", str(summary))
     with process(MODULE, *arguments) as display:
-        peer = answer_for(control, seconds=1.5)
+        peer = b""
+        while not data.poll(0):
+            assert display.poll() is None
+            peer = answer_for(control, seconds=0.1) or peer
         good = frame_now(0)
         for garbage in (
             *(secrets.token_bytes(size) for size in (0, 1, 10, 100, 10_000, 100_000)),
