@@ -12,6 +12,8 @@ NAMES = (
     "clock",
     "drives",
     "drive_faults",
+    "emulated_bench",
+    "bench_faults",
     "sensors",
 )
 

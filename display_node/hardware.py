@@ -126,9 +126,14 @@ class Hardware:
         """What was wrong with the film's sensor, one line each."""
         return [] if self._sensor is None else self._sensor.faults()
 
+    def withdraw(self) -> None:
+        """Take the tip off the finger; blocks, half a second at most. Call it right after the
+        last tick: a drive that hears nothing any more stays where it is."""
+        withdraw(self._drive, self._step_m)
+
     def close(self) -> None:
         """Leave the finger, bring the drive to rest and let go of both."""
-        withdraw(self._drive, self._step_m)
+        self.withdraw()
         self._drive.close()
         if self._sensor is not None:
             self._sensor.close()

@@ -129,6 +129,8 @@ class DisplayNode:
         sockets.send(self._telemetry, STATUS, write_status(self._display, self._summary(), final))
 
     def _finish(self) -> Summary:
+        if self._hardware is not None:
+            self._hardware.withdraw()
         if self._display.fidelity is not None:
             self._display.fidelity.finish()
         self._send_status(final=True)

@@ -49,3 +49,4 @@ def withdraw(drive: Drive, step_m: float) -> None:
             break
         drive.command(StepCommand(WITHDRAW_M_PER_S / step_m, -1))
         time.sleep(PERIOD_S)
+    drive.command(StepCommand(0.0, 0))

@@ -16,9 +16,8 @@ from display_node.scene import DisplayScene
 from protocol.commands import StopAfterOption, one_line_errors, plain_console
 from protocol.errors import SceneError
 from protocol.scene import load_section
-from protocol.signals import stop_on_signals
-from telepulse.emulate.film import EmulatedFilm
-from telepulse.emulate.motor import EmulatedMotor, Fault
+from telepulse.emulate.drive_run import DriveRun
+from telepulse.emulate.motor import EmulatedMotor
 from telepulse.emulate.pty_port import PtyPort
 from telepulse.emulate.tmcl_module import Answer, EmulatedModule
 from telepulse.scene import find_scene
@@ -29,14 +28,16 @@ SceneT = TypeVar("SceneT", bound=DriveScene)
 
 
 class TmclTrouble(Enum):
-    """What can go wrong with an emulated TMCL module: with its motor, or with its replies."""
+    """What can go wrong with an emulated TMCL module: motor, film, replies, cable."""
 
     OVERTEMPERATURE = "overtemperature"
     FOLLOWING_ERROR = "following-error"
+    FILM_SILENT = "film-silent"
     SILENT = "silent"
     LATE = "late"
     WRONG = "wrong"
     GARBLED = "garbled"
+    UNPLUGGED = "unplugged"
 
 
 class Cia402Trouble(Enum):
@@ -44,13 +45,11 @@ class Cia402Trouble(Enum):
 
     OVERTEMPERATURE = "overtemperature"
     FOLLOWING_ERROR = "following-error"
+    FILM_SILENT = "film-silent"
     SILENT = "silent"
+    UNPLUGGED = "unplugged"
 
 
-_MOTOR_FAULTS: dict[str, Fault] = {
-    "overtemperature": "overtemperature",
-    "following-error": "following error",
-}
 _ANSWERS: dict[str, Answer] = {
     "silent": "none",
     "late": "late",
@@ -73,6 +72,13 @@ TROUBLE = typer.Option("--fault", help="What goes wrong, at --fault-after.")
 AfterOption = Annotated[
     float, typer.Option("--fault-after", min=0, metavar="SECONDS", help="When it goes wrong.")
 ]
+TraceOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Write a CSV line every ms: place, speed, force under the finger, what is wrong.",
+    ),
+]
 
 
 def tmcl(
@@ -84,13 +90,14 @@ def tmcl(
     film_link: FilmOption = None,
     fault: Annotated[TmclTrouble | None, TROUBLE] = None,
     fault_after: AfterOption = 0.0,
+    trace: TraceOption = None,
     seconds: StopAfterOption = None,
 ) -> None:
     """Be a TMCL stepper module: on a serial port of its own, or on the scene's CAN bus.
 
     A physical model of the scene's [display.actuator] turns under a finger, with a home switch,
     the module's heartbeat, its limits and its faults. --fault: overtemperature, following-error;
-    or replies that are silent (missing), late, wrong or garbled.
+    film-silent; replies that are silent (missing), late, wrong or garbled; unplugged.
     """
     # python-can brings its import time; other commands do without.
     from telepulse.emulate.tmcl_line import CanLine, SerialLine
@@ -105,21 +112,25 @@ def tmcl(
         else:
             line = CanLine(module, drive, open_bus(drive))
             place = f"CAN {drive.interface} {drive.channel}, identifier {drive.module}"
-        open_things.callback(line.close)
+        cable = open_things.enter_context(ExitStack())
+        cable.callback(line.close)
+        serve: Callable[[float], None] = line.serve
 
-        def break_down() -> None:
-            if fault is not None and fault.value in _ANSWERS:
-                module.answers = _ANSWERS[fault.value]
-            elif fault is not None:
-                motor.fail(_MOTOR_FAULTS[fault.value])
+        def break_down(trouble: str) -> None:
+            nonlocal serve
+            if trouble in _ANSWERS:
+                module.answers = _ANSWERS[trouble]
+            else:
+                serve = time.sleep
+                cable.close()
 
         def poll() -> None:
-            line.serve(POLL_S)
+            serve(POLL_S)
             motor.advance(time.monotonic_ns())
 
-        film = _film(motor, film_link, open_things)
+        run = DriveRun(motor, film_link, trace, open_things)
         _say(f"TMCL module on {place}", film_link)
-        _run(poll, film, seconds, break_down, fault_after)
+        run.run(poll, break_down, fault.value if fault else None, fault_after, seconds)
 
 
 def cia402(
@@ -131,13 +142,14 @@ def cia402(
     film_link: FilmOption = None,
     fault: Annotated[Cia402Trouble | None, TROUBLE] = None,
     fault_after: AfterOption = 0.0,
+    trace: TraceOption = None,
     seconds: StopAfterOption = None,
 ) -> None:
     """Be a CANopen drive of profile CiA 402 on a CAN bus.
 
     A physical model of the scene's [display.actuator] turns under a finger, with a home switch,
-    software limits, heartbeat monitoring and faults. --fault: overtemperature, following-error,
-    or silent: the drive hears, and says nothing.
+    software limits, heartbeat monitoring and faults. --fault: overtemperature, following-error;
+    film-silent; silent: the drive hears, and says nothing; unplugged.
     """
     from telepulse.emulate.cia402_node import EmulatedNode
 
@@ -146,20 +158,21 @@ def cia402(
         changes = {"interface": interface, "channel": channel}
         drive = drive.model_copy(update={key: to for key, to in changes.items() if to})
         node = EmulatedNode(drive, motor, open_bus(drive))
-        open_things.callback(node.close)
+        cable = open_things.enter_context(ExitStack())
+        cable.callback(node.close)
 
-        def break_down() -> None:
-            node.silent = fault is Cia402Trouble.SILENT
-            if fault is not None and not node.silent:
-                motor.fail(_MOTOR_FAULTS[fault.value])
+        def break_down(trouble: str) -> None:
+            node.silent = True
+            if trouble == "unplugged":
+                cable.close()
 
         def poll() -> None:
             time.sleep(POLL_S)
             node.poll()
 
-        film = _film(motor, film_link, open_things)
+        run = DriveRun(motor, film_link, trace, open_things)
         _say(f"CiA 402 node {drive.node} on CAN {drive.interface} {drive.channel}", film_link)
-        _run(poll, film, seconds, break_down, fault_after)
+        run.run(poll, break_down, fault.value if fault else None, fault_after, seconds)
 
 
 def _load(name: str, kind: type[SceneT]) -> tuple[SceneT, EmulatedMotor]:
@@ -177,42 +190,6 @@ def _load(name: str, kind: type[SceneT]) -> tuple[SceneT, EmulatedMotor]:
     )
 
 
-def _film(motor: EmulatedMotor, link: Path | None, open_things: ExitStack) -> EmulatedFilm | None:
-    if link is None:
-        return None
-    film = EmulatedFilm(motor, PtyPort(link))
-    open_things.callback(film.close)
-    return film
-
-
 def _say(what: str, film_link: Path | None) -> None:
     film = f"; film on {film_link}" if film_link else ""
     plain_console().print(f"{what}{film}")
-
-
-def _run(
-    poll: Callable[[], None],
-    film: EmulatedFilm | None,
-    seconds: float | None,
-    break_down: Callable[[], None],
-    break_after_s: float,
-) -> None:
-    """Poll until stopped or `seconds` are over; something breaks once on the way."""
-    stopping = False
-
-    def stop() -> None:
-        nonlocal stopping
-        stopping = True
-
-    stop_on_signals(stop)
-    began_s, whole = time.monotonic(), True
-    while not stopping:
-        poll()
-        if film is not None:
-            film.deliver()
-        passed_s = time.monotonic() - began_s
-        if whole and passed_s >= break_after_s:
-            whole = False
-            break_down()
-        if seconds is not None and passed_s >= seconds:
-            return

@@ -1,11 +1,13 @@
 """The motor inside an emulated drive: the physical stepper, its switch, its watchdog, its faults.
 
-Pure: time is an argument. It advances in whole milliseconds, from one call to the next.
+Pure: time is an argument. It advances in whole milliseconds; what it is told on the way counts
+from when it was told.
 """
 
 import math
 from collections import deque
-from typing import Literal
+from collections.abc import Callable
+from typing import Literal, NamedTuple
 
 from display_node.actuators.contact import ContactLaw
 from display_node.actuators.stepper import Stepper, StepperScene
@@ -19,6 +21,16 @@ SWITCH_M = 0.2e-3
 Fault = Literal["overtemperature", "following error", "stall"]
 
 
+class Moment(NamedTuple):
+    """What the motor is doing: the time, the tip's place from first touch and its speed, both
+    positive into the finger, and the force under it."""
+
+    time_ns: int
+    tip_m: float
+    speed_m_per_s: float
+    force_n: float
+
+
 class EmulatedMotor:
     """A stepper over a finger that begins `touch_m` below its home switch.
 
@@ -27,12 +39,13 @@ class EmulatedMotor:
 
     position_steps, rate_hz: of the counter, signed, positive towards the finger. tip_m: from
     first touch. rested_ns: when it came to rest last. forces_n: under the finger, one a
-    millisecond, as far as nobody took them.
+    millisecond, as far as nobody took them. trace: is given every millisecond.
     """
 
     def __init__(self, scene: StepperScene, law: ContactLaw, touch_m: float, now_ns: int) -> None:
-        # The stepper's own soft stop is the drive's business here: it has the whole stroke.
-        free = scene.model_copy(update={"thrust_n": math.inf})
+        # The stepper's own soft stop is the drive's business here: it has the whole stroke. And
+        # commands take their own time on the way: the scene's latency is not added to it.
+        free = scene.model_copy(update={"thrust_n": math.inf, "latency_ns": 0})
         self._stepper = Stepper(free, law, math.inf, TICK_S)
         self._law = law
         self._thrust_n = scene.thrust_n
@@ -42,7 +55,9 @@ class EmulatedMotor:
         self._homing: Literal["seek", "leave", "rest"] | None = None
         self._search_hz = self._leave_hz = 0.0
         self._watch_ns = 0
-        self._fed_ns = self._now_ns = self.rested_ns = now_ns
+        self._fed_ns = self._now_ns = self._told_ns = self.rested_ns = now_ns
+        # Steps times ns by which the next tick goes further than its last command says.
+        self._owed = 0.0
         self._zero_steps = 0
         self._least_steps, self._most_steps = -math.inf, math.inf
         self.rate_hz = 0.0
@@ -51,6 +66,7 @@ class EmulatedMotor:
         self.fault: Fault | None = None
         self.tripped = False
         self.forces_n: deque[float] = deque(maxlen=10_000)
+        self.trace: Callable[[Moment], None] | None = None
         self._place(SWITCH_M + touch_m / 2)
 
     @property
@@ -71,7 +87,8 @@ class EmulatedMotor:
     def run(self, rate_hz: float) -> None:
         """Go to this signed step rate, as fast as the acceleration allows."""
         self._homing = None
-        self._target_hz = 0.0 if self.fault else rate_hz
+        before_hz, self._target_hz = self._target_hz, 0.0 if self.fault else rate_hz
+        self._owed += (before_hz - self._target_hz) * max(0, self._told_ns - self._now_ns)
 
     def home(self, search_hz: float, leave_hz: float) -> None:
         """Look for the home switch; the counter's zero is where it opens again."""
@@ -113,6 +130,7 @@ class EmulatedMotor:
         while self._now_ns + TICK_NS <= now_ns:
             self._now_ns += TICK_NS
             self._tick()
+        self._told_ns = max(now_ns, self._now_ns)
 
     @property
     def _steps(self) -> int:
@@ -131,7 +149,8 @@ class EmulatedMotor:
         if self._watch_ns and self._now_ns - self._fed_ns > self._watch_ns and not self.tripped:
             self.run(0.0)
             self.tripped = True
-        target_hz = self._seek() if self._homing else self._target_hz
+        target_hz = self._seek() if self._homing else self._target_hz + self._owed / TICK_NS
+        self._owed = 0.0
         if (target_hz < 0 and self._ends_away) or (target_hz > 0 and self._ends_below):
             target_hz = 0.0
         before_m = self._stepper.screw_m
@@ -143,6 +162,9 @@ class EmulatedMotor:
         self.tip_m = travel_m - self._touch_m
         self.force_n = self._law.force(self.tip_m)
         self.forces_n.append(self.force_n)
+        if self.trace is not None:
+            speed_m_per_s = rate_hz * self._step_m
+            self.trace(Moment(self._now_ns, self.tip_m, speed_m_per_s, self.force_n))
         if self.force_n > self._thrust_n and not self.fault:
             self.fail("stall")
 

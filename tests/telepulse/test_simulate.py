@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from protocol.errors import SceneError
 from protocol.summary import Summary
 from telepulse.link import parse_link
 from telepulse.scene import Scene, load_scene
@@ -13,6 +14,8 @@ from telepulse.simulate import Simulation, simulate
 from ..nodes import RADIAL, ROOT
 
 SCENES = sorted((ROOT / "scenes").glob("*.toml"))
+LIVE = [path for path in SCENES if path.stem in ("tmcl_bench", "cia402_bench")]
+MODELLED = [path for path in SCENES if path not in LIVE]
 
 
 def with_link(text: str, path: Path = RADIAL) -> Scene:
@@ -28,13 +31,19 @@ def accounted(summary: Summary) -> int:
     return samples.sent
 
 
-@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", MODELLED, ids=lambda path: path.stem)
 def test_every_scene_that_comes_with_us_is_felt_within_the_jnd(path: Path) -> None:
     summary = simulate(load_scene(path), seconds=8, seed=1)
     accounted(summary)
     assert summary.within_jnd == 1.0
     assert summary.faults == []
     assert summary.rejected == {}
+
+
+@pytest.mark.parametrize("path", LIVE, ids=lambda path: path.stem)
+def test_a_scene_of_a_live_bench_is_not_simulated(path: Path) -> None:
+    with pytest.raises(SceneError, match='kind "serial" is a live sensor'):
+        simulate(load_scene(path), seconds=1, seed=1)
 
 
 def test_over_a_perfect_link_every_sample_is_played() -> None:

@@ -214,3 +214,24 @@ def test_a_scene_that_does_not_fit_is_said_in_one_line(
     assert child.returncode == 2
     assert words in errors
     assert len(errors.splitlines()) == 1
+
+
+def test_a_silent_film_leaves_the_drive_as_it_is(tmcl_scene: Path, tmp_path: Path) -> None:
+    film, trace = tmp_path / "film", tmp_path / "motor.csv"
+    arguments = ("--link", str(tmp_path / "drive"), "--film-link", str(film))
+    arguments += ("--trace", str(trace), "--fault", "film-silent", "--fault-after", "0")
+    with process("telepulse.cli", "emulate", "tmcl", str(tmcl_scene), *arguments) as child:
+        first_line(child)
+        drive = drive_of(tmcl_scene)
+        drive.start()
+        keep(drive, 400.0, lambda: drive.status().position_m > 50e-6)
+        with serial.Serial(str(film), timeout=0.2) as port:
+            port.reset_input_buffer()
+            assert port.read(64) == b""
+        drive.close()
+        child.send_signal(signal.SIGTERM)
+        assert child.wait(LONGEST_S) == 0
+    header, *rows = trace.read_text(encoding="utf-8").splitlines()
+    assert header == "time_ns,tip_m,speed_m_per_s,force_n,trouble"
+    assert rows[-1].endswith(",film-silent")
+    assert max(float(row.split(",")[3]) for row in rows) > 0

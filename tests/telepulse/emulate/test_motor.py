@@ -109,3 +109,43 @@ def test_it_presses_as_the_law_of_contact_says_and_stalls_beyond_its_thrust() ->
     moved.advance(moved._now_ns + 100 * MS)
     assert moved.rate_hz == 0.0
     assert moved.tip_m == pytest.approx(stood_m, abs=20 * SCENE.step_m)
+
+
+def test_a_command_counts_from_when_it_was_told() -> None:
+    """Steps are counted exactly, although time passes in whole milliseconds."""
+    moved = motor(max_acceleration="1e9 m/s^2")
+    for told_ns in (0, 300_000, 1_900_000):
+        moved.advance(told_ns)
+        moved.run(10_000.0 if told_ns != 300_000 else 90_000.0)
+    moved.advance(5 * MS)
+    assert moved.position_steps == 3 + 1.6 * 90 + 3.1 * 10
+
+
+def test_a_trip_of_the_watchdog_owes_nothing() -> None:
+    moved = motor()
+    moved.watch(50 * MS)
+    moved.advance(700_000)
+    moved.run(1000.0)
+    moved.advance(100 * MS)
+    assert moved.tripped
+    assert moved.rate_hz == 0.0
+    # From 0.7 to 50 ms.
+    assert moved.position_steps == pytest.approx(49.3, abs=1)
+
+
+def test_the_scenes_latency_is_not_added_to_the_ways_own() -> None:
+    late, prompt = motor(latency="10 ms"), motor()
+    for one in (late, prompt):
+        one.run(1000.0)
+        one.advance(5 * MS)
+    assert late.tip_m == prompt.tip_m
+
+
+def test_every_millisecond_can_be_recorded() -> None:
+    moved, moments = motor(), []
+    moved.trace = moments.append
+    moved.run(1000.0)
+    moved.advance(3 * MS)
+    assert [moment.time_ns for moment in moments] == [MS, 2 * MS, 3 * MS]
+    assert moments[-1].tip_m == moved.tip_m
+    assert moments[-1].speed_m_per_s == pytest.approx(1000 * SCENE.step_m)

@@ -1,0 +1,175 @@
+"""The whole emulated bench as people start it: board, drive, sensing node, display node.
+
+Each is a process of its own; the drive writes down what its motor does.
+"""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import zmq
+from numpy.typing import NDArray
+
+from display_node.telemetry import STATUS, read_status
+from telepulse.ports import free_addresses
+from telepulse.scene import find_scene
+
+KINDS = ("tmcl", "cia402")
+PORTS = "/tmp/telepulse-"
+CHANNEL = "239.74.163.2"
+STATE_WITHIN_S = 40.0
+ENDS_WITHIN_S = 20.0
+POLL_MS = 200
+NICE = -15
+
+
+class MotorTrace(NamedTuple):
+    """What the emulated motor did, one value a millisecond; trouble_ns: when something went
+    wrong in it or in its film, on the monotonic clock, None where nothing did."""
+
+    time_ns: NDArray[np.int64]
+    speed_m_per_s: NDArray[np.float64]
+    force_n: NDArray[np.float64]
+    trouble_ns: int | None
+
+
+class BenchFailedError(RuntimeError):
+    """A process of the bench did not do its part."""
+
+
+@dataclass
+class WholeBench:
+    """Four processes and their files.
+
+    source: the scene that the board plays. drive_options: more words for the drive's emulator.
+    """
+
+    folder: Path
+    kind: str
+    source: str = "real_bench"
+    drive_options: tuple[str, ...] = ()
+    processes: dict[str, "subprocess.Popen[bytes]"] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._address, self._telemetry = free_addresses(2)
+        self.scene = self.folder / "scene.toml"
+        text = find_scene(f"{self.kind}_bench").read_text(encoding="utf-8")
+        # Ports of its own, so that it disturbs no other bench.
+        last = 10 + int(re.findall(r"\d+$", self._address)[0]) % 200
+        text = text.replace(PORTS, f"{self.folder}/").replace(CHANNEL, f"239.74.163.{last}")
+        self.scene.write_text(text, encoding="utf-8")
+
+    def start_board(self) -> None:
+        """The sensor board at the wrist, with 4 ms of USB."""
+        words = ("emulate", "sensor", self.source, "--link", self.folder / "board")
+        self._start("board", "telepulse.cli", *words, "--delivery-ms", "4")
+
+    def start_drive(self) -> None:
+        """The drive at the finger, with its film."""
+        serial = ("--link", self.folder / "drive") if self.kind == "tmcl" else ()
+        film = ("--film-link", self.folder / "film", "--trace", self.folder / "motor.csv")
+        words = ("emulate", self.kind, self.scene, *serial, *film, *self.drive_options)
+        self._start("drive", "telepulse.cli", *words)
+
+    def start_sensing(self) -> None:
+        """The sensing node."""
+        self._start("sensing", "sensing_node.cli", self.scene, "--bind", self._address)
+
+    def start_display(self) -> None:
+        """The display node."""
+        words = (self.scene, "--connect", self._address, "--telemetry", self._telemetry)
+        json_file = self.folder / "display.json"
+        self._start("display", "display_node.cli", *words, "--quiet", "--json", json_file)
+
+    def await_state(self, wanted: str) -> dict[str, Any]:
+        """Wait until the display says that it is so ("playing", "fault"); its summary then."""
+        with zmq.Context() as context, context.socket(zmq.SUB) as socket:
+            socket.connect(self._telemetry)
+            socket.subscribe(STATUS)
+            deadline_s = time.monotonic() + STATE_WITHIN_S
+            state, faults = "not there", list[str]()
+            while time.monotonic() < deadline_s and state != "fault":
+                if self.processes["display"].poll() is not None:
+                    break
+                if socket.poll(POLL_MS):
+                    status = read_status(socket.recv_multipart()[1])
+                    state, faults = status.state, status.summary["faults"]
+                    if state == wanted:
+                        return status.summary
+        raise BenchFailedError(f"the display: {state} {faults}\n{self.said()}")
+
+    def end(self) -> dict[str, Any]:
+        """Stop all that still runs; the display's summary, empty where it was killed."""
+        for name in ("display", "sensing", "board", "drive"):
+            process = self.processes.get(name)
+            if process is not None and process.poll() is None:
+                process.terminate()
+                process.wait(ENDS_WITHIN_S)
+        path = self.folder / "display.json"
+        summary: dict[str, Any] = json.loads(path.read_text("utf-8")) if path.exists() else {}
+        return summary
+
+    def motor(self) -> MotorTrace:
+        """What the motor did until `end`."""
+        rows = np.genfromtxt(
+            self.folder / "motor.csv",
+            delimiter=",",
+            names=True,
+            dtype=None,
+            encoding="utf-8",
+            # The text column is longer further down than in the first rows.
+            converters={4: lambda text: bool(text)},
+        )
+        wrong = np.flatnonzero(rows["trouble"])
+        trouble_ns = int(rows["time_ns"][wrong[0]]) if len(wrong) else None
+        return MotorTrace(rows["time_ns"], rows["speed_m_per_s"], rows["force_n"], trouble_ns)
+
+    def said(self) -> str:
+        """What the processes printed."""
+        return (self.folder / "log").read_text("utf-8")
+
+    def _start(self, name: str, module: str, *words: object) -> None:
+        with (self.folder / "log").open("ab") as log:
+            self.processes[name] = process = subprocess.Popen(
+                [sys.executable, "-m", module, *map(str, words)], stdout=log, stderr=log
+            )
+        # What else this machine does must not look like a fault, where that may be had.
+        with suppress(PermissionError):
+            os.setpriority(os.PRIO_PROCESS, process.pid, NICE)
+
+    def kill(self) -> None:
+        """Leave nothing running."""
+        for process in self.processes.values():
+            if process.poll() is None:
+                process.kill()
+            process.wait()
+
+
+@contextmanager
+def playing(
+    folder: Path, kind: str, source: str = "real_bench", *drive_options: str
+) -> Iterator[WholeBench]:
+    """A bench on which the pulse is felt. Raises BenchFailedError."""
+    with ExitStack() as leaving:
+        bench = WholeBench(folder, kind, source, drive_options)
+        leaving.callback(bench.kill)
+        bench.start_board()
+        bench.start_drive()
+        deadline_s = time.monotonic() + STATE_WITHIN_S
+        while not all((folder / name).exists() for name in ("board", "film")):
+            if time.monotonic() > deadline_s:
+                raise BenchFailedError(f"board and drive do not start\n{bench.said()}")
+            time.sleep(0.05)
+        bench.start_sensing()
+        bench.start_display()
+        bench.await_state("playing")
+        yield bench

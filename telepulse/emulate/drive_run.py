@@ -1,0 +1,94 @@
+"""An emulated drive while it runs: its motor, the film under its finger, the record of both."""
+
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TextIO
+
+from protocol.errors import OutputError
+from protocol.signals import stop_on_signals
+from telepulse.emulate.film import EmulatedFilm
+from telepulse.emulate.motor import EmulatedMotor, Fault, Moment
+from telepulse.emulate.pty_port import PtyPort
+
+TRACE_HEADER = "time_ns,tip_m,speed_m_per_s,force_n,trouble\n"
+FILM_SILENT = "film-silent"
+MOTOR_FAULTS: dict[str, Fault] = {
+    "overtemperature": "overtemperature",
+    "following-error": "following error",
+}
+
+
+class DriveRun:
+    """Polls an emulated drive until it is told to stop, lets one thing go wrong on the way, and
+    writes down every millisecond of the motor's."""
+
+    def __init__(
+        self,
+        motor: EmulatedMotor,
+        film_link: Path | None,
+        trace: Path | None,
+        open_things: ExitStack,
+    ) -> None:
+        """open_things closes what is opened here. Raises OutputError."""
+        self._motor = motor
+        self._film: EmulatedFilm | None = None
+        self._trouble = ""
+        if film_link is not None:
+            self._film = EmulatedFilm(motor, PtyPort(film_link))
+            open_things.callback(self._film.close)
+        if trace is not None:
+            self._file = open_things.enter_context(_opened(trace))
+            self._file.write(TRACE_HEADER)
+            motor.trace = self._write
+
+    def run(
+        self,
+        poll: Callable[[], None],
+        break_down: Callable[[str], None],
+        trouble: str | None,
+        after_s: float,
+        seconds: float | None,
+    ) -> None:
+        """Poll until stopped or `seconds` are over. trouble: what goes wrong, after_s from now;
+        what is not the motor's or the film's is `break_down`'s."""
+        stopping = False
+
+        def stop() -> None:
+            nonlocal stopping
+            stopping = True
+
+        stop_on_signals(stop)
+        began_s = time.monotonic()
+        while not stopping:
+            poll()
+            self._deliver()
+            passed_s = time.monotonic() - began_s
+            if trouble and not self._trouble and passed_s >= after_s:
+                self._trouble = trouble
+                if trouble in MOTOR_FAULTS:
+                    self._motor.fail(MOTOR_FAULTS[trouble])
+                elif trouble != FILM_SILENT:
+                    break_down(trouble)
+            if seconds is not None and passed_s >= seconds:
+                return
+
+    def _deliver(self) -> None:
+        if self._film is None or self._trouble == FILM_SILENT:
+            # Nobody reads it.
+            self._motor.forces_n.clear()
+        else:
+            self._film.deliver()
+
+    def _write(self, moment: Moment) -> None:
+        time_ns, tip_m, speed_m_per_s, force_n = moment
+        row = f"{time_ns},{tip_m:.9f},{speed_m_per_s:.9f},{force_n:.9f},{self._trouble}\n"
+        self._file.write(row)
+
+
+def _opened(path: Path) -> TextIO:
+    try:
+        return path.open("w", encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror}") from None

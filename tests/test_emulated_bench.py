@@ -1,0 +1,106 @@
+"""The whole emulated bench as processes: board, sensing node, display node, drive and film.
+
+A busy machine may bring it to rest by a fault of its own making: asserted is what holds then, too.
+Times from a fault to rest are in tests/display_node/test_hardware.py, in virtual time.
+"""
+
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from benchmarks.whole_bench import BenchFailedError, MotorTrace, WholeBench, playing
+
+from .telepulse.emulate.test_drive_commands import udp_multicast_reason
+
+LIMIT_N = 2.5
+TRIES = 4
+PLAYED_S = 1.0
+REST_WITHIN_S = 1.5
+
+
+def on_a_bench(
+    folder: Path, kind: str, happens: Callable[[WholeBench], None], *options: str
+) -> MotorTrace:
+    """What the motor does on a bench on which something happens while the pulse is felt."""
+    if kind == "cia402" and (reason := udp_multicast_reason()) is not None:
+        pytest.skip(f"udp_multicast: {reason}")
+    for attempt in range(TRIES):
+        (here := folder / str(attempt)).mkdir()
+        try:
+            with playing(here, kind, "real_bench", *options) as bench:
+                happens(bench)
+                bench.end()
+                return bench.motor()
+        except BenchFailedError as error:
+            why = str(error)
+    pytest.fail(f"the pulse was not felt in {TRIES} attempts: {why}")
+
+
+def assert_in_peace(motor: MotorTrace) -> None:
+    """Something was felt, never more than allowed, and at the end the motor is at rest."""
+    assert 0.3 < motor.force_n.max() <= LIMIT_N
+    assert not motor.speed_m_per_s[-50:].any()
+
+
+def test_a_pulse_is_felt_through_every_piece_until_its_stream_ends(tmp_path: Path) -> None:
+    def happens(bench: WholeBench) -> None:
+        time.sleep(PLAYED_S)
+        bench.processes["sensing"].kill()
+        time.sleep(REST_WITHIN_S)
+        summary = bench.end()
+        assert summary["samples"]["played"] > 0
+        assert summary["force_rmse_n"]["aligned"] < 0.1
+
+    motor = on_a_bench(tmp_path, "tmcl", happens)
+    assert_in_peace(motor)
+    assert motor.force_n[-1] == 0
+
+
+def test_a_display_that_is_told_to_end_takes_the_tip_off_the_finger(tmp_path: Path) -> None:
+    def happens(bench: WholeBench) -> None:
+        time.sleep(PLAYED_S)
+        summary = bench.end()
+        # Of its own making: a busy machine has let the watchdog stop it before.
+        if summary["faults"]:
+            raise BenchFailedError(summary["faults"])
+
+    motor = on_a_bench(tmp_path, "tmcl", happens)
+    assert_in_peace(motor)
+    assert motor.force_n[-1] == 0
+
+
+def test_a_display_that_hung_does_not_go_on_pressing(tmp_path: Path) -> None:
+    def happens(bench: WholeBench) -> None:
+        time.sleep(PLAYED_S)
+        display = bench.processes["display"]
+        display.send_signal(signal.SIGSTOP)
+        time.sleep(REST_WITHIN_S)
+        display.send_signal(signal.SIGCONT)
+        bench.await_state("fault")
+        summary = bench.end()
+        assert summary["samples"]["played"] > 0
+        assert summary["faults"]
+
+    assert_in_peace(on_a_bench(tmp_path, "cia402", happens))
+
+
+def test_a_killed_display_leaves_the_motor_to_its_watchdog(tmp_path: Path) -> None:
+    def happens(bench: WholeBench) -> None:
+        bench.processes["display"].kill()
+        time.sleep(REST_WITHIN_S)
+
+    assert_in_peace(on_a_bench(tmp_path, "tmcl", happens))
+
+
+@pytest.mark.parametrize("word", ["film-silent", "unplugged"])
+def test_a_bench_that_breaks_says_so_and_rests(word: str, tmp_path: Path) -> None:
+    def happens(bench: WholeBench) -> None:
+        bench.await_state("fault")
+        time.sleep(REST_WITHIN_S)
+        assert bench.end()["faults"]
+
+    options = ("--fault", word, "--fault-after", "8")
+    assert_in_peace(on_a_bench(tmp_path, "tmcl", happens, *options))
