@@ -169,20 +169,25 @@ def write_json(report: Report, path: Path) -> None:
 
 
 def print_tables(report: Report, console: Console) -> None:
-    """Print the report's tables to the terminal."""
+    """Print the report's tables to the terminal; numbers are never cut, however narrow it is."""
     for chapter in report.chapters:
         for table in chapter.tables:
             if table.summary:
                 console.print(f"{table.title}: {table.summary}", markup=False)
                 continue
             shown = RichTable(title=table.title, title_justify="left", caption=table.note or None)
+            least = 1
             for position, column in enumerate(table.columns):
                 longest = max((len(row[position]) for row in table.rows), default=0)
                 words = position == 0 or longest > LONGEST_NUMBER
-                shown.add_column(column, justify="left" if words else "right")
+                # Names wrap between words, numbers not at all.
+                width = min(longest, LONGEST_NUMBER) if words else longest
+                width = max(width, *map(len, column.split()), 1)
+                shown.add_column(column, justify="left" if words else "right", min_width=width)
+                least += width + 3
             for row in table.rows:
                 shown.add_row(*row)
-            console.print(shown)
+            console.print(shown, width=max(console.width, least), crop=False)
 
 
 def _draw(plot: Plot, theme: Theme, path: Path) -> None:
