@@ -28,6 +28,7 @@ from display_node.drives.tmcl_line import TmclLine
 from display_node.drives.tmcl_numbers import Command
 from display_node.step_rate import StepCommand
 from protocol.stream import LayerTable
+from telepulse.bench.line_rate import TMCL_BITS
 from telepulse.emulate.cia402_node import EmulatedNode
 from telepulse.emulate.motor import EmulatedMotor
 from telepulse.emulate.pty_port import PtyPort
@@ -37,7 +38,6 @@ from telepulse.emulate.tmcl_module import EmulatedModule
 RUNS = 5
 CALLS = 500
 BAR_US = 50.0
-DATAGRAM_BITS = 9 * 10
 BAUDS = (9_600, 57_600, 115_200, 500_000, 1_000_000)
 LAYER = LayerTable().layer()
 ACTUATOR = StepperScene.model_validate({"kind": "stepper"})
@@ -70,7 +70,7 @@ def main() -> None:
     show(
         "What a serial line allows a TMCL module: request and reply are 9 bytes each",
         ("baud", "there and back, ms", "commands a second, at most"),
-        [line_row(2e3 * DATAGRAM_BITS / baud, baud) for baud in BAUDS],
+        [line_row(2e3 * TMCL_BITS / baud, baud) for baud in BAUDS],
     )
 
 

@@ -175,12 +175,13 @@ class Display:
             loop.coast(elapsed_ticks - 1)
         if self._feedback is None:
             felt_n, reading_n = loop.felt_n, loop.read_film()
-        else:
-            felt_n = reading_n = self._feedback.read(now_ns)
-        if self._feedback is None or self._feedback.alive(now_ns):
             safety.watch(reading_n)
         else:
-            safety.fault("feedback lost")
+            felt_n = reading_n = self._feedback.read(now_ns)
+            if self._feedback.alive(now_ns):
+                safety.watch(reading_n)
+            else:
+                safety.fault("feedback lost")
         reference_n = safety.bound(reference_n, alive)
         loop.tick(reference_n, reading_n)
         self.ticks += 1

@@ -13,7 +13,6 @@ from display_node.feed_forward import ScrewPath
 from display_node.film import FeedbackFilm, FilmTable
 from display_node.margins import refuse_unstable
 from display_node.observer import Observer
-from display_node.step_rate import StepRate
 from protocol.errors import SceneError
 from protocol.tactile import ElasticLayer
 
@@ -136,7 +135,7 @@ def _stepper(
     """Controller of a stepper, and what its output does."""
     law = scene.contact(layer)
     stepper = Stepper(actual, actual.contact(layer), force_limit_n, tick_s)
-    vco = StepRate(1 / scene.step_m, scene.max_speed_m_per_s / scene.step_m)
+    vco = scene.step_rate()
     latency_ticks = (scene.latency_ns + film.latency_ns) * 1e-9 / tick_s
     observer = None
     if controller.observer is not None:

@@ -12,7 +12,6 @@ from display_node.drives import Drive, build_drive
 from display_node.drives.approach import WITHDRAW_M_PER_S, withdraw
 from display_node.feedback import Feedback
 from display_node.scene import DisplayScene
-from display_node.step_rate import StepRate
 from protocol.errors import SceneError, SourceError
 from sensors.scene import open_sensor
 from sensors.sensor import Sensor
@@ -56,8 +55,7 @@ class Hardware:
             raise SceneError('[display] drive: it needs an actuator of kind "stepper"')
         self._contact = actuator.contact(scene.layer.layer())
         self._step_m = actuator.step_m
-        fastest_hz = actuator.max_speed_m_per_s / actuator.step_m
-        self._step_rate = StepRate(1 / actuator.step_m, fastest_hz)
+        self._step_rate = actuator.step_rate()
         self._drive = drive
         self._sensor = sensor
         self._tick_ns = scene.tick_ns
@@ -87,9 +85,8 @@ class Hardware:
             self.feedback.hear(now_ns - status.age_ns, self._contact.force(status.position_m))
         else:
             for reading in self._sensor.poll():
-                step_ns = (reading.end_ns - reading.first_ns) / len(reading.force_n)
-                for number, force_n in enumerate(reading.force_n):
-                    self.feedback.hear(reading.first_ns + round(number * step_ns), force_n)
+                for taken_ns, force_n in zip(reading.times_ns, reading.force_n, strict=True):
+                    self.feedback.hear(taken_ns, force_n)
         return None if status.fault is None else f"drive: {status.fault}"
 
     def tick(self, display: Display, now_ns: int, elapsed_ticks: int) -> Felt:

@@ -10,6 +10,9 @@ class StepCommand(NamedTuple):
     direction: int
 
 
+AT_REST = StepCommand(0.0, 0)
+
+
 class StepRate:
     """The paper's VCO and direction logic: a control output becomes step rate and direction."""
 
@@ -21,6 +24,6 @@ class StepRate:
         """Rate by the magnitude, direction by the sign; at rest without an output."""
         size = abs(output)
         if not size:
-            return StepCommand(0.0, 0)
+            return AT_REST
         rate_hz = min(size * self._hz_per_unit, self._max_rate_hz)
         return StepCommand(rate_hz, 1 if output > 0 else -1)

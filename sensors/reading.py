@@ -21,6 +21,12 @@ class Reading(NamedTuple):
     force_n: tuple[float, ...]
     missing: int
 
+    @property
+    def times_ns(self) -> list[int]:
+        """When each of the samples was taken."""
+        count, span_ns = len(self.force_n), self.end_ns - self.first_ns
+        return [self.first_ns + number * span_ns // count for number in range(count)]
+
 
 class Readings:
     """Makes readings of one sensor's packets. Pure: arrivals' times come in.

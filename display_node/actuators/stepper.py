@@ -12,7 +12,7 @@ from pydantic import Field
 from display_node.actuators.contact import ContactLaw
 from display_node.actuators.transmission import Play, Rotor
 from display_node.delay import Delay
-from display_node.step_rate import StepCommand
+from display_node.step_rate import StepCommand, StepRate
 from protocol.quantities import (
     Hertz,
     Metres,
@@ -53,6 +53,10 @@ class StepperScene(Section):
     def step_m(self) -> float:
         """Travel of one microstep."""
         return self.lead_m * self.step_angle_rad / (2 * math.pi) / self.microsteps
+
+    def step_rate(self) -> StepRate:
+        """What turns a speed in m/s into this drive's steps, within its fastest."""
+        return StepRate(1 / self.step_m, self.max_speed_m_per_s / self.step_m)
 
     def contact(self, layer: ElasticLayer) -> ContactLaw:
         """The contact law of this tip on the local layer; the tip itself is rigid."""

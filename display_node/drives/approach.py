@@ -4,7 +4,7 @@ import math
 import time
 
 from display_node.drives.drive import Drive
-from display_node.step_rate import StepCommand
+from display_node.step_rate import AT_REST, StepCommand
 from protocol.errors import DriveError
 
 PERIOD_S = 2e-3
@@ -28,7 +28,7 @@ def approach(drive: Drive, position_m: float, speed_m_per_s: float, step_m: floa
             raise DriveError("fault", f"on its way to first touch: {status.fault}")
         left_m = position_m - status.position_m
         if abs(left_m) <= step_m:
-            drive.command(StepCommand(0.0, 0))
+            drive.command(AT_REST)
             if not status.moving:
                 return
         else:
@@ -49,4 +49,4 @@ def withdraw(drive: Drive, step_m: float) -> None:
             break
         drive.command(StepCommand(WITHDRAW_M_PER_S / step_m, -1))
         time.sleep(PERIOD_S)
-    drive.command(StepCommand(0.0, 0))
+    drive.command(AT_REST)

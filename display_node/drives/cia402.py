@@ -24,14 +24,13 @@ from display_node.drives.cia402_states import (
 )
 from display_node.drives.drive import DriveStatus
 from display_node.drives.scene import Cia402Scene
-from display_node.step_rate import StepCommand
+from display_node.step_rate import AT_REST, StepCommand
 from protocol.errors import DriveError
 
 ENABLE_WITHIN_S = 2.0
 REST_WITHIN_S = 1.0
 # Heartbeats in the time after which the drive misses them.
 BEATS = 4
-AT_REST = StepCommand(0.0, 0)
 
 
 class Cia402Drive:

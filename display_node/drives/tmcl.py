@@ -16,7 +16,7 @@ from display_node.drives.drive import DriveStatus
 from display_node.drives.scene import TmclScene
 from display_node.drives.tmcl_module import PASSING, TmclModule
 from display_node.drives.tmcl_numbers import Parameter
-from display_node.step_rate import StepCommand
+from display_node.step_rate import AT_REST, StepCommand
 from protocol.errors import DriveError
 
 # What is asked in turn, one a slot: so often at least, more often where the line has time.
@@ -29,7 +29,6 @@ QUESTIONS = (
 QUESTION_NS = 10_000_000
 REST_WITHIN_S = 1.0
 REST_POLL_S = 0.002
-AT_REST = StepCommand(0.0, 0)
 
 
 class TmclDrive:

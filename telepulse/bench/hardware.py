@@ -5,7 +5,7 @@ import time
 import numpy as np
 
 from display_node.drives.drive import Drive
-from display_node.step_rate import StepCommand, StepRate
+from display_node.step_rate import AT_REST, StepCommand, StepRate
 from protocol.errors import BenchError, DriveError
 from sensors.reading import Reading
 from sensors.sensor import Sensor
@@ -48,7 +48,7 @@ class HardwareRig:
         samples = [
             FilmSample((taken_ns - self._began_ns) * 1e-9, force_n)
             for reading in self._film.poll()
-            for taken_ns, force_n in zip(_times_ns(reading), reading.force_n, strict=True)
+            for taken_ns, force_n in zip(reading.times_ns, reading.force_n, strict=True)
         ]
         return (told_ns - self._began_ns) * 1e-9, samples
 
@@ -71,7 +71,7 @@ def listen(sensor: Sensor, seconds: float) -> Heard:
     if not readings:
         raise BenchError(f"no sample came in {seconds:g} s: " + "; ".join(sensor.faults()))
     return Heard(
-        taken_ns=np.array([t for reading in readings for t in _times_ns(reading)], np.int64),
+        taken_ns=np.array([t for reading in readings for t in reading.times_ns], np.int64),
         force_n=np.array([f for reading in readings for f in reading.force_n]),
         arrival_ns=np.array(arrivals_ns, np.int64),
         arrived=np.array([len(reading.force_n) for reading in readings], np.int64),
@@ -83,9 +83,9 @@ def check_answers(drive: Drive, vco: StepRate) -> Check:
     """From a command to the drive's own report of that speed: away from the finger and back."""
     waits_s = []
     away = vco.command(-ANSWER_SPEED_M_PER_S)
-    back, rest = StepCommand(away.rate_hz, 1), StepCommand(0.0, 0)
+    back = StepCommand(away.rate_hz, 1)
     for _ in range(ANSWERS // 4):
-        for command in (away, rest, back, rest):
+        for command in (away, AT_REST, back, AT_REST):
             waits_s.append(_answer_s(drive, command))
     p50_s, p99_s = np.quantile(waits_s, (0.5, 0.99))
     return graded(
@@ -114,9 +114,3 @@ def _answer_s(drive: Drive, command: StepCommand) -> float:
         ):
             return waited_s
     return ANSWER_WITHIN_S
-
-
-def _times_ns(reading: Reading) -> list[int]:
-    """When each of a reading's samples was taken."""
-    count, span_ns = len(reading.force_n), reading.end_ns - reading.first_ns
-    return [reading.first_ns + number * span_ns // count for number in range(count)]

@@ -6,7 +6,6 @@ from display_node.actuators.second_order import SecondOrder, SecondOrderScene
 from display_node.actuators.stepper import Stepper, StepperScene
 from display_node.film import FeedbackFilm
 from display_node.scene import DisplayScene
-from display_node.step_rate import StepRate
 
 
 class FilmSample(NamedTuple):
@@ -45,8 +44,7 @@ class ModelRig:
             self._actuator = SecondOrder(scene.actuator, self.tick_s)
         else:
             self._actuator = _stepper(scene, scene.actuator, self.tick_s)
-            step_m = scene.actuator.step_m
-            self._vco = StepRate(1 / step_m, scene.actuator.max_speed_m_per_s / step_m)
+            self._vco = scene.actuator.step_rate()
         self._ticks = 0
 
     def tick(self, output: float) -> tuple[float, list[FilmSample]]:

@@ -13,7 +13,6 @@ from display_node.actuators.stepper import StepperScene
 from display_node.drives import build_drive
 from display_node.drives.scene import Cia402Scene, TmclScene
 from display_node.scene import DisplayScene
-from display_node.step_rate import StepRate
 from protocol.errors import BenchError, DriveError, SceneError, SourceError
 from protocol.scene import validate
 from sensing_node.scene import SensingScene
@@ -116,7 +115,7 @@ def _check_drive(
     drive = build_drive(table, actuator, scene.layer.layer(), scene.safety.force_limit_n)
     if film is None or not isinstance(actuator, StepperScene):
         raise SceneError("[display.feedback] is missing: a drive is checked by what it presses")
-    vco = StepRate(1 / actuator.step_m, actuator.max_speed_m_per_s / actuator.step_m)
+    vco = actuator.step_rate()
     findings.add("drive", check_line(table, tick_s))
     with findings.part("film"), closing(open_sensor(film, folder, print)) as sensor:
         with findings.part("drive"), closing(drive):
