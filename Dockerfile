@@ -10,6 +10,7 @@ RUN pip install --no-cache-dir -c constraints.txt .
 # Away from the source, so that what runs is what was installed.
 WORKDIR /telepulse
 COPY scenes scenes
+RUN install -d -m 700 -o telepulse keys
 USER telepulse
 
 # 5555 data, 5556 control

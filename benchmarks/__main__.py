@@ -9,12 +9,17 @@ NAMES = (
     "compensation",
     "paths",
     "peers",
+    "keys",
     "clock",
     "drives",
     "drive_faults",
     "emulated_bench",
     "bench_faults",
     "sensors",
+    "faults",
+    "load",
+    "realtime",
+    "recording",
 )
 
 

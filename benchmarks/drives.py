@@ -5,11 +5,11 @@ bit rate, and a pseudo-terminal no baud rate: real ones add their own times.
 """
 
 import statistics
-import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from typing import Any
 
 import can
 import numpy as np
@@ -17,9 +17,11 @@ from pytrinamic.connections.tmcl_interface import TmclInterface
 from pytrinamic.tmcl import TMCLRequest
 
 from benchmarks.measure import show
+from benchmarks.polled import polled
 from display_node.actuators.stepper import StepperScene
 from display_node.drives import build_drive
 from display_node.drives.axis import build_axis
+from display_node.drives.cia402 import Cia402Drive
 from display_node.drives.cia402_node import Cia402Node
 from display_node.drives.cia402_states import Control
 from display_node.drives.drive import Drive
@@ -32,6 +34,7 @@ from telepulse.bench.line_rate import TMCL_BITS
 from telepulse.emulate.cia402_node import EmulatedNode
 from telepulse.emulate.motor import EmulatedMotor
 from telepulse.emulate.pty_port import PtyPort
+from telepulse.emulate.slcan_bus import SlcanBus
 from telepulse.emulate.tmcl_line import CanLine, SerialLine
 from telepulse.emulate.tmcl_module import EmulatedModule
 
@@ -56,7 +59,8 @@ def main() -> None:
     with ExitStack() as open_things:
         calls = {
             **open_things.enter_context(pdos_to_nobody()),
-            **open_things.enter_context(cia402_calls()),
+            **open_things.enter_context(cia402_calls("virtual CAN", CAN_BUS, can.Bus(**CAN_BUS))),  # type: ignore[arg-type]
+            **open_things.enter_context(slcan_calls()),
             **open_things.enter_context(tmcl_calls()),
         }
         # Interleaved, so that all meet the same machine.
@@ -119,10 +123,12 @@ def pdos_to_nobody() -> Iterator[dict[str, Call]]:
 
 
 @contextmanager
-def cia402_calls() -> Iterator[dict[str, Call]]:
-    """Commands to an emulated CiA 402 drive, as the force loop gives them."""
-    scene = Cia402Scene.model_validate({"kind": "cia402", **CAN_BUS, **HERE})
-    emulated = EmulatedNode(scene, motor(scene.touch_m), can.Bus(**CAN_BUS))  # type: ignore[arg-type]
+def cia402_calls(
+    where: str, keys: dict[str, Any], far_end: can.BusABC
+) -> Iterator[dict[str, Call]]:
+    """Commands to an emulated CiA 402 drive on a bus, as the force loop gives them."""
+    scene = Cia402Scene.model_validate({"kind": "cia402", **keys, **HERE})
+    emulated = EmulatedNode(scene, motor(scene.touch_m), far_end)
 
     def poll() -> None:
         time.sleep(0.001)
@@ -130,14 +136,22 @@ def cia402_calls() -> Iterator[dict[str, Call]]:
 
     with polled(poll):
         drive = build_drive(scene, ACTUATOR, LAYER, FORCE_LIMIT_N)
-        node = Cia402Node(scene, build_axis(scene, ACTUATOR, LAYER, FORCE_LIMIT_N), Counter())
+        assert isinstance(drive, Cia402Drive)
         yield {
-            "CiA 402 drive: command (PDO, SYNC, heartbeat)": Commands(drive),
-            "CiA 402 drive: SDO write": lambda: node.write(0x6083, 0, 1_000),
+            f"CiA 402 command (PDO, SYNC, heartbeat), {where}": Commands(drive),
+            f"CiA 402 SDO write and its answer, {where}": lambda: written(drive),
         }
         drive.close()
-        node.close()
     emulated.close()
+
+
+@contextmanager
+def slcan_calls() -> Iterator[dict[str, Call]]:
+    """The same through an emulated CAN adapter on a pseudo-terminal, at the byte level."""
+    port = PtyPort(None)
+    keys = {"interface": "slcan", "channel": str(port.path), "options": {"sleep_after_open": 0}}
+    with cia402_calls("slcan", keys, SlcanBus(port)) as calls:
+        yield calls
 
 
 @contextmanager
@@ -184,6 +198,12 @@ class Commands:
         self._drive.command(SLOWLY)
 
 
+def written(drive: Cia402Drive) -> None:
+    """Set the drive's acceleration."""
+    assert drive._node is not None
+    drive._node.write(0x6083, 0, 1_000)
+
+
 def rotate(line: TmclLine) -> None:
     """One velocity command."""
     line.ask(Command.ROTATE_RIGHT, 0, 0, 1)
@@ -198,21 +218,3 @@ def rotate_and_log(line: TmclLine) -> None:
 def motor(touch_m: float) -> EmulatedMotor:
     """The emulated drives' motor."""
     return EmulatedMotor(ACTUATOR, ACTUATOR.contact(LAYER), touch_m, time.monotonic_ns())
-
-
-@contextmanager
-def polled(poll: Call) -> Iterator[None]:
-    """A thread that polls."""
-    over = threading.Event()
-
-    def run() -> None:
-        while not over.is_set():
-            poll()
-
-    thread = threading.Thread(target=run)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join()

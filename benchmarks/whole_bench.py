@@ -29,6 +29,8 @@ CHANNEL = "239.74.163.2"
 STATE_WITHIN_S = 40.0
 ENDS_WITHIN_S = 20.0
 POLL_MS = 200
+# A scene's film may be silent for no longer.
+MOST_PATIENT_FILM = "80 ms"
 NICE = -15
 
 
@@ -51,12 +53,14 @@ class WholeBench:
     """Four processes and their files.
 
     source: the scene that the board plays. drive_options: more words for the drive's emulator.
+    patience_ms: the drive's watchdog, for a machine that is busy with other things; 0: the scene's.
     """
 
     folder: Path
     kind: str
     source: str = "real_bench"
     drive_options: tuple[str, ...] = ()
+    patience_ms: int = 0
     processes: dict[str, "subprocess.Popen[bytes]"] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -66,6 +70,13 @@ class WholeBench:
         # Ports of its own, so that it disturbs no other bench.
         last = 10 + int(re.findall(r"\d+$", self._address)[0]) % 200
         text = text.replace(PORTS, f"{self.folder}/").replace(CHANNEL, f"239.74.163.{last}")
+        if self.patience_ms:
+            keys = f'watchdog = "{self.patience_ms} ms"\n'
+            if self.kind == "tmcl":
+                keys += f'reply_timeout = "{self.patience_ms // 4} ms"\n'
+            text = text.replace("[display.drive]\n", f"[display.drive]\n{keys}")
+            film = f'feedback_within = "{MOST_PATIENT_FILM}"\n'
+            text = text.replace("[display.safety]\n", f"[display.safety]\n{film}")
         self.scene.write_text(text, encoding="utf-8")
 
     def start_board(self) -> None:
@@ -138,6 +149,8 @@ class WholeBench:
         return (self.folder / "log").read_text("utf-8")
 
     def _start(self, name: str, module: str, *words: object) -> None:
+        if name in self.processes:
+            self.processes[name].wait()
         with (self.folder / "log").open("ab") as log:
             self.processes[name] = process = subprocess.Popen(
                 [sys.executable, "-m", module, *map(str, words)], stdout=log, stderr=log
@@ -156,11 +169,15 @@ class WholeBench:
 
 @contextmanager
 def playing(
-    folder: Path, kind: str, source: str = "real_bench", *drive_options: str
+    folder: Path,
+    kind: str,
+    source: str = "real_bench",
+    *drive_options: str,
+    patience_ms: int = 0,
 ) -> Iterator[WholeBench]:
     """A bench on which the pulse is felt. Raises BenchFailedError."""
     with ExitStack() as leaving:
-        bench = WholeBench(folder, kind, source, drive_options)
+        bench = WholeBench(folder, kind, source, drive_options, patience_ms)
         leaving.callback(bench.kill)
         bench.start_board()
         bench.start_drive()

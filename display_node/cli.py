@@ -8,31 +8,48 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from display_node.doctor import run_doctor
 from display_node.hardware import connected
 from display_node.node import DisplayNode
+from display_node.recording import Recording
 from display_node.scene import DisplayScene
 from protocol.commands import (
-    InsecureOption,
     JsonOption,
     QuietOption,
     StopAfterOption,
     one_line_errors,
     plain_console,
     sum_up,
-    warn_if_open,
 )
+from protocol.errors import ProtectionError, SceneError
+from protocol.keys import ServerKeys
+from protocol.protection import (
+    AllowOption,
+    InsecureOption,
+    KeyOption,
+    PeerOption,
+    client_keys,
+    server_keys,
+)
+from protocol.realtime import Asked, check_strict, parse_realtime
+from protocol.realtime.options import RealtimeOption, held_for
 from protocol.scene import load_section
 from protocol.signals import stop_on_signals
+from protocol.sockets import beyond_loopback
 from protocol.summary import Summary, check_writable
 
 PROGRAM = "display-node"
 SCREEN_ENDS_WITHIN_S = 5
+NOT_WHOLE = 1
 app = typer.Typer(add_completion=False, rich_markup_mode="markdown")
 
 
 @app.command()
 def display(
-    scene: Annotated[Path, typer.Argument(help="Scene file; its [display] section is used.")],
+    scene: Annotated[
+        Path | None,
+        typer.Argument(help="Scene file; its [display] section is used.", show_default=False),
+    ] = None,
     connect: Annotated[
         list[str],
         typer.Option(
@@ -53,8 +70,24 @@ def display(
         bool,
         typer.Option(help="Show the live state: a panel in a terminal, a line a second elsewhere."),
     ] = True,
+    record: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.mcap", help="Record all of this run: see telepulse record."),
+    ] = None,
     quiet: QuietOption = False,
+    key: KeyOption = None,
+    peer: PeerOption = None,
+    allow: AllowOption = None,
     insecure: InsecureOption = False,
+    realtime: RealtimeOption = None,
+    doctor: Annotated[
+        bool,
+        typer.Option(
+            "--doctor",
+            help="Play nothing: print what this host grants of --realtime, and how late ticks"
+            " are with and without it. SCENE may be left out.",
+        ),
+    ] = False,
 ) -> None:
     """Feel a remote pulse: play a sensing node's stream on the local actuator.
 
@@ -65,24 +98,57 @@ def display(
     The sensing node may start later, stop and come back: the display waits at rest, joins by
     itself and ramps up.
 
-        display-node scenes/radial.toml --connect tcp://HOST:5555
+        display-node scenes/radial.toml --connect tcp://HOST:5555 \\
+            --key keys/finger.key --peer keys/wrist.pub
+
+    `telepulse keys` makes the keys. Telemetry that leaves this machine is protected by this
+    node's own key; who may read it is listed in a file as the sensing node has one (`--allow`).
 
     The real-time loop is alone in this process. The live state is drawn by a second process
-    from the telemetry, which other programs may read as well (`--telemetry`).
+    from the telemetry, which other programs may read as well (`--telemetry`). Is the loop late?
+    `--doctor` says what this host can do about it, `--realtime` asks for it.
 
-    Exit status: 0 when stopped or at the stream's end (`--once`), 2 when the scene or an
-    address cannot be used; the reason is one line on stderr.
+    Exit status: 0 when stopped or at the stream's end (`--once`), 1 when something is missing in
+    the recording (`--record`), 2 when the scene, an address or that file cannot be used; the
+    reason is one line on stderr.
     """
     console = plain_console(quiet)
     with one_line_errors(PROGRAM):
         check_writable(json)
+        if doctor:
+            run_doctor(scene, seconds, console, json)
+            return
+        if scene is None:
+            raise SceneError("no scene file: display-node SCENE.toml plays it")
+        asked = parse_realtime(realtime)
+        check_strict(asked)
+        keys = client_keys(connect, key, peer, insecure)
+        readers = _telemetry_keys(telemetry, key, allow, insecure)
         section = load_section(scene, "display", DisplayScene)
         with connected(section, scene.parent, console.print) as hardware:
-            node = DisplayNode(section, connect, telemetry, console.print, hardware)
-            for address in connect:
-                warn_if_open(PROGRAM, address, insecure)
-            summary = _run(node, connect, seconds, once, screen and not quiet, console)
+            node = DisplayNode(
+                section, connect, telemetry, console.print, hardware, keys, readers
+            )
+            own = key if readers else None
+            recording = Recording(node, record, own, quiet) if record is not None else None
+            summary = _run(node, connect, seconds, once, screen and not quiet, console, own, asked)
+    whole = recording is None or recording.end()
     sum_up(PROGRAM, summary, "display node", console, json)
+    if not whole:
+        raise SystemExit(NOT_WHOLE)
+
+
+def _telemetry_keys(
+    telemetry: str, key: Path | None, allow: Path | None, insecure: bool
+) -> ServerKeys | None:
+    """Keys for telemetry: it goes without on this machine. Raises ProtectionError, KeyFileError."""
+    if beyond_loopback(telemetry):
+        return server_keys(telemetry, key, allow, insecure)
+    if allow is not None:
+        raise ProtectionError(
+            f"--allow is for telemetry beyond this machine, and {telemetry} stays on it"
+        )
+    return None
 
 
 def _run(
@@ -92,16 +158,19 @@ def _run(
     once: bool,
     screen: bool,
     console: Console,
+    key: Path | None,
+    asked: Asked,
 ) -> Summary:
-    """Run the node, beside the process that draws its state."""
+    """Run the node, beside the process that draws its state; `key` opens the telemetry to it."""
     stop_on_signals(node.stop)
     console.print(f"waiting for {', '.join(connect)}; telemetry on {node.telemetry_address}")
     watcher = None
     if screen:
-        watcher = subprocess.Popen(
-            [sys.executable, "-m", "display_node.screen", node.telemetry_address]
-        )
-    summary = node.run(seconds, once)
+        command = [sys.executable, "-m", "display_node.screen", node.telemetry_address]
+        watcher = subprocess.Popen([*command, *([str(key)] if key else [])])
+    # After these processes are started, which would have some of the measures as well.
+    with held_for(PROGRAM, asked, console) as held:
+        summary = held.noted(node.run(seconds, once))
     if watcher is not None:
         try:
             watcher.wait(SCREEN_ENDS_WITHIN_S)

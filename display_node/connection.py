@@ -14,8 +14,19 @@ from collections.abc import Callable, Iterator, Sequence
 import zmq
 
 from protocol import sockets
+from protocol.keys import ClientKeys
+from protocol.refusals import Refusals
 
 PATIENCE_NS = 2_000_000_000
+# Nothing from anywhere for so long: the network is cut, and what TCP would repeat when it is back
+# comes later than what a new connection brings.
+CUT_NS = 500_000_000
+# How long to wait for the answer to a request to connect: the kernel repeats it only after 1 s.
+# The network may be slower than it was: for 20 s it is hurried, then there is once all the time
+# that it takes; every other time, where it was never heard.
+ANSWER_NS = 300_000_000
+ANSWER_ROUND_TRIPS = 3
+HURRIED_TRIES = 10
 PATIENCE_FRAMES = 3
 LOOK_UP_AGAIN_S = 2.0
 
@@ -25,6 +36,8 @@ class Connection:
 
     A path is a data socket, a TCP connection of its own; the addresses share out the paths.
     Control goes over one address at a time and moves on to the next when it hears nothing.
+
+    rejected: how often a connection was refused, by cause.
     """
 
     def __init__(
@@ -33,21 +46,31 @@ class Connection:
         addresses: Sequence[str],
         paths: int,
         log: Callable[[str], None],
+        keys: ClientKeys | None = None,
     ) -> None:
         """paths: at least one for each address. Raises AddressError."""
         shares = [range(number, paths, len(addresses)) for number in range(len(addresses))]
         self.routes = [
-            Route(context, address, len(share), log)
+            Route(context, address, len(share), log, keys)
             for address, share in zip(addresses, shares, strict=True)
         ]
         self._turns = itertools.cycle(self.routes)
         self._subscribed = False
-        self.control = Line([sockets.unconnected(context, zmq.DEALER)])
+        self._heard_ns: int | None = None
+        self.control = Line([sockets.unconnected(context, zmq.DEALER, keys)])
+        self._lines = [self.control, *(route.data for route in self.routes)]
         data = [socket for route in self.routes for socket in route.data.sockets]
         self.descriptors = sockets.descriptors([*self.control.sockets, *data])
+        self._refusals = Refusals(context, keys, log)
+        for socket in (*self.control.sockets, *data):
+            self._refusals.watch(socket)
+        self.rejected = self._refusals.rejected
 
-    def subscribe(self, frame_ns: int) -> None:
-        """Ask for frames, from now on; one covers `frame_ns`."""
+    def subscribe(self, frame_ns: int, round_trip_ns: int) -> None:
+        """Ask for frames, from now on; one covers `frame_ns`. The way to the sensing node and
+        back takes `round_trip_ns`."""
+        for line in self._lines:
+            line.answer_ns = max(ANSWER_NS, ANSWER_ROUND_TRIPS * round_trip_ns)
         for route in self.routes:
             route.data.patience_ns = max(PATIENCE_NS, PATIENCE_FRAMES * frame_ns)
             if not self._subscribed:
@@ -59,9 +82,25 @@ class Connection:
 
         Returns whether control has a new connection, over which nobody knows this display yet.
         """
+        self._refusals.tend(now_ns)
+        cut = self._cut(now_ns)
         for route in self.routes:
+            if cut:
+                route.data.give_up()
             route.tend(now_ns)
+        if cut and self.control.address is not None:
+            self.control.connect(self.control.address, now_ns)
+            return True
         return self.control.silent(now_ns) and self._move_control(now_ns)
+
+    def _cut(self, now_ns: int) -> bool:
+        """Whether all lines together have just been silent for too long; once in a silence."""
+        if sum(line.heard(now_ns) for line in self._lines):
+            self._heard_ns = now_ns
+        elif self._heard_ns is not None and now_ns - self._heard_ns >= CUT_NS:
+            self._heard_ns = None
+            return True
+        return False
 
     def _move_control(self, now_ns: int) -> bool:
         for route in itertools.islice(self._turns, len(self.routes)):
@@ -78,12 +117,17 @@ class Route:
     """
 
     def __init__(
-        self, context: sockets.Context, address: str, paths: int, log: Callable[[str], None]
+        self,
+        context: sockets.Context,
+        address: str,
+        paths: int,
+        log: Callable[[str], None],
+        keys: ClientKeys | None = None,
     ) -> None:
         """Raises AddressError when `address` is none."""
         sockets.control_address(address)
         self.address = address
-        self.data = Line([sockets.unconnected(context, zmq.SUB) for _ in range(paths)])
+        self.data = Line([sockets.unconnected(context, zmq.SUB, keys) for _ in range(paths)])
         self._lookup = Lookup(address, log)
         self.won = 0
 
@@ -101,14 +145,17 @@ class Route:
 class Line:
     """Sockets that are connected to one address together, and anew when all of them are silent.
 
-    address: what they are connected to; None before that.
+    address: what they are connected to; None before that. answer_ns: when to repeat a request to
+    connect that nobody answers.
     """
 
     def __init__(self, connected: list[sockets.Socket]) -> None:
         self.sockets = connected
         self.address: str | None = None
         self.patience_ns = PATIENCE_NS
-        self._heard = False
+        self.answer_ns = ANSWER_NS
+        self._hurried_tries = self._tries = 1
+        self._heard = self._asked = False
         self._silent_ns = 0
 
     def messages(self) -> Iterator[bytes]:
@@ -122,19 +169,32 @@ class Line:
         """Ask for all that is published, and be patient until it comes."""
         for socket in self.sockets:
             socket.subscribe(b"")
-        self._heard = True
+        self._asked = True
+
+    def heard(self, now_ns: int) -> bool:
+        """Whether anything has come since this was asked last."""
+        heard = self._heard
+        if heard:
+            self._hurried_tries, self._tries = HURRIED_TRIES, 0
+        if heard or self._asked:
+            self._silent_ns = now_ns + self.patience_ns
+        self._heard = self._asked = False
+        return heard
 
     def silent(self, now_ns: int) -> bool:
         """Whether it is not connected, or has heard nothing for longer than its patience."""
-        if self._heard:
-            self._heard = False
-            self._silent_ns = now_ns + self.patience_ns
         return self.address is None or now_ns >= self._silent_ns
+
+    def give_up(self) -> None:
+        """Have no more patience with the present connection."""
+        self._silent_ns = 0
 
     def connect(self, address: str, now_ns: int) -> None:
         """Connect to `address` instead of the one before; the two may be the same."""
+        hurried = self._tries % (self._hurried_tries + 1) < self._hurried_tries
+        self._tries += 1
         for socket in self.sockets:
-            sockets.reconnect(socket, self.address, address)
+            sockets.reconnect(socket, self.address, address, self.answer_ns if hurried else 0)
         self.address = address
         self._silent_ns = now_ns + self.patience_ns
 

@@ -30,9 +30,9 @@ class ControllerScene(Section):
     the derivative's low-pass. dead_band: an error within ±this is none, in the error's unit.
     """
 
-    kp: Annotated[float, Field(ge=0)]
-    ki: Annotated[float, Field(ge=0)] = 0.0
-    kd: Annotated[float, Field(ge=0)] = 0.0
+    kp: Annotated[float, Field(ge=0, le=1e12)]
+    ki: Annotated[float, Field(ge=0, le=1e12)] = 0.0
+    kd: Annotated[float, Field(ge=0, le=1e12)] = 0.0
     derivative_filter_hz: Annotated[Hertz, Field(gt=0)] = 100.0
     error: Literal["force", "millivolts", "position"] = "force"
     feed_forward: bool = False
@@ -122,6 +122,13 @@ class StepperController:
             self._observer.skip()
         elif self._late is not None:
             self._late.step(self._wanted_n)
+
+    def shift(self, way_m: float) -> None:
+        """The screw has gone so much further than the last output says."""
+        if self._path is not None:
+            self._path.shift(way_m)
+        if self._observer is not None:
+            self._observer.shift(way_m)
 
 
 class VoltageController:

@@ -20,3 +20,7 @@ class Delay:
         past = self._past
         past.append(value)
         return past[1] + self._part * (past[0] - past[1])
+
+    def shift(self, change: float) -> None:
+        """The newest value was so much more, as is known only now."""
+        self._past[-1] += change

@@ -194,6 +194,10 @@ class Display:
             self.fidelity.felt(felt.sensing_now_ns - before_ns, felt.instant_ns - before_ns, felt_n)
         return felt
 
+    def shift(self, way_m: float) -> None:
+        """Before a tick: the drive has been told to go so much further than `output` said."""
+        self._loop.shift(way_m)
+
     def _reference(self, now_ns: int) -> tuple[list[float], bool]:
         """The force wanted now and until the loop's horizon, and whether the stream is alive."""
         receiver, felt, count = self.receiver, self.felt, self._loop.horizon + 1

@@ -61,8 +61,12 @@ class ScrewPath:
 
     def skip(self, speed_m_per_s: float) -> None:
         """A tick was missed, in which the drive went on at a speed."""
+        self.shift(speed_m_per_s * self._tick_s)
+
+    def shift(self, way_m: float) -> None:
+        """The screw has gone so much further than it was told to."""
         if self._fed_m is not None:
-            self._fed_m += speed_m_per_s * self._tick_s
+            self._fed_m += way_m
 
 
 class Gap:

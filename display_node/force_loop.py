@@ -16,7 +16,8 @@ from display_node.observer import Observer
 from protocol.errors import SceneError
 from protocol.tactile import ElasticLayer
 
-WATCHDOG_S = 0.1
+# As a drive's by default.
+WATCHDOG_S = 0.05
 
 
 class ForceLoop:
@@ -75,6 +76,11 @@ class ForceLoop:
         self.output = self._controller.output(reference_n, reading_n)
         self.felt_n = self._drive(self.output)
         return self.felt_n
+
+    def shift(self, way_m: float) -> None:
+        """By the present tick a stepper has gone so much further than the outputs said."""
+        if isinstance(self._controller, StepperController):
+            self._controller.shift(way_m)
 
 
 def build_force_loop(
@@ -136,7 +142,7 @@ def _stepper(
     law = scene.contact(layer)
     stepper = Stepper(actual, actual.contact(layer), force_limit_n, tick_s)
     vco = scene.step_rate()
-    latency_ticks = (scene.latency_ns + film.latency_ns) * 1e-9 / tick_s
+    latency_ticks = scene.ticks_to_reading(film.latency_ns, tick_s)
     observer = None
     if controller.observer is not None:
         at_once = scene.model_copy(update={"latency_ns": 0})

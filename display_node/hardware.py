@@ -58,6 +58,9 @@ class Hardware:
         self._step_rate = actuator.step_rate()
         self._drive = drive
         self._sensor = sensor
+        self._heard_ns = 0
+        # Where the drive's commands had led to at the last tick.
+        self._way_m: float | None = None
         self._tick_ns = scene.tick_ns
         self._watchdog_ns = scene.drive.watchdog_ns
         self.feedback = Feedback(scene.film.latency_ns, scene.safety.feedback_within_ns)
@@ -76,13 +79,15 @@ class Hardware:
                     " is the film's sensor the right one, and on?"
                 )
             time.sleep(POLL_S)
-            self.read(time.monotonic_ns())
+            self.read()
 
-    def read(self, now_ns: int) -> str | None:
+    def read(self) -> str | None:
         """Hand what has come to `feedback`; the drive's fault, if it has one."""
         status = self._drive.status()
         if self._sensor is None:
-            self.feedback.hear(now_ns - status.age_ns, self._contact.force(status.position_m))
+            if status.heard_ns != self._heard_ns:
+                self._heard_ns = status.heard_ns
+                self.feedback.hear(status.heard_ns, self._contact.force(status.position_m))
         else:
             for reading in self._sensor.poll():
                 for taken_ns, force_n in zip(reading.times_ns, reading.force_n, strict=True):
@@ -93,13 +98,18 @@ class Hardware:
         """A tick of a display on this bench: it is told within it what the controller wants, or
         after a fault to go back."""
         safety = display.safety
-        fault = self.read(now_ns)
+        fault = self.read()
         if fault is not None:
             safety.fault(fault)
         silent_ns = elapsed_ticks * self._tick_ns
         if silent_ns > self._watchdog_ns and not safety.faults:
             # The drive has come to rest by itself, somewhere.
             safety.fault(f"loop overrun: no command for {silent_ns * 1e-6:.0f} ms")
+        way_m = self._drive.way_m(now_ns)
+        if self._way_m is not None:
+            # Told late or not at all, a change of speed leaves the tip elsewhere than was meant.
+            display.shift(way_m - self._way_m - display.output * silent_ns * 1e-9)
+        self._way_m = way_m
         felt = display.tick(now_ns, elapsed_ticks)
         if safety.faults:
             self._move(-WITHDRAW_M_PER_S)
@@ -117,7 +127,8 @@ class Hardware:
         counts = Counter({f"drive {name}": n for name, n in self._drive.counts.items()})
         if self._sensor is not None:
             counts.update({f"film {name}": n for name, n in self._sensor.rejected.items()})
-        return counts
+        counts["film out of order"] = self.feedback.out_of_order
+        return +counts
 
     def faults(self) -> list[str]:
         """What was wrong with the film's sensor, one line each."""

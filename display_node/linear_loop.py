@@ -111,7 +111,7 @@ def linear_loop(
         return LinearLoop(plant, _voltage_law(controller, actuator, film, tick_s), tick_s)
     contact = actuator.contact(layer)
     plant = _stepper_plant(actuator, film, tick_s)
-    late_ticks = (film.latency_ns + actuator.latency_ns) * 1e-9 / tick_s
+    late_ticks = actuator.ticks_to_reading(film.latency_ns, tick_s)
     if controller.observer is not None:
         stiffness = contact.stiffness(DESIGN_FORCE_N)
         gains = observer_gains(

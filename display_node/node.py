@@ -1,7 +1,9 @@
 """The display node's shell: sockets, the clock on the wall, and one real-time loop."""
 
+import secrets
 import time
 import uuid
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -10,12 +12,16 @@ import zmq
 from display_node.connection import Connection
 from display_node.display import Display
 from display_node.hardware import Hardware
+from display_node.heard import CONTROL
+from display_node.publisher import Publisher
 from display_node.scene import DisplayScene
-from display_node.telemetry import STATUS, STATUS_TRACES, TRACE, TraceWriter, write_status
+from display_node.telemetry import write_status
 from protocol import sockets
+from protocol.gate import Gate
 from protocol.histogram import Histogram
+from protocol.keys import ClientKeys, ServerKeys
 from protocol.messages import encode_control
-from protocol.summary import Summary, TickTime
+from protocol.summary import Lateness, Summary, TickTime
 
 
 class DisplayNode:
@@ -28,23 +34,28 @@ class DisplayNode:
         telemetry_address: str,
         log: Callable[[str], None],
         hardware: Hardware | None = None,
+        keys: ClientKeys | None = None,
+        telemetry_keys: ServerKeys | None = None,
     ) -> None:
         """addresses: of the one sensing node, each over a network of its own. hardware: the real
-        bench, started, in place of the scene's models.
+        bench, started, in place of the scene's models. keys: the sensing node's and our own;
+        telemetry_keys: who may read telemetry, None: everybody who can reach it.
 
-        Raises AddressError when an address cannot be used.
+        Raises AddressError when an address cannot be used, KeyFileError.
         """
         paths = max(scene.paths, len(addresses))
         self._scene = scene = scene.model_copy(update={"paths": paths})
         self._stopping = False
         self._misses = 0
         self._tick_us = Histogram(1.0, 5_000)
-        self._trace = TraceWriter()
-        self._traces = 0
+        self._late_us = Histogram(2.0, 2_500)
         self._context: sockets.Context = zmq.Context()
-        self._connection = Connection(self._context, addresses, paths, log)
-        self._telemetry = sockets.bind(self._context, zmq.PUB, telemetry_address)
-        self.telemetry_address = self._telemetry.getsockopt_string(zmq.LAST_ENDPOINT)
+        self._connection = Connection(self._context, addresses, paths, log, keys)
+        gate = None if telemetry_keys is None else Gate(self._context, telemetry_keys, log)
+        telemetry = sockets.bind(self._context, zmq.XPUB, telemetry_address, gate)
+        self._telemetry = Publisher(telemetry, run=secrets.randbits(62), gate=gate)
+        self._gate = gate
+        self.telemetry_address = self._telemetry.address
         self._hardware = hardware
         self._display = Display(
             scene,
@@ -55,6 +66,10 @@ class DisplayNode:
     def stop(self) -> None:
         """End the loop after the present tick."""
         self._stopping = True
+
+    def await_recorder(self, seconds: float) -> bool:
+        """Before `run`: wait until somebody asks for all that is heard; False when none does."""
+        return self._telemetry.await_recorder(seconds)
 
     def run(self, seconds: float | None = None, once: bool = False) -> Summary:
         """Run the loop until stopped, `seconds` are over, or (once) the stream has ended."""
@@ -69,6 +84,7 @@ class DisplayNode:
                 if now_ns < next_ns:
                     sockets.wait_drained(self._connection.descriptors, next_ns - now_ns)
                     continue
+                self._late_us.add((now_ns - next_ns) * 1e-3)
                 elapsed = 1 + (now_ns - next_ns) // tick_ns
                 self._misses += elapsed - 1
                 next_ns += elapsed * tick_ns
@@ -82,17 +98,24 @@ class DisplayNode:
             self._context.destroy(linger=sockets.LINGER_MS)
 
     def _receive(self) -> None:
-        display, connection = self._display, self._connection
+        display, connection, heard = self._display, self._connection, self._telemetry.heard
         receiver = display.receiver
-        for route in connection.routes:
+        for path, route in enumerate(connection.routes):
             before, _ = receiver.frames
             for message in route.data.messages():
-                display.on_frame(message, time.monotonic_ns())
+                now_ns = time.monotonic_ns()
+                display.on_frame(message, now_ns)
+                heard.add(now_ns, path, message)
             route.won += receiver.frames[0] - before
         for message in connection.control.messages():
-            display.on_control(message, time.monotonic_ns())
+            now_ns, sessions = time.monotonic_ns(), receiver.sessions
+            display.on_control(message, now_ns)
+            heard.add(now_ns, CONTROL, message)
+            if receiver.sessions > sessions:
+                heard.welcome(now_ns, message)
         if receiver.listening and receiver.description is not None:
-            connection.subscribe(receiver.description.batch * receiver.description.period_ns)
+            frame_ns = receiver.description.batch * receiver.description.period_ns
+            connection.subscribe(frame_ns, 2 * receiver.clock.asymmetry_bound_ns)
 
     def _tick(self, now_ns: int, elapsed_ticks: int) -> None:
         if self._hardware is None:
@@ -104,16 +127,17 @@ class DisplayNode:
         (control,) = self._connection.control.sockets
         for message in self._display.requests(time.monotonic_ns()):
             sockets.send(control, encode_control(message))
-        trace = self._trace.add(felt)
-        if trace is not None:
-            sockets.send(self._telemetry, TRACE, trace)
-            self._traces += 1
-            if self._traces % STATUS_TRACES == 0:
-                self._send_status(final=False)
+        if self._telemetry.add(felt):
+            self._telemetry.status(self._status(final=False))
 
     def _summary(self) -> Summary:
         times = TickTime(self._tick_us.quantile(0.5), self._tick_us.quantile(0.99))
         summary, routes = self._display.summary(self._misses, times), self._connection.routes
+        rejected = Counter(summary.rejected) + self._connection.rejected
+        if self._gate is not None:
+            rejected += self._gate.rejected
+        loop = replace(summary.loop, late_us=_lateness(self._late_us))
+        summary = replace(summary, loop=loop, rejected=dict(rejected))
         if self._hardware is not None:
             summary = replace(
                 summary,
@@ -125,13 +149,18 @@ class DisplayNode:
         first = {route.address: route.won for route in routes}
         return replace(summary, frames=replace(summary.frames, first=first))
 
-    def _send_status(self, final: bool) -> None:
-        sockets.send(self._telemetry, STATUS, write_status(self._display, self._summary(), final))
+    def _status(self, final: bool) -> bytes:
+        return write_status(self._display, self._summary(), final)
 
     def _finish(self) -> Summary:
         if self._hardware is not None:
             self._hardware.withdraw()
         if self._display.fidelity is not None:
             self._display.fidelity.finish()
-        self._send_status(final=True)
+        self._telemetry.finish(self._status(final=True))
         return self._summary()
+
+
+def _lateness(late_us: Histogram) -> Lateness:
+    p50, p99, p999 = (late_us.quantile(share) for share in (0.5, 0.99, 0.999))
+    return Lateness(p50, p99, p999, late_us.maximum)

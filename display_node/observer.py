@@ -139,6 +139,12 @@ class Observer:
         self._heard_m = tip_m if self._late is None else self._late.step(tip_m)
         self.force_n = self._law.force(tip_m + self._offset_m)
 
+    def shift(self, way_m: float) -> None:
+        """The actuator has gone so much further than the last command says."""
+        self._twin.shift(way_m)
+        if self._late is not None:
+            self._late.shift(way_m)
+
     @property
     def _heard_n(self) -> float:
         """The force that the film should tell of now: the tip's of then, the finger's of now."""

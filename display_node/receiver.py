@@ -108,8 +108,9 @@ class Receiver:
         return now_ns - self._heard_ns > SILENT_AFTER_NS
 
     def introduce(self) -> None:
-        """Say hello once more: control goes over a connection that nobody knows."""
+        """Say hello at once: control goes over a connection that nobody knows."""
         self._in_doubt = True
+        self._next_hello_ns = 0
 
     def requests(self, now_ns: int) -> list[Control]:
         """What should be said to the sensing node now: hello, clock, and at last bye."""

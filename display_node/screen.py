@@ -1,7 +1,8 @@
 """The live state in a terminal, drawn from the telemetry by a process of its own.
 
-`python -m display_node.screen ADDRESS` shows a display's telemetry: a panel in a terminal, a
-line a second elsewhere. It ends with the display, or when that falls silent.
+`python -m display_node.screen ADDRESS [KEY]` shows a display's telemetry: a panel in a terminal, a
+line a second elsewhere. It ends with the display, or when that falls silent. KEY is the display's
+own secret key file, where its telemetry is protected.
 """
 
 import signal
@@ -9,6 +10,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +24,7 @@ from rich.text import Text
 from display_node.heart_rate import heart_rate_per_min
 from display_node.telemetry import STATUS, TRACE, Status, Trace, read_status, read_trace
 from protocol import sockets
+from protocol.keys import ClientKeys, read_pair
 
 SILENT_AFTER_S = 5.0
 FRAMES_PER_S = 8
@@ -156,16 +159,18 @@ def watch(
     on_trace: Callable[[Trace], None] | None = None,
     draw: bool = True,
     meanwhile: Callable[[], bool] = lambda: True,
+    keys: ClientKeys | None = None,
 ) -> Status | None:
     """Follow a display's telemetry until it ends; its last status, None if it never spoke.
 
     on_trace gets every trace as well; draw: show the state; meanwhile: called several times a
-    second, ends the watch by returning False.
+    second, ends the watch by returning False; keys: where the telemetry is protected.
     """
     screen = Screen()
     context: sockets.Context = zmq.Context()
-    socket = sockets.connect(context, zmq.SUB, address)
-    socket.subscribe(b"")
+    socket = sockets.connect(context, zmq.SUB, address, keys)
+    for wanted in (TRACE, STATUS):
+        socket.subscribe(wanted)
     live = None
     if draw and console.is_terminal:
         live = Live(screen.panel(), console=console, refresh_per_second=FRAMES_PER_S)
@@ -201,4 +206,7 @@ def watch(
 if __name__ == "__main__":
     # The display ends on Ctrl-C and says so by its last status; then this ends too.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    watch(sys.argv[1], Console(markup=False, emoji=False))
+    address, *key = sys.argv[1:]
+    pairs = [read_pair(Path(path)) for path in key]
+    own = ClientKeys(pairs[0], pairs[0].public) if pairs else None
+    watch(address, Console(markup=False, emoji=False), keys=own)

@@ -1,7 +1,8 @@
 """Telemetry: what the real-time loop tells the world, for another process to show or record.
 
 Two topics, each a multipart message [topic, msgpack]: "trace" holds every tick since the last
-one; "status" holds the running summary. A last status has final = true.
+one; "status" holds the running summary. A last status has final = true. A third topic is for
+recorders (`heard.py`).
 """
 
 from typing import Any, NamedTuple
@@ -9,6 +10,7 @@ from typing import Any, NamedTuple
 import msgpack
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
 
 from display_node.display import Display, Felt
 from protocol.errors import WireError
@@ -18,6 +20,8 @@ TRACE = b"trace"
 STATUS = b"status"
 TRACE_TICKS = 20
 STATUS_TRACES = 10
+MAX_ITEMS = 256
+_SUMMARY = TypeAdapter(Summary)
 
 
 class Trace(NamedTuple):
@@ -50,9 +54,13 @@ class TraceWriter:
         ints = self._ints
         ints += (felt.now_ns, felt.instant_ns, felt.scored, felt.trusted)
         self._forces += (felt.target_n, felt.felt_n, felt.predictor_error_n)
-        if len(ints) < 4 * TRACE_TICKS:
+        return self.rest() if len(ints) >= 4 * TRACE_TICKS else None
+
+    def rest(self) -> bytes | None:
+        """The ticks since the last message as one, if there are any."""
+        if not self._ints:
             return None
-        message = [np.array(ints, "<i8").tobytes(), np.array(self._forces, "<f8").tobytes()]
+        message = [np.array(self._ints, "<i8").tobytes(), np.array(self._forces, "<f8").tobytes()]
         self._ints, self._forces = [], []
         return bytes(msgpack.packb(message))
 
@@ -60,7 +68,7 @@ class TraceWriter:
 def read_trace(data: bytes) -> Trace:
     """The trace in a message. Raises WireError."""
     try:
-        ints, forces = msgpack.unpackb(data)
+        ints, forces = unpack(data)
         now_ns, instant_ns, scored, trusted = np.frombuffer(ints, "<i8").reshape(-1, 4).T
         target_n, felt_n, error_n = np.frombuffer(forces, "<f8").reshape(len(now_ns), 3).T
     except (ValueError, TypeError) as error:
@@ -86,11 +94,23 @@ def write_status(display: Display, summary: Summary, final: bool) -> bytes:
 
 
 def read_status(data: bytes) -> Status:
-    """The status in a message. Raises WireError."""
+    """The status in a message, with every key of a summary. Raises WireError."""
     try:
-        state, stream, summary, final = msgpack.unpackb(data)
+        state, stream, summary, final = unpack(data)
     except (ValueError, TypeError) as error:
         raise WireError("malformed", f"not a status: {error}") from None
     if not (type(state) is type(stream) is str and type(summary) is dict and type(final) is bool):
         raise WireError("malformed", "a status' field has the wrong type")
-    return Status(state, stream, summary, final)
+    try:
+        whole = _SUMMARY.validate_python(summary).to_dict()
+    except ValidationError as error:
+        raise WireError("malformed", f"a status' summary: {error}") from None
+    return Status(state, stream, whole, final)
+
+
+def unpack(data: bytes, max_items: int = MAX_ITEMS) -> Any:
+    """The msgpack in a message. Raises ValueError or TypeError.
+
+    Room is made for what an array or a table promises; more than `max_items` are not believed.
+    """
+    return msgpack.unpackb(data, max_array_len=max_items, max_map_len=max_items)

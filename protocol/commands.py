@@ -1,4 +1,4 @@
-"""What the command lines share: options, one way to fail, one way to warn, one way to sum up."""
+"""What the command lines share: options, one way to fail, one way to sum up."""
 
 import sys
 from collections.abc import Iterator
@@ -10,7 +10,6 @@ import typer
 from rich.console import Console
 
 from protocol.errors import TelepulseError
-from protocol.sockets import beyond_loopback
 from protocol.summary import Summary, print_summary, write_json
 
 USAGE_ERROR = 2
@@ -25,9 +24,6 @@ JsonOption = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Write the closing summary here as JSON.")
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
-InsecureOption = Annotated[
-    bool, typer.Option("--insecure", help="Do not warn of an unprotected link.")
-]
 
 
 @contextmanager
@@ -43,16 +39,6 @@ def one_line_errors(program: str) -> Iterator[None]:
 def plain_console(quiet: bool = False) -> Console:
     """A console that prints what it is given: text from peers is no markup, lines are not cut."""
     return Console(quiet=quiet, markup=False, emoji=False, soft_wrap=True)
-
-
-def warn_if_open(program: str, address: str, insecure: bool) -> None:
-    """Say that a link beyond this machine is neither encrypted nor authenticated."""
-    if beyond_loopback(address) and not insecure:
-        print(
-            f"{program}: warning: {address} reaches beyond this machine and is neither encrypted"
-            " nor authenticated; use it on a network you trust (--insecure silences this)",
-            file=sys.stderr,
-        )
 
 
 def sum_up(program: str, summary: Summary, title: str, console: Console, json: Path | None) -> None:

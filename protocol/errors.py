@@ -4,10 +4,13 @@ TelepulseError
  +-- SceneError      (ValueError)  a scene file or a quantity in it cannot be used
  +-- WireError       (ValueError)  bytes from a peer are not a valid message
  +-- AddressError    (OSError)     a socket cannot be bound or connected
+ +-- KeyFileError    (ValueError)  a key file or an allow-list cannot be used
+ +-- ProtectionError (ValueError)  a link beyond this machine would be open, or its keys do not fit
  +-- SourceError     (OSError)     a sensor or recording cannot be read
  +-- DriveError      (OSError)     a drive cannot be reached, or does not do as it is told
  +-- OutputError     (OSError)     a result cannot be written
  +-- BenchError      (RuntimeError) a bench or a calibration cannot be measured
+ +-- RealtimeError   (RuntimeError) a real-time measure is none, or is not granted
  +-- SweepError      (RuntimeError) a case of a study fails, or no cluster computes it
 """
 
@@ -42,6 +45,21 @@ class AddressError(TelepulseError, OSError):
     """
 
 
+class KeyFileError(TelepulseError, ValueError):
+    """A key file or an allow-list cannot be read, used or written.
+
+    Example scenarios: others may read the secret key, a public key where the secret one is meant,
+    a name that is not on the list.
+    """
+
+
+class ProtectionError(TelepulseError, ValueError):
+    """A link cannot be protected as it must be.
+
+    Example scenarios: an address beyond this machine without keys, a key without a peer.
+    """
+
+
 class SourceError(TelepulseError, OSError):
     """A source of samples cannot be opened or read.
 
@@ -73,6 +91,14 @@ class BenchError(TelepulseError, RuntimeError):
 
     Example scenarios: the film does not move when the drive does, it says more force than
     allowed, all reference loads are the same.
+    """
+
+
+class RealtimeError(TelepulseError, RuntimeError):
+    """Real-time measures cannot be had as they are asked for.
+
+    Example scenarios: no measure has that name, a priority above 98, all of it was asked for
+    strictly and this user may not have SCHED_FIFO.
     """
 
 

@@ -25,8 +25,12 @@ UNITS: dict[str, dict[str, float]] = {
     "sensitivity": {"mV/N": 1e-3, "V/N": 1.0},
     "angle": {"°": math.pi / 180, "deg": math.pi / 180, "rad": 1.0},
 }
-_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S*)\s*")
+# Possessive throughout: a long text that is no quantity is seen to be none in one pass.
+_NUMBER = re.compile(
+    r"\s*+([-+]?(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][-+]?\d++)?+)\s*+(\S*+)\s*+"
+)
 _LARGEST = 1e100
+_SHOWN = 80
 
 
 def parse_quantity(text: object, dimension: str) -> float:
@@ -36,13 +40,13 @@ def parse_quantity(text: object, dimension: str) -> float:
     that says what is allowed when the number or its unit is missing or does not fit.
     """
     units = UNITS[dimension]
-    example = f"a {dimension} is a number and one of {', '.join(units)}"
     match = _NUMBER.fullmatch(text) if isinstance(text, str) else None
-    if match is None:
-        raise ValueError(f"{text!r} is no {dimension}: {example}")
+    if match is None or match[2] not in units:
+        raise ValueError(
+            f"{shown(text)} is no {dimension}: a {dimension} is a number and one of"
+            f" {', '.join(units)}"
+        )
     number, unit = match.groups()
-    if unit not in units:
-        raise ValueError(f"{text!r} is no {dimension}: {example}")
     return _sane(float(number) * units[unit], text)
 
 
@@ -50,8 +54,13 @@ def parse_ratio(text: object) -> float:
     """Read a plain number or a percentage ("1 %") as a ratio. Raises ValueError otherwise."""
     match = _NUMBER.fullmatch(str(text)) if isinstance(text, int | float | str) else None
     if match is None or match.group(2) not in ("", "%"):
-        raise ValueError(f"{text!r} is no ratio: write 0.01 or '1 %'")
+        raise ValueError(f"{shown(text)} is no ratio: write 0.01 or '1 %'")
     return _sane(float(match.group(1)) * (0.01 if match.group(2) == "%" else 1.0), text)
+
+
+def shown(value: object) -> str:
+    """A value as it stands in an error's line: cut where it is long."""
+    return f"{value!r:.{_SHOWN}}"
 
 
 def in_unit_of(value: float, text: object) -> str:
@@ -68,7 +77,7 @@ def in_unit_of(value: float, text: object) -> str:
 def _sane(value: float, text: object) -> float:
     """The value; ValueError where it is so large that the code's own unit would overflow."""
     if not abs(value) < _LARGEST:
-        raise ValueError(f"{text!r:.40} is too large")
+        raise ValueError(f"{shown(text)} is too large")
     return value
 
 

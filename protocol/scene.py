@@ -8,7 +8,7 @@ import difflib
 import json
 import re
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,10 +16,11 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from protocol.errors import SceneError
-from protocol.quantities import in_unit_of
+from protocol.quantities import in_unit_of, shown
 
 SECTIONS = ("sensing", "display", "link")
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
+_KEY_SHOWN = 80
 _UNIT_SUFFIX = re.compile(
     r"_(ns|hz|bit_per_s|m|n|n_per_s|pa|m_per_s|m_per_s2|n_per_m|v|v_per_n|rad)$"
 )
@@ -69,7 +70,18 @@ def load_document(path: Path) -> dict[str, Any]:
     for key in document:
         if key not in (*SECTIONS, "title"):
             raise SceneError(f"{path}: {_place([key])}: unknown key{_suggestion(key, SECTIONS)}")
+    for keys in _too_large(document):
+        raise SceneError(f"{path}: {_place(keys)}: an integer of more than 64 bits")
     return document
+
+
+def _too_large(value: Any, *keys: int | str) -> Iterator[list[int | str]]:
+    """Where integers are that TOML does not have; Python reads them, and may not print them."""
+    if isinstance(value, dict | list):
+        for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from _too_large(inner, *keys, key)
+    elif isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
+        yield list(keys)
 
 
 def load_section(path: Path, name: str, schema: type[SectionT]) -> SectionT:
@@ -100,15 +112,15 @@ def _first_line(error: ValidationError, table: Any) -> str:
         case "missing":
             text = "missing; it must be given"
         case "model_type" | "model_attributes_type":
-            text = f"must be a table, got {written!r:.80}"
+            text = f"must be a table, got {shown(written)}"
         case "union_tag_invalid":
-            text = f"unknown kind {context['tag']!r:.80}; known: {context['expected_tags']}"
+            text = f"unknown kind {shown(context['tag'])}; known: {context['expected_tags']}"
         case "union_tag_not_found":
             text = f"{context['discriminator']} is missing; it must be given"
         case "value_error":
             text = str(context["error"])
         case _:
-            text = f"{_demand(first, written)}, got {written!r:.80}"
+            text = f"{_demand(first, written)}, got {shown(written)}"
     place = f"{_place(keys)}: " if keys else ""
     more = error.error_count() - 1
     return place + text + (f" (and {more} more)" if more else "")
@@ -140,7 +152,7 @@ def _demand(error: ErrorDetails, written: object) -> str:
 
 
 def _place(keys: list[int | str]) -> str:
-    parts = (str(key) for key in keys)
+    parts = (str(key)[:_KEY_SHOWN] for key in keys)
     return ".".join(part if _BARE_KEY.fullmatch(part) else json.dumps(part) for part in parts)
 
 

@@ -1,27 +1,35 @@
-"""ZeroMQ sockets: addresses, heartbeats, limits.
+"""ZeroMQ sockets: addresses, keepalive, limits.
 
 One address names a stream. Data is PUB to SUB there; control is ROUTER to DEALER one port
-higher (for ipc: the path with ".control" behind it). Reconnecting is ZeroMQ's own; heartbeats
-let go of a peer that is dead or beyond a cut.
+higher (for ipc: the path with ".control" behind it). Reconnecting is ZeroMQ's own; the
+kernel's keepalive lets go of a peer that is dead or beyond a cut.
 """
 
 import errno
 import re
 import select
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from typing import cast
+from types import MappingProxyType
+from typing import TYPE_CHECKING, cast
 
 import zmq
 
 from protocol.errors import AddressError
+from protocol.keys import ClientKeys
 from protocol.messages import MAX_FRAME_BYTES
 
-HEARTBEAT_MS = 2_000
-# Far longer than TCP stalls on a bad link: a connection given up loses all that queued on it. Who
-# has to know of a silence sooner watches for it, as a display does.
-HEARTBEAT_TIMEOUT_MS = 10_000
-RECONNECT_MS = 100
+if TYPE_CHECKING:
+    from protocol.gate import Gate
+
+# The kernel asks whether a silent peer is there. ZeroMQ's own heartbeats end the whole process
+# where a peer goes that had filled our queue (libzmq 4.3.5, its issues 3937 and 4364).
+KEEPALIVE_S = 2
+KEEPALIVE_PROBES = 4
+# What a peer has not acknowledged, or has no room for, for so long: it does not read any more, and
+# what queues for it gets old. Longer than a display is patient with a silent connection.
+STUCK_MS = 5_000
+RECONNECT_MS = 50
 HIGH_WATER_FRAMES = 1_000
 LINGER_MS = 500
 MAX_MESSAGES = 200
@@ -31,6 +39,8 @@ Context = zmq.Context[zmq.Socket[bytes]]
 Socket = zmq.Socket[bytes]
 _TCP = re.compile(r"tcp://(?P<host>[^\s/]+):(?P<port>\d{1,5})")
 _LOOPBACK = re.compile(r"(127\.\d+\.\d+\.\d+|localhost|\[::1\])")
+# As numbers: to combine pyzmq's enums costs more than to send.
+_MORE, _POLLIN = int(zmq.NOBLOCK | zmq.SNDMORE), int(zmq.POLLIN)
 _HINTS = {
     zmq.EADDRINUSE: "; another program holds it",
     zmq.EADDRNOTAVAIL: "; this machine does not have it",
@@ -52,13 +62,28 @@ def control_address(address: str) -> str:
 
 def beyond_loopback(address: str) -> bool:
     """Whether the address can be reached from, or reaches, another machine."""
+    if address.startswith(("ipc://", "inproc://")):
+        return False
     host = address.removeprefix("tcp://").rpartition(":")[0]
-    return address.startswith("tcp://") and _LOOPBACK.fullmatch(host) is None
+    return not address.startswith("tcp://") or _LOOPBACK.fullmatch(host) is None
 
 
-def bind(context: Context, kind: int, address: str) -> Socket:
-    """A socket of `kind` bound to `address`. Raises AddressError."""
+def bind(
+    context: Context,
+    kind: int,
+    address: str,
+    gate: "Gate | None" = None,
+    limits: Mapping[int, int] = MappingProxyType({}),
+) -> Socket:
+    """A socket of `kind` bound to `address`; `gate` says who gets in. Raises AddressError.
+
+    limits: socket options for what queues for each peer, where ours do not fit.
+    """
     socket = _socket_for(context, kind, address)
+    for option, value in limits.items():
+        socket.setsockopt(option, value)
+    if gate is not None:
+        gate.guard(socket)
     try:
         socket.bind(address)
     except zmq.ZMQError as error:
@@ -67,9 +92,12 @@ def bind(context: Context, kind: int, address: str) -> Socket:
     return socket
 
 
-def connect(context: Context, kind: int, address: str) -> Socket:
-    """A socket of `kind` that connects to `address`, now or when it appears."""
-    socket = _socket_for(context, kind, address)
+def connect(context: Context, kind: int, address: str, keys: ClientKeys | None = None) -> Socket:
+    """A socket of `kind` that connects to `address`, now or when it appears.
+
+    keys: which make it talk to their peer alone, encrypted. Raises AddressError.
+    """
+    socket = _socket_for(context, kind, address, keys)
     try:
         socket.connect(address)
     except zmq.ZMQError as error:
@@ -78,23 +106,31 @@ def connect(context: Context, kind: int, address: str) -> Socket:
     return socket
 
 
-def unconnected(context: Context, kind: int) -> Socket:
+def unconnected(context: Context, kind: int, keys: ClientKeys | None = None) -> Socket:
     """A socket of `kind` for `reconnect` to connect."""
     socket = context.socket(kind)
+    if keys is not None:
+        socket.setsockopt(zmq.CURVE_SECRETKEY, keys.own.secret)
+        socket.setsockopt(zmq.CURVE_PUBLICKEY, keys.own.public.key)
+        socket.setsockopt(zmq.CURVE_SERVERKEY, keys.peer.key)
     socket.setsockopt(zmq.LINGER, LINGER_MS)
     socket.setsockopt(zmq.SNDHWM, HIGH_WATER_FRAMES)
     socket.setsockopt(zmq.RCVHWM, HIGH_WATER_FRAMES)
-    socket.setsockopt(zmq.HEARTBEAT_IVL, HEARTBEAT_MS)
-    socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, HEARTBEAT_TIMEOUT_MS)
-    socket.setsockopt(zmq.HEARTBEAT_TTL, HEARTBEAT_TIMEOUT_MS)
+    socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
+    socket.setsockopt(zmq.TCP_KEEPALIVE_IDLE, KEEPALIVE_S)
+    socket.setsockopt(zmq.TCP_KEEPALIVE_INTVL, KEEPALIVE_S)
+    socket.setsockopt(zmq.TCP_KEEPALIVE_CNT, KEEPALIVE_PROBES)
+    socket.setsockopt(zmq.TCP_MAXRT, STUCK_MS)
     socket.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
     # A little above what is decoded, so that an oversized message is counted, not only cut off.
     socket.setsockopt(zmq.MAXMSGSIZE, 4 * MAX_FRAME_BYTES)
     return socket
 
 
-def reconnect(socket: Socket, old: str | None, new: str) -> None:
+def reconnect(socket: Socket, old: str | None, new: str, answer_ns: int = 0) -> None:
     """Connect to `new` instead of `old`; the two may be the same.
+
+    answer_ns: when to repeat a request to connect that nobody answers; 0: as the kernel does.
 
     ZeroMQ reconnects by itself, but not after a peer broke the protocol, as with a message
     above our size limit: then the connection is gone for good.
@@ -103,6 +139,7 @@ def reconnect(socket: Socket, old: str | None, new: str) -> None:
         with suppress(zmq.ZMQError):  # it may know the address no more
             socket.disconnect(old)
     socket.setsockopt(zmq.IPV6, "[" in new)
+    socket.setsockopt(zmq.CONNECT_TIMEOUT, answer_ns // 1_000_000)
     socket.connect(new)
 
 
@@ -112,9 +149,11 @@ def receive_all(socket: Socket) -> Iterator[list[bytes]]:
     At most `MAX_MESSAGES` a call, so that a flood cannot keep a loop from its ticks.
     """
     for _ in range(MAX_MESSAGES):
-        if not _has_message(socket):
+        try:
+            message = socket.recv_multipart(zmq.NOBLOCK)
+        except zmq.Again:
             return
-        yield socket.recv_multipart(zmq.NOBLOCK)
+        yield message
 
 
 def receive_each(socket: Socket) -> Iterator[bytes]:
@@ -133,10 +172,9 @@ def receive_each(socket: Socket) -> Iterator[bytes]:
 def send(socket: Socket, *parts: bytes) -> bool:
     """Send without blocking; False when the peer cannot take it now."""
     try:
-        if len(parts) == 1:
-            socket.send(parts[0], zmq.NOBLOCK)
-        else:
-            socket.send_multipart(parts, zmq.NOBLOCK)
+        for part in parts[:-1]:
+            socket.send(part, _MORE)
+        socket.send(parts[-1], zmq.NOBLOCK)
     except zmq.Again:
         return False
     return True
@@ -168,7 +206,7 @@ def descriptors(sockets: Sequence[Socket]) -> list[int]:
 
 
 def _has_message(socket: Socket) -> bool:
-    return bool(cast(int, socket.getsockopt(zmq.EVENTS)) & zmq.POLLIN)
+    return bool(cast(int, socket.getsockopt(zmq.EVENTS)) & _POLLIN)
 
 
 def _reason(error: zmq.ZMQError) -> str:
@@ -176,11 +214,13 @@ def _reason(error: zmq.ZMQError) -> str:
     return zmq.strerror(number) + _HINTS.get(number, "")
 
 
-def _socket_for(context: Context, kind: int, address: str) -> Socket:
+def _socket_for(
+    context: Context, kind: int, address: str, keys: ClientKeys | None = None
+) -> Socket:
     match = _TCP.fullmatch(address)
     if match and int(match["port"]) > MAX_PORT:
         # ZeroMQ takes it modulo 65536.
         raise AddressError(f"{address}: there is no such port; the highest is {MAX_PORT}")
-    socket = unconnected(context, kind)
+    socket = unconnected(context, kind, keys)
     socket.setsockopt(zmq.IPV6, "[" in address)
     return socket

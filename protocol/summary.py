@@ -97,12 +97,24 @@ class TickTime:
 
 
 @dataclass(frozen=True, slots=True)
+class Lateness:
+    """How late ticks began, in µs."""
+
+    p50: float | None = None
+    p99: float | None = None
+    p999: float | None = None
+    max: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Loop:
-    """The display's real-time loop."""
+    """The node's loop. realtime: measures that were asked for and granted."""
 
     ticks: int | None = None
     deadline_misses: int | None = None
     tick_us: TickTime = TickTime()
+    late_us: Lateness = Lateness()
+    realtime: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +145,7 @@ class Summary:
     strain_rmse: Errors = Errors()
     within_jnd: float | None = None
     roughness: Roughness = Roughness()
-    loop: Loop = Loop()
+    loop: Loop = field(default_factory=Loop)
     speed: float | None = None
     rejected: dict[str, int] = field(default_factory=dict)
     hardware: dict[str, int] = field(default_factory=dict)
@@ -231,6 +243,12 @@ def _rows(s: Summary) -> list[tuple[str, str]]:
         ),
         ("loop", f"{_n(s.loop.ticks)} ticks, {_n(s.loop.deadline_misses)} deadline misses"),
         ("tick", f"p50 {_f(s.loop.tick_us.p50, 0)} µs, p99 {_f(s.loop.tick_us.p99, 0)} µs"),
+        (
+            "tick began",
+            f"p50 {_f(s.loop.late_us.p50, 0)} µs late, p99 {_f(s.loop.late_us.p99, 0)} µs,"
+            f" p99.9 {_f(s.loop.late_us.p999, 0)} µs, max {_f(s.loop.late_us.max, 0)} µs",
+        ),
+        ("real-time", ", ".join(s.loop.realtime) or _ABSENT),
         ("speed", f"{_f(s.speed, 0)} times real time"),
         ("rejected", causes or "nothing"),
         ("hardware", _counts(s.hardware) or _ABSENT),

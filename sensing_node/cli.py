@@ -7,15 +7,17 @@ from typing import Annotated
 import typer
 
 from protocol.commands import (
-    InsecureOption,
     JsonOption,
     QuietOption,
     StopAfterOption,
     one_line_errors,
     plain_console,
     sum_up,
-    warn_if_open,
 )
+from protocol.open_files import allow_connections
+from protocol.protection import AllowOption, InsecureOption, KeyOption, server_keys
+from protocol.realtime import check_strict, parse_realtime
+from protocol.realtime.options import RealtimeOption, held_for
 from protocol.scene import load_section
 from protocol.signals import stop_on_signals
 from protocol.sockets import control_address
@@ -40,7 +42,10 @@ def sense(
     seconds: StopAfterOption = None,
     json: JsonOption = None,
     quiet: QuietOption = False,
+    key: KeyOption = None,
+    allow: AllowOption = None,
     insecure: InsecureOption = False,
+    realtime: RealtimeOption = None,
 ) -> None:
     """Stream the pulse of a source to every display that asks for it.
 
@@ -49,13 +54,14 @@ def sense(
     the wrist. Frames go out over ZeroMQ whether or not somebody listens; displays may join, leave
     and come back at any time.
 
-    On the machine at the wrist:
+    On the machine at the wrist, once `telepulse keys` has made the keys:
 
-        sensing-node scenes/radial.toml --bind tcp://*:5555
+        sensing-node scenes/radial.toml --bind tcp://*:5555 --key keys/wrist.key
 
     On the machine at the finger:
 
-        display-node scenes/radial.toml --connect tcp://HOST:5555
+        display-node scenes/radial.toml --connect tcp://HOST:5555 \\
+            --key keys/finger.key --peer keys/wrist.pub
 
     Open ports 5555 (data) and 5556 (control). Ctrl-C or SIGTERM ends the stream cleanly: every
     display is told how many samples were sent, so that none goes unaccounted for.
@@ -67,20 +73,25 @@ def sense(
     with ExitStack() as until_the_end:
         with one_line_errors(PROGRAM):
             check_writable(json)
+            asked = parse_realtime(realtime)
+            check_strict(asked)
+            control = control_address(bind)
+            keys = server_keys(bind, key, allow, insecure)
             section = load_section(scene, "sensing", SensingScene)
             source = until_the_end.enter_context(open_source(section, scene.parent, console.print))
             description = describe_stream(section, source)
-            node = SensingNode(source, description, bind, log=console.print)
-            warn_if_open(PROGRAM, bind, insecure)
+            allow_connections()
+            node = SensingNode(source, description, bind, log=console.print, keys=keys)
         stop_on_signals(node.stop)
         console.print(
             f"streaming {description.name!r}: {description.rate_hz:g} Hz in frames of"
-            f" {description.batch} on {bind} (control {control_address(bind)})"
+            f" {description.batch} on {bind} (control {control})"
         )
         if description.group_delay_ns:
             delay_ms = description.group_delay_ns * 1e-6
             console.print(f"the conditioning chain delays the pulse by {delay_ms:.1f} ms")
-        summary = node.run(seconds)
+        with held_for(PROGRAM, asked, console) as held:
+            summary = held.noted(node.run(seconds))
     sum_up(PROGRAM, summary, "sensing node", console, json)
 
 

@@ -127,7 +127,7 @@ class Conditioned:
         return filtered
 
 
-def faults_of(samples: Samples) -> list[str]:
+def faults_of(samples: object) -> list[str]:
     """What went wrong in a source's chain, one line each, for the summary."""
     if not isinstance(samples, Conditioned) or not samples.clipped:
         return []

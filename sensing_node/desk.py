@@ -20,6 +20,8 @@ FORGET_AFTER_NS = 5_000_000_000
 MAX_GUESTS = 1_000
 # Each relay on the way adds an address to the envelope.
 MAX_HOPS = 4
+# ZeroMQ's own limit of an address; what a peer puts beside its own may be of any size.
+MAX_ADDRESS_BYTES = 255
 
 Sender = tuple[bytes, ...]
 """The envelope a control message came in; a reply goes back in the same."""
@@ -60,6 +62,8 @@ class Desk:
         try:
             if not 1 <= len(sender) <= MAX_HOPS:
                 raise WireError("malformed", f"an envelope holds 1 to {MAX_HOPS} addresses")
+            if max(map(len, sender)) > MAX_ADDRESS_BYTES:
+                raise WireError("malformed", "an address in an envelope is too long")
             message = decode_control(data)
             guest = self._guest(sender, message, now_ns)
         except WireError as error:
@@ -92,7 +96,8 @@ class Desk:
             case _:
                 raise WireError("unexpected", "a message that only sensing nodes send")
         guest = self.guests.get(sender)
-        if guest is None or guest.name != name:
+        # Most messages are clock requests, which have no name: they must not cost a look at all.
+        if name and (guest is None or guest.name != name):
             self._forget_namesake(name)
         if guest is None:
             if len(self.guests) >= MAX_GUESTS:
@@ -107,7 +112,7 @@ class Desk:
 
         It may have asked for the clock before it said its name.
         """
-        for sender in [k for k, guest in self.guests.items() if name and guest.name == name]:
+        for sender in [k for k, guest in self.guests.items() if guest.name == name]:
             del self.guests[sender]
 
     def forget_silent(self, now_ns: int) -> list[Guest]:

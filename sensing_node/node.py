@@ -7,10 +7,13 @@ from collections.abc import Callable
 import zmq
 
 from protocol import sockets
+from protocol.gate import Gate
+from protocol.keys import ServerKeys
 from protocol.messages import Bye, encode_control, encode_frame
 from protocol.stream import StreamDescription
 from protocol.summary import Samples as SampleCounts
 from protocol.summary import Summary
+from sensing_node.backlog import limits
 from sensing_node.conditioning import faults_of
 from sensing_node.desk import Desk, Sender
 from sensing_node.framing import Framer
@@ -36,20 +39,28 @@ class SensingNode:
         address: str,
         log: Callable[[str], None],
         clock: Callable[[], int] = time.monotonic_ns,
+        keys: ServerKeys | None = None,
     ) -> None:
-        """clock: what the stream is timed by, ns. Raises AddressError when `address` cannot be
-        bound."""
+        """clock: what the stream is timed by, ns. keys: who may listen; None: everybody.
+
+        Raises AddressError when `address` cannot be bound, KeyFileError.
+        """
         self._source = source
         self._description = description
         self._log = log
         self._clock = clock
         self._stopping = False
+        self._full = False
         self._session = secrets.randbits(62)
         self._framer = Framer(description, self._session)
         self._desk = Desk(description, self._session)
         self._context: sockets.Context = zmq.Context()
-        self._control = sockets.bind(self._context, zmq.ROUTER, sockets.control_address(address))
-        self._data = sockets.bind(self._context, zmq.PUB, address)
+        gate = None if keys is None else Gate(self._context, keys, log)
+        control = sockets.control_address(address)
+        self._control = sockets.bind(self._context, zmq.ROUTER, control, gate)
+        self._data = sockets.bind(self._context, zmq.PUB, address, gate, limits(description))
+        self._gate = gate
+        self._waited_for = [self._control, *(gate.sockets if gate is not None else ())]
 
     def stop(self) -> None:
         """End the stream after the present batch."""
@@ -84,9 +95,11 @@ class SensingNode:
             wait_ns = due_ns - self._clock()
             if wait_ns <= 0:
                 return
-            sockets.wait_readable([self._control], min(wait_ns, MAX_WAIT_NS))
+            sockets.wait_readable(self._waited_for, min(wait_ns, MAX_WAIT_NS))
 
     def _answer_all(self) -> None:
+        if self._gate is not None:
+            self._gate.tend(time.monotonic_ns())
         for *envelope, data in sockets.receive_all(self._control):
             self._answer(tuple(envelope), data)
 
@@ -97,6 +110,9 @@ class SensingNode:
             sockets.send(self._control, *sender, encode_control(reply))
         if len(self._desk.guests) > known:
             self._log(f"{self._desk.guests[sender].shown_name} joined")
+        elif self._desk.rejected["too_many_displays"] and not self._full:
+            self._full = True
+            self._log(f"{known} displays are here, which is the most; no further one is answered")
 
     def _forget_silent(self) -> None:
         for guest in self._desk.forget_silent(self._clock()):
@@ -118,7 +134,7 @@ class SensingNode:
                 sockets.send(self._control, *sender, bye)
             if self._desk.all_content:
                 return
-            sockets.wait_readable([self._control], MAX_WAIT_NS)
+            sockets.wait_readable(self._waited_for, MAX_WAIT_NS)
 
     def _summary(self) -> Summary:
         for guest in self._desk.guests.values():
@@ -129,6 +145,8 @@ class SensingNode:
                     f" {report.lost} lost, playout delay {report.playout_delay_ms:.1f} ms"
                 )
         rejected = self._desk.rejected
+        if self._gate is not None:
+            rejected = rejected + self._gate.rejected
         if isinstance(self._source, Live):
             rejected = rejected + self._source.rejected
             faults = self._source.faults()

@@ -117,7 +117,10 @@ class FrameDecoder:
         if dtype is None or payload_bytes % dtype.itemsize:
             raise WireError("format", f"format {code:#x} with {payload_bytes} bytes of samples")
         values = np.frombuffer(body, dtype, payload_bytes // dtype.itemsize, _HEAD.size)
-        if not (np.abs(values.astype(np.float64)) <= LARGEST).all():
+        # Some NaN are signals, at which NumPy would warn.
+        with np.errstate(invalid="ignore"):
+            usable = np.abs(values.astype(np.float64)) <= LARGEST
+        if not usable.all():
             raise WireError("not_finite", "a sample is NaN, infinite or beyond all units")
         passed_ns = self._time.since_last_ns(last_us)
         missing = self._counter.missing(counter, len(values), passed_ns)

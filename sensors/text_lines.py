@@ -53,7 +53,7 @@ class TextDecoder:
         *whole, rest = (self._buffer + data).replace(b"\r", b"\n").split(b"\n")
         packets = []
         for line in whole:
-            if not self._synchronised and line:
+            if not self._synchronised and line and not self._skipping:
                 self.rejected["partial"] += 1
             elif line.strip() and not self._skipping:
                 try:
@@ -65,6 +65,8 @@ class TextDecoder:
         if len(rest) > MAX_LINE_BYTES:
             if not self._skipping and self._synchronised:
                 self._spoil("framing")
+            elif not self._skipping:
+                self.rejected["partial"] += 1
             self._skipping, rest = True, b""
         self._buffer = rest
         return _joined(packets)

@@ -73,7 +73,9 @@ class Timeline:
         """Pull the period; how long the samples take, so that the next one's time is pulled too."""
         period_ns = self._period_ns
         end_ns = first_ns + count * period_ns
-        passed_ns, self._measured_ns = end_ns - self._measured_ns, end_ns
+        # After a long packet that was pulled forward, a short one may end before it was to end.
+        passed_ns = max(end_ns - self._measured_ns, period_ns)
+        self._measured_ns = end_ns
         bandwidth_hz = max(BANDWIDTH_HZ, SETTLING * 1e9 / end_ns)
         omega = min(2 * math.pi * bandwidth_hz * passed_ns * 1e-9, LARGEST_OMEGA)
         pulled_ns = period_ns * (1 + omega * omega * error_ns / passed_ns)

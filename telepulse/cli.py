@@ -15,14 +15,25 @@ from protocol.commands import (
     plain_console,
     sum_up,
 )
+from protocol.protection import (
+    AllowOption,
+    InsecureOption,
+    KeyOption,
+    PeerOption,
+    client_keys,
+    server_keys,
+)
 from protocol.signals import stop_on_signals
 from protocol.summary import check_writable
 from telepulse.bench.cli import bench
 from telepulse.calibrate.cli import calibrate
 from telepulse.demo import run_demo
 from telepulse.emulate.cli import app as emulate_app
+from telepulse.keys_command import app as keys_app
 from telepulse.link import LinkScene, parse_link
 from telepulse.link_relay import LinkRelay
+from telepulse.record.cli import export, record, replay
+from telepulse.relay.cli import relay
 from telepulse.report import print_tables, write_json
 from telepulse.report_command import FolderOption, TablesOption, publish
 from telepulse.scene import DEFAULT_SCENE, find_scene, load_scene
@@ -38,8 +49,13 @@ app = typer.Typer(
 )
 app.add_typer(study_app, name="study")
 app.add_typer(emulate_app, name="emulate")
+app.add_typer(keys_app, name="keys")
 app.command()(bench)
 app.command()(calibrate)
+app.command()(relay)
+app.command()(record)
+app.command()(replay)
+app.command()(export)
 
 SceneArgument = Annotated[
     str, typer.Argument(help="A scene file, or the name of one that comes with telepulse.")
@@ -144,6 +160,10 @@ def link_command(
     link: LinkOption = None,
     seconds: StopAfterOption = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the link's chances.")] = 1,
+    key: KeyOption = None,
+    peer: PeerOption = None,
+    allow: AllowOption = None,
+    insecure: InsecureOption = False,
 ) -> None:
     """Stand between two nodes and make the link between them worse.
 
@@ -151,13 +171,17 @@ def link_command(
     delayed both ways and never lost.
     """
     with one_line_errors(PROGRAM):
-        relay = LinkRelay(parse_link(link) if link else LinkScene(), connect, bind, seed)
-    stop_on_signals(relay.stop)
+        # Without --peer the sensing node is on this machine, and has no keys.
+        upstream = client_keys([connect], key if peer else None, peer, insecure)
+        downstream = server_keys(bind, key, allow, insecure)
+        model = parse_link(link) if link else LinkScene()
+        between = LinkRelay(model, connect, bind, seed, upstream, downstream)
+    stop_on_signals(between.stop)
     if seconds is not None:
-        timer = threading.Timer(seconds, relay.stop)
+        timer = threading.Timer(seconds, between.stop)
         timer.daemon = True
         timer.start()
-    relay.run()
+    between.run()
 
 
 def main() -> None:

@@ -4,10 +4,13 @@ of its own; data frames can be lost, control only delayed."""
 import heapq
 import itertools
 import time
+from collections.abc import Callable
 
 import zmq
 
 from protocol import sockets
+from protocol.gate import Gate
+from protocol.keys import ClientKeys, ServerKeys
 from telepulse.link import LinkScene, MessageLink
 
 IDLE_NS = 50_000_000
@@ -16,8 +19,18 @@ IDLE_NS = 50_000_000
 class LinkRelay:
     """Stands between a sensing node at `connect` and displays that connect to `bind`."""
 
-    def __init__(self, scene: LinkScene, connect: str, bind: str, seed: int) -> None:
-        """Raises AddressError."""
+    def __init__(
+        self,
+        scene: LinkScene,
+        connect: str,
+        bind: str,
+        seed: int,
+        keys: ClientKeys | None = None,
+        gate_keys: ServerKeys | None = None,
+        log: Callable[[str], None] = print,
+    ) -> None:
+        """keys: towards the sensing node; gate_keys: towards displays. Raises AddressError,
+        KeyFileError."""
         now_ns = time.monotonic_ns()
         self._down, self._up = (MessageLink(scene, seed + i, now_ns) for i in (0, 1))
         self._stopping = False
@@ -26,11 +39,12 @@ class LinkRelay:
         self._context: sockets.Context = zmq.Context()
         context = self._context
         control_in, control_out = (sockets.control_address(a) for a in (connect, bind))
-        self._data_in = sockets.connect(context, zmq.SUB, connect)
+        self._data_in = sockets.connect(context, zmq.SUB, connect, keys)
         self._data_in.subscribe(b"")
-        self._control_in = sockets.connect(context, zmq.DEALER, control_in)
-        self._data_out = sockets.bind(context, zmq.PUB, bind)
-        self._control_out = sockets.bind(context, zmq.ROUTER, control_out)
+        self._control_in = sockets.connect(context, zmq.DEALER, control_in, keys)
+        self._gate = None if gate_keys is None else Gate(context, gate_keys, log)
+        self._data_out = sockets.bind(context, zmq.PUB, bind, self._gate)
+        self._control_out = sockets.bind(context, zmq.ROUTER, control_out, self._gate)
 
     @property
     def lost_frames(self) -> int:
@@ -44,8 +58,11 @@ class LinkRelay:
     def run(self) -> None:
         """Relay until stopped."""
         readable = [self._data_in, self._control_in, self._control_out]
+        readable += [] if self._gate is None else self._gate.sockets
         try:
             while not self._stopping:
+                if self._gate is not None:
+                    self._gate.tend(time.monotonic_ns())
                 self._receive()
                 wait_ns = self._deliver()
                 sockets.wait_readable(readable, wait_ns)

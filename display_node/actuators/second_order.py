@@ -19,9 +19,9 @@ class SecondOrderScene(Section):
     """
 
     kind: Literal["second_order"]
-    m: Annotated[float, Field(ge=1e-12)] = 0.65
-    c: Annotated[float, Field(ge=0)] = 0.61
-    k: Annotated[float, Field(ge=0)] = 4.23
+    m: Annotated[float, Field(ge=1e-12, le=1e12)] = 0.65
+    c: Annotated[float, Field(ge=0, le=1e12)] = 0.61
+    k: Annotated[float, Field(ge=0, le=1e12)] = 4.23
     voltage_limit: Annotated[float, Field(gt=0)] = 1e6
 
 

@@ -42,9 +42,9 @@ class StepperScene(Section):
     max_acceleration_m_per_s2: Annotated[MetresPerSecond2, Field(gt=0)] = 20.0
     stroke_m: Annotated[Metres, Field(gt=0)] = 0.1
     thrust_n: Annotated[Newtons, Field(gt=0)] = 100.0
-    tip_radius_m: Annotated[Metres, Field(gt=0)] = 5e-3
-    fingertip_n_per_m: Annotated[NewtonsPerMetre, Field(gt=0)] = 1e3
-    rotor_resonance_hz: Annotated[Hertz, Field(gt=0, le=10_000)] | None = None
+    tip_radius_m: Annotated[Metres, Field(ge=1e-6, le=1)] = 5e-3
+    fingertip_n_per_m: Annotated[NewtonsPerMetre, Field(ge=1e-3, le=1e12)] = 1e3
+    rotor_resonance_hz: Annotated[Hertz, Field(ge=0.1, le=10_000)] | None = None
     rotor_damping: Annotated[float, Field(ge=0, le=10)] = 0.2
     backlash_m: Annotated[Metres, Field(ge=0, le=1e-3)] = 0.0
     latency_ns: Annotated[Nanoseconds, Field(ge=0, le=50_000_000)] = 0
@@ -57,6 +57,10 @@ class StepperScene(Section):
     def step_rate(self) -> StepRate:
         """What turns a speed in m/s into this drive's steps, within its fastest."""
         return StepRate(1 / self.step_m, self.max_speed_m_per_s / self.step_m)
+
+    def ticks_to_reading(self, film_latency_ns: int, tick_s: float) -> float:
+        """Ticks from a command to the reading that tells of it, by a film that is so late."""
+        return (self.latency_ns + film_latency_ns) * 1e-9 / tick_s
 
     def contact(self, layer: ElasticLayer) -> ContactLaw:
         """The contact law of this tip on the local layer; the tip itself is rigid."""
@@ -135,3 +139,7 @@ class Stepper:
             position_m = self._play.step(position_m)
         self.tip_m = position_m
         return position_m
+
+    def shift(self, way_m: float) -> None:
+        """The screw has gone so much further than the last command says."""
+        self._phase += way_m / self._step_m

@@ -44,10 +44,9 @@ def build_axis(
     It may go from home to where the model of contact says that the tip presses with the force
     limit (or the thrust, or to the stroke's end, or to `furthest`, whichever comes first).
     """
-    furthest_m = min(
-        actuator.stroke_m - scene.touch_m,
-        actuator.contact(layer).position(min(actuator.thrust_n, force_limit_n)),
-    )
+    pressing_m = actuator.contact(layer).position(min(actuator.thrust_n, force_limit_n))
+    # Told by whole microsteps, it may be almost one further on than it says.
+    furthest_m = min(actuator.stroke_m - scene.touch_m, pressing_m - actuator.step_m)
     if scene.furthest_m is not None:
         furthest_m = min(furthest_m, scene.furthest_m)
     units = Units(

@@ -24,6 +24,7 @@ from display_node.drives.cia402_states import (
 )
 from display_node.drives.drive import DriveStatus
 from display_node.drives.scene import Cia402Scene
+from display_node.drives.told_way import ToldWay
 from display_node.step_rate import AT_REST, StepCommand
 from protocol.errors import DriveError
 
@@ -42,6 +43,7 @@ class Cia402Drive:
         self._node: Cia402Node | None = None
         self._fault: str | None = "not started"
         self._beat_ns = 0
+        self._way = ToldWay()
         self.counts: Counter[str] = Counter()
 
     def start(self) -> None:
@@ -71,7 +73,8 @@ class Cia402Drive:
             return
         velocity = self._axis.velocity(command, node.position_m, now_ns - node.heard_ns)
         try:
-            node.tell(Control.ENABLE, velocity)
+            told_ns = node.tell(Control.ENABLE, velocity)
+            self._way.tell(self._axis.units.speed_m_per_s(velocity), told_ns)
             if now_ns - self._beat_ns >= self._scene.watchdog_ns // BEATS:
                 self._beat_ns = now_ns
                 node.beat()
@@ -80,12 +83,16 @@ class Cia402Drive:
 
     def status(self) -> DriveStatus:
         """See `Drive.status`."""
-        node, now_ns = self._node, time.monotonic_ns()
+        node = self._node
         if node is None:
             return DriveStatus(self._axis.lowest_m, 0.0, self._fault, False, 0)
         speed = node.speed_m_per_s
-        fault = self._watch(node, now_ns)
-        return DriveStatus(node.position_m, speed, fault, speed != 0, now_ns - node.heard_ns)
+        fault = self._watch(node, time.monotonic_ns())
+        return DriveStatus(node.position_m, speed, fault, speed != 0, node.heard_ns)
+
+    def way_m(self, now_ns: int) -> float:
+        """See `Drive.way_m`."""
+        return self._way.way_m(now_ns)
 
     def stop(self) -> None:
         """See `Drive.stop`."""

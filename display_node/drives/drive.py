@@ -12,14 +12,15 @@ class DriveStatus:
     """What a drive said last.
 
     position_m: of the tip from first touch, positive into the finger. fault: what keeps it at
-    rest until `Drive.start` is called again, or None. age_ns: time since it was heard last.
+    rest until `Drive.start` is called again, or None. heard_ns: when the position was heard, on
+    the monotonic clock; 0 before any was.
     """
 
     position_m: float
     speed_m_per_s: float
     fault: str | None
     moving: bool
-    age_ns: int
+    heard_ns: int
 
 
 class Drive(Protocol):
@@ -43,6 +44,9 @@ class Drive(Protocol):
 
     def status(self) -> DriveStatus:
         """What the drive said last, without asking it."""
+
+    def way_m(self, now_ns: int) -> float:
+        """How far its commands lead until a time on the monotonic clock, from anywhere."""
 
     def stop(self) -> None:
         """Come to rest as fast as the drive can, and stay there until `start`."""

@@ -13,7 +13,8 @@ Scale = Annotated[float, Field(gt=0, le=1e9)]
 class DriveScene(Section):
     """What the tables of all kinds of drive have in common.
 
-    interface, channel, bitrate: a CAN bus as python-can names it. velocity_scale: the drive's
+    interface, channel, bitrate: a CAN bus as python-can names it; options: what else the
+    interface takes. velocity_scale: the drive's
     velocity units in one microstep a second. inverted: its positive goes away from the finger.
 
     homing: "switch" runs away from the finger to a limit switch; "none" takes for home where
@@ -28,6 +29,7 @@ class DriveScene(Section):
     interface: str | None = None
     channel: str | None = None
     bitrate_bit_per_s: Annotated[BitsPerSecond, Field(ge=10_000, le=8_000_000)] = 1e6
+    options: dict[str, str | int | float | bool] = Field(default_factory=dict)
     velocity_scale: Scale = 1.0
     inverted: bool = False
     homing: Literal["switch", "none"] = "switch"

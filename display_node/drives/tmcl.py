@@ -16,6 +16,7 @@ from display_node.drives.drive import DriveStatus
 from display_node.drives.scene import TmclScene
 from display_node.drives.tmcl_module import PASSING, TmclModule
 from display_node.drives.tmcl_numbers import Parameter
+from display_node.drives.told_way import ToldWay
 from display_node.step_rate import AT_REST, StepCommand
 from protocol.errors import DriveError
 
@@ -44,6 +45,7 @@ class TmclDrive:
         # The mailbox: the command and when it was given; 0 before the first.
         self._told = (AT_REST, 0)
         self._taken_ns = 0
+        self._way = ToldWay()
         self.counts: Counter[str] = Counter()
 
     def start(self) -> None:
@@ -81,8 +83,12 @@ class TmclDrive:
         if module is None:
             return DriveStatus(self._axis.lowest_m, 0.0, self._fault, False, 0)
         speed = module.speed_m_per_s
-        age_ns = time.monotonic_ns() - module.heard_ns
-        return DriveStatus(module.position_m, speed, self._fault, speed != 0, age_ns)
+        fault, heard_ns = self._fault, module.position_ns
+        return DriveStatus(module.position_m, speed, fault, speed != 0, heard_ns)
+
+    def way_m(self, now_ns: int) -> float:
+        """See `Drive.way_m`."""
+        return self._way.way_m(now_ns)
 
     def stop(self) -> None:
         """See `Drive.stop`."""
@@ -135,4 +141,6 @@ class TmclDrive:
             silent_ms = (now_ns - told_ns) / 1e6
             raise DriveError("no command", f"for {silent_ms:.0f} ms")
         age_ns = now_ns - module.position_ns
-        module.rotate(self._axis.velocity(command, module.position_m, age_ns))
+        velocity = self._axis.velocity(command, module.position_m, age_ns)
+        self._way.tell(self._axis.units.speed_m_per_s(velocity), now_ns)
+        module.rotate(velocity)

@@ -12,6 +12,8 @@ import serial
 from pytrinamic.connections.tmcl_interface import TmclInterface
 from pytrinamic.tmcl import TMCLReply, TMCLReplyChecksumError, TMCLReplyStatusError, TMCLRequest
 
+from display_node.drives.bus_errors import pass_over
+
 DATAGRAM_BYTES = 9
 # More than waits on any line after a request or two that went wrong.
 DRAIN_BYTES = 4096
@@ -76,6 +78,7 @@ class CanLine(_QuietInterface):
 
     def drain(self) -> None:
         """Pass over what still comes, for as long as a reply may take."""
+        pass_over(self._bus)
         for _ in range(DRAIN_FRAMES):
             if self._bus.recv(self._timeout_s) is None:
                 break
@@ -86,7 +89,13 @@ class CanLine(_QuietInterface):
 
     def _send(self, host_id: int, module_id: int, data: bytes) -> None:
         frame = can.Message(arbitration_id=module_id, is_extended_id=False, data=data[1:8])
-        self._bus.send(frame, timeout=self._timeout_s)
+        try:
+            self._bus.send(frame, timeout=self._timeout_s)
+        except can.CanError as error:
+            # So an slcan interface says that its port has taken too long.
+            if isinstance(error.__cause__, serial.SerialTimeoutException):
+                raise TimeoutError from None
+            raise
 
     def _recv(self, host_id: int, module_id: int) -> bytes:
         deadline_s = time.monotonic() + self._timeout_s

@@ -3,6 +3,7 @@
 from collections import Counter
 from typing import TYPE_CHECKING
 
+from display_node.drives.bus_errors import is_noise
 from display_node.drives.can_bus import open_bus
 from display_node.drives.scene import TmclScene
 from protocol.errors import DriveError
@@ -48,7 +49,9 @@ class TmclLine:
                 status = TMCLStatus.get_name(error.status_code).lower()
                 text = f"{self._name}: command {command}, type {kind} is refused: {status}"
                 raise DriveError("refused", text) from None
-        except (OSError, can.CanError) as error:
+        except (OSError, can.CanError, ValueError, IndexError) as error:
+            if is_noise(error):
+                return self._miss("garbled", "an answer cannot be read")
             raise DriveError("unplugged", f"{self._name}: {error}") from None
         if heard != (*self._addresses, command):
             return self._miss("wrong", "an answer by {1} to {0}, about command {2}".format(*heard))
@@ -65,8 +68,10 @@ class TmclLine:
         self.counts[kind] += 1
         try:
             self._interface.drain()
-        except (OSError, can.CanError) as error:
-            raise DriveError("unplugged", f"{self._name}: {error}") from None
+        except (OSError, can.CanError, ValueError, IndexError) as error:
+            if not is_noise(error):
+                raise DriveError("unplugged", f"{self._name}: {error}") from None
+            self.counts["garbled"] += 1
         raise DriveError(kind, f"{self._name}: {text}")
 
 

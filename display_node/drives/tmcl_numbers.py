@@ -63,7 +63,10 @@ class ErrorFlag(IntFlag):
 
 
 class DriverFlag(IntFlag):
-    """What the driver chip reports (axis parameter 208), as far as it stops the motor."""
+    """What the driver chip reports (axis parameter 208), as far as it stops the motor.
+
+    The bits are those of a TMC26x.
+    """
 
     OVERTEMPERATURE = 2
     SHORT_A = 8

@@ -6,6 +6,7 @@ import numpy as np
 
 from protocol.stream import Channel
 from sensing_node.sources import Block, Paced, Samples
+from sensing_node.sources.replay import Replay
 from sensors.reading import Reading
 from sensors.sensor import Sensor
 
@@ -54,9 +55,11 @@ class Live:
         return self._sensor.faults()
 
 
-Source = Samples | Live
+Source = Samples | Live | Replay
 
 
-def feed_of(source: Source, start_ns: int) -> Paced | Live:
+def feed_of(source: Source, start_ns: int) -> Paced | Live | Replay:
     """The source's blocks: of one that knows its samples ahead, as they fall due from a start."""
-    return source if isinstance(source, Live) else Paced(source, start_ns)
+    if isinstance(source, Replay):
+        source.begin(start_ns)
+    return source if isinstance(source, Live | Replay) else Paced(source, start_ns)

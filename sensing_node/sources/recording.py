@@ -18,6 +18,8 @@ NEWTONS_PER_UNIT = {"N": 1.0, "mN": 1e-3}
 VOLTS_PER_UNIT = {"V": 1.0, "mV": 1e-3}
 # No unit of a recording takes a value of this size beyond what float32 holds.
 LARGEST = 1e30
+# What differs by less is equal, and is not stretched to anything.
+SMALLEST = 1e-100
 
 
 class RecordingScene(Section):
@@ -33,7 +35,7 @@ class RecordingScene(Section):
     rate_hz: Annotated[Hertz, Field(ge=1, le=100_000)]
     unit: Literal["N", "mN", "V", "mV", "raw"]
     column: Annotated[int, Field(ge=0)] | str = 0
-    film_radius_m: Annotated[Metres, Field(gt=0)] | None = None
+    film_radius_m: Annotated[Metres, Field(ge=1e-6, le=1)] | None = None
     peak_to_peak_n: Annotated[Newtons, Field(gt=0, le=10)] | None = None
     preload_n: Annotated[Newtons, Field(ge=0, le=10)] = 0.0
     repeat: Literal["loop", "once"] = "loop"
@@ -76,7 +78,7 @@ def _in_newtons(
         volts = values * VOLTS_PER_UNIT[scene.unit]
         return Film(scene.film_radius_m).newtons(volts) + scene.preload_n
     span = float(np.ptp(values))
-    if span == 0 or scene.peak_to_peak_n is None:
+    if span < SMALLEST or scene.peak_to_peak_n is None:
         raise SourceError(f"{path}: all values are equal; nothing to scale to peak_to_peak")
     return scene.preload_n + (values - float(values.mean())) * (scene.peak_to_peak_n / span)
 
@@ -161,7 +163,9 @@ def _column_of(array: NDArray[Any], column: int | str, path: Path) -> NDArray[np
     table = array[:, np.newaxis] if array.ndim == 1 else array
     if not isinstance(column, int) or column >= table.shape[1]:
         raise SourceError(f"{path}: no column {column!r}; it has {table.shape[1]}")
-    return np.ascontiguousarray(table[:, column], dtype=np.float64)
+    # Some NaN are signals, at which NumPy would warn; they are counted with the others.
+    with np.errstate(invalid="ignore"):
+        return np.ascontiguousarray(table[:, column], dtype=np.float64)
 
 
 def _is_number(text: str) -> bool:

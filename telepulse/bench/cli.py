@@ -80,6 +80,8 @@ def bench(
     publish(check, out, json)
     if findings.changes:
         console.print("\nfound, as the scene would say it:\n\n" + as_toml(findings.changes))
+        if write is None:
+            console.print("\n--write SCENE.toml writes a copy of the scene that says so")
     if findings.designs is not None and findings.designs[0].worst.unfit is not None:
         console.print("\ngains for it:\n\n" + gains_as_toml(findings.designs[1].controller))
     if write is not None and findings.changes:

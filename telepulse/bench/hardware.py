@@ -1,9 +1,11 @@
 """The bench itself: its drive and the sensor of its film, in real time."""
 
+import math
 import time
 
 import numpy as np
 
+from display_node.drives.approach import CLEAR_WITHIN_S, PERIOD_S, WITHDRAW_M_PER_S
 from display_node.drives.drive import Drive
 from display_node.step_rate import AT_REST, StepCommand, StepRate
 from protocol.errors import BenchError, DriveError
@@ -14,6 +16,9 @@ from telepulse.bench.sensor_check import Heard
 from telepulse.bench.verdict import Check, graded
 
 POLL_S = 2e-4
+# Near enough to where the press began; before it, the rest is to take so many periods, as one of
+# them may take longer.
+NEAR_M, SLOWING = 2e-6, 4
 ANSWER_SPEED_M_PER_S = 1e-3
 ANSWERS = 20
 ANSWER_WITHIN_S = 0.2
@@ -33,6 +38,7 @@ class HardwareRig:
         self._film = film
         self._vco = vco
         self._began_ns = self._due_ns = time.monotonic_ns()
+        self._began_m = drive.way_m(self._began_ns)
         film.poll()
 
     def tick(self, output: float) -> tuple[float, list[FilmSample]]:
@@ -52,9 +58,18 @@ class HardwareRig:
         ]
         return (told_ns - self._began_ns) * 1e-9, samples
 
-    def stop(self) -> None:
-        """See `Rig.stop`."""
-        self._drive.stop()
+    def retreat(self) -> None:
+        """See `Rig.retreat`: by its commands, whatever film and drive say of it; half a second at
+        most."""
+        drive, end_s = self._drive, time.monotonic() + CLEAR_WITHIN_S
+        while time.monotonic() < end_s and drive.status().fault is None:
+            left_m = drive.way_m(time.monotonic_ns()) - self._began_m
+            if abs(left_m) < NEAR_M:
+                break
+            speed = min(WITHDRAW_M_PER_S, abs(left_m) / (SLOWING * PERIOD_S))
+            drive.command(self._vco.command(-math.copysign(speed, left_m)))
+            time.sleep(PERIOD_S)
+        drive.stop()
 
 
 def listen(sensor: Sensor, seconds: float) -> Heard:

@@ -44,7 +44,7 @@ class Recorder:
     """Drives a rig, keeps what was told and said, and stops when the film says too much.
 
     most_n: the film's reading that ends the press; silent_s: so does a film that says nothing
-    for so long. Raises BenchError then; the rig is at rest by then.
+    for so long. Raises BenchError then; the rig is back where it began by then.
     """
 
     rig: Rig
@@ -84,8 +84,8 @@ class Recorder:
             self._end(f"the film says {force_n - self.zero_n:.3g} N, above {self.most_n:.3g} N")
 
     def _end(self, why: str) -> None:
-        self.rig.stop()
-        raise BenchError(f"stopped pressing: {why}")
+        self.rig.retreat()
+        raise BenchError(f"stopped pressing and went back: {why}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +188,7 @@ def _ramp(recorder: Recorder, speed_m_per_s: float, until_n: float) -> Phase:
         if (recorder.force_n - until_n) * speed_m_per_s >= 0:
             return Phase(begin_s, recorder.now_s)
     recorder.run([0.0])
-    recorder.rig.stop()
+    recorder.rig.retreat()
     where = "nothing was touched" if speed_m_per_s > 0 else "the film still feels something"
     raise BenchError(
         f"{where} on {SEARCH_M * 1e3:.0f} mm of way: the film reads"

@@ -25,7 +25,8 @@ def report_bench(name: str, findings: Findings) -> Report:
         (part, check.name, check.found, check.verdict, check.reason)
         for part, check in findings.checks
     )
-    checks = Table(f"bench of {name}", ("part", "check", "found", "verdict", "why"), rows)
+    modelled = ": its models, as it names no [display.drive]" if findings.modelled else ""
+    checks = Table(f"bench of {name}{modelled}", ("part", "check", "found", "verdict", "why"), rows)
     still = tuple(_still_plot(part, heard) for part, heard in findings.still.items())
     chapters = [Chapter("Checks", tables=(checks,), plots=still)]
     if findings.actuator is not None:

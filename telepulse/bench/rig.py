@@ -29,8 +29,8 @@ class Rig(Protocol):
     def tick(self, output: float) -> tuple[float, list[FilmSample]]:
         """Hold an output for one tick: when it was told, and what the film said until its end."""
 
-    def stop(self) -> None:
-        """Come to rest at once."""
+    def retreat(self) -> None:
+        """Go back the way it came, to where it began, and rest there."""
 
 
 class ModelRig:
@@ -58,8 +58,8 @@ class ModelRig:
         reading_n = self._film.read(self._actuator.force_n)
         return told_s, [FilmSample(self._ticks * self.tick_s, reading_n)]
 
-    def stop(self) -> None:
-        """See `Rig.stop`; a model stands still between ticks."""
+    def retreat(self) -> None:
+        """See `Rig.retreat`; nothing is pressed by a model."""
 
 
 def _stepper(scene: DisplayScene, actuator: StepperScene, tick_s: float) -> Stepper:

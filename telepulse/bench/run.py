@@ -41,7 +41,8 @@ class Findings:
     """What the checks found, each named by the part of the bench that was checked.
 
     still: what the sensors said while nothing pressed; design: the scene's own gains and the
-    proposed ones on what was identified.
+    proposed ones on what was identified. modelled: the scene names no drive, and it was its models
+    that were checked.
     """
 
     checks: list[tuple[str, Check]] = field(default_factory=list)
@@ -49,6 +50,7 @@ class Findings:
     actuator: Actuator | None = None
     changes: Changes = field(default_factory=dict)
     designs: tuple[Design, Design] | None = None
+    modelled: bool = False
 
     @property
     def failed(self) -> bool:
@@ -96,6 +98,7 @@ def check_display(
     if scene.drive is not None:
         _check_drive(findings, scene, scene.drive, folder, force_n, seconds)
         return
+    findings.modelled = True
     with findings.part("actuator"):
         film_age_s = scene.film.latency_ns * 1e-9
         actuator = check_actuator(ModelRig(scene), scene, force_n, film_age_s)
@@ -125,7 +128,11 @@ def _check_drive(
             findings.add("drive", check_answers(drive, vco))
             # A command that is superseded before it was sent is way that is not made.
             rig = HardwareRig(drive, sensor, vco, max(tick_s, UNHURRIED * exchange_s(table)))
-            found = check_actuator(rig, scene, force_n, 0.0)
+            try:
+                found = check_actuator(rig, scene, force_n, 0.0)
+            except KeyboardInterrupt:
+                rig.retreat()
+                raise
             # Read at this age, a sample is there when the loop asks for it.
             latency_s = min(math.ceil(age_s / tick_s) * tick_s, MOST_FILM_AGE_S)
             findings.changes["display.film"] = {"latency": f'"{latency_s * 1e3:g} ms"'}

@@ -1,7 +1,6 @@
 """A table of reference loads and readings, from a CSV file."""
 
 import csv
-import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -26,6 +25,8 @@ LOADS: dict[str, float] = {
 READINGS: dict[str, float] = {"V": 1.0, "mV": 1e-3, "counts": 1.0}
 LOAD_NAMES = ("load", "force", "weight", "mass")
 READING_NAMES = ("reading", "voltage", "volts", "output", "counts")
+# Beyond it no unit's factor leaves a number that is finite.
+LARGEST = 1e30
 _HEADER = re.compile(r"\s*([A-Za-z]+)(?:[\s_]*[\[(]?([A-Za-z]+)[\])]?)?\s*")
 
 
@@ -47,13 +48,13 @@ def read_loads(path: Path, load_unit: LoadUnit | None, reading_unit: ReadingUnit
     """
     try:
         text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
+        rows = [
+            (number, row)
+            for number, row in enumerate(csv.reader(text.splitlines()), 1)
+            if any(cell.strip() for cell in row) and not row[0].lstrip().startswith("#")
+        ]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise SourceError(f"{path}: cannot be read: {error}") from None
-    rows = [
-        (number, row)
-        for number, row in enumerate(csv.reader(text.splitlines()), 1)
-        if any(cell.strip() for cell in row) and not row[0].lstrip().startswith("#")
-    ]
     if not rows:
         raise SourceError(f"{path}: it is empty")
     columns, header_units = (0, 1), ("", "")
@@ -101,12 +102,14 @@ def _pairs(
             raise SourceError(f"{path}:{number}: {len(row)} columns; load and reading are needed")
         for column in columns:
             if not _is_number(row[column]):
-                raise SourceError(f"{path}:{number}: {row[column].strip()!r:.40} is not a number")
+                raise SourceError(
+                    f"{path}:{number}: {row[column].strip()!r:.40} is not a number that can be used"
+                )
         yield float(row[columns[0]]), float(row[columns[1]])
 
 
 def _is_number(cell: str) -> bool:
     try:
-        return math.isfinite(float(cell))
+        return abs(float(cell)) <= LARGEST
     except ValueError:
         return False

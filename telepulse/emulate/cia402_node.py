@@ -39,6 +39,8 @@ class EmulatedNode:
         self._supported = sum(mode.supported_bit for mode in (*modes, Mode.HOMING))
         self._lock = RLock()
         self._waiting: tuple[int, int] | None = None
+        # Its PDOs are as the host wrote them: the node's own state is there a little before.
+        self._operational = False
         self._watched_id = 0
         self._said = (0, 0)
         self._sent_s = 0.0
@@ -63,7 +65,7 @@ class EmulatedNode:
             drive, now_s = self.drive, time.monotonic()
             said = (drive.statusword, drive.error_code)
             due = now_s - self._sent_s >= TPDO_S or said != self._said
-            if due and self._node.nmt.state == "OPERATIONAL" and not self.silent:
+            if due and self._operational and not self.silent:
                 self._sent_s = now_s
                 self._send_tpdos(said)
 
@@ -131,7 +133,10 @@ class EmulatedNode:
 
     def _on_nmt(self, _: int, __: bytearray, ___: float) -> None:
         """The PDOs are as they were written when the node becomes operational."""
-        if self._node.nmt.state == "OPERATIONAL":
+        with self._lock:
+            self._operational = self._node.nmt.state == "OPERATIONAL"
+            if not self._operational:
+                return
             for pdo in (self._node.rpdo[1], self._node.tpdo[1], self._node.tpdo[2]):
                 pdo.read()
                 # A bus may bring us what we send ourselves.
@@ -139,7 +144,7 @@ class EmulatedNode:
 
     def _on_rpdo(self, _: int, data: bytearray, __: float) -> None:
         pdo = self._node.rpdo[1]
-        if self._node.nmt.state != "OPERATIONAL" or len(data) != len(pdo.data):
+        if not self._operational or len(data) != len(pdo.data):
             return
         pdo.data = data
         told = (int(pdo[0x6040].raw), int(pdo[0x60FF].raw))

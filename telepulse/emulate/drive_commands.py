@@ -5,7 +5,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from enum import Enum
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
@@ -21,6 +21,9 @@ from telepulse.emulate.motor import EmulatedMotor
 from telepulse.emulate.pty_port import PtyPort
 from telepulse.emulate.tmcl_module import Answer, EmulatedModule
 from telepulse.scene import find_scene
+
+if TYPE_CHECKING:
+    import can
 
 PROGRAM = "telepulse"
 POLL_S = 0.001
@@ -60,6 +63,14 @@ _ANSWERS: dict[str, Answer] = {
 SceneArgument = Annotated[
     str, typer.Argument(help="A scene whose [display.drive] is of this kind, as file or name.")
 ]
+LinkOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="PATH",
+        help="Make PATH the serial port, of the module or of an slcan adapter with the drive behind"
+        " it, for the scene to name.",
+    ),
+]
 FilmOption = Annotated[
     Path | None,
     typer.Option(
@@ -70,7 +81,10 @@ FilmOption = Annotated[
 ]
 TROUBLE = typer.Option("--fault", help="What goes wrong, at --fault-after.")
 AfterOption = Annotated[
-    float, typer.Option("--fault-after", min=0, metavar="SECONDS", help="When it goes wrong.")
+    float,
+    typer.Option(
+        "--fault-after", min=0, metavar="SECONDS", help="When, from the first press on the finger."
+    ),
 ]
 TraceOption = Annotated[
     Path | None,
@@ -83,10 +97,7 @@ TraceOption = Annotated[
 
 def tmcl(
     scene: SceneArgument,
-    link: Annotated[
-        Path | None,
-        typer.Option(metavar="PATH", help="Make PATH the serial port, for the scene to name."),
-    ] = None,
+    link: LinkOption = None,
     film_link: FilmOption = None,
     fault: Annotated[TmclTrouble | None, TROUBLE] = None,
     fault_after: AfterOption = 0.0,
@@ -110,7 +121,7 @@ def tmcl(
             port = PtyPort(link)
             line, place = SerialLine(module, port), str(port.path)
         else:
-            line = CanLine(module, drive, open_bus(drive))
+            line = CanLine(module, drive, _bus(drive, link))
             place = f"CAN {drive.interface} {drive.channel}, identifier {drive.module}"
         cable = open_things.enter_context(ExitStack())
         cable.callback(line.close)
@@ -139,6 +150,7 @@ def cia402(
         str | None, typer.Option(help="CAN interface as python-can names it; else the scene's.")
     ] = None,
     channel: Annotated[str | None, typer.Option(help="Channel of the CAN interface.")] = None,
+    link: LinkOption = None,
     film_link: FilmOption = None,
     fault: Annotated[Cia402Trouble | None, TROUBLE] = None,
     fault_after: AfterOption = 0.0,
@@ -155,9 +167,9 @@ def cia402(
 
     with one_line_errors(PROGRAM), ExitStack() as open_things:
         drive, motor = _load(scene, Cia402Scene)
-        changes = {"interface": interface, "channel": channel}
+        changes = {"interface": interface, "channel": channel or (str(link) if link else None)}
         drive = drive.model_copy(update={key: to for key, to in changes.items() if to})
-        node = EmulatedNode(drive, motor, open_bus(drive))
+        node = EmulatedNode(drive, motor, _bus(drive, link))
         cable = open_things.enter_context(ExitStack())
         cable.callback(node.close)
 
@@ -188,6 +200,17 @@ def _load(name: str, kind: type[SceneT]) -> tuple[SceneT, EmulatedMotor]:
     return display.drive, EmulatedMotor(
         display.actuator, law, display.drive.touch_m, time.monotonic_ns()
     )
+
+
+def _bus(drive: DriveScene, link: Path | None) -> "can.BusABC":
+    """The scene's bus; where that is reached by an slcan adapter, the bus behind one of ours."""
+    if drive.interface == "slcan":
+        from telepulse.emulate.slcan_bus import SlcanBus
+
+        return SlcanBus(PtyPort(link))
+    if link is not None:
+        raise SceneError(f"--link: CAN by {drive.interface} has no serial port; slcan has one")
+    return open_bus(drive)
 
 
 def _say(what: str, film_link: Path | None) -> None:

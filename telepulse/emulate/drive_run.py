@@ -1,5 +1,6 @@
 """An emulated drive while it runs: its motor, the film under its finger, the record of both."""
 
+import math
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -14,6 +15,8 @@ from telepulse.emulate.pty_port import PtyPort
 
 TRACE_HEADER = "time_ns,tip_m,speed_m_per_s,force_n,trouble\n"
 FILM_SILENT = "film-silent"
+# From so much on a tip presses; where it is brought to first touch it may feel a little.
+PRESSING_N = 0.01
 MOTOR_FAULTS: dict[str, Fault] = {
     "overtemperature": "overtemperature",
     "following-error": "following error",
@@ -51,8 +54,8 @@ class DriveRun:
         after_s: float,
         seconds: float | None,
     ) -> None:
-        """Poll until stopped or `seconds` are over. trouble: what goes wrong, after_s from now;
-        what is not the motor's or the film's is `break_down`'s."""
+        """Poll until stopped or `seconds` are over. trouble: what goes wrong, after_s from when
+        the tip presses first; what is not the motor's or the film's is `break_down`'s."""
         stopping = False
 
         def stop() -> None:
@@ -60,18 +63,20 @@ class DriveRun:
             stopping = True
 
         stop_on_signals(stop)
-        began_s = time.monotonic()
+        began_s, pressed_s = time.monotonic(), math.inf
         while not stopping:
             poll()
             self._deliver()
-            passed_s = time.monotonic() - began_s
-            if trouble and not self._trouble and passed_s >= after_s:
+            now_s = time.monotonic()
+            if self._motor.force_n > PRESSING_N:
+                pressed_s = min(pressed_s, now_s)
+            if trouble and not self._trouble and now_s - pressed_s >= after_s:
                 self._trouble = trouble
                 if trouble in MOTOR_FAULTS:
                     self._motor.fail(MOTOR_FAULTS[trouble])
                 elif trouble != FILM_SILENT:
                     break_down(trouble)
-            if seconds is not None and passed_s >= seconds:
+            if seconds is not None and now_s - began_s >= seconds:
                 return
 
     def _deliver(self) -> None:

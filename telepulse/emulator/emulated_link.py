@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from typing import IO
 
 from telepulse.emulator.namespace import EmulatorError, Namespace
 from telepulse.emulator.relay import Carried
@@ -19,14 +20,20 @@ SENSING_ADDRESS, DISPLAY_ADDRESS = "10.77.{}.1", "10.77.{}.2"
 class EmulatedLink:
     """One link or several between two namespaces, which have an address on each.
 
-    began_ns: when the links' time began, on this machine's monotonic clock. carried: what the
-    relay has done on all of them, once they have ended.
+    began_ns: when the links' time began, on this machine's monotonic clock. orders: where the
+    relay is told of changes. carried: what it has done on all of them, once they have ended.
     """
 
     sensing: Namespace
     display: Namespace
     began_ns: int
+    orders: IO[str]
     carried: Carried | None = None
+
+    def change(self, scene: LinkScene, number: int = 0) -> None:
+        """One of the links is like this from now on; what is under way arrives."""
+        self.orders.write(f"{number} {scene.text()}\n")
+        self.orders.flush()
 
 
 @contextmanager
@@ -44,7 +51,8 @@ def emulate(*scenes: LinkScene, seed: int = 1) -> Iterator[EmulatedLink]:
     ):
         relay = _start_relay(sensing.tuns, display.tuns, scenes, seed)
         try:
-            link = EmulatedLink(sensing, display, began_ns=_hear(relay)["began_ns"])
+            assert relay.stdin is not None
+            link = EmulatedLink(sensing, display, _hear(relay)["began_ns"], relay.stdin)
             yield link
             _end(relay)
             link.carried = Carried(**_hear(relay))

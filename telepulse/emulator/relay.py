@@ -2,7 +2,8 @@
 the model of its link says so.
 
 A process of its own, so that nobody's garbage collector delays packets. It prints when the link
-begins, and what it has carried when its standard input is closed, as by its parent's end.
+begins, and what it has carried when its standard input is closed, as by its parent's end. Until
+then a line there, the number of a link and what it is like from now on, changes that link.
 """
 
 import heapq
@@ -12,6 +13,7 @@ import os
 import select
 import sys
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -22,6 +24,8 @@ from telepulse.link import Direction, parse_link
 
 IDLE_NS = 1_000_000_000
 MAX_PACKETS = 64
+# A pipe takes and gives a line of this length whole.
+MAX_ORDER_BYTES = 4096
 IPV4 = 4
 
 
@@ -47,23 +51,33 @@ class Relay:
         self._ways = ways
         self._waiting: list[tuple[int, int, int, bytes]] = []
         self._order = itertools.count()
-        self._packets = 0
+        self._packets = self._lost = 0
         self._late_us = Histogram(10.0, 1_000)
 
-    def run(self, until_readable: int) -> None:
-        """Relay until the descriptor `until_readable` has something to read."""
-        readable = [until_readable, *self._ways]
+    def run(self, orders: int, obey: Callable[[bytes], None]) -> None:
+        """Relay until the descriptor `orders` is at its end; what can be read of it is obeyed."""
+        readable = [orders, *self._ways]
         while True:
             wait_ns = self._deliver()
             ready, _, _ = select.select(readable, [], [], wait_ns * 1e-9)
-            if until_readable in ready:
-                return
+            if orders in ready:
+                ready.remove(orders)
+                data = os.read(orders, MAX_ORDER_BYTES)
+                if not data:
+                    return
+                obey(data)
             for tun in ready:
                 self._receive(tun)
 
+    def redirect(self, tun: int, direction: Direction) -> None:
+        """From now on packets of this device go in another way; those under way arrive."""
+        former, other = self._ways[tun]
+        self._lost += former.lost
+        self._ways[tun] = direction, other
+
     def carried(self) -> Carried:
         """What was done so far."""
-        lost = sum(direction.lost for direction, _ in self._ways.values())
+        lost = self._lost + sum(direction.lost for direction, _ in self._ways.values())
         late_us = self._late_us
         quantiles_us = late_us.quantile(0.5), late_us.quantile(0.99)
         return Carried(self._packets, lost, *quantiles_us, late_us.maximum)
@@ -100,17 +114,31 @@ def main(arguments: list[str]) -> None:
     node, the n at the display, and the n links as `parse_link` reads them."""
     seed, count = int(arguments[0]), len(arguments) // 3
     near, far = map(int, arguments[1 : count + 1]), map(int, arguments[count + 1 : 2 * count + 1])
-    scenes = [parse_link(text) for text in arguments[2 * count + 1 :]]
+    pairs = list(zip(near, far, strict=True))
     began_ns = time.monotonic_ns()
+
+    def directions(number: int, text: str) -> tuple[Direction, Direction]:
+        link, chances = parse_link(text), seed + 2 * number
+        return Direction(link, chances, began_ns), Direction(link, chances + 1, began_ns)
+
     ways = {}
-    for number, (one, other, scene) in enumerate(zip(near, far, scenes, strict=True)):
-        ways[one] = Direction(scene, seed + 2 * number, began_ns), other
-        ways[other] = Direction(scene, seed + 2 * number + 1, began_ns), one
+    for number, (one, other) in enumerate(pairs):
+        there, back = directions(number, arguments[2 * count + 1 + number])
+        ways[one], ways[other] = (there, other), (back, one)
     with suppress(PermissionError):  # as in a container that was given no more than it needs
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
     relay = Relay(ways)
+
+    def obey(data: bytes) -> None:
+        for line in data.decode().splitlines():
+            number, _, text = line.partition(" ")
+            for tun, direction in zip(
+                pairs[int(number)], directions(int(number), text), strict=True
+            ):
+                relay.redirect(tun, direction)
+
     _say({"began_ns": began_ns})
-    relay.run(sys.stdin.fileno())
+    relay.run(sys.stdin.fileno(), obey)
     _say(asdict(relay.carried()))
 
 

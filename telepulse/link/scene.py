@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
+from protocol.errors import SceneError
 from protocol.quantities import BitsPerSecond, Nanoseconds, Ratio
 from protocol.scene import Section, validate
 
@@ -85,10 +86,13 @@ def parse_link(text: str) -> LinkScene:
     for part in filter(None, text.split(",")):
         key, _, value = part.partition("=")
         name, dot, inner = key.strip().partition(".")
-        if not dot:
+        known = table.setdefault(name, {} if dot else "")
+        if isinstance(known, dict) != bool(dot):
+            raise SceneError(f"--link {text!r}: {name} is given as a table and as a value")
+        if dot:
+            known[inner] = value.strip()
+        else:
             table[name] = value.strip()
-        elif isinstance(table.setdefault(name, {}), dict):
-            table[name][inner] = value.strip()
     return validate(table, LinkScene, where=f"--link {text!r}:")
 
 

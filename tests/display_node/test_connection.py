@@ -111,18 +111,60 @@ def test_an_address_that_is_heard_is_let_be(context: Context, asked: list[str]) 
     publisher = context.socket(zmq.PUB)
     publisher.bind(address)
     connection = Connection(context, [address, "tcp://silent:1"], 2, log=print)
-    connection.subscribe(5 * MS)
+    connection.subscribe(5 * MS, 0)
     tend(connection, 0, 100)
-    for second in range(1, 60):
+    for ms in range(400, 60_000, 400):
         deliver(publisher, connection.routes[0].data)
-        tend(connection, second * 1000, second * 1000 + 20)
+        tend(connection, ms, ms + 20)
     assert asked.count("127.0.0.1") == 1
     assert asked.count("silent") > 20
 
 
+def test_a_silence_of_all_together_is_a_cut(context: Context, asked: list[str]) -> None:
+    address = free_address()
+    publisher = context.socket(zmq.PUB)
+    publisher.bind(address)
+    connection = Connection(context, [address, "tcp://other:1"], 2, log=print)
+    connection.subscribe(5 * MS, 0)
+    tend(connection, 0, 20)
+    deliver(publisher, connection.routes[0].data)
+    # Both are connected anew, once, and control is where it was; then patience is as usual.
+    control = connection.control.address
+    assert tend(connection, 20, 2_010) == [520]
+    assert connection.control.address == control
+    assert [asked.count(name) for name in ("127.0.0.1", "other")] == [2, 2]
+    assert tend(connection, 2_010, 3_000) == [2_520]
+    assert connection.control.address != control
+    assert [asked.count(name) for name in ("127.0.0.1", "other")] == [3, 3]
+
+
+def test_requests_to_connect_are_repeated_soon_but_now_and_then_may_take_their_time(
+    context: Context,
+) -> None:
+    address = free_address()
+    publisher = context.socket(zmq.PUB)
+    publisher.bind(address)
+    line = Line([context.socket(zmq.SUB)])
+    (socket,) = line.sockets
+
+    def timeouts_ms(tries: int) -> list[int]:
+        timeouts = []
+        for _ in range(tries):
+            line.connect(address, 0)
+            timeouts.append(socket.getsockopt(zmq.CONNECT_TIMEOUT))
+        return timeouts
+
+    assert timeouts_ms(4) == [0, 300, 0, 300]
+    line.subscribe()
+    deliver(publisher, line)
+    assert line.heard(0)
+    line.answer_ns = 900 * MS
+    assert timeouts_ms(12) == [900] * 10 + [0, 900]
+
+
 def test_a_stream_of_rare_frames_is_waited_for(context: Context, asked: list[str]) -> None:
     connection = Connection(context, ["tcp://somewhere:1"], 1, log=print)
-    connection.subscribe(10_000 * MS)
+    connection.subscribe(10_000 * MS, 0)
     tend(connection, 0, 29_000)
     assert len(asked) == 1
     tend(connection, 29_000, 32_000)
@@ -149,13 +191,15 @@ def test_control_moves_on_from_an_address_that_does_not_answer_and_stays_at_one_
     control.send(b"clock?")
     assert server.poll(PATIENCE_S * 1000)
     peer, _ = server.recv_multipart()
-    for second in range(3, 10):
+    for ms in range(3_000, 10_000, 400):
         server.send_multipart([peer, b"clock"])
         assert control.poll(PATIENCE_S * 1000)
         assert list(connection.control.messages()) == [b"clock"]
-        assert tend(connection, second * 1000, second * 1000 + 1000) == []
-    # Then that one falls silent as well, and the first has its turn again.
-    assert tend(connection, 10_000, 12_900) == [11_000]
+        assert tend(connection, ms, ms + 400) == []
+    # Then that one falls silent as well: it is tried once more, and the first has its turn again.
+    assert tend(connection, 10_200, 12_200) == [10_300]
+    assert connection.control.address == control_address(answering)
+    assert tend(connection, 12_200, 13_000) == [12_300]
     assert connection.control.address == control_address(address)
 
 

@@ -45,7 +45,7 @@ def test_it_starts_with_a_ramp_and_not_with_a_jump() -> None:
     felt = np.array(run(display(), Sender(), 0, 2000, force_n=0.5))
     start = int(np.flatnonzero(felt > 0.01)[0])
     full = int(np.flatnonzero(felt > 0.49)[0])
-    assert 400 <= full - start <= 600
+    assert 250 <= full - start <= 350
     assert np.abs(np.diff(felt)).max() < 3e-3
 
 

@@ -224,10 +224,19 @@ def test_a_wrong_address_is_one_line(address: str) -> None:
     assert address in result.stderr
 
 
-def test_beyond_loopback_warns_in_one_line_unless_told_not_to() -> None:
-    arguments = (str(RADIAL), "--connect", "tcp://192.0.2.1:5555", "--seconds", "0.2")
-    assert run(MODULE, *arguments, "--no-screen").stderr.count("\n") == 1
-    assert run(MODULE, *arguments, "--no-screen", "--insecure").stderr == ""
+@pytest.mark.parametrize("option", ["--connect", "--telemetry"])
+def test_beyond_loopback_it_starts_with_keys_or_where_it_is_told_to_do_without(
+    option: str,
+) -> None:
+    address = {"--connect": "tcp://192.0.2.1:5555", "--telemetry": "tcp://*:*"}[option]
+    arguments = (str(RADIAL), option, address, "--seconds", "0.2", "--no-screen")
+    refused, insecure = run(MODULE, *arguments), run(MODULE, *arguments, "--insecure")
+    assert (refused.returncode, insecure.returncode) == (2, 0)
+    assert refused.stderr.startswith(f"display-node: {address} reaches beyond this machine")
+    assert refused.stderr.count("\n") == 1
+    for word in ("telepulse keys new", "--key", "--insecure"):
+        assert word in refused.stderr
+    assert insecure.stderr == ""
 
 
 def test_help_reads_like_a_manual() -> None:

@@ -118,8 +118,8 @@ def test_a_short_gap_costs_only_what_was_faded() -> None:
     under_test = at_full_strength()
     ticked(under_test, 1.0, 100)
     assert ticked(under_test, 1.0, 10, alive=False)[-1] == pytest.approx(0.75)
-    back_n = ticked(under_test, 1.0, 126)
-    assert back_n[0] == pytest.approx(0.752)
+    back_n = ticked(under_test, 1.0, 76)
+    assert back_n[0] == pytest.approx(0.75 + 1 / 300)
     assert back_n[-1] == 1.0
 
 

@@ -20,6 +20,7 @@ from display_node.telemetry import (
 )
 from protocol.errors import WireError
 from protocol.scene import load_section
+from protocol.summary import Samples, Summary
 
 from .sender import Sender, run
 
@@ -124,3 +125,25 @@ def test_what_is_no_trace_is_refused(value: object) -> None:
 def test_what_is_no_status_is_refused(value: object) -> None:
     with pytest.raises(WireError):
         read_status(msgpack.packb(value))
+
+
+@pytest.mark.parametrize(
+    "summary",
+    [
+        {"samples": None},
+        {"samples": {"late": "many"}},
+        {"loop": []},
+        {"rejected": {"crc": "x"}},
+        {"faults": "none"},
+        {"clock": {"offset_ms": {}}},
+    ],
+)
+def test_a_status_with_what_is_no_summary_is_refused(summary: object) -> None:
+    with pytest.raises(WireError, match="a status' summary"):
+        read_status(msgpack.packb(["playing", "stream", summary, True]))
+
+
+def test_a_status_has_every_key_of_a_summary() -> None:
+    told = {"samples": {"late": 3}, "of a later version": 1}
+    status = read_status(msgpack.packb(["playing", "stream", told, True]))
+    assert status.summary == Summary(samples=Samples(late=3)).to_dict()

@@ -11,6 +11,7 @@ from display_node.actuators.stepper import StepperScene
 from display_node.display import Display, Felt
 from display_node.drives.axis import Axis, build_axis
 from display_node.drives.drive import DriveStatus
+from display_node.drives.told_way import ToldWay
 from display_node.hardware import Hardware
 from display_node.scene import DisplayScene
 from display_node.step_rate import StepCommand
@@ -29,6 +30,8 @@ TICK_MS = 2
 FIRST_MS = 20
 WAY_NS = 2 * MS
 DELIVERY_NS = MS // 4
+# 1 mm/s of the scene's actuator.
+TOUCHING_HZ = 1_600.0
 
 
 class VirtualDrive:
@@ -41,6 +44,10 @@ class VirtualDrive:
         self.counts: Counter[str] = Counter()
         self.commands: list[float] = []
         self.closed = False
+        self._told = ToldWay()
+
+    def way_m(self, now_ns: int) -> float:
+        return self._told.way_m(now_ns)
 
     def start(self) -> None:
         """It stands at first touch already."""
@@ -56,6 +63,7 @@ class VirtualDrive:
         velocity = self._axis.velocity(command, motor.tip_m, 0)
         self.commands.append(velocity * self._axis.units.step_m)
         motor.run(velocity)
+        self._told.tell(self.commands[-1], max(self.now_ns, self.told_ns))
 
     def status(self) -> DriveStatus:
         motor = self.motor
@@ -63,7 +71,8 @@ class VirtualDrive:
         if motor.fault or motor.tripped:
             self.fault = f"fault: {motor.fault or 'it missed us'}"
         speed_m_per_s = motor.rate_hz * self._axis.units.step_m
-        return DriveStatus(motor.tip_m, speed_m_per_s, self.fault, bool(speed_m_per_s), 0)
+        moving = bool(speed_m_per_s)
+        return DriveStatus(motor.tip_m, speed_m_per_s, self.fault, moving, self.now_ns)
 
     def stop(self) -> None:
         self.motor.run(0.0)
@@ -129,8 +138,7 @@ class VirtualBench:
         late_ns = scene.actuator.latency_ns - DELIVERY_NS
         self.drive = VirtualDrive(motor, axis, late_ns)
         self.film = VirtualFilm(motor, Readings(scene.feedback))
-        self.hardware = Hardware(scene, self.drive, self.film)  # type: ignore[arg-type]
-        self.display = Display(scene, "virtual", feedback=self.hardware.feedback)
+        self._start_display()
         self.sender = Sender()
         self._waiting: list[tuple[int, bytes]] = []
         self.felt: list[tuple[int, float, float]] = []
@@ -138,7 +146,7 @@ class VirtualBench:
         self.now_ms = self._ticked_ms = FIRST_MS
         self.drive.now_ns = self.film.now_ns = FIRST_MS * MS
         motor.advance(FIRST_MS * MS)
-        self.hardware.read(FIRST_MS * MS)
+        self.hardware.read()
 
     def run(self, ms: int) -> None:
         """Let time pass: a frame every 5 ms, a tick every 2."""
@@ -152,6 +160,21 @@ class VirtualBench:
             self.drive.motor.advance(now_ns)
             if self.display_runs and self.now_ms % TICK_MS == 0:
                 self._tick(now_ns)
+
+    def restart(self) -> None:
+        """After a fault the display is started anew, which brings the drive to first touch."""
+        motor = self.drive.motor
+        motor.reset()
+        motor.watch(0)
+        self.now_ms = to_touch(motor, self.now_ms * MS) // MS
+        motor.watch(self.scene.drive.watchdog_ns if self.scene.drive else 0)
+        self.drive.fault, self.drive.now_ns = None, self.now_ms * MS
+        self.film.silent, self._ticked_ms = False, self.now_ms
+        self._start_display()
+
+    def _start_display(self) -> None:
+        self.hardware = Hardware(self.scene, self.drive, self.film)  # type: ignore[arg-type]
+        self.display = Display(self.scene, "virtual", feedback=self.hardware.feedback)
 
     def _tick(self, now_ns: int) -> None:
         self.drive.now_ns = self.film.now_ns = now_ns
@@ -182,12 +205,22 @@ def at_touch(scene: DisplayScene) -> tuple[EmulatedMotor, Axis]:
     assert drive is not None
     now_ns = -2_000 * MS
     motor = EmulatedMotor(actuator, actuator.contact(layer), drive.touch_m, now_ns)
-    motor.run(1e-3 / actuator.step_m)
-    while motor.tip_m < 0:
-        now_ns += MS
-        motor.advance(now_ns)
-    motor.run(0.0)
+    to_touch(motor, now_ns)
     motor.advance(0)
     motor.forces_n.clear()
     motor.watch(drive.watchdog_ns)
     return motor, build_axis(drive, actuator, layer, scene.safety.force_limit_n)
+
+
+def to_touch(motor: EmulatedMotor, now_ns: int) -> int:
+    """Bring the tip off the finger, and to first touch; when it is there."""
+    motor.run(-TOUCHING_HZ)
+    while motor.tip_m >= 0:
+        now_ns += MS
+        motor.advance(now_ns)
+    motor.run(TOUCHING_HZ)
+    while motor.tip_m < 0:
+        now_ns += MS
+        motor.advance(now_ns)
+    motor.run(0.0)
+    return now_ns

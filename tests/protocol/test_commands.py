@@ -3,7 +3,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from protocol.commands import one_line_errors, warn_if_open
+from protocol.commands import one_line_errors
 from protocol.errors import (
     AddressError,
     OutputError,
@@ -63,26 +63,6 @@ def test_each_error_is_ours_and_of_a_well_known_kind(
     assert isinstance(error, TelepulseError)
     assert isinstance(error, base)
     assert str(error) == "x"
-
-
-def test_an_open_link_is_warned_of(capsys: pytest.CaptureFixture[str]) -> None:
-    warn_if_open("sensing-node", "tcp://0.0.0.0:5555", insecure=False)
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.count("\n") == 1
-    assert err.startswith("sensing-node: warning: tcp://0.0.0.0:5555 ")
-    assert "--insecure" in err
-
-
-@pytest.mark.parametrize(
-    ("address", "insecure"),
-    [("tcp://0.0.0.0:5555", True), ("tcp://127.0.0.1:5555", False), ("ipc:///tmp/x", False)],
-)
-def test_a_link_that_is_wanted_open_or_is_not_open_is_not_warned_of(
-    address: str, insecure: bool, capsys: pytest.CaptureFixture[str]
-) -> None:
-    warn_if_open("sensing-node", address, insecure)
-    assert capsys.readouterr() == ("", "")
 
 
 @pytest.fixture

@@ -1,4 +1,5 @@
 import math
+import time
 
 import pytest
 from hypothesis import given
@@ -121,6 +122,17 @@ def test_what_only_looks_like_a_number_is_refused(text: str) -> None:
 def test_a_number_beyond_all_use_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="too large"):
         parse_quantity(text, "time")
+
+
+@pytest.mark.parametrize("text", ["1" * 2000 + " x y", " " * 2000, "1." + "0" * 2000 + "e ? ?"])
+def test_a_long_text_is_seen_to_be_no_quantity_in_one_pass(text: str) -> None:
+    began_s = time.process_time()
+    for parse in (parse_ratio, lambda text: parse_quantity(text, "time")):
+        with pytest.raises(ValueError, match="is no") as caught:
+            parse(text)
+        assert len(str(caught.value)) < 200
+    # A pass takes microseconds; with its cube, half a minute.
+    assert time.process_time() - began_s < 5
 
 
 @given(st.text(max_size=20))

@@ -13,6 +13,7 @@ from protocol.summary import (
     Compensation,
     Errors,
     Frames,
+    Lateness,
     Loop,
     OneWayDelay,
     PlayoutDelay,
@@ -39,7 +40,13 @@ FULL = Summary(
     strain_rmse=Errors(aligned=9.4249e-9, in_phase=5.7802e-8),
     within_jnd=0.875,
     roughness=Roughness(felt_n=0.0006, sensed_n=0.0005, energy_ratio=1.44),
-    loop=Loop(ticks=5000, deadline_misses=2, tick_us=TickTime(p50=85.0, p99=140.0)),
+    loop=Loop(
+        ticks=5000,
+        deadline_misses=2,
+        tick_us=TickTime(p50=85.0, p99=140.0),
+        late_us=Lateness(p50=40.5, p99=96.5, p999=233.5, max=448.0),
+        realtime=["gc", "fifo=40"],
+    ),
     speed=312.0,
     rejected={"truncated": 2, "duplicate": 400},
     hardware={"film crc": 3},
@@ -57,7 +64,7 @@ KEYS = {
     "strain_rmse": {"aligned", "in_phase"},
     "within_jnd": None,
     "roughness": {"felt_n", "sensed_n", "energy_ratio"},
-    "loop": {"ticks", "deadline_misses", "tick_us"},
+    "loop": {"ticks", "deadline_misses", "tick_us", "late_us", "realtime"},
     "speed": None,
     "rejected": set(),
     "hardware": set(),
@@ -87,6 +94,7 @@ def test_the_keys_are_the_same_everywhere(summary: Summary) -> None:
     for key, value in table.items():
         assert (set(value) if isinstance(value, dict) else None) == KEYS[key]
     assert set(table["loop"]["tick_us"]) == {"p50", "p99"}
+    assert set(table["loop"]["late_us"]) == {"p50", "p99", "p999", "max"}
 
 
 def leaves(value: Any) -> list[Any]:
@@ -100,6 +108,7 @@ def test_what_does_not_apply_is_null() -> None:
     assert table.pop("rejected") == {}
     assert table.pop("hardware") == {}
     assert table.pop("faults") == []
+    assert table["loop"].pop("realtime") == []
     assert set(leaves(table)) == {None}
 
 
@@ -180,6 +189,8 @@ def test_people_read_the_same() -> None:
         "above 25 Hz": "0.600 mN felt, 0.500 mN sensed: energy 1.44 times",
         "loop": "5000 ticks, 2 deadline misses",
         "tick": "p50 85 µs, p99 140 µs",
+        "tick began": "p50 40 µs late, p99 96 µs, p99.9 234 µs, max 448 µs",
+        "real-time": "gc, fifo=40",
         "speed": "312 times real time",
         "rejected": "400 duplicate, 2 truncated",
         "hardware": "3 film crc",

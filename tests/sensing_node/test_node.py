@@ -275,14 +275,18 @@ def test_a_missing_scene_or_recording_is_one_line(tmp_path: Path) -> None:
         assert result.stdout == ""
 
 
-def test_beyond_loopback_warns_in_one_line_unless_told_not_to(address: str) -> None:
+def test_beyond_loopback_it_starts_with_keys_or_where_it_is_told_to_do_without(
+    address: str,
+) -> None:
     everywhere = address.replace(HOST, "*")
     arguments = (str(RADIAL), "--bind", everywhere, "--seconds", "0.1", "--quiet")
-    warned, insecure = run(MODULE, *arguments), run(MODULE, *arguments, "--insecure")
-    assert (warned.returncode, insecure.returncode) == (0, 0)
-    assert warned.stderr.count("\n") == 1
-    assert "neither encrypted" in warned.stderr
-    assert (insecure.stderr, warned.stdout) == ("", "")
+    refused, insecure = run(MODULE, *arguments), run(MODULE, *arguments, "--insecure")
+    assert (refused.returncode, insecure.returncode) == (2, 0)
+    assert refused.stderr.startswith(f"sensing-node: {everywhere} reaches beyond this machine")
+    assert refused.stderr.count("\n") == 1
+    for word in ("telepulse keys new", "--key", "--insecure"):
+        assert word in refused.stderr
+    assert (insecure.stderr, refused.stdout) == ("", "")
 
 
 def test_it_stays_until_a_display_has_the_whole_stream(address: str, client: Client) -> None:

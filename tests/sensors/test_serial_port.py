@@ -1,6 +1,7 @@
 import os
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -17,6 +18,7 @@ from sensors.scene import open_sensor
 from sensors.sensor import Sensor
 from sensors.serial_port import SerialPort, SerialScene
 from telepulse.emulate.pty_port import PtyPort
+from telepulse.emulate.sensor_board import binary, timed_line
 
 from .listening import PATIENCE_S, forces, heard, until
 
@@ -177,3 +179,35 @@ def test_garbage_is_counted_and_the_stream_goes_on() -> None:
         assert forces(heard(sensor, 2)) == [0.1, 0.2]
         assert sensor.rejected == {"not_a_number": 2}
         assert sensor.faults() == [f"2 samples missing from {board.path}"]
+
+
+@pytest.mark.parametrize("read_at", [9_600, 57_600, 74_880, 230_400])
+@pytest.mark.parametrize("framing", ["text", "binary"])
+def test_at_a_wrong_baud_rate_nothing_is_a_sample_and_noise_is_counted(
+    framing: str, read_at: int
+) -> None:
+    said = binary("float32") if framing == "binary" else timed_line
+    sent = b"".join(said([0.3 + 1e-3 * number], 1_000 * number) for number in range(400))
+    noise = misheard(sent, 115_200, read_at)
+    with closing(PtyPort(None)) as board, opened(scene(board.path, framing=framing)) as sensor:
+        found = []
+        for begin in range(0, len(noise), 256):
+            board.write(noise[begin : begin + 256])
+            time.sleep(1e-3)
+            found += sensor.poll()
+        until(lambda: sensor.poll() == [] and sensor.rejected.total() > 0)
+        assert found == []
+        assert sensor.faults() == [f"no sample came from {board.path}"]
+
+
+def misheard(data: bytes, sent_at: int, read_at: int) -> bytes:
+    """What a UART reads of bytes (8N1) that were sent at another rate."""
+    bits = [bit for byte in data for bit in (0, *((byte >> i) & 1 for i in range(8)), 1)]
+    step, at, heard_bytes = sent_at / read_at, 0.0, bytearray()
+    while at + 10 * step < len(bits):
+        if bits[int(at)]:
+            at += step / 16
+            continue
+        heard_bytes.append(sum(bits[int(at + (i + 1.5) * step)] << i for i in range(8)))
+        at += 9.5 * step
+    return bytes(heard_bytes)

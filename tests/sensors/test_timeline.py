@@ -49,6 +49,17 @@ def test_a_row_is_without_gaps_and_never_steps_back_whatever_is_measured() -> No
         end_ns = span.end_ns
 
 
+def test_packets_that_all_come_far_too_early_are_placed() -> None:
+    timeline, end_ns = Timeline(MS), START_NS - 2 * MS
+    # By the time that was expected, nothing passes from the last but one to the last.
+    early = ((2, 0, 0), (1, 2, 0), (1, 0, 1), (3, 1, 1), (5, 0, 2), (1, 0, 3), (2, 1, 3), (2, 0, 4))
+    for count, missing, at_ms in early:
+        span = timeline.place(count, missing, START_NS + at_ms * MS)
+        assert span is not None
+        assert end_ns < span.end_ns
+        end_ns = span.end_ns
+
+
 def test_known_gaps_keep_their_room() -> None:
     timeline = Timeline(MS)
     spans(timeline, 100, MS)

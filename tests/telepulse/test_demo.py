@@ -18,7 +18,7 @@ KEYS = {
     "clock": {"offset_ms", "skew_ppm", "uncertainty_ms", "asymmetry_ms", "steps"},
     "force_rmse_n": {"aligned", "in_phase"},
     "strain_rmse": {"aligned", "in_phase"},
-    "loop": {"ticks", "deadline_misses", "tick_us"},
+    "loop": {"ticks", "deadline_misses", "tick_us", "late_us", "realtime"},
 }
 
 

@@ -1,6 +1,5 @@
 """Drives and their emulators, in one process and on real lines."""
 
-import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator
@@ -10,6 +9,7 @@ from typing import Any
 
 import can
 
+from benchmarks.polled import polled
 from display_node.actuators.stepper import StepperScene
 from display_node.drives.axis import build_axis
 from display_node.drives.cia402 import Cia402Drive
@@ -21,6 +21,7 @@ from protocol.stream import LayerTable
 from telepulse.emulate.cia402_node import ALL_MODES, EmulatedNode
 from telepulse.emulate.motor import EmulatedMotor
 from telepulse.emulate.pty_port import PtyPort
+from telepulse.emulate.slcan_bus import SlcanBus
 from telepulse.emulate.tmcl_line import CanLine, SerialLine
 from telepulse.emulate.tmcl_module import EmulatedModule
 
@@ -59,6 +60,7 @@ class Bench:
     emulator: Any
     unplug: Callable[[], None]
     actuator: StepperScene
+    line: Any = None
 
     def keep(self, rate_hz: float, until: Callable[[], bool]) -> None:
         """Command a signed step rate over and over until something holds."""
@@ -83,39 +85,27 @@ def wait(until: Callable[[], bool]) -> None:
 
 
 @contextmanager
-def polled(poll: Callable[[], None]) -> Iterator[Callable[[], None]]:
-    """A thread that polls; yields what ends it."""
-    over = threading.Event()
-
-    def run() -> None:
-        while not over.is_set():
-            poll()
-
-    thread = threading.Thread(target=run)
-    thread.start()
-
-    def end() -> None:
-        over.set()
-        thread.join()
-
-    try:
-        yield end
-    finally:
-        end()
-
-
-@contextmanager
 def tmcl_bench(
-    on_can: bool = False, actuator: StepperScene | None = None, **keys: Any
+    on_can: bool = False,
+    actuator: StepperScene | None = None,
+    by_slcan: bool = False,
+    **keys: Any,
 ) -> Iterator[Bench]:
     actuator = actuator or stepper()
-    if on_can:
+    if by_slcan:
+        port = PtyPort(None)
+        at_port = {"interface": "slcan", "channel": str(port.path)}
+        scene = tmcl_scene(**at_port, options={"sleep_after_open": 0.0}, **keys)
+        motor = emulated_motor(scene, actuator)
+        module = EmulatedModule(scene, motor)
+        line: CanLine | SerialLine = CanLine(module, scene, SlcanBus(port))
+    elif on_can:
         channel = uuid.uuid4().hex
         scene = tmcl_scene(interface="virtual", channel=channel, **keys)
         bus = can.Bus(interface="virtual", channel=channel)
         motor = emulated_motor(scene, actuator)
         module = EmulatedModule(scene, motor)
-        line: CanLine | SerialLine = CanLine(module, scene, bus)
+        line = CanLine(module, scene, bus)
     else:
         port = PtyPort(None)
         scene = tmcl_scene(port=str(port.path), **keys)
@@ -141,21 +131,39 @@ def tmcl_bench(
     drive = TmclDrive(scene, build_axis(scene, actuator, LAYER, FORCE_LIMIT_N))
     with polled(poll) as end:
         try:
-            yield Bench(drive, motor, module, unplug, actuator)
+            yield Bench(drive, motor, module, unplug, actuator, line)
         finally:
             drive.close()
             end()
             unplug()
 
 
+def at_the_far_end(scene: Cia402Scene | TmclScene) -> can.BusABC:
+    """The bus that an emulated drive is on."""
+    return can.Bus(interface=scene.interface, channel=scene.channel)
+
+
+@contextmanager
+def slcan_bench(**keys: Any) -> Iterator[Bench]:
+    """A CiA 402 drive behind an adapter on a pseudo-terminal."""
+    port = PtyPort(None)
+    table = {"interface": "slcan", "channel": str(port.path)}
+    options = {"options": {"sleep_after_open": 0.0}}
+    with cia402_bench(far_end=lambda _: SlcanBus(port), **table, **options, **keys) as bench:
+        yield bench
+
+
 @contextmanager
 def cia402_bench(
-    actuator: StepperScene | None = None, modes: Any = ALL_MODES, **keys: Any
+    actuator: StepperScene | None = None,
+    modes: Any = ALL_MODES,
+    far_end: Callable[[Cia402Scene], can.BusABC] = at_the_far_end,
+    **keys: Any,
 ) -> Iterator[Bench]:
     actuator = actuator or stepper()
     scene = cia402_scene(**keys)
     motor = emulated_motor(scene, actuator)
-    bus = can.Bus(interface=scene.interface, channel=scene.channel)
+    bus = far_end(scene)
     node = EmulatedNode(scene, motor, bus, modes)
 
     def poll() -> None:
@@ -165,7 +173,7 @@ def cia402_bench(
     drive = Cia402Drive(scene, build_axis(scene, actuator, LAYER, FORCE_LIMIT_N))
     with polled(poll) as end:
         try:
-            yield Bench(drive, motor, node, lambda: None, actuator)
+            yield Bench(drive, motor, node, bus.shutdown, actuator)
         finally:
             drive.close()
             end()

@@ -12,7 +12,15 @@ from display_node.drives.cia402_states import Control, Mode, State, state_of, to
 from display_node.step_rate import StepCommand
 from protocol.errors import DriveError
 
-from .benches import FORCE_LIMIT_N, LAYER, cia402_bench, cia402_scene, stepper, wait
+from .benches import (
+    FORCE_LIMIT_N,
+    LAYER,
+    cia402_bench,
+    cia402_scene,
+    slcan_bench,
+    stepper,
+    wait,
+)
 
 RATE_HZ = 400.0
 
@@ -153,6 +161,19 @@ def test_malformed_pdos_are_counted_and_harmless() -> None:
         for size in (0, 1, 2, 3, 4, 5, 7):
             bus.send(can.Message(arbitration_id=TPDO1 + 1, is_extended_id=False, data=bytes(size)))
         bench.keep(0.0, lambda: bench.drive.counts["malformed"] == 7)
+        assert bench.drive.status().fault is None
+
+
+def test_noise_from_a_can_adapter_is_counted_and_the_drive_goes_on() -> None:
+    with slcan_bench() as bench:
+        bench.drive.start()
+        bench.keep(RATE_HZ, lambda: bench.motor.rate_hz > 0)
+        for noise in (b"\xff\xfe\r", b"t18\r", b"t181Z\r", b"T12\a", b"t1818" + b"Q" * 40):
+            counted = bench.drive.counts["garbled"]
+            bench.emulator._network.bus._port.write(noise)
+            bench.keep(RATE_HZ / 4, lambda before=counted: bench.drive.counts["garbled"] > before)
+        # What it says next is understood again.
+        bench.keep(0.0, lambda: not bench.drive.status().moving)
         assert bench.drive.status().fault is None
 
 

@@ -8,13 +8,15 @@ import pytest
 
 from display_node.step_rate import StepCommand
 
-from .benches import Bench, cia402_bench, stepper, tmcl_bench, wait
+from .benches import Bench, cia402_bench, slcan_bench, stepper, tmcl_bench, wait
 
 MakeBench = Callable[..., AbstractContextManager[Bench]]
 KINDS = {"tmcl": tmcl_bench, "cia402": cia402_bench}
 FURTHER_KINDS = {
     "tmcl-can": partial(tmcl_bench, on_can=True),
+    "tmcl-slcan": partial(tmcl_bench, by_slcan=True),
     "cia402-profile": partial(cia402_bench, mode="profile"),
+    "cia402-slcan": slcan_bench,
 }
 RATE_HZ = 400.0
 

@@ -4,6 +4,7 @@ import os
 import pty
 import socket
 import threading
+import time
 import tty
 
 import pytest
@@ -99,6 +100,22 @@ def test_a_module_that_refuses_is_not_started() -> None:
         assert error.value.kind == "refused"
         assert bench.drive.status().fault is not None
         assert bench.at_rest
+
+
+def test_noise_from_a_can_adapter_is_counted_and_the_drive_goes_on() -> None:
+    with tmcl_bench(by_slcan=True) as bench:
+        bench.drive.start()
+        bench.keep(RATE_HZ, lambda: bench.motor.rate_hz > 0)
+        port = bench.line._bus._port
+        for noise in (b"\xff\xfe\r", b"t00\r", b"t002Z\r", b"T12\a"):
+            counted = bench.drive.counts["garbled"]
+            port.write(noise)
+            bench.keep(RATE_HZ / 4, lambda before=counted: bench.drive.counts["garbled"] > before)
+            # By then it has thrown away what came with the noise, and is answered again.
+            garbled_ns = time.monotonic_ns()
+            bench.keep(RATE_HZ / 4, lambda at=garbled_ns: bench.drive.status().heard_ns > at)
+        bench.keep(0.0, lambda: not bench.drive.status().moving)
+        assert bench.drive.status().fault is None
 
 
 def test_a_noisy_line_is_no_drive() -> None:

@@ -7,18 +7,21 @@ import pytest
 
 from display_node.actuators.stepper import Stepper, StepperScene
 from display_node.drives.drive import DriveStatus
+from display_node.drives.told_way import ToldWay
 from display_node.scene import DisplayScene
 from display_node.step_rate import StepCommand, StepRate
 from protocol.errors import BenchError, DriveError
 from sensors.reading import Reading
 from telepulse.bench.actuator_check import check_actuator
 from telepulse.bench.hardware import HardwareRig, check_answers, listen
+from telepulse.bench.press import Recorder, press_stepper
 from telepulse.bench.sensor_check import judge_sensor, measure
 
 from .test_press import bench
 
 MS = 1_000_000
 TICK_S = 4e-3
+STEP_M = 6.25e-7
 
 
 class Bench:
@@ -35,6 +38,7 @@ class Bench:
         self.fault: str | None = None
         self.counts: Counter[str] = Counter()
         self.stops = 0
+        self._way = ToldWay()
 
     def _advance(self) -> None:
         while self._now_ns + MS <= time.monotonic_ns():
@@ -48,15 +52,22 @@ class Bench:
 
     def command(self, command: StepCommand) -> None:
         self._advance()
-        self._queue.append((time.monotonic_ns() + self._late_ns, command))
+        told_ns = time.monotonic_ns()
+        self._way.tell(command.rate_hz * command.direction * STEP_M, told_ns)
+        self._queue.append((told_ns + self._late_ns, command))
+
+    def way_m(self, now_ns: int) -> float:
+        return self._way.way_m(now_ns)
 
     def status(self) -> DriveStatus:
         self._advance()
-        speed = self._told.rate_hz * self._told.direction * 6.25e-7
-        return DriveStatus(self._stepper.screw_m, speed, self.fault, speed != 0, 0)
+        speed = self._told.rate_hz * self._told.direction * STEP_M
+        return DriveStatus(self._stepper.screw_m, speed, self.fault, speed != 0, self._now_ns)
 
     def stop(self) -> None:
         self.stops += 1
+        self._told = StepCommand(0.0, 0)
+        self._queue.clear()
 
     def close(self) -> None:
         """Nothing to do."""
@@ -90,6 +101,26 @@ def test_a_real_bench_is_identified(scene: DisplayScene) -> None:
     assert found.contact.finger_n_per_m == pytest.approx(1300.0, rel=0.05)
     assert found.identified.delay_s == pytest.approx(6e-3, abs=2e-3)
     assert drive.stops == 0
+
+
+@pytest.mark.parametrize("why", ["too much", "silent"])
+def test_a_press_that_is_given_up_goes_back_off_the_finger(scene: DisplayScene, why: str) -> None:
+    _, actuator = bench()
+    drive = Bench(scene, actuator, late_ms=0)
+    rig = HardwareRig(drive, drive, vco(actuator), TICK_S)  # type: ignore[arg-type]
+    pressed_n = []
+
+    def poll() -> list[Reading]:
+        readings = Bench.poll(drive)
+        pressed_n.extend(reading.force_n[0] for reading in readings)
+        return readings if why == "too much" or max(pressed_n, default=0.0) < 0.05 else []
+
+    drive.poll = poll  # type: ignore[method-assign]
+    with pytest.raises(BenchError, match="stopped pressing and went back"):
+        press_stepper(Recorder(rig, 0.1, 0.3), actuator, 0.3)
+    assert max(pressed_n) > 0.05
+    assert drive.stops == 1
+    assert Bench.poll(drive)[-1].force_n[0] == pytest.approx(0.0, abs=5e-3)
 
 
 def test_a_drive_that_fails_ends_the_press(scene: DisplayScene) -> None:

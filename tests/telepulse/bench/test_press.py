@@ -39,7 +39,7 @@ class Broken:
             return told_s, samples
         return told_s, [] if self._says_n is None else [FilmSample(told_s, self._says_n)]
 
-    def stop(self) -> None:
+    def retreat(self) -> None:
         self.stopped_at = self.ticks
 
 

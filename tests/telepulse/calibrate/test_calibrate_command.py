@@ -69,6 +69,8 @@ def test_the_lines_are_valid_in_a_sensors_table(tmp_path: Path) -> None:
         ("load,reading\n0,0\n1,nan\n", ":3: 'nan' is not a number"),
         ("load,time\n0,0\n", ":1: no column for the reading; name it 'reading'"),
         ("load (lb),reading\n0,0\n", ":1: unknown unit 'lb'; known: N, mN, g, kg"),
+        ("load (kg),reading\n0,0\n1e308,1\n", ":3: '1e308' is not a number that can be used"),
+        (f"load,reading\n{'1' * 200_000},1\n", "cannot be read: field larger than field limit"),
         ("0,0\n1,44\n", "2 loads; at least 3"),
         ("0,0\n1,-44\n2,-88\n", "swap the film's wires"),
     ],

@@ -173,32 +173,42 @@ def wait_for(
 def test_faults_come_when_they_are_told_to(tmcl_scene: Path, tmp_path: Path) -> None:
     arguments = ("--link", str(tmp_path / "drive"), "--fault", "overtemperature")
     with process(
-        "telepulse.cli", "emulate", "tmcl", str(tmcl_scene), *arguments, "--fault-after", "4"
+        "telepulse.cli", "emulate", "tmcl", str(tmcl_scene), *arguments, "--fault-after", "0.3"
     ) as child:
         first_line(child)
         drive = drive_of(tmcl_scene)
         drive.start()
+        keep(drive, 400.0, lambda: drive.status().position_m > 50e-6)
+        assert drive.status().fault is None
         keep(drive, -1.0, lambda: drive.status().fault is not None)
         assert drive.status().fault == "fault: overtemperature"
         drive.close()
 
 
-def test_a_cia_402_drive_is_moved_from_another_process(tmp_path: Path) -> None:
-    reason = udp_multicast_reason()
-    if reason is not None:
+@pytest.mark.parametrize("interface", ["udp_multicast", "slcan"])
+def test_a_cia_402_drive_is_moved_from_another_process_and_its_end_is_named(
+    interface: str, tmp_path: Path
+) -> None:
+    keys, link = f'kind = "cia402"\ninterface = "{interface}"\n', tmp_path / "can"
+    options: tuple[str, ...] = ()
+    if interface == "slcan":
+        keys += f'channel = "{link}"\noptions = {{ sleep_after_open = 0 }}'
+        options = ("--link", str(link))
+    elif (reason := udp_multicast_reason()) is not None:
         pytest.skip(f"udp_multicast: {reason}")
-    channel = f"239.74.163.{2 + uuid.uuid4().int % 200}"
-    scene = scene_with(
-        tmp_path, f'kind = "cia402"\ninterface = "udp_multicast"\nchannel = "{channel}"'
-    )
-    with process("telepulse.cli", "emulate", "cia402", str(scene), "--seconds", "60") as child:
-        assert "CiA 402 node 1 on CAN udp_multicast" in first_line(child)
+    else:
+        keys += f'channel = "239.74.163.{2 + uuid.uuid4().int % 200}"'
+    scene = scene_with(tmp_path, keys)
+    with process("telepulse.cli", "emulate", "cia402", str(scene), *options) as child:
+        assert f"CiA 402 node 1 on CAN {interface}" in first_line(child)
         drive = drive_of(scene)
         drive.start()
         keep(drive, 400.0, lambda: drive.status().position_m > 50e-6)
-        drive.close()
         child.send_signal(signal.SIGTERM)
         assert child.wait(LONGEST_S) == 0
+        keep(drive, 0.0, lambda: drive.status().fault is not None)
+        assert str(drive.status().fault).startswith(("unplugged", "no answer"))
+        drive.close()
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 from telepulse.emulator import EmulatorError, emulate, unavailable
 from telepulse.link import parse_link
 
-from .tcp import PORT, connected, needs_emulator, stream
+from .tcp import PATIENCE_S, PORT, connected, needs_emulator, stream
 
 MS = 1_000_000
 
@@ -62,6 +62,29 @@ def test_nothing_passes_a_cut_and_all_comes_after_it() -> None:
     sent_in_it = sum(from_ms - 20 < (sent - link.began_ns) / MS < to_ms - 20 for sent in sent_ns)
     assert sent_in_it > 0
     assert sum(time >= to_ms for time in times_ms) >= sent_in_it
+
+
+@needs_emulator
+def test_a_link_can_be_changed_while_it_carries_and_others_stay_as_they_are() -> None:
+    whole, cut = parse_link("delay=1ms"), parse_link("loss=100%")
+    with (
+        emulate(whole, whole) as link,
+        connected(link, 0) as (sensing, display),
+        connected(link, 1) as (other, others_display),
+    ):
+        # What was ordered before a packet was sent is obeyed before it is carried.
+        link.change(cut)
+        sensing.sendall(b"lost")
+        other.sendall(b"carried")
+        assert others_display.recv(7) == b"carried"
+        display.settimeout(0.1)
+        with pytest.raises(TimeoutError):
+            display.recv(4)
+        link.change(whole)
+        display.settimeout(PATIENCE_S)
+        assert display.recv(4) == b"lost"
+    assert link.carried is not None
+    assert link.carried.lost > 0
 
 
 @needs_emulator

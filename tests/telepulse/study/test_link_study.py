@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from display_node.safety import SafetyScene
 from telepulse.cli import app
 from telepulse.report import THEMES
 from telepulse.study import link_policies, link_scores
@@ -73,8 +74,9 @@ def test_what_is_faded_out_is_not_felt_and_not_scored() -> None:
     cut = play(Cell("delay=20ms,cut.from=4s,cut.for=1s", "hold", 40.0), LITTLE)
     whole = play(Cell("delay=20ms", "hold", 40.0), LITTLE)
     assert whole.felt == pytest.approx(1, abs=0.001)
-    # A second of silence, less what it takes to notice, and half a second back to full strength.
-    assert cut.felt == pytest.approx(1 - 1.5 / 4, abs=0.05)
+    # A second of silence, less what it takes to notice, and the ramp back to full strength.
+    silent_s = 1 + SafetyScene().ramp_ns * 1e-9
+    assert cut.felt == pytest.approx(1 - silent_s / 4, abs=0.05)
     assert cut.lost == pytest.approx(1 / 6, abs=0.002)
     assert cut.aligned < 0.3
 

@@ -1,0 +1,57 @@
+"""Faults of nodes, networks and peers: when the pulse is felt again, what is unaccounted for.
+
+Some need root, for the link emulator.
+"""
+
+import random
+import statistics
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from benchmarks.faults.backlog import backlogs
+from benchmarks.faults.cases import CASES, NEEDS_EMULATOR, Found
+from benchmarks.measure import show
+from telepulse.emulator import unavailable
+
+TIMES = 6
+SEED = 1
+BAR_MS = 1_000.0
+FORCE_LIMIT_N, SLEW_LIMIT_N_PER_S = 2.5, 50.0
+
+
+def main() -> None:
+    """Print the table. The bars: felt again within 1 s, nothing unaccounted for, no force or slew
+    of what the actuator is told beyond the scene's limits."""
+    reason = unavailable()
+    rows = []
+    for number, (name, case) in enumerate(CASES.items()):
+        if case in NEEDS_EMULATOR and reason is not None:
+            print(f"{name}: left out: {reason}")
+            continue
+        with TemporaryDirectory(prefix="telepulse-") as folder:
+            rows.append(row(name, case(Path(folder), TIMES, random.Random(SEED + number))))
+    backlogs()
+    show(
+        f"{TIMES} times each, radial.toml, links of 20±3 ms or this machine alone: ms from its end"
+        f" until the pulse is felt again, median and most (bar {BAR_MS:g}); share of the time that"
+        " it was felt meanwhile; samples that no account names (bar 0); most force, most slew told"
+        f" and felt (limits {FORCE_LIMIT_N:g} N, {SLEW_LIMIT_N_PER_S:g} N/s)",
+        ("fault", "median", "most", "felt", "missing", "N", "N/s told", "N/s felt"),
+        rows,
+    )
+
+
+def row(name: str, found: Found) -> tuple[str, ...]:
+    """A fault as it stands in the table."""
+    back_ms = found.back_ms
+    force_n, told, felt = found.peaks
+    return (
+        name,
+        f"{statistics.median(back_ms):.0f}" if back_ms else "–",
+        f"{max(back_ms):.0f}" if back_ms else "–",
+        "–" if found.felt is None else f"{100 * found.felt:.1f} %",
+        str(found.unaccounted),
+        f"{force_n:.2f}",
+        f"{told:.1f}",
+        f"{felt:.1f}",
+    )

@@ -1,0 +1,76 @@
+"""`python -m benchmarks.faults.crowd ADDRESS COUNT`: many displays in one process.
+
+Each has sockets of its own, follows session, clock and stream as every display does, and keeps an
+account; it moves no actuator, which would take a core for ten of them. When all have heard the end
+it prints a line of JSON: of each, samples sent, played, late, lost and before joining.
+"""
+
+import json
+import sys
+import time
+
+import zmq
+
+from display_node.receiver import Receiver
+from protocol import sockets
+from protocol.messages import encode_control
+
+POLL_MS = 5
+# When a sample's instant is over: nobody feels it, so it may be late.
+PLAYED_AFTER_NS = 200_000_000
+
+
+class Listener:
+    """One display of the crowd."""
+
+    def __init__(self, context: sockets.Context, address: str, name: str) -> None:
+        control = sockets.control_address(address)
+        self.control = sockets.connect(context, zmq.DEALER, control)
+        self.data = sockets.connect(context, zmq.SUB, address)
+        self.receiver = Receiver(name, channel=0, late_target=0.01)
+        self._subscribed = False
+
+    def work(self, now_ns: int) -> None:
+        """Hear what has come, say what is to be said."""
+        receiver = self.receiver
+        for message in sockets.receive_each(self.control):
+            receiver.on_control(message, time.monotonic_ns())
+        for message in sockets.receive_each(self.data):
+            receiver.on_frame(message, time.monotonic_ns())
+        for request in receiver.requests(now_ns):
+            sockets.send(self.control, encode_control(request))
+        if receiver.listening:
+            if not self._subscribed:
+                self.data.subscribe(b"")
+                self._subscribed = True
+            receiver.buffer.advance(receiver.clock.remote_ns(now_ns) - PLAYED_AFTER_NS)
+
+    @property
+    def over(self) -> bool:
+        """Whether it has all of the stream, or all that came of it."""
+        buffer, now_ns = self.receiver.buffer, time.monotonic_ns()
+        return buffer.ended and self.receiver.over(now_ns, PLAYED_AFTER_NS)
+
+
+def main() -> None:
+    """Listen until the stream has ended."""
+    address, count = sys.argv[1], int(sys.argv[2])
+    context: sockets.Context = zmq.Context()
+    crowd = [Listener(context, address, f"crowd-{number}") for number in range(count)]
+    poller = zmq.Poller()
+    for listener in crowd:
+        poller.register(listener.data, zmq.POLLIN)
+        poller.register(listener.control, zmq.POLLIN)
+    print("listening", flush=True)
+    while not all(listener.over for listener in crowd):
+        poller.poll(POLL_MS)
+        now_ns = time.monotonic_ns()
+        for listener in crowd:
+            listener.work(now_ns)
+    accounts = [listener.receiver.account() for listener in crowd]
+    print(json.dumps([[a.sent, a.played, a.late, a.lost, a.before_joining] for a in accounts]))
+    context.destroy(linger=sockets.LINGER_MS)
+
+
+if __name__ == "__main__":
+    main()

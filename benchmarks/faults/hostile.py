@@ -1,0 +1,93 @@
+"""Peers that do harm: who never reads, who sends garbage, who connects and says nothing."""
+
+import random
+import socket
+import struct
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import zmq
+
+PATIENCE_S = 10.0
+# ZMTP 3.0 without a mechanism, see rfc.zeromq.org/spec/23.
+GREETING = b"\xff" + bytes(8) + b"\x7f\x03\x00" + b"NULL".ljust(20, b"\0") + bytes(32)
+READY_BYTES = 27
+SUBSCRIBE_TO_ALL = b"\x00\x01\x01"
+# Of what a message is made that is no garbage to ZeroMQ.
+MESSAGE_BYTES = (0, 1, 10, 100, 10_000, 60_000)
+RAW_BYTES = 2_000
+ESTABLISHED = "01"
+
+
+def port_of(address: str) -> int:
+    """The port of a TCP address."""
+    return int(address.rpartition(":")[2])
+
+
+def deaf_subscriber(port: int, small: bool = True) -> socket.socket:
+    """A subscriber to all that a PUB on this machine sends; nothing is read of it, ever.
+
+    It has no ZeroMQ, whose thread would read. small: its buffer is the kernel's smallest.
+    """
+    connection = socket.socket()
+    connection.settimeout(PATIENCE_S)
+    if small:
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1)
+    connection.connect(("127.0.0.1", port))
+    connection.sendall(GREETING + _command(b"\x05READY\x0bSocket-Type\x00\x00\x00\x03SUB"))
+    answer = b""
+    while len(answer) < len(GREETING) + READY_BYTES:
+        answer += connection.recv(len(GREETING) + READY_BYTES - len(answer))
+    connection.sendall(SUBSCRIBE_TO_ALL)
+    return connection
+
+
+def queued_bytes(connection: socket.socket) -> int | None:
+    """What queues in the kernel for this connection at its other end, on this machine; None when
+    that end has let go of it."""
+    ours = f"{connection.getsockname()[1]:04X}"
+    for line in Path("/proc/net/tcp").read_text(encoding="ascii").splitlines()[1:]:
+        _, _, remote, state, queues, *_ = line.split()
+        if remote.endswith(f":{ours}") and state == ESTABLISHED:
+            return int(queues.partition(":")[0], 16)
+    return None
+
+
+def raw_garbage(port: int, count: int, rng: random.Random) -> None:
+    """Connections that send random bytes and go."""
+    for _ in range(count):
+        with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as connection:
+            connection.settimeout(PATIENCE_S)
+            # Whoever reads it may have hung up already.
+            try:
+                connection.sendall(rng.choice((b"", GREETING[:12], GREETING)))
+                connection.sendall(rng.randbytes(RAW_BYTES))
+            except ConnectionError:
+                continue
+
+
+def garbage_messages(port: int, kind: int, count: int, rng: random.Random) -> None:
+    """Random messages over a connection that is as ZeroMQ wants it, from a socket of a kind."""
+    with zmq.Context() as context, context.socket(kind) as peer:
+        peer.setsockopt(zmq.LINGER, 0)
+        peer.setsockopt(zmq.SNDTIMEO, 1)
+        peer.connect(f"tcp://127.0.0.1:{port}")
+        for _ in range(count):
+            try:
+                peer.send(rng.randbytes(rng.choice(MESSAGE_BYTES)))
+            except zmq.Again:
+                continue
+
+
+@contextmanager
+def silent_connections(port: int, count: int) -> Iterator[None]:
+    """Connections that say nothing, within a `with`."""
+    with ExitStack() as held:
+        for _ in range(count):
+            held.enter_context(socket.create_connection(("127.0.0.1", port), PATIENCE_S))
+        yield
+
+
+def _command(body: bytes) -> bytes:
+    return struct.pack("BB", 4, len(body)) + body

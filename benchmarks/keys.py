@@ -1,0 +1,129 @@
+"""What keys cost: being let in, a look round, and what others lose when somebody is revoked."""
+
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import zmq
+
+from benchmarks.measure import show, time_call
+from protocol import sockets
+from protocol.allow_list import allow, revoke
+from protocol.gate import Gate
+from protocol.keys import ClientKeys, KeyPair, ServerKeys, new_pair, read_pair
+
+FRAME_S = 0.005
+ROUNDS = 10
+PATIENCE_S = 10.0
+
+
+class Reader:
+    """A listener, and when it has heard which number."""
+
+    def __init__(self, context: sockets.Context, keys: ClientKeys, address: str) -> None:
+        self.socket = sockets.connect(context, zmq.SUB, address, keys)
+        self.socket.subscribe(b"")
+        self.heard: list[int] = []
+        self.last_s = 0.0
+
+    def read(self) -> None:
+        for message in sockets.receive_each(self.socket):
+            self.heard.append(int(message))
+            self.last_s = time.perf_counter()
+
+    @property
+    def missed(self) -> int:
+        """Most numbers missing in a row."""
+        return int(np.diff(self.heard).max()) - 1
+
+
+class Stream:
+    """A guarded PUB socket with a number each 5 ms, as frames are, and its readers."""
+
+    def __init__(self, context: sockets.Context, keys: ServerKeys, address: str) -> None:
+        self.gate = Gate(context, keys, lambda _: None)
+        self._data = sockets.bind(context, zmq.PUB, address, self.gate)
+        self.address = self._data.getsockopt_string(zmq.LAST_ENDPOINT)
+        self.readers: list[Reader] = []
+        self._sent = 0
+
+    def run_until(self, done: Callable[[], object]) -> None:
+        """Send and read."""
+        end_s = next_s = time.perf_counter() + FRAME_S
+        end_s += PATIENCE_S
+        while not done() and time.perf_counter() < end_s:
+            for reader in self.readers:
+                reader.read()
+            self.gate.tend(time.monotonic_ns())
+            if time.perf_counter() >= next_s:
+                next_s += FRAME_S
+                self._sent += 1
+                sockets.send(self._data, b"%d" % self._sent)
+            time.sleep(0.0002)
+
+
+def main() -> None:
+    """Print what a look round costs, and what a revoked key costs it and others."""
+    with tempfile.TemporaryDirectory() as folder:
+        names = ("wrist", "stays", "goes")
+        pairs = {name: read_pair(new_pair(Path(folder), name)[0]) for name in names}
+        allowed = Path(folder, "allowed")
+        allow(allowed, pairs["stays"].public)
+        rows = [_revoke(pairs, allowed, number / ROUNDS) for number in range(ROUNDS)]
+        cost_us = _look_round_us(pairs["wrist"], allowed)
+    columns = ("", "median", "most")
+    texts = (
+        "let in: from connecting to the first frame, ms",
+        "revoked: from the command to its last frame, ms",
+        "revoked: frames of 5 ms another reader at its address misses",
+        "  the same, ms of the stream",
+    )
+    let_in_ms, cut_ms, missed = zip(*rows, strict=True)
+    missed_ms = [frames * FRAME_S * 1e3 for frames in missed]
+    table = [
+        (text, f"{statistics.median(values):.0f}", f"{max(values):.0f}")
+        for text, values in zip(texts, (let_in_ms, cut_ms, missed, missed_ms), strict=True)
+    ]
+    table.append(("a look round when nobody knocks, µs", f"{cost_us:.1f}", ""))
+    show(f"Keys, {ROUNDS} rounds over loopback", columns, table)
+
+
+def _revoke(
+    pairs: dict[str, KeyPair], allowed: Path, phase_s: float
+) -> tuple[float, float, int]:
+    """Let somebody in, revoke them; ms until the first frame and to the last, frames missed by
+    who stays. phase_s: when, within the second between two looks at the list."""
+    allow(allowed, pairs["goes"].public)
+    context: sockets.Context = zmq.Context()
+    try:
+        stream = Stream(context, ServerKeys(pairs["wrist"], allowed), "tcp://127.0.0.1:*")
+        began_s = time.perf_counter()
+        stays, goes = (
+            Reader(context, ClientKeys(pairs[name], pairs["wrist"].public), stream.address)
+            for name in ("stays", "goes")
+        )
+        stream.readers += (stays, goes)
+        stream.run_until(lambda: goes.heard and stays.heard)
+        let_in_ms = (goes.last_s - began_s) * 1e3
+        settled_s = time.perf_counter() + 0.5 + phase_s
+        stream.run_until(lambda: time.perf_counter() > settled_s)
+        revoke(allowed, "goes")
+        revoked_s = time.perf_counter()
+        stream.run_until(lambda: stream.gate.rejected["revoked_key"])
+        settled_s = time.perf_counter() + 1.0
+        stream.run_until(lambda: time.perf_counter() > settled_s)
+        return let_in_ms, (goes.last_s - revoked_s) * 1e3, stays.missed
+    finally:
+        context.destroy(linger=0)
+
+
+def _look_round_us(own: KeyPair, allowed: Path) -> float:
+    context: sockets.Context = zmq.Context()
+    try:
+        stream = Stream(context, ServerKeys(own, allowed), "tcp://127.0.0.1:*")
+        return time_call(lambda: stream.gate.tend(time.monotonic_ns())).median_us
+    finally:
+        context.destroy(linger=0)

@@ -1,0 +1,133 @@
+"""How many displays one sensing node feeds at 1 kHz, what each costs it, and what relays save.
+
+A crowd of light displays (`crowd.py`) shares the machine with the sensing node, so that a machine
+of its own feeds more. CPU is user and system time in % of one core; a frame's way through TCP is
+charged to whoever sends it. It takes six minutes.
+"""
+
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+
+from benchmarks.load import clock, cut
+from benchmarks.load.run import SECONDS, Figures, Load, run
+from benchmarks.load.sensing import Stream
+from benchmarks.measure import show
+
+BAR_MS = 5.0
+SINGLE, BATCHED = Stream(batch=1), Stream(batch=5)
+COUNTS = (1, 2, 5, 10, 20, 50, 75, 100, 150, 200, 250, 300, 400, 500, 600, 800, 1000)
+FAILURES = 2
+RELAYED = (2, 20, 50, 75)
+CHANNELS = (1, 4, 16, 64)
+SOME = 50
+COLUMNS = ("displays", "p50 ms", "p99 ms", "lost", "loop", "ZeroMQ", "both")
+
+
+def main() -> None:
+    """Print the tables. The bar is a p99 of 5 ms with nothing lost."""
+    print(f"{os.cpu_count()} cores, load average {os.getloadavg()[0]:.1f} before it begins")
+    for stream in (SINGLE, BATCHED):
+        show_counts(stream)
+    show_kinds()
+    show_channels()
+    show_relays()
+    clock.main()
+    cut.main()
+
+
+def show_counts(stream: Stream) -> None:
+    """More and more displays, until they are too many twice."""
+    rows: list[tuple[str, ...]] = []
+    most, failures, last = 0, 0, (0, 0.0)
+    for count in COUNTS:
+        try:
+            figures = run(Load(count, stream=stream))
+        except RuntimeError as error:
+            rows.append((str(count), str(error)))
+            break
+        further = (figures.sensing - last[1]) / (count - last[0])
+        rows.append((*row(count, figures), f"{100 * further:.2f}", f"{100 * figures.crowds:.0f}"))
+        last = count, figures.sensing
+        if within(figures):
+            most, failures = count, 0
+        else:
+            failures += 1
+        if failures == FAILURES:
+            break
+    show(
+        f"One sensing node at 1 kHz, {named(stream)}, {SECONDS:g} s each; CPU in % of a core, of"
+        f" one more display, too; within {BAR_MS:g} ms and nothing lost: {most} displays",
+        (*COLUMNS, "one more", "crowd"),
+        rows,
+    )
+
+
+def show_kinds() -> None:
+    """What of a display's cost is data, what is its clock, what are keys."""
+    plain = Load(SOME, clock_ms=0, stream=BATCHED)
+    kinds = {
+        "frames alone": plain,
+        "and clock, 20 /s": replace(plain, clock_ms=50),
+        "and clock, 50 /s": replace(plain, clock_ms=20),
+        "20 /s, with keys": replace(plain, clock_ms=50, keys=True),
+    }
+    rows = []
+    for name, load in kinds.items():
+        figures = run(load)
+        rows.append((name, *row(SOME, figures)[1:], f"{100 * figures.sensing / SOME:.2f}"))
+    show(
+        f"What {SOME} displays cost the sensing node, {named(BATCHED)}",
+        ("with", *COLUMNS[1:], "each"),
+        rows,
+    )
+
+
+def show_channels() -> None:
+    """From one channel to as many as a stream may have."""
+    rows = []
+    for channels in CHANNELS:
+        figures = run(Load(SOME, stream=replace(BATCHED, channels=channels)))
+        rows.append((str(channels), *row(SOME, figures)[1:]))
+    show(
+        f"Channels, {SOME} displays, {named(BATCHED)}: 64 is the most that a stream has",
+        ("channels", *COLUMNS[1:]),
+        rows,
+    )
+
+
+def show_relays() -> None:
+    """Two relays side by side, on the same machine."""
+    rows = []
+    for count in RELAYED:
+        figures = run(Load(count, relays=2, stream=SINGLE))
+        rows.append((*row(count, figures), f"{50 * figures.relays:.1f}"))
+    show(
+        f"Through two relays that share the machine, {named(SINGLE)}",
+        (*COLUMNS, "each relay"),
+        rows,
+    )
+
+
+def row(count: int, figures: Figures) -> tuple[str, ...]:
+    """Figures as they stand in every table."""
+    shares = (figures.loop, figures.zeromq, figures.sensing)
+    return (
+        str(count),
+        f"{figures.p50_ms:.2f}",
+        f"{figures.p99_ms:.2f}",
+        str(figures.lost),
+        *(f"{100 * share:.1f}" for share in shares),
+    )
+
+
+def within(figures: Figures) -> bool:
+    """Whether a run is within the bar."""
+    return figures.p99_ms < BAR_MS and figures.lost == 0
+
+
+def named(stream: Stream) -> str:
+    """A stream's frames, in words."""
+    counts: Sequence[str] = ("", "a sample")
+    samples = counts[stream.batch] if stream.batch < len(counts) else f"{stream.batch} samples"
+    return f"{samples} a frame"

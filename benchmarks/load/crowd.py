@@ -1,0 +1,160 @@
+"""Many displays in one process, as light as they can be: they take every frame, ask for the clock
+and report as a display does, and play nothing."""
+
+import math
+import time
+from array import array
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+
+import zmq
+
+from protocol import sockets
+from protocol.keys import ClientKeys
+from protocol.messages import (
+    ClockRequest,
+    Frame,
+    Hello,
+    Report,
+    Welcome,
+    decode_control,
+    decode_frame,
+    encode_control,
+)
+
+SLOT_NS = 1_000_000
+REPORT_SLOTS = 1_000
+PATIENCE_S = 30.0
+# Before they count as lost, frames may be so late.
+GRACE_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """What a crowd heard in the time measured: the delay of each copy of each frame from its last
+    sample's instant, and how many copies never came."""
+
+    delays_ns: "array[int]"
+    lost: int
+
+
+class Crowd:
+    """`count` displays at one address; they ask for the clock every `clock_ms`, or never (0).
+
+    One XSUB keeps a connection for each of them, so that one queue is read.
+    """
+
+    def __init__(
+        self, address: str, count: int, clock_ms: int, keys: ClientKeys | None = None
+    ) -> None:
+        self._context: sockets.Context = zmq.Context()
+        self._count = count
+        self._clock_slots = clock_ms
+        self._data = sockets.unconnected(self._context, zmq.XSUB, keys)
+        for _ in range(count):
+            self._data.connect(address)
+        self._controls = [
+            sockets.connect(self._context, zmq.DEALER, sockets.control_address(address), keys)
+            for _ in range(count)
+        ]
+        self._session = 0
+        self._slot = 0
+        self._frames: dict[bytes, tuple[Frame, int, array[int]]] = {}
+
+    def join(self) -> None:
+        """Say hello, and listen until every display hears the stream. Raises TimeoutError."""
+        end_s = time.monotonic() + PATIENCE_S
+        for number, control in enumerate(self._controls):
+            control.send(encode_control(Hello(f"{id(self)}-{number}")))
+        for control in self._controls:
+            if not control.poll(PATIENCE_S * 1000):
+                raise TimeoutError("a display was not welcomed")
+            welcome = decode_control(control.recv())
+            assert isinstance(welcome, Welcome)
+            self._session = welcome.session
+        self._data.send(b"\1")
+        while not any(len(arrivals) == self._count for _, _, arrivals in self._frames.values()):
+            if time.monotonic() > end_s:
+                raise TimeoutError("not every display hears the stream")
+            self._live(50 * SLOT_NS)
+
+    def listen(self, seconds: float) -> Heard:
+        """What is heard of the frames whose first sample is of the next so many seconds."""
+        self._frames.clear()
+        begin_ns = time.monotonic_ns()
+        self._live(round((seconds + GRACE_S) * 1e9))
+        end_ns = begin_ns + round(seconds * 1e9)
+        measured = [
+            (frame, arrivals)
+            for frame, _, arrivals in self._frames.values()
+            if begin_ns <= frame.t_first_ns < end_ns
+        ]
+        measured.sort(key=lambda each: each[0].first_sample)
+        delays_ns: array[int] = array("q")
+        lost = 0
+        next_sample = measured[0][0].first_sample
+        for frame, arrivals in measured:
+            # Of frames that reached nobody, only their samples are missed.
+            lost += math.ceil((frame.first_sample - next_sample) / len(frame.values)) * self._count
+            lost += self._count - len(arrivals)
+            next_sample = frame.first_sample + len(frame.values)
+            delays_ns.extend(arrivals)
+        return Heard(delays_ns, lost)
+
+    def close(self) -> None:
+        """Leave."""
+        self._context.destroy(linger=0)
+
+    def _live(self, duration_ns: int) -> None:
+        """Hear and ask for so long."""
+        end_ns = time.monotonic_ns() + duration_ns
+        descriptors = sockets.descriptors([self._data])
+        while (now_ns := time.monotonic_ns()) < end_ns:
+            self._ask(now_ns)
+            self._hear()
+            sockets.wait_drained(descriptors, SLOT_NS)
+
+    def _hear(self) -> None:
+        frames, receive = self._frames, self._data.recv
+        while True:
+            try:
+                data = receive(zmq.NOBLOCK)
+            except zmq.Again:
+                return
+            # A frame is decoded once, its other copies are known by their bytes.
+            known = frames.get(data)
+            if known is None:
+                frame = decode_frame(data)
+                last_ns = frame.t_first_ns + (len(frame.values) - 1) * frame.period_ns
+                known = frames[data] = frame, last_ns, array("q")
+            known[2].append(time.monotonic_ns() - known[1])
+
+    def _ask(self, now_ns: int) -> None:
+        """In each slot, those whose turn it is."""
+        slot = now_ns // SLOT_NS
+        for passed in range(max(self._slot + 1, slot - REPORT_SLOTS), slot + 1):
+            if self._clock_slots:
+                for control in self._controls[passed % self._clock_slots :: self._clock_slots]:
+                    self._drain(control)
+                    sockets.send(control, encode_control(ClockRequest(now_ns)))
+            for number in range(passed % REPORT_SLOTS, self._count, REPORT_SLOTS):
+                report = Report(self._session, f"{id(self)}-{number}", 1, 0, 0, 1.0, 1.0, 1.0, 0.1)
+                sockets.send(self._controls[number], encode_control(report))
+        self._slot = slot
+
+    def _drain(self, control: sockets.Socket) -> None:
+        for _ in sockets.receive_each(control):
+            pass
+
+
+def be_a_crowd(
+    address: str, count: int, clock_ms: int, keys: ClientKeys | None, parent: Connection
+) -> None:
+    """Join, say so, and once the parent says for how many seconds, listen and hand over."""
+    crowd = Crowd(address, count, clock_ms, keys)
+    try:
+        crowd.join()
+        parent.send(None)
+        parent.send(crowd.listen(parent.recv()))
+    finally:
+        crowd.close()

@@ -1,0 +1,154 @@
+"""One run: a sensing node, relays where wanted, crowds of displays, and what each of them costs."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from benchmarks.load.crowd import Heard, be_a_crowd
+from benchmarks.load.sensing import Stream, sense
+from protocol.allow_list import allow
+from protocol.keys import ClientKeys, ServerKeys, new_pair, read_pair
+from protocol.signals import stop_on_signals
+from telepulse.ports import free_addresses
+from telepulse.relay.relay import Relay
+
+SECONDS = 5.0
+PATIENCE_S = 60.0
+_spawn = get_context("spawn")
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """What is run: displays, how often each asks for the clock (ms; 0 never), relays, a stream,
+    and whether the link has keys."""
+
+    displays: int
+    clock_ms: int = 50
+    relays: int = 0
+    stream: Stream = field(default_factory=Stream)
+    keys: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """What came of it: one-way delays in ms, frames lost, and CPU in shares of one core: of the
+    sensing node's loop and of its ZeroMQ, of all relays, of all crowds."""
+
+    p50_ms: float
+    p99_ms: float
+    lost: int
+    loop: float
+    zeromq: float
+    relays: float
+    crowds: float
+
+    @property
+    def sensing(self) -> float:
+        """CPU of the sensing node, in shares of one core."""
+        return self.loop + self.zeromq
+
+
+def run(load: Load) -> Figures:
+    """Run it for `SECONDS`. Raises RuntimeError when a display does not get on."""
+    addresses = free_addresses(1 + load.relays)
+    with ExitStack() as processes:
+        server, client = processes.enter_context(made_keys()) if load.keys else (None, None)
+        sensing = processes.enter_context(process(sense, load.stream, addresses[0], server))
+        relays = [
+            processes.enter_context(process(relay, addresses[0], address))
+            for address in addresses[1:]
+        ]
+        crowds, pipes = [], []
+        doors = addresses[1:] or addresses
+        for number, address in enumerate(doors):
+            count = len(range(number, load.displays, len(doors)))
+            ours, theirs = _spawn.Pipe()
+            arguments = address, count, load.clock_ms, client, theirs
+            crowds.append(processes.enter_context(process(be_a_crowd, *arguments)))
+            theirs.close()
+            pipes.append(ours)
+        for pipe in pipes:
+            receive(pipe)
+        for pipe in pipes:
+            pipe.send(SECONDS)
+        groups = [sensing], relays, crowds
+        before, began_s = [cpu_s(group) for group in groups], time.monotonic()
+        time.sleep(SECONDS)
+        after, passed_s = [cpu_s(group) for group in groups], time.monotonic() - began_s
+        heard: list[Heard] = [receive(pipe) for pipe in pipes]
+    shares = [
+        ((main - main_before) / passed_s, (rest - rest_before) / passed_s)
+        for (main, rest), (main_before, rest_before) in zip(after, before, strict=True)
+    ]
+    delays_ms = np.concatenate([np.array(one.delays_ns) for one in heard]) * 1e-6
+    p50_ms, p99_ms = np.quantile(delays_ms, (0.5, 0.99))
+    return Figures(
+        p50_ms=float(p50_ms),
+        p99_ms=float(p99_ms),
+        lost=sum(one.lost for one in heard),
+        loop=shares[0][0],
+        zeromq=shares[0][1],
+        relays=sum(shares[1]),
+        crowds=sum(shares[2]),
+    )
+
+
+@contextmanager
+def made_keys() -> Iterator[tuple[ServerKeys, ClientKeys]]:
+    """Keys of a sensing node and of the crowd that it knows."""
+    with TemporaryDirectory(prefix="telepulse-") as folder:
+        wrist, finger = (read_pair(new_pair(Path(folder), name)[0]) for name in ("wrist", "finger"))
+        allowed = Path(folder) / "allowed"
+        allow(allowed, finger.public)
+        yield ServerKeys(wrist, allowed), ClientKeys(finger, wrist.public)
+
+
+def relay(connect: str, bind: str) -> None:
+    """Relay until SIGTERM."""
+    node = Relay(connect, bind, log=lambda line: None)
+    stop_on_signals(node.stop)
+    node.run()
+
+
+@contextmanager
+def process(target: Callable[..., None], *arguments: Any) -> Iterator[BaseProcess]:
+    """A process that runs `target` until the block ends."""
+    child = _spawn.Process(target=target, args=arguments, daemon=True)
+    child.start()
+    try:
+        yield child
+    finally:
+        child.terminate()
+        child.join()
+
+
+def receive(pipe: Connection) -> Any:
+    """What a crowd says. Raises RuntimeError where it cannot."""
+    if not pipe.poll(PATIENCE_S):
+        raise RuntimeError("a crowd of displays said nothing")
+    try:
+        return pipe.recv()
+    except EOFError:
+        raise RuntimeError("a crowd of displays could not join") from None
+
+
+def cpu_s(group: list[BaseProcess]) -> tuple[float, float]:
+    """User and system time of the processes so far, s: of their main threads, of all others."""
+    main = rest = 0.0
+    for child in group:
+        for thread in Path(f"/proc/{child.pid}/task").iterdir():
+            ran_s = int((thread / "schedstat").read_text(encoding="ascii").split()[0]) * 1e-9
+            if int(thread.name) == child.pid:
+                main += ran_s
+            else:
+                rest += ran_s
+    return main, rest

@@ -1,0 +1,50 @@
+"""The sensing node that is loaded: its own code, with a source of so many channels."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.keys import ServerKeys
+from protocol.signals import stop_on_signals
+from protocol.stream import Channel, StreamDescription
+from protocol.tactile import ElasticLayer
+from sensing_node.node import SensingNode
+from sensing_node.sources.synthetic import Synthetic, SyntheticScene
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """What is streamed: 1 kHz, so many samples a frame, so many channels."""
+
+    batch: int = 1
+    channels: int = 1
+
+    @property
+    def frames_hz(self) -> float:
+        """Frames a second."""
+        return 1000 / self.batch
+
+
+class Array:
+    """An array of films that all feel the same pulse."""
+
+    def __init__(self, channels: int) -> None:
+        self._pulse = Synthetic(SyntheticScene(kind="synthetic"))
+        self.period_ns = self._pulse.period_ns
+        self.channels = tuple(Channel(f"film {number}") for number in range(channels))
+
+    def take(self, count: int) -> NDArray[np.float64]:
+        """The next samples, shape (count, channels)."""
+        return np.repeat(self._pulse.take(count), len(self.channels), axis=1)
+
+
+def sense(stream: Stream, address: str, keys: ServerKeys | None = None) -> None:
+    """Stream until SIGTERM."""
+    source = Array(stream.channels)
+    description = StreamDescription(
+        "load", source.period_ns, stream.batch, source.channels, ElasticLayer()
+    )
+    node = SensingNode(source, description, address, log=lambda line: None, keys=keys)
+    stop_on_signals(node.stop)
+    node.run()

@@ -1,0 +1,114 @@
+"""Real-time measures on a real display node: how late its ticks begin and how many it misses, with
+each measure, with four of them together, and bare; alone, and beside as many busy processes as
+there are processors.
+
+Runs take turns, so that all of them meet the same machine. What is not granted is left out.
+"""
+
+import os
+import statistics
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from benchmarks.measure import show
+from display_node.doctor.jitter import busy_processes
+from protocol.realtime.held import GIVEN_UP
+from protocol.summary import Loop
+from telepulse.node_process import await_end, read_summary
+from telepulse.ports import free_addresses
+from telepulse.scene import find_scene
+
+SECONDS = 6.0
+ROUNDS = 3
+ENDS_WITHIN_S = 30.0
+BARE = "bare"
+CPU = (os.cpu_count() or 1) - 1
+ALONE = ("slack", "gc", "lock", f"cpu={CPU}", "fifo=40")
+WISHES = {name: name for name in ALONE} | {"together": "slack,gc,lock,fifo=40"}
+
+
+def main() -> None:
+    """Print the table."""
+    scene = str(find_scene("radial"))
+    processors = os.cpu_count() or 1
+    (address,) = free_addresses(1)
+    rows = []
+    with TemporaryDirectory(prefix="telepulse-") as folder, _sensing(scene, address):
+        for beside in ("nothing", "load"):
+            load = busy_processes(processors) if beside == "load" else nullcontext()
+            with load:
+                runs: dict[str, list[Loop]] = {name: [] for name in (BARE, *WISHES)}
+                for _ in range(ROUNDS):
+                    for name, found in runs.items():
+                        found.append(_play(scene, address, name, Path(folder, "display.json")))
+            rows += [
+                row(name, beside, found, runs[BARE])
+                for name, found in runs.items()
+                if name == BARE or all(loop.realtime for loop in found)
+            ]
+    show(
+        f"A display at 1 kHz beside nothing and beside a load of {processors} busy processes,"
+        f" {ROUNDS} rounds of {SECONDS:g} s: how late ticks began in µs (medians of the rounds, and"
+        " the latest of all); in how many rounds fewer ticks were missed than bare",
+        ("with", "beside", "p50", "p99", "p99.9", "max", "missed", "of", "better in"),
+        rows,
+    )
+
+
+def row(name: str, beside: str, found: Sequence[Loop], bare: Sequence[Loop]) -> tuple[str, ...]:
+    """A measure's rounds as they stand in the table."""
+    p50, p99, p999 = (
+        statistics.median(getattr(loop.late_us, key) or 0.0 for loop in found)
+        for key in ("p50", "p99", "p999")
+    )
+    latest = max(loop.late_us.max or 0.0 for loop in found)
+    missed = [loop.deadline_misses or 0 for loop in found]
+    better = sum(
+        mine < (other.deadline_misses or 0) for mine, other in zip(missed, bare, strict=True)
+    )
+    # A priority that was given up on the way is not what the row is about.
+    given_up = sum(GIVEN_UP in "".join(loop.realtime) for loop in found)
+    return (
+        name + (f", given up in {given_up}" if given_up else ""),
+        beside,
+        *(f"{value:.0f}" for value in (p50, p99, p999, latest)),
+        str(sum(missed)),
+        str(sum(missed) + sum(loop.ticks or 0 for loop in found)),
+        "–" if name == BARE else f"{better} of {len(found)}",
+    )
+
+
+@contextmanager
+def _sensing(scene: str, address: str) -> Iterator[None]:
+    """A sensing node that streams until the end."""
+    node = subprocess.Popen(
+        [sys.executable, "-m", "sensing_node.cli", scene, "--bind", address, "--quiet"]
+    )
+    try:
+        yield
+    finally:
+        node.kill()
+        node.wait()
+
+
+def _play(scene: str, address: str, wish: str, summary: Path) -> Loop:
+    """What a display's loop says of itself at the end of its run; `wish`: bare, or one of ours."""
+    options = [] if wish == BARE else ["--realtime", WISHES[wish]]
+    node = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "display_node.cli", scene, "--connect", address, "--quiet"),
+            *("--no-screen", "--seconds", str(SECONDS), "--json", str(summary), *options),
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        await_end(node, "display node", SECONDS + ENDS_WITHIN_S)
+    finally:
+        node.kill()
+    return read_summary(summary).loop

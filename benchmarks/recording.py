@@ -1,0 +1,117 @@
+"""What a recorder costs the display, in each tick; what it costs itself, and its file's size."""
+
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+
+import msgpack
+import numpy as np
+import zmq
+from numpy.typing import NDArray
+
+from benchmarks.measure import show
+from display_node.display import Felt
+from display_node.publisher import Publisher
+from display_node.telemetry import TRACE_TICKS
+from protocol import sockets
+from protocol.messages import Frame, encode_frame
+from protocol.summary import Summary
+
+TICK_NS = 1_000_000
+TICKS_A_FRAME = 5
+TICKS = 20_000
+START_S = 30.0
+Reader = Callable[[str], AbstractContextManager[bool]]
+END = bytes(msgpack.packb(["ended", "", Summary().to_dict(), True]))
+
+
+def main() -> None:
+    """Print the tables."""
+    rows = []
+    for name, reader in (("nobody reads", nobody), ("a screen reads", screen)):
+        cost_us, _ = measure(reader, TICKS)
+        rows.append((name, *summed_up(cost_us)))
+    with tempfile.TemporaryDirectory(prefix="telepulse-") as folder:
+        empty, full = Path(folder, "empty.mcap"), Path(folder, "full.mcap")
+        _, start_s = measure(lambda address: recorder(address, empty), ticks=0)
+        cost_us, work_s = measure(lambda address: recorder(address, full), TICKS)
+        size_bytes = full.stat().st_size
+    rows.append(("a recorder reads", *summed_up(cost_us)))
+    columns = ("telemetry of a tick", "mean µs", "p50 µs", "p50 of every 20th, µs", "p99 µs")
+    show("What the real-time loop spends on its telemetry", columns, rows)
+    long_s = TICKS * TICK_NS * 1e-9
+    share, hourly = (work_s - start_s) / long_s, size_bytes / long_s * 3600e-6
+    print(f"The recorder: {share:.1%} of a core once it has started, {hourly:.0f} MB an hour")
+
+
+def measure(reader: Reader, ticks: int) -> tuple[NDArray[np.float64], float]:
+    """What each tick's telemetry took in µs, and the reader's time on a processor in s."""
+    context: sockets.Context = zmq.Context()
+    publisher = Publisher(sockets.bind(context, zmq.XPUB, "tcp://127.0.0.1:*"), run=1)
+    before_s = sum(os.times()[2:4])
+    with reader(publisher.address) as records:
+        if records and not publisher.await_recorder(START_S):
+            raise SystemExit("benchmarks: the recorder does not start")
+        cost_us = publish(publisher, ticks)
+        publisher.finish(END)
+    context.destroy(linger=500)
+    return cost_us, sum(os.times()[2:4]) - before_s
+
+
+def publish(publisher: Publisher, ticks: int) -> NDArray[np.float64]:
+    """Ticks of a millisecond; what the telemetry of each took, in µs."""
+    chance = np.random.default_rng(1)
+    force_n = 0.4 + 0.1 * np.sin(np.arange(TICKS) * 0.008) + 1e-3 * chance.standard_normal(TICKS)
+    status = bytes(msgpack.packb(["playing", "pulse", Summary().to_dict(), False]))
+    cost_us = np.empty(ticks)
+    start_ns = time.monotonic_ns()
+    for tick in range(ticks):
+        due_ns = start_ns + tick * TICK_NS
+        time.sleep(max(0, due_ns - time.monotonic_ns()) * 1e-9)
+        values = force_n[tick : tick + TICKS_A_FRAME, np.newaxis].astype("<f4")
+        data = encode_frame(Frame(1, tick, due_ns, TICK_NS, values))
+        felt = Felt(due_ns, due_ns, due_ns, force_n[tick], force_n[tick] * 1.001, True, math.nan)
+        began_ns = time.perf_counter_ns()
+        if tick % TICKS_A_FRAME == 0:
+            publisher.heard.add(due_ns, 0, data)
+        if publisher.add(felt):
+            publisher.status(status)
+        cost_us[tick] = (time.perf_counter_ns() - began_ns) * 1e-3
+    return cost_us
+
+
+def summed_up(cost_us: NDArray[np.float64]) -> list[str]:
+    """Mean; medians of all ticks and of those that publish a trace; 99th percentile."""
+    publishing = np.median(cost_us[TRACE_TICKS - 1 :: TRACE_TICKS])
+    figures = (cost_us.mean(), np.median(cost_us), publishing, np.quantile(cost_us, 0.99))
+    return [f"{figure:.1f}" for figure in figures]
+
+
+@contextmanager
+def nobody(address: str) -> Iterator[bool]:
+    """No reader."""
+    yield False
+
+
+@contextmanager
+def screen(address: str) -> Iterator[bool]:
+    """A reader of traces and statuses, in a process of its own."""
+    code = "import sys; from display_node.screen import watch; from rich.console import Console;"
+    code += " watch(sys.argv[1], Console(), draw=False)"
+    with subprocess.Popen([sys.executable, "-c", code, address]):
+        time.sleep(2)
+        yield False
+
+
+@contextmanager
+def recorder(address: str, path: Path) -> Iterator[bool]:
+    """The recorder."""
+    command = (sys.executable, "-m", "telepulse.cli", "record", address, str(path), "--quiet")
+    with subprocess.Popen(command):
+        yield True

@@ -1,0 +1,176 @@
+"""The doctor's visit: read the host, try the measures, measure ticks, judge, report.
+
+It leaves the host as it was: every measure is taken back, and of files only its report is written.
+"""
+
+import dataclasses
+import gc
+import json as json_format
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import zmq
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from display_node.display import Display
+from display_node.doctor.host import Host, describe, read_host, stolen
+from display_node.doctor.jitter import Ticks, Work, busy_processes, run_in_turns
+from display_node.doctor.verdict import BARE, IDLE, LOADED, TOGETHER, Findings, Verdict, judge
+from display_node.scene import DisplayScene
+from protocol import sockets
+from protocol.errors import OutputError
+from protocol.realtime import Asked, Held, hold, parse_realtime
+from protocol.scene import load_section
+
+SECONDS = 30.0
+MAX_ROUNDS = 4
+LEAST_SLOT_S = 0.1
+TICKS_WIDTH = 72
+
+
+def run_doctor(
+    scene: Path | None, seconds: float | None, console: Console, json: Path | None
+) -> None:
+    """Measure for `seconds` (30 s where None) at the tick of a scene, or at 1 ms without one.
+
+    Raises SceneError, and OutputError when `json` cannot be written.
+    """
+    seconds = seconds or SECONDS
+    tick_ns, work = _tick_of(scene)
+    host = read_host()
+    _print_rows("this host", describe(host), console)
+    held = _try(host)
+    refused = [(refusal.name, "not granted") for refusal in held.refused]
+    _print_rows("\n--realtime", [*held.granted.items(), *refused], console)
+    processors = len(host.cpus) or 1
+    console.print(
+        f"\nticks of {tick_ns * 1e-6:g} ms, {seconds:g} s in all, beside nothing and beside"
+        f" {processors} busy processes"
+    )
+    findings = _measure(tick_ns, work, held, seconds, processors, host.isolated)
+    verdict = judge(host, findings)
+    _print_ticks(findings.ticks, console)
+    console.print(f"\n{verdict.status}: {verdict.reason}")
+    for line in verdict.advice:
+        console.print(f"- {line}")
+    if json is not None:
+        _write(json, host, held, findings, verdict)
+
+
+def _tick_of(scene: Path | None) -> tuple[int, Work]:
+    """The tick of a scene in ns, and what a display does in one while it waits for its stream."""
+    if scene is None:
+        return DisplayScene.model_fields["tick_ns"].default, lambda due_ns, elapsed: None
+    section = load_section(scene, "display", DisplayScene)
+    return section.tick_ns, Display(section, "doctor").tick
+
+
+def _try(host: Host) -> Held:
+    """Take each measure for a moment; what was said to it."""
+    words = ["slack", "gc", "lock", "fifo"]
+    if host.isolated:
+        words.append(f"cpu={host.isolated.rpartition(',')[2].rpartition('-')[2]}")
+    elif len(host.cpus) > 1:
+        # Interrupts come to the first by default.
+        words.append(f"cpu={host.cpus[-1]}")
+    tried = Held()
+    for word in words:
+        with hold(parse_realtime(word), log=lambda line: None) as held:
+            tried.granted |= held.granted
+            tried.refused += held.refused
+    return tried
+
+
+def _measure(
+    tick_ns: int, work: Work, held: Held, seconds: float, processors: int, isolated: str
+) -> Findings:
+    """Ticks bare, with each measure that is granted, and with all of them; a processor is chosen
+    only where one is isolated, as another is no better alone."""
+    chosen = [name for name in held.granted if isolated or not name.startswith("cpu")]
+    wishes = {BARE: Asked()} | {name: parse_realtime(name) for name in held.granted}
+    if chosen:
+        wishes[TOGETHER] = parse_realtime(",".join(chosen))
+    each_s = seconds / (2 * len(wishes))
+    rounds = min(max(round(each_s / LEAST_SLOT_S), 1), MAX_ROUNDS)
+    slot_s = each_s / rounds
+    context: sockets.Context = zmq.Context()
+    try:
+        silent = sockets.unconnected(context, zmq.SUB)
+        waited_on = sockets.descriptors([silent])
+        stolen_before, all_before = stolen()
+        with busy_processes(processors):
+            loaded = run_in_turns(wishes, rounds, slot_s, tick_ns, waited_on, work)
+        idle = run_in_turns(wishes, rounds, slot_s, tick_ns, waited_on, work)
+        stolen_after, all_after = stolen()
+    finally:
+        context.destroy(linger=0)
+    return Findings(
+        tick_ns=tick_ns,
+        ticks={(name, IDLE): ticks for name, ticks in idle.items()}
+        | {(name, LOADED): ticks for name, ticks in loaded.items()},
+        option=",".join(chosen) or None,
+        refusals=[str(refusal) for refusal in held.refused],
+        collection_ms=_collection_ms(),
+        stolen=(stolen_after - stolen_before) / max(1, all_after - all_before),
+    )
+
+
+def _collection_ms() -> float:
+    """What a full garbage collection costs, waits for a processor left out."""
+    began_ns = time.thread_time_ns()
+    gc.collect()
+    return (time.thread_time_ns() - began_ns) * 1e-6
+
+
+def _print_rows(title: str, rows: Sequence[tuple[str, str]], console: Console) -> None:
+    table = Table(title=title, show_header=False, title_justify="left", box=None, pad_edge=False)
+    for name, text in rows:
+        table.add_row(name, Text(text))
+    console.print(table)
+
+
+def _print_ticks(found: Mapping[tuple[str, str], Ticks], console: Console) -> None:
+    title = "how late ticks began, in µs"
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    for position, column in enumerate(("with", "beside", *_figures(Ticks()))):
+        table.add_column(column, justify="left" if position < 2 else "right")
+    for (name, beside), ticks in found.items():
+        figures = ("–" if value is None else f"{value:.0f}" for value in _figures(ticks).values())
+        table.add_row(name, beside, *figures)
+    # Not cut, however narrow the terminal.
+    console.print(table, width=max(console.width, TICKS_WIDTH), crop=False)
+
+
+def _figures(ticks: Ticks) -> dict[str, float | None]:
+    late_us = ticks.late_us
+    return {
+        "ticks": ticks.due,
+        "missed": ticks.missed,
+        "p50": late_us.quantile(0.5),
+        "p99": late_us.quantile(0.99),
+        "p99.9": late_us.quantile(0.999),
+        "max": late_us.maximum,
+    }
+
+
+def _write(path: Path, host: Host, held: Held, findings: Findings, verdict: Verdict) -> None:
+    report = {
+        "host": dataclasses.asdict(host),
+        "granted": held.granted,
+        "refused": [dataclasses.asdict(refusal) for refusal in held.refused],
+        "tick_ms": findings.tick_ns * 1e-6,
+        "late_us": [
+            {"with": name, "beside": beside} | _figures(ticks)
+            for (name, beside), ticks in findings.ticks.items()
+        ],
+        "collection_ms": findings.collection_ms,
+        "stolen": findings.stolen,
+        "verdict": dataclasses.asdict(verdict),
+    }
+    try:
+        path.write_text(json_format.dumps(report, indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror}") from None

@@ -1,0 +1,197 @@
+"""What a host says of itself that matters to a loop that has to be on time. Reads, no more."""
+
+import importlib.metadata
+import os
+import platform
+import re
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import zmq
+
+from protocol.realtime.asked import spans
+
+CPU = Path("/sys/devices/system/cpu")
+CGROUP = Path("/sys/fs/cgroup")
+PREEMPTION = re.compile(r"\bPREEMPT(?:_RT| RT|_DYNAMIC)?\b")
+EXTRA = re.compile(r"([\w.-]+).*extra == ['\"]([\w-]+)['\"]")
+# Those a node of one host can need; others are for reports and studies.
+EXTRAS = ("sensors", "drives", "record")
+
+
+@dataclass(frozen=True, slots=True)
+class Host:
+    """What could be read; None or empty where a host does not say.
+
+    cpus: those this process may use; quota: of processors that its control group allows; idle_us:
+    what waking from the deepest sleep costs; limits: of this process, by name, None for no limit.
+    """
+
+    system: str
+    preemption: str | None = None
+    virtual: list[str] = field(default_factory=list)
+    cpus: list[int] = field(default_factory=list)
+    isolated: str = ""
+    quota: float | None = None
+    governors: list[str] = field(default_factory=list)
+    idle_us: int | None = None
+    clocksource: str | None = None
+    clock_resolution_ns: float = 0.0
+    swap_kib: int = 0
+    limits: dict[str, int | None] = field(default_factory=dict)
+    realtime_share: float | None = None
+    python: str = ""
+    zeromq: str = ""
+    curve: bool = False
+    extras: dict[str, list[str]] = field(default_factory=dict)
+
+
+def read_host() -> Host:
+    """Read this host. What it does not say is left out."""
+    return Host(
+        system=f"{platform.system()} {platform.release()} on {platform.machine()}",
+        preemption=preemption_of(platform.version()),
+        virtual=_virtual(),
+        cpus=sorted(os.sched_getaffinity(0)) if sys.platform == "linux" else [],
+        isolated=_text(CPU / "isolated"),
+        quota=_quota(),
+        governors=sorted({_text(path) for path in CPU.glob("cpu*/cpufreq/scaling_governor")}),
+        idle_us=max(map(_number, CPU.glob("cpu0/cpuidle/state*/latency")), default=None),
+        clocksource=_text(Path("/sys/devices/system/clocksource/clocksource0/current_clocksource"))
+        or None,
+        clock_resolution_ns=time.get_clock_info("monotonic").resolution * 1e9,
+        swap_kib=_swap_kib(_text(Path("/proc/meminfo"))),
+        limits=_limits(),
+        realtime_share=_realtime_share(),
+        python=f"{platform.python_implementation()} {platform.python_version()}",
+        zeromq=f"{zmq.zmq_version()}, pyzmq {zmq.pyzmq_version()}",
+        curve=bool(zmq.has("curve")),
+        extras=_missing(importlib.metadata.requires("telepulse") or []),
+    )
+
+
+def preemption_of(version: str) -> str | None:
+    """How preemptible a Linux kernel is, by its version line; None where it does not say."""
+    found = PREEMPTION.search(version)
+    return found[0].replace(" ", "_") if found else None
+
+
+def describe(host: Host) -> list[tuple[str, str]]:
+    """The host in rows for people."""
+    cpus = spans(frozenset(host.cpus)) or "any"
+    if host.quota is not None:
+        cpus += f", for the time of {host.quota:g}"
+    missing = [f"{name} (without {', '.join(gone)})" for name, gone in host.extras.items() if gone]
+    limits = [
+        f"{name} {'unlimited' if limit is None else _bytes(limit) if 'MEM' in name else limit}"
+        for name, limit in host.limits.items()
+    ]
+    wake = "" if host.idle_us is None else f"{host.idle_us} µs to wake from the deepest sleep"
+    return [
+        ("system", f"{host.system}, {host.preemption or 'no word of preemption'}"),
+        ("inside", ", ".join(host.virtual) or "neither a virtual machine nor a container"),
+        ("may run on", cpus + (f", isolated {host.isolated}" if host.isolated else "")),
+        ("power", ", ".join([*host.governors, *([wake] if wake else [])]) or "no word of it"),
+        ("clock", f"{host.clocksource or 'unknown'}, in {host.clock_resolution_ns:g} ns"),
+        ("swap", f"{host.swap_kib >> 10} MiB" if host.swap_kib else "none"),
+        ("limits", ", ".join(limits) or "no word of them"),
+        (
+            "real-time share",
+            "no word of it"
+            if host.realtime_share is None
+            else f"{host.realtime_share:.0%} of a processor for those with a priority",
+        ),
+        ("python", host.python),
+        ("zeromq", host.zeromq + (", CURVE" if host.curve else ", without CURVE")),
+        ("extras", ", ".join(missing) or "all there"),
+    ]
+
+
+def stolen() -> tuple[int, int]:
+    """Time that a hypervisor gave to others, and all time, of all processors, in the kernel's own
+    units since it started; zeros where it does not count."""
+    line = _text(Path("/proc/stat")).partition("\n")[0].split()[1:9]
+    return (int(line[7]), sum(map(int, line))) if len(line) == 8 else (0, 0)
+
+
+def _virtual() -> list[str]:
+    found = []
+    if re.search(r"^flags\b.*\bhypervisor\b", _text(Path("/proc/cpuinfo")), re.MULTILINE):
+        found.append("a virtual machine")
+    marks = (Path("/.dockerenv"), Path("/run/.containerenv"))
+    if any(mark.exists() for mark in marks) or "container" in os.environ:
+        found.append("a container")
+    return found
+
+
+def _quota() -> float | None:
+    """Processors' time that the control group allows, of either version of control groups."""
+    for line in _text(Path("/proc/self/cgroup")).splitlines():
+        _, controllers, path = line.split(":", 2)
+        if not controllers:
+            quota, _, period = _text(CGROUP / path.strip("/") / "cpu.max").partition(" ")
+        elif "cpu" in controllers.split(","):
+            folder = CGROUP / "cpu" / path.strip("/")
+            quota, period = (_text(folder / f"cpu.cfs_{key}_us") for key in ("quota", "period"))
+        else:
+            continue
+        if quota.isdigit() and period.isdigit():
+            return int(quota) / int(period)
+    return None
+
+
+def _realtime_share() -> float | None:
+    kernel = Path("/proc/sys/kernel")
+    runtime, period = (_text(kernel / f"sched_rt_{key}_us") for key in ("runtime", "period"))
+    if not period.isdigit():
+        return None
+    return 1.0 if runtime == "-1" else int(runtime) / int(period)
+
+
+def _limits() -> dict[str, int | None]:
+    if sys.platform == "win32":
+        return {}
+    import resource
+
+    names = ("RTPRIO", "MEMLOCK", "NOFILE")
+    numbers = {name: getattr(resource, f"RLIMIT_{name}", None) for name in names}
+    found = {name: resource.getrlimit(n)[0] for name, n in numbers.items() if n is not None}
+    return {name: None if n == resource.RLIM_INFINITY else n for name, n in found.items()}
+
+
+def _missing(requirements: list[str]) -> dict[str, list[str]]:
+    """By extra, which of its packages are not installed."""
+    missing: dict[str, list[str]] = {}
+    for requirement in requirements:
+        found = EXTRA.match(requirement)
+        if found and found[2] in EXTRAS:
+            gone = missing.setdefault(found[2], [])
+            try:
+                importlib.metadata.version(found[1])
+            except importlib.metadata.PackageNotFoundError:
+                gone.append(found[1])
+    return missing
+
+
+def _bytes(count: int) -> str:
+    return f"{count / (1 << 20):g} MiB"
+
+
+def _swap_kib(meminfo: str) -> int:
+    found = re.search(r"^SwapTotal:\s+(\d+) kB", meminfo, re.MULTILINE)
+    return int(found[1]) if found else 0
+
+
+def _number(path: Path) -> int:
+    text = _text(path)
+    return int(text) if text.isdigit() else 0
+
+
+def _text(path: Path) -> str:
+    """What a file of the kernel says; empty where it says nothing."""
+    try:
+        return path.read_text(encoding="utf-8", errors="replace").strip()
+    except OSError:
+        return ""

@@ -1,0 +1,83 @@
+"""How late ticks begin: the loop's own wait at a scene's tick, with measures and without."""
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+
+from protocol import sockets
+from protocol.histogram import Histogram
+from protocol.realtime import Asked, hold
+
+# It ends with who started it, however that ends.
+BUSY = """
+import os, sys
+while os.getppid() == int(sys.argv[1]):
+    pass
+"""
+
+Work = Callable[[int, int], object]
+
+
+@dataclass(slots=True)
+class Ticks:
+    """late_us: how late ticks began; missed: those that did not begin within their period."""
+
+    late_us: Histogram = field(default_factory=lambda: Histogram(2.0, 5_000))
+    missed: int = 0
+
+    @property
+    def due(self) -> int:
+        """How many ticks there should have been."""
+        return self.late_us.count + self.missed
+
+
+def run_ticks(
+    ticks: Ticks, tick_ns: int, seconds: float, descriptors: Sequence[int], work: Work
+) -> None:
+    """Wait for ticks as a display does, and do `work` (when it was due in ns, ticks since the last)
+    in each."""
+    next_ns = time.monotonic_ns() + tick_ns
+    end_ns = next_ns + round(seconds * 1e9)
+    # Until nothing is due any more: a wait that ends after the end is the latest of all.
+    while next_ns <= end_ns:
+        now_ns = time.monotonic_ns()
+        if now_ns < next_ns:
+            sockets.wait_drained(descriptors, next_ns - now_ns)
+            continue
+        ticks.late_us.add((now_ns - next_ns) * 1e-3)
+        elapsed = 1 + (now_ns - next_ns) // tick_ns
+        ticks.missed += elapsed - 1
+        next_ns += elapsed * tick_ns
+        work(next_ns - tick_ns, elapsed)
+
+
+def run_in_turns(
+    wishes: dict[str, Asked],
+    rounds: int,
+    slot_s: float,
+    tick_ns: int,
+    descriptors: Sequence[int],
+    work: Work,
+) -> dict[str, Ticks]:
+    """Ticks with each of the wishes held, by turns, so that all of them meet the same host."""
+    found = {name: Ticks() for name in wishes}
+    for _ in range(rounds):
+        for name, asked in wishes.items():
+            with hold(asked, log=lambda line: None):
+                run_ticks(found[name], tick_ns, slot_s, descriptors, work)
+    return found
+
+
+@contextmanager
+def busy_processes(count: int) -> Iterator[None]:
+    """As many processes that compute without a pause."""
+    command = [sys.executable, "-S", "-c", BUSY, str(os.getpid())]
+    with ExitStack() as until_the_end:
+        for _ in range(count):
+            process = until_the_end.enter_context(subprocess.Popen(command))
+            until_the_end.callback(process.kill)
+        yield

@@ -1,0 +1,98 @@
+"""What the doctor makes of a host and its ticks. Pure."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from display_node.doctor.host import Host
+from display_node.doctor.jitter import Ticks
+
+BARE, TOGETHER = "bare", "together"
+IDLE, LOADED = "nothing", "load"
+# Of the ticks beside a load, with all that is granted.
+OK_MISSED, LOOK_MISSED = 1e-3, 1e-2
+SLOW_WAKE_US = 100
+STOLEN = 1e-2
+QUICK_CLOCKS = ("tsc", "arch_sys_counter", "kvm-clock", "riscv_clocksource", "timebase")
+
+Table = Mapping[tuple[str, str], Ticks]
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """ticks: by measure and what ran beside it; option: what to give --realtime, None where nothing
+    is granted; refusals: lines; collection_ms: a full garbage collection; stolen: share of time
+    that a hypervisor gave to others meanwhile."""
+
+    tick_ns: int
+    ticks: Table
+    option: str | None
+    refusals: Sequence[str]
+    collection_ms: float
+    stolen: float
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """status: ok, look or fail; reason: a line; advice: lines, the weightiest first."""
+
+    status: str
+    reason: str
+    advice: list[str]
+
+
+def judge(host: Host, findings: Findings) -> Verdict:
+    """Whether this host keeps a loop on time, and what would help."""
+    bare = findings.ticks[BARE, LOADED]
+    best = findings.ticks.get((TOGETHER, LOADED), bare)
+    share = best.missed / best.due if best.due else 1.0
+    status = "ok" if share <= OK_MISSED else "look" if share <= LOOK_MISSED else "fail"
+    latest_ms = (best.late_us.maximum or 0.0) * 1e-3
+    how = f"with --realtime {findings.option}" if best is not bare else "with no measure"
+    reason = f"beside a load, {how}, {best.missed} of {best.due} ticks were missed"
+    if best is not bare:
+        reason += f" (bare {bare.missed} of {bare.due})"
+    return Verdict(
+        status,
+        f"{reason}, the latest began {latest_ms:.1f} ms late",
+        [*_of_ticks(findings), *_of_host(host), *findings.refusals],
+    )
+
+
+def _of_ticks(findings: Findings) -> list[str]:
+    advice = []
+    if findings.stolen > STOLEN:
+        advice.append(
+            f"the hypervisor gave {findings.stolen:.1%} of the time to others: nothing set here"
+            " helps against that; take a machine of its own, or pin its processors"
+        )
+    ticks = findings.collection_ms * 1e6 / findings.tick_ns
+    if ticks >= 1:
+        advice.append(
+            f"a full garbage collection takes {findings.collection_ms:.0f} ms, {ticks:.0f} ticks:"
+            " gc keeps it from that"
+        )
+    return advice
+
+
+def _of_host(host: Host) -> list[str]:
+    advice = []
+    if host.quota is not None and host.quota < 2:
+        advice.append(
+            f"the control group stops this process when it has had {host.quota:g} processors'"
+            " time: lift cpu.max (docker run without --cpus)"
+        )
+    if host.governors and host.governors != ["performance"]:
+        advice.append(
+            f"processors change their speed ({', '.join(host.governors)}):"
+            " cpupower frequency-set -g performance"
+        )
+    if host.idle_us is not None and host.idle_us >= SLOW_WAKE_US:
+        advice.append(
+            f"a processor takes {host.idle_us} µs to wake from its deepest sleep:"
+            " boot with processor.max_cstate=1, or cpupower idle-set -D 50"
+        )
+    if host.clocksource is not None and host.clocksource not in QUICK_CLOCKS:
+        advice.append(f"each look at the clock is a slow one ({host.clocksource}, not tsc)")
+    if not host.curve:
+        advice.append("this ZeroMQ cannot encrypt: install pyzmq's own wheel, or libsodium")
+    return advice

@@ -1,0 +1,73 @@
+"""The telemetry's socket: publishes traces, statuses and, to who asks, what was heard."""
+
+import time
+
+import zmq
+
+from display_node.display import Felt
+from display_node.heard import HEARD, HeardWriter
+from display_node.telemetry import STATUS, STATUS_TRACES, TRACE, TraceWriter
+from protocol import sockets
+from protocol.gate import Gate
+
+LOOK_EVERY_S = 0.01
+
+
+class Publisher:
+    """What a display publishes, over one bound XPUB socket."""
+
+    def __init__(self, socket: sockets.Socket, run: int, gate: Gate | None = None) -> None:
+        """run: a random number of this run of the display. gate: says who may read."""
+        # Each reader is told of, not the first alone: each must be told what the stream is.
+        socket.setsockopt(zmq.XPUB_VERBOSE, 1)
+        self._socket = socket
+        self._gate = gate
+        self._trace = TraceWriter()
+        self.heard = HeardWriter(run)
+        self.address = socket.getsockopt_string(zmq.LAST_ENDPOINT)
+
+    def add(self, felt: Felt) -> bool:
+        """A tick; returns whether a status is due."""
+        trace = self._trace.add(felt)
+        if trace is None:
+            return False
+        self._publish_trace(trace)
+        return self.heard.traces % STATUS_TRACES == 0
+
+    def status(self, status: bytes) -> None:
+        """Publish a status."""
+        sockets.send(self._socket, STATUS, status)
+        self.heard.statuses += 1
+
+    def finish(self, status: bytes) -> None:
+        """Publish what is left, and the last status."""
+        rest = self._trace.rest()
+        if rest is not None:
+            self._publish_trace(rest)
+        self._publish_heard()
+        self.status(status)
+
+    def await_recorder(self, seconds: float) -> bool:
+        """Wait for a reader that asks for what was heard; False when none came in time."""
+        until_s = time.monotonic() + seconds
+        while not self.heard.wanted and time.monotonic() < until_s:
+            self._follow_readers()
+            time.sleep(LOOK_EVERY_S)
+        return self.heard.wanted
+
+    def _publish_trace(self, trace: bytes) -> None:
+        self._publish_heard()
+        sockets.send(self._socket, TRACE, trace)
+        self.heard.traces += 1
+
+    def _publish_heard(self) -> None:
+        self._follow_readers()
+        if self.heard.wanted:
+            for message in self.heard.take(time.monotonic_ns(), time.time_ns()):
+                sockets.send(self._socket, HEARD, message)
+
+    def _follow_readers(self) -> None:
+        if self._gate is not None:
+            self._gate.tend(time.monotonic_ns())
+        for subscription, *_ in sockets.receive_all(self._socket):
+            self.heard.follow(subscription)

@@ -1,0 +1,184 @@
+"""Key files: who a node is, and whom it knows.
+
+A secret key is a file of one line that only its owner may read; the public key that belongs to it
+is a file of one line to mail or paste. The keys are CurveZMQ's (RFC 26): 32 bytes each, the public
+one computed from the secret one.
+"""
+
+import os
+import re
+import stat
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import zmq
+from zmq.utils import z85
+
+from protocol.errors import KeyFileError
+
+SECRET, PUBLIC = "telepulse-secret-key", "telepulse-public-key"
+OWNER_ONLY, READ_BY_ALL, FOLDER = 0o600, 0o644, 0o700
+# Far more than a line; a wrong file is not read to its end.
+MAX_KEY_FILE_BYTES = 4096
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+_HEX = re.compile(r"[0-9A-Fa-f]{64}")
+
+
+@dataclass(frozen=True, slots=True)
+class PublicKey:
+    """key: 32 bytes that a peer is known by; name: whose they are."""
+
+    name: str
+    key: bytes
+
+    @property
+    def line(self) -> str:
+        """As it stands in a file, without the line's end."""
+        return f"{PUBLIC} {self.name} {self.key.hex()}"
+
+
+@dataclass(frozen=True, slots=True)
+class KeyPair:
+    """secret: the 32 bytes that prove who a node is."""
+
+    name: str
+    secret: bytes = field(repr=False)
+
+    @property
+    def public(self) -> PublicKey:
+        """What others may know."""
+        return PublicKey(self.name, z85.decode(zmq.curve_public(z85.encode(self.secret))))
+
+
+@dataclass(frozen=True, slots=True)
+class ServerKeys:
+    """What a node that binds needs: its own key, and the file that lists whom it lets in."""
+
+    own: KeyPair
+    allowed: Path
+
+
+@dataclass(frozen=True, slots=True)
+class ClientKeys:
+    """What a node that connects needs: its own key, and that of the node it means to meet."""
+
+    own: KeyPair
+    peer: PublicKey
+
+
+def check_name(name: str) -> str:
+    """`name`, when a key may be called so. Raises KeyFileError."""
+    if not _NAME.fullmatch(name):
+        raise KeyFileError(
+            f"{name!r}: not a name; use up to 64 letters, digits, dots, dashes and underscores,"
+            " beginning with a letter or a digit"
+        )
+    return name
+
+
+def new_pair(folder: Path, name: str) -> tuple[Path, Path]:
+    """Make a key pair: `folder`/`name`.key and .pub. Raises KeyFileError, also where one exists."""
+    check_name(name)
+    _, secret = zmq.curve_keypair()
+    pair = KeyPair(name, z85.decode(secret))
+    secret_path, public_path = folder / f"{name}.key", folder / f"{name}.pub"
+    try:
+        folder.mkdir(mode=FOLDER, parents=True, exist_ok=True)
+    except OSError as error:
+        raise KeyFileError(f"{folder}: cannot make the folder: {error.strerror}") from None
+    create(secret_path, f"{SECRET} {name} {pair.secret.hex()}\n", OWNER_ONLY)
+    try:
+        create(public_path, pair.public.line + "\n", READ_BY_ALL)
+    except KeyFileError:
+        secret_path.unlink()
+        raise
+    return secret_path, public_path
+
+
+def create(path: Path, text: str, mode: int) -> None:
+    """Write a new file that has its `mode` from the first byte on. Raises KeyFileError.
+
+    What cannot be written to its end is not left behind.
+    """
+    try:
+        number = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
+    except FileExistsError:
+        raise KeyFileError(f"{path} is there already, and is not overwritten") from None
+    except OSError as error:
+        raise KeyFileError(f"{path}: cannot write: {error.strerror}") from None
+    try:
+        with open(number, "w", encoding="ascii") as file:
+            file.write(text)
+    except OSError as error:
+        with suppress(OSError):
+            path.unlink()
+        raise KeyFileError(f"{path}: cannot write: {error.strerror}") from None
+
+
+def read_pair(path: Path) -> KeyPair:
+    """The key pair of a secret key file. Raises KeyFileError, also when others may read it."""
+    text, mode = read_text(path)
+    kind, name, key = _parse(path, text)
+    if kind == PUBLIC:
+        raise KeyFileError(f"{path} is a public key; give the secret one, {name}.key")
+    if os.name == "posix" and mode & (stat.S_IRWXG | stat.S_IRWXO):
+        raise KeyFileError(f"{path}: others may read this secret key; run: chmod 600 {path}")
+    return KeyPair(name, key)
+
+
+def read_public(path: Path) -> PublicKey:
+    """The key of a public key file. Raises KeyFileError."""
+    kind, name, key = _parse(path, read_text(path)[0])
+    if kind == SECRET:
+        raise KeyFileError(
+            f"{path} is a secret key, which never leaves its machine; give the public one,"
+            f" {name}.pub"
+        )
+    return PublicKey(name, key)
+
+
+def read_text(path: Path, limit_bytes: int = MAX_KEY_FILE_BYTES) -> tuple[str, int]:
+    """A small file's text and mode. Raises KeyFileError."""
+    try:
+        if not path.is_file():
+            reason = "it is not a file" if path.exists() else "there is no such file"
+            raise KeyFileError(f"{path}: {reason}; keys are made by: telepulse keys new NAME")
+        with path.open("rb") as file:
+            mode = os.fstat(file.fileno()).st_mode
+            data = file.read(limit_bytes + 1)
+    except OSError as error:
+        raise KeyFileError(f"{path}: cannot read: {error.strerror}") from None
+    if len(data) > limit_bytes or not data.isascii():
+        raise KeyFileError(f"{path} is not a file of keys")
+    return data.decode("ascii"), mode
+
+
+def parse_public(line: str) -> PublicKey:
+    """A public key from its line. Raises ValueError, without the line: it may be a secret."""
+    kind, name, key = _words(line)
+    if kind != PUBLIC:
+        raise ValueError("a secret key, which never leaves its machine")
+    return PublicKey(name, key)
+
+
+def _parse(path: Path, text: str) -> tuple[str, str, bytes]:
+    lines = text.splitlines()
+    try:
+        if len(lines) != 1:
+            raise ValueError("it is not one line")
+        return _words(lines[0])
+    except ValueError as error:
+        raise KeyFileError(f"{path} holds no key: {error}") from None
+
+
+def _words(line: str) -> tuple[str, str, bytes]:
+    words = line.split()
+    if len(words) != 3 or words[0] not in (SECRET, PUBLIC):
+        raise ValueError(f"it is not '{PUBLIC} NAME KEY'")
+    kind, name, key = words
+    if not _NAME.fullmatch(name):
+        raise ValueError("its name is none")
+    if not _HEX.fullmatch(key):
+        raise ValueError("its last word is not a key of 64 hexadecimal digits")
+    return kind, name, bytes.fromhex(key)

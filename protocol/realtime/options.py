@@ -1,0 +1,37 @@
+"""The command-line option of real-time measures, and what a node says about them."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from protocol.commands import one_line_errors
+from protocol.realtime.asked import Asked
+from protocol.realtime.held import Held, hold
+
+RealtimeOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="fifo=40,lock,cpu=1,gc,slack",
+        help="Ask the system for these, or some of them, so that the loop is on time; what is not"
+        " granted is said, and done without. With 'strict' the node does not start then.",
+    ),
+]
+
+
+@contextmanager
+def held_for(program: str, asked: Asked, console: Console) -> Iterator[Held]:
+    """As `hold`, for a command: it says what is granted, and on stderr what is not."""
+
+    def warn(line: str) -> None:
+        print(f"{program}: {line}", file=sys.stderr)
+
+    with one_line_errors(program), hold(asked, warn) as held:
+        if held.granted:
+            console.print(str(held))
+        for refusal in held.refused:
+            warn(str(refusal))
+        yield held

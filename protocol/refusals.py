@@ -1,0 +1,77 @@
+"""Why a connection to another node does not come about. ZeroMQ would try for ever, in silence."""
+
+from collections import Counter
+from collections.abc import Callable
+
+import zmq
+
+from protocol.keys import ClientKeys
+from protocol.sockets import Context, Socket
+from protocol.watch import FAILURES, HANDSHAKE, NO_KEY, NOT_AUTHENTIC, REPLAYED, Watch, cause_of
+
+LOOK_EVERY_NS = 500_000_000
+REFUSED_KEY = "refused_key"
+# A node that ends breaks off, too; who does so again and again has another reason.
+BREAKS = 3
+
+
+class Refusals:
+    """Counts what connecting sockets are refused, and says each reason once.
+
+    rejected: how often, by cause.
+    """
+
+    def __init__(
+        self, context: Context, keys: ClientKeys | None, log: Callable[[str], None]
+    ) -> None:
+        self._context = context
+        self._keys = keys
+        self._log = log
+        self._watches: list[Watch] = []
+        self._breaks: Counter[str] = Counter()
+        self._said: set[tuple[str, str]] = set()
+        self._look_ns = 0
+        self.rejected: Counter[str] = Counter()
+
+    def watch(self, socket: Socket) -> None:
+        """Listen to a socket; before it connects."""
+        events = zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_HANDSHAKE_FAILED_AUTH | FAILURES
+        self._watches.append(Watch(self._context, socket, events))
+
+    def tend(self, now_ns: int) -> None:
+        """Hear what has happened; call it often."""
+        if now_ns < self._look_ns:
+            return
+        self._look_ns = now_ns + LOOK_EVERY_NS
+        for watch in self._watches:
+            for event, value, endpoint in watch.events():
+                self._on_event(event, value, endpoint)
+
+    def _on_event(self, event: int, value: int, endpoint: str) -> None:
+        # Data and control of a node have one reason.
+        host = endpoint.rpartition(":")[0]
+        if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
+            self._breaks[host] = 0
+            return
+        cause = REFUSED_KEY if event == zmq.EVENT_HANDSHAKE_FAILED_AUTH else cause_of(value)
+        self.rejected[cause] += 1
+        if cause == HANDSHAKE:
+            self._breaks[host] += 1
+            if self._breaks[host] < BREAKS:
+                return
+        if (cause, host) not in self._said:
+            self._said.add((cause, host))
+            self._log(f"{endpoint} {self._reason(cause)}")
+
+    def _reason(self, cause: str) -> str:
+        if self._keys is None:
+            return {
+                NO_KEY: "lets in who has a key; give --key and --peer",
+            }.get(cause, "is no node, or breaks off as soon as it is connected")
+        own, peer = self._keys.own.name, self._keys.peer.name
+        return {
+            REFUSED_KEY: f"does not allow the key of {own}; there: telepulse keys allow {own}.pub",
+            NO_KEY: "has no keys; start it with --key, or this node with --insecure",
+            NOT_AUTHENTIC: f"sends what {peer} has not sealed, or what was altered on the way",
+            REPLAYED: "sends messages twice or in another order",
+        }.get(cause, f"breaks off: it is not {peer}, whose public key --peer gives")

@@ -1,0 +1,1 @@
+"""Recordings: all that a display heard and did, in an MCAP file; played again, exported."""

@@ -1,0 +1,141 @@
+"""Reads a recording, also one whose end is missing because its recorder was killed."""
+
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+from protocol.errors import SourceError
+from telepulse.record.schema import FRAME, SCHEMAS
+
+MAX_RECORD_BYTES = 1 << 28
+OURS = SCHEMAS[FRAME][0]
+
+
+class RecordedMessage(NamedTuple):
+    """A message as it stands in the file; t_ns in Unix time, `data` is JSON."""
+
+    topic: str
+    t_ns: int
+    data: bytes
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        """What it says. Raises ValueError when that is no table."""
+        try:
+            fields = json.loads(self.data)
+        except RecursionError:
+            raise ValueError("nested too deep") from None
+        if type(fields) is not dict:
+            raise ValueError(f"not a table: {fields!r:.40}")
+        return fields
+
+
+class RecordingReader:
+    """The messages of a recording, in the order in which they were written.
+
+    whole: the recording was ended as it should be; known once all was read. damaged: chunks
+    whose bytes are not what was written; what is in them is left out.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Raises SourceError when mcap is not installed."""
+        try:
+            from mcap import stream_reader
+        except ImportError as error:
+            raise SourceError(
+                f"{path}: to read a recording, mcap is needed, which cannot be loaded ({error});"
+                " pip install 'telepulse[record]'"
+            ) from None
+        self._mcap: Any = stream_reader
+        self._path = path
+        self.whole = False
+        self.damaged = 0
+
+    def __iter__(self) -> Iterator[RecordedMessage]:
+        """Raises SourceError when the file is no recording, or holds nothing."""
+        self.whole, self.damaged = False, 0
+        try:
+            with self._path.open("rb") as file:
+                yield from self._messages(file)
+        except FileNotFoundError:
+            raise SourceError(f"{self._path}: no such recording") from None
+        except SourceError:
+            raise
+        except OSError as error:
+            reason = error.strerror or error
+            raise SourceError(f"{self._path}: cannot be read: {reason}") from None
+
+    def _messages(self, file: IO[bytes]) -> Iterator[RecordedMessage]:
+        self._check_magic(file)
+        channels: dict[int, str] = {}
+        schemas: dict[int, str] = {}
+        topics: set[str] = set()
+        ours = False
+        for record in self._records(file):
+            match type(record).__name__:
+                case "Schema":
+                    schemas[record.id] = record.name
+                case "Channel":
+                    channels[record.id] = record.topic
+                    topics.add(record.topic)
+                    ours = ours or schemas.get(record.schema_id) == OURS
+                case "Message" if ours and record.channel_id in channels:
+                    yield RecordedMessage(
+                        channels[record.channel_id], record.log_time, bytes(record.data)
+                    )
+        if not ours:
+            held = f"its topics are {', '.join(sorted(topics))[:200]}" if topics else "it is empty"
+            raise SourceError(f"{self._path}: holds no telepulse recording; {held}")
+
+    def _check_magic(self, file: IO[bytes]) -> None:
+        magic = file.read(len(_MAGIC))
+        if not magic:
+            raise SourceError(f"{self._path}: is empty")
+        if magic != _MAGIC:
+            raise SourceError(f"{self._path}: is not an MCAP file")
+        file.seek(0)
+
+    def _records(self, file: IO[bytes]) -> Iterator[Any]:
+        """The records of the data section, those of chunks too, up to where the file breaks off."""
+        records = self._mcap.StreamReader(
+            _Left(file), emit_chunks=True, record_size_limit=MAX_RECORD_BYTES
+        ).records
+        while True:
+            try:
+                record = next(records)
+            except StopIteration:
+                return
+            except OSError:
+                raise
+            except Exception:  # at a file's broken end it raises whatever the bytes lead it to
+                return
+            kind = type(record).__name__
+            if kind == "DataEnd":
+                self.whole = True
+                return
+            if kind != "Chunk":
+                yield record
+                continue
+            try:
+                inner = self._mcap.breakup_chunk(record, validate_crc=True)
+            except Exception:  # likewise
+                self.damaged += 1
+                continue
+            yield from inner
+
+
+class _Left:
+    """A file of which no more is read than there is: reading makes room for all that is asked,
+    and damaged lengths ask for gigabytes."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self._size = os.fstat(file.fileno()).st_size
+
+    def read(self, count: int) -> bytes:
+        return self._file.read(min(count, max(0, self._size - self._file.tell())))
+
+
+_MAGIC = b"\x89MCAP0\r\n"

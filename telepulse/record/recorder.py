@@ -1,0 +1,121 @@
+"""The recorder's shell: one socket, one file, and the clock on the wall."""
+
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import zmq
+
+from display_node.heard import HEARD
+from display_node.telemetry import STATUS, TRACE
+from protocol import sockets
+from protocol.keys import ClientKeys
+from protocol.refusals import Refusals
+from telepulse.record.events import Event
+from telepulse.record.mcap_writer import McapWriter
+from telepulse.record.schema import NAMES
+from telepulse.record.transcript import Transcript
+
+# A recorder that is killed loses what came since; half of what it may.
+FLUSH_EVERY_NS = 500_000_000
+
+
+class Recorder:
+    """Writes what a display publishes, until that ends, falls silent or `stop` is called."""
+
+    def __init__(
+        self,
+        address: str,
+        path: Path,
+        log: Callable[[str], None],
+        warn: Callable[[str], None],
+        keys: ClientKeys | None = None,
+    ) -> None:
+        """log is told how it goes, warn of what is missing. Raises AddressError or OutputError."""
+        self._address, self._path = address, path
+        self._log, self._warn = log, warn
+        self._stopping = False
+        self._reason: str | None = None
+        self._transcript = Transcript()
+        self._context: sockets.Context = zmq.Context()
+        self._socket = sockets.connect(self._context, zmq.SUB, address, keys)
+        self._refusals = Refusals(self._context, keys, warn)
+        self._refusals.watch(self._socket)
+        self._file = McapWriter(path)
+        for topic in (TRACE, STATUS, HEARD):
+            self._socket.subscribe(topic)
+
+    def stop(self) -> None:
+        """End after the present message."""
+        self._stopping = True
+
+    def run(self, seconds: float | None = None, silence_s: float | None = None) -> bool:
+        """Record; seconds: for so long at most. silence_s: until nothing came for so long.
+
+        Returns whether all that the display published is on the disk.
+        """
+        start_ns = heard_ns = time.monotonic_ns()
+        flush_ns = start_ns + FLUSH_EVERY_NS
+        end_ns, patience_ns = _ns(seconds), _ns(silence_s)
+        try:
+            while not (self._stopping or self._transcript.ended):
+                now_ns = time.monotonic_ns()
+                if self._receive():
+                    heard_ns = now_ns
+                if now_ns - heard_ns > patience_ns:
+                    self._warn(f"{self._path}: ended, nothing came for {silence_s:g} s")
+                    break
+                if now_ns - start_ns > end_ns:
+                    break
+                self._refusals.tend(now_ns)
+                if now_ns >= flush_ns:
+                    flush_ns = now_ns + FLUSH_EVERY_NS
+                    self._notice(self._file.flush())
+                sockets.wait_readable([self._socket], flush_ns - now_ns)
+            return self._end()
+        finally:
+            self._context.destroy(linger=0)
+
+    def _receive(self) -> bool:
+        came = False
+        for message in sockets.receive_all(self._socket):
+            came = True
+            if len(message) == 2:
+                for entry in self._transcript.take(*message):
+                    self._file.add(entry)
+        return came
+
+    def _notice(self, reason: str | None) -> None:
+        """Say once when the disk takes nothing more, and when it does again."""
+        if (reason is None) == (self._reason is None):
+            return
+        self._reason = reason
+        if reason is None:
+            text = f"is written again, {self._file.dropped} messages were lost"
+        else:
+            text = f"cannot be written: {reason}; what comes waits in memory"
+        self._warn(f"{self._path}: {text}")
+        if self._transcript.known:
+            self._file.add(self._transcript.event(Event("WARNING", "disk", text)))
+
+    def _end(self) -> bool:
+        reason, file, missed = self._file.close(), self._file, self._transcript.missed
+        named = [f"{file.written[t]} {name}" for t, name in NAMES.items() if file.written[t]]
+        if self._transcript.known:
+            self._log(f"{self._path}: {', '.join(named)}")
+        else:
+            self._warn(f"{self._path}: nothing was heard from {self._address}")
+        if missed:
+            counts = ", ".join(f"{count} {name}" for name, count in sorted(missed.items()))
+            self._warn(f"{self._path}: the recorder missed {counts}")
+        if file.dropped:
+            cause = reason or "memory was full while the disk was"
+            self._warn(f"{self._path}: {file.dropped} messages could not be written: {cause}")
+        elif reason is not None:
+            self._warn(f"{self._path}: has no index: {reason}")
+        return self._transcript.known and not (missed or file.dropped or reason)
+
+
+def _ns(seconds: float | None) -> float:
+    return math.inf if seconds is None else seconds * 1e9

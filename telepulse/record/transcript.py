@@ -1,0 +1,176 @@
+"""A display's telemetry as the messages of a recording. Pure: bytes in, fields out.
+
+Each message has the Unix time at which the display heard or did it: its own clock, brought to
+Unix time once at the beginning of a run, so that distances in time stay what they were.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from pydantic import TypeAdapter
+
+from display_node.heard import HEARD, Heard, Message, read_heard
+from display_node.telemetry import STATUS as STATUS_TOPIC
+from display_node.telemetry import TRACE, Trace, read_status, read_trace
+from protocol.errors import WireError
+from protocol.messages import Bye, ClockReply, Frame, Welcome
+from protocol.summary import Summary
+from telepulse.record.events import Event, StatusWatch
+from telepulse.record.heard_fields import (
+    Fields,
+    clock_fields,
+    decode,
+    frame_fields,
+    refused_fields,
+    stream_fields,
+)
+from telepulse.record.schema import CLOCK, EVENT, FRAME, LEVELS, REFUSED, STATUS, STREAM, TICK
+
+LATEST_NS = (1 << 63) - 1
+SECOND_NS = 1_000_000_000
+_SUMMARY = TypeAdapter(Summary)
+
+
+class Entry(NamedTuple):
+    """One message of a recording: its topic, when it was, and its fields."""
+
+    topic: str
+    t_ns: int
+    fields: Fields
+
+
+class Transcript:
+    """What a display's telemetry says, and what of it never came.
+
+    missed: how many messages of each kind the display published that did not reach us. ended:
+    the display has said its last word.
+    """
+
+    def __init__(self) -> None:
+        self._run: int | None = None
+        self._unix_offset_ns = self._now_ns = 0
+        self._traces = self._statuses = self._heard = 0
+        self._session: int | None = None
+        self._watch = StatusWatch()
+        self.missed: Counter[str] = Counter()
+        self.ended = False
+
+    @property
+    def known(self) -> bool:
+        """Whether a display has been heard."""
+        return self._run is not None
+
+    def take(self, topic: bytes, data: bytes) -> list[Entry]:
+        """What a telemetry message adds to the recording; nothing until the display is known."""
+        try:
+            if topic == HEARD:
+                return list(self._take_heard(read_heard(data)))
+            if topic == TRACE:
+                self._traces += 1
+                return list(self._ticks(read_trace(data))) if self.known else []
+            if topic == STATUS_TOPIC:
+                self._statuses += 1
+                return list(self._status(data)) if self.known else []
+        except WireError:
+            self.missed["unreadable messages"] += 1
+        return []
+
+    def event(self, event: Event) -> Entry:
+        """Something that happened at the last instant the display told of."""
+        t_ns = self._unix_ns(self._now_ns)
+        sec, nsec = divmod(t_ns, SECOND_NS)
+        fields = {
+            "timestamp": {"sec": sec, "nsec": nsec},
+            "level": LEVELS[event.level],
+            "message": event.text,
+            "name": event.name,
+            "file": "",
+            "line": 0,
+        }
+        return Entry(EVENT, t_ns, fields)
+
+    def _unix_ns(self, now_ns: int) -> int:
+        return min(max(0, now_ns + self._unix_offset_ns), LATEST_NS)
+
+    def _take_heard(self, heard: Heard) -> Iterator[Entry]:
+        if heard.run != self._run:
+            word = "another run of the display" if self.known else "the recording"
+            self._begin(heard)
+            yield self.event(Event("INFO", "begin", word))
+        self._now_ns = heard.now_ns
+        yield from self._account(heard)
+        for message in heard.messages:
+            self._now_ns = message.arrived_ns
+            yield from self._message(message)
+
+    def _begin(self, heard: Heard) -> None:
+        self._run = heard.run
+        self._unix_offset_ns, self._now_ns = heard.wall_ns - heard.now_ns, heard.now_ns
+        self._traces, self._statuses, self._heard = heard.traces, heard.statuses, heard.before
+        self._watch = StatusWatch()
+
+    def _account(self, heard: Heard) -> Iterator[Entry]:
+        """Count what was published since the last time and did not come."""
+        gaps = {
+            "traces": heard.traces - self._traces,
+            "statuses": heard.statuses - self._statuses,
+            "messages heard": heard.before - self._heard,
+        }
+        self._traces, self._statuses = heard.traces, heard.statuses
+        self._heard = heard.before + len(heard.messages)
+        lost = {name: count for name, count in gaps.items() if count > 0}
+        if lost:
+            self.missed.update(lost)
+            text = ", ".join(f"{count} {name}" for name, count in lost.items())
+            yield self.event(Event("WARNING", "missed", f"the recorder missed {text}"))
+
+    def _message(self, message: Message) -> Iterator[Entry]:
+        t_ns = self._unix_ns(message.arrived_ns)
+        try:
+            decoded = decode(message)
+        except WireError as error:
+            yield Entry(REFUSED, t_ns, refused_fields(message, error))
+            return
+        match decoded:
+            case Frame():
+                yield Entry(FRAME, t_ns, frame_fields(message, decoded))
+            case ClockReply():
+                yield Entry(CLOCK, t_ns, clock_fields(message, decoded))
+            case Welcome(session=session, description=description):
+                yield Entry(STREAM, t_ns, stream_fields(message, decoded))
+                if session != self._session:
+                    self._session = session
+                    text = f"{description.name!a}, session {session}"
+                    yield self.event(Event("INFO", "session", text))
+            case Bye(samples_sent=count):
+                yield self.event(Event("INFO", "end of stream", f"{count} samples were sent"))
+
+    def _ticks(self, trace: Trace) -> Iterator[Entry]:
+        columns = [column.tolist() for column in trace]
+        for values in zip(*columns, strict=True):
+            fields = dict(zip(Trace._fields, values, strict=True))
+            if math.isnan(fields["predictor_error_n"]):
+                del fields["predictor_error_n"]
+            self._now_ns = fields["now_ns"]
+            yield Entry(TICK, self._unix_ns(self._now_ns), fields)
+
+    def _status(self, data: bytes) -> Iterator[Entry]:
+        status = read_status(data)
+        summary = _SUMMARY.validate_python(status.summary)
+        fields = _without_none(status._asdict())
+        yield Entry(STATUS, self._unix_ns(self._now_ns), fields)
+        for event in self._watch.take(status.state, summary):
+            yield self.event(event)
+        if status.final:
+            self.ended = True
+            yield self.event(Event("INFO", "end", "the display has ended"))
+
+
+def _without_none(fields: Fields) -> Fields:
+    return {
+        name: _without_none(value) if isinstance(value, dict) else value
+        for name, value in fields.items()
+        if value is not None
+    }

@@ -1,0 +1,133 @@
+import itertools
+from collections.abc import Iterator
+from contextlib import suppress
+
+import msgpack
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from display_node.heard import (
+    CONTROL,
+    MAX_KEPT_BYTES,
+    SUBSCRIBED,
+    UNSUBSCRIBED,
+    Heard,
+    HeardWriter,
+    Message,
+    read_heard,
+)
+from protocol.errors import WireError
+from protocol.messages import MAX_FRAME_BYTES
+
+MAX_SOCKET_BYTES = 4 * MAX_FRAME_BYTES
+
+
+def wanted() -> HeardWriter:
+    writer = HeardWriter(run=9)
+    writer.follow(SUBSCRIBED)
+    return writer
+
+
+def taken(writer: HeardWriter) -> list[Heard]:
+    return [read_heard(message) for message in writer.take(100, 2_000)]
+
+
+def messages_of(parts: list[Heard]) -> Iterator[Message]:
+    for part in parts:
+        yield from part.messages
+
+
+def test_every_message_comes_through_with_its_time_and_path() -> None:
+    writer = wanted()
+    writer.traces, writer.statuses = 5, 2
+    writer.add(1, 0, b"a")
+    writer.add(2, CONTROL, b"")
+    (heard,) = taken(writer)
+    assert heard == Heard(9, 100, 2_000, 5, 2, 0, [Message(1, 0, b"a"), Message(2, CONTROL, b"")])
+    assert taken(writer) == [Heard(9, 100, 2_000, 5, 2, 2, [])]
+
+
+def test_nothing_is_kept_while_nobody_asks_and_yet_it_is_counted() -> None:
+    writer = HeardWriter(run=9)
+    writer.follow(b"\1")
+    writer.follow(b"\1trace")
+    writer.add(1, 0, b"a")
+    assert not writer.wanted
+    writer.follow(SUBSCRIBED)
+    writer.add(2, 0, b"b")
+    writer.follow(UNSUBSCRIBED)
+    writer.add(3, 0, b"c")
+    writer.follow(SUBSCRIBED)
+    writer.add(4, 0, b"d")
+    (heard,) = taken(writer)
+    assert (heard.before, heard.messages) == (3, [Message(4, 0, b"d")])
+
+
+def test_who_comes_late_is_told_what_the_stream_is() -> None:
+    writer = HeardWriter(run=9)
+    writer.add(1, CONTROL, b"welcome")
+    writer.welcome(1, b"welcome")
+    for _ in range(2):
+        writer.follow(SUBSCRIBED)
+        assert list(messages_of(taken(writer))) == [Message(1, CONTROL, b"welcome")]
+
+
+def test_what_is_above_a_frames_limit_is_cut() -> None:
+    writer = wanted()
+    writer.add(1, 0, bytes(3 * MAX_FRAME_BYTES))
+    (message,) = messages_of(taken(writer))
+    assert len(message.data) == MAX_FRAME_BYTES + 1
+
+
+def test_a_flood_is_parted_for_the_socket_and_beyond_a_limit_counted_only() -> None:
+    writer, count = wanted(), 200
+    for number in range(count):
+        writer.add(number, 0, bytes(MAX_FRAME_BYTES))
+    parts = list(writer.take(100, 2_000))
+    assert all(len(part) < MAX_SOCKET_BYTES for part in parts)
+    heard = [read_heard(part) for part in parts]
+    kept = list(messages_of(heard))
+    assert MAX_KEPT_BYTES // MAX_FRAME_BYTES <= len(kept) < count
+    assert [message.arrived_ns for message in kept] == list(range(len(kept)))
+    for one, other in itertools.pairwise(heard):
+        assert other.before == one.before + len(one.messages)
+    writer.add(count, 0, b"after")
+    (after,) = taken(writer)
+    assert (after.before, after.messages) == (count, [Message(count, 0, b"after")])
+
+
+plain = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**63), 2**63) | st.floats() | st.binary(max_size=9),
+    lambda inner: st.lists(inner, max_size=8) | st.dictionaries(st.text(max_size=3), inner),
+    max_leaves=12,
+)
+
+
+@settings(max_examples=60)
+@given(
+    st.binary(max_size=60)
+    | plain.map(msgpack.packb)
+    | st.lists(plain, min_size=7, max_size=7).map(msgpack.packb)
+)
+def test_bytes_are_read_or_refused(data: bytes) -> None:
+    with suppress(WireError):
+        assert isinstance(read_heard(data), Heard)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        [1, 2, 3, 4, 5, 6],
+        [1, 2, 3, 4, 5, "6", []],
+        [1, 2, 3, 4, 5, 6, [[1, 2]]],
+        [1, 2, 3, 4, 5, 6, [[1, 2, "text"]]],
+        [1, 2, 3, 4, 5, 6, [[1, None, b""]]],
+        [1, 2, 3, 4, 5, True, []],
+        None,
+        {},
+    ],
+)
+def test_what_was_not_heard_is_refused(value: object) -> None:
+    with pytest.raises(WireError):
+        read_heard(msgpack.packb(value))

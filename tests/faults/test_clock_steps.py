@@ -1,0 +1,43 @@
+"""Steps of the monotonic clock of either host, as of one that was suspended.
+
+The wall clock may be set as one likes: neither node looks at it.
+"""
+
+import time
+from pathlib import Path
+
+import pytest
+
+from benchmarks.faults.stage import Node, staged, unaccounted
+from benchmarks.faults.stepped import STEP_VARIABLE
+
+from .felt import assert_back_within_a_second, assert_limits_kept
+
+SUSPENDED_S = 0.8
+
+
+def test_hosts_that_were_suspended_are_felt_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(STEP_VARIABLE, str(-SUSPENDED_S))
+    with staged(tmp_path) as stage:
+        sensing, display, finger = stage.play(stepped=True)
+        steps = {"sensing": 0, "display": 0}
+
+        def suspend(node: Node, whose: str) -> int:
+            steps[whose] += 1
+            node.pause()
+            time.sleep(SUSPENDED_S)
+            # It is handled first thing after the process goes on.
+            node.step_clock()
+            node.resume()
+            # On the display's clock, by which is told what is felt.
+            return time.monotonic_ns() - round(steps["display"] * SUSPENDED_S * 1e9)
+
+        assert_back_within_a_second(finger, lambda: suspend(sensing, "sensing"))
+        assert_back_within_a_second(finger, lambda: suspend(display, "display"))
+        sent, account = sensing.end(), display.account()
+    assert unaccounted(sent, account) == 0
+    assert account.clock.steps == sum(steps.values())
+    assert account.faults == []
+    assert_limits_kept(finger)

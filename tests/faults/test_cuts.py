@@ -1,0 +1,72 @@
+"""The network between the nodes cut and mended, with real TCP over emulated links."""
+
+import random
+import time
+from pathlib import Path
+
+from benchmarks.faults.finger import Finger
+from benchmarks.faults.stage import staged, unaccounted
+from telepulse.emulator import emulate
+from telepulse.link import parse_link
+
+from ..telepulse.emulator.tcp import needs_emulator
+from .felt import PATIENCE_S, assert_back_within_a_second, assert_limits_kept
+
+WHOLE = parse_link("delay=20ms,jitter=3ms")
+CUT = parse_link("loss=100%")
+# Shorter than a display's patience with a silent network, and longer.
+CUTS_S = ((0.3, 0.45), (2.05, 2.25))
+
+
+@needs_emulator
+def test_after_a_cut_the_pulse_is_felt_again_and_what_was_cut_is_lost(tmp_path: Path) -> None:
+    rng = random.Random(3)
+    with emulate(WHOLE) as link, staged(tmp_path, link) as stage:
+        sensing, display, finger = stage.play()
+        for shortest_s, longest_s in CUTS_S:
+
+            def cut(shortest_s: float = shortest_s, longest_s: float = longest_s) -> int:
+                time.sleep(rng.uniform(0, 0.3))
+                link.change(CUT)
+                cut_ns = time.monotonic_ns()
+                time.sleep(rng.uniform(shortest_s, longest_s))
+                assert finger.unfelt_from_ns(cut_ns, PATIENCE_S) is not None
+                link.change(WHOLE)
+                return time.monotonic_ns()
+
+            assert_back_within_a_second(finger, cut)
+        sent, account = sensing.end(), display.account()
+    assert unaccounted(sent, account) == 0
+    assert account.samples.lost
+    assert account.faults == []
+    assert_limits_kept(finger)
+
+
+def await_first_copies(finger: Finger, address: str) -> None:
+    """Until frames come first over this address, again."""
+    counts: list[int] = []
+    end_s = time.monotonic() + PATIENCE_S
+    while not counts or counts[-1] < counts[0] + 20:
+        assert time.monotonic() < end_s
+        assert finger.status is not None
+        counts.append(finger.status.summary["frames"]["first"][address])
+        time.sleep(0.05)
+
+
+@needs_emulator
+def test_of_two_networks_one_is_enough(tmp_path: Path) -> None:
+    with emulate(WHOLE, WHOLE) as link, staged(tmp_path, link) as stage:
+        sensing, display, finger = stage.play()
+        for number, address in enumerate(stage.connect):
+            link.change(CUT, number)
+            time.sleep(0.5)
+            link.change(WHOLE, number)
+            # The other one is cut next.
+            await_first_copies(finger, address)
+        sent, account = sensing.end(), display.account()
+    assert unaccounted(sent, account) == 0
+    assert account.samples.lost == 0
+    assert len(account.frames.first) == 2
+    assert min(account.frames.first.values()) > 0
+    assert account.rejected == {}
+    assert_limits_kept(finger)

@@ -1,0 +1,48 @@
+"""Garbage on every port of both nodes: what was felt goes on, and nothing grows."""
+
+import random
+from pathlib import Path
+
+import zmq
+
+from benchmarks.faults.hostile import (
+    garbage_messages,
+    port_of,
+    raw_garbage,
+    silent_connections,
+)
+from benchmarks.faults.stage import staged, unaccounted
+from protocol.sockets import control_address
+from telepulse.ports import free_addresses
+
+from .felt import assert_limits_kept
+
+RAW, MESSAGES, SILENT = 60, 400, 500
+KINDS = (zmq.DEALER, zmq.XSUB, zmq.PUB)
+PLAYED = 500
+GROWN_BYTES = 60_000_000
+
+
+def test_garbage_on_every_port_changes_nothing(tmp_path: Path) -> None:
+    rng = random.Random(5)
+    with staged(tmp_path) as stage:
+        (stage.telemetry_address,) = free_addresses(1)
+        sensing, display, finger = stage.play()
+        (data,) = stage.connect
+        held_bytes = [node.rss_bytes() for node in (sensing, display)]
+        for address in (data, control_address(data), stage.telemetry_address):
+            with silent_connections(port_of(address), SILENT):
+                raw_garbage(port_of(address), RAW, rng)
+                for kind in KINDS:
+                    garbage_messages(port_of(address), kind, MESSAGES, rng)
+        stage.await_played(finger, PLAYED)
+        for node, before_bytes in zip((sensing, display), held_bytes, strict=True):
+            assert node.rss_bytes() - before_bytes < GROWN_BYTES
+        sent, account = sensing.end(), display.account()
+    assert unaccounted(sent, account) == 0
+    assert account.samples.lost == 0
+    assert account.rejected == {}
+    # What came over the control port was told from what displays say, and counted.
+    assert sum(sent.rejected.values()) > MESSAGES / 2
+    assert sent.faults == account.faults == []
+    assert_limits_kept(finger)

@@ -1,0 +1,119 @@
+"""Somebody on the network between two nodes: passes TCP on, keeps it, and alters it when told."""
+
+import contextlib
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+Alter = Callable[[bytes], bytes]
+CHUNK_BYTES = 1 << 16
+# Longer than anything of a handshake's last steps that could be taken for a frame.
+MESSAGE_BYTES = 60
+
+
+class Middleman:
+    """Listens on one port and passes what comes on to another, both ways.
+
+    down, up: what alters bytes on their way to who connected, and from there; recorded: the
+    bytes of each connection, down and up.
+    """
+
+    def __init__(self, listen: int, onto: int) -> None:
+        self.down: Alter | None = None
+        self.up: Alter | None = None
+        self.recorded: list[tuple[bytearray, bytearray]] = []
+        self._onto = onto
+        self._open: list[socket.socket] = []
+        self._server = socket.create_server(("127.0.0.1", listen))
+        self._threads = [threading.Thread(target=self._accept)]
+        self._threads[0].start()
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            self._server.shutdown(socket.SHUT_RDWR)
+        self._server.close()
+        self.cut()
+        for thread in self._threads:
+            thread.join()
+
+    def cut(self) -> None:
+        """End the connections there are."""
+        for one in self._open:
+            with contextlib.suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                client, _ = self._server.accept()
+                try:
+                    server = socket.create_connection(("127.0.0.1", self._onto))
+                except OSError:
+                    client.close()
+                    continue
+                record = (bytearray(), bytearray())
+                self.recorded.append(record)
+                self._open += (client, server)
+                ends = [threading.Event(), threading.Event()]
+                for number, (source, sink) in enumerate(((server, client), (client, server))):
+                    thread = threading.Thread(
+                        target=self._pass_on, args=(source, sink, record, number, ends)
+                    )
+                    self._threads.append(thread)
+                    thread.start()
+
+    def _pass_on(
+        self,
+        source: socket.socket,
+        sink: socket.socket,
+        record: tuple[bytearray, bytearray],
+        number: int,
+        ends: list[threading.Event],
+    ) -> None:
+        with contextlib.suppress(OSError):
+            while data := source.recv(CHUNK_BYTES):
+                record[number].extend(data)
+                alter = (self.down, self.up)[number]
+                sink.sendall(alter(data) if alter is not None else data)
+        for one in (source, sink):
+            with contextlib.suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)
+        ends[number].set()
+        if all(end.is_set() for end in ends):
+            source.close()
+            sink.close()
+
+
+@contextmanager
+def middleman(listen: int, onto: int) -> Iterator[Middleman]:
+    """One that does not outlive the `with`."""
+    between = Middleman(listen, onto)
+    try:
+        yield between
+    finally:
+        between.close()
+
+
+class Once:
+    """Alters the first chunk that is long enough to hold a message."""
+
+    def __init__(self, alter: Alter) -> None:
+        self._alter = alter
+        self.done = False
+
+    def __call__(self, data: bytes) -> bytes:
+        if self.done or len(data) < MESSAGE_BYTES:
+            return data
+        self.done = True
+        return self._alter(data)
+
+
+def flip_a_bit(data: bytes) -> bytes:
+    """One bit of the last message the other value, in what is sealed of it."""
+    return data[:-8] + bytes([data[-8] ^ 1]) + data[-7:]
+
+
+def twice(data: bytes) -> bytes:
+    """The same once more."""
+    return data + data

@@ -1,0 +1,72 @@
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol.errors import RealtimeError
+from protocol.realtime import Asked, parse_realtime
+from protocol.realtime.asked import spans
+
+
+@pytest.mark.parametrize(
+    ("text", "asked"),
+    [
+        (None, Asked()),
+        ("fifo", Asked(fifo=40)),
+        ("fifo=1", Asked(fifo=1)),
+        ("fifo=98", Asked(fifo=98)),
+        ("lock", Asked(lock=True)),
+        ("cpu=0", Asked(cpus=frozenset({0}))),
+        ("cpu=2-4", Asked(cpus=frozenset({2, 3, 4}))),
+        ("cpu=1,cpu=3", Asked(cpus=frozenset({1, 3}))),
+        (" gc , slack ", Asked(gc=True, slack=True)),
+        (
+            "fifo=20,lock,cpu=1,gc,slack,strict",
+            Asked(20, lock=True, cpus=frozenset({1}), gc=True, slack=True, strict=True),
+        ),
+    ],
+)
+def test_what_is_written_is_asked_for(text: str | None, asked: Asked) -> None:
+    assert parse_realtime(text) == asked
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "unknown measure ''; known: fifo, lock, cpu, gc, slack, strict"),
+        ("fifo,", "unknown measure ''"),
+        ("lok", "unknown measure 'lok'; did you mean lock?"),
+        ("fifo=0", "fifo=0: a priority is 1 to 98"),
+        ("fifo=99", "fifo=99: a priority is 1 to 98"),
+        ("fifo=high", "fifo=high: a priority"),
+        ("fifo=-1", "fifo=-1: a priority"),
+        ("fifo=²", "fifo=²: a priority"),
+        ("fifo,fifo=3", "fifo is there twice"),
+        ("gc,gc", "gc is there twice"),
+        ("lock=yes", "lock takes no value, got 'yes'"),
+        ("cpu", "cpu=: write one as cpu=1"),
+        ("cpu=-1", "cpu=-1: write one"),
+        ("cpu=3-1", "cpu=3-1: write one"),
+        ("cpu=1-99999", "cpu=1-99999: write one"),
+    ],
+)
+def test_what_cannot_be_asked_for_is_said_in_a_line(text: str, said: str) -> None:
+    with pytest.raises(RealtimeError) as caught:
+        parse_realtime(text)
+    assert str(caught.value).startswith(f"--realtime: {said}")
+    assert "\n" not in str(caught.value)
+
+
+@given(st.text() | st.text(alphabet="fiolckgcpu=,-0123456789 "))
+def test_any_text_is_a_wish_or_refused(text: str) -> None:
+    try:
+        asked = parse_realtime(text)
+    except RealtimeError:
+        return
+    assert asked.fifo is None or 1 <= asked.fifo <= 98
+
+
+@pytest.mark.parametrize(
+    ("cpus", "text"), [({0}, "0"), ({0, 1}, "0-1"), ({7, 1, 2, 3}, "1-3, 7"), (set(), "")]
+)
+def test_processors_are_named_in_spans(cpus: set[int], text: str) -> None:
+    assert spans(frozenset(cpus)) == text

@@ -1,0 +1,124 @@
+import os
+from pathlib import Path
+
+import pytest
+
+from protocol.allow_list import allow, read_allowed, revoke
+from protocol.errors import KeyFileError
+from protocol.keys import PublicKey
+
+WRIST, FINGER = PublicKey("wrist", b"\x01" * 32), PublicKey("finger", b"\x02" * 32)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "allowed"
+
+
+def test_nobody_is_allowed_without_a_list(path: Path) -> None:
+    assert read_allowed(path) == {}
+    path.write_text("")
+    assert read_allowed(path) == {}
+
+
+def test_keys_are_added_and_taken_out(path: Path) -> None:
+    allow(path, WRIST)
+    allow(path, FINGER)
+    assert read_allowed(path) == {WRIST.key: WRIST, FINGER.key: FINGER}
+    revoke(path, "wrist")
+    assert read_allowed(path) == {FINGER.key: FINGER}
+    revoke(path, "finger")
+    assert read_allowed(path) == {}
+
+
+def test_the_list_is_public_key_files_one_after_the_other(path: Path) -> None:
+    path.write_text("".join(f"{public.line}\n" for public in (WRIST, FINGER)))
+    assert list(read_allowed(path).values()) == [WRIST, FINGER]
+
+
+def test_what_else_is_written_there_stays(path: Path) -> None:
+    path.write_text(f"# the ward\n\n{WRIST.line}\n  # spare\n")
+    allow(path, FINGER)
+    revoke(path, "wrist")
+    assert path.read_text() == f"# the ward\n\n  # spare\n{FINGER.line}\n"
+
+
+@pytest.mark.parametrize(
+    ("public", "said"),
+    [
+        (WRIST, "wrist is allowed already"),
+        (PublicKey("wrist", FINGER.key), "another key of the name wrist"),
+        (PublicKey("other", WRIST.key), "allows this key already, by the name wrist"),
+    ],
+)
+def test_a_name_has_one_key_and_a_key_one_name(path: Path, public: PublicKey, said: str) -> None:
+    allow(path, WRIST)
+    with pytest.raises(KeyFileError, match=said):
+        allow(path, public)
+    assert read_allowed(path) == {WRIST.key: WRIST}
+
+
+def test_a_key_that_stands_twice_is_refused_as_revoking_one_would_leave_the_other(
+    path: Path,
+) -> None:
+    path.write_text(f"{WRIST.line}\n{PublicKey('other', WRIST.key).line}\n")
+    with pytest.raises(KeyFileError, match="line 2: this key stands there already"):
+        read_allowed(path)
+
+
+def test_every_key_of_a_name_is_taken_out(path: Path) -> None:
+    path.write_text(f"{WRIST.line}\n{PublicKey('wrist', FINGER.key).line}\n")
+    revoke(path, "wrist")
+    assert read_allowed(path) == {}
+
+
+def test_who_is_not_there_cannot_be_taken_out(path: Path) -> None:
+    with pytest.raises(KeyFileError, match="it allows nobody"):
+        revoke(path, "wrist")
+    allow(path, WRIST)
+    with pytest.raises(KeyFileError, match="does not allow finger; it allows wrist"):
+        revoke(path, "finger")
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("nonsense", "line 2: it is not 'telepulse-public-key NAME KEY'"),
+        (WRIST.line[:-1], "line 2: its last word is not a key"),
+        (WRIST.line + " more", "line 2: it is not"),
+        (WRIST.line.replace("public", "secret"), "line 2: a secret key, which never leaves"),
+        ("\x00", "line 2: it is not"),
+        ("ö", "is not a file of keys"),
+        ("#" * 2_000_000, "is not a file of keys"),
+    ],
+)
+def test_a_list_that_is_none_is_one_line_without_a_key_in_it(
+    path: Path, line: str, said: str
+) -> None:
+    path.write_text(f"{FINGER.line}\n{line}\n", encoding="utf-8")
+    with pytest.raises(KeyFileError) as told:
+        read_allowed(path)
+    assert said in str(told.value)
+    assert "\n" not in str(told.value)
+    assert WRIST.key.hex()[:16] not in str(told.value)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="modes are POSIX")
+@pytest.mark.parametrize("mode", [0o664, 0o646, 0o666])
+def test_a_list_that_others_may_write_is_refused_with_what_to_run(path: Path, mode: int) -> None:
+    allow(path, WRIST)
+    path.chmod(mode)
+    with pytest.raises(KeyFileError, match=f"run: chmod go-w {path}"):
+        read_allowed(path)
+
+
+def test_two_commands_do_not_undo_each_other(path: Path) -> None:
+    allow(path, WRIST)
+    lock = path.with_name("allowed.new")
+    lock.write_text("")
+    with pytest.raises(KeyFileError, match="another command changes the list"):
+        revoke(path, "wrist")
+    assert read_allowed(path) == {WRIST.key: WRIST}
+    lock.unlink()
+    revoke(path, "wrist")
+    assert list(path.parent.iterdir()) == [path]

@@ -1,0 +1,165 @@
+import os
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import zmq
+from zmq.utils import z85
+
+from protocol.errors import KeyFileError
+from protocol.keys import KeyPair, PublicKey, new_pair, read_pair, read_public
+
+POSIX = pytest.mark.skipif(os.name != "posix", reason="modes are POSIX")
+
+
+@pytest.fixture
+def umask_0() -> Iterator[None]:
+    kept = os.umask(0)
+    yield
+    os.umask(kept)
+
+
+def test_a_pair_is_written_and_read_again(tmp_path: Path) -> None:
+    secret, public = new_pair(tmp_path / "keys", "wrist")
+    assert (secret, public) == (tmp_path / "keys" / "wrist.key", tmp_path / "keys" / "wrist.pub")
+    pair = read_pair(secret)
+    assert pair.name == "wrist"
+    assert read_public(public) == pair.public
+    assert pair.public.key == z85.decode(zmq.curve_public(z85.encode(pair.secret)))
+    assert public.read_text() == f"telepulse-public-key wrist {pair.public.key.hex()}\n"
+    assert pair.secret.hex() not in public.read_text()
+
+
+def test_two_pairs_are_not_the_same(tmp_path: Path) -> None:
+    pairs = [read_pair(new_pair(tmp_path, name)[0]) for name in ("a", "b")]
+    assert pairs[0].secret != pairs[1].secret
+
+
+@POSIX
+@pytest.mark.usefixtures("umask_0")
+def test_only_the_owner_may_read_a_secret_key_from_its_first_byte(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    modes = []
+    opened = os.open
+
+    def open_and_look(path: Path, flags: int, mode: int = 0o777) -> int:
+        number = opened(path, flags, mode)
+        status = os.fstat(number)
+        modes.append((Path(path).suffix, stat.S_IMODE(status.st_mode), status.st_size))
+        return number
+
+    monkeypatch.setattr(os, "open", open_and_look)
+    secret, public = new_pair(tmp_path / "keys", "wrist")
+    assert modes == [(".key", 0o600, 0), (".pub", 0o644, 0)]
+    assert stat.S_IMODE(secret.stat().st_mode) == 0o600
+    assert stat.S_IMODE(public.stat().st_mode) == 0o644
+    assert stat.S_IMODE(secret.parent.stat().st_mode) == 0o700
+
+
+@pytest.mark.parametrize("there", ["wrist.key", "wrist.pub"])
+def test_nothing_is_overwritten_and_nothing_is_left_half_done(tmp_path: Path, there: str) -> None:
+    (tmp_path / there).write_text("mine")
+    with pytest.raises(KeyFileError, match=r"is there already, and is not overwritten"):
+        new_pair(tmp_path, "wrist")
+    assert [path.name for path in tmp_path.iterdir()] == [there]
+    assert (tmp_path / there).read_text() == "mine"
+
+
+def test_a_link_to_elsewhere_is_not_written_through(tmp_path: Path) -> None:
+    (tmp_path / "wrist.key").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(KeyFileError, match="is not overwritten"):
+        new_pair(tmp_path, "wrist")
+    assert not (tmp_path / "elsewhere").exists()
+
+
+@pytest.mark.parametrize(
+    "name", ["", ".", "..", ".hidden", "a/b", "../a", "a b", "a\n", "ä", "-a", "a" * 65]
+)
+def test_a_name_that_is_none_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(KeyFileError, match="not a name"):
+        new_pair(tmp_path, name)
+    assert list(tmp_path.iterdir()) == []
+
+
+@POSIX
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o660, 0o602, 0o644, 0o777])
+def test_a_secret_key_that_others_may_touch_is_refused_with_what_to_run(
+    tmp_path: Path, mode: int
+) -> None:
+    secret, _ = new_pair(tmp_path, "wrist")
+    secret.chmod(mode)
+    with pytest.raises(KeyFileError, match=f"run: chmod 600 {secret}"):
+        read_pair(secret)
+    secret.chmod(0o400)
+    assert read_pair(secret).name == "wrist"
+
+
+def test_a_secret_and_a_public_key_are_not_taken_for_each_other(tmp_path: Path) -> None:
+    secret, public = new_pair(tmp_path, "wrist")
+    with pytest.raises(KeyFileError, match=r"never leaves its machine; give .* wrist\.pub") as told:
+        read_public(secret)
+    assert read_pair(secret).secret.hex() not in str(told.value)
+    with pytest.raises(KeyFileError, match=r"is a public key; give the secret one, wrist\.key"):
+        read_pair(public)
+
+
+GOOD = f"telepulse-public-key wrist {'ab' * 32}\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "not one line"),
+        ("\n", "not 'telepulse-public-key NAME KEY'"),
+        (GOOD + GOOD, "not one line"),
+        ("wrist " + "ab" * 32, "not 'telepulse-public-key NAME KEY'"),
+        (GOOD.replace("public", "pubic"), "not 'telepulse-public-key NAME KEY'"),
+        (GOOD.replace("wrist", "../wrist"), "its name is none"),
+        (GOOD.replace("wrist", "left wrist"), "not 'telepulse-public-key NAME KEY'"),
+        (GOOD.replace("abab", "ab", 1), "not a key of 64"),
+        (GOOD.replace("abab", "ababab", 1), "not a key of 64"),
+        (GOOD.replace("abab", "abxb", 1), "not a key of 64"),
+        (GOOD.replace("abab", "ab١b", 1), "is not a file of keys"),
+        (GOOD + " " * 5000, "is not a file of keys"),
+        ("\0" * 50, "not 'telepulse-public-key NAME KEY'"),
+    ],
+)
+def test_a_file_that_holds_no_key_is_one_line(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "wrist.pub"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(KeyFileError) as told:
+        read_public(path)
+    assert str(told.value).startswith(str(path))
+    assert said in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize("end", ["", "\r\n", "  \n"])
+def test_a_line_that_mail_has_changed_is_a_key_still(tmp_path: Path, end: str) -> None:
+    path = tmp_path / "wrist.pub"
+    path.write_bytes(("  " + GOOD.strip().replace("ab", "AB") + end).encode())
+    assert read_public(path) == PublicKey("wrist", b"\xab" * 32)
+
+
+def test_no_file_or_none_that_can_be_read_is_one_line(tmp_path: Path) -> None:
+    for path, said in (
+        (tmp_path / "none.key", "no such file; keys are made by: telepulse keys new NAME"),
+        (tmp_path, "not a file"),
+    ):
+        for read in (read_pair, read_public):
+            with pytest.raises(KeyFileError, match=said):
+                read(path)
+
+
+def test_where_nothing_can_be_written_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(KeyFileError, match="cannot make the folder"):
+        new_pair(tmp_path / "file", "wrist")
+
+
+def test_a_secret_does_not_show_itself() -> None:
+    pair = KeyPair("wrist", b"\xcd" * 32)
+    assert "cd" not in repr(pair)
+    assert "205" not in repr(pair)

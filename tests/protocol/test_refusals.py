@@ -1,0 +1,85 @@
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import zmq
+
+from protocol import sockets
+from protocol.gate import Gate
+from protocol.keys import ClientKeys
+from protocol.refusals import Refusals
+from protocol.sockets import Context
+
+from ..keyring import Keyring
+from ..nodes import free_address
+
+PATIENCE_S = 20.0
+
+
+class Visitor:
+    """Connects to an address and listens to why it cannot."""
+
+    def __init__(self, context: Context, address: str, keys: ClientKeys | None) -> None:
+        self.said: list[str] = []
+        self.refusals = Refusals(context, keys, self.said.append)
+        self._now_ns = 0
+        for _ in range(2):
+            socket = sockets.unconnected(context, zmq.SUB, keys)
+            self.refusals.watch(socket)
+            socket.connect(address)
+
+    def tend_until(self, done: Callable[[], object], gate: Gate | None = None) -> None:
+        end_s = time.monotonic() + PATIENCE_S
+        while not done():
+            assert time.monotonic() < end_s, (self.said, self.refusals.rejected)
+            if gate is not None:
+                gate.tend(time.monotonic_ns())
+            self._now_ns += 1_000_000_000
+            self.refusals.tend(self._now_ns)
+            time.sleep(0.002)
+
+
+@pytest.fixture
+def keyring(tmp_path: Path) -> Keyring:
+    return Keyring(tmp_path / "keys")
+
+
+@pytest.mark.parametrize(
+    ("own", "peer", "cause", "reason"),
+    [
+        ("finger", "wrist", "refused_key", "does not allow the key of finger; there: telepulse"),
+        ("finger", "other", "handshake", "breaks off: it is not other, whose public key"),
+        ("", "", "no_key", "lets in who has a key; give --key and --peer"),
+    ],
+)
+def test_who_is_refused_is_told_why_once(
+    context: Context, keyring: Keyring, own: str, peer: str, cause: str, reason: str
+) -> None:
+    address = free_address()
+    gate = Gate(context, keyring.server(), print)
+    sockets.bind(context, zmq.PUB, address, gate)
+    visitor = Visitor(context, address, keyring.client(own, peer) if own else None)
+    # ZeroMQ itself tries again where the other breaks off, and no more where it is refused.
+    often = 8 if cause == "handshake" else 2
+    visitor.tend_until(lambda: visitor.refusals.rejected[cause] >= often, gate)
+    # The other may break off before it is heard why.
+    assert set(visitor.refusals.rejected) <= {cause, "handshake"}
+    assert [line for line in visitor.said if line.startswith(f"{address} {reason}")] == visitor.said
+
+
+@pytest.mark.parametrize("keyed", [True, False])
+def test_what_is_no_node_with_keys_is_told_of(
+    context: Context, keyring: Keyring, keyed: bool
+) -> None:
+    address = free_address()
+    sockets.bind(context, zmq.PUB, address)
+    visitor = Visitor(context, address, keyring.client("finger") if keyed else None)
+    if keyed:
+        visitor.tend_until(lambda: visitor.refusals.rejected["no_key"] >= 2)
+        (line,) = visitor.said
+        assert line.startswith(f"{address} has no keys; start it with --key")
+    else:
+        visitor.tend_until(lambda: time.monotonic() % 1 < 0.5)
+        assert visitor.said == []
+        assert visitor.refusals.rejected == {}

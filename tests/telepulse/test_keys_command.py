@@ -1,0 +1,72 @@
+import os
+import stat
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from protocol.allow_list import read_allowed
+from telepulse.cli import app
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def keys(*arguments: str, status: int = 0) -> str:
+    """What `telepulse keys ...` prints, on stderr where it fails."""
+    result = CliRunner().invoke(app, ["keys", *arguments])
+    assert result.exit_code == status, result.output
+    assert (result.stdout if status else result.stderr) == ""
+    return result.stderr if status else result.stdout
+
+
+def test_a_node_is_made_let_in_listed_and_revoked() -> None:
+    told = keys("new", "finger")
+    for word in ("keys/finger.key", "--key", "finger.pub", "keys allow", "--peer"):
+        assert word in told
+    assert keys("allow", "keys/finger.pub") == "keys/allowed allows finger\n"
+    public = Path("keys/finger.pub").read_text().split()[2]
+    assert keys("list") == f"{public}  finger\n"
+    assert [peer.name for peer in read_allowed(Path("keys/allowed")).values()] == ["finger"]
+    assert keys("revoke", "finger") == "keys/allowed allows finger no more\n"
+    assert keys("list") == "keys/allowed allows nobody\n"
+
+
+def test_another_folder_and_another_list() -> None:
+    keys("new", "finger", "--folder", "ward/keys")
+    keys("allow", "ward/keys/finger.pub", "--list", "ward/guests")
+    assert "finger" in keys("list", "--list", "ward/guests")
+    assert not Path("ward/keys/allowed").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("new", "finger"), "keys/finger.key is there already, and is not overwritten"),
+        (("new", "../finger"), "'../finger': not a name"),
+        (("allow", "keys/finger.key"), "is a secret key, which never leaves its machine"),
+        (("allow", "keys/none.pub"), "keys/none.pub: there is no such file"),
+        (("revoke", "thumb"), "keys/allowed does not allow thumb; it allows nobody"),
+    ],
+)
+def test_what_cannot_be_done_is_one_line(arguments: tuple[str, ...], said: str) -> None:
+    keys("new", "finger")
+    before = {path: path.read_bytes() for path in Path("keys").iterdir()}
+    line = keys(*arguments, status=2)
+    assert line.startswith("telepulse: ")
+    assert said in line
+    assert line.count("\n") == 1
+    assert {path: path.read_bytes() for path in Path("keys").iterdir()} == before
+
+
+@pytest.mark.skipif(os.name != "posix", reason="modes are POSIX")
+def test_the_allow_list_can_be_read_by_another_user_and_written_by_none() -> None:
+    kept = os.umask(0)
+    try:
+        keys("new", "finger")
+        keys("allow", "keys/finger.pub")
+    finally:
+        os.umask(kept)
+    assert stat.S_IMODE(Path("keys/allowed").stat().st_mode) == 0o644
