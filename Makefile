@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 ARGS ?=
 
-.PHONY: install demo test report bench clean
+.PHONY: install demo test report bench soak fuzz clean
 
 install: .venv/installed
 
@@ -23,6 +23,12 @@ report: .venv/installed-report
 bench: .venv/installed-test
 	$(BIN)/python -m benchmarks $(ARGS)
 
+soak: .venv/installed
+	$(BIN)/python -m soak $(ARGS)
+
+fuzz: .venv/installed-fuzz
+	$(BIN)/python -m fuzz $(ARGS)
+
 clean:
 	rm -rf .venv out
 
@@ -35,6 +41,10 @@ clean:
 
 .venv/installed-report: .venv/installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[report,bench]'
+	touch $@
+
+.venv/installed-fuzz: .venv/installed-test
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[fuzz]'
 	touch $@
 
 .venv/installed-test: .venv/installed

@@ -1,0 +1,73 @@
+"""`python -m fuzz.target NAME [FOLDER | FILE] [-libFuzzer_option=...]`: fuzz one target.
+
+FOLDER is its corpus, which the target's seeds are added to. A FILE's bytes are tried once, which
+is how a crash is seen again.
+"""
+
+import importlib
+import resource
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import atheris  # type: ignore[import-untyped]
+
+from fuzz.msgpack_mutator import mutate
+
+OURS = ("protocol", "sensors", "sensing_node", "display_node", "telepulse")
+PACKAGES = [*OURS, "tomllib", "cobs", "cantools", "textparser", "canopen", "pytrinamic", "mcap"]
+# What one input of a few kB may cost: memory that it uses, and memory that it only asks for.
+MOST_BYTES_AN_INPUT = 64 << 20
+MOST_VIRTUAL_BYTES = 512 << 20
+STATUS = Path("/proc/self/status")
+
+
+def within_memory(try_one: Callable[[bytes], None]) -> Callable[[bytes], None]:
+    """`try_one`, which raises MemoryError when the process' peak has jumped by one input."""
+    peak_bytes = _peak_bytes()
+
+    def bounded(data: bytes) -> None:
+        nonlocal peak_bytes
+        try_one(data)
+        before, peak_bytes = peak_bytes, _peak_bytes()
+        grown = peak_bytes - before
+        if grown > MOST_BYTES_AN_INPUT:
+            raise MemoryError(f"{len(data)} bytes took {grown >> 20} MiB")
+
+    return bounded
+
+
+def _peak_bytes() -> int:
+    # Not getrusage's: a process inherits that peak from the one that started it.
+    (line,) = (line for line in STATUS.read_text("ascii").splitlines() if line[:6] == "VmHWM:")
+    return int(line.split()[1]) << 10
+
+
+def _limit_virtual_memory() -> None:
+    """Make a huge allocation fail, even one of which no page is ever touched."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    limit = pages * resource.getpagesize() + MOST_VIRTUAL_BYTES
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+
+
+def main() -> None:
+    """Entry point."""
+    name, *arguments = sys.argv[1:]
+    with atheris.instrument_imports(include=PACKAGES):
+        target = importlib.import_module(f"fuzz.targets.{name}")
+        # What is only imported at work is instrumented, too, and takes no input's time or memory.
+        for seed in target.seeds():
+            target.try_one(seed)
+    warnings.simplefilter("error")
+    for folder in filter(Path.is_dir, map(Path, arguments)):
+        for number, seed in enumerate(target.seeds()):
+            folder.joinpath(f"seed-{number}").write_bytes(seed)
+    _limit_virtual_memory()
+    mutators = {"custom_mutator": mutate} if getattr(target, "MSGPACK", False) else {}
+    atheris.Setup([sys.argv[0], *arguments], within_memory(target.try_one), **mutators)
+    atheris.Fuzz()
+
+
+if __name__ == "__main__":
+    main()

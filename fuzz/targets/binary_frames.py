@@ -1,0 +1,44 @@
+"""Frames of a sensor board; the first byte says whether the rest is on the line as it is, or is
+the content of a frame whose CRC and COBS are right."""
+
+import math
+import struct
+
+from cobs import cobs
+
+from fuzz.packets import check_decoder
+from sensors.binary_frames import FrameDecoder, FrameEncoder, SampleFormat, crc
+
+PERIOD_NS = 1_000_000
+FORMATS: tuple[SampleFormat, ...] = ("int16", "int32", "float32")
+_HEAD = struct.Struct("<BII")
+
+
+def seeds() -> list[bytes]:
+    """Frames of each format, as they are and as contents; one of what is no number."""
+    lines, contents = [], []
+    for sample_format in FORMATS:
+        encoder = FrameEncoder(sample_format)
+        frames = [encoder.frame([0, 1, -2, 3], 4000 * (n + 1)) for n in range(3)]
+        lines.append(b"\x00\x00" + b"".join(frames))
+        bodies = [cobs.decode(frame[:-1])[:-2] for frame in frames]
+        contents.append(b"\x01" + b"".join(bytes([len(body)]) + body for body in bodies))
+    spoilt = FrameEncoder("float32").frame([math.nan, math.inf, 1e31], 1)
+    signalling = _HEAD.pack(0x13, 0, 1) + bytes.fromhex("010080ff")
+    return [*lines, *contents, b"\0\0" + spoilt, b"\1" + bytes([len(signalling)]) + signalling]
+
+
+def try_one(data: bytes) -> None:
+    """Any bytes in pieces of any size, or any contents."""
+    if data:
+        line = _framed(data[1:]) if data[0] & 1 else data[1:]
+        check_decoder(FrameDecoder(PERIOD_NS), line, 1 + (data[0] >> 1) * 3)
+
+
+def _framed(data: bytes) -> bytes:
+    # A content's length is the byte before it.
+    line = b"\0"
+    while data:
+        body, data = data[1 : 1 + data[0]], data[1 + data[0] :]
+        line += cobs.encode(body + struct.pack("<H", crc(body))) + b"\0"
+    return line

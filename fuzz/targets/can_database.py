@@ -1,0 +1,32 @@
+"""CAN databases: what cantools reads of a file, and what we look for in it."""
+
+from contextlib import suppress
+
+import can
+
+from fuzz.scratch import scratch_folder
+from fuzz.targets.can_messages import DATABASE
+from protocol.errors import SourceError
+from protocol.scene import validate
+from sensors.can_bus import CanDecoder, CanScene
+
+_FOLDER = scratch_folder()
+_TABLE = {
+    **{"kind": "can", "interface": "virtual", "channel": "fuzz", "database": "film.dbc"},
+    **{"signal": "Force", "counter": "Count", "rate": "1 kHz", "unit": "N"},
+}
+_SCENE = validate(_TABLE, CanScene, where="fuzz")
+
+
+def seeds() -> list[bytes]:
+    """A database."""
+    return [DATABASE.encode()]
+
+
+def try_one(data: bytes) -> None:
+    """A file that is no database, or one by which any message can be taken."""
+    (_FOLDER / "film.dbc").write_bytes(data)
+    with suppress(SourceError):
+        decoder = CanDecoder(_SCENE, _FOLDER)
+        for length in (0, 8):
+            decoder.feed(can.Message(arbitration_id=291, data=bytes(range(length))))

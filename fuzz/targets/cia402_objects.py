@@ -1,0 +1,94 @@
+"""What a CiA 402 drive may say: its TPDOs, its emergencies, and its answers about its objects."""
+
+import struct
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from unittest.mock import patch
+
+import can
+
+from display_node.actuators.stepper import StepperScene
+from display_node.drives import cia402_node
+from display_node.drives.axis import build_axis
+from display_node.drives.cia402_node import EMERGENCY, TPDO1, TPDO2, Cia402Node
+from display_node.drives.scene import Cia402Scene
+from protocol.errors import DriveError
+from protocol.scene import validate
+from protocol.stream import LayerTable
+
+REQUEST, ANSWER = 0x600, 0x580
+SAYS = (TPDO1, TPDO2, EMERGENCY)
+# Position and velocity, the supported modes, the profile; signed and unsigned, of several sizes.
+OBJECTS = (0x6064, 0x606C, 0x6502, 0x1000, 0x6061, 0x6041)
+PIECE = 9
+_SCENE = validate(
+    {"kind": "cia402", "interface": "virtual", "channel": "fuzz"}, Cia402Scene, where="fuzz"
+)
+_STEPPER = validate({"kind": "stepper"}, StepperScene, where="fuzz")
+
+
+class _Bus:
+    """A bus that answers each request with the next piece of an input."""
+
+    channel_info = "fuzz"
+
+    def __init__(self) -> None:
+        self.answers: list[bytes] = []
+        self.hear: Callable[[int, bytearray], None] = lambda can_id, data: None
+
+    def send(self, message: can.Message) -> None:
+        if message.arbitration_id == REQUEST + _SCENE.node and self.answers:
+            self.hear(ANSWER + _SCENE.node, bytearray(self.answers.pop(0)))
+
+
+_BUS = _Bus()
+
+
+def _node() -> Cia402Node:
+    # What has been said comes by `hear`, in this thread; none listens beside it.
+    with (
+        patch.object(cia402_node, "open_bus", lambda _: _BUS),
+        patch.object(cia402_node, "SDO_TIMEOUT_S", 1e-4),
+        patch.object(can, "Notifier"),
+    ):
+        node = Cia402Node(
+            _SCENE, build_axis(_SCENE, _STEPPER, LayerTable().layer(), 2.5), Counter()
+        )
+    network = node._network
+    _BUS.hear = lambda can_id, data: network.notify(can_id, data, 0.0)
+    return node
+
+
+_NODE = _node()
+
+
+def seeds() -> list[bytes]:
+    """Each TPDO, an emergency, and answers that are whole, expedited, segmented or an abort."""
+    said = [
+        b"\x00" + struct.pack("<Hi", 0x27, -5) + b"\0\0",
+        b"\x01" + struct.pack("<iH", 100, 0) + b"\0\0",
+        b"\x02" + bytes.fromhex("1043 01 0000000000"),
+    ]
+    answers = [
+        bytes.fromhex("43 646000 05000000"),
+        bytes.fromhex("4f 616000 09000000"),
+        bytes.fromhex("41 646000 04000000") + b"\x83" + bytes.fromhex("07 05000000 000000"),
+        bytes.fromhex("80 646000 00000206"),
+    ]
+    return [b"".join(said), *(b"\x83" + answer for answer in answers)]
+
+
+def try_one(data: bytes) -> None:
+    """It is heard or counted; an object is a number or a DriveError.
+
+    A piece is a byte, which says what, and up to eight of data.
+    """
+    pieces = [data[start : start + PIECE] for start in range(0, len(data), PIECE)]
+    _BUS.answers = [piece[1:] for piece in pieces if piece[0] & 0x80]
+    for piece in pieces:
+        if piece[0] & 0x80:
+            with suppress(DriveError):
+                _NODE.read(OBJECTS[piece[0] % len(OBJECTS)])
+        else:
+            _BUS.hear(SAYS[piece[0] % len(SAYS)] + _SCENE.node, bytearray(piece[1:]))

@@ -1,0 +1,44 @@
+"""Control messages, from either node."""
+
+from fuzz.refusals import refusals
+from protocol.messages import (
+    Bye,
+    ClockReply,
+    ClockRequest,
+    Hello,
+    Report,
+    Welcome,
+    decode_control,
+    encode_control,
+)
+from protocol.stream import Channel, StreamDescription
+from protocol.tactile import ElasticLayer, matching_force_ratio
+
+MSGPACK = True
+
+DESCRIPTION = StreamDescription(
+    "pulse", 1_000_000, 5, (Channel("force"), Channel("more")), ElasticLayer()
+)
+
+
+def seeds() -> list[bytes]:
+    """One message of each kind."""
+    messages = (
+        Hello("display"),
+        Welcome(7, 250, DESCRIPTION),
+        Bye(7, 5000),
+        ClockRequest(-5),
+        ClockReply(7, 1, 2, 3),
+        Report(7, "display", 90, 6, 4, 1.5, 2.5, 40.0, 0.25),
+    )
+    return [encode_control(message) for message in messages]
+
+
+def try_one(data: bytes) -> None:
+    """What is taken comes back from its own encoding, and a layer can be matched."""
+    with refusals():
+        message = decode_control(data)
+        # NaN is not equal to itself, but its text is.
+        assert repr(decode_control(encode_control(message))) == repr(message)
+        if isinstance(message, Welcome):
+            matching_force_ratio(message.description.layer, ElasticLayer())

@@ -1,0 +1,50 @@
+"""Key files and allow-lists, and the questions that ZeroMQ asks about a key."""
+
+
+from fuzz.refusals import check_line
+from fuzz.scratch import scratch_folder
+from protocol.allow_list import read_allowed
+from protocol.errors import KeyFileError
+from protocol.keys import PUBLIC, SECRET, read_pair, read_public
+from protocol.zap import DOMAIN, KEY_BYTES, VERSION, read_knock, reply
+
+_FILE = scratch_folder() / "wrist.key"
+_FILE.touch(mode=0o600)
+
+
+def seeds() -> list[bytes]:
+    """A secret key, a public one, a list of two, and a request; its parts end in a line's end."""
+    lines = [f"{kind} wrist {'1' * 64}\n".encode() for kind in (SECRET, PUBLIC)]
+    other = f"# them\n\n{PUBLIC} finger {'a' * 64}\n".encode()
+    request = [VERSION, b"1", DOMAIN, b"127.0.0.1", b"", b"CURVE", b"k" * KEY_BYTES]
+    return [*lines, lines[1] + other, b"\n".join(request)]
+
+
+def try_one(data: bytes) -> None:
+    """Keys of 32 bytes, or a KeyFileError of one line; a request is judged, and answered."""
+    _FILE.write_bytes(data)
+    for read in (_read_pair, _read_public, _read_allowed):
+        try:
+            keys = read()
+        except KeyFileError as error:
+            check_line(error)
+        else:
+            assert all(len(key) == KEY_BYTES for key in keys)
+    request = data.split(b"\n")
+    knock = read_knock(request)
+    if knock is not None:
+        knock.address.encode()
+    assert len(reply(request, None)) == len(reply(request, "wrist")) == 6
+
+
+def _read_pair() -> list[bytes]:
+    pair = read_pair(_FILE)
+    return [pair.secret, pair.public.key]
+
+
+def _read_public() -> list[bytes]:
+    return [read_public(_FILE).key]
+
+
+def _read_allowed() -> list[bytes]:
+    return list(read_allowed(_FILE))

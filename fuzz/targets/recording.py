@@ -1,0 +1,49 @@
+"""Recordings: the first byte says of which kind the file is and how it is read."""
+
+import io
+from contextlib import suppress
+
+import numpy as np
+
+from fuzz.scratch import scratch_folder
+from protocol.errors import SourceError
+from protocol.scene import validate
+from sensing_node.sources.recording import Recording, RecordingScene
+
+_FOLDER = scratch_folder()
+_TABLES = (
+    {"unit": "N", "column": 0},
+    {"unit": "mV", "column": "force", "film_radius": "4 mm"},
+    {"unit": "raw", "column": 1, "peak_to_peak": "0.3 N"},
+)
+_SCENES = [
+    validate(
+        {"kind": "recording", "path": f"pulse.{suffix}", "rate": "100 Hz"} | table,
+        RecordingScene,
+        where="fuzz",
+    )
+    for suffix in ("csv", "npy", "npz")
+    for table in _TABLES
+]
+
+
+def seeds() -> list[bytes]:
+    """One file of each kind, read in each way, and what cannot be scaled or sent."""
+    table = np.array([[0.1, 1], [0.2, 2], [0.3, 4]], "<f4")
+    npy, npz = io.BytesIO(), io.BytesIO()
+    np.save(npy, table)
+    np.savez(npz, force=table[:, 0], more=table[:, 1])
+    csv = b"time,force\n0,0.1\n1,0.2\n2,0.3\n"
+    files = (csv, npy.getvalue(), npz.getvalue())
+    plain = [bytes([number]) + files[number // len(_TABLES)] for number in range(len(_SCENES))]
+    odd = (b"\0" + csv + b"nan,0\n", b"\0" + csv + b"1e300,0\n", b"\2a,b\n0,0\n0,5e-324\n")
+    return [*plain, *odd]
+
+
+def try_one(data: bytes) -> None:
+    """A file that cannot be read, or samples that a frame can carry."""
+    if data:
+        scene = _SCENES[data[0] % len(_SCENES)]
+        (_FOLDER / scene.path).write_bytes(data[1:])
+        with suppress(SourceError):
+            assert np.isfinite(Recording(scene, _FOLDER).take(10).astype("<f4")).all()

@@ -1,0 +1,23 @@
+"""Scene files: all sections, and what is built of them without hardware."""
+
+
+from fuzz.refusals import check_line
+from fuzz.scratch import scratch_folder
+from protocol.errors import SceneError
+from telepulse.scene import SCENE_FOLDERS, load_scene
+
+_FILE = scratch_folder() / "scene.toml"
+
+
+def seeds() -> list[bytes]:
+    """The scenes that we ship."""
+    return [path.read_bytes() for folder in SCENE_FOLDERS for path in sorted(folder.glob("*.toml"))]
+
+
+def try_one(data: bytes) -> None:
+    """A scene, or one line that says what is wrong."""
+    _FILE.write_bytes(data)
+    try:
+        load_scene(_FILE)
+    except SceneError as error:
+        check_line(error)

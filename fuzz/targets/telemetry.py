@@ -1,0 +1,40 @@
+"""Traces and statuses of a display, the screen that shows them, and what it has heard."""
+
+import msgpack
+import numpy as np
+
+from display_node.display import Felt
+from display_node.heard import HeardWriter, read_heard
+from display_node.screen import Screen
+from display_node.telemetry import TRACE_TICKS, TraceWriter, read_status, read_trace
+from fuzz.refusals import refusals
+from protocol.summary import Summary
+
+MSGPACK = True
+
+
+def seeds() -> list[bytes]:
+    """A trace, two statuses, and what was heard."""
+    writer = TraceWriter()
+    traces = [writer.add(Felt(tick, tick, tick, 0.5, 0.4, True)) for tick in range(TRACE_TICKS)]
+    statuses = [["playing", "pulse", Summary().to_dict(), final] for final in (False, True)]
+    heard = HeardWriter(run=7)
+    heard.wanted = True
+    for number in range(3):
+        heard.add(number, number - 1, b"a message")
+    packed = (msgpack.packb(status) for status in statuses)
+    return [traces[-1] or b"", *packed, *heard.take(10, 20)]
+
+
+def try_one(data: bytes) -> None:
+    """A trace's columns are of one length; a status can be shown."""
+    with refusals():
+        trace = read_trace(data)
+        assert {np.shape(column) for column in trace} == {np.shape(trace.now_ns)}
+    with refusals():
+        assert all(type(message.data) is bytes for message in read_heard(data).messages)
+    screen = Screen()
+    with refusals():
+        screen.status = read_status(data)
+        screen.line()
+        screen.panel()

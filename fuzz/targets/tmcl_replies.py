@@ -1,0 +1,54 @@
+"""What a TMCL module may answer to one request after the other, on a serial line."""
+
+from contextlib import suppress
+from unittest.mock import patch
+
+import serial
+
+from display_node.drives.scene import TmclScene
+from display_node.drives.tmcl_interfaces import DATAGRAM_BYTES
+from display_node.drives.tmcl_line import TmclLine
+from display_node.drives.tmcl_numbers import Command, Parameter
+from protocol.errors import DriveError
+from protocol.scene import validate
+from telepulse.emulate.tmcl_module import DATAGRAM, checksum
+
+
+class _Port:
+    """A serial port whose bytes have all come, and on which nobody hears us."""
+
+    data = b""
+
+    def read(self, count: int) -> bytes:
+        taken, self.data = self.data[:count], self.data[count:]
+        return taken
+
+    def write(self, data: bytes) -> int:
+        return len(data)
+
+    def reset_input_buffer(self) -> None:
+        self.data = b""
+
+
+_PORT = _Port()
+with patch.object(serial, "serial_for_url", lambda *_, **__: _PORT):
+    _LINE = TmclLine(validate({"kind": "tmcl", "port": "fuzz"}, TmclScene, where="fuzz"))
+
+
+def seeds() -> list[bytes]:
+    """Replies that succeed, that fail, and to another command; of one the checksum is wrong."""
+    told = ((100, 6, 5), (100, 6, -5), (3, 6, 0), (100, 5, 0), (77, 6, 9))
+    bodies = [DATAGRAM.pack(2, 1, *reply, 0)[:-1] for reply in told]
+    return [body + b"\0" for body in bodies] + [bodies[0] + b"\1"]
+
+
+def try_one(data: bytes) -> None:
+    """A number, or a DriveError. A checksum of 0 is made the right one: it cannot be guessed."""
+    for start in range(0, len(data), DATAGRAM_BYTES):
+        reply = data[start : start + DATAGRAM_BYTES]
+        if len(reply) == DATAGRAM_BYTES and not reply[-1]:
+            reply = reply[:-1] + bytes([checksum(reply[:-1])])
+        _PORT.data = reply
+        with suppress(DriveError):
+            value = _LINE.ask(Command.GET_AXIS, Parameter.ACTUAL_SPEED, 0)
+            assert -(1 << 31) <= value < 1 << 31

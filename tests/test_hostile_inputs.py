@@ -1,0 +1,129 @@
+"""Whatever others wrote, in bytes or files: a value or the declared error, and little memory.
+
+What is read, and what must hold of it, is in fuzz/targets/, which the fuzzer runs as well.
+"""
+
+import importlib
+import tracemalloc
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import msgpack
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fuzz.targets import NAMES
+
+MOST_BYTES = 25_000_000
+EXAMPLES = 30
+HUGE = b"\xff\xff\xff\xff"
+
+values = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**63), 2**64 - 1)
+    | st.floats()
+    | st.text(max_size=9)
+    | st.binary(max_size=40),
+    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text(max_size=9), inner),
+    max_leaves=12,
+)
+
+
+@cache
+def target(name: str) -> Any:
+    """Loaded, and tried once, so that no input is blamed for what is only made once."""
+    loaded = importlib.import_module(f"fuzz.targets.{name}")
+    for seed in loaded.seeds():
+        loaded.try_one(seed)
+    return loaded
+
+
+def bounded(try_one: Callable[[bytes], None], data: bytes) -> None:
+    """Try an input, at the cost of a few megabytes at most."""
+    tracemalloc.start()
+    try:
+        try_one(data)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < MOST_BYTES
+
+
+@st.composite
+def mutations(draw: st.DrawFn, seeds: list[bytes]) -> bytes:
+    """A seed in which a few places were cut out, written over, said twice or mixed with others."""
+    data = draw(st.sampled_from(seeds))
+    for _ in range(draw(st.integers(1, 4))):
+        start = draw(st.integers(0, len(data)))
+        end = draw(st.integers(start, min(len(data), start + 20)))
+        other = draw(st.sampled_from(seeds))
+        middle = draw(
+            st.sampled_from([b"", b"\0", HUGE, data[start:end] * 2])
+            | st.binary(max_size=9)
+            | st.integers(0, len(other)).map(lambda at, other=other: other[at : at + 20])
+        )
+        data = data[:start] + middle + data[end:]
+    return data
+
+
+@pytest.mark.parametrize("name", NAMES)
+@settings(max_examples=EXAMPLES)
+@given(data=st.data())
+def test_changed_inputs(name: str, data: st.DataObject) -> None:
+    loaded = target(name)
+    bounded(loaded.try_one, data.draw(mutations(loaded.seeds())))
+
+
+@pytest.mark.parametrize("name", NAMES)
+@settings(max_examples=EXAMPLES)
+@given(data=st.binary(max_size=300))
+def test_any_bytes(name: str, data: bytes) -> None:
+    bounded(target(name).try_one, data)
+
+
+@pytest.mark.parametrize("name", ["control", "frame", "telemetry"])
+@settings(max_examples=EXAMPLES)
+@given(value=st.lists(values, max_size=5) | values)
+def test_any_msgpack(name: str, value: object) -> None:
+    bounded(target(name).try_one, msgpack.packb(value))
+
+
+@pytest.mark.parametrize("name", ["control", "frame", "telemetry"])
+@settings(max_examples=EXAMPLES)
+@given(data=st.data())
+def test_a_message_with_one_field_changed(name: str, data: st.DataObject) -> None:
+    loaded = target(name)
+    message = msgpack.unpackb(data.draw(st.sampled_from(loaded.seeds())))
+    table = message
+    while isinstance(table, list | dict) and table:
+        keys = list(table) if isinstance(table, dict) else list(range(len(table)))
+        key = data.draw(st.sampled_from(keys))
+        if not isinstance(table[key], list | dict) or data.draw(st.booleans()):
+            small = st.integers(-1, 9)
+            table[key] = data.draw(values | small if type(table[key]) is int else values)
+            break
+        table = table[key]
+    bounded(loaded.try_one, msgpack.packb(message))
+
+
+PROMISES = {
+    "an array of 2^32 - 1": b"\xdd" + HUGE,
+    "a map of 2^32 - 1": b"\xdf" + HUGE,
+    "bytes of 2^32 - 1": b"\xc6" + HUGE,
+    "a text of 2^32 - 1": b"\xdb" + HUGE,
+    "an extension of 2^32 - 1": b"\xc9" + HUGE + b"\x05",
+    "an array as long as the message": b"\xdc\xff\xf0" + bytes(65_000),
+    "arrays as long as the message, within one another": (b"\xdc\xff\xf0" * 1000) + bytes(62_000),
+    "maps as long as the message, within one another": (b"\xde\xff\xf0\xa0" * 1000) + bytes(61_000),
+    "a status with such arrays": b"\x94\xa0\xa0\x81\xa0" + (b"\xdc\xff\xf0" * 1000) + bytes(61_000),
+    "nesting beyond all stacks": b"\x91" * 65_000 + b"\x90",
+}
+
+
+@pytest.mark.parametrize("name", ["control", "frame", "telemetry"])
+@pytest.mark.parametrize("data", PROMISES.values(), ids=PROMISES)
+def test_a_length_that_is_not_true_costs_nothing(name: str, data: bytes) -> None:
+    bounded(target(name).try_one, data)
