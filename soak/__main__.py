@@ -1,0 +1,91 @@
+"""`python -m soak`: the command line of the soak."""
+
+import asyncio
+import signal
+import tempfile
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from protocol.commands import JsonOption, one_line_errors, plain_console
+from protocol.summary import check_writable
+from soak.evidence import verdict
+from soak.keyring import Keyring
+from soak.leftovers import left_behind, mark
+from soak.network import loopback, namespaces
+from soak.report import print_verdict, write_verdict
+from soak.run import Run
+from soak.stage import Stage
+from soak.verdict import judge_none
+from telepulse.emulator import unavailable
+from telepulse.scene import DEFAULT_SCENE, find_scene, load_scene
+
+PROGRAM = "soak"
+# A soak is over this long after its time, whatever its nodes do.
+OVERTIME_S = 300.0
+
+
+def soak(
+    minutes: Annotated[float, typer.Option(min=0.2, max=10_000, help="How long.")] = 20.0,
+    seed: Annotated[int, typer.Option(min=0, help="Which faults, and when.")] = 1,
+    scene: Annotated[
+        str, typer.Option(help="A scene file, or the name of one that comes with telepulse.")
+    ] = DEFAULT_SCENE,
+    on_loopback: Annotated[
+        bool,
+        typer.Option(
+            "--loopback", help="Links by a proxy on loopback, as where there is no root."
+        ),
+    ] = False,
+    keys: Annotated[
+        bool,
+        typer.Option("--keys", help="Protect the nodes by keys; floods and impostors have none."),
+    ] = False,
+    json: JsonOption = None,
+) -> None:
+    """Torment both nodes, and judge what became of it.
+
+    A sensing node and its displays run as processes of their own, over links that get worse and
+    are cut; nodes are killed, restarted and stopped, displays join and leave, garbage floods the
+    ports. An undisturbed pair runs beside them. What is looked at is in docs/soak.md.
+
+    Exit status: 0 when every check is passed, 1 when one is not, 2 when it cannot run here.
+    """
+    console = plain_console()
+    reason = "as asked" if on_loopback else unavailable()
+    if reason is not None:
+        console.print(f"links by a proxy on loopback: {reason}")
+    with one_line_errors(PROGRAM):
+        check_writable(json)
+        loaded = load_scene(find_scene(scene))
+        mark()
+        # Both end it, in the background, too: nodes that run on would be left behind.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
+        with (
+            tempfile.TemporaryDirectory(prefix="telepulse-soak-") as folder,
+            (loopback if reason else namespaces)(seed) as network,
+        ):
+            how = f"over {network.kind}, {'with' if keys else 'without'} keys"
+            console.print(f"{minutes:g} minutes of faults by seed {seed}, {how}")
+            ring = Keyring(Path(folder, "keys")).make() if keys else None
+            longest_s = minutes * 60 + OVERTIME_S
+            stage = Stage(network, loaded.path, Path(folder), longest_s, ring)
+            run = Run(stage, seed, minutes * 60, loaded.display.tick_ns, console.print)
+            try:
+                asyncio.run(run.play())
+            finally:
+                stage.clear()
+            checks = verdict(run, loaded.display)
+        addresses = [stage.calm_address, *([] if network.sensing else network.addresses)]
+        checks.append(judge_none("left behind", left_behind(run.namespaces, addresses, folder)))
+    print_verdict(run, checks, console)
+    if json is not None:
+        with one_line_errors(PROGRAM):
+            write_verdict(run, checks, minutes, json)
+    raise SystemExit(any(check.ok is False for check in checks))
+
+
+if __name__ == "__main__":
+    typer.run(soak)

@@ -1,0 +1,69 @@
+"""`python -m soak.impostor ADDRESS SEED`: something else at a sensing node's address, until it is
+ended, or its parent.
+
+It answers displays as a sensing node does, streams forces that no wrist has, and garbage between.
+What it counts it sends, so that a display's account of it can be held against what was heard.
+"""
+
+import os
+import sys
+import time
+from random import Random
+
+import numpy as np
+import zmq
+
+from protocol import sockets
+from protocol.messages import ClockReply, Frame, encode_control, encode_frame
+from protocol.stream import Channel, StreamDescription
+from protocol.tactile import ElasticLayer
+from sensing_node.desk import Desk
+
+BATCH = 5
+PERIOD_NS = 1_000_000
+FORCES_N = (0.0, 0.3, 5.0, -1.0, 1e30, -1e30)
+
+
+def main(arguments: list[str]) -> None:
+    """Pretend as long as the parent lives."""
+    parent = os.getppid()
+    address, seed = arguments
+    random = Random(int(seed))
+    session = random.getrandbits(62)
+    description = StreamDescription(
+        name="not a wrist",
+        period_ns=PERIOD_NS,
+        batch=BATCH,
+        channels=(Channel("pulse"),),
+        layer=ElasticLayer(),
+    )
+    desk = Desk(description, session)
+    context: sockets.Context = zmq.Context()
+    control = sockets.bind(context, zmq.ROUTER, sockets.control_address(address))
+    data = sockets.bind(context, zmq.PUB, address)
+    first, due_ns = 0, time.monotonic_ns()
+    while os.getppid() == parent:
+        for *envelope, message in sockets.receive_all(control):
+            now_ns = time.monotonic_ns()
+            reply = desk.answer(tuple(envelope), message, now_ns, first)
+            if reply is not None:
+                sockets.send(control, *envelope, encode_control(reply))
+            # And one that nobody asked for.
+            lie = ClockReply(session, now_ns, random.getrandbits(61), random.getrandbits(61))
+            sockets.send(control, *envelope, encode_control(lie))
+        if time.monotonic_ns() < due_ns:
+            sockets.wait_readable([control], due_ns - time.monotonic_ns())
+            continue
+        forces_n = [[random.choice(FORCES_N)] for _ in range(BATCH)]
+        values = np.array(forces_n, "<f4")
+        t_first_ns = due_ns - (BATCH - 1) * PERIOD_NS
+        frame = encode_frame(Frame(session, first, t_first_ns, PERIOD_NS, values))
+        sockets.send(data, frame)
+        sockets.send(data, frame[: random.randrange(len(frame))])
+        sockets.send(data, random.randbytes(random.randrange(1, 100_000)))
+        first += BATCH
+        due_ns += BATCH * PERIOD_NS
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,44 @@
+"""The keys of a soak's nodes, where it is run with keys."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from protocol.allow_list import allow
+from protocol.keys import ClientKeys, new_pair, read_pair
+from protocol.protection import ALLOWED
+
+WRIST, FINGER, WITNESS = "wrist", "finger", "witness"
+
+
+@dataclass(frozen=True, slots=True)
+class Keyring:
+    """Keys in a folder: sensing nodes have one, displays one, and whoever hears frames beside the
+    sensing nodes. Floods and impostors have none."""
+
+    folder: Path
+
+    def make(self) -> "Keyring":
+        """Make them all. Raises KeyFileError."""
+        for name in (WRIST, FINGER, WITNESS):
+            new_pair(self.folder, name)
+            if name != WRIST:
+                allow(self.folder / ALLOWED, read_pair(self._file(name)).public)
+        return self
+
+    @property
+    def sensing(self) -> tuple[str, ...]:
+        """A sensing node's options."""
+        return "--key", str(self._file(WRIST))
+
+    @property
+    def display(self) -> tuple[str, ...]:
+        """A display's options."""
+        return "--key", str(self._file(FINGER)), "--peer", str(self.folder / f"{WRIST}.pub")
+
+    @property
+    def witness(self) -> ClientKeys:
+        """What frames are heard with."""
+        return ClientKeys(read_pair(self._file(WITNESS)), read_pair(self._file(WRIST)).public)
+
+    def _file(self, name: str) -> Path:
+        return self.folder / f"{name}.key"

@@ -1,0 +1,68 @@
+"""What a soak must not leave behind: processes, namespaces, sockets, files."""
+
+import os
+import socket
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+MARK = "TELEPULSE_SOAK"
+
+
+def mark() -> None:
+    """From now on our children, and theirs, carry our number."""
+    os.environ[MARK] = str(os.getpid())
+
+
+def namespaces_of(pids: list[int]) -> set[int]:
+    """The network namespaces of these processes but for our own."""
+    numbers = {number for pid in pids if (number := _namespace(str(pid))) is not None}
+    return numbers - {_namespace("self")}
+
+
+def left_behind(namespaces: set[int], addresses: list[str], folder: str) -> list[str]:
+    """Everything of a soak that is over and still there, one line each.
+
+    namespaces: those it made. addresses: those it used in our own namespace.
+    """
+    return [*_processes(namespaces), *_sockets(addresses), *_files(folder)]
+
+
+def _processes(namespaces: set[int]) -> Iterator[str]:
+    marked = f"{MARK}={os.getpid()}".encode()
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdigit() or int(entry.name) == os.getpid():
+            continue
+        with suppress(OSError):  # it has ended meanwhile
+            state, parent = (entry / "stat").read_text().rpartition(")")[2].split()[:2]
+            name = (entry / "comm").read_text().strip()
+            if state == "Z" and int(parent) == os.getpid():
+                yield f"a zombie, {name}"
+            elif marked in (entry / "environ").read_bytes().split(b"\0"):
+                yield f"a process, {name}"
+            if _namespace(entry.name) in namespaces:
+                yield f"a process in a namespace of ours, {name}"
+
+
+def _sockets(addresses: list[str]) -> Iterator[str]:
+    for address in addresses:
+        host, _, port = address.removeprefix("tcp://").rpartition(":")
+        for number in (int(port), int(port) + 1):
+            with socket.socket() as probe:
+                # As the nodes bind: what only waits to be forgotten by the kernel is no socket.
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                try:
+                    probe.bind((host, number))
+                except OSError:
+                    yield f"a socket on {host}:{number}"
+
+
+def _files(folder: str) -> Iterator[str]:
+    if os.path.exists(folder):
+        yield f"the folder {folder}"
+
+
+def _namespace(process: str) -> int | None:
+    with suppress(OSError):
+        return os.stat(f"/proc/{process}/ns/net").st_ino
+    return None

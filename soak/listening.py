@@ -1,0 +1,128 @@
+"""What a soak hears while it runs: every display's telemetry, and every frame a sensing node sends.
+
+The frames are heard beside the sensing node, where no link delays or loses them: how many it has
+sent by when it was killed is known from them alone.
+"""
+
+import asyncio
+import time
+from collections.abc import Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, field
+
+import zmq
+import zmq.asyncio
+
+from display_node.telemetry import STATUS, TRACE, read_status, read_trace
+from protocol.errors import WireError
+from protocol.keys import ClientKeys
+from protocol.messages import decode_frame
+from soak.accounts import Mark
+from soak.felt import FeltLog
+from soak.lives import Life
+from telepulse.emulator import Namespace
+
+RECONNECT_MS = 20
+HIGH_WATER = 10_000
+
+
+@dataclass(slots=True)
+class Heard:
+    """A session as it was heard: when its first sample was taken, how many samples a frame has,
+    how many there were at the last frame, and when that was heard."""
+
+    began_ns: int
+    period_ns: int
+    batch: int
+    sent: int
+    last_ns: int
+
+
+@dataclass(slots=True)
+class Ears:
+    """felt: by a display's role. sessions: by a sensing node's role, then by session."""
+
+    felt: dict[str, FeltLog] = field(default_factory=dict)
+    sessions: dict[str, dict[int, Heard]] = field(default_factory=dict)
+    _tasks: list[asyncio.Task[None]] = field(default_factory=list)
+    _contexts: list[zmq.asyncio.Context] = field(default_factory=list)
+
+    def follow_display(
+        self, role: str, address: str, lives: dict[str, Life], tick_ns: int
+    ) -> None:
+        """Hear a display's telemetry; what it says goes to the life that its role has then."""
+        self.felt[role] = FeltLog(tick_ns)
+        socket = self._subscribe(address, (TRACE, STATUS))
+        self._tasks.append(asyncio.create_task(self._hear_display(socket, role, lives)))
+
+    def follow_sensing(
+        self, role: str, address: str, namespace: Namespace | None, keys: ClientKeys | None
+    ) -> None:
+        """Hear all that a sensing node sends."""
+        self.sessions[role] = {}
+        socket = self._subscribe(address, (b"",), namespace, keys)
+        self._tasks.append(asyncio.create_task(self._hear_sensing(socket, role)))
+
+    async def close(self) -> None:
+        """Hear no more. Raises what went wrong in hearing."""
+        for task in self._tasks:
+            task.cancel()
+        ends = await asyncio.gather(*self._tasks, return_exceptions=True)
+        for context in self._contexts:
+            context.destroy(linger=0)
+        for end in ends:
+            if not isinstance(end, asyncio.CancelledError) and end is not None:
+                raise end
+
+    def _subscribe(
+        self,
+        address: str,
+        topics: Sequence[bytes],
+        namespace: Namespace | None = None,
+        keys: ClientKeys | None = None,
+    ) -> zmq.asyncio.Socket:
+        # ZeroMQ's threads begin with a context's first socket, and stay in its namespace.
+        with namespace.entered() if namespace is not None else nullcontext():
+            context = zmq.asyncio.Context()
+            self._contexts.append(context)
+            socket = context.socket(zmq.SUB)
+        socket.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
+        socket.setsockopt(zmq.RCVHWM, HIGH_WATER)
+        if keys is not None:
+            socket.setsockopt(zmq.CURVE_SECRETKEY, keys.own.secret)
+            socket.setsockopt(zmq.CURVE_PUBLICKEY, keys.own.public.key)
+            socket.setsockopt(zmq.CURVE_SERVERKEY, keys.peer.key)
+        for topic in topics:
+            socket.subscribe(topic)
+        socket.connect(address)
+        return socket
+
+    async def _hear_display(
+        self, socket: zmq.asyncio.Socket, role: str, lives: dict[str, Life]
+    ) -> None:
+        while True:
+            topic, data, *_ = await socket.recv_multipart()
+            if topic == TRACE:
+                self.felt[role].add(read_trace(data))
+            elif topic == STATUS:
+                status, life = read_status(data), lives[role]
+                samples = status.summary["samples"]
+                total = (samples["sent"] or 0) + (samples["before_joining"] or 0)
+                life.marks.append(Mark(time.monotonic_ns(), status.state, total))
+                life.summary = status.summary
+
+    async def _hear_sensing(self, socket: zmq.asyncio.Socket, role: str) -> None:
+        sessions = self.sessions[role]
+        while True:
+            data = await socket.recv()
+            try:
+                frame = decode_frame(data)
+            except WireError:
+                continue  # an impostor's
+            began_ns = frame.t_first_ns - frame.first_sample * frame.period_ns
+            count = len(frame.values)
+            heard = sessions.setdefault(
+                frame.session, Heard(began_ns, frame.period_ns, count, count, 0)
+            )
+            heard.sent = max(heard.sent, frame.first_sample + len(frame.values))
+            heard.last_ns = time.monotonic_ns()

@@ -1,0 +1,167 @@
+"""A node that runs as a process: started, watched, stopped, killed; what it uses of the host."""
+
+import asyncio
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from soak.accounts import Mark
+from telepulse.emulator import Namespace
+
+# What a node prints when its loop begins.
+_UP = {"sensing_node.cli": "streaming ", "display_node.cli": "waiting for "}
+POLL_S = 0.01
+UP_WITHIN_S = 20.0
+ENDS_WITHIN_S = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Usage:
+    """What a process uses: anonymous memory, in RAM or swapped out, descriptors, threads.
+
+    Not PSS: it changes when another process that shares a library comes or goes.
+    """
+
+    at_ns: int
+    memory_bytes: int
+    descriptors: int
+    threads: int
+
+
+@dataclass(slots=True)
+class Life:
+    """One process of a node. ending: "stopped" or "killed" once we did that, else None."""
+
+    role: str
+    process: "subprocess.Popen[bytes]"
+    output: Path
+    errors: Path
+    result: Path
+    began_ns: int
+    up_text: str
+    up_ns: int | None = None
+    over_ns: int | None = None
+    ending: str | None = None
+    usage: list[Usage] = field(default_factory=list)
+    marks: list[Mark] = field(default_factory=list)
+    # A display's last word; None for one that said none.
+    summary: dict[str, Any] | None = None
+    frozen_ns: int = 0
+
+    @property
+    def running(self) -> bool:
+        """Whether the process has not ended yet."""
+        if self.over_ns is None and self.process.poll() is not None:
+            self.over_ns = time.monotonic_ns()
+        return self.over_ns is None
+
+    async def up(self) -> int:
+        """Wait until its loop runs; when that was. A node that does not come up has ended."""
+        until_ns = time.monotonic_ns() + round(UP_WITHIN_S * 1e9)
+        while self.up_ns is None and self.running and time.monotonic_ns() < until_ns:
+            if self.up_text in self.output.read_text(encoding="utf-8"):
+                self.up_ns = time.monotonic_ns()
+            else:
+                await asyncio.sleep(POLL_S)
+        return self.up_ns or time.monotonic_ns()
+
+    def kill(self) -> None:
+        """SIGKILL: nothing of it can be said at its end."""
+        self._end("killed", signal.SIGKILL)
+
+    async def stop(self) -> None:
+        """SIGTERM, and wait; one that does not end is killed, which its exit status tells."""
+        self._end("stopped", signal.SIGTERM)
+        until_ns = time.monotonic_ns() + round(ENDS_WITHIN_S * 1e9)
+        while self.running and time.monotonic_ns() < until_ns:
+            await asyncio.sleep(POLL_S)
+        if self.running:
+            self.process.kill()
+            self._wait()
+
+    async def freeze(self, seconds: float) -> None:
+        """SIGSTOP, and SIGCONT after a while."""
+        began_ns = time.monotonic_ns()
+        self._signal(signal.SIGSTOP)
+        await asyncio.sleep(seconds)
+        self._signal(signal.SIGCONT)
+        self.frozen_ns += time.monotonic_ns() - began_ns
+
+    def measure(self) -> None:
+        """Take down what it uses now."""
+        if not self.running:
+            return
+        folder = Path("/proc", str(self.process.pid))
+        with suppress(OSError):  # it has ended meanwhile
+            status = (folder / "status").read_text(encoding="ascii").splitlines()
+            table = dict(line.split(":", 1) for line in status if ":" in line)
+            if "RssAnon" in table:
+                kilobytes = sum(int(table[key].split()[0]) for key in ("RssAnon", "VmSwap"))
+                handles = len(os.listdir(folder / "fd"))
+                now_ns = time.monotonic_ns()
+                self.usage.append(Usage(now_ns, kilobytes * 1024, handles, int(table["Threads"])))
+
+    def sent(self) -> int | None:
+        """How many samples it says to have sent; None where it could not say."""
+        if not self.result.exists():
+            return None
+        table = json.loads(self.result.read_text(encoding="utf-8"))
+        sent: int = table["samples"]["sent"]
+        return sent
+
+    def complaint(self) -> str | None:
+        """What is not as it should be about its end, once it is over; None when nothing is."""
+        status = self.process.returncode
+        wrong = {"stopped": status != 0, "killed": status != -signal.SIGKILL}
+        if self.ending is None or wrong[self.ending]:
+            said = self.errors.read_text(encoding="utf-8").strip().splitlines()[-1:]
+            what = self.ending or "left alone"
+            return f"{self.role}, {what}, ended with status {status}: {''.join(said)}"
+        if "Traceback" in self.errors.read_text(encoding="utf-8"):
+            return f"{self.role} printed a traceback"
+        return None
+
+    def _end(self, ending: str, number: int) -> None:
+        if self.running:
+            self.ending = ending
+            self._signal(number)
+        if ending == "killed":
+            self._wait()
+
+    def _wait(self) -> None:
+        self.process.wait()
+        self.over_ns = self.over_ns or time.monotonic_ns()
+
+    def _signal(self, number: int) -> None:
+        if self.running:
+            self.process.send_signal(number)
+
+
+def begin(
+    role: str, folder: Path, number: int, namespace: Namespace | None, module: str, *arguments: str
+) -> Life:
+    """Start a node in a namespace, or in this one. Its output goes to files in `folder`."""
+    output, errors, result = (
+        folder / f"{role}-{number}.{kind}".replace(" ", "-") for kind in ("out", "err", "json")
+    )
+    command = [sys.executable, "-m", module, *arguments, "--json", str(result)]
+    with output.open("wb") as out, errors.open("wb") as err:
+        process = launch(namespace, command, out.fileno(), err.fileno())
+    return Life(role, process, output, errors, result, time.monotonic_ns(), _UP[module])
+
+
+def launch(
+    namespace: Namespace | None, command: list[str], out: int, err: int
+) -> "subprocess.Popen[bytes]":
+    """A process of ours; Ctrl-C is for us, who end it."""
+    if namespace is None:
+        return subprocess.Popen(command, stdout=out, stderr=err, start_new_session=True)
+    with namespace.entered():
+        return subprocess.Popen(command, stdout=out, stderr=err, start_new_session=True)

@@ -1,0 +1,86 @@
+"""What lies between the tormented nodes: emulated links between namespaces where there is root, a
+proxy on loopback elsewhere. Either way each link can be made worse while it is used."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import IO
+
+from telepulse.emulator import EmulatedLink, EmulatorError, Namespace, emulate
+from telepulse.link import LinkScene, parse_link
+from telepulse.ports import free_addresses
+
+CALM = "delay=10ms,jitter=1ms"
+LINKS = 4
+"""Two of them lead to the enduring display, one to the mortal one, one to the guest."""
+PORT = 5555
+
+
+@dataclass(slots=True)
+class Network:
+    """kind: for people. bind: what the sensing node binds; near: where it is reached without a
+    link; addresses: where a display reaches it over each link."""
+
+    kind: str
+    bind: str
+    near: str
+    addresses: list[str]
+    sensing: Namespace | None
+    display: Namespace | None
+    _emulated: EmulatedLink | None = None
+    _orders: IO[str] | None = None
+
+    def change(self, number: int, changes: str = "") -> None:
+        """A link is calm but for these changes from now on; without any, calm."""
+        table = dict(part.split("=") for part in f"{CALM},{changes}".split(",") if part)
+        scene = parse_link(",".join(f"{key}={value}" for key, value in table.items()))
+        if self._emulated is not None:
+            self._emulated.change(scene, number)
+        elif self._orders is not None:
+            self._orders.write(f"{number} {scene.text()}\n")
+            self._orders.flush()
+
+
+@contextmanager
+def namespaces(seed: int) -> Iterator[Network]:
+    """Links between two namespaces. Raises EmulatorError."""
+    with emulate(*[_calm()] * LINKS, seed=seed) as emulated:
+        yield Network(
+            "kernel TCP between namespaces",
+            f"tcp://*:{PORT}",
+            f"tcp://127.0.0.1:{PORT}",
+            [f"tcp://{address}:{PORT}" for address in emulated.sensing.addresses],
+            emulated.sensing,
+            emulated.display,
+            emulated,
+        )
+
+
+@contextmanager
+def loopback(seed: int) -> Iterator[Network]:
+    """Links through a proxy on this machine."""
+    near, *addresses = free_addresses(1 + LINKS)
+    proxy = subprocess.Popen(
+        [sys.executable, "-m", "soak.proxy", str(seed), near, *addresses],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        assert proxy.stdin is not None
+        assert proxy.stdout is not None
+        if not proxy.stdout.readline():
+            raise EmulatorError("the proxy on loopback did not start")
+        yield Network(
+            "a proxy on loopback", near, near, addresses, None, None, _orders=proxy.stdin
+        )
+    finally:
+        # Its end is the end of its input.
+        proxy.communicate()
+
+
+def _calm() -> LinkScene:
+    return parse_link(CALM)

@@ -1,0 +1,94 @@
+"""The verdict for people, as a table, and for programs, as JSON."""
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from protocol.errors import OutputError
+from soak.lives import Life
+from soak.recovery import Played, gaps_s, recoveries
+from soak.run import Run
+from soak.verdict import MEGA, Check
+
+# Narrower, the figures are hard to find.
+MIN_WIDTH = 140
+_WORDS = {True: "ok", False: "FAILED", None: ""}
+
+
+def print_verdict(run: Run, checks: Sequence[Check], console: Console) -> None:
+    """All checks, and in one line what became of them."""
+    table = Table(box=None, pad_edge=False)
+    for column in ("check", "found", "bar", ""):
+        table.add_column(column, overflow="fold")
+    for check in checks:
+        table.add_row(*map(Text, (check.name, check.found, check.bar, _WORDS[check.ok])))
+    console.width = max(console.width, MIN_WIDTH)
+    console.print(table)
+    faults = _faults(run)
+    judged = [check for check in checks if check.ok is not None]
+    failed = [check.name for check in judged if not check.ok]
+    console.print(
+        f"{faults.total()} faults of {len(faults)} kinds done to {len(run.stage.all_lives)}"
+        f" processes; {len(judged) - len(failed)} of {len(judged)} checks passed"
+        + (f"; FAILED: {', '.join(failed)}" if failed else "")
+    )
+
+
+def write_verdict(run: Run, checks: Sequence[Check], minutes: float, path: Path) -> None:
+    """Everything as JSON. Raises OutputError."""
+    table = {
+        "minutes": minutes,
+        "seed": run.seed,
+        "link": run.stage.network.kind,
+        "passed": all(check.ok is not False for check in checks),
+        "checks": [asdict(check) for check in checks],
+        "felt_again_s": recoveries(run.played, run.ears.felt),
+        "episodes": [_episode(run, played) for played in run.played],
+        "processes": [_life(run, life) for life in run.stage.all_lives],
+    }
+    try:
+        path.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def _faults(run: Run) -> Counter[str]:
+    return Counter(done.fault.kind for played in run.played for done in played.done)
+
+
+def _episode(run: Run, played: Played) -> dict[str, Any]:
+    """Its faults, and the longest time in it that each display did not feel the pulse for."""
+    faults = [
+        {
+            **asdict(done.fault),
+            "began_s": (done.began_ns - run.began_ns) * 1e-9,
+            "over_s": (done.over_ns - run.began_ns) * 1e-9,
+        }
+        for done in played.done
+    ]
+    gaps = {role: gaps_s([played], felt)[0] for role, felt in run.ears.felt.items()}
+    return {"faults": faults, "longest_gap_s": gaps}
+
+
+def _life(run: Run, life: Life) -> dict[str, Any]:
+    """A process: its end, what it used over time, and its last word."""
+    return {
+        "role": life.role,
+        "began_s": (life.began_ns - run.began_ns) * 1e-9,
+        "ending": life.ending,
+        "status": life.process.returncode,
+        "usage": {
+            "at_s": [round((x.at_ns - run.began_ns) * 1e-9, 1) for x in life.usage],
+            "memory_mb": [round(x.memory_bytes / MEGA, 3) for x in life.usage],
+            "handles": [x.descriptors for x in life.usage],
+            "threads": [x.threads for x in life.usage],
+        },
+        "summary": life.summary,
+    }

@@ -1,0 +1,123 @@
+"""Which faults a soak has, and when: a seed in, a schedule out.
+
+The kinds come off a deck that is shuffled anew when it is empty, so that every kind has its turn,
+in an order that nobody chose. From the fourth deck on the sensing node is no more ended: one that
+lives for seconds says nothing of what it would use in the long run.
+"""
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from random import Random
+
+ENDURING, MORTAL, GUEST = "enduring", "mortal", "guest"
+"""The displays: never killed, over two paths; killed now and then, over one; joins and leaves."""
+
+SENSING, PORTS = "sensing", "ports"
+FLOODS = ("bytes", "messages", "connections", "telemetry")
+# So often two faults come at once.
+PAIRED_SHARE = 0.25
+# Long enough for every display to be felt again before the next fault, and to tell that it is.
+REST_S = (3.0, 4.5)
+SENSING_ENDS = ("kill sensing", "restart sensing", "impostor")
+DISPLAY_ENDS = ("kill display", "restart display")
+_LENGTHS_S = {
+    "kill sensing": (0.2, 3.0),
+    "restart sensing": (0.2, 2.0),
+    "impostor": (1.0, 4.0),
+    "kill display": (0.2, 3.0),
+    "restart display": (0.2, 2.0),
+    "freeze sensing": (0.1, 2.0),
+    "freeze display": (0.3, 6.0),
+    "cut": (0.3, 5.0),
+    "cut of one path": (0.5, 5.0),
+    "loss": (2.0, 5.0),
+    "delay": (2.0, 5.0),
+    "guest": (5.0, 8.0),
+    **{f"flood of {name}": (2.0, 4.0) for name in FLOODS},
+}
+KINDS = tuple(_LENGTHS_S)
+ENDING_DECKS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One thing that goes wrong, `after_s` from its episode's begin, for `for_s`.
+
+    target: the part it happens to: a node by its name, a display's "link", or the "ports".
+    detail: what a link is like meanwhile, or how a guest leaves.
+    """
+
+    kind: str
+    target: str
+    after_s: float
+    for_s: float
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Episode:
+    """One fault, or two that overlap, and the calm after them."""
+
+    faults: tuple[Fault, ...]
+    rest_s: float
+
+    @property
+    def kind(self) -> str:
+        """Its faults' kinds, in one word for the table."""
+        return " + ".join(sorted(fault.kind for fault in self.faults))
+
+
+def episodes(seed: int) -> Iterator[Episode]:
+    """The episodes of a soak, without an end; the same seed gives the same ones."""
+    random = Random(seed)
+    faults = _faults(random)
+    held: Fault | None = None
+    while True:
+        first, held = held or next(faults), None
+        chosen = [first]
+        if random.random() < PAIRED_SHARE:
+            second = next(faults)
+            # Two faults of one part are one after the other.
+            if second.target == first.target:
+                held = second
+            else:
+                after_s = round(random.uniform(0.0, first.for_s), 2)
+                chosen.append(
+                    Fault(second.kind, second.target, after_s, second.for_s, second.detail)
+                )
+        yield Episode(tuple(chosen), round(random.uniform(*REST_S), 2))
+
+
+def _faults(random: Random) -> Iterator[Fault]:
+    for number in itertools.count():
+        deck = [kind for kind in KINDS if number < ENDING_DECKS or kind not in SENSING_ENDS]
+        for kind in random.sample(deck, len(deck)):
+            for_s = round(random.uniform(*_LENGTHS_S[kind]), 2)
+            target, detail = _target(kind, random)
+            yield Fault(kind, target, 0.0, for_s, detail)
+
+
+def _target(kind: str, random: Random) -> tuple[str, str]:
+    display = random.choice((ENDURING, MORTAL))
+    match kind:
+        case "freeze sensing":
+            return SENSING, ""
+        case _ if kind in SENSING_ENDS:
+            return SENSING, ""
+        case _ if kind in DISPLAY_ENDS:
+            return MORTAL, ""
+        case "freeze display":
+            return display, ""
+        case "cut":
+            return f"{display}'s link", "loss=100%"
+        case "cut of one path":
+            return f"{ENDURING}'s link", "loss=100%"
+        case "loss":
+            return f"{display}'s link", f"loss={random.uniform(1, 10):.1f}%"
+        case "delay":
+            delay_ms, jitter_ms = random.uniform(20, 100), random.uniform(0, 10)
+            return f"{display}'s link", f"delay={delay_ms:.0f}ms,jitter={jitter_ms:.1f}ms"
+        case "guest":
+            return GUEST, random.choice(("killed", "stopped"))
+    return PORTS, ""

@@ -1,0 +1,207 @@
+"""Pass or fail: what was found of each thing that a soak looks at, beside its bar. Pure."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from soak.accounts import Reckoning
+from soak.felt import FeltLog
+from soak.slope import slope
+
+MEGA = 1e6
+HOUR_S = 3600.0
+MEMORY_BAR_MB_PER_H = 6.0
+MEMORY_MAX_MB = 128.0
+HANDLES_BAR_PER_H = 12.0
+HANDLES_MAX = 1_000.0
+THREADS_BAR_PER_H = 12.0
+THREADS_MAX = 16.0
+AGAIN_BAR_S = 1.0
+# A display that nothing was done to feels on; the host's own stalls, the calm pair feels as well.
+UNTOUCHED_BAR_S = 0.1
+TICK_P99_TIMES, TICK_P99_MORE_US = 2.0, 100.0
+CALM_MISSES = MISSES_MORE = 0.01
+# A microstep more or less in one tick.
+SLEW_MARGIN = 1.05
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """What was found, and its bar; ok is None where it is told and not judged."""
+
+    name: str
+    found: str
+    bar: str = ""
+    ok: bool | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One process, sample by sample: memory in MB, descriptors, threads. warm: how many of the
+    first samples are of its warm-up."""
+
+    times_s: Floats
+    memory_mb: Floats
+    handles: Floats
+    threads: Floats
+    warm: int
+
+
+@dataclass(frozen=True, slots=True)
+class LoopFigures:
+    """A display's loop over all its lives: ticks, misses but for those while it was stopped, and
+    the 99 % cost of a tick in its longest life."""
+
+    ticks: int
+    misses: int
+    tick_p99_us: float
+
+    @property
+    def missed(self) -> float:
+        """Share of the ticks that were missed."""
+        return self.misses / max(1, self.ticks + self.misses)
+
+
+def judge_usage(role: str, lines: Sequence[Line]) -> list[Check]:
+    """Memory, descriptors and threads: only what grows beyond doubt fails, or is too much."""
+    memory = [(line.times_s, line.memory_mb, line.warm) for line in lines]
+    handles = [(line.times_s, line.handles, line.warm) for line in lines]
+    threads = [(line.times_s, line.threads, line.warm) for line in lines]
+    return [
+        _growth(f"memory of {role}", memory, " MB", MEMORY_BAR_MB_PER_H, MEMORY_MAX_MB),
+        _growth(f"handles of {role}", handles, "", HANDLES_BAR_PER_H, HANDLES_MAX),
+        _growth(f"threads of {role}", threads, "", THREADS_BAR_PER_H, THREADS_MAX),
+    ]
+
+
+def _growth(
+    name: str, lines: Sequence[tuple[Floats, Floats, int]], unit: str, bar: float, most_bar: float
+) -> Check:
+    most = max((float(values.max()) for _, values, _ in lines if len(values)), default=0.0)
+    found = slope([(times_s[warm:], values[warm:]) for times_s, values, warm in lines])
+    limits = f"not surely above {bar:g}{unit}/h; {most_bar:g}{unit}"
+    if found is None:
+        text = f"most {most:.4g}{unit}; no life long enough for a slope"
+        return Check(name, text, limits, None if most <= most_bar else False)
+    low, median, high = (value * HOUR_S for value in (found.low, found.median, found.high))
+    text = f"most {most:.4g}{unit}, {median:+.2f} [{low:+.2f}, {high:+.2f}]{unit}/h"
+    return Check(name, text, limits, low <= bar and most <= most_bar)
+
+
+def judge_recovery(again_s: Mapping[str, Sequence[float | None]]) -> list[Check]:
+    """How soon after its end each kind of fault is over at the finger, too, and all kinds
+    together. None: it was not."""
+    checks = []
+    together = {"any fault": [after_s for all_s in again_s.values() for after_s in all_s]}
+    for kind, all_s in [*sorted(again_s.items()), *together.items()]:
+        known = [after_s for after_s in all_s if after_s is not None]
+        never = len(all_s) - len(known)
+        if known:
+            p50, p99, worst = (float(np.quantile(known, share)) for share in (0.5, 0.99, 1.0))
+            text = f"p50 {p50:.2f} s, p99 {p99:.2f} s, worst {worst:.2f} s of {len(all_s)}"
+        else:
+            worst, text = 0.0, f"none of {len(all_s)}"
+        text += f", {never} not felt again" if never else ""
+        # A soak without a fault proves nothing.
+        ok = bool(known) and not never and worst <= AGAIN_BAR_S
+        checks.append(Check(f"felt again: {kind}", text, f"within {AGAIN_BAR_S:g} s", ok))
+    return checks
+
+
+def judge_untouched(gaps_s: Sequence[float], calm_s: Sequence[float]) -> list[Check]:
+    """How long a display felt nothing while something was done to another one."""
+    control_s, worst_s = max(calm_s, default=0.0), max(gaps_s, default=0.0)
+    bar_s = max(UNTOUCHED_BAR_S, control_s)
+    return [
+        Check("longest gap of the calm display", f"{control_s:.3f} s"),
+        Check(
+            "longest gap of a display beside a fault",
+            f"{worst_s:.3f} s of {len(gaps_s)}",
+            f"{UNTOUCHED_BAR_S:g} s or the calm display's",
+            worst_s <= bar_s,
+        ),
+    ]
+
+
+def judge_account(role: str, reckonings: Sequence[Reckoning]) -> Check:
+    """Whether every sample of every session is accounted for."""
+    counted = sum(reckoning.counted for reckoning in reckonings)
+    exact = sum(reckoning.exact for reckoning in reckonings)
+    lost = sum(max(0, reckoning.off) for reckoning in reckonings)
+    invented = -sum(min(0, reckoning.off) for reckoning in reckonings)
+    untold = sum(max(0, r.most - r.counted) for r in reckonings if not r.exact)
+    text = (
+        f"{counted} samples, {exact} of {len(reckonings)} spans exact, {lost} unaccounted,"
+        f" {invented} made up; at most {untold} sent unheard in the others"
+    )
+    ok = lost == invented == 0 if reckonings else None
+    return Check(f"account of {role}", text, "0 and 0", ok)
+
+
+def judge_safety(role: str, felt: FeltLog, limit_n: float, slew_n_per_s: float) -> list[Check]:
+    """Force and slew of what was wanted and of what was felt."""
+    if not felt.ticks:
+        return [Check(f"force of {role}", "nothing was felt")]
+    low_n, high_n = min(felt.target_n[0], felt.felt_n[0]), max(felt.target_n[1], felt.felt_n[1])
+    slews = felt.target_slew_n_per_s, felt.felt_slew_n_per_s
+    return [
+        Check(
+            f"force of {role}",
+            f"{low_n:.3f} to {high_n:.3f} N in {felt.ticks} ticks, {felt.not_finite} no numbers",
+            f"0 to {limit_n:g} N, always a number",
+            low_n >= 0 and high_n <= limit_n * (1 + 1e-6) and not felt.not_finite,
+        ),
+        Check(
+            f"slew of {role}",
+            f"{slews[0]:.2f} N/s wanted, {slews[1]:.2f} N/s felt;"
+            f" {felt.catching_up_n_per_s:.0f} N/s after missed ticks",
+            f"{slew_n_per_s:g} N/s and {SLEW_MARGIN:g} times that",
+            slews[0] <= slew_n_per_s * (1 + 1e-6) and slews[1] <= slew_n_per_s * SLEW_MARGIN,
+        ),
+    ]
+
+
+def judge_calm_loop(calm: LoopFigures) -> list[Check]:
+    """The calm display's deadlines and ticks: what the host itself does to a node."""
+    return [
+        Check(
+            "deadlines of calm display",
+            _missed(calm),
+            f"{CALM_MISSES:.0%}; a host that is busier is none for this",
+            bool(calm.ticks) and calm.missed <= CALM_MISSES,
+        ),
+        Check("tick of calm display", f"p99 {calm.tick_p99_us:.0f} µs"),
+    ]
+
+
+def judge_loop(role: str, figures: LoopFigures, calm: LoopFigures) -> list[Check]:
+    """Deadline misses and the cost of a tick, beside those of the calm display."""
+    p99_bar_us = TICK_P99_TIMES * calm.tick_p99_us + TICK_P99_MORE_US
+    missed_bar = calm.missed + MISSES_MORE
+    return [
+        Check(
+            f"deadlines of {role}",
+            _missed(figures),
+            f"{missed_bar:.3%}, the calm display's and {MISSES_MORE:.0%}",
+            bool(figures.ticks) and figures.missed <= missed_bar,
+        ),
+        Check(
+            f"tick of {role}",
+            f"p99 {figures.tick_p99_us:.0f} µs",
+            f"{p99_bar_us:.0f} µs, {TICK_P99_TIMES:g} times the calm one's"
+            f" and {TICK_P99_MORE_US:g}",
+            bool(figures.ticks) and figures.tick_p99_us <= p99_bar_us,
+        ),
+    ]
+
+
+def _missed(figures: LoopFigures) -> str:
+    return f"{figures.missed:.3%} of {figures.ticks + figures.misses} ticks missed"
+
+
+def judge_none(name: str, found: Sequence[str]) -> Check:
+    """Something there must be none of."""
+    return Check(name, "; ".join(found) or "none", "none", not found)

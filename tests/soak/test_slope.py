@@ -1,0 +1,73 @@
+import numpy as np
+import pytest
+
+from soak.slope import Floats, slope
+
+TIMES_S = np.arange(0.0, 600.0, 2.0)
+STEPS = np.random.default_rng(5)
+
+
+def noise(scale: float) -> Floats:
+    return STEPS.normal(0.0, scale, len(TIMES_S))
+
+
+def test_a_slope_is_found_whatever_a_few_samples_say() -> None:
+    values = 40.0 + 0.01 * TIMES_S + noise(0.1)
+    values[[7, 90, 200]] += 500.0
+    found = slope([(TIMES_S, values)])
+    assert found is not None
+    assert found.median == pytest.approx(0.01, rel=0.02)
+    assert found.low < 0.01 < found.high
+    assert found.high - found.low < 0.001
+
+
+def test_its_interval_holds_the_truth_about_95_times_of_100() -> None:
+    truth, rng = 0.003, np.random.default_rng(1)
+    times_s = TIMES_S[:60]
+    inside = 0
+    for _ in range(200):
+        found = slope([(times_s, truth * times_s + rng.normal(0.0, 1.0, 60))])
+        assert found is not None
+        inside += found.low <= truth <= found.high
+    assert 180 <= inside <= 199
+
+
+def test_memory_that_wanders_is_not_surely_growing() -> None:
+    """A random walk has a slope in most of its runs, by which nothing is proved."""
+    rng, sure, runs = np.random.default_rng(2), 0, 50
+    times_s = TIMES_S[:150]
+    for _ in range(runs):
+        found = slope([(times_s, np.cumsum(rng.normal(0.0, 0.01, len(times_s))))])
+        assert found is not None
+        sure += not found.low <= 0.0 <= found.high
+    # Were the samples taken to be independent, it would be sure in nearly all of the runs.
+    assert sure < 0.5 * runs
+
+
+def test_a_step_alone_is_no_slope() -> None:
+    values = np.where(TIMES_S < 300.0, 40.0, 41.0)
+    found = slope([(TIMES_S, values)])
+    assert found is not None
+    assert found.low <= 0.0
+
+
+def test_lives_share_a_slope_and_not_a_level() -> None:
+    lines = [
+        (TIMES_S[:100], 40.0 + 0.02 * TIMES_S[:100] + noise(0.05)[:100]),
+        (TIMES_S[150:], 25.0 + 0.02 * TIMES_S[150:] + noise(0.05)[150:]),
+    ]
+    found = slope(lines)
+    assert found is not None
+    assert found.median == pytest.approx(0.02, rel=0.02)
+    assert found.low < 0.02 < found.high
+
+
+def test_what_never_changes_has_no_slope_and_no_doubt() -> None:
+    found = slope([(TIMES_S, np.full(len(TIMES_S), 12.0))])
+    assert found is not None
+    assert (found.low, found.median, found.high) == (0.0, 0.0, 0.0)
+
+
+def test_a_few_samples_tell_nothing() -> None:
+    assert slope([]) is None
+    assert slope([(TIMES_S[:29], TIMES_S[:29])]) is None

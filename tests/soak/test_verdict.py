@@ -1,0 +1,161 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from soak.accounts import Reckoning
+from soak.felt import FeltLog
+from soak.verdict import (
+    AGAIN_BAR_S,
+    MEMORY_BAR_MB_PER_H,
+    MEMORY_MAX_MB,
+    Line,
+    LoopFigures,
+    judge_account,
+    judge_calm_loop,
+    judge_loop,
+    judge_none,
+    judge_recovery,
+    judge_safety,
+    judge_untouched,
+    judge_usage,
+)
+
+TIMES_S = np.arange(0.0, 1_100.0, 2.0)
+
+
+def line(mb_per_h: float = 0.0, handles_per_h: float = 0.0, start_mb: float = 40.0) -> Line:
+    hours, noise = TIMES_S / 3600.0, np.random.default_rng(3)
+    return Line(
+        TIMES_S,
+        start_mb + mb_per_h * hours + noise.normal(0.0, 0.02, len(hours)),
+        np.round(20.0 + handles_per_h * hours),
+        np.full(len(hours), 4.0),
+        warm=10,
+    )
+
+
+def passed(*lines: Line) -> list[bool | None]:
+    return [check.ok for check in judge_usage("sensing", lines)]
+
+
+def test_a_leak_fails_and_steady_memory_does_not() -> None:
+    assert passed(line()) == [True, True, True]
+    assert passed(line(mb_per_h=0.9 * MEMORY_BAR_MB_PER_H)) == [True, True, True]
+    assert passed(line(mb_per_h=1.2 * MEMORY_BAR_MB_PER_H)) == [False, True, True]
+
+
+def test_handles_that_grow_fail_and_so_does_memory_that_is_large() -> None:
+    assert passed(line(handles_per_h=60.0)) == [True, False, True]
+    assert passed(line(start_mb=MEMORY_MAX_MB + 1.0)) == [False, True, True]
+
+
+def first(line: Line, count: int) -> Line:
+    columns = (line.times_s, line.memory_mb, line.handles, line.threads)
+    return Line(*(column[:count] for column in columns), warm=10)
+
+
+def test_a_short_run_proves_nothing() -> None:
+    assert [check.ok for check in judge_usage("sensing", [])] == [None] * 3
+    assert passed(first(line(mb_per_h=1_000.0), 39)) == [None] * 3
+    # A minute of a little above the bar, beneath the noise of memory.
+    assert passed(first(line(mb_per_h=1.1 * MEMORY_BAR_MB_PER_H), 41)) == [True, True, True]
+
+
+def test_what_grows_while_it_warms_up_is_no_leak_and_too_much_is_too_much_at_once() -> None:
+    early = line()
+    early.memory_mb[:10] -= np.linspace(20.0, 0.0, 10)
+    assert passed(early) == [True, True, True]
+    assert passed(first(line(start_mb=MEMORY_MAX_MB + 1.0), 20)) == [False, None, None]
+
+
+@pytest.mark.parametrize(
+    ("again_s", "ok"),
+    [
+        ([0.2, 0.9, AGAIN_BAR_S], True),
+        ([0.2, AGAIN_BAR_S + 0.01], False),
+        ([0.2, None], False),
+        ([None], False),
+    ],
+)
+def test_a_fault_fails_that_is_felt_too_long_or_for_ever(
+    again_s: list[float | None], ok: bool
+) -> None:
+    cut, kill, both = judge_recovery({"kill": again_s, "cut": [0.1]})
+    assert (cut.ok, kill.ok, both.ok) == (True, ok, ok)
+
+
+def test_a_soak_without_a_fault_is_not_passed() -> None:
+    assert [check.ok for check in judge_recovery({})] == [False]
+
+
+def test_one_sample_unaccounted_for_or_made_up_fails() -> None:
+    right = Reckoning(counted=1_000, least=1_000, most=1_000)
+    open_end = Reckoning(counted=900, least=850, most=1_005)
+    assert judge_account("mortal", [right, open_end]).ok
+    assert "105 sent unheard" in judge_account("mortal", [right, open_end]).found
+    for wrong in (replace(right, counted=999), replace(open_end, counted=1_006)):
+        assert judge_account("mortal", [right, wrong]).ok is False
+    assert judge_account("mortal", []).ok is None
+
+
+def felt(**figures: object) -> FeltLog:
+    log = FeltLog(1_000_000)
+    log.ticks, log.felt_n, log.target_n = 10, (0.0, 2.5), (0.0, 2.5)
+    log.target_slew_n_per_s = log.felt_slew_n_per_s = 50.0
+    for name, value in figures.items():
+        setattr(log, name, value)
+    return log
+
+
+@pytest.mark.parametrize(
+    ("figures", "ok"),
+    [
+        ({}, [True, True]),
+        ({"catching_up_n_per_s": 500.0}, [True, True]),
+        ({"felt_n": (0.0, 2.51)}, [False, True]),
+        ({"target_n": (-0.01, 1.0)}, [False, True]),
+        ({"not_finite": 1}, [False, True]),
+        ({"target_slew_n_per_s": 50.1}, [True, False]),
+        ({"felt_slew_n_per_s": 55.0}, [True, False]),
+    ],
+)
+def test_force_and_slew_beyond_their_limits_fail(
+    figures: dict[str, object], ok: list[bool]
+) -> None:
+    assert [check.ok for check in judge_safety("mortal", felt(**figures), 2.5, 50.0)] == ok
+
+
+def test_what_nobody_felt_is_not_called_safe() -> None:
+    assert [check.ok for check in judge_safety("guest", FeltLog(1_000_000), 2.5, 50.0)] == [None]
+
+
+def test_a_loop_is_judged_beside_the_calm_one() -> None:
+    calm = LoopFigures(ticks=99_000, misses=1_000, tick_p99_us=200.0)
+    as_calm = [check.ok for check in judge_loop("mortal", calm, calm)]
+    slow = LoopFigures(ticks=96_000, misses=4_000, tick_p99_us=501.0)
+    assert as_calm == [True, True]
+    assert [check.ok for check in judge_loop("mortal", slow, calm)] == [False, False]
+    never = LoopFigures(ticks=0, misses=0, tick_p99_us=0.0)
+    assert [check.ok for check in judge_loop("mortal", never, calm)] == [False, False]
+
+
+def test_a_busy_host_gives_no_verdict() -> None:
+    for misses, ok in ((1_000, True), (1_100, False)):
+        calm = LoopFigures(ticks=99_000, misses=misses, tick_p99_us=200.0)
+        assert judge_calm_loop(calm)[0].ok is ok
+
+
+def test_who_stands_beside_a_fault_feels_no_more_of_it_than_the_calm_pair() -> None:
+    for gaps_s, calm_s, ok in (
+        ([0.0, 0.1], [0.0], True),
+        ([0.0, 0.2], [0.05], False),
+        ([0.2], [0.3], True),
+        ([], [], True),
+    ):
+        assert judge_untouched(gaps_s, calm_s)[1].ok is ok
+
+
+def test_there_must_be_none_of_what_there_must_be_none_of() -> None:
+    assert judge_none("zombies", []).ok
+    assert judge_none("zombies", ["one"]).ok is False
