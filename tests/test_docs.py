@@ -6,6 +6,8 @@ import pytest
 from pydantic import BaseModel
 
 from display_node.scene import DisplayScene
+from protocol.gate import REASONS
+from protocol.refusals import REFUSED_KEY
 from sensing_node.scene import SensingScene
 from telepulse.link import LinkScene
 
@@ -40,10 +42,22 @@ def test_every_cause_of_refusal_is_documented_and_no_other() -> None:
         path.read_text(encoding="utf-8") for p in PACKAGES for path in (ROOT / p).rglob("*.py")
     ]
     raised = set(re.findall(r'(?:WireError\(|cause = |rejected\[)"(\w+)"', "\n".join(sources)))
-    raised |= {"truncated", "not_msgpack", "duplicate", "overlap"}
+    raised |= {"truncated", "not_msgpack", "duplicate", "overlap", REFUSED_KEY, *REASONS}
     table = (ROOT / "docs" / "wire.md").read_text(encoding="utf-8").split("counted as")[1]
     documented = set(re.findall(r"`(\w+)`", table))
     assert raised == documented
+
+
+def test_the_safety_case_rests_on_tests_that_there_are() -> None:
+    text = (ROOT / "docs" / "safety_case.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`(test_\w+\.py)::(test_\w+)`", text))
+    assert len(named) > 10
+    there = {
+        (path.name, test)
+        for path in (ROOT / "tests").rglob("test_*.py")
+        for test in re.findall(r"^def (test_\w+)", path.read_text(encoding="utf-8"), re.MULTILINE)
+    }
+    assert named - there == set()
 
 
 @pytest.mark.parametrize("name", ["README.md", "constraints.txt", "Dockerfile", "pyproject.toml"])
