@@ -19,8 +19,8 @@ from .display_node.live import await_state, await_status, subscribe
 from .keyring import Keyring
 from .middleman import MESSAGE_BYTES, Alter, Middleman, Once, flip_a_bit, middleman, twice
 from .nodes import RADIAL, assert_accounted, free_address, process, read_json
+from .waiting import PATIENCE_S, until
 
-PATIENCE_S = 20.0
 HANDSHAKE_BYTES = 800
 QUIET_S = 0.3
 # What a display counts when bytes that were not sent so get as far as its messages.
@@ -64,7 +64,7 @@ def test_altered_and_replayed_messages_are_refused_and_the_link_recovers(
         for alter in (flip_a_bit, twice):
             connections = len(control.recorded)
             strike(control, "up", alter)
-            eventually(lambda made=connections: said_since(control, made) > HANDSHAKE_BYTES)
+            until(lambda made=connections: said_since(control, made) > HANDSHAKE_BYTES)
         replay(data, behind)
         wrist.terminate()
         assert wrist.wait(PATIENCE_S) == 0
@@ -84,15 +84,8 @@ def strike(between: Middleman, way: str, alter: Alter) -> None:
     """Have one message altered."""
     once = Once(alter)
     setattr(between, way, once)
-    eventually(lambda: once.done)
+    until(lambda: once.done)
     setattr(between, way, None)
-
-
-def eventually(done: Callable[[], object]) -> None:
-    end_s = time.monotonic() + PATIENCE_S
-    while not done():
-        assert time.monotonic() < end_s
-        time.sleep(0.01)
 
 
 def said_since(between: Middleman, connections: int) -> int:
@@ -136,13 +129,13 @@ def test_what_is_replayed_or_reflected_to_who_connects_is_not_believed(
             sockets.send(data, b"secret")
             return bool(listener.poll(0))
 
-        eventually(heard)
-        eventually(lambda: heard() and len(between.recorded[0][0]) > 2 * HANDSHAKE_BYTES)
+        until(heard)
+        until(lambda: heard() and len(between.recorded[0][0]) > 2 * HANDSHAKE_BYTES)
         ((down, _),) = between.recorded
     for say in (lambda _: bytes(down), lambda asked: asked):
         with Parrot(say) as parrot:
             victim = subscribed(context, parrot.address, keyring)
-            eventually(lambda parrot=parrot: parrot.answers >= 1)
+            until(lambda parrot=parrot: parrot.answers >= 1)
             assert not victim.poll(300)
             victim.close(0)
 
@@ -164,9 +157,9 @@ def test_a_message_altered_on_its_way_to_who_binds_is_refused_though_zeromq_ends
 
     with middleman(port(address), port(bound)) as between:
         guest = sockets.connect(context, zmq.DEALER, address, keyring.client("finger"))
-        eventually(lambda: tend() or heard)
+        until(lambda: tend() or heard)
         between.up = Once(flip_a_bit)
-        eventually(lambda: tend() or gate.rejected["not_authentic"] == 1)
+        until(lambda: tend() or gate.rejected["not_authentic"] == 1)
     assert set(heard) == {bytes(MESSAGE_BYTES)}
 
 
@@ -186,7 +179,7 @@ def test_what_a_node_says_reflected_to_it_gets_no_frame(context: Context, tmp_pa
                 heard += back
     # A greeting that says nothing of the stream.
     assert 0 < len(heard) < 100
-    eventually(lambda: gate.tend(time.monotonic_ns()) or gate.rejected["handshake"] == 1)
+    until(lambda: gate.tend(time.monotonic_ns()) or gate.rejected["handshake"] == 1)
 
 
 def subscribed(context: Context, address: str, keyring: Keyring) -> sockets.Socket:

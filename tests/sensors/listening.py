@@ -1,20 +1,9 @@
 """Waiting for what a live sensor's thread hears."""
 
-import time
-from collections.abc import Callable
-
 from sensors.reading import Reading
 from sensors.sensor import Sensor
 
-PATIENCE_S = 20
-
-
-def until(done: Callable[[], bool]) -> None:
-    """Wait for something that happens in another thread or process."""
-    give_up_s = time.monotonic() + PATIENCE_S
-    while not done():
-        assert time.monotonic() < give_up_s, "it never came"
-        time.sleep(0.005)
+from ..waiting import until
 
 
 def heard(sensor: Sensor, count: int) -> list[Reading]:

@@ -11,7 +11,7 @@ from sensors.lsl_inlet import Chunk, LslDecoder, LslScene
 from sensors.packet import Packet
 from sensors.scene import open_sensor
 
-from .listening import until
+from ..waiting import until
 
 NAN = float("nan")
 

@@ -11,7 +11,7 @@ from sensors.force_scale import SensorTable
 from sensors.packet import Packet
 from sensors.sensor import Sensor
 
-from .listening import until
+from ..waiting import until
 
 TABLE = validate({"rate": "1 kHz", "unit": "N"}, SensorTable, "scene")
 

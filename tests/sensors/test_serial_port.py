@@ -20,7 +20,8 @@ from sensors.serial_port import SerialPort, SerialScene
 from telepulse.emulate.pty_port import PtyPort
 from telepulse.emulate.sensor_board import binary, timed_line
 
-from .listening import PATIENCE_S, forces, heard, until
+from ..waiting import PATIENCE_S, until
+from .listening import forces, heard
 
 
 def scene(port: object, **keys: object) -> SerialScene:

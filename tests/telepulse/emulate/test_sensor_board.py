@@ -14,7 +14,7 @@ from protocol.messages import Frame, decode_frame
 
 from ...nodes import RADIAL, assert_accounted, free_address, process, read_json, run
 from ...sensing_node.client import Client
-from ...sensors.listening import until
+from ...waiting import until
 
 BOARD, SENSING, DISPLAY = "telepulse.cli", "sensing_node.cli", "display_node.cli"
 KEYS = {"binary": 'framing = "binary"', "text": 'framing = "text"\ndevice_time = "us"'}

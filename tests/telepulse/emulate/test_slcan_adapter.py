@@ -14,8 +14,9 @@ from telepulse.emulate.pty_port import PtyPort
 from telepulse.emulate.slcan_adapter import LONGEST, SlcanAdapter
 from telepulse.emulate.slcan_bus import SlcanBus
 
-from ...sensors.listening import forces, heard, until
+from ...sensors.listening import forces, heard
 from ...sensors.test_can_bus import DBC, message, scene
+from ...waiting import until
 
 GIVE_UP_S = 10.0
 
