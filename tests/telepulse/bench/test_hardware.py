@@ -51,10 +51,10 @@ class Bench:
         """Nothing to do."""
 
     def command(self, command: StepCommand) -> None:
+        # Told at one of its own instants, so that the way it says is the way it goes.
         self._advance()
-        told_ns = time.monotonic_ns()
-        self._way.tell(command.rate_hz * command.direction * STEP_M, told_ns)
-        self._queue.append((told_ns + self._late_ns, command))
+        self._way.tell(command.rate_hz * command.direction * STEP_M, self._now_ns)
+        self._queue.append((self._now_ns + self._late_ns, command))
 
     def way_m(self, now_ns: int) -> float:
         return self._way.way_m(now_ns)
