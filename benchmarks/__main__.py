@@ -19,7 +19,10 @@ NAMES = (
     "faults",
     "load",
     "realtime",
+    "stalls",
     "recording",
+    "analysis",
+    "metrics",
 )
 
 

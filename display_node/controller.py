@@ -15,6 +15,7 @@ from display_node.delay import Delay
 from display_node.feed_forward import ScrewPath
 from display_node.observer import Observer, ObserverScene
 from display_node.pid import Pid
+from display_node.stall_guard import StallGuard
 from protocol.quantities import Hertz
 from protocol.scene import Section
 
@@ -55,7 +56,7 @@ class ControllerScene(Section):
 class StepperController:
     """Speed in m/s of a stepper, once a tick.
 
-    latency_ticks: from a command to the reading that tells of it.
+    latency_ticks: from a command to the reading that tells of it; play_m: the screw's.
     """
 
     def __init__(
@@ -69,9 +70,12 @@ class StepperController:
         tick_s: float,
         slew_limit_n_per_s: float = math.inf,
         latency_ticks: float = 0.0,
+        play_m: float = 0.0,
     ) -> None:
         self._pid = pid
-        self._tick_s = tick_s
+        self._guard = StallGuard(law, tick_s, play_m)
+        self._missed_ticks = 0
+        self._position = law.position
         self._slew_limit_n_per_s = slew_limit_n_per_s
         self._stiffness = law.stiffness
         self._path = path
@@ -84,13 +88,13 @@ class StepperController:
         if scene.error == "position":
             self._error = lambda wanted_n, reading_n: (
                 law.position(wanted_n) - law.position(reading_n),
-                tick_s,
+                self._guard.held_s,
             )
         else:
             unit = millivolts_per_newton if scene.error == "millivolts" else 1.0
             self._error = lambda wanted_n, reading_n: (
                 unit * (wanted_n - reading_n),
-                unit * law.stiffness(reading_n) * tick_s,
+                unit * law.stiffness(reading_n) * self._guard.held_s,
             )
 
     def output(self, reference_n: list[float], reading_n: float) -> float:
@@ -99,23 +103,33 @@ class StepperController:
         reference_n: the force wanted now and in each of the next `horizon` ticks; reading_n:
         what the feedback film says now, NaN when it says nothing that can be true.
         """
-        path, observer = self._path, self._observer
-        feed = path.advance(reference_n) if path is not None else 0.0
-        # Making up for a lag, too, the force rises no faster than its limit allows.
-        fastest = self._slew_limit_n_per_s / (self._stiffness(reference_n[0]) or 1e-9)
+        path, observer, guard = self._path, self._observer, self._guard
+        guard.tick(self._missed_ticks, reference_n[0])
+        self._missed_ticks = 0
+        feed = path.advance(reference_n, guard.held_s) if path is not None else 0.0
         if path is not None and observer is not None:
             observer.correct(reading_n)
-            return self._pid.step(path.screw_m - observer.screw_m, self._tick_s, feed, fastest)
-        if reading_n == reading_n:
-            self._last_reading_n = reading_n
-        # A reading is to be compared with what was wanted when its command was given.
-        self._wanted_n = reference_n[1]
-        wanted_n = self._wanted_n if self._late is None else self._late.step(self._wanted_n)
-        error, response = self._error(wanted_n, self._last_reading_n)
-        return self._pid.step(error, response, feed, fastest)
+            error, response = path.screw_m - observer.screw_m, guard.held_s
+        else:
+            if reading_n == reading_n:
+                self._last_reading_n = reading_n
+            # A reading is to be compared with what was wanted when its command was given.
+            self._wanted_n = reference_n[1]
+            wanted_n = self._wanted_n if self._late is None else self._late.step(self._wanted_n)
+            error, response = self._error(wanted_n, self._last_reading_n)
+        if path is not None and path.further_m:
+            error += response / guard.held_s * path.further_m
+        # Making up for a lag, too, the force rises no faster than its limit allows.
+        fastest = self._slew_limit_n_per_s / (self._stiffness(reference_n[0]) or 1e-9)
+        pressing = fastest
+        if guard.wary:
+            screw_m = observer.screw_m if observer else self._position(self._last_reading_n)
+            pressing = min(fastest, guard.fastest(screw_m))
+        return self._pid.step(error, response, feed, -fastest, pressing)
 
     def skip(self, speed_m_per_s: float) -> None:
         """A tick was missed, in which the drive went on at a speed."""
+        self._missed_ticks += 1
         if self._path is not None:
             self._path.skip(speed_m_per_s)
         if self._observer is not None:

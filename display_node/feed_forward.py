@@ -37,11 +37,14 @@ class ScrewPath:
         self._fed_m: float | None = None
         self.tip_m = 0.0
         self.screw_m = 0.0
+        self.further_m = 0.0
 
-    def advance(self, reference_n: list[float]) -> float:
-        """The speed in m/s for this tick; sets where tip and screw should be at its end.
+    def advance(self, reference_n: list[float], held_s: float = 0.0) -> float:
+        """The speed in m/s for this tick; sets where tip and screw should be at its end, and how
+        much further the screw when the speed has been held.
 
-        reference_n: the force wanted now and in each of the next `horizon` ticks.
+        reference_n: the force wanted now and in each of the next `horizon` ticks; held_s: how long
+        the speed will be held, where that is longer than a tick.
         """
         position = self._law.position
         self.tip_m = screw_m = position(reference_n[1])
@@ -55,8 +58,13 @@ class ScrewPath:
         if self._fed_m is None:
             self._fed_m = position(reference_n[0]) + screw_m - self.tip_m
         self.screw_m = screw_m
-        speed_m_per_s = (screw_m - self._fed_m) / self._tick_s
-        self._fed_m = screw_m
+        self.further_m = 0.0
+        if held_s > self._tick_s:
+            # Beyond a tick more, a pulse's slope foretells nothing.
+            slope_m_per_s = (self.tip_m - position(reference_n[0])) / self._tick_s
+            self.further_m = slope_m_per_s * min(held_s - self._tick_s, self._tick_s)
+        speed_m_per_s = (screw_m + self.further_m - self._fed_m) / max(held_s, self._tick_s)
+        self._fed_m += speed_m_per_s * self._tick_s
         return speed_m_per_s
 
     def skip(self, speed_m_per_s: float) -> None:

@@ -160,6 +160,7 @@ def _stepper(
         tick_s,
         slew_limit_n_per_s,
         latency_ticks,
+        scene.backlash_m / 2,
     )
 
     def drive(output: float) -> float:

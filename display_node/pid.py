@@ -38,13 +38,18 @@ class Pid:
         self._last_error: float | None = None
 
     def step(
-        self, error: float, response: float = 0.0, feed: float = 0.0, within: float = math.inf
+        self,
+        error: float,
+        response: float = 0.0,
+        feed: float = 0.0,
+        least: float = -math.inf,
+        most: float = math.inf,
     ) -> float:
         """One tick: the output, held until its end.
 
         error: what it will be at the tick's end if the output is 0; response: how much of it
         an output of 1 takes away by then (0: not known, the law is then explicit); feed: added
-        to the output before the bound; within: a bound for this tick, besides the limit. An
+        to the output before the bound; least, most: bounds for this tick, besides the limit. An
         error that is no finite number gives −limit: retract.
         """
         if not math.isfinite(error):
@@ -55,12 +60,14 @@ class Pid:
         last = error if self._last_error is None else self._last_error
         past = self._integral + self._keep * self._derivative - self._kd_tick * last
         wanted = feed + (self._gain * unfed + past) / (1 + response * self._gain)
-        limit = self._limit if self._limit < within else within
-        if -limit <= wanted <= limit:
+        limit = self._limit
+        highest = limit if limit < most else most
+        lowest = -limit if -limit > least else least
+        if lowest <= wanted <= highest:
             output, free = wanted, True
         else:
-            output = limit if wanted > limit else -limit
-            free = (error > 0) != (wanted > 0)
+            output = highest if wanted > highest else lowest
+            free = (error > 0) != (wanted > output)
         remaining = error - response * output
         if free:
             self._integral += self._ki_tick * remaining

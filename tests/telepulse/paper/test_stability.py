@@ -301,10 +301,15 @@ class WindingUp(Pid):
     """A PID whose integral goes on in saturation, at a third of its rate."""
 
     def step(
-        self, error: float, response: float = 0.0, feed: float = 0.0, within: float = math.inf
+        self,
+        error: float,
+        response: float = 0.0,
+        feed: float = 0.0,
+        least: float = -math.inf,
+        most: float = math.inf,
     ) -> float:
         before = self._integral
-        output = super().step(error, response, feed, within)
+        output = super().step(error, response, feed, least, most)
         if self._integral == before:
             self._integral += 0.3 * self._ki_tick * (error - response * output)
         return output
