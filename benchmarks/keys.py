@@ -91,9 +91,7 @@ def main() -> None:
     show(f"Keys, {ROUNDS} rounds over loopback", columns, table)
 
 
-def _revoke(
-    pairs: dict[str, KeyPair], allowed: Path, phase_s: float
-) -> tuple[float, float, int]:
+def _revoke(pairs: dict[str, KeyPair], allowed: Path, phase_s: float) -> tuple[float, float, int]:
     """Let somebody in, revoke them; ms until the first frame and to the last, frames missed by
     who stays. phase_s: when, within the second between two looks at the list."""
     allow(allowed, pairs["goes"].public)

@@ -21,10 +21,14 @@ PATIENCE_NS = 2_000_000_000
 # Nothing from anywhere for so long: the network is cut, and what TCP would repeat when it is back
 # comes later than what a new connection brings.
 CUT_NS = 500_000_000
+# Where this process itself stood still for so long, it hears first what has queued meanwhile; the
+# connection is dead if no more follows that.
+STOOD_STILL_NS = 250_000_000
+FOLLOWS_WITHIN_NS = 150_000_000
 # How long to wait for the answer to a request to connect: the kernel repeats it only after 1 s.
 # The network may be slower than it was: for 20 s it is hurried, then there is once all the time
-# that it takes; every other time, where it was never heard.
-ANSWER_NS = 300_000_000
+# that it takes.
+ANSWER_NS = 100_000_000
 ANSWER_ROUND_TRIPS = 3
 HURRIED_TRIES = 10
 PATIENCE_FRAMES = 3
@@ -55,9 +59,12 @@ class Connection:
             for address, share in zip(addresses, shares, strict=True)
         ]
         self._turns = itertools.cycle(self.routes)
-        self._subscribed = False
+        # What was last subscribed with.
+        self._times_ns: tuple[int, int] | None = None
         self._heard_ns: int | None = None
-        self.control = Line([sockets.unconnected(context, zmq.DEALER, keys)])
+        self._tended_ns: int | None = None
+        self._cut_ns = CUT_NS
+        self.control = Line([sockets.unconnected(context, zmq.DEALER, keys)], hurried=True)
         self._lines = [self.control, *(route.data for route in self.routes)]
         data = [socket for route in self.routes for socket in route.data.sockets]
         self.descriptors = sockets.descriptors([*self.control.sockets, *data])
@@ -69,35 +76,60 @@ class Connection:
     def subscribe(self, frame_ns: int, round_trip_ns: int) -> None:
         """Ask for frames, from now on; one covers `frame_ns`. The way to the sensing node and
         back takes `round_trip_ns`."""
+        times_ns = frame_ns, max(ANSWER_NS, ANSWER_ROUND_TRIPS * round_trip_ns)
+        if times_ns == self._times_ns:
+            return
+        first, self._times_ns = self._times_ns is None, times_ns
         for line in self._lines:
-            line.answer_ns = max(ANSWER_NS, ANSWER_ROUND_TRIPS * round_trip_ns)
+            line.answer_ns = times_ns[1]
         for route in self.routes:
             route.data.patience_ns = max(PATIENCE_NS, PATIENCE_FRAMES * frame_ns)
-            if not self._subscribed:
+            if first:
                 route.data.subscribe()
-        self._subscribed = True
 
     def tend(self, now_ns: int) -> bool:
         """Connect what is silent, once its address is known; call each tick.
 
         Returns whether control has a new connection, over which nobody knows this display yet.
         """
-        self._refusals.tend(now_ns)
+        answered = self._refusals.tend(now_ns)
         cut = self._cut(now_ns)
         for route in self.routes:
             if cut:
                 route.data.give_up()
             route.tend(now_ns)
+        told = bool(answered) and self._tell(answered, now_ns)
         if cut and self.control.address is not None:
             self.control.connect(self.control.address, now_ns)
             return True
-        return self.control.silent(now_ns) and self._move_control(now_ns)
+        return told or (self.control.silent(now_ns) and self._move_control(now_ns))
+
+    def _tell(self, answered: list[sockets.Socket], now_ns: int) -> bool:
+        """Where one request of control and data is answered, the other, sent while the network was
+        cut, need not be waited for. Returns whether control has a new connection."""
+        for line in self._lines:
+            line.take_answers(answered)
+        control = self.control
+        for route in self.routes:
+            data = route.data
+            if data.address is None or sockets.control_address(data.address) != control.address:
+                continue
+            if control.answered and not data.answered:
+                data.connect(data.address, now_ns)
+            elif data.answered and not control.answered:
+                # It may have been too hurried for this network.
+                control.connect(control.address, now_ns, hurried=False)
+                return True
+        return False
 
     def _cut(self, now_ns: int) -> bool:
         """Whether all lines together have just been silent for too long; once in a silence."""
+        stood_still = self._tended_ns is not None and now_ns - self._tended_ns >= STOOD_STILL_NS
+        self._tended_ns = now_ns
         if sum(line.heard(now_ns) for line in self._lines):
             self._heard_ns = now_ns
-        elif self._heard_ns is not None and now_ns - self._heard_ns >= CUT_NS:
+            self._cut_ns = FOLLOWS_WITHIN_NS if stood_still else CUT_NS
+        elif self._heard_ns is not None and now_ns - self._heard_ns >= self._cut_ns:
             self._heard_ns = None
             return True
         return False
@@ -127,7 +159,8 @@ class Route:
         """Raises AddressError when `address` is none."""
         sockets.control_address(address)
         self.address = address
-        self.data = Line([sockets.unconnected(context, zmq.SUB, keys) for _ in range(paths)])
+        data = [sockets.unconnected(context, zmq.SUB, keys) for _ in range(paths)]
+        self.data = Line(data, hurried=False)
         self._lookup = Lookup(address, log)
         self.won = 0
 
@@ -146,15 +179,20 @@ class Line:
     """Sockets that are connected to one address together, and anew when all of them are silent.
 
     address: what they are connected to; None before that. answer_ns: when to repeat a request to
-    connect that nobody answers.
+    connect that nobody answers. answered: whether one of the present requests was.
     """
 
-    def __init__(self, connected: list[sockets.Socket]) -> None:
+    def __init__(self, connected: list[sockets.Socket], hurried: bool) -> None:
+        """hurried: requests to connect are repeated soon even before anything was ever heard, when
+        nobody knows how long an answer takes."""
         self.sockets = connected
         self.address: str | None = None
         self.patience_ns = PATIENCE_NS
         self.answer_ns = ANSWER_NS
-        self._hurried_tries = self._tries = 1
+        self.answered = False
+        self._hurried = hurried
+        self._known = False
+        self._tries = 0
         self._heard = self._asked = False
         self._silent_ns = 0
 
@@ -175,7 +213,7 @@ class Line:
         """Whether anything has come since this was asked last."""
         heard = self._heard
         if heard:
-            self._hurried_tries, self._tries = HURRIED_TRIES, 0
+            self._known, self._tries = True, 0
         if heard or self._asked:
             self._silent_ns = now_ns + self.patience_ns
         self._heard = self._asked = False
@@ -189,10 +227,21 @@ class Line:
         """Have no more patience with the present connection."""
         self._silent_ns = 0
 
-    def connect(self, address: str, now_ns: int) -> None:
-        """Connect to `address` instead of the one before; the two may be the same."""
-        hurried = self._tries % (self._hurried_tries + 1) < self._hurried_tries
+    def take_answers(self, answered: Sequence[sockets.Socket]) -> None:
+        """A host has answered these sockets' requests to connect."""
+        self.answered = self.answered or any(socket in answered for socket in self.sockets)
+
+    def connect(self, address: str, now_ns: int, hurried: bool = True) -> None:
+        """Connect to `address` instead of the one before; the two may be the same.
+
+        hurried: repeat the request soon, where that may be.
+        """
+        if self._known:
+            hurried = hurried and self._tries % (HURRIED_TRIES + 1) < HURRIED_TRIES
+        else:
+            hurried = hurried and self._hurried
         self._tries += 1
+        self.answered = False
         for socket in self.sockets:
             sockets.reconnect(socket, self.address, address, self.answer_ns if hurried else 0)
         self.address = address

@@ -1,6 +1,7 @@
 """The telemetry's socket: publishes traces, statuses and, to who asks, what was heard."""
 
 import time
+from collections.abc import Callable
 
 import zmq
 
@@ -9,19 +10,29 @@ from display_node.heard import HEARD, HeardWriter
 from display_node.telemetry import STATUS, STATUS_TRACES, TRACE, TraceWriter
 from protocol import sockets
 from protocol.gate import Gate
+from protocol.subscribers import Subscribers
 
 LOOK_EVERY_S = 0.01
 
 
 class Publisher:
-    """What a display publishes, over one bound XPUB socket."""
+    """What a display publishes, over one bound XPUB socket.
 
-    def __init__(self, socket: sockets.Socket, run: int, gate: Gate | None = None) -> None:
+    rejected: what its readers were refused, by cause.
+    """
+
+    def __init__(
+        self,
+        socket: sockets.Socket,
+        run: int,
+        gate: Gate | None = None,
+        log: Callable[[str], None] = print,
+    ) -> None:
         """run: a random number of this run of the display. gate: says who may read."""
-        # Each reader is told of, not the first alone: each must be told what the stream is.
-        socket.setsockopt(zmq.XPUB_VERBOSE, 1)
         self._socket = socket
         self._gate = gate
+        self._subscribers = Subscribers(socket, (TRACE, STATUS, HEARD), log)
+        self.rejected = self._subscribers.rejected
         self._trace = TraceWriter()
         self.heard = HeardWriter(run)
         self.address = socket.getsockopt_string(zmq.LAST_ENDPOINT)
@@ -69,5 +80,5 @@ class Publisher:
     def _follow_readers(self) -> None:
         if self._gate is not None:
             self._gate.tend(time.monotonic_ns())
-        for subscription, *_ in sockets.receive_all(self._socket):
+        for subscription in self._subscribers.said():
             self.heard.follow(subscription)

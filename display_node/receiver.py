@@ -9,7 +9,7 @@ from collections import Counter, deque
 from display_node.delay_track import JUMP_NS
 from display_node.jitter_buffer import Account, JitterBuffer
 from display_node.playout import DelayEstimator
-from protocol.clock import ClockEstimator, ClockExchange
+from protocol.clock import READY_AFTER, ClockEstimator, ClockExchange
 from protocol.errors import WireError
 from protocol.histogram import Histogram
 from protocol.messages import (
@@ -27,6 +27,7 @@ from protocol.stream import StreamDescription
 
 HELLO_EVERY_NS = 250_000_000
 # A minute of it; more often, TCP delivers requests and replies in bunches, which is a bias.
+# The first ones at once: without the clock there is nothing to feel.
 CLOCK_FAST_NS = 20_000_000
 CLOCK_FAST_COUNT = 3_000
 CLOCK_EVERY_NS = 50_000_000
@@ -123,8 +124,9 @@ class Receiver:
             wanted.append(Hello(self._name))
         if self.session is not None and not silent and now_ns >= self._next_clock_ns:
             fast = self._clock_requests < CLOCK_FAST_COUNT
-            self._next_clock_ns = now_ns + (CLOCK_FAST_NS if fast else CLOCK_EVERY_NS)
             self._clock_requests += 1
+            if self._clock_requests >= READY_AFTER:
+                self._next_clock_ns = now_ns + (CLOCK_FAST_NS if fast else CLOCK_EVERY_NS)
             self._asked_ns.append(now_ns)
             wanted.append(ClockRequest(now_ns))
         if self._farewell is not None and self.buffer.complete:

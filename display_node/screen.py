@@ -1,10 +1,11 @@
 """The live state in a terminal, drawn from the telemetry by a process of its own.
 
 `python -m display_node.screen ADDRESS [KEY]` shows a display's telemetry: a panel in a terminal, a
-line a second elsewhere. It ends with the display, or when that falls silent. KEY is the display's
-own secret key file, where its telemetry is protected.
+line a second elsewhere. It ends with the display, or with the process that started it. KEY is the
+display's own secret key file, where its telemetry is protected.
 """
 
+import os
 import signal
 import sys
 import time
@@ -24,9 +25,9 @@ from rich.text import Text
 from display_node.heart_rate import heart_rate_per_min
 from display_node.telemetry import STATUS, TRACE, Status, Trace, read_status, read_trace
 from protocol import sockets
+from protocol.errors import WireError
 from protocol.keys import ClientKeys, read_pair
 
-SILENT_AFTER_S = 5.0
 FRAMES_PER_S = 8
 LINE_EVERY_S = 1.0
 KEEP_S = 6.0
@@ -44,6 +45,24 @@ class Screen:
         self._target_n: deque[float] = deque()
         self._felt_n: deque[float] = deque()
         self.status: Status | None = None
+        # Messages that could not be read.
+        self.unreadable = 0
+
+    def take(self, message: Sequence[bytes]) -> Trace | None:
+        """Take a telemetry message, of its topic and its data; the trace where it is one."""
+        try:
+            match message:
+                case [topic, data] if topic == TRACE:
+                    trace = read_trace(data)
+                    self.add_trace(trace)
+                    return trace
+                case [topic, data] if topic == STATUS:
+                    self.status = read_status(data)
+                case _:
+                    self.unreadable += 1
+        except WireError:
+            self.unreadable += 1
+        return None
 
     def add_trace(self, trace: Trace) -> None:
         """Take ticks; every tenth is kept, for 6 s."""
@@ -100,6 +119,7 @@ class Screen:
             ("samples lost", _count(s["samples"]["lost"])),
             ("samples played", _count(s["samples"]["played"])),
             ("deadline misses", _count(s["loop"]["deadline_misses"])),
+            *([("telemetry not readable", str(self.unreadable))] if self.unreadable else []),
         ]
 
     def _plot(self) -> list[RenderableType]:
@@ -164,7 +184,8 @@ def watch(
     """Follow a display's telemetry until it ends; its last status, None if it never spoke.
 
     on_trace gets every trace as well; draw: show the state; meanwhile: called several times a
-    second, ends the watch by returning False; keys: where the telemetry is protected.
+    second, ends the watch by returning False, as does nothing else while a display is silent;
+    keys: where the telemetry is protected. What cannot be read is counted and shown.
     """
     screen = Screen()
     context: sockets.Context = zmq.Context()
@@ -175,21 +196,16 @@ def watch(
     if draw and console.is_terminal:
         live = Live(screen.panel(), console=console, refresh_per_second=FRAMES_PER_S)
         live.start()
-    heard_s = line_s = time.monotonic()
+    line_s = time.monotonic()
     try:
-        while meanwhile() and time.monotonic() - heard_s < SILENT_AFTER_S:
+        while meanwhile():
             sockets.wait_readable([socket], 1_000_000_000 // FRAMES_PER_S)
-            for topic, data in sockets.receive_all(socket):
-                heard_s = time.monotonic()
-                if topic == TRACE:
-                    trace = read_trace(data)
-                    screen.add_trace(trace)
-                    if on_trace is not None:
-                        on_trace(trace)
-                elif topic == STATUS:
-                    screen.status = read_status(data)
-                    if screen.status.final:
-                        return screen.status
+            for message in sockets.receive_all(socket):
+                trace = screen.take(message)
+                if trace is not None and on_trace is not None:
+                    on_trace(trace)
+                if screen.status is not None and screen.status.final:
+                    return screen.status
             if live is not None:
                 live.update(screen.panel())
             elif draw and time.monotonic() - line_s >= LINE_EVERY_S:
@@ -209,4 +225,6 @@ if __name__ == "__main__":
     address, *key = sys.argv[1:]
     pairs = [read_pair(Path(path)) for path in key]
     own = ClientKeys(pairs[0], pairs[0].public) if pairs else None
-    watch(address, Console(markup=False, emoji=False), keys=own)
+    parent = os.getppid()
+    console = Console(markup=False, emoji=False)
+    watch(address, console, meanwhile=lambda: os.getppid() == parent, keys=own)

@@ -72,7 +72,7 @@ class Door:
         """Cut the connections from `addresses`, or all."""
         for descriptor, address in self._open.items():
             if addresses is None or address in addresses:
-                _cut(descriptor, address)
+                cut(descriptor, address)
 
     def _end(self, descriptor: int) -> list[tuple[str, str]]:
         """A connection has ended; the failure, if that is why."""
@@ -110,8 +110,11 @@ def _address_of(descriptor: int) -> str:
     return ""
 
 
-def _cut(descriptor: int, address: str) -> None:
-    """End a connection of ZeroMQ's own; ZeroMQ notices, and closes it."""
+def cut(descriptor: int, address: str) -> None:
+    """End a connection of ZeroMQ's own; ZeroMQ notices, and closes it.
+
+    address: whence it comes, empty over ipc.
+    """
     with suppress(OSError):
         connection = plain.socket(fileno=descriptor)
         try:

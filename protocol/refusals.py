@@ -9,14 +9,18 @@ from protocol.keys import ClientKeys
 from protocol.sockets import Context, Socket
 from protocol.watch import FAILURES, HANDSHAKE, NO_KEY, NOT_AUTHENTIC, REPLAYED, Watch, cause_of
 
-LOOK_EVERY_NS = 500_000_000
+LOOK_EVERY_NS = 10_000_000
 REFUSED_KEY = "refused_key"
 # A node that ends breaks off, too; who does so again and again has another reason.
 BREAKS = 3
+_EVENTS = (
+    zmq.EVENT_CONNECTED | zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_HANDSHAKE_FAILED_AUTH | FAILURES
+)
 
 
 class Refusals:
-    """Counts what connecting sockets are refused, and says each reason once.
+    """Counts what connecting sockets are refused, says each reason once, and tells which requests
+    to connect were answered.
 
     rejected: how often, by cause.
     """
@@ -27,7 +31,7 @@ class Refusals:
         self._context = context
         self._keys = keys
         self._log = log
-        self._watches: list[Watch] = []
+        self._watches: list[tuple[Socket, Watch]] = []
         self._breaks: Counter[str] = Counter()
         self._said: set[tuple[str, str]] = set()
         self._look_ns = 0
@@ -35,17 +39,22 @@ class Refusals:
 
     def watch(self, socket: Socket) -> None:
         """Listen to a socket; before it connects."""
-        events = zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_HANDSHAKE_FAILED_AUTH | FAILURES
-        self._watches.append(Watch(self._context, socket, events))
+        self._watches.append((socket, Watch(self._context, socket, _EVENTS)))
 
-    def tend(self, now_ns: int) -> None:
-        """Hear what has happened; call it often."""
+    def tend(self, now_ns: int) -> list[Socket]:
+        """Hear what has happened; call it often. Returns the sockets to whose request to connect
+        a host has answered, whatever comes of it."""
         if now_ns < self._look_ns:
-            return
+            return []
         self._look_ns = now_ns + LOOK_EVERY_NS
-        for watch in self._watches:
+        answered = []
+        for socket, watch in self._watches:
             for event, value, endpoint in watch.events():
-                self._on_event(event, value, endpoint)
+                if event == zmq.EVENT_CONNECTED:
+                    answered.append(socket)
+                else:
+                    self._on_event(event, value, endpoint)
+        return answered
 
     def _on_event(self, event: int, value: int, endpoint: str) -> None:
         # Data and control of a node have one reason.

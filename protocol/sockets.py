@@ -29,10 +29,22 @@ KEEPALIVE_PROBES = 4
 # What a peer has not acknowledged, or has no room for, for so long: it does not read any more, and
 # what queues for it gets old. Longer than a display is patient with a silent connection.
 STUCK_MS = 5_000
-RECONNECT_MS = 50
+RECONNECT_MS = 20
 HIGH_WATER_FRAMES = 1_000
 LINGER_MS = 500
 MAX_MESSAGES = 200
+# Who publishes hears nothing but subscriptions (protocol/subscribers.py).
+_FOR_SUBSCRIPTIONS: dict[int, int] = {
+    # Each is told of, not the first alone: else one peer's topics hide behind another's.
+    zmq.XPUB_VERBOSE: 1,
+    # While some wait, ZeroMQ reads no more of that connection, and the kernel holds its peer up.
+    # With 1 nobody who has a key gets in.
+    zmq.RCVHWM: 2,
+    # Who is cut off is heard to the end of what the kernel holds; Linux doubles it.
+    zmq.RCVBUF: 2_048,
+    # Every letter costs memory. A key exchange takes a few hundred bytes.
+    zmq.MAXMSGSIZE: 1_024,
+}
 MAX_PORT = 65_535
 
 Context = zmq.Context[zmq.Socket[bytes]]
@@ -80,6 +92,8 @@ def bind(
     limits: socket options for what queues for each peer, where ours do not fit.
     """
     socket = _socket_for(context, kind, address)
+    if kind == zmq.XPUB:
+        limits = {**_FOR_SUBSCRIPTIONS, **limits}
     for option, value in limits.items():
         socket.setsockopt(option, value)
     if gate is not None:

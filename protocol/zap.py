@@ -24,7 +24,7 @@ def read_knock(request: Sequence[bytes]) -> Knock | None:
     version, _, domain, address, _, mechanism, key = request
     if (version, domain, mechanism) != (VERSION, DOMAIN, b"CURVE") or len(key) != KEY_BYTES:
         return None
-    return Knock(_internet(address.decode("ascii", "replace")), key)
+    return Knock(internet(address.decode("ascii", "replace")), key)
 
 
 def reply(request: Sequence[bytes], user: str | None) -> list[bytes]:
@@ -35,8 +35,9 @@ def reply(request: Sequence[bytes], user: str | None) -> list[bytes]:
     return [VERSION, number, b"200", b"", user.encode("ascii"), b""]
 
 
-def _internet(address: str) -> str:
-    """The address, where it is one of a network; over ipc it names user and process."""
+def internet(address: str) -> str:
+    """A peer's address as ZeroMQ says it, where it is one of a network; else empty: over ipc it
+    names user and process."""
     try:
         ipaddress.ip_address(address)
     except ValueError:

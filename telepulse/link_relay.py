@@ -11,6 +11,7 @@ import zmq
 from protocol import sockets
 from protocol.gate import Gate
 from protocol.keys import ClientKeys, ServerKeys
+from protocol.subscribers import Subscribers
 from telepulse.link import LinkScene, MessageLink
 
 IDLE_NS = 50_000_000
@@ -43,7 +44,8 @@ class LinkRelay:
         self._data_in.subscribe(b"")
         self._control_in = sockets.connect(context, zmq.DEALER, control_in, keys)
         self._gate = None if gate_keys is None else Gate(context, gate_keys, log)
-        self._data_out = sockets.bind(context, zmq.PUB, bind, self._gate)
+        self._data_out = sockets.bind(context, zmq.XPUB, bind, self._gate)
+        self._subscribers = Subscribers(self._data_out, (b"",), log)
         self._control_out = sockets.bind(context, zmq.ROUTER, control_out, self._gate)
 
     @property
@@ -70,6 +72,7 @@ class LinkRelay:
             self._context.destroy(linger=sockets.LINGER_MS)
 
     def _receive(self) -> None:
+        self._subscribers.tend()
         for parts in sockets.receive_all(self._data_in):
             due_ns = self._down.data_arrival_ns(time.monotonic_ns(), _size_bytes(parts))
             if due_ns is not None:

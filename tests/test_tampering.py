@@ -13,6 +13,7 @@ import zmq
 from display_node.telemetry import Status
 from protocol import sockets
 from protocol.gate import Gate
+from protocol.messages import Hello, encode_control
 from protocol.sockets import Context
 
 from .display_node.live import await_state, await_status, subscribe
@@ -161,6 +162,37 @@ def test_a_message_altered_on_its_way_to_who_binds_is_refused_though_zeromq_ends
         between.up = Once(flip_a_bit)
         until(lambda: tend() or gate.rejected["not_authentic"] == 1)
     assert set(heard) == {bytes(MESSAGE_BYTES)}
+
+
+def test_messages_that_are_joined_on_the_way_are_refused(context: Context, tmp_path: Path) -> None:
+    keyring = Keyring(tmp_path / "keys")
+    keyring.allow("finger")
+    address, behind, sensed = free_address(), free_address(), tmp_path / "sensed.json"
+    arguments = (str(RADIAL), "--bind", behind, "--key", keyring.path("wrist"))
+    control = sockets.control_address(address)
+    with (
+        middleman(port(control), port(behind) + 1) as between,
+        process("sensing_node.cli", *arguments, "--json", str(sensed)) as wrist,
+    ):
+        guest = sockets.connect(context, zmq.DEALER, control, keyring.client("finger"))
+
+        def asked() -> bool:
+            sockets.send(guest, encode_control(Hello("d" * MESSAGE_BYTES)))
+            return bool(guest.poll(20) and guest.recv())
+
+        until(asked)
+        between.up = join = Once(with_a_further_part)
+        until(lambda: asked() and join.done)
+        between.up = None
+        until(asked)
+        wrist.terminate()
+        assert wrist.wait(PATIENCE_S) == 0
+    assert read_json(sensed)["rejected"] == {"malformed": 1}
+
+
+def with_a_further_part(data: bytes) -> bytes:
+    """A frame of ZMTP says in its first byte that more of its message follows."""
+    return bytes([data[0] | 1]) + data[1:]
 
 
 def test_what_a_node_says_reflected_to_it_gets_no_frame(context: Context, tmp_path: Path) -> None:

@@ -142,6 +142,26 @@ def display_killed_in_a_cut(folder: Path, times: int, rng: random.Random) -> Fou
         return Found(unaccounted(sensing.end(), display.account()), finger.peaks(), back_ms)
 
 
+def display_stopped_in_a_cut(folder: Path, times: int, rng: random.Random) -> Found:
+    """SIGSTOP of the display while the link is cut; it goes on when the link does, or up to 0.6 s
+    before or after."""
+    with emulate(WHOLE) as link, staged(folder, link) as stage:
+        sensing, display, finger = stage.play()
+
+        def cut() -> int:
+            apart_s = rng.uniform(-0.6, 0.6)
+            link.change(CUT)
+            display.pause()
+            time.sleep(rng.uniform(0.5, 4.0))
+            (display.resume if apart_s < 0 else lambda: link.change(WHOLE))()
+            time.sleep(abs(apart_s))
+            (display.resume if apart_s >= 0 else lambda: link.change(WHOLE))()
+            return time.monotonic_ns()
+
+        back_ms = again(finger, times, rng, cut)
+        return Found(unaccounted(sensing.end(), display.account()), finger.peaks(), back_ms)
+
+
 def one_of_two_networks_cut(folder: Path, times: int, rng: random.Random) -> Found:
     """Now the one and now the other, for 0.5 to 3 s."""
     with emulate(WHOLE, WHOLE) as link, staged(folder, link) as stage:
@@ -281,6 +301,7 @@ CASES: dict[str, Callable[[Path, int, random.Random], Found]] = {
     "display: kill -9, started again": display_killed,
     "link cut for 0.3 to 8 s": link_cut,
     "display: kill -9, started again in a cut": display_killed_in_a_cut,
+    "display stopped in a cut": display_stopped_in_a_cut,
     "one of two networks cut for 0.5 to 3 s": one_of_two_networks_cut,
     "display stopped for 0.5 to 20 s": display_stopped,
     "one of 20 displays never reads": one_of_twenty_never_reads,
@@ -295,5 +316,6 @@ NEEDS_EMULATOR = {
     display_killed,
     link_cut,
     display_killed_in_a_cut,
+    display_stopped_in_a_cut,
     one_of_two_networks_cut,
 }

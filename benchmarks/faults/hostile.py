@@ -3,8 +3,9 @@
 import random
 import socket
 import struct
+import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import zmq
@@ -18,6 +19,7 @@ SUBSCRIBE_TO_ALL = b"\x00\x01\x01"
 MESSAGE_BYTES = (0, 1, 10, 100, 10_000, 60_000)
 RAW_BYTES = 2_000
 ESTABLISHED = "01"
+BURST = 200
 
 
 def port_of(address: str) -> int:
@@ -35,12 +37,35 @@ def deaf_subscriber(port: int, small: bool = True) -> socket.socket:
     if small:
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1)
     connection.connect(("127.0.0.1", port))
-    connection.sendall(GREETING + _command(b"\x05READY\x0bSocket-Type\x00\x00\x00\x03SUB"))
-    answer = b""
-    while len(answer) < len(GREETING) + READY_BYTES:
-        answer += connection.recv(len(GREETING) + READY_BYTES - len(answer))
+    _shake_hands(connection)
     connection.sendall(SUBSCRIBE_TO_ALL)
     return connection
+
+
+def subscribing(port: int, topic_bytes: int, seconds: float) -> None:
+    """A peer that subscribes to ever new topics as fast as it can, and connects anew when it is
+    cut off."""
+    end_s, number = time.monotonic() + seconds, 0
+    while time.monotonic() < end_s:
+        with suppress(OSError), socket.create_connection(("127.0.0.1", port), seconds) as one:
+            _shake_hands(one)
+            while time.monotonic() < end_s:
+                topics = (b"%0*d" % (topic_bytes, n) for n in range(number, number + BURST))
+                one.sendall(
+                    b"".join(b"\2" + struct.pack(">Q", len(t) + 1) + b"\1" + t for t in topics)
+                )
+                number += BURST
+
+
+def _shake_hands(connection: socket.socket) -> None:
+    """As ZeroMQ does. Raises ConnectionError."""
+    connection.sendall(GREETING + _command(b"\x05READY\x0bSocket-Type\x00\x00\x00\x03SUB"))
+    awaited = len(GREETING) + READY_BYTES
+    while awaited:
+        heard = connection.recv(awaited)
+        if not heard:
+            raise ConnectionError("it has hung up")
+        awaited -= len(heard)
 
 
 def queued_bytes(connection: socket.socket) -> int | None:

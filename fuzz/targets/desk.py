@@ -4,7 +4,7 @@ from fuzz.refusals import check_causes
 from fuzz.targets.control import DESCRIPTION
 from fuzz.targets.control import seeds as messages
 from protocol.messages import Bye, Report, decode_control, encode_control
-from sensing_node.desk import MAX_ADDRESS_BYTES, MAX_GUESTS, MAX_HOPS, Desk
+from sensing_node.desk import ADDRESS_BYTES, MAX_GUESTS, MAX_HOPS, Desk
 
 SESSION = 7
 STEP_NS = 300_000_000
@@ -33,7 +33,7 @@ def try_one(data: bytes) -> None:
         assert len(desk.guests) <= MAX_GUESTS
         for envelope, guest in desk.guests.items():
             assert len(envelope) <= MAX_HOPS
-            assert sum(map(len, envelope)) <= MAX_HOPS * MAX_ADDRESS_BYTES
+            assert all(len(address) == ADDRESS_BYTES for address in envelope[1:])
             guest.shown_name.encode("ascii")
     assert answered + noted + desk.rejected.total() == count
     check_causes(desk.rejected)

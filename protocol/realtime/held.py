@@ -81,9 +81,7 @@ def check_strict(asked: Asked) -> None:
             pass
 
 
-def _measures(
-    asked: Asked, overrun: Callable[[], None]
-) -> dict[str, AbstractContextManager[str]]:
+def _measures(asked: Asked, overrun: Callable[[], None]) -> dict[str, AbstractContextManager[str]]:
     """The measures asked for by name, in the order in which they are taken."""
     measures: dict[str, AbstractContextManager[str]] = {}
     if asked.gc:

@@ -10,7 +10,10 @@ from protocol import sockets
 from protocol.gate import Gate
 from protocol.keys import ClientKeys, ServerKeys
 from protocol.refusals import Refusals
-from protocol.summary import Frames, Summary
+from protocol.subscribers import Subscribers
+from protocol.summary import Frames as FrameCounts
+from protocol.summary import Summary
+from telepulse.relay.frames import Frames
 from telepulse.relay.proxy import Proxy
 from telepulse.relay.silence import Silence
 
@@ -24,8 +27,8 @@ DATA_PATIENCE_NS = 10_000_000_000
 class Relay:
     """Passes one stream on, and what its displays and its sensing node tell one another.
 
-    It reads none of it. A display's subscription asks the sensing node for the frames, once for
-    all displays; a display too slow for them loses the newest, as on the sensing node itself.
+    It decodes none of it. The first display that subscribes makes it ask the sensing node for the
+    frames, once for all; a display too slow for them loses the newest, as on the sensing node.
     """
 
     def __init__(
@@ -50,11 +53,12 @@ class Relay:
         context = self._context
         self._gate = None if server_keys is None else Gate(context, server_keys, log)
         self._refusals = Refusals(context, client_keys, log)
-        data_in = sockets.unconnected(context, zmq.XSUB, client_keys)
+        data_in = sockets.unconnected(context, zmq.SUB, client_keys)
         control_in = sockets.unconnected(context, zmq.DEALER, client_keys)
         self._refusals.watch(data_in)
         self._refusals.watch(control_in)
-        self._data = Proxy(context, sockets.bind(context, zmq.XPUB, bind, self._gate), data_in)
+        data_out = sockets.bind(context, zmq.XPUB, bind, self._gate)
+        self._frames = Frames(data_out, data_in, Subscribers(data_out, (b"",), log))
         control_out = sockets.bind(context, zmq.ROUTER, control, self._gate)
         self._control = Proxy(context, control_out, control_in)
         self._silences = (
@@ -75,29 +79,23 @@ class Relay:
         """Pass messages on until stopped, or `seconds` are over."""
         end_ns = None if seconds is None else time.monotonic_ns() + round(seconds * 1e9)
         self._lookup.start()
+        waited_for = [*self._frames.sockets, *(() if self._gate is None else self._gate.sockets)]
         try:
-            self._start()
+            self._control.start()
             while not self._stopping:
                 now_ns = time.monotonic_ns()
                 if end_ns is not None and now_ns >= end_ns:
                     break
                 self._tend(now_ns)
-                sockets.wait_readable(() if self._gate is None else self._gate.sockets, WAIT_NS)
+                sockets.wait_readable(waited_for, WAIT_NS)
         finally:
-            self._stop()
+            self._control.stop()
             self._context.destroy(linger=sockets.LINGER_MS)
         return self._summary()
 
-    def _start(self) -> None:
-        self._data.start()
-        self._control.start()
-
-    def _stop(self) -> None:
-        self._data.stop()
-        self._control.stop()
-
     def _tend(self, now_ns: int) -> None:
         """Connect once the sensing node's address is known, and anew where nothing is heard."""
+        self._frames.tend()
         self._refusals.tend(now_ns)
         if self._gate is not None:
             self._gate.tend(now_ns)
@@ -107,14 +105,13 @@ class Relay:
         if now_ns < self._next_look_ns:
             return
         self._next_look_ns = now_ns + LOOK_EVERY_NS
-        self._data.look()
         self._control.look()
         if self._silent(now_ns) and not self._lookup.running:
             self._lookup.start()
 
     def _silent(self, now_ns: int) -> bool:
         # A display that asks for the clock wants frames as well.
-        asked, answers, frames = self._control.asked, self._control.heard, self._data.heard
+        asked, answers, frames = self._control.asked, self._control.heard, self._frames.heard
         lasts = [
             silence.lasts(now_ns, asked, heard)
             for silence, heard in zip(
@@ -132,26 +129,27 @@ class Relay:
         # The kernel repeats a request to connect after 1 s, which is late where a cut has ended
         # meanwhile; but a way may take longer than one hurries.
         answer_ns = ANSWER_NS if self.reconnections % 2 else 0
-        self._stop()
+        self._control.stop()
         was, control = self._address, sockets.control_address
-        sockets.reconnect(self._data.sensing, was, address, answer_ns)
+        sockets.reconnect(self._frames.sensing, was, address, answer_ns)
         sockets.reconnect(self._control.sensing, was and control(was), control(address), answer_ns)
         self._address = address
         for silence in self._silences:
             silence.begin_anew()
-        self._start()
+        self._control.start()
 
     def _summary(self) -> Summary:
         self._log(
-            f"{self._data.heard} frames ({_megabytes(self._data)}) and {_megabytes(self._control)}"
-            f" of answers came from {self._connect}, over {1 + self.reconnections} connections;"
+            f"{self._frames.heard} frames ({_megabytes(self._frames)})"
+            f" and {_megabytes(self._control)} of answers came from {self._connect},"
+            f" over {1 + self.reconnections} connections;"
             f" {self._control.dropped} questions found no room"
         )
-        rejected = self._refusals.rejected
+        rejected = self._refusals.rejected + self._frames.rejected
         if self._gate is not None:
             rejected = rejected + self._gate.rejected
-        return Summary(frames=Frames(received=self._data.heard), rejected=dict(rejected))
+        return Summary(frames=FrameCounts(received=self._frames.heard), rejected=dict(rejected))
 
 
-def _megabytes(proxy: Proxy) -> str:
-    return f"{proxy.heard_bytes * 1e-6:.1f} MB"
+def _megabytes(way: Frames | Proxy) -> str:
+    return f"{way.heard_bytes * 1e-6:.1f} MB"

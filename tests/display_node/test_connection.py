@@ -7,6 +7,7 @@ import zmq
 
 from display_node.connection import Connection, Line, Lookup
 from protocol.errors import AddressError
+from protocol.refusals import Refusals
 from protocol.sockets import Context, Socket, control_address
 from telepulse.ports import free_addresses
 
@@ -120,7 +121,11 @@ def test_an_address_that_is_heard_is_let_be(context: Context, asked: list[str]) 
     assert asked.count("silent") > 20
 
 
-def test_a_silence_of_all_together_is_a_cut(context: Context, asked: list[str]) -> None:
+def test_a_silence_of_all_together_is_a_cut(
+    context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Hosts answer in real time, not in ours.
+    monkeypatch.setattr(Refusals, "tend", lambda self, now_ns: [])
     address = free_address()
     publisher = context.socket(zmq.PUB)
     publisher.bind(address)
@@ -144,22 +149,56 @@ def test_requests_to_connect_are_repeated_soon_but_now_and_then_may_take_their_t
     address = free_address()
     publisher = context.socket(zmq.PUB)
     publisher.bind(address)
-    line = Line([context.socket(zmq.SUB)])
-    (socket,) = line.sockets
+    line = Line([context.socket(zmq.SUB)], hurried=False)
+    unheard = Line([context.socket(zmq.SUB)], hurried=True)
 
-    def timeouts_ms(tries: int) -> list[int]:
+    def timeouts_ms(tries: int, line: Line = line) -> list[int]:
         timeouts = []
         for _ in range(tries):
             line.connect(address, 0)
-            timeouts.append(socket.getsockopt(zmq.CONNECT_TIMEOUT))
+            timeouts.append(line.sockets[0].getsockopt(zmq.CONNECT_TIMEOUT))
         return timeouts
 
-    assert timeouts_ms(4) == [0, 300, 0, 300]
+    assert timeouts_ms(3) == [0, 0, 0]
+    assert timeouts_ms(3, unheard) == [100, 100, 100]
     line.subscribe()
     deliver(publisher, line)
     assert line.heard(0)
     line.answer_ns = 900 * MS
     assert timeouts_ms(12) == [900] * 10 + [0, 900]
+
+
+def test_who_stood_still_itself_does_not_wait_long_for_more_than_what_has_queued(
+    context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Refusals, "tend", lambda self, now_ns: [])
+    address = free_address()
+    publisher = context.socket(zmq.PUB)
+    publisher.bind(address)
+    connection = Connection(context, [address], 1, log=print)
+    connection.subscribe(5 * MS, 0)
+    tend(connection, 0, 20)
+    deliver(publisher, connection.routes[0].data)
+    tend(connection, 20, 40)
+    deliver(publisher, connection.routes[0].data)
+    assert tend(connection, 1_000, 1_490) == [1_150]
+
+
+def test_where_one_port_answers_the_other_is_asked_again_at_once(
+    context: Context, asked: list[str]
+) -> None:
+    address = free_address()
+    data = context.socket(zmq.PUB)
+    data.bind(address)
+    connection = Connection(context, [address], 1, log=print)
+    end_s = time.monotonic() + PATIENCE_S
+    # Of control alone, which nobody listens to, it would hear only when its patience is over.
+    connections = 0
+    while connections < 2:
+        assert time.monotonic() < end_s
+        connections += connection.tend(1_000 * MS + connections)
+        connection._refusals._look_ns = 0
+    assert control_of(connection).getsockopt(zmq.CONNECT_TIMEOUT) == 0
 
 
 def test_a_stream_of_rare_frames_is_waited_for(context: Context, asked: list[str]) -> None:

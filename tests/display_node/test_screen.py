@@ -1,12 +1,17 @@
 import io
+import itertools
 import math
 
 import numpy as np
 import pytest
+import zmq
 from rich.console import Console
 
-from display_node.screen import Screen
-from display_node.telemetry import Status, Trace
+from display_node import screen as screen_module
+from display_node.screen import Screen, watch
+from display_node.telemetry import STATUS, TRACE, Status, Trace
+from protocol.sockets import Context
+from protocol.status import pack_status
 from protocol.summary import (
     Compensation,
     Errors,
@@ -17,6 +22,8 @@ from protocol.summary import (
     Samples,
     Summary,
 )
+
+from ..nodes import free_address
 
 BEAT_S = 0.8
 
@@ -101,6 +108,52 @@ def test_only_the_last_seconds_are_kept() -> None:
     rate = screen.heart_rate_per_min
     assert rate is not None
     assert math.isclose(rate, 60 / BEAT_S, rel_tol=0.3)
+
+
+FINAL = pack_status("ended", "my pulse", Summary(), final=True)
+
+
+def test_what_cannot_be_read_is_counted_shown_and_ends_nothing(context: Context) -> None:
+    address, looks = free_address(), 0
+    publisher = context.socket(zmq.PUB)
+    publisher.bind(address)
+
+    def look() -> bool:
+        nonlocal looks
+        looks += 1
+        for message in ((TRACE, b"?"), (STATUS, b"?"), (TRACE,), (STATUS, FINAL, b"")):
+            publisher.send_multipart(message)
+        if looks > 20:
+            publisher.send_multipart((STATUS, FINAL))
+        return looks < 1_000
+
+    last = watch(address, Console(file=io.StringIO()), draw=False, meanwhile=look)
+    assert last is not None
+    assert last.final
+    screen = Screen()
+    for message in ((TRACE, b"?"), (STATUS, b"?"), (STATUS,), (STATUS, FINAL, b"")):
+        assert screen.take(message) is None
+    assert screen.take((STATUS, FINAL)) is None
+    assert "telemetry not readable 4" in screen.line()
+
+
+def test_a_display_that_stands_still_is_waited_for(
+    context: Context, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    address, looks = free_address(), 0
+    publisher = context.socket(zmq.PUB)
+    publisher.bind(address)
+    hours_s = itertools.count(0.0, 3600.0)
+    monkeypatch.setattr(screen_module.time, "monotonic", lambda: next(hours_s))
+
+    def look() -> bool:
+        nonlocal looks
+        looks += 1
+        if looks > 10:
+            publisher.send_multipart((STATUS, FINAL))
+        return looks < 1_000
+
+    assert watch(address, Console(file=io.StringIO()), draw=False, meanwhile=look) is not None
 
 
 @pytest.mark.parametrize("name", ["[red]evil[/red]", "\x1b[31mevil", "[/]"])

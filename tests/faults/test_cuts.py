@@ -42,6 +42,52 @@ def test_after_a_cut_the_pulse_is_felt_again_and_what_was_cut_is_lost(tmp_path: 
     assert_limits_kept(finger)
 
 
+@needs_emulator
+def test_a_display_that_is_started_in_a_cut_feels_it_soon_after(tmp_path: Path) -> None:
+    rng = random.Random(4)
+    with emulate(WHOLE) as link, staged(tmp_path, link) as stage:
+        sensing, display, finger = stage.play()
+
+        def cut() -> int:
+            nonlocal display
+            link.change(CUT)
+            display.kill()
+            display = stage.display()
+            time.sleep(rng.uniform(1.0, 2.0))
+            link.change(WHOLE)
+            return time.monotonic_ns()
+
+        assert_back_within_a_second(finger, cut)
+        # A whole beat.
+        stage.await_played(finger, 1_000)
+        sent, account = sensing.end(), display.account()
+    assert unaccounted(sent, account) == 0
+    assert account.faults == []
+    assert_limits_kept(finger)
+
+
+@needs_emulator
+def test_a_display_that_was_stopped_in_a_cut_feels_it_soon_after(tmp_path: Path) -> None:
+    with emulate(WHOLE) as link, staged(tmp_path, link) as stage:
+        sensing, display, finger = stage.play()
+
+        def cut() -> int:
+            link.change(CUT)
+            display.pause()
+            time.sleep(1.5)
+            link.change(WHOLE)
+            display.resume()
+            return time.monotonic_ns()
+
+        assert_back_within_a_second(finger, cut)
+        stage.await_played(finger, 1_000)
+        sent, account = sensing.end(), display.account()
+    assert unaccounted(sent, account) == 0
+    assert account.samples.lost
+    assert account.faults == []
+    assert_limits_kept(finger)
+
+
 def await_first_copies(finger: Finger, address: str) -> None:
     """Until frames come first over this address, again."""
     counts: list[int] = []

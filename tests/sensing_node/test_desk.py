@@ -123,12 +123,21 @@ def test_garbage_is_counted_by_cause_and_gets_no_answer(
 
 
 def test_a_message_may_come_through_relays(desk: Desk) -> None:
-    through = (b"relay",) * (MAX_HOPS - 1) + ANNA
+    through = (b"relay", *(b"\0anna",) * (MAX_HOPS - 1))
     assert isinstance(ask(desk, through, Hello("anna's")), Welcome)
     assert list(desk.guests) == [through]
 
 
-@pytest.mark.parametrize("sender", [(), ANNA * (MAX_HOPS + 1), ANNA * 1000])
+@pytest.mark.parametrize(
+    "sender",
+    [
+        (),
+        (*ANNA, *(b"\0rela",) * MAX_HOPS),
+        # Two messages that were joined on the way.
+        (*ANNA, encode_control(ClockRequest(1))),
+        (*ANNA, b""),
+    ],
+)
 def test_an_impossible_envelope_is_garbage(desk: Desk, sender: Sender) -> None:
     assert ask(desk, sender, Hello("anna's")) is None
     assert desk.rejected == {"malformed": 1}

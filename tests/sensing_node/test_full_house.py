@@ -27,18 +27,18 @@ def test_who_comes_when_it_is_full_is_not_answered_and_those_who_are_there_still
     relay.connect(control_address(address))
     with process("sensing_node.cli", str(RADIAL), "--bind", address) as node:
         for number in range(MAX_GUESTS):
-            relay.send_multipart([b"%d" % number, encode(Hello(f"display {number}"))])
+            relay.send_multipart([b"\0%04d" % number, encode(Hello(f"display {number}"))])
             sender, welcome = relay.recv_multipart()
-            assert sender == b"%d" % number
+            assert sender == b"\0%04d" % number
             message = decode_control(welcome)
             assert isinstance(message, Welcome)
             # So that none is waited for at the end.
             relay.send_multipart([sender, encode(Bye(message.session, 0))])
         for number in range(MAX_GUESTS, MAX_GUESTS + TOO_MANY):
-            relay.send_multipart([b"%d" % number, encode(Hello(f"display {number}"))])
-        relay.send_multipart([b"0", encode(ClockRequest(7))])
+            relay.send_multipart([b"\0%04d" % number, encode(Hello(f"display {number}"))])
+        relay.send_multipart([b"\0%04d" % 0, encode(ClockRequest(7))])
         sender, reply = relay.recv_multipart()
-        assert sender == b"0"
+        assert sender == b"\0%04d" % 0
         assert isinstance(decode_control(reply), ClockReply)
         node.send_signal(signal.SIGTERM)
         output, errors = node.communicate(timeout=PATIENCE_MS / 1000)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from protocol.messages import Bye, ClockRequest, Hello, Report, encode_control
-from sensing_node.desk import FORGET_AFTER_NS, MAX_ADDRESS_BYTES, MAX_GUESTS, Desk
+from sensing_node.desk import ADDRESS_BYTES, FORGET_AFTER_NS, MAX_GUESTS, Desk
 
 from ..streams import description
 
@@ -50,10 +50,10 @@ def test_a_guest_is_whoever_said_something_valid_not_long_ago(said: list) -> Non
         assert len(named) == len(set(named))
 
 
-def test_an_address_longer_than_zeromq_makes_is_refused() -> None:
+def test_an_address_of_other_length_than_zeromq_makes_is_refused() -> None:
     desk = Desk(description(), SESSION)
-    assert desk.answer((b"peer", bytes(MAX_ADDRESS_BYTES)), HELLO, 0, 0) is not None
-    assert desk.answer((b"peer", bytes(MAX_ADDRESS_BYTES + 1)), HELLO, 0, 0) is None
+    assert desk.answer((b"peer", bytes(ADDRESS_BYTES)), HELLO, 0, 0) is not None
+    assert desk.answer((b"peer", bytes(ADDRESS_BYTES + 1)), HELLO, 0, 0) is None
     assert desk.rejected == {"malformed": 1}
 
 
@@ -64,7 +64,7 @@ def test_a_crowd_with_long_addresses_costs_little() -> None:
         for number in range(2 * MAX_GUESTS):
             said = encode_control(Hello(f"display {number}"))
             desk.answer((str(number).encode(), bytes(200_000)), said, number, 0)
-            desk.answer((str(number).encode(), bytes(MAX_ADDRESS_BYTES)), said, number, 0)
+            desk.answer((str(number).encode(), bytes(ADDRESS_BYTES)), said, number, 0)
         held, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()

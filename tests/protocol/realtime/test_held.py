@@ -1,5 +1,6 @@
 import json
 import os
+import signal
 from contextlib import closing
 from typing import Any
 
@@ -14,6 +15,13 @@ from protocol.summary import Summary
 from ...rights import needs_rights, with_rights, without_rights
 
 CHILD = "tests.protocol.realtime.child"
+HANGS = """
+import itertools
+from protocol.realtime import hold, parse_realtime
+with hold(parse_realtime("fifo=1"), print):
+    print("held", flush=True)
+    sum(itertools.repeat(0))
+"""
 FIFO, OTHER = os.SCHED_FIFO, [os.SCHED_OTHER, 0]
 
 
@@ -74,6 +82,14 @@ def test_who_runs_on_without_a_pause_loses_the_priority(loop_s: float, helper_s:
     assert later["helpers"] == later["zeromq"] == [OTHER]
     assert found["granted"] == ["gc", "fifo=7 given up"]
     assert set(found["said"]) == {"real-time: fifo is given up: 200 ms without a pause"}
+
+
+@needs_rights
+def test_who_cannot_even_be_asked_to_give_it_up_is_ended_by_the_kernel() -> None:
+    # A library that does not come back: Python handles no signal meanwhile.
+    child = with_rights("-c", HANGS)
+    assert child.returncode == -signal.SIGKILL
+    assert child.stdout == "held\n"
 
 
 @needs_rights

@@ -1,0 +1,80 @@
+"""Who subscribes to what a bound XPUB socket publishes; who goes on asking for other things is cut.
+
+ZeroMQ keeps each subscription of each peer, some 50 bytes for each letter of it, and has no option
+against that. So `sockets.bind` has it take one subscription of each connection at a time, however
+many are sent, and no long ones; and here a connection has a budget of what nobody publishes.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+
+import zmq
+
+from protocol import sockets
+from protocol.door import cut
+from protocol.zap import internet
+
+SUBSCRIPTION = "subscription"
+# What a program of another version may ask for besides, in all.
+FOREIGN_BYTES = 1_000
+MAX_NAMED = 100
+
+
+class Subscribers:
+    """The subscriptions of one XPUB socket that `sockets.bind` has bound.
+
+    rejected: what was subscribed to beyond the budget, by cause.
+    """
+
+    def __init__(
+        self, socket: sockets.Socket, topics: Sequence[bytes], log: Callable[[str], None]
+    ) -> None:
+        """topics: what is published; of b"" everything, and nobody need ask for a part of it."""
+        self._socket = socket
+        self._topics = topics
+        self._log = log
+        self._named: set[str] = set()
+        # By descriptor: whose it is, and how much of the budget is used up.
+        self._spent: dict[int, tuple[str, int]] = {}
+        self.rejected: Counter[str] = Counter()
+
+    def said(self) -> Iterator[bytes]:
+        """What was subscribed to of what is published, or is no more, since the last time, as XPUB
+        says it; call it often."""
+        for _ in range(sockets.MAX_MESSAGES):
+            try:
+                frame = self._socket.recv(zmq.NOBLOCK, copy=False)
+            except zmq.Again:
+                return
+            said = frame.bytes
+            if said[:1] in (b"\0", b"\1") and self._publishes(said[1:]):
+                yield said
+            else:
+                self._charge(frame, len(said))
+
+    def tend(self) -> None:
+        """As `said`, for who need not know."""
+        for _ in self.said():
+            pass
+
+    def _publishes(self, topic: bytes) -> bool:
+        return any(published.startswith(topic) for published in self._topics)
+
+    def _charge(self, frame: zmq.Frame, said_bytes: int) -> None:
+        try:
+            descriptor = int(frame.get(zmq.SRCFD))
+            address = str(frame.get("Peer-Address"))
+        except zmq.ZMQError:  # ZeroMQ's own word that a peer has gone
+            return
+        whose, spent_bytes = self._spent.get(descriptor, (address, 0))
+        spent_bytes = said_bytes + (spent_bytes if whose == address else 0)
+        self._spent[descriptor] = (address, spent_bytes)
+        if spent_bytes > FOREIGN_BYTES:
+            self._refuse(descriptor, internet(address))
+
+    def _refuse(self, descriptor: int, address: str) -> None:
+        self.rejected[SUBSCRIPTION] += 1
+        cut(descriptor, address)
+        if address not in self._named and len(self._named) < MAX_NAMED:
+            self._named.add(address)
+            self._log(f"refused {address or 'a peer'}: it asks for what is not published here")
