@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 ARGS ?=
 
-.PHONY: install demo test report bench soak fuzz clean
+.PHONY: install demo test report bench soak fuzz docs clean
 
 install: .venv/installed
 
@@ -29,6 +29,9 @@ soak: .venv/installed
 fuzz: .venv/installed-fuzz
 	$(BIN)/python -m fuzz $(ARGS)
 
+docs: .venv/installed-test
+	$(BIN)/python -m sphinx -W --keep-going -n -E docs out/docs
+
 clean:
 	rm -rf .venv out
 
@@ -36,7 +39,7 @@ clean:
 	$(PYTHON) -m venv .venv
 
 .venv/installed: pyproject.toml constraints.txt | .venv/bin/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[view]'
 	touch $@
 
 .venv/installed-report: .venv/installed

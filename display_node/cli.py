@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from display_node.discovery import discovered
 from display_node.doctor import run_doctor
 from display_node.hardware import connected
 from display_node.node import DisplayNode
@@ -21,8 +22,10 @@ from protocol.commands import (
     plain_console,
     sum_up,
 )
-from protocol.errors import ProtectionError, SceneError
+from protocol.discovery.options import DiscoverOption, NamedOption
+from protocol.errors import DiscoveryError, ProtectionError, SceneError
 from protocol.keys import ServerKeys
+from protocol.metrics import MetricsOption, metrics_beside
 from protocol.protection import (
     AllowOption,
     InsecureOption,
@@ -41,6 +44,7 @@ from protocol.summary import Summary, check_writable
 PROGRAM = "display-node"
 SCREEN_ENDS_WITHIN_S = 5
 NOT_WHOLE = 1
+HERE = "tcp://127.0.0.1:5555"
 app = typer.Typer(add_completion=False, rich_markup_mode="markdown")
 
 
@@ -57,7 +61,9 @@ def display(
             " there yet. Give one for each network that leads to it: the first copy of a frame"
             " wins, and while one is cut the others go on."
         ),
-    ] = ["tcp://127.0.0.1:5555"],  # noqa: B006
+    ] = [HERE],  # noqa: B006
+    discover: DiscoverOption = False,
+    named: NamedOption = None,
     seconds: StopAfterOption = None,
     once: Annotated[
         bool, typer.Option("--once", help="Stop when the stream has ended and was played.")
@@ -80,6 +86,7 @@ def display(
     allow: AllowOption = None,
     insecure: InsecureOption = False,
     realtime: RealtimeOption = None,
+    metrics: MetricsOption = None,
     doctor: Annotated[
         bool,
         typer.Option(
@@ -122,14 +129,22 @@ def display(
             raise SceneError("no scene file: display-node SCENE.toml plays it")
         asked = parse_realtime(realtime)
         check_strict(asked)
+        if discover or named is not None:
+            if connect != [HERE]:
+                raise DiscoveryError(
+                    "--discover finds the address, and --connect is given: choose one"
+                )
+            connect = discovered(named, peer, seconds, console.print)
         keys = client_keys(connect, key, peer, insecure)
         readers = _telemetry_keys(telemetry, key, allow, insecure)
         section = load_section(scene, "display", DisplayScene)
-        with connected(section, scene.parent, console.print) as hardware:
-            node = DisplayNode(
-                section, connect, telemetry, console.print, hardware, keys, readers
-            )
+        with (
+            metrics_beside(PROGRAM, metrics, console) as served,
+            connected(section, scene.parent, console.print) as hardware,
+        ):
+            node = DisplayNode(section, connect, telemetry, console.print, hardware, keys, readers)
             own = key if readers else None
+            served.follow(node.telemetry_address, own)
             recording = Recording(node, record, own, quiet) if record is not None else None
             summary = _run(node, connect, seconds, once, screen and not quiet, console, own, asked)
     whole = recording is None or recording.end()

@@ -112,10 +112,10 @@ class Fidelity:
         now_ns = np.array([now for now, _, _ in block])
         instant_ns = np.array([instant for _, instant, _ in block])
         felt_n = np.array([force for _, _, force in block])
-        sensed_n = _interpolate(instant_ns, t_ns, target_n)
+        sensed_n = interpolate(instant_ns, t_ns, target_n)
         self._roughness.add(now_ns, felt_n, sensed_n)
         aligned = felt_n - sensed_n
-        in_phase = felt_n - _interpolate(now_ns, t_ns, target_n)
+        in_phase = felt_n - interpolate(now_ns, t_ns, target_n)
         aligned, in_phase = aligned[~np.isnan(aligned)], in_phase[~np.isnan(in_phase)]
         self._aligned += float(aligned @ aligned)
         self._aligned_count += len(aligned)
@@ -135,7 +135,7 @@ class Fidelity:
         return t_ns, target_n
 
 
-def _interpolate(
+def interpolate(
     at_ns: NDArray[np.int64], t_ns: NDArray[np.int64], values: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Linear interpolation; NaN outside of t_ns and inside of gaps."""

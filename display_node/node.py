@@ -53,7 +53,7 @@ class DisplayNode:
         self._connection = Connection(self._context, addresses, paths, log, keys)
         gate = None if telemetry_keys is None else Gate(self._context, telemetry_keys, log)
         telemetry = sockets.bind(self._context, zmq.XPUB, telemetry_address, gate)
-        self._telemetry = Publisher(telemetry, run=secrets.randbits(62), gate=gate)
+        self._telemetry = Publisher(telemetry, run=secrets.randbits(62), gate=gate, log=log)
         self._gate = gate
         self.telemetry_address = self._telemetry.address
         self._hardware = hardware
@@ -133,7 +133,7 @@ class DisplayNode:
     def _summary(self) -> Summary:
         times = TickTime(self._tick_us.quantile(0.5), self._tick_us.quantile(0.99))
         summary, routes = self._display.summary(self._misses, times), self._connection.routes
-        rejected = Counter(summary.rejected) + self._connection.rejected
+        rejected = Counter(summary.rejected) + self._connection.rejected + self._telemetry.rejected
         if self._gate is not None:
             rejected += self._gate.rejected
         loop = replace(summary.loop, late_us=_lateness(self._late_us))

@@ -5,23 +5,34 @@ one; "status" holds the running summary. A last status has final = true. A third
 recorders (`heard.py`).
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import msgpack
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import TypeAdapter, ValidationError
 
 from display_node.display import Display, Felt
 from protocol.errors import WireError
+from protocol.status import STATUS, Status, pack_status, read_status, unpack
 from protocol.summary import Summary
 
+__all__ = [
+    "STATUS",
+    "STATUS_TRACES",
+    "TRACE",
+    "TRACE_TICKS",
+    "Status",
+    "Trace",
+    "TraceWriter",
+    "read_status",
+    "read_trace",
+    "unpack",
+    "write_status",
+]
+
 TRACE = b"trace"
-STATUS = b"status"
 TRACE_TICKS = 20
 STATUS_TRACES = 10
-MAX_ITEMS = 256
-_SUMMARY = TypeAdapter(Summary)
 
 
 class Trace(NamedTuple):
@@ -77,40 +88,8 @@ def read_trace(data: bytes) -> Trace:
     return Trace(now_ns, instant_ns, target_n, felt_n, flags[0], error_n, flags[1])
 
 
-class Status(NamedTuple):
-    """Where the display stands: a word, what it plays, its running summary."""
-
-    state: str
-    stream: str
-    summary: dict[str, Any]
-    final: bool
-
-
 def write_status(display: Display, summary: Summary, final: bool) -> bytes:
-    """A status message."""
-    description = display.receiver.description
-    stream = description.name if description else ""
-    return bytes(msgpack.packb([display.state, stream, summary.to_dict(), final]))
-
-
-def read_status(data: bytes) -> Status:
-    """The status in a message, with every key of a summary. Raises WireError."""
-    try:
-        state, stream, summary, final = unpack(data)
-    except (ValueError, TypeError) as error:
-        raise WireError("malformed", f"not a status: {error}") from None
-    if not (type(state) is type(stream) is str and type(summary) is dict and type(final) is bool):
-        raise WireError("malformed", "a status' field has the wrong type")
-    try:
-        whole = _SUMMARY.validate_python(summary).to_dict()
-    except ValidationError as error:
-        raise WireError("malformed", f"a status' summary: {error}") from None
-    return Status(state, stream, whole, final)
-
-
-def unpack(data: bytes, max_items: int = MAX_ITEMS) -> Any:
-    """The msgpack in a message. Raises ValueError or TypeError.
-
-    Room is made for what an array or a table promises; more than `max_items` are not believed.
-    """
-    return msgpack.unpackb(data, max_array_len=max_items, max_map_len=max_items)
+    """A display's status message."""
+    receiver = display.receiver
+    stream = receiver.description.name if receiver.description else ""
+    return pack_status(display.state, stream, summary, final, receiver.session)

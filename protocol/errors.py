@@ -9,6 +9,8 @@ TelepulseError
  +-- SourceError     (OSError)     a sensor or recording cannot be read
  +-- DriveError      (OSError)     a drive cannot be reached, or does not do as it is told
  +-- OutputError     (OSError)     a result cannot be written
+ +-- BesideError     (OSError)     a process beside a node cannot begin
+ +-- DiscoveryError  (OSError)     the local network cannot be asked, or has no one answer
  +-- BenchError      (RuntimeError) a bench or a calibration cannot be measured
  +-- RealtimeError   (RuntimeError) a real-time measure is none, or is not granted
  +-- SweepError      (RuntimeError) a case of a study fails, or no cluster computes it
@@ -83,6 +85,21 @@ class OutputError(TelepulseError, OSError):
     """A result cannot be written.
 
     Example scenarios: the folder does not exist, the disk is full.
+    """
+
+
+class BesideError(TelepulseError, OSError):
+    """A process beside a node cannot begin.
+
+    Example scenarios: the port of its page is taken, its library is not installed.
+    """
+
+
+class DiscoveryError(TelepulseError, OSError):
+    """Nodes cannot be announced or found on the local network.
+
+    Example scenarios: no network that carries multicast, several nodes where one is wanted, an
+    address that cannot be announced.
     """
 
 

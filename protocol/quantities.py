@@ -26,9 +26,7 @@ UNITS: dict[str, dict[str, float]] = {
     "angle": {"°": math.pi / 180, "deg": math.pi / 180, "rad": 1.0},
 }
 # Possessive throughout: a long text that is no quantity is seen to be none in one pass.
-_NUMBER = re.compile(
-    r"\s*+([-+]?(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][-+]?\d++)?+)\s*+(\S*+)\s*+"
-)
+_NUMBER = re.compile(r"\s*+([-+]?(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][-+]?\d++)?+)\s*+(\S*+)\s*+")
 _LARGEST = 1e100
 _SHOWN = 80
 

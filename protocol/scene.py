@@ -58,18 +58,24 @@ SectionT = TypeVar("SectionT", bound=Section)
 
 def load_document(path: Path) -> dict[str, Any]:
     """Read a scene file into its raw tables. Raises SceneError."""
+    document = load_toml(path, "scene file")
+    for key in document:
+        if key not in (*SECTIONS, "title"):
+            raise SceneError(f"{path}: {_place([key])}: unknown key{_suggestion(key, SECTIONS)}")
+    return document
+
+
+def load_toml(path: Path, what: str) -> dict[str, Any]:
+    """Read a TOML file; `what` it should be is said where there is none. Raises SceneError."""
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise SceneError(f"{path}: no such scene file") from None
+        raise SceneError(f"{path}: no such {what}") from None
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"{path}: cannot be read: {error}") from None
     except (ValueError, RecursionError) as error:
         # Beside TOMLDecodeError: a number of thousands of digits, thousands of brackets.
         raise SceneError(f"{path}: not TOML: {error}") from None
-    for key in document:
-        if key not in (*SECTIONS, "title"):
-            raise SceneError(f"{path}: {_place([key])}: unknown key{_suggestion(key, SECTIONS)}")
     for keys in _too_large(document):
         raise SceneError(f"{path}: {_place(keys)}: an integer of more than 64 bits")
     return document

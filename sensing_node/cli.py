@@ -14,6 +14,8 @@ from protocol.commands import (
     plain_console,
     sum_up,
 )
+from protocol.discovery.options import AnnounceOption, announced_beside
+from protocol.metrics import MetricsOption, metrics_beside
 from protocol.open_files import allow_connections
 from protocol.protection import AllowOption, InsecureOption, KeyOption, server_keys
 from protocol.realtime import check_strict, parse_realtime
@@ -26,6 +28,7 @@ from sensing_node.node import SensingNode
 from sensing_node.scene import SensingScene, describe_stream, open_source
 
 PROGRAM = "sensing-node"
+TELEMETRY = "tcp://127.0.0.1:*"
 app = typer.Typer(add_completion=False, rich_markup_mode="markdown")
 
 
@@ -46,6 +49,8 @@ def sense(
     allow: AllowOption = None,
     insecure: InsecureOption = False,
     realtime: RealtimeOption = None,
+    metrics: MetricsOption = None,
+    announce: AnnounceOption = False,
 ) -> None:
     """Stream the pulse of a source to every display that asks for it.
 
@@ -78,10 +83,20 @@ def sense(
             control = control_address(bind)
             keys = server_keys(bind, key, allow, insecure)
             section = load_section(scene, "sensing", SensingScene)
+            served = until_the_end.enter_context(metrics_beside(PROGRAM, metrics, console))
+            announcing = until_the_end.enter_context(
+                announced_beside(PROGRAM, announce, bind, section.stream, keys, console)
+            )
             source = until_the_end.enter_context(open_source(section, scene.parent, console.print))
             description = describe_stream(section, source)
             allow_connections()
-            node = SensingNode(source, description, bind, log=console.print, keys=keys)
+            node = SensingNode(
+                *(source, description, bind, console.print),
+                keys=keys,
+                telemetry_address=TELEMETRY if served else None,
+            )
+            served.follow(node.telemetry_address)
+            announcing.begin()
         stop_on_signals(node.stop)
         console.print(
             f"streaming {description.name!r}: {description.rate_hz:g} Hz in frames of"

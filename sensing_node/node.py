@@ -10,7 +10,9 @@ from protocol import sockets
 from protocol.gate import Gate
 from protocol.keys import ServerKeys
 from protocol.messages import Bye, encode_control, encode_frame
+from protocol.status import pack_status
 from protocol.stream import StreamDescription
+from protocol.subscribers import Subscribers
 from protocol.summary import Samples as SampleCounts
 from protocol.summary import Summary
 from sensing_node.backlog import limits
@@ -18,6 +20,7 @@ from sensing_node.conditioning import faults_of
 from sensing_node.desk import Desk, Sender
 from sensing_node.framing import Framer
 from sensing_node.sources.live import Live, Source, feed_of
+from sensing_node.telemetry import Telemetry
 
 SILENCE_CHECK_NS = 1_000_000_000
 # Python goes on waiting after a signal: however long a batch is, Ctrl-C is heeded this soon.
@@ -40,8 +43,10 @@ class SensingNode:
         log: Callable[[str], None],
         clock: Callable[[], int] = time.monotonic_ns,
         keys: ServerKeys | None = None,
+        telemetry_address: str | None = None,
     ) -> None:
         """clock: what the stream is timed by, ns. keys: who may listen; None: everybody.
+        telemetry_address: where to publish a status a second; None: nowhere.
 
         Raises AddressError when `address` cannot be bound, KeyFileError.
         """
@@ -58,9 +63,18 @@ class SensingNode:
         gate = None if keys is None else Gate(self._context, keys, log)
         control = sockets.control_address(address)
         self._control = sockets.bind(self._context, zmq.ROUTER, control, gate)
-        self._data = sockets.bind(self._context, zmq.PUB, address, gate, limits(description))
+        self._data = sockets.bind(self._context, zmq.XPUB, address, gate, limits(description))
+        self._subscribers = Subscribers(self._data, (b"",), log)
         self._gate = gate
+        self._telemetry = None
+        if telemetry_address is not None:
+            self._telemetry = Telemetry(self._context, telemetry_address, log)
         self._waited_for = [self._control, *(gate.sockets if gate is not None else ())]
+
+    @property
+    def telemetry_address(self) -> str:
+        """Where statuses are published; empty where none are."""
+        return "" if self._telemetry is None else self._telemetry.address
 
     def stop(self) -> None:
         """End the stream after the present batch."""
@@ -80,10 +94,14 @@ class SensingNode:
                 while (block := feed.read(now_ns)) is not None:
                     for frame in self._framer.frames(block):
                         sockets.send(self._data, encode_frame(frame))
+                self._subscribers.tend()
                 if due_ns >= next_check_ns:
                     next_check_ns = due_ns + SILENCE_CHECK_NS
                     self._forget_silent()
             self._see_off()
+            self._log_reports()
+            if self._telemetry is not None:
+                self._telemetry.publish(self._status(final=True))
             return self._summary()
         finally:
             self._context.destroy(linger=sockets.LINGER_MS)
@@ -92,6 +110,8 @@ class SensingNode:
         """Answer displays until the next batch is due."""
         while not self._stopping:
             self._answer_all()
+            if self._telemetry is not None and self._telemetry.due(self._clock()):
+                self._telemetry.publish(self._status(final=False))
             wait_ns = due_ns - self._clock()
             if wait_ns <= 0:
                 return
@@ -136,7 +156,12 @@ class SensingNode:
                 return
             sockets.wait_readable(self._waited_for, MAX_WAIT_NS)
 
-    def _summary(self) -> Summary:
+    def _status(self, final: bool) -> bytes:
+        state = "ended" if final else "streaming"
+        displays, name = len(self._desk.guests), self._description.name
+        return pack_status(state, name, self._summary(), final, self._session, displays)
+
+    def _log_reports(self) -> None:
         for guest in self._desk.guests.values():
             if guest.report is not None:
                 report = guest.report
@@ -144,7 +169,9 @@ class SensingNode:
                     f"{guest.shown_name} last reported {report.played} played, {report.late} late,"
                     f" {report.lost} lost, playout delay {report.playout_delay_ms:.1f} ms"
                 )
-        rejected = self._desk.rejected
+
+    def _summary(self) -> Summary:
+        rejected = self._desk.rejected + self._subscribers.rejected
         if self._gate is not None:
             rejected = rejected + self._gate.rejected
         if isinstance(self._source, Live):

@@ -28,17 +28,21 @@ from protocol.summary import check_writable
 from telepulse.bench.cli import bench
 from telepulse.calibrate.cli import calibrate
 from telepulse.demo import run_demo
+from telepulse.discover_command import discover
 from telepulse.emulate.cli import app as emulate_app
+from telepulse.experiment.cli import app as experiment_app
 from telepulse.keys_command import app as keys_app
 from telepulse.link import LinkScene, parse_link
 from telepulse.link_relay import LinkRelay
-from telepulse.record.cli import export, record, replay
+from telepulse.lsl_outlet.cli import lsl
+from telepulse.record.cli import export, record, replay, report
 from telepulse.relay.cli import relay
 from telepulse.report import print_tables, write_json
 from telepulse.report_command import FolderOption, TablesOption, publish
 from telepulse.scene import DEFAULT_SCENE, find_scene, load_scene
 from telepulse.simulate import simulate
 from telepulse.study.cli import app as study_app
+from telepulse.view.cli import view
 
 PROGRAM = "telepulse"
 app = typer.Typer(
@@ -49,13 +53,18 @@ app = typer.Typer(
 )
 app.add_typer(study_app, name="study")
 app.add_typer(emulate_app, name="emulate")
+app.add_typer(experiment_app, name="experiment")
 app.add_typer(keys_app, name="keys")
 app.command()(bench)
 app.command()(calibrate)
 app.command()(relay)
+app.command()(discover)
 app.command()(record)
 app.command()(replay)
 app.command()(export)
+app.command()(report)
+app.command()(view)
+app.command()(lsl)
 
 SceneArgument = Annotated[
     str, typer.Argument(help="A scene file, or the name of one that comes with telepulse.")
@@ -79,6 +88,15 @@ def demo(
     ui: Annotated[
         bool, typer.Option(help="Show the live state: a panel, or a line a second.")
     ] = True,
+    page: Annotated[
+        bool | None,
+        typer.Option(
+            "--page/--no-page",
+            help="Serve the live page for a browser, whose address is the first line; as --ui"
+            " unless given.",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Run both nodes on this machine over TCP, watch them live, and sum up.
 
@@ -90,7 +108,7 @@ def demo(
     with one_line_errors(PROGRAM):
         check_writable(json)
         path = find_scene(scene)
-        summary = run_demo(path, seconds, parse_link(link) if link else None, ui, console)
+        summary = run_demo(path, seconds, parse_link(link) if link else None, ui, page, console)
     sum_up(PROGRAM, summary, f"demo of {path.stem}, {seconds:g} s", console, json)
 
 

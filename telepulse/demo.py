@@ -18,16 +18,17 @@ from display_node.fidelity import Fidelity
 from display_node.screen import watch
 from display_node.telemetry import Trace
 from protocol import sockets
-from protocol.errors import TelepulseError
+from protocol.errors import OutputError, TelepulseError
 from protocol.messages import decode_frame
 from protocol.signals import stop_on_signals
 from protocol.summary import Summary
 from protocol.tactile import matching_force_ratio
 from telepulse.link import LinkScene
-from telepulse.node_process import await_end, read_summary
+from telepulse.node_process import NodeError, await_end, read_summary
 from telepulse.ports import free_addresses
 from telepulse.scene import Scene, load_scene
 from telepulse.truth import Truth
+from telepulse.view.cli import MISSING, bokeh_is_there
 
 ENDS_WITHIN_S = 10.0
 # The display is listening before the pulse begins.
@@ -39,11 +40,17 @@ class DemoError(TelepulseError, RuntimeError):
 
 
 def run_demo(
-    path: Path, seconds: float, link: LinkScene | None, draw: bool, console: Console
+    path: Path,
+    seconds: float,
+    link: LinkScene | None,
+    draw: bool,
+    page: bool | None,
+    console: Console,
 ) -> Summary:
     """Run both nodes for `seconds` of pulse; `link` overrides the scene's.
 
-    Raises SceneError, NodeError or DemoError.
+    page: serve the live page too; None: where it can be, with `draw`. Raises SceneError,
+    NodeError, DemoError, or OutputError where the page is wanted and cannot be.
     """
     scene = load_scene(path)
     link = scene.link if link is None else link
@@ -51,6 +58,10 @@ def run_demo(
     sensing_address, link_address, telemetry_address = free_addresses(3)
     display_address = link_address if impaired else sensing_address
     with tempfile.TemporaryDirectory(prefix="telepulse-") as folder, _Processes() as processes:
+        # Before anything else, so that nobody misses the beginning.
+        served = None
+        if page or (page is None and draw):
+            served = _open_page(processes, telemetry_address, path, bool(page), console)
         sensing_json, display_json = Path(folder, "sensing.json"), Path(folder, "display.json")
         display = processes.start(
             "display_node.cli",
@@ -80,11 +91,38 @@ def run_demo(
                 return display.poll() is None and not sensing.poll()
 
             watch(telemetry_address, console, referee.felt, draw, meanwhile)
+        if served is not None and served.poll() is not None:
+            console.print("the live page ended before the demo did")
         if relay is not None and relay.poll():
             await_end(relay, "link between the nodes", ENDS_WITHIN_S)
         await_end(sensing, "sensing node", ENDS_WITHIN_S)
         await_end(display, "display node", ENDS_WITHIN_S)
         return _compose(read_summary(sensing_json), read_summary(display_json), referee.fidelity)
+
+
+def _open_page(
+    processes: "_Processes", telemetry: str, path: Path, wanted: bool, console: Console
+) -> "subprocess.Popen[str] | None":
+    """Start the page's process and say where it is, or why there is none.
+
+    wanted: raise OutputError or NodeError instead.
+    """
+    try:
+        if not bokeh_is_there():
+            raise OutputError(MISSING)
+        page = processes.start("telepulse.cli", "view", telemetry, "--scene", str(path))
+        assert page.stdout is not None
+        address = page.stdout.readline().strip()
+        if not address:
+            await_end(page, "live page", ENDS_WITHIN_S)
+            raise NodeError("the live page said nothing")
+    except TelepulseError as error:
+        if wanted:
+            raise
+        console.print(f"no live page: {error}")
+        return None
+    console.print(address)
+    return page
 
 
 class _Referee:
@@ -148,6 +186,7 @@ class _Processes:
         """Run a module of ours as a process of its own."""
         child = subprocess.Popen(
             [sys.executable, "-m", module, *arguments],
+            stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
             start_new_session=True,

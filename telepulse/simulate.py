@@ -1,6 +1,7 @@
 """Both nodes and the link between them in virtual time: the same modules, no sockets, no sleep.
 
-source → frames → wire bytes → link → display, one event after the other.
+source → frames → wire bytes → link → display, one event after the other. Ticked as a clock goes,
+it is as well a display in real time, on whose bench somebody feels what the link does.
 """
 
 import heapq
@@ -10,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from display_node.display import Display, Felt
+from display_node.feedback import Feedback
 from display_node.fidelity import Fidelity
 from protocol.messages import Bye, Control, encode_control, encode_frame
 from protocol.summary import Summary
@@ -30,24 +32,37 @@ DRAIN_LIMIT_NS = 15_000_000_000
 
 Event = Callable[[bytes, int], None]
 """What happens to some bytes at a time."""
+Tick = Callable[[Display, int, int], Felt]
+"""A display's tick at a time, so many ticks after its last: `Display.tick`, or its bench's."""
 
 
 class Simulation:
-    """One run of a scene in virtual time; the same scene and seed give the same summary."""
+    """One run of a scene in virtual time; the same scene and seed give the same summary.
 
-    def __init__(self, scene: Scene, seed: int) -> None:
+    begin_ns: the display's clock when the link begins. feedback: the real film of its bench.
+    """
+
+    def __init__(
+        self, scene: Scene, seed: int, begin_ns: int = 0, feedback: Feedback | None = None
+    ) -> None:
         """Raises SceneError or SourceError."""
         self._scene = scene
         self._source = build_source(scene.sensing, scene.path.parent)
         self._truth = Truth(scene.sensing, scene.path.parent)
         self._description = describe_stream(scene.sensing, self._source)
-        self._paced = Paced(self._source, STREAM_BEGINS_NS + SENSING_CLOCK_AHEAD_NS)
+        self._now_ns = begin_ns
+        self._stream_ns = begin_ns + STREAM_BEGINS_NS
+        self._scored_from_ns = self._stream_ns
+        # What a real film says is as old as this.
+        self._felt_before_ns = scene.display.film.latency_ns if feedback is not None else 0
+        self._paced = Paced(self._source, self._stream_ns + SENSING_CLOCK_AHEAD_NS)
         self._session = seed + 1
         self._framer = Framer(self._description, self._session)
         self._desk = Desk(self._description, self._session)
-        self._display = Display(scene.display, "simulated display", score=False)
+        self.display = Display(scene.display, "simulated display", False, feedback)
         self._fidelity = Fidelity(scene.display.layer.layer().strain_per_newton)
-        self._down, self._up = MessageLink(scene.link, seed), MessageLink(scene.link, seed + 1)
+        self._down = MessageLink(scene.link, seed, begin_ns)
+        self._up = MessageLink(scene.link, seed + 1, begin_ns)
         self._events: list[tuple[int, int, Event, bytes]] = []
         self._order = itertools.count()
 
@@ -62,32 +77,50 @@ class Simulation:
         What is felt before the stream is `settle_seconds` old is not scored. watch sees every
         tick that is, until the stream ends.
         """
-        began_s = time.perf_counter()
-        last_ns = STREAM_BEGINS_NS + round(seconds * 1e9) - 1
-        scored_from_ns = STREAM_BEGINS_NS + round(settle_seconds * 1e9)
+        began_s, tick_ns = time.perf_counter(), self._scene.display.tick_ns
+        begin_ns, last_ns = self._now_ns, self.begin(seconds, settle_seconds)
+        while not self.display.over and self._now_ns < last_ns + DRAIN_LIMIT_NS:
+            felt, now_ns = self.tick(self._now_ns + tick_ns), self._now_ns
+            heard = felt.scored and self._scored_from_ns <= now_ns <= last_ns
+            if watch is not None and heard:
+                watch(felt)
+        speed = (self._now_ns - begin_ns) / 1e9 / (time.perf_counter() - began_s)
+        return replace(self.end(), speed=speed)
+
+    def begin(self, seconds: float, settle_seconds: float = 0.0) -> int:
+        """Let there be `seconds` of stream, and score from when it is `settle_seconds` old; when
+        its last sample is due."""
+        self._scored_from_ns = self._stream_ns + round(settle_seconds * 1e9)
+        last_ns = self._stream_ns + round(seconds * 1e9) - 1
         self._plan_batch(last_ns)
-        now_ns, tick_ns = 0, self._scene.display.tick_ns
-        display, events = self._display, self._events
-        while not display.over and now_ns < last_ns + DRAIN_LIMIT_NS:
-            now_ns += tick_ns
-            while events and events[0][0] <= now_ns:
-                at_ns, _, happen, data = heapq.heappop(events)
-                happen(data, at_ns)
-            felt = display.tick(now_ns)
-            if felt.scored and now_ns >= scored_from_ns:
-                true_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS
-                self._fidelity.felt(true_now_ns, felt.instant_ns, felt.felt_n)
-                if watch is not None and now_ns <= last_ns:
-                    watch(felt)
-            for message in display.requests(now_ns):
-                self._post(self._up, now_ns, self._answer, message)
+        return last_ns
+
+    def tick(self, now_ns: int, elapsed_ticks: int = 1, tick: Tick = Display.tick) -> Felt:
+        """Let happen what is due, and tick the display."""
+        self._now_ns, events = now_ns, self._events
+        while events and events[0][0] <= now_ns:
+            at_ns, _, happen, data = heapq.heappop(events)
+            happen(data, at_ns)
+        felt = tick(self.display, now_ns, elapsed_ticks)
+        if felt.scored and now_ns >= self._scored_from_ns:
+            before_ns = self._felt_before_ns
+            true_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS - before_ns
+            self._fidelity.felt(true_now_ns, felt.instant_ns - before_ns, felt.felt_n)
+        for message in self.display.requests(now_ns):
+            self._post(self._up, now_ns, self._answer, message)
+        return felt
+
+    def end(self) -> Summary:
+        """Score what is left."""
         self._fidelity.finish()
-        return self._summary(now_ns / 1e9 / (time.perf_counter() - began_s))
+        display = self.display.summary()
+        faults = display.faults + faults_of(self._source)
+        return replace(self._fidelity.scored(display), faults=faults)
 
     @property
     def newest_ns(self) -> int | None:
         """When the newest sample that the display has was taken; None before any."""
-        return self._display.receiver.buffer.newest_ns
+        return self.display.receiver.buffer.newest_ns
 
     @property
     def lost_frames(self) -> int:
@@ -100,19 +133,19 @@ class Simulation:
         def sense(_: bytes, now_ns: int) -> None:
             block = self._paced.read(now_ns + SENSING_CLOCK_AHEAD_NS)
             for frame in self._framer.frames(block) if block is not None else ():
-                ratio = self._display.force_ratio
+                ratio = self.display.force_ratio
                 true_frame = self._truth.of(frame)
                 self._fidelity.sensed(true_frame, self._scene.display.channel, ratio)
                 data = encode_frame(frame)
                 arrival_ns = self._down.data_arrival_ns(now_ns, len(data))
                 if arrival_ns is not None:
-                    self._plan(arrival_ns, self._display.on_frame, data)
+                    self._plan(arrival_ns, self.display.on_frame, data)
             self._plan_batch(last_ns)
 
         ahead_ns = SENSING_CLOCK_AHEAD_NS
         if self._paced.exhausted or self._paced.due_ns(1) - ahead_ns > last_ns:
             bye = Bye(self._session, self._framer.samples_sent)
-            self._post(self._down, last_ns, self._display.on_control, bye)
+            self._post(self._down, last_ns, self.display.on_control, bye)
             return
         due_ns = min(self._paced.due_ns(self._description.batch) - ahead_ns, last_ns)
         self._plan(due_ns, sense, b"")
@@ -121,7 +154,7 @@ class Simulation:
         sensing_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS
         reply = self._desk.answer(SENDER, data, sensing_now_ns, self._framer.samples_sent)
         if reply is not None:
-            self._post(self._down, now_ns, self._display.on_control, reply)
+            self._post(self._down, now_ns, self.display.on_control, reply)
 
     def _post(self, link: MessageLink, now_ns: int, deliver: Event, message: Control) -> None:
         data = encode_control(message)
@@ -129,11 +162,6 @@ class Simulation:
 
     def _plan(self, at_ns: int, happen: Event, data: bytes) -> None:
         heapq.heappush(self._events, (at_ns, next(self._order), happen, data))
-
-    def _summary(self, speed: float) -> Summary:
-        display = self._display.summary()
-        faults = display.faults + faults_of(self._source)
-        return replace(self._fidelity.scored(display), speed=speed, faults=faults)
 
 
 def simulate(scene: Scene, seconds: float, seed: int) -> Summary:

@@ -8,6 +8,7 @@ from pydantic import BaseModel
 from display_node.scene import DisplayScene
 from protocol.gate import REASONS
 from protocol.refusals import REFUSED_KEY
+from protocol.subscribers import SUBSCRIPTION
 from sensing_node.scene import SensingScene
 from telepulse.link import LinkScene
 
@@ -42,7 +43,15 @@ def test_every_cause_of_refusal_is_documented_and_no_other() -> None:
         path.read_text(encoding="utf-8") for p in PACKAGES for path in (ROOT / p).rglob("*.py")
     ]
     raised = set(re.findall(r'(?:WireError\(|cause = |rejected\[)"(\w+)"', "\n".join(sources)))
-    raised |= {"truncated", "not_msgpack", "duplicate", "overlap", REFUSED_KEY, *REASONS}
+    raised |= {
+        "truncated",
+        "not_msgpack",
+        "duplicate",
+        "overlap",
+        REFUSED_KEY,
+        SUBSCRIPTION,
+        *REASONS,
+    }
     table = (ROOT / "docs" / "wire.md").read_text(encoding="utf-8").split("counted as")[1]
     documented = set(re.findall(r"`(\w+)`", table))
     assert raised == documented

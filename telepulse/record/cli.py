@@ -27,10 +27,15 @@ from protocol.protection import (
 )
 from protocol.signals import stop_on_signals
 from protocol.summary import check_writable
+from telepulse.report_command import TablesOption, publish
 
 PROGRAM = "telepulse"
 NOT_WHOLE = 1
 
+SilenceOption = Annotated[
+    float | None,
+    typer.Option(min=0.1, metavar="SECONDS", help="End too when nothing came for so long."),
+]
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="A recording.")]
 
 
@@ -38,10 +43,7 @@ def record(
     address: Annotated[str, typer.Argument(help="A display's telemetry: tcp://HOST:PORT.")],
     file: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="It must not be there yet.")],
     seconds: StopAfterOption = None,
-    until_silent: Annotated[
-        float | None,
-        typer.Option(min=0.1, metavar="SECONDS", help="End too when nothing came for so long."),
-    ] = None,
+    until_silent: SilenceOption = None,
     quiet: QuietOption = False,
     key: KeyOption = None,
     peer: PeerOption = None,
@@ -62,12 +64,8 @@ def record(
 
     console = plain_console(quiet)
     with one_line_errors(PROGRAM):
-        if key is not None and peer is None:
-            pair = read_pair(key)
-            keys: ClientKeys | None = ClientKeys(pair, pair.public)
-        else:
-            keys = client_keys([address], key, peer, insecure)
-        recorder = Recorder(address, file, console.print, _warn, keys)
+        keys = telemetry_keys(address, key, peer, insecure)
+        recorder = Recorder(address, file, console.print, warn, keys)
     stop_on_signals(recorder.stop)
     if not recorder.run(seconds, until_silent):
         raise SystemExit(NOT_WHOLE)
@@ -115,31 +113,75 @@ class Kind(Enum):
     """What a recording is exported to."""
 
     CSV = "csv"
+    PARQUET = "parquet"
+    EDF = "edf"
     MCAP = "mcap"
 
 
 def export(
     file: FileArgument,
-    to: Annotated[Kind, typer.Option(help="csv: a table a topic; mcap: a whole file again.")],
+    to: Annotated[
+        Kind,
+        typer.Option(
+            help="csv, parquet: a table a topic; edf: the forces as signals; mcap: a whole file."
+        ),
+    ],
     out: Annotated[
-        Path | None, typer.Option(metavar="PATH", help="A folder for csv, else a file; not there.")
+        Path | None,
+        typer.Option(metavar="PATH", help="A folder for tables, else a file; not there yet."),
     ] = None,
 ) -> None:
-    """Write a recording as tables, or one that was cut short as a whole file.
+    """Write a recording as tables, as signals, or one that was cut short as a whole file.
 
-    csv: samples.csv, ticks.csv, clock.csv and events.csv in a new folder. mcap: what can be read
-    of a recording whose recorder was killed, with the index that Foxglove needs.
+    csv, parquet: samples, ticks, clock and events in a new folder. edf: force at the wrist and
+    force felt of the longest session as EDF+, events and losses as annotations. mcap: what can be
+    read of a recording whose recorder was killed, with the index that Foxglove needs.
     """
-    from telepulse.record.export import export_csv, export_mcap
+    from telepulse.record.edf import export_edf
+    from telepulse.record.export import export_csv, export_mcap, export_parquet
 
-    console = plain_console()
+    export_to, suffix = {
+        Kind.CSV: (export_csv, ""),
+        Kind.PARQUET: (export_parquet, ".parquet"),
+        Kind.EDF: (export_edf, ".edf"),
+        Kind.MCAP: (export_mcap, ".whole.mcap"),
+    }[to]
     with one_line_errors(PROGRAM):
-        if to is Kind.CSV:
-            export_csv(file, out or file.with_suffix(""), console.print)
-        else:
-            export_mcap(file, out or file.with_suffix(".whole.mcap"), console.print)
+        export_to(file, out or file.with_suffix(suffix), plain_console().print)
 
 
-def _warn(text: str) -> None:
+def report(
+    file: FileArgument,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Write it here; else beside the file.")
+    ] = None,
+    json: TablesOption = None,
+) -> None:
+    """Write a report of a recording: figures, forces, delays, loss, clocks, loop, heart rate.
+
+    A page with plots, by default in the folder FILE-report, and its tables in the terminal. The
+    figures are computed from what was recorded, and stand beside the display's own.
+    """
+    from telepulse.record.report.chapters import build_recording_report
+
+    folder = out or file.with_name(f"{file.stem}-report")
+    publish(lambda: build_recording_report(file), folder, json)
+
+
+def telemetry_keys(
+    address: str, key: Path | None, peer: Path | None, insecure: bool
+) -> ClientKeys | None:
+    """Keys for a display's telemetry; a key without a peer is the display's own.
+
+    Raises as `client_keys` does.
+    """
+    if key is not None and peer is None:
+        pair = read_pair(key)
+        return ClientKeys(pair, pair.public)
+    return client_keys([address], key, peer, insecure)
+
+
+def warn(text: str) -> None:
+    """Say it on stderr."""
     with suppress(OSError):  # who listens may have gone before the recorder
         print(f"{PROGRAM}: {text}", file=sys.stderr)

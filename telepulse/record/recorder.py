@@ -1,21 +1,15 @@
-"""The recorder's shell: one socket, one file, and the clock on the wall."""
+"""The recorder's shell: a display's telemetry, one file, and the clock on the wall."""
 
 import math
 import time
 from collections.abc import Callable
 from pathlib import Path
 
-import zmq
-
-from display_node.heard import HEARD
-from display_node.telemetry import STATUS, TRACE
-from protocol import sockets
 from protocol.keys import ClientKeys
-from protocol.refusals import Refusals
 from telepulse.record.events import Event
 from telepulse.record.mcap_writer import McapWriter
 from telepulse.record.schema import NAMES
-from telepulse.record.transcript import Transcript
+from telepulse.record.telemetry_reader import TelemetryReader
 
 # A recorder that is killed loses what came since; half of what it may.
 FLUSH_EVERY_NS = 500_000_000
@@ -37,14 +31,9 @@ class Recorder:
         self._log, self._warn = log, warn
         self._stopping = False
         self._reason: str | None = None
-        self._transcript = Transcript()
-        self._context: sockets.Context = zmq.Context()
-        self._socket = sockets.connect(self._context, zmq.SUB, address, keys)
-        self._refusals = Refusals(self._context, keys, warn)
-        self._refusals.watch(self._socket)
+        self._reader = TelemetryReader(address, keys, warn)
+        self._transcript = self._reader.transcript
         self._file = McapWriter(path)
-        for topic in (TRACE, STATUS, HEARD):
-            self._socket.subscribe(topic)
 
     def stop(self) -> None:
         """End after the present message."""
@@ -68,22 +57,21 @@ class Recorder:
                     break
                 if now_ns - start_ns > end_ns:
                     break
-                self._refusals.tend(now_ns)
+                self._reader.tend(now_ns)
                 if now_ns >= flush_ns:
                     flush_ns = now_ns + FLUSH_EVERY_NS
                     self._notice(self._file.flush())
-                sockets.wait_readable([self._socket], flush_ns - now_ns)
+                self._reader.wait(flush_ns - now_ns)
             return self._end()
         finally:
-            self._context.destroy(linger=0)
+            self._reader.close()
 
     def _receive(self) -> bool:
         came = False
-        for message in sockets.receive_all(self._socket):
+        for entries in self._reader.messages():
             came = True
-            if len(message) == 2:
-                for entry in self._transcript.take(*message):
-                    self._file.add(entry)
+            for entry in entries:
+                self._file.add(entry)
         return came
 
     def _notice(self, reason: str | None) -> None:

@@ -82,7 +82,14 @@ SCHEMAS: dict[str, tuple[str, Schema]] = {
     ),
     STATUS: (
         "telepulse.Status",
-        _object(state=STRING, stream=STRING, final=BOOLEAN, summary=_of(Summary)),
+        _object(
+            state=STRING,
+            stream=STRING,
+            final=BOOLEAN,
+            session=INTEGER,
+            displays=INTEGER,
+            summary=_of(Summary),
+        ),
     ),
     STREAM: (
         "telepulse.Stream",

@@ -11,6 +11,7 @@ from sensors.lsl_inlet import Chunk, LslDecoder, LslScene
 from sensors.packet import Packet
 from sensors.scene import open_sensor
 
+from ..lsl_loopback import lsl_on_loopback
 from ..waiting import until
 
 NAN = float("nan")
@@ -50,15 +51,7 @@ def test_a_time_that_no_clock_has_is_counted(time_s: float) -> None:
 def test_a_stream_is_found_read_and_named_when_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # Loopback alone, and no multicast: neither may be there, nor anybody else's streams.
-    config = tmp_path / "lsl_api.cfg"
-    config.write_text(
-        "[lab]\nKnownPeers = {127.0.0.1}\nSessionID = telepulse-test\n"
-        "[multicast]\nResolveScope = machine\n[log]\nlevel = -3\n",
-        encoding="utf-8",
-    )
-    monkeypatch.setenv("LSLAPICFG", str(config))
-    pylsl = pytest.importorskip("pylsl")
+    pylsl = lsl_on_loopback(tmp_path, monkeypatch)
     monkeypatch.setattr(lsl_inlet, "RESOLVE_S", 10.0)
     info = pylsl.StreamInfo("telepulse test", "Force", 2, 1000, pylsl.cf_float32, "telepulse")
     outlets = [pylsl.StreamOutlet(info)]

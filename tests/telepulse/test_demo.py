@@ -3,6 +3,7 @@ import pty
 import signal
 import subprocess
 import sys
+import urllib.request
 from pathlib import Path
 
 import pytest
@@ -69,7 +70,8 @@ def test_the_demo_scores_against_the_pulse_before_the_sensing_chain(tmp_path: Pa
 
 def test_ctrl_c_ends_the_pulse_and_sums_up(tmp_path: Path) -> None:
     out = tmp_path / "out.json"
-    with process(MODULE, "demo", "--seconds", "100", "--json", str(out)) as demo:
+    arguments = ("--seconds", "100", "--json", str(out), "--no-page")
+    with process(MODULE, "demo", *arguments) as demo:
         assert demo.stdout is not None
         while not demo.stdout.readline().startswith("playing:"):
             assert demo.poll() is None
@@ -85,7 +87,7 @@ def test_in_a_terminal_the_demo_draws_a_panel_with_a_pulse_trace() -> None:
     leader, follower = pty.openpty()
     environment = os.environ | {"COLUMNS": "100", "LINES": "40", "TERM": "xterm"}
     child = subprocess.Popen(
-        [sys.executable, "-m", MODULE, "demo", "--seconds", "4"],
+        [sys.executable, "-m", MODULE, "demo", "--seconds", "4", "--no-page"],
         cwd=ROOT,
         stdin=follower,
         stdout=follower,
@@ -103,6 +105,39 @@ def test_in_a_terminal_the_demo_draws_a_panel_with_a_pulse_trace() -> None:
         assert word in text
     assert any("\u2801" <= character <= "\u28ff" for character in text)
     assert "sent =" in text
+
+
+def test_the_first_line_says_where_the_page_is() -> None:
+    with process(MODULE, "demo", "--seconds", "100") as demo:
+        assert demo.stdout is not None
+        word, _, url = demo.stdout.readline().strip().partition(" ")
+        assert word == "page:"
+        with urllib.request.urlopen(f"{url}/", timeout=30) as answer:
+            assert "<title>telepulse: live</title>" in answer.read().decode()
+        while not demo.stdout.readline().startswith("playing:"):
+            assert demo.poll() is None
+        demo.send_signal(signal.SIGINT)
+        output, errors = demo.communicate(timeout=30)
+    assert demo.returncode == 0
+    assert errors == ""
+    assert "sent =" in output
+
+
+def test_without_bokeh_the_demo_says_how_to_get_the_page_and_goes_on() -> None:
+    code = "import sys; sys.modules['bokeh'] = None; import telepulse.cli as c; c.main()"
+    for page, status in ((), 0), (("--page",), 2):
+        result = subprocess.run(
+            [sys.executable, "-c", code, "demo", "--seconds", "1", *page],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+        assert result.returncode == status
+        first = (result.stdout + result.stderr).splitlines()[0]
+        assert first.endswith("the live page needs Bokeh: pip install 'telepulse[view]'")
+        assert ("sent =" in result.stdout) == (status == 0)
 
 
 def read_or_end(descriptor: int) -> bytes:

@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TypeVar
 
 import msgpack
 import numpy as np
@@ -36,11 +37,11 @@ class Speaker:
         # A short queue, for a test of what happens when it is full.
         socket.setsockopt(zmq.SNDHWM, QUEUE)
         socket.setsockopt(zmq.SNDBUF, 8_192)
-        gate = None if keys is None else Gate(context, keys, print)
-        if gate is not None:
-            gate.guard(socket)
+        self.gate = None if keys is None else Gate(context, keys, print)
+        if self.gate is not None:
+            self.gate.guard(socket)
         socket.bind(address)
-        self.publisher = Publisher(socket, run=1, gate=gate)
+        self.publisher = Publisher(socket, run=1, gate=self.gate)
         self.frames = self.ticks = 0
         self.sent_ns: list[int] = []
 
@@ -58,12 +59,12 @@ class Speaker:
         if path == CONTROL:
             self.publisher.heard.welcome(now_ns, data)
 
-    def speak(self, ms: int) -> None:
+    def speak(self, ms: int, session: int = SESSION) -> None:
         """So many ticks, a frame with every fifth."""
         for _ in range(ms):
             now_ns = time.monotonic_ns()
             if self.ticks % BATCH == 0:
-                self.hear(0, encode_frame(numbered_frame(self.frames)))
+                self.hear(0, encode_frame(numbered_frame(self.frames, session)))
                 self.frames += 1
                 self.sent_ns.append(now_ns)
             felt = Felt(now_ns, now_ns, self.ticks * MS, 0.5, self.ticks * 1e-3, True)
@@ -87,19 +88,26 @@ def numbered_frame(number: int, session: int = SESSION) -> Frame:
     return Frame(session, first, 1_000 * MS + first * MS, MS, values)
 
 
-def clock_reply(t1_ns: int, ahead_ns: int) -> bytes:
-    return encode_control(ClockReply(SESSION, t1_ns, t1_ns + ahead_ns, t1_ns + ahead_ns))
+def clock_reply(t1_ns: int, ahead_ns: int, session: int = SESSION) -> bytes:
+    return encode_control(ClockReply(session, t1_ns, t1_ns + ahead_ns, t1_ns + ahead_ns))
 
 
 def bye(samples_sent: int) -> bytes:
     return encode_control(Bye(SESSION, samples_sent))
 
 
+Kind = TypeVar("Kind", bound=Speaker)
+
+
 @contextmanager
-def speaking(address: str, keys: ServerKeys | None = None) -> Iterator[Speaker]:
+def speaking(
+    address: str,
+    keys: ServerKeys | None = None,
+    kind: type[Kind] = Speaker,  # type: ignore[assignment]
+) -> Iterator[Kind]:
     """A speaker on a socket of its own, which is gone at the end."""
     context: sockets.Context = zmq.Context()
     try:
-        yield Speaker(context, address, keys)
+        yield kind(context, address, keys)
     finally:
         context.destroy(linger=200)

@@ -178,9 +178,10 @@ def speak_until_larger(speaker: Speaker, path: Path, size_bytes: int) -> None:
 
 def can_mount() -> bool:
     command = ["unshare", "-m", "mount", "-t", "tmpfs", "none", "/mnt"]
-    return shutil.which("unshare") is not None and not subprocess.run(
-        command, capture_output=True, check=False
-    ).returncode
+    return (
+        shutil.which("unshare") is not None
+        and not subprocess.run(command, capture_output=True, check=False).returncode
+    )
 
 
 @pytest.mark.skipif(not can_mount(), reason="needs the right to mount a small disk")
@@ -244,6 +245,29 @@ def test_telemetry_with_keys_is_for_who_is_let_in_and_others_are_told_why(tmp_pa
     assert frames_of(path) == list(range(speaker.frames))
 
 
+def test_who_is_let_in_later_is_recorded_from_then_on(tmp_path: Path) -> None:
+    address, path, ring = free_address(), tmp_path / "a.mcap", Keyring(tmp_path / "keys")
+    ring.allow("somebody")
+    keys = ("--key", ring.path("notes"), "--peer", ring.path("wrist", "pub"))
+    with (
+        speaking(address, ring.server()) as speaker,
+        process(MODULE, "record", address, str(path), *keys) as recorder,
+    ):
+        speaker.welcome()
+        while not speaker.gate.rejected:
+            speak_for(speaker, 0.1)
+        ring.allow("notes")
+        while not speaker.publisher.heard.wanted:
+            speak_for(speaker, 0.1)
+        speak_for(speaker, 0.3)
+        _, errors = end(speaker, recorder)
+        assert recorder.returncode == 0, errors
+    assert errors.count("telepulse keys allow notes.pub") == 1
+    numbers = frames_of(path)
+    assert 0 < numbers[0] < numbers[-1] == speaker.frames - 1
+    assert numbers == list(range(numbers[0], speaker.frames))
+
+
 def test_silence_ends_it_where_it_is_told_so(tmp_path: Path) -> None:
     address, path = free_address(), tmp_path / "a.mcap"
     arguments = ("record", address, str(path), "--until-silent", "0.3")
@@ -259,9 +283,7 @@ def test_silence_ends_it_where_it_is_told_so(tmp_path: Path) -> None:
         ("tcp://192.0.2.1:5557", "a.mcap", "--insecure"),
     ],
 )
-def test_what_cannot_begin_is_one_line(
-    address: str, name: str, word: str, tmp_path: Path
-) -> None:
+def test_what_cannot_begin_is_one_line(address: str, name: str, word: str, tmp_path: Path) -> None:
     (tmp_path / "there.mcap").write_bytes(b"precious")
     result = run(MODULE, "record", address, str(tmp_path / name))
     assert result.returncode == 2

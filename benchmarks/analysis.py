@@ -1,0 +1,134 @@
+"""What it takes to report and to export an hour's recording: time, memory, size."""
+
+import math
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Container, Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.measure import show
+from display_node.display import Felt
+from display_node.heard import CONTROL, HEARD, SUBSCRIBED, HeardWriter
+from display_node.telemetry import TRACE, TraceWriter
+from protocol.messages import ClockReply, Frame, Welcome, encode_control, encode_frame
+from protocol.status import STATUS, pack_status
+from protocol.stream import Channel, StreamDescription
+from protocol.summary import Summary
+from protocol.tactile import ElasticLayer
+from sensing_node.sources.synthetic import Synthetic, SyntheticScene
+from telepulse.record.mcap_writer import McapWriter
+from telepulse.record.transcript import Transcript
+
+SECONDS = 3_600
+TICK_NS = 1_000_000
+BATCH, CLOCK_TICKS, STATUS_TICKS, DELAY_TICKS, RAMP_TICKS = 5, 50, 200, 40, 1_000
+GAIN = 1.001
+MESSAGES_A_CHUNK = 50
+BEGIN_NS, UNIX_NS, AHEAD_NS = 10**12, 1_700_000_000 * 10**9, 5 * 10**12
+WORK = (
+    ("report",),
+    ("export", "--to", "csv"),
+    ("export", "--to", "parquet"),
+    ("export", "--to", "edf"),
+)
+DESCRIPTION = StreamDescription("radial pulse", TICK_NS, BATCH, (Channel("pulse"),), ElasticLayer())
+Samples = NDArray[np.float32]
+# ru_maxrss is in kB on Linux.
+MB = 1e-3
+
+
+def main() -> None:
+    """Print the table."""
+    rows = []
+    with tempfile.TemporaryDirectory(prefix="telepulse-") as folder:
+        path = Path(folder, "hour.mcap")
+        record(path, SECONDS)
+        for command, *options in WORK:
+            name = "-".join((command, *options))
+            out = Path(folder, name)
+            work_s, most_mb = run(command, str(path), *options, "--out", str(out))
+            figures = (work_s, most_mb, size_mb(out))
+            rows.append((" ".join((command, *options)), *(f"{figure:.0f}" for figure in figures)))
+        title = f"A recording of {SECONDS} s, {path.stat().st_size * 1e-6:.0f} MB"
+    show(title, ("telepulse", "s of a core", "most memory, MB", "written, MB"), rows)
+
+
+def record(path: Path, seconds: int, lost: Container[int] = ()) -> None:
+    """Such a recording as a display's telemetry makes it: a pulse, felt 40 ms later.
+
+    lost: numbers of frames that never come.
+    """
+    pulse = Synthetic(SyntheticScene.model_validate({"kind": "synthetic"}))
+    force_n = pulse.take(seconds * 1000)[:, 0].astype("<f4")
+    writer, transcript = McapWriter(path), Transcript()
+    for number, (topic, message) in enumerate(telemetry(force_n, lost)):
+        for entry in transcript.take(topic, message):
+            writer.add(entry)
+        if number % MESSAGES_A_CHUNK == 0:
+            writer.flush()
+    writer.close()
+
+
+def telemetry(force_n: Samples, lost: Container[int]) -> Iterator[tuple[bytes, bytes]]:
+    """The messages of a run: topic and data."""
+    heard, traces = HeardWriter(run=1), TraceWriter()
+    heard.follow(SUBSCRIBED)
+    heard.add(BEGIN_NS, CONTROL, encode_control(Welcome(1, 0, DESCRIPTION)))
+    for tick in range(len(force_n)):
+        now_ns = BEGIN_NS + tick * TICK_NS
+        for path, message in arriving(tick, force_n, lost):
+            heard.add(now_ns, path, message)
+        trace = traces.add(felt(tick, force_n))
+        if trace is not None:
+            for message in heard.take(now_ns, UNIX_NS + now_ns):
+                yield HEARD, message
+            yield TRACE, trace
+            heard.traces += 1
+        if tick % STATUS_TICKS == STATUS_TICKS - 1:
+            yield STATUS, pack_status("playing", DESCRIPTION.name, Summary(), False, 1)
+            heard.statuses += 1
+    yield STATUS, pack_status("ended", DESCRIPTION.name, Summary(), True, 1)
+
+
+def arriving(tick: int, force_n: Samples, lost: Container[int]) -> Iterator[tuple[int, bytes]]:
+    """What comes with a tick: path and message."""
+    now_ns = BEGIN_NS + tick * TICK_NS
+    sensing_ns = now_ns + AHEAD_NS
+    if tick % CLOCK_TICKS == 0:
+        reply = ClockReply(1, now_ns - 300_000, sensing_ns - 150_000, sensing_ns - 150_000)
+        yield CONTROL, encode_control(reply)
+    first = tick - BATCH
+    if tick % BATCH == 0 and first >= 0 and first // BATCH not in lost:
+        values = force_n[first:tick, np.newaxis]
+        yield 0, encode_frame(Frame(1, first, sensing_ns - BATCH * TICK_NS, TICK_NS, values))
+
+
+def felt(tick: int, force_n: Samples) -> Felt:
+    """A tick that plays what was sensed 40 ms ago, a little too strong."""
+    now_ns, played = BEGIN_NS + tick * TICK_NS, tick - DELAY_TICKS
+    sensing_ns = now_ns + AHEAD_NS
+    target_n = float(force_n[played]) if played >= 0 else 0.0
+    instant_ns = sensing_ns - DELAY_TICKS * TICK_NS
+    return Felt(now_ns, sensing_ns, instant_ns, target_n, GAIN * target_n, played >= RAMP_TICKS)
+
+
+def run(*arguments: str) -> tuple[float, float]:
+    """Run a command of telepulse; its time on a core in s, and the most memory it had in MB."""
+    command = [sys.executable, "-m", "telepulse.cli", *arguments]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise SystemExit(f"benchmarks: {' '.join(arguments)} failed")
+    return usage.ru_utime + usage.ru_stime, usage.ru_maxrss * MB
+
+
+def size_mb(path: Path) -> float:
+    """Of a file, or of a folder's files."""
+    files = [path] if path.is_file() else list(path.iterdir())
+    return math.fsum(file.stat().st_size for file in files) * 1e-6

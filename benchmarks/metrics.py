@@ -1,0 +1,131 @@
+"""What serving metrics costs a display: ticks it misses while nobody serves them, while they are
+scraped once a second, and while 20 threads scrape without a pause.
+
+Runs take turns, so that all of them meet the same machine.
+"""
+
+import re
+import statistics
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from urllib.request import urlopen
+
+from benchmarks.measure import show
+from protocol.summary import Loop
+from telepulse.node_process import await_end, read_summary
+from telepulse.ports import free_addresses
+from telepulse.scene import find_scene
+
+SECONDS = 8.0
+ROUNDS = 5
+THREADS = 20
+ENDS_WITHIN_S = 60.0
+CASES = {"none served": 0, "once a second": 1, f"{THREADS} threads": THREADS}
+COLUMNS = ("scraped", "scrapes a second", "p50 late µs", "p99 late µs", "missed of 1000", "ratio")
+
+
+def main() -> None:
+    """Print the table."""
+    scene = str(find_scene("radial"))
+    (address,) = free_addresses(1)
+    runs: dict[str, list[tuple[Loop, float]]] = {name: [] for name in CASES}
+    command = [sys.executable, "-m", "sensing_node.cli", scene, "--bind", address, "--quiet"]
+    sensing = subprocess.Popen(command)
+    try:
+        with TemporaryDirectory(prefix="telepulse-") as folder:
+            for _ in range(ROUNDS):
+                for name, found in runs.items():
+                    found.append(_play(scene, address, CASES[name], Path(folder, "d.json")))
+    finally:
+        sensing.kill()
+        sensing.wait()
+    bare = _missed(runs["none served"])
+    show(
+        f"A display at 1 kHz whose metrics are scraped: medians of {ROUNDS} rounds of"
+        f" {SECONDS:g} s",
+        COLUMNS,
+        [_row(name, found, bare) for name, found in runs.items()],
+    )
+
+
+def _row(name: str, found: list[tuple[Loop, float]], bare: float) -> tuple[str, ...]:
+    late = [
+        statistics.median(getattr(loop.late_us, key) or 0.0 for loop, _ in found)
+        for key in ("p50", "p99")
+    ]
+    missed = _missed(found)
+    return (
+        name,
+        f"{statistics.median(rate for _, rate in found):.0f}",
+        *(f"{value:.0f}" for value in late),
+        f"{missed:.1f}",
+        f"{missed / bare:.2f}" if bare else "–",
+    )
+
+
+def _missed(found: list[tuple[Loop, float]]) -> float:
+    """Ticks missed of 1000, median of the rounds."""
+    shares = []
+    for loop, _ in found:
+        missed = loop.deadline_misses or 0
+        shares.append(1000 * missed / max(1, missed + (loop.ticks or 0)))
+    return statistics.median(shares)
+
+
+def _play(scene: str, address: str, threads: int, summary: Path) -> tuple[Loop, float]:
+    """What a display's loop says of itself at its end, and how often it was scraped a second."""
+    node = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "display_node.cli", scene, "--connect", address),
+            *("--no-screen", "--seconds", str(SECONDS), "--json", str(summary)),
+            *(("--metrics", "0") if threads else ()),
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        if not threads:
+            await_end(node, "display node", SECONDS + ENDS_WITHIN_S)
+            return read_summary(summary).loop, 0.0
+        assert node.stdout is not None
+        found = re.search(r"http://\S+", node.stdout.readline())
+        assert found is not None
+        with _scraping(found[0], threads) as scrapes:
+            await_end(node, "display node", SECONDS + ENDS_WITHIN_S)
+            rate = scrapes() / SECONDS
+    finally:
+        node.kill()
+    return read_summary(summary).loop, rate
+
+
+@contextmanager
+def _scraping(url: str, threads: int) -> Iterator[Callable[[], int]]:
+    """So many threads scrape; gives how often they have. One alone waits a second each time."""
+    ending, counts = threading.Event(), [0] * threads
+
+    def scrape(number: int) -> None:
+        while not ending.wait(1 if threads == 1 else 0):
+            try:
+                with urlopen(url, timeout=5) as answer:
+                    answer.read()
+            except OSError:  # it ends with the display
+                time.sleep(0.1)
+            else:
+                counts[number] += 1
+
+    workers = [threading.Thread(target=scrape, args=(number,)) for number in range(threads)]
+    for worker in workers:
+        worker.start()
+    try:
+        yield lambda: sum(counts)
+    finally:
+        ending.set()
+        for worker in workers:
+            worker.join()

@@ -1,0 +1,1 @@
+"""What these pages have beyond Sphinx: tables that are written from the code."""

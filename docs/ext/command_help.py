@@ -1,0 +1,43 @@
+"""What `--help` of a command says, of its sub-commands too, as a page."""
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import typer
+
+from ext.from_code import load
+
+# What a help text ends with where there is a default or a range.
+_LIMITS = re.compile(r"\s*\[((?:default|required|env var|[-0-9.e+x]+[<>]=?)[^\]]*)\]$")
+
+
+def write(target: str, program: str) -> str:
+    """Usage, text, arguments and options of the typer application at `target`."""
+    app = load(target)
+    assert isinstance(app, typer.Typer)
+    return "\n".join(_chapter(typer.main.get_command(app), program, "##"))
+
+
+def _chapter(command: Any, name: str, level: str) -> Iterator[str]:
+    context = command.context_class(command, info_name=name)
+    inner = getattr(command, "commands", {})
+    yield f"{level} {name}\n"
+    yield f"{command.help}\n"
+    if inner:
+        for inner_name, inner_command in inner.items():
+            yield from _chapter(inner_command, f"{name} {inner_name}", "###")
+        return
+    usage = " ".join(command.get_usage(context).removeprefix("Usage: ").split())
+    yield f"```text\n{usage}\n```\n"
+    records = [record for part in command.params if (record := part.get_help_record(context))]
+    if records:
+        yield "| | | default, range |\n|---|---|---|"
+        yield from (_row(*record) for record in records)
+        yield ""
+
+
+def _row(name: str, text: str) -> str:
+    limits = _LIMITS.search(text)
+    cells = (f"`{name}`", _LIMITS.sub("", text), f"`{limits[1]}`" if limits else "")
+    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"

@@ -1,0 +1,54 @@
+"""The option for metrics, which a process beside the node serves."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from protocol.beside import Companion, beside
+from protocol.sockets import beyond_loopback
+
+MetricsOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="[ADDRESS:]PORT",
+        help="Serve this node's figures to Prometheus over HTTP, on this machine alone unless an"
+        " address is given; port 0 picks a free one.",
+    ),
+]
+
+
+class Metrics:
+    """What serves a node's figures, once it is told where they are published."""
+
+    def __init__(self, companion: Companion | None) -> None:
+        """None: nothing is served."""
+        self._companion = companion
+
+    def __bool__(self) -> bool:
+        return self._companion is not None
+
+    def follow(self, telemetry_address: str, key: Path | None = None) -> None:
+        """Serve what is published there; key: the node's own, where that needs one."""
+        if self._companion is not None:
+            own = None if key is None else str(key)
+            self._companion.tell(address=telemetry_address, key=own)
+
+
+@contextmanager
+def metrics_beside(program: str, where: str | None, console: Console) -> Iterator[Metrics]:
+    """Metrics served at `where` (None: not at all) within a `with`; enter it before anything
+    moves. Raises BesideError where the port is taken or the library is missing."""
+    if where is None:
+        yield Metrics(None)
+        return
+    # By its name: what reads both nodes' telemetry stands above them.
+    arguments = ("the server of metrics", "telepulse.metrics", program, where)
+    with beside(program, *arguments, log=console.print) as companion:
+        console.print(f"metrics on {companion.said}")
+        if beyond_loopback(companion.said.replace("http", "tcp", 1).removesuffix("/metrics")):
+            console.print("who reaches that port reads them: HTTP has neither keys nor encryption")
+        yield Metrics(companion)

@@ -1,0 +1,34 @@
+"""A sensing node's telemetry: its status, once a second, for a process beside it."""
+
+from collections.abc import Callable
+
+import zmq
+
+from protocol import sockets
+from protocol.status import STATUS
+from protocol.subscribers import Subscribers
+
+STATUS_EVERY_NS = 1_000_000_000
+
+
+class Telemetry:
+    """Publishes statuses. address: where."""
+
+    def __init__(self, context: sockets.Context, address: str, log: Callable[[str], None]) -> None:
+        """Raises AddressError."""
+        self._socket = sockets.bind(context, zmq.XPUB, address)
+        self._readers = Subscribers(self._socket, (STATUS,), log)
+        self._next_ns = 0
+        self.address = self._socket.getsockopt_string(zmq.LAST_ENDPOINT)
+
+    def due(self, now_ns: int) -> bool:
+        """Whether it is time for a status; call it often."""
+        self._readers.tend()
+        if now_ns < self._next_ns:
+            return False
+        self._next_ns = now_ns + STATUS_EVERY_NS
+        return True
+
+    def publish(self, status: bytes) -> None:
+        """Publish a status."""
+        sockets.send(self._socket, STATUS, status)

@@ -1,0 +1,184 @@
+"""An interval of a trial: the pulse behind a curtain that opens for a while.
+
+The stream runs, over its link or none, to the display as in every node. Until the curtain opens
+the actuator rests; then Safety ramps up, and when it closes Safety fades, as for a stream that
+comes and goes. When it does so is a matter of the display's clock alone, so neither the link's
+delay nor how long it takes to join can be told from when the pulse is felt.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from random import Random
+
+from pydantic import BaseModel, ConfigDict
+
+from display_node.display import Display
+from display_node.feedback import Feedback
+from display_node.safety import Safety
+from protocol.summary import Errors, Roughness
+from sensing_node.sources.synthetic import SyntheticScene
+from telepulse.experiment.session import Plan
+from telepulse.experiment.trials import Letter, Trial
+from telepulse.scene import Scene
+from telepulse.simulate import Simulation, Tick
+
+# Longer than a beat: the pulse begins to be felt anywhere in one.
+FOREPERIOD_NS = 1_000_000_000
+# After the fade, so that the layer has come to rest.
+REST_NS = 150_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """What is to be felt. foreperiod_ns: from the beginning until the curtain opens."""
+
+    letter: Letter
+    scene: Scene
+    on_link: bool
+    link_seed: int
+    foreperiod_ns: int
+    felt_ns: int
+
+
+class Played(BaseModel):
+    """What was felt of an interval, as the log has it.
+
+    Errors are RMSE in N against what was sensed; pulse_n: from peak to peak, what should have
+    been felt; felt_s: at full strength.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    letter: Letter
+    on_link: bool
+    link_seed: int
+    foreperiod_s: float
+    felt_s: float
+    aligned_n: float | None
+    in_phase_n: float | None
+    roughness_felt_n: float | None
+    roughness_sensed_n: float | None
+    pulse_n: float
+    deadline_misses: int
+
+
+def draw_interval(
+    plan: Plan, seed: int, index: int, trial: Trial, letter: Letter, nth: int
+) -> Interval:
+    """The nth playing of a letter in a trial.
+
+    All letters of a trial have the same beats. The link's chances and the foreperiod are drawn
+    anew for each playing, so that X is never the very same as A or B.
+    """
+    random = Random(f"interval {seed} {index} {letter} {nth}")
+    on_link = trial.on_link(letter)
+    scene = plan.impaired[trial.condition] if on_link and trial.condition else plan.direct
+    source = scene.sensing.source
+    if isinstance(source, SyntheticScene):
+        source = source.model_copy(update={"seed": trial.pulse_seed})
+    session = plan.session
+    return Interval(
+        letter=letter,
+        scene=replace(scene, sensing=scene.sensing.model_copy(update={"source": source})),
+        on_link=on_link,
+        link_seed=random.getrandbits(31),
+        foreperiod_ns=session.joined_ns + session.settle_ns + random.randrange(FOREPERIOD_NS),
+        felt_ns=scene.display.safety.ramp_ns + session.interval_ns,
+    )
+
+
+class Curtain(Safety):
+    """Safety that takes the stream for stale while it is closed."""
+
+    opened = False
+
+    def bound(self, reference_n: list[float], alive: bool) -> list[float]:
+        """The reference within force and slew limits; towards 0 N while closed."""
+        return super().bound(reference_n, alive and self.opened)
+
+
+class Playing:
+    """An interval that is being felt. Pure: whoever ticks it has the clock, and the bench."""
+
+    def __init__(
+        self,
+        interval: Interval,
+        begin_ns: int,
+        feedback: Feedback | None = None,
+        tick: Tick = Display.tick,
+    ) -> None:
+        """Raises SceneError or SourceError."""
+        scene = interval.scene.display
+        self._interval = interval
+        self._simulation = Simulation(interval.scene, interval.link_seed, begin_ns, feedback)
+        self._curtain = self._simulation.display.safety = Curtain(scene.safety, scene.tick_ns)
+        self._tick = tick
+        self._tick_ns = scene.tick_ns
+        self._open_ns = begin_ns + interval.foreperiod_ns
+        self._close_ns = self._open_ns + interval.felt_ns
+        self._rest_ns = scene.safety.fade_ns + REST_NS
+        self._simulation.begin((self._close_ns + self._rest_ns - begin_ns) * 1e-9)
+        self._ticks, self._least_n, self._most_n = 0, math.inf, -math.inf
+        self.deadline_misses = 0
+
+    @property
+    def display(self) -> Display:
+        """Who plays it."""
+        return self._simulation.display
+
+    def tick(self, now_ns: int, elapsed_ticks: int = 1) -> bool:
+        """Tick the display; False when it is over, and the actuator at rest."""
+        self.deadline_misses += elapsed_ticks - 1
+        self._curtain.opened = self._open_ns <= now_ns < self._close_ns
+        felt = self._simulation.tick(now_ns, elapsed_ticks, self._tick)
+        if felt.scored:
+            self._ticks += elapsed_ticks
+            self._least_n = min(self._least_n, felt.target_n)
+            self._most_n = max(self._most_n, felt.target_n)
+        return now_ns < self._close_ns + self._rest_ns
+
+    def stop(self, now_ns: int) -> None:
+        """Close the curtain now."""
+        self._close_ns = min(self._close_ns, now_ns)
+
+    def played(self) -> Played:
+        """What was felt."""
+        summary, interval = self._simulation.end(), self._interval
+        force: Errors = summary.force_rmse_n
+        rough: Roughness = summary.roughness
+        return Played(
+            letter=interval.letter,
+            on_link=interval.on_link,
+            link_seed=interval.link_seed,
+            foreperiod_s=interval.foreperiod_ns * 1e-9,
+            felt_s=self._ticks * self._tick_ns * 1e-9,
+            aligned_n=force.aligned,
+            in_phase_n=force.in_phase,
+            roughness_felt_n=rough.felt_n,
+            roughness_sensed_n=rough.sensed_n,
+            pulse_n=max(0.0, self._most_n - self._least_n),
+            deadline_misses=self.deadline_misses,
+        )
+
+
+def play_at_once(interval: Interval) -> Played:
+    """Play an interval on the scene's models in virtual time. Raises SceneError or SourceError."""
+    playing, now_ns = Playing(interval, 0), 0
+    while playing.tick(now_ns):
+        now_ns += interval.scene.display.tick_ns
+    return playing.played()
+
+
+def error_share(played: Sequence[Played], letter: Letter) -> float:
+    """Mean aligned force error of a letter's intervals over the direct pulse from peak to peak.
+
+    An interval that never came to its full strength is all error: 1. NaN without any.
+    """
+    pulse_n = max((p.pulse_n for p in played if not p.on_link), default=0.0)
+    shares = [
+        1.0 if p.aligned_n is None else p.aligned_n / pulse_n
+        for p in played
+        if p.letter == letter and pulse_n > 0
+    ]
+    return sum(shares) / len(shares) if shares else math.nan

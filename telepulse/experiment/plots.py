@@ -1,0 +1,173 @@
+"""The plots of `telepulse experiment`."""
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from telepulse.experiment.estimates import CHANCE, PAPER, mean_of
+from telepulse.experiment.psychometric import Threshold, proportion_correct
+from telepulse.experiment.results import Outcome, Results, close, correct
+from telepulse.report import Plot
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def shares(results: Results) -> Plot:
+    """Share of right answers by condition."""
+
+    def draw(figure: "Figure") -> None:
+        axes = figure.add_subplot()
+        groups = [(name, correct(found)) for name, found in results.by_condition()]
+        groups += [("all of them", correct(results.tested)), ("the paper's\nsix subjects", PAPER)]
+        for row, (_, found) in enumerate(groups):
+            low, high = found.interval
+            off = [[100 * (found.share - low)], [100 * (high - found.share)]]
+            colour, mark = ("C2", "s") if found is PAPER else ("C0", "o")
+            axes.errorbar(100 * found.share, row, xerr=off, fmt=mark, color=colour, capsize=4)
+        axes.set_yticks(range(len(groups)), [name for name, _ in groups])
+        axes.set_ylim(len(groups) - 0.5, -0.5)
+        axes.grid(axis="y", visible=False)
+        axes.axvline(100 * CHANCE, color="C1", linestyle="--", linewidth=1.2)
+        axes.set_xlabel("% right, with the exact 95 % interval; dashed: guessing")
+        axes.set_xlim(0, 102)
+
+    return Plot(
+        "experiment-shares",
+        "Share of trials in which X was named rightly; below, the paper's four of six, who were"
+        " asked something else: whether it was close to a direct touch.",
+        draw,
+    )
+
+
+def psychometric(results: Results, threshold: Threshold | None) -> Plot:
+    """Share of right answers against the measured difference in force error."""
+
+    def draw(figure: "Figure") -> None:
+        axes = figure.add_subplot()
+        largest = 0.0
+        for name, outcomes in results.by_condition():
+            apart = [abs(o.errors.a - o.errors.b) for o in outcomes]
+            share, found = float(np.nanmean(apart)), correct(outcomes)
+            low, high = found.interval
+            largest = max(largest, share)
+            axes.errorbar(
+                100 * share,
+                100 * found.share,
+                yerr=[[100 * (found.share - low)], [100 * (high - found.share)]],
+                fmt="o",
+                capsize=4,
+                label=name,
+            )
+        if threshold is not None and threshold.low > 0 and math.isfinite(threshold.high):
+            at = np.linspace(0, 1.15 * largest, 200)
+            curve = [100 * proportion_correct(x / threshold.value) for x in at]
+            axes.plot(100 * at, curve, color="C4", label="fitted observer", zorder=0)
+        axes.axhline(100 * CHANCE, color="C1", linestyle="--", linewidth=1.2)
+        axes.set_ylim(0, 104)
+        axes.set_xlim(left=-2 * largest)
+        axes.set_xlabel("difference of the aligned force error, % of the pulse from peak to peak")
+        axes.set_ylabel("% right")
+        figure.legend(loc="outside lower center", ncols=3, fontsize="small")
+
+    return Plot(
+        "experiment-psychometric",
+        "Share right against how much further off the link's intervals were than the direct ones,"
+        " a point a condition, and the differencing observer that fits the answers best.",
+        draw,
+    )
+
+
+def ratings(results: Results, groups: Sequence[tuple[str, list[Outcome]]]) -> Plot:
+    """Every rating by condition, and their means."""
+
+    def draw(figure: "Figure") -> None:
+        axes = figure.add_subplot()
+        for row, (_, outcomes) in enumerate(groups):
+            counts = np.bincount([o.rating for o in outcomes], minlength=6)[1:]
+            for rating, count in enumerate(counts, 1):
+                if count:
+                    area = 900 * count / len(outcomes)
+                    axes.scatter(rating, row, s=area, color="C0", alpha=0.45, linewidth=0)
+            mean = mean_of([o.rating for o in outcomes])
+            off = [[mean.value - mean.low], [mean.high - mean.value]]
+            axes.errorbar(mean.value, row, xerr=off, fmt="D", color="C1", capsize=4)
+        names = [f"{name}\n{100 * close(found).share:.0f} % close" for name, found in groups]
+        axes.set_yticks(range(len(groups)), names)
+        axes.set_ylim(len(groups) - 0.4, -0.6)
+        axes.set_xlim(0.6, 5.4)
+        axes.set_xticks(range(1, 6), ["1 nothing\nlike it", "2", "3", "4 close", "5 the same"])
+        axes.grid(axis="y", visible=False)
+
+    return Plot(
+        "experiment-ratings",
+        "How close X was to the direct touch. A disc's area is the share of that rating; the"
+        " diamond is the mean with its bootstrap interval.",
+        draw,
+    )
+
+
+def course(results: Results) -> Plot:
+    """Answers and response times in the order of the trials."""
+
+    def draw(figure: "Figure") -> None:
+        timed = any(o.answered.response_s is not None for o in results.outcomes)
+        panels = figure.subplots(1 + timed, 1, sharex=True, squeeze=False)[:, 0]
+        above = panels[0]
+        for subject in results.subjects:
+            mine = [o for o in results.outcomes if o.subject == subject]
+            tested = [o for o in mine if o.trial.condition is not None]
+            at = [o.answered.index + 1 for o in tested]
+            if results.kind == "abx":
+                right = np.cumsum([o.correct for o in tested]) / np.arange(1, len(tested) + 1)
+                above.plot(at, 100 * right, label=subject)
+            else:
+                above.plot(at, [o.rating for o in tested], "o-", markersize=4, label=subject)
+            if timed:
+                times = [(o.answered.index + 1, o.answered.response_s or np.nan) for o in mine]
+                panels[1].plot(*zip(*times, strict=True), "o", markersize=4)
+        if results.kind == "abx":
+            above.axhline(100 * CHANCE, color="C1", linestyle="--", linewidth=1.2)
+            above.set_ylim(0, 104)
+        above.set_ylabel("% right so far" if results.kind == "abx" else "rating")
+        if timed:
+            panels[1].set_ylabel("s to the answer")
+            panels[1].set_ylim(bottom=0)
+        panels[-1].set_xlabel("trial")
+        panels[-1].xaxis.get_major_locator().set_params(integer=True)
+        if len(results.subjects) > 1:
+            figure.legend(loc="outside lower center", ncols=4, fontsize="small")
+
+    return Plot(
+        "experiment-course",
+        "In the order of the trials: the share of right answers so far, or the ratings; and of a"
+        " person how long each answer took.",
+        draw,
+    )
+
+
+def errors(results: Results) -> Plot:
+    """The aligned force error of each interval."""
+
+    def draw(figure: "Figure") -> None:
+        axes = figure.add_subplot()
+        spread = np.random.default_rng(0)
+        groups = list(results.by_condition())
+        for row, (_, outcomes) in enumerate(groups):
+            for on_link, colour, mark in ((False, "C0", "o"), (True, "C1", "^")):
+                played = [p for o in outcomes for p in o.answered.played if p.on_link is on_link]
+                milli = [1e3 * p.aligned_n for p in played if p.aligned_n is not None]
+                at = row + (0.15 if on_link else -0.15) + spread.uniform(-0.08, 0.08, len(milli))
+                what = "over the link" if on_link else "direct"
+                label = None if row else what
+                axes.plot(milli, at, mark, color=colour, markersize=5, alpha=0.7, label=label)
+        axes.set_yticks(range(len(groups)), [name for name, _ in groups])
+        axes.set_ylim(len(groups) - 0.5, -0.5)
+        axes.set_xscale("log")
+        axes.set_xlabel("aligned force RMSE of an interval (mN)")
+        axes.grid(axis="y", visible=False)
+        figure.legend(loc="outside lower center", ncols=2, fontsize="small")
+
+    return Plot("experiment-errors", "Aligned force error of every interval that was felt.", draw)

@@ -1,0 +1,260 @@
+"""The report of `telepulse experiment`: tables and plots of one session, or of several."""
+
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from telepulse.experiment import plots
+from telepulse.experiment.estimates import LEVEL, PAPER, Proportion, hits_needed, mean_of, power
+from telepulse.experiment.log import Log
+from telepulse.experiment.plan import percent
+from telepulse.experiment.psychometric import Threshold, d_prime, fit_threshold
+from telepulse.experiment.results import Outcome, Results, close, correct, gather
+from telepulse.report import Chapter, Report, Table
+
+NONE = "–"
+POOLED, DIRECT = "all of them", "no link (catch)"
+
+
+def build_report(logs: Sequence[Log]) -> Report:
+    """Of one subject or several. Raises LogError."""
+    results = gather(logs)
+    answers = _abx_chapter(results) if results.kind == "abx" else _rating_chapter(results)
+    return Report(
+        f"Experiment: {results.title}",
+        (answers, _course_chapter(results), _errors_chapter(results), _paper_chapter()),
+    )
+
+
+def threshold_of(outcomes: Sequence[Outcome]) -> Threshold | None:
+    """The threshold that makes ABX answers likeliest, as a share of the pulse."""
+    return fit_threshold(
+        [
+            (o.errors, o.answered.answer == "A")
+            for o in outcomes
+            if not any(map(math.isnan, o.errors))
+        ]
+    )
+
+
+def _abx_chapter(results: Results) -> Chapter:
+    tables = [_right_table(results), _threshold_table(results)]
+    if results.of(None):
+        tables.append(_catch_table(results))
+    if len(results.subjects) > 1:
+        tables.insert(1, _subject_table(results))
+    return Chapter(
+        "Right answers",
+        (_answered(results), _abx_words(correct(results.tested))),
+        tuple(tables),
+        (plots.shares(results), plots.psychometric(results, threshold_of(results.outcomes))),
+    )
+
+
+def _answered(results: Results) -> str:
+    count, subjects = len(results.outcomes), len(results.subjects)
+    who = "one subject" if subjects == 1 else f"{subjects} subjects"
+    return f"{count} of {results.asked} trials are answered, by {who}."
+
+
+def _abx_words(found: Proportion) -> str:
+    low, high = found.interval
+    return (
+        f"X was named rightly in {found.hits} of {found.of} trials, {percent(found.share)}; the"
+        f" true share is between {percent(low)} and {percent(high)} (exact, 95 %), and guessing"
+        f" does as well with p = {_p(found.p_value)}."
+    )
+
+
+def _right_table(results: Results) -> Table:
+    groups = [*results.by_condition(), (POOLED, results.tested)]
+    rows = []
+    for name, outcomes in groups:
+        direct, link = (
+            _mean(o.force_mn(on, "aligned_n") for o in outcomes) for on in (False, True)
+        )
+        found = correct(outcomes)
+        rows.append((name, *_cells(found), _d(found), f"{direct:.2f}", f"{link:.2f}"))
+    return Table(
+        "X named rightly",
+        ("condition", "right", "share", "95 %", "p", "d' (95 %)", "direct mN", "link mN"),
+        tuple(rows),
+        "Exact interval (Clopper-Pearson); p: by guessing as many or more, not corrected for the"
+        " number of conditions. d' of the differencing strategy. mN: aligned force RMSE. Trials"
+        " of one subject are no independent sample of people.",
+    )
+
+
+def _cells(found: Proportion) -> tuple[str, str, str, str]:
+    return (
+        f"{found.hits} of {found.of}",
+        percent(found.share),
+        _between(found),
+        _p(found.p_value),
+    )
+
+
+def _between(found: Proportion) -> str:
+    low, high = found.interval
+    return f"{100 * low:.1f} to {100 * high:.1f} %"
+
+
+def _p(value: float) -> str:
+    return "< 0.001" if value < 1e-3 else f"{value:.3f}"
+
+
+def _d(found: Proportion) -> str:
+    at, low, high = (d_prime(share) for share in (found.share, *found.interval))
+    if math.isinf(at):
+        return f"over {low:.1f}"
+    return f"{at:.1f} ({low:.1f}–{'∞' if math.isinf(high) else f'{high:.1f}'})"
+
+
+def _subject_table(results: Results) -> Table:
+    rows, passed = [], 0
+    for subject in results.subjects:
+        mine = [o for o in results.tested if o.subject == subject]
+        if mine:
+            found = correct(mine)
+            rows.append((subject, *_cells(found)))
+            passed += found.p_value <= LEVEL
+    return Table(
+        "Each subject",
+        ("subject", "right", "share", "95 %", "p"),
+        tuple(rows),
+        f"{passed} of {len(rows)} pass for more than guessing (p ≤ 5 %), where one in twenty would"
+        " by guessing.",
+    )
+
+
+def _threshold_table(results: Results) -> Table:
+    names = list(results.subjects)
+    groups = [(name, [o for o in results.outcomes if o.subject == name]) for name in names]
+    if len(names) > 1:
+        groups.append(("all", list(results.outcomes)))
+    return Table(
+        "Threshold: force error at which d' is 1, in % of the pulse from peak to peak",
+        ("subject", "threshold", "95 %"),
+        tuple((name, *_threshold_cells(threshold_of(found))) for name, found in groups),
+        "Likeliest for a differencing observer of the aligned force error; 95 % by profile"
+        " likelihood. – where the answers set no bound.",
+    )
+
+
+def _threshold_cells(found: Threshold | None) -> tuple[str, str]:
+    if found is None:
+        return NONE, NONE
+    if found.low == 0:
+        return NONE, f"below {100 * found.high:.2g} %"
+    if math.isinf(found.high):
+        return NONE, f"above {100 * found.low:.2g} %"
+    return f"{100 * found.value:.2g} %", f"{100 * found.low:.2g} to {100 * found.high:.2g} %"
+
+
+def _catch_table(results: Results) -> Table:
+    said = [o.answered.answer == "A" for o in results.of(None)]
+    found = Proportion(sum(said), len(said))
+    row = ("X called A", f"{found.hits} of {found.of}", percent(found.share), _between(found))
+    return Table(
+        "Catch trials: A, B and X without a link",
+        ("answer", "trials", "share", "95 %"),
+        (row,),
+        "There is no right answer; far from a half, the subject prefers a key.",
+    )
+
+
+def _rating_chapter(results: Results) -> Chapter:
+    groups = list(results.by_condition())
+    if results.of(None):
+        groups.append((DIRECT, results.of(None)))
+    rows = []
+    for name, outcomes in groups:
+        mean, found = mean_of([o.rating for o in outcomes]), close(outcomes)
+        rows.append(
+            (
+                name,
+                str(len(outcomes)),
+                f"{mean.value:.2f} ({mean.low:.2f} to {mean.high:.2f})",
+                f"{found.hits} of {found.of}",
+                percent(found.share),
+                _between(found),
+                _milli(_mean(o.force_mn(True, "aligned_n") for o in outcomes)),
+            )
+        )
+    table = Table(
+        "How close X was to the direct touch, 5 (the same) to 1",
+        ("condition", "trials", "mean (95 %)", "close", "share", "95 %", "link mN"),
+        tuple(rows),
+        "Close: rated 4 or 5, with its exact interval. Of the mean: percentile bootstrap, too"
+        " narrow for few trials. mN: aligned force RMSE. X without a link is the hidden reference.",
+    )
+    found = close(results.tested)
+    words = (
+        f"Over the link {found.hits} of {found.of}, {percent(found.share)}, were rated close to the"
+        f" direct touch; exact 95 % interval {_between(found)}."
+    )
+    return Chapter(
+        "Ratings", (_answered(results), words), (table,), (plots.ratings(results, groups),)
+    )
+
+
+def _course_chapter(results: Results) -> Chapter:
+    times = [t for o in results.outcomes if (t := o.answered.response_s) is not None]
+    plays = [len(o.answered.played) for o in results.outcomes]
+    words = f"Intervals felt for an answer: {np.mean(plays):.1f} on average, {max(plays)} at most."
+    if times:
+        words += (
+            f" Time to the answer: median {np.median(times):.1f} s, longest {max(times):.1f} s."
+        )
+    return Chapter("In the course of the session", (words,), (), (plots.course(results),))
+
+
+def _errors_chapter(results: Results) -> Chapter:
+    rows = []
+    for name, outcomes in [*results.by_condition(), (DIRECT, results.of(None))]:
+        for on_link, what in ((True, "link"), (False, "direct")):
+            played = [p for o in outcomes for p in o.answered.played if p.on_link is on_link]
+            if not played:
+                continue
+            milli = [
+                _mean(1e3 * value for p in played if (value := getattr(p, field)) is not None)
+                for field in ("aligned_n", "in_phase_n", "roughness_felt_n", "roughness_sensed_n")
+            ]
+            misses = sum(p.deadline_misses for p in played)
+            rows.append((f"{name}: {what}", str(len(played)), *map(_milli, milli), str(misses)))
+    table = Table(
+        "What was played, mean of its intervals in mN",
+        ("intervals", "count", "aligned", "in phase", "over 25 Hz", "sensed", "misses"),
+        tuple(rows),
+        "Aligned: RMSE against the pulse of the instant played; in phase: against that very moment."
+        " Over 25 Hz: RMS felt, and what was sensed of it. Misses: ticks that did not begin in"
+        " time, of all intervals.",
+    )
+    return Chapter("Objective errors", (), (table,), (plots.errors(results),))
+
+
+def _mean(values: Iterable[float]) -> float:
+    found = [value for value in values if not math.isnan(value)]
+    return float(np.mean(found)) if found else math.nan
+
+
+def _milli(value: float) -> str:
+    return NONE if math.isnan(value) else f"{value:.2f}"
+
+
+def _paper_chapter() -> Chapter:
+    row = ("paper, section 5.4", *_cells(PAPER))
+    table = Table("The paper's figure", ("study", "close", "share", "95 %", "p of a coin"), (row,))
+    return Chapter(
+        "The paper's six subjects",
+        (
+            "The paper reports that 66 % of six subjects felt it close to a direct touch. That is"
+            f" four of six: the true share is anywhere between {_between(PAPER)}, and a coin does"
+            f" as well with p = {_p(PAPER.p_value)}. Of six answers {hits_needed(6)} must agree"
+            f" before p is at most 5 %; a true share of two in three gets there"
+            f" {percent(power(6, PAPER.share))} of the time. Six subjects can show that something"
+            " is plain to nearly everybody; they cannot tell two thirds from a half, nor from all.",
+        ),
+        (table,),
+    )

@@ -1,0 +1,92 @@
+"""A session from its first trial to its last, or from where it was left."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from random import SystemRandom
+
+from telepulse.experiment.interval import Played, draw_interval, error_share, play_at_once
+from telepulse.experiment.log import (
+    Answered,
+    Header,
+    LogError,
+    LogFile,
+    Resumed,
+    now,
+    our_version,
+    read_log,
+)
+from telepulse.experiment.observer import Observer
+from telepulse.experiment.person import Draw
+from telepulse.experiment.psychometric import Errors
+from telepulse.experiment.session import Plan
+from telepulse.experiment.trials import LETTERS, draw_trials
+
+Subject = Callable[[int, Draw], Answered | None]
+"""Answers a trial by its index and intervals; None: no more."""
+
+
+def open_log(
+    path: Path, plan: Plan, threshold: float | None, resume: bool
+) -> tuple[LogFile, Header, int]:
+    """The log to write, its header, and how many trials are answered.
+
+    A log that goes on must be of the same session, scene and observer; its trials are taken from
+    it. Raises LogError or OutputError.
+    """
+    if not resume:
+        seed = plan.session.seed
+        seed = SystemRandom().getrandbits(31) if seed is None else seed
+        header = Header(
+            version=our_version(),
+            time=now(),
+            tables=plan.tables,
+            seed=seed,
+            threshold=threshold,
+            trials=draw_trials(plan.session, seed),
+        )
+        file = LogFile(path)
+        file.write(header)
+        return file, header, 0
+    log = read_log(path)
+    if (log.header.tables, log.header.threshold) != (plan.tables, threshold):
+        raise LogError(f"{path}: session, scene or observer are not those it began with")
+    file = LogFile(path, log.whole_bytes)
+    file.write(Resumed(version=our_version(), time=now()))
+    return file, log.header, len(log.answered)
+
+
+def run_session(plan: Plan, file: LogFile, header: Header, done: int, subject: Subject) -> bool:
+    """Ask trial after trial, and log each; whether all are answered."""
+    for index in range(done, len(header.trials)):
+        draw = partial(draw_interval, plan, header.seed, index, header.trials[index])
+        answered = subject(index, draw)
+        if answered is None:
+            return False
+        file.write(answered)
+    return True
+
+
+def simulated(plan: Plan, threshold: float, seed: int) -> Subject:
+    """An observer that feels each interval once, in virtual time, on the scene's models."""
+    kind = plan.session.kind
+
+    def answer(index: int, draw: Draw) -> Answered:
+        # An observer of each trial's own: one that resumes answers as one that never stopped.
+        observer = Observer(threshold, seed * 100_000 + index)
+        played = [_play(draw, letter) for letter in LETTERS[kind]]
+        a, b, x = (error_share(played, letter) for letter in ("A", "B", "X"))
+        value = observer.tell(Errors(a, b, x)) if kind == "abx" else observer.rate(a, x)
+        return Answered.model_validate(
+            {"time": now(), "index": index, "answer": value, "response_s": None, "played": played}
+        )
+
+    return answer
+
+
+def _play(draw: Draw, letter: str) -> Played:
+    interval = draw(letter, 1)  # type: ignore[arg-type]
+    scene = interval.scene
+    display = scene.display.model_copy(update={"drive": None, "feedback": None})
+    return play_at_once(replace(interval, scene=replace(scene, display=display)))

@@ -1,0 +1,116 @@
+"""The session file: what is compared, how often, for how long."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from display_node.prediction import PredictorName
+from display_node.scene import DisplayScene
+from protocol.quantities import Nanoseconds
+from protocol.scene import Section, load_document, load_toml, validate
+from protocol.stream import Name
+from telepulse.link import LinkScene, parse_link
+from telepulse.scene import Scene, find_scene, load_scene
+
+# By then a display has joined and plays: so long over no link, and so many times the link's delay
+# and jitter more.
+JOINED_NS = 800_000_000
+DELAYS, JITTERS = 4, 6
+
+Kind = Literal["abx", "rating"]
+Felt = Annotated[Nanoseconds, Field(ge=100_000_000, le=60_000_000_000)]
+Settle = Annotated[Nanoseconds, Field(ge=0, le=60_000_000_000)]
+Count = Annotated[int, Field(strict=True, ge=1, le=10_000)]
+
+
+def _link(text: object) -> LinkScene:
+    if not isinstance(text, str):
+        raise ValueError('must be a text such as "delay=40ms,loss=1%"')
+    return parse_link(text)
+
+
+class Condition(Section):
+    """A link that is compared with direct playback; compensation and predictor, where given, are
+    in place of the scene's."""
+
+    name: Name
+    link: Annotated[LinkScene, BeforeValidator(_link)]
+    compensation: str | None = None
+    predictor: PredictorName | None = None
+
+
+class Session(Section):
+    """One subject's sitting.
+
+    trials: of each condition. catch: further ones without a link at all. interval: how long the
+    pulse is felt at its full strength each time; settle: how long it is played before, unfelt.
+    replays: how often each interval of a trial may be felt. seed: without one, each run draws
+    its own.
+    """
+
+    scene: str
+    kind: Kind
+    conditions: Annotated[tuple[Condition, ...], Field(min_length=1, max_length=100)]
+    title: str = ""
+    trials: Count = 16
+    catch: Annotated[int, Field(strict=True, ge=0, le=10_000)] = 0
+    interval_ns: Felt = 4_000_000_000
+    settle_ns: Settle = 500_000_000
+    replays: Count | None = None
+    seed: Annotated[int, Field(strict=True, ge=0)] | None = None
+
+    @model_validator(mode="after")
+    def _have_names(self) -> Self:
+        names = [condition.name for condition in self.conditions]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"two conditions have the name {name!r}")
+        return self
+
+    @property
+    def joined_ns(self) -> int:
+        """When a display plays the stream over whichever of the links, from the beginning on."""
+        links = [condition.link for condition in self.conditions]
+        waits_ns = [DELAYS * link.delay_ns + JITTERS * link.jitter_ns for link in links]
+        return JOINED_NS + max(waits_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A session file, read: as it is written, and what it means.
+
+    tables: the file's and its scene's, by name, for the log. direct: the scene without a link;
+    impaired: by the condition's name.
+    """
+
+    session: Session
+    tables: dict[str, Any]
+    direct: Scene
+    impaired: dict[str, Scene]
+
+
+def load_plan(path: Path) -> Plan:
+    """Read a session file and its scene. Raises SceneError."""
+    written = load_toml(path, "session file")
+    session = validate(written, Session, where=f"{path}:")
+    # By name, or by a path from the session's own folder.
+    scene_path = path.parent / find_scene(session.scene)
+    scene = load_scene(scene_path)
+    document = load_document(scene_path)
+    direct = replace(scene, link=LinkScene())
+    impaired = {
+        condition.name: replace(
+            scene,
+            link=condition.link,
+            display=_display(document["display"], condition, f"{path}: {condition.name!r}:"),
+        )
+        for condition in session.conditions
+    }
+    return Plan(session, {"session": written, "scene": document}, direct, impaired)
+
+
+def _display(table: dict[str, Any], condition: Condition, where: str) -> DisplayScene:
+    given = condition.model_dump(include={"compensation", "predictor"}, exclude_none=True)
+    return validate({**table, **given}, DisplayScene, where)

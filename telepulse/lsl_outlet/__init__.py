@@ -1,0 +1,1 @@
+"""A display's telemetry as Lab Streaming Layer streams."""

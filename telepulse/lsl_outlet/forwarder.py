@@ -1,0 +1,98 @@
+"""What a display's telemetry tells, passed on to LSL; what cannot be is counted."""
+
+from collections import Counter
+from collections.abc import Callable
+
+import numpy as np
+
+from protocol.messages import Frame
+from telepulse.lsl_outlet.in_order import InOrder
+from telepulse.lsl_outlet.lsl_time import LslTime
+from telepulse.lsl_outlet.outlets import Outlets
+from telepulse.record.listener import Listener
+from telepulse.record.schema import EVENT, FRAME, TICK
+from telepulse.record.transcript import Entry
+
+
+class Forwarder:
+    """Follows one display.
+
+    passed: samples of the wrist, ticks and events that LSL was given.
+    """
+
+    def __init__(self, outlets: Outlets, log: Callable[[str], None]) -> None:
+        """log is told of each stream that begins."""
+        self._outlets = outlets
+        self._log = log
+        self._time = LslTime(outlets.local_clock)
+        self._listener = Listener()
+        self._session: int | None = None
+        self._in_order = InOrder()
+        self._lost = 0
+        self.passed: Counter[str] = Counter()
+
+    @property
+    def lost(self) -> int:
+        """Samples of the wrist that did not come, or not in time for their turn."""
+        return self._lost + self._in_order.lost
+
+    def take(self, entries: list[Entry]) -> None:
+        """What one message of telemetry told."""
+        ticks = [entry for entry in entries if entry.topic == TICK]
+        if ticks:
+            self._take_ticks(ticks)
+        for entry in entries:
+            if entry.topic == EVENT:
+                self._take_event(entry)
+            elif entry.topic != TICK:
+                frame = self._listener.take(entry.topic, entry.fields)
+                if frame is not None:
+                    self._take_frame(frame, entry)
+                elif entry.topic == FRAME and not self._listener.receiver.clock.ready:
+                    self.passed["frames too early"] += 1
+
+    def finish(self) -> None:
+        """Pass on what waits for its turn."""
+        for frame in self._in_order.rest():
+            self._push(frame)
+        self._lost, self._in_order = self.lost, InOrder()
+
+    def _take_frame(self, frame: Frame, entry: Entry) -> None:
+        if frame.session != self._session:
+            self._begin(frame.session)
+        arrived_ns = entry.fields["arrived_ns"]
+        # From the sensing clock to the display's, and to Unix time.
+        ahead_ns = self._listener.receiver.clock.offset_ns(arrived_ns) + arrived_ns - entry.t_ns
+        in_unix_time = frame._replace(t_first_ns=frame.t_first_ns - ahead_ns)
+        for each in self._in_order.take(in_unix_time, arrived_ns):
+            self._push(each)
+
+    def _begin(self, session: int) -> None:
+        self.finish()
+        self._session = session
+        description = self._listener.receiver.description
+        assert description is not None
+        word = "begins" if self._outlets.describe(description) else "goes on"
+        self._log(f"{description.name!a} {word}: session {session}")
+
+    def _push(self, frame: Frame) -> None:
+        count = len(frame.values)
+        times_s = [self._time.at(frame.t_first_ns + at * frame.period_ns) for at in range(count)]
+        self._outlets.push_wrist(np.ascontiguousarray(frame.values), times_s)
+        self.passed["samples"] += count
+
+    def _take_ticks(self, ticks: list[Entry]) -> None:
+        forces_n = [(entry.fields["target_n"], entry.fields["felt_n"]) for entry in ticks]
+        self._outlets.push_finger(forces_n, [self._time.at(entry.t_ns) for entry in ticks])
+        self._listener.play(ticks[-1].fields["instant_ns"])
+        self.passed["ticks"] += len(ticks)
+
+    def _take_event(self, entry: Entry) -> None:
+        name = entry.fields["name"]
+        if name == "begin":
+            # A display that was started anew counts its time anew.
+            self.finish()
+            self._time.begin()
+            self._listener, self._session = Listener(), None
+        self._outlets.push_event(f"{name}: {entry.fields['message']}", self._time.at(entry.t_ns))
+        self.passed["events"] += 1

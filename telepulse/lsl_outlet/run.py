@@ -1,0 +1,74 @@
+"""The outlet's shell: a display's telemetry, LSL, and the clock on the wall."""
+
+import math
+import time
+from collections.abc import Callable
+
+from protocol.keys import ClientKeys
+from telepulse.lsl_outlet.forwarder import Forwarder
+from telepulse.lsl_outlet.outlets import Outlets
+from telepulse.record.telemetry_reader import TelemetryReader
+
+LOOK_EVERY_NS = 100_000_000
+
+
+class LslOutlet:
+    """Passes on what a display publishes, until that ends, falls silent or `stop` is called."""
+
+    def __init__(
+        self,
+        address: str,
+        log: Callable[[str], None],
+        warn: Callable[[str], None],
+        keys: ClientKeys | None = None,
+    ) -> None:
+        """log is told how it goes, warn of what is missing. Raises SourceError or AddressError."""
+        self._address, self._log, self._warn = address, log, warn
+        self._stopping = False
+        self._outlets = Outlets(address)
+        self._forwarder = Forwarder(self._outlets, log)
+        self._reader = TelemetryReader(address, keys, warn)
+
+    def stop(self) -> None:
+        """End after the present message."""
+        self._stopping = True
+
+    def run(self, seconds: float | None = None, silence_s: float | None = None) -> bool:
+        """Pass on; seconds: for so long at most. silence_s: until nothing came for so long.
+
+        Returns whether all that the display published came.
+        """
+        start_ns = heard_ns = now_ns = time.monotonic_ns()
+        end_ns = start_ns + (math.inf if seconds is None else seconds * 1e9)
+        patience_ns = math.inf if silence_s is None else silence_s * 1e9
+        reader = self._reader
+        try:
+            while not (self._stopping or reader.transcript.ended) and now_ns < end_ns:
+                now_ns = time.monotonic_ns()
+                for entries in reader.messages():
+                    heard_ns = now_ns
+                    self._forwarder.take(entries)
+                if now_ns - heard_ns > patience_ns:
+                    self._warn(f"{self._address}: ended, nothing came for {silence_s:g} s")
+                    break
+                reader.tend(now_ns)
+                reader.wait(LOOK_EVERY_NS)
+            return self._end()
+        finally:
+            self._outlets.close()
+            reader.close()
+
+    def _end(self) -> bool:
+        self._forwarder.finish()
+        passed, transcript = self._forwarder.passed, self._reader.transcript
+        if not transcript.known:
+            self._warn(f"{self._address}: nothing was heard from it")
+            return False
+        given = ", ".join(f"{passed[name]} {name}" for name in ("samples", "ticks", "events"))
+        early = passed["frames too early"]
+        before = f"; {early} frames came before the sensing clock was known" if early else ""
+        self._log(f"{self._address}: {given}; {self._forwarder.lost} samples are missing{before}")
+        if transcript.missed:
+            counts = ", ".join(f"{n} {name}" for name, n in sorted(transcript.missed.items()))
+            self._warn(f"{self._address}: of the telemetry {counts} were missed")
+        return not transcript.missed

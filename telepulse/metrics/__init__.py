@@ -1,0 +1,1 @@
+"""A node's figures for Prometheus, from a process beside it."""

@@ -1,0 +1,132 @@
+"""Which figure of a summary is which metric: Prometheus's names and base units."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+
+MS, US, PPM = 1e-3, 1e-6, 1e-6
+
+
+class Kind(Enum):
+    """Prometheus's kinds. A summary's quantiles are of all the node's life."""
+
+    COUNTER = "counter"
+    GAUGE = "gauge"
+    SUMMARY = "summary"
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A number at `key` of a summary, or a table of counts there, of which `label` tells the names.
+
+    scale: from the summary's unit to the base unit.
+    """
+
+    name: str
+    kind: Kind
+    key: str
+    help: str = ""
+    scale: float = 1.0
+    labels: Mapping[str, str] = field(default_factory=dict)
+    label: str = ""
+
+
+def _count(name: str, key: str, help: str, **labels: str) -> Figure:
+    return Figure(name, Kind.COUNTER, key, help, 1, labels)
+
+
+def _counts(name: str, key: str, help: str, label: str) -> Figure:
+    return Figure(name, Kind.COUNTER, key, help, 1, {}, label)
+
+
+def _gauge(name: str, key: str, help: str = "", scale: float = 1.0, **labels: str) -> Figure:
+    return Figure(name, Kind.GAUGE, key, help, scale, labels)
+
+
+def _quantiles(name: str, table: str, help: str, scale: float, **keys: str) -> list[Figure]:
+    return [
+        Figure(name, Kind.SUMMARY, f"{table}.{key}", help, scale, {"quantile": share})
+        for key, share in keys.items()
+    ]
+
+
+# The first of a name has its help. A lost sample that comes after all is late, no longer lost, and
+# a frame out of turn may move the begin: those two fall, so they are gauges.
+FIGURES = [
+    _count("samples_sent", "samples.sent", "Samples sent; at a display, since it joined."),
+    _count("samples", "samples.played", "Samples that have arrived.", outcome="played"),
+    _count("samples", "samples.late", outcome="late", help=""),
+    _gauge("samples_lost", "samples.lost", "Samples that have not arrived: sent - played - late."),
+    _gauge("samples_before_joining", "samples.before_joining", "Samples sent before joining."),
+    _count("frames", "frames.received", "Frames taken."),
+    _count("frames_reordered", "frames.reordered", "Frames that came after a later one."),
+    _count("frame_copies", "frames.copies", "Copies of frames over further paths."),
+    _counts("frames_first", "frames.first", "Frames whose first copy came over a path.", "path"),
+    *_quantiles(
+        "one_way_delay_seconds",
+        "one_way_delay_ms",
+        "Time on the network of a frame's last sample.",
+        MS,
+        p50="0.5",
+        p99="0.99",
+    ),
+    _gauge("one_way_delay_max_seconds", "one_way_delay_ms.max", "Longest one-way delay.", MS),
+    *_quantiles(
+        "playout_delay_seconds",
+        "playout_delay_ms",
+        "Perceived delay, from the wrist's instant to its playing.",
+        MS,
+        p99="0.99",
+    ),
+    _gauge("playout_delay_mean_seconds", "playout_delay_ms.mean", "Mean perceived delay.", MS),
+    _gauge(
+        "covered_delay_mean_seconds",
+        "covered_delay_ms",
+        "Mean of the larger of perceived delay and the newest sample's age.",
+        MS,
+    ),
+    _gauge("predicted_ratio", "compensation.predicted", "Share of the time felt by prediction."),
+    _gauge("trusted_ratio", "compensation.trusted", "Share of the time the predictor is trusted."),
+    _gauge("clock_offset_seconds", "clock.offset_ms", "Sensing clock minus display clock.", MS),
+    _gauge("clock_skew_ratio", "clock.skew_ppm", "How much faster the sensing clock runs.", PPM),
+    _gauge("clock_uncertainty_seconds", "clock.uncertainty_ms", "Of the offset, by chance.", MS),
+    _gauge("clock_asymmetry_seconds", "clock.asymmetry_ms", "Of the offset, at most besides.", MS),
+    _count("clock_steps", "clock.steps", "How often a clock has jumped."),
+    _gauge(
+        "force_rmse_newtons",
+        "force_rmse_n.aligned",
+        "Felt against what should be felt.",
+        against="aligned",
+    ),
+    _gauge("force_rmse_newtons", "force_rmse_n.in_phase", against="in_phase"),
+    _gauge(
+        "strain_rmse_ratio",
+        "strain_rmse.aligned",
+        "As the force, of the rubber's strain.",
+        against="aligned",
+    ),
+    _gauge("strain_rmse_ratio", "strain_rmse.in_phase", against="in_phase"),
+    _gauge("within_jnd_ratio", "within_jnd", "Share of the time no error of force is noticed."),
+    _gauge("roughness_newtons", "roughness.felt_n", "RMS of force above 25 Hz.", force="felt"),
+    _gauge("roughness_newtons", "roughness.sensed_n", force="sensed"),
+    _gauge("roughness_energy_ratio", "roughness.energy_ratio", "Felt to sensed, above 25 Hz."),
+    _count("ticks", "loop.ticks", "Ticks of the loop."),
+    _count("deadline_misses", "loop.deadline_misses", "Ticks that began a period late or more."),
+    *_quantiles("tick_seconds", "loop.tick_us", "Cost of a tick.", US, p50="0.5", p99="0.99"),
+    *_quantiles(
+        "tick_lateness_seconds",
+        "loop.late_us",
+        "How late ticks began.",
+        US,
+        p50="0.5",
+        p99="0.99",
+        p999="0.999",
+    ),
+    _gauge("tick_lateness_max_seconds", "loop.late_us.max", "The latest begin of a tick.", US),
+    _counts("rejected", "rejected", "Messages and peers refused.", "cause"),
+    _counts(
+        "hardware_events", "hardware", "What went wrong at the bench and was made good.", "event"
+    ),
+]
+# What a summary says besides; faults are words (`families`).
+NOT_FIGURES = {"speed", "loop.realtime", "faults"}

@@ -1,0 +1,78 @@
+"""The server of metrics: hears a node's telemetry, answers Prometheus."""
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import zmq
+
+from display_node.screen import Screen
+from display_node.telemetry import TRACE, read_trace
+from protocol import sockets
+from protocol.errors import AddressError, BesideError, WireError
+from protocol.keys import ClientKeys, read_pair
+from protocol.status import STATUS, read_status
+
+try:
+    from prometheus_client import CollectorRegistry, start_http_server
+    from prometheus_client.metrics_core import Metric
+    from prometheus_client.registry import Collector
+
+    from telepulse.metrics.families import Told, families
+except ImportError as error:
+    raise BesideError(
+        f"metrics need prometheus_client, which cannot be loaded ({error});"
+        " pip install 'telepulse[metrics]'"
+    ) from None
+
+WAIT_NS = 1_000_000_000
+
+
+class Server(Collector):
+    """Answers from the moment it is made, of a node that it follows once told which.
+
+    url: where it answers.
+    """
+
+    def __init__(self, program: str, host: str, port: int) -> None:
+        """Raises AddressError where that cannot be bound."""
+        self._program = program
+        self._told: Told | None = None
+        self._unreadable = 0
+        registry = CollectorRegistry()
+        registry.register(self)
+        try:
+            server, _ = start_http_server(port, host, registry)
+        except OSError as error:
+            where = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+            raise AddressError(f"--metrics: cannot bind {where}: {error.strerror}") from None
+        host = f"[{host}]" if ":" in host else host
+        self.url = f"http://{host}:{server.server_port}/metrics"
+
+    def collect(self) -> Iterator[Metric]:
+        """The metrics now, for a request; any thread may ask."""
+        yield from families(self._program, self._told, time.monotonic_ns(), self._unreadable)
+
+    def follow(self, address: str, key: str | None) -> None:
+        """Hear a node's telemetry, without end."""
+        pair = read_pair(Path(key)) if key else None
+        context: sockets.Context = zmq.Context()
+        keys = ClientKeys(pair, pair.public) if pair else None
+        socket = sockets.connect(context, zmq.SUB, address, keys)
+        for topic in (STATUS, TRACE):
+            socket.subscribe(topic)
+        screen = Screen()
+        while True:
+            sockets.wait_readable([socket], WAIT_NS)
+            for message in sockets.receive_all(socket):
+                try:
+                    self._take(screen, *message)
+                except (WireError, TypeError):
+                    self._unreadable += 1
+
+    def _take(self, screen: Screen, topic: bytes, data: bytes) -> None:
+        if topic == TRACE:
+            screen.add_trace(read_trace(data))
+        elif topic == STATUS:
+            status = read_status(data)
+            self._told = Told(status, time.monotonic_ns(), screen.heart_rate_per_min)

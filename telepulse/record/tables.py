@@ -1,0 +1,96 @@
+"""A recording's messages as rows of tables: the same for every kind of file. Pure."""
+
+from base64 import b64decode
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from protocol.messages import decode_frame
+from telepulse.record.reader import RecordedMessage
+from telepulse.record.schema import CLOCK, EVENT, FRAME, SCHEMAS, TICK
+
+Row = list[Any]
+TABLES = {FRAME: "samples", TICK: "ticks", CLOCK: "clock", EVENT: "events"}
+UNITS = {"_ns": "ns", "_n": "N", "_ms": "ms"}
+_SAMPLE = ("arrived_ns", "path", "session", "sample", "t_ns")
+_EVENT = ("level", "name", "message")
+_SAYS = {
+    FRAME: {
+        "arrived_ns": "when its frame came, on the display's clock",
+        "path": "data connection that the frame came over",
+        "session": "session of the sensing node",
+        "sample": "samples of the session before this one",
+        "t_ns": "when it was taken, on the sensing clock",
+    },
+    TICK: {
+        "now_ns": "when the tick was due, on the display's clock",
+        "instant_ns": "instant of the pulse that was played, on the sensing clock",
+        "target_n": "force wanted at the finger",
+        "felt_n": "force felt at the finger",
+        "scored": "the pulse was played at its full strength",
+        "predictor_error_n": "RMSE that the predictor expects of itself; none where it says none",
+        "trusted": "the predictor was trusted with all of the delay",
+    },
+    CLOCK: {
+        "session": "session of the sensing node",
+        "t1_ns": "when the request left, on the display's clock",
+        "t2_ns": "when the request came, on the sensing clock",
+        "t3_ns": "when the reply left, on the sensing clock",
+        "t4_ns": "when the reply came, on the display's clock",
+        "offset_ms": "sensing clock minus display's, of this exchange alone",
+        "round_trip_ms": "time on the network, there and back",
+    },
+    EVENT: {
+        "t_ns": "Unix time",
+        "level": "2 information, 3 warning, 4 error",
+        "name": "what kind of thing happened",
+        "message": "what happened",
+    },
+}
+
+
+class Column(NamedTuple):
+    """A column: its name; kind, a JSON schema's word or float32; its unit, if it has one; what it
+    says."""
+
+    name: str
+    kind: str
+    unit: str
+    says: str
+
+
+def columns(message: RecordedMessage) -> list[Column]:
+    """The columns of a table, by its first message. Raises KeyError or ValueError."""
+    topic = message.topic
+    if topic == FRAME:
+        values = decode_frame(b64decode(message.fields["data"])).values
+        kind = "float32" if values.itemsize == 4 else "number"
+        forces = [
+            Column(f"force_{n}_n", kind, "N", f"force at the wrist, channel {n}")
+            for n in range(values.shape[1])
+        ]
+        return [*(_column(topic, name, "integer") for name in _SAMPLE), *forces]
+    properties = SCHEMAS[topic][1]["properties"]
+    if topic == EVENT:
+        kinds = {"t_ns": "integer", "level": "integer", "name": "string", "message": "string"}
+        return [_column(topic, name, kind) for name, kind in kinds.items()]
+    return [_column(topic, name, schema["type"]) for name, schema in properties.items()]
+
+
+def rows(message: RecordedMessage) -> Iterator[Row]:
+    """A message's rows; None where there is no value. Raises KeyError, ValueError, TypeError."""
+    fields = message.fields
+    if message.topic == FRAME:
+        frame = decode_frame(b64decode(fields["data"]))
+        head = [fields["arrived_ns"], fields["path"], frame.session]
+        for at, values in enumerate(frame.values.tolist()):
+            t_ns = frame.t_first_ns + at * frame.period_ns
+            yield [*head, frame.first_sample + at, t_ns, *values]
+    elif message.topic == EVENT:
+        yield [message.t_ns, *(fields[name] for name in _EVENT)]
+    else:
+        yield [fields.get(name) for name in SCHEMAS[message.topic][1]["properties"]]
+
+
+def _column(topic: str, name: str, kind: str) -> Column:
+    unit = next((UNITS[end] for end in UNITS if name.endswith(end)), "")
+    return Column(name, kind, unit, _SAYS[topic].get(name, ""))

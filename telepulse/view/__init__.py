@@ -1,0 +1,1 @@
+"""The live page: what a display feels and hears, in a browser."""

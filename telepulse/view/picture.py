@@ -1,0 +1,155 @@
+"""What the page draws and says of a display at one instant. Pure: no browser, no clock."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from display_node.fidelity import JND, MAX_GAP_NS, SPAN_NS, interpolate
+from display_node.heart_rate import heart_rate_per_min
+from telepulse.view.live import Live
+from telepulse.view.rolling import Floats, Stretch, Times, thin
+
+SECOND_NS = 1_000_000_000
+# Ten seconds at 1 kHz: of each 16 ms the least and the greatest.
+POINTS = 1_280
+HEART_NS, HEART_THIN = 6 * SECOND_NS, 10
+# Statuses come five times a second.
+STATUS_GAP_NS = SECOND_NS
+# Of a plot's axis, about.
+STEPS = 4
+Columns = dict[str, Floats]
+
+
+class Scores(NamedTuple):
+    """Over the window: RMS errors in N, the share below the just noticeable difference, and
+    that difference in N; None where there is none yet."""
+
+    in_phase_n: float | None
+    aligned_n: float | None
+    within_jnd: float | None
+    jnd_n: float | None
+
+
+class Picture(NamedTuple):
+    """columns: of each curve, t in s before now and the values; limits: of each plot's axis."""
+
+    columns: dict[str, Columns]
+    limits: dict[str, tuple[float, float]]
+    scores: Scores
+    heart_rate_per_min: float | None
+
+
+def picture(live: Live, window_ns: int) -> Picture:
+    """The last `window_ns` of a display."""
+    begin_ns = live.now_ns - window_ns
+    ticks, wrist = live.ticks.since(begin_ns), live.wrist.since(begin_ns)
+    curve = _Curves(live.now_ns)
+    felt_n, wrist_n = ticks.values[:, 0], wrist.values[:, 0]
+    columns = {
+        "wrist": curve(wrist, wrist_n * 1e3),
+        "finger": curve(ticks, felt_n * 1e3),
+        "wrist_strain": curve(wrist, _compression(wrist_n, live.wrist_strain_per_newton)),
+        "finger_strain": curve(ticks, _compression(felt_n, live.finger_strain_per_newton)),
+        "one_way": curve(delays := live.delays.since(begin_ns), delays.values[:, 0]),
+        "playout": curve(ticks, ticks.values[:, 2] * 1e-6),
+        "predictor": curve(ticks, ticks.values[:, 3] * 1e3),
+    }
+    statuses = live.statuses.since(begin_ns)
+    offset_ms, uncertainty_ms, skew_ppm, lost, late = statuses.values[:, :5].T
+    # Two hosts' clocks may be days apart: what is of interest is how their distance moves.
+    moved_ms = offset_ms - offset_ms[-1] if len(offset_ms) else offset_ms
+    columns |= {
+        "offset": curve(statuses, moved_ms, STATUS_GAP_NS),
+        "offset_low": curve(statuses, moved_ms - uncertainty_ms, STATUS_GAP_NS),
+        "offset_high": curve(statuses, moved_ms + uncertainty_ms, STATUS_GAP_NS),
+        "skew": curve(statuses, skew_ppm, STATUS_GAP_NS),
+        "lost": curve(statuses, lost, STATUS_GAP_NS),
+        "late": curve(statuses, late, STATUS_GAP_NS),
+    }
+    in_phase_n, aligned_n, jnd_n = _errors(live, ticks, window_ns)
+    columns |= {
+        "in_phase": curve(ticks, in_phase_n * 1e3),
+        "aligned": curve(ticks, aligned_n * 1e3),
+    }
+    scores = Scores(_rms(in_phase_n), _rms(aligned_n), _within(aligned_n, jnd_n), jnd_n)
+    return Picture(columns, _limits(columns, jnd_n), scores, _heart_rate(live))
+
+
+class _Curves:
+    """Thinned curves over seconds before now."""
+
+    def __init__(self, now_ns: int) -> None:
+        self._now_ns = now_ns
+
+    def __call__(self, stretch: Stretch, values: Floats, gap_ns: int = MAX_GAP_NS) -> Columns:
+        t_ns, y = thin(stretch.first, stretch.t_ns, values, POINTS, gap_ns)
+        return {"t": (t_ns - self._now_ns).astype(np.float64) * 1e-9, "y": y}
+
+
+def _compression(force_n: Floats, strain_per_newton: float | None) -> Floats:
+    """Compressive strain in millionths; NaN while the layer is not known."""
+    return force_n * (math.nan if strain_per_newton is None else -1e6 * strain_per_newton)
+
+
+def _errors(live: Live, ticks: Stretch, window_ns: int) -> tuple[Floats, Floats, float | None]:
+    """What was felt against what should have been, in phase and aligned; NaN where the pulse of
+    that instant has not come, and where it is not felt at full strength. And the JND, in N."""
+    ratio = live.force_ratio
+    wrist = live.wrist.since(live.now_ns - window_ns - SPAN_NS)
+    if ratio is None or not len(wrist.t_ns):
+        nothing = np.full(len(ticks.t_ns), math.nan)
+        return nothing, nothing, None
+    right_n = ratio * wrist.values[:, 0]
+    felt_n, delay_ns = ticks.values[:, 0], ticks.values[:, 2]
+    scored = ~np.isnan(delay_ns)
+    played_ns: Times = ticks.t_ns - np.where(scored, delay_ns, 0).astype(np.int64)
+    in_phase_n, aligned_n = (
+        np.where(scored, felt_n - interpolate(at_ns, wrist.t_ns, right_n), math.nan)
+        for at_ns in (ticks.t_ns, played_ns)
+    )
+    lately = right_n[wrist.t_ns > wrist.t_ns[-1] - SPAN_NS]
+    return in_phase_n, aligned_n, JND * float(np.ptp(lately))
+
+
+def _rms(error_n: Floats) -> float | None:
+    known = error_n[~np.isnan(error_n)]
+    return math.sqrt(float(np.mean(known**2))) if len(known) else None
+
+
+def _within(error_n: Floats, jnd_n: float | None) -> float | None:
+    known = error_n[~np.isnan(error_n)]
+    return float(np.mean(np.abs(known) < jnd_n)) if jnd_n and len(known) else None
+
+
+def _heart_rate(live: Live) -> float | None:
+    ticks = live.ticks.since(live.now_ns - HEART_NS)
+    t_s = (ticks.t_ns[::HEART_THIN] - live.now_ns).astype(np.float64) * 1e-9
+    return heart_rate_per_min(t_s, ticks.values[::HEART_THIN, 0])
+
+
+def _limits(columns: dict[str, Columns], jnd_n: float | None) -> dict[str, tuple[float, float]]:
+    jnd_mn = (jnd_n or 0.0) * 1.25e3
+    curves: dict[str, tuple[tuple[str, ...], tuple[float, ...]]] = {
+        "force": (("wrist", "finger"), (0.0, 1.0)),
+        "strain": (("wrist_strain", "finger_strain"), (0.0, 0.01)),
+        "error": (("in_phase", "aligned"), (-jnd_mn, jnd_mn, -1.0, 1.0)),
+        "delay": (("one_way", "playout"), (0.0, 1.0)),
+        "loss": (("lost", "late"), (0.0, 1.0)),
+        "offset": (("offset_low", "offset_high"), (-0.01, 0.01)),
+        "skew": (("skew",), (-1.0, 1.0)),
+        "predictor": (("predictor",), (0.0, 1.0)),
+    }
+    return {
+        plot: nice(np.concatenate([*(columns[name]["y"] for name in names), least]))
+        for plot, (names, least) in curves.items()
+    }
+
+
+def nice(values: Floats) -> tuple[float, float]:
+    """Round limits around values, which change seldom while a curve moves; not all may be NaN."""
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    rough = (high - low) / STEPS
+    power = 10.0 ** math.floor(math.log10(rough))
+    step = next(power * digit for digit in (1, 2, 5, 10) if power * digit >= rough)
+    return step * math.floor(low / step), step * math.ceil(high / step)

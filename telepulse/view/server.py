@@ -1,0 +1,136 @@
+"""The page's shell: one socket to the display, one web server, in a process of their own.
+
+Needs the extra `view` (Bokeh), which the caller has checked (`bokeh_is_there`).
+"""
+
+import logging
+import time
+from collections.abc import Callable
+from urllib.parse import urlsplit
+
+import zmq
+from bokeh.document import Document
+from bokeh.server.server import Server
+from tornado.ioloop import IOLoop, PeriodicCallback
+
+from display_node.heard import HEARD
+from display_node.telemetry import STATUS, TRACE
+from protocol import sockets
+from protocol.errors import AddressError
+from protocol.keys import ClientKeys
+from protocol.refusals import Refusals
+from telepulse.ports import free_addresses
+from telepulse.record.transcript import Transcript
+from telepulse.view.live import Live
+from telepulse.view.page import Viewer
+
+PORT = 5006
+LISTEN_EVERY_MS = 50
+# A viewer that has left is forgotten within the sum of both.
+UNUSED_MS, LOOK_FOR_UNUSED_MS = 1_000, 1_000
+# So that those who watch see how it ended.
+LAST_LOOK_S = 0.5
+LOOPBACK = ("127.0.0.1", "localhost")
+TRIES = 5
+
+
+class PageServer:
+    """Serves the live page of the display that publishes at `address`.
+
+    host, port: where; None: 5006, or a free port when that is taken. channel: which of the stream's
+    the display feels. predictor: its name, where it is known. warn: is told why the display cannot
+    be heard. Raises AddressError.
+    """
+
+    def __init__(
+        self,
+        address: str,
+        host: str,
+        port: int | None,
+        warn: Callable[[str], None],
+        keys: ClientKeys | None = None,
+        channel: int = 0,
+        predictor: str = "",
+    ) -> None:
+        self._live, self._predictor = Live(channel), predictor
+        self._transcript = Transcript()
+        self._heard_ns = time.monotonic_ns()
+        self._context: sockets.Context = zmq.Context()
+        self._socket = sockets.connect(self._context, zmq.SUB, address, keys)
+        self._refusals = Refusals(self._context, keys, warn)
+        self._refusals.watch(self._socket)
+        for topic in (TRACE, STATUS, HEARD):
+            self._socket.subscribe(topic)
+        self._stopping = False
+        self._end_ns: int | None = None
+        # Whoever closes the page while it is drawn is no reason to warn.
+        logging.getLogger("bokeh.server").setLevel(logging.ERROR)
+        self._loop = IOLoop.current()
+        self._listening = PeriodicCallback(self._listen, LISTEN_EVERY_MS)
+        self._server = self._serve(host, port)
+        self.url = f"http://{_in_url(host)}:{self._server.port}"
+
+    @property
+    def viewers(self) -> int:
+        """How many pages are open."""
+        return len(self._server.get_sessions())
+
+    def stop(self) -> None:
+        """End soon; good to call from a signal's handler."""
+        self._stopping = True
+
+    def run(self, seconds: float | None = None) -> None:
+        """Serve until stopped, or for so long."""
+        self._end_ns = None if seconds is None else time.monotonic_ns() + round(seconds * 1e9)
+        try:
+            self._server.start()
+            self._listening.start()
+            self._loop.start()
+        finally:
+            self._listening.stop()
+            self._server.stop()
+            self._server.unlisten()
+            self._context.destroy(linger=0)
+
+    def _serve(self, host: str, port: int | None) -> Server:
+        free = (urlsplit(address).port or 0 for address in free_addresses(TRIES))
+        numbers = [port] if port is not None else [PORT, *free]
+        names = {host, *(LOOPBACK if host in LOOPBACK else ())}
+        for number in numbers:
+            try:
+                return Server(
+                    {"/": self._open},
+                    io_loop=self._loop,
+                    address=host,
+                    port=number,
+                    allow_websocket_origin=[f"{_in_url(name)}:{number}" for name in names],
+                    unused_session_lifetime_milliseconds=UNUSED_MS,
+                    check_unused_sessions_milliseconds=LOOK_FOR_UNUSED_MS,
+                )
+            except OSError as error:
+                reason = error.strerror
+        raise AddressError(f"cannot serve the page on {host}:{numbers[-1]}: {reason}") from None
+
+    def _open(self, document: Document) -> None:
+        """Somebody opens the page."""
+        Viewer(document, self._live, self._silent_ns, self._predictor)
+
+    def _silent_ns(self) -> int:
+        return time.monotonic_ns() - self._heard_ns
+
+    def _listen(self) -> None:
+        now_ns = time.monotonic_ns()
+        for message in sockets.receive_all(self._socket):
+            self._heard_ns = now_ns
+            if len(message) == 2:
+                for entry in self._transcript.take(*message):
+                    self._live.take(entry)
+        self._refusals.tend(now_ns)
+        over = self._end_ns is not None and now_ns >= self._end_ns
+        if self._stopping or over:
+            self._listening.stop()
+            self._loop.call_later(LAST_LOOK_S, self._loop.stop)
+
+
+def _in_url(host: str) -> str:
+    return f"[{host}]" if ":" in host else host

@@ -1,0 +1,174 @@
+"""What is announced, and what is believed of announcements: whatever the bytes, read or refused."""
+
+from ipaddress import IPv4Interface
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol.discovery.announcement import (
+    MAX_LABEL_BYTES,
+    MAX_STRING_BYTES,
+    SERVICE,
+    Announcement,
+    announced,
+    fingerprint,
+    read_announcement,
+    to_txt,
+)
+from protocol.discovery.choice import fitting, the_one
+from protocol.discovery.networks import reachable, told_of
+from protocol.errors import DiscoveryError, WireError
+
+KEY = bytes(range(32))
+ADDRESS = bytes([192, 0, 2, 7])
+
+
+def wire(node: Announcement) -> dict[bytes, bytes | None]:
+    return {key.encode(): word.encode() for key, word in to_txt(node).items()}
+
+
+names = st.text(st.characters(categories=["L", "N", "P", "Zs"]), min_size=1, max_size=80)
+
+
+@given(stream=names.filter(str.isprintable), host=st.from_regex(r"[a-z0-9-]{1,60}", fullmatch=True))
+def test_what_is_announced_is_read_as_it_was_meant(stream: str, host: str) -> None:
+    node = announced(stream, host, 5555, KEY)
+    assert len(node.name.encode()) <= MAX_LABEL_BYTES
+    assert all(len(f"{k}={w}".encode()) <= MAX_STRING_BYTES for k, w in to_txt(node).items())
+    read = read_announcement(f"{node.name}.{SERVICE}", [ADDRESS], 5555, wire(node))
+    assert read.addresses == ("192.0.2.7",)
+    assert (read.name, read.node, read.port) == (node.name, node.node, 5555)
+    assert stream.startswith(read.stream)
+    assert read.fingerprint == fingerprint(KEY)
+
+
+def test_a_node_is_the_same_after_a_restart_and_another_on_another_port() -> None:
+    ids = [announced("pulse", "ward", port, None).node for port in (5555, 5555, 5655)]
+    assert ids[0] == ids[1] != ids[2]
+
+
+GOOD = announced("radial pulse", "ward-3", 5555, KEY)
+
+
+@pytest.mark.parametrize(
+    ("changes", "cause", "said"),
+    [
+        ({b"v": b"2"}, "version", "another version"),
+        ({b"v": None}, "version", "another version"),
+        ({b"control": b"5557"}, "malformed", "ports"),
+        ({b"control": b"x"}, "malformed", "ports"),
+        ({b"stream": b""}, "malformed", "no name"),
+        ({b"stream": b"a" * 81}, "malformed", "no name"),
+        ({b"stream": b"\x1b[2J"}, "malformed", "no text"),
+        ({b"stream": b"\xff\xfe"}, "malformed", "no text"),
+        ({b"id": b"12"}, "malformed", "id"),
+        ({b"key": b""}, "malformed", "key"),
+        ({b"key": b"g" * 32}, "malformed", "key"),
+    ],
+)
+def test_a_record_that_is_none_is_refused(
+    changes: dict[bytes, bytes | None], cause: str, said: str
+) -> None:
+    with pytest.raises(WireError, match=said) as refused:
+        read_announcement(f"{GOOD.name}.{SERVICE}", [ADDRESS], 5555, wire(GOOD) | changes)
+    assert refused.value.cause == cause
+
+
+@pytest.mark.parametrize(
+    ("instance", "addresses", "port"),
+    [
+        ("a.b._http._tcp.local.", [ADDRESS], 5555),
+        (SERVICE, [ADDRESS], 5555),
+        (f"\x07.{SERVICE}", [ADDRESS], 5555),
+        (f"a.{SERVICE}", [], 5555),
+        (f"a.{SERVICE}", [bytes(16)], 5555),
+        (f"a.{SERVICE}", [bytes([224, 0, 0, 1]), bytes(4)], 5555),
+        (f"a.{SERVICE}", [ADDRESS] * 17, 5555),
+        (f"a.{SERVICE}", [ADDRESS], None),
+        (f"a.{SERVICE}", [ADDRESS], 0),
+        (f"a.{SERVICE}", [ADDRESS], 65_535),
+    ],
+)
+def test_a_service_that_is_none_is_refused(
+    instance: str, addresses: list[bytes], port: int | None
+) -> None:
+    with pytest.raises(WireError):
+        read_announcement(instance, addresses, port, wire(GOOD))
+
+
+keys = st.sampled_from([b"v", b"id", b"stream", b"control", b"key"]) | st.binary(max_size=9)
+words = st.none() | st.binary(max_size=300) | st.sampled_from(list(wire(GOOD).values()))
+
+
+@given(
+    instance=st.text(max_size=90) | st.text(max_size=70).map(f"{{}}.{SERVICE}".format),
+    addresses=st.lists(st.binary(max_size=20), max_size=20),
+    port=st.none() | st.integers(-1, 70_000),
+    txt=st.dictionaries(keys, words, max_size=12).map(lambda some: wire(GOOD) | some),
+)
+def test_any_announcement_is_read_or_refused_in_one_line(
+    instance: str, addresses: list[bytes], port: int | None, txt: dict[bytes, bytes | None]
+) -> None:
+    try:
+        read = read_announcement(instance, addresses, port, txt)
+    except WireError as error:
+        assert error.cause in ("malformed", "version")  # noqa: PT017
+        assert str(error).isprintable()  # noqa: PT017
+        return
+    assert read.name.isprintable()
+    assert read.stream.isprintable()
+    assert 0 < len(read.addresses) <= 16
+
+
+def at(*addresses: str) -> Announcement:
+    return Announcement("a", "pulse", "0" * 16, addresses, 5555, None)
+
+
+OWN = [IPv4Interface(one) for one in ("127.0.0.1/8", "192.0.2.2/24", "172.17.0.1/16")]
+
+
+@pytest.mark.parametrize(
+    ("addresses", "used"),
+    [
+        (("192.0.2.7",), ["192.0.2.7"]),
+        # Two networks, of which we are on one; a bridge that both machines have for themselves.
+        (("192.0.2.7", "198.51.100.7"), ["192.0.2.7"]),
+        (("192.0.2.7", "172.17.0.1"), ["192.0.2.7"]),
+        # Over both where we are on both.
+        (("192.0.2.7", "172.17.0.9"), ["192.0.2.7", "172.17.0.9"]),
+        # This very machine.
+        (("192.0.2.2", "172.17.0.1"), ["192.0.2.2"]),
+        (("127.0.0.1",), ["127.0.0.1"]),
+        # Nobody on this network sends us elsewhere.
+        (("203.0.113.9",), []),
+    ],
+)
+def test_only_addresses_on_our_networks_are_used(
+    addresses: tuple[str, ...], used: list[str]
+) -> None:
+    assert reachable(at(*addresses), OWN) == used
+
+
+def test_what_is_bound_is_what_is_told_of() -> None:
+    names = {"eth0": ["192.0.2.2"]}
+    assert told_of("*", OWN, names) == ["192.0.2.2", "172.17.0.1"]
+    assert told_of("127.0.0.1", OWN, names) == ["127.0.0.1"]
+    assert told_of("eth0", OWN, names) == ["192.0.2.2"]
+    with pytest.raises(DiscoveryError, match=r"192\.0\.2\.9: is no IPv4 address here"):
+        told_of("192.0.2.9", OWN, names)
+    with pytest.raises(DiscoveryError, match="on no network"):
+        told_of("*", OWN[:1], {})
+
+
+def test_one_is_chosen_by_its_name_and_by_the_key_that_is_asked_for() -> None:
+    left, right = (announced("pulse", host, 5555, KEY) for host in ("left", "right"))
+    spoofed = announced("pulse", "other", 5555, None)
+    found = [right, left, spoofed]
+    assert fitting(found, None, None) == found
+    assert fitting(found, None, fingerprint(KEY)) == [right, left]
+    assert the_one(fitting(found, "Pulse on LEFT", None)) == left
+    with pytest.raises(DiscoveryError, match=r"2 .*'pulse on left', 'pulse on right'; .*--named"):
+        the_one(fitting(found, None, fingerprint(KEY)))
+    with pytest.raises(DiscoveryError, match="just gone"):
+        the_one([])

@@ -1,0 +1,47 @@
+"""Session files for tests."""
+
+from pathlib import Path
+
+from telepulse.experiment.interval import Played
+from telepulse.experiment.session import Plan, load_plan
+
+BAD = "delay=40ms,jitter=5ms,loss=1%"
+
+
+def condition(name: str, link: str = BAD, compensation: str = "0 ms") -> str:
+    return f'[[conditions]]\nname = "{name}"\nlink = "{link}"\ncompensation = "{compensation}"\n'
+
+
+def write(
+    path: Path, *conditions: str, scene: str = "radial", kind: str = "abx", **keys: object
+) -> Path:
+    """A session file of short intervals."""
+    values = {"interval": "0.1 s", "settle": "0 s", "seed": 1, "trials": 2} | keys
+    lines = [f'scene = "{scene}"', f'kind = "{kind}"']
+    lines += [f'{k} = "{v}"' if isinstance(v, str) else f"{k} = {v}" for k, v in values.items()]
+    lines += conditions or [condition("all predicted")]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def plan(folder: Path, *conditions: str, **keys: object) -> Plan:
+    return load_plan(write(folder / "session.toml", *conditions, **keys))  # type: ignore[arg-type]
+
+
+def played(letter: str, on_link: bool, error_n: float, pulse_n: float = 0.3) -> Played:
+    """An interval with a force error."""
+    return Played.model_validate(
+        {
+            "letter": letter,
+            "on_link": on_link,
+            "link_seed": 0,
+            "foreperiod_s": 1.0,
+            "felt_s": 1.0,
+            "aligned_n": error_n,
+            "in_phase_n": error_n,
+            "roughness_felt_n": None,
+            "roughness_sensed_n": None,
+            "pulse_n": pulse_n,
+            "deadline_misses": 0,
+        }
+    )

@@ -1,0 +1,145 @@
+"""What Prometheus is told, read back by its own parser."""
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Any
+
+from hypothesis import given
+from hypothesis import strategies as st
+from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client.metrics_core import Metric
+from prometheus_client.parser import text_string_to_metric_families
+from prometheus_client.registry import Collector
+
+from protocol.status import Status
+from protocol.summary import Clock, Frames, Lateness, Loop, OneWayDelay, Samples, Summary
+from telepulse.metrics.families import SILENT_AFTER_NS, Told, families
+from telepulse.metrics.figures import FIGURES, NOT_FIGURES
+
+SECOND_NS = 1_000_000_000
+Scraped = dict[tuple[str, tuple[tuple[str, str], ...]], float]
+
+
+class Page(Collector):
+    def __init__(self, metrics: list[Metric]) -> None:
+        self._metrics = metrics
+
+    def collect(self) -> Iterator[Metric]:
+        yield from self._metrics
+
+
+def scraped(metrics: Iterator[Metric]) -> Scraped:
+    """As a scrape reads it: each sample once, by its name and labels."""
+    registry = CollectorRegistry()
+    registry.register(Page(list(metrics)))
+    found: Scraped = {}
+    for family in text_string_to_metric_families(generate_latest(registry).decode()):
+        for sample in family.samples:
+            key = sample.name, tuple(sorted(sample.labels.items()))
+            assert key not in found
+            found[key] = sample.value
+    return found
+
+
+def told(summary: Summary, state: str = "playing", stream: str = "my pulse") -> Told:
+    status = Status(state, stream, summary.to_dict(), False, session=0xABC)
+    return Told(status, heard_ns=SECOND_NS, heart_rate_per_min=75.0)
+
+
+def leaves(table: dict[str, Any], before: str = "") -> Iterator[str]:
+    for key, value in table.items():
+        if isinstance(value, dict) and value:
+            yield from leaves(value, f"{before}{key}.")
+        else:
+            yield before + key
+
+
+def test_every_key_of_a_summary_is_a_metric_or_said_to_be_none() -> None:
+    exported = {figure.key for figure in FIGURES}
+    assert exported | NOT_FIGURES == set(leaves(dataclasses.asdict(Summary())))
+    assert not exported & NOT_FIGURES
+
+
+def test_figures_come_in_base_units_and_counts_as_counters() -> None:
+    summary = Summary(
+        samples=Samples(1000, 990, 7, 3, 50),
+        frames=Frames(200, 1, 0, {"tcp://a:1": 120, "tcp://b:1": 80}),
+        one_way_delay_ms=OneWayDelay(1.5, 4.0, 9.0),
+        clock=Clock(offset_ms=-2.0, skew_ppm=30.0),
+        loop=Loop(5000, 4, late_us=Lateness(60.0, 100.0, 500.0, 900.0)),
+        rejected={"late_hello": 2},
+        faults=["17 samples missing from /dev/ttyACM0"],
+    )
+    found = scraped(families("display-node", told(summary), 3 * SECOND_NS))
+    for name, labels, value in [
+        ("up", {}, 1),
+        ("status_age_seconds", {}, 2),
+        ("samples_sent_total", {}, 1000),
+        ("samples_total", {"outcome": "played"}, 990),
+        ("samples_total", {"outcome": "late"}, 7),
+        ("samples_lost", {}, 3),
+        ("frames_first_total", {"path": "tcp://b:1"}, 80),
+        ("one_way_delay_seconds", {"quantile": "0.99"}, 0.004),
+        ("one_way_delay_max_seconds", {}, 0.009),
+        ("clock_offset_seconds", {}, -0.002),
+        ("clock_skew_ratio", {}, 30e-6),
+        ("deadline_misses_total", {}, 4),
+        ("tick_lateness_seconds", {"quantile": "0.999"}, 500e-6),
+        ("rejected_total", {"cause": "late_hello"}, 2),
+        ("heart_rate_hertz", {}, 1.25),
+        ("state", {"telepulse_state": "playing"}, 1),
+        ("state", {"telepulse_state": "stale"}, 0),
+        ("fault", {"name": "# samples missing from /dev/ttyACM#"}, 1),
+    ]:
+        got = found["telepulse_" + name, tuple(sorted(labels.items()))]
+        assert abs(got - value) < 1e-12, name
+    (labels,) = (dict(labels) for name, labels in found if name == "telepulse_node_info")
+    assert labels["program"] == "display-node"
+    assert (labels["stream"], labels["session"]) == ("my pulse", "abc")
+
+
+def test_what_there_is_none_of_is_not_there() -> None:
+    found = scraped(families("sensing-node", told(Summary(), "streaming"), SECOND_NS))
+    names = {name for name, _ in found}
+    assert not any("samples" in name or "clock" in name for name in names)
+    # Nothing is felt of a pulse that is not played.
+    assert "telepulse_heart_rate_hertz" not in names
+
+
+def test_a_node_that_is_silent_has_no_figures_only_their_age() -> None:
+    summary = Summary(samples=Samples(1000, 990, 7, 3, 0))
+    last_ns = SECOND_NS + SILENT_AFTER_NS
+    speaking = scraped(families("display-node", told(summary), last_ns))
+    silent = scraped(families("display-node", told(summary), last_ns + 1))
+    assert speaking["telepulse_up", ()] == 1
+    assert ("telepulse_samples_sent_total", ()) in speaking
+    assert silent["telepulse_up", ()] == 0
+    assert silent["telepulse_status_age_seconds", ()] > 5
+    assert {name for name, _ in silent} == {
+        "telepulse_up",
+        "telepulse_status_age_seconds",
+        "telepulse_node_info",
+        "telepulse_unreadable_statuses_total",
+    }
+
+
+def test_before_its_first_word_a_node_is_not_up() -> None:
+    found = scraped(families("display-node", None, 0, unreadable=3))
+    assert found["telepulse_up", ()] == 0
+    assert found["telepulse_unreadable_statuses_total", ()] == 3
+
+
+words = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
+
+
+@given(stream=words, faults=st.lists(words), causes=st.dictionaries(words, st.integers(0, 2**53)))
+def test_any_words_are_told_as_they_are(
+    stream: str, faults: list[str], causes: dict[str, int]
+) -> None:
+    # The parser splits lines where Python does; Prometheus does at "\n" alone.
+    stream, *faults = (" ".join(text.split()) for text in (stream, *faults))
+    causes = {" ".join(cause.split()): count for cause, count in causes.items()}
+    summary = Summary(rejected=causes, faults=faults)
+    found = scraped(families("display-node", told(summary, stream=stream), SECOND_NS))
+    got = {dict(labels)["cause"]: n for (name, labels), n in found.items() if "rejected" in name}
+    assert got == causes

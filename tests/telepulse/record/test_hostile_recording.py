@@ -1,0 +1,66 @@
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks.analysis import record
+from protocol.errors import SourceError
+from telepulse.record.edf import export_edf
+from telepulse.record.export import export_csv, export_parquet
+from telepulse.record.mcap_writer import McapWriter
+from telepulse.record.reader import RecordedMessage, RecordingReader
+from telepulse.record.report.findings import read_findings
+from telepulse.record.schema import FRAME, TICK
+
+READERS: dict[str, Callable[[Path, Path], Any]] = {
+    "report": lambda path, _: read_findings(path),
+    "csv": lambda path, out: export_csv(path, out, str),
+    "parquet": lambda path, out: export_parquet(path, out, str),
+    "edf": lambda path, out: export_edf(path, out, str),
+}
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> list[RecordedMessage]:
+    path = tmp_path_factory.mktemp("recording") / "good.mcap"
+    record(path, 2)
+    return list(RecordingReader(path))
+
+
+def spoil(good: list[RecordedMessage], path: Path, topic: str, name: str, value: object) -> None:
+    """Write a recording with one field of a message replaced, late among the ticks."""
+    writer, left = McapWriter(path), 1 if topic == FRAME else 1_500
+    for message in good:
+        data = message.data
+        if message.topic == topic:
+            left -= 1
+            if left == 0:
+                data = json.dumps(message.fields | {name: value}).encode()
+        writer.put(message.topic, message.t_ns, data)
+    writer.close()
+
+
+@pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize(
+    ("topic", "name", "value"),
+    [(TICK, "now_ns", 10**30), (TICK, "felt_n", []), (FRAME, "data", "no base64")],
+)
+def test_a_field_that_is_not_telepulses_is_one_line_or_left_out(
+    reader: str,
+    topic: str,
+    name: str,
+    value: object,
+    good: list[RecordedMessage],
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "a.mcap"
+    spoil(good, path, topic, name, value)
+    said = ""
+    try:
+        READERS[reader](path, tmp_path / "out")
+    except SourceError as error:
+        said = str(error)
+    assert said == "" or said.startswith(f"{path}: a message is not telepulse's")
+    assert "\n" not in said

@@ -1,0 +1,98 @@
+import pytest
+
+from protocol.summary import Clock, Loop, Samples
+from telepulse.view.alarms import alarms
+from telepulse.view.live import Live
+
+from .told import AHEAD_NS, MS, SECOND_NS, Told
+
+
+def names(told: Told, silent_ns: int = 0) -> list[str]:
+    return [alarm.name for alarm in alarms(told.live, silent_ns)]
+
+
+@pytest.fixture
+def told() -> Told:
+    told = Told(Live())
+    told.go(3)
+    return told
+
+
+def test_all_is_well_while_it_plays(told: Told) -> None:
+    assert names(told) == []
+
+
+def test_a_cut_link_is_told_and_goes_when_frames_come_again(told: Told) -> None:
+    told.linked = False
+    told.go(0.6, "stale")
+    assert names(told) == ["stale"]
+    told.go(0.6, "stale")
+    assert names(told) == ["link cut", "stale"]
+    told.linked = True
+    told.go(0.4)
+    assert names(told) == []
+
+
+def test_a_stream_that_has_ended_is_no_cut_link(told: Told) -> None:
+    told.event("end of stream", "4000 samples were sent")
+    told.linked = False
+    told.go(3, "ended")
+    assert names(told) == []
+
+
+def test_a_fault_is_told_by_its_name_and_stays_at_the_end(told: Told) -> None:
+    told.status("fault", faults=["feedback lost"])
+    assert "fault: feedback lost" in names(told)
+    told.status("fault", final=True, faults=["feedback lost"])
+    assert names(told, silent_ns=60 * SECOND_NS) == ["fault: feedback lost"]
+
+
+def test_a_display_that_says_nothing_any_more(told: Told) -> None:
+    assert names(told, silent_ns=3 * SECOND_NS) == ["no telemetry"]
+    told.status("ended", final=True)
+    assert names(told, silent_ns=3 * SECOND_NS) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("deadline misses", {"loop": Loop(1000, 7)}),
+        ("refused", {"rejected": {"malformed": 3}}),
+        ("loss", {"samples": Samples(4000, 3000, 300, 700, 0)}),
+    ],
+)
+def test_what_is_counted_is_told_for_a_while(
+    told: Told, name: str, changes: dict[str, object]
+) -> None:
+    fields = {
+        key: value if isinstance(value, dict) else _dict(value) for key, value in changes.items()
+    }
+    told.status("playing", **fields)
+    assert names(told) == [name]
+    lasting = {key: value for key, value in fields.items() if key != "samples"}
+    for _ in range(30):
+        told.at_ns += 200 * MS
+        told.frame()
+        told.played += 200
+        told.live.now_ns += 200 * MS
+        told.status("playing", **lasting)
+    assert names(told) == []
+
+
+@pytest.mark.parametrize("name", ["clock step", "missed"])
+def test_what_happened_once_is_told_for_five_seconds(told: Told, name: str) -> None:
+    told.event(name, "it happened", "WARNING")
+    assert names(told) == [name]
+    told.go(5.1)
+    assert names(told) == []
+
+
+def test_a_clock_that_is_ahead_by_more_is_no_alarm_of_its_own(told: Told) -> None:
+    told.status("playing", clock=_dict(Clock(AHEAD_NS / MS + 1, 3.0, 0.05, 0.1, 0)))
+    assert names(told) == []
+
+
+def _dict(part: object) -> dict[str, object]:
+    import dataclasses
+
+    return dataclasses.asdict(part)  # type: ignore[call-overload, no-any-return]

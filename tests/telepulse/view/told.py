@@ -1,0 +1,106 @@
+"""What a display that plays a sine tells, as a recording holds it."""
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from protocol.summary import Clock, Errors, Loop, Samples, Summary
+from protocol.tactile import ElasticLayer
+from telepulse.record.schema import EVENT, FRAME, LEVELS, STATUS, STREAM, TICK
+from telepulse.record.transcript import Entry
+from telepulse.view.live import Live
+
+MS = 1_000_000
+SECOND_NS = 1000 * MS
+# Unix time where the display's clock stands at 0; what the sensing clock is ahead of that.
+UNIX_NS, AHEAD_NS = 1_700_000_000 * SECOND_NS, 5_000 * SECOND_NS
+ONE_WAY_NS, PLAYOUT_NS = 12 * MS, 40 * MS
+MEAN_N, SWING_N, BEATS_A_SECOND = 0.3, 0.15, 1.25
+BATCH = 5
+WRIST = ElasticLayer()
+# Twice as stiff: twice the force for the same strain.
+FINGER = ElasticLayer(young_modulus_pa=0.1e9)
+SESSION = 7
+
+
+def pulse_n(t_ns: float) -> float:
+    """The pulse at the wrist, at an instant of the display's clock."""
+    return MEAN_N + SWING_N * math.sin(2 * math.pi * BEATS_A_SECOND * t_ns * 1e-9)
+
+
+class Told:
+    """A display's telemetry, instant by instant, taken by `live`."""
+
+    def __init__(self, live: Live, at_ns: int = SECOND_NS) -> None:
+        self.live = live
+        self.at_ns = at_ns
+        self.summary: dict[str, Any] = {}
+        self.played = 0
+        self.linked = True
+        self.event("begin", "the recording")
+        layer = {name: getattr(WRIST, name) for name in WRIST.__slots__}
+        self.take(STREAM, at_ns, session=SESSION, layer=layer, group_delay_ns=0)
+        self.status("waiting")
+
+    def take(self, topic: str, at_ns: int, **fields: Any) -> None:
+        self.live.take(Entry(topic, at_ns + UNIX_NS, fields))
+
+    def event(self, name: str, message: str = "", level: str = "INFO") -> None:
+        self.take(EVENT, self.at_ns, name=name, message=message, level=LEVELS[level])
+
+    def status(self, state: str, final: bool = False, **changes: Any) -> None:
+        whole = Summary(
+            samples=Samples(self.played, self.played, 0, 0, 0),
+            clock=Clock(AHEAD_NS / MS, 3.0, 0.05, 0.1, 0),
+            force_rmse_n=Errors(2e-3, 3e-3),
+            strain_rmse=Errors(*(abs(FINGER.strain(e)) for e in (2e-3, 3e-3))),
+            loop=Loop(1000, 0),
+        )
+        fields = without_none(whole.to_dict() | changes)
+        self.take(STATUS, self.at_ns, state=state, stream="sine", final=final, summary=fields)
+
+    def frame(self, **changes: Any) -> None:
+        """The samples whose last one was taken ONE_WAY_NS before now."""
+        first_ns = self.at_ns - ONE_WAY_NS - (BATCH - 1) * MS
+        fields = {
+            "arrived_ns": self.at_ns,
+            "session": SESSION,
+            "t_first_ns": first_ns + AHEAD_NS,
+            "period_ns": MS,
+            "channels": 1,
+            "force_n": [pulse_n(first_ns + i * MS) for i in range(BATCH)],
+        }
+        self.take(FRAME, self.at_ns, **(fields | changes))
+
+    def go(self, seconds: float, state: str = "playing") -> None:
+        """So long of it: a tick each ms, a frame each 5, a status each 200."""
+        playing = state == "playing"
+        for _ in range(round(seconds * 1000)):
+            self.at_ns += MS
+            if self.linked and self.at_ns // MS % BATCH == 0:
+                self.frame()
+            played_ns = self.at_ns - PLAYOUT_NS
+            felt_n = pulse_n(played_ns) * WRIST.strain(1.0) / FINGER.strain(1.0) if playing else 0.0
+            self.played += playing
+            self.take(
+                *(TICK, self.at_ns),
+                now_ns=self.at_ns,
+                instant_ns=played_ns + AHEAD_NS,
+                felt_n=felt_n,
+                target_n=felt_n,
+                scored=playing,
+                trusted=False,
+            )
+            if self.at_ns // MS % 200 == 0:
+                self.status(state)
+
+
+def without_none(fields: dict[str, Any]) -> dict[str, Any]:
+    """As a recording leaves out what there is none of."""
+
+    def kept() -> Iterator[tuple[str, Any]]:
+        for name, value in fields.items():
+            if value is not None:
+                yield name, without_none(value) if isinstance(value, dict) else value
+
+    return dict(kept())
