@@ -16,7 +16,7 @@ from display_node.display import Felt
 from display_node.heard import CONTROL, HEARD, SUBSCRIBED, HeardWriter
 from display_node.telemetry import TRACE, TraceWriter
 from protocol.messages import ClockReply, Frame, Welcome, encode_control, encode_frame
-from protocol.status import STATUS, pack_status
+from protocol.status import STATUS, Playing, pack_status
 from protocol.stream import Channel, StreamDescription
 from protocol.summary import Summary
 from protocol.tactile import ElasticLayer
@@ -90,9 +90,15 @@ def telemetry(force_n: Samples, lost: Container[int]) -> Iterator[tuple[bytes, b
             yield TRACE, trace
             heard.traces += 1
         if tick % STATUS_TICKS == STATUS_TICKS - 1:
-            yield STATUS, pack_status("playing", DESCRIPTION.name, Summary(), False, 1)
+            yield STATUS, status("playing", final=False)
             heard.statuses += 1
-    yield STATUS, pack_status("ended", DESCRIPTION.name, Summary(), True, 1)
+    yield STATUS, status("ended", final=True)
+
+
+def status(state: str, final: bool) -> bytes:
+    """A word of the display's of itself."""
+    playing = Playing(0, 1.0, DESCRIPTION.layer.strain_per_newton, "linear", 60_000_000)
+    return pack_status(state, DESCRIPTION.name, Summary(), final, 1, playing=playing)
 
 
 def arriving(tick: int, force_n: Samples, lost: Container[int]) -> Iterator[tuple[int, bytes]]:

@@ -18,6 +18,7 @@ from display_node.safety import Safety
 from display_node.scene import DisplayScene
 from display_node.stand_in import StandIn
 from protocol.messages import Control, Report
+from protocol.status import Playing
 from protocol.summary import (
     Clock,
     Frames,
@@ -124,6 +125,16 @@ class Display:
     def force_ratio(self) -> float:
         """Force at the finger per force at the wrist that makes both strains equal."""
         return self._force_ratio
+
+    @property
+    def playing(self) -> Playing | None:
+        """What it makes of the stream; None while it knows none."""
+        if self.receiver.description is None:
+            return None
+        scene, strain_per_newton = self._scene, self._layer.strain_per_newton
+        stale_after_ns = scene.safety.stale_after_ns
+        ratio = self._force_ratio
+        return Playing(scene.channel, ratio, strain_per_newton, scene.predictor, stale_after_ns)
 
     @property
     def over(self) -> bool:

@@ -92,4 +92,5 @@ def write_status(display: Display, summary: Summary, final: bool) -> bytes:
     """A display's status message."""
     receiver = display.receiver
     stream = receiver.description.name if receiver.description else ""
-    return pack_status(display.state, stream, summary, final, receiver.session)
+    session, playing = receiver.session, display.playing
+    return pack_status(display.state, stream, summary, final, session, playing=playing)

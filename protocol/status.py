@@ -6,7 +6,7 @@ A multipart message ["status", msgpack]. A last status has final = true.
 from typing import Any, NamedTuple
 
 import msgpack
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from protocol.errors import WireError
 from protocol.summary import Summary
@@ -16,11 +16,26 @@ MAX_ITEMS = 256
 _SUMMARY = TypeAdapter(Summary)
 
 
+class Playing(NamedTuple):
+    """What a display makes of the stream.
+
+    channel: the one that it plays. force_ratio: force at the finger per force at the wrist that
+    makes both strains equal. strain_per_newton: of the layer under the finger. predictor: its name.
+    stale_after_ns: how long without samples makes the stream stale.
+    """
+
+    channel: int
+    force_ratio: float
+    strain_per_newton: float
+    predictor: str
+    stale_after_ns: int
+
+
 class Status(NamedTuple):
     """Where a node stands: a word, its stream, its running summary.
 
     session: of the stream; None while there is none. displays: how many listen to a sensing node;
-    None where the question does not apply.
+    None where the question does not apply. playing: of a display that knows its stream.
     """
 
     state: str
@@ -29,6 +44,10 @@ class Status(NamedTuple):
     final: bool
     session: int | None = None
     displays: int | None = None
+    playing: Playing | None = None
+
+
+_PLAYING = TypeAdapter(Playing, config=ConfigDict(strict=True, allow_inf_nan=False))
 
 
 def pack_status(
@@ -38,18 +57,19 @@ def pack_status(
     final: bool,
     session: int | None = None,
     displays: int | None = None,
+    playing: Playing | None = None,
 ) -> bytes:
     """A status message, of the fields of `Status`."""
-    fields = [state, stream, summary.to_dict(), final, session, displays]
+    fields = [state, stream, summary.to_dict(), final, session, displays, playing]
     return bytes(msgpack.packb(fields))
 
 
 def read_status(data: bytes) -> Status:
     """The status in a message, with every key of a summary. Raises WireError."""
     try:
-        # A node of an earlier version tells the first four.
-        state, stream, summary, final, *more = unpack(data)
-        session, displays = more if more else (None, None)
+        state, stream, summary, final, session, displays, playing = unpack(data)
+        if playing is not None:
+            playing = _PLAYING.validate_python(Playing(*playing))
     except (ValueError, TypeError) as error:
         raise WireError("malformed", f"not a status: {error}") from None
     if not (type(state) is type(stream) is str and type(summary) is dict and type(final) is bool):
@@ -60,7 +80,7 @@ def read_status(data: bytes) -> Status:
         whole = _SUMMARY.validate_python(summary).to_dict()
     except ValidationError as error:
         raise WireError("malformed", f"a status' summary: {error}") from None
-    return Status(state, stream, whole, final, session, displays)
+    return Status(state, stream, whole, final, session, displays, playing)
 
 
 def unpack(data: bytes, max_items: int = MAX_ITEMS) -> Any:

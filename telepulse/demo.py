@@ -110,7 +110,7 @@ def _open_page(
     try:
         if not bokeh_is_there():
             raise OutputError(MISSING)
-        page = processes.start("telepulse.cli", "view", telemetry, "--scene", str(path))
+        page = processes.start("telepulse.cli", "view", telemetry)
         assert page.stdout is not None
         address = page.stdout.readline().strip()
         if not address:

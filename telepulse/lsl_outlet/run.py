@@ -28,6 +28,7 @@ class LslOutlet:
         self._outlets = Outlets(address)
         self._forwarder = Forwarder(self._outlets, log)
         self._reader = TelemetryReader(address, keys, warn)
+        self._reader.listen()
 
     def stop(self) -> None:
         """End after the present message."""

@@ -33,7 +33,12 @@ class Recorder:
         self._reason: str | None = None
         self._reader = TelemetryReader(address, keys, warn)
         self._transcript = self._reader.transcript
-        self._file = McapWriter(path)
+        try:
+            self._file = McapWriter(path)
+        except BaseException:
+            self._reader.close()
+            raise
+        self._reader.listen()
 
     def stop(self) -> None:
         """End after the present message."""

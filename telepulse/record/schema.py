@@ -88,6 +88,13 @@ SCHEMAS: dict[str, tuple[str, Schema]] = {
             final=BOOLEAN,
             session=INTEGER,
             displays=INTEGER,
+            playing=_object(
+                channel=INTEGER,
+                force_ratio=NUMBER,
+                strain_per_newton=NUMBER,
+                predictor=STRING,
+                stale_after_ns=INTEGER,
+            ),
             summary=_of(Summary),
         ),
     ),

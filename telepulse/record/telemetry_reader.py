@@ -35,6 +35,9 @@ class TelemetryReader:
         self._refused = 0
         self._again_ns: int | None = None
         self.transcript = Transcript()
+
+    def listen(self) -> None:
+        """Ask for all of it; a display that waits for its recorder begins."""
         for topic in (TRACE, STATUS, HEARD):
             self._socket.subscribe(topic)
 

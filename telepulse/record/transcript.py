@@ -160,6 +160,8 @@ class Transcript:
         status = read_status(data)
         summary = _SUMMARY.validate_python(status.summary)
         fields = _without_none(status._asdict())
+        if status.playing is not None:
+            fields["playing"] = status.playing._asdict()
         yield Entry(STATUS, self._unix_ns(self._now_ns), fields)
         for event in self._watch.take(status.state, summary):
             yield self.event(event)

@@ -8,14 +8,11 @@ from typing import Annotated
 
 import typer
 
-from display_node.scene import DisplayScene
 from protocol.commands import QuietOption, StopAfterOption, one_line_errors, plain_console
 from protocol.errors import AddressError, OutputError, ProtectionError
 from protocol.keys import ClientKeys, read_pair
 from protocol.protection import InsecureOption, KeyOption, PeerOption, client_keys
-from protocol.scene import load_section
 from protocol.signals import stop_on_signals
-from telepulse.scene import find_scene
 
 PROGRAM = "telepulse"
 # The display's loop goes first.
@@ -37,10 +34,6 @@ def view(
     host: Annotated[
         str, typer.Option(help="This machine's address to serve on; beyond it: --insecure.")
     ] = "127.0.0.1",
-    scene: Annotated[
-        str | None,
-        typer.Option(help="The display's scene: which channel it feels, its predictor's name."),
-    ] = None,
     seconds: StopAfterOption = None,
     quiet: QuietOption = False,
     key: KeyOption = None,
@@ -67,14 +60,9 @@ def view(
             keys: ClientKeys | None = ClientKeys(pair, pair.public)
         else:
             keys = client_keys([address], key, peer, insecure)
-        display = load_section(find_scene(scene), "display", DisplayScene) if scene else None
         from telepulse.view.server import PageServer
 
-        page = PageServer(
-            *(address, host, port, _warn, keys),
-            channel=display.channel if display else 0,
-            predictor=display.predictor if display else "",
-        )
+        page = PageServer(address, host, port, _warn, keys)
     # Takes a second, in which nobody's page should stand still.
     import scipy.signal  # noqa: F401
 

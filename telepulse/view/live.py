@@ -11,7 +11,6 @@ from collections.abc import Callable
 import numpy as np
 
 from display_node.receiver import FUTURE_NS, OLDEST_NS
-from protocol.tactile import ElasticLayer
 from telepulse.record.heard_fields import Fields
 from telepulse.record.schema import EVENT, FRAME, STATUS, STREAM, TICK
 from telepulse.record.transcript import Entry
@@ -28,16 +27,13 @@ LOSS_STATUSES = 5
 class Live:
     """The state of one run of a display; another run begins it afresh.
 
-    channel: which of the stream's channels the display feels.
-
     ticks: felt_n, target_n, playout delay in ns and predictor_error_n, NaN where there is none.
     wrist: force in N. delays: one-way delay in ms of frames. statuses: clock offset, its
     uncertainty (ms), skew (ppm), samples lost and late (of 100), deadline misses so far,
     refused messages so far.
     """
 
-    def __init__(self, channel: int = 0) -> None:
-        self._channel = channel
+    def __init__(self) -> None:
         self._take: dict[str, Callable[[Entry], None]] = {
             TICK: self._tick,
             FRAME: self._frame,
@@ -56,8 +52,7 @@ class Live:
         self._samples: deque[Fields] = deque(maxlen=LOSS_STATUSES)
         self._offset_ns: int | None = None
         self._group_delay_ns = 0
-        self._wrist_layer: ElasticLayer | None = None
-        self._finger_strain_per_newton: float | None = None
+        self._playing: Fields | None = None
         self._session: int | None = None
         self.now_ns = self.frame_ns = 0
         self.stepped_ns = self.missed_ns = -math.inf
@@ -72,21 +67,25 @@ class Live:
             take(entry)
 
     @property
-    def wrist_strain_per_newton(self) -> float | None:
-        """Of the layer at the wrist, as the stream describes it."""
-        return None if self._wrist_layer is None else self._wrist_layer.strain_per_newton
-
-    @property
     def finger_strain_per_newton(self) -> float | None:
-        """Of the layer under the finger. No message names it; but a summary's strain RMSE is its
-        force RMSE by this layer (docs/telemetry.md)."""
-        return self._finger_strain_per_newton
+        """Of the layer under the finger; None while the display knows no stream."""
+        return None if self._playing is None else float(self._playing["strain_per_newton"])
 
     @property
     def force_ratio(self) -> float | None:
         """The right force at the finger per force at the wrist: both strains are equal."""
-        wrist, finger = self.wrist_strain_per_newton, self.finger_strain_per_newton
-        return None if wrist is None or finger is None else wrist / finger
+        return None if self._playing is None else float(self._playing["force_ratio"])
+
+    @property
+    def wrist_strain_per_newton(self) -> float | None:
+        """Of the layer at the wrist."""
+        finger, ratio = self.finger_strain_per_newton, self.force_ratio
+        return None if finger is None or ratio is None else finger * ratio
+
+    @property
+    def predictor(self) -> str:
+        """The name of the display's predictor, empty while it is not known."""
+        return "" if self._playing is None else str(self._playing["predictor"])
 
     def _tick(self, entry: Entry) -> None:
         fields = entry.fields
@@ -104,8 +103,10 @@ class Live:
         if fields["session"] != self._session:
             return
         self.frame_ns, self.over = entry.t_ns, False
-        values = fields["force_n"][self._channel :: fields["channels"]]
-        if offset_ns is None or not values:
+        if offset_ns is None or self._playing is None:
+            return
+        values = fields["force_n"][self._playing["channel"] :: fields["channels"]]
+        if not values:
             return
         unix_ns, period_ns = entry.t_ns - fields["arrived_ns"], fields["period_ns"]
         sampled_ns = fields["t_first_ns"] - offset_ns + unix_ns
@@ -126,10 +127,7 @@ class Live:
         clock = self.summary["clock"]
         if "offset_ms" in clock:
             self._offset_ns = round(clock["offset_ms"] * MS)
-        force_n, strain = (self.summary[name] for name in ("force_rmse_n", "strain_rmse"))
-        if force_n.get("aligned"):
-            # Eq 16: what is pressed is strained below 0.
-            self._finger_strain_per_newton = -strain["aligned"] / force_n["aligned"]
+        self._playing = fields.get("playing", self._playing)
         self._samples.append(self.summary["samples"])
         lost, late = self._shares()
         self.statuses.add(
@@ -153,7 +151,6 @@ class Live:
     def _stream(self, entry: Entry) -> None:
         fields = entry.fields
         self._session, self.over = fields["session"], False
-        self._wrist_layer = ElasticLayer(**fields["layer"])
         self._group_delay_ns = fields["group_delay_ns"]
 
     def _event(self, entry: Entry) -> None:

@@ -25,13 +25,11 @@ SECOND_NS = 1_000_000_000
 class Viewer:
     """One viewer's page: draws what is known of the display, five times a second.
 
-    silent_ns: tells for how long nothing came from the display. predictor: its name, or "".
+    silent_ns: tells for how long nothing came from the display.
     """
 
-    def __init__(
-        self, document: Document, live: Live, silent_ns: Callable[[], int], predictor: str
-    ) -> None:
-        self._live, self._silent_ns, self._predictor = live, silent_ns, predictor
+    def __init__(self, document: Document, live: Live, silent_ns: Callable[[], int]) -> None:
+        self._live, self._silent_ns = live, silent_ns
         self._plots = Plots()
         self._words = ColumnDataSource({"said": [None]})
         self._wishes = ColumnDataSource({"paused": [False], "window_s": [WINDOW_S], "seen": [0]})
@@ -76,7 +74,7 @@ class Viewer:
             window_s = wish if wish in WINDOWS_S else WINDOW_S
             shown = picture(live, window_s * SECOND_NS)
             self._plots.show(shown, window_s)
-            self._figures = words.figures(live, shown, self._predictor)
+            self._figures = words.figures(live, shown)
         state, note = words.state(live)
         said: dict[str, Any] = {
             "stream": live.stream,

@@ -37,9 +37,8 @@ TRIES = 5
 class PageServer:
     """Serves the live page of the display that publishes at `address`.
 
-    host, port: where; None: 5006, or a free port when that is taken. channel: which of the stream's
-    the display feels. predictor: its name, where it is known. warn: is told why the display cannot
-    be heard. Raises AddressError.
+    host, port: where; None: 5006, or a free port when that is taken. warn: is told why the display
+    cannot be heard. Raises AddressError.
     """
 
     def __init__(
@@ -49,10 +48,8 @@ class PageServer:
         port: int | None,
         warn: Callable[[str], None],
         keys: ClientKeys | None = None,
-        channel: int = 0,
-        predictor: str = "",
     ) -> None:
-        self._live, self._predictor = Live(channel), predictor
+        self._live = Live()
         self._transcript = Transcript()
         self._heard_ns = time.monotonic_ns()
         self._context: sockets.Context = zmq.Context()
@@ -113,7 +110,7 @@ class PageServer:
 
     def _open(self, document: Document) -> None:
         """Somebody opens the page."""
-        Viewer(document, self._live, self._silent_ns, self._predictor)
+        Viewer(document, self._live, self._silent_ns)
 
     def _silent_ns(self) -> int:
         return time.monotonic_ns() - self._heard_ns

@@ -52,8 +52,8 @@ def state(live: Live) -> tuple[str, str]:
     return ("ended" if live.final and word != "fault" else word), note
 
 
-def figures(live: Live, picture: Picture, predictor: str) -> dict[str, Figure]:
-    """What each figure says. predictor: its name, empty where it is not known."""
+def figures(live: Live, picture: Picture) -> dict[str, Figure]:
+    """What each figure says."""
     s, scores = live.summary, picture.scores
     one_way, playout = s.get("one_way_delay_ms", {}), s.get("playout_delay_ms", {})
     clock, loop, refused = s.get("clock", {}), s.get("loop", {}), s.get("rejected", {})
@@ -67,7 +67,7 @@ def figures(live: Live, picture: Picture, predictor: str) -> dict[str, Figure]:
         "loss": _loss(s.get("samples", {})),
         "offset": _offset(clock),
         "skew": Figure(_show(clock.get("skew_ppm"), "{:+.1f} ppm"), "sensing against display"),
-        "predictor": _predictor(s.get("compensation", {}), predictor),
+        "predictor": _predictor(s.get("compensation", {}), live.predictor),
         "misses": Figure(
             _show(loop.get("deadline_misses"), "{}"), _show(loop.get("ticks"), "of {} ticks")
         ),

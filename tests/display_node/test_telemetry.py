@@ -140,10 +140,10 @@ def test_what_is_no_status_is_refused(value: object) -> None:
 )
 def test_a_status_with_what_is_no_summary_is_refused(summary: object) -> None:
     with pytest.raises(WireError, match="a status' summary"):
-        read_status(msgpack.packb(["playing", "stream", summary, True]))
+        read_status(msgpack.packb(["playing", "stream", summary, True, None, None, None]))
 
 
 def test_a_status_has_every_key_of_a_summary() -> None:
     told = {"samples": {"late": 3}, "of a later version": 1}
-    status = read_status(msgpack.packb(["playing", "stream", told, True]))
+    status = read_status(msgpack.packb(["playing", "stream", told, True, None, None, None]))
     assert status.summary == Summary(samples=Samples(late=3)).to_dict()

@@ -204,9 +204,7 @@ def test_a_list_that_becomes_unusable_changes_nothing_and_is_said_once(
     hall.tend_until(lambda: listener.heard)
 
 
-def test_a_list_that_is_taken_away_allows_nobody(
-    context: Context, keyring: Keyring
-) -> None:
+def test_a_list_that_is_taken_away_allows_nobody(context: Context, keyring: Keyring) -> None:
     hall = Hall(context, keyring, "tcp://127.0.0.1:*")
     listener = hall.listener(keyring.client("finger"))
     hall.tend_until(lambda: listener.heard)
@@ -222,9 +220,7 @@ def test_a_list_that_is_unusable_at_the_start_is_an_error(
         Gate(context, keyring.server(), print)
 
 
-def test_without_a_gate_that_answers_nobody_gets_in(
-    context: Context, keyring: Keyring
-) -> None:
+def test_without_a_gate_that_answers_nobody_gets_in(context: Context, keyring: Keyring) -> None:
     hall = Hall(context, keyring, "tcp://127.0.0.1:*")
     hall.gate.sockets[0].close(0)
     listener = hall.listener(keyring.client("finger"))

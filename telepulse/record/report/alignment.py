@@ -1,8 +1,4 @@
-"""The pulse at the wrist beside what was felt of it, block by block. Pure.
-
-Which channel was played, and how many times its force, is the scene's to say and not in a
-recording. Both are found by what the loop was told to make of the samples.
-"""
+"""The pulse at the wrist beside what was felt of it, block by block. Pure."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -17,7 +13,6 @@ from protocol.stream import StreamDescription
 # Ticks wait for the samples around their instants, as in the display.
 BLOCK = PATIENCE = 2_048
 MAX_FRAMES = 20_000
-LEAST_FORCE_N = 1e-6
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
@@ -45,8 +40,8 @@ class Block(NamedTuple):
 class Alignment:
     """Takes frames and ticks of one session after the other, gives blocks.
 
-    fidelity: the display's own measure of errors. ratio, channel: what was found last; None before
-    there was enough.
+    fidelity: the display's own measure of errors. ratio: force at the finger per force at the wrist
+    that it is to feel; None before the display has told.
     """
 
     def __init__(self) -> None:
@@ -65,6 +60,16 @@ class Alignment:
         yield from self.finish()
         self.ratio = None
         self._begin()
+
+    def told(self, channel: int, ratio: float) -> None:
+        """What the display plays; what came before it told is scored now."""
+        if self.ratio is not None:
+            return
+        self.channel, self.ratio = channel, ratio
+        for t_ns, values in zip(self._t_ns, self._values, strict=True):
+            self.fidelity.truth(t_ns, values[:, channel] * ratio)
+        for tick in self._ticks:
+            self.fidelity.felt(tick.sensing_now_ns, tick.instant_ns, tick.felt_n)
 
     def sensed(self, frame: Frame, description: StreamDescription) -> None:
         """A frame has come."""
@@ -93,15 +98,10 @@ class Alignment:
         self.fidelity.finish()
 
     def _release(self, count: int) -> Iterator[Block]:
-        if not self._t_ns:
-            del self._ticks[:count]
+        ticks, self._ticks = self._ticks[:count], self._ticks[count:]
+        if self.ratio is None or not self._t_ns:
             return
         t_ns, values = self._gathered()
-        if self.ratio is None:
-            self._find(t_ns, values)
-        ticks, self._ticks = self._ticks[:count], self._ticks[count:]
-        if self.ratio is None:
-            return
         instant_ns = np.array([tick.instant_ns for tick in ticks], np.int64)
         wrist_n = self.ratio * interpolate(instant_ns, t_ns, values[:, self.channel])
         felt_n = np.array([tick.felt_n for tick in ticks])
@@ -114,23 +114,3 @@ class Alignment:
         t_ns, values = np.concatenate(self._t_ns), np.concatenate(self._values)
         order = np.argsort(t_ns, kind="stable")
         return t_ns[order], values[order]
-
-    def _find(self, t_ns: Ints, values: Floats) -> None:
-        """The channel and its ratio by which target and samples agree best; then score by them."""
-        instant_ns = np.array([tick.instant_ns for tick in self._ticks], np.int64)
-        target_n = np.array([tick.target_n for tick in self._ticks])
-        least_n = np.inf
-        for channel in range(values.shape[1]):
-            wrist_n = interpolate(instant_ns, t_ns, values[:, channel])
-            known = np.abs(wrist_n) > LEAST_FORCE_N
-            if not known.any():
-                continue
-            ratio = float(np.median(target_n[known] / wrist_n[known]))
-            apart_n = float(np.median(np.abs(target_n[known] - ratio * wrist_n[known])))
-            if apart_n < least_n:
-                least_n, self.channel, self.ratio = apart_n, channel, ratio
-        if self.ratio is None:
-            return
-        self.fidelity.truth(t_ns, values[:, self.channel] * self.ratio)
-        for tick in self._ticks:
-            self.fidelity.felt(tick.sensing_now_ns, tick.instant_ns, tick.felt_n)

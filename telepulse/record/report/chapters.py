@@ -124,8 +124,8 @@ def _force(findings: Findings) -> Chapter:
         plots.append(figures.heart(forces))
     found = (
         f"The finger is to feel {alignment.ratio:.4g} times the force of channel"
-        f" {alignment.channel}, by what the loop was told to do; the wrist's force is shown times"
-        " that, at the instants that were played."
+        f" {alignment.channel}; the wrist's force is shown times that, at the instants that were"
+        " played."
     )
     return Chapter("Force", (found,), plots=tuple(plots))
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
+from display_node.safety import SafetyScene
 from protocol.errors import SourceError
 from protocol.histogram import Histogram
 from protocol.messages import Frame
@@ -21,8 +22,6 @@ from telepulse.record.schema import EVENT, STATUS, STREAM, TICK
 
 MAX_EVENTS = 500
 TICKS_A_BATCH = 1_000
-# What a scene says of it is not in a recording; this is what most say.
-STALE_AFTER_NS = 60_000_000
 # Of what is counted.
 COUNT_WIDTH_S = 1.0
 _SUMMARY = TypeAdapter(Summary)
@@ -75,6 +74,8 @@ class Findings:
         self._steps: tuple[int | None, int | None] = (None, None)
         self._misses = 0
         self._tick_ns = 0
+        # Until the display has told.
+        self._stale_after_ns = SafetyScene().stale_after_ns
         self._last_now_ns: int | None = None
         self._batch: dict[str, list[tuple[float, float]]] = {}
 
@@ -176,7 +177,7 @@ class Findings:
         newest_ns, delay_ns = receiver.buffer.newest_ns, receiver.delay.delay_ns
         if newest_ns is None or delay_ns is None:
             return False
-        due_ns = newest_ns + STALE_AFTER_NS
+        due_ns = newest_ns + self._stale_after_ns
         return instant_ns <= due_ns or sensing_now_ns - delay_ns <= due_ns
 
     def _count_misses(self, now_ns: int) -> None:
@@ -189,7 +190,10 @@ class Findings:
         self._misses += round(apart_ns / self._tick_ns) - 1
 
     def _status(self, t_s: float, fields: dict[str, Any]) -> None:
-        told = _SUMMARY.validate_python(fields["summary"])
+        told, playing = _SUMMARY.validate_python(fields["summary"]), fields.get("playing")
+        if playing is not None:
+            self._stale_after_ns = int(playing["stale_after_ns"])
+            self.forces.told(int(playing["channel"]), float(playing["force_ratio"]))
         last, self.own, self.own_final = self.own or Summary(), told, fields["final"]
         for name in ("late", "lost"):
             more = (getattr(told.samples, name) or 0) - (getattr(last.samples, name) or 0)

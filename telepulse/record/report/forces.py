@@ -44,6 +44,10 @@ class Forces:
         """Another session begins."""
         self._take(self.alignment.begin())
 
+    def told(self, channel: int, ratio: float) -> None:
+        """What the display plays."""
+        self.alignment.told(channel, ratio)
+
     def sensed(self, frame: Frame, description: StreamDescription) -> None:
         """A frame has come."""
         self.alignment.sensed(frame, description)

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TypeVar
 
-import msgpack
 import numpy as np
 import zmq
 
@@ -17,6 +16,7 @@ from protocol import sockets
 from protocol.gate import Gate
 from protocol.keys import ServerKeys
 from protocol.messages import Bye, ClockReply, Frame, Welcome, encode_control, encode_frame
+from protocol.status import pack_status
 from protocol.summary import Summary
 
 from ...streams import description
@@ -73,8 +73,7 @@ class Speaker:
             self.ticks += 1
 
     def status(self, state: str, summary: Summary | None = None, final: bool = False) -> None:
-        message = [state, "test pulse", (summary or Summary()).to_dict(), final]
-        data = bytes(msgpack.packb(message))
+        data = pack_status(state, "test pulse", summary or Summary(), final)
         if final:
             self.publisher.finish(data)
         else:

@@ -15,6 +15,7 @@ from display_node.heard import CONTROL, HEARD, SUBSCRIBED, HeardWriter
 from display_node.telemetry import STATUS as STATUS_TOPIC
 from display_node.telemetry import TRACE, TraceWriter
 from protocol.messages import Hello, Welcome, encode_control, encode_frame
+from protocol.status import Playing, pack_status
 from protocol.summary import Clock, Compensation, Samples, Summary
 from telepulse.record.schema import (
     CLOCK,
@@ -32,6 +33,7 @@ from .speaker import SESSION, bye, clock_reply, numbered_frame
 
 WALL_NS = 1_700_000_000_000_000_000
 NOW_NS = 50_000_000_000
+PLAYING = Playing(0, 1.0, -4.8e-6, "linear", 60_000_000)
 WELCOME = encode_control(Welcome(SESSION, 0, description()))
 
 
@@ -57,8 +59,8 @@ class Spoken:
         ]
 
     def status(self, state: str, final: bool = False, **changes: object) -> list[Entry]:
-        summary = Summary(**changes).to_dict()  # type: ignore[arg-type]
-        message = msgpack.packb([state, "pulse", summary, final])
+        summary = Summary(**changes)  # type: ignore[arg-type]
+        message = pack_status(state, "pulse", summary, final, playing=PLAYING)
         self.heard.statuses += 1
         return self.transcript.take(STATUS_TOPIC, message)
 
@@ -220,7 +222,9 @@ summaries = st.dictionaries(st.sampled_from([*Summary().to_dict()]), plain)
             st.sampled_from([HEARD, TRACE, STATUS_TOPIC, b"else"]),
             st.binary(max_size=40)
             | plain.map(msgpack.packb)
-            | st.tuples(st.text(), st.text(), summaries, st.booleans()).map(msgpack.packb),
+            | st.tuples(
+                *(st.text(), st.text(), summaries, st.booleans()), st.none(), st.none(), plain
+            ).map(msgpack.packb),
         ),
         max_size=4,
     )

@@ -45,7 +45,7 @@ class Bench:
     def __init__(self) -> None:
         self._sensing, self._display, self._telemetry = (free_address() for _ in range(3))
         self._running: dict[str, Any] = {}
-        view = self._run("view", MODULE, "view", self._telemetry, "--scene", str(RADIAL))
+        view = self._run("view", MODULE, "view", self._telemetry)
         assert view.stdout is not None
         self.url = view.stdout.readline().removeprefix("page: ").strip()
         assert self.url, view.communicate()[1]

@@ -121,7 +121,7 @@ def test_late_frames_are_put_in_order_and_copies_left_out() -> None:
     [{"session": 8}, {"t_first_ns": 1 << 62}, {"t_first_ns": 0}, {"channels": 2, "force_n": []}],
 )
 def test_frames_that_the_display_refuses_are_not_drawn(changes: dict[str, object]) -> None:
-    told = Told(Live(channel=0))
+    told = Told(Live())
     told.frame(**changes)
     assert len(told.live.wrist) == 0
 

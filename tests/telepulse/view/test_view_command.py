@@ -20,7 +20,6 @@ TELEMETRY = "tcp://127.0.0.1:5600"
         ((TELEMETRY, "--host", "wrist"), "IP address"),
         ((TELEMETRY, "--host", "192.0.2.7"), "--insecure"),
         ((TELEMETRY, "--host", "192.0.2.7", "--insecure"), "cannot serve the page on 192.0.2.7"),
-        ((TELEMETRY, "--scene", "nowhere"), "radial"),
         (("tcp://192.0.2.7:5600",), "without keys"),
     ],
 )

@@ -7,7 +7,7 @@ from .told import SECOND_NS, Told
 
 def test_what_is_not_known_is_a_dash() -> None:
     live = Live()
-    said = figures(live, picture(live, SECOND_NS), "")
+    said = figures(live, picture(live, SECOND_NS))
     assert said.keys() == FIGURES.keys()
     assert {figure.value for figure in said.values()} == {"–"}
     assert state(live) == ("waiting", "no display has been heard yet")
@@ -17,7 +17,7 @@ def test_figures_have_their_units() -> None:
     told = Told(Live())
     told.go(6)
     # A display of another host, that runs for an hour and a half less.
-    said = figures(told.live, picture(told.live, 5 * SECOND_NS), "ensemble")
+    said = figures(told.live, picture(told.live, 5 * SECOND_NS))
     values = {name: figure.value for name, figure in said.items()}
     assert values["heart"] == "75 /min"
     assert values["within"] == "100.0 %"

@@ -57,7 +57,15 @@ class Told:
             loop=Loop(1000, 0),
         )
         fields = without_none(whole.to_dict() | changes)
-        self.take(STATUS, self.at_ns, state=state, stream="sine", final=final, summary=fields)
+        playing = {
+            "channel": 0,
+            "force_ratio": WRIST.strain_per_newton / FINGER.strain_per_newton,
+            "strain_per_newton": FINGER.strain_per_newton,
+            "predictor": "ensemble",
+            "stale_after_ns": 60 * MS,
+        }
+        told = {"state": state, "stream": "sine", "final": final, "playing": playing}
+        self.take(STATUS, self.at_ns, **told, summary=fields)
 
     def frame(self, **changes: Any) -> None:
         """The samples whose last one was taken ONE_WAY_NS before now."""

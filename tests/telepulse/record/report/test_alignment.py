@@ -24,6 +24,8 @@ def run(seconds: int, ratio: float, channel: int, group_delay_ns: int = 0) -> Al
     force_n[:, channel] = 0.4 + 0.1 * np.sin(8 * t_s)
     for first in range(0, len(t_s), BATCH):
         values = force_n[first : first + BATCH]
+        if first == 1000 * seconds // 2:
+            alignment.told(channel, ratio)
         alignment.sensed(Frame(1, first, first * MS + group_delay_ns, MS, values), stream)
         for at in range(first, first + BATCH):
             if at >= 40:
@@ -43,10 +45,11 @@ def check(blocks: list[Block], ticks: int) -> None:
 
 @pytest.mark.parametrize("channel", [0, 1])
 @pytest.mark.parametrize("ratio", [1.0, 0.25])
-@pytest.mark.parametrize("seconds", [1, 9])
-def test_the_channel_and_its_ratio_are_found(seconds: int, ratio: float, channel: int) -> None:
+@pytest.mark.parametrize("seconds", [1, 4])
+def test_what_is_played_is_scored_whenever_it_was_told(
+    seconds: int, ratio: float, channel: int
+) -> None:
     alignment = run(seconds, ratio, channel)
-    assert (alignment.channel, alignment.ratio) == (channel, pytest.approx(ratio))
     assert alignment.fidelity.force_rmse_n.aligned == pytest.approx(1e-3)
 
 
