@@ -93,30 +93,35 @@ class Connection:
         Returns whether control has a new connection, over which nobody knows this display yet.
         """
         answered = self._refusals.tend(now_ns)
+        for line in self._lines if answered else ():
+            line.take_answers(answered)
         cut = self._cut(now_ns)
         for route in self.routes:
             if cut:
                 route.data.give_up()
             route.tend(now_ns)
-        told = bool(answered) and self._tell(answered, now_ns)
+        told = self._tell(now_ns)
         if cut and self.control.address is not None:
             self.control.connect(self.control.address, now_ns)
             return True
         return told or (self.control.silent(now_ns) and self._move_control(now_ns))
 
-    def _tell(self, answered: list[sockets.Socket], now_ns: int) -> bool:
+    def _tell(self, now_ns: int) -> bool:
         """Where one request of control and data is answered, the other, sent while the network was
         cut, need not be waited for. Returns whether control has a new connection."""
-        for line in self._lines:
-            line.take_answers(answered)
         control = self.control
         for route in self.routes:
             data = route.data
-            if data.address is None or sockets.control_address(data.address) != control.address:
+            if control.answered == data.answered or data.address is None:
                 continue
-            if control.answered and not data.answered:
+            waits = control if data.answered else data
+            if now_ns - waits.asked_ns < waits.answer_ns:
+                continue
+            if sockets.control_address(data.address) != control.address:
+                continue
+            if waits is data:
                 data.connect(data.address, now_ns)
-            elif data.answered and not control.answered:
+            else:
                 # It may have been too hurried for this network.
                 control.connect(control.address, now_ns, hurried=False)
                 return True
@@ -179,7 +184,8 @@ class Line:
     """Sockets that are connected to one address together, and anew when all of them are silent.
 
     address: what they are connected to; None before that. answer_ns: when to repeat a request to
-    connect that nobody answers. answered: whether one of the present requests was.
+    connect that nobody answers. asked_ns: when the present ones were made. answered: whether one
+    of them was.
     """
 
     def __init__(self, connected: list[sockets.Socket], hurried: bool) -> None:
@@ -189,6 +195,7 @@ class Line:
         self.address: str | None = None
         self.patience_ns = PATIENCE_NS
         self.answer_ns = ANSWER_NS
+        self.asked_ns = 0
         self.answered = False
         self._hurried = hurried
         self._known = False
@@ -241,7 +248,7 @@ class Line:
         else:
             hurried = hurried and self._hurried
         self._tries += 1
-        self.answered = False
+        self.asked_ns, self.answered = now_ns, False
         for socket in self.sockets:
             sockets.reconnect(socket, self.address, address, self.answer_ns if hurried else 0)
         self.address = address

@@ -191,14 +191,20 @@ def test_where_one_port_answers_the_other_is_asked_again_at_once(
     data = context.socket(zmq.PUB)
     data.bind(address)
     connection = Connection(context, [address], 1, log=print)
+    began = 0
     end_s = time.monotonic() + PATIENCE_S
-    # Of control alone, which nobody listens to, it would hear only when its patience is over.
-    connections = 0
-    while connections < 2:
+    while not connection.routes[0].data.answered:
         assert time.monotonic() < end_s
-        connections += connection.tend(1_000 * MS + connections)
+        began += connection.tend(1_000 * MS)
         connection._refusals._look_ns = 0
+    assert began == 1
+    # What was asked for at the same time may be answered yet.
+    assert not connection.tend(1_099 * MS)
+    assert control_of(connection).getsockopt(zmq.CONNECT_TIMEOUT) == 100
+    # Of control alone, which nobody listens to, it would hear only when its patience is over.
+    assert connection.tend(1_100 * MS)
     assert control_of(connection).getsockopt(zmq.CONNECT_TIMEOUT) == 0
+    assert not connection.tend(1_101 * MS)
 
 
 def test_a_stream_of_rare_frames_is_waited_for(context: Context, asked: list[str]) -> None:

@@ -231,4 +231,4 @@ def test_a_slow_film_goes_on_while_ticks_are_missed() -> None:
         errors_n.append(loop.felt_n - milli * 1e-3)
         tick(loop, milli * 1e-3, (milli + 1) * 1e-3)
     # 20 mN were pressed meanwhile; a film taken to have stood still would be off by as much.
-    assert max(map(abs, errors_n)) < 1.5e-3
+    assert max(map(abs, errors_n)) < 3e-3
