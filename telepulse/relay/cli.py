@@ -55,7 +55,7 @@ def relay(
     node itself for its clock and tell it how the stream arrives. Up to three relays may follow
     one another; any number stands side by side.
 
-        telepulse relay --connect tcp://SENSING:5555 --bind tcp://*:5655 \
+        telepulse relay --connect tcp://SENSING:5555 --bind tcp://*:5655 \\
             --key keys/relay.key --peer keys/wrist.pub
 
     The sensing node allows the relay's key, the relay those of its displays: whoever is let in
