@@ -59,7 +59,9 @@ def test_with_keys_over_ipc_a_display_plays_all_of_the_stream(
     samples = read_json(played)["samples"]
     assert_accounted(samples)
     assert samples["played"] > 500
-    assert read_json(sensed)["rejected"] == read_json(played)["rejected"] == {}
+    assert read_json(played)["rejected"] == {}
+    # A display that asks again hangs up on its first request, maybe in the midst of a handshake.
+    assert set(read_json(sensed)["rejected"]) <= {"handshake"}
 
 
 class Intruder:
