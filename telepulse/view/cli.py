@@ -10,11 +10,10 @@ import typer
 
 from protocol.commands import QuietOption, StopAfterOption, one_line_errors, plain_console
 from protocol.errors import AddressError, OutputError, ProtectionError
-from protocol.keys import ClientKeys, read_pair
-from protocol.protection import InsecureOption, KeyOption, PeerOption, client_keys
+from protocol.protection import InsecureOption, KeyOption, PeerOption
 from protocol.signals import stop_on_signals
+from telepulse.record.cli import PROGRAM, telemetry_keys, warn
 
-PROGRAM = "telepulse"
 # The display's loop goes first.
 NICENESS = 10
 MISSING = "the live page needs Bokeh: pip install 'telepulse[view]'"
@@ -55,14 +54,10 @@ def view(
         if not bokeh_is_there():
             raise OutputError(MISSING)
         _check_host(host, insecure)
-        if key is not None and peer is None:
-            pair = read_pair(key)
-            keys: ClientKeys | None = ClientKeys(pair, pair.public)
-        else:
-            keys = client_keys([address], key, peer, insecure)
+        keys = telemetry_keys(address, key, peer, insecure)
         from telepulse.view.server import PageServer
 
-        page = PageServer(address, host, port, _warn, keys)
+        page = PageServer(address, host, port, warn, keys)
     # Takes a second, in which nobody's page should stand still.
     import scipy.signal  # noqa: F401
 
@@ -86,7 +81,3 @@ def _check_host(host: str, insecure: bool) -> None:
         raise ProtectionError(
             f"--host {host} shows the page to all who reach this machine; --insecure allows it"
         )
-
-
-def _warn(text: str) -> None:
-    print(f"{PROGRAM}: {text}", file=sys.stderr)

@@ -8,19 +8,14 @@ import time
 from collections.abc import Callable
 from urllib.parse import urlsplit
 
-import zmq
 from bokeh.document import Document
 from bokeh.server.server import Server
 from tornado.ioloop import IOLoop, PeriodicCallback
 
-from display_node.heard import HEARD
-from display_node.telemetry import STATUS, TRACE
-from protocol import sockets
 from protocol.errors import AddressError
 from protocol.keys import ClientKeys
-from protocol.refusals import Refusals
 from telepulse.ports import free_addresses
-from telepulse.record.transcript import Transcript
+from telepulse.record.telemetry_reader import TelemetryReader
 from telepulse.view.live import Live
 from telepulse.view.page import Viewer
 
@@ -50,14 +45,9 @@ class PageServer:
         keys: ClientKeys | None = None,
     ) -> None:
         self._live = Live()
-        self._transcript = Transcript()
         self._heard_ns = time.monotonic_ns()
-        self._context: sockets.Context = zmq.Context()
-        self._socket = sockets.connect(self._context, zmq.SUB, address, keys)
-        self._refusals = Refusals(self._context, keys, warn)
-        self._refusals.watch(self._socket)
-        for topic in (TRACE, STATUS, HEARD):
-            self._socket.subscribe(topic)
+        self._reader = TelemetryReader(address, keys, warn)
+        self._reader.listen()
         self._stopping = False
         self._end_ns: int | None = None
         # Whoever closes the page while it is drawn is no reason to warn.
@@ -87,7 +77,7 @@ class PageServer:
             self._listening.stop()
             self._server.stop()
             self._server.unlisten()
-            self._context.destroy(linger=0)
+            self._reader.close()
 
     def _serve(self, host: str, port: int | None) -> Server:
         free = (urlsplit(address).port or 0 for address in free_addresses(TRIES))
@@ -117,12 +107,11 @@ class PageServer:
 
     def _listen(self) -> None:
         now_ns = time.monotonic_ns()
-        for message in sockets.receive_all(self._socket):
+        for entries in self._reader.messages():
             self._heard_ns = now_ns
-            if len(message) == 2:
-                for entry in self._transcript.take(*message):
-                    self._live.take(entry)
-        self._refusals.tend(now_ns)
+            for entry in entries:
+                self._live.take(entry)
+        self._reader.tend(now_ns)
         over = self._end_ns is not None and now_ns >= self._end_ns
         if self._stopping or over:
             self._listening.stop()
