@@ -21,9 +21,10 @@ PATIENCE_NS = 2_000_000_000
 # Nothing from anywhere for so long: the network is cut, and what TCP would repeat when it is back
 # comes later than what a new connection brings.
 CUT_NS = 500_000_000
-# Where this process itself stood still for so long, it hears first what has queued meanwhile; the
-# connection is dead if no more follows that.
+# Where this process itself stood still for so long, it hears first what has queued meanwhile, which
+# takes so long to come in; a connection is dead if no more follows that.
 STOOD_STILL_NS = 250_000_000
+COMES_IN_WITHIN_NS = 50_000_000
 FOLLOWS_WITHIN_NS = 150_000_000
 # How long to wait for the answer to a request to connect: the kernel repeats it only after 1 s.
 # The network may be slower than it was: for 20 s it is hurried, then there is once all the time
@@ -83,7 +84,7 @@ class Connection:
         for line in self._lines:
             line.answer_ns = times_ns[1]
         for route in self.routes:
-            route.data.patience_ns = max(PATIENCE_NS, PATIENCE_FRAMES * frame_ns)
+            route.data.be_patient_for(PATIENCE_FRAMES * frame_ns)
             if first:
                 route.data.subscribe()
 
@@ -131,6 +132,9 @@ class Connection:
         """Whether all lines together have just been silent for too long; once in a silence."""
         stood_still = self._tended_ns is not None and now_ns - self._tended_ns >= STOOD_STILL_NS
         self._tended_ns = now_ns
+        if stood_still:
+            for route in self.routes:
+                route.data.doubt(now_ns)
         if sum(line.heard(now_ns) for line in self._lines):
             self._heard_ns = now_ns
             self._cut_ns = FOLLOWS_WITHIN_NS if stood_still else CUT_NS
@@ -193,11 +197,12 @@ class Line:
         nobody knows how long an answer takes."""
         self.sockets = connected
         self.address: str | None = None
-        self.patience_ns = PATIENCE_NS
         self.answer_ns = ANSWER_NS
         self.asked_ns = 0
         self.answered = False
         self._hurried = hurried
+        self._patience_ns, self._follows_ns = PATIENCE_NS, FOLLOWS_WITHIN_NS
+        self._in_doubt_until_ns = 0
         self._known = False
         self._tries = 0
         self._heard = self._asked = False
@@ -216,13 +221,26 @@ class Line:
             socket.subscribe(b"")
         self._asked = True
 
+    def be_patient_for(self, least_ns: int) -> None:
+        """Its messages may be so long apart."""
+        self._patience_ns = max(PATIENCE_NS, least_ns)
+        self._follows_ns = max(FOLLOWS_WITHIN_NS, least_ns)
+
+    def doubt(self, now_ns: int) -> None:
+        """This process stood still: what comes in now may be of a connection that died meanwhile,
+        for which TCP would wait as long as the network was cut."""
+        if self._tries == 0:
+            self._in_doubt_until_ns = now_ns + COMES_IN_WITHIN_NS
+            self._silent_ns = min(self._silent_ns, now_ns + self._follows_ns)
+
     def heard(self, now_ns: int) -> bool:
         """Whether anything has come since this was asked last."""
         heard = self._heard
         if heard:
             self._known, self._tries = True, 0
         if heard or self._asked:
-            self._silent_ns = now_ns + self.patience_ns
+            in_doubt = now_ns < self._in_doubt_until_ns
+            self._silent_ns = now_ns + (self._follows_ns if in_doubt else self._patience_ns)
         self._heard = self._asked = False
         return heard
 
@@ -252,7 +270,7 @@ class Line:
         for socket in self.sockets:
             sockets.reconnect(socket, self.address, address, self.answer_ns if hurried else 0)
         self.address = address
-        self._silent_ns = now_ns + self.patience_ns
+        self._silent_ns = now_ns + self._patience_ns
 
 
 class Lookup:

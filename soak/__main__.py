@@ -34,9 +34,7 @@ def soak(
     ] = DEFAULT_SCENE,
     on_loopback: Annotated[
         bool,
-        typer.Option(
-            "--loopback", help="Links by a proxy on loopback, as where there is no root."
-        ),
+        typer.Option("--loopback", help="Links by a proxy on loopback, as where there is no root."),
     ] = False,
     keys: Annotated[
         bool,

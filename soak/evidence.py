@@ -57,9 +57,7 @@ def verdict(run: Run, scene: DisplayScene) -> list[Check]:
 
 
 def _judge_accounts(run: Run, lives: dict[str, list[Life]]) -> Iterator[Check]:
-    sessions = {
-        role: list(_sessions(run, role, lives[role])) for role in (SENSING, CALM_SENSING)
-    }
+    sessions = {role: list(_sessions(run, role, lives[role])) for role in (SENSING, CALM_SENSING)}
     yield judge_none("sensing nodes that miscounted what was heard", _miscounted(run, lives))
     for role in (CALM_DISPLAY, *TORMENTED):
         heard = sessions[CALM_SENSING if role == CALM_DISPLAY else SENSING]

@@ -55,9 +55,11 @@ def send_bytes(address: str, random: Random) -> None:
 
 def send_messages(address: str, random: Random) -> None:
     """ZMTP as it should be, and garbage in it: messages to control, subscriptions to data."""
-    with zmq.Context() as context, context.socket(zmq.DEALER) as control, context.socket(
-        zmq.SUB
-    ) as data:
+    with (
+        zmq.Context() as context,
+        context.socket(zmq.DEALER) as control,
+        context.socket(zmq.SUB) as data,
+    ):
         for plain in (control, data):
             plain.setsockopt(zmq.LINGER, 0)
         data.connect(address)

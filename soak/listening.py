@@ -47,9 +47,7 @@ class Ears:
     _tasks: list[asyncio.Task[None]] = field(default_factory=list)
     _contexts: list[zmq.asyncio.Context] = field(default_factory=list)
 
-    def follow_display(
-        self, role: str, address: str, lives: dict[str, Life], tick_ns: int
-    ) -> None:
+    def follow_display(self, role: str, address: str, lives: dict[str, Life], tick_ns: int) -> None:
         """Hear a display's telemetry; what it says goes to the life that its role has then."""
         self.felt[role] = FeltLog(tick_ns)
         socket = self._subscribe(address, (TRACE, STATUS))

@@ -74,9 +74,7 @@ def loopback(seed: int) -> Iterator[Network]:
         assert proxy.stdout is not None
         if not proxy.stdout.readline():
             raise EmulatorError("the proxy on loopback did not start")
-        yield Network(
-            "a proxy on loopback", near, near, addresses, None, None, _orders=proxy.stdin
-        )
+        yield Network("a proxy on loopback", near, near, addresses, None, None, _orders=proxy.stdin)
     finally:
         # Its end is the end of its input.
         proxy.communicate()

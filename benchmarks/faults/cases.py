@@ -143,15 +143,16 @@ def display_killed_in_a_cut(folder: Path, times: int, rng: random.Random) -> Fou
 
 
 def display_stopped_in_a_cut(folder: Path, times: int, rng: random.Random) -> Found:
-    """SIGSTOP of the display while the link is cut; it goes on when the link does, or up to 0.6 s
-    before or after."""
+    """SIGSTOP of the display at most 0.2 s before its link is cut; it goes on when the link does,
+    or up to 0.6 s before or after."""
     with emulate(WHOLE) as link, staged(folder, link) as stage:
         sensing, display, finger = stage.play()
 
         def cut() -> int:
             apart_s = rng.uniform(-0.6, 0.6)
-            link.change(CUT)
             display.pause()
+            time.sleep(rng.uniform(0.0, 0.2))
+            link.change(CUT)
             time.sleep(rng.uniform(0.5, 4.0))
             (display.resume if apart_s < 0 else lambda: link.change(WHOLE))()
             time.sleep(abs(apart_s))

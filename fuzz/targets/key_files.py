@@ -1,6 +1,5 @@
 """Key files and allow-lists, and the questions that ZeroMQ asks about a key."""
 
-
 from fuzz.refusals import check_line
 from fuzz.scratch import scratch_folder
 from protocol.allow_list import read_allowed

@@ -1,6 +1,5 @@
 """Scene files: all sections, and what is built of them without hardware."""
 
-
 from fuzz.refusals import check_line
 from fuzz.scratch import scratch_folder
 from protocol.errors import SceneError
