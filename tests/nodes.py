@@ -32,14 +32,15 @@ def start(module: str, *arguments: str) -> subprocess.Popen[str]:
 
 @contextmanager
 def process(module: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """A process that does not outlive the test."""
+    """A process that does not outlive the test; pytest shows what it said if the test fails."""
     child = start(module, *arguments)
     try:
         yield child
     finally:
         if child.poll() is None:
             child.kill()
-        child.communicate()
+        for said in child.communicate():
+            print(module, said)
 
 
 def run(module: str, *arguments: str, timeout_s: float = 60) -> "subprocess.CompletedProcess[str]":

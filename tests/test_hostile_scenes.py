@@ -53,7 +53,8 @@ def sections(draw: st.DrawFn) -> tuple[str, dict[str, Any]]:
         table = draw(st.sampled_from(list(_tables(document[name]))))
         key = draw(st.sampled_from(sorted(table) or KEYS) | st.sampled_from(KEYS))
         if draw(st.integers(0, 4)):
-            table[key] = draw(written)
+            # Hypothesis hands the same dict out again, which is not to become part of itself.
+            table[key] = copy.deepcopy(draw(written))
         else:
             table.pop(key, None)
     return name, document[name]

@@ -20,6 +20,8 @@ from display_node.drives.tmcl_numbers import (
 from protocol.errors import DriveError
 
 TRIES = 3
+# As long as a CANopen drive has for an answer before it moves.
+INSIST_S = 0.5
 # Kinds of DriveError that the next request may not meet again.
 PASSING = ("no answer", "garbled", "wrong")
 SEARCH_POLL_S = 0.01
@@ -139,15 +141,16 @@ class TmclModule:
         self._insist(Command.SET_AXIS, parameter, value)
 
     def _insist(self, command: int, kind: int = 0, value: int = 0, bank: int | None = None) -> int:
-        """One request, up to three times; to the motor, or to a bank of global parameters."""
+        """One request, again and again for half a second; to the motor, or to a bank of global
+        parameters."""
         motor = self._scene.motor if bank is None else bank
-        for _ in range(TRIES - 1):
+        until_s = time.monotonic() + INSIST_S
+        while True:
             try:
                 return self._line.ask(command, kind, motor, value)
             except DriveError as error:
-                if error.kind not in PASSING:
+                if error.kind not in PASSING or time.monotonic() > until_s:
                     raise
-        return self._line.ask(command, kind, motor, value)
 
 
 def _named(flags: ErrorFlag | DriverFlag) -> str:

@@ -67,6 +67,18 @@ def test_a_few_missing_answers_are_counted_and_nothing_else() -> None:
         assert missed >= 2
 
 
+def test_a_module_that_was_not_ready_yet_is_asked_again() -> None:
+    with tmcl_bench(reply_timeout="10 ms") as bench:
+        bench.emulator.answers = "none"
+        ready = threading.Timer(0.2, setattr, (bench.emulator, "answers", "right"))
+        ready.start()
+        bench.drive.start()
+        ready.join()
+        assert bench.drive.counts["no answer"] > 3
+        assert bench.drive.status().fault is None
+        bench.keep(RATE_HZ, lambda: bench.motor.rate_hz > 0)
+
+
 def test_a_pulled_cable_is_named_and_the_module_stops_by_itself() -> None:
     with tmcl_bench() as bench:
         bench.drive.start()
