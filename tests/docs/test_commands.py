@@ -44,6 +44,7 @@ def test_commands_in_sentences_could_be_run() -> None:
 
 # A busy machine takes seconds to start each of its processes.
 @pytest.mark.timeout(300)
+@pytest.mark.usefixtures("goes_first")
 @pytest.mark.parametrize("name", SESSIONS)
 def test_a_reader_can_type_it(name: str, tmp_path: Path) -> None:
     Session(tmp_path).play(SESSIONS[name])

@@ -152,6 +152,7 @@ def test_a_drive_that_is_not_there_fails(tmp_path: Path) -> None:
     assert "640 commands a second" in found[("drive", "line")]["found"]
 
 
+@pytest.mark.usefixtures("goes_first")
 def test_an_emulated_drive_is_checked_over_its_real_bytes(tmp_path: Path) -> None:
     scene, path = drive_scene(tmp_path), tmp_path / "bench.json"
     links = ("--link", str(tmp_path / "drive"), "--film-link", str(tmp_path / "film"))

@@ -19,6 +19,8 @@ from ...display_node.live import (
 )
 from ...nodes import assert_accounted, free_address, process, read_json
 
+pytestmark = pytest.mark.usefixtures("goes_first")
+
 
 def relay_arguments(connect: str, bind: str, *more: str) -> tuple[str, ...]:
     return ("relay", "--connect", connect, "--bind", bind, *more)
