@@ -75,6 +75,19 @@ def client_keys(
     return ClientKeys(read_pair(key), read_public(peer))
 
 
+def telemetry_keys(
+    address: str, key: Path | None, peer: Path | None, insecure: bool
+) -> ClientKeys | None:
+    """Keys for a display's telemetry; a key without a peer is the display's own.
+
+    Raises as `client_keys` does.
+    """
+    if key is not None and peer is None:
+        pair = read_pair(key)
+        return ClientKeys(pair, pair.public)
+    return client_keys([address], key, peer, insecure)
+
+
 def _check_closed(address: str, insecure: bool, options: str) -> None:
     if beyond_loopback(address) and not insecure:
         raise ProtectionError(

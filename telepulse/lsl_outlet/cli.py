@@ -5,9 +5,9 @@ from typing import Annotated
 import typer
 
 from protocol.commands import QuietOption, StopAfterOption, one_line_errors, plain_console
-from protocol.protection import InsecureOption, KeyOption, PeerOption
+from protocol.protection import InsecureOption, KeyOption, PeerOption, telemetry_keys
 from protocol.signals import stop_on_signals
-from telepulse.record.cli import NOT_WHOLE, PROGRAM, SilenceOption, telemetry_keys, warn
+from telepulse.record.cli import NOT_WHOLE, PROGRAM, SilenceOption, warn
 
 
 def lsl(

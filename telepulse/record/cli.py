@@ -16,14 +16,13 @@ from protocol.commands import (
     plain_console,
     sum_up,
 )
-from protocol.keys import ClientKeys, read_pair
 from protocol.protection import (
     AllowOption,
     InsecureOption,
     KeyOption,
     PeerOption,
-    client_keys,
     server_keys,
+    telemetry_keys,
 )
 from protocol.signals import stop_on_signals
 from protocol.summary import check_writable
@@ -166,19 +165,6 @@ def report(
 
     folder = out or file.with_name(f"{file.stem}-report")
     publish(lambda: build_recording_report(file), folder, json)
-
-
-def telemetry_keys(
-    address: str, key: Path | None, peer: Path | None, insecure: bool
-) -> ClientKeys | None:
-    """Keys for a display's telemetry; a key without a peer is the display's own.
-
-    Raises as `client_keys` does.
-    """
-    if key is not None and peer is None:
-        pair = read_pair(key)
-        return ClientKeys(pair, pair.public)
-    return client_keys([address], key, peer, insecure)
 
 
 def warn(text: str) -> None:

@@ -10,13 +10,13 @@ import typer
 
 from protocol.commands import QuietOption, StopAfterOption, one_line_errors, plain_console
 from protocol.errors import AddressError, OutputError, ProtectionError
-from protocol.protection import InsecureOption, KeyOption, PeerOption
+from protocol.protection import InsecureOption, KeyOption, PeerOption, telemetry_keys
 from protocol.signals import stop_on_signals
-from telepulse.record.cli import PROGRAM, telemetry_keys, warn
+from telepulse.record.cli import PROGRAM, warn
 
 # The display's loop goes first.
 NICENESS = 10
-MISSING = "the live page needs Bokeh: pip install 'telepulse[view]'"
+MISSING = "Bokeh is missing; pip install 'telepulse[view]'"
 
 
 def bokeh_is_there() -> bool:

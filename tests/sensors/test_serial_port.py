@@ -135,6 +135,7 @@ def test_a_pulled_cable_is_named_and_the_stream_goes_on(tmp_path: Path) -> None:
 
             until(back)
             assert news[1] == f"{link} is back"
+            again.write(b"\n0.3\n")
             assert set(forces(heard(sensor, 1))) == {0.3}
         fault = sensor.faults()[0]
         assert fault.startswith(f"{link} was gone 1 times, for ")

@@ -136,7 +136,7 @@ def test_without_bokeh_the_demo_says_how_to_get_the_page_and_goes_on() -> None:
         )
         assert result.returncode == status
         first = (result.stdout + result.stderr).splitlines()[0]
-        assert first.endswith("the live page needs Bokeh: pip install 'telepulse[view]'")
+        assert first.endswith("Bokeh is missing; pip install 'telepulse[view]'")
         assert ("sent =" in result.stdout) == (status == 0)
 
 

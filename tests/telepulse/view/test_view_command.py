@@ -57,9 +57,7 @@ def test_without_bokeh_it_says_what_to_install() -> None:
         check=False,
     )
     assert result.returncode == 2
-    assert result.stderr == (
-        "telepulse: the live page needs Bokeh: pip install 'telepulse[view]'\n"
-    )
+    assert result.stderr == ("telepulse: Bokeh is missing; pip install 'telepulse[view]'\n")
 
 
 def test_protected_telemetry_is_opened_by_the_displays_own_key(tmp_path: Path) -> None:
