@@ -17,6 +17,8 @@ from .conftest import Page, Visit
 MODULE = "telepulse.cli"
 # Where to put the pictures of the documentation: TELEPULSE_SCREENSHOTS=docs/images
 PICTURES = os.environ.get("TELEPULSE_SCREENSHOTS")
+# The browser draws in software, on the nodes' own processors.
+pytestmark = pytest.mark.usefixtures("goes_first")
 CURVES = "Bokeh.documents[0].get_model_by_name('force').renderers[0].data_source.data"
 NEWEST = f"[...{CURVES}.finger_y].findLast(Number.isFinite)"
 DRAWN = f"JSON.stringify([...{CURVES}.finger_y])"
