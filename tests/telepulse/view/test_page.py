@@ -17,8 +17,8 @@ from .conftest import Page, Visit
 MODULE = "telepulse.cli"
 # Where to put the pictures of the documentation: TELEPULSE_SCREENSHOTS=docs/images
 PICTURES = os.environ.get("TELEPULSE_SCREENSHOTS")
-# The browser draws in software, on the nodes' own processors.
-pytestmark = pytest.mark.usefixtures("goes_first")
+# For them the nodes have a priority: the browser draws in software, on the same processors.
+REALTIME = ("--realtime", "fifo=40,slack") if PICTURES else ()
 CURVES = "Bokeh.documents[0].get_model_by_name('force').renderers[0].data_source.data"
 NEWEST = f"[...{CURVES}.finger_y].findLast(Number.isFinite)"
 DRAWN = f"JSON.stringify([...{CURVES}.finger_y])"
@@ -51,7 +51,7 @@ class Bench:
         assert view.stdout is not None
         self.url = view.stdout.readline().removeprefix("page: ").strip()
         assert self.url, view.communicate()[1]
-        arguments = ("--bind", self._sensing, "--quiet")
+        arguments = ("--bind", self._sensing, "--quiet", *REALTIME)
         self._run("sensing", "sensing_node.cli", str(RADIAL), *arguments)
         self.join()
         self.play()
@@ -68,7 +68,7 @@ class Bench:
 
     def play(self) -> None:
         arguments = ("--connect", self._display, "--telemetry", self._telemetry, "--quiet")
-        self._run("display", "display_node.cli", str(RADIAL), *arguments)
+        self._run("display", "display_node.cli", str(RADIAL), *arguments, *REALTIME)
 
     def end(self, name: str) -> tuple[str, str]:
         child = self._running.pop(name)
