@@ -119,8 +119,10 @@ class StepperController:
             error, response = self._error(wanted_n, self._last_reading_n)
         if path is not None and path.further_m:
             error += response / guard.held_s * path.further_m
-        # Making up for a lag, too, the force rises no faster than its limit allows.
-        fastest = self._slew_limit_n_per_s / (self._stiffness(reference_n[0]) or 1e-9)
+        # Making up for a lag, too, the force changes no faster than its limit allows; where more is
+        # felt than wanted, the finger is stiffer. A reading may say more than was ever wanted.
+        stiffest_n = max(reference_n[0], min(reading_n, guard.peak_n))
+        fastest = self._slew_limit_n_per_s / (self._stiffness(stiffest_n) or 1e-9)
         pressing = fastest
         if guard.wary:
             screw_m = observer.screw_m if observer else self._position(self._last_reading_n)

@@ -22,6 +22,7 @@ class StallGuard:
     """Remembers the stalls and the forces of late.
 
     play_m: how much further than the tip the screw may have to go, to take up its play.
+    peak_n: the highest force that was wanted lately.
     held_s: how long the command is held that an instant of late has met, on average; a tick where
     the host keeps its time.
     """
@@ -35,12 +36,12 @@ class StallGuard:
         # Sums of the holds and of their squares, in ticks, of which old ones count less.
         self._holds = self._squares = 1 / (1 - self._usual)
         self._longest_s = 0.0
-        self._peak_n = 0.0
+        self.peak_n = 0.0
         self.held_s = tick_s
 
     def tick(self, missed_ticks: int, wanted_n: float) -> None:
         """Once a tick: how many were missed before it, and what the finger is to feel now."""
-        self._peak_n = max(wanted_n, self._worst * self._peak_n)
+        self.peak_n = max(wanted_n, self._worst * self.peak_n)
         if not (missed_ticks or self._longest_s):
             return
         hold = missed_ticks + 1
@@ -58,5 +59,5 @@ class StallGuard:
 
     def fastest(self, screw_m: float) -> float:
         """While it is wary, the highest speed in m/s towards the finger for a screw there."""
-        furthest_m = self._law.position(HEADROOM * self._peak_n) + self._play_m
+        furthest_m = self._law.position(HEADROOM * self.peak_n) + self._play_m
         return max(0.0, furthest_m - screw_m) / self._longest_s

@@ -40,6 +40,10 @@ def soak(
         bool,
         typer.Option("--keys", help="Protect the nodes by keys; floods and impostors have none."),
     ] = False,
+    realtime: Annotated[
+        str | None,
+        typer.Option(metavar="LIST", help="The nodes' own --realtime, such as fifo=40,slack."),
+    ] = None,
     json: JsonOption = None,
 ) -> None:
     """Torment both nodes, and judge what became of it.
@@ -69,7 +73,8 @@ def soak(
             console.print(f"{minutes:g} minutes of faults by seed {seed}, {how}")
             ring = Keyring(Path(folder, "keys")).make() if keys else None
             longest_s = minutes * 60 + OVERTIME_S
-            stage = Stage(network, loaded.path, Path(folder), longest_s, ring)
+            options = ("--realtime", realtime) if realtime else ()
+            stage = Stage(network, loaded.path, Path(folder), longest_s, ring, options)
             run = Run(stage, seed, minutes * 60, loaded.display.tick_ns, console.print)
             try:
                 asyncio.run(run.play())

@@ -23,13 +23,15 @@ LINKS = {ENDURING: (0, 1), MORTAL: (2,), GUEST: (3,)}
 class Stage:
     """lives: the latest of each role. all_lives: all of them, in the order of their begin.
     complaints: what has gone wrong that is no fault of ours. longest_s: when nodes end by
-    themselves, should we be killed ourselves. keys: None for nodes without any."""
+    themselves, should we be killed ourselves. keys: None for nodes without any. options: of all
+    nodes."""
 
     network: Network
     scene: Path
     folder: Path
     longest_s: float
     keys: Keyring | None
+    options: tuple[str, ...] = ()
     lives: dict[str, Life] = field(default_factory=dict)
     all_lives: list[Life] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
@@ -58,7 +60,7 @@ class Stage:
             arguments = [*connect, *telemetry, "--no-screen"]
             protection = self.keys.display if self.keys else UNPROTECTED
         number = len(self.all_lives)
-        arguments += [*protection, "--seconds", str(self.longest_s)]
+        arguments += [*protection, *self.options, "--seconds", str(self.longest_s)]
         life = begin(role, self.folder, number, namespace, module, str(self.scene), *arguments)
         self.lives[role] = life
         self.all_lives.append(life)
