@@ -20,6 +20,7 @@ NAMES = (
     "load",
     "realtime",
     "stalls",
+    "jumps",
     "recording",
     "analysis",
     "metrics",

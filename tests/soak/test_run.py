@@ -31,6 +31,8 @@ EPISODE = Episode(
     (Fault("kill sensing", SENSING, 0.0, 0.2), Fault("freeze display", MORTAL, 0.1, 0.3)), 2.0
 )
 
+OPTIONS = ("--realtime", "gc")
+
 
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -47,7 +49,7 @@ def test_a_soak_finds_every_sample_and_leaves_nothing_behind(tmp_path: Path) -> 
     scene = load_scene(RADIAL)
     with loopback(seed=1) as network:
         keys = Keyring(tmp_path / "keys").make()
-        stage = Stage(network, RADIAL, folder, longest_s=60.0, keys=keys)
+        stage = Stage(network, RADIAL, folder, longest_s=60.0, keys=keys, options=OPTIONS)
         under_test = Run(stage, 1, 60.0, scene.display.tick_ns, print)
         try:
             asyncio.run(under_test.play())
@@ -66,6 +68,8 @@ def test_a_soak_finds_every_sample_and_leaves_nothing_behind(tmp_path: Path) -> 
         assert not account.found.startswith("0 samples")
         assert checks[f"force of {role}"].ok
     assert "felt again: freeze display + kill sensing" in checks
+    displays = [life.summary for life in stage.all_lives if "display" in life.role]
+    assert [summary and summary["loop"]["realtime"] for summary in displays] == [["gc"]]
     lives = [(life.role, life.ending) for life in stage.all_lives if life.role == "sensing"]
     assert lives == [("sensing", "killed"), ("sensing", "stopped")]
 
