@@ -28,7 +28,7 @@ from telepulse.emulate.tmcl_module import EmulatedModule
 LAYER = LayerTable().layer()
 FORCE_LIMIT_N = 2.5
 # Of a machine so busy that a thread waits for its turn: far longer than a bench's 50 ms.
-PATIENT = {"watchdog": "400 ms", "homing_speed": "20 mm/s", "touch": "0.6 mm"}
+PATIENT = {"watchdog": "800 ms", "homing_speed": "20 mm/s", "touch": "0.6 mm"}
 LONGEST_WAIT_S = 20.0
 
 
