@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.measure import show
-from display_node.force_loop import build_force_loop
+from display_node.force_loop import scenes_force_loop
 from display_node.safety import Safety
 from display_node.scene import DisplayScene
 from telepulse.scene import find_scene, load_scene
@@ -36,15 +36,7 @@ def main() -> None:
 
 def felt(scene: DisplayScene, jumps: int) -> NDArray[np.float64]:
     """The force in N after each tick of the loop of a scene, behind its safety."""
-    loop = build_force_loop(
-        scene.controller,
-        scene.actuator,
-        scene.layer.layer(),
-        scene.film,
-        scene.safety.force_limit_n,
-        scene.tick_ns * 1e-9,
-        slew_limit_n_per_s=scene.safety.slew_limit_n_per_s,
-    )
+    loop = scenes_force_loop(scene)
     safety = Safety(scene.safety, scene.tick_ns)
     chance = random.Random(3)
     felt_n = []

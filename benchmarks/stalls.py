@@ -10,7 +10,7 @@ from collections.abc import Callable
 from unittest.mock import patch
 
 from benchmarks.measure import show
-from display_node.force_loop import build_force_loop
+from display_node.force_loop import scenes_force_loop
 from display_node.safety import Safety
 from display_node.scene import DisplayScene
 from display_node.stall_guard import StallGuard
@@ -74,15 +74,7 @@ def main() -> None:
 def pressed(scene: DisplayScene, host: Host, seconds: float = SECONDS) -> tuple[float, float]:
     """The highest force felt, and the RMS of what is felt less what is wanted, both in N."""
     tick_s = scene.tick_ns * 1e-9
-    loop = build_force_loop(
-        scene.controller,
-        scene.actuator,
-        scene.layer.layer(),
-        scene.film,
-        scene.safety.force_limit_n,
-        tick_s,
-        slew_limit_n_per_s=scene.safety.slew_limit_n_per_s,
-    )
+    loop = scenes_force_loop(scene)
     safety = Safety(scene.safety, scene.tick_ns)
     chance = random.Random(7)
     now_s, most_n, squares, ticks = 0.0, 0.0, 0.0, 0

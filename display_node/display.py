@@ -11,7 +11,7 @@ from display_node.delay import Delay
 from display_node.delays import PlayedDelays
 from display_node.feedback import Feedback
 from display_node.fidelity import Fidelity
-from display_node.force_loop import build_force_loop
+from display_node.force_loop import scenes_force_loop
 from display_node.playout import PlayoutClock
 from display_node.receiver import Receiver
 from display_node.safety import Safety
@@ -79,16 +79,7 @@ class Display:
         self._layer = scene.layer.layer()
         self._tick_ns = scene.tick_ns
         self._stand_in = StandIn(scene)
-        self._loop = build_force_loop(
-            scene.controller,
-            scene.actuator,
-            self._layer,
-            scene.film,
-            scene.safety.force_limit_n,
-            scene.tick_ns * 1e-9,
-            slew_limit_n_per_s=scene.safety.slew_limit_n_per_s,
-            overforce=scene.safety.overforce,
-        )
+        self._loop = scenes_force_loop(scene)
         lead_ticks = self._loop.lead_ns / scene.tick_ns
         self._target = Delay(lead_ticks) if lead_ticks else None
         self._playout = PlayoutClock()

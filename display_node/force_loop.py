@@ -13,6 +13,7 @@ from display_node.feed_forward import ScrewPath
 from display_node.film import FeedbackFilm, FilmTable
 from display_node.margins import refuse_unstable
 from display_node.observer import Observer
+from display_node.scene import DisplayScene
 from protocol.errors import SceneError
 from protocol.tactile import ElasticLayer
 
@@ -83,6 +84,23 @@ class ForceLoop:
             self._controller.shift(way_m)
 
 
+def scenes_force_loop(
+    scene: DisplayScene, actual: SecondOrderScene | StepperScene | None = None
+) -> ForceLoop:
+    """The force loop of a display's scene, as `build_force_loop` makes it."""
+    return build_force_loop(
+        scene.controller,
+        scene.actuator,
+        scene.layer.layer(),
+        scene.film,
+        scene.safety.force_limit_n,
+        scene.tick_ns * 1e-9,
+        actual,
+        slew_limit_n_per_s=scene.safety.slew_limit_n_per_s,
+        overforce=scene.safety.overforce,
+    )
+
+
 def build_force_loop(
     controller: ControllerScene,
     actuator: SecondOrderScene | StepperScene,
@@ -94,7 +112,7 @@ def build_force_loop(
     slew_limit_n_per_s: float = math.inf,
     overforce: float = 1.5,
 ) -> ForceLoop:
-    """The force loop that a scene names.
+    """The force loop of these parts.
 
     overforce: readings beyond so many times the force limit are passed over.
 

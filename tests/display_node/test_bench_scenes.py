@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from display_node.force_loop import ForceLoop, build_force_loop
+from display_node.force_loop import ForceLoop, scenes_force_loop
 from display_node.scene import DisplayScene
 from protocol.scene import load_section
 
@@ -24,16 +24,7 @@ def scenes_loop(name: str, **actually: object) -> ForceLoop:
 
 
 def built(scene: DisplayScene, **actually: object) -> ForceLoop:
-    return build_force_loop(
-        scene.controller,
-        scene.actuator,
-        scene.layer.layer(),
-        scene.film,
-        scene.safety.force_limit_n,
-        scene.tick_ns * 1e-9,
-        scene.actuator.model_copy(update=actually),
-        scene.safety.slew_limit_n_per_s,
-    )
+    return scenes_force_loop(scene, scene.actuator.model_copy(update=actually))
 
 
 def off_n(
