@@ -29,6 +29,8 @@ VOLTAGE_ENABLED = 0x10
 ERROR_CODES = {"overtemperature": 0x4310, "following error": 0x8611, "stall": 0x7121}
 HEARTBEAT_ERROR = 0x8130
 QUICK_STOP_ON_ABORT = 3
+# Bits of the digital inputs (0x60FD): a limit switch that is closed.
+NEGATIVE_LIMIT, POSITIVE_LIMIT = 1, 2
 
 
 class EmulatedDrive:
@@ -46,6 +48,7 @@ class EmulatedDrive:
         self._modes = modes
         self._control = 0
         self._homed: int = 0
+        self._missed_heartbeat = False
         self._method = self._search = self._leave = 0
         self.state = State.SWITCH_ON_DISABLED
         self.mode = 0
@@ -72,6 +75,12 @@ class EmulatedDrive:
         """The motor's speed in the drive's units."""
         return round(self._direction * self._motor.rate_hz * self._scene.velocity_scale)
 
+    @property
+    def digital_inputs(self) -> int:
+        """State of the limit switches: the home switch is one of them, away from the finger."""
+        home = POSITIVE_LIMIT if self._direction < 0 else NEGATIVE_LIMIT
+        return home if self._motor.at_switch else 0
+
     def select(self, mode: int) -> None:
         """Take a mode of operation, if the drive has it."""
         if mode in self._modes or mode == Mode.HOMING:
@@ -88,11 +97,16 @@ class EmulatedDrive:
         self._motor.limit(*(ends if least != most else (-math.inf, math.inf)))
 
     def advance(self, now_ns: int) -> None:
-        """Come to the present: what the motor and the missing heartbeat do by themselves."""
+        """Come to the present: what the motor and the missing heartbeat do by themselves.
+
+        A missing heartbeat is one event (CiA 301): it is monitored again from the next one on.
+        """
         self._motor.advance(now_ns)
+        missed = self._motor.tripped and not self._missed_heartbeat
+        self._missed_heartbeat = self._motor.tripped
         if self._motor.fault and self.state is not State.FAULT:
             self._fail(ERROR_CODES[self._motor.fault])
-        elif self._motor.tripped and self.state is State.ENABLED and self.abort_option:
+        elif missed and self.state is State.ENABLED and self.abort_option:
             if self.abort_option == QUICK_STOP_ON_ABORT:
                 self.error_code = HEARTBEAT_ERROR
                 self._quick_stop()

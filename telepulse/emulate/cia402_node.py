@@ -18,6 +18,7 @@ ALL_MODES = (Mode.PROFILE_VELOCITY, Mode.CYCLIC_VELOCITY)
 TPDO_S = 0.01
 NOTIFIER_CYCLE_S = 0.1
 LAST_SYNC_TYPE = 240
+DIGITAL_INPUTS = 0x60FD
 
 
 class EmulatedNode:
@@ -48,6 +49,8 @@ class EmulatedNode:
         self._network.NOTIFIER_CYCLE = NOTIFIER_CYCLE_S
         sheet = str(files("display_node.drives") / "cia402.eds")
         self._node = canopen.LocalNode(scene.node, sheet)
+        if DIGITAL_INPUTS not in self._node.object_dictionary:
+            self._node.object_dictionary.add_object(_digital_inputs())
         self._node.add_read_callback(self._on_read)  # type: ignore[no-untyped-call]
         self._node.add_write_callback(self._on_write)  # type: ignore[no-untyped-call]
         self._network[scene.node] = self._node
@@ -95,6 +98,7 @@ class EmulatedNode:
             0x6061: drive.mode,
             0x6064: drive.position,
             0x606C: drive.velocity,
+            DIGITAL_INPUTS: drive.digital_inputs,
             0x6502: self._supported,
         }
         return values.get(index)
@@ -170,3 +174,10 @@ class EmulatedNode:
         """What was written to an object; 0 where nothing was."""
         written = self._node.data_store.get(index, {}).get(subindex, b"")
         return int.from_bytes(written, "little", signed=True)
+
+
+def _digital_inputs() -> Any:
+    variable = canopen.objectdictionary.ODVariable("Digital inputs", DIGITAL_INPUTS)
+    variable.data_type = canopen.objectdictionary.UNSIGNED32
+    variable.access_type = "ro"
+    return variable

@@ -22,6 +22,8 @@ WRONG_CHECKSUM, INVALID_COMMAND, WRONG_TYPE, INVALID_VALUE = 1, 2, 3, 4
 VERSION = 9999 << 16 | 1 << 8
 # A pause this long in the middle of a datagram, and the next byte begins a new one.
 PAUSE_NS = 5_000_000
+# Axis parameters: the state of each limit switch, 1 for closed.
+RIGHT_SWITCH_STATE, LEFT_SWITCH_STATE = 10, 11
 
 Answer = Literal["right", "wrong", "garbled", "late", "none"]
 
@@ -149,6 +151,9 @@ class EmulatedModule:
                     # Reading clears these two.
                     motor.reset()
                 return SUCCESS, flag
+            case _ if kind in (RIGHT_SWITCH_STATE, LEFT_SWITCH_STATE):
+                home = RIGHT_SWITCH_STATE if self._scene.inverted else LEFT_SWITCH_STATE
+                return SUCCESS, int(kind == home and motor.at_switch)
             case Parameter.DRIVER_FLAGS:
                 return SUCCESS, DriverFlag.OVERTEMPERATURE * (motor.fault == "overtemperature")
         return (SUCCESS, self._axis[kind]) if kind in self._axis else (WRONG_TYPE, 0)

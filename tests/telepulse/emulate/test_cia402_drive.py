@@ -15,7 +15,12 @@ from display_node.drives.cia402_states import (
 )
 from display_node.drives.scene import Cia402Scene
 from protocol.stream import LayerTable
-from telepulse.emulate.cia402_drive import HEARTBEAT_ERROR, EmulatedDrive
+from telepulse.emulate.cia402_drive import (
+    HEARTBEAT_ERROR,
+    NEGATIVE_LIMIT,
+    POSITIVE_LIMIT,
+    EmulatedDrive,
+)
 from telepulse.emulate.motor import EmulatedMotor
 
 MS = 1_000_000
@@ -129,3 +134,47 @@ def test_a_fault_is_reset_by_a_rising_edge_alone() -> None:
     drive.control(Control.RESET_FAULT, 0)
     assert drive.state is State.SWITCH_ON_DISABLED
     assert drive.error_code == 0
+
+
+@pytest.mark.parametrize(("inverted", "limit"), [(False, NEGATIVE_LIMIT), (True, POSITIVE_LIMIT)])
+def test_digital_inputs_report_the_home_switch_on_its_side(inverted: bool, limit: int) -> None:
+    drive, motor = enabled(inverted=inverted)
+    assert drive.digital_inputs == 0
+    drive.control(Control.ENABLE, 8_000 if inverted else -8_000)
+    drive.advance(2_000 * MS)
+    assert motor.at_switch
+    assert drive.digital_inputs == limit
+
+
+def test_after_a_missed_heartbeat_it_moves_only_when_reset_and_enabled_again() -> None:
+    drive, motor = enabled()
+    motor.watch(50 * MS)
+    drive.control(Control.ENABLE, 1_000)
+    drive.advance(100 * MS)
+    assert (drive.state, drive.error_code) == (State.FAULT, HEARTBEAT_ERROR)
+    for word in (Control.ENABLE, Control.SHUTDOWN, Control.SWITCH_ON, Control.ENABLE):
+        drive.control(word, -1_000)
+        drive.advance(motor._now_ns + 10 * MS)
+        assert (drive.state, motor.rate_hz) == (State.FAULT, 0.0)
+    drive.control(Control.RESET_FAULT, 0)
+    for word in (Control.SHUTDOWN, Control.SWITCH_ON, Control.ENABLE):
+        drive.control(word, -1_000)
+        drive.advance(motor._now_ns + 10 * MS)
+    assert drive.state is State.ENABLED
+    # The missed heartbeat was one event: none came since, and the drive obeys.
+    drive.advance(motor._now_ns + 100 * MS)
+    assert motor.rate_hz == pytest.approx(-1_000)
+
+
+def test_a_quick_stop_on_a_missed_heartbeat_is_left_by_the_enable_sequence_alone() -> None:
+    drive, motor = enabled()
+    drive.abort_option = 3
+    motor.watch(50 * MS)
+    drive.control(Control.ENABLE, 1_000)
+    for ms in range(1, 101):
+        drive.advance(ms * MS)
+    assert (drive.state, drive.error_code) == (State.SWITCH_ON_DISABLED, HEARTBEAT_ERROR)
+    for word in (Control.SHUTDOWN, Control.SWITCH_ON, Control.ENABLE):
+        drive.control(word, -1_000)
+        drive.advance(motor._now_ns + 10 * MS)
+    assert (drive.state, motor.rate_hz) == (State.ENABLED, pytest.approx(-1_000))

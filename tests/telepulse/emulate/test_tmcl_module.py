@@ -106,3 +106,40 @@ def test_no_bytes_break_it_and_none_that_are_no_request_move_it(data: bytes, cut
             valid += bool(reply) and reply[2] != WRONG_CHECKSUM
     motor.advance(100_000_000)
     assert valid or motor.rate_hz == 0.0
+
+
+MS = 1_000_000
+RIGHT_LIMIT_STATE, LEFT_LIMIT_STATE = 10, 11
+
+
+def asked(module: EmulatedModule, now_ns: int, command: int, kind: int, value: int = 0) -> int:
+    reply = TMCLReply.from_buffer(module.reply(request(command, kind, value=value), now_ns))
+    assert reply.is_valid()
+    number: int = reply.value
+    return number
+
+
+@pytest.mark.parametrize("inverted", [False, True])
+def test_limit_switch_states_report_the_home_switch_on_its_side(inverted: bool) -> None:
+    scene = TmclScene.model_validate({"kind": "tmcl", "port": "x", "inverted": inverted})
+    motor = EmulatedMotor(ACTUATOR, LAW, 2e-3, now_ns=0)
+    module = EmulatedModule(scene, motor)
+    sides = (RIGHT_LIMIT_STATE, LEFT_LIMIT_STATE)
+    assert [asked(module, 0, Command.GET_AXIS, side) for side in sides] == [0, 0]
+    away = Command.ROTATE_RIGHT if inverted else Command.ROTATE_LEFT
+    asked(module, 0, away, 0, 8_000)
+    states = [asked(module, 2_000 * MS, Command.GET_AXIS, side) for side in sides]
+    assert motor.at_switch
+    assert states == [int(inverted), int(not inverted)]
+
+
+def test_after_a_missed_heartbeat_it_obeys_the_next_command(module: EmulatedModule) -> None:
+    asked(module, 0, Command.SET_GLOBAL, 68, 50)
+    asked(module, 0, Command.ROTATE_RIGHT, 0, 1_000)
+    assert asked(module, 40 * MS, Command.GET_AXIS, Parameter.ACTUAL_SPEED) == 1_000
+    module._motor.advance(200 * MS)
+    assert module._motor.tripped
+    assert module._motor.rate_hz == 0.0
+    asked(module, 201 * MS, Command.ROTATE_LEFT, 0, 1_000)
+    module._motor.advance(210 * MS)
+    assert module._motor.rate_hz == pytest.approx(-1_000)
