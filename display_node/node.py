@@ -10,6 +10,7 @@ from dataclasses import replace
 import zmq
 
 from display_node.connection import Connection
+from display_node.deadlines import GAP_NS, DeadlineWatch
 from display_node.display import Display
 from display_node.hardware import Hardware
 from display_node.heard import CONTROL
@@ -47,6 +48,8 @@ class DisplayNode:
         self._scene = scene = scene.model_copy(update={"paths": paths})
         self._stopping = False
         self._misses = 0
+        gap_ns = GAP_NS if scene.drive is None else scene.drive.watchdog_ns
+        self._deadlines = DeadlineWatch(scene.tick_ns, gap_ns)
         self._tick_us = Histogram(1.0, 5_000)
         self._late_us = Histogram(2.0, 2_500)
         self._context: sockets.Context = zmq.Context()
@@ -87,6 +90,7 @@ class DisplayNode:
                 self._late_us.add((now_ns - next_ns) * 1e-3)
                 elapsed = 1 + (now_ns - next_ns) // tick_ns
                 self._misses += elapsed - 1
+                self._deadlines.add(now_ns, elapsed)
                 next_ns += elapsed * tick_ns
                 # As of when it was due: told so, speeds add up to the way, however late each is.
                 self._tick(next_ns - tick_ns, elapsed)
@@ -136,7 +140,13 @@ class DisplayNode:
         rejected = Counter(summary.rejected) + self._connection.rejected + self._telemetry.rejected
         if self._gate is not None:
             rejected += self._gate.rejected
-        loop = replace(summary.loop, late_us=_lateness(self._late_us))
+        loop = replace(
+            summary.loop,
+            late_us=_lateness(self._late_us),
+            late=self._deadlines.alarm,
+            last_5s=self._deadlines.last_5s,
+            worst_5s=self._deadlines.worst_5s,
+        )
         summary = replace(summary, loop=loop, rejected=dict(rejected))
         if self._hardware is not None:
             summary = replace(

@@ -107,13 +107,26 @@ class Lateness:
 
 
 @dataclass(frozen=True, slots=True)
+class Deadlines:
+    """Share of the ticks of 5 s that were missed, and the longest time between two ticks in ms."""
+
+    missed: float | None = None
+    gap_ms: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Loop:
-    """The node's loop. realtime: measures that were asked for and granted."""
+    """The node's loop. late: the deadline alarm is on, because more than 1 % of the ticks of the
+    last 5 s were missed or a gap was longer than the drive's watchdog. last_5s: at the time of the
+    summary; worst_5s: of the whole run. realtime: measures that were asked for and granted."""
 
     ticks: int | None = None
     deadline_misses: int | None = None
     tick_us: TickTime = TickTime()
     late_us: Lateness = Lateness()
+    late: bool | None = None
+    last_5s: Deadlines = Deadlines()
+    worst_5s: Deadlines = Deadlines()
     realtime: list[str] = field(default_factory=list)
 
 
@@ -242,6 +255,11 @@ def _rows(s: Summary) -> list[tuple[str, str]]:
             f" sensed: energy {_f(s.roughness.energy_ratio, 2)} times",
         ),
         ("loop", f"{_n(s.loop.ticks)} ticks, {_n(s.loop.deadline_misses)} deadline misses"),
+        (
+            "worst 5 s",
+            f"{_f(_percent(s.loop.worst_5s.missed), 2)} % of the ticks missed,"
+            f" longest gap {_f(s.loop.worst_5s.gap_ms, 0)} ms",
+        ),
         ("tick", f"p50 {_f(s.loop.tick_us.p50, 0)} µs, p99 {_f(s.loop.tick_us.p99, 0)} µs"),
         (
             "tick began",

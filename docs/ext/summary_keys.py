@@ -28,6 +28,7 @@ def _kind(hint: Any) -> str:
     names = {
         int | None: "whole number or null",
         float | None: "number or null",
+        bool | None: "true, false or null",
         list[str]: "list of texts",
         dict[str, int]: "map of name to count",
     }

@@ -123,6 +123,11 @@ FIGURES = [
         p999="0.999",
     ),
     _gauge("tick_lateness_max_seconds", "loop.late_us.max", "The latest begin of a tick.", US),
+    _gauge("deadline_alarm", "loop.late", "1: above 1 % missed in 5 s, or too long a gap."),
+    _gauge("deadline_missed_ratio", "loop.last_5s.missed", "Share of ticks missed.", over="5s"),
+    _gauge("deadline_missed_ratio", "loop.worst_5s.missed", over="worst_5s"),
+    _gauge("tick_gap_seconds", "loop.last_5s.gap_ms", "Longest gap of ticks.", MS, over="5s"),
+    _gauge("tick_gap_seconds", "loop.worst_5s.gap_ms", "", MS, over="worst_5s"),
     _counts("rejected", "rejected", "Messages and peers refused.", "cause"),
     _counts(
         "hardware_events", "hardware", "What went wrong at the bench and was made good.", "event"

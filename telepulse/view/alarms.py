@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from display_node.deadlines import deadline_alarm
 from telepulse.view.live import Live
 
 SECOND_NS = 1_000_000_000
@@ -14,7 +15,7 @@ SILENT_AFTER_NS = 2 * SECOND_NS
 TOLD_NS = 5 * SECOND_NS
 MUCH_LOSS = 5.0
 # Columns of the statuses.
-LOST, LATE, MISSES, REFUSED = 3, 4, 5, 6
+LOST, LATE, REFUSED = 3, 4, 6
 
 
 class Alarm(NamedTuple):
@@ -40,11 +41,12 @@ def alarms(live: Live, silent_ns: int) -> list[Alarm]:
 
 def _counted(live: Live) -> list[Alarm]:
     found = []
+    late = deadline_alarm(live.summary["loop"])
+    if late is not None:
+        found.append(Alarm("deadline misses", late))
     recent = live.statuses.since(live.now_ns - TOLD_NS).values
     if len(recent):
-        misses, refused = np.ptp(recent[:, [MISSES, REFUSED]], axis=0).astype(int)
-        if misses:
-            found.append(Alarm("deadline misses", f"{misses} in the last 5 s"))
+        refused = int(np.ptp(recent[:, REFUSED]))
         if refused:
             causes = ", ".join(sorted(live.summary["rejected"]))
             found.append(Alarm("refused", f"{refused} messages in the last 5 s ({causes})"))

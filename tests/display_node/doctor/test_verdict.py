@@ -40,6 +40,13 @@ def test_the_share_of_ticks_missed_decides(missed: int, status: str) -> None:
     assert verdict(findings(ticks(1000 - missed, missed))).status == status
 
 
+def test_a_gap_longer_than_a_drives_watchdog_fails_whatever_the_share() -> None:
+    assert verdict(findings(ticks(100_000, 0, latest_us=50_000))).status == "ok"
+    found = verdict(findings(ticks(100_000, 0, latest_us=50_001)))
+    assert found.status == "fail"
+    assert found.reason.endswith("longer than the watchdog of a drive (50 ms)")
+
+
 def test_what_is_granted_counts_and_is_told_beside_bare() -> None:
     found = verdict(findings(ticks(900, 100), ticks(1000, 0, latest_us=350.0)))
     assert found.status == "ok"

@@ -1,10 +1,12 @@
 import pytest
 
-from protocol.summary import Clock, Loop, Samples
+from protocol.summary import Clock, Deadlines, Loop, Samples
 from telepulse.view.alarms import alarms
 from telepulse.view.live import Live
 
 from .told import AHEAD_NS, MS, SECOND_NS, Told
+
+LATE = Loop(3000, 411, late=True, last_5s=Deadlines(0.0822, 412.0))
 
 
 def names(told: Told, silent_ns: int = 0) -> list[str]:
@@ -56,7 +58,7 @@ def test_a_display_that_says_nothing_any_more(told: Told) -> None:
 @pytest.mark.parametrize(
     ("name", "changes"),
     [
-        ("deadline misses", {"loop": Loop(1000, 7)}),
+        ("deadline misses", {"loop": LATE}),
         ("refused", {"rejected": {"malformed": 3}}),
         ("loss", {"samples": Samples(4000, 3000, 300, 700, 0)}),
     ],
@@ -69,7 +71,7 @@ def test_what_is_counted_is_told_for_a_while(
     }
     told.status("playing", **fields)
     assert names(told) == [name]
-    lasting = {key: value for key, value in fields.items() if key != "samples"}
+    lasting = {key: value for key, value in fields.items() if key == "rejected"}
     for _ in range(30):
         told.at_ns += 200 * MS
         told.frame()
@@ -77,6 +79,17 @@ def test_what_is_counted_is_told_for_a_while(
         told.live.now_ns += 200 * MS
         told.status("playing", **lasting)
     assert names(told) == []
+
+
+def test_single_deadline_misses_are_counted_and_no_alarm(told: Told) -> None:
+    told.status("playing", loop=_dict(Loop(3000, 1, late=False)))
+    assert names(told) == []
+
+
+def test_the_deadline_alarm_names_the_rate_and_the_longest_gap(told: Told) -> None:
+    told.status("playing", loop=_dict(LATE))
+    (alarm,) = alarms(told.live, 0)
+    assert alarm.text == "8.2 % of the ticks of the last 5 s missed, longest gap 412 ms"
 
 
 @pytest.mark.parametrize("name", ["clock step", "missed"])
