@@ -36,15 +36,20 @@ def first_in_first_out(priority: int, on_overrun: Callable[[], None]) -> Iterato
     Python's lock must not be kept from running while the loop waits for it.
     """
     before = os.sched_getscheduler(0), os.sched_getparam(0)
-    threads = helpers()
+    try:
+        threads = helpers()
+    except OSError as error:
+        raise NotGrantedError(
+            f"/proc/self/task cannot be listed: {error.strerror}",
+            "a process needs free descriptors",
+        ) from None
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as error:
         raise _no_priority(priority, error) from None
 
     def give_up() -> None:
-        # Those that were started meanwhile, too.
-        _schedule({number for number in map(_number, _tasks()) if _has_priority(number)}, *before)
+        _schedule(set(filter(_has_priority, threads | _started())), *before)
 
     def overrun(number: int, frame: FrameType | None) -> None:
         give_up()
@@ -108,6 +113,18 @@ def helpers() -> set[int]:
             if (task / "comm").read_text(encoding="utf-8", errors="replace").startswith("ZMQ"):
                 found.add(_number(task))
     return {number for number in found if number is not None} - {threading.get_native_id()}
+
+
+def _started() -> set[int]:
+    """Return the threads of this process, as far as they can be listed.
+
+    Python's own are known without /proc, whose listing takes a file descriptor: where none is left,
+    a priority must be given up all the same.
+    """
+    started = {thread.native_id or 0 for thread in threading.enumerate()} | {0}
+    with suppress(OSError):
+        started.update(map(_number, _tasks()))
+    return started
 
 
 def _tasks() -> list[Path]:

@@ -85,6 +85,13 @@ def test_who_runs_on_without_a_pause_loses_the_priority(loop_s: float, helper_s:
 
 
 @needs_rights
+def test_a_priority_is_given_up_without_a_free_descriptor() -> None:
+    child = with_rights("-c", NO_DESCRIPTOR)
+    assert (child.returncode, child.stderr) == (0, "")
+    assert child.stdout == "given up\n[0, 0, 0]\n"
+
+
+@needs_rights
 def test_who_cannot_even_be_asked_to_give_it_up_is_ended_by_the_kernel() -> None:
     # A library that does not come back: Python handles no signal meanwhile.
     child = with_rights("-c", HANGS)
@@ -142,6 +149,26 @@ def test_a_summary_names_what_was_granted() -> None:
         pass
     assert held.noted(Summary()).loop.realtime == ["gc"]
 
+
+NO_DESCRIPTOR = """
+import os, resource, threading, time
+from protocol.realtime import hold, parse_realtime
+
+def spin(seconds):
+    end_s = time.monotonic() + seconds
+    while time.monotonic() < end_s:
+        pass
+
+with hold(parse_realtime("fifo=7"), lambda line: print("given up")):
+    later = threading.Thread(target=time.sleep, args=(1,))
+    later.start()
+    none_free = os.dup(0)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (none_free, none_free))
+    os.close(none_free)
+    spin(0.5)
+    threads = [0, threading.get_native_id(), later.native_id]
+    print([os.sched_getscheduler(number) for number in threads])
+"""
 
 ELSEWHERE = """
 import os, sys
