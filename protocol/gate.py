@@ -5,25 +5,21 @@ descriptor of each connection: when a key is taken off the list, the connections
 was seen are cut, and whoever else was there connects anew.
 """
 
-import os
 from collections import Counter
 from collections.abc import Callable
-from pathlib import Path
 
 import zmq
 
 from protocol import sockets, zap
-from protocol.allow_list import read_allowed
+from protocol.allow_list import AllowList
 from protocol.door import Door
-from protocol.errors import KeyFileError
-from protocol.keys import PublicKey, ServerKeys
+from protocol.keys import ServerKeys
 from protocol.watch import HANDSHAKE, NO_KEY, NOT_AUTHENTIC, REPLAYED
 
-LOOK_EVERY_NS = 1_000_000_000
 # So many refused peers are named in the log, and so many addresses remembered of a key.
 MAX_NAMED = 1_000
 MAX_ADDRESSES = 100
-UNKNOWN_KEY, REVOKED_KEY = "unknown_key", "revoked_key"
+UNKNOWN_KEY, REVOKED_KEY, LIST_UNREADABLE = "unknown_key", "revoked_key", "list_unreadable"
 REASONS = {
     NO_KEY: "it has no key",
     NOT_AUTHENTIC: "it has a wrong public key of this node, or its bytes were altered on the way",
@@ -31,6 +27,7 @@ REASONS = {
     HANDSHAKE: "it made no ZeroMQ connection",
     UNKNOWN_KEY: "key {} is not allowed",
     REVOKED_KEY: "key {} is allowed no more",
+    LIST_UNREADABLE: "the allow-list cannot be read, so that nobody new is let in",
 }
 
 
@@ -46,7 +43,6 @@ class Gate:
         """Raises KeyFileError when the allow-list cannot be used."""
         self._context = context
         self._own = keys.own
-        self._path = keys.allowed
         self._log = log
         self._zap = context.socket(zmq.ROUTER)
         self._zap.bind(zap.ENDPOINT)
@@ -56,10 +52,7 @@ class Gate:
         self._named: set[tuple[str, str, bytes]] = set()
         # By key: where it was let in from.
         self._seen: dict[bytes, set[str]] = {}
-        self._stamp = _stamp(self._path)
-        self._allowed = self._read()
-        self._once_allowed = set(self._allowed)
-        self._look_ns = 0
+        self._list = AllowList(keys.allowed, log)
 
     def guard(self, socket: sockets.Socket) -> None:
         """Let in whom the list allows, and nobody else; before `socket` is bound."""
@@ -80,9 +73,8 @@ class Gate:
         for door in self._doors:
             for cause, address in door.failures():
                 self._refuse(cause, address)
-        if now_ns >= self._look_ns:
-            self._look_ns = now_ns + LOOK_EVERY_NS
-            self._look()
+        for key in self._list.tend(now_ns):
+            self._show_out(self._seen.pop(key, set()))
         for envelope, empty, *request in sockets.receive_all(self._zap):
             sockets.send(self._zap, envelope, empty, *zap.reply(request, self._judge(request)))
 
@@ -92,9 +84,14 @@ class Gate:
         if knock is None:
             self._refuse(HANDSHAKE, "")
             return None
-        public = self._allowed.get(knock.key)
+        # Who has the node's own secret key is the node.
+        own = self._own.public
+        public = own if knock.key == own.key else self._list.allowed.get(knock.key)
+        if public is not own and not self._list.readable:
+            self._refuse(LIST_UNREADABLE, knock.address, knock.key)
+            return None
         if public is None:
-            cause = REVOKED_KEY if knock.key in self._once_allowed else UNKNOWN_KEY
+            cause = REVOKED_KEY if self._list.once_allowed(knock.key) else UNKNOWN_KEY
             self._refuse(cause, knock.address, knock.key)
             return None
         seen = self._seen.setdefault(knock.key, set())
@@ -114,41 +111,7 @@ class Gate:
             return
         self._log(f"refused {address or 'a peer'}: {REASONS[cause].format(key.hex())}")
 
-    def _read(self) -> dict[bytes, PublicKey]:
-        allowed = read_allowed(self._path)
-        if not allowed:
-            self._log(f"{self._path} allows nobody; telepulse keys allow FILE.pub lets in")
-        own = self._own.public
-        # Who has the node's own secret key is the node.
-        return {own.key: own, **allowed}
-
-    def _look(self) -> None:
-        """Read the list again when it has changed; one that cannot be used changes nothing."""
-        stamp = _stamp(self._path)
-        if stamp == self._stamp:
-            return
-        self._stamp = stamp
-        try:
-            allowed = self._read()
-        except KeyFileError as error:
-            self._log(f"{error}; those allowed before stay allowed")
-            return
-        for key in self._allowed.keys() - allowed.keys():
-            self._log(f"{self._allowed[key].name} is allowed no more")
-            self._show_out(self._seen.pop(key, set()))
-        self._allowed = allowed
-        self._once_allowed |= allowed.keys()
-
     def _show_out(self, addresses: set[str]) -> None:
         everywhere = len(addresses) >= MAX_ADDRESSES
         for door in self._doors:
             door.cut(None if everywhere else addresses)
-
-
-def _stamp(path: Path) -> tuple[int, int, int] | None:
-    """What changes when the file does; None where there is none."""
-    try:
-        status = os.stat(path)
-    except OSError:
-        return None
-    return status.st_mtime_ns, status.st_size, status.st_ino

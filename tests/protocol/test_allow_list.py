@@ -1,9 +1,10 @@
+import errno
 import os
 from pathlib import Path
 
 import pytest
 
-from protocol.allow_list import allow, read_allowed, revoke
+from protocol.allow_list import AllowList, allow, read_allowed, revoke
 from protocol.errors import KeyFileError
 from protocol.keys import PublicKey
 
@@ -122,3 +123,81 @@ def test_two_commands_do_not_undo_each_other(path: Path) -> None:
     lock.unlink()
     revoke(path, "wrist")
     assert list(path.parent.iterdir()) == [path]
+
+
+class Watched:
+    """A list of a running node, looked at once a second of virtual time."""
+
+    def __init__(self, path: Path) -> None:
+        self.lines: list[str] = []
+        self.list = AllowList(path, self.lines.append)
+        self.now_s = 0
+
+    def run(self, seconds: int) -> list[bytes]:
+        gone = []
+        for _ in range(seconds):
+            gone += self.list.tend(self.now_s * 1_000_000_000)
+            self.now_s += 1
+        return gone
+
+
+@pytest.fixture
+def watched(path: Path) -> Watched:
+    allow(path, WRIST)
+    allow(path, FINGER)
+    return Watched(path)
+
+
+def test_a_change_is_read_once(path: Path, watched: Watched) -> None:
+    assert watched.run(3) == []
+    revoke(path, "wrist")
+    assert watched.run(3) == [WRIST.key]
+    assert list(watched.list.allowed) == [FINGER.key]
+    assert watched.lines == ["wrist is allowed no more"]
+
+
+def test_a_list_is_read_until_it_can_be(path: Path, watched: Watched) -> None:
+    path.write_text(f"{FINGER.line}\n")
+    path.chmod(0o664)
+    assert watched.run(5) == []
+    assert not watched.list.readable
+    assert len(watched.list.allowed) == 2
+    path.chmod(0o644)
+    assert watched.run(1) == [WRIST.key]
+    assert watched.list.readable
+    assert len(watched.lines) == 3
+    assert "until it can be read nobody new is let in" in watched.lines[0]
+    assert watched.lines[1:] == [f"{path} is read again", "wrist is allowed no more"]
+
+
+def test_a_list_that_cannot_be_opened_just_then_is_read_later(
+    path: Path, watched: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_descriptor(*_: object) -> None:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    revoke(path, "wrist")
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", no_descriptor)
+        assert watched.run(2) == []
+    assert "Too many open files" in watched.lines[0]
+    assert watched.run(1) == [WRIST.key]
+
+
+def test_after_ten_seconds_without_a_list_nobody_stays(path: Path, watched: Watched) -> None:
+    text = path.read_text()
+    path.write_text("nonsense\n")
+    assert watched.run(10) == []
+    assert set(watched.run(1)) == {WRIST.key, FINGER.key}
+    assert watched.run(20) == []
+    assert watched.list.allowed == {}
+    assert watched.lines[1:] == [f"{path} could not be read for 10 s: nobody stays"]
+    path.write_text(text)
+    assert watched.run(1) == []
+    assert len(watched.list.allowed) == 2
+
+
+def test_a_mode_that_lets_others_write_is_a_change(path: Path, watched: Watched) -> None:
+    path.chmod(0o666)
+    watched.run(1)
+    assert not watched.list.readable

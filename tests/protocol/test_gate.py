@@ -10,7 +10,7 @@ import zmq
 
 from protocol import gate as gate_module
 from protocol import sockets
-from protocol.allow_list import revoke
+from protocol.allow_list import UNREADABLE_AT_MOST_NS, revoke
 from protocol.errors import KeyFileError
 from protocol.gate import Gate
 from protocol.keys import ClientKeys
@@ -192,17 +192,37 @@ def test_who_is_allowed_while_it_runs_gets_in(context: Context, keyring: Keyring
     hall.tend_until(lambda: early.heard)
 
 
-def test_a_list_that_becomes_unusable_changes_nothing_and_is_said_once(
+def test_a_revocation_in_a_list_that_could_not_be_read_at_first_counts_once_it_can(
     context: Context, keyring: Keyring
 ) -> None:
+    keyring.allow("thumb")
     hall = Hall(context, keyring, "tcp://127.0.0.1:*")
+    goes = hall.listener(keyring.client("thumb"))
+    hall.tend_until(lambda: goes.heard)
+    keyring.allowed.write_text(keyring.pair("finger").public.line + "\n")
+    keyring.allowed.chmod(0o664)
+    hall.tend_until(lambda: any("chmod go-w" in line for line in hall.said))
+    late = hall.listener(keyring.client("finger"))
+    hall.tend_until(lambda: hall.gate.rejected["list_unreadable"])
+    keyring.allowed.chmod(0o644)
+    hall.tend_until(lambda: hall.gate.rejected["revoked_key"])
+    assert "thumb is allowed no more" in hall.said
+    assert late.heard == []
+
+
+def test_nobody_stays_while_the_list_cannot_be_read(context: Context, keyring: Keyring) -> None:
+    hall = Hall(context, keyring, "tcp://127.0.0.1:*")
+    listener = hall.listener(keyring.client("finger"))
+    own = hall.listener(keyring.client("wrist"))
+    hall.tend_until(lambda: listener.heard and own.heard)
     keyring.allowed.write_text("nonsense\n")
     hall.tend_until(lambda: hall.said)
-    hall.tend_for(1.2)
-    assert len(hall.said) == 1
-    assert "those allowed before stay allowed" in hall.said[0]
-    listener = hall.listener(keyring.client("finger"))
-    hall.tend_until(lambda: listener.heard)
+    # In place of 10 s of waiting.
+    hall.gate.tend(time.monotonic_ns() + UNREADABLE_AT_MOST_NS)
+    hall.tend_until(lambda: hall.gate.rejected["list_unreadable"])
+    heard, back = len(listener.heard), hall.sent
+    hall.tend_until(lambda: own.heard[-1] > back)
+    assert len(listener.heard) == heard
 
 
 def test_a_list_that_is_taken_away_allows_nobody(context: Context, keyring: Keyring) -> None:
