@@ -73,7 +73,7 @@ class EmulatedDrive:
     @property
     def velocity(self) -> int:
         """The motor's speed in the drive's units."""
-        return round(self._direction * self._motor.rate_hz * self._scene.velocity_scale)
+        return round(self._direction * self._motor.counter_hz * self._scene.velocity_scale)
 
     @property
     def digital_inputs(self) -> int:

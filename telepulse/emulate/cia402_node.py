@@ -1,5 +1,6 @@
 """An emulated CiA 402 drive on any CAN bus, as a `canopen` LocalNode around `EmulatedDrive`."""
 
+import struct
 import time
 from importlib.resources import files
 from threading import RLock
@@ -12,6 +13,7 @@ from display_node.drives.cia402_node import HEARTBEAT, RPDO1, SYNC
 from display_node.drives.cia402_states import Mode
 from display_node.drives.scene import Cia402Scene
 from telepulse.emulate.cia402_drive import EmulatedDrive
+from telepulse.emulate.lies import LieInjector
 from telepulse.emulate.motor import EmulatedMotor
 
 ALL_MODES = (Mode.PROFILE_VELOCITY, Mode.CYCLIC_VELOCITY)
@@ -19,6 +21,28 @@ TPDO_S = 0.01
 NOTIFIER_CYCLE_S = 0.1
 LAST_SYNC_TYPE = 240
 DIGITAL_INPUTS = 0x60FD
+_IDENTIFIER = struct.Struct(">H")
+
+
+class _LyingNetwork(canopen.Network):
+    """A network whose frames pass the lies of a motor on their way to the bus."""
+
+    def __init__(self, bus: can.BusABC, lies: LieInjector) -> None:
+        super().__init__(bus)
+        self._lies = lies
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        """Send a frame when the lies let it pass."""
+        self._lies.answer(
+            _IDENTIFIER.pack(can_id) + bytes(data), time.monotonic_ns(), header=_IDENTIFIER.size
+        )
+        self.send_due()
+
+    def send_due(self) -> None:
+        """Send what was delayed until now."""
+        for frame in self._lies.due(time.monotonic_ns()):
+            (can_id,) = _IDENTIFIER.unpack_from(frame)
+            super().send_message(can_id, frame[_IDENTIFIER.size :])
 
 
 class EmulatedNode:
@@ -45,7 +69,7 @@ class EmulatedNode:
         self._watched_id = 0
         self._said = (0, 0)
         self._sent_s = 0.0
-        self._network = canopen.Network(bus)
+        self._network = _LyingNetwork(bus, motor.lies)
         self._network.NOTIFIER_CYCLE = NOTIFIER_CYCLE_S
         sheet = str(files("display_node.drives") / "cia402.eds")
         self._node = canopen.LocalNode(scene.node, sheet)
@@ -71,6 +95,7 @@ class EmulatedNode:
             if due and self._operational and not self.silent:
                 self._sent_s = now_s
                 self._send_tpdos(said)
+            self._network.send_due()
 
     def close(self) -> None:
         """Leave the bus."""

@@ -3,9 +3,8 @@
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -16,7 +15,8 @@ from display_node.scene import DisplayScene
 from protocol.commands import StopAfterOption, one_line_errors, plain_console
 from protocol.errors import SceneError
 from protocol.scene import load_section
-from telepulse.emulate.drive_run import DriveRun
+from telepulse.emulate.drive_run import FILM_SILENT, MOTOR_FAULTS, DriveRun
+from telepulse.emulate.lies import Lie, LieKind, read_lie
 from telepulse.emulate.motor import EmulatedMotor
 from telepulse.emulate.pty_port import PtyPort
 from telepulse.emulate.tmcl_module import Answer, EmulatedModule
@@ -29,29 +29,10 @@ PROGRAM = "telepulse"
 POLL_S = 0.001
 SceneT = TypeVar("SceneT", bound=DriveScene)
 
-
-class TmclTrouble(Enum):
-    """What can go wrong with an emulated TMCL module: motor, film, replies, cable."""
-
-    OVERTEMPERATURE = "overtemperature"
-    FOLLOWING_ERROR = "following-error"
-    FILM_SILENT = "film-silent"
-    SILENT = "silent"
-    LATE = "late"
-    WRONG = "wrong"
-    GARBLED = "garbled"
-    UNPLUGGED = "unplugged"
-
-
-class Cia402Trouble(Enum):
-    """What can go wrong with an emulated CiA 402 drive."""
-
-    OVERTEMPERATURE = "overtemperature"
-    FOLLOWING_ERROR = "following-error"
-    FILM_SILENT = "film-silent"
-    SILENT = "silent"
-    UNPLUGGED = "unplugged"
-
+MOTOR_AND_FILM = (*MOTOR_FAULTS, FILM_SILENT)
+LIES = tuple(kind.value for kind in LieKind)
+TMCL_FAULTS = (*MOTOR_AND_FILM, "silent", "late", "wrong", "garbled", "unplugged")
+CIA402_FAULTS = (*MOTOR_AND_FILM, "silent", "unplugged")
 
 _ANSWERS: dict[str, Answer] = {
     "silent": "none",
@@ -79,11 +60,35 @@ FilmOption = Annotated[
         ' in framing = "binary".',
     ),
 ]
-TROUBLE = typer.Option("--fault", help="What goes wrong, at --fault-after.")
+
+
+def _fault_option(names: tuple[str, ...]) -> Any:
+    return typer.Option(
+        "--fault",
+        metavar="NAME",
+        help=f"What goes wrong, at --fault-after: {', '.join(names)}; or a lie, which the drive"
+        f" does not report: {', '.join(LIES)}.",
+    )
+
+
+SizeOption = Annotated[
+    str | None,
+    typer.Option(
+        "--size",
+        help="Size of a lie that has one, with its unit: --fault delayed --size '45 ms',"
+        " --fault gain --size 0.3.",
+    ),
+]
 AfterOption = Annotated[
     float,
     typer.Option(
         "--fault-after", min=0, metavar="SECONDS", help="When, from the first press on the finger."
+    ),
+]
+FromStartOption = Annotated[
+    bool,
+    typer.Option(
+        "--fault-from-start", help="The fault is there from the start, in place of --fault-after."
     ),
 ]
 TraceOption = Annotated[
@@ -99,21 +104,23 @@ def tmcl(
     scene: SceneArgument,
     link: LinkOption = None,
     film_link: FilmOption = None,
-    fault: Annotated[TmclTrouble | None, TROUBLE] = None,
+    fault: Annotated[str | None, _fault_option(TMCL_FAULTS)] = None,
+    size: SizeOption = None,
     fault_after: AfterOption = 0.0,
+    fault_from_start: FromStartOption = False,
     trace: TraceOption = None,
     seconds: StopAfterOption = None,
 ) -> None:
     """Be a TMCL stepper module: on a serial port of its own, or on the scene's CAN bus.
 
     A physical model of the scene's [display.actuator] turns under a finger, with a home switch,
-    the module's heartbeat, its limits and its faults. --fault: overtemperature, following-error;
-    film-silent; replies that are silent (missing), late, wrong or garbled; unplugged.
+    the module's heartbeat, its limits and its faults.
     """
     # python-can brings its import time; other commands do without.
     from telepulse.emulate.tmcl_line import CanLine, SerialLine
 
     with one_line_errors(PROGRAM), ExitStack() as open_things:
+        lie = _lie(fault, size, TMCL_FAULTS)
         drive, motor = _load(scene, TmclScene)
         module = EmulatedModule(drive, motor)
         line: SerialLine | CanLine
@@ -141,7 +148,8 @@ def tmcl(
 
         run = DriveRun(motor, film_link, trace, open_things)
         _say(f"TMCL module on {place}", film_link)
-        run.run(poll, break_down, fault.value if fault else None, fault_after, seconds)
+        after_s = None if fault_from_start else fault_after
+        run.run(poll, break_down, fault, lie, after_s, seconds)
 
 
 def cia402(
@@ -152,20 +160,22 @@ def cia402(
     channel: Annotated[str | None, typer.Option(help="Channel of the CAN interface.")] = None,
     link: LinkOption = None,
     film_link: FilmOption = None,
-    fault: Annotated[Cia402Trouble | None, TROUBLE] = None,
+    fault: Annotated[str | None, _fault_option(CIA402_FAULTS)] = None,
+    size: SizeOption = None,
     fault_after: AfterOption = 0.0,
+    fault_from_start: FromStartOption = False,
     trace: TraceOption = None,
     seconds: StopAfterOption = None,
 ) -> None:
     """Be a CANopen drive of profile CiA 402 on a CAN bus.
 
     A physical model of the scene's [display.actuator] turns under a finger, with a home switch,
-    software limits, heartbeat monitoring and faults. --fault: overtemperature, following-error;
-    film-silent; silent: the drive hears, and says nothing; unplugged.
+    software limits, heartbeat monitoring and faults. --fault silent: it receives and sends nothing.
     """
     from telepulse.emulate.cia402_node import EmulatedNode
 
     with one_line_errors(PROGRAM), ExitStack() as open_things:
+        lie = _lie(fault, size, CIA402_FAULTS)
         drive, motor = _load(scene, Cia402Scene)
         changes = {"interface": interface, "channel": channel or (str(link) if link else None)}
         drive = drive.model_copy(update={key: to for key, to in changes.items() if to})
@@ -184,7 +194,19 @@ def cia402(
 
         run = DriveRun(motor, film_link, trace, open_things)
         _say(f"CiA 402 node {drive.node} on CAN {drive.interface} {drive.channel}", film_link)
-        run.run(poll, break_down, fault.value if fault else None, fault_after, seconds)
+        after_s = None if fault_from_start else fault_after
+        run.run(poll, break_down, fault, lie, after_s, seconds)
+
+
+def _lie(fault: str | None, size: str | None, names: tuple[str, ...]) -> Lie | None:
+    """The lie that a fault's name stands for; None for any other fault. Raises SceneError."""
+    if fault in LIES:
+        return read_lie(LieKind(fault), size)
+    if fault is not None and fault not in names:
+        raise SceneError(f"--fault: no {fault!r}; there are {', '.join((*names, *LIES))}")
+    if size is not None:
+        raise SceneError(f"--size: {fault or 'no --fault'} has none")
+    return None
 
 
 def _load(name: str, kind: type[SceneT]) -> tuple[SceneT, EmulatedMotor]:

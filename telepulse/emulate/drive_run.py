@@ -10,6 +10,7 @@ from typing import TextIO
 from protocol.errors import OutputError
 from protocol.signals import stop_on_signals
 from telepulse.emulate.film import EmulatedFilm
+from telepulse.emulate.lies import Lie
 from telepulse.emulate.motor import EmulatedMotor, Fault, Moment
 from telepulse.emulate.pty_port import PtyPort
 
@@ -51,11 +52,15 @@ class DriveRun:
         poll: Callable[[], None],
         break_down: Callable[[str], None],
         trouble: str | None,
-        after_s: float,
+        lie: Lie | None,
+        after_s: float | None,
         seconds: float | None,
     ) -> None:
-        """Poll until stopped or `seconds` are over. trouble: what goes wrong, after_s from when
-        the tip presses first; what is not the motor's or the film's is `break_down`'s."""
+        """Poll until stopped or `seconds` are over.
+
+        trouble: what goes wrong; what is not the motor's, the film's or the `lie` is
+        `break_down`'s. after_s: when, from when the tip presses first; None: from the start.
+        """
         stopping = False
 
         def stop() -> None:
@@ -65,17 +70,20 @@ class DriveRun:
         stop_on_signals(stop)
         began_s, pressed_s = time.monotonic(), math.inf
         while not stopping:
-            poll()
-            self._deliver()
             now_s = time.monotonic()
             if self._motor.force_n > PRESSING_N:
                 pressed_s = min(pressed_s, now_s)
-            if trouble and not self._trouble and now_s - pressed_s >= after_s:
+            due = after_s is None or now_s - pressed_s >= after_s
+            if trouble and not self._trouble and due:
                 self._trouble = trouble
-                if trouble in MOTOR_FAULTS:
+                if lie is not None:
+                    self._motor.lies.begin(lie, time.monotonic_ns())
+                elif trouble in MOTOR_FAULTS:
                     self._motor.fail(MOTOR_FAULTS[trouble])
                 elif trouble != FILM_SILENT:
                     break_down(trouble)
+            poll()
+            self._deliver()
             if seconds is not None and now_s - began_s >= seconds:
                 return
 

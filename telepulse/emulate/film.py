@@ -1,6 +1,6 @@
 """The film under an emulated drive's finger, as a sensor board on a port of its own."""
 
-from telepulse.emulate.motor import EmulatedMotor
+from telepulse.emulate.motor import TICK_NS, EmulatedMotor
 from telepulse.emulate.pty_port import PtyPort
 from telepulse.emulate.sensor_board import binary
 
@@ -20,7 +20,8 @@ class EmulatedFilm:
     def deliver(self) -> None:
         """Send what the motor has gone through since the last call."""
         forces_n = self._motor.forces_n
-        while len(forces_n) >= FRAME:
+        late = self._motor.lies.film_late_ns // TICK_NS
+        while len(forces_n) >= FRAME + late:
             values = [forces_n.popleft() for _ in range(FRAME)]
             self._sent += FRAME
             self._port.write(self._encode(values, (self._sent - 1) * 1_000))

@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 from display_node.actuators.contact import ContactLaw
 from display_node.actuators.stepper import Stepper, StepperScene
 from display_node.step_rate import StepCommand
+from telepulse.emulate.lies import LieInjector
 
 TICK_NS = 1_000_000
 TICK_S = TICK_NS * 1e-9
@@ -37,9 +38,10 @@ class EmulatedMotor:
     When it is switched on, the tip stands half way between the two, and there the drive's own
     counter is 0 until it has homed.
 
-    position_steps, rate_hz: of the counter, signed, positive towards the finger. tip_m: from
-    first touch. rested_ns: when it came to rest last. forces_n: under the finger, one a
-    millisecond, as far as nobody took them. trace: is given every millisecond.
+    position_steps: of the counter as the bus reports it, rate_hz: of the shaft, both signed,
+    positive towards the finger. tip_m: from first touch. rested_ns: when it came to rest last.
+    forces_n: of the film, one a millisecond, as far as nobody took them. trace: is given every
+    millisecond. lies: what is false about it.
     """
 
     def __init__(self, scene: StepperScene, law: ContactLaw, touch_m: float, now_ns: int) -> None:
@@ -58,6 +60,7 @@ class EmulatedMotor:
         self._fed_ns = self._now_ns = self._told_ns = self.rested_ns = now_ns
         # Steps times ns by which the next tick goes further than its last command says.
         self._owed = 0.0
+        self._counted = 0.0
         self._zero_steps = 0
         self._least_steps, self._most_steps = -math.inf, math.inf
         self.rate_hz = 0.0
@@ -67,12 +70,18 @@ class EmulatedMotor:
         self.tripped = False
         self.forces_n: deque[float] = deque(maxlen=10_000)
         self.trace: Callable[[Moment], None] | None = None
+        self.lies = LieInjector(scene.step_m)
         self._place(SWITCH_M + touch_m / 2)
 
     @property
     def position_steps(self) -> int:
-        """The drive's counter."""
-        return self._steps - self._zero_steps
+        """The drive's counter, as the bus reports it."""
+        return self.lies.position_steps(self._counter, self._now_ns)
+
+    @property
+    def counter_hz(self) -> float:
+        """The step rate as the drive counts it, signed."""
+        return self.rate_hz if self.lies.by_encoder else self.rate_hz / self.lies.motion
 
     @property
     def homing(self) -> bool:
@@ -87,7 +96,8 @@ class EmulatedMotor:
     def run(self, rate_hz: float) -> None:
         """Go to this signed step rate, as fast as the acceleration allows."""
         self._homing = None
-        before_hz, self._target_hz = self._target_hz, 0.0 if self.fault else rate_hz
+        obeyed_hz = 0.0 if self.fault else self.lies.obeyed_hz(rate_hz)
+        before_hz, self._target_hz = self._target_hz, obeyed_hz
         self._owed += (before_hz - self._target_hz) * max(0, self._told_ns - self._now_ns)
 
     def home(self, search_hz: float, leave_hz: float) -> None:
@@ -98,7 +108,7 @@ class EmulatedMotor:
 
     def zero(self) -> None:
         """The counter is 0 here."""
-        self._zero_steps = self._steps
+        self._zero_steps = round(self._counted)
 
     def limit(self, least_steps: float, most_steps: float) -> None:
         """The drive's own soft limits, in steps of its counter; infinite for none."""
@@ -137,13 +147,17 @@ class EmulatedMotor:
         return round(self._stepper.screw_m / self._step_m)
 
     @property
+    def _counter(self) -> int:
+        return round(self._counted) - self._zero_steps
+
+    @property
     def _ends_away(self) -> bool:
-        limited = not self._homing and self.position_steps <= self._least_steps
+        limited = not self._homing and self._counter <= self._least_steps
         return limited or self.at_switch
 
     @property
     def _ends_below(self) -> bool:
-        return not self._homing and self.position_steps >= self._most_steps
+        return not self._homing and self._counter >= self._most_steps
 
     def _tick(self) -> None:
         if self._watch_ns and self._now_ns - self._fed_ns > self._watch_ns and not self.tripped:
@@ -154,14 +168,17 @@ class EmulatedMotor:
         if (target_hz < 0 and self._ends_away) or (target_hz > 0 and self._ends_below):
             target_hz = 0.0
         before_m = self._stepper.screw_m
-        travel_m = self._stepper.move(_command(target_hz))
-        rate_hz = (self._stepper.screw_m - before_m) / self._step_m / TICK_S
+        lies = self.lies
+        travel_m = self._stepper.move(_command(lies.motion * target_hz))
+        turned = (self._stepper.screw_m - before_m) / self._step_m
+        self._counted += turned if lies.by_encoder else turned / lies.motion
+        rate_hz = turned / TICK_S
         if self.rate_hz and not rate_hz:
             self.rested_ns = self._now_ns
         self.rate_hz = rate_hz
         self.tip_m = travel_m - self._touch_m
         self.force_n = self._law.force(self.tip_m)
-        self.forces_n.append(self.force_n)
+        self.forces_n.append(lies.film_n(self.force_n))
         if self.trace is not None:
             speed_m_per_s = rate_hz * self._step_m
             self.trace(Moment(self._now_ns, self.tip_m, speed_m_per_s, self.force_n))
@@ -188,6 +205,7 @@ class EmulatedMotor:
         while self._stepper.screw_m < travel_m:
             self._stepper.move(_command(2e-3 / self._step_m))
         self._stepper.move(_command(0.0))
+        self._counted = self._stepper.screw_m / self._step_m
         self.tip_m = self._stepper.tip_m - self._touch_m
         self.zero()
 

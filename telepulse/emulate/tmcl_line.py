@@ -23,7 +23,9 @@ class SerialLine:
         readable, _, _ = select.select([self._port], [], [], wait_s)
         if readable:
             for request in self._datagrams.feed(self._port.read(), time.monotonic_ns()):
-                self._port.write(_answer(self._module, request))
+                _answer(self._module, request)
+        for reply in self._module.lies.due(time.monotonic_ns()):
+            self._port.write(reply)
 
     def close(self) -> None:
         """Unplug."""
@@ -43,11 +45,10 @@ class CanLine:
         """Answer the next request, waiting so long for it at most."""
         frame = self._bus.recv(wait_s)
         # A bus that brings us what we send ourselves does so from the host's identifier.
-        if frame is None or len(frame.data) < 7:
-            return
-        request = self._address + bytes(frame.data[:7])
-        reply = _answer(self._module, request + bytes([checksum(request)]))
-        if reply:
+        if frame is not None and len(frame.data) >= 7:
+            request = self._address + bytes(frame.data[:7])
+            _answer(self._module, request + bytes([checksum(request)]))
+        for reply in self._module.lies.due(time.monotonic_ns()):
             data, identifier = reply[1:8], reply[0]
             self._bus.send(can.Message(arbitration_id=identifier, is_extended_id=False, data=data))
 
@@ -56,8 +57,10 @@ class CanLine:
         self._bus.shutdown()
 
 
-def _answer(module: EmulatedModule, request: bytes) -> bytes:
+def _answer(module: EmulatedModule, request: bytes) -> None:
+    """Leave the reply to a request in the module's lies, which send it."""
     reply = module.reply(request, time.monotonic_ns())
     if module.answers == "late":
         time.sleep(module.late_s)
-    return reply
+    if reply:
+        module.lies.answer(reply, time.monotonic_ns())

@@ -55,12 +55,13 @@ class EmulatedModule:
     """Answers requests and moves the motor.
 
     answers: how requests are answered, for trying what a driver makes of it; late_s: how late,
-    where that is late.
+    where that is late. lies: the motor's.
     """
 
     def __init__(self, scene: TmclScene, motor: EmulatedMotor) -> None:
         self._scene = scene
         self._motor = motor
+        self.lies = motor.lies
         self._direction = -1 if scene.inverted else 1
         self._axis: dict[int, int] = {
             Parameter.SEARCH_MODE: 1,
@@ -143,7 +144,7 @@ class EmulatedModule:
             case Parameter.ACTUAL_POSITION:
                 return SUCCESS, self._direction * motor.position_steps
             case Parameter.ACTUAL_SPEED:
-                return SUCCESS, self._units(self._direction * motor.rate_hz)
+                return SUCCESS, self._units(self._direction * motor.counter_hz)
             case Parameter.ERROR_FLAGS:
                 flags = {"stall": ErrorFlag.STALL, "following error": ErrorFlag.DEVIATION}
                 flag = flags.get(motor.fault or "", ErrorFlag(0))
