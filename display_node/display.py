@@ -4,7 +4,7 @@ The live node and the virtual-time simulation drive this same class; time is an 
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from display_node.compensation import auto_delay_ns
 from display_node.delay import Delay
@@ -17,6 +17,7 @@ from display_node.receiver import Receiver
 from display_node.safety import Safety
 from display_node.scene import DisplayScene
 from display_node.stand_in import StandIn
+from protocol.limits import Limits
 from protocol.messages import Control, Report
 from protocol.status import Playing
 from protocol.summary import (
@@ -280,11 +281,31 @@ class Display:
                 clock.asymmetry_bound_ns * 1e-6 if known else None,
                 receiver.clock_steps,
             ),
+            limited=self._limits(),
             loop=Loop(self.ticks, deadline_misses, tick_us or TickTime()),
             rejected=dict(receiver.rejected),
             faults=list(self.safety.faults),
         )
         return self.fidelity.scored(summary) if self.fidelity is not None else summary
+
+    def _limits(self) -> Limits:
+        """Return how often and how long each limit has held, in ticks that were run.
+
+        With a real film, the models of actuator and film bound nothing that is felt.
+        """
+        safety, loop, run = self.safety, self._loop, (self._tick_ns * 1e-9, self.ticks)
+        limits = Limits(
+            force=safety.at_force_limit.limited(*run),
+            negative=safety.below_zero.limited(*run),
+            slew=safety.at_slew_limit.limited(*run),
+        )
+        if self._feedback is not None:
+            return limits
+        if loop.at_film_range is not None:
+            limits = replace(limits, film=loop.at_film_range.limited(*run))
+        if loop.at_end is not None:
+            limits = replace(limits, travel=loop.at_end.limited(*run))
+        return limits
 
 
 def _or_nan(value: float | None) -> float:

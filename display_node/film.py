@@ -13,6 +13,7 @@ from pydantic import Field
 from display_node.delay import Delay
 from display_node.low_pass import LowPass
 from protocol.instrument import Adc
+from protocol.limits import LimitCounter
 from protocol.quantities import Hertz, Metres, Nanoseconds, Newtons, Volts, VoltsPerNewton
 from protocol.scene import Section
 from protocol.tactile import Film
@@ -64,7 +65,11 @@ class FilmTable(Section):
 
 
 class FeedbackFilm:
-    """Reads the felt force as a film does. The same seed gives the same noise."""
+    """Reads the felt force as a film does. The same seed gives the same noise.
+
+    at_range: how often and for how many ticks the ADC's range has bounded the reading; None
+    without an ADC.
+    """
 
     def __init__(self, table: FilmTable, tick_s: float, seed: int = 1) -> None:
         self._low_pass = table.low_pass(tick_s)
@@ -72,6 +77,7 @@ class FeedbackFilm:
         self._noise = _noise(table.noise_n, seed) if table.noise_n else None
         self._adc = Adc(table.adc_bits, table.adc_range_v) if table.adc_bits else None
         self._volts_per_newton = table.volts_per_newton
+        self.at_range = None if self._adc is None else LimitCounter()
 
     def read(self, force_n: float) -> float:
         """This tick's reading in N, when the finger feels `force_n`. Call it once a tick.
@@ -88,9 +94,10 @@ class FeedbackFilm:
             filtered_n = self._low_pass.output(force_n)
             self._low_pass.advance(force_n)
             force_n = filtered_n
-        if self._adc is not None:
-            volts = self._adc.quantise(force_n * self._volts_per_newton)
-            force_n = volts / self._volts_per_newton
+        if self._adc is not None and self.at_range is not None:
+            volts = force_n * self._volts_per_newton
+            self.at_range.add(abs(volts) > self._adc.range_volts)
+            force_n = self._adc.quantise(volts) / self._volts_per_newton
         return force_n
 
 

@@ -15,6 +15,7 @@ from display_node.margins import refuse_unstable
 from display_node.observer import Observer
 from display_node.scene import DisplayScene
 from protocol.errors import SceneError
+from protocol.limits import LimitCounter
 from protocol.tactile import ElasticLayer
 
 # As a drive's by default.
@@ -27,7 +28,8 @@ class ForceLoop:
     horizon: how many ticks after the present one the reference must reach. plausible_n: a
     reading beyond this, to either side, is no reading of a force. lead_ns: how much later than
     now the reference begins, for an actuator that answers so late. output: of the controller at
-    the last tick.
+    the last tick. at_end: counts the ticks at the end of the travel, None for an actuator that
+    has none.
     """
 
     def __init__(
@@ -38,8 +40,10 @@ class ForceLoop:
         plausible_n: float,
         tick_s: float,
         lead_ns: int = 0,
+        at_end: LimitCounter | None = None,
     ) -> None:
         self.lead_ns = lead_ns
+        self.at_end = at_end
         self._plausible_n = plausible_n
         self._controller = controller
         self._drive = drive
@@ -48,6 +52,11 @@ class ForceLoop:
         self.output = 0.0
         self.horizon = controller.horizon
         self.felt_n = 0.0
+
+    @property
+    def at_film_range(self) -> LimitCounter | None:
+        """The count of readings at the range of the film's ADC; None without an ADC."""
+        return self._film.at_range
 
     def coast(self, ticks: int) -> None:
         """Ticks that were missed: the drive goes on as it was told last, until its watchdog
@@ -131,11 +140,11 @@ def build_force_loop(
     if isinstance(actuator, StepperScene):
         lead_ns = actuator.latency_ns
         truth = actual if isinstance(actual, StepperScene) else actuator
-        speed, drive = _stepper(
+        speed, stepper, drive = _stepper(
             controller, actuator, truth, layer, film, force_limit_n, slew_limit_n_per_s, tick_s
         )
         read = FeedbackFilm(film, tick_s)
-        return ForceLoop(speed, drive, read, plausible_n, tick_s, lead_ns)
+        return ForceLoop(speed, drive, read, plausible_n, tick_s, lead_ns, stepper.at_end)
     truth_model = SecondOrder(actual if isinstance(actual, SecondOrderScene) else actuator, tick_s)
     voltage = VoltageController(
         controller,
@@ -155,8 +164,8 @@ def _stepper(
     force_limit_n: float,
     slew_limit_n_per_s: float,
     tick_s: float,
-) -> tuple[StepperController, Callable[[float], float]]:
-    """Controller of a stepper, and what its output does."""
+) -> tuple[StepperController, Stepper, Callable[[float], float]]:
+    """Controller of a stepper, the stepper, and what its output does."""
     law = scene.contact(layer)
     stepper = Stepper(actual, actual.contact(layer), force_limit_n, tick_s)
     vco = scene.step_rate()
@@ -187,4 +196,4 @@ def _stepper(
             observer.move(command)
         return stepper.step(command)
 
-    return speed, drive
+    return speed, stepper, drive

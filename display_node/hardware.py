@@ -13,6 +13,7 @@ from display_node.drives.approach import WITHDRAW_M_PER_S, withdraw
 from display_node.feedback import Feedback
 from display_node.scene import DisplayScene
 from protocol.errors import SceneError, SourceError
+from protocol.limits import LimitCounter
 from sensors.scene import open_sensor
 from sensors.sensor import Sensor
 
@@ -44,7 +45,8 @@ class Hardware:
     """A drive, and the sensor of the feedback film.
 
     Without a sensor the film is told by the model of contact, from where the drive says it is.
-    feedback: what the display reads.
+    feedback: what the display reads. at_end: ticks in which the drive was slowed before the far end
+    of its travel.
     """
 
     def __init__(self, scene: DisplayScene, drive: Drive, sensor: Sensor | None) -> None:
@@ -59,6 +61,8 @@ class Hardware:
         self._drive = drive
         self._sensor = sensor
         self._heard_ns = 0
+        self._held_back = False
+        self.at_end = LimitCounter()
         # Where the drive's commands had led to at the last tick.
         self._way_m: float | None = None
         self._tick_ns = scene.tick_ns
@@ -84,6 +88,7 @@ class Hardware:
     def read(self) -> str | None:
         """Hand what has come to `feedback`; the drive's fault, if it has one."""
         status = self._drive.status()
+        self._held_back = status.held_back
         if self._sensor is None:
             if status.heard_ns != self._heard_ns:
                 self._heard_ns = status.heard_ns
@@ -111,6 +116,8 @@ class Hardware:
             display.shift(way_m - self._way_m - display.output * silent_ns * 1e-9)
         self._way_m = way_m
         felt = display.tick(now_ns, elapsed_ticks)
+        # A drive at fault takes no command: what it did with the last one is of the past.
+        self.at_end.add(self._held_back and not safety.faults)
         if safety.faults:
             self._move(-WITHDRAW_M_PER_S)
         else:

@@ -149,8 +149,13 @@ class DisplayNode:
         )
         summary = replace(summary, loop=loop, rejected=dict(rejected))
         if self._hardware is not None:
+            ticks = self._display.ticks
             summary = replace(
                 summary,
+                limited=replace(
+                    summary.limited,
+                    travel=self._hardware.at_end.limited(self._scene.tick_ns * 1e-9, ticks),
+                ),
                 hardware=dict(self._hardware.counts),
                 faults=[*summary.faults, *self._hardware.faults()],
             )

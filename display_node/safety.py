@@ -9,8 +9,12 @@ from typing import Annotated
 
 from pydantic import Field
 
+from protocol.limits import LimitCounter
 from protocol.quantities import Nanoseconds, Newtons, NewtonsPerSecond
 from protocol.scene import Section
+
+# A reference below 0 N by less than this is rounding and noise, not a part of the pulse.
+NEGLIGIBLE_N = 1e-3
 
 
 class SafetyScene(Section):
@@ -30,7 +34,11 @@ class SafetyScene(Section):
 
 
 class Safety:
-    """Bounds the reference of one actuator, tick by tick."""
+    """Bounds the reference of one actuator, tick by tick.
+
+    at_force_limit, below_zero, at_slew_limit: how often and how long each bound held. A slew
+    that is bounded while the pulse ramps up or fades out is meant to be, and is not counted.
+    """
 
     def __init__(self, scene: SafetyScene, tick_ns: int) -> None:
         self._limit_n = scene.force_limit_n
@@ -39,8 +47,12 @@ class Safety:
         self._ramp = tick_ns / scene.ramp_ns
         self._overforce_n = scene.force_limit_n * scene.overforce
         self._last_n = 0.0
+        # Whether a bound changed the last tick's force: an ordinary tick has nothing to count.
+        self._differed = False
         self.gain = 0.0
         self.faults: list[str] = []
+        self.at_force_limit, self.below_zero = LimitCounter(), LimitCounter()
+        self.at_slew_limit = LimitCounter()
 
     @property
     def full(self) -> bool:
@@ -74,8 +86,20 @@ class Safety:
                 wanted_n = last_n - slew_n
             last_n = wanted_n
             bounded.append(wanted_n)
+        first_n = gain * reference_n[0]
+        if first_n != bounded[0] or self._differed:
+            self._count(first_n, bounded[0])
+            self._differed = first_n != bounded[0]
         self._last_n = bounded[0]
         return bounded
+
+    def _count(self, wanted_n: float, bounded_n: float) -> None:
+        """Count the bounds that make this tick's force differ from the wanted one."""
+        below = not wanted_n >= -NEGLIGIBLE_N
+        within_n = 0.0 if below else min(max(wanted_n, 0.0), self._limit_n)
+        self.at_force_limit.add(wanted_n > self._limit_n)
+        self.below_zero.add(below)
+        self.at_slew_limit.add(self.gain == 1.0 and bounded_n != within_n)
 
     def fault(self, name: str) -> None:
         """Something has failed: to rest, and no way back but a new start."""

@@ -87,8 +87,8 @@ class Adc:
             raise ValueError("a voltage is NaN")
         return round(min(max(volts / step, -half), half - 1)) * step
 
-    def clips(self, volts: float | NDArray[np.float64]) -> int:
-        """How many of the voltages have no code near them: they are beyond the range."""
+    def clips(self, volts: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return which of the voltages have no code near them: they are beyond the range."""
         half = 1 << (self.bits - 1)
-        codes = np.rint(np.asarray(volts) / self.step_volts)
-        return int(np.count_nonzero((codes < -half) | (codes > half - 1)))
+        codes = np.rint(volts / self.step_volts)
+        return (codes < -half) | (codes > half - 1)

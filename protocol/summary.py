@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from protocol.errors import OutputError
+from protocol.limits import Limits, limit_texts
 
 # Stands in a row's text for a value that there is none of; no fault's text has it.
 _ABSENT = "\0"
@@ -158,6 +159,7 @@ class Summary:
     strain_rmse: Errors = Errors()
     within_jnd: float | None = None
     roughness: Roughness = Roughness()
+    limited: Limits = field(default_factory=Limits)
     loop: Loop = field(default_factory=Loop)
     speed: float | None = None
     rejected: dict[str, int] = field(default_factory=dict)
@@ -254,6 +256,7 @@ def _rows(s: Summary) -> list[tuple[str, str]]:
             f"{_f(_milli(s.roughness.felt_n), 3)} mN felt, {_f(_milli(s.roughness.sensed_n), 3)} mN"
             f" sensed: energy {_f(s.roughness.energy_ratio, 2)} times",
         ),
+        ("limited", "; ".join(limit_texts(dataclasses.asdict(s.limited))) or _ABSENT),
         ("loop", f"{_n(s.loop.ticks)} ticks, {_n(s.loop.deadline_misses)} deadline misses"),
         (
             "worst 5 s",

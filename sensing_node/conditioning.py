@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from protocol.errors import SceneError
 from protocol.instrument import Adc, Calibration
+from protocol.limits import LimitCounter, Limits
 from protocol.quantities import Hertz, Metres, Newtons, Volts, VoltsPerNewton
 from protocol.scene import Section
 from protocol.tactile import Film
@@ -86,7 +87,8 @@ class Conditioned:
     So with a charge amplifier the first sample is hold_down, and the mean comes to it within a
     few time constants. group_delay_ns: by how much the notch and the low-pass delay the pulse
     (`pulse_delay_s`). The charge amplifier is not in it: it tilts the slow waves and leaves the
-    upstroke where it is, which no shift makes good. clipped: samples beyond the ADC's range.
+    upstroke where it is, which no shift makes good. clipped: samples beyond the ADC's range, and
+    how often it was reached; None without an ADC.
     Raises SceneError for a corner that is not below half the source's rate.
     """
 
@@ -102,7 +104,8 @@ class Conditioned:
         self.group_delay_ns = round(pulse_delay_s(delaying, rate_hz) * 1e9)
         self.period_ns = source.period_ns
         self.channels = source.channels
-        self.clipped = 0
+        self.clipped = None if self._adc is None else LimitCounter()
+        self._taken = 0
 
     def take(self, count: int) -> NDArray[np.float64]:
         """The next samples in N, as the source gives them."""
@@ -110,10 +113,17 @@ class Conditioned:
         if not len(force_n):
             return force_n
         volts = self._filtered(self._calibration.volts(force_n))
-        if self._adc is not None:
-            self.clipped += self._adc.clips(volts)
+        self._taken += len(force_n)
+        if self._adc is not None and self.clipped is not None:
+            self.clipped.add_all(np.asarray(self._adc.clips(volts).any(axis=1)))
             volts = self._adc.quantise(volts)
         return self._calibration.newtons(volts) + self._hold_down_n
+
+    def limits(self) -> Limits:
+        """Return how often and for how long the ADC's range has bounded the samples."""
+        if self.clipped is None:
+            return Limits()
+        return Limits(adc=self.clipped.limited(self.period_ns * 1e-9, self._taken))
 
     def _filtered(self, volts: NDArray[np.float64]) -> NDArray[np.float64]:
         if not len(self._filter):
@@ -129,9 +139,15 @@ class Conditioned:
 
 def faults_of(samples: object) -> list[str]:
     """What went wrong in a source's chain, one line each, for the summary."""
-    if not isinstance(samples, Conditioned) or not samples.clipped:
+    if not isinstance(samples, Conditioned) or samples.clipped is None:
         return []
-    return [f"{samples.clipped} samples beyond the ADC's range"]
+    clipped = samples.clipped.ticks
+    return [f"{clipped} sample{'s' * (clipped != 1)} beyond the ADC's range"] if clipped else []
+
+
+def limits_of(samples: object) -> Limits:
+    """Return the figures of a source's own limits, for the summary."""
+    return samples.limits() if isinstance(samples, Conditioned) else Limits()
 
 
 def pulse_delay_s(sections: NDArray[np.float64], rate_hz: float) -> float:

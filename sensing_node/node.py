@@ -16,7 +16,7 @@ from protocol.subscribers import Subscribers
 from protocol.summary import Samples as SampleCounts
 from protocol.summary import Summary
 from sensing_node.backlog import limits
-from sensing_node.conditioning import faults_of
+from sensing_node.conditioning import faults_of, limits_of
 from sensing_node.desk import Desk, Sender
 from sensing_node.framing import Framer
 from sensing_node.sources.live import Live, Source, feed_of
@@ -181,6 +181,7 @@ class SensingNode:
             faults = faults_of(self._source)
         return Summary(
             samples=SampleCounts(sent=self._framer.samples_sent),
+            limited=limits_of(self._source),
             rejected=dict(rejected),
             faults=faults,
         )

@@ -209,5 +209,6 @@ def _compose(sensing: Summary, display: Summary, fidelity: Fidelity) -> Summary:
     return replace(
         fidelity.scored(display),
         rejected={c: display.rejected.get(c, 0) + sensing.rejected.get(c, 0) for c in causes},
+        limited=replace(display.limited, adc=sensing.limited.adc),
         faults=display.faults + sensing.faults,
     )

@@ -15,7 +15,7 @@ from display_node.feedback import Feedback
 from display_node.fidelity import Fidelity
 from protocol.messages import Bye, Control, encode_control, encode_frame
 from protocol.summary import Summary
-from sensing_node.conditioning import faults_of
+from sensing_node.conditioning import faults_of, limits_of
 from sensing_node.desk import Desk
 from sensing_node.framing import Framer
 from sensing_node.scene import build_source, describe_stream
@@ -115,7 +115,8 @@ class Simulation:
         self._fidelity.finish()
         display = self.display.summary()
         faults = display.faults + faults_of(self._source)
-        return replace(self._fidelity.scored(display), faults=faults)
+        limited = replace(display.limited, adc=limits_of(self._source).adc)
+        return replace(self._fidelity.scored(display), limited=limited, faults=faults)
 
     @property
     def newest_ns(self) -> int | None:

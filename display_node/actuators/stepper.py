@@ -13,6 +13,7 @@ from display_node.actuators.contact import ContactLaw
 from display_node.actuators.transmission import Play, Rotor
 from display_node.delay import Delay
 from display_node.step_rate import StepCommand, StepRate
+from protocol.limits import LimitCounter
 from protocol.quantities import (
     Hertz,
     Metres,
@@ -73,7 +74,8 @@ class Stepper:
 
     A soft stop holds the screw there. A rotor that rings swings past it, and backlash may keep
     the tip where it swung to: safety's fault on the felt force is the bound of that. Not
-    modelled here: lost steps below the thrust limit, the screw's own springiness.
+    modelled here: lost steps below the thrust limit, the screw's own springiness. at_end: how
+    often and for how many ticks the soft stop has held the screw.
     """
 
     def __init__(
@@ -100,6 +102,7 @@ class Stepper:
         self._rate_hz = 0.0
         self.tip_m = 0.0
         self.force_n = 0.0
+        self.at_end = LimitCounter()
 
     @property
     def screw_m(self) -> float:
@@ -128,6 +131,7 @@ class Stepper:
         elif rate_hz < self._rate_hz - limit_hz:
             rate_hz = self._rate_hz - limit_hz
         before, phase = self._phase, self._phase + rate_hz * self._tick_s
+        self.at_end.add(phase > self._last_step)
         if not self._first_step <= phase <= self._last_step:
             phase = float(min(max(phase, self._first_step), self._last_step))
             rate_hz = 0.0

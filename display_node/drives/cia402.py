@@ -88,7 +88,8 @@ class Cia402Drive:
             return DriveStatus(self._axis.lowest_m, 0.0, self._fault, False, 0)
         speed = node.speed_m_per_s
         fault = self._watch(node, time.monotonic_ns())
-        return DriveStatus(node.position_m, speed, fault, speed != 0, node.heard_ns)
+        held_back = self._axis.travel.held_back
+        return DriveStatus(node.position_m, speed, fault, speed != 0, node.heard_ns, held_back)
 
     def way_m(self, now_ns: int) -> float:
         """See `Drive.way_m`."""

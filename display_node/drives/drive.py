@@ -13,7 +13,8 @@ class DriveStatus:
 
     position_m: of the tip from first touch, positive into the finger. fault: what keeps it at
     rest until `Drive.start` is called again, or None. heard_ns: when the position was heard, on
-    the monotonic clock; 0 before any was.
+    the monotonic clock; 0 before any was. held_back: the last command was slowed before the far
+    end of the travel.
     """
 
     position_m: float
@@ -21,6 +22,7 @@ class DriveStatus:
     fault: str | None
     moving: bool
     heard_ns: int
+    held_back: bool = False
 
 
 class Drive(Protocol):

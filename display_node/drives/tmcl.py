@@ -84,7 +84,8 @@ class TmclDrive:
             return DriveStatus(self._axis.lowest_m, 0.0, self._fault, False, 0)
         speed = module.speed_m_per_s
         fault, heard_ns = self._fault, module.position_ns
-        return DriveStatus(module.position_m, speed, fault, speed != 0, heard_ns)
+        held_back = self._axis.travel.held_back
+        return DriveStatus(module.position_m, speed, fault, speed != 0, heard_ns, held_back)
 
     def way_m(self, now_ns: int) -> float:
         """See `Drive.way_m`."""

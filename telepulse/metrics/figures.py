@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
+from protocol.limits import NAMES
+
 MS, US, PPM = 1e-3, 1e-6, 1e-6
 
 
@@ -110,6 +112,14 @@ FIGURES = [
     _gauge("roughness_newtons", "roughness.felt_n", "RMS of force above 25 Hz.", force="felt"),
     _gauge("roughness_newtons", "roughness.sensed_n", force="sensed"),
     _gauge("roughness_energy_ratio", "roughness.energy_ratio", "Felt to sensed, above 25 Hz."),
+    *(
+        _count("limited", f"limited.{limit}.times", "How often a limit was reached.", limit=limit)
+        for limit in NAMES
+    ),
+    *(
+        _count("limited_seconds", f"limited.{limit}.seconds", "Time at a limit.", limit=limit)
+        for limit in NAMES
+    ),
     _count("ticks", "loop.ticks", "Ticks of the loop."),
     _count("deadline_misses", "loop.deadline_misses", "Ticks that began a period late or more."),
     *_quantiles("tick_seconds", "loop.tick_us", "Cost of a tick.", US, p50="0.5", p99="0.99"),
@@ -134,4 +144,4 @@ FIGURES = [
     ),
 ]
 # What a summary says besides; faults are words (`families`).
-NOT_FIGURES = {"speed", "loop.realtime", "faults"}
+NOT_FIGURES = {"speed", "loop.realtime", "faults", *(f"limited.{limit}.share" for limit in NAMES)}

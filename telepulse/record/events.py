@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from protocol.limits import NAMES
 from protocol.summary import Summary
 
 
@@ -37,6 +38,11 @@ class StatusWatch:
         steps = summary.clock.steps or 0
         if steps > (last.clock.steps or 0):
             yield Event("WARNING", "clock step", f"a clock has stepped, {steps} times so far")
+        # Once for each limit: how often and for how long is in the statuses.
+        for limit, name in NAMES.items():
+            times = getattr(summary.limited, limit).times or 0
+            if times and not getattr(last.limited, limit).times:
+                yield Event("WARNING", "limited", f"{name} reached")
         # Once for each cause: how many there were is in the statuses.
         for cause in summary.rejected.keys() - last.rejected.keys():
             yield Event("WARNING", "refused", f"{summary.rejected[cause]} messages: {cause}")

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from display_node.deadlines import deadline_alarm
+from protocol.limits import limit_texts
 from telepulse.view.live import Live
 
 SECOND_NS = 1_000_000_000
@@ -15,7 +16,7 @@ SILENT_AFTER_NS = 2 * SECOND_NS
 TOLD_NS = 5 * SECOND_NS
 MUCH_LOSS = 5.0
 # Columns of the statuses.
-LOST, LATE, REFUSED = 3, 4, 6
+LOST, LATE, REFUSED, LIMITED = 3, 4, 6, 7
 
 
 class Alarm(NamedTuple):
@@ -50,6 +51,8 @@ def _counted(live: Live) -> list[Alarm]:
         if refused:
             causes = ", ".join(sorted(live.summary["rejected"]))
             found.append(Alarm("refused", f"{refused} messages in the last 5 s ({causes})"))
+        if np.ptp(recent[:, LIMITED]) > 0:
+            found.append(Alarm("limited", "; ".join(limit_texts(live.summary["limited"]))))
         gone = recent[-1, LOST] + recent[-1, LATE]
         if gone > MUCH_LOSS:
             found.append(Alarm("loss", f"{gone:.0f} % of the samples are lost or late"))

@@ -30,7 +30,7 @@ class Live:
     ticks: felt_n, target_n, playout delay in ns and predictor_error_n, NaN where there is none.
     wrist: force in N. delays: one-way delay in ms of frames. statuses: clock offset, its
     uncertainty (ms), skew (ppm), samples lost and late (of 100), deadline misses so far,
-    refused messages so far.
+    refused messages so far, seconds at any limit so far.
     """
 
     def __init__(self) -> None:
@@ -48,7 +48,7 @@ class Live:
         self.ticks = Rolling(4, FAST_ROWS)
         self.wrist = Rolling(1, FAST_ROWS)
         self.delays = Rolling(1, FAST_ROWS)
-        self.statuses = Rolling(7, SLOW_ROWS)
+        self.statuses = Rolling(8, SLOW_ROWS)
         self._samples: deque[Fields] = deque(maxlen=LOSS_STATUSES)
         self._offset_ns: int | None = None
         self._group_delay_ns = 0
@@ -136,6 +136,7 @@ class Live:
             *(lost, late),
             self.summary["loop"].get("deadline_misses", 0),
             sum(self.summary["rejected"].values()),
+            sum(limit.get("seconds", 0.0) for limit in self.summary["limited"].values()),
         )
 
     def _shares(self) -> tuple[float, float]:

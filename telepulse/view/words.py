@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 from display_node.fidelity import JND
+from protocol.limits import limit_texts
 from telepulse.record.heard_fields import Fields
 from telepulse.view.live import Live
 from telepulse.view.picture import Picture, Scores
@@ -35,6 +36,7 @@ FIGURES = {
     "predictor": "predictor",
     "misses": "deadline misses",
     "refused": "refused",
+    "limited": "limited",
 }
 
 
@@ -74,6 +76,7 @@ def figures(live: Live, picture: Picture) -> dict[str, Figure]:
         "refused": Figure(
             f"{sum(refused.values())} messages" if s else NOTHING, ", ".join(sorted(refused))
         ),
+        "limited": _limited(s.get("limited", {})),
     }
 
 
@@ -113,6 +116,15 @@ def _offset(clock: Fields) -> Figure:
     # Clocks of two hosts begin at different times, and may be days apart.
     value = f"{offset_ms:.3f} ms" if abs(offset_ms) < 1e4 else f"{offset_ms * 1e-3:.3f} s"
     return Figure(value, f"± {clock['uncertainty_ms']:.3f} ms, sensing minus display")
+
+
+def _limited(limits: Fields) -> Figure:
+    """Return the time at the limit that held longest, and one phrase for each limit."""
+    known = [limit for limit in limits.values() if "times" in limit]
+    seconds = [limit["seconds"] for limit in known if limit["times"]]
+    if not seconds:
+        return Figure("never" if known else NOTHING, "by force, slew or travel" if known else "")
+    return Figure(f"{max(seconds):.1f} s", "; ".join(limit_texts(limits)))
 
 
 def _predictor(compensation: Fields, name: str) -> Figure:

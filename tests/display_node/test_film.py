@@ -94,8 +94,12 @@ def test_fig_4_makes_a_step_118_times_that_of_eq_21() -> None:
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_force_beyond_the_converters_range_reads_as_its_end(sign: int) -> None:
-    read_n = film(sensitivity="1 V/N", adc_bits=8, adc_range="2 V").read(sign * 50.0)
-    assert read_n == (2 - 4 / 2**8 if sign > 0 else -2)
+    under_test = film(sensitivity="1 V/N", adc_bits=8, adc_range="2 V")
+    assert under_test.read(sign * 50.0) == (2 - 4 / 2**8 if sign > 0 else -2)
+    under_test.read(sign * 1.9)
+    assert under_test.at_range is not None
+    assert (under_test.at_range.times, under_test.at_range.ticks) == (1, 1)
+    assert film().at_range is None
 
 
 def test_noise_and_rounding_add_as_squares() -> None:

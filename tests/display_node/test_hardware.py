@@ -72,6 +72,20 @@ def test_missed_ticks_cost_little(pulse_n: Callable[[float], float]) -> None:
     assert rmse_n(bench) < 1.4e-3
 
 
+def test_a_drive_that_is_held_back_at_the_end_of_its_travel_is_counted(
+    pulse_n: Callable[[float], float],
+) -> None:
+    gentle, hard = VirtualBench(pulse_n), VirtualBench(lambda ms: 10 * pulse_n(ms))
+    for bench in (gentle, hard):
+        bench.run(3_000)
+    assert (gentle.hardware.at_end.times, gentle.hardware.at_end.ticks) == (0, 0)
+    at_end, limited = hard.hardware.at_end, hard.display.summary().limited
+    assert at_end.times > 0
+    assert limited.force.share == pytest.approx(0.7, abs=0.3)
+    # The models of actuator and film are beside a real bench, and bound nothing there.
+    assert (limited.travel.times, limited.film.times) == (None, None)
+
+
 def rmse_n(bench: VirtualBench) -> float:
     """What the display makes of its own truth."""
     assert bench.display.fidelity is not None

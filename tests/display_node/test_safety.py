@@ -145,3 +145,41 @@ def test_a_fault_brings_the_actuator_to_rest_for_good() -> None:
     assert under_test.faults == ["felt force above 3.75 N", "feedback is not a number"]
     assert ticked(under_test, 1.0, 45)[-1] == 0.0
     assert max(ticked(under_test, 1.0, 2000)) == 0.0
+
+
+def counted(under_test: Safety) -> dict[str, tuple[int, int]]:
+    """Times and ticks of each bound that has held."""
+    counters = {
+        "force": under_test.at_force_limit,
+        "negative": under_test.below_zero,
+        "slew": under_test.at_slew_limit,
+    }
+    return {name: (c.times, c.ticks) for name, c in counters.items() if c.times}
+
+
+def test_a_force_that_is_cut_is_counted_each_time_and_for_as_long() -> None:
+    under_test = at_full_strength()
+    ticked(under_test, LIMIT_N - 0.02, 100)
+    assert counted(under_test) == {"slew": (1, 49)}
+    for _ in range(3):
+        ticked(under_test, LIMIT_N + 0.01, 10)
+        ticked(under_test, LIMIT_N, 5)
+    assert counted(under_test) == {"slew": (1, 49), "force": (3, 30)}
+
+
+@pytest.mark.parametrize(("force_n", "ticks"), [(-0.2, 7), (math.nan, 7), (-1e-4, 0), (0.0, 0)])
+def test_what_would_pull_and_what_is_no_number_is_counted(force_n: float, ticks: int) -> None:
+    under_test = at_full_strength()
+    ticked(under_test, force_n, 7)
+    assert counted(under_test) == ({"negative": (1, ticks)} if ticks else {})
+
+
+def test_ramp_and_fade_are_no_limit() -> None:
+    under_test = safety()
+    for _ in range(5):
+        ticked(under_test, 2.0, 400)
+        # A stream that is gone leaves no reference: the slew limit brings the tip to rest.
+        ticked(under_test, 0.0, 60, alive=False)
+    under_test.fault("no matter what")
+    ticked(under_test, 0.0, 60)
+    assert counted(under_test) == {}

@@ -72,7 +72,8 @@ class VirtualDrive:
             self.fault = f"fault: {motor.fault or 'it missed us'}"
         speed_m_per_s = motor.rate_hz * self._axis.units.step_m
         moving = bool(speed_m_per_s)
-        return DriveStatus(motor.tip_m, speed_m_per_s, self.fault, moving, self.now_ns)
+        held_back = self._axis.travel.held_back
+        return DriveStatus(motor.tip_m, speed_m_per_s, self.fault, moving, self.now_ns, held_back)
 
     def stop(self) -> None:
         self.motor.run(0.0)

@@ -8,6 +8,7 @@ import pytest
 from rich.console import Console
 
 from protocol.errors import OutputError
+from protocol.limits import Limited, Limits
 from protocol.summary import (
     Clock,
     Compensation,
@@ -27,6 +28,7 @@ from protocol.summary import (
     write_json,
 )
 
+NEVER = Limited(0, 0.0, 0.0)
 FULL = Summary(
     samples=Samples(sent=1000, played=950, late=30, lost=20, before_joining=7),
     frames=Frames(received=196, reordered=3, copies=392, first={"tcp://one:5555": 190}),
@@ -41,6 +43,7 @@ FULL = Summary(
     strain_rmse=Errors(aligned=9.4249e-9, in_phase=5.7802e-8),
     within_jnd=0.875,
     roughness=Roughness(felt_n=0.0006, sensed_n=0.0005, energy_ratio=1.44),
+    limited=Limits(force=Limited(312, 4.1, 0.205), slew=Limited(1, 0.02, 0.0001), travel=NEVER),
     loop=Loop(
         ticks=5000,
         deadline_misses=2,
@@ -67,6 +70,7 @@ KEYS = {
     "force_rmse_n": {"aligned", "in_phase"},
     "strain_rmse": {"aligned", "in_phase"},
     "within_jnd": None,
+    "limited": {"force", "negative", "slew", "travel", "film", "adc"},
     "roughness": {"felt_n", "sensed_n", "energy_ratio"},
     "loop": {
         *("ticks", "deadline_misses", "tick_us", "late_us"),
@@ -194,6 +198,8 @@ def test_people_read_the_same() -> None:
         "strain RMSE": "aligned 9.425e-09, in phase 5.780e-08",
         "within JND": "87.5 % of the time",
         "above 25 Hz": "0.600 mN felt, 0.500 mN sensed: energy 1.44 times",
+        "limited": "force limit 312 times, 4.1 s (20.5 % of the run);"
+        " slew limit 1 time, 20 ms (< 0.1 % of the run)",
         "loop": "5000 ticks, 2 deadline misses",
         "worst 5 s": "1.25 % of the ticks missed, longest gap 63 ms",
         "tick": "p50 85 µs, p99 140 µs",

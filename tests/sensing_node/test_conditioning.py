@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from protocol.errors import SceneError
+from protocol.limits import Limited, Limits
 from protocol.scene import validate
 from protocol.stream import Channel
 from protocol.tactile import Film
-from sensing_node.conditioning import Conditioned, ConditioningScene, faults_of
+from sensing_node.conditioning import Conditioned, ConditioningScene, faults_of, limits_of
 from sensing_node.scene import SensingScene, build_source, describe_stream
 
 from ..nodes import RADIAL, ROOT
@@ -171,7 +172,8 @@ def test_samples_beyond_the_adcs_range_are_counted_and_told() -> None:
     under_test = chain(force_n, sensitivity="1 V/N", adc_bits=16, adc_range="1 V")
     assert faults_of(under_test) == []
     read_n = np.concatenate([under_test.take(3), under_test.take(2)]).ravel()
-    assert under_test.clipped == 2
+    assert limits_of(under_test).adc == Limited(1, pytest.approx(0.002), 0.4)
+    assert limits_of(Given(force_n)) == Limits()
     assert faults_of(under_test) == ["2 samples beyond the ADC's range"]
     np.testing.assert_allclose(read_n, [0, 0.9, 1, -1, 0.5], atol=1e-4)
     assert faults_of(Given(force_n)) == []

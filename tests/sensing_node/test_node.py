@@ -119,6 +119,8 @@ def test_the_chains_delay_and_samples_beyond_the_adcs_range_are_told(
     result = run(MODULE, str(scene), *arguments)
     assert result.returncode == 0
     assert read_json(summary)["faults"] == ["300 samples beyond the ADC's range"]
+    assert read_json(summary)["limited"]["adc"] == {"times": 1, "seconds": 0.3, "share": 1.0}
+    assert "ADC range 1 time, 0.3 s (100.0 % of the run)" in result.stdout
     assert "300 samples beyond the ADC's range" in result.stdout
     assert "delays the pulse by 10.5 ms" in result.stdout
 

@@ -66,6 +66,8 @@ def test_the_demo_scores_against_the_pulse_before_the_sensing_chain(tmp_path: Pa
     assert summary["force_rmse_n"]["aligned"] > 50e-3
     (fault,) = summary["faults"]
     assert fault.endswith("samples beyond the ADC's range")
+    assert summary["limited"]["adc"]["share"] > 0.5
+    assert summary["limited"]["force"]["times"] == 0
 
 
 def test_ctrl_c_ends_the_pulse_and_sums_up(tmp_path: Path) -> None:

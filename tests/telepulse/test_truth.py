@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from protocol.limits import Limited
 from protocol.messages import Frame
 from protocol.scene import validate
 from sensing_node.framing import Framer
@@ -127,6 +128,7 @@ def test_a_simulation_shifts_by_the_chains_delay() -> None:
 def test_a_simulation_tells_what_the_adc_could_not_hold() -> None:
     summary = simulate(conditioned({"adc_bits": 16, "adc_range": "5 mV"}), seconds=2, seed=1)
     assert summary.faults == ["2000 samples beyond the ADC's range"]
+    assert summary.limited.adc == Limited(1, 2.0, 1.0)
 
 
 def test_the_whole_chain_is_mostly_its_adc() -> None:

@@ -1,11 +1,13 @@
 """The report of a recording: its chapters in their order."""
 
 from collections.abc import Callable
+from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING
 
+from protocol.limits import limit_texts
 from protocol.summary import Summary
 from telepulse.record.report.findings import Findings, read_findings
 from telepulse.report import Chapter, Report, Table
@@ -98,6 +100,7 @@ _ROWS: tuple[_Row, ...] = (
     ("within JND", lambda s: _number(s.within_jnd, "% of the time", 2, 100)),
     ("above 25 Hz, felt", lambda s: _number(s.roughness.felt_n, "mN", 3, 1e3)),
     ("above 25 Hz, sensed", lambda s: _number(s.roughness.sensed_n, "mN", 3, 1e3)),
+    ("limited", lambda s: "; ".join(limit_texts(asdict(s.limited))) or NONE),
     ("clock offset", lambda s: _number(s.clock.offset_ms, "ms", 3)),
     ("clock skew", lambda s: _number(s.clock.skew_ppm, "ppm", 1)),
     ("clock steps", lambda s: _number(s.clock.steps, "", 0)),

@@ -36,6 +36,15 @@ def test_what_is_beyond_an_end_may_only_come_back() -> None:
     assert travel.bound(0.1, -0.0021, 0.0) > 0.0
 
 
+def test_it_says_when_a_speed_is_held_back_before_the_far_end() -> None:
+    travel = Travel(-0.002, 0.003, 20.0, 0.05)
+    held_back = []
+    for speed, position_m in [(0.1, 0.0029), (0.001, 0.0), (0.1, 0.0031), (-0.1, -0.0021), (0, 0)]:
+        travel.bound(speed, position_m, 0.0)
+        held_back.append(travel.held_back)
+    assert held_back == [True, False, True, False, False]
+
+
 @pytest.mark.parametrize("speed", [math.nan, 0.0])
 def test_no_number_is_no_motion(speed: float) -> None:
     assert Travel(-1, 1, 20.0, 0.05).bound(speed, 0.0, 0.0) == 0.0

@@ -14,6 +14,7 @@ from display_node.display import Felt
 from display_node.heard import CONTROL, HEARD, SUBSCRIBED, HeardWriter
 from display_node.telemetry import STATUS as STATUS_TOPIC
 from display_node.telemetry import TRACE, TraceWriter
+from protocol.limits import Limited, Limits
 from protocol.messages import Hello, Welcome, encode_control, encode_frame
 from protocol.status import Playing, pack_status
 from protocol.summary import Clock, Compensation, Samples, Summary
@@ -134,6 +135,9 @@ def test_ticks_have_unix_times_as_far_apart_as_they_were() -> None:
     }
 
 
+CUT = Limits(force=Limited(1, 0.004, 0.1), slew=Limited(0, 0.0, 0.0))
+
+
 def test_what_happens_is_told_once() -> None:
     spoken = Spoken()
     spoken.hear((CONTROL, WELCOME))
@@ -141,7 +145,7 @@ def test_what_happens_is_told_once() -> None:
         *spoken.status("playing"),
         *spoken.status("playing", rejected={"session": 3}, clock=Clock(steps=1)),
         *spoken.status("fault", rejected={"session": 9}, clock=Clock(steps=1), faults=["it broke"]),
-        *spoken.status("fault", clock=Clock(steps=2), faults=["it broke"], final=True),
+        *spoken.status("fault", clock=Clock(steps=2), faults=["it broke"], limited=CUT, final=True),
     ]
     assert told(entries) == [
         ("state", "playing"),
@@ -150,6 +154,7 @@ def test_what_happens_is_told_once() -> None:
         ("state", "fault, was playing"),
         ("fault", "it broke"),
         ("clock step", "a clock has stepped, 2 times so far"),
+        ("limited", "force limit reached"),
         ("end", "the display has ended"),
     ]
     assert spoken.transcript.ended

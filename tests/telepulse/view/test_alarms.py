@@ -1,5 +1,6 @@
 import pytest
 
+from protocol.limits import Limited, Limits
 from protocol.summary import Clock, Deadlines, Loop, Samples
 from telepulse.view.alarms import alarms
 from telepulse.view.live import Live
@@ -60,6 +61,7 @@ def test_a_display_that_says_nothing_any_more(told: Told) -> None:
     [
         ("deadline misses", {"loop": LATE}),
         ("refused", {"rejected": {"malformed": 3}}),
+        ("limited", {"limited": Limits(force=Limited(3, 1.5, 0.1))}),
         ("loss", {"samples": Samples(4000, 3000, 300, 700, 0)}),
     ],
 )

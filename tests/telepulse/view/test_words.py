@@ -1,3 +1,6 @@
+from dataclasses import asdict
+
+from protocol.limits import Limited, Limits
 from telepulse.view.live import Live
 from telepulse.view.picture import picture
 from telepulse.view.words import FIGURES, figures, state
@@ -28,6 +31,19 @@ def test_figures_have_their_units() -> None:
     assert values["misses"] == "0"
     assert said["misses"].note == "of 1000 ticks"
     assert said["in_phase"].note.endswith("of the pulse's height")
+
+
+def test_how_long_the_pulse_was_held_at_a_limit_is_a_figure() -> None:
+    told = Told(Live())
+    told.status("playing", limited=asdict(Limits(force=Limited(0, 0.0, 0.0))))
+    assert figures(told.live, picture(told.live, SECOND_NS))["limited"].value == "never"
+    limits = Limits(force=Limited(312, 4.1, 0.205), slew=Limited(2, 0.2, 0.01))
+    told.status("playing", limited=asdict(limits))
+    assert figures(told.live, picture(told.live, SECOND_NS))["limited"] == (
+        "4.1 s",
+        "force limit 312 times, 4.1 s (20.5 % of the run); slew limit 2 times, 0.2 s"
+        " (1.0 % of the run)",
+    )
 
 
 def test_the_last_state_says_that_it_is_the_last() -> None:

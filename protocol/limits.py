@@ -1,0 +1,118 @@
+"""Counts of how often and for how long a quantity is held at one of its limits.
+
+Both nodes count where they bound a quantity; the summary and all that shows it take the figures
+and the sentence from here.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Key of `Limits` → the limit's name for people.
+NAMES = {
+    "force": "force limit",
+    "negative": "force below 0 N",
+    "slew": "slew limit",
+    "travel": "end of travel",
+    "film": "film's ADC range",
+    "adc": "ADC range",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Limited:
+    """Times a limit was reached, seconds it held in all, and their share of the run.
+
+    None where the limit does not apply.
+    """
+
+    times: int | None = None
+    seconds: float | None = None
+    share: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Figures of each limit.
+
+    force, negative, slew: bounds on the force to be felt (`safety`), slew at full strength alone.
+    travel: the end of the actuator's travel towards the finger. film: range of the feedback
+    film's ADC. adc: range of the sensing node's ADC.
+    """
+
+    force: Limited = Limited()
+    negative: Limited = Limited()
+    slew: Limited = Limited()
+    travel: Limited = Limited()
+    film: Limited = Limited()
+    adc: Limited = Limited()
+
+
+class LimitCounter:
+    """Counter of the ticks (or samples) at a limit, and of the times it was reached."""
+
+    __slots__ = ("_limited", "ticks", "times")
+
+    def __init__(self) -> None:
+        self._limited = False
+        self.ticks = self.times = 0
+
+    def add(self, limited: bool, ticks: int = 1) -> None:
+        """Count `ticks` ticks that were all at the limit, or were not."""
+        if limited:
+            self.ticks += ticks
+            self.times += not self._limited
+        self._limited = limited
+
+    def add_all(self, limited: NDArray[np.bool_]) -> None:
+        """Count consecutive ticks or samples, shape (n,)."""
+        if not len(limited):
+            return
+        self.ticks += int(np.count_nonzero(limited))
+        rises = limited[1:] & ~limited[:-1]
+        self.times += int(np.count_nonzero(rises)) + int(limited[0] and not self._limited)
+        self._limited = bool(limited[-1])
+
+    def limited(self, period_s: float, total_ticks: int) -> Limited:
+        """Return the figures so far.
+
+        Parameters
+        ----------
+        period_s : float
+            Time of one tick or sample, in s.
+        total_ticks : int
+            All ticks of the run, at a limit or not.
+        """
+        share = self.ticks / total_ticks if total_ticks else 0.0
+        return Limited(self.times, self.ticks * period_s, share)
+
+
+def limit_texts(limits: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return one phrase for each limit that was reached, the one that held longest first.
+
+    Parameters
+    ----------
+    limits : mapping
+        `Limits` as a summary's JSON has it: a table of times, seconds and share for each key.
+    """
+    reached = [(NAMES[key], limits[key]) for key in NAMES if limits.get(key, {}).get("times")]
+    reached.sort(key=lambda named: -(named[1].get("seconds") or 0.0))
+    return [_text(name, limited) for name, limited in reached]
+
+
+def _text(name: str, limited: Mapping[str, Any]) -> str:
+    times, seconds, share = (limited.get(key) or 0 for key in ("times", "seconds", "share"))
+    text = f"{name} {times} time{'s' * (times != 1)}, {_seconds(seconds)}"
+    return f"{text} ({_percent(share)} of the run)"
+
+
+def _seconds(seconds: float) -> str:
+    return f"{seconds:.1f} s" if seconds >= 0.1 else f"{seconds * 1e3:.3g} ms"
+
+
+def _percent(share: float) -> str:
+    """Percent with one digit; what is more than nothing is not printed as 0.0 %."""
+    return "< 0.1 %" if 0 < share < 5e-4 else f"{100 * share:.1f} %"
