@@ -10,7 +10,7 @@ from protocol.sockets import Context, Socket
 from protocol.watch import FAILURES, HANDSHAKE, NO_KEY, NOT_AUTHENTIC, REPLAYED, Watch, cause_of
 
 LOOK_EVERY_NS = 10_000_000
-REFUSED_KEY = "refused_key"
+REFUSED_KEY, REVOKED = "refused_key", "revoked"
 # A node that ends breaks off, too; who does so again and again has another reason.
 BREAKS = 3
 _EVENTS = (
@@ -33,6 +33,8 @@ class Refusals:
         self._log = log
         self._watches: list[tuple[Socket, Watch]] = []
         self._breaks: Counter[str] = Counter()
+        # Hosts that have allowed our key: one that refuses it later has revoked it.
+        self._allowed: set[str] = set()
         self._said: set[tuple[str, str]] = set()
         self._look_ns = 0
         self.rejected: Counter[str] = Counter()
@@ -61,8 +63,14 @@ class Refusals:
         host = endpoint.rpartition(":")[0]
         if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
             self._breaks[host] = 0
+            self._allowed.add(host)
+            # If it is revoked again, that is reported again.
+            self._said.discard((REVOKED, host))
             return
-        cause = REFUSED_KEY if event == zmq.EVENT_HANDSHAKE_FAILED_AUTH else cause_of(value)
+        if event != zmq.EVENT_HANDSHAKE_FAILED_AUTH:
+            cause = cause_of(value)
+        else:
+            cause = REVOKED if host in self._allowed else REFUSED_KEY
         self.rejected[cause] += 1
         if cause == HANDSHAKE:
             self._breaks[host] += 1
@@ -80,6 +88,8 @@ class Refusals:
         own, peer = self._keys.own.name, self._keys.peer.name
         return {
             REFUSED_KEY: f"does not allow the key of {own}; there: telepulse keys allow {own}.pub",
+            REVOKED: f"has revoked the key of {own}: this node was connected and is allowed no"
+            f" more; to undo that, there: telepulse keys allow {own}.pub",
             NO_KEY: "has no keys; start it with --key, or this node with --insecure",
             NOT_AUTHENTIC: f"sends what {peer} has not sealed, or what was altered on the way",
             REPLAYED: "sends messages twice or in another order",

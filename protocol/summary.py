@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from protocol.causes import explain
 from protocol.errors import OutputError
 from protocol.limits import Limits, limit_texts
 
@@ -201,7 +202,6 @@ def print_summary(summary: Summary, title: str, console: Console) -> None:
 
 
 def _rows(s: Summary) -> list[tuple[str, str]]:
-    causes = _counts(s.rejected)
     return [
         (
             "samples",
@@ -271,7 +271,7 @@ def _rows(s: Summary) -> list[tuple[str, str]]:
         ),
         ("real-time", ", ".join(s.loop.realtime) or _ABSENT),
         ("speed", f"{_f(s.speed, 0)} times real time"),
-        ("rejected", causes or "nothing"),
+        ("rejected", "\n".join(explain(s.rejected)) or "nothing"),
         ("hardware", _counts(s.hardware) or _ABSENT),
         ("faults", "; ".join(s.faults) or "none"),
     ]

@@ -6,8 +6,9 @@ import pytest
 from pydantic import BaseModel
 
 from display_node.scene import DisplayScene
+from protocol.causes import MEANINGS
 from protocol.gate import REASONS
-from protocol.refusals import REFUSED_KEY
+from protocol.refusals import REFUSED_KEY, REVOKED
 from protocol.subscribers import SUBSCRIPTION
 from sensing_node.scene import SensingScene
 from telepulse.link import LinkScene
@@ -49,12 +50,14 @@ def test_every_cause_of_refusal_is_documented_and_no_other() -> None:
         "duplicate",
         "overlap",
         REFUSED_KEY,
+        REVOKED,
         SUBSCRIPTION,
         *REASONS,
     }
     table = (ROOT / "docs" / "wire.md").read_text(encoding="utf-8").split("counted as")[1]
     documented = set(re.findall(r"`(\w+)`", table))
     assert raised == documented
+    assert documented == MEANINGS.keys()
 
 
 def test_the_safety_case_rests_on_tests_that_there_are() -> None:

@@ -6,6 +6,7 @@ import pytest
 import zmq
 
 from protocol import sockets
+from protocol.allow_list import revoke
 from protocol.gate import Gate
 from protocol.keys import ClientKeys
 from protocol.refusals import Refusals
@@ -23,10 +24,11 @@ class Visitor:
     def __init__(self, context: Context, address: str, keys: ClientKeys | None) -> None:
         self.said: list[str] = []
         self.refusals = Refusals(context, keys, self.said.append)
+        self.sockets = [sockets.unconnected(context, zmq.SUB, keys) for _ in range(2)]
         self._now_ns = 0
-        for _ in range(2):
-            socket = sockets.unconnected(context, zmq.SUB, keys)
+        for socket in self.sockets:
             self.refusals.watch(socket)
+            socket.subscribe(b"")
             socket.connect(address)
 
     def tend_until(self, done: Callable[[], object], gate: Gate | None = None) -> None:
@@ -66,6 +68,29 @@ def test_who_is_refused_is_told_why_once(
     # The other may break off before it is heard why.
     assert set(visitor.refusals.rejected) <= {cause, "handshake"}
     assert [line for line in visitor.said if line.startswith(f"{address} {reason}")] == visitor.said
+
+
+def test_who_was_let_in_and_is_refused_later_is_told_that_it_was_revoked(
+    context: Context, keyring: Keyring
+) -> None:
+    address = free_address()
+    keyring.allow("finger")
+    gate = Gate(context, keyring.server(), print)
+    socket = sockets.bind(context, zmq.PUB, address, gate)
+    visitor = Visitor(context, address, keyring.client("finger"))
+    waiting = list(visitor.sockets)
+
+    def both_receive() -> bool:
+        sockets.send(socket, b"a frame")
+        waiting[:] = [each for each in waiting if not list(sockets.receive_all(each))]
+        return not waiting
+
+    visitor.tend_until(both_receive, gate)
+    revoke(keyring.allowed, "finger")
+    visitor.tend_until(lambda: visitor.refusals.rejected["revoked"] >= 2, gate)
+    (line,) = visitor.said
+    assert line.startswith(f"{address} has revoked the key of finger")
+    assert "refused_key" not in visitor.refusals.rejected
 
 
 @pytest.mark.parametrize("keyed", [True, False])

@@ -206,7 +206,8 @@ def test_people_read_the_same() -> None:
         "tick began": "p50 40 µs late, p99 96 µs, p99.9 234 µs, max 448 µs",
         "real-time": "gc, fifo=40",
         "speed": "312 times real time",
-        "rejected": "400 duplicate, 2 truncated",
+        "rejected": "400 duplicate: samples that had arrived already",
+        "": "2 truncated: messages that end too early; the peer is no node, or bytes were lost",
         "hardware": "3 film crc",
         "faults": "silence; force limit",
     }
