@@ -145,7 +145,7 @@ def test_a_revoked_display_is_cut_off_and_told_while_the_other_goes_on(
     # The list is looked at each second; stale is what has been silent for a while.
     assert cut_s < 10
     assert read_json(jsons["thumb"])["frames"]["received"] == heard
-    assert told.count(f"{address} has revoked the key of thumb: ") == 1
+    assert told.count(" has revoked the key of thumb: ") == 1
     assert "revoked: the other node allowed this node's key" in told
     assert said.count("thumb is allowed no more") == 1
     assert said.count("refused 127.0.0.1: key ") == 1
