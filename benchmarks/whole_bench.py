@@ -54,6 +54,7 @@ class WholeBench:
 
     source: the scene that the board plays. drive_options: more words for the drive's emulator.
     patience_ms: the drive's watchdog, for a machine that is busy with other things; 0: the scene's.
+    output: the descriptor that the display prints to; None: the log, and nothing but errors.
     """
 
     folder: Path
@@ -61,6 +62,7 @@ class WholeBench:
     source: str = "real_bench"
     drive_options: tuple[str, ...] = ()
     patience_ms: int = 0
+    output: int | None = None
     processes: dict[str, "subprocess.Popen[bytes]"] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -99,7 +101,8 @@ class WholeBench:
         """The display node."""
         words = (self.scene, "--connect", self._address, "--telemetry", self._telemetry)
         json_file = self.folder / "display.json"
-        self._start("display", "display_node.cli", *words, "--quiet", "--json", json_file)
+        volume = "--quiet" if self.output is None else "--no-screen"
+        self._start("display", "display_node.cli", *words, volume, "--json", json_file)
 
     def await_state(self, wanted: str) -> dict[str, Any]:
         """Wait until the display says that it is so ("playing", "fault"); its summary then."""
@@ -152,8 +155,9 @@ class WholeBench:
         if name in self.processes:
             self.processes[name].wait()
         with (self.folder / "log").open("ab") as log:
+            output = log if self.output is None or name != "display" else self.output
             self.processes[name] = process = subprocess.Popen(
-                [sys.executable, "-m", module, *map(str, words)], stdout=log, stderr=log
+                [sys.executable, "-m", module, *map(str, words)], stdout=output, stderr=output
             )
         # What else this machine does must not look like a fault, where that may be had.
         with suppress(PermissionError):
@@ -174,10 +178,11 @@ def playing(
     source: str = "real_bench",
     *drive_options: str,
     patience_ms: int = 0,
+    output: int | None = None,
 ) -> Iterator[WholeBench]:
     """A bench on which the pulse is felt. Raises BenchFailedError."""
     with ExitStack() as leaving:
-        bench = WholeBench(folder, kind, source, drive_options, patience_ms)
+        bench = WholeBench(folder, kind, source, drive_options, patience_ms, output)
         leaving.callback(bench.kill)
         bench.start_board()
         bench.start_drive()

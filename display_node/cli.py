@@ -26,6 +26,7 @@ from protocol.discovery.options import DiscoverOption, NamedOption
 from protocol.errors import DiscoveryError, ProtectionError, SceneError
 from protocol.keys import ServerKeys
 from protocol.metrics import MetricsOption, metrics_beside
+from protocol.output import unblocked_output
 from protocol.protection import (
     AllowOption,
     InsecureOption,
@@ -196,7 +197,8 @@ def _run(
 
 def main() -> None:
     """Entry point of `display-node`."""
-    app()
+    with unblocked_output():
+        app()
 
 
 if __name__ == "__main__":

@@ -27,6 +27,7 @@ from display_node.telemetry import STATUS, TRACE, Status, Trace, read_status, re
 from protocol import sockets
 from protocol.errors import WireError
 from protocol.keys import ClientKeys, read_pair
+from protocol.output import unblocked_output
 
 FRAMES_PER_S = 8
 LINE_EVERY_S = 1.0
@@ -227,4 +228,5 @@ if __name__ == "__main__":
     own = ClientKeys(pairs[0], pairs[0].public) if pairs else None
     parent = os.getppid()
     console = Console(markup=False, emoji=False)
-    watch(address, console, meanwhile=lambda: os.getppid() == parent, keys=own)
+    with unblocked_output():
+        watch(address, console, meanwhile=lambda: os.getppid() == parent, keys=own)

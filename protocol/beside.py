@@ -87,7 +87,7 @@ class Companion:
 
     def _watch(self) -> None:
         for line in _there(self._process.stdout):
-            self._log(json.loads(line)["says"])
+            self._log(_said(line))
         status = self._process.wait()
         if not self._ending:
             self._warn(f"{self._what} has ended with status {status}; the node goes on without")
@@ -143,6 +143,14 @@ def told() -> dict[str, Any] | None:
     line = sys.stdin.readline()
     words: dict[str, Any] | None = json.loads(line) if line.endswith("\n") else None
     return words
+
+
+def _said(line: str) -> str:
+    """Return what a sidecar's line is to say; one that a library of it printed is said as it is."""
+    try:
+        return str(json.loads(line)["says"])
+    except (ValueError, TypeError, KeyError):
+        return line.rstrip()
 
 
 def _there(pipe: IO[str] | None) -> IO[str]:

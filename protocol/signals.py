@@ -1,4 +1,4 @@
-"""Ending a node from outside: Ctrl-C and SIGTERM ask it to finish, not to die."""
+"""Ending a node from outside: Ctrl-C, SIGTERM and a terminal that closes ask it to finish."""
 
 import signal
 from collections.abc import Callable
@@ -6,10 +6,13 @@ from types import FrameType
 
 
 def stop_on_signals(stop: Callable[[], None]) -> None:
-    """Call `stop` on SIGINT and SIGTERM."""
+    """Call `stop` on SIGINT, SIGTERM and, unless `nohup` has it ignored, SIGHUP."""
 
     def handle(number: int, frame: FrameType | None) -> None:
         stop()
 
     signal.signal(signal.SIGINT, handle)
     signal.signal(signal.SIGTERM, handle)
+    # Its default ends the process at once: no drive would be withdrawn.
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, handle)

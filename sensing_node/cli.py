@@ -17,6 +17,7 @@ from protocol.commands import (
 from protocol.discovery.options import AnnounceOption, announced_beside
 from protocol.metrics import MetricsOption, metrics_beside
 from protocol.open_files import allow_connections
+from protocol.output import unblocked_output
 from protocol.protection import AllowOption, InsecureOption, KeyOption, server_keys
 from protocol.realtime import check_strict, parse_realtime
 from protocol.realtime.options import RealtimeOption, held_for
@@ -112,7 +113,8 @@ def sense(
 
 def main() -> None:
     """Entry point of `sensing-node`."""
-    app()
+    with unblocked_output():
+        app()
 
 
 if __name__ == "__main__":

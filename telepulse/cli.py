@@ -15,6 +15,7 @@ from protocol.commands import (
     plain_console,
     sum_up,
 )
+from protocol.output import unblocked_output
 from protocol.protection import (
     AllowOption,
     InsecureOption,
@@ -55,16 +56,16 @@ app.add_typer(study_app, name="study")
 app.add_typer(emulate_app, name="emulate")
 app.add_typer(experiment_app, name="experiment")
 app.add_typer(keys_app, name="keys")
-app.command()(bench)
+app.command()(unblocked_output()(bench))
 app.command()(calibrate)
-app.command()(relay)
+app.command()(unblocked_output()(relay))
 app.command()(discover)
-app.command()(record)
-app.command()(replay)
+app.command()(unblocked_output()(record))
+app.command()(unblocked_output()(replay))
 app.command()(export)
 app.command()(report)
-app.command()(view)
-app.command()(lsl)
+app.command()(unblocked_output()(view))
+app.command()(unblocked_output()(lsl))
 
 SceneArgument = Annotated[
     str, typer.Argument(help="A scene file, or the name of one that comes with telepulse.")
@@ -80,6 +81,7 @@ LinkOption = Annotated[
 
 
 @app.command()
+@unblocked_output()
 def demo(
     scene: SceneArgument = DEFAULT_SCENE,
     seconds: DurationOption = 15.0,
@@ -172,6 +174,7 @@ def tune(
 
 
 @app.command(name="link")
+@unblocked_output()
 def link_command(
     connect: Annotated[str, typer.Option(help="Address of the sensing node.")],
     bind: Annotated[str, typer.Option(help="Address for displays to connect to.")],

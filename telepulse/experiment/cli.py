@@ -9,6 +9,7 @@ import typer
 
 from protocol.commands import one_line_errors, plain_console
 from protocol.errors import OutputError
+from protocol.output import unblocked_output
 from protocol.quantities import parse_ratio
 from protocol.realtime import check_strict, parse_realtime
 from protocol.realtime.options import RealtimeOption, held_for
@@ -50,6 +51,7 @@ def new(path: SessionArgument) -> None:
 
 
 @app.command()
+@unblocked_output()
 def run(
     session: SessionArgument,
     log: Annotated[

@@ -35,12 +35,13 @@ class Keyboard:
     def __enter__(self) -> "Keyboard":
         if self._is_terminal:
             self._before = self._termios.tcgetattr(self._descriptor)
-            self._tty.setcbreak(self._descriptor)
+            self._tty.setcbreak(self._descriptor, self._termios.TCSANOW)
         return self
 
     def __exit__(self, *_: object) -> None:
         if self._is_terminal:
-            self._termios.tcsetattr(self._descriptor, self._termios.TCSADRAIN, self._before)
+            # At once: to wait until the terminal has taken all output may be to wait for ever.
+            self._termios.tcsetattr(self._descriptor, self._termios.TCSANOW, self._before)
 
     def key(self, wait_s: float = 0.0) -> str | None:
         """The next key in lower case, None where none comes in time; q when there are no more."""
