@@ -6,12 +6,14 @@ Needs root and /dev/net/tun; everything it makes vanishes with the process that 
 from telepulse.emulator.emulated_link import EmulatedLink, emulate
 from telepulse.emulator.namespace import EmulatorError, Namespace, unavailable
 from telepulse.emulator.nodes import Outcome, run_nodes
+from telepulse.emulator.packet_filter import PacketFilter
 
 __all__ = [
     "EmulatedLink",
     "EmulatorError",
     "Namespace",
     "Outcome",
+    "PacketFilter",
     "emulate",
     "run_nodes",
     "unavailable",

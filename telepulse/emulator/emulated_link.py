@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from typing import IO
 
 from telepulse.emulator.namespace import EmulatorError, Namespace
-from telepulse.emulator.relay import Carried
+from telepulse.emulator.packet_filter import PacketFilter, write_filters
+from telepulse.emulator.relay import DROP, Carried
 from telepulse.link import LinkScene
 
 # Nobody but the two namespaces ever sees these addresses; one network for each link.
@@ -33,6 +34,11 @@ class EmulatedLink:
     def change(self, scene: LinkScene, number: int = 0) -> None:
         """One of the links is like this from now on; what is under way arrives."""
         self.orders.write(f"{number} {scene.text()}\n")
+        self.orders.flush()
+
+    def drop(self, *filters: PacketFilter, number: int = 0) -> None:
+        """Drop what these filters name on one of the links, and nothing else; none: nothing."""
+        self.orders.write(f"{number} {DROP}{write_filters(filters)}\n")
         self.orders.flush()
 
 

@@ -3,7 +3,8 @@ the model of its link says so.
 
 A process of its own, so that nobody's garbage collector delays packets. It prints when the link
 begins, and what it has carried when its standard input is closed, as by its parent's end. Until
-then a line there, the number of a link and what it is like from now on, changes that link.
+then a line there, the number of a link and what it is like from now on, changes that link; where
+"drop" and packet filters follow the number, those replace the link's filters.
 """
 
 import heapq
@@ -19,6 +20,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from protocol.histogram import Histogram
+from telepulse.emulator.packet_filter import PacketFilter, read_filters
 from telepulse.emulator.tun import MTU_BYTES
 from telepulse.link import Direction, parse_link
 
@@ -27,6 +29,7 @@ MAX_PACKETS = 64
 # A pipe takes and gives a line of this length whole.
 MAX_ORDER_BYTES = 4096
 IPV4 = 4
+DROP = "drop "
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +54,8 @@ class Relay:
         self._ways = ways
         self._waiting: list[tuple[int, int, int, bytes]] = []
         self._order = itertools.count()
+        # By device: the node that its packets go towards, and what of them is dropped.
+        self._filters: dict[int, tuple[str, tuple[PacketFilter, ...]]] = {}
         self._packets = self._lost = 0
         self._late_us = Histogram(10.0, 1_000)
 
@@ -75,6 +80,10 @@ class Relay:
         self._lost += former.lost
         self._ways[tun] = direction, other
 
+    def drop(self, tun: int, towards: str, filters: tuple[PacketFilter, ...]) -> None:
+        """Drop from now on what these filters name of the packets of this device."""
+        self._filters[tun] = towards, filters
+
     def carried(self) -> Carried:
         """What was done so far."""
         lost = self._lost + sum(direction.lost for direction, _ in self._ways.values())
@@ -84,6 +93,7 @@ class Relay:
 
     def _receive(self, tun: int) -> None:
         direction, other = self._ways[tun]
+        towards, filters = self._filters.get(tun, ("", ()))
         for _ in range(MAX_PACKETS):
             try:
                 packet = os.read(tun, MTU_BYTES)
@@ -91,6 +101,9 @@ class Relay:
                 return
             # A new interface asks about IPv6 neighbours, which would be counted as traffic.
             if packet[0] >> 4 != IPV4:
+                continue
+            if any(one.drops(packet, towards) for one in filters):
+                self._lost += 1
                 continue
             due_ns = direction.arrival_ns(time.monotonic_ns(), len(packet))
             if due_ns is not None:
@@ -132,9 +145,13 @@ def main(arguments: list[str]) -> None:
     def obey(data: bytes) -> None:
         for line in data.decode().splitlines():
             number, _, text = line.partition(" ")
-            for tun, direction in zip(
-                pairs[int(number)], directions(int(number), text), strict=True
-            ):
+            pair = pairs[int(number)]
+            if text.startswith(DROP):
+                filters = read_filters(text.removeprefix(DROP))
+                for tun, towards in zip(pair, ("display", "sensing"), strict=True):
+                    relay.drop(tun, towards, filters)
+                continue
+            for tun, direction in zip(pair, directions(int(number), text), strict=True):
                 relay.redirect(tun, direction)
 
     _say({"began_ns": began_ns})

@@ -1,5 +1,6 @@
 """The server of metrics: hears a node's telemetry, answers Prometheus."""
 
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,9 +13,10 @@ from protocol import sockets
 from protocol.errors import AddressError, BesideError, WireError
 from protocol.keys import ClientKeys, read_pair
 from protocol.status import STATUS, read_status
+from telepulse.metrics.http import MetricsHTTPServer
 
 try:
-    from prometheus_client import CollectorRegistry, start_http_server
+    from prometheus_client import CollectorRegistry, make_wsgi_app
     from prometheus_client.metrics_core import Metric
     from prometheus_client.registry import Collector
 
@@ -42,10 +44,11 @@ class Server(Collector):
         registry = CollectorRegistry()
         registry.register(self)
         try:
-            server, _ = start_http_server(port, host, registry)
+            server = MetricsHTTPServer(host, port, make_wsgi_app(registry))
         except OSError as error:
             where = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
             raise AddressError(f"--metrics: cannot bind {where}: {error.strerror}") from None
+        threading.Thread(target=server.serve_forever, daemon=True).start()
         host = f"[{host}]" if ":" in host else host
         self.url = f"http://{host}:{server.server_port}/metrics"
 

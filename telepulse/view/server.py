@@ -9,13 +9,18 @@ from collections.abc import Callable
 from urllib.parse import urlsplit
 
 from bokeh.document import Document
-from bokeh.server.server import Server
+from bokeh.server.server import BaseServer
+from bokeh.server.tornado import BokehTornado
+from bokeh.server.util import bind_sockets
+from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop, PeriodicCallback
 
 from protocol.errors import AddressError
 from protocol.keys import ClientKeys
 from telepulse.ports import free_addresses
 from telepulse.record.telemetry_reader import TelemetryReader
+from telepulse.site import Site
+from telepulse.view.admission import Admission, AdmittingRouter
 from telepulse.view.live import Live
 from telepulse.view.page import Viewer
 
@@ -23,9 +28,10 @@ PORT = 5006
 LISTEN_EVERY_MS = 50
 # A viewer that has left is forgotten within the sum of both.
 UNUSED_MS, LOOK_FOR_UNUSED_MS = 1_000, 1_000
+# Who has not answered one ping by the next is gone: within 10 s, and 5 s for a last word.
+PING_EVERY_S = 5
 # So that those who watch see how it ended.
 LAST_LOOK_S = 0.5
-LOOPBACK = ("127.0.0.1", "localhost")
 TRIES = 5
 
 
@@ -44,6 +50,7 @@ class PageServer:
         warn: Callable[[str], None],
         keys: ClientKeys | None = None,
     ) -> None:
+        self._warn = warn
         self._live = Live()
         self._heard_ns = time.monotonic_ns()
         self._reader = TelemetryReader(address, keys, warn)
@@ -79,23 +86,31 @@ class PageServer:
             self._server.unlisten()
             self._reader.close()
 
-    def _serve(self, host: str, port: int | None) -> Server:
+    def _serve(self, host: str, port: int | None) -> BaseServer:
         free = (urlsplit(address).port or 0 for address in free_addresses(TRIES))
         numbers = [port] if port is not None else [PORT, *free]
-        names = {host, *(LOOPBACK if host in LOOPBACK else ())}
         for number in numbers:
             try:
-                return Server(
-                    {"/": self._open},
-                    io_loop=self._loop,
-                    address=host,
-                    port=number,
-                    allow_websocket_origin=[f"{_in_url(name)}:{number}" for name in names],
-                    unused_session_lifetime_milliseconds=UNUSED_MS,
-                    check_unused_sessions_milliseconds=LOOK_FOR_UNUSED_MS,
-                )
+                listening, bound = bind_sockets(host, number)
             except OSError as error:
                 reason = error.strerror
+                continue
+            site = Site.at(host)
+            pages = BokehTornado(
+                {"/": self._open},
+                extra_websocket_origins=[f"{_in_url(name)}:{bound}" for name in site.names],
+                unused_session_lifetime_milliseconds=UNUSED_MS,
+                check_unused_sessions_milliseconds=LOOK_FOR_UNUSED_MS,
+                # A browser answers a ping even while its tab is hidden; a peer that does not read
+                # is closed.
+                keep_alive_milliseconds=0,
+                websocket_ping_interval=PING_EVERY_S,
+                websocket_ping_timeout=PING_EVERY_S,
+            )
+            admission = Admission(site, lambda: self.viewers, self._warn)
+            http = HTTPServer(AdmittingRouter(pages, admission))
+            http.add_sockets(listening)
+            return BaseServer(self._loop, pages, http)
         raise AddressError(f"cannot serve the page on {host}:{numbers[-1]}: {reason}") from None
 
     def _open(self, document: Document) -> None:

@@ -8,8 +8,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
-from urllib.error import URLError
-from urllib.request import urlopen
+from urllib.error import HTTPError, URLError
+from urllib.parse import urlsplit
+from urllib.request import Request, urlopen
 
 import pytest
 from hypothesis import given
@@ -120,6 +121,22 @@ def test_both_nodes_serve_what_they_sum_up(tmp_path: Path) -> None:
             assert last[name, labels] == pytest.approx(value * figure.scale), figure.key
             compared += 1
     assert compared > 9
+
+
+def test_another_site_is_not_served() -> None:
+    with served(SENSING, "--bind", free_address()) as wrist:
+        where = urlsplit(wrist.url).netloc
+        evil = where.replace("127.0.0.1", "evil.example")
+        for headers in (
+            {"Host": evil},
+            {"Host": evil, "Origin": f"http://{evil}"},
+            {"Origin": "http://evil.example"},
+        ):
+            with pytest.raises(HTTPError) as refused:
+                urlopen(Request(wrist.url, headers=headers), timeout=PATIENCE_S)
+            assert refused.value.code == 403
+            assert refused.value.read().count(b"\n") == 1
+        assert wrist.scrape()
 
 
 def test_a_server_that_is_killed_is_said_and_the_node_goes_on(tmp_path: Path) -> None:

@@ -1,0 +1,157 @@
+"""`python -m benchmarks.faults.cuts [--times N] [KIND ...]`: kinds of cuts, many times each.
+
+One pair of nodes serves all cuts of a kind, so that fifty take some three minutes. Each cut begins
+at a random instant; the time counts from its end until the pulse is felt again at full strength,
+and for 0.3 s from then on. Needs root, for the link emulator.
+"""
+
+import argparse
+import random
+import statistics
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from benchmarks.faults.finger import Finger
+from benchmarks.faults.stage import PORT, Node, staged
+from benchmarks.measure import show
+from telepulse.emulator import EmulatedLink, PacketFilter, emulate
+from telepulse.link import LinkScene, parse_link
+from telepulse.scene import find_scene
+
+WHOLE = parse_link("delay=20ms,jitter=3ms")
+TIMES = 50
+SEED = 1
+BAR_MS = 1_000.0
+# Between two cuts: TCP and the delay estimate have settled, and phases are at random.
+BETWEEN_S = (0.7, 1.5)
+BACK_WITHIN_S = 20.0
+SHORT_S, LONG_S = (0.1, 0.6), (0.6, 3.0)
+# Two of three cuts are short.
+SHORT_SHARE = 2 / 3
+
+# Cuts in quick succession are jitter to a display: after a few, a longer playout delay covers them.
+# Here they are to be felt, so the delay covers the shorter half of all delays alone.
+LATE_TARGET = 'late_target = "50 %"'
+
+DATA, CONTROL = PacketFilter(port=PORT), PacketFilter(port=PORT + 1)
+ALL = PacketFilter()
+TO_DISPLAY, TO_SENSING = PacketFilter(towards="display"), PacketFilter(towards="sensing")
+SYN = PacketFilter(syn_only=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """One kind of cut: the filters of each of its phases, and how long each lasts, in s."""
+
+    phases: Sequence[tuple[Sequence[PacketFilter], tuple[tuple[float, float], ...]]]
+
+
+MIXED = (SHORT_S, SHORT_S, LONG_S)
+KINDS: dict[str, Cut] = {
+    "both ports, 0.1 to 0.6 s": Cut([([ALL], (SHORT_S,))]),
+    "both ports, 0.6 to 3 s": Cut([([ALL], (LONG_S,))]),
+    "data port alone": Cut([([DATA], MIXED)]),
+    "control port alone": Cut([([CONTROL], MIXED)]),
+    "towards the display alone": Cut([([TO_DISPLAY], MIXED)]),
+    "towards the sensing node alone": Cut([([TO_SENSING], MIXED)]),
+    "both ports, then requests to connect": Cut([([ALL], MIXED), ([SYN], MIXED)]),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Recovery:
+    """One cut: how long it lasted, and from its end until the pulse was felt again, in ms;
+    0 where it was felt all the time."""
+
+    cut_ms: float
+    back_ms: float
+
+
+class CutRunner:
+    """Makes cuts on one link between one pair of nodes.
+
+    sensing, display: the nodes.
+    """
+
+    def __init__(
+        self, link: EmulatedLink, sensing: Node, display: Node, finger: Finger, rng: random.Random
+    ) -> None:
+        self.sensing, self.display = sensing, display
+        self._link, self._finger, self._rng = link, finger, rng
+
+    def run(self, cut: Cut) -> Recovery:
+        """Make one cut and wait for the pulse to be felt again."""
+        rng = self._rng
+        time.sleep(rng.uniform(*BETWEEN_S))
+        began_ns = time.monotonic_ns()
+        for filters, lengths_s in cut.phases:
+            self._link.drop(*filters)
+            time.sleep(rng.uniform(*rng.choice(lengths_s)))
+        self._link.drop()
+        ended_ns = time.monotonic_ns()
+        felt_ns = self._finger.felt_steadily_from_ns(ended_ns, BACK_WITHIN_S)
+        back_ms = BACK_WITHIN_S * 1e3 if felt_ns is None else (felt_ns - ended_ns) * 1e-6
+        return Recovery((ended_ns - began_ns) * 1e-6, back_ms)
+
+
+@contextmanager
+def cut_runner(folder: Path, seed: int, whole: LinkScene = WHOLE) -> Iterator[CutRunner]:
+    """A pair of nodes on a link, and who cuts it, within a `with`."""
+    scene = folder / "scene.toml"
+    text = find_scene("radial").read_text(encoding="utf-8")
+    scene.write_text(text.replace('late_target = "1 %"', LATE_TARGET), encoding="utf-8")
+    with emulate(whole, seed=seed) as link, staged(folder, link) as stage:
+        stage.scene = scene
+        sensing, display, finger = stage.play()
+        yield CutRunner(link, sensing, display, finger, random.Random(seed))
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.faults.cuts")
+    parser.add_argument("kinds", nargs="*", metavar="KIND", help=f"of: {'; '.join(KINDS)}")
+    parser.add_argument("--times", type=int, default=TIMES)
+    parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument("--link", default=WHOLE.text(), help="the link while it is whole")
+    parser.add_argument("--each", action="store_true", help="print each cut")
+    chosen = parser.parse_args()
+    rows = []
+    for name in chosen.kinds or KINDS:
+        with (
+            TemporaryDirectory(prefix="telepulse-") as folder,
+            cut_runner(Path(folder), chosen.seed, parse_link(chosen.link)) as runner,
+        ):
+            found = [runner.run(KINDS[name]) for _ in range(chosen.times)]
+            runner.sensing.end()
+            account = runner.display.account()
+        if chosen.each:
+            for one in found:
+                print(f"{one.cut_ms:6.0f} ms cut, back after {one.back_ms:6.0f} ms")
+        rows.append(_row(name, found))
+        print(name, account.samples, account.rejected, account.faults)
+    show(
+        f"Felt again after the end of a cut, ms ({chosen.times} times each; bar {BAR_MS:g} ms)",
+        ("cut", "median", "p90", "most", "above the bar"),
+        rows,
+    )
+
+
+def _row(name: str, found: Sequence[Recovery]) -> tuple[str, ...]:
+    back_ms = sorted(one.back_ms for one in found)
+    above = sum(one > BAR_MS for one in back_ms)
+    p90_ms = back_ms[round(0.9 * (len(back_ms) - 1))]
+    return (
+        name,
+        f"{statistics.median(back_ms):.0f}",
+        f"{p90_ms:.0f}",
+        f"{back_ms[-1]:.0f}",
+        f"{above} of {len(back_ms)}",
+    )
+
+
+if __name__ == "__main__":
+    main()
