@@ -38,7 +38,8 @@ REPORT_EVERY_NS = 1_000_000_000
 class Felt:
     """How things stood at the beginning of the last tick.
 
-    instant_ns is on the sensing clock; `scored`: the pulse was being felt at its full strength;
+    instant_ns is on the sensing clock; felt_n: NaN where a real film gives no reading; `scored`:
+    the pulse was being felt at its full strength;
     predictor_error_n: RMSE that the predictor expects of what it stood in with, NaN where it
     did not or cannot tell; trusted: it is trusted with all of the delay.
     """

@@ -62,7 +62,8 @@ class Fidelity:
         self.truth(t_ns, frame.values[:, channel].astype(np.float64) * force_ratio)
 
     def felt(self, now_ns: int, instant_ns: int, force_n: float) -> None:
-        """What the finger feels at now_ns, when the pulse of instant_ns is played."""
+        """Take what the finger feels at now_ns, when the pulse of instant_ns is played; NaN where
+        it is unknown, and nothing is scored then."""
         felt = self._felt
         felt.append((now_ns, instant_ns, force_n))
         if len(felt) >= PATIENCE + BLOCK:

@@ -12,7 +12,7 @@ import msgpack
 
 from display_node.telemetry import unpack
 from protocol.errors import WireError
-from protocol.messages import MAX_FRAME_BYTES
+from protocol.messages import MAX_FRAME_BYTES, TIME_RANGE
 
 HEARD = b"heard"
 CONTROL = -1
@@ -124,8 +124,13 @@ def read_heard(data: bytes) -> Heard:
         heard = Heard._make((*head, [Message(*message) for message in messages]))
     except (ValueError, TypeError) as error:
         raise WireError("malformed", f"not what was heard: {error}") from None
-    numbers = [*head, *(number for message in heard.messages for number in message[:2])]
+    numbers: list[object] = [
+        *head,
+        *(number for message in heard.messages for number in message[:2]),
+    ]
     texts = [message.data for message in heard.messages]
     if not (all(type(n) is int for n in numbers) and all(type(t) is bytes for t in texts)):
         raise WireError("malformed", "a field of what was heard has the wrong type")
+    if not all(number in TIME_RANGE for number in numbers):
+        raise WireError("malformed", "a number of what was heard is out of range")
     return heard

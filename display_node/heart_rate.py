@@ -4,16 +4,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 SHORTEST_BEAT_S = 0.3
+# A hole in time that is longer may hold a part of a beat.
+LONGEST_HOLE_S = 0.25
 
 
 def heart_rate_per_min(t_s: NDArray[np.float64], force_n: NDArray[np.float64]) -> float | None:
-    """Beats a minute by the median interval of the tall peaks; None with fewer than two beats.
+    """Return the beats per minute at the end of a pulse, by the median interval of its peaks.
 
-    t_s: times in s, evenly spaced; force_n: the pulse, same shape.
+    Only the newest stretch in one piece counts: no interval spans a NaN, a hole in time above
+    `LONGEST_HOLE_S` or a time that falls.
+
+    Parameters
+    ----------
+    t_s
+        Times in s, evenly spaced but for holes.
+    force_n
+        Force of the pulse in N, same shape; NaN where none was felt or none is known.
+
+    Returns
+    -------
+    Beats per minute; None where that stretch has fewer than two beats, and where the newest
+    value is NaN.
     """
     from scipy.signal import find_peaks
 
-    if len(t_s) < 3 or np.ptp(force_n) == 0:
+    apart_s = np.diff(t_s)
+    broken = ~((apart_s > 0) & (apart_s <= LONGEST_HOLE_S)) | ~np.isfinite(force_n[:-1])
+    begin = int(np.flatnonzero(broken)[-1]) + 1 if broken.any() else 0
+    t_s, force_n = t_s[begin:], force_n[begin:]
+    if len(t_s) < 3 or not np.isfinite(force_n[-1]) or np.ptp(force_n) == 0:
         return None
     spacing_s = (t_s[-1] - t_s[0]) / (len(t_s) - 1)
     low, high = np.percentile(force_n, [5, 99])

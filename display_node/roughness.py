@@ -28,7 +28,8 @@ class RoughnessMeter:
         self._count = 0
 
     def add(self, now_ns: NDArray[np.int64], felt_n: Floats, sensed_n: Floats) -> None:
-        """Consecutive ticks, the next ones at each call; NaN where nothing was sensed.
+        """Take consecutive ticks, the next ones at each call; NaN where nothing was sensed, or
+        the force felt is unknown.
 
         Around a NaN, and where ticks are missing, nothing is counted.
         """
@@ -40,6 +41,8 @@ class RoughnessMeter:
             self._period_ns, self._kernel = period_ns, high_pass(period_ns * 1e-9)
             self._felt_n, self._sensed_n = np.empty(0), np.empty(0)
         missing = np.diff(now_ns, prepend=self._last_ns) > 1.5 * period_ns
+        missing |= ~np.isfinite(felt_n)
+        felt_n = np.where(np.isfinite(felt_n), felt_n, 0.0)
         self._last_ns = int(now_ns[-1])
         felt_n = np.concatenate([self._felt_n, felt_n])
         sensed_n = np.concatenate([self._sensed_n, np.where(missing, np.nan, sensed_n)])

@@ -5,6 +5,7 @@ line a second elsewhere. It ends with the display, or with the process that star
 display's own secret key file, where its telemetry is protected.
 """
 
+import math
 import os
 import signal
 import sys
@@ -12,7 +13,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import zmq
@@ -22,6 +23,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from display_node.braille_plot import braille_plot, limits
 from display_node.heart_rate import heart_rate_per_min
 from display_node.telemetry import STATUS, TRACE, Status, Trace, read_status, read_trace
 from protocol import sockets
@@ -31,26 +33,37 @@ from protocol.output import unblocked_output
 
 FRAMES_PER_S = 8
 LINE_EVERY_S = 1.0
-KEEP_S = 6.0
-THIN = 10
+# Of the ticks: one each 10 ms, for 6 s.
+KEEP_NS, APART_NS = 6_000_000_000, 10_000_000
 PLOT_S = 3.0
-PLOT_COLUMNS, PLOT_ROWS = 64, 6
-BRAILLE_BITS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
+RUN = "of the run so far"
+# Traces come fifty times a second; a display that is silent for so long is not shown as current.
+CURRENT_NS = 1_000_000_000
+
+
+class Tick(NamedTuple):
+    """A tick that is kept; felt_n is NaN where it is unknown."""
+
+    now_ns: int
+    target_n: float
+    felt_n: float
+    scored: bool
 
 
 class Screen:
-    """What is known of a display, and how it looks."""
+    """The state of a display, and how it looks."""
 
     def __init__(self) -> None:
-        self._times_s: deque[float] = deque()
-        self._target_n: deque[float] = deque()
-        self._felt_n: deque[float] = deque()
+        self._ticks: deque[Tick] = deque(maxlen=KEEP_NS // APART_NS + 1)
+        self._heard_ns: int | None = None
         self.status: Status | None = None
         # Messages that could not be read.
         self.unreadable = 0
 
-    def take(self, message: Sequence[bytes]) -> Trace | None:
-        """Take a telemetry message, of its topic and its data; the trace where it is one."""
+    def take(self, message: Sequence[bytes], now_ns: int = 0) -> Trace | None:
+        """Take a telemetry message, of its topic and its data, that came at `now_ns` of this
+        process's clock; return the trace where it is one."""
+        self._heard_ns = now_ns
         try:
             match message:
                 case [topic, data] if topic == TRACE:
@@ -66,49 +79,81 @@ class Screen:
         return None
 
     def add_trace(self, trace: Trace) -> None:
-        """Take ticks; every tenth is kept, for 6 s."""
-        self._times_s.extend((trace.now_ns[::THIN] * 1e-9).tolist())
-        self._target_n.extend(trace.target_n[::THIN].tolist())
-        self._felt_n.extend(trace.felt_n[::THIN].tolist())
-        while self._times_s and self._times_s[0] < self._times_s[-1] - KEEP_S:
-            self._times_s.popleft()
-            self._target_n.popleft()
-            self._felt_n.popleft()
+        """Take ticks; of each 10 ms one is kept, for 6 s. A clock that falls begins afresh."""
+        columns = (trace.now_ns, trace.target_n, trace.felt_n, trace.scored)
+        for tick in map(Tick._make, zip(*(column.tolist() for column in columns), strict=True)):
+            if self._ticks and tick.now_ns < self._ticks[-1].now_ns:
+                self._ticks.clear()
+            if not self._ticks or tick.now_ns - self._ticks[-1].now_ns >= APART_NS:
+                self._ticks.append(tick)
+        while self._ticks and self._ticks[0].now_ns < self._ticks[-1].now_ns - KEEP_NS:
+            self._ticks.popleft()
 
     @property
     def heart_rate_per_min(self) -> float | None:
-        """Heart rate of the pulse that is felt."""
-        return heart_rate_per_min(np.array(self._times_s), np.array(self._felt_n))
+        """Heart rate of the pulse that is felt; None while none is felt at full strength."""
+        t_s = np.array([tick.now_ns * 1e-9 for tick in self._ticks])
+        felt_n = [tick.felt_n if tick.scored else math.nan for tick in self._ticks]
+        return heart_rate_per_min(t_s, np.array(felt_n))
 
-    def line(self) -> str:
-        """The state in one line."""
+    def line(self, now_ns: int = 0) -> str:
+        """Return the state at `now_ns` in one line."""
         if self.status is None:
             return "waiting for the display"
-        return f"{self.status.state}: " + ", ".join(f"{n} {v}" for n, v in self._rows())
+        now, run = (
+            ", ".join(f"{name} {value}" for name, value in rows)
+            for rows in (self._now_rows(now_ns), self._run_rows())
+        )
+        return f"{self._state(now_ns)}: {now}; {RUN}: {run}"
 
-    def panel(self) -> RenderableType:
-        """The state as a panel."""
+    def panel(self, now_ns: int = 0) -> RenderableType:
+        """Return the state at `now_ns` as a panel, grey where it is not current."""
         if self.status is None:
             return Panel("waiting for the display", title="telepulse")
-        table = Table(show_header=False, box=None, pad_edge=False)
-        rows = self._rows()
-        half = (len(rows) + 1) // 2
-        for left, right in zip(rows[:half], [*rows[half:], ("", "")], strict=False):
-            table.add_row(left[0], Text(left[1], "bold"), "  ", right[0], Text(right[1], "bold"))
+        current = self._silent_ns(now_ns) < CURRENT_NS
+        value_style = "bold" if current else "dim"
+        tables = []
+        for rows in (self._now_rows(now_ns), self._run_rows()):
+            table = Table(show_header=False, box=None, pad_edge=False)
+            half = (len(rows) + 1) // 2
+            for left, right in zip(rows[:half], [*rows[half:], ("", "")], strict=False):
+                texts = [(left[0], ""), (left[1], value_style), ("  ", "")]
+                texts += [(right[0], ""), (right[1], value_style)]
+                table.add_row(*(Text(text, style) for text, style in texts))
+            tables.append(table)
         stream = "".join(c if c.isprintable() else "?" for c in self.status.stream)
-        title = Text(f"telepulse · {stream or 'no stream'} · {self.status.state}")
-        return Panel(Group(table, Text(), *self._plot()), title=title, expand=False)
+        title = Text(f"telepulse · {stream or 'no stream'} · {self._state(now_ns)}")
+        parts = (tables[0], Text(), *self._plot(current), Text(), Text(RUN, "dim"), tables[1])
+        return Panel(Group(*parts), title=title, expand=False, style="" if current else "dim")
 
-    def _rows(self) -> list[tuple[str, str]]:
+    def _silent_ns(self, now_ns: int) -> int:
+        """Return for how long nothing came from a display that has not ended."""
+        ended = self.status is not None and self.status.final
+        return 0 if ended or self._heard_ns is None else max(0, now_ns - self._heard_ns)
+
+    def _state(self, now_ns: int) -> str:
+        """Return the display's state, with its age where it is not current."""
         assert self.status is not None
-        s = self.status.summary
-        rate = self.heart_rate_per_min
-        target_n = self._target_n[-1] if self._target_n else None
-        felt_n = self._felt_n[-1] if self._felt_n else None
+        silent_ns = self._silent_ns(now_ns)
+        state = self.status.state
+        return state if silent_ns < CURRENT_NS else f"{state} {silent_ns * 1e-9:.1f} s ago"
+
+    def _now_rows(self, now_ns: int) -> list[tuple[str, str]]:
+        """Return what holds at this moment; a heart rate only of a pulse that is felt now."""
+        current = self._silent_ns(now_ns) < CURRENT_NS
+        rate = self.heart_rate_per_min if current else None
+        last = self._ticks[-1] if self._ticks else None
         return [
             ("heart rate", _show(rate, "/min", 0)),
-            ("force target", _show(target_n, "mN", 1, 1e3)),
-            ("force felt", _show(felt_n, "mN", 1, 1e3)),
+            ("force target", _show(None if last is None else last.target_n, "mN", 1, 1e3)),
+            ("force felt", _show(None if last is None else last.felt_n, "mN", 1, 1e3)),
+        ]
+
+    def _run_rows(self) -> list[tuple[str, str]]:
+        """Return the figures of the whole run so far."""
+        assert self.status is not None
+        s = self.status.summary
+        return [
             ("strain RMSE", _exponent(s["strain_rmse"]["aligned"])),
             ("force RMSE", _show(s["force_rmse_n"]["aligned"], "mN", 3, 1e3)),
             ("one-way delay p50", _show(s["one_way_delay_ms"]["p50"], "ms")),
@@ -123,47 +168,24 @@ class Screen:
             *([("telemetry not readable", str(self.unreadable))] if self.unreadable else []),
         ]
 
-    def _plot(self) -> list[RenderableType]:
-        count = round(PLOT_S * 1000 / THIN)
-        felt, target = list(self._felt_n)[-count:], list(self._target_n)[-count:]
-        if len(felt) < 2:
+    def _plot(self, current: bool) -> list[RenderableType]:
+        ticks = list(self._ticks)[-(round(PLOT_S * 1e9) // APART_NS) :]
+        felt_n, target_n = [tick.felt_n for tick in ticks], [tick.target_n for tick in ticks]
+        ends = limits(felt_n, target_n)
+        if len(ticks) < 2 or ends is None:
             return [Text("no pulse yet", "dim")]
-        low, high = min(*felt, *target), max(*felt, *target)
+        low, high = ends
         return [
             Text("felt (line) over target (dots), last 3 s", "dim"),
-            *_braille(felt, target, low, high),
+            *braille_plot(felt_n, target_n, low, high, "cyan" if current else "dim"),
             Text(f"{low * 1e3:.0f} to {high * 1e3:.0f} mN", "dim"),
         ]
 
 
-def _braille(
-    line: Sequence[float], dots: Sequence[float], low: float, high: float
-) -> list[RenderableType]:
-    """A curve as a line and one as dots, in braille characters of 2 × 4 dots a cell."""
-    columns, rows = 2 * PLOT_COLUMNS, 4 * PLOT_ROWS
-    cells = [[0] * PLOT_COLUMNS for _ in range(PLOT_ROWS)]
-    line_y, dots_y = (_heights(curve, columns, rows, low, high) for curve in (line, dots))
-    for x in range(columns):
-        before, here = line_y[max(x - 1, 0)], line_y[x]
-        # The line runs down or up to where the column before it ended.
-        marked = {*range(min(before + 1, here), max(before, here + 1))}
-        if x % 3 == 0:
-            marked.add(dots_y[x])
-        for y in marked:
-            cells[y // 4][x // 2] |= BRAILLE_BITS[x % 2][y % 4]
-    return [Text("".join(chr(0x2800 + cell) for cell in row), "cyan") for row in cells]
-
-
-def _heights(curve: Sequence[float], columns: int, rows: int, low: float, high: float) -> list[int]:
-    """The curve at each column, as a row counted from the top."""
-    at = np.interp(np.linspace(0, len(curve) - 1, columns), np.arange(len(curve)), curve)
-    share = (at - low) / (high - low) if high > low else np.zeros(columns)
-    heights: list[int] = (rows - 1 - np.rint(share * (rows - 1)).astype(int)).tolist()
-    return heights
-
-
 def _show(value: float | None, unit: str, digits: int = 1, scale: float = 1.0) -> str:
-    return "–" if value is None else f"{value * scale:.{digits}f} {unit}"
+    if value is None:
+        return "–"
+    return "unknown" if math.isnan(value) else f"{value * scale:.{digits}f} {unit}"
 
 
 def _count(value: Any) -> str:
@@ -202,20 +224,20 @@ def watch(
         while meanwhile():
             sockets.wait_readable([socket], 1_000_000_000 // FRAMES_PER_S)
             for message in sockets.receive_all(socket):
-                trace = screen.take(message)
+                trace = screen.take(message, time.monotonic_ns())
                 if trace is not None and on_trace is not None:
                     on_trace(trace)
                 if screen.status is not None and screen.status.final:
                     return screen.status
             if live is not None:
-                live.update(screen.panel())
+                live.update(screen.panel(time.monotonic_ns()))
             elif draw and time.monotonic() - line_s >= LINE_EVERY_S:
                 line_s = time.monotonic()
-                console.print(screen.line(), soft_wrap=True)
+                console.print(screen.line(time.monotonic_ns()), soft_wrap=True)
         return screen.status
     finally:
         if live is not None:
-            live.update(screen.panel())
+            live.update(screen.panel(time.monotonic_ns()))
             live.stop()
         context.destroy(linger=0)
 

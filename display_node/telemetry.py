@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from display_node.display import Display, Felt
 from protocol.errors import WireError
+from protocol.messages import LARGEST_N, TIME_RANGE
 from protocol.status import STATUS, Status, pack_status, read_status, unpack
 from protocol.summary import Summary
 
@@ -38,10 +39,11 @@ STATUS_TRACES = 10
 class Trace(NamedTuple):
     """Consecutive ticks: arrays of equal length, one value a tick.
 
-    now_ns on the display's clock; instant_ns on the sensing clock; target and felt force in N;
-    scored: whether the pulse was being felt at its full strength; predictor_error_n: RMSE that the
-    predictor expects, NaN where it did not stand in or cannot tell; trusted: whether it is trusted
-    with all of the delay.
+    now_ns on the display's clock, never falling; instant_ns on the sensing clock; target force in
+    N; felt_n: felt force in N, NaN where it is unknown (no reading of the film); scored: whether
+    the pulse was being felt at its full strength; predictor_error_n: RMSE that the predictor
+    expects, NaN where it did not stand in or cannot tell; trusted: whether it is trusted with all
+    of the delay. No number is infinite or beyond `LARGEST_N`.
     """
 
     now_ns: NDArray[np.int64]
@@ -77,15 +79,27 @@ class TraceWriter:
 
 
 def read_trace(data: bytes) -> Trace:
-    """The trace in a message. Raises WireError."""
+    """Decode a trace message.
+
+    A felt force or a predictor's error that is infinite or beyond `LARGEST_N` is no measurement
+    and becomes NaN. Raises WireError, also for times that fall or are out of range.
+    """
     try:
         ints, forces = unpack(data)
         now_ns, instant_ns, scored, trusted = np.frombuffer(ints, "<i8").reshape(-1, 4).T
         target_n, felt_n, error_n = np.frombuffer(forces, "<f8").reshape(len(now_ns), 3).T
     except (ValueError, TypeError) as error:
         raise WireError("malformed", f"not a trace: {error}") from None
+    times_ns = np.concatenate([now_ns, instant_ns])
+    if np.any((times_ns < TIME_RANGE.start) | (times_ns >= TIME_RANGE.stop)):
+        raise WireError("malformed", "a trace's time is out of range")
+    if np.any(now_ns[1:] < now_ns[:-1]):
+        raise WireError("malformed", "a trace's times fall")
+    if not np.all(np.abs(target_n) <= LARGEST_N):
+        raise WireError("malformed", f"a trace's target is not within {LARGEST_N:.0e} N")
     flags = scored.astype(bool), trusted.astype(bool)
-    return Trace(now_ns, instant_ns, target_n, felt_n, flags[0], error_n, flags[1])
+    known_n, error_n = (np.where(np.abs(x) <= LARGEST_N, x, np.nan) for x in (felt_n, error_n))
+    return Trace(now_ns, instant_ns, target_n, known_n, flags[0], error_n, flags[1])
 
 
 def write_status(display: Display, summary: Summary, final: bool) -> bytes:

@@ -31,7 +31,11 @@ MAX_CHANNELS = 64
 MAX_PERIOD_NS = 10_000_000_000
 # Sample counts are whole in a float as well, and never wrap: 285 years at 1 MHz. Times leave room
 # to add and to extrapolate within 64 bits: clocks within 146 years of their zero.
-_SESSION, _COUNT, _TIME = range(1 << 63), range(1 << 53), range(-(1 << 62), 1 << 62)
+TIME_RANGE = range(-(1 << 62), 1 << 62)
+COUNT_RANGE = range(1 << 53)
+_SESSION, _COUNT, _TIME = range(1 << 63), COUNT_RANGE, TIME_RANGE
+# No force of a pulse is beyond this, in whatever unit it was meant; figures made of it stay finite.
+LARGEST_N = 1e6
 _FORMATS: dict[int, np.dtype[Any]] = {4: np.dtype("<f4"), 8: np.dtype("<f8")}
 
 _pack: Callable[[object], bytes] = msgpack.Packer(use_bin_type=True).pack
@@ -81,9 +85,10 @@ def decode_frame(data: bytes) -> Frame:
     if not payload or len(payload) % (channels * width):
         raise WireError("malformed", f"{len(payload)} bytes are not whole samples")
     values = np.frombuffer(payload, _FORMATS[width])
-    # The sum tells of all at once, and a batch is small; of large doubles it may overflow.
-    if not math.isfinite(sum(values.tolist())) and not np.isfinite(values).all():
-        raise WireError("not_finite", "a sample is NaN or infinite")
+    numbers = values.tolist()
+    # A NaN hides from `max`, never from the sum.
+    if not math.isfinite(sum(numbers)) or max(numbers) > LARGEST_N or min(numbers) < -LARGEST_N:
+        raise WireError("not_finite", f"a sample is NaN, infinite or beyond {LARGEST_N:.0e} N")
     return Frame(session, first_sample, t_first_ns, period_ns, values.reshape(-1, channels))
 
 

@@ -3,13 +3,14 @@
 A multipart message ["status", msgpack]. A last status has final = true.
 """
 
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import msgpack
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from protocol.errors import WireError
-from protocol.summary import Summary
+from protocol.messages import COUNT_RANGE, MAX_CHANNELS, TIME_RANGE
+from protocol.summary import LARGEST, Summary
 
 STATUS = b"status"
 MAX_ITEMS = 256
@@ -24,11 +25,11 @@ class Playing(NamedTuple):
     stale_after_ns: how long without samples makes the stream stale.
     """
 
-    channel: int
-    force_ratio: float
-    strain_per_newton: float
+    channel: Annotated[int, Field(ge=0, lt=MAX_CHANNELS)]
+    force_ratio: Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
+    strain_per_newton: Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
     predictor: str
-    stale_after_ns: int
+    stale_after_ns: Annotated[int, Field(ge=0, lt=TIME_RANGE.stop)]
 
 
 class Status(NamedTuple):
@@ -80,7 +81,16 @@ def read_status(data: bytes) -> Status:
         whole = _SUMMARY.validate_python(summary).to_dict()
     except ValidationError as error:
         raise WireError("malformed", f"a status' summary: {error}") from None
+    if not _countable(whole):
+        raise WireError("malformed", "a count of a status' summary is out of range")
     return Status(state, stream, whole, final, session, displays, playing)
+
+
+def _countable(value: Any) -> bool:
+    """Check that every whole number in a summary is one that a float holds exactly."""
+    if isinstance(value, dict):
+        return all(_countable(inner) for inner in value.values())
+    return not isinstance(value, int) or abs(value) in COUNT_RANGE
 
 
 def unpack(data: bytes, max_items: int = MAX_ITEMS) -> Any:

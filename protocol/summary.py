@@ -19,6 +19,8 @@ from protocol.limits import Limits, limit_texts
 
 # Stands in a row's text for a value that there is none of; no fault's text has it.
 _ABSENT = "\0"
+# No figure is larger: clocks at most 292 years apart are 1e13 ms.
+LARGEST = 1e15
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,8 +170,9 @@ class Summary:
     faults: list[str] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain types for JSON and msgpack; NaN becomes None."""
-        table: dict[str, Any] = _without_nan(dataclasses.asdict(self))
+        """Return plain types for JSON and msgpack; what is no figure (NaN, infinite, beyond
+        `LARGEST`) becomes None."""
+        table: dict[str, Any] = _measured(dataclasses.asdict(self))
         return table
 
 
@@ -301,9 +304,9 @@ def _percent(value: float | None) -> float | None:
     return None if value is None else value * 100
 
 
-def _without_nan(value: Any) -> Any:
+def _measured(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: _without_nan(inner) for key, inner in value.items()}
+        return {key: _measured(inner) for key, inner in value.items()}
     if isinstance(value, list):
-        return [_without_nan(inner) for inner in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        return [_measured(inner) for inner in value]
+    return None if isinstance(value, float) and not abs(value) <= LARGEST else value

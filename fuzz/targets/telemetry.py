@@ -1,13 +1,20 @@
-"""Traces and statuses of a display, the screen that shows them, and what it has heard."""
+"""Traces and statuses of a display, what it has heard, and every reader of them."""
 
 import msgpack
 import numpy as np
 
 from display_node.display import Felt
-from display_node.heard import HeardWriter, read_heard
-from display_node.screen import Screen
-from display_node.telemetry import TRACE_TICKS, TraceWriter, read_status, read_trace
+from display_node.heard import HEARD, HeardWriter, read_heard
+from display_node.telemetry import (
+    STATUS,
+    TRACE,
+    TRACE_TICKS,
+    TraceWriter,
+    read_status,
+    read_trace,
+)
 from fuzz.refusals import refusals
+from fuzz.telemetry_readers import TelemetryReaders, preamble
 from protocol.summary import Summary
 
 MSGPACK = True
@@ -33,8 +40,11 @@ def try_one(data: bytes) -> None:
         assert {np.shape(column) for column in trace} == {np.shape(trace.now_ns)}
     with refusals():
         assert all(type(message.data) is bytes for message in read_heard(data).messages)
-    screen = Screen()
     with refusals():
-        screen.status = read_status(data)
-        screen.line()
-        screen.panel()
+        read_status(data)
+    readers = TelemetryReaders()
+    for message in preamble():
+        readers.take(*message)
+    for topic in (TRACE, STATUS, HEARD):
+        readers.take(topic, data)
+    readers.draw()

@@ -1,5 +1,6 @@
 """What a display's telemetry tells, passed on to LSL; what cannot be is counted."""
 
+import math
 from collections import Counter
 from collections.abc import Callable
 
@@ -82,7 +83,10 @@ class Forwarder:
         self.passed["samples"] += count
 
     def _take_ticks(self, ticks: list[Entry]) -> None:
-        forces_n = [(entry.fields["target_n"], entry.fields["felt_n"]) for entry in ticks]
+        # Where the force felt is unknown, LSL gets a NaN.
+        forces_n = [
+            (entry.fields["target_n"], entry.fields.get("felt_n", math.nan)) for entry in ticks
+        ]
         self._outlets.push_finger(forces_n, [self._time.at(entry.t_ns) for entry in ticks])
         self._listener.play(ticks[-1].fields["instant_ns"])
         self.passed["ticks"] += len(ticks)

@@ -58,7 +58,7 @@ def _export_tables(path: Path, folder: Path, log: Callable[[str], None], kind: K
         raise
     except OSError as error:
         raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from None
-    except (KeyError, ValueError, TypeError, ArithmeticError) as error:
+    except (LookupError, ValueError, TypeError, ArithmeticError) as error:
         raise SourceError(f"{path}: a message is not telepulse's: {error!r:.80}") from None
     say_gaps(path, reader, log)
     log(f"{folder}: " + ", ".join(f"{tables.rows[t]} {name}" for t, name in TABLES.items()))

@@ -43,7 +43,7 @@ class McapWriter:
 
     def add(self, entry: Entry) -> None:
         """Take a message into the present chunk."""
-        self.put(entry.topic, entry.t_ns, _json(entry.fields))
+        self.put(entry.topic, entry.t_ns, as_json(entry.fields))
 
     def put(self, topic: str, t_ns: int, data: bytes) -> None:
         """As `add`, of a message that is JSON already."""
@@ -84,7 +84,7 @@ class McapWriter:
         return channel
 
 
-def _json(fields: dict[str, Any]) -> bytes:
+def as_json(fields: dict[str, Any]) -> bytes:
     try:
         return _encode(fields).encode()
     except ValueError:

@@ -1,5 +1,6 @@
 """What was felt and what happened in one session of a recording, on the sensing clock."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -50,7 +51,7 @@ def felt_in(path: Path, session: int) -> Felt:
                     events += [(at_ns + apart_ns, text) for at_ns, text in early]
                 unix_minus_display_ns = message.t_ns - fields["now_ns"]
                 t_ns.append(sensing_ns)
-                force_n.append(float(fields["felt_n"]))
+                force_n.append(float(fields.get("felt_n", math.nan)))
                 listener.play(fields["instant_ns"])
             elif message.topic != EVENT:
                 listener.take(message.topic, fields)
@@ -62,7 +63,7 @@ def felt_in(path: Path, session: int) -> Felt:
                 else:
                     early.append((message.t_ns, text))
         times_ns = np.array(t_ns, np.int64)
-    except (KeyError, ValueError, TypeError, ArithmeticError) as error:
+    except (LookupError, ValueError, TypeError, ArithmeticError) as error:
         raise SourceError(f"{path}: a message is not telepulse's: {error!r:.80}") from None
     if not t_ns:
         raise SourceError(f"{path}: holds no tick while the sensing clock was known")

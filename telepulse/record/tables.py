@@ -25,7 +25,7 @@ _SAYS = {
         "now_ns": "when the tick was due, on the display's clock",
         "instant_ns": "instant of the pulse that was played, on the sensing clock",
         "target_n": "force wanted at the finger",
-        "felt_n": "force felt at the finger",
+        "felt_n": "force felt at the finger; none where it is unknown",
         "scored": "the pulse was played at its full strength",
         "predictor_error_n": "RMSE that the predictor expects of itself; none where it says none",
         "trusted": "the predictor was trusted with all of the delay",

@@ -151,8 +151,10 @@ class Transcript:
         columns = [column.tolist() for column in trace]
         for values in zip(*columns, strict=True):
             fields = dict(zip(Trace._fields, values, strict=True))
-            if math.isnan(fields["predictor_error_n"]):
-                del fields["predictor_error_n"]
+            # JSON has no NaN: a field without a value is left out.
+            for name in ("felt_n", "predictor_error_n"):
+                if math.isnan(fields[name]):
+                    del fields[name]
             self._now_ns = fields["now_ns"]
             yield Entry(TICK, self._unix_ns(self._now_ns), fields)
 

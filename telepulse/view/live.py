@@ -27,7 +27,8 @@ LOSS_STATUSES = 5
 class Live:
     """The state of one run of a display; another run begins it afresh.
 
-    ticks: felt_n, target_n, playout delay in ns and predictor_error_n, NaN where there is none.
+    ticks: felt_n (NaN where it is unknown), target_n, playout delay in ns (NaN where the pulse is
+    not felt at full strength) and predictor_error_n, NaN where there is none.
     wrist: force in N. delays: one-way delay in ms of frames. statuses: clock offset, its
     uncertainty (ms), skew (ppm), samples lost and late (of 100), deadline misses so far,
     refused messages so far, seconds at any limit so far.
@@ -96,7 +97,8 @@ class Live:
         if fields["scored"] and self._offset_ns is not None:
             delay_ns = fields["now_ns"] + self._offset_ns - fields["instant_ns"]
         error_n = fields.get("predictor_error_n", math.nan)
-        self.ticks.add(entry.t_ns, fields["felt_n"], fields["target_n"], delay_ns, error_n)
+        felt_n = fields.get("felt_n", math.nan)
+        self.ticks.add(entry.t_ns, felt_n, fields["target_n"], delay_ns, error_n)
 
     def _frame(self, entry: Entry) -> None:
         fields, offset_ns = entry.fields, self._offset_ns

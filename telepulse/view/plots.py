@@ -109,7 +109,7 @@ class Plots:
 
     def __init__(self) -> None:
         # All in one, so that a picture is one message and each plot is painted once for it.
-        self._source = ColumnDataSource(_padded(dict.fromkeys(_CURVES, _NOTHING)))
+        self._source = ColumnDataSource(padded(dict.fromkeys(_CURVES, _NOTHING)))
         self._times = Range1d(start=-10, end=0)
         self._limits = {plot.id: Range1d(start=0, end=1) for plot in PLOTS}
         self._band = BoxAnnotation(
@@ -120,7 +120,7 @@ class Plots:
     def show(self, picture: Picture, window_s: float) -> None:
         """Draw a picture."""
         self._times.start = -window_s
-        self._source.data = _padded(picture.columns)
+        self._source.data = padded(picture.columns)
         for plot, (low, high) in picture.limits.items():
             self._limits[plot].update(start=low, end=high)
         jnd_mn = (picture.scores.jnd_n or 0.0) * 1e3
@@ -161,7 +161,7 @@ class Plots:
         return drawn
 
 
-def _padded(columns: dict[str, Columns]) -> dict[str, NDArray[np.float32]]:
+def padded(columns: dict[str, Columns]) -> dict[str, NDArray[np.float32]]:
     """All curves as columns of one length, each filled up with NaN."""
     length = max(len(columns[name]["t"]) for name in _CURVES)
     padded = {}

@@ -115,7 +115,8 @@ def _offset(clock: Fields) -> Figure:
     offset_ms = clock["offset_ms"]
     # Clocks of two hosts begin at different times, and may be days apart.
     value = f"{offset_ms:.3f} ms" if abs(offset_ms) < 1e4 else f"{offset_ms * 1e-3:.3f} s"
-    return Figure(value, f"± {clock['uncertainty_ms']:.3f} ms, sensing minus display")
+    uncertainty = _show(clock.get("uncertainty_ms"), "± {:.3f} ms, ")
+    return Figure(value, f"{uncertainty}sensing minus display")
 
 
 def _limited(limits: Fields) -> Figure:

@@ -219,3 +219,14 @@ def test_what_was_felt_before_a_fault_is_scored_however_long_it_lasts() -> None:
     tell(fidelity, pieces[400:])
     fidelity.finish()
     assert fidelity.force_rmse_n.aligned == pytest.approx(0.01, rel=1e-3)
+
+
+def test_a_force_that_is_unknown_is_not_scored() -> None:
+    fidelity = Fidelity(STRAIN_PER_NEWTON)
+    ticks_ns = tick_times_ns(1.0, 2.0)
+    tell(fidelity, frames(sample_times_ns(120.0))[:400])
+    felt_n = pulse_n(ticks_ns - DELAY_NS) + 0.01
+    felt_n[::7] = math.nan
+    feel(fidelity, ticks_ns, felt_n)
+    fidelity.finish()
+    assert fidelity.force_rmse_n.aligned == pytest.approx(0.01, rel=1e-3)

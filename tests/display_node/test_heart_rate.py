@@ -55,3 +55,26 @@ def test_variable_beats_give_their_median() -> None:
 )
 def test_no_rate_without_two_beats(forces_n: NDArray[np.float64]) -> None:
     assert heart_rate_per_min(times_s(forces_n), forces_n) is None
+
+
+def test_no_interval_spans_a_gap() -> None:
+    forces_n = pulse_n(6.0, 1e-2)
+    t_s = times_s(forces_n, 1e-2)
+    # Cut for 4.6 s between two beats, as a link would: 13 /min if the gap were a beat.
+    cut_s = np.where(np.arange(len(t_s)) > 100, t_s + 4.6, t_s)
+    assert heart_rate_per_min(cut_s[:200], forces_n[:200]) is None
+    assert heart_rate_per_min(cut_s, forces_n) == pytest.approx(75, rel=0.02)
+    unknown_n = forces_n.copy()
+    unknown_n[100:130] = np.nan
+    assert heart_rate_per_min(t_s, unknown_n) == pytest.approx(75, rel=0.02)
+
+
+def test_a_pulse_that_is_not_felt_any_more_has_no_rate() -> None:
+    forces_n = pulse_n(6.0, 1e-2)
+    forces_n[-1] = np.nan
+    assert heart_rate_per_min(times_s(forces_n, 1e-2), forces_n) is None
+
+
+@pytest.mark.parametrize("t_s", [np.zeros(100), -np.arange(100.0)], ids=["stands", "falls"])
+def test_times_that_do_not_rise_have_no_rate(t_s: NDArray[np.float64]) -> None:
+    assert heart_rate_per_min(t_s, np.sin(np.arange(100.0))) is None

@@ -80,3 +80,10 @@ def test_a_clock_that_is_corrected_is_no_gap() -> None:
 def test_before_anything_is_known_and_with_slow_ticks_there_is_none() -> None:
     assert metered(wave_n(60)[:150], wave_n(60)[:150]).roughness == Roughness()
     assert metered(wave_n(3), wave_n(3), tick_ns=20 * MS).roughness == Roughness()
+
+
+def test_around_a_force_that_is_unknown_nothing_is_counted() -> None:
+    felt_n = wave_n(60)
+    felt_n[5_000:5_100] = math.nan
+    roughness = metered(felt_n, wave_n(60)).roughness
+    assert roughness.energy_ratio == pytest.approx(1.0)

@@ -26,6 +26,7 @@ from protocol.summary import (
 from ..nodes import free_address
 
 BEAT_S = 0.8
+SECOND_NS = 1_000_000_000
 
 
 def trace_of_a_pulse(seconds: float) -> Trace:
@@ -163,3 +164,42 @@ def test_a_streams_name_cannot_draw_on_the_screen(name: str) -> None:
     text = printed(screen)
     assert "\x1b" not in text
     assert "evil" in text or "[/]" in text
+
+
+def test_what_is_not_current_has_its_age_and_no_heart_rate() -> None:
+    screen = Screen()
+    screen.add_trace(trace_of_a_pulse(6))
+    screen.take(
+        (STATUS, pack_status("playing", "my pulse", Summary(), final=False)), 10 * SECOND_NS
+    )
+    assert screen.line(10 * SECOND_NS).startswith("playing: heart rate 75 /min")
+    late_ns = 12_300_000_000
+    assert screen.line(late_ns).startswith("playing 2.3 s ago: heart rate –")
+    console = Console(width=100, record=True, file=io.StringIO(), force_terminal=True)
+    console.print(screen.panel(late_ns))
+    assert "playing 2.3 s ago" in console.export_text(clear=False)
+    # Grey: every figure is dim, none is bold.
+    styled = console.export_text(styles=True)
+    assert "\x1b[2m" in styled
+    assert "\x1b[1m" not in styled
+
+
+def test_a_display_that_has_ended_is_not_old() -> None:
+    screen = Screen()
+    screen.take((STATUS, FINAL), 0)
+    assert screen.line(60 * SECOND_NS).startswith("ended: ")
+
+
+def test_a_clock_that_begins_anew_begins_the_pulse_anew() -> None:
+    screen = Screen()
+    later = trace_of_a_pulse(6)
+    screen.add_trace(later._replace(now_ns=later.now_ns + 3_600 * SECOND_NS))
+    screen.add_trace(trace_of_a_pulse(3))
+    assert screen.heart_rate_per_min == pytest.approx(60 / BEAT_S, rel=0.02)
+
+
+def test_a_pulse_that_is_not_felt_at_its_full_strength_has_no_heart_rate() -> None:
+    screen = Screen()
+    trace = trace_of_a_pulse(6)
+    screen.add_trace(trace._replace(scored=trace.now_ns < 5_900_000_000))
+    assert screen.heart_rate_per_min is None

@@ -1,3 +1,5 @@
+import dataclasses
+import math
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -19,21 +21,25 @@ from display_node.telemetry import (
     write_status,
 )
 from protocol.errors import WireError
+from protocol.messages import LARGEST_N, TIME_RANGE
 from protocol.scene import load_section
+from protocol.status import pack_status
 from protocol.summary import Samples, Summary
 
 from .sender import Sender, run
 
 RADIAL = Path(__file__).parents[2] / "scenes" / "radial.toml"
 int64 = st.integers(-(2**63), 2**63 - 1)
+times_ns = st.integers(TIME_RANGE.start, TIME_RANGE.stop - 1)
+forces_n = st.floats(-LARGEST_N, LARGEST_N)
 ticks = st.builds(
     Felt,
-    now_ns=int64,
-    instant_ns=int64,
-    target_n=st.floats(),
-    felt_n=st.floats(),
+    now_ns=times_ns,
+    instant_ns=times_ns,
+    target_n=forces_n,
+    felt_n=forces_n | st.just(math.nan),
     scored=st.booleans(),
-    predictor_error_n=st.floats(),
+    predictor_error_n=forces_n | st.just(math.nan),
     trusted=st.booleans(),
 )
 
@@ -46,6 +52,7 @@ def traces(felt: list[Felt]) -> list[bytes]:
 @settings(deadline=None)
 @given(st.lists(ticks, min_size=TRACE_TICKS, max_size=3 * TRACE_TICKS))
 def test_every_tick_comes_through_a_trace(felt: list[Felt]) -> None:
+    felt.sort(key=lambda tick: tick.now_ns)
     read = [read_trace(message) for message in traces(felt)]
     assert len(read) == len(felt) // TRACE_TICKS
     sent = felt[: len(read) * TRACE_TICKS]
@@ -53,6 +60,51 @@ def test_every_tick_comes_through_a_trace(felt: list[Felt]) -> None:
         together = np.concatenate([getattr(trace, name) for trace in read])
         np.testing.assert_array_equal(together, [getattr(tick, name) for tick in sent])
         assert all(len(getattr(trace, name)) == TRACE_TICKS for trace in read)
+
+
+def trace_of(**changes: object) -> Trace:
+    """Read a trace of ticks that are all alike but for the changes to the last one."""
+    felt = [Felt(tick, tick, tick, 0.5, 0.4, True, 0.01) for tick in range(TRACE_TICKS)]
+    for name, value in changes.items():
+        setattr(felt[-1], name, value)
+    (message,) = traces(felt)
+    return read_trace(message)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300, -1e300])
+@pytest.mark.parametrize("name", ["felt_n", "predictor_error_n"])
+def test_a_figure_that_is_no_measurement_is_read_as_unknown(name: str, value: float) -> None:
+    column = getattr(trace_of(**{name: value}), name)
+    assert np.isfinite(column[:-1]).all()
+    assert math.isnan(column[-1])
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300])
+def test_a_target_that_is_no_force_is_refused(value: float) -> None:
+    with pytest.raises(WireError, match="target"):
+        trace_of(target_n=value)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"now_ns": 3}, {"now_ns": 2**62}, {"instant_ns": -(2**63)}], ids=str
+)
+def test_times_that_fall_or_are_out_of_range_are_refused(changes: dict[str, int]) -> None:
+    with pytest.raises(WireError, match="time"):
+        trace_of(**changes)
+
+
+@pytest.mark.parametrize("number", [2**53, 2**63])
+def test_a_summary_that_counts_beyond_all_measure_is_refused(number: int) -> None:
+    whole = Summary(samples=Samples(sent=number))
+    with pytest.raises(WireError, match="out of range"):
+        read_status(pack_status("playing", "", whole, final=False))
+
+
+@pytest.mark.parametrize("figure", [math.nan, math.inf, -math.inf, 1e300])
+def test_a_summarys_figure_that_is_no_measurement_is_absent(figure: float) -> None:
+    whole = dataclasses.asdict(Summary(within_jnd=figure))
+    status = read_status(msgpack.packb(["playing", "", whole, False, None, None, None]))
+    assert status.summary["within_jnd"] is None
 
 
 def test_the_status_comes_through() -> None:

@@ -1,5 +1,6 @@
 """What a recording says of its run, gathered in one pass. Pure, but for reading the file."""
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -168,7 +169,9 @@ class Findings:
             self.playout_ms.add(delay_ms)
             self._add("playout_ms", t_s, delay_ms)
         if fields["scored"]:
-            tick = Tick(t_s, sensing_now_ns, instant_ns, target_n, float(fields["felt_n"]))
+            tick = Tick(
+                t_s, sensing_now_ns, instant_ns, target_n, float(fields.get("felt_n", math.nan))
+            )
             self.forces.felt(tick)
 
     def _alive(self, sensing_now_ns: int, instant_ns: int) -> bool:
@@ -240,7 +243,7 @@ def read_findings(path: Path) -> Findings:
         for told in in_turn(reader):
             findings.take(told)
         findings.finish()
-    except (KeyError, ValueError, TypeError, ArithmeticError) as error:
+    except (LookupError, ValueError, TypeError, ArithmeticError) as error:
         raise SourceError(f"{path}: a message is not telepulse's: {error!r:.80}") from None
     if findings.begin_ns is None:
         raise SourceError(f"{path}: holds no message")

@@ -62,10 +62,10 @@ class Forces:
 
     def _take(self, blocks: Iterator[Block]) -> None:
         for block in blocks:
-            known_n = block.wrist_n[~np.isnan(block.wrist_n)]
+            error_n = block.felt_n - block.wrist_n
+            known_n = block.wrist_n[~np.isnan(error_n)]
             if not len(known_n):
                 continue
-            error_n = block.felt_n - block.wrist_n
             self.error_n.add(block.t_s, error_n)
             jnd_n = JND * float(np.ptp(known_n))
             self.jnd_n.add(block.t_s, np.full(len(block.t_s), jnd_n))

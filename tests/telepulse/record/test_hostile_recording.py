@@ -64,3 +64,34 @@ def test_a_field_that_is_not_telepulses_is_one_line_or_left_out(
         said = str(error)
     assert said == "" or said.startswith(f"{path}: a message is not telepulse's")
     assert "\n" not in said
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_a_recording_whose_felt_force_becomes_unknown_is_read(
+    reader: str, good: list[RecordedMessage], tmp_path: Path
+) -> None:
+    path, ticks = tmp_path / "a.mcap", 0
+    writer = McapWriter(path)
+    for message in good:
+        fields = dict(message.fields)
+        ticks += message.topic == TICK
+        if message.topic == TICK and ticks > 1_500:
+            del fields["felt_n"]
+        writer.put(message.topic, message.t_ns, json.dumps(fields).encode())
+    writer.close()
+    READERS[reader](path, tmp_path / "out")
+
+
+def test_a_display_that_plays_a_channel_that_is_not_there_is_one_line(
+    good: list[RecordedMessage], tmp_path: Path
+) -> None:
+    path = tmp_path / "a.mcap"
+    writer = McapWriter(path)
+    for message in good:
+        fields = dict(message.fields)
+        if "playing" in fields:
+            fields["playing"] |= {"channel": 9}
+        writer.put(message.topic, message.t_ns, json.dumps(fields).encode())
+    writer.close()
+    with pytest.raises(SourceError, match="a message is not telepulse's"):
+        read_findings(path)

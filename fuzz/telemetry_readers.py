@@ -1,0 +1,153 @@
+"""All readers of a display's telemetry beside each other, and what must hold of each of them."""
+
+import io
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from display_node.display import Felt
+from display_node.heard import CONTROL, HEARD, SUBSCRIBED, HeardWriter
+from display_node.screen import Screen
+from display_node.telemetry import STATUS, TRACE, TraceWriter
+from protocol.messages import ClockReply, Frame, Welcome, encode_control, encode_frame
+from protocol.status import Playing, pack_status
+from protocol.stream import Channel, StreamDescription
+from protocol.summary import Clock, Samples, Summary
+from protocol.tactile import ElasticLayer
+from telepulse.lsl_outlet.forwarder import Forwarder
+from telepulse.metrics.families import Told as ToldStatus
+from telepulse.metrics.families import families
+from telepulse.record.mcap_writer import as_json
+from telepulse.record.report.findings import Findings
+from telepulse.record.report.in_turn import Told
+from telepulse.record.transcript import Transcript
+from telepulse.view.alarms import alarms
+from telepulse.view.live import Live
+from telepulse.view.picture import picture
+from telepulse.view.plots import padded
+from telepulse.view.words import figures, state
+
+MS = 1_000_000
+SECOND_NS = 1000 * MS
+WALL_NS, AHEAD_NS = 1_700_000_000 * SECOND_NS, 5 * SECOND_NS
+SESSION = 7
+WELCOME = Welcome(
+    SESSION, 0, StreamDescription("pulse", MS, 5, (Channel("force"),), ElasticLayer())
+)
+PLAYING = Playing(0, 1.0, -4.8e-6, "linear", 60 * MS)
+MOST_CHARACTERS = 100_000
+Message = tuple[bytes, bytes]
+
+
+class TelemetryReaders:
+    """Gives each message to the panel, the page, the recorder, the report, LSL and the metrics."""
+
+    def __init__(self) -> None:
+        self.screen, self.live, self.transcript = Screen(), Live(), Transcript()
+        self.outlets = KeptOutlets()
+        self.forwarder = Forwarder(self.outlets, str)
+        self.findings = Findings(Path("telemetry"))
+
+    def take(self, topic: bytes, data: bytes) -> None:
+        """Hand a telemetry message to every reader."""
+        self.screen.take((topic, data), 0)
+        entries = self.transcript.take(topic, data)
+        for entry in entries:
+            self.live.take(entry)
+            # A recording holds what every reader of JSON can read.
+            fields = json.loads(as_json(entry.fields), parse_constant=_refuse_constant)
+            self.findings.take(Told(entry.topic, entry.t_ns, fields))
+        self.forwarder.take(entries)
+
+    def draw(self) -> None:
+        """Draw what every reader shows; raise AssertionError where it cannot be shown."""
+        console = Console(width=100, file=io.StringIO(), color_system=None)
+        console.print(self.screen.panel(3 * SECOND_NS), self.screen.line(3 * SECOND_NS))
+        assert console.file.tell() < MOST_CHARACTERS
+        for window_ns in (SECOND_NS, 10 * SECOND_NS):
+            drawn = picture(self.live, window_ns)
+            for low, high in drawn.limits.values():
+                assert math.isfinite(low)
+                assert math.isfinite(high)
+                assert low < high
+            assert not any(np.isinf(column).any() for column in padded(drawn.columns).values())
+            assert all(figure.value for figure in figures(self.live, drawn).values())
+        assert all(alarm.name for alarm in alarms(self.live, 0))
+        assert len(state(self.live)) == 2
+        if self.screen.status is not None:
+            told = ToldStatus(self.screen.status, 0, self.screen.heart_rate_per_min)
+            for metric in families("fuzz", told, 0):
+                assert all(type(sample.value) in (int, float, bool) for sample in metric.samples)
+        self.forwarder.finish()
+        self.findings.finish()
+        json.dumps(self.findings.summary().to_dict(), allow_nan=False)
+
+
+class KeptOutlets:
+    """Takes what LSL would publish and checks that LSL could."""
+
+    def local_clock(self) -> float:
+        return 0.0
+
+    def describe(self, description: StreamDescription) -> bool:
+        return True
+
+    def push_wrist(self, values: "np.ndarray[Any, Any]", times_s: Sequence[float]) -> None:
+        assert np.isfinite(values).all()
+        assert np.isfinite(times_s).all()
+
+    def push_finger(self, forces_n: Sequence[tuple[float, float]], times_s: list[float]) -> None:
+        assert not np.isinf(forces_n).any()
+        assert np.isfinite(times_s).all()
+
+    def push_event(self, text: str, time_s: float) -> None:
+        assert math.isfinite(time_s)
+
+
+def preamble() -> list[Message]:
+    """Return what a display publishes before a pulse is felt: stream, clock, status, frames."""
+    heard = HeardWriter(run=1)
+    heard.follow(SUBSCRIBED)
+    heard.add(0, CONTROL, encode_control(WELCOME))
+    for number in range(8):
+        t1_ns = number * 25 * MS
+        reply = ClockReply(SESSION, t1_ns, t1_ns + AHEAD_NS, t1_ns + AHEAD_NS)
+        heard.add(t1_ns, CONTROL, encode_control(reply))
+    messages = [(HEARD, part) for part in heard.take(200 * MS, WALL_NS + 200 * MS)]
+    return [*messages, status_message("playing")]
+
+
+def trace_message(*felt: Felt) -> Message:
+    """Return ticks as a trace message."""
+    writer = TraceWriter()
+    message = None
+    for tick in felt:
+        message = writer.add(tick) or message
+    return TRACE, writer.rest() or message or b""
+
+
+def status_message(state: str, playing: Playing = PLAYING, **changes: Any) -> Message:
+    """Return a status message, of a display whose clock is known."""
+    whole = {"clock": Clock(AHEAD_NS / MS, 1.0, 0.1, 0.2, 0), "samples": Samples(5, 5, 0, 0, 0)}
+    summary = Summary(**(whole | changes))
+    return STATUS, pack_status(state, "pulse", summary, False, SESSION, playing=playing)
+
+
+def heard_message(
+    frame: Frame, arrived_ns: int, now_ns: int, wall_ns: int, run: int = 1
+) -> Message:
+    """Return a frame as it was heard."""
+    heard = HeardWriter(run)
+    heard.follow(SUBSCRIBED)
+    heard.add(arrived_ns, 0, encode_frame(frame))
+    (part,) = heard.take(now_ns, wall_ns)
+    return HEARD, part
+
+
+def _refuse_constant(name: str) -> None:
+    raise AssertionError(f"a recording holds {name}")

@@ -1,0 +1,172 @@
+"""Whatever a display publishes, every reader of its telemetry goes on, in bounded time and memory,
+and draws what is no figure as a gap."""
+
+import math
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from display_node.display import Felt
+from display_node.telemetry import TRACE
+from fuzz.telemetry_readers import (
+    AHEAD_NS,
+    MS,
+    PLAYING,
+    SESSION,
+    WALL_NS,
+    Message,
+    TelemetryReaders,
+    heard_message,
+    preamble,
+    status_message,
+    trace_message,
+)
+from protocol.messages import Frame
+from protocol.status import Playing
+from protocol.summary import (
+    Clock,
+    Compensation,
+    Errors,
+    Loop,
+    OneWayDelay,
+    PlayoutDelay,
+    Roughness,
+    Samples,
+    Summary,
+)
+
+MOST_MORE_BYTES = 1 << 30
+AWKWARD = [math.nan, math.inf, -math.inf, 1e300, -1e300, 5e-324, 1e15, 1e6, -1e6, 0.0, 0.3]
+awkward = st.sampled_from(AWKWARD) | st.floats()
+times_ns = (
+    st.integers(0, 3_000).map(lambda ms: ms * MS)
+    | st.sampled_from([-(2**63), -1, 0, 2**62 - 1, 2**62, 2**63 - 1])
+    | st.integers(-(2**62), 2**62 - 1)
+)
+counts = st.integers(0, 10_000) | st.sampled_from([-1, 2**53 - 1, 2**53, 2**63 - 1])
+words = st.sampled_from(["waiting", "starting", "playing", "stale", "ended", "fault", "", "\x1b["])
+
+ticks = st.builds(Felt, times_ns, times_ns, times_ns, awkward, awkward, st.booleans(), awkward)
+near_ticks = st.builds(
+    lambda ms, felt_n, scored: Felt(ms * MS, 0, ms * MS + AHEAD_NS, 0.3, felt_n, scored),
+    *(st.integers(0, 3_000), awkward, st.booleans()),
+)
+traces = st.lists(ticks | near_ticks, max_size=25).map(lambda felt: trace_message(*felt))
+rising_traces = st.lists(near_ticks, max_size=25).map(
+    lambda felt: trace_message(*sorted(felt, key=lambda tick: tick.now_ns))
+)
+summaries = st.fixed_dictionaries(
+    {},
+    optional={
+        "samples": st.builds(Samples, counts, counts, counts, counts, counts),
+        "one_way_delay_ms": st.builds(OneWayDelay, awkward, awkward, awkward),
+        "playout_delay_ms": st.builds(PlayoutDelay, awkward, awkward),
+        "compensation": st.builds(Compensation, awkward, awkward),
+        "clock": st.builds(Clock, awkward, awkward, awkward, awkward, counts),
+        "force_rmse_n": st.builds(Errors, awkward, awkward),
+        "strain_rmse": st.builds(Errors, awkward, awkward),
+        "within_jnd": awkward,
+        "roughness": st.builds(Roughness, awkward, awkward, awkward),
+        "loop": st.builds(Loop, counts, counts),
+        "rejected": st.dictionaries(words, counts, max_size=2),
+        "faults": st.lists(words, max_size=2),
+    },
+)
+played = st.builds(Playing, st.integers(-1, 70), awkward, awkward, words, times_ns)
+statuses = st.builds(
+    lambda state, playing, changes: status_message(state, playing, **changes),
+    *(words, st.just(PLAYING) | played, summaries),
+)
+samples = st.lists(awkward, min_size=1, max_size=5).map(lambda n: np.array(n, "<f8")[:, np.newaxis])
+frames = st.builds(
+    Frame,
+    *(st.just(SESSION), st.integers(0, 2_000)),
+    st.integers(0, 3_000).map(lambda ms: ms * MS + AHEAD_NS) | times_ns,
+    *(st.just(MS), samples),
+)
+heard = st.builds(
+    heard_message, frames, times_ns, times_ns, st.just(WALL_NS) | times_ns, st.integers(1, 2)
+)
+EMPTY = TRACE, msgpack.packb([b"", b""])
+
+
+def garbage(data: bytes) -> Message:
+    return TRACE, data
+
+
+messages = st.lists(
+    traces | rising_traces | statuses | heard | st.just(EMPTY) | st.binary().map(garbage),
+    max_size=12,
+)
+
+
+@contextmanager
+def little_memory() -> Iterator[None]:
+    """Make a reader that fills the memory fail instead, with a MemoryError."""
+    with open("/proc/self/statm", encoding="ascii") as statm:
+        present = int(statm.read().split()[0]) * resource.getpagesize()
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (present + MOST_MORE_BYTES, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+@settings(deadline=None, max_examples=60)
+@given(messages)
+def test_every_reader_goes_on(said: list[Message]) -> None:
+    with little_memory():
+        readers = TelemetryReaders()
+        for message in [*preamble(), *said]:
+            readers.take(*message)
+        readers.draw()
+
+
+def pulse_n(tick: int) -> float:
+    return 0.3 + 0.1 * math.sin(2 * math.pi * 1.25e-3 * tick)
+
+
+def play(readers: TelemetryReaders, ticks: range, felt_n: float | None = None) -> None:
+    """Feel a pulse for so many ms; felt_n: in its place."""
+    for first in range(ticks.start, ticks.stop, 20):
+        felt = [
+            Felt(
+                tick * MS,
+                tick * MS + AHEAD_NS,
+                (tick - 40) * MS + AHEAD_NS,
+                pulse_n(tick),
+                pulse_n(tick) if felt_n is None else felt_n,
+                felt_n is None,
+            )
+            for tick in range(first, first + 20)
+        ]
+        readers.take(*trace_message(*felt))
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300])
+def test_a_force_that_becomes_unknown_is_a_gap_and_the_panel_goes_on(value: float) -> None:
+    with little_memory():
+        readers = TelemetryReaders()
+        for message in preamble():
+            readers.take(*message)
+        play(readers, range(0, 3_000))
+        play(readers, range(3_000, 4_000), felt_n=value)
+        readers.take(*status_message("fault", faults=["feedback lost"]))
+        line = readers.screen.line()
+        readers.draw()
+    assert line.startswith("fault: heart rate –, force target")
+    assert "force felt unknown" in line
+
+
+@pytest.mark.parametrize("figure", AWKWARD)
+def test_a_summary_holds_no_figure_that_is_none(figure: float) -> None:
+    table = Summary(within_jnd=figure, clock=Clock(figure, figure)).to_dict()
+    for value in (table["within_jnd"], *table["clock"].values()):
+        assert value is None or abs(value) <= 1e15
