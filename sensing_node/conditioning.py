@@ -17,6 +17,7 @@ from protocol.quantities import Hertz, Metres, Newtons, Volts, VoltsPerNewton
 from protocol.scene import Section
 from protocol.tactile import Film
 from sensing_node.sources import Samples
+from sensing_node.sources.recording import Recording
 from sensing_node.sources.synthetic import PRESETS
 
 # The delay is the paper's pulse's: next to nothing of it is above this.
@@ -119,6 +120,13 @@ class Conditioned:
             volts = self._adc.quantise(volts)
         return self._calibration.newtons(volts) + self._hold_down_n
 
+    def faults(self) -> list[str]:
+        """Return what went wrong in the source and in the chain, one line each."""
+        faults, clipped = faults_of(self._source), self.clipped.ticks if self.clipped else 0
+        if clipped:
+            faults.append(f"{clipped} sample{'s' * (clipped != 1)} beyond the ADC's range")
+        return faults
+
     def limits(self) -> Limits:
         """Return how often and for how long the ADC's range has bounded the samples."""
         if self.clipped is None:
@@ -139,10 +147,13 @@ class Conditioned:
 
 def faults_of(samples: object) -> list[str]:
     """What went wrong in a source's chain, one line each, for the summary."""
-    if not isinstance(samples, Conditioned) or samples.clipped is None:
-        return []
-    clipped = samples.clipped.ticks
-    return [f"{clipped} sample{'s' * (clipped != 1)} beyond the ADC's range"] if clipped else []
+    match samples:
+        case Recording():
+            return list(samples.warnings)
+        case Conditioned():
+            return samples.faults()
+        case _:
+            return []
 
 
 def limits_of(samples: object) -> Limits:

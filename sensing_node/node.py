@@ -20,6 +20,7 @@ from sensing_node.conditioning import faults_of, limits_of
 from sensing_node.desk import Desk, Sender
 from sensing_node.framing import Framer
 from sensing_node.sources.live import Live, Source, feed_of
+from sensing_node.sources.plausibility import SampleCheck
 from sensing_node.telemetry import Telemetry
 
 SILENCE_CHECK_NS = 1_000_000_000
@@ -58,6 +59,7 @@ class SensingNode:
         self._full = False
         self._session = secrets.randbits(62)
         self._framer = Framer(description, self._session)
+        self._check = SampleCheck(description.period_ns, log)
         self._desk = Desk(description, self._session)
         self._context: sockets.Context = zmq.Context()
         gate = None if keys is None else Gate(self._context, keys, log)
@@ -92,6 +94,7 @@ class SensingNode:
                 self._serve_until(due_ns)
                 now_ns = min(self._clock(), last_ns)
                 while (block := feed.read(now_ns)) is not None:
+                    self._check.add(block.values)
                     for frame in self._framer.frames(block):
                         sockets.send(self._data, encode_frame(frame))
                 self._subscribers.tend()
@@ -183,5 +186,5 @@ class SensingNode:
             samples=SampleCounts(sent=self._framer.samples_sent),
             limited=limits_of(self._source),
             rejected=dict(rejected),
-            faults=faults,
+            faults=[*faults, *self._check.faults()],
         )

@@ -11,7 +11,7 @@ from protocol.errors import SceneError
 from protocol.quantities import Nanoseconds
 from protocol.scene import Section
 from protocol.stream import LayerTable, Name, StreamDescription
-from sensing_node.conditioning import Conditioned, ConditioningScene
+from sensing_node.conditioning import Conditioned, ConditioningScene, faults_of
 from sensing_node.sources import Samples
 from sensing_node.sources.live import Live, Source
 from sensing_node.sources.recording import Recording, RecordingScene
@@ -51,11 +51,14 @@ class SensingScene(Section):
 def open_source(scene: SensingScene, folder: Path, log: Callable[[str], None]) -> Iterator[Source]:
     """The source the scene names; a live sensor is read until the context is left.
 
-    `folder` is the scene file's; `log` is told when a sensor goes and is back. Raises
-    SourceError or SceneError.
+    `folder` is the scene file's; `log` gets a recording's warnings, and a line when a sensor
+    goes and when it is back. Raises SourceError or SceneError.
     """
     if not isinstance(scene.source, SensorTable):
-        yield build_source(scene, folder)
+        source = build_source(scene, folder)
+        for warning in faults_of(source):
+            log(f"warning: {warning}")
+        yield source
         return
     sensor = open_sensor(scene.source, folder, log)
     try:
@@ -64,17 +67,17 @@ def open_source(scene: SensingScene, folder: Path, log: Callable[[str], None]) -
         sensor.close()
 
 
-def build_source(scene: SensingScene, folder: Path) -> Samples:
+def build_source(scene: SensingScene, folder: Path, plausible: bool = True) -> Samples:
     """The source the scene names, heard through its conditioning chain if it has one.
 
-    `folder` is the scene file's. Raises SourceError or SceneError, as for a live sensor: it
-    gives its samples to a sensing node alone.
+    `folder` is the scene file's. plausible: refuse a recording that cannot be a pulse. Raises
+    SourceError or SceneError, as for a live sensor: it gives its samples to a sensing node alone.
     """
     source: Samples
     if isinstance(scene.source, SyntheticScene):
         source = Synthetic(scene.source)
     elif isinstance(scene.source, RecordingScene):
-        source = Recording(scene.source, folder)
+        source = Recording(scene.source, folder, plausible)
     else:
         raise SceneError(
             f'[sensing] source: kind "{scene.source.kind}" is a live sensor; a sensing node reads'

@@ -20,6 +20,7 @@ from sensing_node.desk import Desk
 from sensing_node.framing import Framer
 from sensing_node.scene import build_source, describe_stream
 from sensing_node.sources import Paced
+from sensing_node.sources.plausibility import SampleCheck
 from telepulse.link import MessageLink
 from telepulse.scene import Scene
 from telepulse.truth import Truth
@@ -58,6 +59,7 @@ class Simulation:
         self._paced = Paced(self._source, self._stream_ns + SENSING_CLOCK_AHEAD_NS)
         self._session = seed + 1
         self._framer = Framer(self._description, self._session)
+        self._check = SampleCheck(self._description.period_ns)
         self._desk = Desk(self._description, self._session)
         self.display = Display(scene.display, "simulated display", False, feedback)
         self._fidelity = Fidelity(scene.display.layer.layer().strain_per_newton)
@@ -114,7 +116,7 @@ class Simulation:
         """Score what is left."""
         self._fidelity.finish()
         display = self.display.summary()
-        faults = display.faults + faults_of(self._source)
+        faults = display.faults + faults_of(self._source) + self._check.faults()
         limited = replace(display.limited, adc=limits_of(self._source).adc)
         return replace(self._fidelity.scored(display), limited=limited, faults=faults)
 
@@ -133,7 +135,10 @@ class Simulation:
 
         def sense(_: bytes, now_ns: int) -> None:
             block = self._paced.read(now_ns + SENSING_CLOCK_AHEAD_NS)
-            for frame in self._framer.frames(block) if block is not None else ():
+            if block is None:
+                return self._plan_batch(last_ns)
+            self._check.add(block.values)
+            for frame in self._framer.frames(block):
                 ratio = self.display.force_ratio
                 true_frame = self._truth.of(frame)
                 self._fidelity.sensed(true_frame, self._scene.display.channel, ratio)

@@ -1,25 +1,37 @@
 """A recording as a source: CSV and NumPy files, looped or once."""
 
-import csv
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from protocol.errors import SourceError
-from protocol.quantities import Hertz, Metres, Newtons
+from protocol.instrument import Calibration
+from protocol.quantities import Hertz, Metres, Newtons, VoltsPerNewton
 from protocol.scene import Section
 from protocol.stream import Channel
 from protocol.tactile import Film
+from sensing_node.sources.plausibility import (
+    refuse_constant,
+    refuse_forces,
+    refuse_rate,
+    refuse_times,
+    warn_of_forces,
+    warn_of_gaps,
+)
+from sensing_node.sources.recording_file import load_column
+from sensing_node.sources.synthetic import SyntheticScene
 
 NEWTONS_PER_UNIT = {"N": 1.0, "mN": 1e-3}
 VOLTS_PER_UNIT = {"V": 1.0, "mV": 1e-3}
-# No unit of a recording takes a value of this size beyond what float32 holds.
-LARGEST = 1e30
-# What differs by less is equal, and is not stretched to anything.
-SMALLEST = 1e-100
+# The keys of each kind of unit; a key of another one would be passed over.
+_SCALES = {
+    "film_radius": tuple(VOLTS_PER_UNIT),
+    "sensitivity": tuple(VOLTS_PER_UNIT),
+    "peak_to_peak": ("raw",),
+}
 
 
 class RecordingScene(Section):
@@ -27,7 +39,9 @@ class RecordingScene(Section):
 
     path: .csv, .npy or .npz, from the scene's folder. column: a name in the CSV's first line
     (or an array's name in the .npz), or a number from 0. unit: N or mN as they are; V or mV
-    through the film (eq 21, needs film_radius); raw, scaled to `peak_to_peak` on `preload`.
+    through the film (eq 21 with film_radius, or sensitivity, as Fig. 4's 44 mV/N); raw, scaled to
+    `peak_to_peak` with the mean on `preload`. inverted: the pulse presses where the values fall.
+    preload: added; without, 0.3 N for raw, as for a synthetic pulse, else 0 N.
     """
 
     kind: Literal["recording"]
@@ -36,27 +50,78 @@ class RecordingScene(Section):
     unit: Literal["N", "mN", "V", "mV", "raw"]
     column: Annotated[int, Field(ge=0)] | str = 0
     film_radius_m: Annotated[Metres, Field(ge=1e-6, le=1)] | None = None
+    sensitivity_v_per_n: Annotated[VoltsPerNewton, Field(ge=1e-6, le=1e6)] | None = None
     peak_to_peak_n: Annotated[Newtons, Field(gt=0, le=10)] | None = None
-    preload_n: Annotated[Newtons, Field(ge=0, le=10)] = 0.0
+    preload_n: Annotated[Newtons, Field(ge=0, le=10)] | None = None
+    inverted: bool = False
     repeat: Literal["loop", "once"] = "loop"
 
     @model_validator(mode="after")
     def _scale_is_known(self) -> "RecordingScene":
-        if self.unit in VOLTS_PER_UNIT and self.film_radius_m is None:
-            raise ValueError(f'unit "{self.unit}" needs film_radius to become a force')
+        given = {type(self).model_fields[name].alias for name in self.model_fields_set}
+        for key, units in _SCALES.items():
+            if key in given and self.unit not in units:
+                raise ValueError(f'{key} is for unit {" or ".join(units)}, not "{self.unit}"')
+        if {"sensitivity", "film_radius"} <= given:
+            raise ValueError("sensitivity and film_radius both say it; give one of them")
+        if self.unit in VOLTS_PER_UNIT and not {"sensitivity", "film_radius"} & given:
+            raise ValueError(
+                f'unit "{self.unit}" needs film_radius or sensitivity to become a force'
+            )
         if self.unit == "raw" and self.peak_to_peak_n is None:
             raise ValueError('unit "raw" needs peak_to_peak to become a force')
         return self
 
+    @property
+    def rest_n(self) -> float:
+        """Force in N that is added, or on which a raw recording's mean is put."""
+        if self.preload_n is not None:
+            return self.preload_n
+        return SyntheticScene(kind="synthetic").preload_n if self.unit == "raw" else 0.0
+
+    def forces(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return forces in N of a recording's values, not all of which are equal."""
+        if self.inverted:
+            values = -values
+        if self.unit in NEWTONS_PER_UNIT:
+            return values * NEWTONS_PER_UNIT[self.unit] + self.rest_n
+        if self.unit in VOLTS_PER_UNIT:
+            return self._calibration().newtons(values * VOLTS_PER_UNIT[self.unit]) + self.rest_n
+        scale = (self.peak_to_peak_n or 0.0) / float(np.ptp(values))
+        return self.rest_n + (values - float(values.mean())) * scale
+
+    def _calibration(self) -> Calibration:
+        if self.film_radius_m is not None:
+            return Calibration.of_film(Film(self.film_radius_m))
+        return Calibration(self.sensitivity_v_per_n or 0.0)
+
 
 class Recording:
-    """Gives a recorded pulse in newtons, sample by sample."""
+    """A recorded pulse in newtons, given sample by sample.
+
+    warnings: what is doubtful about it, one line each.
+    """
 
     channels = (Channel("pulse"),)
 
-    def __init__(self, scene: RecordingScene, folder: Path) -> None:
+    def __init__(self, scene: RecordingScene, folder: Path, plausible: bool = True) -> None:
+        """Raises SourceError for a file that cannot be read or has one value alone, and, where it
+        must be `plausible`, for values that cannot be a pulse's by this scene."""
         path = folder / scene.path
-        self._force_n = _in_newtons(scene, _load(path, scene.column), path)
+        column = load_column(path, scene.column)
+        if (reason := refuse_constant(column)) is not None:
+            raise SourceError(f"{path}: {reason}")
+        force_n, scale = scene.forces(column.values), (scene.unit, scene.rest_n)
+        reason = (
+            refuse_times(column)
+            or refuse_rate(column, scene.rate_hz)
+            or refuse_forces(force_n, *scale)
+        )
+        if reason is not None and plausible:
+            raise SourceError(f"{path}: {reason}")
+        doubts = [reason] if reason else warn_of_gaps(column) + warn_of_forces(force_n, *scale)
+        self.warnings = [f"{path}: {doubt}" for doubt in doubts]
+        self._force_n = force_n
         self._loop = scene.repeat == "loop"
         self._position = 0
         self.period_ns = round(1e9 / scene.rate_hz)
@@ -67,110 +132,3 @@ class Recording:
         last = first + count if self._loop else min(first + count, length)
         self._position = last
         return self._force_n[np.arange(first, last) % length, np.newaxis]
-
-
-def _in_newtons(
-    scene: RecordingScene, values: NDArray[np.float64], path: Path
-) -> NDArray[np.float64]:
-    if scene.unit in NEWTONS_PER_UNIT:
-        return values * NEWTONS_PER_UNIT[scene.unit] + scene.preload_n
-    if scene.film_radius_m is not None and scene.unit in VOLTS_PER_UNIT:
-        volts = values * VOLTS_PER_UNIT[scene.unit]
-        return Film(scene.film_radius_m).newtons(volts) + scene.preload_n
-    span = float(np.ptp(values))
-    if span < SMALLEST or scene.peak_to_peak_n is None:
-        raise SourceError(f"{path}: all values are equal; nothing to scale to peak_to_peak")
-    return scene.preload_n + (values - float(values.mean())) * (scene.peak_to_peak_n / span)
-
-
-def _load(path: Path, column: int | str) -> NDArray[np.float64]:
-    """One column of a file as usable float64. Raises SourceError."""
-    try:
-        match path.suffix.lower():
-            case ".csv" | ".txt":
-                values = _load_csv(path, column)
-            case ".npy" | ".npz":
-                values = _load_numpy(path, column)
-            case suffix:
-                raise SourceError(f"{path}: {suffix or 'no suffix'} is not .csv, .npy or .npz")
-    except SourceError:
-        raise
-    except FileNotFoundError:
-        raise SourceError(f"{path}: no such recording") from None
-    except Exception as error:  # damaged, it raises whatever NumPy, zipfile or csv stumble over
-        lines = str(getattr(error, "strerror", None) or error).splitlines()
-        reason = lines[0] if lines else type(error).__name__
-        raise SourceError(f"{path}: cannot be read: {reason}") from None
-    if len(values) < 2:
-        raise SourceError(f"{path}: number of samples is {len(values)}; it must be 2 or more")
-    bad = np.flatnonzero(~(np.abs(values) <= LARGEST))
-    if len(bad):
-        raise SourceError(
-            f"{path}: {len(bad)} values are NaN or beyond {LARGEST:g}, the first is sample {bad[0]}"
-        )
-    return values
-
-
-def _load_csv(path: Path, column: int | str) -> NDArray[np.float64]:
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        rows = csv.reader(file)
-        names = [name.strip() for name in next(rows, [])]
-        if not names:
-            raise SourceError(f"{path}: is empty, or its first line is")
-        if isinstance(column, str) and column not in names:
-            raise SourceError(f"{path}: no column {column!r}; it has {', '.join(names)[:200]}")
-        position = names.index(column) if isinstance(column, str) else column
-        if position >= len(names):
-            raise SourceError(f"{path}: no column {column}; it has {len(names)}")
-        has_header = isinstance(column, str) or not _is_number(names[position])
-        values = [] if has_header else [float(names[position])]
-        for row in rows:
-            if row:
-                values.append(_number(row, position, f"{path}: line {rows.line_num}"))
-    return np.array(values, dtype=np.float64)
-
-
-def _number(row: list[str], position: int, where: str) -> float:
-    """A row's number; `where` opens the error's line. Raises SourceError."""
-    if position >= len(row):
-        raise SourceError(f"{where}: no column {position}; it has {len(row)}")
-    if not _is_number(row[position]):
-        raise SourceError(f"{where}: {row[position][:40]!r} is not a number")
-    return float(row[position])
-
-
-def _load_numpy(path: Path, column: int | str) -> NDArray[np.float64]:
-    """A column of an .npy, or one of an .npz's arrays; what it is its bytes tell."""
-    with path.open("rb") as file:
-        loaded = np.load(file, allow_pickle=False)
-        if isinstance(loaded, np.ndarray):
-            return _column_of(loaded, column, path)
-        with loaded:
-            names = list(loaded)
-            if isinstance(column, int) and column < len(names):
-                column = names[column]
-            if column not in names:
-                raise SourceError(f"{path}: no array {column!r}; it has {', '.join(names)[:200]}")
-            return _column_of(np.asarray(loaded[str(column)]), 0, path)
-
-
-def _column_of(array: NDArray[Any], column: int | str, path: Path) -> NDArray[np.float64]:
-    if array.ndim not in (1, 2) or array.dtype.kind not in "iuf":
-        raise SourceError(
-            f"{path}: needs real numbers in one or two dimensions,"
-            f" has {array.dtype} in {array.ndim}"
-        )
-    table = array[:, np.newaxis] if array.ndim == 1 else array
-    if not isinstance(column, int) or column >= table.shape[1]:
-        raise SourceError(f"{path}: no column {column!r}; it has {table.shape[1]}")
-    # Some NaN are signals, at which NumPy would warn; they are counted with the others.
-    with np.errstate(invalid="ignore"):
-        return np.ascontiguousarray(table[:, column], dtype=np.float64)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -26,7 +26,8 @@ def build_board(
 
     Raises SceneError or SourceError.
     """
-    source = build_source(scene, folder)
+    # A real board sends what it has, plausible or not.
+    source = build_source(scene, folder, plausible=False)
     encode = binary(samples) if framing == "binary" else LINES[framing]
     return SensorBoard(source, encode, habits, time.monotonic_ns())
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sensing_node.sources.recording import Recording, RecordingScene
+from sensing_node.sources.recording_file import load_column
 from sensing_node.sources.synthetic import NOMINAL_BEAT_S, PRESETS, REACH
 
 Floats = NDArray[np.float64]
@@ -174,19 +174,9 @@ def recorded_pulses(seconds: float) -> dict[str, Floats]:
 
 
 def _recorded(folder: Path, recorded: Recorded, seconds: float) -> Floats:
-    scene = RecordingScene.model_validate(
-        {
-            "kind": "recording",
-            "path": recorded.file,
-            "rate": f"{recorded.rate_hz} Hz",
-            "unit": "N",
-            "column": recorded.column,
-            "repeat": "once",
-        }
-    )
-    source = Recording(scene, folder)
-    source.take(round(recorded.from_s * recorded.rate_hz))
-    values = source.take(round(seconds * recorded.rate_hz))[:, 0]
+    first = round(recorded.from_s * recorded.rate_hz)
+    last = first + round(seconds * recorded.rate_hz)
+    values = load_column(folder / recorded.file, recorded.column).values[first:last]
     given_s = np.arange(len(values)) / recorded.rate_hz
     return np.asarray(np.interp(np.arange(0, given_s[-1], 1 / RATE_HZ), given_s, values))
 

@@ -129,7 +129,9 @@ def test_the_chains_delay_and_samples_beyond_the_adcs_range_are_told(
 def test_a_recording_played_once_is_sent_to_its_last_sample(
     address: str, client: Client, tmp_path: Path, length: int
 ) -> None:
-    np.save(tmp_path / "pulse.npy", np.arange(length))
+    # A triangle of 0.4 N: a column that only rises is refused as one of times.
+    wave_mn = np.abs(np.arange(length) % 400 - 200) * 2.0
+    np.save(tmp_path / "pulse.npy", wave_mn)
     keys = 'kind = "recording"\npath = "pulse.npy"\nrate = "1 kHz"\nunit = "mN"\nrepeat = "once"'
     with process(MODULE, str(scene_file(tmp_path, keys)), "--bind", address) as node:
         client.join()
@@ -137,7 +139,7 @@ def test_a_recording_played_once_is_sent_to_its_last_sample(
         frames = client.frames_until(length)
         assert node.wait(PATIENCE_MS / 1000) == 0
     force_n = np.concatenate([frame.values[:, 0] for frame in frames])
-    np.testing.assert_allclose(force_n, np.arange(frames[0].first_sample, length) * 1e-3)
+    np.testing.assert_allclose(force_n, wave_mn[frames[0].first_sample :] * 1e-3, rtol=1e-6)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

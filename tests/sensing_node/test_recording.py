@@ -15,7 +15,7 @@ from scipy import signal
 from protocol.errors import SourceError
 from sensing_node.sources.recording import Recording, RecordingScene
 
-NUMBERS = [0.25, -1.5, 3.0, 2.0]
+NUMBERS = [0.25, 1.5, 3.0, 2.0]
 
 
 def recording(path: Path, **keys: object) -> Recording:
@@ -54,14 +54,14 @@ def refusal(path: Path, **keys: object) -> str:
 @pytest.mark.parametrize(
     ("text", "column"),
     [
-        ("0.25\n-1.5\n3\n2\n", 0),
-        ("0.25\r\n-1.5\r\n3\r\n2", 0),
-        ("force\n0.25\n-1.5\n3\n2\n", 0),
-        ("force\n0.25\n-1.5\n3\n2\n", "force"),
-        ("time, force\n0,0.25\n1,-1.5\n2,3\n3,2\n", "force"),
-        ("time,force\n0,0.25\n1,-1.5\n2,3\n3,2\n\n\n", 1),
-        ('"a, b","2024"\n0,"0.25"\n1,"-1.5"\n2,3\n3,2\n', "2024"),
-        ("2016-11-24 13:58:58,0.25\n2016-11-24 13:58:59,-1.5\nnoon,3\n,2e0\n", 1),
+        ("0.25\n1.5\n3\n2\n", 0),
+        ("0.25\r\n1.5\r\n3\r\n2", 0),
+        ("force\n0.25\n1.5\n3\n2\n", 0),
+        ("force\n0.25\n1.5\n3\n2\n", "force"),
+        ("time, force\n0,0.25\n1,1.5\n2,3\n3,2\n", "force"),
+        ("time,force\n0,0.25\n1,1.5\n2,3\n3,2\n\n\n", 1),
+        ('"a, b","2024"\n0,"0.25"\n1,"1.5"\n2,3\n3,2\n', "2024"),
+        ("2016-11-24 13:58:58,0.25\n2016-11-24 13:58:59,1.5\nnoon,3\n,2e0\n", 1),
     ],
 )
 def test_a_column_of_a_csv_file(tmp_path: Path, text: str, column: int | str) -> None:
@@ -69,7 +69,7 @@ def test_a_column_of_a_csv_file(tmp_path: Path, text: str, column: int | str) ->
 
 
 def test_a_byte_order_mark_is_not_a_header(tmp_path: Path) -> None:
-    path = csv_file(tmp_path, "0.25\n-1.5\n3\n2\n", "utf-8-sig")
+    path = csv_file(tmp_path, "0.25\n1.5\n3\n2\n", "utf-8-sig")
     assert played(path) == NUMBERS
 
 
@@ -165,8 +165,16 @@ def test_another_suffix_is_refused(tmp_path: Path, name: str) -> None:
         ("time,force\n0,1\n1\n2,3\n", 1, "line 3: no column 1; it has 1"),
         ("time,force\n0,1\n1,high\n2,3\n", "force", "line 3: 'high' is not a number"),
         ("time,force\n\n0,1\n1,\n2,3\n", 1, "line 4: '' is not a number"),
-        ("1\n2\nnan\n4\n", 0, "1 values are NaN or beyond 1e+30, the first is sample 2"),
-        ("1\n-inf\nnan\n1e31\n", 0, "3 values are NaN or beyond 1e+30, the first is sample 1"),
+        (
+            "1\n2\nnan\n4\n",
+            0,
+            "1 value is NaN or beyond 1e+30, the first is sample 2; cut or fill them",
+        ),
+        (
+            "1\n-inf\nnan\n1e31\n",
+            0,
+            "3 values are NaN or beyond 1e+30, the first is sample 1; cut or fill them",
+        ),
         ("", 0, "is empty, or its first line is"),
         ("force\n", 0, "number of samples is 0; it must be 2 or more"),
         ("force\n1\n", 0, "number of samples is 1; it must be 2 or more"),
@@ -197,7 +205,7 @@ def test_a_csv_file_that_is_not_text_is_refused(tmp_path: Path) -> None:
         (np.zeros(4, complex), 0, "needs real numbers in one or two dimensions, has complex128"),
         (np.array(["1", "2"]), 0, "needs real numbers in one or two dimensions, has <U1 in 1"),
         (np.array([1, None]), 0, "cannot be read: Object arrays cannot be loaded"),
-        (np.array([1, 2, np.nan, 4]), 0, "1 values are NaN or beyond 1e+30, the first is sample 2"),
+        (np.array([1, 2, np.nan, 4]), 0, "1 value is NaN or beyond 1e+30, the first is sample 2"),
     ],
 )
 def test_a_numpy_array_that_cannot_be_used_is_refused(
