@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +13,7 @@ from display_node.discovery import discovered
 from display_node.doctor import run_doctor
 from display_node.hardware import connected
 from display_node.node import DisplayNode
-from display_node.recording import Recording
+from display_node.recording import recorded_beside
 from display_node.scene import DisplayScene
 from protocol.commands import (
     JsonOption,
@@ -37,10 +38,11 @@ from protocol.protection import (
 )
 from protocol.realtime import Asked, check_strict, parse_realtime
 from protocol.realtime.options import RealtimeOption, held_for
+from protocol.result_files import check_writable
 from protocol.scene import load_section
 from protocol.signals import stop_on_signals
 from protocol.sockets import beyond_loopback
-from protocol.summary import Summary, check_writable
+from protocol.summary import Summary
 
 PROGRAM = "display-node"
 SCREEN_ENDS_WITHIN_S = 5
@@ -139,18 +141,20 @@ def display(
         keys = client_keys(connect, key, peer, insecure)
         readers = _telemetry_keys(telemetry, key, allow, insecure)
         section = load_section(scene, "display", DisplayScene)
+        own = key if readers else None
         with (
             metrics_beside(PROGRAM, metrics, console) as served,
+            closing(DisplayNode(section, connect, telemetry, console.print, keys, readers)) as node,
+            recorded_beside(node, record, own, quiet) as recording,
+            # The last: what can fail without the drive has failed before it moves.
             connected(section, scene.parent, console.print) as hardware,
         ):
-            node = DisplayNode(section, connect, telemetry, console.print, hardware, keys, readers)
-            own = key if readers else None
             served.follow(node.telemetry_address, own)
-            recording = Recording(node, record, own, quiet) if record is not None else None
+            if hardware is not None:
+                node.use(hardware)
             summary = _run(node, connect, seconds, once, screen and not quiet, console, own, asked)
-    whole = recording is None or recording.end()
     sum_up(PROGRAM, summary, "display node", console, json)
-    if not whole:
+    if not recording.whole:
         raise SystemExit(NOT_WHOLE)
 
 

@@ -34,18 +34,22 @@ class DisplayNode:
         addresses: Sequence[str],
         telemetry_address: str,
         log: Callable[[str], None],
-        hardware: Hardware | None = None,
         keys: ClientKeys | None = None,
         telemetry_keys: ServerKeys | None = None,
     ) -> None:
-        """addresses: of the one sensing node, each over a network of its own. hardware: the real
-        bench, started, in place of the scene's models. keys: the sensing node's and our own;
-        telemetry_keys: who may read telemetry, None: everybody who can reach it.
+        """addresses: of the one sensing node, each over a network of its own. keys: the sensing
+        node's and our own; telemetry_keys: who may read telemetry, None: everybody who can reach
+        it.
 
-        Raises AddressError when an address cannot be used, KeyFileError.
+        Raises SceneError for a force loop that is not stable, AddressError when an address cannot
+        be used, KeyFileError.
         """
         paths = max(scene.paths, len(addresses))
         self._scene = scene = scene.model_copy(update={"paths": paths})
+        self._name = f"display-{uuid.uuid4().hex[:6]}"
+        # Before any socket is opened: a loop that is not stable is refused here.
+        self._display = Display(scene, self._name)
+        self._hardware: Hardware | None = None
         self._stopping = False
         self._misses = 0
         gap_ns = GAP_NS if scene.drive is None else scene.drive.watchdog_ns
@@ -53,22 +57,29 @@ class DisplayNode:
         self._tick_us = Histogram(1.0, 5_000)
         self._late_us = Histogram(2.0, 2_500)
         self._context: sockets.Context = zmq.Context()
-        self._connection = Connection(self._context, addresses, paths, log, keys)
-        gate = None if telemetry_keys is None else Gate(self._context, telemetry_keys, log)
-        telemetry = sockets.bind(self._context, zmq.XPUB, telemetry_address, gate)
-        self._telemetry = Publisher(telemetry, run=secrets.randbits(62), gate=gate, log=log)
+        try:
+            self._connection = Connection(self._context, addresses, paths, log, keys)
+            gate = None if telemetry_keys is None else Gate(self._context, telemetry_keys, log)
+            telemetry = sockets.bind(self._context, zmq.XPUB, telemetry_address, gate)
+            self._telemetry = Publisher(telemetry, run=secrets.randbits(62), gate=gate, log=log)
+        except BaseException:
+            self.close()
+            raise
         self._gate = gate
         self.telemetry_address = self._telemetry.address
+
+    def use(self, hardware: Hardware) -> None:
+        """Play on a real bench, started, in place of the scene's models. Call it before `run`."""
         self._hardware = hardware
-        self._display = Display(
-            scene,
-            name=f"display-{uuid.uuid4().hex[:6]}",
-            feedback=None if hardware is None else hardware.feedback,
-        )
+        self._display = Display(self._scene, self._name, feedback=hardware.feedback)
 
     def stop(self) -> None:
         """End the loop after the present tick."""
         self._stopping = True
+
+    def close(self) -> None:
+        """Close the sockets of a node that did not run; after `run` they are closed already."""
+        self._context.destroy(linger=0)
 
     def await_recorder(self, seconds: float) -> bool:
         """Before `run`: wait until somebody asks for all that is heard; False when none does."""

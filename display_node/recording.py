@@ -1,8 +1,11 @@
-"""The recorder beside a display: a process of its own that is there before the first tick."""
+"""The recorder beside a display: a process of its own that is there before the drive moves."""
 
+import os
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from display_node.node import DisplayNode
@@ -17,41 +20,72 @@ SILENT_AFTER_S = 5.0
 
 
 class Recording:
-    """A recorder of a display's telemetry, started; `end` once the display has ended."""
+    """The outcome of a recording: whole, unless the recorder named what is missing."""
 
-    def __init__(self, node: DisplayNode, path: Path, key: Path | None, quiet: bool) -> None:
-        """key: opens the telemetry, where it is protected. Returns once the recorder listens.
+    whole = True
 
-        Exits as the recorder does when it cannot begin, which it has said; raises OutputError
-        when it does not come.
-        """
-        self._path = path
-        # By its name: what runs both nodes stands above them.
-        self._process = subprocess.Popen(
-            [
-                *(sys.executable, "-m", "telepulse.cli", "record"),
-                *(node.telemetry_address, str(path), "--until-silent", str(SILENT_AFTER_S)),
-                *(("--key", str(key)) if key else ("--insecure",)),
-                *(("--quiet",) if quiet else ()),
-            ],
-            # Ctrl-C is the display's: its last word ends the recorder.
-            start_new_session=True,
-        )
-        until_s = time.monotonic() + STARTS_WITHIN_S
-        while not node.await_recorder(LOOK_EVERY_S):
-            if self._process.poll() is not None:
-                raise SystemExit(self._process.returncode or USAGE_ERROR)
-            if time.monotonic() > until_s:
-                self._process.kill()
-                self._process.wait()
-                raise OutputError(f"{path}: the recorder does not start")
 
-    def end(self) -> bool:
-        """Wait for the recorder to end. Returns whether all was recorded; it has said what not."""
-        try:
-            return self._process.wait(ENDS_WITHIN_S) == 0
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-            print(f"{self._path}: the recorder did not end", file=sys.stderr)
-            return False
+@contextmanager
+def recorded_beside(
+    node: DisplayNode, path: Path | None, key: Path | None, quiet: bool
+) -> Iterator[Recording]:
+    """Record a display's telemetry to `path` (None: not at all) within a `with`.
+
+    The recorder listens when the `with` begins, so that its first tick is recorded; the outcome
+    is known when the `with` has ended. A display that fails before its first tick leaves no file.
+
+    key: opens the telemetry, where it is protected.
+
+    Raises SystemExit with the recorder's status where that cannot begin, and OutputError where it
+    does not start.
+    """
+    recording = Recording()
+    if path is None:
+        yield recording
+        return
+    process = _start(node, path, key, quiet)
+    try:
+        yield recording
+    except BaseException:
+        process.terminate()
+        _end(process, path)
+        raise
+    recording.whole = _end(process, path)
+
+
+def _start(
+    node: DisplayNode, path: Path, key: Path | None, quiet: bool
+) -> "subprocess.Popen[bytes]":
+    """Start the recorder and wait until it listens."""
+    # By its name: what runs both nodes stands above them.
+    process = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "telepulse.cli", "record"),
+            *(node.telemetry_address, str(path), "--until-silent", str(SILENT_AFTER_S)),
+            *("--display-pid", str(os.getpid())),
+            *(("--key", str(key)) if key else ("--insecure",)),
+            *(("--quiet",) if quiet else ()),
+        ],
+        # Ctrl-C is the display's: its last word ends the recorder.
+        start_new_session=True,
+    )
+    until_s = time.monotonic() + STARTS_WITHIN_S
+    while not node.await_recorder(LOOK_EVERY_S):
+        if process.poll() is not None:
+            raise SystemExit(process.returncode or USAGE_ERROR)
+        if time.monotonic() > until_s:
+            process.kill()
+            process.wait()
+            raise OutputError(f"{path}: the recorder does not start")
+    return process
+
+
+def _end(process: "subprocess.Popen[bytes]", path: Path) -> bool:
+    """Wait for the recorder to end. Return whether it recorded all, which it has named itself."""
+    try:
+        return process.wait(ENDS_WITHIN_S) == 0
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+        print(f"{path}: the recorder did not end", file=sys.stderr)
+        return False

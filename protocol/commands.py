@@ -14,6 +14,7 @@ from protocol.summary import Summary, print_summary, write_json
 
 USAGE_ERROR = 2
 LONGEST_S = 1e9
+BENCH_IS_CLEAR = "Is the bench clear of fingers?"
 
 StopAfterOption = Annotated[
     float | None,

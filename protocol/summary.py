@@ -14,8 +14,8 @@ from rich.table import Table
 from rich.text import Text
 
 from protocol.causes import explain
-from protocol.errors import OutputError
 from protocol.limits import Limits, limit_texts
+from protocol.result_files import write_whole
 
 # Stands in a row's text for a value that there is none of; no fault's text has it.
 _ABSENT = "\0"
@@ -178,18 +178,7 @@ class Summary:
 
 def write_json(summary: Summary, path: Path) -> None:
     """Write the summary as JSON. Raises OutputError."""
-    try:
-        path.write_text(json.dumps(summary.to_dict(), indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
-
-
-def check_writable(path: Path | None) -> None:
-    """See before a long run that its result can be written. Raises OutputError."""
-    if path is not None and not path.parent.is_dir():
-        raise OutputError(f"{path}: cannot be written: the folder {path.parent} does not exist")
-    if path is not None and path.is_dir():
-        raise OutputError(f"{path}: cannot be written: it is a folder")
+    write_whole(path, json.dumps(summary.to_dict(), indent=2) + "\n")
 
 
 def print_summary(summary: Summary, title: str, console: Console) -> None:

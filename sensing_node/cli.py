@@ -21,10 +21,10 @@ from protocol.output import unblocked_output
 from protocol.protection import AllowOption, InsecureOption, KeyOption, server_keys
 from protocol.realtime import check_strict, parse_realtime
 from protocol.realtime.options import RealtimeOption, held_for
+from protocol.result_files import check_writable
 from protocol.scene import load_section
 from protocol.signals import stop_on_signals
 from protocol.sockets import control_address
-from protocol.summary import check_writable
 from sensing_node.node import SensingNode
 from sensing_node.scene import SensingScene, describe_stream, open_source
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from protocol.commands import JsonOption, one_line_errors, plain_console
-from protocol.summary import check_writable
+from protocol.result_files import check_writable
 from soak.evidence import verdict
 from soak.keyring import Keyring
 from soak.leftovers import left_behind, mark

@@ -24,8 +24,8 @@ from protocol.protection import (
     client_keys,
     server_keys,
 )
+from protocol.result_files import check_writable
 from protocol.signals import stop_on_signals
-from protocol.summary import check_writable
 from telepulse.bench.cli import bench
 from telepulse.calibrate.cli import calibrate
 from telepulse.demo import run_demo

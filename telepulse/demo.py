@@ -23,6 +23,7 @@ from protocol.messages import decode_frame
 from protocol.signals import stop_on_signals
 from protocol.summary import Summary
 from protocol.tactile import matching_force_ratio
+from sensing_node.scene import open_source
 from telepulse.link import LinkScene
 from telepulse.node_process import NodeError, await_end, read_summary
 from telepulse.ports import free_addresses
@@ -50,10 +51,14 @@ def run_demo(
     """Run both nodes for `seconds` of pulse; `link` overrides the scene's.
 
     page: serve the live page too; None: where it can be, with `draw`. Raises SceneError,
-    NodeError, DemoError, or OutputError where the page is wanted and cannot be.
+    SourceError, NodeError, DemoError, or OutputError where the page is wanted and cannot be.
     """
     scene = load_scene(path)
     link = scene.link if link is None else link
+    truth = Truth(scene.sensing, scene.path.parent)
+    # The display, which may move a drive, is started before the sensing node.
+    with open_source(scene.sensing, scene.path.parent, console.print):
+        pass
     impaired = link != LinkScene()
     sensing_address, link_address, telemetry_address = free_addresses(3)
     display_address = link_address if impaired else sensing_address
@@ -84,7 +89,7 @@ def run_demo(
         )
         # Ctrl-C ends the pulse; what was sent of it is played and summed up all the same.
         stop_on_signals(sensing.terminate)
-        with _Referee(scene, sensing_address) as referee:
+        with _Referee(scene, truth, sensing_address) as referee:
 
             def meanwhile() -> bool:
                 referee.listen()
@@ -128,10 +133,10 @@ def _open_page(
 class _Referee:
     """Hears both ends: the pulse as it is sensed, and the force as it is felt."""
 
-    def __init__(self, scene: Scene, sensing_address: str) -> None:
+    def __init__(self, scene: Scene, truth: Truth, sensing_address: str) -> None:
         layer = scene.display.layer.layer()
         self._channel = scene.display.channel
-        self._truth = Truth(scene.sensing, scene.path.parent)
+        self._truth = truth
         self._ratio = matching_force_ratio(scene.sensing.layer.layer(), layer)
         self._context: sockets.Context = zmq.Context()
         self._data = sockets.connect(self._context, zmq.SUB, sensing_address)

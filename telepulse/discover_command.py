@@ -7,7 +7,7 @@ import typer
 
 from protocol.commands import one_line_errors, plain_console
 from protocol.discovery.announcement import Announcement
-from protocol.summary import check_writable
+from protocol.result_files import check_writable
 from telepulse.report import Chapter, Report, Table, write_json
 from telepulse.report_command import TablesOption
 

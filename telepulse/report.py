@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table as RichTable
 
 from protocol.errors import OutputError
+from protocol.result_files import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -154,18 +155,14 @@ def write_report(report: Report, folder: Path) -> Path:
         lstrip_blocks=True,
     )
     page = folder / PAGE
-    page.write_text(environment.get_template("report.html").render(report=report), "utf-8")
+    write_whole(page, environment.get_template("report.html").render(report=report))
     write_json(report, folder / "report.json")
     return page
 
 
 def write_json(report: Report, path: Path) -> None:
     """Write the report's text and tables as JSON. Raises OutputError."""
-    try:
-        text = json.dumps(report.to_dict(), indent=2, ensure_ascii=False)
-        path.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
+    write_whole(path, json.dumps(report.to_dict(), indent=2, ensure_ascii=False) + "\n")
 
 
 def print_tables(report: Report, console: Console) -> None:

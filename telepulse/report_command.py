@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from protocol.commands import one_line_errors, plain_console
-from protocol.summary import check_writable
+from protocol.result_files import check_writable
 from telepulse.report import Report, check_can_report, print_tables, write_json, write_report
 
 PROGRAM = "telepulse"

@@ -21,8 +21,8 @@ from display_node.doctor.jitter import Ticks, Work, busy_processes, run_in_turns
 from display_node.doctor.verdict import BARE, IDLE, LOADED, TOGETHER, Findings, Verdict, judge
 from display_node.scene import DisplayScene
 from protocol import sockets
-from protocol.errors import OutputError
 from protocol.realtime import Asked, Held, hold, parse_realtime
+from protocol.result_files import write_whole
 from protocol.scene import load_section
 
 SECONDS = 30.0
@@ -170,7 +170,4 @@ def _write(path: Path, host: Host, held: Held, findings: Findings, verdict: Verd
         "stolen": findings.stolen,
         "verdict": dataclasses.asdict(verdict),
     }
-    try:
-        path.write_text(json_format.dumps(report, indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
+    write_whole(path, json_format.dumps(report, indent=2) + "\n")

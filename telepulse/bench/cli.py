@@ -7,11 +7,11 @@ from typing import Annotated
 import typer
 
 from display_node.scene import DisplayScene
-from protocol.commands import one_line_errors, plain_console
+from protocol.commands import BENCH_IS_CLEAR, one_line_errors, plain_console
 from protocol.errors import SceneError
 from protocol.quantities import parse_quantity
+from protocol.result_files import check_writable
 from protocol.scene import load_section
-from protocol.summary import check_writable
 from sensing_node.scene import SensingScene
 from telepulse.report import Report
 from telepulse.report_command import TablesOption, publish
@@ -57,7 +57,7 @@ def bench(
     # What is identified brings scipy's import times; other commands do without.
     from telepulse.bench import run
     from telepulse.bench.report import report_bench
-    from telepulse.bench.scene_edit import as_toml, write_scene
+    from telepulse.bench.scene_edit import as_toml, check_editable, write_scene
     from telepulse.tune import as_toml as gains_as_toml
 
     console, findings = plain_console(), run.Findings()
@@ -71,6 +71,7 @@ def bench(
         if only is not Side.SENSING:
             display = load_section(path, "display", DisplayScene)
             _within_limits(force_n, display)
+            check_editable(path)
             if display.drive is not None and not yes:
                 _ask(force)
             run.check_display(findings, display, path.parent, force_n, seconds)
@@ -94,7 +95,7 @@ def bench(
 
 def _ask(force: str) -> None:
     print(WARNING.format(force=force))
-    if not typer.confirm("Is no finger there?"):
+    if not typer.confirm(BENCH_IS_CLEAR):
         raise SystemExit(1)
 
 

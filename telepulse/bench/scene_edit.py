@@ -4,7 +4,8 @@ import re
 import tomllib
 from pathlib import Path
 
-from protocol.errors import OutputError, SceneError
+from protocol.errors import SceneError
+from protocol.result_files import write_whole
 
 Changes = dict[str, dict[str, str]]
 
@@ -31,6 +32,17 @@ def set_keys(text: str, changes: Changes) -> str:
     return edited
 
 
+def check_editable(path: Path) -> None:
+    """Check before a press that what it may find can be set in a scene. Raises SceneError."""
+    found = {"latency": '"1 ms"'}
+    try:
+        set_keys(
+            path.read_text(encoding="utf-8"), {"display.actuator": found, "display.film": found}
+        )
+    except (tomllib.TOMLDecodeError, AttributeError):
+        raise _not_editable(path) from None
+
+
 def write_scene(source: Path, target: Path, changes: Changes, note: str = "") -> None:
     """Write a copy of a scene with keys set, and a comment at its end.
 
@@ -39,11 +51,15 @@ def write_scene(source: Path, target: Path, changes: Changes, note: str = "") ->
     try:
         edited = set_keys(source.read_text(encoding="utf-8"), changes)
     except tomllib.TOMLDecodeError:
-        raise SceneError(f"{source}: its tables cannot be edited: set the keys by hand") from None
-    try:
-        target.write_text(edited + (note and note + "\n"), encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{target}: cannot be written: {error.strerror}") from None
+        raise _not_editable(source) from None
+    write_whole(target, edited + (note and note + "\n"))
+
+
+def _not_editable(path: Path) -> SceneError:
+    return SceneError(
+        f"{path}: a table of its own is needed for each of [display.actuator] and [display.film]:"
+        " what a press finds cannot be set otherwise but by hand"
+    )
 
 
 def as_toml(changes: Changes) -> str:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from protocol.commands import one_line_errors, plain_console
+from protocol.commands import BENCH_IS_CLEAR, one_line_errors, plain_console
 from protocol.errors import OutputError
 from protocol.output import unblocked_output
 from protocol.quantities import parse_ratio
@@ -69,6 +69,7 @@ def run(
             " share of the pulse from peak to peak.",
         ),
     ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before the drive moves.")] = False,
     realtime: RealtimeOption = None,
 ) -> None:
     """Run a session: the subject feels A, B and X on the scene's actuator, and answers by keys.
@@ -84,7 +85,7 @@ def run(
     from telepulse.experiment.log import read_log
     from telepulse.experiment.person import Person
     from telepulse.experiment.report import build_report
-    from telepulse.experiment.run import open_log, run_session, simulated
+    from telepulse.experiment.run import check_playable, open_log, run_session, simulated
     from telepulse.experiment.session import load_plan
 
     console = plain_console()
@@ -98,10 +99,18 @@ def run(
             subject = simulated(plan, observer, header.seed)
         else:
             scene = plan.direct
+            check_playable(plan, header)
+            keyboard = stack.enter_context(Keyboard())
+            person = Person(plan, keyboard, console.print)
+            if scene.display.drive is not None and not yes:
+                console.print(f"The drive will move.\n{BENCH_IS_CLEAR} [y/N]")
+                if keyboard.await_key() != "y":
+                    raise SystemExit(1)
+            # The last: what can fail without the drive has failed before it moves.
             bench = connected(scene.display, scene.path.parent, console.print)
             hardware = stack.enter_context(bench)
-            keyboard = stack.enter_context(Keyboard())
-            person = Person(plan, keyboard, hardware, console.print)
+            if hardware is not None:
+                person.use(hardware)
             stop_on_signals(person.stop)
             stack.enter_context(held_for(PROGRAM, asked, console))
             subject = person.answer

@@ -14,6 +14,9 @@ from telepulse.experiment.dialogue import STOP_KEY
 ESCAPED = re.compile(r"\x1b(\[[0-9;]*[A-Za-z~]|O[A-Za-z]|.)?")
 
 
+AWAIT_S = 1.0
+
+
 class Keyboard:
     """Standard input, without echo and without waiting for Enter, within a `with`."""
 
@@ -48,6 +51,13 @@ class Keyboard:
         if not self._typed:
             self._read(wait_s)
         return self._typed.popleft() if self._typed else None
+
+    def await_key(self) -> str:
+        """Wait for the next key."""
+        while True:
+            key = self.key(AWAIT_S)
+            if key is not None:
+                return key
 
     def wants_to_stop(self) -> bool:
         """Whether q is among the keys that wait. What a pipe holds is in its order, and waits."""

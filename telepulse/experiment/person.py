@@ -14,6 +14,7 @@ from telepulse.experiment.log import Answered, now
 from telepulse.experiment.pace import pace
 from telepulse.experiment.session import Plan
 
+NAME = "experiment"
 LOOK_S = 0.1
 CATCH_UP_WITHIN_S = 2.0
 POLL_S = 1e-3
@@ -28,19 +29,23 @@ class Person:
     Nothing that is printed before the session's end depends on what A, B and X are.
     """
 
-    def __init__(
-        self, plan: Plan, keyboard: Keyboard, hardware: Hardware | None, say: Callable[[str], None]
-    ) -> None:
+    def __init__(self, plan: Plan, keyboard: Keyboard, say: Callable[[str], None]) -> None:
+        """Raises SceneError for a force loop that is not stable."""
         self._plan = plan
         self._keyboard = keyboard
-        self._hardware = hardware
+        self._hardware: Hardware | None = None
         self._say = say
         self._stopping = False
         scene = plan.direct.display
-        feedback = None if hardware is None else hardware.feedback
         # Who holds the actuator at rest until the next interval begins.
-        self._display = Display(scene, "experiment", score=False, feedback=feedback)
+        self._display = Display(scene, NAME, score=False)
         self._tick_ns = scene.tick_ns
+
+    def use(self, hardware: Hardware) -> None:
+        """Play on a real bench, started, in place of the scene's models."""
+        self._hardware = hardware
+        scene = self._plan.direct.display
+        self._display = Display(scene, NAME, score=False, feedback=hardware.feedback)
 
     def stop(self) -> None:
         """End the session, an interval that is being felt at once."""

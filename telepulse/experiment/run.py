@@ -6,7 +6,13 @@ from functools import partial
 from pathlib import Path
 from random import SystemRandom
 
-from telepulse.experiment.interval import Played, draw_interval, error_share, play_at_once
+from telepulse.experiment.interval import (
+    Played,
+    Playing,
+    draw_interval,
+    error_share,
+    play_at_once,
+)
 from telepulse.experiment.log import (
     Answered,
     Header,
@@ -55,6 +61,17 @@ def open_log(
     file = LogFile(path, log.whole_bytes)
     file.write(Resumed(version=our_version(), time=now()))
     return file, log.header, len(log.answered)
+
+
+def check_playable(plan: Plan, header: Header) -> None:
+    """Check before anything moves that an interval of each condition can be played.
+
+    Raises SceneError or SourceError.
+    """
+    first = {trial.condition: index for index, trial in reversed(list(enumerate(header.trials)))}
+    for index in first.values():
+        for letter in LETTERS[plan.session.kind]:
+            Playing(draw_interval(plan, header.seed, index, header.trials[index], letter, 1), 0)
 
 
 def run_session(plan: Plan, file: LogFile, header: Header, done: int, subject: Subject) -> bool:

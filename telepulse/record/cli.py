@@ -24,8 +24,8 @@ from protocol.protection import (
     server_keys,
     telemetry_keys,
 )
+from protocol.result_files import check_writable
 from protocol.signals import stop_on_signals
-from protocol.summary import check_writable
 from telepulse.report_command import TablesOption, publish
 
 PROGRAM = "telepulse"
@@ -47,6 +47,7 @@ def record(
     key: KeyOption = None,
     peer: PeerOption = None,
     insecure: InsecureOption = False,
+    display_pid: Annotated[int | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Record all that a display hears and does into an MCAP file, which Foxglove opens.
 
@@ -66,7 +67,7 @@ def record(
         keys = telemetry_keys(address, key, peer, insecure)
         recorder = Recorder(address, file, console.print, warn, keys)
     stop_on_signals(recorder.stop)
-    if not recorder.run(seconds, until_silent):
+    if not recorder.run(seconds, until_silent, display_pid):
         raise SystemExit(NOT_WHOLE)
 
 

@@ -1,6 +1,7 @@
 """The recorder's shell: a display's telemetry, one file, and the clock on the wall."""
 
 import math
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -38,24 +39,33 @@ class Recorder:
         except BaseException:
             self._reader.close()
             raise
-        self._reader.listen()
 
     def stop(self) -> None:
         """End after the present message."""
         self._stopping = True
 
-    def run(self, seconds: float | None = None, silence_s: float | None = None) -> bool:
+    def run(
+        self,
+        seconds: float | None = None,
+        silence_s: float | None = None,
+        display_pid: int | None = None,
+    ) -> bool:
         """Record; seconds: for so long at most. silence_s: until nothing came for so long.
 
-        Returns whether all that the display published is on the disk.
+        display_pid: of the display, where that has started this process. Until its first message,
+        which comes when its drive has found home, silence counts only once it has ended.
+
+        Returns whether all that the display published is on the disk. A file without a message
+        is removed.
         """
+        self._reader.listen()
         start_ns = heard_ns = time.monotonic_ns()
         flush_ns = start_ns + FLUSH_EVERY_NS
         end_ns, patience_ns = _ns(seconds), _ns(silence_s)
         try:
             while not (self._stopping or self._transcript.ended):
                 now_ns = time.monotonic_ns()
-                if self._receive():
+                if self._receive() or (not self._transcript.known and os.getppid() == display_pid):
                     heard_ns = now_ns
                 if now_ns - heard_ns > patience_ns:
                     self._warn(f"{self._path}: ended, nothing came for {silence_s:g} s")
@@ -67,7 +77,7 @@ class Recorder:
                     flush_ns = now_ns + FLUSH_EVERY_NS
                     self._notice(self._file.flush())
                 self._reader.wait(flush_ns - now_ns)
-            return self._end()
+            return self._end(alone=display_pid is None)
         finally:
             self._reader.close()
 
@@ -92,13 +102,15 @@ class Recorder:
         if self._transcript.known:
             self._file.add(self._transcript.event(Event("WARNING", "disk", text)))
 
-    def _end(self) -> bool:
+    def _end(self, alone: bool) -> bool:
         reason, file, missed = self._file.close(), self._file, self._transcript.missed
         named = [f"{file.written[t]} {name}" for t, name in NAMES.items() if file.written[t]]
         if self._transcript.known:
             self._log(f"{self._path}: {', '.join(named)}")
         else:
-            self._warn(f"{self._path}: nothing was heard from {self._address}")
+            self._path.unlink(missing_ok=True)
+            if alone:
+                self._warn(f"{self._path}: nothing was heard from {self._address}")
         if missed:
             counts = ", ".join(f"{count} {name}" for name, count in sorted(missed.items()))
             self._warn(f"{self._path}: the recorder missed {counts}")

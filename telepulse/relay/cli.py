@@ -21,9 +21,9 @@ from protocol.protection import (
     client_keys,
     server_keys,
 )
+from protocol.result_files import check_writable
 from protocol.signals import stop_on_signals
 from protocol.sockets import control_address
-from protocol.summary import check_writable
 from telepulse.relay.relay import Relay
 
 PROGRAM = "telepulse"

@@ -9,6 +9,7 @@ from rich.console import Console
 
 from protocol.errors import OutputError
 from protocol.limits import Limited, Limits
+from protocol.result_files import check_writable
 from protocol.summary import (
     Clock,
     Compensation,
@@ -23,7 +24,6 @@ from protocol.summary import (
     Samples,
     Summary,
     TickTime,
-    check_writable,
     print_summary,
     write_json,
 )

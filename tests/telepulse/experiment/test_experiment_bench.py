@@ -88,7 +88,7 @@ def hurry(child: "subprocess.Popen[str]") -> None:
 def run_once(session: Path, log: Path) -> str:
     """Why it did not come to its end; nothing when it did."""
     resume = ("--resume",) if log.exists() else ()
-    words = ("experiment", "run", str(session), "--log", str(log), *resume)
+    words = ("experiment", "run", str(session), "--log", str(log), "--yes", *resume)
     with subprocess.Popen(
         [sys.executable, "-m", "telepulse.cli", *words],
         cwd=ROOT,
