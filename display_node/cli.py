@@ -11,6 +11,7 @@ from rich.console import Console
 
 from display_node.discovery import discovered
 from display_node.doctor import run_doctor
+from display_node.fault_advice import end_at_faults
 from display_node.hardware import connected
 from display_node.node import DisplayNode
 from display_node.recording import recorded_beside
@@ -119,8 +120,10 @@ def display(
     `--doctor` says what this host can do about it, `--realtime` asks for it.
 
     Exit status: 0 when stopped or at the stream's end (`--once`), 1 when something is missing in
-    the recording (`--record`), 2 when the scene, an address or that file cannot be used; the
-    reason is one line on stderr.
+    the recording (`--record`), 2 when the scene, an address or that file cannot be used, 3 when
+    a fault was latched before the end; the reason is a line on stderr. A latched fault ends
+    nothing by itself: the display withdraws, and shows the fault and what to do until it is
+    stopped.
     """
     console = plain_console(quiet)
     with one_line_errors(PROGRAM):
@@ -154,6 +157,7 @@ def display(
                 node.use(hardware)
             summary = _run(node, connect, seconds, once, screen and not quiet, console, own, asked)
     sum_up(PROGRAM, summary, "display node", console, json)
+    end_at_faults(PROGRAM, summary.faults)
     if not recording.whole:
         raise SystemExit(NOT_WHOLE)
 

@@ -12,6 +12,7 @@ import zmq
 from display_node.connection import Connection
 from display_node.deadlines import GAP_NS, DeadlineWatch
 from display_node.display import Display
+from display_node.fault_advice import FILM_NOTE, advise
 from display_node.hardware import Hardware
 from display_node.heard import CONTROL
 from display_node.publisher import Publisher
@@ -56,6 +57,8 @@ class DisplayNode:
         self._deadlines = DeadlineWatch(scene.tick_ns, gap_ns)
         self._tick_us = Histogram(1.0, 5_000)
         self._late_us = Histogram(2.0, 2_500)
+        self._log = log
+        self._named_faults = 0
         self._context: sockets.Context = zmq.Context()
         try:
             self._connection = Connection(self._context, addresses, paths, log, keys)
@@ -137,6 +140,8 @@ class DisplayNode:
             felt = self._display.tick(now_ns, elapsed_ticks)
         else:
             felt = self._hardware.tick(self._display, now_ns, elapsed_ticks)
+        if len(self._display.safety.faults) > self._named_faults:
+            self._name_faults()
         if self._connection.tend(now_ns):
             self._display.receiver.introduce()
         (control,) = self._connection.control.sockets
@@ -144,6 +149,13 @@ class DisplayNode:
             sockets.send(control, encode_control(message))
         if self._telemetry.add(felt):
             self._telemetry.status(self._status(final=False))
+
+    def _name_faults(self) -> None:
+        """Log the faults that were latched since the last time, with what to do."""
+        faults = self._display.safety.faults
+        for fault in faults[self._named_faults :]:
+            self._log(f"fault: {fault}: {advise(fault)}")
+        self._named_faults = len(faults)
 
     def _summary(self) -> Summary:
         times = TickTime(self._tick_us.quantile(0.5), self._tick_us.quantile(0.99))
@@ -168,7 +180,10 @@ class DisplayNode:
                     travel=self._hardware.at_end.limited(self._scene.tick_ns * 1e-9, ticks),
                 ),
                 hardware=dict(self._hardware.counts),
-                faults=[*summary.faults, *self._hardware.faults()],
+                faults=[
+                    *summary.faults,
+                    *(f"{FILM_NOTE}{note}" for note in self._hardware.faults()),
+                ],
             )
         if len(routes) == 1:
             return summary

@@ -23,6 +23,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from display_node.alerts import Alert, alerts
 from display_node.braille_plot import braille_plot, limits
 from display_node.heart_rate import heart_rate_per_min
 from display_node.telemetry import STATUS, TRACE, Status, Trace, read_status, read_trace
@@ -104,7 +105,8 @@ class Screen:
             ", ".join(f"{name} {value}" for name, value in rows)
             for rows in (self._now_rows(now_ns), self._run_rows())
         )
-        return f"{self._state(now_ns)}: {now}; {RUN}: {run}"
+        wrong = "".join(f"{name}: {text}; " for name, text in self._alerts(now_ns))
+        return f"{self._state(now_ns)}: {wrong}{now}; {RUN}: {run}"
 
     def panel(self, now_ns: int = 0) -> RenderableType:
         """Return the state at `now_ns` as a panel, grey where it is not current."""
@@ -123,8 +125,15 @@ class Screen:
             tables.append(table)
         stream = "".join(c if c.isprintable() else "?" for c in self.status.stream)
         title = Text(f"telepulse · {stream or 'no stream'} · {self._state(now_ns)}")
-        parts = (tables[0], Text(), *self._plot(current), Text(), Text(RUN, "dim"), tables[1])
-        return Panel(Group(*parts), title=title, expand=False, style="" if current else "dim")
+        wrong = [Text(f"{name}: {text}", "bold red") for name, text in self._alerts(now_ns)]
+        parts = (*wrong, tables[0], Text(), *self._plot(current), Text(), Text(RUN, "dim"))
+        whole = Group(*parts, tables[1])
+        return Panel(whole, title=title, expand=False, style="" if current else "dim")
+
+    def _alerts(self, now_ns: int) -> list[Alert]:
+        assert self.status is not None
+        status = self.status
+        return alerts(status.state, status.summary, status.final, self._silent_ns(now_ns))
 
     def _silent_ns(self, now_ns: int) -> int:
         """Return for how long nothing came from a display that has not ended."""
@@ -143,10 +152,12 @@ class Screen:
         current = self._silent_ns(now_ns) < CURRENT_NS
         rate = self.heart_rate_per_min if current else None
         last = self._ticks[-1] if self._ticks else None
+        finger = None if self.status is None else self.status.summary.get("finger")
         return [
             ("heart rate", _show(rate, "/min", 0)),
             ("force target", _show(None if last is None else last.target_n, "mN", 1, 1e3)),
             ("force felt", _show(None if last is None else last.felt_n, "mN", 1, 1e3)),
+            *([("finger", finger)] if finger and current else []),
         ]
 
     def _run_rows(self) -> list[tuple[str, str]]:
@@ -228,6 +239,9 @@ def watch(
                 if trace is not None and on_trace is not None:
                     on_trace(trace)
                 if screen.status is not None and screen.status.final:
+                    if draw and live is None:
+                        # However it ended, the last line shows it.
+                        console.print(screen.line(time.monotonic_ns()), soft_wrap=True)
                     return screen.status
             if live is not None:
                 live.update(screen.panel(time.monotonic_ns()))

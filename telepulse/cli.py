@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from display_node.fault_advice import end_at_faults
 from protocol.commands import (
     DurationOption,
     JsonOption,
@@ -105,6 +106,9 @@ def demo(
     A sensing node and a display node start as two processes. With --link, a third stands
     between them and delays, jitters and loses frames. At the end, every sample sent is
     accounted for: sent = played + late + lost.
+
+    Exit status: 0 at the end of the pulse, 2 when something given cannot be used, 3 when the
+    display latched a fault; the reason is a line on stderr.
     """
     console = plain_console()
     with one_line_errors(PROGRAM):
@@ -112,6 +116,7 @@ def demo(
         path = find_scene(scene)
         summary = run_demo(path, seconds, parse_link(link) if link else None, ui, page, console)
     sum_up(PROGRAM, summary, f"demo of {path.stem}, {seconds:g} s", console, json)
+    end_at_faults(PROGRAM, summary.faults)
 
 
 @app.command(name="simulate")

@@ -14,6 +14,7 @@ from pathlib import Path
 import zmq
 from rich.console import Console
 
+from display_node.fault_advice import FAULT_STATUS, SENSING_NOTE
 from display_node.fidelity import Fidelity
 from display_node.screen import watch
 from display_node.telemetry import Trace
@@ -101,7 +102,7 @@ def run_demo(
         if relay is not None and relay.poll():
             await_end(relay, "link between the nodes", ENDS_WITHIN_S)
         await_end(sensing, "sensing node", ENDS_WITHIN_S)
-        await_end(display, "display node", ENDS_WITHIN_S)
+        await_end(display, "display node", ENDS_WITHIN_S, may_end_with=FAULT_STATUS)
         return _compose(read_summary(sensing_json), read_summary(display_json), referee.fidelity)
 
 
@@ -215,5 +216,5 @@ def _compose(sensing: Summary, display: Summary, fidelity: Fidelity) -> Summary:
         fidelity.scored(display),
         rejected={c: display.rejected.get(c, 0) + sensing.rejected.get(c, 0) for c in causes},
         limited=replace(display.limited, adc=sensing.limited.adc),
-        faults=display.faults + sensing.faults,
+        faults=display.faults + [f"{SENSING_NOTE}{note}" for note in sensing.faults],
     )

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+from display_node.alerts import finger_note
 from display_node.fidelity import JND
 from protocol.limits import limit_texts
 from telepulse.record.heard_fields import Fields
@@ -17,7 +18,7 @@ STATES = {
     "playing": "the pulse is felt",
     "stale": "no samples to play",
     "ended": "the stream is over",
-    "fault": "latched; the finger is at rest",
+    "fault": "latched until the display is started again",
     "final": "the display has ended; this is its last state",
 }
 
@@ -51,6 +52,8 @@ def state(live: Live) -> tuple[str, str]:
     """The display's state in a word, and what it means."""
     word = live.state or "waiting"
     note = STATES.get("final" if live.final else live.state, "")
+    if word not in ("playing", "starting") or live.final:
+        note += finger_note(live.summary)
     return ("ended" if live.final and word != "fault" else word), note
 
 

@@ -78,6 +78,27 @@ def test_the_line_shows_the_same_in_one_line() -> None:
     assert line.startswith("playing: heart rate 75 /min, force target")
 
 
+def test_a_fault_is_named_with_what_to_do_in_line_and_panel() -> None:
+    screen = Screen()
+    summary = status().summary | {"faults": ["feedback lost"], "finger": "pressed with 245 mN"}
+    screen.status = status()._replace(state="fault", summary=summary)
+    said = (
+        "fault: feedback lost: check the film's sensor and its cable; then start the display"
+        " again; finger: pressed with 245 mN"
+    )
+    assert f"fault: {said}; heart rate" in screen.line()
+    assert said in " ".join(printed(screen).replace("│", " ").split())
+
+
+def test_a_revoked_display_is_named_until_it_plays_again() -> None:
+    screen = Screen()
+    summary = status().summary | {"rejected": {"revoked": 4}}
+    screen.status = status()._replace(state="stale", summary=summary)
+    assert "stale: revoked: the other node allowed this node's key before" in screen.line()
+    screen.status = status()._replace(summary=summary)
+    assert "revoked" not in screen.line()
+
+
 def test_the_plot_is_a_line_without_holes() -> None:
     screen = Screen()
     screen.add_trace(trace_of_a_pulse(3))

@@ -30,7 +30,7 @@ def test_a_cut_link_is_told_and_goes_when_frames_come_again(told: Told) -> None:
     told.go(0.6, "stale")
     assert names(told) == ["stale"]
     told.go(0.6, "stale")
-    assert names(told) == ["link cut", "stale"]
+    assert names(told) == ["stale", "link cut"]
     told.linked = True
     told.go(0.4)
     assert names(told) == []
@@ -54,6 +54,25 @@ def test_a_display_that_says_nothing_any_more(told: Told) -> None:
     assert names(told, silent_ns=3 * SECOND_NS) == ["no telemetry"]
     told.status("ended", final=True)
     assert names(told, silent_ns=3 * SECOND_NS) == []
+
+
+def test_a_fault_is_told_with_what_to_do_and_what_is_known_of_the_finger(told: Told) -> None:
+    told.status("fault", faults=["feedback lost"], finger="force unknown since 3 s")
+    (alarm,) = alarms(told.live, 0)
+    assert alarm.text == (
+        "check the film's sensor and its cable; then start the display again;"
+        " finger: force unknown since 3 s"
+    )
+    latched, silent = alarms(told.live, silent_ns=4 * SECOND_NS)
+    assert "finger" not in latched.text
+    assert silent.text == "since 4 s; finger: unknown, before that: force unknown since 3 s"
+
+
+def test_a_revoked_display_says_so(told: Told) -> None:
+    told.status("stale", rejected={"revoked": 2})
+    assert {"stale", "revoked", "refused"} == set(names(told))
+    told.status("playing", rejected={"revoked": 2})
+    assert "revoked" not in names(told)
 
 
 @pytest.mark.parametrize(

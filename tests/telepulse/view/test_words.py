@@ -56,3 +56,14 @@ def test_the_last_state_says_that_it_is_the_last() -> None:
     assert "last state" in note
     told.status("fault", final=True, faults=["feedback lost"])
     assert state(told.live)[0] == "fault"
+
+
+def test_a_fault_claims_of_the_finger_what_was_measured_and_no_more() -> None:
+    told = Told(Live())
+    told.go(1)
+    told.status("fault", faults=["feedback lost"])
+    assert state(told.live) == ("fault", "latched until the display is started again")
+    told.status("fault", faults=["feedback lost"], finger="pressed with 245 mN")
+    assert state(told.live)[1].endswith("; finger: pressed with 245 mN")
+    told.status("playing", finger="pressed with 245 mN")
+    assert state(told.live)[1] == "the pulse is felt"

@@ -1,0 +1,64 @@
+"""What a person at a display must be told, from a status alone: terminal and page share it."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from display_node.deadlines import deadline_alarm
+from display_node.fault_advice import FILM_NOTE, SENSING_NOTE, advise, latched
+from protocol.causes import MEANINGS
+from protocol.refusals import REVOKED
+
+# Without telemetry for so long a display is taken for silent.
+SILENT_AFTER_NS = 2_000_000_000
+
+
+class Alert(NamedTuple):
+    """name stays the same as long as the alert lasts; text may count."""
+
+    name: str
+    text: str
+
+
+def alerts(
+    state: str, summary: Mapping[str, Any], final: bool = False, silent_ns: int = 0
+) -> list[Alert]:
+    """Return what is wrong by a status.
+
+    Parameters
+    ----------
+    state, summary, final
+        Of the status. After the last one only what is latched is wrong still.
+    silent_ns
+        For how long nothing came from the display, in ns. After 2 s nothing that may have changed
+        meanwhile is claimed any more.
+    """
+    faults = summary.get("faults", [])
+    silent = silent_ns > SILENT_AFTER_NS and not final
+    finger = "" if silent else finger_note(summary)
+    found = [Alert(f"fault: {fault}", f"{advise(fault)}{finger}") for fault in latched(faults)]
+    if silent:
+        return [*found, _no_telemetry(summary, silent_ns)]
+    if final:
+        return found
+    for prefix in (FILM_NOTE, SENSING_NOTE):
+        notes = [fault.removeprefix(prefix) for fault in faults if fault.startswith(prefix)]
+        if notes:
+            found.append(Alert(prefix.removesuffix(": "), "; ".join(notes)))
+    if summary.get("rejected", {}).get(REVOKED) and state != "playing":
+        found.append(Alert("revoked", MEANINGS[REVOKED]))
+    if state == "stale":
+        found.append(Alert("stale", f"no samples to play{finger}"))
+    late = deadline_alarm(summary.get("loop", {}))
+    return found if late is None else [*found, Alert("deadline misses", late)]
+
+
+def _no_telemetry(summary: Mapping[str, Any], silent_ns: int) -> Alert:
+    finger = summary.get("finger")
+    before = f", before that: {finger}" if finger else ""
+    return Alert("no telemetry", f"since {silent_ns * 1e-9:.0f} s; finger: unknown{before}")
+
+
+def finger_note(summary: Mapping[str, Any]) -> str:
+    """Return the display's sentence about the finger as an addition; empty where it has none."""
+    finger = summary.get("finger")
+    return f"; finger: {finger}" if finger else ""

@@ -1,0 +1,52 @@
+"""What to do about a latched fault: one table for every surface, and the exit status."""
+
+import sys
+from collections.abc import Iterable
+
+# Exit status of a display, or of a demo, that ended at a latched fault.
+FAULT_STATUS = 3
+# Entries of a summary's `faults` that name what a sensor missed; nothing is latched by them.
+FILM_NOTE, SENSING_NOTE = "film's sensor: ", "sensing node: "
+ADVICE = (
+    # The first entry whose words are in the fault's text.
+    ("withdrawal", "the tip may still press: switch the drive's power off, take the finger away"),
+    ("direction", "check `inverted` in the scene and the motor's wires: telepulse bench"),
+    ("following error", "the tip does not move as commanded: check that it moves freely, then the"
+     " motor's current and microsteps: telepulse bench"),
+    ("film reads", "film and drive contradict each other: telepulse calibrate, telepulse bench"),
+    ("felt force above", "check the film (telepulse calibrate) and the drive's direction"
+     " (telepulse bench)"),
+    ("feedback is not a number", "check the film's sensor and its calibration in the scene"),
+    ("feedback lost", "check the film's sensor and its cable"),
+    ("loop overrun", "this host stopped the loop: display-node --doctor names what helps"),
+    ("no command", "this host stopped the loop: display-node --doctor names what helps"),
+    ("no answer", "check the drive's power, cable, address and bit rate"),
+    ("unplugged", "check the drive's cable and port"),
+    ("garbled", "check the drive's cable, shield and bit rate"),
+    ("not homed", "check the home switch and `homing` in the scene"),
+    ("not enabled", "check the drive's enable input and supply voltage"),
+    ("refused", "the drive rejects a setting of the scene: compare it with the drive's manual"),
+    ("fault", "the drive stopped itself: remove the cause, then switch its power off and on"),
+)  # fmt: skip
+OTHERWISE = "see docs/drives.md"
+AGAIN = "then start the display again"
+
+
+def latched(faults: Iterable[str]) -> list[str]:
+    """Return the faults that hold the display until a new start, without sensors' notes."""
+    return [fault for fault in faults if not fault.startswith((FILM_NOTE, SENSING_NOTE))]
+
+
+def advise(fault: str) -> str:
+    """Return what to do about a latched fault, in one line."""
+    what = next((advice for words, advice in ADVICE if words in fault), OTHERWISE)
+    return f"{what}; {AGAIN}"
+
+
+def end_at_faults(program: str, faults: Iterable[str]) -> None:
+    """Name latched faults on stderr and end with `FAULT_STATUS`; return where there are none."""
+    found = latched(faults)
+    for fault in found:
+        print(f"{program}: ended at the fault {fault!r}: {advise(fault)}", file=sys.stderr)
+    if found:
+        raise SystemExit(FAULT_STATUS)
