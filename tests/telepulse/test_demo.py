@@ -1,5 +1,6 @@
 import os
 import pty
+import re
 import signal
 import subprocess
 import sys
@@ -19,7 +20,10 @@ KEYS = {
     "clock": {"offset_ms", "skew_ppm", "uncertainty_ms", "asymmetry_ms", "steps"},
     "force_rmse_n": {"aligned", "in_phase"},
     "strain_rmse": {"aligned", "in_phase"},
-    "loop": {"ticks", "deadline_misses", "tick_us", "late_us", "realtime"},
+    "loop": {
+        *("ticks", "deadline_misses", "tick_us", "late_us"),
+        *("late", "last_5s", "worst_5s", "realtime"),
+    },
 }
 
 
@@ -52,6 +56,27 @@ def test_the_demo_over_a_bad_link_counts_what_is_late_and_lost(tmp_path: Path) -
     assert summary["samples"]["lost"] > 50
     assert 25 < summary["one_way_delay_ms"]["p50"] < 60
     assert summary["playout_delay_ms"]["mean"] > 45
+
+
+def test_a_demo_whose_display_latches_a_fault_names_it_and_ends_with_status_3(
+    tmp_path: Path,
+) -> None:
+    scene, out = tmp_path / "noisy.toml", tmp_path / "out.json"
+    # The film's noise is read as more force than may be felt.
+    text = RADIAL.read_text(encoding="utf-8").replace(
+        'force_limit = "2.5 N"', 'force_limit = "0.1 N"\noverforce = 1'
+    )
+    noise = '\n[display.film]\nnoise = "5 mN"\n'
+    scene.write_text(text + noise, encoding="utf-8")
+    result = run(MODULE, "demo", str(scene), "--seconds", "3", "--json", str(out), "--no-page")
+    fault, advice = "felt force above 0.1 N", "check the film (telepulse calibrate)"
+    assert result.returncode == 3
+    assert result.stderr.startswith(f"telepulse: ended at the fault '{fault}': {advice}")
+    assert result.stderr.count("\n") == 1
+    # The line of each second names it, with what to do.
+    assert re.search(rf"^fault: fault: {fault}: {re.escape(advice)}", result.stdout, re.MULTILINE)
+    assert read_json(out)["faults"] == [fault]
+    assert_accounted(read_json(out)["samples"])
 
 
 def test_the_demo_scores_against_the_pulse_before_the_sensing_chain(tmp_path: Path) -> None:

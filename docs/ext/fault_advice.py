@@ -1,0 +1,17 @@
+"""What to do about each fault that a display latches, from the table that its surfaces use."""
+
+from display_node.fault_advice import ADVICE, AGAIN, OTHERWISE
+
+
+def write() -> str:
+    """Return a table of the words in a fault's text and the advice."""
+    rows = (f"| {words} | {advice} |" for words, advice in (*ADVICE, ("anything else", OTHERWISE)))
+    return "\n".join(
+        [
+            "| in the fault's text | what to do |",
+            "|---|---|",
+            *rows,
+            "",
+            f"{AGAIN[0].upper()}{AGAIN[1:]}.",
+        ]
+    )
