@@ -195,7 +195,7 @@ def test_what_is_not_current_has_its_age_and_no_heart_rate() -> None:
     )
     assert screen.line(10 * SECOND_NS).startswith("playing: heart rate 75 /min")
     late_ns = 12_300_000_000
-    assert screen.line(late_ns).startswith("playing 2.3 s ago: heart rate –")
+    assert screen.line(late_ns).startswith("playing 2.3 s ago: no telemetry: since 2 s; finger:")
     console = Console(width=100, record=True, file=io.StringIO(), force_terminal=True)
     console.print(screen.panel(late_ns))
     assert "playing 2.3 s ago" in console.export_text(clear=False)
