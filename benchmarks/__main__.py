@@ -21,6 +21,8 @@ NAMES = (
     "realtime",
     "stalls",
     "jumps",
+    "lies",
+    "random_stalls",
     "recording",
     "analysis",
     "metrics",

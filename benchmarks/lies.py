@@ -1,0 +1,245 @@
+"""Drives and films that report what is not so: what is felt, and when it is named.
+
+Every lie of `telepulse.emulate.lies` on both kinds of drive, with a film and without, by the
+product's own code in virtual time. `python -m benchmarks.lies NAME` runs the lies of one name.
+"""
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from benchmarks.measure import show
+from benchmarks.virtual_bench import MS, VirtualBench
+from display_node.scene import DisplayScene
+from protocol.errors import TelepulseError
+from protocol.scene import load_section
+from sensing_node.sources.synthetic import Synthetic, SyntheticScene
+from telepulse.emulate.lies import Lie, LieKind, read_lie
+from telepulse.emulate.motor import Moment
+from telepulse.scene import find_scene
+
+KINDS = ("tmcl", "cia402")
+LIMIT_N = 2.5
+BAR_FORCE_N = 1.25 * LIMIT_N
+BAR_ABOVE_MS = 50
+BAR_OFF_MS = 1_000
+PLAYED_MS = 1_500
+AFTER_MS = 4_000
+# Felt beyond what is felt without a lie; less need not be named.
+HARMLESS_N = 0.25
+# Off the finger.
+TOUCH_N = 0.01
+# The hostile stream's jumps, and half its period.
+HOSTILE_N, HOSTILE_MS = 1_000.0, 300
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A lie on a bench. from_start: it is there before the drive homes."""
+
+    kind: LieKind
+    size: str | None = None
+    from_start: bool = False
+
+    @property
+    def lie(self) -> Lie:
+        """The lie itself."""
+        return read_lie(self.kind, self.size)
+
+    @property
+    def name(self) -> str:
+        """The lie with its size, as the emulator's options have it."""
+        parts = (self.kind.value, self.size or "", "from the start" if self.from_start else "")
+        return " ".join(part for part in parts if part)
+
+    @property
+    def of_film(self) -> bool:
+        """Whether it is the film's."""
+        return self.kind.value.startswith("film")
+
+
+CASES = (
+    Case(LieKind.REVERSED, from_start=True),
+    Case(LieKind.REVERSED_ENCODER, from_start=True),
+    Case(LieKind.REVERSED),
+    Case(LieKind.REVERSED_ENCODER),
+    *(Case(LieKind.GAIN, size) for size in ("0.3", "0.5", "2", "3")),
+    *(Case(LieKind.GAIN_ENCODER, size) for size in ("0.3", "3")),
+    Case(LieKind.NO_RETRACTION),
+    Case(LieKind.POSITION_FROZEN),
+    *(Case(LieKind.POSITION_JUMP, size) for size in ("0.5 mm", "-0.5 mm")),
+    *(Case(LieKind.POSITION_DRIFT, size) for size in ("1 mm/s", "-1 mm/s")),
+    *(Case(LieKind.POSITION_NOISE, size) for size in ("20 µm", "200 µm")),
+    *(Case(LieKind.DELAYED, size) for size in ("20 ms", "30 ms", "45 ms")),
+    *(Case(LieKind.LOST, size) for size in ("0.3", "1")),
+    Case(LieKind.DUPLICATED, "1"),
+    *(Case(LieKind.GARBAGE, size) for size in ("0.3", "1")),
+    Case(LieKind.FILM_ZERO),
+    Case(LieKind.FILM_FROZEN),
+    *(Case(LieKind.FILM_SCALED, size) for size in ("0.5", "2")),
+    Case(LieKind.FILM_NOISE, "0.2 N"),
+    *(Case(LieKind.FILM_LATE, size) for size in ("20 ms", "60 ms")),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a lie led to.
+
+    most_n: the most felt force; above_ms: time above the limit; named: the first fault, empty for
+    none; named_ms: from the lie's begin to it; off_ms: from the fault until the tip is off the
+    finger for good, None where it stays on; error_n: the most that was felt beyond what was wanted.
+    """
+
+    most_n: float
+    above_ms: int
+    named: str
+    named_ms: int | None
+    off_ms: int | None
+    error_n: float
+
+    def missed(self, honest_error_n: float) -> list[str]:
+        """The bars that it misses; honest_error_n is what is felt beyond what is wanted without a
+        lie. One that changes nothing at the finger need not be named."""
+        harmless = not self.named and self.error_n <= honest_error_n + HARMLESS_N
+        missed = []
+        if self.most_n > BAR_FORCE_N:
+            missed.append("force")
+        if self.above_ms > BAR_ABOVE_MS:
+            missed.append("time")
+        if not self.named and not harmless:
+            missed.append("name")
+        if self.named and (self.off_ms is None or self.off_ms > BAR_OFF_MS):
+            missed.append("off")
+        return missed
+
+
+def paper_pulse() -> Callable[[int], float]:
+    """The paper's pulse, by ms."""
+    keys = {"preset": "paper", "rate": "1 kHz", "peak_to_peak": "0.3 N", "preload": "0.3 N"}
+    source = Synthetic(SyntheticScene.model_validate({"kind": "synthetic", **keys}))
+    values = source.take(12_000)[:, 0].tolist()
+    return lambda ms: values[ms % len(values)]
+
+
+def hostile_stream(ms: int) -> float:
+    """Jumps that no wrist makes: the force limit, and nothing."""
+    return HOSTILE_N if ms // HOSTILE_MS % 2 else 0.0
+
+
+def bench_scene(kind: str) -> DisplayScene:
+    """The scene of the emulated bench."""
+    return load_section(find_scene(f"{kind}_bench"), "display", DisplayScene)
+
+
+def lied(case: Case | None, kind: str, with_film: bool, force_n: Callable[[int], float]) -> Outcome:
+    """What a lie leads to; it begins when the pulse is felt. None for none."""
+    felt: list[Moment] = []
+    with VirtualBench(bench_scene(kind), force_n, with_film, felt.append) as bench:
+        wanted: dict[int, float] = {}
+        bench.on_tick = lambda now_ns, target_n: wanted.setdefault(now_ns // MS, target_n)
+        if case is not None and case.from_start:
+            bench.motor.lies.begin(case.lie, bench.world.now_ns)
+            began_ns = bench.world.now_ns
+            try:
+                bench.start()
+            except TelepulseError as error:
+                fault_ns = bench.world.now_ns
+                bench.run(AFTER_MS)
+                return _outcome(felt, wanted, began_ns, fault_ns, f"not started: {error}")
+        else:
+            bench.start()
+            bench.run(PLAYED_MS)
+            assert not bench.faults, bench.faults
+            began_ns = bench.world.now_ns
+            if case is not None:
+                bench.motor.lies.begin(case.lie, began_ns)
+        bench.run(AFTER_MS)
+        return _outcome(felt, wanted, began_ns, bench.fault_ns, "; ".join(bench.faults))
+
+
+def _outcome(
+    felt: list[Moment], wanted: dict[int, float], began_ns: int, fault_ns: int | None, named: str
+) -> Outcome:
+    pressing = [moment.time_ns for moment in felt if moment.force_n > TOUCH_N]
+    last_ns, end_ns = max(pressing, default=0), felt[-1].time_ns
+    off_ms = None
+    if fault_ns is not None and end_ns - last_ns > 100 * MS:
+        off_ms = max(0, last_ns - fault_ns) // MS
+    error_n = 0.0
+    for moment in felt:
+        if moment.time_ns < began_ns or (fault_ns is not None and moment.time_ns > fault_ns):
+            continue
+        # What is wanted now is felt within some ms.
+        ms = moment.time_ns // MS
+        near = [wanted[there] for there in range(ms - 20, ms + 21) if there in wanted]
+        if near:
+            error_n = max(error_n, moment.force_n - max(near), min(near) - moment.force_n)
+    return Outcome(
+        most_n=max(moment.force_n for moment in felt),
+        above_ms=sum(moment.force_n > LIMIT_N for moment in felt),
+        named=named,
+        named_ms=None if fault_ns is None else (fault_ns - began_ns) // MS,
+        off_ms=off_ms,
+        error_n=error_n,
+    )
+
+
+def rows(name: str = "") -> list[tuple[str, ...]]:
+    """The table's rows, of the lies of one name or of all."""
+    table: list[tuple[str, ...]] = []
+    honest_n: dict[tuple[str, bool, str], float] = {}
+    pulse = paper_pulse()
+    streams: dict[str, Callable[[int], float]] = {"pulse": pulse, "hostile": hostile_stream}
+    for case in CASES:
+        if name not in ("", case.kind.value):
+            continue
+        for with_film in (True,) if case.of_film else (True, False):
+            for stream, force_n in streams.items():
+                for kind in KINDS:
+                    key = (kind, with_film, stream)
+                    if key not in honest_n:
+                        honest_n[key] = lied(None, kind, with_film, force_n).error_n
+                    outcome = lied(case, kind, with_film, force_n)
+                    table.append(
+                        (
+                            case.name,
+                            "film" if with_film else "none",
+                            stream,
+                            kind,
+                            f"{outcome.most_n:.2f}",
+                            str(outcome.above_ms),
+                            "" if outcome.named_ms is None else str(outcome.named_ms),
+                            "" if outcome.off_ms is None else str(outcome.off_ms),
+                            f"{outcome.error_n:.2f}",
+                            " ".join(outcome.missed(honest_n[key])) or "none",
+                            outcome.named[:50],
+                        )
+                    )
+    return table
+
+
+def main(name: str = "") -> None:
+    """Print the table."""
+    show(
+        f"Lies of drives and films; bars: {BAR_FORCE_N:g} N, {BAR_ABOVE_MS} ms above the limit of"
+        f" {LIMIT_N:g} N, off the finger {BAR_OFF_MS / 1e3:g} s after the fault, named",
+        (
+            "lie",
+            "film",
+            "stream",
+            "drive",
+            "most N",
+            "above ms",
+            "named ms",
+            "off ms",
+            "error N",
+            "bars missed",
+            "named",
+        ),
+        rows(name),
+    )
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:2])

@@ -1,0 +1,432 @@
+"""A whole bench in virtual time: the product's drive, sensor, `Hardware` and `Display`, unchanged.
+
+Virtual are the lines to an emulated drive and its film, the network, and the process: its threads
+can be stalled, all of them or one. What holds here is what the product's own code does.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from typing import Any
+from unittest.mock import patch
+
+import can
+import numpy as np
+
+from benchmarks.virtual_time import VirtualEvent, VirtualThread, VirtualTime
+from display_node.actuators.stepper import StepperScene
+from display_node.display import Display
+from display_node.drives import Drive, build_drive
+from display_node.drives.scene import Cia402Scene, DriveScene, TmclScene
+from display_node.hardware import Hardware
+from display_node.scene import DisplayScene
+from protocol.messages import Frame, encode_control, encode_frame
+from protocol.stream import Channel, StreamDescription
+from protocol.tactile import ElasticLayer
+from sensing_node.desk import Desk
+from sensors.sensor import Sensor
+from sensors.serial_port import SerialScene
+from telepulse.emulate.cia402_node import EmulatedNode
+from telepulse.emulate.film import EmulatedFilm
+from telepulse.emulate.motor import EmulatedMotor, Moment
+from telepulse.emulate.tmcl_module import Datagrams, EmulatedModule
+
+MS = 1_000_000
+# All that waits or looks at the clock: the product's, and the emulators'.
+VIRTUAL = ("display_node.drives", "display_node.hardware", "sensors.sensor", "telepulse.emulate")
+BATCH = 5
+NETWORK_NS = 2 * MS
+# A serial line to a module on USB, each way.
+LINE_NS = 200_000
+# What a kernel holds of a serial port that nobody reads.
+PORT_BYTES = 4096
+# The sensing node's clock against ours.
+AHEAD_NS = 5_000_000_000
+
+
+class Pipe:
+    """Bytes on their way to a reader; what does not fit is dropped, as by a kernel's buffer."""
+
+    def __init__(self, world: VirtualTime) -> None:
+        self._data = b""
+        self._come = VirtualEvent(world)
+
+    def write(self, data: bytes) -> None:
+        """Let bytes arrive."""
+        self._data += data[: PORT_BYTES - len(self._data)]
+        self._come.set()
+
+    def read(self, size: int, timeout_s: float) -> bytes:
+        """Wait for any bytes, and take up to `size` of them."""
+        if not self._data:
+            self._come.clear()
+            self._come.wait(timeout_s)
+        data, self._data = self._data[:size], self._data[size:]
+        return data
+
+
+class FilmPort:
+    """The film's serial port, as the product's `Sensor` reads it; `silent`: the board is off."""
+
+    name = "film"
+
+    def __init__(self, world: VirtualTime) -> None:
+        self._pipe = Pipe(world)
+        self.silent = False
+
+    def open(self) -> None:
+        """It is there."""
+
+    def write(self, data: bytes) -> None:
+        """What the board sends."""
+        if not self.silent:
+            self._pipe.write(data)
+
+    def read(self) -> bytes:
+        """See `sensors.serial_port.SerialPort.read`."""
+        return self._pipe.read(PORT_BYTES, 0.1)
+
+    def close(self) -> None:
+        """Let go of it."""
+
+
+class ModulePort:
+    """The serial port to an emulated TMCL module, in place of pyserial's."""
+
+    def __init__(self, world: VirtualTime, module: EmulatedModule) -> None:
+        self._world, self._module = world, module
+        self._datagrams = Datagrams()
+        self._replies = Pipe(world)
+        self.timeout_s = 0.01
+        self.unplugged = False
+
+    def write(self, data: bytes) -> None:
+        """Send a request, which arrives a little later."""
+        if self.unplugged:
+            raise OSError(5, "unplugged")
+        self._world.at(self._world.now_ns + LINE_NS, lambda: self._receive(bytes(data)))
+
+    def read(self, size: int) -> bytes:
+        """Wait for so many bytes until the timeout."""
+        if self.unplugged:
+            raise OSError(5, "unplugged")
+        data, until_ns = b"", self._world.now_ns + round(self.timeout_s * 1e9)
+        while len(data) < size and self._world.now_ns < until_ns:
+            data += self._replies.read(size - len(data), (until_ns - self._world.now_ns) * 1e-9)
+        return data
+
+    def reset_input_buffer(self) -> None:
+        """Drop what has come."""
+        self._replies.read(PORT_BYTES, 0.0)
+
+    def close(self) -> None:
+        """Let go of it."""
+
+    def poll(self) -> None:
+        """Send the replies that are due."""
+        for reply in self._module.lies.due(self._world.now_ns):
+            self._world.at(
+                self._world.now_ns + LINE_NS, lambda data=reply: self._replies.write(data)
+            )
+
+    def _receive(self, data: bytes) -> None:
+        if self.unplugged:
+            return
+        now_ns = self._world.now_ns
+        for request in self._datagrams.feed(data, now_ns):
+            reply = self._module.reply(request, now_ns)
+            if reply:
+                self._module.lies.answer(reply, now_ns)
+        self.poll()
+
+
+class CanEnd(can.BusABC):
+    """One end of a CAN bus of two, read by a `Notifier`; unplugged: nothing can be sent."""
+
+    def __init__(self, at_drive: bool) -> None:
+        super().__init__(channel="virtual time")
+        self.channel_info = "virtual time"
+        self.at_drive = at_drive
+        self.far: CanEnd | None = None
+        self.notifier: Notifier | None = None
+        self.unplugged = False
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Let the far end have a frame."""
+        if self.unplugged:
+            raise can.CanOperationError("unplugged")
+        if self.far is not None and self.far.notifier is not None:
+            # The sender may use the message again.
+            data, identifier = bytes(msg.data), msg.arbitration_id
+            frame = can.Message(arbitration_id=identifier, is_extended_id=False, data=data)
+            self.far.notifier.receive(frame)
+
+    def shutdown(self) -> None:
+        """Nothing is open."""
+        self._is_shutdown = True
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        return None, False
+
+
+class Notifier:
+    """In place of `can.Notifier`: a thread of the process that hands frames to the listeners.
+
+    An SDO's answer comes while its request is being sent, and is handed on at once, as are frames
+    to the drive.
+    """
+
+    exception: Exception | None = None
+
+    def __init__(self, world: VirtualTime, bus: CanEnd, listeners: list[Any]) -> None:
+        self._world = world
+        self._listeners = listeners
+        self._at_drive = bus.at_drive
+        self._frames: deque[can.Message] = deque()
+        self._come = VirtualEvent(world)
+        self._stopped = False
+        bus.notifier = self
+        if not self._at_drive:
+            world.thread(self._run, name="notifier")
+
+    def receive(self, frame: can.Message) -> None:
+        """Take a frame from the bus."""
+        if self._at_drive or self._world.current is not None:
+            self._hand_on(frame)
+        else:
+            self._frames.append(frame)
+            self._come.set()
+
+    def stop(self, timeout: float = 5) -> None:
+        """End the thread."""
+        self._stopped = True
+        self._come.set()
+
+    def _run(self) -> None:
+        while not self._stopped:
+            self._come.wait()
+            self._come.clear()
+            while self._frames:
+                self._hand_on(self._frames.popleft())
+
+    def _hand_on(self, frame: can.Message) -> None:
+        for listener in self._listeners:
+            listener(frame)
+
+
+class Wrist:
+    """The sensing node: its frames, and its answers to control messages.
+
+    force_n gives the force at a time in ms since the stream began.
+    """
+
+    def __init__(self, force_n: Callable[[int], float], session: int = 7) -> None:
+        self._force_n = force_n
+        self._description = StreamDescription(
+            "virtual pulse", MS, BATCH, (Channel("pulse"),), ElasticLayer()
+        )
+        self._session = session
+        self._desk = Desk(self._description, session)
+        self._sent = 0
+        self._time_ms = 0
+
+    def frame(self, now_ns: int) -> bytes:
+        """The next frame, whose last sample is taken now."""
+        width = self._description.bytes_per_sample
+        values = [[self._force_n(self._time_ms + number)] for number in range(BATCH)]
+        first_ns = now_ns + AHEAD_NS - (BATCH - 1) * MS
+        frame = Frame(self._session, self._sent, first_ns, MS, np.array(values, f"<f{width}"))
+        self._sent += BATCH
+        self.pass_over()
+        return encode_frame(frame)
+
+    def pass_over(self) -> None:
+        """The pulse goes on where nobody sends it."""
+        self._time_ms += BATCH
+
+    def answer(self, request: bytes, now_ns: int) -> bytes | None:
+        """The answer to a control message, if it has one."""
+        reply = self._desk.answer((b"display",), request, now_ns + AHEAD_NS, self._sent)
+        return encode_control(reply) if reply is not None else None
+
+
+@dataclass
+class VirtualBench:
+    """A bench on which a pulse is felt, from `started` on.
+
+    Between two runs change what happens: `sending`, `film.silent`, `motor.lies`, `world.stall`.
+
+    scene: with a drive. force_n: the pulse, by ms. with_film: the scene's film is read; without,
+    the drive's position stands for it. watch: is given every millisecond of the motor. on_tick: is
+    given the time and the target of every tick. fault_ns: when the display was at fault first.
+    """
+
+    scene: DisplayScene
+    force_n: Callable[[int], float]
+    with_film: bool = True
+    watch: Callable[[Moment], None] | None = None
+    sending: bool = True
+    world: VirtualTime = field(default_factory=VirtualTime)
+    loop: VirtualThread | None = None
+    on_tick: Callable[[int, float], object] = lambda *_: None
+    fault_ns: int | None = None
+
+    def __post_init__(self) -> None:
+        assert isinstance(self.scene.actuator, StepperScene)
+        assert self.scene.drive is not None
+        if not self.with_film:
+            self.scene = self.scene.model_copy(update={"feedback": None})
+        self.drive_scene: DriveScene = self.scene.drive  # type: ignore[assignment]
+        world, actuator = self.world, self.scene.actuator
+        law = actuator.contact(self.scene.layer.layer())
+        self.motor = EmulatedMotor(actuator, law, self.drive_scene.touch_m, world.now_ns)
+        self.motor.trace = self.watch
+        self.film = FilmPort(world)
+        self._board = EmulatedFilm(self.motor, self.film)  # type: ignore[arg-type]
+        self.wrist = Wrist(self.force_n)
+        self._frames: deque[tuple[int, bytes]] = deque()
+        self._answers: deque[tuple[int, bytes]] = deque()
+        self._stopping = False
+        self._patches = ExitStack()
+
+    def __enter__(self) -> "VirtualBench":
+        world, patches = self.world, self._patches
+        patches.enter_context(world.substituted(VIRTUAL))
+        if isinstance(self.drive_scene, Cia402Scene):
+            self._connect_can(self.drive_scene)
+        else:
+            assert isinstance(self.drive_scene, TmclScene)
+            module = EmulatedModule(self.drive_scene, self.motor)
+            self.port = ModulePort(world, module)
+            patches.enter_context(patch("serial.serial_for_url", lambda *_, **__: self.port))
+            world.every(MS, self.port.poll)
+        world.every(MS, self._poll_motor)
+        world.every(BATCH * MS, self._send_frame)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._patches.close()
+
+    def start(self) -> None:
+        """Bring the drive to first touch and begin the loop. Raises what the product raises."""
+        self.call(self._connect)
+        self._stopping = False
+        self.loop = self.world.thread(self._loop, name="loop")
+
+    def stop(self) -> None:
+        """End the loop, and close the bench as the display node does."""
+        self._stopping = True
+        if self.loop is not None:
+            self.loop.join()
+        self.call(self.hardware.close)
+
+    def run(self, ms: float) -> None:
+        """Let time pass."""
+        self.world.run(self.world.now_ns + round(ms * MS))
+
+    @property
+    def faults(self) -> list[str]:
+        """The display's faults."""
+        return self.display.safety.faults
+
+    @property
+    def threads(self) -> list[VirtualThread]:
+        """The process's: the loop, and those that the product has started."""
+        return list(self.world.threads)
+
+    def call(self, function: Callable[[], object]) -> None:
+        """Call a function of the product in a thread of the process, and wait for its end."""
+        raised: list[Exception] = []
+
+        def run() -> None:
+            try:
+                function()
+            except Exception as error:
+                raised.append(error)
+
+        self.world.thread(run, name="main").join()
+        if raised:
+            raise raised[0]
+
+    def _connect(self) -> None:
+        """As `display_node.hardware.connected`, with a film on our port."""
+        scene, actuator = self.scene, self.scene.actuator
+        assert scene.drive is not None
+        force_limit_n = scene.safety.force_limit_n
+        self.drive: Drive = build_drive(scene.drive, actuator, scene.layer.layer(), force_limit_n)
+        sensor = None
+        if isinstance(scene.feedback, SerialScene):
+            clock = self.world.monotonic_ns
+            sensor = Sensor(self.film, scene.feedback.decoder(), scene.feedback, clock=clock)
+        self.hardware = Hardware(scene, self.drive, sensor)
+        try:
+            self.hardware.start()
+        except BaseException:
+            self.hardware.close()
+            raise
+        self.display = Display(scene, "virtual", score=False, feedback=self.hardware.feedback)
+
+    def _connect_can(self, scene: Cia402Scene) -> None:
+        ours, drives = CanEnd(at_drive=False), CanEnd(at_drive=True)
+        ours.far, drives.far = drives, ours
+        self.bus = ours
+        self._patches.callback(ours.shutdown)
+        self._patches.callback(drives.shutdown)
+
+        def notifier(bus: CanEnd, listeners: list[Any], timeout: float = 1.0) -> Notifier:
+            return Notifier(self.world, bus, listeners)
+
+        self._patches.enter_context(patch("can.Notifier", notifier))
+        self._patches.enter_context(patch("can.Bus", lambda **_: ours))
+        node = EmulatedNode(scene, self.motor, drives)
+        self.world.every(MS, node.poll)
+
+    def _poll_motor(self) -> None:
+        self.motor.advance(self.world.now_ns)
+        if self.with_film:
+            self._board.deliver()
+        else:
+            self.motor.forces_n.clear()
+
+    def _send_frame(self) -> None:
+        if self.sending:
+            arrives_ns = self.world.now_ns + NETWORK_NS
+            self._frames.append((arrives_ns, self.wrist.frame(self.world.now_ns)))
+        else:
+            self.wrist.pass_over()
+
+    def _loop(self) -> None:
+        """As `display_node.node.DisplayNode.run`, without sockets."""
+        world, tick_ns = self.world, self.scene.tick_ns
+        next_ns = world.monotonic_ns() + tick_ns
+        while not self._stopping:
+            now_ns = world.monotonic_ns()
+            if now_ns < next_ns:
+                world.sleep((next_ns - now_ns) * 1e-9)
+                continue
+            self._receive(now_ns)
+            elapsed = 1 + (now_ns - next_ns) // tick_ns
+            next_ns += elapsed * tick_ns
+            self._tick(next_ns - tick_ns, elapsed)
+
+    def _receive(self, now_ns: int) -> None:
+        """A loop that waits takes a message when it comes, one that was stalled when it wakes."""
+        display, woke_ns = self.display, self.loop.resumes_ns if self.loop is not None else 0
+        while self._frames and self._frames[0][0] <= now_ns:
+            arrived_ns, data = self._frames.popleft()
+            display.on_frame(data, max(arrived_ns, woke_ns))
+        while self._answers and self._answers[0][0] <= now_ns:
+            arrived_ns, data = self._answers.popleft()
+            display.on_control(data, max(arrived_ns, woke_ns))
+
+    def _tick(self, now_ns: int, elapsed_ticks: int) -> None:
+        felt = self.hardware.tick(self.display, now_ns, elapsed_ticks)
+        self.on_tick(now_ns, felt.target_n)
+        if self.faults and self.fault_ns is None:
+            self.fault_ns = self.world.now_ns
+        for request in self.display.requests(self.world.monotonic_ns()):
+            sent_ns = self.world.now_ns
+            answer = self.wrist.answer(encode_control(request), sent_ns + NETWORK_NS)
+            if answer is not None and self.sending:
+                self._answers.append((sent_ns + 2 * NETWORK_NS, answer))

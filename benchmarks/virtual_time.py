@@ -1,0 +1,292 @@
+"""Threads in virtual time: the product's own threads, one at a time, by a clock that is stepped.
+
+`VirtualTime.substituted` replaces `time` and `threading` in the modules that are named, so that
+what waits there waits for virtual time. Each thread is a greenlet: what runs when is decided here,
+and is the same in every run. A stall stops threads as SIGSTOP or a busy host does, between any two
+looks at the clock; which of them wakes first is chosen.
+"""
+
+import heapq
+import itertools
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from typing import Any
+from unittest.mock import patch
+
+from greenlet import getcurrent, greenlet
+
+
+class VirtualThread:
+    """A thread in virtual time; see `threading.Thread`."""
+
+    def __init__(
+        self,
+        world: "VirtualTime",
+        target: Callable[..., object],
+        args: Sequence[Any] = (),
+        name: str = "",
+    ) -> None:
+        self.name = name or getattr(target, "__qualname__", "thread")
+        self._world = world
+        self._greenlet = greenlet(lambda: self._run(target, args), world.hub)
+        # Waits are numbered: what wakes an earlier one does nothing.
+        self.waits = 0
+        self.resumes_ns = 0
+        self.rank = 0
+        self.ended = VirtualEvent(world)
+
+    def start(self) -> None:
+        """Let it run as soon as the present thread waits."""
+        self._world.threads.append(self)
+        self._world.wake(self, self.waits)
+
+    def join(self, timeout: float | None = None) -> None:
+        """Wait for its end."""
+        self.ended.wait(timeout)
+
+    def is_alive(self) -> bool:
+        """Whether it has not ended."""
+        return not self.ended.is_set()
+
+    def go_on(self) -> None:
+        """Run it until it waits; called by the world."""
+        self._greenlet.switch()
+
+    def _run(self, target: Callable[..., object], args: Sequence[Any]) -> None:
+        try:
+            target(*args)
+        finally:
+            self._world.threads.remove(self)
+            self.ended.set()
+
+
+class VirtualEvent:
+    """See `threading.Event`."""
+
+    def __init__(self, world: "VirtualTime") -> None:
+        self._world = world
+        self._is_set = False
+        self._waiting: list[tuple[VirtualThread, int]] = []
+
+    def is_set(self) -> bool:
+        """Whether it is set."""
+        return self._is_set
+
+    def set(self) -> None:
+        """Wake who waits."""
+        self._is_set = True
+        for thread, wait in self._waiting:
+            self._world.wake(thread, wait)
+        self._waiting.clear()
+
+    def clear(self) -> None:
+        """Unset it."""
+        self._is_set = False
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until it is set, `timeout` seconds at most."""
+        world = self._world
+        until_ns = None if timeout is None else world.now_ns + max(0, round(timeout * 1e9))
+        while not self._is_set and (until_ns is None or world.now_ns < until_ns):
+            thread = world.current
+            if thread is None:
+                world.step(until_ns)
+                continue
+            thread.waits += 1
+            self._waiting.append((thread, thread.waits))
+            world.pause(until_ns)
+        return self._is_set
+
+
+class VirtualLock:
+    """See `threading.Lock`."""
+
+    def __init__(self, world: "VirtualTime") -> None:
+        self._free = VirtualEvent(world)
+        self._free.set()
+
+    def __enter__(self) -> bool:
+        return self.acquire()
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
+
+    def acquire(self) -> bool:
+        """Wait until it is free, and hold it."""
+        while not self._free.is_set():
+            self._free.wait()
+        self._free.clear()
+        return True
+
+    def release(self) -> None:
+        """Let go of it."""
+        self._free.set()
+
+
+class VirtualTime:
+    """The clock, the threads and the events of one virtual world.
+
+    now_ns: the time. threads: those that run. Code outside all of them, such as a test, may wait as
+    well: the world goes on meanwhile.
+    """
+
+    def __init__(self, now_ns: int = 1_000_000_000) -> None:
+        self.now_ns = now_ns
+        self.hub = getcurrent()
+        self.threads: list[VirtualThread] = []
+        self.current: VirtualThread | None = None
+        self._order = itertools.count()
+        # Time, rank, order, and a thread with the number of its wait, or what happens.
+        self._due: list[tuple[int, int, int, VirtualThread | None, Any]] = []
+        self._interruption: tuple[int, Callable[[], None]] | None = None
+
+    def at(self, time_ns: int, happen: Callable[[], None]) -> None:
+        """Let something happen at a time, outside all threads."""
+        heapq.heappush(self._due, (time_ns, -1, next(self._order), None, happen))
+
+    def every(self, period_ns: int, happen: Callable[[], None]) -> None:
+        """Let something happen again and again."""
+
+        def again() -> None:
+            happen()
+            self.at(self.now_ns + period_ns, again)
+
+        self.at(self.now_ns + period_ns, again)
+
+    def run(self, until_ns: int) -> None:
+        """Let time pass until then."""
+        while self._due and self._due[0][0] <= until_ns:
+            self.step(until_ns)
+        self.now_ns = until_ns
+
+    def step(self, until_ns: int | None = None) -> None:
+        """Let the next thing happen; nothing beyond until_ns."""
+        if not self._due:
+            assert until_ns is not None, "all threads wait for each other"
+        if not self._due or (until_ns is not None and self._due[0][0] > until_ns):
+            assert until_ns is not None
+            self.now_ns = until_ns
+            return
+        due_ns, _, _, thread, what = heapq.heappop(self._due)
+        if thread is None:
+            self.now_ns = max(self.now_ns, due_ns)
+            what()
+            return
+        if what != thread.waits or thread.ended.is_set():
+            return
+        self.now_ns = max(self.now_ns, due_ns)
+        if thread.resumes_ns > self.now_ns:
+            self._push(thread.resumes_ns, thread, what)
+            return
+        thread.waits += 1
+        self.current = thread
+        thread.go_on()
+        self.current = None
+
+    def stall(self, threads: Sequence[VirtualThread], until_ns: int) -> None:
+        """Stop threads from now on until a time; then they wake in this order."""
+        for rank, thread in enumerate(threads):
+            thread.rank = rank
+            thread.resumes_ns = max(thread.resumes_ns, until_ns)
+
+    def interrupt(self, looks: int, begin: Callable[[], None]) -> None:
+        """Call `begin`, which may stall threads, right after so many looks of any thread at the
+        clock: between a look and what is done by it."""
+        self._interruption = (looks, begin)
+
+    def wake(self, thread: VirtualThread, wait: int) -> None:
+        """End a thread's wait now, if it is still that one."""
+        self._push(self.now_ns, thread, wait)
+
+    def _push(self, time_ns: int, thread: VirtualThread, wait: int) -> None:
+        heapq.heappush(self._due, (time_ns, thread.rank, next(self._order), thread, wait))
+
+    def pause(self, until_ns: int | None) -> None:
+        """Let the present thread wait until it is woken, or for a time."""
+        thread = self.current
+        assert thread is not None
+        if until_ns is not None:
+            self._push(until_ns, thread, thread.waits)
+        self.hub.switch()
+
+    def monotonic_ns(self) -> int:
+        """See `time.monotonic_ns`."""
+        look_ns = self.now_ns
+        if self.current is not None and self._interruption is not None:
+            looks, begin = self._interruption
+            self._interruption = (looks - 1, begin) if looks > 1 else None
+            if looks <= 1:
+                begin()
+            if self.current.resumes_ns > self.now_ns:
+                self.sleep((self.current.resumes_ns - self.now_ns) * 1e-9)
+        return look_ns
+
+    def monotonic(self) -> float:
+        """See `time.monotonic`."""
+        return self.monotonic_ns() * 1e-9
+
+    def sleep(self, seconds: float) -> None:
+        """See `time.sleep`."""
+        VirtualEvent(self).wait(seconds)
+
+    def thread(self, target: Callable[..., object], *args: object, name: str = "") -> VirtualThread:
+        """Start a thread."""
+        started = VirtualThread(self, target, args, name)
+        started.start()
+        return started
+
+    @contextmanager
+    def substituted(self, prefixes: Sequence[str]) -> Iterator[None]:
+        """Put this time and these threads in the place of the real ones in all loaded modules
+        whose names begin so."""
+        clock, threads = _Clock(self), _Threads(self)
+        with ExitStack() as patches:
+            for name, module in list(sys.modules.items()):
+                if not name.startswith(tuple(prefixes)):
+                    continue
+                for attribute, real, ours in (
+                    ("time", time, clock),
+                    ("threading", threading, threads),
+                ):
+                    if getattr(module, attribute, None) is real:
+                        patches.enter_context(patch.object(module, attribute, ours))
+            yield
+
+
+class _Clock:
+    """In place of the module `time`."""
+
+    def __init__(self, world: VirtualTime) -> None:
+        self.monotonic_ns, self.monotonic, self.sleep = (
+            world.monotonic_ns,
+            world.monotonic,
+            world.sleep,
+        )
+
+
+class _Threads:
+    """In place of the module `threading`."""
+
+    def __init__(self, world: VirtualTime) -> None:
+        self._world = world
+
+    def Thread(  # noqa: N802
+        self,
+        target: Callable[..., object],
+        args: Sequence[Any] = (),
+        name: str = "",
+        daemon: bool = False,
+    ) -> VirtualThread:
+        """See `threading.Thread`."""
+        return VirtualThread(self._world, target, args, name)
+
+    def Event(self) -> VirtualEvent:  # noqa: N802
+        """See `threading.Event`."""
+        return VirtualEvent(self._world)
+
+    def Lock(self) -> VirtualLock:  # noqa: N802
+        """See `threading.Lock`."""
+        return VirtualLock(self._world)

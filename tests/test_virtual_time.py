@@ -1,0 +1,126 @@
+"""The virtual time in which benches are stalled: threads, clock, stalls."""
+
+import sys
+import threading
+import time
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from benchmarks.virtual_time import VirtualThread, VirtualTime
+
+MS = 1_000_000
+
+
+@pytest.fixture
+def world() -> VirtualTime:
+    return VirtualTime(now_ns=0)
+
+
+@pytest.fixture
+def here(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A module that looks at the clock and starts threads."""
+    module: Any = ModuleType("here")
+    module.time, module.threading = time, threading
+    monkeypatch.setitem(sys.modules, "here", module)
+    return module
+
+
+def test_threads_run_when_their_waits_are_over(world: VirtualTime) -> None:
+    seen: list[tuple[int, str]] = []
+
+    def sleeper(name: str, ms: int) -> None:
+        for _ in range(2):
+            world.sleep(ms * 1e-3)
+            seen.append((world.now_ns // MS, name))
+
+    for name, ms in (("slow", 30), ("fast", 20)):
+        world.thread(sleeper, name, ms)
+    world.run(100 * MS)
+    assert seen == [(20, "fast"), (30, "slow"), (40, "fast"), (60, "slow")]
+    assert world.threads == []
+    assert world.now_ns == 100 * MS
+
+
+def test_an_event_ends_a_wait_before_its_timeout(world: VirtualTime, here: Any) -> None:
+    seen: list[int] = []
+    with world.substituted(("here",)):
+        event = here.threading.Event()
+        started = here.threading.Thread(
+            target=lambda: (event.wait(1.0), seen.append(here.time.monotonic_ns()))
+        )
+        started.start()
+        world.at(70 * MS, event.set)
+        started.join()
+    assert seen == [70 * MS]
+    assert here.time is time
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_stalled_threads_wake_together_in_the_order_that_is_chosen(
+    world: VirtualTime, first: int
+) -> None:
+    seen: list[tuple[int, str]] = []
+
+    def ticker() -> None:
+        thread = world.current
+        assert thread is not None
+        while True:
+            world.sleep(10e-3)
+            seen.append((world.now_ns // MS, thread.name))
+
+    threads = [world.thread(ticker, name=name) for name in ("loop", "drive")]
+    order: list[VirtualThread] = [threads[first], threads[1 - first]]
+    world.run(15 * MS)
+    world.stall(order, 55 * MS)
+    world.run(60 * MS)
+    assert [name for ms, name in seen if ms == 55] == [thread.name for thread in order]
+    assert {ms for ms, _ in seen} == {10, 55}
+
+
+def test_a_stall_may_begin_between_a_look_at_the_clock_and_its_use(world: VirtualTime) -> None:
+    seen: list[tuple[int, int]] = []
+
+    def looker() -> None:
+        while True:
+            world.sleep(1e-3)
+            looked_ns = world.monotonic_ns()
+            seen.append((looked_ns // MS, world.now_ns // MS))
+
+    thread = world.thread(looker)
+    world.interrupt(3, lambda: world.stall([thread], 500 * MS))
+    world.run(501 * MS)
+    assert seen == [(1, 1), (2, 2), (3, 500), (501, 501)]
+
+
+def test_who_waits_for_a_lock_waits_for_a_stalled_holder(world: VirtualTime, here: Any) -> None:
+    with world.substituted(("here",)):
+        lock = here.threading.Lock()
+    seen: list[tuple[str, int]] = []
+
+    def holder() -> None:
+        with lock:
+            world.monotonic_ns()
+            seen.append(("held", world.now_ns // MS))
+
+    def other() -> None:
+        world.sleep(5e-3)
+        with lock:
+            seen.append(("taken", world.now_ns // MS))
+
+    thread = world.thread(holder)
+    world.thread(other)
+    world.interrupt(1, lambda: world.stall([thread], 40 * MS))
+    world.run(100 * MS)
+    assert seen == [("held", 40), ("taken", 40)]
+
+
+def test_what_a_thread_raises_ends_the_world(world: VirtualTime) -> None:
+    def fail() -> None:
+        world.sleep(1e-3)
+        raise ZeroDivisionError
+
+    world.thread(fail)
+    with pytest.raises(ZeroDivisionError):
+        world.run(10 * MS)
