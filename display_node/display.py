@@ -17,6 +17,7 @@ from display_node.receiver import Receiver
 from display_node.safety import Safety
 from display_node.scene import DisplayScene
 from display_node.stand_in import StandIn
+from protocol.availability import AvailabilityCounter
 from protocol.limits import Limits
 from protocol.messages import Control, Report
 from protocol.status import Playing
@@ -90,6 +91,7 @@ class Display:
         self._group_delay_ns = self._lead_ns = self._reach_ns = self._reserve_ns = 0
         self._next_report_ns = 0
         self._delays = PlayedDelays()
+        self._availability = AvailabilityCounter(scene.tick_ns * 1e-9)
         self.fidelity = Fidelity(self._layer.strain_per_newton) if score else None
         self.receiver = Receiver(name, scene.channel, scene.late_target, scene.paths)
         self.safety = Safety(scene.safety, scene.tick_ns)
@@ -193,6 +195,7 @@ class Display:
         felt.target_n = target_n if self._target is None else self._target.step(target_n)
         felt.felt_n = felt_n
         felt.scored = alive and safety.gain == 1.0
+        self._availability.add(self.state, elapsed_ticks)
         if felt.scored and self.fidelity is not None:
             before_ns = self._felt_before_ns
             self.fidelity.felt(felt.sensing_now_ns - before_ns, felt.instant_ns - before_ns, felt_n)
@@ -274,6 +277,7 @@ class Display:
             one_way_delay_ms=OneWayDelay(delay.quantile(0.5), delay.quantile(0.99), delay.maximum),
             playout_delay_ms=self._delays.playout_delay_ms,
             covered_delay_ms=self._delays.covered_delay_ms,
+            availability=self._availability.availability(self._delays.ticks),
             compensation=self._delays.compensation(may_trust=self._stand_in.trusted is not None),
             clock=Clock(
                 clock.offset_ns(self.felt.now_ns) * 1e-6 if known else None,

@@ -92,16 +92,21 @@ class Fidelity:
 
     @property
     def within_jnd(self) -> float | None:
-        """Share of time the aligned force error is below 10 % of the pulse's peak to peak."""
+        """Share of the time that could be judged in which the aligned force error is below 10 %
+        of the pulse's peak to peak."""
         return self._within / self._aligned_count if self._aligned_count else None
 
     def scored(self, summary: Summary) -> Summary:
-        """The summary with the errors and the roughness found here."""
+        """Return the summary with the errors and the roughness found here, and the share of its
+        run that could be judged."""
+        ticks = (summary.loop.ticks or 0) + (summary.loop.deadline_misses or 0)
+        judged = min(1.0, self._aligned_count / ticks) if ticks else None
         return replace(
             summary,
             force_rmse_n=self.force_rmse_n,
             strain_rmse=self.strain_rmse,
             within_jnd=self.within_jnd,
+            availability=replace(summary.availability, judged=judged),
             roughness=self._roughness.roughness,
         )
 

@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from protocol.availability import Availability, availability_text, part_text
 from protocol.causes import explain
 from protocol.limits import Limits, limit_texts
 from protocol.result_files import write_whole
@@ -54,8 +55,9 @@ class PlayoutDelay:
 
 @dataclass(frozen=True, slots=True)
 class Compensation:
-    """Shares of the time played: `predicted`, no sample was there yet of what was felt; `trusted`,
-    the predictor was trusted with all of the delay (none where it has no say)."""
+    """Shares of the time played (`Availability.played`): `predicted`, no sample was there yet of
+    what was felt; `trusted`, the predictor was trusted with all of the delay (none where it has no
+    say)."""
 
     predicted: float | None = None
     trusted: float | None = None
@@ -161,6 +163,7 @@ class Summary:
     force_rmse_n: Errors = Errors()
     strain_rmse: Errors = Errors()
     within_jnd: float | None = None
+    availability: Availability = field(default_factory=Availability)
     roughness: Roughness = Roughness()
     limited: Limits = field(default_factory=Limits)
     loop: Loop = field(default_factory=Loop)
@@ -222,10 +225,15 @@ def _rows(s: Summary) -> list[tuple[str, str]]:
             f"mean {_f(s.playout_delay_ms.mean)} ms, p99 {_f(s.playout_delay_ms.p99)} ms",
         ),
         ("covered delay", f"{_f(s.covered_delay_ms)} ms from the wrist to the force at the finger"),
-        ("predicted", f"{_f(_percent(s.compensation.predicted))} % of the time"),
+        (
+            "predicted",
+            f"{_f(_percent(s.compensation.predicted))} % of"
+            f" {part_text(s.availability.played)} that was played",
+        ),
         (
             "predictor",
-            f"trusted with all of the delay {_f(_percent(s.compensation.trusted))} % of the time",
+            f"trusted with all of the delay {_f(_percent(s.compensation.trusted))} % of"
+            f" {part_text(s.availability.played)} that was played",
         ),
         (
             "clock",
@@ -242,7 +250,12 @@ def _rows(s: Summary) -> list[tuple[str, str]]:
             "strain RMSE",
             f"aligned {_e(s.strain_rmse.aligned)}, in phase {_e(s.strain_rmse.in_phase)}",
         ),
-        ("within JND", f"{_f(_percent(s.within_jnd))} % of the time"),
+        ("availability", availability_text(dataclasses.asdict(s.availability)) or _ABSENT),
+        (
+            "within JND",
+            f"{_f(_percent(s.within_jnd))} % of"
+            f" {part_text(s.availability.judged)} that could be judged",
+        ),
         (
             "above 25 Hz",
             f"{_f(_milli(s.roughness.felt_n), 3)} mN felt, {_f(_milli(s.roughness.sensed_n), 3)} mN"

@@ -118,7 +118,13 @@ class Simulation:
         display = self.display.summary()
         faults = display.faults + faults_of(self._source) + self._check.faults()
         limited = replace(display.limited, adc=limits_of(self._source).adc)
-        return replace(self._fidelity.scored(display), limited=limited, faults=faults)
+        clock = display.clock
+        if clock.offset_ms is not None:
+            # What the simulation has put between the clocks is known; what is left is the error.
+            offset_ms = clock.offset_ms - SENSING_CLOCK_AHEAD_NS * 1e-6
+            clock = replace(clock, offset_ms=offset_ms)
+        summary = replace(display, clock=clock, limited=limited, faults=faults)
+        return self._fidelity.scored(summary)
 
     @property
     def newest_ns(self) -> int | None:

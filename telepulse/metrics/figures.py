@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
+from protocol.availability import NAMES as AVAILABILITY
 from protocol.limits import NAMES
 
 MS, US, PPM = 1e-3, 1e-6, 1e-6
@@ -87,8 +88,15 @@ FIGURES = [
         "Mean of the larger of perceived delay and the newest sample's age.",
         MS,
     ),
-    _gauge("predicted_ratio", "compensation.predicted", "Share of the time felt by prediction."),
-    _gauge("trusted_ratio", "compensation.trusted", "Share of the time the predictor is trusted."),
+    *(
+        _gauge("availability_ratio", f"availability.{key}", "Share of the run.", state=key)
+        for key in AVAILABILITY
+    ),
+    _gauge("run_seconds", "availability.seconds", "Time of the run, missed ticks included."),
+    _gauge("played_ratio", "availability.played", "Share of the run in which a pulse was played."),
+    _gauge("judged_ratio", "availability.judged", "Share of the run that could be judged."),
+    _gauge("predicted_ratio", "compensation.predicted", "Share predicted, of the time played."),
+    _gauge("trusted_ratio", "compensation.trusted", "Share trusted, of the time played."),
     _gauge("clock_offset_seconds", "clock.offset_ms", "Sensing clock minus display clock.", MS),
     _gauge("clock_skew_ratio", "clock.skew_ppm", "How much faster the sensing clock runs.", PPM),
     _gauge("clock_uncertainty_seconds", "clock.uncertainty_ms", "Of the offset, by chance.", MS),
@@ -108,7 +116,7 @@ FIGURES = [
         against="aligned",
     ),
     _gauge("strain_rmse_ratio", "strain_rmse.in_phase", against="in_phase"),
-    _gauge("within_jnd_ratio", "within_jnd", "Share of the time no error of force is noticed."),
+    _gauge("within_jnd_ratio", "within_jnd", "Share without a felt error, of the time judged."),
     _gauge("roughness_newtons", "roughness.felt_n", "RMS of force above 25 Hz.", force="felt"),
     _gauge("roughness_newtons", "roughness.sensed_n", force="sensed"),
     _gauge("roughness_energy_ratio", "roughness.energy_ratio", "Felt to sensed, above 25 Hz."),

@@ -61,6 +61,7 @@ if (said) {
   write("state", said.state);
   write("state-note", said.note);
   at("state").dataset.state = said.state;
+  document.body.classList.toggle("old", said.old);
   for (const [id, [value, note]] of Object.entries(said.figures)) {
     write(id, value);
     write(`${id}-note`, note);

@@ -69,19 +69,21 @@ class Viewer:
         if wishes["seen"][0] != self._number:
             return
         self._number += 1
+        silent_ns = self._silent_ns()
         if not wishes["paused"][0]:
             (wish,) = wishes["window_s"]
             window_s = wish if wish in WINDOWS_S else WINDOW_S
             shown = picture(live, window_s * SECOND_NS)
             self._plots.show(shown, window_s)
-            self._figures = words.figures(live, shown)
-        state, note = words.state(live)
+            self._figures = words.figures(live, shown, silent_ns)
+        state, note = words.state(live, silent_ns)
         said: dict[str, Any] = {
             "stream": live.stream,
             "state": state,
             "note": note,
             "figures": self._figures,
-            "alarms": alarms(live, self._silent_ns()),
+            "old": bool(words.age(live, silent_ns)),
+            "alarms": alarms(live, silent_ns),
             "events": [(t_ns // 1_000_000, *rest) for t_ns, *rest in reversed(live.events)],
             "number": self._number,
         }

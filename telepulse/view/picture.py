@@ -13,7 +13,7 @@ from telepulse.view.rolling import Floats, Stretch, Times, thin
 SECOND_NS = 1_000_000_000
 # Ten seconds at 1 kHz: of each 16 ms the least and the greatest.
 POINTS = 1_280
-HEART_NS, HEART_THIN = 6 * SECOND_NS, 10
+HEART_NS, HEART_APART_NS = 6 * SECOND_NS, SECOND_NS // 100
 # Statuses come five times a second.
 STATUS_GAP_NS = SECOND_NS
 # Of a plot's axis, about.
@@ -22,17 +22,22 @@ Columns = dict[str, Floats]
 
 
 class Scores(NamedTuple):
-    """Over the window: RMS errors in N, the share below the just noticeable difference, and
-    that difference in N; None where there is none yet."""
+    """Over the window: RMS errors in N, the share below the just noticeable difference of the time
+    that could be judged, that difference in N, and the share of the window that could be judged;
+    None where there is none yet."""
 
     in_phase_n: float | None
     aligned_n: float | None
     within_jnd: float | None
     jnd_n: float | None
+    judged: float | None
 
 
 class Picture(NamedTuple):
-    """columns: of each curve, t in s before now and the values; limits: of each plot's axis."""
+    """window_s: how long the window is. columns: of each curve, t in s before now and the values;
+    limits: of each plot's axis."""
+
+    window_s: float
 
     columns: dict[str, Columns]
     limits: dict[str, tuple[float, float]]
@@ -72,8 +77,11 @@ def picture(live: Live, window_ns: int) -> Picture:
         "in_phase": curve(ticks, in_phase_n * 1e3),
         "aligned": curve(ticks, aligned_n * 1e3),
     }
-    scores = Scores(_rms(in_phase_n), _rms(aligned_n), _within(aligned_n, jnd_n), jnd_n)
-    return Picture(columns, _limits(columns, jnd_n), scores, _heart_rate(live))
+    within, judged = _within(aligned_n, jnd_n), _judged(ticks, aligned_n, begin_ns, live.now_ns)
+    scores = Scores(_rms(in_phase_n), _rms(aligned_n), within, jnd_n, judged)
+    return Picture(
+        window_ns / SECOND_NS, columns, _limits(columns, jnd_n), scores, _heart_rate(live)
+    )
 
 
 class _Curves:
@@ -122,10 +130,30 @@ def _within(error_n: Floats, jnd_n: float | None) -> float | None:
     return float(np.mean(np.abs(known) < jnd_n)) if jnd_n and len(known) else None
 
 
+def _judged(ticks: Stretch, error_n: Floats, begin_ns: int, now_ns: int) -> float | None:
+    """Return which share of the window could be judged: of its time, not of the ticks that came.
+
+    A display that was heard for less than the window has a window that is as long as that.
+    """
+    tick_ns = float(np.median(np.diff(ticks.t_ns))) if len(ticks.t_ns) > 1 else 0.0
+    if not tick_ns:
+        return None
+    whole_ns = now_ns - (begin_ns if ticks.first else int(ticks.t_ns[0])) + tick_ns
+    return min(1.0, float(np.count_nonzero(~np.isnan(error_n))) * tick_ns / whole_ns)
+
+
 def _heart_rate(live: Live) -> float | None:
+    """Return the heart rate of what is felt at full strength now."""
     ticks = live.ticks.since(live.now_ns - HEART_NS)
-    t_s = (ticks.t_ns[::HEART_THIN] - live.now_ns).astype(np.float64) * 1e-9
-    return heart_rate_per_min(t_s, ticks.values[::HEART_THIN, 0])
+    if len(ticks.t_ns) < 2:
+        return None
+    tick_ns = float(np.median(np.diff(ticks.t_ns)))
+    thin_by = max(1, round(HEART_APART_NS / max(tick_ns, 1.0)))
+    # From the newest tick back: it says whether a pulse is felt now.
+    newest = slice((len(ticks.t_ns) - 1) % thin_by, None, thin_by)
+    felt_n = np.where(np.isnan(ticks.values[:, 2]), math.nan, ticks.values[:, 0])
+    t_s = (ticks.t_ns[newest] - live.now_ns).astype(np.float64) * 1e-9
+    return heart_rate_per_min(t_s, felt_n[newest])
 
 
 def _limits(columns: dict[str, Columns], jnd_n: float | None) -> dict[str, tuple[float, float]]:

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from protocol.availability import Availability
 from protocol.errors import OutputError
 from protocol.limits import Limited, Limits
 from protocol.result_files import check_writable
@@ -57,6 +58,9 @@ FULL = Summary(
     speed=312.0,
     rejected={"truncated": 2, "duplicate": 400},
     hardware={"film crc": 3},
+    availability=Availability(
+        60.5, 0.167, 0.005, 0.805, 0.022, 0.001, 0.0, 0.0, played=0.172, judged=0.167
+    ),
     faults=["silence", "force limit"],
 )
 KEYS = {
@@ -70,6 +74,10 @@ KEYS = {
     "force_rmse_n": {"aligned", "in_phase"},
     "strain_rmse": {"aligned", "in_phase"},
     "within_jnd": None,
+    "availability": {
+        *("seconds", "felt", "starting", "stale", "faulted", "waiting", "ended", "missed"),
+        *("played", "judged"),
+    },
     "limited": {"force", "negative", "slew", "travel", "film", "adc"},
     "roughness": {"felt_n", "sensed_n", "energy_ratio"},
     "loop": {
@@ -191,12 +199,15 @@ def test_people_read_the_same() -> None:
         "one-way delay": "p50 20.1 ms, p99 35.5 ms, max 41.0 ms",
         "playout delay": "mean 42.0 ms, p99 45.0 ms",
         "covered delay": "44.5 ms from the wrist to the force at the finger",
-        "predicted": "25.0 % of the time",
-        "predictor": "trusted with all of the delay 12.5 % of the time",
+        "predicted": "25.0 % of the 17.2 % of the run that was played",
+        "predictor": "trusted with all of the delay 12.5 % of the 17.2 % of the run that was"
+        " played",
         "clock": "offset -12.346 ± 0.125 ms, skew 50.2 ppm, steps 1",
         "force RMSE": "aligned 0.250 mN, in phase 30.100 mN",
         "strain RMSE": "aligned 9.425e-09, in phase 5.780e-08",
-        "within JND": "87.5 % of the time",
+        "availability": "felt 16.7 %, starting 0.5 %, stale 80.5 %, faulted 2.2 %, waiting 0.1 %"
+        " of 60.5 s",
+        "within JND": "87.5 % of the 16.7 % of the run that could be judged",
         "above 25 Hz": "0.600 mN felt, 0.500 mN sensed: energy 1.44 times",
         "limited": "force limit 312 times, 4.1 s (20.5 % of the run);"
         " slew limit 1 time, 20 ms (< 0.1 % of the run)",
@@ -226,6 +237,8 @@ def test_a_row_without_a_value_is_left_out() -> None:
     shown = rows(printed(partly))
     assert set(shown) == {"samples", "within JND", "rejected", "faults"}
     assert shown["samples"] == "5 sent"
+    # The summary of a node that did not say of how much of its run.
+    assert shown["within JND"] == "100.0 % of the time that could be judged"
 
 
 @pytest.mark.parametrize("fault", ["2–3 mm off", "no [actuator]", "[/red] is no end", "[bold]"])

@@ -27,6 +27,7 @@ from fuzz.telemetry_readers import (
     status_message,
     trace_message,
 )
+from protocol.availability import Availability
 from protocol.messages import Frame
 from protocol.status import Playing
 from protocol.summary import (
@@ -72,6 +73,7 @@ summaries = st.fixed_dictionaries(
         "force_rmse_n": st.builds(Errors, awkward, awkward),
         "strain_rmse": st.builds(Errors, awkward, awkward),
         "within_jnd": awkward,
+        "availability": st.builds(Availability, *[awkward] * 10),
         "roughness": st.builds(Roughness, awkward, awkward, awkward),
         "loop": st.builds(Loop, counts, counts),
         "rejected": st.dictionaries(words, counts, max_size=2),

@@ -1,12 +1,15 @@
 import dataclasses
 import importlib.util
+import io
 import re
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
+from protocol.availability import NAMES
 from protocol.errors import SceneError
-from protocol.summary import Summary
+from protocol.summary import Summary, print_summary
 from telepulse.link import parse_link
 from telepulse.scene import Scene, load_scene
 from telepulse.simulate import Simulation, simulate
@@ -84,8 +87,10 @@ def test_the_same_seed_gives_the_same_summary_and_another_does_not() -> None:
 
 
 def test_the_sensing_clock_is_found_though_it_is_an_hour_ahead() -> None:
-    summary = simulate(with_link("delay=25ms"), seconds=5, seed=1)
-    assert summary.clock.offset_ms == pytest.approx(3_600_000, abs=1e-3)
+    simulation = Simulation(with_link("delay=25ms"), seed=1)
+    summary = simulation.run(5)
+    clock = simulation.display.summary().clock
+    assert clock.offset_ms == pytest.approx(3_600_000, abs=1e-3)
     assert summary.one_way_delay_ms.p50 == pytest.approx(25, abs=0.1)
 
 
@@ -128,3 +133,30 @@ def test_a_real_recording_is_felt(tmp_path: Path) -> None:
     assert summary.within_jnd == 1.0
     assert summary.force_rmse_n.aligned is not None
     assert summary.force_rmse_n.aligned < 0.5e-3
+
+
+def test_shares_of_time_say_of_what_part_of_the_whole_time_they_are() -> None:
+    summary = simulate(with_link("delay=20ms,cut.from=2.5s,cut.for=10s"), seconds=12, seed=1)
+    times, within = summary.availability, summary.within_jnd
+    assert within is not None
+    assert within > 0.95
+    # 2 s of stream in a run of 12.5 s, of which the ramp and the fade cannot be judged.
+    assert times.judged == pytest.approx(1.7 / 12.5, abs=0.03)
+    assert times.felt == pytest.approx(times.judged, abs=0.01)
+    assert times.stale == pytest.approx(10 / 12.5, abs=0.03)
+    assert times.seconds == pytest.approx(12.5, abs=0.2)
+    parts = [getattr(times, name) for name in NAMES]
+    assert sum(parts) == pytest.approx(1.0)
+    assert f"% of the {100 * times.judged:.1f} % of the run that could be judged" in shown(summary)
+
+
+def test_the_hour_between_a_simulations_clocks_is_no_offset() -> None:
+    summary = simulate(with_link("delay=20ms"), seconds=2, seed=1)
+    assert summary.clock.offset_ms == pytest.approx(0.0, abs=1e-3)
+    assert "360000" not in shown(summary)
+
+
+def shown(summary: Summary) -> str:
+    out = io.StringIO()
+    print_summary(summary, "simulation", Console(file=out, width=200))
+    return out.getvalue()

@@ -7,6 +7,8 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING
 
+from protocol.availability import NAMES as AVAILABILITY
+from protocol.availability import part_text
 from protocol.limits import limit_texts
 from protocol.summary import Summary
 from telepulse.record.report.findings import Findings, read_findings
@@ -81,6 +83,10 @@ def _number(value: float | None, unit: str, digits: int = 1, scale: float = 1.0)
     return NONE if value is None else f"{value * scale:.{digits}f} {unit}".rstrip()
 
 
+def _share_of_run(key: str) -> Callable[[Summary], str]:
+    return lambda s: _number(getattr(s.availability, key), "% of the run", 1, 100)
+
+
 _Row = tuple[str, Callable[[Summary], str]]
 _ROWS: tuple[_Row, ...] = (
     ("frames received", lambda s: _number(s.frames.received, "", 0)),
@@ -94,10 +100,19 @@ _ROWS: tuple[_Row, ...] = (
     ("one-way delay, max", lambda s: _number(s.one_way_delay_ms.max, "ms", 2)),
     ("playout delay, mean", lambda s: _number(s.playout_delay_ms.mean, "ms", 2)),
     ("playout delay, p99", lambda s: _number(s.playout_delay_ms.p99, "ms", 2)),
-    ("predicted", lambda s: _number(s.compensation.predicted, "% of the time", 1, 100)),
+    *((f"time: {text}", _share_of_run(key)) for key, text in AVAILABILITY.items()),
+    (
+        "predicted",
+        lambda s: _number(
+            s.compensation.predicted, f"% of {part_text(s.availability.played)} played", 1, 100
+        ),
+    ),
     ("force RMSE, aligned", lambda s: _number(s.force_rmse_n.aligned, "mN", 3, 1e3)),
     ("force RMSE, in phase", lambda s: _number(s.force_rmse_n.in_phase, "mN", 3, 1e3)),
-    ("within JND", lambda s: _number(s.within_jnd, "% of the time", 2, 100)),
+    (
+        "within JND",
+        lambda s: _number(s.within_jnd, f"% of {part_text(s.availability.judged)} judged", 2, 100),
+    ),
     ("above 25 Hz, felt", lambda s: _number(s.roughness.felt_n, "mN", 3, 1e3)),
     ("above 25 Hz, sensed", lambda s: _number(s.roughness.sensed_n, "mN", 3, 1e3)),
     ("limited", lambda s: "; ".join(limit_texts(asdict(s.limited))) or NONE),

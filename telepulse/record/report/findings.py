@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from display_node.safety import SafetyScene
+from protocol.availability import Availability
 from protocol.errors import SourceError
 from protocol.histogram import Histogram
 from protocol.messages import Frame
@@ -73,7 +74,7 @@ class Findings:
         self._session: int | None = None
         self._offset_ms = 0.0
         self._steps: tuple[int | None, int | None] = (None, None)
-        self._misses = 0
+        self._misses = self._scored = self._played = 0
         self._tick_ns = 0
         # Until the display has told.
         self._stale_after_ns = SafetyScene().stale_after_ns
@@ -109,9 +110,20 @@ class Findings:
                 clock.asymmetry_bound_ns * 1e-6 if known else None,
                 receiver.clock_steps,
             ),
+            availability=self._availability(),
             loop=Loop(self.ticks, self._misses),
         )
         return self.forces.alignment.fidelity.scored(summary)
+
+    def _availability(self) -> Availability:
+        """Return what ticks tell of it: of the rest, only the display's own count."""
+        ticks = self.ticks + self._misses
+        if not ticks:
+            return Availability()
+        shares = (count / ticks for count in (self._scored, self._misses, self._played))
+        felt, missed, played = shares
+        seconds = ticks * self._tick_ns * 1e-9
+        return Availability(seconds, felt, missed=missed, played=played)
 
     def take(self, told: Told) -> None:
         """A message of the recording, in its turn."""
@@ -165,10 +177,12 @@ class Findings:
         sensing_now_ns, target_n = receiver.clock.remote_ns(now_ns), float(fields["target_n"])
         # Nothing is played before the first sample.
         if target_n and self._alive(sensing_now_ns, instant_ns):
+            self._played += 1
             delay_ms = (sensing_now_ns - instant_ns) * 1e-6
             self.playout_ms.add(delay_ms)
             self._add("playout_ms", t_s, delay_ms)
         if fields["scored"]:
+            self._scored += 1
             tick = Tick(
                 t_s, sensing_now_ns, instant_ns, target_n, float(fields.get("felt_n", math.nan))
             )

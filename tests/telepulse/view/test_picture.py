@@ -84,8 +84,30 @@ def test_a_minute_is_as_light_as_five_seconds_and_no_peak_is_missing() -> None:
 def test_before_anything_came_there_is_an_empty_picture() -> None:
     shown = picture(Live(), WINDOW_NS)
     assert all(len(column["t"]) == 0 for column in shown.columns.values())
-    assert shown.scores == (None, None, None, None)
+    assert shown.scores == (None,) * 5
     assert all(low < high for low, high in shown.limits.values())
+
+
+def test_a_share_of_the_window_counts_all_of_it(told: Told) -> None:
+    told.linked = False
+    told.go(4, "stale")
+    scores = picture(told.live, WINDOW_NS).scores
+    assert scores.within_jnd == 1.0
+    assert scores.judged == pytest.approx(0.2, abs=0.02)
+
+
+def test_a_heart_rate_is_of_what_is_felt_now_and_never_of_a_gap(told: Told) -> None:
+    assert picture(told.live, WINDOW_NS).heart_rate_per_min == pytest.approx(75, rel=0.02)
+    told.linked = False
+    told.go(0.2, "stale")
+    assert picture(told.live, WINDOW_NS).heart_rate_per_min is None
+    told.go(3, "stale")
+    told.linked = True
+    # One beat since: the one before the cut makes no interval with it.
+    told.go(0.9)
+    assert picture(told.live, WINDOW_NS).heart_rate_per_min is None
+    told.go(2)
+    assert picture(told.live, WINDOW_NS).heart_rate_per_min == pytest.approx(75, rel=0.02)
 
 
 def test_a_cut_link_is_a_gap_in_the_curve() -> None:

@@ -1,9 +1,10 @@
 from dataclasses import asdict
 
+from protocol.availability import Availability
 from protocol.limits import Limited, Limits
 from telepulse.view.live import Live
 from telepulse.view.picture import picture
-from telepulse.view.words import FIGURES, figures, state
+from telepulse.view.words import FIGURES, age, figures, state
 
 from .told import SECOND_NS, Told
 
@@ -29,8 +30,36 @@ def test_figures_have_their_units() -> None:
     assert values["skew"] == "+3.0 ppm"
     assert values["predictor"] == "ensemble"
     assert values["misses"] == "0"
-    assert said["misses"].note == "of 1000 ticks"
+    assert said["misses"].note == "of 1000 ticks of the run"
+    assert said["in_phase"].note.startswith("RMS of the last 5 s, ")
     assert said["in_phase"].note.endswith("of the pulse's height")
+    assert said["within"].note == "of the 100.0 % of the last 5 s that could be judged"
+    assert said["heart"].note == "of the force felt, last 6 s"
+    assert said["refused"] == ("0 messages", "in the run")
+
+
+def test_a_share_stands_beside_the_part_that_it_is_of() -> None:
+    told = Told(Live())
+    whole = Availability(60.0, 0.16, 0.01, 0.83, 0.0, 0.0, 0.0, 0.0, played=0.17, judged=0.16)
+    compensation = {"predicted": 0.012, "trusted": None}
+    told.status("stale", availability=asdict(whole), compensation=compensation)
+    said = figures(told.live, picture(told.live, SECOND_NS))
+    assert said["felt"] == ("16.0 %", "felt 16.0 %, starting 1.0 %, stale 83.0 % of 60.0 s")
+    assert said["predictor"].note == "stood in 1.2 % of the 17.0 % of the run that was played"
+
+
+def test_what_is_not_current_has_its_age_and_no_heart_rate() -> None:
+    told = Told(Live())
+    told.go(6)
+    now, late = 0, 2_300_000_000
+    assert (age(told.live, now), age(told.live, late)) == ("", "2.3 s ago")
+    assert state(told.live, now) == ("playing", "the pulse is felt")
+    assert state(told.live, late) == ("playing", "2.3 s ago")
+    shown = picture(told.live, SECOND_NS)
+    assert figures(told.live, shown, now)["heart"].value == "75 /min"
+    assert figures(told.live, shown, late)["heart"].value == "–"
+    told.status("ended", final=True)
+    assert age(told.live, late) == ""
 
 
 def test_how_long_the_pulse_was_held_at_a_limit_is_a_figure() -> None:

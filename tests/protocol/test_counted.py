@@ -1,0 +1,11 @@
+from protocol.counted import counted
+
+
+def test_one_is_singular_and_all_others_are_plural() -> None:
+    assert [counted(count, "sample") for count in (0, 1, 2)] == [
+        "0 samples",
+        "1 sample",
+        "2 samples",
+    ]
+    assert counted(1, "deadline miss", "deadline misses") == "1 deadline miss"
+    assert counted(5, "deadline miss", "deadline misses") == "5 deadline misses"
