@@ -64,15 +64,16 @@ class Screen:
     def take(self, message: Sequence[bytes], now_ns: int = 0) -> Trace | None:
         """Take a telemetry message, of its topic and its data, that came at `now_ns` of this
         process's clock; return the trace where it is one."""
-        self._heard_ns = now_ns
         try:
             match message:
                 case [topic, data] if topic == TRACE:
                     trace = read_trace(data)
                     self.add_trace(trace)
+                    self._heard_ns = now_ns
                     return trace
                 case [topic, data] if topic == STATUS:
                     self.status = read_status(data)
+                    self._heard_ns = now_ns
                 case _:
                     self.unreadable += 1
         except WireError:
