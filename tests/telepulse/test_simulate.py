@@ -136,15 +136,17 @@ def test_a_real_recording_is_felt(tmp_path: Path) -> None:
 
 
 def test_shares_of_time_say_of_what_part_of_the_whole_time_they_are() -> None:
-    summary = simulate(with_link("delay=20ms,cut.from=2.5s,cut.for=10s"), seconds=12, seed=1)
+    summary = simulate(with_link("delay=20ms,cut.from=2.5s,cut.for=10s"), seconds=14, seed=1)
     times, within = summary.availability, summary.within_jnd
     assert within is not None
-    assert within > 0.95
-    # 2 s of stream in a run of 12.5 s, of which the ramp and the fade cannot be judged.
-    assert times.judged == pytest.approx(1.7 / 12.5, abs=0.03)
+    assert times.seconds is not None
+    assert times.judged is not None
+    assert within > 0.9
+    # Twice 2 s of stream, of which ramp and fade cannot be judged.
+    assert 14.5 < times.seconds < 16
+    assert 3.0 < times.judged * times.seconds < 4.0
     assert times.felt == pytest.approx(times.judged, abs=0.01)
-    assert times.stale == pytest.approx(10 / 12.5, abs=0.03)
-    assert times.seconds == pytest.approx(12.5, abs=0.2)
+    assert times.stale == pytest.approx(10 / times.seconds, abs=0.03)
     parts = [getattr(times, name) for name in NAMES]
     assert sum(parts) == pytest.approx(1.0)
     assert f"% of the {100 * times.judged:.1f} % of the run that could be judged" in shown(summary)
