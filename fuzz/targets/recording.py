@@ -36,7 +36,16 @@ def seeds() -> list[bytes]:
     csv = b"time,force\n0,0.1\n1,0.2\n2,0.3\n"
     files = (csv, npy.getvalue(), npz.getvalue())
     plain = [bytes([number]) + files[number // len(_TABLES)] for number in range(len(_SCENES))]
-    odd = (b"\0" + csv + b"nan,0\n", b"\0" + csv + b"1e300,0\n", b"\2a,b\n0,0\n0,5e-324\n")
+    rows = [b"2016-11-24 13:58:%02d,%d,%g" % (at, at % 5, 0.01 * at) for at in range(20)]
+    timed = b"time,force,t_ms\n" + b"\n".join(rows)
+    odd = (
+        b"\0" + timed,
+        b"\1" + timed,
+        b"\2" + timed,
+        b"\0" + csv + b"nan,0\n",
+        b"\0" + csv + b"1e300,0\n",
+        b"\2a,b\n0,0\n0,5e-324\n",
+    )
     return [*plain, *odd]
 
 

@@ -27,6 +27,8 @@ SMALLEST = 1e-100
 # Fewer samples may well only rise, and tell no rate.
 FEW_SAMPLES = 16
 RATE_TOLERANCE = 0.02
+# Times further or less far apart than this are none of samples, in that unit.
+SHORTEST_S, LONGEST_S = 1e-7, 1e3
 # A step between two times is a gap from so many ordinary ones on.
 GAP_STEPS = 5
 UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -66,7 +68,10 @@ def refuse_rate(column: Column, rate_hz: float) -> str | None:
         step, _ = _steps(times)
         if not (_tells_time(name, times) and step > 0):
             continue
-        rates_hz = [1 / (step * second) for second in _units_s(name)]
+        periods_s = [step * second for second in _units_s(name)]
+        rates_hz = [1 / s for s in periods_s if SHORTEST_S <= s <= LONGEST_S]
+        if not rates_hz:
+            continue
         own_hz = min(rates_hz, key=lambda own: abs(math.log(own / rate_hz)))
         # Times that are rounded, to whole seconds say, tell the rate no better than this.
         rounding = _ordinary(times) / (times[-1] - times[0])

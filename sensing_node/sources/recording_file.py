@@ -1,6 +1,7 @@
 """One column of a CSV or NumPy file, and the times that stand beside it."""
 
 import csv
+import math
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -124,9 +125,9 @@ class _Rising:
 
 
 def _time(text: str) -> float | None:
-    """Return the number in a text, the Unix time of a date in ISO 8601, or None."""
+    """Return the finite number in a text, the Unix time of a date in ISO 8601, or None."""
     if _is_number(text):
-        return float(text)
+        return float(text) if math.isfinite(float(text)) else None
     try:
         return datetime.fromisoformat(text.strip()).timestamp()
     except (ValueError, OverflowError):
@@ -186,6 +187,7 @@ def _rising(arrays: dict[str, NDArray[Any]], length: int) -> dict[str, NDArray[n
         for name, array in arrays.items()
         if array.shape == (length,)
         and array.dtype.kind in "iuf"
+        and bool(np.isfinite(array).all())
         and bool(np.all(array[1:] >= array[:-1]))
     }
 

@@ -197,6 +197,23 @@ def test_what_stands_beside_and_is_no_time_says_nothing_of_the_rate(
     assert warnings(path, column="force", rate="37 Hz") == []
 
 
+@pytest.mark.parametrize(
+    "times",
+    [
+        np.append(TIMES_S[:-1], math.inf),
+        np.arange(1000) * 5e-324,
+        np.arange(1000) * 1e305,
+        np.full(1000, math.nan),
+    ],
+)
+def test_times_that_are_no_times_are_passed_over(
+    tmp_path: Path, times: NDArray[np.float64]
+) -> None:
+    assert warnings(csv(tmp_path, time=times, force=PULSE_N), column="force") == []
+    np.savez(tmp_path / "pulse.npz", time=times, force=PULSE_N)
+    assert warnings(tmp_path / "pulse.npz", column="force") == []
+
+
 def test_gaps_in_the_files_own_times_are_warned_of(tmp_path: Path) -> None:
     times_s = TIMES_S + 3.0 * (TIMES_S > 2) + 60.0 * (TIMES_S > 7)
     (warning,) = warnings(csv(tmp_path, time=times_s, force=PULSE_N), column="force")
