@@ -30,6 +30,7 @@ from display_node.telemetry import STATUS, TRACE, Status, Trace, read_status, re
 from protocol import sockets
 from protocol.errors import WireError
 from protocol.keys import ClientKeys, read_pair
+from protocol.limits import limit_texts
 from protocol.output import unblocked_output
 
 FRAMES_PER_S = 8
@@ -179,6 +180,7 @@ class Screen:
             ("samples lost", _count(s["samples"]["lost"])),
             ("samples played", _count(s["samples"]["played"])),
             ("deadline misses", _count(s["loop"]["deadline_misses"])),
+            *([("limited", limited[0])] if (limited := limit_texts(s["limited"])) else []),
             *([("telemetry not readable", str(self.unreadable))] if self.unreadable else []),
         ]
 

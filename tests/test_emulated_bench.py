@@ -77,6 +77,10 @@ def test_a_display_that_is_told_to_end_takes_the_tip_off_the_finger(tmp_path: Pa
             raise BenchFailedError(summary["faults"])
         assert summary["samples"]["played"] > 0
         assert summary["force_rmse_n"]["aligned"] < 0.1
+        times = {name: limit["times"] for name, limit in summary["limited"].items()}
+        # A drive that is so patient begins to brake early: how often is of the machine's making.
+        assert times.pop("travel") is not None
+        assert times == {"force": 0, "negative": 0, "slew": 0, "film": None, "adc": None}
 
     with unread("pipe") as output:
         motor = on_a_bench(tmp_path, "tmcl", happens, output=output)

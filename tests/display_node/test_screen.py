@@ -10,6 +10,7 @@ from rich.console import Console
 from display_node import screen as screen_module
 from display_node.screen import Screen, watch
 from display_node.telemetry import STATUS, TRACE, Status, Trace
+from protocol.limits import Limited, Limits
 from protocol.sockets import Context
 from protocol.status import pack_status
 from protocol.summary import (
@@ -97,6 +98,17 @@ def test_a_revoked_display_is_named_until_it_plays_again() -> None:
     assert "stale: revoked: the other node allowed this node's key before" in screen.line()
     screen.status = status()._replace(summary=summary)
     assert "revoked" not in screen.line()
+
+
+def test_a_limit_is_shown_where_it_was_reached() -> None:
+    screen = Screen()
+    screen.status = status()
+    assert "limited" not in printed(screen)
+    limits = Limits(force=Limited(312, 4.1, 0.205), travel=Limited(1, 0.5, 0.025))
+    summary = Summary(limited=limits).to_dict()
+    screen.status = screen.status._replace(summary=summary)
+    assert "limited force limit 312 times, 4.1 s (20.5 % of the run)" in screen.line()
+    assert "force limit 312 times, 4.1 s (20.5 % of the run)" in printed(screen)
 
 
 def test_the_plot_is_a_line_without_holes() -> None:

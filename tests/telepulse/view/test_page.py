@@ -111,6 +111,7 @@ def test_the_page_moves_and_says_what_is_felt(bench: Bench, visit: Visit) -> Non
         until(lambda: plot.screenshot() != before)
         assert said(page, "stream") == "radial pulse"
         assert said(page, "predictor") == "linear"
+        assert said(page, "limited") == "never"
         # 75 of the scene, where the loop is not held up.
         assert 40 < float(said(page, "heart").removesuffix(" /min")) < 150
         if PICTURES:

@@ -5,6 +5,9 @@ from pathlib import Path
 import pytest
 
 from benchmarks.analysis import DELAY_TICKS, GAIN, record
+from display_node.heard import CONTROL
+from protocol.limits import Limited, Limits
+from telepulse.record.mcap_writer import McapWriter
 from telepulse.record.reader import RecordingReader
 from telepulse.record.report.chapters import build_recording_report
 from telepulse.record.report.findings import Findings, read_findings
@@ -13,6 +16,7 @@ from telepulse.record.schema import TICK
 
 from ....nodes import RADIAL, free_address, process, read_json, run
 from ..test_replay_command import recorded_display
+from ..test_transcript import WELCOME, Spoken
 
 MODULE = "telepulse.cli"
 PATIENCE_S = 240.0
@@ -119,6 +123,27 @@ def test_one_that_never_played_is_reported(tmp_path: Path) -> None:
     force = build_recording_report(path).chapters[1]
     assert force.paragraphs == ("The pulse was never played at its full strength.",)
     assert force.plots == ()
+
+
+def test_a_limit_that_was_reached_is_an_event_and_a_row(tmp_path: Path) -> None:
+    path, spoken = tmp_path / "a.mcap", Spoken()
+    writer = McapWriter(path)
+    limited = Limits(force=Limited(312, 4.1, 0.205))
+    for entry in [
+        *spoken.hear((CONTROL, WELCOME)),
+        *spoken.status("playing"),
+        *spoken.status("playing", limited=limited),
+        *spoken.status("playing", limited=limited, final=True),
+    ]:
+        writer.add(entry)
+    assert writer.close() is None
+    findings = read_findings(path)
+    assert findings.own is not None
+    assert findings.own.limited == limited
+    named = [(name, text) for _, _, name, text in findings.events]
+    assert named.count(("limited", "force limit reached")) == 1
+    rows = {row[0]: row[2] for row in build_recording_report(path).chapters[0].tables[0].rows}
+    assert rows["limited"] == "force limit 312 times, 4.1 s (20.5 % of the run)"
 
 
 def test_ticks_that_were_left_out_are_missed_ones(tmp_path: Path) -> None:
