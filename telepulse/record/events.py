@@ -1,10 +1,16 @@
-"""What happened, in words: told from one status of a display to the next."""
+"""What happened, in words: from one status of a display to the next, and from its frames. Pure."""
 
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
 
+from display_node.alerts import Alert, alerts
+from protocol.causes import explain
 from protocol.limits import NAMES
-from protocol.summary import Summary
+from protocol.refusals import REVOKED
+
+# As long as a display waits before it takes a sensing node for silent.
+CUT_AFTER_NS = 1_000_000_000
+CUT, FAULT, STALE = "link cut", "fault", "stale"
 
 
 class Event(NamedTuple):
@@ -19,30 +25,88 @@ _LEVELS = {"stale": "WARNING", "fault": "ERROR"}
 
 
 class StatusWatch:
-    """Notices what has changed between statuses, which come five times a second."""
+    """Notices what changes at a display, whose statuses come five times a second.
+
+    What lasts gives two events: where it begins, and where it is over, with how long it lasted.
+    """
 
     def __init__(self) -> None:
-        self._state = ""
-        self._last = Summary()
+        self._state, self._state_ns = "", 0
+        self._joined = self._ended = False
+        # When the last frame arrived; None before the first.
+        self._frame_ns: int | None = None
+        # When what lasts now began, by its name.
+        self._began_ns: dict[str, int] = {}
+        self._steps = 0
+        self._limited: set[str] = set()
+        self._refused: set[str] = set()
 
-    def take(self, state: str, summary: Summary) -> Iterator[Event]:
-        """The events that a status tells of."""
-        last, self._last = self._last, summary
+    def begin_session(self) -> None:
+        """Expect a stream to be joined and its frames to arrive."""
+        self._joined = self._ended = False
+        self._frame_ns = None
+
+    def end_stream(self) -> None:
+        """Expect no further frames."""
+        self._ended = True
+
+    def arrive(self, now_ns: int) -> Iterator[Event]:
+        """Take the arrival of a frame; yield the end of a cut."""
+        self._frame_ns = now_ns
+        yield from self._over(CUT, now_ns)
+
+    def take(self, state: str, summary: Mapping[str, Any], now_ns: int) -> Iterator[Event]:
+        """Take a status of the time `now_ns`, on the display's clock; yield what is new in it."""
         if state != self._state:
-            before = f", was {self._state}" if self._state else ""
-            self._state = state
+            seconds = (now_ns - self._state_ns) * 1e-9
+            before = f", was {self._state} for {seconds:.1f} s" if self._state else ""
+            self._state, self._state_ns = state, now_ns
             yield Event(_LEVELS.get(state, "INFO"), "state", f"{state}{before}")
-        for fault in summary.faults:
-            if fault not in last.faults:
-                yield Event("ERROR", "fault", fault)
-        steps = summary.clock.steps or 0
-        if steps > (last.clock.steps or 0):
-            yield Event("WARNING", "clock step", f"a clock has stepped, {steps} times so far")
-        # Once for each limit: how often and for how long is in the statuses.
+        if state == "playing" and not self._joined:
+            self._joined = True
+            before_joining = summary["samples"].get("before_joining") or 0
+            yield Event("INFO", "join", f"the pulse is felt; samples sent before: {before_joining}")
+        # The state's own events have it.
+        wrong = [alert for alert in alerts(state, summary) if alert.name != STALE]
+        yield from self._lasting([*wrong, *self._cut(now_ns)], now_ns)
+        yield from self._counted(summary)
+
+    def _counted(self, summary: Mapping[str, Any]) -> Iterator[Event]:
+        """Yield each clock step, and each limit and cause of refusal at its first count.
+
+        How often and for how long is in the statuses.
+        """
+        steps = summary["clock"].get("steps") or 0
+        if steps > self._steps:
+            yield Event("WARNING", "clock step", f"a clock has jumped; jumps so far: {steps}")
+        self._steps = steps
         for limit, name in NAMES.items():
-            times = getattr(summary.limited, limit).times or 0
-            if times and not getattr(last.limited, limit).times:
+            if summary["limited"][limit].get("times") and limit not in self._limited:
+                self._limited.add(limit)
                 yield Event("WARNING", "limited", f"{name} reached")
-        # Once for each cause: how many there were is in the statuses.
-        for cause in summary.rejected.keys() - last.rejected.keys():
-            yield Event("WARNING", "refused", f"{summary.rejected[cause]} messages: {cause}")
+        for cause in sorted(summary["rejected"].keys() - self._refused - {REVOKED}):
+            self._refused.add(cause)
+            yield Event("WARNING", "refused", *explain({cause: summary["rejected"][cause]}))
+
+    def _cut(self, now_ns: int) -> list[Alert]:
+        if self._frame_ns is None or self._ended or now_ns - self._frame_ns <= CUT_AFTER_NS:
+            return []
+        return [Alert(CUT, f"no frame for {(now_ns - self._frame_ns) * 1e-9:.1f} s")]
+
+    def _lasting(self, wrong: list[Alert], now_ns: int) -> Iterator[Event]:
+        names = {alert.name for alert in wrong}
+        for name in self._began_ns.keys() - names:
+            yield from self._over(name, now_ns)
+        for name, text in wrong:
+            if name not in self._began_ns:
+                # A cut began with the last frame that arrived.
+                began_ns = self._frame_ns if name == CUT else now_ns
+                self._began_ns[name] = now_ns if began_ns is None else began_ns
+                kind, _, fault = name.partition(": ")
+                level = "ERROR" if kind == FAULT else "WARNING"
+                yield Event(level, kind, f"{fault}: {text}" if fault else text)
+
+    def _over(self, name: str, now_ns: int) -> Iterator[Event]:
+        began_ns = self._began_ns.pop(name, None)
+        if began_ns is not None:
+            yield Event("INFO", name, f"over after {(now_ns - began_ns) * 1e-9:.1f} s")

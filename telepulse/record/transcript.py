@@ -9,14 +9,11 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from pydantic import TypeAdapter
-
 from display_node.heard import HEARD, Heard, Message, read_heard
 from display_node.telemetry import STATUS as STATUS_TOPIC
 from display_node.telemetry import TRACE, Trace, read_status, read_trace
 from protocol.errors import WireError
 from protocol.messages import Bye, ClockReply, Frame, Welcome
-from protocol.summary import Summary
 from telepulse.record.events import Event, StatusWatch
 from telepulse.record.heard_fields import (
     Fields,
@@ -30,7 +27,6 @@ from telepulse.record.schema import CLOCK, EVENT, FRAME, LEVELS, REFUSED, STATUS
 
 LATEST_NS = (1 << 63) - 1
 SECOND_NS = 1_000_000_000
-_SUMMARY = TypeAdapter(Summary)
 
 
 class Entry(NamedTuple):
@@ -136,15 +132,20 @@ class Transcript:
         match decoded:
             case Frame():
                 yield Entry(FRAME, t_ns, frame_fields(message, decoded))
+                if decoded.session == self._session:
+                    for event in self._watch.arrive(message.arrived_ns):
+                        yield self.event(event)
             case ClockReply():
                 yield Entry(CLOCK, t_ns, clock_fields(message, decoded))
             case Welcome(session=session, description=description):
                 yield Entry(STREAM, t_ns, stream_fields(message, decoded))
                 if session != self._session:
                     self._session = session
+                    self._watch.begin_session()
                     text = f"{description.name!a}, session {session}"
                     yield self.event(Event("INFO", "session", text))
             case Bye(samples_sent=count):
+                self._watch.end_stream()
                 yield self.event(Event("INFO", "end of stream", f"{count} samples were sent"))
 
     def _ticks(self, trace: Trace) -> Iterator[Entry]:
@@ -160,12 +161,11 @@ class Transcript:
 
     def _status(self, data: bytes) -> Iterator[Entry]:
         status = read_status(data)
-        summary = _SUMMARY.validate_python(status.summary)
         fields = _without_none(status._asdict())
         if status.playing is not None:
             fields["playing"] = status.playing._asdict()
         yield Entry(STATUS, self._unix_ns(self._now_ns), fields)
-        for event in self._watch.take(status.state, summary):
+        for event in self._watch.take(status.state, status.summary, self._now_ns):
             yield self.event(event)
         if status.final:
             self.ended = True

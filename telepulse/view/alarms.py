@@ -5,11 +5,10 @@ import numpy as np
 from display_node.alerts import SILENT_AFTER_NS, Alert, alerts
 from protocol.causes import explain
 from protocol.limits import limit_texts
+from telepulse.record.events import CUT, CUT_AFTER_NS
 from telepulse.view.live import Live
 
 SECOND_NS = 1_000_000_000
-# As long as a display waits before it takes a sensing node for silent.
-CUT_AFTER_NS = SECOND_NS
 # What happened once is told for so long.
 TOLD_NS = 5 * SECOND_NS
 MUCH_LOSS = 5.0
@@ -25,7 +24,7 @@ def alarms(live: Live, silent_ns: int) -> list[Alert]:
     if live.final or silent_ns > SILENT_AFTER_NS:
         return found
     if live.frame_ns and not live.over and live.now_ns - live.frame_ns > CUT_AFTER_NS:
-        found.append(Alert("link cut", "no frame comes from the sensing node"))
+        found.append(Alert(CUT, "no frame comes from the sensing node"))
     return found + _counted(live)
 
 

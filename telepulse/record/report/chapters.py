@@ -171,4 +171,4 @@ def _events(findings: Findings) -> Chapter:
         for t_s, level, name, text in findings.events
     )
     more = f"{findings.more_events} further ones are not shown." if findings.more_events else ""
-    return Chapter("Events", tables=(Table("events", ("s", "", "what", ""), rows, more),))
+    return Chapter("What happened", tables=(Table("events", ("s", "", "what", ""), rows, more),))

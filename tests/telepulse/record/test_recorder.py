@@ -76,7 +76,9 @@ def test_all_that_a_display_publishes_is_in_the_file(tmp_path: Path) -> None:
     ]
     assert len(messages[STATUS]) == speaker.publisher.heard.statuses
     assert len(messages[STREAM]) == 1
-    assert events_of(path) == ["begin", "session", "state", "end of stream", "state", "end"]
+    assert events_of(path) == [
+        *("begin", "session", "state", "join", "end of stream", "state", "end")
+    ]
     # Unix times, of now.
     assert abs(messages[TICK][-1].t_ns - time.time_ns()) < 60 * SECOND_NS
 

@@ -11,13 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from display_node.display import Felt
+from display_node.fault_advice import FILM_NOTE, advise
 from display_node.heard import CONTROL, HEARD, SUBSCRIBED, HeardWriter
 from display_node.telemetry import STATUS as STATUS_TOPIC
 from display_node.telemetry import TRACE, TraceWriter
+from protocol.causes import MEANINGS
 from protocol.limits import Limited, Limits
 from protocol.messages import Hello, Welcome, encode_control, encode_frame
 from protocol.status import Playing, pack_status
-from protocol.summary import Clock, Compensation, Samples, Summary
+from protocol.summary import Clock, Compensation, Deadlines, Loop, Samples, Summary
 from telepulse.record.schema import (
     CLOCK,
     EVENT,
@@ -149,15 +151,55 @@ def test_what_happens_is_told_once() -> None:
     ]
     assert told(entries) == [
         ("state", "playing"),
-        ("clock step", "a clock has stepped, 1 times so far"),
-        ("refused", "3 messages: session"),
-        ("state", "fault, was playing"),
-        ("fault", "it broke"),
-        ("clock step", "a clock has stepped, 2 times so far"),
+        ("join", "the pulse is felt; samples sent before: 0"),
+        ("clock step", "a clock has jumped; jumps so far: 1"),
+        ("refused", f"3 session: {MEANINGS['session']}"),
+        ("state", "fault, was playing for 0.0 s"),
+        ("fault", f"it broke: {advise('it broke')}"),
+        ("clock step", "a clock has jumped; jumps so far: 2"),
         ("limited", "force limit reached"),
         ("end", "the display has ended"),
     ]
     assert spoken.transcript.ended
+
+
+def test_what_lasts_is_told_where_it_begins_and_where_it_is_over() -> None:
+    spoken = Spoken()
+    spoken.hear((CONTROL, WELCOME), (0, encode_frame(numbered_frame(0))))
+    late = Loop(1000, 60, late=True, last_5s=Deadlines(0.012, 61.0))
+    entries = []
+    # Statuses of 20 s, five times a second; frames come again after 12 s.
+    for number in range(1, 100):
+        at_ns = NOW_NS + number * 200_000_000
+        entries += spoken.ticks(Felt(at_ns))
+        if number >= 60:
+            entries += spoken.hear((0, encode_frame(numbered_frame(number))), at_ns=at_ns)
+        state = "stale" if 10 <= number <= 60 else "playing"
+        loop = late if 15 <= number < 40 else Loop(1000, 60, late=False)
+        # A count that grows is no new event each time.
+        faults = [f"{FILM_NOTE}{number} samples missing"]
+        entries += spoken.status(state, loop=loop, faults=faults)
+    assert told(entries) == [
+        ("state", "playing"),
+        ("join", "the pulse is felt; samples sent before: 0"),
+        ("film's sensor", "1 samples missing"),
+        ("link cut", "no frame for 1.2 s"),
+        ("state", "stale, was playing for 1.8 s"),
+        ("deadline misses", "1.2 % of the ticks of the last 5 s missed, longest gap 61 ms"),
+        ("deadline misses", "over after 5.0 s"),
+        ("link cut", "over after 12.0 s"),
+        ("state", "playing, was stale for 10.2 s"),
+    ]
+
+
+def test_a_revocation_is_told_once_until_it_is_undone() -> None:
+    spoken = Spoken()
+    spoken.hear((CONTROL, WELCOME))
+    entries = []
+    for state in ("playing", "stale", "stale", "playing", "playing"):
+        entries += spoken.status(state, rejected={"revoked": 2})
+    texts = [text for name, text in told(entries) if name == "revoked"]
+    assert texts == [MEANINGS["revoked"], "over after 0.0 s"]
 
 
 def test_what_the_display_published_and_did_not_come_is_counted() -> None:

@@ -103,6 +103,7 @@ def test_it_finds_what_is_known_to_be_in_a_recording(tmp_path: Path) -> None:
         "begin",
         "session",
         "state",
+        "join",
         "state",
         "end",
     ]
