@@ -11,6 +11,7 @@ from display_node.delay import Delay
 from display_node.delays import PlayedDelays
 from display_node.feedback import Feedback
 from display_node.fidelity import Fidelity
+from display_node.finger import FingerState, describe_finger
 from display_node.force_loop import scenes_force_loop
 from display_node.playout import PlayoutClock
 from display_node.receiver import Receiver
@@ -261,6 +262,12 @@ class Display:
             force_rmse_n=_or_nan(aligned),
         )
 
+    def _finger(self) -> str | None:
+        """The models' finger in words; a real bench measures its own."""
+        if self._feedback is not None:
+            return None
+        return describe_finger(FingerState(self.felt.felt_n, measured_by="model, no drive"))
+
     def summary(
         self, deadline_misses: int | None = None, tick_us: TickTime | None = None
     ) -> Summary:
@@ -290,6 +297,7 @@ class Display:
             loop=Loop(self.ticks, deadline_misses, tick_us or TickTime()),
             rejected=dict(receiver.rejected),
             faults=list(self.safety.faults),
+            finger=self._finger(),
         )
         return self.fidelity.scored(summary) if self.fidelity is not None else summary
 

@@ -34,6 +34,11 @@ class Feedback:
         self.samples += 1
         self._samples.append((time_ns, force_n))
 
+    @property
+    def newest(self) -> tuple[int, float] | None:
+        """When the newest sample was taken, and its force in N; None before any."""
+        return self._samples[-1] if self._samples else None
+
     def alive(self, now_ns: int) -> bool:
         """Whether readings can be had that are worth anything."""
         samples = self._samples

@@ -9,8 +9,10 @@ from pathlib import Path
 from display_node.actuators.stepper import StepperScene
 from display_node.display import Display, Felt
 from display_node.drives import Drive, build_drive
-from display_node.drives.approach import WITHDRAW_M_PER_S, withdraw
+from display_node.drives.withdrawal import Outcome
 from display_node.feedback import Feedback
+from display_node.finger import FingerState
+from display_node.plausibility import FilmPlausibility
 from display_node.scene import DisplayScene
 from protocol.errors import SceneError, SourceError
 from protocol.limits import LimitCounter
@@ -19,6 +21,8 @@ from sensors.sensor import Sensor
 
 FIRST_SAMPLE_WITHIN_S = 5.0
 POLL_S = 0.01
+# The longest withdrawal: a stroke that nothing confirms, at the slow speed.
+WITHDRAWN_WITHIN_S = 1.5
 
 
 @contextmanager
@@ -36,6 +40,7 @@ def connected(
     drive = build_drive(scene.drive, scene.actuator, layer, force_limit_n)
     sensor = open_sensor(scene.feedback, folder, log) if scene.feedback is not None else None
     with closing(Hardware(scene, drive, sensor)) as hardware:
+        log("the drive looks for its home: keep the finger away")
         hardware.start()
         log("the drive is at first touch")
         yield hardware
@@ -56,13 +61,14 @@ class Hardware:
         if scene.drive is None or not isinstance(actuator, StepperScene):
             raise SceneError('[display] drive: it needs an actuator of kind "stepper"')
         self._contact = actuator.contact(scene.layer.layer())
-        self._step_m = actuator.step_m
+        self._plausibility = FilmPlausibility(actuator, scene.layer.layer())
         self._step_rate = actuator.step_rate()
         self._drive = drive
         self._sensor = sensor
         self._heard_ns = 0
         self._held_back = False
         self.at_end = LimitCounter()
+        self._began_ns = time.monotonic_ns()
         # Where the drive's commands had led to at the last tick.
         self._way_m: float | None = None
         self._tick_ns = scene.tick_ns
@@ -70,23 +76,17 @@ class Hardware:
         self.feedback = Feedback(scene.film.latency_ns, scene.safety.feedback_within_ns)
 
     def start(self) -> None:
-        """Bring the drive to first touch and wait for the film's first sample; blocks.
+        """Wait for the film's first sample, then bring the drive to first touch; blocks.
 
-        Raises DriveError, and SourceError when no sample comes.
+        Raises DriveError, and SourceError when no sample comes: then the drive has not moved.
         """
-        self._drive.start()
-        deadline_s = time.monotonic() + FIRST_SAMPLE_WITHIN_S
-        while not self.feedback.alive(time.monotonic_ns()):
-            if time.monotonic() > deadline_s:
-                raise SourceError(
-                    f"[display.feedback] no sample within {FIRST_SAMPLE_WITHIN_S:g} s:"
-                    " is the film's sensor the right one, and on?"
-                )
-            time.sleep(POLL_S)
-            self.read()
+        if self._sensor is not None:
+            self._await_film(self._sensor)
+        self._drive.start(self._film_n)
+        self.read()
 
     def read(self) -> str | None:
-        """Hand what has come to `feedback`; the drive's fault, if it has one."""
+        """Hand what has come to `feedback` and drive; the fault, if there is one."""
         status = self._drive.status()
         self._held_back = status.held_back
         if self._sensor is None:
@@ -94,17 +94,18 @@ class Hardware:
                 self._heard_ns = status.heard_ns
                 self.feedback.hear(status.heard_ns, self._contact.force(status.position_m))
         else:
-            for reading in self._sensor.poll():
-                for taken_ns, force_n in zip(reading.times_ns, reading.force_n, strict=True):
-                    self.feedback.hear(taken_ns, force_n)
+            self._plausibility.report(status.position_m, status.heard_ns)
+            newest = self._read_film(self._sensor)
+            if newest is not None and status.fault is None:
+                return self._plausibility.contradiction(newest[1], newest[0])
         return None if status.fault is None else f"drive: {status.fault}"
 
     def tick(self, display: Display, now_ns: int, elapsed_ticks: int) -> Felt:
         """A tick of a display on this bench: it is told within it what the controller wants, or
-        after a fault to go back."""
+        after a fault to take the tip off the finger."""
         safety = display.safety
         fault = self.read()
-        if fault is not None:
+        if fault is not None and not safety.faults:
             safety.fault(fault)
         silent_ns = elapsed_ticks * self._tick_ns
         if silent_ns > self._watchdog_ns and not safety.faults:
@@ -119,10 +120,64 @@ class Hardware:
         # A drive at fault takes no command: what it did with the last one is of the past.
         self.at_end.add(self._held_back and not safety.faults)
         if safety.faults:
-            self._move(-WITHDRAW_M_PER_S)
+            self._drive.withdraw(safety.faults[0])
+            self._name_withdrawal(display)
         else:
             self._move(display.output)
         return felt
+
+    def finger(self, now_ns: int) -> FingerState:
+        """Return what is measured at the finger now."""
+        status = self._drive.status()
+        newest = self.feedback.newest
+        since_ns = self._began_ns if newest is None else newest[0]
+        known = newest is not None and self.feedback.alive(now_ns)
+        blind = self._sensor is None and status.withdrawal in (
+            Outcome.UNCONFIRMED,
+            Outcome.WRONG_WAY,
+        )
+        return FingerState(
+            force_n=newest[1] if newest is not None and known and not blind else None,
+            unknown_s=(now_ns - since_ns) * 1e-9,
+            measured_by="" if self._sensor is not None else "by the drive's position",
+            outcome=status.withdrawal,
+            answers=now_ns - status.answered_ns <= self._watchdog_ns,
+        )
+
+    def _await_film(self, sensor: Sensor) -> None:
+        deadline_s = time.monotonic() + FIRST_SAMPLE_WITHIN_S
+        while self._read_film(sensor) is None:
+            if time.monotonic() > deadline_s:
+                raise SourceError(
+                    f"[display.feedback] no sample within {FIRST_SAMPLE_WITHIN_S:g} s:"
+                    " is the film's sensor the right one, and on?"
+                )
+            time.sleep(POLL_S)
+
+    def _film_n(self) -> float | None:
+        """The newest reading of the film; None without one."""
+        if self._sensor is None:
+            return None
+        self._read_film(self._sensor)
+        newest = self.feedback.newest
+        return None if newest is None else newest[1]
+
+    def _read_film(self, sensor: Sensor) -> tuple[int, float] | None:
+        """Pass on what the film's sensor has sent; its newest sample, None where none came."""
+        samples = self.feedback.samples
+        for reading in sensor.poll():
+            for taken_ns, force_n in zip(reading.times_ns, reading.force_n, strict=True):
+                self.feedback.hear(taken_ns, force_n)
+        newest = self.feedback.newest
+        if newest is None or self.feedback.samples == samples:
+            return None
+        self._drive.press(newest[1], newest[0])
+        return newest
+
+    def _name_withdrawal(self, display: Display) -> None:
+        outcome = self._drive.status().withdrawal
+        if outcome in (Outcome.UNCONFIRMED, Outcome.WRONG_WAY):
+            display.safety.fault(f"withdrawal: {outcome.value}")
 
     def _move(self, speed_m_per_s: float) -> None:
         """Go on at a speed until the next tick."""
@@ -142,9 +197,18 @@ class Hardware:
         return [] if self._sensor is None else self._sensor.faults()
 
     def withdraw(self) -> None:
-        """Take the tip off the finger; blocks, half a second at most. Call it right after the
-        last tick: a drive that hears nothing any more stays where it is."""
-        withdraw(self._drive, self._step_m)
+        """Take the tip off the finger and wait until it is, 1.5 s at most.
+
+        Call it right after the last tick: without commands the drive would withdraw by itself,
+        and call that a fault.
+        """
+        self._drive.withdraw("ended")
+        deadline_s = time.monotonic() + WITHDRAWN_WITHIN_S
+        while self._drive.status().withdrawal is Outcome.UNDER_WAY:
+            if time.monotonic() > deadline_s:
+                break
+            time.sleep(POLL_S)
+            self.read()
 
     def close(self) -> None:
         """Leave the finger, bring the drive to rest and let go of both."""

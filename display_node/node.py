@@ -13,6 +13,7 @@ from display_node.connection import Connection
 from display_node.deadlines import GAP_NS, DeadlineWatch
 from display_node.display import Display
 from display_node.fault_advice import FILM_NOTE, advise
+from display_node.finger import describe_finger
 from display_node.hardware import Hardware
 from display_node.heard import CONTROL
 from display_node.publisher import Publisher
@@ -180,6 +181,7 @@ class DisplayNode:
                     travel=self._hardware.at_end.limited(self._scene.tick_ns * 1e-9, ticks),
                 ),
                 hardware=dict(self._hardware.counts),
+                finger=describe_finger(self._hardware.finger(time.monotonic_ns())),
                 faults=[
                     *summary.faults,
                     *(f"{FILM_NOTE}{note}" for note in self._hardware.faults()),

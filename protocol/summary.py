@@ -171,6 +171,7 @@ class Summary:
     rejected: dict[str, int] = field(default_factory=dict)
     hardware: dict[str, int] = field(default_factory=dict)
     faults: list[str] = field(default_factory=list)
+    finger: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON and msgpack; what is no figure (NaN, infinite, beyond
@@ -279,6 +280,7 @@ def _rows(s: Summary) -> list[tuple[str, str]]:
         ("rejected", "\n".join(explain(s.rejected)) or "nothing"),
         ("hardware", _counts(s.hardware) or _ABSENT),
         ("faults", "; ".join(s.faults) or "none"),
+        ("finger", s.finger or _ABSENT),
     ]
 
 

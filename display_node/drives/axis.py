@@ -6,18 +6,20 @@ from display_node.actuators.stepper import StepperScene
 from display_node.drives.scene import Cia402Scene, DriveScene
 from display_node.drives.travel import Travel
 from display_node.drives.units import Units
-from display_node.step_rate import StepCommand
 from protocol.tactile import ElasticLayer
 
 # Between a command and the motor's reaction.
 REACTION_S = 2e-3
+# So far from first touch nothing is felt of the tip; half the way home where that is shorter.
+CLEAR_M = 0.5e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Axis:
     """The mechanics of a drive; speeds in m/s, accelerations in m/s².
 
-    search_s: how long it may take to home, there and back over the whole stroke.
+    search_s: how long it may take to home, there and back over the whole stroke. clear_m: where the
+    tip is off the finger, from first touch.
     """
 
     units: Units
@@ -28,12 +30,7 @@ class Axis:
     max_acceleration_m_per_s2: float
     microsteps: int
     search_s: float
-
-    def velocity(self, command: StepCommand, position_m: float, age_ns: int) -> int:
-        """A command as the drive's number, within the limits of speed and travel."""
-        limit = self.max_speed_m_per_s
-        wanted = min(max(self.units.signed(command), -limit), limit)
-        return self.units.velocity(self.travel.bound(wanted, position_m, age_ns * 1e-9))
+    clear_m: float
 
 
 def build_axis(
@@ -67,4 +64,5 @@ def build_axis(
         max_acceleration_m_per_s2=actuator.max_acceleration_m_per_s2,
         microsteps=actuator.microsteps,
         search_s=5.0 + 2 * actuator.stroke_m / scene.homing_speed_m_per_s,
+        clear_m=-min(CLEAR_M, scene.touch_m / 2),
     )

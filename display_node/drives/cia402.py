@@ -2,11 +2,13 @@
 
 A command is one RPDO, and a SYNC that makes it count; neither waits for the drive. Our heartbeat
 goes out with the commands and with nothing else: the drive rests when they stop, whether this
-process has died or only hangs.
+process has died or only hangs. After a fault a thread of our own takes the tip off the finger.
 """
 
+import threading
 import time
 from collections import Counter
+from collections.abc import Callable
 
 from display_node.drives.approach import approach
 from display_node.drives.axis import Axis
@@ -22,9 +24,10 @@ from display_node.drives.cia402_states import (
     State,
     towards_enabled,
 )
-from display_node.drives.drive import DriveStatus
+from display_node.drives.direction import TouchGuard, check_switch, opened_m
+from display_node.drives.drive import DriveStatus, no_film
 from display_node.drives.scene import Cia402Scene
-from display_node.drives.told_way import ToldWay
+from display_node.drives.supervisor import Supervisor
 from display_node.step_rate import AT_REST, StepCommand
 from protocol.errors import DriveError
 
@@ -32,6 +35,10 @@ ENABLE_WITHIN_S = 2.0
 REST_WITHIN_S = 1.0
 # Heartbeats in the time after which the drive misses them.
 BEATS = 4
+# Our own thread's look at commands and answers; a withdrawal's commands.
+WATCH_S = 5e-3
+# Object of the digital inputs, and its bits for the limit switches.
+DIGITAL_INPUTS, NEGATIVE_INPUT, POSITIVE_INPUT = 0x60FD, 1, 2
 
 
 class Cia402Drive:
@@ -41,64 +48,75 @@ class Cia402Drive:
         self._scene = scene
         self._axis = axis
         self._node: Cia402Node | None = None
-        self._fault: str | None = "not started"
+        self._thread: threading.Thread | None = None
+        self._ending = threading.Event()
+        self._supervisor = Supervisor(axis, scene.watchdog_ns)
+        # Of the supervisor and of what is sent, by the loop's thread and by ours.
+        self._lock = threading.Lock()
+        self._control = Control.ENABLE
         self._beat_ns = 0
-        self._way = ToldWay()
         self.counts: Counter[str] = Counter()
 
-    def start(self) -> None:
+    def start(self, force_n: Callable[[], float | None] = no_film) -> None:
         """See `Drive.start`."""
         self.close()
         self._node = node = Cia402Node(self._scene, self._axis, self.counts)
+        guard = TouchGuard(force_n)
+        scene, axis = self._scene, self._axis
         try:
             node.configure()
             node.select_velocity()
             self._enable(node)
-            self._home(node)
+            self._home(node, guard)
             node.limit_travel()
             node.arm()
-            self._fault = None
-            approach(self, 0.0, self._scene.homing_speed_m_per_s, self._axis.units.step_m)
-            # Supervised again from the force loop's first command on, by a heartbeat with it.
-            node.arm()
-            self._beat_ns = 0
+            self._follow(node)
+            speed, step_m = scene.homing_speed_m_per_s, axis.units.step_m
+            opened = opened_m(scene.touch_m)
+            approach(self, axis.lowest_m + opened, speed, step_m, guard)
+            self._pause(node)
+            check_switch(self._home_switch(node), opened)
+            approach(self, 0.0, speed, step_m, guard)
+            self._pause(node)
         except BaseException:  # Ctrl-C, too, must not leave it moving.
             self.close()
             raise
+        self._supervisor.verified = True
 
     def command(self, command: StepCommand) -> None:
         """See `Drive.command`."""
-        node, now_ns = self._node, time.monotonic_ns()
-        if node is None or self._watch(node, now_ns) is not None:
+        node, supervisor = self._node, self._supervisor
+        if node is None or supervisor.fault is not None:
             return
-        velocity = self._axis.velocity(command, node.position_m, now_ns - node.heard_ns)
-        try:
-            told_ns = node.tell(Control.ENABLE, velocity)
-            self._way.tell(self._axis.units.speed_m_per_s(velocity), told_ns)
-            if now_ns - self._beat_ns >= self._scene.watchdog_ns // BEATS:
-                self._beat_ns = now_ns
-                node.beat()
-        except DriveError as error:
-            self._fault = f"{error.kind}: {error}"
+        with self._lock:
+            now_ns = time.monotonic_ns()
+            self._judge(node, now_ns)
+            supervisor.command(self._axis.units.signed(command), now_ns)
+            self._send(node, now_ns)
+
+    def press(self, force_n: float, taken_ns: int) -> None:
+        """See `Drive.press`."""
+        with self._lock:
+            self._supervisor.press(force_n, taken_ns)
 
     def status(self) -> DriveStatus:
         """See `Drive.status`."""
         node = self._node
-        if node is None:
-            return DriveStatus(self._axis.lowest_m, 0.0, self._fault, False, 0)
-        speed = node.speed_m_per_s
-        fault = self._watch(node, time.monotonic_ns())
-        held_back = self._axis.travel.held_back
-        return DriveStatus(node.position_m, speed, fault, speed != 0, node.heard_ns, held_back)
+        with self._lock:
+            if node is None:
+                return self._supervisor.status(0.0)
+            self._judge(node, time.monotonic_ns())
+            return self._supervisor.status(node.speed_m_per_s)
 
     def way_m(self, now_ns: int) -> float:
         """See `Drive.way_m`."""
-        return self._way.way_m(now_ns)
+        with self._lock:
+            return self._supervisor.way_m(now_ns)
 
-    def stop(self) -> None:
-        """See `Drive.stop`."""
-        if self._fault is None:
-            self._fail("stopped")
+    def withdraw(self, reason: str) -> None:
+        """See `Drive.withdraw`."""
+        with self._lock:
+            self._supervisor.fail(reason, time.monotonic_ns())
 
     def close(self) -> None:
         """See `Drive.close`."""
@@ -111,31 +129,77 @@ class Cia402Drive:
             if not node.speed_m_per_s:
                 break
             time.sleep(POLL_S)
-        self._fault = self._fault or "closed"
+        if self._thread is not None:
+            self._ending.set()
+            self._thread.join()
+            self._thread = None
+        self._supervisor.end("closed")
         self._let_go(node)
         self._node = None
 
-    def _watch(self, node: Cia402Node, now_ns: int) -> str | None:
-        """The fault, if there is one by now."""
-        if self._fault is not None:
-            return self._fault
-        state, silent_ns = node.state, now_ns - node.heard_ns
-        if state in (State.FAULT, State.REACTING):
-            self._fail(f"fault: {node.error}")
-        elif state is not State.ENABLED:
-            self._fail(f"fault: {state.text}, {node.error}")
-        elif silent_ns > self._scene.watchdog_ns:
-            self._fail(f"no answer: for {silent_ns / 1e6:.0f} ms")
-        return self._fault
+    def _follow(self, node: Cia402Node) -> None:
+        """Begin to pass commands on, and to watch that they come."""
+        self._supervisor.arm(time.monotonic_ns())
+        self._control = Control.ENABLE
+        self._ending.clear()
+        self._thread = threading.Thread(target=self._run, args=(node,), daemon=True)
+        self._thread.start()
 
-    def _fail(self, fault: str) -> None:
-        """Latch a fault, and stop the drive if it still hears us."""
-        self._fault = fault
-        if self._node is not None:
-            try:
-                self._node.tell(Control.QUICK_STOP, 0)
-            except DriveError as error:
-                self._fault = f"{fault}; {error.kind}: {error}"
+    def _pause(self, node: Cia402Node) -> None:
+        """Rest, and have neither side expect commands or heartbeats before the next command."""
+        with self._lock:
+            self._supervisor.pause()
+            self._beat_ns = 0
+        node.arm()
+
+    def _run(self, node: Cia402Node) -> None:
+        """Withdraw where the loop's thread cannot: it may hang, and a fault needs no tick."""
+        while not self._ending.wait(WATCH_S):
+            with self._lock:
+                now_ns = time.monotonic_ns()
+                self._judge(node, now_ns)
+                if self._supervisor.withdrawal is not None:
+                    self._send(node, now_ns)
+
+    def _judge(self, node: Cia402Node, now_ns: int) -> None:
+        """Pass on what the drive reported, and latch its fault where it has one."""
+        supervisor = self._supervisor
+        supervisor.watch(now_ns)
+        # Its TPDO brings the position and the state.
+        if node.heard_ns > supervisor.position_ns:
+            supervisor.report(node.position_m, node.heard_ns)
+        state = node.state
+        if state in (State.FAULT, State.REACTING):
+            supervisor.fail(f"fault: {node.error}", now_ns)
+        elif state is not State.ENABLED:
+            supervisor.fail(f"fault: {state.text}, {node.error}", now_ns)
+
+    def _send(self, node: Cia402Node, now_ns: int) -> None:
+        """Send the velocity of now; a drive that is not enabled is led back to it first."""
+        supervisor, enabled = self._supervisor, node.state is State.ENABLED
+        velocity = supervisor.velocity(now_ns) if enabled else 0
+        self._control = Control.ENABLE if enabled else towards_enabled(node.state, self._control)
+        try:
+            sent_ns = node.tell(self._control, velocity)
+            supervisor.sent(velocity, sent_ns)
+            if now_ns - self._beat_ns >= self._scene.watchdog_ns // BEATS:
+                self._beat_ns = now_ns
+                node.beat()
+        except DriveError as error:
+            supervisor.fail(f"{error.kind}: {error}", now_ns)
+
+    def _home_switch(self, node: Cia402Node) -> bool | None:
+        """Return whether the home switch is closed; None where it is not what home is by, or the
+        drive does not report its inputs."""
+        if self._scene.homing != "switch" or self._scene.homing_method is not None:
+            return None
+        try:
+            inputs = node.read(DIGITAL_INPUTS)
+        except DriveError as error:
+            if error.kind != "refused":
+                raise
+            return None
+        return bool(inputs & (POSITIVE_INPUT if self._scene.inverted else NEGATIVE_INPUT))
 
     def _let_go(self, node: Cia402Node) -> None:
         """Disable the drive; what does not reach it any more is its watchdog's."""
@@ -144,7 +208,7 @@ class Cia402Drive:
             node.tell(Control.DISABLE_VOLTAGE, 0)
             node.disarm()
         except DriveError as error:
-            self._fault = f"{self._fault}; {error.kind}: {error}"
+            self.counts[f"not let go: {error.kind}"] += 1
         node.close()
 
     def _enable(self, node: Cia402Node) -> None:
@@ -158,7 +222,7 @@ class Cia402Drive:
             node.tell(control, 0)
             time.sleep(POLL_S)
 
-    def _home(self, node: Cia402Node) -> None:
+    def _home(self, node: Cia402Node, guard: Callable[[], None]) -> None:
         scene, axis = self._scene, self._axis
         switch = POSITIVE_SWITCH if scene.inverted else NEGATIVE_SWITCH
         method = scene.homing_method
@@ -176,6 +240,7 @@ class Cia402Drive:
         deadline_s = time.monotonic() + axis.search_s
         began_ns = time.monotonic_ns()
         while node.heard_ns < began_ns or node.statusword & HOMING_ATTAINED != HOMING_ATTAINED:
+            guard()
             if node.state is not State.ENABLED:
                 raise DriveError("not homed", f"{node.state.text} on its way home, {node.error}")
             if node.statusword & HOMING_ERROR:

@@ -8,15 +8,17 @@ command in a mailbox.
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable
 from itertools import cycle
 
 from display_node.drives.approach import approach
 from display_node.drives.axis import Axis
-from display_node.drives.drive import DriveStatus
+from display_node.drives.direction import TouchGuard, check_switch, opened_m
+from display_node.drives.drive import DriveStatus, no_film
 from display_node.drives.scene import TmclScene
+from display_node.drives.supervisor import Supervisor
 from display_node.drives.tmcl_module import PASSING, TmclModule
 from display_node.drives.tmcl_numbers import Parameter
-from display_node.drives.told_way import ToldWay
 from display_node.step_rate import AT_REST, StepCommand
 from protocol.errors import DriveError
 
@@ -30,6 +32,8 @@ QUESTIONS = (
 QUESTION_NS = 10_000_000
 REST_WITHIN_S = 1.0
 REST_POLL_S = 0.002
+# Between two tries on a line that is gone.
+RETRY_S = 0.02
 
 
 class TmclDrive:
@@ -41,107 +45,162 @@ class TmclDrive:
         self._module: TmclModule | None = None
         self._thread: threading.Thread | None = None
         self._woken = threading.Event()
-        self._fault: str | None = "not started"
-        # The mailbox: the command and when it was given; 0 before the first.
-        self._told = (AT_REST, 0)
+        self._closing = False
+        self._supervisor = Supervisor(axis, scene.watchdog_ns)
+        # Of the supervisor, which the loop's thread and ours both use.
+        self._lock = threading.Lock()
         self._taken_ns = 0
-        self._way = ToldWay()
         self.counts: Counter[str] = Counter()
 
-    def start(self) -> None:
+    def start(self, force_n: Callable[[], float | None] = no_film) -> None:
         """See `Drive.start`."""
         self.close()
         self._module = module = TmclModule(self._scene, self._axis)
         module.counts.update(self.counts)
         self.counts = module.counts
+        guard = TouchGuard(force_n)
+        scene, axis = self._scene, self._axis
         try:
             module.configure()
-            module.home()
+            module.home(guard)
             module.arm()
-            self._told, self._taken_ns, self._fault = (AT_REST, 0), 0, None
-            self._thread = threading.Thread(target=self._run, args=(module,), daemon=True)
-            self._thread.start()
-            approach(self, 0.0, self._scene.homing_speed_m_per_s, self._axis.units.step_m)
+            self._follow(module)
+            speed, step_m = scene.homing_speed_m_per_s, axis.units.step_m
+            opened = opened_m(scene.touch_m)
+            approach(self, axis.lowest_m + opened, speed, step_m, guard)
+            check_switch(self._home_switch(), opened)
+            approach(self, 0.0, speed, step_m, guard)
         except BaseException:  # Ctrl-C, too, must not leave it moving.
             self.close()
             raise
-        # Supervised again from the force loop's first command on.
-        self._told = (AT_REST, 0)
+        with self._lock:
+            self._supervisor.verified = True
+            self._supervisor.pause()
 
     def command(self, command: StepCommand) -> None:
         """See `Drive.command`."""
-        if self._fault is not None:
+        supervisor = self._supervisor
+        if supervisor.fault is not None:
             return
-        if self._told[1] > self._taken_ns:
-            self.counts["superseded"] += 1
-        self._told = (command, time.monotonic_ns())
+        with self._lock:
+            if supervisor.commanded_ns > self._taken_ns:
+                self.counts["superseded"] += 1
+            supervisor.command(self._axis.units.signed(command), time.monotonic_ns())
         self._woken.set()
+
+    def press(self, force_n: float, taken_ns: int) -> None:
+        """See `Drive.press`."""
+        with self._lock:
+            self._supervisor.press(force_n, taken_ns)
 
     def status(self) -> DriveStatus:
         """See `Drive.status`."""
         module = self._module
-        if module is None:
-            return DriveStatus(self._axis.lowest_m, 0.0, self._fault, False, 0)
-        speed = module.speed_m_per_s
-        fault, heard_ns = self._fault, module.position_ns
-        held_back = self._axis.travel.held_back
-        return DriveStatus(module.position_m, speed, fault, speed != 0, heard_ns, held_back)
+        with self._lock:
+            return self._supervisor.status(0.0 if module is None else module.speed_m_per_s)
 
     def way_m(self, now_ns: int) -> float:
         """See `Drive.way_m`."""
-        return self._way.way_m(now_ns)
+        with self._lock:
+            return self._supervisor.way_m(now_ns)
 
-    def stop(self) -> None:
-        """See `Drive.stop`."""
-        self._fault = self._fault or "stopped"
+    def withdraw(self, reason: str) -> None:
+        """See `Drive.withdraw`."""
+        with self._lock:
+            self._supervisor.fail(reason, time.monotonic_ns())
         self._woken.set()
 
     def close(self) -> None:
         """See `Drive.close`."""
         if self._thread is not None:
-            self._told = (AT_REST, 0)
+            with self._lock:
+                self._supervisor.command(0.0, time.monotonic_ns())
             deadline_s = time.monotonic() + REST_WITHIN_S
-            while self._fault is None and self.status().moving and time.monotonic() < deadline_s:
+            while self._moves() and time.monotonic() < deadline_s:
                 time.sleep(REST_POLL_S)
-            self._fault = self._fault or "closed"
+            self._closing = True
             self._woken.set()
             self._thread.join()
             self._thread = None
+        self._supervisor.end("closed")
         if self._module is not None:
             self._module.halt()
             self._module.close()
             self._module = None
 
+    def _moves(self) -> bool:
+        status = self.status()
+        return status.fault is None and status.moving
+
+    def _follow(self, module: TmclModule) -> None:
+        """Begin to pass commands on."""
+        now_ns = time.monotonic_ns()
+        self._supervisor.arm(now_ns)
+        self._supervisor.report(module.position_m, now_ns)
+        self._taken_ns, self._closing = 0, False
+        self._thread = threading.Thread(target=self._run, args=(module,), daemon=True)
+        self._thread.start()
+
+    def _home_switch(self) -> bool | None:
+        """Return whether the home switch is closed; None where it is not what home is by."""
+        module = self._module
+        if module is None or self._scene.homing != "switch" or self._scene.homing_method:
+            return None
+        asked_ns, module.switch_wanted = time.monotonic_ns(), True
+        deadline_s = time.monotonic() + REST_WITHIN_S
+        while module.switch_ns < asked_ns and time.monotonic() < deadline_s:
+            self.command(AT_REST)
+            time.sleep(REST_POLL_S)
+        module.switch_wanted = False
+        if module.switch_ns < asked_ns:
+            raise DriveError("no answer", "the module does not report its home switch")
+        return module.switch_closed
+
     def _run(self, module: TmclModule) -> None:
         questions = cycle(QUESTIONS)
         asked_ns = 0
-        while True:
+        while not self._closing:
             self._woken.wait(self._scene.period_ns * 1e-9)
             self._woken.clear()
-            if self._fault is not None:
-                break
             now_ns = time.monotonic_ns()
             try:
                 # A command between any two questions: an answer that comes far too late names
                 # its command, and so is never taken for the answer to another question.
-                self._tell(module, now_ns)
+                self._pass_on(module, now_ns)
                 if not self._woken.is_set() or now_ns - asked_ns >= QUESTION_NS:
                     asked_ns = now_ns
-                    module.hear(next(questions))
+                    question = next(questions)
+                    module.hear(module.switch if module.switch_wanted else question)
             except DriveError as error:
-                silent_ns = time.monotonic_ns() - module.heard_ns
-                if error.kind not in PASSING or silent_ns > self._scene.watchdog_ns:
-                    self._fault = self._fault or f"{error.kind}: {error}"
-        module.halt()
+                self._fail(module, error)
+            self._report(module)
 
-    def _tell(self, module: TmclModule, now_ns: int) -> None:
-        """Pass the latest command on, however old it is: that keeps the module's heartbeat."""
-        command, told_ns = self._told
-        self._taken_ns = told_ns
-        if told_ns and now_ns - told_ns > self._scene.watchdog_ns:
-            silent_ms = (now_ns - told_ns) / 1e6
-            raise DriveError("no command", f"for {silent_ms:.0f} ms")
-        age_ns = now_ns - module.position_ns
-        velocity = self._axis.velocity(command, module.position_m, age_ns)
-        self._way.tell(self._axis.units.speed_m_per_s(velocity), now_ns)
+    def _pass_on(self, module: TmclModule, now_ns: int) -> None:
+        """Send the velocity of now, however old the command is: that keeps its heartbeat."""
+        with self._lock:
+            supervisor = self._supervisor
+            supervisor.watch(now_ns)
+            self._taken_ns = supervisor.commanded_ns
+            velocity = supervisor.velocity(now_ns)
+            supervisor.sent(velocity, now_ns)
         module.rotate(velocity)
+
+    def _report(self, module: TmclModule) -> None:
+        with self._lock:
+            self._supervisor.answered(module.heard_ns)
+            if module.position_ns > self._supervisor.position_ns:
+                self._supervisor.report(module.position_m, module.position_ns)
+
+    def _fail(self, module: TmclModule, error: DriveError) -> None:
+        """Latch what the next request cannot make good; the withdrawal goes on trying.
+
+        A module that obeys without an answer is thus commanded on, to its home switch.
+        """
+        now_ns = time.monotonic_ns()
+        with self._lock:
+            self._supervisor.held(now_ns)
+            if error.kind in PASSING and now_ns - module.heard_ns <= self._scene.watchdog_ns:
+                return
+            self._supervisor.fail(f"{error.kind}: {error}", now_ns)
+        if error.kind not in (*PASSING, "fault"):
+            time.sleep(RETRY_S)

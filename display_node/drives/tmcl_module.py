@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections.abc import Callable
 
 from display_node.drives.axis import Axis
 from display_node.drives.scene import TmclScene
@@ -33,7 +34,8 @@ class TmclModule:
     """One motor of a module, and what it said last.
 
     position_m, position_ns: where the tip was, and when on the monotonic clock; heard_ns: when
-    the module answered last. All methods but `halt` and `close` raise DriveError.
+    the module answered last. switch: the question for the home switch; switch_closed, switch_ns:
+    its last answer and when. All methods but `halt` and `close` raise DriveError.
     """
 
     def __init__(self, scene: TmclScene, axis: Axis) -> None:
@@ -45,6 +47,11 @@ class TmclModule:
         self.position_m, self.position_ns = axis.lowest_m, 0
         self.speed_m_per_s = 0.0
         self.heard_ns = 0
+        self.switch = (
+            Parameter.RIGHT_SWITCH_STATE if scene.inverted else Parameter.LEFT_SWITCH_STATE
+        )
+        self.switch_wanted = self.switch_closed = False
+        self.switch_ns = 0
 
     def configure(self) -> None:
         """At rest, and with the scene's limits of speed and acceleration."""
@@ -60,8 +67,8 @@ class TmclModule:
         self.hear(Parameter.ERROR_FLAGS)
         self.hear(Parameter.DRIVER_FLAGS)
 
-    def home(self) -> None:
-        """Find the zero of positions, and wait until it is found."""
+    def home(self, guard: Callable[[], None]) -> None:
+        """Find the zero of positions, and wait until it is found; guard may end it by raising."""
         scene, axis = self._scene, self._axis
         if scene.homing == "none" and scene.homing_method is None:
             self._set(Parameter.ACTUAL_POSITION, 0)
@@ -72,7 +79,7 @@ class TmclModule:
             self._set(Parameter.SEARCH_SPEED, speed)
             self._set(Parameter.SWITCH_SPEED, max(1, speed // 4))
             self._insist(Command.REFERENCE_SEARCH, Search.START)
-            self._await_home(time.monotonic() + axis.search_s)
+            self._await_home(time.monotonic() + axis.search_s, guard)
         self.hear(Parameter.ACTUAL_POSITION)
 
     def arm(self) -> None:
@@ -99,6 +106,8 @@ class TmclModule:
             case Parameter.ACTUAL_POSITION:
                 self.position_m = self._axis.units.position_m(number)
                 self.position_ns = self.heard_ns
+            case Parameter.LEFT_SWITCH_STATE | Parameter.RIGHT_SWITCH_STATE:
+                self.switch_closed, self.switch_ns = bool(number), self.heard_ns
             case Parameter.ACTUAL_SPEED:
                 self.speed_m_per_s = self._axis.units.speed_m_per_s(number)
             case Parameter.ERROR_FLAGS if number & (ErrorFlag.STALL | ErrorFlag.DEVIATION):
@@ -128,14 +137,19 @@ class TmclModule:
         """Let go of the line."""
         self._line.close()
 
-    def _await_home(self, deadline_s: float) -> None:
-        while self._insist(Command.REFERENCE_SEARCH, Search.STATUS):
-            self.hear(Parameter.ERROR_FLAGS)
-            if time.monotonic() > deadline_s:
+    def _await_home(self, deadline_s: float, guard: Callable[[], None]) -> None:
+        try:
+            while self._insist(Command.REFERENCE_SEARCH, Search.STATUS):
+                guard()
+                self.hear(Parameter.ERROR_FLAGS)
+                if time.monotonic() > deadline_s:
+                    text = f"no home switch within {self._axis.search_s:.0f} s"
+                    raise DriveError("not homed", text)
+                time.sleep(SEARCH_POLL_S)
+        except DriveError as error:
+            if error.kind in ("not homed", "wrong way"):
                 self._insist(Command.REFERENCE_SEARCH, Search.STOP)
-                text = f"no home switch within {self._axis.search_s:.0f} s"
-                raise DriveError("not homed", text)
-            time.sleep(SEARCH_POLL_S)
+            raise
 
     def _set(self, parameter: Parameter, value: int) -> None:
         self._insist(Command.SET_AXIS, parameter, value)

@@ -7,8 +7,7 @@ class Travel:
     """The part of the travel that may be used, and the speed that it leaves.
 
     lowest_m, furthest_m: ends of the travel from first touch. reaction_s: time from a command
-    to what it does, beside the age of the position it is judged by. held_back: the last speed was
-    bounded before the furthest end.
+    to what it does, beside the age of the position it is judged by.
     """
 
     def __init__(
@@ -18,7 +17,6 @@ class Travel:
         self._furthest_m = furthest_m
         self._acceleration = acceleration_m_per_s2
         self._reaction_s = reaction_s
-        self.held_back = False
 
     def bound(self, speed_m_per_s: float, position_m: float, age_s: float) -> float:
         """The wanted speed, or what is left of it near an end; 0 for no number.
@@ -28,11 +26,8 @@ class Travel:
         position was heard the tip may have been faster than v, but not twice as fast: speeds so
         bounded fall by no more than a factor of e in a time of t, which is twice the age or more.
         """
-        self.held_back = False
         if speed_m_per_s > 0:
-            fastest_m_per_s = self._fastest(self._furthest_m - position_m, age_s)
-            self.held_back = fastest_m_per_s < speed_m_per_s
-            return min(speed_m_per_s, fastest_m_per_s)
+            return min(speed_m_per_s, self._fastest(self._furthest_m - position_m, age_s))
         if speed_m_per_s < 0:
             return -min(-speed_m_per_s, self._fastest(position_m - self._lowest_m, age_s))
         return 0.0

@@ -1,12 +1,13 @@
 """The bench itself: its drive and the sensor of its film, in real time."""
 
-import math
 import time
 
 import numpy as np
 
-from display_node.drives.approach import CLEAR_WITHIN_S, PERIOD_S, WITHDRAW_M_PER_S
+from display_node.drives.approach import PERIOD_S
 from display_node.drives.drive import Drive
+from display_node.drives.withdrawal import Outcome
+from display_node.hardware import WITHDRAWN_WITHIN_S
 from display_node.step_rate import AT_REST, StepCommand, StepRate
 from protocol.errors import BenchError, DriveError
 from sensors.reading import Reading
@@ -16,9 +17,6 @@ from telepulse.bench.sensor_check import Heard
 from telepulse.bench.verdict import Check, graded
 
 POLL_S = 2e-4
-# Near enough to where the press began; before it, the rest is to take so many periods, as one of
-# them may take longer.
-NEAR_M, SLOWING = 2e-6, 4
 ANSWER_SPEED_M_PER_S = 1e-3
 ANSWERS = 20
 ANSWER_WITHIN_S = 0.2
@@ -59,17 +57,12 @@ class HardwareRig:
         return (told_ns - self._began_ns) * 1e-9, samples
 
     def retreat(self) -> None:
-        """See `Rig.retreat`: by its commands, whatever film and drive say of it; half a second at
-        most."""
-        drive, end_s = self._drive, time.monotonic() + CLEAR_WITHIN_S
-        while time.monotonic() < end_s and drive.status().fault is None:
-            left_m = drive.way_m(time.monotonic_ns()) - self._began_m
-            if abs(left_m) < NEAR_M:
-                break
-            speed = min(WITHDRAW_M_PER_S, abs(left_m) / (SLOWING * PERIOD_S))
-            drive.command(self._vco.command(-math.copysign(speed, left_m)))
+        """See `Rig.retreat`: off the finger, which ends the drive's following of commands."""
+        drive = self._drive
+        drive.withdraw("stopped")
+        end_s = time.monotonic() + WITHDRAWN_WITHIN_S
+        while drive.status().withdrawal is Outcome.UNDER_WAY and time.monotonic() < end_s:
             time.sleep(PERIOD_S)
-        drive.stop()
 
 
 def listen(sensor: Sensor, seconds: float) -> Heard:

@@ -73,8 +73,6 @@ class EmulatedNode:
         self._network.NOTIFIER_CYCLE = NOTIFIER_CYCLE_S
         sheet = str(files("display_node.drives") / "cia402.eds")
         self._node = canopen.LocalNode(scene.node, sheet)
-        if DIGITAL_INPUTS not in self._node.object_dictionary:
-            self._node.object_dictionary.add_object(_digital_inputs())
         self._node.add_read_callback(self._on_read)  # type: ignore[no-untyped-call]
         self._node.add_write_callback(self._on_write)  # type: ignore[no-untyped-call]
         self._network[scene.node] = self._node
@@ -199,10 +197,3 @@ class EmulatedNode:
         """What was written to an object; 0 where nothing was."""
         written = self._node.data_store.get(index, {}).get(subindex, b"")
         return int.from_bytes(written, "little", signed=True)
-
-
-def _digital_inputs() -> Any:
-    variable = canopen.objectdictionary.ODVariable("Digital inputs", DIGITAL_INPUTS)
-    variable.data_type = canopen.objectdictionary.UNSIGNED32
-    variable.access_type = "ro"
-    return variable

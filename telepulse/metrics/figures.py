@@ -152,4 +152,7 @@ FIGURES = [
     ),
 ]
 # What a summary says besides; faults are words (`families`).
-NOT_FIGURES = {"speed", "loop.realtime", "faults", *(f"limited.{limit}.share" for limit in NAMES)}
+NOT_FIGURES = {
+    *("speed", "loop.realtime", "faults", "finger"),
+    *(f"limited.{limit}.share" for limit in NAMES),
+}

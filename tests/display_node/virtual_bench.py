@@ -10,8 +10,8 @@ import numpy as np
 from display_node.actuators.stepper import StepperScene
 from display_node.display import Display, Felt
 from display_node.drives.axis import Axis, build_axis
-from display_node.drives.drive import DriveStatus
-from display_node.drives.told_way import ToldWay
+from display_node.drives.drive import DriveStatus, no_film
+from display_node.drives.supervisor import Supervisor
 from display_node.hardware import Hardware
 from display_node.scene import DisplayScene
 from display_node.step_rate import StepCommand
@@ -35,51 +35,77 @@ TOUCHING_HZ = 1_600.0
 
 
 class VirtualDrive:
-    """A drive that obeys `late_ns` after it was told, with soft limits."""
+    """A drive that obeys `late_ns` after it was told, commanded by the product's supervision.
 
-    def __init__(self, motor: EmulatedMotor, axis: Axis, late_ns: int) -> None:
+    obeys: it is reached at all; answers: it is heard.
+    """
+
+    def __init__(self, motor: EmulatedMotor, axis: Axis, late_ns: int, watchdog_ns: int) -> None:
         self.motor, self._axis, self._late_ns = motor, axis, late_ns
         self.now_ns = self.told_ns = 0
-        self.fault: str | None = None
+        self.supervisor = Supervisor(axis, watchdog_ns)
         self.counts: Counter[str] = Counter()
         self.commands: list[float] = []
         self.closed = False
-        self._told = ToldWay()
+        self.obeys = self.answers = True
+        self.arm()
+
+    def arm(self) -> None:
+        """It stands at first touch."""
+        self.supervisor.arm(self.now_ns)
+        self.supervisor.verified = True
+        self._hear()
 
     def way_m(self, now_ns: int) -> float:
-        return self._told.way_m(now_ns)
+        return self.supervisor.way_m(now_ns)
 
-    def start(self) -> None:
+    def start(self, force_n: Callable[[], float | None] = no_film) -> None:
         """It stands at first touch already."""
 
     def command(self, command: StepCommand) -> None:
-        if self.fault is not None:
-            return
-        motor = self.motor
-        motor.advance(max(self.now_ns, self.told_ns) + self._late_ns)
-        if motor.fault or motor.tripped:
-            return
-        motor.feed()
-        velocity = self._axis.velocity(command, motor.tip_m, 0)
-        self.commands.append(velocity * self._axis.units.step_m)
-        motor.run(velocity)
-        self._told.tell(self.commands[-1], max(self.now_ns, self.told_ns))
+        if self.supervisor.fault is None:
+            self.supervisor.command(self._axis.units.signed(command), self.now_ns)
+            self._send()
+
+    def run_thread(self, now_ns: int) -> None:
+        """What the drive's own thread does, once a millisecond."""
+        self.now_ns = self.told_ns = now_ns
+        self._hear()
+        self.supervisor.watch(now_ns)
+        if self.supervisor.fault is not None:
+            self._send()
+
+    def press(self, force_n: float, taken_ns: int) -> None:
+        self.supervisor.press(force_n, taken_ns)
 
     def status(self) -> DriveStatus:
-        motor = self.motor
-        motor.advance(self.now_ns)
-        if motor.fault or motor.tripped:
-            self.fault = f"fault: {motor.fault or 'it missed us'}"
-        speed_m_per_s = motor.rate_hz * self._axis.units.step_m
-        moving = bool(speed_m_per_s)
-        held_back = self._axis.travel.held_back
-        return DriveStatus(motor.tip_m, speed_m_per_s, self.fault, moving, self.now_ns, held_back)
+        self._hear()
+        return self.supervisor.status(self.motor.rate_hz * self._axis.units.step_m)
 
-    def stop(self) -> None:
-        self.motor.run(0.0)
+    def withdraw(self, reason: str) -> None:
+        self.supervisor.fail(reason, self.now_ns)
 
     def close(self) -> None:
         self.closed = True
+
+    def _hear(self) -> None:
+        motor = self.motor
+        motor.advance(self.now_ns)
+        if self.answers:
+            self.supervisor.report(motor.tip_m, self.now_ns)
+        if motor.fault:
+            self.supervisor.fail(f"fault: {motor.fault}", self.now_ns)
+
+    def _send(self) -> None:
+        sent_ns = max(self.now_ns, self.told_ns)
+        velocity = self.supervisor.velocity(sent_ns)
+        self.supervisor.sent(velocity, sent_ns)
+        if not self.obeys:
+            return
+        self.motor.advance(sent_ns + self._late_ns)
+        self.motor.feed()
+        self.commands.append(velocity * self._axis.units.step_m)
+        self.motor.run(velocity)
 
 
 class VirtualFilm:
@@ -116,7 +142,8 @@ class VirtualFilm:
 
 @dataclass
 class VirtualBench:
-    """What happens on it is changed between two runs: `sending`, `display_runs`, `drive`, `film`.
+    """What happens on it is changed between two runs: `sending`, `drive`, `film`, and which threads
+    of the display's process run: `loop_runs`, `thread_runs` (the drive's), and which wakes first.
 
     moments: of the motor, every ms; felt: of the display's ticks, with their times.
     """
@@ -124,7 +151,9 @@ class VirtualBench:
     force_n: Callable[[float], float]
     changes: dict[str, object] = field(default_factory=dict)
     sending: bool = True
-    display_runs: bool = True
+    loop_runs: bool = True
+    thread_runs: bool = True
+    loop_first: bool = False
     command_late_ns: Callable[[int], int] = lambda _: 0
 
     def __post_init__(self) -> None:
@@ -137,7 +166,8 @@ class VirtualBench:
         # The film's delivery is part of the latency that a bench shows.
         assert isinstance(scene.actuator, StepperScene)
         late_ns = scene.actuator.latency_ns - DELIVERY_NS
-        self.drive = VirtualDrive(motor, axis, late_ns)
+        assert scene.drive is not None
+        self.drive = VirtualDrive(motor, axis, late_ns, scene.drive.watchdog_ns)
         self.film = VirtualFilm(motor, Readings(scene.feedback))
         self._start_display()
         self.sender = Sender()
@@ -147,6 +177,7 @@ class VirtualBench:
         self.now_ms = self._ticked_ms = FIRST_MS
         self.drive.now_ns = self.film.now_ns = FIRST_MS * MS
         motor.advance(FIRST_MS * MS)
+        self.drive.arm()
         self.hardware.read()
 
     def run(self, ms: int) -> None:
@@ -159,8 +190,22 @@ class VirtualBench:
             while self._waiting and self._waiting[0][0] <= now_ns:
                 self.display.on_frame(self._waiting.pop(0)[1], now_ns)
             self.drive.motor.advance(now_ns)
-            if self.display_runs and self.now_ms % TICK_MS == 0:
-                self._tick(now_ns)
+            for thread in (self._run_loop, self._run_thread)[:: 1 if self.loop_first else -1]:
+                thread(now_ns)
+
+    def _run_loop(self, now_ns: int) -> None:
+        if self.loop_runs and self.now_ms % TICK_MS == 0:
+            self._tick(now_ns)
+
+    def _run_thread(self, now_ns: int) -> None:
+        if self.thread_runs:
+            self.drive.run_thread(now_ns)
+
+    def stall(self, ms: int) -> None:
+        """Let time pass in which the display's process does not run, as after SIGSTOP."""
+        self.loop_runs = self.thread_runs = False
+        self.run(ms)
+        self.loop_runs = self.thread_runs = True
 
     def restart(self) -> None:
         """After a fault the display is started anew, which brings the drive to first touch."""
@@ -169,7 +214,8 @@ class VirtualBench:
         motor.watch(0)
         self.now_ms = to_touch(motor, self.now_ms * MS) // MS
         motor.watch(self.scene.drive.watchdog_ns if self.scene.drive else 0)
-        self.drive.fault, self.drive.now_ns = None, self.now_ms * MS
+        self.drive.now_ns = self.now_ms * MS
+        self.drive.arm()
         self.film.silent, self._ticked_ms = False, self.now_ms
         self._start_display()
 

@@ -62,6 +62,7 @@ FULL = Summary(
         60.5, 0.167, 0.005, 0.805, 0.022, 0.001, 0.0, 0.0, played=0.172, judged=0.167
     ),
     faults=["silence", "force limit"],
+    finger="withdrawn",
 )
 KEYS = {
     "samples": {"sent", "played", "late", "lost", "before_joining"},
@@ -88,6 +89,7 @@ KEYS = {
     "rejected": set(),
     "hardware": set(),
     "faults": None,
+    "finger": None,
 }
 
 
@@ -221,6 +223,7 @@ def test_people_read_the_same() -> None:
         "": "2 truncated: messages that end too early; the peer is no node, or bytes were lost",
         "hardware": "3 film crc",
         "faults": "silence; force limit",
+        "finger": "withdrawn",
     }
     assert printed(FULL).splitlines()[0].strip() == "display-node"
 

@@ -6,6 +6,7 @@ from functools import partial
 
 import pytest
 
+from display_node.drives.withdrawal import Outcome
 from display_node.step_rate import StepCommand
 
 from .benches import Bench, cia402_bench, slcan_bench, stepper, tmcl_bench, wait
@@ -97,21 +98,20 @@ def test_the_soft_limit_holds_the_tip_back(make: MakeBench) -> None:
 
 
 @pytest.mark.parametrize("fault", ["overtemperature", "following error"])
-def test_a_fault_of_the_drive_is_named_and_nothing_moves_until_start(
+def test_a_fault_of_the_drive_is_named_and_the_tip_leaves_as_soon_as_the_drive_obeys(
     make: MakeBench, fault: str
 ) -> None:
     with make() as bench:
         bench.drive.start()
-        bench.keep(RATE_HZ, lambda: bench.motor.rate_hz > 0)
+        bench.keep(RATE_HZ, lambda: bench.motor.tip_m > 0.05e-3)
         bench.motor.fail(fault)  # type: ignore[arg-type]
         bench.keep(RATE_HZ, lambda: bench.drive.status().fault is not None)
         named = (bench.drive.status().fault or "").replace("deviation", "following error")
         assert fault in named
-        wait(lambda: bench.at_rest)
         bench.motor.reset()
-        for _ in range(100):
-            bench.drive.command(StepCommand(RATE_HZ, 1))
-            assert bench.at_rest
+        wait(lambda: bench.drive.status().withdrawal is not Outcome.UNDER_WAY)
+        wait(lambda: bench.at_rest)
+        assert bench.motor.tip_m < 0
         bench.drive.start()
         bench.keep(RATE_HZ, lambda: bench.motor.rate_hz > 0)
 
@@ -126,23 +126,28 @@ def test_a_motor_that_cannot_push_on_is_a_fault(make: MakeBench) -> None:
         assert any(name in str(bench.drive.status().fault) for name in ("stall", "blocked"))
 
 
-def test_no_command_for_the_watchdogs_time_is_a_fault(make_any: MakeBench) -> None:
+def test_without_commands_for_the_watchdogs_time_the_tip_leaves(make_any: MakeBench) -> None:
     with make_any() as bench:
         bench.drive.start()
-        bench.keep(RATE_HZ, lambda: bench.motor.rate_hz > 0)
-        wait(lambda: bench.at_rest)
+        bench.keep(RATE_HZ, lambda: bench.motor.tip_m > 0.05e-3)
         wait(lambda: bench.drive.status().fault is not None)
+        wait(lambda: bench.drive.status().withdrawal is Outcome.WITHDRAWN)
+        wait(lambda: bench.at_rest)
+        assert bench.motor.tip_m < -0.2e-3
         bench.drive.command(StepCommand(RATE_HZ, 1))
         assert bench.at_rest
 
 
-def test_stop_rests_and_stays_there(make: MakeBench) -> None:
+def test_a_withdrawn_tip_stays_off_the_finger(make: MakeBench) -> None:
     with make() as bench:
         bench.drive.start()
-        bench.keep(RATE_HZ, lambda: bench.motor.rate_hz > 0)
-        bench.drive.stop()
+        bench.keep(RATE_HZ, lambda: bench.motor.tip_m > 0.1e-3)
+        bench.drive.withdraw("stopped")
+        wait(lambda: bench.drive.status().withdrawal is Outcome.WITHDRAWN)
         wait(lambda: bench.at_rest)
-        wait(lambda: not bench.drive.status().moving)
-        bench.drive.command(StepCommand(RATE_HZ, 1))
+        away_m = bench.motor.tip_m
+        assert away_m < -0.2e-3
+        for _ in range(100):
+            bench.drive.command(StepCommand(RATE_HZ, 1))
         assert bench.drive.status().fault == "stopped"
-        assert bench.at_rest
+        assert bench.motor.tip_m == away_m

@@ -13,7 +13,7 @@ from display_node.drives.axis import build_axis
 from display_node.drives.tmcl import TmclDrive
 from display_node.drives.tmcl_line import TmclLine
 from display_node.drives.tmcl_numbers import Command, Parameter
-from display_node.step_rate import StepCommand
+from display_node.drives.withdrawal import Outcome
 from protocol.errors import DriveError
 from telepulse.emulate.tmcl_module import DATAGRAM, EmulatedModule, checksum
 
@@ -43,13 +43,12 @@ def test_answers_that_are_none_stop_the_motor_and_are_counted(
         bench.emulator.late_s = 0.15
         bench.emulator.answers = answers
         bench.keep(RATE_HZ, lambda: bench.drive.status().fault is not None)
-        wait(lambda: bench.at_rest)
         assert bench.drive.counts[named] > 0
         # None of what a module says late or wrongly is taken for an answer to something else.
         bench.emulator.answers = "right"
-        for _ in range(50):
-            bench.drive.command(StepCommand(RATE_HZ, 1))
-            assert bench.at_rest
+        wait(lambda: bench.drive.status().withdrawal is not Outcome.UNDER_WAY)
+        wait(lambda: bench.at_rest)
+        assert bench.motor.tip_m < 0
         bench.drive.start()
         assert bench.drive.status().fault is None
 

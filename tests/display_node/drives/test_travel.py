@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from display_node.actuators.stepper import StepperScene
 from display_node.drives.axis import build_axis
 from display_node.drives.travel import Travel
-from display_node.step_rate import StepCommand
 from telepulse.emulate.motor import TICK_NS, EmulatedMotor
 
 from .benches import FORCE_LIMIT_N, LAYER, stepper, tmcl_scene
@@ -36,15 +35,6 @@ def test_what_is_beyond_an_end_may_only_come_back() -> None:
     assert travel.bound(0.1, -0.0021, 0.0) > 0.0
 
 
-def test_it_says_when_a_speed_is_held_back_before_the_far_end() -> None:
-    travel = Travel(-0.002, 0.003, 20.0, 0.05)
-    held_back = []
-    for speed, position_m in [(0.1, 0.0029), (0.001, 0.0), (0.1, 0.0031), (-0.1, -0.0021), (0, 0)]:
-        travel.bound(speed, position_m, 0.0)
-        held_back.append(travel.held_back)
-    assert held_back == [True, False, True, False, False]
-
-
 @pytest.mark.parametrize("speed", [math.nan, 0.0])
 def test_no_number_is_no_motion(speed: float) -> None:
     assert Travel(-1, 1, 20.0, 0.05).bound(speed, 0.0, 0.0) == 0.0
@@ -66,9 +56,9 @@ def test_whenever_the_commands_end_the_watchdog_stops_the_tip_before_the_end_of_
     for tick in range(1, killed_after_ms + 200):
         if tick <= killed_after_ms:
             known_m = tips_m[max(0, len(tips_m) - 1 - heard_ms_ago)]
-            command = StepCommand(1e9, direction)
-            velocity = axis.velocity(command, known_m, heard_ms_ago * 1_000_000)
-            motor.run(velocity)
+            wanted = direction * axis.max_speed_m_per_s
+            speed = axis.travel.bound(wanted, known_m, heard_ms_ago * 1e-3)
+            motor.run(axis.units.velocity(speed))
             motor.feed()
         motor.advance((motor_ms(motor) + 1) * TICK_NS)
         tips_m.append(motor.tip_m)

@@ -6,8 +6,9 @@ from collections import Counter, deque
 import pytest
 
 from display_node.actuators.stepper import Stepper, StepperScene
+from display_node.drives.commanded_position import CommandedPosition
 from display_node.drives.drive import DriveStatus
-from display_node.drives.told_way import ToldWay
+from display_node.drives.withdrawal import Outcome
 from display_node.scene import DisplayScene
 from display_node.step_rate import StepCommand, StepRate
 from protocol.errors import BenchError, DriveError
@@ -37,8 +38,9 @@ class Bench:
         self._samples: list[tuple[int, float]] = []
         self.fault: str | None = None
         self.counts: Counter[str] = Counter()
-        self.stops = 0
-        self._way = ToldWay()
+        self.withdrawals = 0
+        self._way = CommandedPosition()
+        self._outcome: Outcome | None = None
 
     def _advance(self) -> None:
         while self._now_ns + MS <= time.monotonic_ns():
@@ -53,7 +55,7 @@ class Bench:
     def command(self, command: StepCommand) -> None:
         # Told at one of its own instants, so that the way it says is the way it goes.
         self._advance()
-        self._way.tell(command.rate_hz * command.direction * STEP_M, self._now_ns)
+        self._way.record(command.rate_hz * command.direction * STEP_M, self._now_ns)
         self._queue.append((self._now_ns + self._late_ns, command))
 
     def way_m(self, now_ns: int) -> float:
@@ -62,12 +64,16 @@ class Bench:
     def status(self) -> DriveStatus:
         self._advance()
         speed = self._told.rate_hz * self._told.direction * STEP_M
-        return DriveStatus(self._stepper.screw_m, speed, self.fault, speed != 0, self._now_ns)
+        place_m = self._stepper.screw_m
+        if self._outcome is Outcome.UNDER_WAY and place_m <= 0:
+            self._outcome, self._told = Outcome.WITHDRAWN, StepCommand(0.0, 0)
+        return DriveStatus(place_m, speed, self.fault, speed != 0, self._now_ns, self._outcome)
 
-    def stop(self) -> None:
-        self.stops += 1
-        self._told = StepCommand(0.0, 0)
+    def withdraw(self, reason: str) -> None:
+        self.withdrawals += 1
+        self._outcome = Outcome.UNDER_WAY
         self._queue.clear()
+        self._told = StepCommand(0.02 / STEP_M, -1)
 
     def close(self) -> None:
         """Nothing to do."""
@@ -100,7 +106,7 @@ def test_a_real_bench_is_identified(scene: DisplayScene) -> None:
     assert found.contact is not None
     assert found.contact.finger_n_per_m == pytest.approx(1300.0, rel=0.05)
     assert found.identified.delay_s == pytest.approx(6e-3, abs=2e-3)
-    assert drive.stops == 0
+    assert drive.withdrawals == 0
 
 
 @pytest.mark.parametrize("why", ["too much", "silent"])
@@ -119,7 +125,7 @@ def test_a_press_that_is_given_up_goes_back_off_the_finger(scene: DisplayScene, 
     with pytest.raises(BenchError, match="stopped pressing and went back"):
         press_stepper(Recorder(rig, 0.1, 0.3), actuator, 0.3)
     assert max(pressed_n) > 0.05
-    assert drive.stops == 1
+    assert drive.withdrawals == 1
     assert Bench.poll(drive)[-1].force_n[0] == pytest.approx(0.0, abs=5e-3)
 
 

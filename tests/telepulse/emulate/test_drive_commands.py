@@ -205,8 +205,8 @@ def test_a_cia_402_drive_is_moved_from_another_process_and_its_end_is_named(
         drive.start()
         keep(drive, 400.0, lambda: drive.status().position_m > 50e-6)
         child.send_signal(signal.SIGTERM)
-        assert child.wait(LONGEST_S) == 0
         keep(drive, 0.0, lambda: drive.status().fault is not None)
+        assert child.wait(LONGEST_S) == 0
         assert str(drive.status().fault).startswith(("unplugged", "no answer"))
         drive.close()
 

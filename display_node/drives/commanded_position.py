@@ -1,0 +1,119 @@
+"""Where a drive's commands lead, and whether the drive's own position follows them.
+
+CiA 402 calls the distance between the two the following error. Pure: times come in, in ns on the
+monotonic clock.
+"""
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+# Speed changes that are kept: 128 ms of a 1 kHz loop.
+LEGS = 128
+# From a command to a reported position that shows it: the drive's reaction, and the report's age.
+LATE_NS = 30_000_000
+# A position further than this from every place commanded within LATE_NS does not follow. At 1 N/mm
+# it stands for 150 mN.
+TOLERANCE_M = 150e-6
+# Positions that do not follow for so long are a fault; one report may be wrong by itself.
+WITHIN_NS = 20_000_000
+# Each command reaches the drive somewhat early or late, and no drive ramps quite as it is told: the
+# comparison forgets with time, and with the way. 7 % of the way is thus taken for following.
+DRIFT_S = 5.0
+DRIFT_M = 2e-3
+
+
+class CommandedPosition:
+    """The integral of the speeds a drive was sent, from anywhere, each reached by a ramp."""
+
+    def __init__(self, acceleration_m_per_s2: float = math.inf) -> None:
+        self._acceleration = acceleration_m_per_s2
+        # When each speed was sent, the way and the speed until then, and the speed sent.
+        self._legs: deque[_Leg] = deque([_Leg(0, 0.0, 0.0, 0.0)], maxlen=LEGS)
+
+    def record(self, speed_m_per_s: float, now_ns: int) -> None:
+        """Record a speed that was sent at a time, perhaps the same again."""
+        last = self._legs[-1]
+        if speed_m_per_s != last.sent:
+            way_m, speed = last.after((now_ns - last.sent_ns) * 1e-9, self._acceleration)
+            self._legs.append(_Leg(now_ns, way_m, speed, speed_m_per_s))
+
+    def way_m(self, now_ns: int) -> float:
+        """Return the way in m until a time, as far back as speeds are kept."""
+        for leg in reversed(self._legs):
+            if now_ns >= leg.sent_ns:
+                return leg.after((now_ns - leg.sent_ns) * 1e-9, self._acceleration)[0]
+        return self._legs[0].way_m
+
+    def bounds_m(self, from_ns: int, to_ns: int) -> tuple[float, float]:
+        """Return the least and the greatest way in m within a time, to the speeds sent."""
+        ways = [self.way_m(from_ns), self.way_m(to_ns)]
+        ways += [leg.way_m for leg in self._legs if from_ns < leg.sent_ns < to_ns]
+        return min(ways), max(ways)
+
+
+class _Leg(NamedTuple):
+    """Speeds in m/s: when the last one was sent, and the one that was sent."""
+
+    sent_ns: int
+    way_m: float
+    speed: float
+    sent: float
+
+    def after(self, seconds: float, acceleration: float) -> tuple[float, float]:
+        """Return way in m and speed in m/s so much later."""
+        change = self.sent - self.speed
+        ramp_s = abs(change) / acceleration
+        if seconds < ramp_s:
+            reached = self.speed + math.copysign(acceleration * seconds, change)
+            return self.way_m + 0.5 * (self.speed + reached) * seconds, reached
+        ramped_m = 0.5 * (self.speed + self.sent) * ramp_s
+        return self.way_m + ramped_m + self.sent * (seconds - ramp_s), self.sent
+
+
+class FollowingError:
+    """Compares reported positions with the commanded one.
+
+    The first report after `begin` fixes where the way began. error_m: of the last report, signed,
+    beyond what LATE_NS explains. failed: the error was beyond TOLERANCE_M for WITHIN_NS.
+    """
+
+    def __init__(self, acceleration_m_per_s2: float) -> None:
+        self._commanded = CommandedPosition(acceleration_m_per_s2)
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget all reports."""
+        self._origin_m = math.nan
+        self._last_m = 0.0
+        self._last_ns = self._good_ns = 0
+        self.error_m = 0.0
+        self.failed = False
+
+    def record(self, speed_m_per_s: float, now_ns: int) -> None:
+        """Record a speed that was sent at a time."""
+        self._commanded.record(speed_m_per_s, now_ns)
+
+    def position_m(self, now_ns: int) -> float:
+        """Return the commanded position in m from first touch; NaN before the first report."""
+        return self._origin_m + self._commanded.way_m(now_ns)
+
+    def report(self, position_m: float, heard_ns: int) -> None:
+        """Take a reported position in m from first touch, and when it was received."""
+        if math.isnan(self._origin_m):
+            self._origin_m = position_m - self._commanded.way_m(heard_ns)
+            self._last_ns = self._good_ns = heard_ns
+            self._last_m = self._commanded.way_m(heard_ns)
+            return
+        low_m, high_m = self._commanded.bounds_m(heard_ns - LATE_NS, heard_ns)
+        way_m = position_m - self._origin_m
+        self.error_m = way_m - min(max(way_m, low_m), high_m)
+        commanded_m = self._commanded.way_m(heard_ns)
+        drift = (heard_ns - self._last_ns) * 1e-9 / DRIFT_S
+        drift += abs(commanded_m - self._last_m) / DRIFT_M
+        self._origin_m += self.error_m * min(drift, 1.0)
+        self._last_ns, self._last_m = heard_ns, commanded_m
+        if abs(self.error_m) <= TOLERANCE_M:
+            self._good_ns = heard_ns
+        elif heard_ns - self._good_ns >= WITHIN_NS:
+            self.failed = True

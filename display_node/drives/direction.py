@@ -1,0 +1,56 @@
+"""Whether the motor turns the way its commands say, found out before the tip touches a finger.
+
+A wrong `inverted` or two swapped wires make every withdrawal a press. What the drive counts itself
+shows neither, so the home switch and the film are the witnesses.
+"""
+
+from collections.abc import Callable
+
+from protocol.errors import DriveError
+
+# From home towards the finger: further than any switch needs to open.
+OPENED_M = 0.3e-3
+# On its way to first touch the tip presses nothing; a film that reads so much more is pressed.
+PRESSED_N = 0.1
+ADVICE = "look at [display.drive] inverted and at the motor's wiring"
+
+
+class TouchGuard:
+    """Ends a motion away from the finger, or up to first touch, on which the film is pressed."""
+
+    def __init__(self, force_n: Callable[[], float | None]) -> None:
+        """force_n gives the film's newest reading, None where there is none."""
+        self._force_n = force_n
+        self._least_n = force_n()
+
+    def __call__(self) -> None:
+        """Raise DriveError where the film reads more than the least until now explains."""
+        force_n = self._force_n()
+        if force_n is None:
+            return
+        if self._least_n is None or force_n < self._least_n:
+            self._least_n = force_n
+        elif force_n > self._least_n + PRESSED_N:
+            rise_mn = (force_n - self._least_n) * 1e3
+            raise DriveError(
+                "wrong way", f"the film reads {rise_mn:.0f} mN more before first touch; {ADVICE}"
+            )
+
+
+def opened_m(touch_m: float) -> float:
+    """Return how far to go from home, in m, until the home switch must have opened."""
+    return min(OPENED_M, touch_m / 2)
+
+
+def check_switch(closed: bool | None, went_m: float) -> None:
+    """Raise DriveError unless the home switch is open so far towards the finger.
+
+    closed is None where the drive does not report its switch: then home itself, which its search
+    has found by that switch, is what there is.
+    """
+    if closed:
+        raise DriveError(
+            "wrong way",
+            f"the home switch is closed {went_m * 1e3:.2g} mm from home, towards the finger;"
+            f" {ADVICE}",
+        )

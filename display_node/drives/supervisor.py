@@ -1,0 +1,185 @@
+"""What one drive is commanded: the loop's speed within its limits, or the way off the finger.
+
+Whatever goes wrong, the tip withdraws as long as the drive obeys. The decision is here, once for
+all kinds of drive, so that it depends neither on the kind nor on which thread of the process wakes
+first. Pure: times come in, in ns on the monotonic clock; its caller serialises the calls.
+"""
+
+from display_node.drives.axis import Axis
+from display_node.drives.commanded_position import CommandedPosition, FollowingError
+from display_node.drives.drive import DriveStatus
+from display_node.drives.withdrawal import Outcome, Withdrawal
+
+
+class Supervisor:
+    """Bounds, watches and withdraws one drive.
+
+    fault: the first one, which holds until `arm`; None while there is none. withdrawal: under way
+    or ended since then. verified: the motor turns the way that its commands say; without, a fault
+    leaves the drive at rest, as a withdrawal might go towards the finger. position_m and
+    position_ns: where the tip was reported last, from first touch, and when; answered_ns: when the
+    drive answered anything.
+    """
+
+    def __init__(self, axis: Axis, watchdog_ns: int) -> None:
+        self._axis = axis
+        self._watchdog_ns = watchdog_ns
+        self._commanded = CommandedPosition()
+        self._following = FollowingError(axis.max_acceleration_m_per_s2)
+        # The loop's speed and when it came; 0 before the first.
+        self._command = (0.0, 0)
+        self._stepped_ns = 0
+        self._held_back = False
+        self.fault: str | None = "not started"
+        self.withdrawal: Withdrawal | None = None
+        self.verified = False
+        self.position_m = axis.lowest_m
+        self.position_ns = self.answered_ns = 0
+
+    @property
+    def outcome(self) -> Outcome | None:
+        """How far the withdrawal has come; None where there is none."""
+        return None if self.withdrawal is None else self.withdrawal.outcome
+
+    @property
+    def commanded_ns(self) -> int:
+        """When the loop commanded last; 0 before its first command."""
+        return self._command[1]
+
+    def arm(self, now_ns: int) -> None:
+        """Follow the loop's commands from now on, whatever was wrong before."""
+        self.fault = self.withdrawal = None
+        self.verified = False
+        self._following.begin()
+        self.position_ns = self.answered_ns = self._stepped_ns = now_ns
+        self.pause()
+
+    def pause(self) -> None:
+        """Rest, and expect no command before the loop's first one."""
+        self._command = (0.0, 0)
+
+    def end(self, fault: str) -> None:
+        """Take no commands any more, and withdraw no more: the drive is let go of."""
+        self.fault = self.fault or fault
+
+    def command(self, speed_m_per_s: float, now_ns: int) -> None:
+        """Take the loop's speed, positive into the finger; the latest one counts."""
+        self._command = (speed_m_per_s, now_ns)
+
+    def answered(self, now_ns: int) -> None:
+        """Note that the drive answers."""
+        self.answered_ns = now_ns
+
+    def report(self, position_m: float, now_ns: int) -> None:
+        """Take a position that the drive reported, in m from first touch."""
+        # A host that stood still must not blame the drive, which its own watchdog has stopped.
+        self.watch(now_ns)
+        self.position_m = position_m
+        self.position_ns = self.answered_ns = now_ns
+        if self.withdrawal is not None:
+            self.withdrawal.report(position_m, now_ns)
+        if self.fault is None:
+            self._following.report(position_m, now_ns)
+            if self._following.failed:
+                error_um = self._following.error_m * 1e6
+                self.fail(
+                    f"following error: it reports {abs(error_um):.0f} µm"
+                    f" {'more' if error_um > 0 else 'less'} than was commanded",
+                    now_ns,
+                )
+
+    def press(self, force_n: float, taken_ns: int) -> None:
+        """Take a reading of the film under the finger, in N."""
+        if self.withdrawal is not None:
+            self.withdrawal.press(force_n, taken_ns)
+
+    def fail(self, fault: str, now_ns: int) -> None:
+        """Latch a fault and begin the withdrawal; a second one changes nothing."""
+        if self.fault is not None:
+            return
+        self.fault = fault
+        if not self.verified:
+            return
+        commanded_m = self._following.position_m(now_ns)
+        # NaN before the first report: then the reported position stands alone.
+        furthest_m = min(max(self.position_m, commanded_m), self._axis.furthest_m)
+        self.withdrawal = Withdrawal(
+            now_ns,
+            furthest_m,
+            self._commanded.way_m(now_ns),
+            self._axis.clear_m,
+            trusted=not self._following.failed,
+        )
+
+    def held(self, now_ns: int) -> None:
+        """Note that a command was not carried out, as far as is known: it is no way made."""
+        if self.withdrawal is not None:
+            self.withdrawal.renew(now_ns, self._commanded.way_m(now_ns))
+
+    def watch(self, now_ns: int) -> None:
+        """Fail where commands or answers have stayed away for the watchdog's time.
+
+        Call it often. A pause between its own calls is the host's: no command went out in it, and
+        no answer could be received.
+        """
+        stalled_ns = now_ns - self._stepped_ns
+        self._stepped_ns = max(now_ns, self._stepped_ns)
+        if self.fault is not None:
+            return
+        _, commanded_ns = self._command
+        uncommanded_ns = max(stalled_ns, now_ns - commanded_ns if commanded_ns else 0)
+        silent_ns = now_ns - self.answered_ns
+        if uncommanded_ns > self._watchdog_ns:
+            self.fail(f"no command for {uncommanded_ns * 1e-6:.0f} ms", now_ns)
+        elif silent_ns > self._watchdog_ns:
+            self.fail(f"no answer for {silent_ns * 1e-6:.0f} ms", now_ns)
+
+    def velocity(self, now_ns: int) -> int:
+        """Return what to send the drive now, in its units; `sent` records that it was."""
+        if self.withdrawal is not None:
+            speed = self.withdrawal.speed_m_per_s(now_ns, self._commanded.way_m(now_ns))
+        elif self.fault is not None:
+            speed = 0.0
+        else:
+            speed = self._within_limits(self._command[0], now_ns)
+        return self._axis.units.velocity(speed)
+
+    def sent(self, velocity: int, now_ns: int) -> None:
+        """Record a velocity in the drive's units that was sent at a time."""
+        speed_m_per_s = self._axis.units.speed_m_per_s(velocity)
+        self._commanded.record(speed_m_per_s, now_ns)
+        self._following.record(speed_m_per_s, now_ns)
+
+    def status(self, speed_m_per_s: float) -> DriveStatus:
+        """Return the drive's status; the speed is what the drive reported last, in m/s."""
+        return DriveStatus(
+            self.position_m,
+            speed_m_per_s,
+            self.fault,
+            speed_m_per_s != 0,
+            self.position_ns,
+            self.outcome,
+            self.answered_ns,
+            self._held_back,
+        )
+
+    def way_m(self, now_ns: int) -> float:
+        """Return how far the commands lead until a time, in m from anywhere."""
+        return self._commanded.way_m(now_ns)
+
+    def _within_limits(self, speed_m_per_s: float, now_ns: int) -> float:
+        """Return the speed within the limits of speed and travel.
+
+        The travel is bounded by the reported position and by the commanded one: where a report is
+        wrong, the commands alone do not lead beyond it.
+        """
+        axis, limit = self._axis, self._axis.max_speed_m_per_s
+        wanted = min(max(speed_m_per_s, -limit), limit)
+        age_s = (now_ns - self.position_ns) * 1e-9
+        bounded = axis.travel.bound(wanted, self.position_m, age_s)
+        commanded_m = self._following.position_m(now_ns)
+        # NaN before the first report.
+        if commanded_m == commanded_m:
+            bounded = axis.travel.bound(bounded, commanded_m, 0.0)
+        self._held_back = 0 <= bounded < wanted
+        return bounded

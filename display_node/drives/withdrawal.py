@@ -1,0 +1,135 @@
+"""Taking the tip off the finger: how fast, until when, and what came of it.
+
+Slow until position or film confirms that it goes away from the finger, then fast. A position or a
+force that goes the other way stops it at once. Where nothing confirms it, it ends by the way
+that was commanded. Pure: times come in, in ns on the monotonic clock.
+"""
+
+from enum import Enum
+
+# Away from the finger: unconfirmed, and confirmed. The second leaves a usual pulse in some 30 ms.
+SLOW_M_PER_S = 5e-3
+FAST_M_PER_S = 20e-3
+# What moved towards the finger when it began may take so long to turn, by reports that are late.
+TURN_NS = 30_000_000
+# The same by the film, whose readings are older.
+FILM_TURN_NS = 80_000_000
+CONFIRMED_M = 30e-6
+WRONG_WAY_M = 100e-6
+CONFIRMED_N = 0.02
+WRONG_WAY_N = 0.05
+# Of the highest reading; beyond the fixed part, as noise grows with the sensor's range.
+SHARE = 0.1
+# Readings in a row: one alone may be wrong.
+RISING = 3
+# Without a confirmation for so long, the commanded way bounds it, and this much more.
+PATIENCE_NS = 150_000_000
+MARGIN_M = 0.5e-3
+# Without a report for so long the drive was not reached.
+SILENT_NS = 50_000_000
+# A film that reads more than this after the commanded way is pressed still.
+PRESSED_N = 0.05
+
+
+class Outcome(Enum):
+    """How far a withdrawal has come.
+
+    UNCONFIRMED: it was commanded whole, and the drive's position does not show it. WRONG_WAY: it
+    went towards the finger, and was stopped.
+    """
+
+    UNDER_WAY = "under way"
+    WITHDRAWN = "withdrawn"
+    UNCONFIRMED = "unconfirmed"
+    WRONG_WAY = "wrong way"
+
+
+class Withdrawal:
+    """One withdrawal of a tip, from its begin on.
+
+    outcome: how far it has come. confirmed: position or film has shown that the tip goes away.
+    """
+
+    def __init__(
+        self, now_ns: int, position_m: float, way_m: float, clear_m: float, trusted: bool
+    ) -> None:
+        """Begin.
+
+        Parameters
+        ----------
+        now_ns
+            When it begins.
+        position_m
+            Furthest position that the tip may have, in m from first touch.
+        way_m
+            Commanded way at this time, in m.
+        clear_m
+            Position where the tip is off the finger; negative.
+        trusted
+            Whether the drive's position is to be believed.
+        """
+        self.began_ns = self._counted_ns = now_ns
+        self._peak_m = self._last_m = position_m
+        self._began_m = self._way_m = way_m
+        self._heard_ns = now_ns
+        self._clear_m = clear_m
+        self._blind_m = position_m - clear_m + MARGIN_M
+        self._trusted = trusted
+        self._peak_n = self._last_n = 0.0
+        self._rising = 0
+        self.confirmed = False
+        self.outcome = Outcome.UNDER_WAY
+
+    def report(self, position_m: float, heard_ns: int) -> None:
+        """Take a position that the drive reported, in m from first touch."""
+        silent_ns, self._heard_ns = heard_ns - self._heard_ns, heard_ns
+        self._last_m = position_m
+        if self.outcome is Outcome.UNCONFIRMED and silent_ns > SILENT_NS:
+            # It is reached again, and what was commanded meanwhile may not have reached it.
+            self.renew(heard_ns, self._way_m)
+        if not self._trusted or heard_ns <= self.began_ns or self.outcome is Outcome.WRONG_WAY:
+            return
+        if heard_ns - self.began_ns < TURN_NS:
+            self._peak_m = max(self._peak_m, position_m)
+        elif position_m > self._peak_m + WRONG_WAY_M:
+            self.outcome = Outcome.WRONG_WAY
+            return
+        self.confirmed |= position_m < self._peak_m - CONFIRMED_M
+        if position_m <= self._clear_m:
+            self.outcome = Outcome.WITHDRAWN
+
+    def press(self, force_n: float, taken_ns: int) -> None:
+        """Take a reading of the film, in N."""
+        self._last_n = force_n
+        if self.outcome is not Outcome.UNDER_WAY:
+            return
+        if taken_ns - self.began_ns < FILM_TURN_NS:
+            self._peak_n = max(self._peak_n, force_n)
+        elif force_n > (1 + SHARE) * self._peak_n + WRONG_WAY_N:
+            self._rising += 1
+            if self._rising >= RISING:
+                self.outcome = Outcome.WRONG_WAY
+            return
+        self._rising = 0
+        self.confirmed |= force_n < (1 - SHARE) * self._peak_n - CONFIRMED_N
+
+    def renew(self, now_ns: int, way_m: float) -> None:
+        """Count time and way anew: what was commanded until now may not have moved the motor."""
+        self._counted_ns, self._began_m = now_ns, way_m
+        if self.outcome is Outcome.UNCONFIRMED:
+            self.outcome = Outcome.UNDER_WAY
+
+    def speed_m_per_s(self, now_ns: int, way_m: float) -> float:
+        """Return the speed to command now, negative or 0; way_m is the commanded way by now."""
+        self._way_m = way_m
+        if self.outcome is Outcome.UNDER_WAY:
+            patient = self._trusted and now_ns - self._counted_ns < PATIENCE_NS
+            bounded = not (patient or (self._trusted and self.confirmed))
+            if bounded and self._began_m - way_m >= self._blind_m:
+                there = self._last_m <= self._clear_m
+                self.outcome = Outcome.WITHDRAWN if there else Outcome.UNCONFIRMED
+        if self.outcome is Outcome.UNCONFIRMED and self._last_n > PRESSED_N:
+            return -SLOW_M_PER_S
+        if self.outcome is not Outcome.UNDER_WAY:
+            return 0.0
+        return -(FAST_M_PER_S if self.confirmed else SLOW_M_PER_S)

@@ -1,0 +1,57 @@
+"""Whether the film under the finger and the drive's position can both be true.
+
+A film that reads zero lets the loop press up to the force limit. The contact law of the softest
+finger that a person has gives the least force that a position presses with; below it the film is
+wrong. Far off the finger it reads nothing. Pure: times come in, in ns on the monotonic clock.
+"""
+
+from collections import deque
+
+from display_node.actuators.stepper import StepperScene
+from protocol.tactile import ElasticLayer
+
+# The softest finger, as a share of the scene's `fingertip`. Fingertips are 0.5 to 5 N/mm.
+SOFTEST = 0.25
+# A finger may lie so much lower than the scene's `touch` says, or follow the tip so far.
+PLACE_M = 0.5e-3
+# Noise, and the film's own zero.
+MARGIN_N = 0.05
+# Positions and readings are of different ages, up to this; a contradiction lasts as long.
+WITHIN_NS = 50_000_000
+
+
+class FilmPlausibility:
+    """Compares the film's readings with the positions of the last 50 ms."""
+
+    def __init__(self, actuator: StepperScene, layer: ElasticLayer) -> None:
+        softest = actuator.model_copy(
+            update={"fingertip_n_per_m": SOFTEST * actuator.fingertip_n_per_m}
+        )
+        self._law = softest.contact(layer)
+        self._positions: deque[tuple[int, float]] = deque()
+        self._plausible_ns = 0
+
+    def report(self, position_m: float, heard_ns: int) -> None:
+        """Take a position in m from first touch."""
+        positions = self._positions
+        if not positions or heard_ns > positions[-1][0]:
+            positions.append((heard_ns, position_m))
+        while heard_ns - positions[0][0] > WITHIN_NS:
+            positions.popleft()
+
+    def contradiction(self, force_n: float, taken_ns: int) -> str | None:
+        """Return what contradicts the positions in a reading, once it has done so for 50 ms."""
+        places = [position_m for _, position_m in self._positions]
+        fault = self._named(force_n, min(places), max(places)) if places else None
+        if fault is None or not self._plausible_ns:
+            self._plausible_ns = taken_ns
+        return fault if taken_ns - self._plausible_ns > WITHIN_NS else None
+
+    def _named(self, force_n: float, lowest_m: float, highest_m: float) -> str | None:
+        reads = f"the film reads {force_n * 1e3:.0f} mN"
+        if lowest_m > self._law.position(max(force_n, 0.0) + MARGIN_N) + PLACE_M:
+            least_mn = self._law.force(lowest_m - PLACE_M) * 1e3
+            return f"{reads} where the tip presses with {least_mn:.0f} mN at least"
+        if highest_m < -2 * PLACE_M and force_n > 2 * MARGIN_N:
+            return f"{reads} where the tip is {-highest_m * 1e3:.1f} mm off the finger"
+        return None
