@@ -12,12 +12,12 @@ from display_node.actuators.stepper import StepperScene
 from display_node.film import FilmTable
 from display_node.scene import DisplayScene
 from telepulse.bench.contact import Contact, fit_contact, through_film
-from telepulse.bench.identify import Identified, identify
+from telepulse.bench.identify import TOLD, Identified, identify
 from telepulse.bench.press import GUARD, Phase, Pressed, Recorder, press_stepper, press_voltage
 from telepulse.bench.response import Input
 from telepulse.bench.rig import Rig
 from telepulse.bench.scene_edit import Changes
-from telepulse.bench.verdict import Check, graded
+from telepulse.bench.verdict import Check, doubted, graded
 
 LONGEST_LATENCY_S = 0.05
 # Twice: the latency is needed for the play, and the play for the latency.
@@ -26,6 +26,10 @@ ROUNDS = 2
 UNEXPLAINED_LOOK, UNEXPLAINED_FAIL = 0.1, 0.3
 FINGER_LOOK = 0.2
 WAY_LOOK, WAY_FAIL = 0.05, 0.5
+# A sensor's stamps may be early by some of a tick: nothing tells when its first byte was sent.
+EARLY_TICKS = 0.25
+# Below it a fit has ended at its bound of 0.
+TINY_LATENCY_S = 1e-6
 LATENCY_LOOK_TICKS, LATENCY_LOOK_PLAY_TICKS = 1.0, 2.0
 
 
@@ -41,15 +45,21 @@ class Actuator:
     changes: Changes
 
 
-def check_actuator(rig: Rig, scene: DisplayScene, force_n: float, film_age_s: float) -> Actuator:
+def check_actuator(
+    rig: Rig,
+    scene: DisplayScene,
+    force_n: float,
+    film_age_s: float,
+    least_latency_s: float = 0.0,
+) -> Actuator:
     """Press with at most force_n and identify. Raises BenchError.
 
     film_age_s: how much of the latency is the film's. The proposed scene gives the actuator the
-    rest.
+    rest. least_latency_s: how long a command takes on its line alone.
     """
     if isinstance(scene.actuator, SecondOrderScene):
         return _check_voltage(rig, scene, scene.actuator, force_n)
-    return _check_stepper(rig, scene, scene.actuator, force_n, film_age_s)
+    return _check_stepper(rig, scene, scene.actuator, force_n, film_age_s, least_latency_s)
 
 
 def _check_voltage(
@@ -69,7 +79,12 @@ def _recorder(rig: Rig, scene: DisplayScene, force_n: float) -> Recorder:
 
 
 def _check_stepper(
-    rig: Rig, scene: DisplayScene, actuator: StepperScene, force_n: float, film_age_s: float
+    rig: Rig,
+    scene: DisplayScene,
+    actuator: StepperScene,
+    force_n: float,
+    film_age_s: float,
+    least_latency_s: float,
 ) -> Actuator:
     pressed = press_stepper(_recorder(rig, scene, force_n), actuator, force_n)
     law, lag_s = actuator.contact(scene.layer.layer()), 0.0
@@ -81,12 +96,17 @@ def _check_stepper(
         found = identify(told, *pressed.film(pressed.stairs), LONGEST_LATENCY_S)
         lag_s = found.delay_s
     latency_s = _latency_s(actuator, found, contact) - film_age_s
-    changes = _changes(actuator, found, contact, latency_s) if _fits(found) else {}
+    latency = check_latency(
+        actuator, found, contact, latency_s, least_latency_s=least_latency_s, tick_s=rig.tick_s
+    )
+    # A latency that cannot be is no figure for a scene.
+    told_s = None if latency.doubtful else latency_s
+    changes = _changes(actuator, found, contact, told_s) if _fits(found) else {}
     checks = (
         _check_fit(found),
         _check_way(found),
-        *_check_contact(actuator, contact),
-        _check_latency(actuator, latency_s, rig.tick_s * _tolerance_ticks(contact)),
+        *check_contact(actuator, contact),
+        latency.check,
     )
     return Actuator(pressed, told, found, contact, checks, changes)
 
@@ -127,15 +147,17 @@ def _has_play(contact: Contact) -> bool:
 
 
 def _changes(
-    actuator: StepperScene, found: Identified, contact: Contact, latency_s: float
+    actuator: StepperScene, found: Identified, contact: Contact, latency_s: float | None
 ) -> Changes:
+    """Return the keys that the press determines; latency_s: None where it does not."""
     keys = {"fingertip": f'"{contact.finger_n_per_m:.4g} N/m"'}
     if _has_play(contact) and contact.play_m > actuator.step_m:
         keys["backlash"] = f'"{contact.play_m * 1e6:.3g} µm"'
     if _rotor_told(found, contact):
         keys["rotor_resonance"] = f'"{found.model.resonance_hz:.4g} Hz"'
         keys["rotor_damping"] = f"{found.model.damping:.3g}"
-    keys["latency"] = f'"{max(0.0, latency_s) * 1e3:.3g} ms"'
+    if latency_s is not None:
+        keys["latency"] = f'"{max(0.0, latency_s) * 1e3:.3g} ms"'
     return {"display.actuator": keys}
 
 
@@ -155,7 +177,7 @@ def _check_fit(found: Identified) -> Check:
 
 
 def _check_way(found: Identified) -> Check:
-    return graded(
+    check = graded(
         "way",
         f"a step goes {100 / found.model.k:.1f} % of the way it is told",
         abs(1 / found.model.k - 1),
@@ -163,9 +185,18 @@ def _check_way(found: Identified) -> Check:
         WAY_FAIL,
         "commands or steps are lost on the way, or lead and microsteps are wrong",
     )
+    untold = "the record does not determine it" if "k" in found.untold else ""
+    return doubted(check, _of_a_bad_fit(found) or untold)
 
 
-def _check_contact(actuator: StepperScene, contact: Contact) -> tuple[Check, ...]:
+def _of_a_bad_fit(found: Identified) -> str:
+    if _fits(found):
+        return ""
+    return f"of no meaning: eq 22 leaves {found.nrmse * 100:.0f} % unexplained"
+
+
+def check_contact(actuator: StepperScene, contact: Contact) -> tuple[Check, ...]:
+    """Judge finger and play, and whether the ramp determines them at all."""
     expected = actuator.fingertip_n_per_m
     finger = graded(
         "finger",
@@ -185,6 +216,17 @@ def _check_contact(actuator: StepperScene, contact: Contact) -> tuple[Check, ...
         np.inf,
         f"the scene says {actuator.backlash_m * 1e6:g} µm",
     )
+    if contact.unexplained > UNEXPLAINED_FAIL:
+        reason = f"the ramp is not a finger's: {contact.unexplained * 100:.0f} % unexplained"
+        return (
+            Check(finger.name, finger.found, "fail", reason),
+            Check(play.name, play.found, "fail", reason),
+        )
+    if contact.finger_within > TOLD * contact.finger_n_per_m:
+        finger = doubted(finger, "the ramp does not determine it: press with more force")
+    if contact.play_m < -max(2 * contact.play_within, 2 * actuator.step_m):
+        reason = "below 0: the way back presses more than the way in; look at film and zero"
+        play = Check(play.name, play.found, "look", reason)
     return finger, play
 
 
@@ -193,13 +235,58 @@ def _tolerance_ticks(contact: Contact) -> float:
     return LATENCY_LOOK_PLAY_TICKS if _has_play(contact) else LATENCY_LOOK_TICKS
 
 
-def _check_latency(actuator: StepperScene, latency_s: float, tolerance_s: float) -> Check:
+@dataclass(frozen=True, slots=True)
+class LatencyCheck:
+    """The check of the latency; doubtful: it is no latency that a drive can have."""
+
+    check: Check
+    doubtful: bool
+
+
+def check_latency(
+    actuator: StepperScene,
+    found: Identified,
+    contact: Contact,
+    latency_s: float,
+    *,
+    least_latency_s: float,
+    tick_s: float,
+) -> LatencyCheck:
+    """Judge a latency from a command to its motion: against the scene, and whether it can be.
+
+    Parameters
+    ----------
+    latency_s : float
+        As it was identified, without the film's share.
+    least_latency_s : float
+        How long a command takes on its line alone; 0 for a model.
+    tick_s : float
+        Of the press. A latency is found to a quarter of a tick.
+    """
     expected_s = actuator.latency_ns * 1e-9
-    return graded(
+    text = f"{latency_s * 1e3:.2f} ms from a command to its motion"
+    check = graded(
         "drive's latency",
-        f"{latency_s * 1e3:.2f} ms from a command to its motion",
+        text,
         abs(latency_s - expected_s),
-        tolerance_s,
+        tick_s * _tolerance_ticks(contact),
         np.inf,
         f"the scene says {expected_s * 1e3:g} ms",
     )
+    early_s, bound_s = -EARLY_TICKS * tick_s, LONGEST_LATENCY_S - tick_s
+    if latency_s < -tick_s or math.isnan(latency_s):
+        reason = "the motion comes before its command: look at the film's time stamps"
+        return LatencyCheck(Check(check.name, text, "fail", reason), True)
+    if found.delay_s >= bound_s:
+        reason = f"at the longest that is searched, {LONGEST_LATENCY_S * 1e3:g} ms"
+        return LatencyCheck(Check(check.name, text, "fail", reason), True)
+    reason = _of_a_bad_fit(found)
+    if latency_s < early_s:
+        reason = reason or "the motion comes before its command: the film's time stamps are early"
+    elif latency_s < least_latency_s + early_s or latency_s < TINY_LATENCY_S < least_latency_s:
+        reason = reason or f"its line alone takes {least_latency_s * 1e3:.2f} ms"
+    elif "latency" in found.untold and _rotor_told(found, contact):
+        reason = reason or "the record does not determine it"
+    if not reason:
+        return LatencyCheck(check, False)
+    return LatencyCheck(Check(check.name, text, "look", reason), True)

@@ -22,7 +22,11 @@ LOWEST_SHARE = 0.1
 @dataclass(frozen=True, slots=True)
 class Contact:
     """The finger's stiffness in N/m, the place of first touch in m from where the press began,
-    and the play in m; each with its 95 % interval to either side."""
+    and the play in m; each with its 95 % interval to either side.
+
+    play_m below 0: the way back presses more than the way in. unexplained: RMS of the places that
+    the fit leaves over, as a share of that of all places.
+    """
 
     finger_n_per_m: float
     finger_within: float
@@ -30,6 +34,7 @@ class Contact:
     touch_within: float
     play_m: float
     play_within: float
+    unexplained: float
 
     def pressed_n(self, law: ContactLaw, way: Input) -> Input:
         """The force that each place of the screw presses with, at rest, on its way in."""
@@ -76,8 +81,9 @@ def fit_contact(pressed: Pressed, law: ContactLaw, film: FilmTable, lag_s: float
         finger_within=float(within[2] / softness**2),
         touch_m=touch_m,
         touch_within=float(within[0]),
-        play_m=max(0.0, play_m),
+        play_m=play_m,
         play_within=float(within[1]),
+        unexplained=float(np.std(off_m) / np.std(x_m)),
     )
 
 

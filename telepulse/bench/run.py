@@ -87,7 +87,8 @@ def check_wrist(findings: Findings, scene: SensingScene, folder: Path, seconds: 
                 heard = listen(sensor, seconds)
         else:
             heard = still_source(scene, folder, seconds)
-        _check_still(findings, "wrist", heard, scene.source.rate_hz)
+        live = isinstance(scene.source, SensorTable)
+        _check_still(findings, "wrist", heard, scene.source.rate_hz, live)
 
 
 def check_display(
@@ -102,7 +103,9 @@ def check_display(
     with findings.part("actuator"):
         film_age_s = scene.film.latency_ns * 1e-9
         actuator = check_actuator(ModelRig(scene), scene, force_n, film_age_s)
-        _check_still(findings, "film", still_film(actuator.pressed), 1e9 / scene.tick_ns)
+        _check_still(
+            findings, "film", still_film(actuator.pressed), 1e9 / scene.tick_ns, live=False
+        )
         _keep(findings, actuator)
 
 
@@ -123,13 +126,15 @@ def _check_drive(
     with findings.part("film"), closing(open_sensor(film, folder, print)) as sensor:
         with findings.part("drive"), closing(drive):
             drive.start()
-            age_s = _check_still(findings, "film", listen(sensor, seconds), film.rate_hz)
+            age_s = _check_still(findings, "film", listen(sensor, seconds), film.rate_hz, live=True)
             findings.add("film", _check_age(age_s))
             findings.add("drive", check_answers(drive, vco))
             # A command that is superseded before it was sent is way that is not made.
             rig = HardwareRig(drive, sensor, vco, max(tick_s, UNHURRIED * exchange_s(table)))
             try:
-                found = check_actuator(rig, scene, force_n, 0.0)
+                found = check_actuator(
+                    rig, scene, force_n, 0.0, least_latency_s=exchange_s(table) / 2
+                )
             except KeyboardInterrupt:
                 rig.retreat()
                 raise
@@ -144,6 +149,9 @@ def _check_drive(
 
 def _check_age(age_s: float) -> Check:
     found = f"the newest sample is up to {age_s * 1e3:.1f} ms old (99 %)"
+    if age_s < 0:
+        reason = "younger than 0: the device's times are ahead of this machine's clock"
+        return Check("age of a reading", found, "fail", reason)
     reason = "let the device send smaller batches; on USB look at the adapter's latency timer"
     return graded("age of a reading", found, age_s, LATE_FILM_AGE_S, MOST_FILM_AGE_S, reason)
 
@@ -153,7 +161,12 @@ def check_loop(findings: Findings, path: Path) -> None:
     if findings.actuator is None:
         return
     text = set_keys(path.read_text(encoding="utf-8"), findings.changes)
-    found = validate(tomllib.loads(text)["display"], DisplayScene, f"{path}: [display]")
+    try:
+        found = validate(tomllib.loads(text)["display"], DisplayScene, f"{path}: [display]")
+    except SceneError as error:
+        # What was found is no value of a scene: the other checks stand all the same.
+        findings.add("loop", Check("margins", "", "fail", str(error)))
+        return
     present, proposed = judge(found, found.controller), design(found)
     findings.designs = present, proposed
     worst = present.worst
@@ -169,11 +182,13 @@ def check_loop(findings: Findings, path: Path) -> None:
         findings.add("loop", Check("margins", shown))
 
 
-def _check_still(findings: Findings, part: str, heard: Heard, nominal_hz: float) -> float:
+def _check_still(
+    findings: Findings, part: str, heard: Heard, nominal_hz: float, live: bool
+) -> float:
     """Check what a sensor said; how old its newest sample is at worst, in s."""
     findings.still[part] = heard
     figures = measure(heard)
-    findings.add(part, *judge_sensor(figures, nominal_hz))
+    findings.add(part, *judge_sensor(figures, nominal_hz, live))
     return figures.age_s
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import BenchError
-from telepulse.bench.verdict import Check, graded
+from telepulse.bench.verdict import Check, doubted, graded
 
 LEAST_SAMPLES = 200
 MAINS_HZ = (50.0, 60.0)
@@ -61,6 +61,8 @@ def measure(heard: Heard) -> SensorFigures:
         raise BenchError(f"{count} samples came; at least {LEAST_SAMPLES} are needed")
     taken_s = (heard.taken_ns - heard.taken_ns[0]) * 1e-9
     period_s, off_s = _line(np.arange(count), taken_s)
+    if not period_s > 0:
+        raise BenchError("the samples' times do not advance: look at the device's clock")
     last = np.cumsum(heard.arrived) - 1
     arrival_s = (heard.arrival_ns - heard.taken_ns[0]) * 1e-9
     _, arrival_off_s = _line(last, arrival_s)
@@ -81,8 +83,9 @@ def measure(heard: Heard) -> SensorFigures:
     )
 
 
-def judge_sensor(figures: SensorFigures, nominal_hz: float) -> list[Check]:
-    """What to think of the figures; nominal_hz: the rate that the scene names."""
+def judge_sensor(figures: SensorFigures, nominal_hz: float, live: bool = False) -> list[Check]:
+    """Judge the figures; nominal_hz: the rate that the scene names; live: of a real sensor, which
+    always has noise."""
     f, period_s = figures, 1 / nominal_hz
     off = abs(f.rate_hz / nominal_hz - 1)
     times = f"{f.jitter_s * 1e6:.0f} µs RMS (arrival: {f.arrival_jitter_s * 1e6:.0f} µs)"
@@ -129,6 +132,10 @@ def judge_sensor(figures: SensorFigures, nominal_hz: float) -> list[Check]:
             "nothing should press now; `telepulse calibrate` finds the zero",
         ),
     ]
+    if not f.noise_n:
+        still = next(check for check in checks if check.name == "noise")
+        reason = "the reading never changes: is the sensor connected, and is its unit right?"
+        checks[checks.index(still)] = doubted(still, reason if live else "")
     if f.mains > MAINS_LOOK and f.noise_n > NOISE_LOOK_N:
         reason = "shield the film, or reject it with `mains` in [sensing.conditioning]"
         checks.append(Check("mains", f"{f.mains * 100:.0f} % of the noise", "look", reason))

@@ -16,6 +16,13 @@ class Check:
     reason: str = ""
 
 
+def doubted(check: Check, reason: str) -> Check:
+    """Return the check, at best "look" for a reason; one that is not "ok" keeps its own."""
+    if not reason or check.verdict != "ok":
+        return check
+    return Check(check.name, check.found, "look", reason)
+
+
 def graded(name: str, found: str, value: float, look: float, fail: float, reason: str) -> Check:
     """A check of a value that should be small: above `look` or `fail`, the reason is told."""
     if not value <= fail:

@@ -2,7 +2,15 @@ import pytest
 
 from display_node.actuators.stepper import StepperScene
 from display_node.scene import DisplayScene
-from telepulse.bench.actuator_check import Actuator, check_actuator
+from telepulse.bench.actuator_check import (
+    Actuator,
+    check_actuator,
+    check_contact,
+    check_latency,
+)
+from telepulse.bench.contact import Contact
+from telepulse.bench.identify import Identified
+from telepulse.bench.response import Model
 from telepulse.bench.rig import ModelRig
 from telepulse.scene import find_scene, load_scene
 
@@ -80,3 +88,51 @@ def test_a_drive_that_loses_steps_is_named() -> None:
     assert number(found, "fingertip") == pytest.approx(500.0, rel=0.05)
     assert verdicts(found)["finger"] == "look"
     assert isinstance(scene.actuator, StepperScene)
+
+
+SHARP = Model(2.6e-6, 1.1e-3, 1.0)
+LINE_S = 0.78e-3
+
+
+def judged(
+    latency_s: float, *, nrmse: float = 0.02, untold: tuple[str, ...] = (), delay_s: float = 2e-3
+) -> tuple[str, bool]:
+    """The verdict on a latency found over a line at a tick of 2 ms, and whether it is doubtful."""
+    _, actuator = bench(latency_ns=400_000)
+    found = Identified(SHARP, (0.0,) * 4, 0.0, nrmse, untold, delay_s)
+    contact = Contact(1000.0, 2.0, 0.0, 1e-6, 0.0, 1e-6, 0.01)
+    judged = check_latency(actuator, found, contact, latency_s, least_latency_s=LINE_S, tick_s=2e-3)
+    assert (judged.check.reason == "") is (judged.check.verdict == "ok")
+    return judged.check.verdict, judged.doubtful
+
+
+@pytest.mark.parametrize(
+    ("latency_s", "verdict"),
+    [(0.9e-3, "ok"), (-0.98e-3, "look"), (2.6e-59, "look"), (-2.5e-3, "fail")],
+)
+def test_a_latency_that_no_drive_can_have_is_not_ok(latency_s: float, verdict: str) -> None:
+    assert judged(latency_s) == (verdict, verdict != "ok")
+
+
+def test_a_latency_of_a_bad_fit_is_not_ok() -> None:
+    assert judged(0.9e-3, nrmse=0.4) == ("look", True)
+    assert judged(0.9e-3, untold=("latency",)) == ("look", True)
+    assert judged(49.5e-3, delay_s=50e-3) == ("fail", True)
+    assert judged(float("nan")) == ("fail", True)
+
+
+@pytest.mark.parametrize(
+    ("contact", "verdicts"),
+    [
+        (Contact(1000.0, 2.0, 0.0, 1e-6, 0.0, 1e-6, 0.01), ["ok", "ok"]),
+        (Contact(1000.0, 700.0, 0.0, 1e-6, 0.0, 1e-6, 0.01), ["look", "ok"]),
+        (Contact(1000.0, 2.0, 0.0, 1e-6, -60e-6, 1e-6, 0.01), ["ok", "look"]),
+        (Contact(1000.0, 2.0, 0.0, 1e-6, 0.0, 1e-6, 0.5), ["fail", "fail"]),
+    ],
+    ids=["plausible", "not determined", "play below 0", "not explained"],
+)
+def test_a_contact_that_the_ramp_does_not_tell_is_not_ok(
+    contact: Contact, verdicts: list[str]
+) -> None:
+    _, actuator = bench()
+    assert [check.verdict for check in check_contact(actuator, contact)] == verdicts

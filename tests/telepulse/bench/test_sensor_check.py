@@ -81,3 +81,18 @@ def test_too_short_a_record_is_refused() -> None:
     short = replace(record, taken_ns=record.taken_ns[:100], force_n=record.force_n[:100])
     with pytest.raises(BenchError, match="100 samples came"):
         measure(short)
+
+
+def test_a_live_reading_that_never_changes_is_not_ok() -> None:
+    record = heard()
+    stuck = replace(record, force_n=np.zeros_like(record.force_n))
+    figures = measure(stuck)
+    for live, verdict in ((True, "look"), (False, "ok")):
+        found = {check.name: check.verdict for check in judge_sensor(figures, 1000.0, live)}
+        assert found["noise"] == verdict
+
+
+def test_times_that_do_not_advance_are_refused() -> None:
+    record = heard()
+    with pytest.raises(BenchError, match="do not advance"):
+        measure(replace(record, taken_ns=np.zeros_like(record.taken_ns)))
