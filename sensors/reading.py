@@ -41,6 +41,9 @@ class Readings:
         self._timeline = Timeline(table.period_ns)
         self._clock = OneWayClock()
         self.samples = self.missing = self.restarts = self.behind = 0
+        self._arrived_ns = 0
+        # Sample and time from which on the measured rate has not been the nominal one.
+        self._off_since: tuple[int, int] | None = None
 
     def of(self, packet: Packet, arrival_ns: int) -> Reading | None:
         """The packet's samples in their place; None when there is no place for them."""
@@ -58,6 +61,7 @@ class Readings:
             return None
         self.samples += len(packet.values)
         self.missing += span.missing
+        self._watch_rate(arrival_ns, whole=not span.missing)
         force_n = self._scale.newtons(packet.values)
         return Reading(span.first_ns, span.end_ns, force_n, span.missing)
 
@@ -75,8 +79,33 @@ class Readings:
             faults.append(f"{self.missing} samples missing from {name}")
         if self.restarts:
             faults.append(f"{name} began its clock anew {self.restarts} times")
-        rate_hz = self._timeline.rate_hz
-        settled = self.samples > SETTLED_S * self._nominal_hz
-        if settled and abs(rate_hz / self._nominal_hz - 1) > RATE_TOLERANCE:
-            faults.append(f"{name} sends {rate_hz:.0f} Hz, the scene says {self._nominal_hz:g} Hz")
+        if self.samples > SETTLED_S * self._nominal_hz and self._rate_is_off:
+            faults.append(self._rate_fault(name, self._timeline.rate_hz))
         return faults
+
+    def lasting_rate_fault(self, name: str) -> str | None:
+        """Return that the sensor's rate is not the scene's, once it has been so for 2 s."""
+        if self._off_since is None:
+            return None
+        first, since_ns = self._off_since
+        count, span_ns = self.samples - first, self._arrived_ns - since_ns
+        if count <= SETTLED_S * self._nominal_hz or span_ns <= 0:
+            return None
+        # Counted: far off the nominal one, the timeline takes longer than this to find the rate.
+        return self._rate_fault(name, count * 1e9 / span_ns)
+
+    def _watch_rate(self, arrival_ns: int, whole: bool) -> None:
+        """Remember since when the measured rate has not been the nominal one, no sample missing."""
+        self._arrived_ns = arrival_ns
+        if not self._rate_is_off:
+            self._off_since = None
+        elif self._off_since is None or not whole:
+            self._off_since = (self.samples, arrival_ns)
+
+    @property
+    def _rate_is_off(self) -> bool:
+        return abs(self._timeline.rate_hz / self._nominal_hz - 1) > RATE_TOLERANCE
+
+    def _rate_fault(self, name: str, rate_hz: float) -> str:
+        scene_hz = f"{self._nominal_hz:g} Hz"
+        return f"{name} sends {rate_hz:.0f} Hz, the scene says {scene_hz}: check its rate"

@@ -85,6 +85,7 @@ class Sensor:
         self._heard: deque[_Heard] = deque()
         self._backlog = 0
         self._losses = 0
+        self._rate_reported = False
         self._gone_since_ns: int | None = None
         self._gone_for_ns = 0
         self._closing = threading.Event()
@@ -104,6 +105,11 @@ class Sensor:
                 reading = self._readings.of(packet, heard.at_ns)
                 if reading is not None:
                     readings.append(reading)
+        if readings and not self._rate_reported:
+            fault = self._readings.lasting_rate_fault(self._port.name)
+            self._rate_reported = fault is not None
+            if fault is not None:
+                self._log(f"warning: {fault}")
         return readings
 
     @property

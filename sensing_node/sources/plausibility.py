@@ -22,6 +22,8 @@ LEAST_PULSE_N = 1e-3
 NEGLIGIBLE_N = 1e-3
 # A share of samples below 0 N up to which a recording may be meant so: noise, a drifting base line.
 MOST_BELOW = 0.1
+# A pulse whose height varies is at its very highest value for less; one that was cut is not.
+MOST_TOPMOST = 0.02
 # What differs by less is equal, and is not stretched to anything.
 SMALLEST = 1e-100
 # Fewer samples may well only rise, and tell no rate.
@@ -119,6 +121,12 @@ def refuse_forces(force_n: NDArray[np.float64], unit: str, preload_n: float) -> 
 def warn_of_forces(force_n: NDArray[np.float64], unit: str, preload_n: float) -> list[str]:
     """Return warnings of forces that may be a pulse's, but hardly as it is meant."""
     warnings, span_n, share = [], float(np.ptp(force_n)), _share_below(force_n)
+    topmost = float(np.count_nonzero(force_n == force_n.max())) / len(force_n)
+    if topmost > MOST_TOPMOST and len(force_n) >= FEW_SAMPLES:
+        warnings.append(
+            f"is at its highest value for {100 * topmost:.0f} % of the samples: was it recorded"
+            " beyond an ADC's range?"
+        )
     if span_n < LEAST_PULSE_N:
         larger = f': is unit = "{unit.removeprefix("m")}" right?' if unit in ("mN", "mV") else ""
         warnings.append(f"is {span_n * 1e3:.3g} mN from peak to peak, which nobody feels{larger}")

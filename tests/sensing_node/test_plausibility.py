@@ -119,6 +119,14 @@ def test_a_pulse_that_dips_below_zero_is_warned_of(tmp_path: Path) -> None:
     )
 
 
+def test_a_recording_that_an_adc_has_cut_is_warned_of(tmp_path: Path) -> None:
+    whole = np.round(PULSE_N * 1e3)
+    assert warnings(csv(tmp_path, adc=whole), unit="mN") == []
+    (warning,) = warnings(csv(tmp_path, adc=np.minimum(whole, 400)), unit="mN")
+    assert warning.startswith("is at its highest value for 1")
+    assert warning.endswith("% of the samples: was it recorded beyond an ADC's range?")
+
+
 def test_a_pulse_that_pulls_is_refused_and_can_be_inverted(tmp_path: Path) -> None:
     path = csv(tmp_path, force=-PULSE_N)
     assert "set inverted = true" in refusal(path)

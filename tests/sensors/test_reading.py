@@ -155,11 +155,20 @@ def test_what_lies_behind_is_refused_and_counted() -> None:
     assert readings.behind == 1
 
 
-def test_a_rate_that_is_not_the_scenes_is_named() -> None:
+@pytest.mark.parametrize("hz", [800, 1000])
+def test_a_rate_that_is_not_the_scenes_is_named_once_it_lasts(hz: int) -> None:
     readings = Readings(validate(SCENES["untimed"], SerialScene, "scene"))
+    named = 0
     for number in range(5000):
-        readings.of(Packet((0.5,)), START_NS + number * 1_250_000)
-    assert readings.faults("the board") == ["the board sends 800 Hz, the scene says 1000 Hz"]
+        readings.of(Packet((0.5,)), START_NS + number * SECOND_NS // hz)
+        if readings.lasting_rate_fault("the board") is None:
+            assert named == 0
+        else:
+            named += 1
+    said = "the board sends 800 Hz, the scene says 1000 Hz: check its rate"
+    assert readings.faults("the board") == ([said] if hz == 800 else [])
+    assert readings.lasting_rate_fault("the board") == (said if hz == 800 else None)
+    assert named == 0 if hz == 1000 else 1000 < named < 3000
 
 
 def test_a_sensor_that_never_spoke_is_named() -> None:

@@ -1,3 +1,4 @@
+import itertools
 import threading
 from collections import Counter
 from contextlib import closing
@@ -103,6 +104,20 @@ def test_what_nobody_fetches_is_counted_and_no_memory_grows(
         assert len(sensor.poll()) == 10
         assert sensor.rejected == {"backlog": 15}
         assert sensor.poll() == []
+
+
+def test_a_rate_that_lasts_and_is_not_the_scenes_is_reported_once() -> None:
+    news: list[str] = []
+    now_ns = itertools.count(0, 1_250_000)
+    port = Given(*range(1, 5_001))
+    with closing(Sensor(port, AsIs(), TABLE, news.append, clock=lambda: next(now_ns))) as sensor:
+
+        def all_fetched() -> bool:
+            sensor.poll()
+            return port.empty.is_set()
+
+        until(all_fetched)
+    assert news == ["warning: the port sends 800 Hz, the scene says 1000 Hz: check its rate"]
 
 
 def test_a_device_that_is_not_there_is_told_at_once() -> None:
