@@ -106,8 +106,8 @@ def display(
     controller, the actuator, the rubber layer under the finger and the safety limits. What the
     wrist's layer is comes with the stream; the force is chosen so that both strains are equal.
 
-    The sensing node may start later, stop and come back: the display waits at rest, joins by
-    itself and ramps up.
+    The sensing node may start later, stop and come back: the display waits with no
+    target force, joins by itself and ramps up.
 
         display-node scenes/radial.toml --connect tcp://HOST:5555 \\
             --key keys/finger.key --peer keys/wrist.pub

@@ -1,7 +1,8 @@
 """Safety: what may reach the actuator, whatever the peer sends.
 
 Bounds on the target force and its slew; a gain that falls to nothing when the stream is stale
-and comes back by a ramp; a latch that holds the actuator at rest after a fault.
+and comes back by a ramp; a latch that holds the target at 0 N after a fault. What is
+felt then is not known here: see `finger.py`.
 """
 
 import math
@@ -102,6 +103,6 @@ class Safety:
         self.at_slew_limit.add(self.gain == 1.0 and bounded_n != within_n)
 
     def fault(self, name: str) -> None:
-        """Something has failed: to rest, and no way back but a new start."""
+        """Latch a fault: the target falls to 0 N, and only a new start lifts it."""
         if name not in self.faults:
             self.faults.append(name)

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Literal
 
 from display_node.display import Display
+from display_node.fault_advice import advise
 from display_node.hardware import Hardware
 from protocol.errors import BenchError
 from telepulse.experiment.dialogue import HELP, Answer, Dialogue, Feel, Say, Stop
@@ -129,7 +130,8 @@ class Person:
     def _check(self) -> None:
         if faults := self._display.safety.faults:
             raise BenchError(
-                f"the session stops: {'; '.join(faults)}; answered trials are in the log,"
+                f"the session stops: {'; '.join(faults)} ({advise(faults[0])}); answered trials are"
+                " in the log,"
                 " and --resume goes on with it"
             )
 
