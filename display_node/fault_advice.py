@@ -10,7 +10,7 @@ FILM_NOTE, SENSING_NOTE = "film's sensor: ", "sensing node: "
 ADVICE = (
     # The first entry whose words are in the fault's text.
     ("withdrawal", "the tip may still press: switch the drive's power off, take the finger away"),
-    ("direction", "check `inverted` in the scene and the motor's wires: telepulse bench"),
+    ("wrong way", "check `inverted` in the scene and the motor's wires: telepulse bench"),
     ("following error", "the tip does not move as commanded: check that it moves freely, then the"
      " motor's current and microsteps: telepulse bench"),
     ("film reads", "film and drive contradict each other: telepulse calibrate, telepulse bench"),

@@ -60,6 +60,17 @@ def test_every_cause_of_refusal_is_documented_and_no_other() -> None:
     assert documented == MEANINGS.keys()
 
 
+def test_nothing_claims_that_the_finger_is_at_rest() -> None:
+    """What is known of the finger is measured, and `display_node/finger.py` makes the sentence."""
+    texts = [
+        *(ROOT / "docs").rglob("*.md"),
+        *(path for package in PACKAGES for path in (ROOT / package).rglob("*.py")),
+        *(ROOT / "telepulse").rglob("*.js"),
+        *(ROOT / "telepulse").rglob("*.html"),
+    ]
+    assert [path for path in texts if "finger is at rest" in path.read_text(encoding="utf-8")] == []
+
+
 def test_the_safety_case_rests_on_tests_that_there_are() -> None:
     text = (ROOT / "docs" / "safety_case.md").read_text(encoding="utf-8")
     named = set(re.findall(r"`(test_\w+\.py)::(test_\w+)`", text))
