@@ -25,7 +25,8 @@ class PlayedDelays:
     @property
     def playout_delay_ms(self) -> PlayoutDelay:
         """Perceived delay E, in ms."""
-        return PlayoutDelay(self._playout_delay_ms.mean, self._playout_delay_ms.quantile(0.99))
+        delay_ms = self._playout_delay_ms
+        return PlayoutDelay(delay_ms.mean, delay_ms.quantile(0.99), delay_ms.beyond(p99=0.99))
 
     @property
     def covered_delay_ms(self) -> float | None:

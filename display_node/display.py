@@ -281,7 +281,12 @@ class Display:
                 account.sent, account.played, account.late, account.lost, account.before_joining
             ),
             frames=Frames(frames, reordered, receiver.copies),
-            one_way_delay_ms=OneWayDelay(delay.quantile(0.5), delay.quantile(0.99), delay.maximum),
+            one_way_delay_ms=OneWayDelay(
+                delay.quantile(0.5),
+                delay.quantile(0.99),
+                delay.maximum,
+                delay.beyond(p50=0.5, p99=0.99),
+            ),
             playout_delay_ms=self._delays.playout_delay_ms,
             covered_delay_ms=self._delays.covered_delay_ms,
             availability=self._availability.availability(self._delays.ticks),

@@ -159,7 +159,9 @@ class DisplayNode:
         self._named_faults = len(faults)
 
     def _summary(self) -> Summary:
-        times = TickTime(self._tick_us.quantile(0.5), self._tick_us.quantile(0.99))
+        tick_us = self._tick_us
+        beyond = tick_us.beyond(p50=0.5, p99=0.99)
+        times = TickTime(tick_us.quantile(0.5), tick_us.quantile(0.99), beyond)
         summary, routes = self._display.summary(self._misses, times), self._connection.routes
         rejected = Counter(summary.rejected) + self._connection.rejected + self._telemetry.rejected
         if self._gate is not None:
@@ -205,5 +207,6 @@ class DisplayNode:
 
 
 def _lateness(late_us: Histogram) -> Lateness:
-    p50, p99, p999 = (late_us.quantile(share) for share in (0.5, 0.99, 0.999))
-    return Lateness(p50, p99, p999, late_us.maximum)
+    shares = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
+    quantiles = {name: late_us.quantile(share) for name, share in shares.items()}
+    return Lateness(**quantiles, max=late_us.maximum, beyond=late_us.beyond(**shares))

@@ -11,7 +11,7 @@ import signal
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,6 +29,7 @@ from display_node.heart_rate import heart_rate_per_min
 from display_node.telemetry import STATUS, TRACE, Status, Trace, read_status, read_trace
 from protocol import sockets
 from protocol.errors import WireError
+from protocol.histogram import bound
 from protocol.keys import ClientKeys, read_pair
 from protocol.limits import limit_texts
 from protocol.output import unblocked_output
@@ -169,8 +170,8 @@ class Screen:
         return [
             ("strain RMSE", _exponent(s["strain_rmse"]["aligned"])),
             ("force RMSE", _show(s["force_rmse_n"]["aligned"], "mN", 3, 1e3)),
-            ("one-way delay p50", _show(s["one_way_delay_ms"]["p50"], "ms")),
-            ("one-way delay p99", _show(s["one_way_delay_ms"]["p99"], "ms")),
+            ("one-way delay p50", _quantile(s["one_way_delay_ms"], "p50", "ms")),
+            ("one-way delay p99", _quantile(s["one_way_delay_ms"], "p99", "ms")),
             ("playout delay", _show(s["playout_delay_ms"]["mean"], "ms")),
             ("felt", _show(s["availability"]["felt"], "% of the time", 1, 100)),
             ("stale", _show(s["availability"]["stale"], "% of the time", 1, 100)),
@@ -202,6 +203,10 @@ def _show(value: float | None, unit: str, digits: int = 1, scale: float = 1.0) -
     if value is None:
         return "–"
     return "unknown" if math.isnan(value) else f"{value * scale:.{digits}f} {unit}"
+
+
+def _quantile(table: Mapping[str, Any], key: str, unit: str) -> str:
+    return f"{bound(key, table['beyond'])}{_show(table[key], unit)}"
 
 
 def _count(value: Any) -> str:

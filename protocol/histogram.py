@@ -1,26 +1,51 @@
 """Quantiles of a stream of numbers in fixed memory, cheap enough for the real-time loop."""
 
+import math
+from collections.abc import Collection
+
 
 class Histogram:
-    """Counts of values in equal bins from 0; what lies above the last bin is in the last bin.
+    """Counts of values in equal bins from 0 up to `end`, and of those beyond.
 
-    A quantile is exact to one bin; maximum and mean are exact.
+    A quantile is exact to one bin within the range. Beyond it, only that it is above `end` is
+    known. Maximum and mean are exact.
+
+    Attributes
+    ----------
+    end : float
+        End of the range, in the unit of the values.
+    count : int
+        Values counted.
+    not_numbers : int
+        NaN, which are counted here alone.
+    maximum : float or None
+        Largest value; None without any.
     """
 
-    __slots__ = ("_bin_width", "_counts", "_last", "_total", "count", "maximum")
+    __slots__ = ("_bin_width", "_counts", "_total", "count", "end", "maximum", "not_numbers")
 
     def __init__(self, bin_width: float, bins: int) -> None:
         self._bin_width = bin_width
-        self._counts = [0] * bins
-        self._last = bins - 1
+        # The last one is of what lies beyond the range.
+        self._counts = [0] * (bins + 1)
         self._total = 0.0
-        self.count = 0
+        self.end = bin_width * bins
+        self.count = self.not_numbers = 0
         self.maximum: float | None = None
 
     def add(self, value: float) -> None:
         """Count a value; below 0 it falls into the first bin."""
-        position = int(value / self._bin_width)
-        self._counts[0 if position < 0 else min(position, self._last)] += 1
+        if value >= self.end:
+            position = -1
+        elif value > 0.0:
+            # Rounding may lead past the last bin by one.
+            position = min(int(value / self._bin_width), len(self._counts) - 2)
+        elif math.isnan(value):
+            self.not_numbers += 1
+            return
+        else:
+            position = 0
+        self._counts[position] += 1
         self._total += value
         self.count += 1
         if self.maximum is None or value > self.maximum:
@@ -32,16 +57,33 @@ class Histogram:
         return self._total / self.count if self.count else None
 
     def quantile(self, share: float) -> float | None:
-        """The middle of the bin below which `share` (0 to 1) of the values lie, or the maximum
-        where the last bin's values have no bin of their own; None without any."""
-        if not self.count or self.maximum is None:
+        """Return the middle of the bin below which `share` (0 to 1) of the values lie.
+
+        Returns `end`, a lower bound, where that is beyond the range (see `beyond`), and None
+        without any value.
+        """
+        position = self._position(share)
+        if position is None or self.maximum is None:
             return None
-        wanted = share * self.count
-        seen = 0
+        if position == len(self._counts) - 1:
+            return self.end
+        return min((position + 0.5) * self._bin_width, self.maximum)
+
+    def beyond(self, **shares: float) -> list[str]:
+        """Return the names of those quantiles that are beyond the range: `p99=0.99`."""
+        last = len(self._counts) - 1
+        return [name for name, share in shares.items() if self._position(share) == last]
+
+    def _position(self, share: float) -> int | None:
+        """Return the number of a quantile's bin; None without any value."""
+        wanted, seen = share * self.count, 0
         for position, count in enumerate(self._counts):
             seen += count
             if seen >= wanted and count:
-                if position == self._last:
-                    return self.maximum
-                return min((position + 0.5) * self._bin_width, self.maximum)
-        return self.maximum
+                return position
+        return None
+
+
+def bound(name: str, beyond: Collection[str]) -> str:
+    """Return what stands before a quantile's figure: "> " where it is a lower bound."""
+    return "> " if name in beyond else ""

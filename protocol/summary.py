@@ -15,6 +15,8 @@ from rich.text import Text
 
 from protocol.availability import Availability, availability_text, part_text
 from protocol.causes import explain
+from protocol.counted import counted
+from protocol.histogram import bound
 from protocol.limits import Limits, limit_texts
 from protocol.result_files import write_whole
 
@@ -38,11 +40,13 @@ class Samples:
 
 @dataclass(frozen=True, slots=True)
 class OneWayDelay:
-    """Time on the network of a frame's last sample, in ms."""
+    """Time on the network of a frame's last sample, in ms. Here and below, beyond: the quantiles
+    that are beyond what is counted, of which the figure is a lower bound."""
 
     p50: float | None = None
     p99: float | None = None
     max: float | None = None
+    beyond: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +55,7 @@ class PlayoutDelay:
 
     mean: float | None = None
     p99: float | None = None
+    beyond: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +105,7 @@ class TickTime:
 
     p50: float | None = None
     p99: float | None = None
+    beyond: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +116,7 @@ class Lateness:
     p99: float | None = None
     p999: float | None = None
     max: float | None = None
+    beyond: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,8 +135,8 @@ class Loop:
 
     ticks: int | None = None
     deadline_misses: int | None = None
-    tick_us: TickTime = TickTime()
-    late_us: Lateness = Lateness()
+    tick_us: TickTime = field(default_factory=TickTime)
+    late_us: Lateness = field(default_factory=Lateness)
     late: bool | None = None
     last_5s: Deadlines = Deadlines()
     worst_5s: Deadlines = Deadlines()
@@ -155,8 +162,8 @@ class Summary:
 
     samples: Samples = Samples()
     frames: Frames = field(default_factory=Frames)
-    one_way_delay_ms: OneWayDelay = OneWayDelay()
-    playout_delay_ms: PlayoutDelay = PlayoutDelay()
+    one_way_delay_ms: OneWayDelay = field(default_factory=OneWayDelay)
+    playout_delay_ms: PlayoutDelay = field(default_factory=PlayoutDelay)
     covered_delay_ms: float | None = None
     compensation: Compensation = Compensation()
     clock: Clock = Clock()
@@ -208,7 +215,7 @@ def _rows(s: Summary) -> list[tuple[str, str]]:
         ),
         (
             "before joining",
-            f"{_n(s.samples.before_joining)} samples sent before a display listened",
+            f"{_count(s.samples.before_joining, 'sample')} sent before a display listened",
         ),
         (
             "frames",
@@ -218,12 +225,12 @@ def _rows(s: Summary) -> list[tuple[str, str]]:
         ),
         (
             "one-way delay",
-            f"p50 {_f(s.one_way_delay_ms.p50)} ms, p99 {_f(s.one_way_delay_ms.p99)} ms,"
+            f"{_quantile(s.one_way_delay_ms, 'p50')} ms, {_quantile(s.one_way_delay_ms, 'p99')} ms,"
             f" max {_f(s.one_way_delay_ms.max)} ms",
         ),
         (
             "playout delay",
-            f"mean {_f(s.playout_delay_ms.mean)} ms, p99 {_f(s.playout_delay_ms.p99)} ms",
+            f"mean {_f(s.playout_delay_ms.mean)} ms, {_quantile(s.playout_delay_ms, 'p99')} ms",
         ),
         ("covered delay", f"{_f(s.covered_delay_ms)} ms from the wrist to the force at the finger"),
         (
@@ -263,17 +270,25 @@ def _rows(s: Summary) -> list[tuple[str, str]]:
             f" sensed: energy {_f(s.roughness.energy_ratio, 2)} times",
         ),
         ("limited", "; ".join(limit_texts(dataclasses.asdict(s.limited))) or _ABSENT),
-        ("loop", f"{_n(s.loop.ticks)} ticks, {_n(s.loop.deadline_misses)} deadline misses"),
+        (
+            "loop",
+            f"{_count(s.loop.ticks, 'tick')},"
+            f" {_count(s.loop.deadline_misses, 'deadline miss', 'deadline misses')}",
+        ),
         (
             "worst 5 s",
             f"{_f(_percent(s.loop.worst_5s.missed), 2)} % of the ticks missed,"
             f" longest gap {_f(s.loop.worst_5s.gap_ms, 0)} ms",
         ),
-        ("tick", f"p50 {_f(s.loop.tick_us.p50, 0)} µs, p99 {_f(s.loop.tick_us.p99, 0)} µs"),
+        (
+            "tick",
+            f"{_quantile(s.loop.tick_us, 'p50', 0)} µs, {_quantile(s.loop.tick_us, 'p99', 0)} µs",
+        ),
         (
             "tick began",
-            f"p50 {_f(s.loop.late_us.p50, 0)} µs late, p99 {_f(s.loop.late_us.p99, 0)} µs,"
-            f" p99.9 {_f(s.loop.late_us.p999, 0)} µs, max {_f(s.loop.late_us.max, 0)} µs",
+            f"{_quantile(s.loop.late_us, 'p50', 0)} µs late,"
+            f" {_quantile(s.loop.late_us, 'p99', 0)} µs,"
+            f" {_quantile(s.loop.late_us, 'p999', 0)} µs, max {_f(s.loop.late_us.max, 0)} µs",
         ),
         ("real-time", ", ".join(s.loop.realtime) or _ABSENT),
         ("speed", f"{_f(s.speed, 0)} times real time"),
@@ -290,6 +305,18 @@ def _counts(counts: dict[str, int]) -> str:
 
 def _n(value: int | None) -> str:
     return _ABSENT if value is None else str(value)
+
+
+def _count(value: int | None, singular: str, plural: str | None = None) -> str:
+    return _ABSENT if value is None else counted(value, singular, plural)
+
+
+def _quantile(
+    table: OneWayDelay | PlayoutDelay | TickTime | Lateness, key: str, digits: int = 1
+) -> str:
+    """Return a quantile with its name, as "p99 > 5000" where it is beyond what is counted."""
+    name = "p99.9" if key == "p999" else key
+    return f"{name} {bound(key, table.beyond)}{_f(getattr(table, key), digits)}"
 
 
 def _f(value: float | None, digits: int = 1) -> str:

@@ -21,6 +21,7 @@ from display_node.doctor.jitter import Ticks, Work, busy_processes, run_in_turns
 from display_node.doctor.verdict import BARE, IDLE, LOADED, TOGETHER, Findings, Verdict, judge
 from display_node.scene import DisplayScene
 from protocol import sockets
+from protocol.histogram import bound
 from protocol.realtime import Asked, Held, hold, parse_realtime
 from protocol.result_files import write_whole
 from protocol.scene import load_section
@@ -29,6 +30,7 @@ SECONDS = 30.0
 MAX_ROUNDS = 4
 LEAST_SLOT_S = 0.1
 TICKS_WIDTH = 72
+QUANTILES = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999}
 
 
 def run_doctor(
@@ -138,7 +140,11 @@ def _print_ticks(found: Mapping[tuple[str, str], Ticks], console: Console) -> No
     for position, column in enumerate(("with", "beside", *_figures(Ticks()))):
         table.add_column(column, justify="left" if position < 2 else "right")
     for (name, beside), ticks in found.items():
-        figures = ("–" if value is None else f"{value:.0f}" for value in _figures(ticks).values())
+        beyond = ticks.late_us.beyond(**QUANTILES)
+        figures = (
+            "–" if value is None else f"{bound(key, beyond)}{value:.0f}"
+            for key, value in _figures(ticks).items()
+        )
         table.add_row(name, beside, *figures)
     # Not cut, however narrow the terminal.
     console.print(table, width=max(console.width, TICKS_WIDTH), crop=False)
@@ -149,9 +155,7 @@ def _figures(ticks: Ticks) -> dict[str, float | None]:
     return {
         "ticks": ticks.due,
         "missed": ticks.missed,
-        "p50": late_us.quantile(0.5),
-        "p99": late_us.quantile(0.99),
-        "p99.9": late_us.quantile(0.999),
+        **{name: late_us.quantile(share) for name, share in QUANTILES.items()},
         "max": late_us.maximum,
     }
 
@@ -163,7 +167,9 @@ def _write(path: Path, host: Host, held: Held, findings: Findings, verdict: Verd
         "refused": [dataclasses.asdict(refusal) for refusal in held.refused],
         "tick_ms": findings.tick_ns * 1e-6,
         "late_us": [
-            {"with": name, "beside": beside} | _figures(ticks)
+            {"with": name, "beside": beside}
+            | _figures(ticks)
+            | {"beyond": ticks.late_us.beyond(**QUANTILES)}
             for (name, beside), ticks in findings.ticks.items()
         ],
         "collection_ms": findings.collection_ms,

@@ -154,5 +154,8 @@ FIGURES = [
 # What a summary says besides; faults are words (`families`).
 NOT_FIGURES = {
     *("speed", "loop.realtime", "faults", "finger"),
+    # Quantiles that are lower bounds, by name.
+    *(f"{table}.beyond" for table in ("one_way_delay_ms", "playout_delay_ms")),
+    *(f"loop.{table}.beyond" for table in ("tick_us", "late_us")),
     *(f"limited.{limit}.share" for limit in NAMES),
 }

@@ -6,6 +6,7 @@ from display_node.alerts import finger_note
 from display_node.fidelity import JND
 from protocol.availability import availability_text, part_text
 from protocol.counted import counted
+from protocol.histogram import bound
 from protocol.limits import limit_texts
 from telepulse.record.heard_fields import Fields
 from telepulse.view.live import Live
@@ -117,8 +118,10 @@ def _percent(share: float | None, digits: int = 1) -> str:
 def _delay(delay_ms: Fields, key: str, kind: str) -> Figure:
     """Return a delay of the whole run by its mean or median, and its 99th percentile."""
     p99_ms = delay_ms.get("p99")
-    note = "" if p99_ms is None else f"{kind} of the run; 99 % below {p99_ms:.1f} ms"
-    return Figure(_show(delay_ms.get(key), "{:.1f} ms"), note)
+    beyond = delay_ms.get("beyond", [])
+    where = "not within" if "p99" in beyond else "below"
+    note = "" if p99_ms is None else f"{kind} of the run; 99 % {where} {p99_ms:.1f} ms"
+    return Figure(f"{bound(key, beyond)}{_show(delay_ms.get(key), '{:.1f} ms')}", note)
 
 
 def _error(error_n: float | None, scores: Scores, window: str) -> Figure:

@@ -1,9 +1,11 @@
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.histogram import Histogram
+from protocol.histogram import Histogram, bound
 
 SHARES = [0.0, 0.01, 0.25, 0.5, 0.9, 0.99, 1.0]
 BIN, BINS = 0.5, 200
@@ -16,7 +18,7 @@ def filled(values: list[float]) -> Histogram:
     return histogram
 
 
-@given(st.lists(st.floats(0, BIN * (BINS - 1), exclude_max=True), min_size=1, max_size=300))
+@given(st.lists(st.floats(0, BIN * BINS, exclude_max=True), min_size=1, max_size=300))
 def test_a_quantile_is_exact_to_one_bin(values: list[float]) -> None:
     histogram = filled(values)
     for share in SHARES:
@@ -50,11 +52,30 @@ def test_without_values_there_is_nothing_to_tell() -> None:
     assert histogram.quantile(0.5) is None
 
 
-def test_above_the_last_bin_the_maximum_stands_in() -> None:
-    histogram = filled([1.2] * 98 + [1e3, 5e6])
+@pytest.mark.parametrize("largest", [BIN * BINS, 1e3, 5e6, 1e300, math.inf])
+def test_a_quantile_beyond_the_range_is_a_lower_bound_and_named(largest: float) -> None:
+    histogram = filled([1.2] * 98 + [BIN * BINS, largest])
     assert histogram.quantile(0.5) == pytest.approx(1.2, abs=BIN)
-    assert histogram.quantile(0.99) == 5e6
-    assert histogram.maximum == 5e6
+    assert histogram.quantile(0.99) == BIN * BINS
+    assert histogram.beyond(p50=0.5, p98=0.98, p99=0.99, p999=0.999) == ["p99", "p999"]
+    assert histogram.maximum == largest
+
+
+@given(st.lists(st.floats(0, 2 * BIN * BINS), min_size=1, max_size=300))
+def test_a_quantile_is_named_beyond_where_it_is(values: list[float]) -> None:
+    histogram = filled(values)
+    for share in SHARES:
+        exact = np.quantile(values, share, method="inverted_cdf")
+        assert (histogram.beyond(it=share) == ["it"]) == (exact >= BIN * BINS)
+
+
+def test_what_is_no_number_is_counted_apart() -> None:
+    histogram = filled([1.0, math.nan, 1.0])
+    assert (histogram.count, histogram.not_numbers, histogram.mean) == (2, 1, 1.0)
+
+
+def test_a_lower_bound_has_its_sign() -> None:
+    assert (bound("p50", ["p99"]), bound("p99", ["p99"])) == ("", "> ")
 
 
 def test_negative_values_count_in_the_first_bin() -> None:

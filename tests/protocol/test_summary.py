@@ -67,8 +67,8 @@ FULL = Summary(
 KEYS = {
     "samples": {"sent", "played", "late", "lost", "before_joining"},
     "frames": {"received", "reordered", "copies", "first"},
-    "one_way_delay_ms": {"p50", "p99", "max"},
-    "playout_delay_ms": {"mean", "p99"},
+    "one_way_delay_ms": {"p50", "p99", "max", "beyond"},
+    "playout_delay_ms": {"mean", "p99", "beyond"},
     "covered_delay_ms": None,
     "compensation": {"predicted", "trusted"},
     "clock": {"offset_ms", "skew_ppm", "uncertainty_ms", "asymmetry_ms", "steps"},
@@ -114,8 +114,8 @@ def test_the_keys_are_the_same_everywhere(summary: Summary) -> None:
         assert table.pop("hardware") == {"film crc": 3}
     for key, value in table.items():
         assert (set(value) if isinstance(value, dict) else None) == KEYS[key]
-    assert set(table["loop"]["tick_us"]) == {"p50", "p99"}
-    assert set(table["loop"]["late_us"]) == {"p50", "p99", "p999", "max"}
+    assert set(table["loop"]["tick_us"]) == {"p50", "p99", "beyond"}
+    assert set(table["loop"]["late_us"]) == {"p50", "p99", "p999", "max", "beyond"}
 
 
 def leaves(value: Any) -> list[Any]:
@@ -130,6 +130,10 @@ def test_what_does_not_apply_is_null() -> None:
     assert table.pop("hardware") == {}
     assert table.pop("faults") == []
     assert table["loop"].pop("realtime") == []
+    for quantiles in (table["one_way_delay_ms"], table["playout_delay_ms"]):
+        assert quantiles.pop("beyond") == []
+    for quantiles in (table["loop"]["tick_us"], table["loop"]["late_us"]):
+        assert quantiles.pop("beyond") == []
     assert set(leaves(table)) == {None}
 
 
@@ -142,7 +146,7 @@ def test_what_is_known_is_there() -> None:
         "lost": 20,
         "before_joining": 7,
     }
-    assert table["loop"]["tick_us"] == {"p50": 85.0, "p99": 140.0}
+    assert table["loop"]["tick_us"] == {"p50": 85.0, "p99": 140.0, "beyond": []}
     assert table["rejected"] == {"truncated": 2, "duplicate": 400}
     assert table["faults"] == ["silence", "force limit"]
 
@@ -226,6 +230,21 @@ def test_people_read_the_same() -> None:
         "finger": "withdrawn",
     }
     assert printed(FULL).splitlines()[0].strip() == "display-node"
+
+
+def test_a_quantile_beyond_what_is_counted_is_a_lower_bound() -> None:
+    late_us = Lateness(60.0, 900.0, 5_000.0, 52_344.0, beyond=["p999"])
+    shown = rows(printed(Summary(loop=Loop(1, 1, TickTime(1.0, 2.0), late_us))))
+    assert shown["tick began"] == "p50 60 µs late, p99 900 µs, p99.9 > 5000 µs, max 52344 µs"
+    delay = OneWayDelay(20.0, 2_000.0, 2_500.0, beyond=["p99"])
+    shown = rows(printed(Summary(one_way_delay_ms=delay)))
+    assert shown["one-way delay"] == "p50 20.0 ms, p99 > 2000.0 ms, max 2500.0 ms"
+
+
+def test_one_is_not_many() -> None:
+    shown = rows(printed(Summary(samples=Samples(1, before_joining=1), loop=Loop(1, 1))))
+    assert shown["loop"] == "1 tick, 1 deadline miss"
+    assert shown["before joining"] == "1 sample sent before a display listened"
 
 
 def test_a_row_without_a_value_is_left_out() -> None:

@@ -15,8 +15,8 @@ MODULE = "telepulse.cli"
 KEYS = {
     "samples": {"sent", "played", "late", "lost", "before_joining"},
     "frames": {"received", "reordered", "copies", "first"},
-    "one_way_delay_ms": {"p50", "p99", "max"},
-    "playout_delay_ms": {"mean", "p99"},
+    "one_way_delay_ms": {"p50", "p99", "max", "beyond"},
+    "playout_delay_ms": {"mean", "p99", "beyond"},
     "clock": {"offset_ms", "skew_ppm", "uncertainty_ms", "asymmetry_ms", "steps"},
     "force_rmse_n": {"aligned", "in_phase"},
     "strain_rmse": {"aligned", "in_phase"},

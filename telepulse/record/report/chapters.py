@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 from protocol.availability import NAMES as AVAILABILITY
 from protocol.availability import part_text
+from protocol.histogram import bound
 from protocol.limits import limit_texts
-from protocol.summary import Summary
+from protocol.summary import Lateness, OneWayDelay, PlayoutDelay, Summary
 from telepulse.record.report.findings import Findings, read_findings
 from telepulse.report import Chapter, Report, Table
 
@@ -83,6 +84,12 @@ def _number(value: float | None, unit: str, digits: int = 1, scale: float = 1.0)
     return NONE if value is None else f"{value * scale:.{digits}f} {unit}".rstrip()
 
 
+def _quantile(
+    table: OneWayDelay | PlayoutDelay | Lateness, key: str, unit: str, digits: int
+) -> str:
+    return f"{bound(key, table.beyond)}{_number(getattr(table, key), unit, digits)}"
+
+
 def _share_of_run(key: str) -> Callable[[Summary], str]:
     return lambda s: _number(getattr(s.availability, key), "% of the run", 1, 100)
 
@@ -95,11 +102,11 @@ _ROWS: tuple[_Row, ...] = (
     ("samples played", lambda s: _number(s.samples.played, "", 0)),
     ("samples late", lambda s: _number(s.samples.late, "", 0)),
     ("samples lost", lambda s: _number(s.samples.lost, "", 0)),
-    ("one-way delay, p50", lambda s: _number(s.one_way_delay_ms.p50, "ms", 2)),
-    ("one-way delay, p99", lambda s: _number(s.one_way_delay_ms.p99, "ms", 2)),
+    ("one-way delay, p50", lambda s: _quantile(s.one_way_delay_ms, "p50", "ms", 2)),
+    ("one-way delay, p99", lambda s: _quantile(s.one_way_delay_ms, "p99", "ms", 2)),
     ("one-way delay, max", lambda s: _number(s.one_way_delay_ms.max, "ms", 2)),
     ("playout delay, mean", lambda s: _number(s.playout_delay_ms.mean, "ms", 2)),
-    ("playout delay, p99", lambda s: _number(s.playout_delay_ms.p99, "ms", 2)),
+    ("playout delay, p99", lambda s: _quantile(s.playout_delay_ms, "p99", "ms", 2)),
     *((f"time: {text}", _share_of_run(key)) for key, text in AVAILABILITY.items()),
     (
         "predicted",
@@ -121,7 +128,7 @@ _ROWS: tuple[_Row, ...] = (
     ("clock steps", lambda s: _number(s.clock.steps, "", 0)),
     ("ticks", lambda s: _number(s.loop.ticks, "", 0)),
     ("ticks missed", lambda s: _number(s.loop.deadline_misses, "", 0)),
-    ("ticks began late, p99", lambda s: _number(s.loop.late_us.p99, "µs", 0)),
+    ("ticks began late, p99", lambda s: _quantile(s.loop.late_us, "p99", "µs", 0)),
     ("ticks began late, max", lambda s: _number(s.loop.late_us.max, "µs", 0)),
 )
 

@@ -189,8 +189,10 @@ def _range(axes: "Axes", trend: Trend, color: str, label: str) -> None:
 
 def _cumulative(axes: "Axes", histogram: Histogram, label: str) -> None:
     if histogram.count:
-        values: Any = [histogram.quantile(float(share)) for share in SHARES]
-        axes.plot(values, 100 * SHARES, label=label)
+        # What is beyond the range is known to be there, not where: the line ends before.
+        shares = [share for share in SHARES.tolist() if not histogram.beyond(it=share)]
+        values: Any = [histogram.quantile(share) for share in shares]
+        axes.plot(values, 100 * np.array(shares), label=label)
 
 
 def _counts(axes: "Axes", trends: tuple[Trend, ...], labels: tuple[str, ...]) -> None:

@@ -101,8 +101,17 @@ class Findings:
                 account.sent, account.played, account.late, account.lost, account.before_joining
             ),
             frames=Frames(*receiver.frames, receiver.copies),
-            one_way_delay_ms=OneWayDelay(delay.quantile(0.5), delay.quantile(0.99), delay.maximum),
-            playout_delay_ms=PlayoutDelay(self.playout_ms.mean, self.playout_ms.quantile(0.99)),
+            one_way_delay_ms=OneWayDelay(
+                delay.quantile(0.5),
+                delay.quantile(0.99),
+                delay.maximum,
+                delay.beyond(p50=0.5, p99=0.99),
+            ),
+            playout_delay_ms=PlayoutDelay(
+                self.playout_ms.mean,
+                self.playout_ms.quantile(0.99),
+                self.playout_ms.beyond(p99=0.99),
+            ),
             clock=Clock(
                 clock.offset_ns(now_ns) * 1e-6 if known else None,
                 clock.skew_ppm if known else None,
