@@ -29,6 +29,7 @@ def _kind(hint: Any) -> str:
         int | None: "whole number or null",
         float | None: "number or null",
         bool | None: "true, false or null",
+        str | None: "text or null",
         list[str]: "list of texts",
         dict[str, int]: "map of name to count",
     }
