@@ -129,7 +129,8 @@ def simulate_command(
 ) -> None:
     """Run a scene in virtual time: the nodes' own modules, no sockets, no waiting.
 
-    The same scene and seed give the same figures, many times faster than real time.
+    The same scene and seed give the same figures, many times faster than real time. Exit status 3:
+    the display latched a fault; it is named on stderr.
     """
     with one_line_errors(PROGRAM):
         check_writable(json)
@@ -139,6 +140,7 @@ def simulate_command(
         summary = simulate(loaded, seconds, seed)
     title = f"simulation of {loaded.path.stem}, {seconds:g} s"
     sum_up(PROGRAM, summary, title, plain_console(), json)
+    end_at_faults(PROGRAM, summary.faults)
 
 
 @app.command()

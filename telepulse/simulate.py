@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from display_node.display import Display, Felt
+from display_node.fault_advice import SENSING_NOTE
 from display_node.feedback import Feedback
 from display_node.fidelity import Fidelity
 from protocol.messages import Bye, Control, encode_control, encode_frame
@@ -116,7 +117,8 @@ class Simulation:
         """Score what is left."""
         self._fidelity.finish()
         display = self.display.summary()
-        faults = display.faults + faults_of(self._source) + self._check.faults()
+        notes = faults_of(self._source) + self._check.faults()
+        faults = display.faults + [f"{SENSING_NOTE}{note}" for note in notes]
         limited = replace(display.limited, adc=limits_of(self._source).adc)
         clock = display.clock
         if clock.offset_ms is not None:

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.whole_bench import BenchFailedError, MotorTrace, WholeBench, playing
+from display_node.fault_advice import FAULT_STATUS
 
 from .telepulse.emulate.test_drive_commands import udp_multicast_reason
 from .unread import unread
@@ -114,12 +115,20 @@ def test_a_killed_display_leaves_the_motor_to_its_watchdog(tmp_path: Path) -> No
     assert_in_peace(on_a_bench(tmp_path, "tmcl", happens))
 
 
-@pytest.mark.parametrize("word", ["film-silent", "unplugged"])
-def test_a_bench_that_breaks_says_so_and_rests(word: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("word", "finger"),
+    [("film-silent", "force unknown since "), ("unplugged", "the drive does not answer")],
+)
+def test_a_bench_that_breaks_says_so_and_rests(word: str, finger: str, tmp_path: Path) -> None:
+    """And says of the finger what is measured, with an exit status that tells of the fault."""
+
     def happens(bench: WholeBench) -> None:
         bench.await_state("fault")
         time.sleep(REST_WITHIN_S)
-        assert bench.end()["faults"]
+        summary = bench.end()
+        assert summary["faults"]
+        assert finger in summary["finger"]
+        assert bench.processes["display"].returncode == FAULT_STATUS
 
     options = ("--fault", word, "--fault-after", TROUBLE_AFTER_S)
     assert_in_peace(on_a_bench(tmp_path, "tmcl", happens, *options))

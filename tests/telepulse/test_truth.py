@@ -127,7 +127,7 @@ def test_a_simulation_shifts_by_the_chains_delay() -> None:
 
 def test_a_simulation_tells_what_the_adc_could_not_hold() -> None:
     summary = simulate(conditioned({"adc_bits": 16, "adc_range": "5 mV"}), seconds=2, seed=1)
-    assert summary.faults == ["2000 samples beyond the ADC's range"]
+    assert summary.faults == ["sensing node: 2000 samples beyond the ADC's range"]
     assert summary.limited.adc == Limited(1, 2.0, 1.0)
 
 
