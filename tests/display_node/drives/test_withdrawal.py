@@ -1,0 +1,105 @@
+"""Taking the tip off the finger, whatever position and film report of it."""
+
+import pytest
+
+from display_node.drives.withdrawal import (
+    FAST_M_PER_S,
+    MARGIN_M,
+    SLOW_M_PER_S,
+    Outcome,
+    Withdrawal,
+)
+
+MS = 1_000_000
+CLEAR_M = -0.5e-3
+BEGAN_M = 0.6e-3
+
+
+class Tip:
+    """A tip that obeys the withdrawal, with `gain` m of motion for each m commanded."""
+
+    def __init__(self, trusted: bool = True, gain: float = 1.0) -> None:
+        self.withdrawal = Withdrawal(0, BEGAN_M, 0.0, CLEAR_M, trusted)
+        self.gain = gain
+        self.position_m = BEGAN_M
+        self.way_m = 0.0
+        self.now_ms = 0
+        self.reports = True
+
+    def run(self, ms: int, force: bool = False) -> Outcome:
+        for _ in range(ms):
+            self.now_ms += 1
+            speed = self.withdrawal.speed_m_per_s(self.now_ms * MS, self.way_m)
+            assert -FAST_M_PER_S <= speed <= 0
+            self.way_m += speed * 1e-3
+            self.position_m += self.gain * speed * 1e-3
+            if self.reports:
+                self.withdrawal.report(self.position_m, self.now_ms * MS)
+            if force:
+                self.withdrawal.press(max(0.0, self.position_m * 1e3), self.now_ms * MS)
+        return self.withdrawal.outcome
+
+
+def test_it_is_slow_until_the_position_confirms_it_and_ends_off_the_finger() -> None:
+    tip = Tip()
+    assert tip.withdrawal.speed_m_per_s(MS, 0.0) == -SLOW_M_PER_S
+    assert tip.run(100) is Outcome.WITHDRAWN
+    assert tip.withdrawal.confirmed
+    assert tip.position_m == pytest.approx(CLEAR_M, abs=FAST_M_PER_S * 1e-3)
+    assert tip.withdrawal.speed_m_per_s(101 * MS, tip.way_m) == 0
+
+
+@pytest.mark.parametrize("by_film", [False, True], ids=["position", "film"])
+def test_the_wrong_way_stops_it_at_once(by_film: bool) -> None:
+    tip = Tip(gain=-1.0)
+    tip.reports = not by_film
+    assert tip.run(200, force=by_film) is Outcome.WRONG_WAY
+    # 0.1 mm is the bound of the position, 80 ms of the film.
+    assert tip.position_m < BEGAN_M + (0.6e-3 if by_film else 0.3e-3)
+    assert tip.withdrawal.speed_m_per_s(300 * MS, tip.way_m) == 0
+
+
+def test_one_reading_alone_stops_nothing() -> None:
+    tip = Tip()
+    tip.run(20)
+    tip.withdrawal.press(0.3, 20 * MS)
+    for ms in (90, 91):
+        tip.withdrawal.press(9.0, ms * MS)
+    tip.withdrawal.press(0.0, 92 * MS)
+    assert tip.withdrawal.outcome is Outcome.UNDER_WAY
+
+
+@pytest.mark.parametrize("trusted", [True, False])
+def test_without_a_confirmation_it_ends_by_the_commanded_way(trusted: bool) -> None:
+    tip = Tip(trusted)
+    tip.reports = False
+    assert tip.run(1_000) is Outcome.UNCONFIRMED
+    needed_m = BEGAN_M - CLEAR_M + MARGIN_M
+    assert -tip.way_m == pytest.approx(needed_m, rel=0.01)
+    assert tip.position_m < CLEAR_M
+
+
+def test_what_a_silent_drive_may_not_have_heard_is_commanded_again() -> None:
+    tip = Tip(gain=0.0)
+    tip.reports = False
+    assert tip.run(1_000) is Outcome.UNCONFIRMED
+    tip.gain, tip.reports = 1.0, True
+    assert tip.run(200) is Outcome.WITHDRAWN
+
+
+def test_a_motor_that_its_drive_holds_is_commanded_on() -> None:
+    tip = Tip(gain=0.0)
+    for _ in range(500):
+        tip.run(10)
+        tip.withdrawal.renew(tip.now_ms * MS, tip.way_m)
+    assert tip.withdrawal.outcome is Outcome.UNDER_WAY
+    tip.gain = 1.0
+    assert tip.run(200) is Outcome.WITHDRAWN
+
+
+def test_a_film_that_is_still_pressed_keeps_an_unconfirmed_one_going() -> None:
+    tip = Tip(trusted=False, gain=0.0)
+    assert tip.run(1_000, force=True) is Outcome.UNCONFIRMED
+    tip.gain = 1.0
+    tip.run(1_000, force=True)
+    assert tip.position_m < 0.06e-3
