@@ -9,6 +9,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 
 from display_node.drives.approach import approach
 from display_node.drives.axis import Axis
@@ -24,7 +25,13 @@ from display_node.drives.cia402_states import (
     State,
     towards_enabled,
 )
-from display_node.drives.direction import TouchGuard, check_switch, opened_m
+from display_node.drives.direction import (
+    WRONG_WAY,
+    SearchBound,
+    TouchGuard,
+    check_switch,
+    opened_m,
+)
 from display_node.drives.drive import DriveStatus, no_film
 from display_node.drives.scene import Cia402Scene
 from display_node.drives.supervisor import Supervisor
@@ -63,22 +70,27 @@ class Cia402Drive:
         self._node = node = Cia402Node(self._scene, self._axis, self.counts)
         guard = TouchGuard(force_n)
         scene, axis = self._scene, self._axis
+        speed, step_m = scene.homing_speed_m_per_s, axis.units.step_m
+        began_m = axis.lowest_m
         try:
             node.configure()
             node.select_velocity()
             self._enable(node)
+            began_m = node.position_m
             self._home(node, guard)
+            began_m = node.position_m
             node.limit_travel()
             node.arm()
             self._follow(node)
-            speed, step_m = scene.homing_speed_m_per_s, axis.units.step_m
             opened = opened_m(scene.touch_m)
             approach(self, axis.lowest_m + opened, speed, step_m, guard)
             self._pause(node)
             check_switch(self._home_switch(node), opened)
             approach(self, 0.0, speed, step_m, guard)
             self._pause(node)
-        except BaseException:  # Ctrl-C, too, must not leave it moving.
+        except BaseException as error:  # Ctrl-C, too, must not leave it moving.
+            if isinstance(error, DriveError) and error.kind == WRONG_WAY:
+                self._go_back(node, began_m)
             self.close()
             raise
         self._supervisor.verified = True
@@ -151,6 +163,15 @@ class Cia402Drive:
             self._supervisor.pause()
             self._beat_ns = 0
         node.arm()
+
+    def _go_back(self, node: Cia402Node, began_m: float) -> None:
+        """Undo a way that has turned out to be the wrong one."""
+        with suppress(DriveError):  # that it was wrong is raised already
+            if self._thread is None:
+                node.tell(Control.ENABLE, 0)
+                node.select_velocity()
+                self._follow(node)
+            approach(self, began_m, self._scene.homing_speed_m_per_s, self._axis.units.step_m)
 
     def _run(self, node: Cia402Node) -> None:
         """Withdraw where the loop's thread cannot: it may hang, and a fault needs no tick."""
@@ -238,9 +259,10 @@ class Cia402Drive:
         node.tell(Control.ENABLE, 0)
         node.tell(Control.START_HOMING, 0)
         deadline_s = time.monotonic() + axis.search_s
-        began_ns = time.monotonic_ns()
+        began_ns, bound = time.monotonic_ns(), SearchBound(axis, node.position_m)
         while node.heard_ns < began_ns or node.statusword & HOMING_ATTAINED != HOMING_ATTAINED:
             guard()
+            bound(node.position_m)
             if node.state is not State.ENABLED:
                 raise DriveError("not homed", f"{node.state.text} on its way home, {node.error}")
             if node.statusword & HOMING_ERROR:

@@ -6,12 +6,18 @@ shows neither, so the home switch and the film are the witnesses.
 
 from collections.abc import Callable
 
+from display_node.drives.axis import Axis
 from protocol.errors import DriveError
 
 # From home towards the finger: further than any switch needs to open.
 OPENED_M = 0.3e-3
+# Beyond the way from the furthest place of the travel: the switch's own, and what the scene's
+# `touch` may be wrong by.
+SEARCH_MARGIN_M = 1e-3
 # On its way to first touch the tip presses nothing; a film that reads so much more is pressed.
 PRESSED_N = 0.1
+# Kind of DriveError, and what to do.
+WRONG_WAY = "wrong way"
 ADVICE = "look at [display.drive] inverted and at the motor's wiring"
 
 
@@ -33,7 +39,25 @@ class TouchGuard:
         elif force_n > self._least_n + PRESSED_N:
             rise_mn = (force_n - self._least_n) * 1e3
             raise DriveError(
-                "wrong way", f"the film reads {rise_mn:.0f} mN more before first touch; {ADVICE}"
+                WRONG_WAY, f"the film reads {rise_mn:.0f} mN more before first touch; {ADVICE}"
+            )
+
+
+class SearchBound:
+    """Ends a search for home that has gone further than home can be away."""
+
+    def __init__(self, axis: Axis, began_m: float) -> None:
+        """began_m: where the search began, by the drive's own count."""
+        self._most_m = axis.furthest_m - axis.lowest_m + SEARCH_MARGIN_M
+        self._began_m = began_m
+
+    def __call__(self, position_m: float) -> None:
+        """Raise DriveError where the drive's count has come too far."""
+        if abs(position_m - self._began_m) > self._most_m:
+            raise DriveError(
+                WRONG_WAY,
+                f"no home switch on {self._most_m * 1e3:.1f} mm, from wherever the tip stood;"
+                f" {ADVICE}, and at touch and furthest",
             )
 
 
@@ -50,7 +74,7 @@ def check_switch(closed: bool | None, went_m: float) -> None:
     """
     if closed:
         raise DriveError(
-            "wrong way",
+            WRONG_WAY,
             f"the home switch is closed {went_m * 1e3:.2g} mm from home, towards the finger;"
             f" {ADVICE}",
         )

@@ -9,11 +9,12 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from itertools import cycle
 
 from display_node.drives.approach import approach
 from display_node.drives.axis import Axis
-from display_node.drives.direction import TouchGuard, check_switch, opened_m
+from display_node.drives.direction import WRONG_WAY, TouchGuard, check_switch, opened_m
 from display_node.drives.drive import DriveStatus, no_film
 from display_node.drives.scene import TmclScene
 from display_node.drives.supervisor import Supervisor
@@ -60,17 +61,23 @@ class TmclDrive:
         self.counts = module.counts
         guard = TouchGuard(force_n)
         scene, axis = self._scene, self._axis
+        speed, step_m = scene.homing_speed_m_per_s, axis.units.step_m
+        began_m = axis.lowest_m
         try:
             module.configure()
+            module.hear(Parameter.ACTUAL_POSITION)
+            began_m = module.position_m
             module.home(guard)
+            began_m = module.position_m
             module.arm()
             self._follow(module)
-            speed, step_m = scene.homing_speed_m_per_s, axis.units.step_m
             opened = opened_m(scene.touch_m)
             approach(self, axis.lowest_m + opened, speed, step_m, guard)
             check_switch(self._home_switch(), opened)
             approach(self, 0.0, speed, step_m, guard)
-        except BaseException:  # Ctrl-C, too, must not leave it moving.
+        except BaseException as error:  # Ctrl-C, too, must not leave it moving.
+            if isinstance(error, DriveError) and error.kind == WRONG_WAY:
+                self._go_back(module, began_m)
             self.close()
             raise
         with self._lock:
@@ -140,6 +147,13 @@ class TmclDrive:
         self._taken_ns, self._closing = 0, False
         self._thread = threading.Thread(target=self._run, args=(module,), daemon=True)
         self._thread.start()
+
+    def _go_back(self, module: TmclModule, began_m: float) -> None:
+        """Undo a way that has turned out to be the wrong one."""
+        with suppress(DriveError):  # that it was wrong is raised already
+            if self._thread is None:
+                self._follow(module)
+            approach(self, began_m, self._scene.homing_speed_m_per_s, self._axis.units.step_m)
 
     def _home_switch(self) -> bool | None:
         """Return whether the home switch is closed; None where it is not what home is by."""

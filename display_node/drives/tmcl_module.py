@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable
 
 from display_node.drives.axis import Axis
+from display_node.drives.direction import WRONG_WAY, SearchBound
 from display_node.drives.scene import TmclScene
 from display_node.drives.tmcl_line import TmclLine
 from display_node.drives.tmcl_numbers import (
@@ -78,6 +79,8 @@ class TmclModule:
             self._set(Parameter.SEARCH_MODE, scene.homing_method or switch)
             self._set(Parameter.SEARCH_SPEED, speed)
             self._set(Parameter.SWITCH_SPEED, max(1, speed // 4))
+            # Before it moves: from here the way of the search counts.
+            self.hear(Parameter.ACTUAL_POSITION)
             self._insist(Command.REFERENCE_SEARCH, Search.START)
             self._await_home(time.monotonic() + axis.search_s, guard)
         self.hear(Parameter.ACTUAL_POSITION)
@@ -138,16 +141,19 @@ class TmclModule:
         self._line.close()
 
     def _await_home(self, deadline_s: float, guard: Callable[[], None]) -> None:
+        bound = SearchBound(self._axis, self.position_m)
         try:
             while self._insist(Command.REFERENCE_SEARCH, Search.STATUS):
                 guard()
+                self.hear(Parameter.ACTUAL_POSITION)
+                bound(self.position_m)
                 self.hear(Parameter.ERROR_FLAGS)
                 if time.monotonic() > deadline_s:
                     text = f"no home switch within {self._axis.search_s:.0f} s"
                     raise DriveError("not homed", text)
                 time.sleep(SEARCH_POLL_S)
         except DriveError as error:
-            if error.kind in ("not homed", "wrong way"):
+            if error.kind in ("not homed", WRONG_WAY):
                 self._insist(Command.REFERENCE_SEARCH, Search.STOP)
             raise
 

@@ -15,12 +15,8 @@ WATCHDOG_NS = 50 * MS
 
 
 def axis() -> Axis:
-    return build_axis(
-        tmcl_scene(port="x", touch="2 mm", watchdog="50 ms", reply_timeout="10 ms"),
-        stepper(),
-        LAYER,
-        FORCE_LIMIT_N,
-    )
+    scene = tmcl_scene(port="x", touch="2 mm", watchdog="50 ms", reply_timeout="10 ms")
+    return build_axis(scene, stepper(), LAYER, FORCE_LIMIT_N)
 
 
 class Bench:
