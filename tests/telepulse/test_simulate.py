@@ -9,6 +9,7 @@ from rich.console import Console
 
 from protocol.availability import NAMES
 from protocol.errors import SceneError
+from protocol.limits import limit_texts
 from protocol.summary import Summary, print_summary
 from telepulse.link import parse_link
 from telepulse.scene import Scene, load_scene
@@ -38,6 +39,8 @@ def accounted(summary: Summary) -> int:
 def test_every_scene_that_comes_with_us_is_felt_within_the_jnd(path: Path) -> None:
     summary = simulate(load_scene(path), seconds=8, seed=1)
     accounted(summary)
+    # Nothing holds the pulse of a scene that comes with us at a limit.
+    assert limit_texts(dataclasses.asdict(summary.limited)) == []
     assert summary.within_jnd == 1.0
     assert summary.faults == []
     assert summary.rejected == {}
@@ -162,3 +165,18 @@ def shown(summary: Summary) -> str:
     out = io.StringIO()
     print_summary(summary, "simulation", Console(file=out, width=200))
     return out.getvalue()
+
+
+def test_a_pulse_above_the_force_limit_is_counted_as_cut(tmp_path: Path) -> None:
+    path = tmp_path / "hard.toml"
+    text = RADIAL.read_text(encoding="utf-8")
+    path.write_text(text.replace('peak_to_peak = "0.3 N"', 'peak_to_peak = "6 N"'), "utf-8")
+    limited = simulate(load_scene(path), seconds=8, seed=1).limited
+    # Ten beats: each is cut at its top, and pulls once or twice between the tops.
+    for limit in (limited.force, limited.negative):
+        assert limit.times is not None
+        assert 7 <= limit.times <= 20
+        assert limit.seconds is not None
+        assert limit.share == pytest.approx(limit.seconds / 9.5, rel=0.1)
+    assert limited.travel.times is not None
+    assert limited.travel.times > 0
