@@ -37,6 +37,7 @@ from protocol.protection import (
     client_keys,
     server_keys,
 )
+from protocol.provenance import collect
 from protocol.realtime import Asked, check_strict, parse_realtime
 from protocol.realtime.options import RealtimeOption, held_for
 from protocol.result_files import check_writable
@@ -145,9 +146,13 @@ def display(
         readers = _telemetry_keys(telemetry, key, allow, insecure)
         section = load_section(scene, "display", DisplayScene)
         own = key if readers else None
+        provenance = collect(scene, {"display": section})
+        told = provenance.to_bytes()
         with (
             metrics_beside(PROGRAM, metrics, console) as served,
-            closing(DisplayNode(section, connect, telemetry, console.print, keys, readers)) as node,
+            closing(
+                DisplayNode(section, connect, telemetry, console.print, keys, readers, told)
+            ) as node,
             recorded_beside(node, record, own, quiet) as recording,
             # The last: what can fail without the drive has failed before it moves.
             connected(section, scene.parent, console.print) as hardware,
@@ -156,7 +161,7 @@ def display(
             if hardware is not None:
                 node.use(hardware)
             summary = _run(node, connect, seconds, once, screen and not quiet, console, own, asked)
-    sum_up(PROGRAM, summary, "display node", console, json)
+    sum_up(PROGRAM, summary, "display node", console, json, provenance)
     end_at_faults(PROGRAM, summary.faults)
     if not recording.whole:
         raise SystemExit(NOT_WHOLE)

@@ -38,10 +38,11 @@ class DisplayNode:
         log: Callable[[str], None],
         keys: ClientKeys | None = None,
         telemetry_keys: ServerKeys | None = None,
+        provenance: bytes = b"",
     ) -> None:
         """addresses: of the one sensing node, each over a network of its own. keys: the sensing
         node's and our own; telemetry_keys: who may read telemetry, None: everybody who can reach
-        it.
+        it. provenance: of this run, for recorders.
 
         Raises SceneError for a force loop that is not stable, AddressError when an address cannot
         be used, KeyFileError.
@@ -65,7 +66,7 @@ class DisplayNode:
             self._connection = Connection(self._context, addresses, paths, log, keys)
             gate = None if telemetry_keys is None else Gate(self._context, telemetry_keys, log)
             telemetry = sockets.bind(self._context, zmq.XPUB, telemetry_address, gate)
-            self._telemetry = Publisher(telemetry, run=secrets.randbits(62), gate=gate, log=log)
+            self._telemetry = Publisher(telemetry, secrets.randbits(62), gate, log, provenance)
         except BaseException:
             self.close()
             raise

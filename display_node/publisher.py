@@ -10,9 +10,11 @@ from display_node.heard import HEARD, HeardWriter
 from display_node.telemetry import STATUS, STATUS_TRACES, TRACE, TraceWriter
 from protocol import sockets
 from protocol.gate import Gate
+from protocol.provenance import PROVENANCE
 from protocol.subscribers import Subscribers
 
 LOOK_EVERY_S = 0.01
+ASKED = b"\1" + PROVENANCE
 
 
 class Publisher:
@@ -27,11 +29,14 @@ class Publisher:
         run: int,
         gate: Gate | None = None,
         log: Callable[[str], None] = print,
+        provenance: bytes = b"",
     ) -> None:
-        """run: a random number of this run of the display. gate: says who may read."""
+        """run: a random number of this run of the display. gate: says who may read. provenance: is
+        sent to who asks for it."""
         self._socket = socket
         self._gate = gate
-        self._subscribers = Subscribers(socket, (TRACE, STATUS, HEARD), log)
+        self._subscribers = Subscribers(socket, (TRACE, STATUS, HEARD, PROVENANCE), log)
+        self._provenance = provenance
         self.rejected = self._subscribers.rejected
         self._trace = TraceWriter()
         self.heard = HeardWriter(run)
@@ -82,3 +87,5 @@ class Publisher:
             self._gate.tend(time.monotonic_ns())
         for subscription in self._subscribers.said():
             self.heard.follow(subscription)
+            if subscription == ASKED and self._provenance:
+                sockets.send(self._socket, PROVENANCE, self._provenance)

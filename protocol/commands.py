@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 
 from protocol.errors import TelepulseError
+from protocol.provenance import Provenance
 from protocol.summary import Summary, print_summary, write_json
 
 USAGE_ERROR = 2
@@ -42,9 +43,16 @@ def plain_console(quiet: bool = False) -> Console:
     return Console(quiet=quiet, markup=False, emoji=False, soft_wrap=True)
 
 
-def sum_up(program: str, summary: Summary, title: str, console: Console, json: Path | None) -> None:
-    """Print the closing summary, and write it where asked."""
+def sum_up(
+    program: str,
+    summary: Summary,
+    title: str,
+    console: Console,
+    json: Path | None,
+    provenance: Provenance,
+) -> None:
+    """Print the closing summary, and write it where asked, with what produced it."""
     print_summary(summary, title, console)
     if json is not None:
         with one_line_errors(program):
-            write_json(summary, json)
+            write_json(summary, json, provenance)

@@ -18,6 +18,7 @@ from protocol.causes import explain
 from protocol.counted import counted
 from protocol.histogram import bound
 from protocol.limits import Limits, limit_texts
+from protocol.provenance import Provenance
 from protocol.result_files import write_whole
 
 # Stands in a row's text for a value that there is none of; no fault's text has it.
@@ -187,9 +188,10 @@ class Summary:
         return table
 
 
-def write_json(summary: Summary, path: Path) -> None:
-    """Write the summary as JSON. Raises OutputError."""
-    write_whole(path, json.dumps(summary.to_dict(), indent=2) + "\n")
+def write_json(summary: Summary, path: Path, provenance: Provenance | None = None) -> None:
+    """Write the summary as JSON, with what produced it beside it. Raises OutputError."""
+    origin = {} if provenance is None else {"provenance": provenance.to_dict()}
+    write_whole(path, json.dumps(summary.to_dict() | origin, indent=2) + "\n")
 
 
 def print_summary(summary: Summary, title: str, console: Console) -> None:

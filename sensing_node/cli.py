@@ -19,6 +19,7 @@ from protocol.metrics import MetricsOption, metrics_beside
 from protocol.open_files import allow_connections
 from protocol.output import unblocked_output
 from protocol.protection import AllowOption, InsecureOption, KeyOption, server_keys
+from protocol.provenance import collect
 from protocol.realtime import check_strict, parse_realtime
 from protocol.realtime.options import RealtimeOption, held_for
 from protocol.result_files import check_writable
@@ -84,6 +85,7 @@ def sense(
             control = control_address(bind)
             keys = server_keys(bind, key, allow, insecure)
             section = load_section(scene, "sensing", SensingScene)
+            provenance = collect(scene, {"sensing": section})
             served = until_the_end.enter_context(metrics_beside(PROGRAM, metrics, console))
             announcing = until_the_end.enter_context(
                 announced_beside(PROGRAM, announce, bind, section.stream, keys, console)
@@ -108,7 +110,7 @@ def sense(
             console.print(f"the conditioning chain delays the pulse by {delay_ms:.1f} ms")
         with held_for(PROGRAM, asked, console) as held:
             summary = held.noted(node.run(seconds))
-    sum_up(PROGRAM, summary, "sensing node", console, json)
+    sum_up(PROGRAM, summary, "sensing node", console, json, provenance)
 
 
 def main() -> None:

@@ -41,7 +41,7 @@ from telepulse.record.cli import export, record, replay, report
 from telepulse.relay.cli import relay
 from telepulse.report import print_tables, write_json
 from telepulse.report_command import FolderOption, TablesOption, publish
-from telepulse.scene import DEFAULT_SCENE, find_scene, load_scene
+from telepulse.scene import DEFAULT_SCENE, find_scene, load_scene, scene_provenance
 from telepulse.simulate import simulate
 from telepulse.study.cli import app as study_app
 from telepulse.view.cli import view
@@ -114,8 +114,12 @@ def demo(
     with one_line_errors(PROGRAM):
         check_writable(json)
         path = find_scene(scene)
+        loaded = load_scene(path)
+        if link:
+            loaded = replace(loaded, link=parse_link(link))
+        provenance = scene_provenance(loaded)
         summary = run_demo(path, seconds, parse_link(link) if link else None, ui, page, console)
-    sum_up(PROGRAM, summary, f"demo of {path.stem}, {seconds:g} s", console, json)
+    sum_up(PROGRAM, summary, f"demo of {path.stem}, {seconds:g} s", console, json, provenance)
     end_at_faults(PROGRAM, summary.faults)
 
 
@@ -137,9 +141,10 @@ def simulate_command(
         loaded = load_scene(find_scene(scene))
         if link:
             loaded = replace(loaded, link=parse_link(link))
+        provenance = scene_provenance(loaded, {"link": seed})
         summary = simulate(loaded, seconds, seed)
     title = f"simulation of {loaded.path.stem}, {seconds:g} s"
-    sum_up(PROGRAM, summary, title, plain_console(), json)
+    sum_up(PROGRAM, summary, title, plain_console(), json, provenance)
     end_at_faults(PROGRAM, summary.faults)
 
 

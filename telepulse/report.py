@@ -5,8 +5,8 @@ the page shows the one that its reader's system asks for.
 """
 
 import json
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table as RichTable
 
 from protocol.errors import OutputError
+from protocol.provenance import Provenance
 from protocol.result_files import write_whole
 
 if TYPE_CHECKING:
@@ -62,14 +63,16 @@ class Chapter:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """A titled row of chapters."""
+    """A titled row of chapters. provenance: what made the report."""
 
     title: str
     chapters: tuple[Chapter, ...]
+    provenance: Provenance | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Titles, paragraphs and tables as plain types for JSON."""
-        return {
+        made = {} if self.provenance is None else {"provenance": self.provenance.to_dict()}
+        return made | {
             "title": self.title,
             "chapters": [
                 {
@@ -89,6 +92,16 @@ class Report:
                 for chapter in self.chapters
             ],
         }
+
+
+def provenance_table(title: str, provenance: Mapping[str, Any]) -> Table:
+    """Return what produced something as a table; too long for a terminal, which shows the head."""
+    texts = {
+        key: value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+        for key, value in provenance.items()
+    }
+    head = [texts[key] for key in ("version", "commit", "start_utc", "host") if key in texts]
+    return Table(title, ("", ""), tuple(texts.items()), summary=", ".join(head))
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,8 +154,13 @@ def check_can_report(folder: Path) -> None:
 def write_report(report: Report, folder: Path) -> Path:
     """Write the page and its pictures into `folder`; the page's path. Raises OutputError."""
     check_can_report(folder)
+    written = report
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
+    if report.provenance is not None:
+        made = provenance_table("how this was made", report.provenance.to_dict())
+        chapter = Chapter("Provenance of this report", tables=(made,))
+        report = replace(report, chapters=(*report.chapters, chapter))
     for chapter in report.chapters:
         for plot in chapter.plots:
             for theme in THEMES:
@@ -156,7 +174,7 @@ def write_report(report: Report, folder: Path) -> Path:
     )
     page = folder / PAGE
     write_whole(page, environment.get_template("report.html").render(report=report))
-    write_json(report, folder / "report.json")
+    write_json(written, folder / "report.json")
     return page
 
 

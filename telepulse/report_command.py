@@ -1,12 +1,14 @@
 """What every command that makes a report does: check, build, write, print."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from protocol.commands import one_line_errors, plain_console
+from protocol.provenance import collect
 from protocol.result_files import check_writable
 from telepulse.report import Report, check_can_report, print_tables, write_json, write_report
 
@@ -28,7 +30,11 @@ def publish(build: Callable[[], Report], out: Path | None, json: Path | None) ->
         check_writable(json)
         if out is not None:
             check_can_report(out)
+        # Once, before the work: the start is the command's.
+        provenance = collect()
         report = build()
+        if report.provenance is None:
+            report = replace(report, provenance=provenance)
         page = None if out is None else write_report(report, out)
         if json is not None:
             write_json(report, json)

@@ -1,10 +1,12 @@
 """A whole scene: what each node reads, composed for runs of both."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from display_node.scene import DisplayScene
 from protocol.errors import SceneError
+from protocol.provenance import Provenance, collect
 from protocol.scene import load_document, load_section
 from sensing_node.scene import SensingScene
 from telepulse.link import LinkScene
@@ -22,6 +24,12 @@ class Scene:
     sensing: SensingScene
     display: DisplayScene
     link: LinkScene
+
+
+def scene_provenance(scene: Scene, seeds: Mapping[str, int] | None = None) -> Provenance:
+    """Collect the provenance of a run of a whole scene. Raises SceneError."""
+    sections = {"sensing": scene.sensing, "display": scene.display, "link": scene.link}
+    return collect(scene.path, sections, seeds)
 
 
 def find_scene(name: str) -> Path:

@@ -1,5 +1,6 @@
 """`telepulse bench`: check a bench before a finger is on it."""
 
+from dataclasses import replace
 from enum import Enum
 from pathlib import Path
 from typing import Annotated
@@ -9,6 +10,7 @@ import typer
 from display_node.scene import DisplayScene
 from protocol.commands import BENCH_IS_CLEAR, one_line_errors, plain_console
 from protocol.errors import SceneError
+from protocol.provenance import collect
 from protocol.quantities import parse_quantity
 from protocol.result_files import check_writable
 from protocol.scene import load_section
@@ -65,18 +67,24 @@ def bench(
     def check() -> Report:
         check_writable(write)
         path, force_n = find_scene(scene), _force_n(force)
+        sensing, display = None, None
         if only is not Side.DISPLAY:
             sensing = load_section(path, "sensing", SensingScene)
-            run.check_wrist(findings, sensing, path.parent, seconds)
         if only is not Side.SENSING:
             display = load_section(path, "display", DisplayScene)
             _within_limits(force_n, display)
             check_editable(path)
+        sections = {"sensing": sensing, "display": display}
+        used = {name: section for name, section in sections.items() if section is not None}
+        provenance = collect(path, used)
+        if sensing is not None:
+            run.check_wrist(findings, sensing, path.parent, seconds)
+        if display is not None:
             if display.drive is not None and not yes:
                 _ask(force)
             run.check_display(findings, display, path.parent, force_n, seconds)
             run.check_loop(findings, path)
-        return report_bench(path.stem, findings)
+        return replace(report_bench(path.stem, findings), provenance=provenance)
 
     publish(check, out, json)
     if findings.changes:

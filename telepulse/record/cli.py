@@ -24,6 +24,7 @@ from protocol.protection import (
     server_keys,
     telemetry_keys,
 )
+from protocol.provenance import collect
 from protocol.result_files import check_writable
 from protocol.signals import stop_on_signals
 from telepulse.report_command import TablesOption, publish
@@ -106,7 +107,7 @@ def replay(
     stop_on_signals(node.stop)
     length_s = session.samples * description.period_ns * 1e-9
     console.print(f"playing {description.name!r} of {file} on {bind}: {length_s:.1f} s")
-    sum_up(PROGRAM, node.run(seconds), "replay", console, json)
+    sum_up(PROGRAM, node.run(seconds), "replay", console, json, collect())
 
 
 class Kind(Enum):

@@ -53,14 +53,21 @@ def export_edf(path: Path, file: Path, log: Callable[[str], None]) -> None:
         edfio.EdfAnnotation(max(0, at_ns - int(t_ns[0])) * 1e-9, None, text)
         for at_ns, text in felt.events
     ]
+    cut = [] if not session.cut else [edfio.EdfAnnotation(seconds, None, session.cut)]
     start = _utc(felt.unix_ns(int(t_ns[0])))
+    origin = [
+        edfio.EdfAnnotation(0, None, f"{key} {run[key]}")
+        for run in session.provenance
+        for key in ("version", "commit", "host", "command")
+        if key in run
+    ]
     edf = edfio.Edf(
         signals,
         recording=edfio.Recording(
             startdate=start.date(), equipment_code="telepulse", additional=("times_are_UTC",)
         ),
         starttime=start.time(),
-        annotations=sorted([*losses, *events], key=lambda note: float(note.onset)),
+        annotations=sorted([*losses, *events, *cut, *origin], key=lambda note: float(note.onset)),
     )
     try:
         edf.write(file)

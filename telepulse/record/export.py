@@ -1,6 +1,7 @@
 """A recording as tables, or as a whole MCAP file again."""
 
 import csv
+import json
 from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -8,6 +9,7 @@ from itertools import chain
 from pathlib import Path
 
 from protocol.errors import OutputError, SourceError
+from protocol.result_files import write_whole
 from telepulse.record.mcap_writer import McapWriter
 from telepulse.record.parquet import ParquetTable, check_parquet
 from telepulse.record.reader import RecordedMessage, RecordingReader
@@ -15,6 +17,7 @@ from telepulse.record.schema import SCHEMAS
 from telepulse.record.tables import TABLES, Column, Row, columns, rows
 
 MESSAGES_A_CHUNK = 5_000
+PROVENANCE = "provenance.json"
 
 
 class CsvTable:
@@ -52,9 +55,10 @@ def _export_tables(path: Path, folder: Path, log: Callable[[str], None], kind: K
             for message in reader:
                 if message.topic in TABLES:
                     tables.add(message)
+            tables.describe(path, reader)
     except FileExistsError:
         raise OutputError(f"{folder}: is there already; name another by --out") from None
-    except SourceError:
+    except (SourceError, OutputError):
         raise
     except OSError as error:
         raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from None
@@ -72,6 +76,7 @@ class _Tables(ExitStack):
         self._folder = folder
         self._kind = kind
         self._files: dict[str, CsvTable | ParquetTable] = {}
+        self._columns: dict[str, list[Column]] = {}
         self.rows: Counter[str] = Counter()
 
     def add(self, message: RecordedMessage) -> None:
@@ -83,11 +88,32 @@ class _Tables(ExitStack):
             file.add(row)
             self.rows[message.topic] += 1
 
+    def describe(self, path: Path, reader: RecordingReader) -> None:
+        """Write beside the tables what produced the recording, what of it could not be read, and
+        what each column holds and on which clock. Raises OutputError."""
+        if not self._files:
+            return
+        described = {
+            "recording": str(path),
+            "whole": reader.whole,
+            "gaps": reader.gaps(),
+            "runs": [dict(run) for run in reader.provenance],
+            "columns": {
+                name: {c.name: {"unit": c.unit, "description": c.says} for c in found}
+                for name, found in self._columns.items()
+            },
+        }
+        for file in self._files.values():
+            if isinstance(file, ParquetTable):
+                file.describe(described)
+        write_whole(self._folder / PROVENANCE, json.dumps(described, indent=2) + "\n")
+
     def _open(self, first: RecordedMessage) -> CsvTable | ParquetTable:
         if not self._files:
             self._folder.mkdir(parents=True)
         path = self._folder / f"{TABLES[first.topic]}{self._kind.suffix}"
-        file = self._kind(path, columns(first))
+        self._columns[path.name] = columns(first)
+        file = self._kind(path, self._columns[path.name])
         self.callback(file.close)
         return file
 
@@ -105,6 +131,8 @@ def export_mcap(path: Path, copy: Path, log: Callable[[str], None]) -> None:
         writer.put(*message)
         if number % MESSAGES_A_CHUNK == 0:
             writer.flush()
+    for provenance in reader.provenance:
+        writer.describe(provenance)
     reason = writer.close()
     if reason is not None or writer.dropped:
         raise OutputError(f"{copy}: cannot be written: {reason or 'the disk was full'}")
@@ -113,8 +141,6 @@ def export_mcap(path: Path, copy: Path, log: Callable[[str], None]) -> None:
 
 
 def say_gaps(path: Path, reader: RecordingReader, log: Callable[[str], None]) -> None:
-    """Say what of a recording could not be read."""
-    if not reader.whole:
-        log(f"{path}: breaks off, as of a recorder that was killed; what is whole is taken")
-    if reader.damaged:
-        log(f"{path}: {reader.damaged} damaged chunks are left out")
+    """Report what of a recording could not be read."""
+    for line in reader.gaps():
+        log(f"{path}: {line}")

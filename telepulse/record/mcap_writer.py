@@ -15,6 +15,7 @@ from telepulse.record.transcript import Entry
 # While the disk is full: some seven minutes of a stream of 1 kHz.
 MAX_WAITING_BYTES = 32 * 1024 * 1024
 PROFILE = "telepulse"
+PROVENANCE = "telepulse.provenance"
 
 
 class McapWriter:
@@ -59,6 +60,10 @@ class McapWriter:
         )
         self.written[topic] += 1
         self._in_chunk += 1
+
+    def describe(self, provenance: dict[str, str]) -> None:
+        """Add what produced the recording, as a metadata record."""
+        self._writer.add_metadata(PROVENANCE, provenance)
 
     def flush(self) -> str | None:
         """End the chunk and put it on the disk. Returns why it waits, if it does."""

@@ -1,5 +1,6 @@
 """A table as a Parquet file: typed columns, with units and descriptions beside them."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,11 @@ class ParquetTable:
         self._rows.append(row)
         if len(self._rows) >= ROWS_A_GROUP:
             self._flush()
+
+    def describe(self, described: dict[str, Any]) -> None:
+        """Add what produced the recording to the file's metadata, each key as JSON."""
+        texts = {f"telepulse.{key}": json.dumps(value) for key, value in described.items()}
+        self._writer.add_key_value_metadata(texts)
 
     def close(self) -> None:
         """Write what is left, and the end. Raises OSError."""

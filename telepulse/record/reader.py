@@ -6,7 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
+from protocol.counted import counted
 from protocol.errors import SourceError
+from telepulse.record.mcap_writer import PROVENANCE
 from telepulse.record.schema import FRAME, SCHEMAS
 
 MAX_RECORD_BYTES = 1 << 28
@@ -36,7 +38,9 @@ class RecordingReader:
     """The messages of a recording, in the order in which they were written.
 
     whole: the recording was ended as it should be; known once all was read. damaged: chunks
-    whose bytes are not what was written; what is in them is left out.
+    whose bytes are not what was written; what is in them is left out. cut_bytes: at its end, which
+    cannot be read. begin_ns, end_ns: Unix time of its first and last message. provenance: of each
+    run of the display, as text by key.
     """
 
     def __init__(self, path: Path) -> None:
@@ -50,12 +54,32 @@ class RecordingReader:
             ) from None
         self._mcap: Any = stream_reader
         self._path = path
+        self._forget()
+
+    def _forget(self) -> None:
         self.whole = False
-        self.damaged = 0
+        self.damaged = self.cut_bytes = 0
+        self.begin_ns: int | None = None
+        self.end_ns = 0
+        self.provenance: list[dict[str, str]] = []
+
+    def gaps(self) -> list[str]:
+        """Return what could not be read, one line each; complete once all was read."""
+        lines = []
+        if not self.whole:
+            seconds = 0.0 if self.begin_ns is None else (self.end_ns - self.begin_ns) * 1e-9
+            lines.append(
+                f"breaks off after {seconds:.1f} s, as of a recorder that was killed:"
+                f" {counted(self.cut_bytes, 'byte')} at its end cannot be read,"
+                " and what was to come is missing"
+            )
+        if self.damaged:
+            lines.append(f"{counted(self.damaged, 'damaged chunk')} left out")
+        return lines
 
     def __iter__(self) -> Iterator[RecordedMessage]:
         """Raises SourceError when the file is no recording, or holds nothing."""
-        self.whole, self.damaged = False, 0
+        self._forget()
         try:
             with self._path.open("rb") as file:
                 yield from self._messages(file)
@@ -81,7 +105,12 @@ class RecordingReader:
                     channels[record.id] = record.topic
                     topics.add(record.topic)
                     ours = ours or schemas.get(record.schema_id) == OURS
+                case "Metadata" if record.name == PROVENANCE:
+                    self.provenance.append(dict(record.metadata))
                 case "Message" if ours and record.channel_id in channels:
+                    if self.begin_ns is None:
+                        self.begin_ns = record.log_time
+                    self.end_ns = max(self.end_ns, record.log_time)
                     yield RecordedMessage(
                         channels[record.channel_id], record.log_time, bytes(record.data)
                     )
@@ -102,7 +131,9 @@ class RecordingReader:
         records = self._mcap.StreamReader(
             _Left(file), emit_chunks=True, record_size_limit=MAX_RECORD_BYTES
         ).records
+        size_bytes = os.fstat(file.fileno()).st_size
         while True:
+            self.cut_bytes = size_bytes - file.tell()
             try:
                 record = next(records)
             except StopIteration:
@@ -113,7 +144,7 @@ class RecordingReader:
                 return
             kind = type(record).__name__
             if kind == "DataEnd":
-                self.whole = True
+                self.whole, self.cut_bytes = True, 0
                 return
             if kind != "Chunk":
                 yield record

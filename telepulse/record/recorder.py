@@ -32,6 +32,7 @@ class Recorder:
         self._log, self._warn = log, warn
         self._stopping = False
         self._reason: str | None = None
+        self._provenance: dict[str, str] | None = None
         self._reader = TelemetryReader(address, keys, warn)
         self._transcript = self._reader.transcript
         try:
@@ -87,6 +88,9 @@ class Recorder:
             came = True
             for entry in entries:
                 self._file.add(entry)
+            if self._transcript.provenance != self._provenance:
+                self._provenance = self._transcript.provenance
+                self._file.describe(self._provenance or {})
         return came
 
     def _notice(self, reason: str | None) -> None:

@@ -14,12 +14,17 @@ from telepulse.record.schema import FRAME, STREAM
 
 @dataclass
 class Session:
-    """The frames of one session, as bytes by the number of their first sample."""
+    """The frames of one session, as bytes by the number of their first sample.
+
+    cut: how the recording breaks off, "" where it is whole. provenance: of the recording's runs.
+    """
 
     number: int
     description: StreamDescription
     data: dict[int, bytes] = field(default_factory=dict)
     samples: int = 0
+    cut: str = ""
+    provenance: list[dict[str, str]] = field(default_factory=list)
 
     def frames(self) -> Iterator[Frame]:
         """They, in order."""
@@ -49,15 +54,15 @@ def longest_session(path: Path, log: Callable[[str], None]) -> Session:
             unfit += not _take(message, sessions)
         except (WireError, ValueError, KeyError, TypeError):
             unfit += 1
-    if not reader.whole:
-        log(f"{path}: breaks off, as of a recorder that was killed")
-    if reader.damaged:
-        log(f"{path}: {reader.damaged} damaged chunks are left out")
+    for line in reader.gaps():
+        log(f"{path}: {line}")
     if unfit:
         log(f"{path}: {unfit} frames that do not fit their stream are left out")
     longest = max(sessions.values(), key=lambda session: session.samples, default=None)
     if longest is None or not longest.samples:
         raise SourceError(f"{path}: holds no frame of a stream that is described")
+    longest.provenance = reader.provenance
+    longest.cut = "" if reader.whole else reader.gaps()[0]
     if len(sessions) > 1:
         log(f"{path}: holds {len(sessions)} sessions; the longest is taken")
     return longest

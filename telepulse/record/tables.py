@@ -12,6 +12,10 @@ Row = list[Any]
 TABLES = {FRAME: "samples", TICK: "ticks", CLOCK: "clock", EVENT: "events"}
 UNITS = {"_ns": "ns", "_n": "N", "_ms": "ms"}
 _SAMPLE = ("arrived_ns", "path", "session", "sample", "t_ns")
+UNIX = "unix_ns"
+_UNIX_SAYS = (
+    "Unix time at which the display received or did it, by its own clock: the same in all tables"
+)
 _EVENT = ("level", "name", "message")
 _SAYS = {
     FRAME: {
@@ -68,12 +72,15 @@ def columns(message: RecordedMessage) -> list[Column]:
             Column(f"force_{n}_n", kind, "N", f"force at the wrist, channel {n}")
             for n in range(values.shape[1])
         ]
-        return [*(_column(topic, name, "integer") for name in _SAMPLE), *forces]
+        return [*(_column(topic, name, "integer") for name in _SAMPLE), *forces, _unix()]
     properties = SCHEMAS[topic][1]["properties"]
     if topic == EVENT:
         kinds = {"t_ns": "integer", "level": "integer", "name": "string", "message": "string"}
-        return [_column(topic, name, kind) for name, kind in kinds.items()]
-    return [_column(topic, name, schema["type"]) for name, schema in properties.items()]
+        return [*(_column(topic, name, kind) for name, kind in kinds.items()), _unix()]
+    return [
+        *(_column(topic, name, schema["type"]) for name, schema in properties.items()),
+        _unix(),
+    ]
 
 
 def rows(message: RecordedMessage) -> Iterator[Row]:
@@ -84,11 +91,16 @@ def rows(message: RecordedMessage) -> Iterator[Row]:
         head = [fields["arrived_ns"], fields["path"], frame.session]
         for at, values in enumerate(frame.values.tolist()):
             t_ns = frame.t_first_ns + at * frame.period_ns
-            yield [*head, frame.first_sample + at, t_ns, *values]
+            yield [*head, frame.first_sample + at, t_ns, *values, message.t_ns]
     elif message.topic == EVENT:
-        yield [message.t_ns, *(fields[name] for name in _EVENT)]
+        yield [message.t_ns, *(fields[name] for name in _EVENT), message.t_ns]
     else:
-        yield [fields.get(name) for name in SCHEMAS[message.topic][1]["properties"]]
+        properties = SCHEMAS[message.topic][1]["properties"]
+        yield [*(fields.get(name) for name in properties), message.t_ns]
+
+
+def _unix() -> Column:
+    return Column(UNIX, "integer", "ns", _UNIX_SAYS)
 
 
 def _column(topic: str, name: str, kind: str) -> Column:

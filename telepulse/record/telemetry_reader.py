@@ -8,6 +8,7 @@ from display_node.heard import HEARD
 from display_node.telemetry import STATUS, TRACE
 from protocol import sockets
 from protocol.keys import ClientKeys
+from protocol.provenance import PROVENANCE
 from protocol.refusals import Refusals
 from telepulse.record.transcript import Entry, Transcript
 
@@ -38,7 +39,7 @@ class TelemetryReader:
 
     def listen(self) -> None:
         """Ask for all of it; a display that waits for its recorder begins."""
-        for topic in (TRACE, STATUS, HEARD):
+        for topic in (PROVENANCE, TRACE, STATUS, HEARD):
             self._socket.subscribe(topic)
 
     def messages(self) -> Iterator[list[Entry]]:

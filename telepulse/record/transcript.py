@@ -14,6 +14,7 @@ from display_node.telemetry import STATUS as STATUS_TOPIC
 from display_node.telemetry import TRACE, Trace, read_status, read_trace
 from protocol.errors import WireError
 from protocol.messages import Bye, ClockReply, Frame, Welcome
+from protocol.provenance import PROVENANCE, read_provenance
 from telepulse.record.events import Event, StatusWatch
 from telepulse.record.heard_fields import (
     Fields,
@@ -41,7 +42,7 @@ class Transcript:
     """What a display's telemetry says, and what of it never came.
 
     missed: how many messages of each kind the display published that did not reach us. ended:
-    the display has said its last word.
+    the display has said its last word. provenance: of the display's run, None until it came.
     """
 
     def __init__(self) -> None:
@@ -52,6 +53,7 @@ class Transcript:
         self._watch = StatusWatch()
         self.missed: Counter[str] = Counter()
         self.ended = False
+        self.provenance: dict[str, str] | None = None
 
     @property
     def known(self) -> bool:
@@ -61,6 +63,8 @@ class Transcript:
     def take(self, topic: bytes, data: bytes) -> list[Entry]:
         """What a telemetry message adds to the recording; nothing until the display is known."""
         try:
+            if topic == PROVENANCE:
+                self.provenance = read_provenance(data)
             if topic == HEARD:
                 return list(self._take_heard(read_heard(data)))
             if topic == TRACE:

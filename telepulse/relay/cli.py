@@ -21,6 +21,7 @@ from protocol.protection import (
     client_keys,
     server_keys,
 )
+from protocol.provenance import collect
 from protocol.result_files import check_writable
 from protocol.signals import stop_on_signals
 from protocol.sockets import control_address
@@ -74,7 +75,8 @@ def relay(
         downstream = server_keys(bind, key, allow, insecure)
         allow_connections()
         node = Relay(connect, bind, console.print, upstream, downstream)
+        provenance = collect()
     stop_on_signals(node.stop)
     console.print(f"relaying {connect} on {bind} (control {control})")
     summary = node.run(seconds)
-    sum_up(PROGRAM, summary, "relay", console, json)
+    sum_up(PROGRAM, summary, "relay", console, json, provenance)

@@ -1,6 +1,6 @@
 """The report of a recording: its chapters in their order."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -13,7 +13,7 @@ from protocol.histogram import bound
 from protocol.limits import limit_texts
 from protocol.summary import Lateness, OneWayDelay, PlayoutDelay, Summary
 from telepulse.record.report.findings import Findings, read_findings
-from telepulse.report import Chapter, Report, Table
+from telepulse.report import Chapter, Report, Table, provenance_table
 
 if TYPE_CHECKING:
     from telepulse.report import Plot
@@ -31,6 +31,7 @@ def build_recording_report(path: Path) -> Report:
         _delays(findings),
         _clock_and_loop(findings),
         _events(findings),
+        *_provenance(findings),
     )
     return Report(f"Recording {path.name}", chapters)
 
@@ -44,10 +45,7 @@ def _whole(findings: Findings) -> Chapter:
         f"{streams}, {begin:%Y-%m-%d %H:%M:%S} UTC, {findings.seconds:.1f} s,"
         f" {len(findings.streams)} sessions of the sensing node."
     ]
-    if not findings.whole:
-        said.append("The recording breaks off, as of a recorder that was killed.")
-    if findings.damaged:
-        said.append(f"{findings.damaged} damaged chunks are left out.")
+    said += [f"The recording: {line}." for line in findings.gaps]
     if findings.runs > 1:
         said.append(
             f"The display was started {findings.runs} times; its own figures are of the last run."
@@ -179,3 +177,13 @@ def _events(findings: Findings) -> Chapter:
     )
     more = f"{findings.more_events} further ones are not shown." if findings.more_events else ""
     return Chapter("What happened", tables=(Table("events", ("s", "", "what", ""), rows, more),))
+
+
+def _provenance(findings: Findings) -> Iterator[Chapter]:
+    """Yield what produced the recording, where it has it: those of older versions do not."""
+    if findings.provenance:
+        tables = tuple(
+            provenance_table(f"run {number}" if len(findings.provenance) > 1 else "the run", run)
+            for number, run in enumerate(findings.provenance, 1)
+        )
+        yield Chapter("Provenance of the recording", tables=tables)

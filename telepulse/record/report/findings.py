@@ -49,15 +49,17 @@ class Trends:
 class Findings:
     """What was found; complete after `finish`.
 
-    whole, damaged: as the reader says. own: the display's last word of itself, None where there is
-    none. forces: at wrist and finger. events: time in s, level, name, text; more_events: how many
-    further ones there were.
+    whole, damaged, gaps, provenance: as the reader says. own: the display's last word of itself,
+    None where there is none. forces: at wrist and finger. events: time in s, level, name, text;
+    more_events: how many further ones there were.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.whole = False
         self.damaged = 0
+        self.gaps: list[str] = []
+        self.provenance: list[dict[str, str]] = []
         self.begin_ns: int | None = None
         self.end_ns = 0
         self.ticks = 0
@@ -271,4 +273,5 @@ def read_findings(path: Path) -> Findings:
     if findings.begin_ns is None:
         raise SourceError(f"{path}: holds no message")
     findings.whole, findings.damaged = reader.whole, reader.damaged
+    findings.gaps, findings.provenance = reader.gaps(), reader.provenance
     return findings

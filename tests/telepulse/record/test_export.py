@@ -139,7 +139,10 @@ def test_the_command_writes_beside_the_recording(recording: Path) -> None:
     assert (result.returncode, result.stderr) == (0, "")
     folder = recording.with_suffix(".parquet")
     assert f"{folder}: 2890 samples, 3000 ticks, 60 clock" in result.stdout
-    assert {file.name for file in folder.iterdir()} == {f"{name}.parquet" for name in TABLES}
+    assert {file.name for file in folder.iterdir()} == {
+        "provenance.json",
+        *(f"{name}.parquet" for name in TABLES),
+    }
 
 
 def test_nothing_is_written_over(recording: Path, tmp_path: Path) -> None:

@@ -65,9 +65,15 @@ def test_a_recording_played_again_gives_the_same_samples_bit_by_bit(tmp_path: Pa
     address, first, again = free_address(), tmp_path / "first.mcap", tmp_path / "again.mcap"
     sensing = ("sensing_node.cli", str(RADIAL), "--bind", address, "--seconds", "2.5", "--quiet")
     topics, summary = felt_and_recorded(first, address, sensing)
+    recorded = RecordingReader(first)
+    assert len(list(recorded))
     assert len(topics[FRAME]) == summary["frames"]["received"]
     assert len(topics[TICK]) == summary["loop"]["ticks"]
     assert topics[STATUS][-1]["final"]
+    (run,) = recorded.provenance
+    assert json.loads(run["command"])[1:3] == [str(RADIAL), "--connect"]
+    assert json.loads(run["scene"])["path"] == str(RADIAL)
+    assert summary["provenance"]["effective"] == json.loads(run["effective"])
     at, sensed_n = samples(topics[FRAME])
     assert at + len(sensed_n) == 2500
 

@@ -1,0 +1,146 @@
+"""Provenance: what produced a figure, for summaries, recordings and reports.
+
+It names the scene as it was in effect, the version, the host and the command. Of keys it holds the
+paths that the command line names, never what is in them.
+"""
+
+import dataclasses
+import json
+import platform
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, TypeAdapter, ValidationError
+
+from protocol.errors import WireError
+from protocol.scene import load_document
+
+PROVENANCE = b"provenance"
+"""The topic of telemetry under which a display publishes its own."""
+MAX_BYTES = 1 << 20
+_ROOT = Path(__file__).parents[1]
+_GIT_WITHIN_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """What a run was.
+
+    Attributes
+    ----------
+    command : list of str
+        The command line, as it was given.
+    commit : str or None
+        Of the checkout that runs, with "-dirty" where it was changed; None outside a checkout.
+    start_utc : str
+        When the command began, ISO 8601.
+    scene : dict
+        The scene file as written: its path and its tables.
+    effective : dict
+        The sections that are used, with all defaults, by name; units are in the names.
+    seeds : dict
+        Seeds of what is random, by what they are of.
+    """
+
+    version: str
+    commit: str | None
+    start_utc: str
+    host: str
+    platform: str
+    python: str
+    command: list[str]
+    scene: dict[str, Any] = field(default_factory=dict)
+    effective: dict[str, Any] = field(default_factory=dict)
+    seeds: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def actuator(self) -> dict[str, Any]:
+        """The display's actuator as it was in effect; empty without a display."""
+        return dict(self.effective.get("display", {}).get("actuator", {}))
+
+    @property
+    def gains(self) -> dict[str, Any]:
+        """The display's controller as it was in effect; empty without a display."""
+        return dict(self.effective.get("display", {}).get("controller", {}))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain types for JSON; what does not apply is left out."""
+        table = dataclasses.asdict(self) | {"actuator": self.actuator, "gains": self.gains}
+        return {key: value for key, value in table.items() if value not in (None, {}, [])}
+
+    def to_bytes(self) -> bytes:
+        """Return the message that telemetry carries."""
+        return json.dumps(self.to_dict()).encode()
+
+
+def collect(
+    scene: Path | None = None,
+    sections: Mapping[str, BaseModel] | None = None,
+    seeds: Mapping[str, int] | None = None,
+) -> Provenance:
+    """Collect the provenance of this process; call it once, before a loop.
+
+    scene, sections: the scene's file, and its sections as validated, by name. Raises SceneError
+    where the file cannot be read.
+    """
+    written = {} if scene is None else {"path": str(scene), "tables": load_document(scene)}
+    effective = {name: part.model_dump(mode="json") for name, part in (sections or {}).items()}
+    found = dict(seeds or {})
+    source = effective.get("sensing", {}).get("source", {})
+    if isinstance(source.get("seed"), int):
+        found.setdefault("source", source["seed"])
+    return Provenance(
+        version=version("telepulse"),
+        commit=_commit(),
+        start_utc=datetime.now(UTC).isoformat(timespec="milliseconds"),
+        host=platform.node(),
+        platform=platform.platform(),
+        python=platform.python_version(),
+        command=[Path(sys.argv[0]).name, *sys.argv[1:]],
+        scene=written,
+        effective=effective,
+        seeds=found,
+    )
+
+
+def read_provenance(data: bytes) -> dict[str, str]:
+    """Return the fields of a telemetry message as text, tables among them as JSON.
+
+    Raises WireError.
+    """
+    try:
+        if len(data) > MAX_BYTES:
+            raise ValueError("it is too long")
+        table = _TABLE.validate_json(data)
+    except (ValueError, ValidationError) as error:
+        raise WireError("malformed", f"no provenance: {error!s:.80}") from None
+    return {
+        key: value if isinstance(value, str) else json.dumps(value) for key, value in table.items()
+    }
+
+
+_TABLE: TypeAdapter[dict[str, Any]] = TypeAdapter(dict[str, Any])
+
+
+def _commit() -> str | None:
+    """Return the commit of the checkout that runs, None outside one or without git."""
+    if not (_ROOT / ".git").exists():
+        return None
+    describe = ("describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
+    try:
+        found = subprocess.run(
+            ["git", "--no-optional-locks", "-C", str(_ROOT), *describe],
+            capture_output=True,
+            text=True,
+            timeout=_GIT_WITHIN_S,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return found.stdout.strip() or None
