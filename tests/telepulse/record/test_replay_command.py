@@ -70,10 +70,10 @@ def test_a_recording_played_again_gives_the_same_samples_bit_by_bit(tmp_path: Pa
     assert len(topics[FRAME]) == summary["frames"]["received"]
     assert len(topics[TICK]) == summary["loop"]["ticks"]
     assert topics[STATUS][-1]["final"]
-    (run,) = recorded.provenance
-    assert json.loads(run["command"])[1:3] == [str(RADIAL), "--connect"]
-    assert json.loads(run["scene"])["path"] == str(RADIAL)
-    assert summary["provenance"]["effective"] == json.loads(run["effective"])
+    (made,) = recorded.provenance
+    assert json.loads(made["command"])[1:3] == [str(RADIAL), "--connect"]
+    assert json.loads(made["scene"])["path"] == str(RADIAL)
+    assert summary["provenance"]["effective"] == json.loads(made["effective"])
     at, sensed_n = samples(topics[FRAME])
     assert at + len(sensed_n) == 2500
 
