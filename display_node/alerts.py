@@ -5,11 +5,15 @@ from typing import Any, NamedTuple
 
 from display_node.deadlines import deadline_alarm
 from display_node.fault_advice import FILM_NOTE, SENSING_NOTE, advise, latched
-from protocol.causes import MEANINGS
-from protocol.refusals import REVOKED
+from protocol.causes import MEANINGS, explain
+from protocol.refusals import BREAKS, REFUSED_KEY, REVOKED
+from protocol.watch import HANDSHAKE, NO_KEY, NOT_AUTHENTIC, REPLAYED
 
 # Without telemetry for so long a display is taken for silent.
 SILENT_AFTER_NS = 2_000_000_000
+NOT_CONNECTED = "not connected"
+# Counts from which a link is taken for refused; a node that ends breaks off, too.
+CONNECTION_CAUSES = {REFUSED_KEY: 1, NO_KEY: 1, NOT_AUTHENTIC: 1, REPLAYED: 1, HANDSHAKE: BREAKS}
 
 
 class Alert(NamedTuple):
@@ -46,10 +50,24 @@ def alerts(
             found.append(Alert(prefix.removesuffix(": "), "; ".join(notes)))
     if summary.get("rejected", {}).get(REVOKED) and state != "playing":
         found.append(Alert("revoked", MEANINGS[REVOKED]))
+    if refusals := _refused_connections(state, summary):
+        found.append(Alert(NOT_CONNECTED, "; ".join(explain(refusals))))
     if state == "stale":
         found.append(Alert("stale", f"no samples to play{finger}"))
     late = deadline_alarm(summary.get("loop", {}))
     return found if late is None else [*found, Alert("deadline misses", late)]
+
+
+def _refused_connections(state: str, summary: Mapping[str, Any]) -> dict[str, int]:
+    """Return why a display that plays nothing does not get in, by cause and count."""
+    if state not in ("waiting", "stale"):
+        return {}
+    rejected = summary.get("rejected", {})
+    return {
+        cause: rejected[cause]
+        for cause, least in CONNECTION_CAUSES.items()
+        if rejected.get(cause, 0) >= least
+    }
 
 
 def _no_telemetry(summary: Mapping[str, Any], silent_ns: int) -> Alert:

@@ -51,7 +51,9 @@ def families(program: str, told: Told | None, now_ns: int, unreadable: int = 0) 
         yield _gauge("heart_rate_hertz", "Of the pulse that is felt.", told.heart_rate_per_min / 60)
     if told.status.displays is not None:
         yield _gauge("displays", "Displays that listen.", told.status.displays)
-    yield _faults(told.status.summary["faults"])
+    yield _texts("fault", "Faults and what sensors missed, 1 each.", told.status.summary["faults"])
+    if finger := told.status.summary["finger"]:
+        yield _texts("finger", "What is measured at the finger, 1.", [finger])
     yield from _figures(told.status.summary)
 
 
@@ -71,10 +73,10 @@ def _state(state: str) -> Metric:
     return StateSetMetricFamily(PREFIX + "state", "What the node does, in one word.", known)
 
 
-def _faults(faults: list[str]) -> Metric:
-    """Faults by name. Their numbers would make a new name of each: they stay in the summary."""
-    family = GaugeMetricFamily(PREFIX + "fault", "Faults, 1 each.", labels=["name"])
-    for name in sorted({_NUMBER.sub("#", fault) for fault in faults}):
+def _texts(name: str, text: str, values: list[str]) -> Metric:
+    """Return texts as labels. Their numbers, each a label of its own, stay in the summary."""
+    family = GaugeMetricFamily(PREFIX + name, text, labels=["name"])
+    for name in sorted({_NUMBER.sub("#", value) for value in values}):
         family.add_metric([name], 1)
     return family
 

@@ -3,14 +3,16 @@
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-from display_node.alerts import Alert, alerts
+from display_node.alerts import NOT_CONNECTED, Alert, alerts
 from protocol.causes import explain
 from protocol.limits import NAMES
 from protocol.refusals import REVOKED
 
 # As long as a display waits before it takes a sensing node for silent.
 CUT_AFTER_NS = 1_000_000_000
-CUT, FAULT, STALE = "link cut", "fault", "stale"
+CUT, FAULT = "link cut", "fault"
+# By the events of the state, and of each cause of refusal.
+TOLD_OTHERWISE = {"stale", NOT_CONNECTED}
 
 
 class Event(NamedTuple):
@@ -66,8 +68,7 @@ class StatusWatch:
             self._joined = True
             before_joining = summary["samples"].get("before_joining") or 0
             yield Event("INFO", "join", f"the pulse is felt; samples sent before: {before_joining}")
-        # The state's own events have it.
-        wrong = [alert for alert in alerts(state, summary) if alert.name != STALE]
+        wrong = [alert for alert in alerts(state, summary) if alert.name not in TOLD_OTHERWISE]
         yield from self._lasting([*wrong, *self._cut(now_ns)], now_ns)
         yield from self._counted(summary)
 

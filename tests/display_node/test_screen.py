@@ -10,6 +10,7 @@ from rich.console import Console
 from display_node import screen as screen_module
 from display_node.screen import Screen, watch
 from display_node.telemetry import STATUS, TRACE, Status, Trace
+from protocol.causes import MEANINGS
 from protocol.limits import Limited, Limits
 from protocol.sockets import Context
 from protocol.status import pack_status
@@ -109,6 +110,28 @@ def test_a_limit_is_shown_where_it_was_reached() -> None:
     screen.status = screen.status._replace(summary=summary)
     assert "limited force limit 312 times, 4.1 s (20.5 % of the run)" in screen.line()
     assert "force limit 312 times, 4.1 s (20.5 % of the run)" in printed(screen)
+
+
+@pytest.mark.parametrize(
+    ("state", "rejected", "named"),
+    [
+        ("waiting", {"refused_key": 1}, True),
+        ("stale", {"not_authentic": 319}, True),
+        ("waiting", {"handshake": 3}, True),
+        # A node that ends breaks off.
+        ("stale", {"handshake": 2}, False),
+        ("playing", {"refused_key": 9}, False),
+        ("waiting", {"session": 4}, False),
+    ],
+)
+def test_a_display_that_does_not_get_in_shows_why(
+    state: str, rejected: dict[str, int], named: bool
+) -> None:
+    screen = Screen()
+    summary = status().summary | {"rejected": rejected}
+    screen.status = status()._replace(state=state, summary=summary)
+    ((cause, count),) = rejected.items()
+    assert (f"not connected: {count} {cause}: {MEANINGS[cause]}" in screen.line()) == named
 
 
 def test_the_plot_is_a_line_without_holes() -> None:

@@ -69,6 +69,7 @@ def test_figures_come_in_base_units_and_counts_as_counters() -> None:
         loop=Loop(5000, 4, late_us=Lateness(60.0, 100.0, 500.0, 900.0)),
         rejected={"late_hello": 2},
         faults=["17 samples missing from /dev/ttyACM0"],
+        finger="pressed with 245 mN, the drive does not answer",
     )
     found = scraped(families("display-node", told(summary), 3 * SECOND_NS))
     for name, labels, value in [
@@ -89,6 +90,7 @@ def test_figures_come_in_base_units_and_counts_as_counters() -> None:
         ("heart_rate_hertz", {}, 1.25),
         ("state", {"telepulse_state": "playing"}, 1),
         ("state", {"telepulse_state": "stale"}, 0),
+        ("finger", {"name": "pressed with # mN, the drive does not answer"}, 1),
         ("fault", {"name": "# samples missing from /dev/ttyACM#"}, 1),
     ]:
         got = found["telepulse_" + name, tuple(sorted(labels.items()))]
