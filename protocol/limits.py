@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.counted import counted
+
 # Key of `Limits` → the limit's name for people.
 NAMES = {
     "force": "force limit",
@@ -105,7 +107,7 @@ def limit_texts(limits: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 def _text(name: str, limited: Mapping[str, Any]) -> str:
     times, seconds, share = (limited.get(key) or 0 for key in ("times", "seconds", "share"))
-    text = f"{name} {times} time{'s' * (times != 1)}, {_seconds(seconds)}"
+    text = f"{name} {counted(times, 'time')}, {_seconds(seconds)}"
     return f"{text} ({_percent(share)} of the run)"
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import zmq
 
 from protocol import sockets
+from protocol.counted import counted
 from protocol.gate import Gate
 from protocol.keys import ServerKeys
 from protocol.messages import Bye, encode_control, encode_frame
@@ -135,7 +136,9 @@ class SensingNode:
             self._log(f"{self._desk.guests[sender].shown_name} joined")
         elif self._desk.rejected["too_many_displays"] and not self._full:
             self._full = True
-            self._log(f"{known} displays are here, which is the most; no further one is answered")
+            self._log(
+                f"{counted(known, 'display')} here, which is the most; no further one is answered"
+            )
 
     def _forget_silent(self) -> None:
         for guest in self._desk.forget_silent(self._clock()):

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+from protocol.counted import counted
 from protocol.one_way_clock import OneWayClock
 from sensors.force_scale import SensorTable
 from sensors.packet import Packet
@@ -76,9 +77,9 @@ class Readings:
             return [f"no sample came from {name}"]
         faults = []
         if self.missing:
-            faults.append(f"{self.missing} samples missing from {name}")
+            faults.append(f"{counted(self.missing, 'sample')} missing from {name}")
         if self.restarts:
-            faults.append(f"{name} began its clock anew {self.restarts} times")
+            faults.append(f"{name} began its clock anew {counted(self.restarts, 'time')}")
         if self.samples > SETTLED_S * self._nominal_hz and self._rate_is_off:
             faults.append(self._rate_fault(name, self._timeline.rate_hz))
         return faults

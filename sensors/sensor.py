@@ -11,6 +11,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, NamedTuple, Protocol
 
+from protocol.counted import counted
 from protocol.errors import SourceError
 from sensors.force_scale import SensorTable
 from sensors.packet import Packet
@@ -132,7 +133,7 @@ class Sensor:
             gone_ns = self._gone_for_ns
             if self._gone_since_ns is not None:
                 gone_ns += self._clock() - self._gone_since_ns
-            times = f"{self._losses} times, for {gone_ns * 1e-9:.1f} s in all"
+            times = f"{counted(self._losses, 'time')}, for {gone_ns * 1e-9:.1f} s in all"
             faults.insert(0, f"{self._port.name} was gone {times}")
         return faults
 

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import typer
 
 from protocol.commands import StopAfterOption, one_line_errors, plain_console
+from protocol.counted import counted
 from protocol.scene import load_section
 from protocol.signals import stop_on_signals
 from sensors.binary_frames import MAX_SAMPLES, SampleFormat
@@ -84,4 +85,6 @@ def sensor(
     with closing(port):
         console.print(source_table(port.path, board.rate_hz, framing, samples))
         play(board, port, time.monotonic_ns() + round((seconds or FOREVER_S) * 1e9), stopped.is_set)
-    console.print(f"{board.sampled} samples sent, {port.dropped} bytes that nobody read")
+    console.print(
+        f"{counted(board.sampled, 'sample')} sent, {counted(port.dropped, 'byte')} that nobody read"
+    )

@@ -4,6 +4,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Literal
 
+from protocol.counted import counted
 from telepulse.experiment.session import Kind
 from telepulse.experiment.trials import LETTERS, Letter
 
@@ -70,6 +71,8 @@ class Dialogue:
 
     def _feel(self, letter: Letter) -> Feel | Say:
         if self._replays is not None and self._felt[letter] >= self._replays:
-            return Say(f"{letter} was felt {self._felt[letter]} times; no more in this trial")
+            return Say(
+                f"{letter} was felt {counted(self._felt[letter], 'time')}; no more in this trial"
+            )
         self._felt[letter] += 1
         return Feel(letter, self._felt[letter])

@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Callable
 
+from protocol.counted import counted
 from protocol.keys import ClientKeys
 from telepulse.lsl_outlet.forwarder import Forwarder
 from telepulse.lsl_outlet.outlets import Outlets
@@ -65,10 +66,14 @@ class LslOutlet:
         if not transcript.known:
             self._warn(f"{self._address}: nothing was heard from it")
             return False
-        given = ", ".join(f"{passed[name]} {name}" for name in ("samples", "ticks", "events"))
+        given = ", ".join(counted(passed[f"{name}s"], name) for name in ("sample", "tick", "event"))
         early = passed["frames too early"]
-        before = f"; {early} frames came before the sensing clock was known" if early else ""
-        self._log(f"{self._address}: {given}; {self._forwarder.lost} samples are missing{before}")
+        before = (
+            f"; {counted(early, 'frame')} came before the sensing clock was known" if early else ""
+        )
+        self._log(
+            f"{self._address}: {given}; {counted(self._forwarder.lost, 'sample')} missing{before}"
+        )
         if transcript.missed:
             counts = ", ".join(f"{n} {name}" for name, n in sorted(transcript.missed.items()))
             self._warn(f"{self._address}: of the telemetry {counts} were missed")

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from display_node.fidelity import MAX_GAP_NS, interpolate
+from protocol.counted import counted
 from protocol.errors import OutputError, SourceError
 from telepulse.record.session import Session, longest_session
 from telepulse.record.session_felt import felt_in
@@ -75,8 +76,8 @@ def export_edf(path: Path, file: Path, log: Callable[[str], None]) -> None:
         raise OutputError(f"{file}: cannot be written: {error.strerror}") from None
     steps = ", ".join(f"{signal.label} {_step(signal):.2g} mN" for signal in signals)
     log(
-        f"{file}: {seconds} s at {rate_hz} Hz, {len(losses)} losses and {len(events)} events as"
-        f" annotations; 16 bits, a step is: {steps}"
+        f"{file}: {seconds} s at {rate_hz} Hz, {counted(len(losses), 'loss', 'losses')}"
+        f" and {counted(len(events), 'event')} as annotations; 16 bits, a step is: {steps}"
     )
 
 
@@ -158,7 +159,7 @@ def _losses(edfio: Any, t_ns: Ints, numbers: Ints, period_ns: int) -> list[Any]:
         edfio.EdfAnnotation(
             (int(t_ns[at] - t_ns[0]) + period_ns) * 1e-9,
             int(missing[at]) * period_ns * 1e-9,
-            f"{missing[at]} samples lost",
+            f"{counted(int(missing[at]), 'sample')} lost",
         )
         for at in np.flatnonzero(missing > 0)
     ]

@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from itertools import chain
 from pathlib import Path
 
+from protocol.counted import counted
 from protocol.errors import OutputError, SourceError
 from protocol.result_files import write_whole
 from telepulse.record.mcap_writer import McapWriter
@@ -137,7 +138,7 @@ def export_mcap(path: Path, copy: Path, log: Callable[[str], None]) -> None:
     if reason is not None or writer.dropped:
         raise OutputError(f"{copy}: cannot be written: {reason or 'the disk was full'}")
     say_gaps(path, reader, log)
-    log(f"{copy}: {sum(writer.written.values())} messages")
+    log(f"{copy}: {counted(sum(writer.written.values()), 'message')}")
 
 
 def say_gaps(path: Path, reader: RecordingReader, log: Callable[[str], None]) -> None:

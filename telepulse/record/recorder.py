@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from protocol.counted import counted
 from protocol.keys import ClientKeys
 from telepulse.record.events import Event
 from telepulse.record.mcap_writer import McapWriter
@@ -99,7 +100,7 @@ class Recorder:
             return
         self._reason = reason
         if reason is None:
-            text = f"is written again, {self._file.dropped} messages were lost"
+            text = f"is written again, {counted(self._file.dropped, 'message')} lost"
         else:
             text = f"cannot be written: {reason}; what comes waits in memory"
         self._warn(f"{self._path}: {text}")
@@ -108,7 +109,7 @@ class Recorder:
 
     def _end(self, alone: bool) -> bool:
         reason, file, missed = self._file.close(), self._file, self._transcript.missed
-        named = [f"{file.written[t]} {name}" for t, name in NAMES.items() if file.written[t]]
+        named = [counted(file.written[t], *names) for t, names in NAMES.items() if file.written[t]]
         if self._transcript.known:
             self._log(f"{self._path}: {', '.join(named)}")
         else:
@@ -120,7 +121,9 @@ class Recorder:
             self._warn(f"{self._path}: the recorder missed {counts}")
         if file.dropped:
             cause = reason or "memory was full while the disk was"
-            self._warn(f"{self._path}: {file.dropped} messages could not be written: {cause}")
+            self._warn(
+                f"{self._path}: {counted(file.dropped, 'message')} could not be written: {cause}"
+            )
         elif reason is not None:
             self._warn(f"{self._path}: has no index: {reason}")
         return self._transcript.known and not (missed or file.dropped or reason)

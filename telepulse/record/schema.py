@@ -42,13 +42,13 @@ def _of(kind: Any) -> Schema:
 FRAME, TICK, STATUS = "/frame", "/tick", "/status"
 STREAM, CLOCK, REFUSED, EVENT = "/stream", "/clock", "/refused", "/event"
 NAMES = {
-    FRAME: "frames",
-    TICK: "ticks",
-    STATUS: "statuses",
-    STREAM: "descriptions",
-    CLOCK: "clock replies",
-    EVENT: "events",
-    REFUSED: "messages that are none",
+    FRAME: ("frame", "frames"),
+    TICK: ("tick", "ticks"),
+    STATUS: ("status", "statuses"),
+    STREAM: ("description", "descriptions"),
+    CLOCK: ("clock reply", "clock replies"),
+    EVENT: ("event", "events"),
+    REFUSED: ("message that is none", "messages that are none"),
 }
 
 SCHEMAS: dict[str, tuple[str, Schema]] = {

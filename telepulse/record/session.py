@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from protocol.counted import counted
 from protocol.errors import SourceError, WireError
 from protocol.messages import Frame, Welcome, decode_control, decode_frame
 from protocol.stream import StreamDescription
@@ -57,7 +58,7 @@ def longest_session(path: Path, log: Callable[[str], None]) -> Session:
     for line in reader.gaps():
         log(f"{path}: {line}")
     if unfit:
-        log(f"{path}: {unfit} frames that do not fit their stream are left out")
+        log(f"{path}: left out: {counted(unfit, 'frame')} unfit for their stream")
     longest = max(sessions.values(), key=lambda session: session.samples, default=None)
     if longest is None or not longest.samples:
         raise SourceError(f"{path}: holds no frame of a stream that is described")

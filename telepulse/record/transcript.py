@@ -12,6 +12,7 @@ from typing import NamedTuple
 from display_node.heard import HEARD, Heard, Message, read_heard
 from display_node.telemetry import STATUS as STATUS_TOPIC
 from display_node.telemetry import TRACE, Trace, read_status, read_trace
+from protocol.counted import counted
 from protocol.errors import WireError
 from protocol.messages import Bye, ClockReply, Frame, Welcome
 from protocol.provenance import PROVENANCE, read_provenance
@@ -150,7 +151,7 @@ class Transcript:
                     yield self.event(Event("INFO", "session", text))
             case Bye(samples_sent=count):
                 self._watch.end_stream()
-                yield self.event(Event("INFO", "end of stream", f"{count} samples were sent"))
+                yield self.event(Event("INFO", "end of stream", f"{counted(count, 'sample')} sent"))
 
     def _ticks(self, trace: Trace) -> Iterator[Entry]:
         columns = [column.tolist() for column in trace]

@@ -7,6 +7,7 @@ import zmq
 
 from display_node.connection import ANSWER_NS, CUT_NS, PATIENCE_NS, Lookup
 from protocol import sockets
+from protocol.counted import counted
 from protocol.gate import Gate
 from protocol.keys import ClientKeys, ServerKeys
 from protocol.refusals import Refusals
@@ -140,9 +141,9 @@ class Relay:
 
     def _summary(self) -> Summary:
         self._log(
-            f"{self._frames.heard} frames ({_megabytes(self._frames)})"
+            f"{counted(self._frames.heard, 'frame')} ({_megabytes(self._frames)})"
             f" and {_megabytes(self._control)} of answers came from {self._connect},"
-            f" over {1 + self.reconnections} connections;"
+            f" over {counted(1 + self.reconnections, 'connection')};"
             f" {self._control.dropped} questions found no room"
         )
         rejected = self._refusals.rejected + self._frames.rejected

@@ -135,7 +135,7 @@ def test_a_board_that_begins_anew_is_followed_and_named() -> None:
     assert (readings.samples, readings.missing, readings.restarts) == (4000, 1000, 1)
     assert readings.faults("the board") == [
         "1000 samples missing from the board",
-        "the board began its clock anew 1 times",
+        "the board began its clock anew 1 time",
     ]
 
 

@@ -91,7 +91,7 @@ def test_a_device_that_stays_away_is_tried_again_until_closed(
         assert sensor.poll() == []
         (never, gone) = sensor.faults()[::-1]
         assert never == "no sample came from the port"
-        assert gone.startswith("the port was gone 1 times, for ")
+        assert gone.startswith("the port was gone 1 time, for ")
 
 
 def test_what_nobody_fetches_is_counted_and_no_memory_grows(

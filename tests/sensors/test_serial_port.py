@@ -138,7 +138,7 @@ def test_a_pulled_cable_is_named_and_the_stream_goes_on(tmp_path: Path) -> None:
             again.write(b"\n0.3\n")
             assert set(forces(heard(sensor, 1))) == {0.3}
         fault = sensor.faults()[0]
-        assert fault.startswith(f"{link} was gone 1 times, for ")
+        assert fault.startswith(f"{link} was gone 1 time, for ")
 
 
 def test_a_port_that_does_not_exist_is_one_line_that_names_those_that_do(tmp_path: Path) -> None:

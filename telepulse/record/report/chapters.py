@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from protocol.availability import NAMES as AVAILABILITY
 from protocol.availability import part_text
+from protocol.counted import counted
 from protocol.histogram import bound
 from protocol.limits import limit_texts
 from protocol.summary import Lateness, OneWayDelay, PlayoutDelay, Summary
@@ -43,7 +44,7 @@ def _whole(findings: Findings) -> Chapter:
     streams = ", ".join(f"“{name}”" for name in dict.fromkeys(findings.streams)) or "no stream"
     said = [
         f"{streams}, {begin:%Y-%m-%d %H:%M:%S} UTC, {findings.seconds:.1f} s,"
-        f" {len(findings.streams)} sessions of the sensing node."
+        f" {counted(len(findings.streams), 'session')} of the sensing node."
     ]
     said += [f"The recording: {line}." for line in findings.gaps]
     if findings.runs > 1:
@@ -53,8 +54,8 @@ def _whole(findings: Findings) -> Chapter:
     own_ticks = None if findings.own is None else findings.own.loop.ticks
     if findings.runs == 1 and own_ticks is not None and own_ticks > findings.ticks:
         said.append(
-            f"The display's own figures count {own_ticks - findings.ticks} ticks more than were"
-            " recorded: from before the recording, or missed by the recorder."
+            f"The display's own figures count {counted(own_ticks - findings.ticks, 'tick')} more"
+            " than were recorded: from before the recording, or missed by the recorder."
         )
     return Chapter("In short", tuple(said), (_summary(findings),))
 

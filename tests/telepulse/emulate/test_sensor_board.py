@@ -122,7 +122,7 @@ def test_a_pulled_cable_is_named_and_what_was_missed_counts_as_lost(
     assert f"{link} has gone: " in output
     assert f"{link} is back" in output
     went, missing, *_ = read_json(summary)["faults"]
-    assert went.startswith(f"{link} was gone 1 times, for ")
+    assert went.startswith(f"{link} was gone 1 time, for ")
     assert missing.endswith(f" samples missing from {link}")
     gaps = [
         later.first_sample - earlier.first_sample - len(earlier.values)

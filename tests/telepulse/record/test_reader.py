@@ -148,4 +148,4 @@ def test_a_recording_without_a_stream_cannot_be_played(tmp_path: Path) -> None:
     said: list[str] = []
     with pytest.raises(SourceError, match="holds no frame"):
         longest_session(path, said.append)
-    assert "1 frames that do not fit" in said[0]
+    assert "left out: 1 frame unfit" in said[0]
