@@ -126,7 +126,7 @@ class Screen:
                 texts += [(right[0], ""), (right[1], value_style)]
                 table.add_row(*(Text(text, style) for text, style in texts))
             tables.append(table)
-        stream = "".join(c if c.isprintable() else "?" for c in self.status.stream)
+        stream = _printable(self.status.stream)
         title = Text(f"telepulse · {stream or 'no stream'} · {self._state(now_ns)}")
         wrong = [Text(f"{name}: {text}", "bold red") for name, text in self._alerts(now_ns)]
         parts = (*wrong, tables[0], Text(), *self._plot(current), Text(), Text(RUN, "dim"))
@@ -136,7 +136,8 @@ class Screen:
     def _alerts(self, now_ns: int) -> list[Alert]:
         assert self.status is not None
         status = self.status
-        return alerts(status.state, status.summary, status.final, self._silent_ns(now_ns))
+        found = alerts(status.state, status.summary, status.final, self._silent_ns(now_ns))
+        return [Alert(_printable(name), _printable(text)) for name, text in found]
 
     def _silent_ns(self, now_ns: int) -> int:
         """Return for how long nothing came from a display that has not ended."""
@@ -160,7 +161,7 @@ class Screen:
             ("heart rate", _show(rate, "/min", 0)),
             ("force target", _show(None if last is None else last.target_n, "mN", 1, 1e3)),
             ("force felt", _show(None if last is None else last.felt_n, "mN", 1, 1e3)),
-            *([("finger", finger)] if finger and current else []),
+            *([("finger", _printable(finger))] if finger and current else []),
         ]
 
     def _run_rows(self) -> list[tuple[str, str]]:
@@ -207,6 +208,11 @@ def _show(value: float | None, unit: str, digits: int = 1, scale: float = 1.0) -
 
 def _quantile(table: Mapping[str, Any], key: str, unit: str) -> str:
     return f"{bound(key, table['beyond'])}{_show(table[key], unit)}"
+
+
+def _printable(text: str) -> str:
+    """Return text from a status, which cannot draw on the screen."""
+    return "".join(character if character.isprintable() else "?" for character in text)
 
 
 def _count(value: Any) -> str:

@@ -214,11 +214,12 @@ def test_a_display_that_stands_still_is_waited_for(
 
 
 @pytest.mark.parametrize("name", ["[red]evil[/red]", "\x1b[31mevil", "[/]"])
-def test_a_streams_name_cannot_draw_on_the_screen(name: str) -> None:
+def test_the_texts_of_a_status_cannot_draw_on_the_screen(name: str) -> None:
     screen = Screen()
-    screen.status = status()._replace(stream=name)
+    texts = {"faults": [name], "finger": name, "rejected": {name: 1}}
+    screen.status = status()._replace(stream=name, summary=status().summary | texts)
     text = printed(screen)
-    assert "\x1b" not in text
+    assert "\x1b" not in text + screen.line()
     assert "evil" in text or "[/]" in text
 
 
