@@ -83,6 +83,12 @@ class CanDecoder:
         path = folder / scene.database
         self._message = _find_message(scene, path)
         self._signal, self._counter_name = scene.signal, scene.counter
+        stated = next(s.unit for s in self._message.signals if s.name == scene.signal)
+        if scene.contradicts(stated):
+            raise SourceError(
+                f'{path}: {scene.signal!r} is in {stated}, the scene says unit = "{scene.unit}";'
+                f' set unit = "{stated}"'
+            )
         self._bits = self._length(scene.counter, path) if scene.counter else 0
         self._error = library("cantools.database", "a CAN sensor").DecodeError
         self._period_ns = scene.period_ns

@@ -66,6 +66,14 @@ class SensorTable(Section):
         """Time between samples, nominally."""
         return round(1e9 / self.rate_hz)
 
+    def contradicts(self, stated_unit: str | None) -> bool:
+        """Whether the unit that a device states is another force or voltage than the table's.
+
+        Counts are left alone: their scale is a calibration of its own.
+        """
+        known = (*_NEWTONS, *_VOLTS)
+        return stated_unit in known and self.unit in known and stated_unit != self.unit
+
     def force_scale(self) -> ForceScale:
         """The line that the table describes."""
         if self.unit == "counts":

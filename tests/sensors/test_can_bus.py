@@ -138,6 +138,8 @@ def test_an_error_on_the_bus_is_counted(folder: Path) -> None:
             {"signal": "Pulse"},
             "no signal 'Pulse'; it has Force, Count, Temperature, Page, Squeeze, ",
         ),
+        ({"unit": "mN"}, '\'Force\' is in N, the scene says unit = "mN"; set unit = "N"'),
+        ({"unit": "V"}, '\'Force\' is in N, the scene says unit = "V"; set unit = "N"'),
         ({"counter": "Tick"}, "Film has no signal 'Tick'; it has Force, Count"),
         ({"message": "Fil"}, "no message 'Fil'; it has Film, Other, Paged, Floating, Twin"),
         ({"signal": "Temperature"}, "'Temperature' is in Other, Twin; say which: message"),
