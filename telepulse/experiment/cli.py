@@ -70,12 +70,21 @@ def run(
         ),
     ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask before the drive moves.")] = False,
+    without_drive: Annotated[
+        bool,
+        typer.Option(
+            "--without-drive",
+            help="Run a scene that names no drive, to try a session: its models run, nobody feels"
+            " anything, and the log has it so.",
+        ),
+    ] = False,
     realtime: RealtimeOption = None,
 ) -> None:
     """Run a session: the subject feels A, B and X on the scene's actuator, and answers by keys.
 
-    A scene with a [display.drive] is felt on the real bench; without one its models run in real
-    time, and nothing is felt. What A, B and X were is said when the session has ended.
+    A scene with a [display.drive] is felt on the real bench. One without is refused for a person,
+    who would feel nothing, unless --without-drive is given. What A, B and X were is said when the
+    session has ended.
 
     Exit status: 0 when it has ended or was stopped by q, 2 when it cannot be run or a fault ends
     it; the reason is one line on stderr.
@@ -85,7 +94,13 @@ def run(
     from telepulse.experiment.log import read_log
     from telepulse.experiment.person import Person
     from telepulse.experiment.report import build_report
-    from telepulse.experiment.run import check_playable, open_log, run_session, simulated
+    from telepulse.experiment.run import (
+        check_drive,
+        check_playable,
+        open_log,
+        run_session,
+        simulated,
+    )
     from telepulse.experiment.session import load_plan
 
     console = plain_console()
@@ -93,6 +108,8 @@ def run(
         asked = parse_realtime(realtime)
         check_strict(asked)
         plan = load_plan(session)
+        if observer is None:
+            check_drive(plan, without_drive)
         file, header, done = open_log(log, plan, observer, resume)
         stack.enter_context(closing(file))
         if observer is not None:
@@ -125,17 +142,22 @@ def run(
 def report(
     logs: Annotated[list[Path], typer.Argument(metavar="LOG...", show_default=False)],
     out: FolderOption = Path("out/experiment"),
+    spoilt: Annotated[
+        bool, typer.Option("--spoilt", help="Count the spoilt trials with the others.")
+    ] = False,
     json: TablesOption = None,
 ) -> None:
-    """Say what the logs show: proportions with exact intervals, thresholds, objective errors.
+    """Report what the logs show: proportions with exact intervals, thresholds, objective errors.
 
-    Several logs are several subjects of one experiment. Prints tables and writes a page.
+    Several logs are several subjects of one experiment: people or simulated observers, on one
+    scene, with intervals of one kind. Trials in which more than 1 % of the ticks were missed or
+    the stream was stale are listed as spoilt and left out. Prints tables and writes a page.
     """
     from telepulse.experiment.log import read_log
     from telepulse.experiment.report import build_report
 
     def build() -> Report:
-        return build_report([read_log(path) for path in logs])
+        return build_report([read_log(path) for path in logs], spoilt)
 
     publish(build, out, json)
 

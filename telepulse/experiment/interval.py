@@ -27,6 +27,10 @@ from telepulse.simulate import Simulation, Tick
 FOREPERIOD_NS = 1_000_000_000
 # After the fade, so that the layer has come to rest.
 REST_NS = 150_000_000
+# More ticks missed in an interval than this share, and it is not what the condition says.
+MOST_MISSED = 0.01
+# Of logs that do not hold their ticks.
+TICKS_PER_S = 1_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +49,9 @@ class Played(BaseModel):
     """What was felt of an interval, as the log has it.
 
     Errors are RMSE in N against what was sensed; pulse_n: from peak to peak, what should have
-    been felt; felt_s: at full strength.
+    been felt; felt_s: at full strength. ticks: of the whole interval, missed ones included;
+    stale_ticks: of those in which the curtain was open and the stream was stale. Logs of before
+    these two have neither.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -61,6 +67,18 @@ class Played(BaseModel):
     roughness_sensed_n: float | None
     pulse_n: float
     deadline_misses: int
+    ticks: int = 0
+    stale_ticks: int = 0
+
+    @property
+    def spoilt(self) -> str:
+        """Why this is not what the trial was to be, "" where it is."""
+        ticks = self.ticks or max(1, round(self.felt_s * TICKS_PER_S))
+        if self.deadline_misses > MOST_MISSED * ticks:
+            return f"{100 * self.deadline_misses / ticks:.1f} % of the ticks missed"
+        if self.stale_ticks:
+            return f"the stream stale for {100 * self.stale_ticks / ticks:.1f} % of the ticks"
+        return ""
 
 
 def draw_interval(
@@ -92,9 +110,11 @@ class Curtain(Safety):
     """Safety that takes the stream for stale while it is closed."""
 
     opened = False
+    stale_ticks = 0
 
     def bound(self, reference_n: list[float], alive: bool) -> list[float]:
         """The reference within force and slew limits; towards 0 N while closed."""
+        self.stale_ticks += self.opened and not alive
         return super().bound(reference_n, alive and self.opened)
 
 
@@ -119,6 +139,7 @@ class Playing:
         self._close_ns = self._open_ns + interval.felt_ns
         self._rest_ns = scene.safety.fade_ns + REST_NS
         self._simulation.begin((self._close_ns + self._rest_ns - begin_ns) * 1e-9)
+        self._all_ticks = 0
         self._ticks, self._least_n, self._most_n = 0, math.inf, -math.inf
         self.deadline_misses = 0
 
@@ -130,6 +151,7 @@ class Playing:
     def tick(self, now_ns: int, elapsed_ticks: int = 1) -> bool:
         """Tick the display; False when it is over, and the actuator at rest."""
         self.deadline_misses += elapsed_ticks - 1
+        self._all_ticks += elapsed_ticks
         self._curtain.opened = self._open_ns <= now_ns < self._close_ns
         felt = self._simulation.tick(now_ns, elapsed_ticks, self._tick)
         if felt.scored:
@@ -159,6 +181,8 @@ class Playing:
             roughness_sensed_n=rough.sensed_n,
             pulse_n=max(0.0, self._most_n - self._least_n),
             deadline_misses=self.deadline_misses,
+            ticks=self._all_ticks,
+            stale_ticks=self._curtain.stale_ticks,
         )
 
 

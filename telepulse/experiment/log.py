@@ -39,7 +39,8 @@ class _Line(BaseModel):
 
 class Header(_Line):
     """The first line. tables: session file and scene as written; threshold: of the simulated
-    observer, None for a person."""
+    observer, None for a person. felt_on: "drive", or "models", on which nobody feels anything.
+    provenance: of the run. Logs of before these two have neither."""
 
     line: Literal["session"] = "session"
     version: str
@@ -48,6 +49,15 @@ class Header(_Line):
     seed: int
     threshold: float | None
     trials: tuple[Trial, ...]
+    felt_on: Literal["drive", "models"] | None = None
+    provenance: dict[str, Any] = Field(default_factory=dict)
+
+    @property
+    def subject(self) -> str:
+        """Who answers, and on what: answers of one kind alone may be pooled."""
+        if self.threshold is not None:
+            return "a simulated observer"
+        return "a person on the scene's models" if self.felt_on == "models" else "a person"
 
 
 class Answered(_Line):
@@ -68,6 +78,7 @@ class Resumed(_Line):
     line: Literal["resumed"] = "resumed"
     version: str
     time: str
+    provenance: dict[str, Any] = Field(default_factory=dict)
 
 
 _LINE: TypeAdapter[Header | Answered | Resumed] = TypeAdapter(Header | Answered | Resumed)

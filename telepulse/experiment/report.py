@@ -2,9 +2,11 @@
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from protocol.counted import counted
 from telepulse.experiment import plots
 from telepulse.experiment.estimates import LEVEL, PAPER, Proportion, hits_needed, mean_of, power
 from telepulse.experiment.log import Log
@@ -17,14 +19,55 @@ NONE = "–"
 POOLED, DIRECT = "all of them", "no link (catch)"
 
 
-def build_report(logs: Sequence[Log]) -> Report:
-    """Of one subject or several. Raises LogError."""
-    results = gather(logs)
+def build_report(logs: Sequence[Log], with_spoilt: bool = False) -> Report:
+    """Report one subject or several; with_spoilt: count spoilt trials with the others.
+
+    Raises LogError.
+    """
+    results = gather(logs, with_spoilt)
     answers = _abx_chapter(results) if results.kind == "abx" else _rating_chapter(results)
+    answers = replace(
+        answers,
+        paragraphs=(*_labels(results), *answers.paragraphs),
+        tables=(*answers.tables, *_spoilt_table(results)),
+    )
     return Report(
         f"Experiment: {results.title}",
         (answers, _course_chapter(results), _errors_chapter(results), _paper_chapter()),
     )
+
+
+def _labels(results: Results) -> list[str]:
+    """Return what a reader must know of the answers before he reads them."""
+    labels = []
+    if results.thresholds:
+        shown = ", ".join(f"{100 * threshold:g} %" for threshold in results.thresholds)
+        labels.append(
+            f"Simulated: the answers are those of simulated observers (threshold {shown});"
+            " no person felt anything."
+        )
+    elif results.who != "a person":
+        labels.append("Nobody felt anything: the scene's models ran, without a drive.")
+    if results.spoilt:
+        count = counted(len(results.spoilt), "answered trial")
+        verb = "is" if len(results.spoilt) == 1 else "are"
+        fate = "counted all the same" if results.pooled else "left out of all figures but theirs"
+        labels.append(
+            f"{count} {verb} spoilt by missed ticks or a stale stream, and {verb} {fate}."
+        )
+    if len(results.versions) > 1:
+        labels.append(f"The logs are of several versions: {', '.join(results.versions)}.")
+    return labels
+
+
+def _spoilt_table(results: Results) -> list[Table]:
+    if not results.spoilt:
+        return []
+    rows = tuple(
+        (o.subject, str(o.answered.index + 1), o.trial.condition or DIRECT, o.spoilt)
+        for o in results.spoilt
+    )
+    return [Table("Spoilt trials", ("subject", "trial", "condition", "why"), rows)]
 
 
 def threshold_of(outcomes: Sequence[Outcome]) -> Threshold | None:
@@ -54,7 +97,10 @@ def _abx_chapter(results: Results) -> Chapter:
 
 def _answered(results: Results) -> str:
     count, subjects = len(results.outcomes), len(results.subjects)
-    who = "one subject" if subjects == 1 else f"{subjects} subjects"
+    if not results.pooled:
+        count += len(results.spoilt)
+    kind = "simulated observer" if results.thresholds else "subject"
+    who = f"one {kind}" if subjects == 1 else f"{subjects} {kind}s"
     return f"{count} of {results.asked} trials are answered, by {who}."
 
 

@@ -35,6 +35,11 @@ class Outcome:
         return int(self.answered.answer)
 
     @property
+    def spoilt(self) -> str:
+        """Why this trial is not what it was to be, "" where it is."""
+        return next((why for played in self.answered.played if (why := played.spoilt)), "")
+
+    @property
     def errors(self) -> Errors:
         """Aligned force errors of A, B and X as shares of the pulse; NaN of what was not felt."""
         played = self.answered.played
@@ -52,7 +57,12 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Results:
-    """All outcomes, in order, and the conditions in the order of the session file."""
+    """All outcomes that count, in order, and the conditions in the order of the session file.
+
+    spoilt: further outcomes, in which ticks were missed or the stream was stale; pooled: they are
+    among the outcomes as well. who: answered, in one word of each kind: people and observers are
+    never pooled.
+    """
 
     kind: Kind
     title: str
@@ -60,6 +70,11 @@ class Results:
     subjects: tuple[str, ...]
     outcomes: tuple[Outcome, ...]
     asked: int
+    spoilt: tuple[Outcome, ...] = ()
+    pooled: bool = False
+    who: str = "a person"
+    thresholds: tuple[float, ...] = ()
+    versions: tuple[str, ...] = ()
 
     def of(self, condition: str | None) -> list[Outcome]:
         """A condition's outcomes; None: those of catch trials."""
@@ -75,19 +90,30 @@ class Results:
         return ((name, found) for name in self.conditions if (found := self.of(name)))
 
 
-def gather(logs: Sequence[Log]) -> Results:
-    """Of sessions that have the same kind and conditions. Raises LogError."""
+def gather(logs: Sequence[Log], with_spoilt: bool = False) -> Results:
+    """Pool logs of one kind of subject, session and scene. Raises LogError.
+
+    with_spoilt: count spoilt trials with the others; they are counted too where there are no
+    others.
+    """
     first = logs[0]
     names = [log.path.stem for log in logs]
     for log in logs[1:]:
         mine, theirs = log.session, first.session
         if (mine.kind, mine.conditions) != (theirs.kind, theirs.conditions):
             raise LogError(f"{log.path}: other conditions than in {first.path}; report them apart")
-    outcomes = tuple(
+        if what := _difference(log, first):
+            raise LogError(f"{log.path}: {what}; report them apart")
+    found = tuple(
         Outcome(name, log.header.trials[answered.index], answered)
         for name, log in zip(names, logs, strict=True)
         for answered in log.answered
     )
+    spoilt = tuple(outcome for outcome in found if outcome.spoilt)
+    clean = tuple(outcome for outcome in found if not outcome.spoilt)
+    # Without a clean trial the spoilt ones are all that there is to report, as spoilt.
+    pooled = with_spoilt or not any(o.trial.condition is not None for o in clean)
+    outcomes = found if pooled else clean
     if not any(o.trial.condition is not None for o in outcomes):
         raise LogError(f"{first.path}: no trial of a condition is answered yet")
     return Results(
@@ -97,7 +123,35 @@ def gather(logs: Sequence[Log]) -> Results:
         subjects=tuple(dict.fromkeys(names)),
         outcomes=outcomes,
         asked=sum(len(log.header.trials) for log in logs),
+        spoilt=spoilt,
+        pooled=pooled,
+        who=first.header.subject,
+        thresholds=tuple(
+            sorted({log.header.threshold for log in logs if log.header.threshold is not None})
+        ),
+        versions=tuple(sorted({_version(log) for log in logs})),
     )
+
+
+# What may differ between the sittings of one experiment.
+FREE_KEYS = {"title", "trials", "catch", "seed"}
+
+
+def _difference(log: Log, first: Log) -> str:
+    """Return how a log differs from the first so that they cannot be pooled, "" where not."""
+    if log.header.subject != first.header.subject:
+        return f"answered by {log.header.subject}, {first.path} by {first.header.subject}"
+    if log.header.tables.get("scene") != first.header.tables.get("scene"):
+        return f"another scene than in {first.path}"
+    mine, theirs = (each.session.model_dump() for each in (log, first))
+    differing = [key for key in mine if key not in FREE_KEYS and mine[key] != theirs[key]]
+    return f"another {', '.join(differing)} than in {first.path}" if differing else ""
+
+
+def _version(log: Log) -> str:
+    """Return the version that wrote a log, with its commit where it is known."""
+    commit = log.header.provenance.get("commit")
+    return f"{log.header.version} ({commit})" if commit else log.header.version
 
 
 def correct(outcomes: Iterable[Outcome]) -> Proportion:

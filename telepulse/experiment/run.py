@@ -5,7 +5,9 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from random import SystemRandom
+from typing import Literal
 
+from protocol.errors import SceneError
 from telepulse.experiment.interval import (
     Played,
     Playing,
@@ -28,6 +30,7 @@ from telepulse.experiment.person import Draw
 from telepulse.experiment.psychometric import Errors
 from telepulse.experiment.session import Plan
 from telepulse.experiment.trials import LETTERS, draw_trials
+from telepulse.scene import scene_provenance
 
 Subject = Callable[[int, Draw], Answered | None]
 """Answers a trial by its index and intervals; None: no more."""
@@ -41,6 +44,10 @@ def open_log(
     A log that goes on must be of the same session, scene and observer; its trials are taken from
     it. Raises LogError or OutputError.
     """
+    drive = plan.direct.display.drive
+    felt_on: Literal["drive", "models"] = (
+        "models" if drive is None or threshold is not None else "drive"
+    )
     if not resume:
         seed = plan.session.seed
         seed = SystemRandom().getrandbits(31) if seed is None else seed
@@ -51,6 +58,8 @@ def open_log(
             seed=seed,
             threshold=threshold,
             trials=draw_trials(plan.session, seed),
+            felt_on=felt_on,
+            provenance=scene_provenance(plan.direct, {"session": seed}).to_dict(),
         )
         file = LogFile(path)
         file.write(header)
@@ -59,8 +68,18 @@ def open_log(
     if (log.header.tables, log.header.threshold) != (plan.tables, threshold):
         raise LogError(f"{path}: session, scene or observer are not those it began with")
     file = LogFile(path, log.whole_bytes)
-    file.write(Resumed(version=our_version(), time=now()))
+    made = scene_provenance(plan.direct, {"session": log.header.seed}).to_dict()
+    file.write(Resumed(version=our_version(), time=now(), provenance=made))
     return file, log.header, len(log.answered)
+
+
+def check_drive(plan: Plan, without_drive: bool) -> None:
+    """Refuse a person a scene without a drive, unless it is asked for. Raises SceneError."""
+    if plan.direct.display.drive is None and not without_drive:
+        raise SceneError(
+            f"{plan.direct.path}: names no [display.drive], so nobody would feel anything:"
+            " --without-drive runs its models, to try a session"
+        )
 
 
 def check_playable(plan: Plan, header: Header) -> None:

@@ -1,0 +1,130 @@
+"""What is never pooled silently: observers with people, other sessions, spoilt trials."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from typer.testing import CliRunner
+
+from telepulse.cli import app
+from telepulse.experiment.interval import Interval, Played, Playing, draw_interval
+from telepulse.experiment.log import Answered, Header, Log, LogError, now
+from telepulse.experiment.report import build_report
+from telepulse.experiment.results import gather
+from telepulse.experiment.session import Plan
+from telepulse.experiment.trials import draw_trials
+
+from .sessions import condition, plan, played, write
+
+CLEAN = [played("A", False, 1e-3), played("B", True, 50e-3), played("X", True, 50e-3)]
+
+
+def log(
+    found: Plan,
+    name: str,
+    intervals: list[list[Played]],
+    threshold: float | None = None,
+    felt_on: Literal["drive", "models"] = "drive",
+) -> Log:
+    header = Header(
+        version="0.1.0",
+        time=now(),
+        tables=found.tables,
+        seed=1,
+        threshold=threshold,
+        trials=draw_trials(found.session, 1),
+        felt_on=felt_on,
+    )
+    answered = tuple(
+        Answered(time=now(), index=index, answer="A", response_s=None, played=tuple(felt))
+        for index, felt in enumerate(intervals)
+    )
+    return Log(Path(f"{name}.jsonl"), header, found.session, answered, 0)
+
+
+def test_people_and_simulated_observers_are_reported_apart(tmp_path: Path) -> None:
+    found = plan(tmp_path, condition("plain"))
+    person, observer = log(found, "anna", [CLEAN]), log(found, "o", [CLEAN], 0.05, "models")
+    models = log(found, "bo", [CLEAN], felt_on="models")
+    with pytest.raises(LogError, match=r"by a simulated observer.*by a person"):
+        gather([person, observer])
+    with pytest.raises(LogError, match="on the scene's models"):
+        gather([person, models])
+    text = " ".join(build_report([observer]).chapters[0].paragraphs)
+    assert "Simulated" in text
+    assert "threshold 5 %" in text
+    assert "by one simulated observer" in text
+    assert "Nobody felt" in " ".join(build_report([models]).chapters[0].paragraphs)
+    assert "imulated" not in " ".join(build_report([person]).chapters[0].paragraphs)
+
+
+def test_other_sessions_and_scenes_are_reported_apart(tmp_path: Path) -> None:
+    first = log(plan(tmp_path, condition("plain")), "a", [CLEAN])
+    longer = log(plan(tmp_path, condition("plain"), interval="2 s"), "b", [CLEAN])
+    elsewhere = log(plan(tmp_path, condition("plain"), scene="bench"), "c", [CLEAN])
+    more = log(plan(tmp_path, condition("plain"), trials=5, seed=9), "d", [CLEAN])
+    with pytest.raises(LogError, match="another interval_ns"):
+        gather([first, longer])
+    with pytest.raises(LogError, match="another scene"):
+        gather([first, elsewhere])
+    assert len(gather([first, more]).outcomes) == 2
+
+
+@pytest.mark.parametrize(
+    ("spoils", "why"),
+    [
+        ({"ticks": 1000, "deadline_misses": 30}, "3.0 % of the ticks missed"),
+        ({"ticks": 1000, "stale_ticks": 60}, "the stream stale for 6.0 % of the ticks"),
+        # A log of before ticks were in it: an interval of 1 s.
+        ({"deadline_misses": 30}, "3.0 % of the ticks missed"),
+    ],
+)
+def test_a_spoilt_trial_is_named_and_left_out_unless_asked_for(
+    spoils: dict[str, int], why: str, tmp_path: Path
+) -> None:
+    found = plan(tmp_path, condition("plain"))
+    spoilt = [*CLEAN[:2], CLEAN[2].model_copy(update=spoils)]
+    made = log(found, "anna", [CLEAN, spoilt])
+    results = gather([made])
+    assert (len(results.outcomes), len(results.spoilt), results.pooled) == (1, 1, False)
+    chapter = build_report([made]).chapters[0]
+    assert any("1 answered trial is spoilt" in text for text in chapter.paragraphs)
+    (table,) = [table for table in chapter.tables if table.title == "Spoilt trials"]
+    assert table.rows == (("anna", "2", "plain", why),)
+    assert len(gather([made], with_spoilt=True).outcomes) == 2
+    alone = gather([log(found, "bo", [spoilt])])
+    assert (len(alone.outcomes), alone.pooled) == (1, True)
+    few = [*CLEAN[:2], CLEAN[2].model_copy(update={"ticks": 1000, "deadline_misses": 9})]
+    assert gather([log(found, "cy", [few])]).spoilt == ()
+
+
+def test_a_stream_that_is_cut_while_it_is_felt_spoils_the_interval(tmp_path: Path) -> None:
+    whole = plan(tmp_path, condition("plain", "delay=5ms", "auto"), interval="0.5 s")
+    cut = plan(tmp_path, condition("plain", "delay=5ms,cut.from=2s,cut.for=3s", "auto"))
+
+    def felt(found: Plan) -> Played:
+        trial = draw_trials(found.session, 1)[0]
+        letter: Literal["A", "B"] = "B" if trial.direct == "A" else "A"
+        drawn: Interval = replace(
+            draw_interval(found, 1, 0, trial, letter, 1),
+            foreperiod_ns=1_700_000_000,
+            felt_ns=700_000_000,
+        )
+        playing, now_ns = Playing(drawn, 0), 0
+        while playing.tick(now_ns):
+            now_ns += drawn.scene.display.tick_ns
+        return playing.played()
+
+    assert felt(whole).spoilt == ""
+    assert felt(cut).stale_ticks > 0
+    assert "stale" in felt(cut).spoilt
+
+
+def test_a_person_is_refused_a_scene_that_nobody_feels(tmp_path: Path) -> None:
+    session, out = write(tmp_path / "s.toml"), tmp_path / "log.jsonl"
+    result = CliRunner().invoke(app, ["experiment", "run", str(session), "--log", str(out)])
+    assert result.exit_code == 2
+    assert "names no [display.drive]" in result.stderr
+    assert "--without-drive" in result.stderr
+    assert not out.exists()
