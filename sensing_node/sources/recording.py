@@ -105,15 +105,17 @@ class Recording:
     channels = (Channel("pulse"),)
 
     def __init__(self, scene: RecordingScene, folder: Path, plausible: bool = True) -> None:
-        """Raises SourceError for a file that cannot be read or has one value alone, and, where it
+        """Raises SourceError for a file that cannot be read or scaled, and, where it
         must be `plausible`, for values that cannot be a pulse's by this scene."""
         path = folder / scene.path
         column = load_column(path, scene.column)
-        if (reason := refuse_constant(column)) is not None:
-            raise SourceError(f"{path}: {reason}")
+        constant = refuse_constant(column)
+        if constant is not None and (plausible or scene.unit == "raw"):
+            raise SourceError(f"{path}: {constant}")
         force_n, scale = scene.forces(column.values), (scene.unit, scene.rest_n)
         reason = (
-            refuse_times(column)
+            constant
+            or refuse_times(column)
             or refuse_rate(column, scene.rate_hz)
             or refuse_forces(force_n, *scale)
         )

@@ -296,6 +296,18 @@ def scene_of(folder: Path, source: dict[str, object]) -> Path:
     return path
 
 
+@pytest.mark.parametrize("force_n", [np.full(100, 1e3), np.tile([-1e29, 1e29], 50), TIMES_S])
+def test_an_emulated_board_sends_what_no_wrist_does(
+    tmp_path: Path, force_n: NDArray[np.float64]
+) -> None:
+    """Emulators make the boards that a real sensing node must stand."""
+    path = csv(tmp_path, force=force_n)
+    scene = validate(table(path), RecordingScene, "[sensing] source")
+    recording = Recording(scene, tmp_path, plausible=False)
+    assert len(recording.warnings) == 1
+    np.testing.assert_array_equal(recording.take(100)[:, 0], force_n[:100])
+
+
 def test_a_sensing_node_refuses_the_wrong_unit_in_one_line(tmp_path: Path) -> None:
     path = csv(tmp_path, force=PULSE_N * 1e3)
     result = run("sensing_node.cli", str(scene_of(tmp_path, table(path))))
