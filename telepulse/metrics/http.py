@@ -21,6 +21,7 @@ class MetricsHTTPServer(ThreadingMixIn, WSGIServer):
     A request beyond `MAX_REQUESTS` at a time is closed unanswered.
     """
 
+    request_queue_size = 128
     daemon_threads = True
     block_on_close = False
 
