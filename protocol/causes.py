@@ -24,6 +24,8 @@ MEANINGS = {
     "implausible": "clock replies before their request, or an end there was no time for",
     "unasked": "clock replies to no request of this node",
     "unexpected": "messages that only the other kind of node sends: check the address",
+    "flood": "messages dropped because a peer sent far more than it should:"
+    " it is broken or hostile",
     "too_many_displays": "displays beyond the 1 000 that a sensing node serves: use a relay",
     "subscription": "subscriptions to topics that are not published here; the connection was cut",
     # Connections, where keys are used.

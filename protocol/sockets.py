@@ -150,11 +150,16 @@ def reconnect(socket: Socket, old: str | None, new: str, answer_ns: int = 0) -> 
     above our size limit: then the connection is gone for good.
     """
     if old is not None:
-        with suppress(zmq.ZMQError):  # it may know the address no more
-            socket.disconnect(old)
+        disconnect(socket, old)
     socket.setsockopt(zmq.IPV6, "[" in new)
     socket.setsockopt(zmq.CONNECT_TIMEOUT, answer_ns // 1_000_000)
     socket.connect(new)
+
+
+def disconnect(socket: Socket, address: str) -> None:
+    """Close the connection to `address`, or give up making it."""
+    with suppress(zmq.ZMQError):  # it may know the address no more
+        socket.disconnect(address)
 
 
 def receive_all(socket: Socket) -> Iterator[list[bytes]]:

@@ -158,11 +158,22 @@ class Frames:
 
 
 @dataclass(frozen=True, slots=True)
+class Reconnections:
+    """Connections made while one was silent. opened: second ones beside it, for frames; kept: how
+    many of them delivered first and took its place; control: those for control messages."""
+
+    opened: int | None = None
+    kept: int | None = None
+    control: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Summary:
     """See docs/telemetry.md for each key."""
 
     samples: Samples = Samples()
     frames: Frames = field(default_factory=Frames)
+    reconnections: Reconnections = Reconnections()
     one_way_delay_ms: OneWayDelay = field(default_factory=OneWayDelay)
     playout_delay_ms: PlayoutDelay = field(default_factory=PlayoutDelay)
     covered_delay_ms: float | None = None
@@ -224,6 +235,13 @@ def _rows(s: Summary) -> list[tuple[str, str]]:
             f"{_n(s.frames.received)} received, {_n(s.frames.reordered)} out of order"
             + (f", {s.frames.copies} copies over further paths" if s.frames.copies else "")
             + "".join(f", {count} first over {name}" for name, count in s.frames.first.items()),
+        ),
+        (
+            "reconnections",
+            f"{_n(s.reconnections.opened)} opened beside a silent connection for frames,"
+            f" {_n(s.reconnections.kept)} of them kept; {_n(s.reconnections.control)} for control"
+            if any(dataclasses.astuple(s.reconnections))
+            else _ABSENT,
         ),
         (
             "one-way delay",

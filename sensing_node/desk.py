@@ -1,7 +1,7 @@
 """The front desk: answers what displays ask on the control socket, and knows who listens."""
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from protocol.errors import WireError
 from protocol.messages import (
@@ -15,9 +15,12 @@ from protocol.messages import (
     decode_control,
 )
 from protocol.stream import StreamDescription
+from protocol.token_bucket import TokenBucket
 
 FORGET_AFTER_NS = 5_000_000_000
 MAX_GUESTS = 1_000
+# A display asks for the clock 50 times a second, and all at once what waited in a cut.
+ANSWERS_PER_S, ANSWERS_AT_ONCE = 200.0, 2_000.0
 # Each relay on the way adds an address to the envelope.
 MAX_HOPS = 4
 # ROUTER sockets name their peers by a zero and four bytes; no message begins with a zero. So one
@@ -37,6 +40,9 @@ class Guest:
     seen_ns: int
     report: Report | None = None
     content: bool = False
+    budget: TokenBucket = field(
+        default_factory=lambda: TokenBucket(ANSWERS_PER_S, ANSWERS_AT_ONCE), repr=False
+    )
 
     @property
     def shown_name(self) -> str:
@@ -67,6 +73,8 @@ class Desk:
                 raise WireError("malformed", "a part of an envelope is no address")
             message = decode_control(data)
             guest = self._guest(sender, message, now_ns)
+            if not guest.budget.take(now_ns):
+                raise WireError("flood", "a display sends far more than displays do")
         except WireError as error:
             self.rejected[error.cause] += 1
             return None

@@ -30,6 +30,8 @@ MAX_WAIT_NS = 50_000_000
 FOREVER_NS = 1 << 62
 # Room for the source's first samples to be ready before they are due.
 START_NS = 20_000_000
+# Between two batches, however late the next one is: with many displays, each is answered in time.
+LEAST_ANSWERED = 50
 # At its end TCP may have to repeat what a bad link has lost, and what queued behind it.
 FAREWELL_NS = 3_000_000_000
 
@@ -113,7 +115,7 @@ class SensingNode:
     def _serve_until(self, due_ns: int) -> None:
         """Answer displays until the next batch is due."""
         while not self._stopping:
-            self._answer_all()
+            self._answer_all(due_ns)
             if self._telemetry is not None and self._telemetry.due(self._clock()):
                 self._telemetry.publish(self._status(final=False))
             wait_ns = due_ns - self._clock()
@@ -121,11 +123,14 @@ class SensingNode:
                 return
             sockets.wait_readable(self._waited_for, min(wait_ns, MAX_WAIT_NS))
 
-    def _answer_all(self) -> None:
+    def _answer_all(self, until_ns: int) -> None:
+        """Answer what waits; what is left then waits until the next batch was sent."""
         if self._gate is not None:
             self._gate.tend(time.monotonic_ns())
-        for *envelope, data in sockets.receive_all(self._control):
+        for number, (*envelope, data) in enumerate(sockets.receive_all(self._control)):
             self._answer(tuple(envelope), data)
+            if number >= LEAST_ANSWERED and self._clock() >= until_ns:
+                return
 
     def _answer(self, sender: Sender, data: bytes) -> None:
         known = len(self._desk.guests)
@@ -154,7 +159,7 @@ class SensingNode:
         told: set[Sender] = set()
         until_ns = self._clock() + FAREWELL_NS
         while self._clock() < until_ns:
-            self._answer_all()
+            self._answer_all(until_ns)
             for sender in self._desk.guests.keys() - told:
                 told.add(sender)
                 sockets.send(self._control, *sender, bye)

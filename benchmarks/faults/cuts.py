@@ -92,7 +92,7 @@ class CutRunner:
             self._link.drop(*filters)
             time.sleep(rng.uniform(*rng.choice(lengths_s)))
         self._link.drop()
-        ended_ns = time.monotonic_ns()
+        self.ended_ns = ended_ns = time.monotonic_ns()
         felt_ns = self._finger.felt_steadily_from_ns(ended_ns, BACK_WITHIN_S)
         back_ms = BACK_WITHIN_S * 1e3 if felt_ns is None else (felt_ns - ended_ns) * 1e-6
         return Recovery((ended_ns - began_ns) * 1e-6, back_ms)

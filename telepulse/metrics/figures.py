@@ -65,6 +65,14 @@ FIGURES = [
     _count("frames_reordered", "frames.reordered", "Frames that came after a later one."),
     _count("frame_copies", "frames.copies", "Copies of frames over further paths."),
     _counts("frames_first", "frames.first", "Frames whose first copy came over a path.", "path"),
+    _count(
+        "reconnections",
+        "reconnections.opened",
+        "Connections made while one was silent.",
+        kind="second",
+    ),
+    _count("reconnections", "reconnections.kept", kind="kept", help=""),
+    _count("reconnections", "reconnections.control", kind="control", help=""),
     *_quantiles(
         "one_way_delay_seconds",
         "one_way_delay_ms",

@@ -5,7 +5,9 @@ from collections.abc import Callable
 
 import zmq
 
-from display_node.connection import ANSWER_NS, CUT_NS, PATIENCE_NS, Lookup
+from display_node.connection import CUT_NS
+from display_node.line import ANSWER_NS, PATIENCE_NS
+from display_node.lookup import Lookup
 from protocol import sockets
 from protocol.counted import counted
 from protocol.gate import Gate

@@ -5,10 +5,15 @@ import time
 import pytest
 import zmq
 
-from display_node.connection import Connection, Line, Lookup
+from display_node import line
+from display_node.connection import Connection
+from display_node.data_path import DataPath
+from display_node.line import Line
+from display_node.lookup import Lookup
 from protocol.errors import AddressError
 from protocol.refusals import Refusals
 from protocol.sockets import Context, Socket, control_address
+from protocol.summary import Reconnections
 from telepulse.ports import free_addresses
 
 from ..nodes import free_address
@@ -31,8 +36,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def control_of(connection: Connection) -> Socket:
-    (control,) = connection.control.sockets
-    return control
+    return connection.control.socket
 
 
 def tend_until_connected(connection: Connection, monitor: Socket) -> None:
@@ -53,10 +57,10 @@ def tend(connection: Connection, from_ms: int, to_ms: int) -> list[int]:
     return connected_ms
 
 
-def deliver(sender: Socket, line: Line) -> None:
-    """Send until one of the line's sockets has heard it."""
+def deliver(sender: Socket, path: DataPath | Line) -> None:
+    """Send until it has been received."""
     end_s = time.monotonic() + PATIENCE_S
-    while not list(line.messages()):
+    while not list(path.messages()):
         assert time.monotonic() < end_s
         sender.send(b"a frame")
         threading.Event().wait(0.005)
@@ -112,10 +116,10 @@ def test_an_address_that_is_heard_is_let_be(context: Context, asked: list[str]) 
     publisher = context.socket(zmq.PUB)
     publisher.bind(address)
     connection = Connection(context, [address, "tcp://silent:1"], 2, log=print)
-    connection.subscribe(5 * MS, 0)
+    connection.subscribe(5 * MS, 0, 0)
     tend(connection, 0, 100)
     for ms in range(400, 60_000, 400):
-        deliver(publisher, connection.routes[0].data)
+        deliver(publisher, connection.routes[0].paths[0])
         tend(connection, ms, ms + 20)
     assert asked.count("127.0.0.1") == 1
     assert asked.count("silent") > 20
@@ -130,9 +134,9 @@ def test_a_silence_of_all_together_is_a_cut(
     publisher = context.socket(zmq.PUB)
     publisher.bind(address)
     connection = Connection(context, [address, "tcp://other:1"], 2, log=print)
-    connection.subscribe(5 * MS, 0)
+    connection.subscribe(5 * MS, 0, 0)
     tend(connection, 0, 20)
-    deliver(publisher, connection.routes[0].data)
+    deliver(publisher, connection.routes[0].paths[0])
     # Both are connected anew, once, and control is where it was; then patience is as usual.
     control = connection.control.address
     assert tend(connection, 20, 2_010) == [520]
@@ -149,22 +153,21 @@ def test_requests_to_connect_are_repeated_soon_but_now_and_then_may_take_their_t
     address = free_address()
     publisher = context.socket(zmq.PUB)
     publisher.bind(address)
-    line = Line([context.socket(zmq.SUB)], hurried=False)
-    unheard = Line([context.socket(zmq.SUB)], hurried=True)
+    asking = Line(context.socket(zmq.SUB))
 
-    def timeouts_ms(tries: int, line: Line = line) -> list[int]:
+    def timeouts_ms(tries: int, hurried: bool = True) -> list[int]:
         timeouts = []
         for _ in range(tries):
-            line.connect(address, 0)
-            timeouts.append(line.sockets[0].getsockopt(zmq.CONNECT_TIMEOUT))
+            asking.connect(address, 0, hurried)
+            timeouts.append(asking.socket.getsockopt(zmq.CONNECT_TIMEOUT))
         return timeouts
 
-    assert timeouts_ms(3) == [0, 0, 0]
-    assert timeouts_ms(3, unheard) == [100, 100, 100]
-    line.subscribe()
-    deliver(publisher, line)
-    assert line.heard(0)
-    line.answer_ns = 900 * MS
+    assert timeouts_ms(3, hurried=False) == [0, 0, 0]
+    assert timeouts_ms(3) == [100, 100, 100]
+    asking.socket.subscribe(b"")
+    deliver(publisher, asking)
+    assert asking.heard(0)
+    asking.answer_ns = 900 * MS
     assert timeouts_ms(12) == [900] * 10 + [0, 900]
 
 
@@ -176,11 +179,11 @@ def test_who_stood_still_itself_does_not_wait_long_for_more_than_what_has_queued
     publisher = context.socket(zmq.PUB)
     publisher.bind(address)
     connection = Connection(context, [address], 1, log=print)
-    connection.subscribe(5 * MS, 0)
+    connection.subscribe(5 * MS, 0, 0)
     tend(connection, 0, 20)
-    deliver(publisher, connection.routes[0].data)
+    deliver(publisher, connection.routes[0].paths[0])
     tend(connection, 20, 40)
-    deliver(publisher, connection.routes[0].data)
+    deliver(publisher, connection.routes[0].paths[0])
     assert tend(connection, 1_000, 1_490) == [1_150]
 
 
@@ -193,7 +196,7 @@ def test_where_one_port_answers_the_other_is_asked_again_at_once(
     connection = Connection(context, [address], 1, log=print)
     began = 0
     end_s = time.monotonic() + PATIENCE_S
-    while not connection.routes[0].data.answered:
+    while not connection.routes[0].paths[0].first.answered:
         assert time.monotonic() < end_s
         began += connection.tend(1_000 * MS)
         connection._refusals._look_ns = 0
@@ -209,7 +212,7 @@ def test_where_one_port_answers_the_other_is_asked_again_at_once(
 
 def test_a_stream_of_rare_frames_is_waited_for(context: Context, asked: list[str]) -> None:
     connection = Connection(context, ["tcp://somewhere:1"], 1, log=print)
-    connection.subscribe(10_000 * MS, 0)
+    connection.subscribe(10_000 * MS, 0, 0)
     tend(connection, 0, 29_000)
     assert len(asked) == 1
     tend(connection, 29_000, 32_000)
@@ -220,7 +223,7 @@ def test_paths_are_shared_out_and_each_address_has_one(context: Context) -> None
     addresses = ["tcp://127.0.0.1:1", "tcp://127.0.0.1:3", "tcp://127.0.0.1:5"]
     for paths, shares in ((3, [1, 1, 1]), (4, [2, 1, 1]), (8, [3, 3, 2])):
         connection = Connection(context, addresses, paths, log=print)
-        assert [len(route.data.sockets) for route in connection.routes] == shares
+        assert [len(route.paths) for route in connection.routes] == shares
 
 
 def test_control_moves_on_from_an_address_that_does_not_answer_and_stays_at_one_that_does(
@@ -287,3 +290,80 @@ def test_the_numbers_of_a_name_are_tried_one_after_the_other(
 def test_a_wrong_address_is_refused_at_once(context: Context) -> None:
     with pytest.raises(AddressError):
         Connection(context, ["tcp://127.0.0.1:5555", "somewhere:5555"], 2, log=print)
+
+
+def test_a_data_path_that_is_silent_alone_gets_a_second_connection(
+    context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Refusals, "tend", lambda self, now_ns: [])
+    address = free_address()
+    publisher, server = context.socket(zmq.XPUB), context.socket(zmq.ROUTER)
+    publisher.setsockopt(zmq.XPUB_VERBOSE, 1)
+    publisher.bind(address)
+    server.bind(control_address(address))
+    connection = Connection(context, [address], 1, log=print)
+    connection.subscribe(5 * MS, 0, 0)
+    (path,) = connection.routes[0].paths
+    tend(connection, 0, 20)
+    control_of(connection).send(b"clock?")
+    peer, _ = server.recv_multipart()
+    deliver(publisher, path)
+    first = path.first
+    for ms in range(20, 320, 10):
+        # Control goes on: the network as a whole is not silent.
+        server.send_multipart([peer, b"clock"])
+        assert control_of(connection).poll(PATIENCE_S * 1000)
+        assert list(connection.control.messages()) == [b"clock"]
+        assert tend(connection, ms, ms + 10) == []
+    assert connection.reconnections == Reconnections(opened=0, kept=0, control=0)
+    tend(connection, 320, 340)
+    assert connection.reconnections == Reconnections(opened=1, kept=0, control=0)
+    # Over both comes the same, once.
+    for _ in range(2):
+        assert publisher.poll(PATIENCE_S * 1000)
+        assert publisher.recv() == b"\1"
+    received: list[bytes] = []
+    for number in range(20):
+        publisher.send(b"frame %d" % number)
+        received += path.messages()
+        threading.Event().wait(0.01)
+    received += path.messages()
+    assert sorted(received) == sorted({b"frame %d" % number for number in range(20)})
+    tend(connection, 340, 350)
+    # One of them is closed, and the other goes on.
+    assert not path.failover.racing
+    kept = path.first is not first
+    assert connection.reconnections == Reconnections(opened=1, kept=kept, control=0)
+    deliver(publisher, path)
+
+
+def test_a_connection_that_floods_is_closed_for_a_while(
+    context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Refusals, "tend", lambda self, now_ns: [])
+    monkeypatch.setattr(line, "BURST", 200)
+    address = free_address()
+    publisher, said = context.socket(zmq.PUB), []
+    publisher.bind(address)
+    connection = Connection(context, [address], 1, log=said.append)
+    connection.subscribe(5 * MS, 0, 0)
+    (path,) = connection.routes[0].paths
+    tend(connection, 0, 20)
+    deliver(publisher, path)
+    received, end_s = 0, time.monotonic() + PATIENCE_S
+    while path.first.address is not None:
+        assert time.monotonic() < end_s
+        for _ in range(100):
+            publisher.send(b"a frame")
+        received += len(list(path.messages()))
+        connection.tend(20 * MS)
+    assert 200 <= received < 1_000
+    assert connection.rejected["flood"] > 0
+    # It is left alone, however often it is asked, and then it has another chance.
+    looked_up = len(asked)
+    tend(connection, 30, 5_000)
+    assert path.first.address is None
+    assert len(asked) == looked_up
+    tend(connection, 5_030, 5_060)
+    deliver(publisher, path)
+    assert said == [f"{address} sends far more than a stream; closed for 5 s"]

@@ -1,10 +1,12 @@
 """Garbage on every port of both nodes: what was felt goes on, and nothing grows."""
 
 import random
+import time
 from pathlib import Path
 
 import zmq
 
+from benchmarks.faults.flood import run
 from benchmarks.faults.hostile import (
     garbage_messages,
     port_of,
@@ -46,3 +48,13 @@ def test_garbage_on_every_port_changes_nothing(tmp_path: Path) -> None:
     assert sum(sent.rejected.values()) > MESSAGES / 2
     assert sent.faults == account.faults == []
     assert_limits_kept(finger)
+
+
+def test_a_sensing_node_that_sends_all_frames_hundreds_of_times_is_closed_out(
+    tmp_path: Path,
+) -> None:
+    _, display = run(tmp_path, "data", lambda address: time.sleep(2.0))
+    assert display.rejected["flood"] > 0
+    # No more is processed than what may queue, and the rate.
+    assert 0 < display.rejected["duplicate"] < 30_000
+    assert display.faults == []

@@ -13,7 +13,15 @@ from protocol.messages import (
     Welcome,
     encode_control,
 )
-from sensing_node.desk import FORGET_AFTER_NS, MAX_GUESTS, MAX_HOPS, Desk, Sender
+from sensing_node.desk import (
+    ANSWERS_AT_ONCE,
+    ANSWERS_PER_S,
+    FORGET_AFTER_NS,
+    MAX_GUESTS,
+    MAX_HOPS,
+    Desk,
+    Sender,
+)
 
 from ..streams import description
 
@@ -204,3 +212,14 @@ def test_a_name_is_shown_in_letters_that_every_terminal_has(
 ) -> None:
     ask(desk, ANNA, Hello(name))
     assert desk.guests[ANNA].shown_name == shown
+
+
+def test_a_display_that_floods_gets_few_answers_and_others_all_of_theirs(desk: Desk) -> None:
+    second_ns, flooded, answered = 1_000_000_000, 0, 0
+    for now_ns in range(NOW_NS, NOW_NS + 10 * second_ns, second_ns // 50):
+        for _ in range(100):
+            flooded += ask(desk, ANNA, ClockRequest(now_ns), now_ns) is not None
+        answered += ask(desk, BERT, ClockRequest(now_ns), now_ns) is not None
+    assert answered == 500
+    assert flooded <= ANSWERS_AT_ONCE + 10 * ANSWERS_PER_S
+    assert desk.rejected["flood"] == 50_000 - flooded

@@ -1,0 +1,247 @@
+"""Two connections of a data path in virtual time, over a model of TCP on a link that is cut."""
+
+import random
+from dataclasses import dataclass, field
+
+import pytest
+
+from display_node.failover import Failover, Keep
+
+MS = 1_000_000
+FRAME_MS, ONE_WAY_MS = 5, 20
+ANSWER_MS = 120
+RTO_MS, MAX_RTO_MS = 200 + 2 * ONE_WAY_MS, 120_000
+# Connect, greet, agree, subscribe; then the first frame comes.
+ROUND_TRIPS = 4
+ASK_AGAIN_MS = 35
+FRESH_MS = 60
+
+
+@dataclass
+class Link:
+    """Cut between instants, in ms; else each packet is lost with a probability."""
+
+    cuts_ms: list[tuple[int, int]] = field(default_factory=list)
+    loss: float = 0.0
+    rng: random.Random = field(default_factory=lambda: random.Random(0))
+
+    def passes(self, ms: int) -> bool:
+        cut = any(begin <= ms < end for begin, end in self.cuts_ms)
+        return not cut and self.rng.random() >= self.loss
+
+
+@dataclass
+class Tcp:
+    """A connection that frames come over: what is lost holds up all that follows, and is repeated
+    after RTO_MS, twice that, and so on.
+
+    next: the first frame that it has not delivered.
+    """
+
+    link: Link
+    next: int
+    stuck: bool = False
+    again_ms: int = 0
+    rto_ms: int = RTO_MS
+
+    def delivers(self, ms: int) -> list[int]:
+        """The frames that come now."""
+        newest = ms // FRAME_MS
+        if self.stuck:
+            if ms < self.again_ms:
+                return []
+            if not self.link.passes(ms):
+                self.rto_ms = min(2 * self.rto_ms, MAX_RTO_MS)
+                self.again_ms = ms + self.rto_ms
+                return []
+            self.stuck, self.rto_ms = False, RTO_MS
+        elif ms % FRAME_MS:
+            return []
+        # Three of four losses are repeated at once, as later packets show them.
+        elif not self.link.passes(ms) and not (self.link.loss and self.link.rng.random() < 0.75):
+            self.stuck, self.again_ms = True, ms + self.rto_ms
+            return []
+        # After an outage, no more than what a growing window takes.
+        frames = list(range(self.next, min(newest, self.next + 9) + 1))
+        self.next += len(frames)
+        return frames
+
+
+@dataclass
+class Opening:
+    """A connection that is being made: requests are repeated soon, what follows as TCP does."""
+
+    link: Link
+    next_ms: int
+    trips: int = 0
+    rto_ms: int = RTO_MS
+
+    def step(self, ms: int) -> bool:
+        """Whether it is there, and delivers."""
+        if ms < self.next_ms:
+            return False
+        if self.link.passes(ms):
+            self.trips, self.rto_ms = self.trips + 1, RTO_MS
+            self.next_ms = ms + 2 * ONE_WAY_MS
+        elif self.trips == 0:
+            self.next_ms = ms + ANSWER_MS + ASK_AGAIN_MS
+        else:
+            self.next_ms, self.rto_ms = ms + self.rto_ms, 2 * self.rto_ms
+        return self.trips > ROUND_TRIPS
+
+
+@dataclass
+class Played:
+    """What came of a run: when each frame came first."""
+
+    failover: Failover
+    came_ms: dict[int, int] = field(default_factory=dict)
+
+    def back_ms(self, end_ms: int) -> int:
+        """How long after the end of a cut a frame came while it was still fresh."""
+        fresh = [ms for frame, ms in self.came_ms.items() if ms - frame * FRAME_MS <= FRESH_MS]
+        return min(ms for ms in fresh if ms >= end_ms) - end_ms
+
+    def missing(self, before_ms: int) -> int:
+        return sum(frame not in self.came_ms for frame in range(before_ms // FRAME_MS))
+
+
+def play(link: Link, until_ms: int) -> Played:
+    """Frames over two connections, as `DataPath` reads them."""
+    failover = Failover()
+    failover.set_timeouts(FRAME_MS * MS, ANSWER_MS * MS)
+    failover.start(0)
+    played = Played(failover)
+    first, second, opening = Tcp(link, 0), None, None
+    had: list[set[int]] = [set(), set()]
+    for ms in range(until_ms):
+        now_ns = ms * MS
+        if opening is not None:
+            if opening.trips:
+                failover.answered(now_ns)
+            if second is None and opening.step(ms):
+                second = Tcp(link, ms // FRAME_MS)
+        frames = [first.delivers(ms), second.delivers(ms) if second is not None else []]
+        for frame in (*frames[0], *frames[1]):
+            played.came_ms.setdefault(frame, ms)
+        again = [bool(had[1].intersection(frames[0])), bool(had[0].intersection(frames[1]))]
+        keep = failover.first_heard(now_ns, again[0]) if frames[0] else None
+        if frames[1]:
+            keep = keep or failover.second_heard(now_ns, again[1])
+        keep = keep or failover.settle(now_ns)
+        if failover.racing:
+            had = [kept.union(new) for kept, new in zip(had, frames, strict=True)]
+        if keep is Keep.SECOND:
+            assert second is not None
+            first = second
+        if keep is not None:
+            second, opening, had = None, None, [set(), set()]
+        if failover.due(now_ns):
+            second, opening, had[1] = None, Opening(link, ms), set()
+    return played
+
+
+@pytest.mark.parametrize("length_ms", [(100, 600), (600, 3_000), (3_000, 30_000)])
+def test_after_any_cut_fresh_frames_come_within_half_a_second(length_ms: tuple[int, int]) -> None:
+    worst_ms, opened = 0, 0
+    for seed in range(60):
+        rng = random.Random(seed)
+        begin_ms = rng.randrange(1_000, 1_500)
+        end_ms = begin_ms + rng.randrange(*length_ms)
+        played = play(Link([(begin_ms, end_ms)]), end_ms + 3_000)
+        worst_ms = max(worst_ms, played.back_ms(end_ms))
+        opened += played.failover.opened
+        assert not played.failover.racing
+        # Where TCP recovers soon, nothing is lost by the race.
+        if end_ms - begin_ms < 2 * RTO_MS:
+            assert played.missing(end_ms + 2_000) == 0
+    # The next request to connect, and the handshakes.
+    assert worst_ms <= 500
+    assert opened > 0
+
+
+def test_a_second_cut_in_the_midst_of_the_handshake_is_not_waited_for() -> None:
+    for seed in range(60):
+        rng = random.Random(seed)
+        begin_ms = 1_000
+        end_ms = begin_ms + rng.randrange(600, 1_500)
+        again_ms = end_ms + rng.randrange(0, 300)
+        over_ms = again_ms + rng.randrange(100, 600)
+        link = Link([(begin_ms, end_ms), (again_ms, over_ms)])
+        assert play(link, over_ms + 3_000).back_ms(over_ms) <= 700
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.05, 0.2])
+def test_a_link_that_loses_much_is_not_thrashed(loss: float) -> None:
+    minutes = 5
+    played = play(Link(loss=loss, rng=random.Random(1)), minutes * 60_000)
+    assert len(played.came_ms) > 1_000
+    assert played.failover.opened <= 30 * minutes + 10
+    if not loss:
+        assert played.failover.opened == 0
+
+
+def test_a_peer_that_stands_still_is_asked_again_less_and_less_often() -> None:
+    failover = Failover()
+    failover.set_timeouts(FRAME_MS * MS, ANSWER_MS * MS)
+    failover.start(0)
+    for ms in range(60_000):
+        if failover.due(ms * MS):
+            # Its kernel answers.
+            failover.answered(ms * MS)
+    assert 30 <= failover.opened <= 40
+    # Then it goes on: the first delivers what has queued, down to what the second has, too.
+    assert failover.first_heard(60_000 * MS, had=False) is None
+    assert failover.second_heard(60_001 * MS, had=False) is None
+    assert failover.first_heard(60_002 * MS, had=True) is Keep.SECOND
+    assert not failover.due(60_003 * MS)
+
+
+def test_where_the_first_is_up_to_date_before_the_second_it_is_kept() -> None:
+    failover = racing()
+    failover.answered(540 * MS)
+    assert failover.first_heard(600 * MS, had=False) is None
+    assert failover.second_heard(650 * MS, had=True) is Keep.FIRST
+    assert (failover.racing, failover.opened, failover.kept) == (False, 1, 0)
+
+
+def test_where_the_second_alone_delivers_the_first_is_given_a_second() -> None:
+    failover = racing()
+    for ms in range(700, 1_700, FRAME_MS):
+        assert failover.second_heard(ms * MS, had=False) is None
+        assert failover.settle(ms * MS) is None
+    assert failover.settle(1_700 * MS) is Keep.SECOND
+
+
+def test_where_the_first_is_back_and_no_second_comes_about_it_is_kept() -> None:
+    failover = racing()
+    for ms in range(2_000, 3_000, FRAME_MS):
+        assert failover.first_heard(ms * MS, had=False) is None
+        assert failover.settle(ms * MS) is None
+    assert failover.settle(3_000 * MS) is Keep.FIRST
+    assert not failover.due(3_319 * MS)
+    assert failover.due(3_320 * MS)
+
+
+def racing() -> Failover:
+    """At 320 ms the second connection has been opened."""
+    failover = Failover()
+    failover.set_timeouts(FRAME_MS * MS, ANSWER_MS * MS)
+    failover.start(0)
+    assert failover.due(320 * MS)
+    return failover
+
+
+def test_rare_frames_are_waited_for_and_a_stalled_process_waits_less() -> None:
+    failover = Failover()
+    failover.set_timeouts(10_000 * MS, ANSWER_MS * MS)
+    failover.start(0)
+    assert not failover.due(29_999 * MS)
+    assert failover.due(30_000 * MS)
+    failover = Failover()
+    failover.start(0)
+    failover.first_heard(1_000 * MS, had=False)
+    failover.mark_suspect(1_000 * MS)
+    failover.first_heard(1_010 * MS, had=False)
+    assert not failover.due(1_159 * MS)
+    assert failover.due(1_160 * MS)
