@@ -21,6 +21,7 @@ from protocol.summary import (
     Loop,
     OneWayDelay,
     PlayoutDelay,
+    Reconnections,
     Roughness,
     Samples,
     Summary,
@@ -33,6 +34,7 @@ NEVER = Limited(0, 0.0, 0.0)
 FULL = Summary(
     samples=Samples(sent=1000, played=950, late=30, lost=20, before_joining=7),
     frames=Frames(received=196, reordered=3, copies=392, first={"tcp://one:5555": 190}),
+    reconnections=Reconnections(opened=3, kept=2, control=1),
     one_way_delay_ms=OneWayDelay(p50=20.12, p99=35.5, max=41.0),
     playout_delay_ms=PlayoutDelay(mean=42.0, p99=45.0),
     covered_delay_ms=44.5,
@@ -67,6 +69,7 @@ FULL = Summary(
 KEYS = {
     "samples": {"sent", "played", "late", "lost", "before_joining"},
     "frames": {"received", "reordered", "copies", "first"},
+    "reconnections": {"opened", "kept", "control"},
     "one_way_delay_ms": {"p50", "p99", "max", "beyond"},
     "playout_delay_ms": {"mean", "p99", "beyond"},
     "covered_delay_ms": None,
@@ -202,6 +205,8 @@ def test_people_read_the_same() -> None:
         "before joining": "7 samples sent before a display listened",
         "frames": "196 received, 3 out of order, 392 copies over further paths,"
         " 190 first over tcp://one:5555",
+        "reconnections": "3 opened beside a silent connection for frames, 2 of them kept;"
+        " 1 for control",
         "one-way delay": "p50 20.1 ms, p99 35.5 ms, max 41.0 ms",
         "playout delay": "mean 42.0 ms, p99 45.0 ms",
         "covered delay": "44.5 ms from the wrist to the force at the finger",
