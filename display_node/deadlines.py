@@ -18,11 +18,12 @@ def deadline_alarm(loop: Mapping[str, Any]) -> str | None:
     """Return the text of the deadline alarm of a summary's `loop`; None while it is off."""
     if not loop.get("late"):
         return None
-    last = loop["last_5s"]
-    return (
-        f"{100 * last['missed']:.1f} % of the ticks of the last 5 s missed,"
-        f" longest gap {last['gap_ms']:.0f} ms"
-    )
+    last = loop.get("last_5s", {})
+    missed, gap_ms = last.get("missed"), last.get("gap_ms")
+    # What another program publishes may lack them.
+    share = "too many" if missed is None else f"{100 * missed:.1f} %"
+    gap = "" if gap_ms is None else f", longest gap {gap_ms:.0f} ms"
+    return f"{share} of the ticks of the last 5 s missed{gap}"
 
 
 class DeadlineWatch:

@@ -72,4 +72,7 @@ def test_the_alarm_names_the_share_and_the_gap() -> None:
     text = deadline_alarm(Summary(loop=loop).to_dict()["loop"])
     assert text == "8.2 % of the ticks of the last 5 s missed, longest gap 413 ms"
     assert deadline_alarm({"ticks": 1, "late": False}) is None
+    bare = "too many of the ticks of the last 5 s missed"
+    assert deadline_alarm({"late": True}) == bare
+    assert deadline_alarm(Summary(loop=Loop(late=True)).to_dict()["loop"]) == bare
     assert deadline_alarm({"ticks": 1}) is None

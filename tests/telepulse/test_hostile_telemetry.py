@@ -28,11 +28,13 @@ from fuzz.telemetry_readers import (
     trace_message,
 )
 from protocol.availability import Availability
+from protocol.causes import MEANINGS
 from protocol.messages import Frame
 from protocol.status import Playing
 from protocol.summary import (
     Clock,
     Compensation,
+    Deadlines,
     Errors,
     Loop,
     OneWayDelay,
@@ -75,8 +77,12 @@ summaries = st.fixed_dictionaries(
         "within_jnd": awkward,
         "availability": st.builds(Availability, *[awkward] * 10),
         "roughness": st.builds(Roughness, awkward, awkward, awkward),
-        "loop": st.builds(Loop, counts, counts),
-        "rejected": st.dictionaries(words, counts, max_size=2),
+        "loop": st.builds(
+            lambda ticks, misses, late, last: Loop(ticks, misses, late=late, last_5s=last),
+            *(counts, counts, st.none() | st.booleans(), st.builds(Deadlines, awkward, awkward)),
+        ),
+        "rejected": st.dictionaries(words | st.sampled_from(sorted(MEANINGS)), counts, max_size=2),
+        "finger": st.none() | words,
         "faults": st.lists(words, max_size=2),
     },
 )
