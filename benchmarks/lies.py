@@ -4,9 +4,11 @@ Every lie of `telepulse.emulate.lies` on both kinds of drive, with a film and wi
 product's own code in virtual time. `python -m benchmarks.lies NAME` runs the lies of one name.
 """
 
+import os
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
 
 from benchmarks.measure import show
 from benchmarks.virtual_bench import MS, VirtualBench
@@ -24,13 +26,19 @@ BAR_FORCE_N = 1.25 * LIMIT_N
 BAR_ABOVE_MS = 50
 BAR_OFF_MS = 1_000
 PLAYED_MS = 1_500
-AFTER_MS = 4_000
+AFTER_MS = 3_000
+# Off for so long, it stays off.
+OFF_MS = 250
 # Felt beyond what is felt without a lie; less need not be named.
 HARMLESS_N = 0.25
 # Off the finger.
 TOUCH_N = 0.01
 # The hostile stream's jumps, and half its period.
 HOSTILE_N, HOSTILE_MS = 1_000.0, 300
+
+
+# A drive that turns the other way, or not at all, cannot be withdrawn by commands.
+DISOBEDIENT = (LieKind.REVERSED, LieKind.REVERSED_ENCODER, LieKind.NO_RETRACTION)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +59,11 @@ class Case:
         """The lie with its size, as the emulator's options have it."""
         parts = (self.kind.value, self.size or "", "from the start" if self.from_start else "")
         return " ".join(part for part in parts if part)
+
+    @property
+    def obeys(self) -> bool:
+        """Whether the drive still does what it is commanded, so that the tip can be withdrawn."""
+        return self.kind not in DISOBEDIENT
 
     @property
     def of_film(self) -> bool:
@@ -98,9 +111,10 @@ class Outcome:
     off_ms: int | None
     error_n: float
 
-    def missed(self, honest_error_n: float) -> list[str]:
+    def missed(self, honest_error_n: float, obeys: bool = True) -> list[str]:
         """The bars that it misses; honest_error_n is what is felt beyond what is wanted without a
-        lie. One that changes nothing at the finger need not be named."""
+        lie. One that changes nothing at the finger need not be named, and a drive that does not
+        obey need not leave it."""
         harmless = not self.named and self.error_n <= honest_error_n + HARMLESS_N
         missed = []
         if self.most_n > BAR_FORCE_N:
@@ -109,7 +123,7 @@ class Outcome:
             missed.append("time")
         if not self.named and not harmless:
             missed.append("name")
-        if self.named and (self.off_ms is None or self.off_ms > BAR_OFF_MS):
+        if self.named and obeys and (self.off_ms is None or self.off_ms > BAR_OFF_MS):
             missed.append("off")
         return missed
 
@@ -154,8 +168,16 @@ def lied(case: Case | None, kind: str, with_film: bool, force_n: Callable[[int],
             began_ns = bench.world.now_ns
             if case is not None:
                 bench.motor.lies.begin(case.lie, began_ns)
-        bench.run(AFTER_MS)
+        _run_on(bench, felt)
         return _outcome(felt, wanted, began_ns, bench.fault_ns, "; ".join(bench.faults))
+
+
+def _run_on(bench: VirtualBench, felt: list[Moment]) -> None:
+    """Until the end, or a fault after which the tip has been off the finger for a while."""
+    for _ in range(AFTER_MS // OFF_MS):
+        bench.run(OFF_MS)
+        if bench.faults and all(moment.force_n <= TOUCH_N for moment in felt[-OFF_MS:]):
+            return
 
 
 def _outcome(
@@ -185,37 +207,57 @@ def _outcome(
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One run of the table; case None: without a lie."""
+
+    case: Case | None
+    kind: str
+    with_film: bool
+    stream: str
+
+    def outcome(self) -> Outcome:
+        """What it leads to."""
+        return lied(self.case, self.kind, self.with_film, STREAMS[self.stream]())
+
+
+STREAMS: dict[str, Callable[[], Callable[[int], float]]] = {
+    "pulse": paper_pulse,
+    "hostile": lambda: hostile_stream,
+}
+
+
 def rows(name: str = "") -> list[tuple[str, ...]]:
     """The table's rows, of the lies of one name or of all."""
-    table: list[tuple[str, ...]] = []
-    honest_n: dict[tuple[str, bool, str], float] = {}
-    pulse = paper_pulse()
-    streams: dict[str, Callable[[int], float]] = {"pulse": pulse, "hostile": hostile_stream}
-    for case in CASES:
-        if name not in ("", case.kind.value):
-            continue
-        for with_film in (True,) if case.of_film else (True, False):
-            for stream, force_n in streams.items():
-                for kind in KINDS:
-                    key = (kind, with_film, stream)
-                    if key not in honest_n:
-                        honest_n[key] = lied(None, kind, with_film, force_n).error_n
-                    outcome = lied(case, kind, with_film, force_n)
-                    table.append(
-                        (
-                            case.name,
-                            "film" if with_film else "none",
-                            stream,
-                            kind,
-                            f"{outcome.most_n:.2f}",
-                            str(outcome.above_ms),
-                            "" if outcome.named_ms is None else str(outcome.named_ms),
-                            "" if outcome.off_ms is None else str(outcome.off_ms),
-                            f"{outcome.error_n:.2f}",
-                            " ".join(outcome.missed(honest_n[key])) or "none",
-                            outcome.named[:50],
-                        )
-                    )
+    runs = [
+        Run(case, kind, with_film, stream)
+        for case in (None, *CASES)
+        for with_film in (True, False)
+        for stream in STREAMS
+        for kind in KINDS
+        if case is None or (name in ("", case.kind.value) and (with_film or not case.of_film))
+    ]
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        outcomes = dict(zip(runs, pool.map(Run.outcome, runs), strict=True))
+    table = []
+    for run, outcome in outcomes.items():
+        honest = outcomes[replace(run, case=None)]
+        table.append(
+            (
+                run.case.name if run.case is not None else "none",
+                "film" if run.with_film else "none",
+                run.stream,
+                run.kind,
+                f"{outcome.most_n:.2f}",
+                str(outcome.above_ms),
+                "" if outcome.named_ms is None else str(outcome.named_ms),
+                "" if outcome.off_ms is None else str(outcome.off_ms),
+                f"{outcome.error_n:.2f}",
+                " ".join(outcome.missed(honest.error_n, run.case is None or run.case.obeys))
+                or "none",
+                outcome.named[:50],
+            )
+        )
     return table
 
 

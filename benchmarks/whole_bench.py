@@ -104,12 +104,12 @@ class WholeBench:
         volume = "--quiet" if self.output is None else "--no-screen"
         self._start("display", "display_node.cli", *words, volume, "--json", json_file)
 
-    def await_state(self, wanted: str) -> dict[str, Any]:
-        """Wait until the display says that it is so ("playing", "fault"); its summary then."""
+    def await_state(self, wanted: str, within_s: float = STATE_WITHIN_S) -> dict[str, Any]:
+        """Wait until the display is so ("playing", "fault"); its summary then."""
         with zmq.Context() as context, context.socket(zmq.SUB) as socket:
             socket.connect(self._telemetry)
             socket.subscribe(STATUS)
-            deadline_s = time.monotonic() + STATE_WITHIN_S
+            deadline_s = time.monotonic() + within_s
             state, faults = "not there", list[str]()
             while time.monotonic() < deadline_s and state != "fault":
                 if self.processes["display"].poll() is not None:
