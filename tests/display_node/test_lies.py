@@ -1,0 +1,34 @@
+"""Drives and films that report what is not so, by the product's own code in virtual time.
+
+The whole table: `make bench ARGS=lies`.
+"""
+
+import pytest
+
+from benchmarks.lies import Case, hostile_stream, lied, paper_pulse
+from telepulse.emulate.lies import LieKind
+
+PULSE = paper_pulse()
+
+
+@pytest.mark.parametrize(
+    ("kind", "case", "with_film", "hostile", "named"),
+    [
+        ("tmcl", Case(LieKind.REVERSED, from_start=True), True, False, "not started: the film"),
+        ("cia402", Case(LieKind.REVERSED_ENCODER), False, False, "following error"),
+        ("tmcl", Case(LieKind.GAIN_ENCODER, "3"), False, True, "following error"),
+        ("cia402", Case(LieKind.POSITION_FROZEN), False, True, "following error"),
+        ("tmcl", Case(LieKind.POSITION_JUMP, "-0.5 mm"), False, False, "following error"),
+        ("tmcl", Case(LieKind.DELAYED, "45 ms"), True, False, "drive: "),
+        ("cia402", Case(LieKind.LOST, "1"), True, False, "no answer"),
+        ("tmcl", Case(LieKind.FILM_ZERO), True, True, "the film reads"),
+        ("cia402", Case(LieKind.NO_RETRACTION), True, False, "following error"),
+    ],
+    ids=lambda value: value.name if isinstance(value, Case) else "",
+)
+def test_a_lie_is_named_before_it_presses_beyond_the_bars(
+    kind: str, case: Case, with_film: bool, hostile: bool, named: str
+) -> None:
+    outcome = lied(case, kind, with_film, hostile_stream if hostile else PULSE)
+    assert named in outcome.named
+    assert outcome.missed(honest_error_n=0.0, obeys=case.obeys) == []
