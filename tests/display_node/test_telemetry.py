@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from display_node.display import Display, Felt
+from display_node.feedback import Feedback
 from display_node.scene import DisplayScene
 from display_node.telemetry import (
     TRACE_TICKS,
@@ -26,7 +27,7 @@ from protocol.scene import load_section
 from protocol.status import pack_status
 from protocol.summary import Samples, Summary
 
-from .sender import Sender, run
+from .sender import MS, Sender, run
 
 RADIAL = Path(__file__).parents[2] / "scenes" / "radial.toml"
 int64 = st.integers(-(2**63), 2**63 - 1)
@@ -199,3 +200,24 @@ def test_a_status_has_every_key_of_a_summary() -> None:
     told = {"samples": {"late": 3}, "of a later version": 1}
     status = read_status(msgpack.packb(["playing", "stream", told, True, None, None, None]))
     assert status.summary == Summary(samples=Samples(late=3)).to_dict()
+
+
+def test_a_film_that_falls_silent_is_a_fault_and_its_force_unknown() -> None:
+    """As when the emulator of the film is ended while a display plays."""
+    feedback = Feedback(0, 40 * MS)
+    display = Display(load_section(RADIAL, "display", DisplayScene), "test", feedback=feedback)
+    sender, writer, messages = Sender(), TraceWriter(), []
+    for ms in range(3_000):
+        if ms < 2_000:
+            feedback.hear(ms * MS, 0.3)
+        run(display, sender, ms, ms + 1)
+        messages.append(writer.add(display.felt))
+    felt_n = np.concatenate([read_trace(message).felt_n for message in messages if message])
+    assert np.isfinite(felt_n[:2_000]).all()
+    assert np.isnan(felt_n[2_100:]).all()
+    assert display.fidelity is not None
+    display.fidelity.finish()
+    status = read_status(write_status(display, display.summary(), final=False))
+    assert (status.state, status.summary["faults"]) == ("fault", ["feedback lost"])
+    assert status.summary["force_rmse_n"]["aligned"] is not None
+    assert status.summary["availability"]["faulted"] == pytest.approx(1 / 3, abs=0.02)
