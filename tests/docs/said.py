@@ -177,6 +177,7 @@ OBSERVER = "a minute; tests/telepulse/experiment/test_experiment_command.py"
 SUBJECT = "asks a person; tests/telepulse/experiment"
 UNRUN = {
     "telepulse experiment run mine.toml --log anna.jsonl": SUBJECT,
+    "telepulse experiment run mine.toml --log try.jsonl --without-drive": SUBJECT,
     "telepulse experiment run mine.toml --log anna.jsonl --resume": SUBJECT,
     "telepulse experiment run mine.toml --log o.jsonl --observer '5 %'": OBSERVER,
     "telepulse experiment report anna.jsonl": OBSERVER,
