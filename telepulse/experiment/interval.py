@@ -78,7 +78,7 @@ class Played(BaseModel):
             return f"{100 * self.deadline_misses / ticks:.1f} % of the ticks missed"
         if self.stale_ticks:
             return f"the stream stale for {100 * self.stale_ticks / ticks:.1f} % of the ticks"
-        return ""
+        return "" if self.felt_s else "never felt at full strength"
 
 
 def draw_interval(

@@ -216,9 +216,15 @@ def test_a_report_of_ratings(tmp_path: Path) -> None:
     ("arguments", "reason"),
     [
         (("run", "none.toml", "--log", "x"), "none.toml: no such session file"),
-        (("run", "s.toml", "--log", "there"), "is there already; go on with it by --resume"),
-        (("run", "s.toml", "--log", "none", "--resume"), "none: cannot be read"),
-        (("run", "s.toml", "--log", "there", "--resume"), "its first line is none of a session"),
+        (
+            ("run", "s.toml", "--log", "there", "--without-drive"),
+            "is there already; go on with it by --resume",
+        ),
+        (("run", "s.toml", "--log", "none", "--resume", "--without-drive"), "none: cannot be read"),
+        (
+            ("run", "s.toml", "--log", "there", "--resume", "--without-drive"),
+            "its first line is none of a session",
+        ),
         (("run", "live.toml", "--log", "x", "--observer", "5 %"), "is a live sensor"),
         (("run", "s.toml", "--log", "x", "--observer", "-1"), "'-1' must be more than 0"),
         (("report", "there"), "there: no log of a session"),

@@ -76,6 +76,7 @@ def test_other_sessions_and_scenes_are_reported_apart(tmp_path: Path) -> None:
     [
         ({"ticks": 1000, "deadline_misses": 30}, "3.0 % of the ticks missed"),
         ({"ticks": 1000, "stale_ticks": 60}, "the stream stale for 6.0 % of the ticks"),
+        ({"ticks": 1000, "felt_s": 0.0}, "never felt at full strength"),
         # A log of before ticks were in it: an interval of 1 s.
         ({"deadline_misses": 30}, "3.0 % of the ticks missed"),
     ],

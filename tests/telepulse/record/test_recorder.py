@@ -1,3 +1,4 @@
+import os
 import random
 import resource
 import shutil
@@ -294,3 +295,30 @@ def test_what_cannot_begin_is_one_line(address: str, name: str, word: str, tmp_p
     assert (tmp_path / "there.mcap").read_bytes() == b"precious"
     with pytest.raises(SourceError):
         list(RecordingReader(tmp_path / "a.mcap"))
+
+
+def test_beside_a_display_it_waits_for_the_first_message_however_long_a_drive_homes(
+    tmp_path: Path,
+) -> None:
+    address, path = free_address(), tmp_path / "a.mcap"
+    beside = ("--until-silent", "0.3", "--display-pid", str(os.getpid()))
+    with (
+        speaking(address) as speaker,
+        process(MODULE, "record", address, str(path), *beside) as recorder,
+    ):
+        speaker.begin()
+        time.sleep(1.0)
+        assert recorder.poll() is None
+        speak_for(speaker, 0.2)
+        _, errors = end(speaker, recorder)
+        assert (recorder.returncode, errors) == (0, "")
+    assert frames_of(path)
+
+
+def test_without_its_display_it_ends_and_leaves_no_empty_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    beside = ("--until-silent", "0.3", "--display-pid", str(os.getpid() + 1), "--quiet")
+    result = run(MODULE, "record", free_address(), str(path), *beside)
+    assert (result.returncode, result.stderr.count("\n")) == (1, 1)
+    assert "nothing came for 0.3 s" in result.stderr
+    assert not path.exists()
