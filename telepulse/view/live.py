@@ -19,7 +19,7 @@ from telepulse.view.rolling import Rolling
 MS = 1_000_000
 # Rows: a minute and two at 1 kHz.
 FAST_ROWS, SLOW_ROWS = 1 << 16, 1 << 11
-EVENTS = 8
+EVENTS = 12
 # Losses are told of so many statuses, a second.
 LOSS_STATUSES = 5
 
