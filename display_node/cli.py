@@ -92,6 +92,13 @@ def display(
     insecure: InsecureOption = False,
     realtime: RealtimeOption = None,
     metrics: MetricsOption = None,
+    without_film: Annotated[
+        bool,
+        typer.Option(
+            "--without-film",
+            help="Let a drive press with no film under the finger to measure it.",
+        ),
+    ] = False,
     doctor: Annotated[
         bool,
         typer.Option(
@@ -155,7 +162,7 @@ def display(
             ) as node,
             recorded_beside(node, record, own, quiet) as recording,
             # The last: what can fail without the drive has failed before it moves.
-            connected(section, scene.parent, console.print) as hardware,
+            connected(section, scene.parent, console.print, without_film) as hardware,
         ):
             served.follow(node.telemetry_address, own)
             if hardware is not None:

@@ -14,7 +14,7 @@ ADVICE = (
     ("following error", "the tip does not move as commanded: check that it moves freely, then the"
      " motor's current and microsteps: telepulse bench"),
     ("film reads", "film and drive contradict each other: telepulse calibrate, telepulse bench"),
-    ("felt force above", "check the film (telepulse calibrate) and the drive's direction"
+    ("felt force", "check the film (telepulse calibrate) and the drive's direction"
      " (telepulse bench)"),
     ("feedback is not a number", "check the film's sensor and its calibration in the scene"),
     ("feedback lost", "check the film's sensor and its cable"),

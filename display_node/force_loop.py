@@ -119,7 +119,7 @@ def build_force_loop(
     tick_s: float,
     actual: SecondOrderScene | StepperScene | None = None,
     slew_limit_n_per_s: float = math.inf,
-    overforce: float = 1.5,
+    overforce: float = 1.08,
 ) -> ForceLoop:
     """The force loop of these parts.
 

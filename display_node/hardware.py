@@ -12,7 +12,7 @@ from display_node.drives import Drive, build_drive
 from display_node.drives.withdrawal import Outcome
 from display_node.feedback import Feedback
 from display_node.finger import FingerState
-from display_node.plausibility import FilmPlausibility
+from display_node.plausibility import FilmPlausibility, RisingForce
 from display_node.scene import DisplayScene
 from protocol.errors import SceneError, SourceError
 from protocol.limits import LimitCounter
@@ -27,15 +27,22 @@ WITHDRAWN_WITHIN_S = 1.5
 
 @contextmanager
 def connected(
-    scene: DisplayScene, folder: Path, log: Callable[[str], None]
+    scene: DisplayScene, folder: Path, log: Callable[[str], None], without_film: bool = False
 ) -> Iterator["Hardware | None"]:
     """The bench of a scene, started, within a `with`; None for a scene that names no drive.
 
-    `folder` is the scene file's. Raises SceneError, SourceError and DriveError.
+    `folder` is the scene file's. without_film: a drive may press a finger with no film under it.
+    Raises SceneError, SourceError and DriveError.
     """
     if scene.drive is None:
         yield None
         return
+    if scene.feedback is None and not without_film:
+        raise SceneError(
+            "[display.feedback] is missing: without a film nothing measures the force, and a drive"
+            " that turns further than it counts is not noticed; add the film, or give"
+            " --without-film where no person's finger is pressed"
+        )
     layer, force_limit_n = scene.layer.layer(), scene.safety.force_limit_n
     drive = build_drive(scene.drive, scene.actuator, layer, force_limit_n)
     sensor = open_sensor(scene.feedback, folder, log) if scene.feedback is not None else None
@@ -62,6 +69,13 @@ class Hardware:
             raise SceneError('[display] drive: it needs an actuator of kind "stepper"')
         self._contact = actuator.contact(scene.layer.layer())
         self._plausibility = FilmPlausibility(actuator, scene.layer.layer())
+        safety = scene.safety
+        self._rising = RisingForce(
+            safety.force_limit_n * safety.overforce,
+            safety.slew_limit_n_per_s,
+            scene.film.latency_ns,
+        )
+        self._film_fault: str | None = None
         self._step_rate = actuator.step_rate()
         self._drive = drive
         self._sensor = sensor
@@ -97,7 +111,8 @@ class Hardware:
             self._plausibility.report(status.position_m, status.heard_ns)
             newest = self._read_film(self._sensor)
             if newest is not None and status.fault is None:
-                return self._plausibility.contradiction(newest[1], newest[0])
+                contradiction = self._plausibility.contradiction(newest[1], newest[0])
+                return self._film_fault or contradiction
         return None if status.fault is None else f"drive: {status.fault}"
 
     def tick(self, display: Display, now_ns: int, elapsed_ticks: int) -> Felt:
@@ -168,6 +183,7 @@ class Hardware:
         for reading in sensor.poll():
             for taken_ns, force_n in zip(reading.times_ns, reading.force_n, strict=True):
                 self.feedback.hear(taken_ns, force_n)
+                self._film_fault = self._film_fault or self._rising.fault(force_n, taken_ns)
         newest = self.feedback.newest
         if newest is None or self.feedback.samples == samples:
             return None

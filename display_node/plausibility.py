@@ -1,4 +1,4 @@
-"""Whether the film under the finger and the drive's position can both be true.
+"""What the film under the finger says of the bench: too much soon, or what cannot be true.
 
 A film that reads zero lets the loop press up to the force limit. The contact law of the softest
 finger that a person has gives the least force that a position presses with; below it the film is
@@ -18,6 +18,41 @@ PLACE_M = 0.5e-3
 MARGIN_N = 0.05
 # Positions and readings are of different ages, up to this; a contradiction lasts as long.
 WITHIN_NS = 50_000_000
+
+
+# A slope is taken over so long.
+SLOPE_NS = 8_000_000
+# From a reading to the motor's turn, beside the film's own latency.
+REACTION_S = 10e-3
+
+
+class RisingForce:
+    """Foresees a felt force above the fault's bound, while there is time to turn.
+
+    The loop's own commands rise no faster than the slew limit, and stop at the force limit. What
+    rises faster is a drive that goes further than it was told.
+    """
+
+    def __init__(self, overforce_n: float, slew_limit_n_per_s: float, latency_ns: int) -> None:
+        self._overforce_n = overforce_n
+        self._slew_limit_n_per_s = slew_limit_n_per_s
+        self._ahead_s = REACTION_S + latency_ns * 1e-9
+        self._samples: deque[tuple[int, float]] = deque()
+
+    def fault(self, force_n: float, taken_ns: int) -> str | None:
+        """Take a reading in N; return the fault that it foresees."""
+        samples = self._samples
+        samples.append((taken_ns, force_n))
+        while len(samples) > 1 and taken_ns - samples[1][0] >= SLOPE_NS:
+            samples.popleft()
+        began_ns, began_n = samples[0]
+        if taken_ns - began_ns < SLOPE_NS:
+            return None
+        slope = (force_n - began_n) / ((taken_ns - began_ns) * 1e-9)
+        beyond = slope - self._slew_limit_n_per_s
+        if beyond <= 0 or force_n + beyond * self._ahead_s <= self._overforce_n:
+            return None
+        return f"felt force rises by {slope:.0f} N/s at {force_n:.2f} N, faster than commanded"
 
 
 class FilmPlausibility:

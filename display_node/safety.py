@@ -30,7 +30,7 @@ class SafetyScene(Section):
     stale_after_ns: Annotated[Nanoseconds, Field(ge=1_000_000, le=10_000_000_000)] = 60_000_000
     fade_ns: Annotated[Nanoseconds, Field(ge=1_000_000, le=1_000_000_000)] = 40_000_000
     ramp_ns: Annotated[Nanoseconds, Field(ge=1_000_000, le=10_000_000_000)] = 300_000_000
-    overforce: Annotated[float, Field(ge=1, le=10)] = 1.5
+    overforce: Annotated[float, Field(ge=1, le=10)] = 1.08
     feedback_within_ns: Annotated[Nanoseconds, Field(ge=1_000_000, le=80_000_000)] = 40_000_000
 
 

@@ -8,12 +8,12 @@ that was commanded. Pure: times come in, in ns on the monotonic clock.
 from enum import Enum
 
 # Away from the finger: unconfirmed, and confirmed. The second leaves a usual pulse in some 30 ms.
-SLOW_M_PER_S = 5e-3
+SLOW_M_PER_S = 10e-3
 FAST_M_PER_S = 20e-3
 # What moved towards the finger when it began may take so long to turn, by reports that are late.
 TURN_NS = 30_000_000
 # The same by the film, whose readings are older.
-FILM_TURN_NS = 80_000_000
+FILM_TURN_NS = 50_000_000
 CONFIRMED_M = 30e-6
 WRONG_WAY_M = 100e-6
 CONFIRMED_N = 0.02

@@ -11,9 +11,9 @@ import pytest
 
 from display_node import hardware
 from display_node.drives.withdrawal import Outcome
-from display_node.hardware import Hardware
+from display_node.hardware import Hardware, connected
 from display_node.scene import DisplayScene
-from protocol.errors import SceneError, SourceError
+from protocol.errors import DriveError, SceneError, SourceError
 from protocol.scene import load_section
 from sensors.reading import Reading
 
@@ -331,3 +331,18 @@ def test_a_scene_without_a_drive_is_refused(scene: DisplayScene) -> None:
     bench = VirtualBench(lambda ms: 0.3)
     with pytest.raises(SceneError, match="drive"):
         Hardware(scene.model_copy(update={"drive": None}), bench.drive, None)
+
+
+def test_a_drive_without_a_film_is_refused_unless_that_is_wanted(scene: DisplayScene) -> None:
+    """Before anything is opened: this scene's ports are not there."""
+    blind = scene.model_copy(update={"feedback": None})
+    with (
+        pytest.raises(SceneError, match=r"\[display\.feedback\] is missing.*--without-film"),
+        connected(blind, SCENES, print),
+    ):
+        pass
+    with (
+        pytest.raises(DriveError, match="cannot be opened"),
+        connected(blind, SCENES, print, without_film=True),
+    ):
+        pass

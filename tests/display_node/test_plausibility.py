@@ -2,7 +2,7 @@
 
 import pytest
 
-from display_node.plausibility import SOFTEST, WITHIN_NS, FilmPlausibility
+from display_node.plausibility import SOFTEST, WITHIN_NS, FilmPlausibility, RisingForce
 
 from .drives.benches import LAYER, stepper
 
@@ -53,3 +53,32 @@ def test_a_motion_within_50_ms_is_not_held_against_it() -> None:
     for at_ms in range(0, 500, 5):
         film.report(LAW.position(2.5 if at_ms % 40 else 0.0), at_ms * MS)
         assert film.contradiction(0.0, at_ms * MS) is None
+
+
+def rise(n_per_s: float, end_n: float = 3.5) -> str | None:
+    """What is said on the way of a ramp to its end."""
+    rising, ms, found = RisingForce(2.7, 50.0, 8 * MS), 0, None
+    while found is None and n_per_s * ms * 1e-3 <= end_n:
+        found = rising.fault(n_per_s * ms * 1e-3, ms * MS)
+        ms += 1
+    return found
+
+
+def test_a_force_that_rises_as_commanded_is_no_fault() -> None:
+    assert rise(10.0, end_n=2.5) is None
+    assert rise(50.4, end_n=2.5) is None
+
+
+@pytest.mark.parametrize("n_per_s", [80.0, 100.0, 150.0])
+def test_one_that_rises_faster_is_named_while_there_is_time_to_turn(n_per_s: float) -> None:
+    fault = rise(n_per_s)
+    assert fault is not None
+    at_n = float(fault.split(" at ")[1].split(" N")[0])
+    # The film is 8 ms late, and the motor turns 3 ms after that.
+    assert at_n + n_per_s * 11e-3 < 1.25 * 2.5
+
+
+def test_a_short_jump_of_noise_is_none() -> None:
+    rising = RisingForce(2.7, 50.0, 8 * MS)
+    for ms in range(200):
+        assert rising.fault(0.3 + 0.1 * (ms % 7 == 0), ms * MS) is None

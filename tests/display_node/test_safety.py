@@ -130,11 +130,11 @@ def test_feedback_that_is_no_number_is_a_fault(feedback_n: float) -> None:
     assert under_test.faults == ["feedback is not a number"]
 
 
-@pytest.mark.parametrize(("feedback_n", "faults"), [(3.75, 0), (3.76, 1), (-3.76, 1), (-0.5, 0)])
+@pytest.mark.parametrize(("feedback_n", "faults"), [(2.7, 0), (2.71, 1), (-2.71, 1), (-0.5, 0)])
 def test_felt_force_far_above_the_limit_is_a_fault(feedback_n: float, faults: int) -> None:
     under_test = at_full_strength()
     under_test.watch(feedback_n)
-    assert under_test.faults == ["felt force above 3.75 N"] * faults
+    assert under_test.faults == ["felt force above 2.7 N"] * faults
 
 
 def test_a_fault_brings_the_actuator_to_rest_for_good() -> None:
@@ -142,7 +142,7 @@ def test_a_fault_brings_the_actuator_to_rest_for_good() -> None:
     ticked(under_test, 1.0, 100)
     for feedback_n in (9.0, 9.0, math.nan, 1.0):
         under_test.watch(feedback_n)
-    assert under_test.faults == ["felt force above 3.75 N", "feedback is not a number"]
+    assert under_test.faults == ["felt force above 2.7 N", "feedback is not a number"]
     assert ticked(under_test, 1.0, 45)[-1] == 0.0
     assert max(ticked(under_test, 1.0, 2000)) == 0.0
 

@@ -193,7 +193,7 @@ def test_a_reading_that_cannot_be_brings_a_stepper_to_rest(
     (spike,) = of(outcomes, "a force spike", scene, "reading of 100")
     (no_number,) = of(outcomes, "denormals and NaN", scene, "reading of NaN, ∞, −∞")
     assert spike.verdict == no_number.verdict == Verdict.REFUSED
-    assert spike.reason.endswith("felt force above 3.75 N")
+    assert spike.reason.endswith("felt force above 2.7 N")
     assert no_number.reason.endswith("feedback is not a number")
 
 
@@ -281,7 +281,7 @@ def test_an_unstable_loop_that_is_not_refused_is_told(monkeypatch: pytest.Monkey
     rotor = {**STEPPER, "rotor_resonance": "100 Hz", "rotor_damping": 0.0}
     outcome = attempt(Trial("", "", setup({"kp": 100, "error": "position"}, rotor), safe=False))
     assert outcome.verdict is Verdict.WRONG
-    assert outcome.reason == "felt beyond 3.75 N"
+    assert outcome.reason == "felt beyond 2.7 N"
 
 
 def test_a_cycle_of_two_microsteps_is_measured() -> None:
