@@ -150,8 +150,9 @@ def report(
     """Report what the logs show: proportions with exact intervals, thresholds, objective errors.
 
     Several logs are several subjects of one experiment: people or simulated observers, on one
-    scene, with intervals of one kind. Trials in which more than 1 % of the ticks were missed or
-    the stream was stale are listed as spoilt and left out. Prints tables and writes a page.
+    scene, with intervals of one kind. Trials in which more than 1 % of the ticks were
+    missed, or a stream without a link was stale, are listed as spoilt and left out.
+    Prints tables and writes a page.
     """
     from telepulse.experiment.log import read_log
     from telepulse.experiment.report import build_report

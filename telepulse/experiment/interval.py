@@ -71,14 +71,26 @@ class Played(BaseModel):
     stale_ticks: int = 0
 
     @property
-    def spoilt(self) -> str:
-        """Why this is not what the trial was to be, "" where it is."""
-        ticks = self.ticks or max(1, round(self.felt_s * TICKS_PER_S))
-        if self.deadline_misses > MOST_MISSED * ticks:
-            return f"{100 * self.deadline_misses / ticks:.1f} % of the ticks missed"
+    def stale(self) -> str:
+        """How the stream was stale while it was felt, "" where it was not."""
         if self.stale_ticks:
-            return f"the stream stale for {100 * self.stale_ticks / ticks:.1f} % of the ticks"
+            return f"the stream stale for {100 * self.stale_ticks / self._of:.1f} % of the ticks"
         return "" if self.felt_s else "never felt at full strength"
+
+    @property
+    def spoilt(self) -> str:
+        """Why this is not what the trial was to be, "" where it is.
+
+        A stream that is stale over the link is the condition's own: no link but the model's lies
+        between source and display.
+        """
+        if self.deadline_misses > MOST_MISSED * self._of:
+            return f"{100 * self.deadline_misses / self._of:.1f} % of the ticks missed"
+        return "" if self.on_link else self.stale
+
+    @property
+    def _of(self) -> int:
+        return self.ticks or max(1, round(self.felt_s * TICKS_PER_S))
 
 
 def draw_interval(

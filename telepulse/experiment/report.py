@@ -13,7 +13,7 @@ from telepulse.experiment.log import Log
 from telepulse.experiment.plan import percent
 from telepulse.experiment.psychometric import Threshold, d_prime, fit_threshold
 from telepulse.experiment.results import Outcome, Results, close, correct, gather
-from telepulse.report import Chapter, Report, Table
+from telepulse.report import Chapter, Report, Table, provenance_table
 
 NONE = "–"
 POOLED, DIRECT = "all of them", "no link (catch)"
@@ -33,8 +33,21 @@ def build_report(logs: Sequence[Log], with_spoilt: bool = False) -> Report:
     )
     return Report(
         f"Experiment: {results.title}",
-        (answers, _course_chapter(results), _errors_chapter(results), _paper_chapter()),
+        (
+            answers,
+            _course_chapter(results),
+            _errors_chapter(results),
+            _paper_chapter(),
+            *_provenance(logs),
+        ),
     )
+
+
+def _provenance(logs: Sequence[Log]) -> list[Chapter]:
+    """Return what produced each session, where its log has it."""
+    made = [(log.path.stem, log.header.provenance) for log in logs if log.header.provenance]
+    tables = tuple(provenance_table(name, provenance) for name, provenance in made)
+    return [Chapter("Provenance of the sessions", tables=tables)] if tables else []
 
 
 def _labels(results: Results) -> list[str]:
@@ -49,11 +62,22 @@ def _labels(results: Results) -> list[str]:
     elif results.who != "a person":
         labels.append("Nobody felt anything: the scene's models ran, without a drive.")
     if results.spoilt:
-        count = counted(len(results.spoilt), "answered trial")
+        trials = counted(len(results.spoilt), "answered trial")
         verb = "is" if len(results.spoilt) == 1 else "are"
         fate = "counted all the same" if results.pooled else "left out of all figures but theirs"
         labels.append(
-            f"{count} {verb} spoilt by missed ticks or a stale stream, and {verb} {fate}."
+            f"{trials} {verb} spoilt by missed ticks, or by a stale stream without a link, and"
+            f" {verb} {fate}."
+        )
+    stale = [
+        f"{name}: {count}"
+        for name, found in results.by_condition()
+        if (count := sum(o.stale for o in found))
+    ]
+    if stale:
+        labels.append(
+            "Trials in which the link left the stream stale, which is the condition's own, so that"
+            f" they are counted: {', '.join(stale)}."
         )
     if len(results.versions) > 1:
         labels.append(f"The logs are of several versions: {', '.join(results.versions)}.")

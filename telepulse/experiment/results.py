@@ -40,6 +40,11 @@ class Outcome:
         return next((why for played in self.answered.played if (why := played.spoilt)), "")
 
     @property
+    def stale(self) -> bool:
+        """Whether the link left the stream stale in an interval."""
+        return any(played.on_link and played.stale for played in self.answered.played)
+
+    @property
     def errors(self) -> Errors:
         """Aligned force errors of A, B and X as shares of the pulse; NaN of what was not felt."""
         played = self.answered.played

@@ -16,6 +16,7 @@ from telepulse.record.transcript import Entry
 MAX_WAITING_BYTES = 32 * 1024 * 1024
 PROFILE = "telepulse"
 PROVENANCE = "telepulse.provenance"
+MAX_RUNS = 100
 
 
 class McapWriter:
@@ -40,7 +41,7 @@ class McapWriter:
         self._channels = {topic: self._register(topic) for topic in SCHEMAS}
         self._in_chunk = 0
         self.written: Counter[str] = Counter()
-        self.dropped = 0
+        self.dropped = self._runs = 0
 
     def add(self, entry: Entry) -> None:
         """Take a message into the present chunk."""
@@ -62,7 +63,14 @@ class McapWriter:
         self._in_chunk += 1
 
     def describe(self, provenance: dict[str, str]) -> None:
-        """Add what produced the recording, as a metadata record."""
+        """Add what produced the recording, as a metadata record.
+
+        Of more than `MAX_RUNS` nothing is added: whoever sends them is no display.
+        """
+        self._runs += 1
+        if self._runs > MAX_RUNS or self._journal.waiting_bytes > MAX_WAITING_BYTES:
+            self.dropped += 1
+            return
         self._writer.add_metadata(PROVENANCE, provenance)
 
     def flush(self) -> str | None:

@@ -85,7 +85,8 @@ def test_a_spoilt_trial_is_named_and_left_out_unless_asked_for(
     spoils: dict[str, int], why: str, tmp_path: Path
 ) -> None:
     found = plan(tmp_path, condition("plain"))
-    spoilt = [*CLEAN[:2], CLEAN[2].model_copy(update=spoils)]
+    # A is direct.
+    spoilt = [CLEAN[0].model_copy(update=spoils), *CLEAN[1:]]
     made = log(found, "anna", [CLEAN, spoilt])
     results = gather([made])
     assert (len(results.outcomes), len(results.spoilt), results.pooled) == (1, 1, False)
@@ -100,7 +101,7 @@ def test_a_spoilt_trial_is_named_and_left_out_unless_asked_for(
     assert gather([log(found, "cy", [few])]).spoilt == ()
 
 
-def test_a_stream_that_is_cut_while_it_is_felt_spoils_the_interval(tmp_path: Path) -> None:
+def test_a_stream_that_its_own_link_leaves_stale_is_named_and_counted(tmp_path: Path) -> None:
     whole = plan(tmp_path, condition("plain", "delay=5ms", "auto"), interval="0.5 s")
     cut = plan(tmp_path, condition("plain", "delay=5ms,cut.from=2s,cut.for=3s", "auto"))
 
@@ -117,9 +118,16 @@ def test_a_stream_that_is_cut_while_it_is_felt_spoils_the_interval(tmp_path: Pat
             now_ns += drawn.scene.display.tick_ns
         return playing.played()
 
-    assert felt(whole).spoilt == ""
-    assert felt(cut).stale_ticks > 0
-    assert "stale" in felt(cut).spoilt
+    assert felt(whole).stale == ""
+    broken = felt(cut)
+    assert broken.stale_ticks > 0
+    assert "stale" in broken.stale
+    assert broken.spoilt == ""
+    assert "stale" in broken.model_copy(update={"on_link": False}).spoilt
+    made = log(cut, "anna", [[*CLEAN[:2], broken.model_copy(update={"letter": "X"})]])
+    assert gather([made]).spoilt == ()
+    text = " ".join(build_report([made]).chapters[0].paragraphs)
+    assert "they are counted: plain: 1." in text
 
 
 def test_a_person_is_refused_a_scene_that_nobody_feels(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from benchmarks.analysis import record
 from protocol.provenance import PROVENANCE, collect
 from telepulse.record.edf import export_edf
 from telepulse.record.export import export_csv, export_mcap, export_parquet
-from telepulse.record.mcap_writer import McapWriter
+from telepulse.record.mcap_writer import MAX_RUNS, McapWriter
 from telepulse.record.reader import RecordingReader
 from telepulse.record.report.chapters import build_recording_report
 from telepulse.record.transcript import Transcript
@@ -107,3 +107,12 @@ def test_all_tables_have_one_time_base_and_each_column_names_its_clock(
         for name, column in table.items():
             if name.endswith("_ns"):
                 assert "clock" in column["description"] or "Unix" in column["description"], name
+
+
+def test_a_flood_of_provenance_is_bounded_and_counted(tmp_path: Path) -> None:
+    writer = McapWriter(tmp_path / "a.mcap")
+    for number in range(MAX_RUNS + 5):
+        writer.describe({"version": str(number)})
+    writer.close()
+    assert writer.dropped == 5
+    assert (tmp_path / "a.mcap").stat().st_size < 100_000
