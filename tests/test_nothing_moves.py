@@ -117,6 +117,20 @@ def run_without(folder: Path, library: str, *arguments: str) -> tuple[int, str]:
     return result.returncode, result.stderr
 
 
+def refuse_a_session(folder: Path) -> "subprocess.CompletedProcess[str]":
+    """Run a session as a process, and answer that the bench is not clear."""
+    words = ("experiment", "run", folder / "session.toml", "--log", folder / "answered.jsonl")
+    return subprocess.run(
+        [sys.executable, "-m", "telepulse.cli", *map(str, words)],
+        cwd=ROOT,
+        input="n",
+        capture_output=True,
+        text=True,
+        timeout=ENDS_WITHIN_S,
+        check=False,
+    )
+
+
 def cases(bench: EmulatedBench, taken: str) -> dict[str, Case]:
     """What may fail, by its name. taken: an address that somebody else has bound."""
     folder, scene = bench.folder, str(bench.scene)
@@ -195,10 +209,15 @@ def test_what_fails_fails_before_the_drive_moves(
         record = ("--record", str(tmp_path / "a.mcap"), "--no-screen", "--seconds", "0.5")
         status, error = run_without(tmp_path, "mcap", str(bench.scene), *record)
         bench.windows["recorder's library"] = begin_ns, time.monotonic_ns()
+        begin_ns = time.monotonic_ns()
+        answered = refuse_a_session(tmp_path)
+        bench.windows["session with fingers"] = begin_ns, time.monotonic_ns()
     assert bench.moved() == {}
     for name, (code, text) in ended.items():
         assert (name, code) == (name, wanted[name].status), text
         assert wanted[name].words in text, name
+    assert answered.returncode == 1, answered.stderr
+    assert CLEAR in answered.stdout
     assert status == 2
     assert "recording needs mcap" in error
     assert not (tmp_path / "a.mcap").exists()
