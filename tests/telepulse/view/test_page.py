@@ -5,6 +5,7 @@ import re
 import signal
 import socket
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ CURVES = "Bokeh.documents[0].get_model_by_name('force').renderers[0].data_source
 NEWEST = f"[...{CURVES}.finger_y].findLast(Number.isFinite)"
 DRAWN = f"JSON.stringify([...{CURVES}.finger_y])"
 STYLE = "getComputedStyle(document.querySelector('.drawn'))"
+COLOUR_OF_STATE = "getComputedStyle(document.getElementById('state')).color"
 SPAN = "-Bokeh.documents[0].get_model_by_name('force').x_range.start"
 # Of two colours, as WCAG 2 defines it.
 CONTRAST = """(selector) => {
@@ -69,6 +71,15 @@ class Bench:
     def play(self) -> None:
         arguments = ("--connect", self._display, "--telemetry", self._telemetry, "--quiet")
         self._run("display", "display_node.cli", str(RADIAL), *arguments, *REALTIME)
+
+    @contextmanager
+    def still(self, name: str) -> Iterator[None]:
+        """Let a process stand still meanwhile."""
+        self._running[name].send_signal(signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            self._running[name].send_signal(signal.SIGCONT)
 
     def end(self, name: str) -> tuple[str, str]:
         child = self._running.pop(name)
@@ -138,11 +149,27 @@ def test_a_cut_link_is_an_alarm_that_goes_again(bench: Bench, visit: Visit) -> N
         bench.cut()
         page.locator("#alarms", has_text="link cut").wait_for()
         await_state(page, "stale")
+        page.wait_for_function("document.getElementById('heart').textContent === '–'")
         keep(page, "view-cut.png")
         bench.join()
         await_state(page, "playing")
         page.locator("#alarms li[data-name='link cut']").wait_for(state="detached")
         assert page.locator("#events", has_text="state: playing").is_visible()
+
+
+def test_a_display_that_stands_still_is_grey_and_has_its_age(bench: Bench, visit: Visit) -> None:
+    with visit(bench.url) as page:
+        await_state(page, "playing")
+        bright = page.evaluate(COLOUR_OF_STATE)
+        with bench.still("display"):
+            page.locator("body.old").wait_for()
+            assert re.fullmatch(r"\d+\.\d s ago", said(page, "state-note"))
+            assert page.evaluate(COLOUR_OF_STATE) != bright
+            assert said(page, "heart") == "–"
+            keep(page, "view-still.png")
+        page.locator("body:not(.old)").wait_for()
+        await_state(page, "playing")
+        assert page.evaluate(COLOUR_OF_STATE) == bright
 
 
 def test_a_display_that_goes_and_comes_back(bench: Bench, visit: Visit) -> None:
