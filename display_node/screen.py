@@ -108,7 +108,11 @@ class Screen:
             ", ".join(f"{name} {value}" for name, value in rows)
             for rows in (self._now_rows(now_ns), self._run_rows())
         )
-        wrong = "".join(f"{name}: {text}; " for name, text in self._alerts(now_ns))
+        # The state stands before them.
+        said = f"{self.status.state}: "
+        wrong = "".join(
+            f"{name}: {text}; ".removeprefix(said) for name, text in self._alerts(now_ns)
+        )
         return f"{self._state(now_ns)}: {wrong}{now}; {RUN}: {run}"
 
     def panel(self, now_ns: int = 0) -> RenderableType:

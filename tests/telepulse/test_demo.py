@@ -74,7 +74,7 @@ def test_a_demo_whose_display_latches_a_fault_names_it_and_ends_with_status_3(
     assert result.stderr.startswith(f"telepulse: ended at the fault '{fault}': {advice}")
     assert result.stderr.count("\n") == 1
     # The line of each second names it, with what to do.
-    assert re.search(rf"^fault: fault: {fault}: {re.escape(advice)}", result.stdout, re.MULTILINE)
+    assert re.search(rf"^fault: {fault}: {re.escape(advice)}", result.stdout, re.MULTILINE)
     assert read_json(out)["faults"] == [fault]
     assert_accounted(read_json(out)["samples"])
 
