@@ -22,6 +22,7 @@ NAMES = (
     "stalls",
     "jumps",
     "lies",
+    "lies_live",
     "random_stalls",
     "recording",
     "analysis",

@@ -23,6 +23,8 @@ from telepulse.scene import find_scene
 KINDS = ("tmcl", "cia402")
 LIMIT_N = 2.5
 BAR_FORCE_N = 1.25 * LIMIT_N
+# A microstep at the limit is 6 mN: so much more is no more than the limit.
+LIMIT_AND_STEP_N = LIMIT_N + 0.01
 BAR_ABOVE_MS = 50
 BAR_OFF_MS = 1_000
 PLAYED_MS = 1_500
@@ -199,7 +201,7 @@ def _outcome(
             error_n = max(error_n, moment.force_n - max(near), min(near) - moment.force_n)
     return Outcome(
         most_n=max(moment.force_n for moment in felt),
-        above_ms=sum(moment.force_n > LIMIT_N for moment in felt),
+        above_ms=sum(moment.force_n > LIMIT_AND_STEP_N for moment in felt),
         named=named,
         named_ms=None if fault_ns is None else (fault_ns - began_ns) // MS,
         off_ms=off_ms,
