@@ -41,6 +41,8 @@ class DataPath:
                 if number in other:
                     self._had.add(line)
                     continue
+                if number in self._before:
+                    continue
                 if len(own) < MAX_REMEMBERED:
                     own.add(number)
                 yield message
@@ -94,6 +96,8 @@ class DataPath:
             return False
         # First where the connection was good; then where the name has led to since.
         address = self._found if second.address is not None else first.address
+        # What the last attempt brought is known, but the next has not had it.
+        self._before |= self._of_second
         self._of_second.clear()
         second.connect(address or first.address, now_ns)
         return True
@@ -113,4 +117,5 @@ class DataPath:
         """Begin a race with nothing known of either connection's messages."""
         self._of_first: set[int] = set()
         self._of_second: set[int] = set()
+        self._before: set[int] = set()
         self._had: set[Line] = set()

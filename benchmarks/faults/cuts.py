@@ -1,4 +1,5 @@
-"""`python -m benchmarks.faults.cuts [--times N] [KIND ...]`: kinds of cuts, many times each.
+"""`python -m benchmarks.faults.cuts [--times N] [KIND ...]`: kinds of cuts, many times each; and
+with `--thrash` how often a display connects anew where nothing is cut.
 
 One pair of nodes serves all cuts of a kind, so that fifty take some three minutes. Each cut begins
 at a random instant; the time counts from its end until the pulse is felt again at full strength,
@@ -22,16 +23,18 @@ from telepulse.emulator import EmulatedLink, PacketFilter, emulate
 from telepulse.link import LinkScene, parse_link
 from telepulse.scene import find_scene
 
+WHOLE_TEXT = "20±3 ms"
 WHOLE = parse_link("delay=20ms,jitter=3ms")
 TIMES = 50
 SEED = 1
 BAR_MS = 1_000.0
+# What loses much, or stands still, is no reason to connect again and again.
+WATCHED_S = 30.0
+LOSSY = ("loss=0%", "loss=5%", "loss=20%")
 # Between two cuts: TCP and the delay estimate have settled, and phases are at random.
 BETWEEN_S = (0.7, 1.5)
 BACK_WITHIN_S = 20.0
 SHORT_S, LONG_S = (0.1, 0.6), (0.6, 3.0)
-# Two of three cuts are short.
-SHORT_SHARE = 2 / 3
 
 # Cuts in quick succession are jitter to a display: after a few, a longer playout delay covers them.
 # Here they are to be felt, so the delay covers the shorter half of all delays alone.
@@ -50,6 +53,7 @@ class Cut:
     phases: Sequence[tuple[Sequence[PacketFilter], tuple[tuple[float, float], ...]]]
 
 
+# Two of three cuts are short.
 MIXED = (SHORT_S, SHORT_S, LONG_S)
 KINDS: dict[str, Cut] = {
     "both ports, 0.1 to 0.6 s": Cut([([ALL], (SHORT_S,))]),
@@ -92,7 +96,7 @@ class CutRunner:
             self._link.drop(*filters)
             time.sleep(rng.uniform(*rng.choice(lengths_s)))
         self._link.drop()
-        self.ended_ns = ended_ns = time.monotonic_ns()
+        ended_ns = time.monotonic_ns()
         felt_ns = self._finger.felt_steadily_from_ns(ended_ns, BACK_WITHIN_S)
         back_ms = BACK_WITHIN_S * 1e3 if felt_ns is None else (felt_ns - ended_ns) * 1e-6
         return Recovery((ended_ns - began_ns) * 1e-6, back_ms)
@@ -110,6 +114,37 @@ def cut_runner(folder: Path, seed: int, whole: LinkScene = WHOLE) -> Iterator[Cu
         yield CutRunner(link, sensing, display, finger, random.Random(seed))
 
 
+def opened_meanwhile(folder: Path, link_text: str, stop: bool) -> tuple[int, int]:
+    """How many second connections were opened and kept in `WATCHED_S` on a link.
+
+    stop: the sensing node stands still all the time.
+    """
+    whole = parse_link(f"{WHOLE.text()},{link_text}")
+    with emulate(whole) as link, staged(folder, link) as stage:
+        sensing, _, finger = stage.play()
+        if stop:
+            sensing.pause()
+        time.sleep(WATCHED_S)
+        assert finger.status is not None
+        counts = finger.status.summary["reconnections"]
+        sensing.resume()
+    return counts["opened"], counts["kept"]
+
+
+def show_thrash() -> None:
+    """Print how often a display opened second connections."""
+    rows = []
+    for name, text, stop in (
+        *((f"a link of {WHOLE_TEXT} that loses {one[5:]}", one, False) for one in LOSSY),
+        ("a sensing node that stands still", LOSSY[0], True),
+    ):
+        with TemporaryDirectory(prefix="telepulse-") as folder:
+            opened, kept = opened_meanwhile(Path(folder), text, stop)
+        rows.append((name, str(opened), str(kept)))
+    title = f"Second connections in {WATCHED_S:g} s (budget: 10, and 1 every 2 s)"
+    show(title, ("where", "opened", "kept"), rows)
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.faults.cuts")
@@ -118,7 +153,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--link", default=WHOLE.text(), help="the link while it is whole")
     parser.add_argument("--each", action="store_true", help="print each cut")
+    parser.add_argument("--thrash", action="store_true", help="count connections, without cuts")
     chosen = parser.parse_args()
+    if chosen.thrash:
+        show_thrash()
+        return
     rows = []
     for name in chosen.kinds or KINDS:
         with (
@@ -132,7 +171,8 @@ def main() -> None:
             for one in found:
                 print(f"{one.cut_ms:6.0f} ms cut, back after {one.back_ms:6.0f} ms")
         rows.append(_row(name, found))
-        print(name, account.samples, account.rejected, account.faults)
+        if account.faults or account.rejected:
+            print(name, account.rejected, account.faults)
     show(
         f"Felt again after the end of a cut, ms ({chosen.times} times each; bar {BAR_MS:g} ms)",
         ("cut", "median", "p90", "most", "above the bar"),
