@@ -27,6 +27,7 @@ NAMES = (
     "recording",
     "analysis",
     "metrics",
+    "page",
 )
 
 

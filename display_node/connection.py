@@ -152,8 +152,9 @@ class Connection:
         self._tended_ns = now_ns
         for path in self._paths if stood_still else ():
             path.failover.mark_suspect(now_ns)
-        # A list: each is asked, and none twice.
-        if any([self.control.heard(now_ns), *(path.take_heard(now_ns) for path in self._paths)]):
+        # Each is asked, and none twice.
+        heard = sum(path.take_heard(now_ns) for path in self._paths)
+        if heard + self.control.heard(now_ns):
             self._heard_ns = now_ns
             self._cut_ns = FOLLOWS_WITHIN_NS if stood_still else CUT_NS
         elif self._heard_ns is not None and now_ns - self._heard_ns >= self._cut_ns:

@@ -61,7 +61,7 @@ class DataPath:
         from_first, from_second = first.heard(now_ns), second.heard(now_ns)
         keep = None
         if from_first:
-            keep = failover.first_heard(now_ns, first in self._had)
+            keep = failover.first_heard(now_ns, first in self._had, from_first)
         if from_second and keep is None:
             keep = failover.second_heard(now_ns, second in self._had)
         keep = keep or failover.settle(now_ns)
@@ -70,7 +70,7 @@ class DataPath:
         if keep is not None:
             self._second.disconnect()
             self._forget()
-        return from_first or from_second
+        return from_first + from_second > 0
 
     def tend(self, now_ns: int, found: str | None) -> bool:
         """Connect what is to be connected; call each tick, after `take_heard`.
@@ -97,6 +97,8 @@ class DataPath:
         # First where the connection was good; then where the name has led to since.
         address = self._found if second.address is not None else first.address
         # What the last attempt brought is known, but the next has not had it.
+        if len(self._before) > MAX_REMEMBERED:
+            self._before.clear()
         self._before |= self._of_second
         self._of_second.clear()
         second.connect(address or first.address, now_ns)

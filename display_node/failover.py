@@ -27,6 +27,11 @@ UNANSWERED_NS = 2_000_000_000
 # lost; twice as long is allowed each time.
 STALLED_NS = 250_000_000
 STALLED_ANSWERS = 2
+# Where TCP goes on after a silence, what has queued comes by one packet, then two, then four, each
+# a round trip later. If most of it is not here after so long, a new connection is sooner up to date.
+CAUGHT_UP_NS = 100_000_000
+MOST = 0.8
+LEAST_OWED = 8
 # The sensing node queues a second of frames for a display: what a connection has not delivered by
 # then comes too late.
 SETTLED_NS = 1_000_000_000
@@ -52,6 +57,9 @@ class Failover:
         self._silence_ns, self._follows_ns = 2 * REPEATED_NS, FOLLOWS_WITHIN_NS
         self._stalled_ns = self._stalls_after_ns = STALLED_NS
         self._budget = TokenBucket(OPENED_PER_S, OPENED_AT_ONCE)
+        self._frame_ns = REPEATED_NS
+        # After a silence: messages that are still missing, and by when they should have come.
+        self._owed, self._caught_up_ns = 0.0, 0
         self._due_ns = self._suspect_until_ns = self._first_ns = 0
         # In a race: since when the first has been delivering again, and the second.
         self._back_ns: int | None = None
@@ -63,6 +71,7 @@ class Failover:
     def set_timeouts(self, frame_ns: int, answer_ns: int) -> None:
         """Expect a frame every `frame_ns`, and the answer to a request to connect within
         `answer_ns`."""
+        self._frame_ns = frame_ns
         least_ns = PATIENCE_FRAMES * frame_ns
         self._silence_ns = max(REPEATED_NS + answer_ns, least_ns)
         self._follows_ns = max(FOLLOWS_WITHIN_NS, least_ns)
@@ -70,16 +79,16 @@ class Failover:
 
     def start(self, now_ns: int) -> None:
         """Begin to expect frames: they have been asked for."""
-        self._due_ns = now_ns + self._silence_ns
+        self._first_ns, self._due_ns = now_ns, now_ns + self._silence_ns
 
-    def first_heard(self, now_ns: int, had: bool) -> Keep | None:
+    def first_heard(self, now_ns: int, had: bool, count: int) -> Keep | None:
         """Note that the first connection has delivered; return which to keep, if that is clear.
 
-        had: among it was what the second had delivered before. Then the second has all the rest.
+        had: among the `count` messages was what the second had delivered before. Then the second
+        has all the rest.
         """
         if not self.racing:
-            suspect = now_ns < self._suspect_until_ns
-            self._due_ns = now_ns + (self._follows_ns if suspect else self._silence_ns)
+            self._expect_next(now_ns, count)
             return None
         if had:
             return self._keep(Keep.SECOND, now_ns)
@@ -88,6 +97,17 @@ class Failover:
         self._first_ns = now_ns
         self._due_ns = max(self._due_ns, now_ns + self._silence_ns)
         return None
+
+    def _expect_next(self, now_ns: int, count: int) -> None:
+        suspect = now_ns < self._suspect_until_ns
+        self._due_ns = now_ns + (self._follows_ns if suspect else self._silence_ns)
+        silence_ns, self._first_ns = now_ns - self._first_ns, now_ns
+        owed = MOST * silence_ns / self._frame_ns
+        if silence_ns >= self._silence_ns // 2 and owed >= LEAST_OWED:
+            self._owed, self._caught_up_ns = owed, now_ns + CAUGHT_UP_NS
+        self._owed -= count
+        if self._owed > 0:
+            self._due_ns = min(self._due_ns, self._caught_up_ns)
 
     def second_heard(self, now_ns: int, had: bool) -> Keep | None:
         """Note that the second connection has delivered; return which to keep, if that is clear.
@@ -132,6 +152,7 @@ class Failover:
         """End a race without an outcome: both connections are closed."""
         self.racing = self._answered = False
         self._back_ns = self._second_ns = None
+        self._owed = 0.0
 
     def due(self, now_ns: int) -> bool:
         """Return whether the second connection is to be opened now, or opened anew."""
@@ -155,5 +176,5 @@ class Failover:
     def _keep(self, which: Keep, now_ns: int) -> Keep:
         self.kept += which is Keep.SECOND
         self.abandon()
-        self._due_ns = now_ns + self._silence_ns
+        self._first_ns, self._due_ns = now_ns, now_ns + self._silence_ns
         return which

@@ -34,7 +34,7 @@ class Line:
         self.asked_ns = 0
         self.answered = False
         self._tries = 0
-        self._heard = False
+        self._heard = 0
         self._silent_ns = self._closed_until_ns = 0
         self._budget = TokenBucket(LEAST_PER_S, BURST)
         self._spent = 0
@@ -42,7 +42,7 @@ class Line:
     def messages(self) -> Iterator[bytes]:
         """The messages that wait."""
         for message in sockets.receive_each(self.socket):
-            self._heard = True
+            self._heard += 1
             self._spent += 1 + len(message) // BYTES_PER_TOKEN
             yield message
 
@@ -56,9 +56,9 @@ class Line:
         spent, self._spent = self._spent, 0
         return spent > 0 and not self._budget.take(now_ns, spent)
 
-    def heard(self, now_ns: int) -> bool:
-        """Whether anything has come since this was called last."""
-        heard, self._heard = self._heard, False
+    def heard(self, now_ns: int) -> int:
+        """How many messages have come since this was called last."""
+        heard, self._heard = self._heard, 0
         if heard:
             self._tries = 0
             self._silent_ns = now_ns + PATIENCE_NS
@@ -99,7 +99,7 @@ class Line:
         """Close the connection; how many messages were dropped that had queued on it."""
         if self.address is not None:
             sockets.disconnect(self.socket, self.address)
-        self.address, self.answered, self._heard = None, False, False
+        self.address, self.answered, self._heard = None, False, 0
         return self.drop()
 
     def drop(self) -> int:

@@ -35,7 +35,8 @@ class Tcp:
     """A connection that frames come over: what is lost holds up all that follows, and is repeated
     after RTO_MS, twice that, and so on.
 
-    next: the first frame that it has not delivered.
+    next: the first frame that it has not delivered. window: packets in a round trip, while it
+    delivers what has queued.
     """
 
     link: Link
@@ -43,6 +44,7 @@ class Tcp:
     stuck: bool = False
     again_ms: int = 0
     rto_ms: int = RTO_MS
+    window: int = 0
 
     def delivers(self, ms: int) -> list[int]:
         """The frames that come now."""
@@ -54,16 +56,24 @@ class Tcp:
                 self.rto_ms = min(2 * self.rto_ms, MAX_RTO_MS)
                 self.again_ms = ms + self.rto_ms
                 return []
-            self.stuck, self.rto_ms = False, RTO_MS
+            self.stuck, self.rto_ms, self.window = False, RTO_MS, 1
+        elif self.window:
+            if ms < self.again_ms:
+                return []
+            self.window *= 2
         elif ms % FRAME_MS:
             return []
         # Three of four losses are repeated at once, as later packets show them.
         elif not self.link.passes(ms) and not (self.link.loss and self.link.rng.random() < 0.75):
             self.stuck, self.again_ms = True, ms + self.rto_ms
             return []
-        # After an outage, no more than what a growing window takes.
-        frames = list(range(self.next, min(newest, self.next + 9) + 1))
-        self.next += len(frames)
+        self.again_ms = ms + 2 * ONE_WAY_MS
+        end = newest + 1
+        if self.window:
+            end = min(end, self.next + self.window)
+            self.window = 0 if end > newest else self.window
+        frames = list(range(self.next, end))
+        self.next = end
         return frames
 
 
@@ -125,7 +135,7 @@ def play(link: Link, until_ms: int) -> Played:
         for frame in (*frames[0], *frames[1]):
             played.came_ms.setdefault(frame, ms)
         again = [bool(had[1].intersection(frames[0])), bool(had[0].intersection(frames[1]))]
-        keep = failover.first_heard(now_ns, again[0]) if frames[0] else None
+        keep = failover.first_heard(now_ns, again[0], len(frames[0])) if frames[0] else None
         if frames[1]:
             keep = keep or failover.second_heard(now_ns, again[1])
         keep = keep or failover.settle(now_ns)
@@ -191,16 +201,16 @@ def test_a_peer_that_stands_still_is_asked_again_less_and_less_often() -> None:
             failover.answered(ms * MS)
     assert 30 <= failover.opened <= 40
     # Then it goes on: the first delivers what has queued, down to what the second has, too.
-    assert failover.first_heard(60_000 * MS, had=False) is None
+    assert failover.first_heard(60_000 * MS, had=False, count=1) is None
     assert failover.second_heard(60_001 * MS, had=False) is None
-    assert failover.first_heard(60_002 * MS, had=True) is Keep.SECOND
+    assert failover.first_heard(60_002 * MS, had=True, count=1) is Keep.SECOND
     assert not failover.due(60_003 * MS)
 
 
 def test_where_the_first_is_up_to_date_before_the_second_it_is_kept() -> None:
     failover = racing()
     failover.answered(540 * MS)
-    assert failover.first_heard(600 * MS, had=False) is None
+    assert failover.first_heard(600 * MS, had=False, count=1) is None
     assert failover.second_heard(650 * MS, had=True) is Keep.FIRST
     assert (failover.racing, failover.opened, failover.kept) == (False, 1, 0)
 
@@ -216,7 +226,7 @@ def test_where_the_second_alone_delivers_the_first_is_given_a_second() -> None:
 def test_where_the_first_is_back_and_no_second_comes_about_it_is_kept() -> None:
     failover = racing()
     for ms in range(2_000, 3_000, FRAME_MS):
-        assert failover.first_heard(ms * MS, had=False) is None
+        assert failover.first_heard(ms * MS, had=False, count=1) is None
         assert failover.settle(ms * MS) is None
     assert failover.settle(3_000 * MS) is Keep.FIRST
     assert not failover.due(3_319 * MS)
@@ -240,8 +250,26 @@ def test_rare_frames_are_waited_for_and_a_stalled_process_waits_less() -> None:
     assert failover.due(30_000 * MS)
     failover = Failover()
     failover.start(0)
-    failover.first_heard(1_000 * MS, had=False)
+    failover.first_heard(1_000 * MS, had=False, count=1)
     failover.mark_suspect(1_000 * MS)
-    failover.first_heard(1_010 * MS, had=False)
+    failover.first_heard(1_010 * MS, had=False, count=1)
     assert not failover.due(1_159 * MS)
     assert failover.due(1_160 * MS)
+
+
+def test_a_first_that_is_back_but_far_behind_is_not_waited_for() -> None:
+    failover = Failover()
+    failover.set_timeouts(FRAME_MS * MS, ANSWER_MS * MS)
+    failover.start(0)
+    failover.first_heard(300 * MS, had=False, count=1)
+    failover.first_heard(340 * MS, had=False, count=2)
+    failover.first_heard(380 * MS, had=False, count=4)
+    assert not failover.due(399 * MS)
+    assert failover.due(400 * MS)
+    # Up to date at once, it is let be.
+    failover = Failover()
+    failover.set_timeouts(FRAME_MS * MS, ANSWER_MS * MS)
+    failover.start(0)
+    failover.first_heard(300 * MS, had=False, count=60)
+    assert not failover.due(619 * MS)
+    assert failover.due(620 * MS)
