@@ -27,8 +27,8 @@ UNANSWERED_NS = 2_000_000_000
 # lost; twice as long is allowed each time.
 STALLED_NS = 250_000_000
 STALLED_ANSWERS = 2
-# Where TCP goes on after a silence, what has queued comes by one packet, then two, then four, each
-# a round trip later. If most of it is not here after so long, a new connection is sooner up to date.
+# Where TCP goes on after a silence, what has queued comes by one packet, then two, then four, a
+# round trip apart. If most of it is not here after so long, a new connection is sooner up to date.
 CAUGHT_UP_NS = 100_000_000
 MOST = 0.8
 LEAST_OWED = 8
