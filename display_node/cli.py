@@ -29,6 +29,7 @@ from protocol.errors import DiscoveryError, ProtectionError, SceneError
 from protocol.keys import ServerKeys
 from protocol.metrics import MetricsOption, metrics_beside
 from protocol.output import unblocked_output
+from protocol.process_limits import allow_connections
 from protocol.protection import (
     AllowOption,
     InsecureOption,
@@ -135,6 +136,7 @@ def display(
     """
     console = plain_console(quiet)
     with one_line_errors(PROGRAM):
+        allow_connections()
         check_writable(json)
         if doctor:
             run_doctor(scene, seconds, console, json)

@@ -67,7 +67,7 @@ class DisplayNode:
         self._context: sockets.Context = zmq.Context()
         try:
             self._connection = Connection(self._context, addresses, paths, log, keys)
-            gate = None if telemetry_keys is None else Gate(self._context, telemetry_keys, log)
+            gate = Gate(self._context, telemetry_keys, log)
             telemetry = sockets.bind(self._context, zmq.XPUB, telemetry_address, gate)
             self._telemetry = Publisher(telemetry, secrets.randbits(62), gate, log, provenance)
         except BaseException:
@@ -174,8 +174,7 @@ class DisplayNode:
         times = TickTime(tick_us.quantile(0.5), tick_us.quantile(0.99), beyond)
         summary, routes = self._display.summary(self._misses, times), self._connection.routes
         rejected = Counter(summary.rejected) + self._connection.rejected + self._telemetry.rejected
-        if self._gate is not None:
-            rejected += self._gate.rejected
+        rejected += self._gate.rejected
         loop = replace(
             summary.loop,
             late_us=_lateness(self._late_us),

@@ -28,6 +28,8 @@ MEANINGS = {
     " it is broken or hostile",
     "too_many_displays": "displays beyond the 1 000 that a sensing node serves: use a relay",
     "subscription": "subscriptions to topics that are not published here; the connection was cut",
+    "too_many_connections": "connections beyond what this node has files for, which were cut:"
+    " somebody connects again and again, or raise the limit by ulimit -n",
     # Connections, where keys are used.
     "no_key": "connections without a key to a node with one, or the reverse:"
     " give both --key and --peer",

@@ -13,6 +13,7 @@ TelepulseError
  +-- DiscoveryError  (OSError)     the local network cannot be asked, or has no one answer
  +-- BenchError      (RuntimeError) a bench or a calibration cannot be measured
  +-- RealtimeError   (RuntimeError) a real-time measure is none, or is not granted
+ +-- ProcessLimitError (OSError)  this process may have too few files or too little memory
  +-- SweepError      (RuntimeError) a case of a study fails, or no cluster computes it
 """
 
@@ -116,6 +117,13 @@ class RealtimeError(TelepulseError, RuntimeError):
 
     Example scenarios: no measure has that name, a priority above 98, all of it was asked for
     strictly and this user may not have SCHED_FIFO.
+    """
+
+
+class ProcessLimitError(TelepulseError, OSError):
+    """The system lets this process have less than a node needs.
+
+    Example scenarios: `ulimit -n 14`, `ulimit -v 300000`.
     """
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import zmq
 
-from protocol.sockets import Context, Socket, receive_all
+from protocol.sockets import Context, Socket
 
 NO_KEY, NOT_AUTHENTIC, REPLAYED, HANDSHAKE = "no_key", "not_authentic", "replayed", "handshake"
 _CAUSES: dict[int, str] = {
@@ -16,6 +16,7 @@ _CAUSES: dict[int, str] = {
 }
 FAILURES = zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
 _EVENT = struct.Struct("=HI")
+MAX_EVENTS = 200
 _numbers = itertools.count()
 
 
@@ -34,12 +35,18 @@ class Watch:
         self.socket.setsockopt(zmq.RCVHWM, 0)
         self.socket.connect(endpoint)
 
-    def events(self) -> Iterator[tuple[int, int, str]]:
-        """Event, its value and the address it happened at, for all that wait."""
-        while messages := list(receive_all(self.socket)):
-            for head, endpoint in messages:
-                event, value = _EVENT.unpack(head)
-                yield event, value, endpoint.decode("utf-8", "replace")
+    def events(self, most: int = MAX_EVENTS) -> Iterator[tuple[int, int, str]]:
+        """Yield event, its value and the address it happened at, for `most` of those that wait.
+
+        Bounded, as whoever connects as fast as he can would keep a loop here for good.
+        """
+        for _ in range(most):
+            try:
+                head, endpoint = self.socket.recv_multipart(zmq.NOBLOCK)
+            except zmq.Again:
+                return
+            event, value = _EVENT.unpack(head)
+            yield event, value, endpoint.decode("utf-8", "replace")
 
 
 def cause_of(value: int) -> str:

@@ -16,8 +16,8 @@ from protocol.commands import (
 )
 from protocol.discovery.options import AnnounceOption, announced_beside
 from protocol.metrics import MetricsOption, metrics_beside
-from protocol.open_files import allow_connections
 from protocol.output import unblocked_output
+from protocol.process_limits import allow_connections
 from protocol.protection import AllowOption, InsecureOption, KeyOption, server_keys
 from protocol.provenance import collect
 from protocol.realtime import check_strict, parse_realtime
@@ -79,6 +79,7 @@ def sense(
     console = plain_console(quiet)
     with ExitStack() as until_the_end:
         with one_line_errors(PROGRAM):
+            allow_connections()
             check_writable(json)
             asked = parse_realtime(realtime)
             check_strict(asked)
@@ -92,7 +93,6 @@ def sense(
             )
             source = until_the_end.enter_context(open_source(section, scene.parent, console.print))
             description = describe_stream(section, source)
-            allow_connections()
             node = SensingNode(
                 *(source, description, bind, console.print),
                 keys=keys,

@@ -65,7 +65,7 @@ class SensingNode:
         self._check = SampleCheck(description.period_ns, log)
         self._desk = Desk(description, self._session)
         self._context: sockets.Context = zmq.Context()
-        gate = None if keys is None else Gate(self._context, keys, log)
+        gate = Gate(self._context, keys, log)
         control = sockets.control_address(address)
         self._control = sockets.bind(self._context, zmq.ROUTER, control, gate)
         self._data = sockets.bind(self._context, zmq.XPUB, address, gate, limits(description))
@@ -74,7 +74,7 @@ class SensingNode:
         self._telemetry = None
         if telemetry_address is not None:
             self._telemetry = Telemetry(self._context, telemetry_address, log)
-        self._waited_for = [self._control, *(gate.sockets if gate is not None else ())]
+        self._waited_for = [self._control, *gate.sockets]
 
     @property
     def telemetry_address(self) -> str:
@@ -125,8 +125,7 @@ class SensingNode:
 
     def _answer_all(self, until_ns: int) -> None:
         """Answer what waits; what is left then waits until the next batch was sent."""
-        if self._gate is not None:
-            self._gate.tend(time.monotonic_ns())
+        self._gate.tend(time.monotonic_ns())
         for number, (*envelope, data) in enumerate(sockets.receive_all(self._control)):
             self._answer(tuple(envelope), data)
             if number >= LEAST_ANSWERED and self._clock() >= until_ns:
@@ -182,9 +181,9 @@ class SensingNode:
                 )
 
     def _summary(self) -> Summary:
-        rejected = self._desk.rejected + self._subscribers.rejected
-        if self._gate is not None:
-            rejected = rejected + self._gate.rejected
+        rejected = self._desk.rejected + self._subscribers.rejected + self._gate.rejected
+        if self._telemetry is not None:
+            rejected = rejected + self._telemetry.rejected
         if isinstance(self._source, Live):
             rejected = rejected + self._source.rejected
             faults = self._source.faults()

@@ -5,24 +5,29 @@ from collections.abc import Callable
 import zmq
 
 from protocol import sockets
+from protocol.gate import Gate
 from protocol.status import STATUS
 from protocol.subscribers import Subscribers
 
 STATUS_EVERY_NS = 1_000_000_000
+MAX_READERS = 32
 
 
 class Telemetry:
-    """Publishes statuses. address: where."""
+    """Publishes statuses. address: where; rejected: readers that were refused, by cause."""
 
     def __init__(self, context: sockets.Context, address: str, log: Callable[[str], None]) -> None:
         """Raises AddressError."""
-        self._socket = sockets.bind(context, zmq.XPUB, address)
+        self._gate = Gate(context, None, log, most=MAX_READERS)
+        self.rejected = self._gate.rejected
+        self._socket = sockets.bind(context, zmq.XPUB, address, self._gate)
         self._readers = Subscribers(self._socket, (STATUS,), log)
         self._next_ns = 0
         self.address = self._socket.getsockopt_string(zmq.LAST_ENDPOINT)
 
     def due(self, now_ns: int) -> bool:
         """Whether it is time for a status; call it often."""
+        self._gate.tend(now_ns)
         self._readers.tend()
         if now_ns < self._next_ns:
             return False

@@ -17,6 +17,7 @@ from protocol.commands import (
     sum_up,
 )
 from protocol.output import unblocked_output
+from protocol.process_limits import allow_connections
 from protocol.protection import (
     AllowOption,
     InsecureOption,
@@ -204,6 +205,7 @@ def link_command(
     delayed both ways and never lost.
     """
     with one_line_errors(PROGRAM):
+        allow_connections()
         # Without --peer the sensing node is on this machine, and has no keys.
         upstream = client_keys([connect], key if peer else None, peer, insecure)
         downstream = server_keys(bind, key, allow, insecure)

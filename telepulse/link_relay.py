@@ -43,7 +43,7 @@ class LinkRelay:
         self._data_in = sockets.connect(context, zmq.SUB, connect, keys)
         self._data_in.subscribe(b"")
         self._control_in = sockets.connect(context, zmq.DEALER, control_in, keys)
-        self._gate = None if gate_keys is None else Gate(context, gate_keys, log)
+        self._gate = Gate(context, gate_keys, log)
         self._data_out = sockets.bind(context, zmq.XPUB, bind, self._gate)
         self._subscribers = Subscribers(self._data_out, (b"",), log)
         self._control_out = sockets.bind(context, zmq.ROUTER, control_out, self._gate)
@@ -59,12 +59,10 @@ class LinkRelay:
 
     def run(self) -> None:
         """Relay until stopped."""
-        readable = [self._data_in, self._control_in, self._control_out]
-        readable += [] if self._gate is None else self._gate.sockets
+        readable = [self._data_in, self._control_in, self._control_out, *self._gate.sockets]
         try:
             while not self._stopping:
-                if self._gate is not None:
-                    self._gate.tend(time.monotonic_ns())
+                self._gate.tend(time.monotonic_ns())
                 self._receive()
                 wait_ns = self._deliver()
                 sockets.wait_readable(readable, wait_ns)

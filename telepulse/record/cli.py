@@ -16,6 +16,7 @@ from protocol.commands import (
     plain_console,
     sum_up,
 )
+from protocol.process_limits import allow_connections
 from protocol.protection import (
     AllowOption,
     InsecureOption,
@@ -98,6 +99,7 @@ def replay(
 
     console = plain_console(quiet)
     with one_line_errors(PROGRAM):
+        allow_connections()
         check_writable(json)
         keys = server_keys(bind, key, allow, insecure)
         session = longest_session(file, console.print)

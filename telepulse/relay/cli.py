@@ -12,7 +12,7 @@ from protocol.commands import (
     plain_console,
     sum_up,
 )
-from protocol.open_files import allow_connections
+from protocol.process_limits import allow_connections
 from protocol.protection import (
     AllowOption,
     InsecureOption,
@@ -67,13 +67,13 @@ def relay(
     """
     console = plain_console(quiet)
     with one_line_errors(PROGRAM):
+        allow_connections()
         check_writable(json)
         control = control_address(bind)
         control_address(connect)
         # Without --peer the sensing node is on this machine, and has no keys.
         upstream = client_keys([connect], key if peer else None, peer, insecure)
         downstream = server_keys(bind, key, allow, insecure)
-        allow_connections()
         node = Relay(connect, bind, console.print, upstream, downstream)
         provenance = collect()
     stop_on_signals(node.stop)

@@ -54,7 +54,7 @@ class Relay:
         self._stopping = False
         self._context: sockets.Context = zmq.Context()
         context = self._context
-        self._gate = None if server_keys is None else Gate(context, server_keys, log)
+        self._gate = Gate(context, server_keys, log)
         self._refusals = Refusals(context, client_keys, log)
         data_in = sockets.unconnected(context, zmq.SUB, client_keys)
         control_in = sockets.unconnected(context, zmq.DEALER, client_keys)
@@ -82,7 +82,7 @@ class Relay:
         """Pass messages on until stopped, or `seconds` are over."""
         end_ns = None if seconds is None else time.monotonic_ns() + round(seconds * 1e9)
         self._lookup.start()
-        waited_for = [*self._frames.sockets, *(() if self._gate is None else self._gate.sockets)]
+        waited_for = [*self._frames.sockets, *self._gate.sockets]
         try:
             self._control.start()
             while not self._stopping:
@@ -100,8 +100,7 @@ class Relay:
         """Connect once the sensing node's address is known, and anew where nothing is heard."""
         self._frames.tend()
         self._refusals.tend(now_ns)
-        if self._gate is not None:
-            self._gate.tend(now_ns)
+        self._gate.tend(now_ns)
         found = self._lookup.take()
         if found is not None:
             self._reconnect(found)
@@ -148,9 +147,7 @@ class Relay:
             f" over {counted(1 + self.reconnections, 'connection')};"
             f" {self._control.dropped} questions found no room"
         )
-        rejected = self._refusals.rejected + self._frames.rejected
-        if self._gate is not None:
-            rejected = rejected + self._gate.rejected
+        rejected = self._refusals.rejected + self._frames.rejected + self._gate.rejected
         return Summary(frames=FrameCounts(received=self._frames.heard), rejected=dict(rejected))
 
 

@@ -3,11 +3,11 @@ import sys
 
 import pytest
 
-from protocol.open_files import FILES
+from protocol.process_limits import FILES
 
 PROGRAM = """
 import resource
-from protocol.open_files import allow_connections
+from protocol.process_limits import allow_connections
 resource.setrlimit(resource.RLIMIT_NOFILE, ({present}, {most}))
 allow_connections()
 print(*resource.getrlimit(resource.RLIMIT_NOFILE))
