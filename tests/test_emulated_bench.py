@@ -23,6 +23,7 @@ PLAYED_S = 0.5
 # Of a machine that is busy with other tests; the scenes' own are in benchmarks/bench_faults.py.
 PATIENCE_MS = 400
 REST_WITHIN_S = 0.8
+WITHDRAWN_WITHIN_S = 20.0
 # From the first press on: the ramp is over, and the pulse is felt.
 TROUBLE_AFTER_S = "1"
 
@@ -92,19 +93,30 @@ def test_a_display_that_is_told_to_end_takes_the_tip_off_the_finger(tmp_path: Pa
     assert motor.force_n[~before].max() > 0.1
 
 
-def test_a_display_that_hung_does_not_go_on_pressing(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", ["tmcl", "cia402"])
+def test_a_display_that_stood_still_takes_the_tip_off_the_finger(kind: str, tmp_path: Path) -> None:
+    """SIGSTOP for longer than the drive's watchdog, SIGCONT; the display goes on, and withdraws."""
+    withdrawn_ns: list[int] = []
+
     def happens(bench: WholeBench) -> None:
         time.sleep(PLAYED_S)
         display = bench.processes["display"]
         display.send_signal(signal.SIGSTOP)
         time.sleep(REST_WITHIN_S)
         display.send_signal(signal.SIGCONT)
-        bench.await_state("fault")
+        finger, deadline_s = "", time.monotonic() + WITHDRAWN_WITHIN_S
+        while finger != "withdrawn":
+            assert time.monotonic() < deadline_s, finger
+            finger = bench.await_state("fault")["finger"]
+        withdrawn_ns.append(time.monotonic_ns())
         summary = bench.end()
         assert summary["samples"]["played"] > 0
-        assert summary["faults"]
+        assert "no command for" in summary["faults"][0]
+        assert summary["finger"] == "withdrawn"
 
-    assert_in_peace(on_a_bench(tmp_path, "cia402", happens))
+    motor = on_a_bench(tmp_path, kind, happens)
+    assert_in_peace(motor)
+    assert motor.force_n[motor.time_ns < withdrawn_ns[-1]][-1] == 0
 
 
 def test_a_killed_display_leaves_the_motor_to_its_watchdog(tmp_path: Path) -> None:
