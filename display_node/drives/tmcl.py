@@ -152,6 +152,7 @@ class TmclDrive:
         """Undo a way that has turned out to be the wrong one."""
         with suppress(DriveError):  # that it was wrong is raised already
             if self._thread is None:
+                module.halt()
                 self._follow(module)
             approach(self, began_m, self._scene.homing_speed_m_per_s, self._axis.units.step_m)
 
