@@ -33,7 +33,11 @@ class Lookup:
         """Look up; the outcome is there when `running` ends."""
         # A daemon: a name server that does not answer must not hold up the program's end.
         self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
+        try:
+            self._thread.start()
+        except RuntimeError:
+            # No thread is to be had: the loop goes on, and asks again.
+            self._say(f"{self._address} cannot be looked up: no thread can be started; trying on")
 
     def take(self) -> str | None:
         """The address with a number for a name, once for each look-up that found one."""

@@ -17,6 +17,7 @@ from protocol.summary import Reconnections
 from telepulse.ports import free_addresses
 
 from ..nodes import free_address
+from ..waiting import until
 
 MS = 1_000_000
 PATIENCE_S = 10.0
@@ -367,3 +368,21 @@ def test_a_connection_that_floods_is_closed_for_a_while(
     tend(connection, 5_030, 5_060)
     deliver(publisher, path)
     assert said == [f"{address} sends far more than a stream; closed for 5 s"]
+
+
+def test_a_system_without_a_free_thread_ends_no_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    lines: list[str] = []
+    lookup = Lookup("tcp://127.0.0.1:5555", lines.append)
+
+    def no_thread(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", no_thread)
+        for _ in range(3):
+            lookup.start()
+            assert not lookup.running
+    assert len(lines) == 1
+    lookup.start()
+    until(lambda: not lookup.running)
+    assert lookup.take() == "tcp://127.0.0.1:5555"
