@@ -26,10 +26,13 @@ def build_report(logs: Sequence[Log], with_spoilt: bool = False) -> Report:
     """
     results = gather(logs, with_spoilt)
     answers = _abx_chapter(results) if results.kind == "abx" else _rating_chapter(results)
+    labels, (first, *others) = _labels(results), answers.tables
+    # A terminal shows tables alone: the labels stand under the first one as well.
+    first = replace(first, note=" ".join([*labels, first.note]))
     answers = replace(
         answers,
-        paragraphs=(*_labels(results), *answers.paragraphs),
-        tables=(*answers.tables, *_spoilt_table(results)),
+        paragraphs=(*labels, *answers.paragraphs),
+        tables=(first, *others, *_spoilt_table(results)),
     )
     return Report(
         f"Experiment: {results.title}",

@@ -55,6 +55,8 @@ def test_people_and_simulated_observers_are_reported_apart(tmp_path: Path) -> No
     assert "Simulated" in text
     assert "threshold 5 %" in text
     assert "by one simulated observer" in text
+    # A terminal shows tables alone.
+    assert "Simulated" in build_report([observer]).chapters[0].tables[0].note
     assert "Nobody felt" in " ".join(build_report([models]).chapters[0].paragraphs)
     assert "imulated" not in " ".join(build_report([person]).chapters[0].paragraphs)
 
