@@ -46,11 +46,13 @@ def test_the_figures_are_the_displays_own(tmp_path: Path) -> None:
         display.communicate(timeout=PATIENCE_S)
         assert display.returncode == 0
     own = read_json(path.with_suffix(".json"))
+    made = own.pop("provenance")
     findings = read_findings(path)
     found = findings.summary().to_dict()
     assert findings.own is not None
     assert findings.own_final
     assert findings.own.to_dict() == own
+    assert findings.provenance[0]["version"] == made["version"]
     for part in ("frames", "one_way_delay_ms", "clock"):
         assert found[part] == own[part], part
     assert found["loop"]["ticks"] == own["loop"]["ticks"]
