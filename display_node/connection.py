@@ -68,7 +68,7 @@ class Connection:
 
     @property
     def reconnections(self) -> Reconnections:
-        """How often connections were made beside, or instead of, those that were silent."""
+        """Counts of connections made beside, or instead of, those that were silent."""
         opened = sum(path.failover.opened for path in self._paths)
         kept = sum(path.failover.kept for path in self._paths)
         return Reconnections(opened, kept, self._controls)
@@ -147,7 +147,7 @@ class Connection:
         return False
 
     def _cut(self, now_ns: int) -> bool:
-        """Whether all lines together have just been silent for too long; once in a silence."""
+        """Return whether all lines together have been silent for too long; once in a silence."""
         stood_still = self._tended_ns is not None and now_ns - self._tended_ns >= STOOD_STILL_NS
         self._tended_ns = now_ns
         for path in self._paths if stood_still else ():
@@ -197,7 +197,7 @@ class Route:
         self.won = 0
 
     def messages(self) -> Iterator[bytes]:
-        """The messages that wait."""
+        """Yield the messages that wait."""
         for path in self.paths:
             yield from path.messages()
 

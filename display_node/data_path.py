@@ -28,7 +28,7 @@ class DataPath:
         self._forget()
 
     def messages(self) -> Iterator[bytes]:
-        """The messages that wait; of those that both connections bring, one copy."""
+        """Yield the messages that wait; of those that both connections bring, one copy."""
         if not self.failover.racing:
             yield from self.first.messages()
             return
@@ -55,8 +55,8 @@ class DataPath:
             line.socket.subscribe(b"")
 
     def take_heard(self, now_ns: int) -> bool:
-        """Whether anything has come since this was called last; closes a connection that is not
-        needed any more."""
+        """Return whether anything has come since this was called last; close a connection that is
+        not needed any more."""
         first, second, failover = self.first, self._second, self.failover
         from_first, from_second = first.heard(now_ns), second.heard(now_ns)
         keep = None
@@ -105,12 +105,12 @@ class DataPath:
         return True
 
     def flooded(self, now_ns: int) -> bool:
-        """Whether either connection has brought more than is allowed; call it each tick."""
+        """Return whether either connection has brought more than is allowed; call it each tick."""
         first, second = self.lines
         return first.flooded(now_ns) | second.flooded(now_ns)
 
     def close(self, until_ns: int) -> int:
-        """Close both connections until then; how many messages were dropped."""
+        """Close both connections until then; return how many messages were dropped."""
         self.failover.abandon()
         self._forget()
         return sum(line.close(until_ns) for line in self.lines)

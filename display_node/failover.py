@@ -64,7 +64,7 @@ class Failover:
         # In a race: since when the first has been delivering again, and the second.
         self._back_ns: int | None = None
         self._second_ns: int | None = None
-        self._answered = False
+        self._answered = self._known = False
         self.racing = False
         self.opened = self.kept = 0
 
@@ -73,12 +73,15 @@ class Failover:
         `answer_ns`."""
         self._frame_ns = frame_ns
         least_ns = PATIENCE_FRAMES * frame_ns
-        self._silence_ns = max(REPEATED_NS + answer_ns, least_ns)
+        was_ns, self._silence_ns = self._silence_ns, max(REPEATED_NS + answer_ns, least_ns)
+        if not self.racing:
+            self._due_ns += self._silence_ns - was_ns
         self._follows_ns = max(FOLLOWS_WITHIN_NS, least_ns)
         self._stalls_after_ns = max(STALLED_NS, STALLED_ANSWERS * answer_ns) + frame_ns
 
     def start(self, now_ns: int) -> None:
         """Begin to expect frames: they have been asked for."""
+        self._known = False
         self._first_ns, self._due_ns = now_ns, now_ns + self._silence_ns
 
     def first_heard(self, now_ns: int, had: bool, count: int) -> Keep | None:
@@ -103,7 +106,9 @@ class Failover:
         self._due_ns = now_ns + (self._follows_ns if suspect else self._silence_ns)
         silence_ns, self._first_ns = now_ns - self._first_ns, now_ns
         owed = MOST * silence_ns / self._frame_ns
-        if silence_ns >= self._silence_ns // 2 and owed >= LEAST_OWED:
+        # Before it was asked for, nothing was owed.
+        known, self._known = self._known, True
+        if known and silence_ns >= self._silence_ns // 2 and owed >= LEAST_OWED:
             self._owed, self._caught_up_ns = owed, now_ns + CAUGHT_UP_NS
         self._owed -= count
         if self._owed > 0:

@@ -40,7 +40,7 @@ class Line:
         self._spent = 0
 
     def messages(self) -> Iterator[bytes]:
-        """The messages that wait."""
+        """Yield the messages that wait."""
         for message in sockets.receive_each(self.socket):
             self._heard += 1
             self._spent += 1 + len(message) // BYTES_PER_TOKEN
@@ -49,15 +49,15 @@ class Line:
     def expect(self, messages_per_s: float) -> None:
         """Allow for twice so many messages a second."""
         rate_per_s = min(MOST_PER_S, max(LEAST_PER_S, 2 * messages_per_s))
-        self._budget = TokenBucket(rate_per_s, BURST)
+        self._budget.change_rate(rate_per_s)
 
     def flooded(self, now_ns: int) -> bool:
-        """Whether more has come than is allowed; call it each tick."""
+        """Return whether more has come than is allowed; call it each tick."""
         spent, self._spent = self._spent, 0
         return spent > 0 and not self._budget.take(now_ns, spent)
 
     def heard(self, now_ns: int) -> int:
-        """How many messages have come since this was called last."""
+        """Return how many messages have come since this was called last."""
         heard, self._heard = self._heard, 0
         if heard:
             self._tries = 0
@@ -65,16 +65,16 @@ class Line:
         return heard
 
     def close(self, until_ns: int) -> int:
-        """Disconnect, and stay so until then; how many messages were dropped."""
+        """Disconnect, and stay so until then; return how many messages were dropped."""
         self._closed_until_ns = until_ns
         return self.disconnect()
 
     def closed(self, now_ns: int) -> bool:
-        """Whether it was closed and is to stay so."""
+        """Return whether it was closed and is to stay so."""
         return now_ns < self._closed_until_ns
 
     def silent(self, now_ns: int) -> bool:
-        """Whether it is not connected, or has received nothing for longer than its patience."""
+        """Return whether it is not connected, or has received nothing for its patience."""
         if self.closed(now_ns):
             return False
         return self.address is None or now_ns >= self._silent_ns
@@ -96,12 +96,12 @@ class Line:
         self._silent_ns = now_ns + PATIENCE_NS
 
     def disconnect(self) -> int:
-        """Close the connection; how many messages were dropped that had queued on it."""
+        """Close the connection; return how many messages were dropped that had queued on it."""
         if self.address is not None:
             sockets.disconnect(self.socket, self.address)
         self.address, self.answered, self._heard = None, False, 0
         return self.drop()
 
     def drop(self) -> int:
-        """Drop what has queued, and let ZeroMQ end what was closed; how many messages it was."""
+        """Drop what has queued, and let ZeroMQ end what was closed; return how many messages."""
         return sum(1 for _ in sockets.receive_each(self.socket))

@@ -28,6 +28,8 @@ from protocol.summary import Lateness, Summary, TickTime
 
 # Of each connection, however late it is: a host that is always late still receives all of a stream.
 LEAST_READ = 16
+# After the end of a stream, silence is no reason to connect anew soon.
+ENDED_NS = 1_000_000_000
 
 
 class DisplayNode:
@@ -143,6 +145,8 @@ class DisplayNode:
                 break
         if receiver.listening and receiver.description is not None:
             frame_ns = receiver.description.batch * receiver.description.period_ns
+            if receiver.buffer.ended:
+                frame_ns = max(frame_ns, ENDED_NS)
             round_trip_ns = 2 * receiver.clock.asymmetry_bound_ns
             connection.subscribe(frame_ns, round_trip_ns, time.monotonic_ns())
 

@@ -17,6 +17,10 @@ class TokenBucket:
         self._burst = self._tokens = burst
         self._now_ns: int | None = None
 
+    def change_rate(self, rate_per_s: float) -> None:
+        """Have tokens come back at another rate from now on; none is given for it."""
+        self._rate_per_ns = rate_per_s * 1e-9
+
     def take(self, now_ns: int, count: float = 1) -> bool:
         """Take so many tokens at `now_ns`; return whether they were there, else none is taken."""
         if self._now_ns is not None and now_ns > self._now_ns:

@@ -257,10 +257,23 @@ def test_rare_frames_are_waited_for_and_a_stalled_process_waits_less() -> None:
     assert failover.due(1_160 * MS)
 
 
+def test_after_the_end_of_a_stream_silence_is_no_cut() -> None:
+    failover = Failover()
+    failover.set_timeouts(FRAME_MS * MS, ANSWER_MS * MS)
+    failover.start(0)
+    # From when it was asked for to the first frame, none is owed.
+    failover.first_heard(1_000 * MS, had=False, count=1)
+    assert not failover.due(1_319 * MS)
+    failover.set_timeouts(1_000 * MS, ANSWER_MS * MS)
+    assert not failover.due(3_999 * MS)
+    assert failover.due(4_000 * MS)
+
+
 def test_a_first_that_is_back_but_far_behind_is_not_waited_for() -> None:
     failover = Failover()
     failover.set_timeouts(FRAME_MS * MS, ANSWER_MS * MS)
     failover.start(0)
+    failover.first_heard(0, had=False, count=1)
     failover.first_heard(300 * MS, had=False, count=1)
     failover.first_heard(340 * MS, had=False, count=2)
     failover.first_heard(380 * MS, had=False, count=4)
@@ -270,6 +283,7 @@ def test_a_first_that_is_back_but_far_behind_is_not_waited_for() -> None:
     failover = Failover()
     failover.set_timeouts(FRAME_MS * MS, ANSWER_MS * MS)
     failover.start(0)
+    failover.first_heard(0, had=False, count=1)
     failover.first_heard(300 * MS, had=False, count=60)
     assert not failover.due(619 * MS)
     assert failover.due(620 * MS)
