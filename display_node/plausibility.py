@@ -5,6 +5,7 @@ finger that a person has gives the least force that a position presses with; bel
 wrong. Far off the finger it reads nothing. Pure: times come in, in ns on the monotonic clock.
 """
 
+import math
 from collections import deque
 
 from display_node.actuators.stepper import StepperScene
@@ -20,6 +21,8 @@ MARGIN_N = 0.05
 WITHIN_NS = 50_000_000
 
 
+# A film whose reading does not change at all while the pressing tip goes so far is frozen.
+MOVED_M = 0.15e-3
 # A slope is taken over so long.
 SLOPE_NS = 8_000_000
 # From a reading to the motor's turn, beside the film's own latency.
@@ -65,6 +68,9 @@ class FilmPlausibility:
         self._law = softest.contact(layer)
         self._positions: deque[tuple[int, float]] = deque()
         self._plausible_ns = 0
+        # The last reading, and the places of the pressing tip while it has been the same.
+        self._same_n = math.nan
+        self._low_m = self._high_m = 0.0
 
     def report(self, position_m: float, heard_ns: int) -> None:
         """Take a position in m from first touch."""
@@ -77,7 +83,11 @@ class FilmPlausibility:
     def contradiction(self, force_n: float, taken_ns: int) -> str | None:
         """Return what contradicts the positions in a reading, once it has done so for 50 ms."""
         places = [position_m for _, position_m in self._positions]
-        fault = self._named(force_n, min(places), max(places)) if places else None
+        fault = None
+        if places:
+            fault = self._named(force_n, min(places), max(places)) or self._frozen(
+                force_n, max(places[-1], PLACE_M)
+            )
         if fault is None or not self._plausible_ns:
             self._plausible_ns = taken_ns
         return fault if taken_ns - self._plausible_ns > WITHIN_NS else None
@@ -90,3 +100,13 @@ class FilmPlausibility:
         if highest_m < -2 * PLACE_M and force_n > 2 * MARGIN_N:
             return f"{reads} where the tip is {-highest_m * 1e3:.1f} mm off the finger"
         return None
+
+    def _frozen(self, force_n: float, pressing_m: float) -> str | None:
+        if force_n != self._same_n:
+            self._same_n, self._low_m, self._high_m = force_n, pressing_m, pressing_m
+        self._low_m, self._high_m = min(self._low_m, pressing_m), max(self._high_m, pressing_m)
+        went_m = self._high_m - self._low_m
+        if went_m <= MOVED_M:
+            return None
+        reads = f"the film reads {force_n * 1e3:.0f} mN"
+        return f"{reads} all along {went_m * 1e3:.2f} mm of the tip's way"

@@ -35,6 +35,9 @@ REST_WITHIN_S = 1.0
 REST_POLL_S = 0.002
 # Between two tries on a line that is gone.
 RETRY_S = 0.02
+# An answer names its command, not its question: so long after a missed one a position may be the
+# late answer to another question. A withdrawal does not go by it.
+AMBIGUOUS_NS = 200_000_000
 
 
 class TmclDrive:
@@ -50,7 +53,7 @@ class TmclDrive:
         self._supervisor = Supervisor(axis, scene.watchdog_ns)
         # Of the supervisor, which the loop's thread and ours both use.
         self._lock = threading.Lock()
-        self._taken_ns = 0
+        self._taken_ns = self._missed_ns = 0
         self.counts: Counter[str] = Counter()
 
     def start(self, force_n: Callable[[], float | None] = no_film) -> None:
@@ -144,7 +147,8 @@ class TmclDrive:
         now_ns = time.monotonic_ns()
         self._supervisor.arm(now_ns)
         self._supervisor.report(module.position_m, now_ns)
-        self._taken_ns, self._closing = 0, False
+        self._taken_ns = self._missed_ns = 0
+        self._closing = False
         self._thread = threading.Thread(target=self._run, args=(module,), daemon=True)
         self._thread.start()
 
@@ -202,9 +206,12 @@ class TmclDrive:
 
     def _report(self, module: TmclModule) -> None:
         with self._lock:
-            self._supervisor.answered(module.heard_ns)
-            if module.position_ns > self._supervisor.position_ns:
-                self._supervisor.report(module.position_m, module.position_ns)
+            supervisor = self._supervisor
+            supervisor.answered(module.heard_ns)
+            if supervisor.fault and module.position_ns - self._missed_ns < AMBIGUOUS_NS:
+                return
+            if module.position_ns > supervisor.position_ns:
+                supervisor.report(module.position_m, module.position_ns)
 
     def _fail(self, module: TmclModule, error: DriveError) -> None:
         """Latch what the next request cannot make good; the withdrawal goes on trying.
@@ -214,6 +221,8 @@ class TmclDrive:
         now_ns = time.monotonic_ns()
         with self._lock:
             self._supervisor.held(now_ns)
+            if error.kind in PASSING:
+                self._missed_ns = now_ns
             if error.kind in PASSING and now_ns - module.heard_ns <= self._scene.watchdog_ns:
                 return
             self._supervisor.fail(f"{error.kind}: {error}", now_ns)

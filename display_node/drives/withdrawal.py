@@ -20,8 +20,10 @@ CONFIRMED_N = 0.02
 WRONG_WAY_N = 0.05
 # Of the highest reading; beyond the fixed part, as noise grows with the sensor's range.
 SHARE = 0.1
-# Readings in a row: one alone may be wrong.
-RISING = 3
+# Reports or readings in a row: one alone may be wrong.
+IN_A_ROW = 3
+# After such a pause of the host the tip may have gone on towards the finger, and must turn again.
+PAUSE_NS = 30_000_000
 # Without a confirmation for so long, the commanded way bounds it, and this much more.
 PATIENCE_NS = 150_000_000
 MARGIN_M = 0.5e-3
@@ -68,7 +70,7 @@ class Withdrawal:
         trusted
             Whether the drive's position is to be believed.
         """
-        self.began_ns = self._counted_ns = now_ns
+        self.began_ns = self._counted_ns = self._turning_ns = self._stepped_ns = now_ns
         self._peak_m = self._last_m = position_m
         self._began_m = self._way_m = way_m
         self._heard_ns = now_ns
@@ -76,7 +78,7 @@ class Withdrawal:
         self._blind_m = position_m - clear_m + MARGIN_M
         self._trusted = trusted
         self._peak_n = self._last_n = 0.0
-        self._rising = 0
+        self._rising = self._astray = 0
         self.confirmed = False
         self.outcome = Outcome.UNDER_WAY
 
@@ -89,11 +91,15 @@ class Withdrawal:
             self.renew(heard_ns, self._way_m)
         if not self._trusted or heard_ns <= self.began_ns or self.outcome is Outcome.WRONG_WAY:
             return
-        if heard_ns - self.began_ns < TURN_NS:
+        self._pause(heard_ns)
+        if heard_ns - self._turning_ns < TURN_NS:
             self._peak_m = max(self._peak_m, position_m)
         elif position_m > self._peak_m + WRONG_WAY_M:
-            self.outcome = Outcome.WRONG_WAY
+            self._astray += 1
+            if self._astray >= IN_A_ROW:
+                self.outcome = Outcome.WRONG_WAY
             return
+        self._astray = 0
         self.confirmed |= position_m < self._peak_m - CONFIRMED_M
         if position_m <= self._clear_m:
             self.outcome = Outcome.WITHDRAWN
@@ -103,14 +109,14 @@ class Withdrawal:
         self._last_n = force_n
         if self.outcome is not Outcome.UNDER_WAY:
             return
-        if taken_ns - self.began_ns < FILM_TURN_NS:
+        if taken_ns - self._turning_ns < FILM_TURN_NS:
             self._peak_n = max(self._peak_n, force_n)
         elif force_n > (1 + SHARE) * self._peak_n + WRONG_WAY_N:
             self._rising += 1
-            if self._rising >= RISING:
+            if self._rising >= IN_A_ROW:
                 self.outcome = Outcome.WRONG_WAY
             return
-        self._rising = 0
+        self._rising = self._astray = 0
         self.confirmed |= force_n < (1 - SHARE) * self._peak_n - CONFIRMED_N
 
     def renew(self, now_ns: int, way_m: float) -> None:
@@ -122,6 +128,7 @@ class Withdrawal:
     def speed_m_per_s(self, now_ns: int, way_m: float) -> float:
         """Return the speed to command now, negative or 0; way_m is the commanded way by now."""
         self._way_m = way_m
+        self._pause(now_ns)
         if self.outcome is Outcome.UNDER_WAY:
             patient = self._trusted and now_ns - self._counted_ns < PATIENCE_NS
             bounded = not (patient or (self._trusted and self.confirmed))
@@ -133,3 +140,9 @@ class Withdrawal:
         if self.outcome is not Outcome.UNDER_WAY:
             return 0.0
         return -(FAST_M_PER_S if self.confirmed else SLOW_M_PER_S)
+
+    def _pause(self, now_ns: int) -> None:
+        """Give the tip its time to turn again where the host has paused until now."""
+        if now_ns - self._stepped_ns > PAUSE_NS:
+            self._turning_ns = now_ns
+        self._stepped_ns = max(now_ns, self._stepped_ns)

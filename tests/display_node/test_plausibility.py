@@ -1,5 +1,7 @@
 """A film that cannot be right where the tip stands."""
 
+import math
+
 import pytest
 
 from display_node.plausibility import SOFTEST, WITHIN_NS, FilmPlausibility, RisingForce
@@ -52,7 +54,7 @@ def test_a_motion_within_50_ms_is_not_held_against_it() -> None:
     film = FilmPlausibility(stepper(fingertip="1 N/mm"), LAYER)
     for at_ms in range(0, 500, 5):
         film.report(LAW.position(2.5 if at_ms % 40 else 0.0), at_ms * MS)
-        assert film.contradiction(0.0, at_ms * MS) is None
+        assert film.contradiction(1e-4 * (at_ms % 10), at_ms * MS) is None
 
 
 def rise(n_per_s: float, end_n: float = 3.5) -> str | None:
@@ -82,3 +84,24 @@ def test_a_short_jump_of_noise_is_none() -> None:
     rising = RisingForce(2.7, 50.0, 8 * MS)
     for ms in range(200):
         assert rising.fault(0.3 + 0.1 * (ms % 7 == 0), ms * MS) is None
+
+
+def test_a_film_that_does_not_change_while_the_tip_goes_is_frozen() -> None:
+    frozen, right = (FilmPlausibility(stepper(fingertip="1 N/mm"), LAYER) for _ in range(2))
+    found = None
+    for at_ms in range(0, 600, 5):
+        place_m = 0.9e-3 + 0.3e-3 * math.sin(at_ms / 50)
+        for film, force_n in ((frozen, 0.55), (right, LAW.force(place_m))):
+            film.report(place_m, at_ms * MS)
+            fault = film.contradiction(force_n, at_ms * MS)
+            if film is right:
+                assert fault is None
+            found = found or fault
+    assert "the film reads 550 mN all along" in str(found)
+
+
+def test_a_film_off_the_finger_may_read_the_same_for_ever() -> None:
+    film = FilmPlausibility(stepper(fingertip="1 N/mm"), LAYER)
+    for at_ms in range(0, 2_000, 5):
+        film.report(-0.3e-3 + 0.3e-3 * math.sin(at_ms / 50), at_ms * MS)
+        assert film.contradiction(0.0, at_ms * MS) is None

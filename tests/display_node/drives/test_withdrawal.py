@@ -103,3 +103,19 @@ def test_a_film_that_is_still_pressed_keeps_an_unconfirmed_one_going() -> None:
     tip.gain = 1.0
     tip.run(1_000, force=True)
     assert tip.position_m < 0.06e-3
+
+
+def test_one_wrong_position_alone_stops_nothing() -> None:
+    tip = Tip()
+    tip.run(40)
+    tip.withdrawal.report(9e-3, 41 * MS)
+    assert tip.run(100) is Outcome.WITHDRAWN
+
+
+def test_after_a_pause_of_the_host_the_tip_may_turn_again() -> None:
+    """The drive went on towards the finger until its own watchdog stopped it."""
+    tip = Tip()
+    tip.run(3)
+    tip.now_ms += 1_000
+    tip.position_m += 2e-3
+    assert tip.run(300) is Outcome.WITHDRAWN
