@@ -83,8 +83,9 @@ class Viewer:
             self._frame(TEXT, json.dumps(part).encode())
 
     def _frame(self, kind: int, payload: bytes) -> None:
-        # Masked by zeros.
-        size = bytes([0xFE]) + struct.pack(">H", len(payload))
+        # Masked by zeros. A pong's length has one byte, as RFC 6455 demands.
+        length = len(payload)
+        size = bytes([0x80 | length]) if length < 126 else b"\xfe" + struct.pack(">H", length)
         self._socket.sendall(bytes([0x80 | kind]) + size + bytes(4) + payload)
 
     def _message(self) -> tuple[dict[str, Any], Any]:
