@@ -43,7 +43,7 @@ from protocol.realtime import Asked, check_strict, parse_realtime
 from protocol.realtime.options import RealtimeOption, held_for
 from protocol.result_files import check_writable
 from protocol.scene import load_section
-from protocol.signals import stop_on_signals
+from protocol.signals import interrupt_on_signals, stop_on_signals
 from protocol.sockets import beyond_loopback
 from protocol.summary import Summary
 
@@ -157,6 +157,8 @@ def display(
         own = key if readers else None
         provenance = collect(scene, {"display": section})
         told = provenance.to_bytes()
+        # A drive on its way home comes to rest, whatever ends this process.
+        interrupt_on_signals()
         with (
             metrics_beside(PROGRAM, metrics, console) as served,
             closing(

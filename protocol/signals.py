@@ -5,12 +5,25 @@ from collections.abc import Callable
 from types import FrameType
 
 
+def interrupt_on_signals() -> None:
+    """Raise KeyboardInterrupt on the signals that end a node, while it has no loop to stop yet."""
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    _handle(handle)
+
+
 def stop_on_signals(stop: Callable[[], None]) -> None:
     """Call `stop` on SIGINT, SIGTERM and, unless `nohup` has it ignored, SIGHUP."""
 
     def handle(number: int, frame: FrameType | None) -> None:
         stop()
 
+    _handle(handle)
+
+
+def _handle(handle: Callable[[int, FrameType | None], None]) -> None:
     signal.signal(signal.SIGINT, handle)
     signal.signal(signal.SIGTERM, handle)
     # Its default ends the process at once: no drive would be withdrawn.

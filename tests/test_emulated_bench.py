@@ -24,6 +24,7 @@ PLAYED_S = 0.5
 PATIENCE_MS = 400
 REST_WITHIN_S = 0.8
 WITHDRAWN_WITHIN_S = 20.0
+POLL_S = 0.01
 # From the first press on: the ramp is over, and the pulse is felt.
 TROUBLE_AFTER_S = "1"
 
@@ -144,3 +145,24 @@ def test_a_bench_that_breaks_says_so_and_rests(word: str, finger: str, tmp_path:
 
     options = ("--fault", word, "--fault-after", TROUBLE_AFTER_S)
     assert_in_peace(on_a_bench(tmp_path, "tmcl", happens, *options))
+
+
+def test_a_display_that_is_ended_on_its_way_home_leaves_the_drive_at_rest(tmp_path: Path) -> None:
+    """SIGTERM before it has a loop, and before the drive's own watchdog is armed."""
+    printed = tmp_path / "printed"
+    with printed.open("wb") as output:
+        bench = WholeBench(tmp_path, "tmcl", patience_ms=PATIENCE_MS, output=output.fileno())
+        try:
+            bench.start_drive()
+            bench.start_display()
+            deadline_s = time.monotonic() + WITHDRAWN_WITHIN_S
+            while b"looks for its home" not in printed.read_bytes():
+                assert time.monotonic() < deadline_s, printed.read_bytes()
+                time.sleep(POLL_S)
+            bench.processes["display"].send_signal(signal.SIGTERM)
+            assert bench.processes["display"].wait(WITHDRAWN_WITHIN_S) != 0
+            time.sleep(REST_WITHIN_S)
+            bench.end()
+        finally:
+            bench.kill()
+    assert not bench.motor().speed_m_per_s[-50:].any()
