@@ -22,7 +22,8 @@ WRONG_WAY_N = 0.05
 SHARE = 0.1
 # Reports or readings in a row: one alone may be wrong.
 IN_A_ROW = 3
-# After such a pause of the host the tip may have gone on towards the finger, and must turn again.
+# Where nothing is sent for so long, the host has stalled: the drive goes on by its last command
+# until its own watchdog ends it, and must turn again.
 PAUSE_NS = 30_000_000
 # Without a confirmation for so long, the commanded way bounds it, and this much more.
 PATIENCE_NS = 150_000_000
@@ -70,7 +71,7 @@ class Withdrawal:
         trusted
             Whether the drive's position is to be believed.
         """
-        self.began_ns = self._counted_ns = self._turning_ns = self._stepped_ns = now_ns
+        self.began_ns = self._counted_ns = self._turning_ns = self._sent_ns = now_ns
         self._peak_m = self._last_m = position_m
         self._began_m = self._way_m = way_m
         self._heard_ns = now_ns
@@ -91,8 +92,7 @@ class Withdrawal:
             self.renew(heard_ns, self._way_m)
         if not self._trusted or heard_ns <= self.began_ns or self.outcome is Outcome.WRONG_WAY:
             return
-        self._pause(heard_ns)
-        if heard_ns - self._turning_ns < TURN_NS:
+        if self._may_turn(heard_ns, TURN_NS):
             self._peak_m = max(self._peak_m, position_m)
         elif position_m > self._peak_m + WRONG_WAY_M:
             self._astray += 1
@@ -109,7 +109,7 @@ class Withdrawal:
         self._last_n = force_n
         if self.outcome is not Outcome.UNDER_WAY:
             return
-        if taken_ns - self._turning_ns < FILM_TURN_NS:
+        if self._may_turn(taken_ns, FILM_TURN_NS):
             self._peak_n = max(self._peak_n, force_n)
         elif force_n > (1 + SHARE) * self._peak_n + WRONG_WAY_N:
             self._rising += 1
@@ -128,7 +128,9 @@ class Withdrawal:
     def speed_m_per_s(self, now_ns: int, way_m: float) -> float:
         """Return the speed to command now, negative or 0; way_m is the commanded way by now."""
         self._way_m = way_m
-        self._pause(now_ns)
+        if now_ns - self._sent_ns > PAUSE_NS:
+            self._turning_ns = now_ns
+        self._sent_ns = now_ns
         if self.outcome is Outcome.UNDER_WAY:
             patient = self._trusted and now_ns - self._counted_ns < PATIENCE_NS
             bounded = not (patient or (self._trusted and self.confirmed))
@@ -141,8 +143,6 @@ class Withdrawal:
             return 0.0
         return -(FAST_M_PER_S if self.confirmed else SLOW_M_PER_S)
 
-    def _pause(self, now_ns: int) -> None:
-        """Give the tip its time to turn again where the host has paused until now."""
-        if now_ns - self._stepped_ns > PAUSE_NS:
-            self._turning_ns = now_ns
-        self._stepped_ns = max(now_ns, self._stepped_ns)
+    def _may_turn(self, taken_ns: int, within_ns: int) -> bool:
+        """Return whether a motion towards the finger at that time may be an older command's."""
+        return taken_ns - self._turning_ns < within_ns or taken_ns - self._sent_ns > PAUSE_NS

@@ -119,3 +119,15 @@ def test_after_a_pause_of_the_host_the_tip_may_turn_again() -> None:
     tip.now_ms += 1_000
     tip.position_m += 2e-3
     assert tip.run(300) is Outcome.WITHDRAWN
+
+
+def test_readings_that_rise_before_anything_was_sent_stop_nothing() -> None:
+    """The loop reads the film while the drive's thread stands still."""
+    tip = Tip()
+    for ms in range(1, 200, 4):
+        tip.withdrawal.press(0.3 + 1e-3 * ms, ms * MS)
+        tip.withdrawal.report(BEGAN_M + 1e-6 * ms, ms * MS)
+    assert tip.withdrawal.outcome is Outcome.UNDER_WAY
+    tip.now_ms = 200
+    tip.position_m += 0.2e-3
+    assert tip.run(300) is Outcome.WITHDRAWN
