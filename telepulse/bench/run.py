@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from display_node.actuators.stepper import StepperScene
@@ -18,6 +19,7 @@ from protocol.scene import validate
 from sensing_node.scene import SensingScene
 from sensors.force_scale import SensorTable
 from sensors.scene import open_sensor
+from sensors.sensor import Sensor
 from telepulse.bench.actuator_check import Actuator, check_actuator
 from telepulse.bench.hardware import HardwareRig, check_answers, listen
 from telepulse.bench.line_rate import check_line, exchange_s
@@ -125,7 +127,7 @@ def _check_drive(
     findings.add("drive", check_line(table, tick_s))
     with findings.part("film"), closing(open_sensor(film, folder, print)) as sensor:
         with findings.part("drive"), closing(drive):
-            drive.start()
+            drive.start(partial(_newest_n, sensor))
             age_s = _check_still(findings, "film", listen(sensor, seconds), film.rate_hz, live=True)
             findings.add("film", _check_age(age_s))
             findings.add("drive", check_answers(drive, vco))
@@ -145,6 +147,12 @@ def _check_drive(
         # Commands that a newer one superseded are what a line slower than the loop makes.
         for name, count in sorted((drive.counts - Counter(superseded=sys.maxsize)).items()):
             findings.add("drive", Check(name, f"{count} times", "look", "on the way to the drive"))
+
+
+def _newest_n(sensor: Sensor) -> float | None:
+    """The newest reading in N since the last call; None where none came."""
+    readings = sensor.poll()
+    return readings[-1].force_n[-1] if readings else None
 
 
 def _check_age(age_s: float) -> Check:
