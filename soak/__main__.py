@@ -10,7 +10,7 @@ import typer
 
 from protocol.commands import JsonOption, one_line_errors, plain_console
 from protocol.result_files import check_writable
-from soak.evidence import verdict
+from soak.evidence import heart_rate_per_min, verdict
 from soak.keyring import Keyring
 from soak.leftovers import left_behind, mark
 from soak.network import loopback, namespaces
@@ -80,7 +80,7 @@ def soak(
                 asyncio.run(run.play())
             finally:
                 stage.clear()
-            checks = verdict(run, loaded.display)
+            checks = verdict(run, loaded.display, heart_rate_per_min(loaded.sensing.source))
         addresses = [stage.calm_address, *([] if network.sensing else network.addresses)]
         checks.append(judge_none("left behind", left_behind(run.namespaces, addresses, folder)))
     print_verdict(run, checks, console)

@@ -6,12 +6,15 @@ from typing import Any
 import numpy as np
 
 from display_node.scene import DisplayScene
+from sensing_node.sources.synthetic import SyntheticScene
 from soak.accounts import Session, reckon
+from soak.core_time import NONE_EXCUSED, excuse
 from soak.lives import Life
 from soak.recovery import beside, gaps_s, recoveries
-from soak.run import Run
+from soak.run import MINUTE_S, Run
 from soak.schedule import ENDURING, GUEST, MORTAL, PORTS, SENSING
 from soak.stage import CALM_DISPLAY, CALM_SENSING, TORMENTED
+from soak.truth import judge_ends, judge_events, judge_lines, judge_statuses
 from soak.verdict import (
     MEGA,
     Check,
@@ -34,8 +37,11 @@ ROLES = (CALM_SENSING, CALM_DISPLAY, SENSING, ENDURING, MORTAL)
 HEARD_WITHIN_NS = 100_000_000
 
 
-def verdict(run: Run, scene: DisplayScene) -> list[Check]:
-    """All checks of a soak but that of what it leaves behind."""
+def verdict(run: Run, scene: DisplayScene, wrist_per_min: float | None) -> list[Check]:
+    """All checks of a soak but that of what it leaves behind.
+
+    wrist_per_min: heart rate of the source; None where it has none, and none is judged.
+    """
     safety, felt = scene.safety, run.ears.felt
     lives = {role: [x for x in run.stage.all_lives if x.role == role] for role in (*ROLES, GUEST)}
     checks = [
@@ -51,9 +57,42 @@ def verdict(run: Run, scene: DisplayScene) -> list[Check]:
     checks += judge_recovery(recoveries(run.played, felt))
     calm_gaps = gaps_s(run.played, felt[CALM_DISPLAY])
     checks += judge_untouched(beside(run.played, felt), calm_gaps)
+    checks += _judge_truth(run, lives, scene.tick_ns, wrist_per_min)
     complaints = [text for life in run.stage.all_lives if (text := life.complaint())]
     checks.append(judge_none("bad ends", [*complaints, *run.stage.complaints]))
     return checks
+
+
+def heart_rate_per_min(source: object) -> float | None:
+    """Return the heart rate that a source is made with; None for one that is recorded or live."""
+    return source.heart_rate_hz * MINUTE_S if isinstance(source, SyntheticScene) else None
+
+
+def _judge_truth(
+    run: Run, lives: dict[str, list[Life]], tick_ns: int, wrist_per_min: float | None
+) -> Iterator[Check]:
+    """Judge what displays claimed against what was witnessed."""
+    impostors = [
+        (done.began_ns, done.over_ns)
+        for played in run.played
+        for done in played.done
+        if done.fault.kind == "impostor"
+    ]
+    for role in (CALM_DISPLAY, *TORMENTED):
+        claims = [life.claims for life in lives[role]]
+        yield from judge_statuses(role, claims, tick_ns)
+        yield judge_events(role, claims, run.ears.witnesses[role].interruptions)
+    for role, lines in run.terminals.lines.items():
+        known = [] if role == CALM_DISPLAY else impostors
+        yield from judge_lines(role, lines, run.ears.witnesses[role], wrist_per_min, known)
+    yield judge_ends(
+        [
+            (role, life.process.returncode, summary, life.claims[-1] if life.claims else None)
+            for role in (CALM_DISPLAY, *TORMENTED)
+            for life in lives[role]
+            if life.ending == "stopped" and (summary := life.result_summary()) is not None
+        ]
+    )
 
 
 def _judge_accounts(run: Run, lives: dict[str, list[Life]]) -> Iterator[Check]:
@@ -142,4 +181,5 @@ def _loop_figures(lives: Sequence[Life], tick_ns: int) -> LoopFigures:
     ticks = sum(loop["ticks"] for loop, _ in loops)
     misses = sum(max(0, loop["deadline_misses"] - frozen) for loop, frozen in loops)
     longest, _ = max(loops, key=lambda pair: pair[0]["ticks"])
-    return LoopFigures(ticks, misses, longest["tick_us"]["p99"] or 0.0)
+    excused = sum((excuse(x.misses, x.core_times, tick_ns) for x in lives), NONE_EXCUSED)
+    return LoopFigures(ticks, misses, longest["tick_us"]["p99"] or 0.0, excused)

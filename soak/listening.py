@@ -13,13 +13,16 @@ from dataclasses import dataclass, field
 import zmq
 import zmq.asyncio
 
-from display_node.telemetry import STATUS, TRACE, read_status, read_trace
+from display_node.telemetry import STATUS, TRACE, read_status, read_trace, unpack
 from protocol.errors import WireError
 from protocol.keys import ClientKeys
 from protocol.messages import decode_frame
 from soak.accounts import Mark
+from soak.claims import StatusClaim, no_figures
+from soak.core_time import read_core_time
 from soak.felt import FeltLog
 from soak.lives import Life
+from soak.witness import Witness
 from telepulse.emulator import Namespace
 
 RECONNECT_MS = 20
@@ -40,9 +43,10 @@ class Heard:
 
 @dataclass(slots=True)
 class Ears:
-    """felt: by a display's role. sessions: by a sensing node's role, then by session."""
+    """felt, witnesses: by a display's role. sessions: by a sensing node's role, then by session."""
 
     felt: dict[str, FeltLog] = field(default_factory=dict)
+    witnesses: dict[str, Witness] = field(default_factory=dict)
     sessions: dict[str, dict[int, Heard]] = field(default_factory=dict)
     _tasks: list[asyncio.Task[None]] = field(default_factory=list)
     _contexts: list[zmq.asyncio.Context] = field(default_factory=list)
@@ -50,6 +54,7 @@ class Ears:
     def follow_display(self, role: str, address: str, lives: dict[str, Life], tick_ns: int) -> None:
         """Hear a display's telemetry; what it says goes to the life that its role has then."""
         self.felt[role] = FeltLog(tick_ns)
+        self.witnesses[role] = Witness(tick_ns)
         socket = self._subscribe(address, (TRACE, STATUS))
         self._tasks.append(asyncio.create_task(self._hear_display(socket, role, lives)))
 
@@ -98,16 +103,23 @@ class Ears:
     async def _hear_display(
         self, socket: zmq.asyncio.Socket, role: str, lives: dict[str, Life]
     ) -> None:
+        witness, process = self.witnesses[role], None
         while True:
             topic, data, *_ = await socket.recv_multipart()
+            life, now_ns = lives[role], time.monotonic_ns()
+            if life.process is not process:
+                process = life.process
+                witness.begin_process()
             if topic == TRACE:
-                self.felt[role].add(read_trace(data))
+                trace = read_trace(data)
+                self.felt[role].add(trace)
+                before = len(witness.misses)
+                witness.add(trace)
+                life.misses += witness.misses[before:]
+                core_time = read_core_time(process.pid, now_ns)
+                life.core_times += [] if core_time is None else [core_time]
             elif topic == STATUS:
-                status, life = read_status(data), lives[role]
-                samples = status.summary["samples"]
-                total = (samples["sent"] or 0) + (samples["before_joining"] or 0)
-                life.marks.append(Mark(time.monotonic_ns(), status.state, total))
-                life.summary = status.summary
+                _take_status(data, life, witness, now_ns)
 
     async def _hear_sensing(self, socket: zmq.asyncio.Socket, role: str) -> None:
         sessions = self.sessions[role]
@@ -124,3 +136,27 @@ class Ears:
             )
             heard.sent = max(heard.sent, frame.first_sample + len(frame.values))
             heard.last_ns = time.monotonic_ns()
+
+
+def _take_status(data: bytes, life: Life, witness: Witness, now_ns: int) -> None:
+    """Store a status beside what was witnessed until then."""
+    status = read_status(data)
+    samples = status.summary["samples"]
+    total = (samples["sent"] or 0) + (samples["before_joining"] or 0)
+    life.marks.append(Mark(now_ns, status.state, total))
+    life.summary = status.summary
+    if witness.last_ns is not None:
+        life.claims.append(
+            StatusClaim(
+                now_ns,
+                witness.last_ns,
+                witness.last_n,
+                witness.last_full,
+                witness.ticks,
+                witness.full,
+                status.state,
+                status.final,
+                status.summary,
+                tuple(no_figures(unpack(data))),
+            )
+        )

@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from soak.accounts import Mark
+from soak.claims import StatusClaim
+from soak.core_time import CoreTime
 from telepulse.emulator import Namespace
 
 # What a node prints when its loop begins.
@@ -37,7 +39,11 @@ class Usage:
 
 @dataclass(slots=True)
 class Life:
-    """One process of a node. ending: "stopped" or "killed" once we did that, else None."""
+    """One process of a node. ending: "stopped" or "killed" once we did that, else None.
+
+    Of a display: claims are its statuses, misses its gaps by its traces, and core_times how long
+    its loop has waited for a processor.
+    """
 
     role: str
     process: "subprocess.Popen[bytes]"
@@ -51,6 +57,9 @@ class Life:
     ending: str | None = None
     usage: list[Usage] = field(default_factory=list)
     marks: list[Mark] = field(default_factory=list)
+    claims: list[StatusClaim] = field(default_factory=list)
+    misses: list[tuple[int, int, int]] = field(default_factory=list)
+    core_times: list[CoreTime] = field(default_factory=list)
     # A display's last word; None for one that said none.
     summary: dict[str, Any] | None = None
     frozen_ns: int = 0
@@ -108,13 +117,17 @@ class Life:
                 now_ns = time.monotonic_ns()
                 self.usage.append(Usage(now_ns, kilobytes * 1024, handles, int(table["Threads"])))
 
-    def sent(self) -> int | None:
-        """How many samples it says to have sent; None where it could not say."""
+    def result_summary(self) -> dict[str, Any] | None:
+        """Return the summary that it wrote at its end; None where it wrote none."""
         if not self.result.exists():
             return None
-        table = json.loads(self.result.read_text(encoding="utf-8"))
-        sent: int = table["samples"]["sent"]
-        return sent
+        table: dict[str, Any] = json.loads(self.result.read_text(encoding="utf-8"))
+        return table
+
+    def sent(self) -> int | None:
+        """How many samples it says to have sent; None where it could not say."""
+        table = self.result_summary()
+        return None if table is None else table["samples"]["sent"]
 
     def complaint(self) -> str | None:
         """What is not as it should be about its end, once it is over; None when nothing is."""

@@ -12,6 +12,7 @@ from soak.listening import Ears
 from soak.recovery import Played, recoveries
 from soak.schedule import ENDURING, MORTAL, SENSING, Episode, episodes
 from soak.stage import CALM_DISPLAY, CALM_SENSING, TORMENTED, Stage
+from soak.terminals import Terminals
 
 SAMPLE_EVERY_S = 2.0
 # All nodes up and felt, before the first fault.
@@ -30,6 +31,7 @@ class Run:
     tick_ns: int
     log: Callable[[str], None]
     ears: Ears = field(default_factory=Ears)
+    terminals: Terminals = field(default_factory=Terminals)
     played: list[Played] = field(default_factory=list)
     namespaces: set[int] = field(default_factory=set)
     began_ns: int = field(default_factory=time.monotonic_ns)
@@ -47,6 +49,8 @@ class Run:
             for role in (SENSING, CALM_SENSING, ENDURING, MORTAL, CALM_DISPLAY):
                 stage.start(role)
             await asyncio.gather(*(life.up() for life in stage.lives.values()))
+            for role in (CALM_DISPLAY, ENDURING, MORTAL):
+                self.terminals.open(role, stage.telemetry(role))
             stage.refuse_dead()
             self.namespaces = namespaces_of([x.process.pid for x in stage.lives.values()])
             await asyncio.sleep(HEAD_START_S)
@@ -55,6 +59,7 @@ class Run:
         finally:
             for watcher in watchers:
                 watcher.cancel()
+            await self.terminals.close()
             await ears.close()
 
     async def _torment(self) -> None:

@@ -55,13 +55,19 @@ def test_a_soak_finds_every_sample_and_leaves_nothing_behind(tmp_path: Path) -> 
             asyncio.run(under_test.play())
         finally:
             stage.clear()
-        checks = {check.name: check for check in verdict(under_test, scene.display)}
+        checks = {check.name: check for check in verdict(under_test, scene.display, 75.0)}
     addresses = [stage.calm_address, *network.addresses]
     assert left_behind(under_test.namespaces, addresses, str(folder)) == [f"the folder {folder}"]
 
     # What a busy machine cannot change.
     for name in ("bad ends", "clock steps", "faults latched", "account of calm display"):
         assert checks[name].ok, checks[name]
+    # Nothing that was claimed is untrue, and something was claimed of each kind.
+    for role in ("calm display", "enduring", "mortal"):
+        for claim in ("state", "finger", "figures", "availability"):
+            assert checks[f"{claim} of {role}"].ok, checks[f"{claim} of {role}"]
+        assert checks[f"terminal of {role}: state and force"].ok is not None
+    assert checks["exit statuses and summaries"].ok
     for role in ("enduring", "mortal"):
         account = checks[f"account of {role}"]
         assert account.ok, account

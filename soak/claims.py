@@ -1,0 +1,95 @@
+"""What a display claims of itself: in its statuses, and in the lines that a terminal shows."""
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+_LINE = re.compile(r"(?P<state>[a-z]+)(?: (?P<age>\d+\.\d) s ago)?: (?P<rest>.*)")
+_PRESSED = re.compile(r"pressed with (-?\d+) mN")
+_FINGER = re.compile(r"finger:? (not pressed|pressed with -?\d+ mN)")
+_FELT = re.compile(r"force felt (-?\d+\.\d) mN")
+_HEART_RATE = re.compile(r"heart rate (\d+) /min")
+_CURRENT_FINGER = ", finger "
+STATES = ("waiting", "starting", "playing", "stale", "ended", "fault")
+
+
+@dataclass(frozen=True, slots=True)
+class StatusClaim:
+    """One status, beside what the witness had at that moment.
+
+    heard_ns, tick_ns: when it arrived, and the newest tick before it. felt_n, full: of that tick.
+    ticks, full_ticks: witnessed so far. no_figures: keys of the status that hold NaN or infinity.
+    """
+
+    heard_ns: int
+    tick_ns: int
+    felt_n: float
+    full: bool
+    ticks: int
+    full_ticks: int
+    state: str
+    final: bool
+    summary: Mapping[str, Any]
+    no_figures: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class LineClaim:
+    """One line of a terminal.
+
+    age_s: how old it says to be, None where it claims to be current. forces_n: felt forces that
+    it names, in N; 0 for "not pressed". heart_rate_per_min: None where it names none.
+    finger: it claims how the finger is now. silent: it names that no telemetry comes.
+    """
+
+    read_ns: int
+    text: str
+    state: str
+    age_s: float | None
+    forces_n: tuple[float, ...]
+    not_pressed: bool
+    heart_rate_per_min: float | None
+    finger: bool
+    silent: bool
+
+
+def pressed_n(finger: str) -> float | None:
+    """Return the force in N of a sentence such as "pressed with 245 mN"; None where it has none."""
+    found = _PRESSED.search(finger)
+    return None if found is None else float(found[1]) * 1e-3
+
+
+def read_line(text: str, read_ns: int) -> LineClaim | None:
+    """Return what a terminal's line claims; None for one that shows no display yet."""
+    found = _LINE.fullmatch(text)
+    if found is None or found["state"] not in STATES:
+        return None
+    sentences = _FINGER.findall(text)
+    forces_n = [force_n for words in sentences if (force_n := pressed_n(words)) is not None]
+    forces_n += [float(number) * 1e-3 for number in _FELT.findall(text)]
+    rate = _HEART_RATE.search(text)
+    return LineClaim(
+        read_ns,
+        text,
+        found["state"],
+        None if found["age"] is None else float(found["age"]),
+        tuple(forces_n),
+        "not pressed" in sentences,
+        None if rate is None else float(rate[1]),
+        _CURRENT_FINGER in text,
+        "no telemetry: " in text,
+    )
+
+
+def no_figures(value: Any, key: str = "") -> Iterator[str]:
+    """Yield the keys of a message under which NaN or infinity stands."""
+    if isinstance(value, Mapping):
+        for name, inner in value.items():
+            yield from no_figures(inner, f"{key}.{name}" if key else str(name))
+    elif isinstance(value, (list, tuple)):
+        for number, inner in enumerate(value):
+            yield from no_figures(inner, f"{key}[{number}]")
+    elif isinstance(value, float) and not math.isfinite(value):
+        yield key

@@ -1,0 +1,103 @@
+"""Time in which a display's loop could run and did not, for the machine ran something else."""
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+# Unit of /proc/stat on Linux.
+JIFFY_NS = 10_000_000
+_PROCESSOR_FIELD = 36  # of /proc/PID/stat, counted from behind the name
+_STEAL_FIELD = 8
+
+
+@dataclass(frozen=True, slots=True)
+class CoreTime:
+    """One reading, at_ns on this machine's clock; both in ns since the process or host began.
+
+    waited_ns: the loop's thread was ready to run, and another one ran (`schedstat`, run delay).
+    stolen_ns: by the hypervisor, from the processor that the thread was on.
+    """
+
+    at_ns: int
+    waited_ns: int
+    processor: int
+    stolen_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Excused:
+    """Missed ticks that are the machine's: while the loop waited, and while time was stolen."""
+
+    waited: int = 0
+    stolen: int = 0
+
+    def __add__(self, other: "Excused") -> "Excused":
+        return Excused(self.waited + other.waited, self.stolen + other.stolen)
+
+    @property
+    def all(self) -> int:
+        """Return both together."""
+        return self.waited + self.stolen
+
+
+NONE_EXCUSED = Excused()
+
+
+def read_core_time(pid: int, at_ns: int) -> CoreTime | None:
+    """Return what the main thread of a process has waited so far; None where it has ended, or
+    where this kernel keeps no account."""
+    task = Path("/proc", str(pid), "task", str(pid))
+    with suppress(OSError, IndexError, ValueError):
+        waited_ns = int((task / "schedstat").read_text("ascii").split()[1])
+        behind_name = (task / "stat").read_text("ascii", "replace").rpartition(")")[2].split()
+        processor = int(behind_name[_PROCESSOR_FIELD])
+        for line in Path("/proc/stat").read_text("ascii").splitlines():
+            name, *_ = fields = line.split()
+            if name == f"cpu{processor}":
+                stolen_ns = int(fields[_STEAL_FIELD]) * JIFFY_NS
+                return CoreTime(at_ns, waited_ns, processor, stolen_ns)
+    return None
+
+
+def excuse(
+    misses: Sequence[tuple[int, int, int]], readings: Sequence[CoreTime], tick_ns: int
+) -> Excused:
+    """Return how many missed ticks were the machine's.
+
+    Between the readings around a gap, as many ticks as the thread waited are excused, and of the
+    others as many as were stolen; gaps between the same two readings share what was waited.
+
+    Parameters
+    ----------
+    misses
+        Of each gap: the ticks before and after it in ns, and how many were missed.
+    readings
+        Of the loop's thread, in order.
+    tick_ns
+        Length of a tick in ns.
+    """
+    times_ns = [reading.at_ns for reading in readings]
+    found, count, before, after = NONE_EXCUSED, 0, -1, -1
+    for from_ns, until_ns, missed in sorted(misses):
+        begin, end = bisect_right(times_ns, from_ns) - 1, bisect_left(times_ns, until_ns)
+        if begin < 0 or end >= len(times_ns):
+            continue  # nobody read it then
+        if begin >= after:
+            found += _excused(count, readings, before, after, tick_ns)
+            count, before, after = 0, begin, end
+        count, after = count + missed, max(after, end)
+    return found + _excused(count, readings, before, after, tick_ns)
+
+
+def _excused(
+    count: int, readings: Sequence[CoreTime], before: int, after: int, tick_ns: int
+) -> Excused:
+    """Return how many of the misses between two readings are excused."""
+    if not count:
+        return NONE_EXCUSED
+    first, last = readings[before], readings[after]
+    waited = min(count, round((last.waited_ns - first.waited_ns) / tick_ns))
+    stolen_ns = last.stolen_ns - first.stolen_ns if last.processor == first.processor else 0
+    return Excused(waited, min(count - waited, round(max(0, stolen_ns) / tick_ns)))

@@ -1,0 +1,61 @@
+"""The terminals of displays: what `display_node.screen` shows, line by line, as it is read."""
+
+import asyncio
+import sys
+import time
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+from soak.claims import LineClaim, read_line
+
+# A display that is stopped ends its terminal; another one is opened for the next.
+AGAIN_AFTER_S = 0.2
+
+
+@dataclass(slots=True)
+class Terminals:
+    """lines: by a display's role, what its terminal showed."""
+
+    lines: dict[str, list[LineClaim]] = field(default_factory=dict)
+    _tasks: list[asyncio.Task[None]] = field(default_factory=list)
+
+    def open(self, role: str, address: str) -> None:
+        """Show a display's telemetry in a process, as `display-node` does itself.
+
+        The process is started here and not by the display, so that it outlives a killed one.
+        """
+        self.lines[role] = []
+        self._tasks.append(asyncio.create_task(self._show(role, address)))
+
+    async def close(self) -> None:
+        """End all terminals. Raises what went wrong in reading them."""
+        for task in self._tasks:
+            task.cancel()
+        ends = await asyncio.gather(*self._tasks, return_exceptions=True)
+        for end in ends:
+            if not isinstance(end, asyncio.CancelledError) and end is not None:
+                raise end
+
+    async def _show(self, role: str, address: str) -> None:
+        while True:
+            process = await asyncio.create_subprocess_exec(
+                *(sys.executable, "-m", "display_node.screen", address),
+                stdout=asyncio.subprocess.PIPE,
+                start_new_session=True,
+            )
+            try:
+                await self._read(process, role)
+            except asyncio.CancelledError:
+                with suppress(ProcessLookupError):
+                    process.kill()
+                raise
+            finally:
+                await process.wait()
+            await asyncio.sleep(AGAIN_AFTER_S)
+
+    async def _read(self, process: asyncio.subprocess.Process, role: str) -> None:
+        assert process.stdout is not None
+        async for data in process.stdout:
+            claim = read_line(data.decode("utf-8", "replace").rstrip("\n"), time.monotonic_ns())
+            if claim is not None:
+                self.lines[role].append(claim)

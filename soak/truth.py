@@ -1,0 +1,276 @@
+"""Pass or fail: what a display claimed of itself against what the witness felt. Pure."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from display_node.fault_advice import FAULT_STATUS, latched
+from display_node.finger import TOUCH_N
+from soak.claims import LineClaim, StatusClaim, pressed_n
+from soak.verdict import Check
+from soak.witness import Witness
+from telepulse.record.events import StatusWatch
+
+# A status follows the tick that it is of: its force is that tick's but for rounding to 1 mN.
+ROUNDING_N = 0.6e-3
+# A line shows the last status, up to 0.2 s old, and is read a while after it was written.
+SEEN_WITHIN_NS = 1_200_000_000
+FORCE_SHARE, FORCE_MORE_N = 0.2, 0.01
+# A terminal marks what is older than 1 s; so much more for a machine that is busy.
+CURRENT_S, BUSY_S = 1.0, 1.0
+SHARE_BAR, SHARE_MORE_S = 0.01, 0.05
+HEART_RATE_TIMES = 1.5
+# Statuses come each 0.2 s; a shorter interruption may fall between two of them.
+NAMED_FROM_NS = 400_000_000
+# Until forces that no wrist has are out of what a heart rate is counted from.
+FORGOTTEN_NS = 8_000_000_000
+# So many lies are quoted in a verdict.
+QUOTED = 2
+
+
+def judge_lies(name: str, claims: int, lies: Sequence[str]) -> Check:
+    """Judge claims of one kind: none of them may be a lie."""
+    quoted = "; ".join(lies[:QUOTED])
+    found = f"{len(lies)} of {claims} untrue" + (f": {quoted}" if lies else "")
+    return Check(name, found, "none untrue", not lies if claims else None)
+
+
+def judge_statuses(role: str, lives: Sequence[Sequence[StatusClaim]], tick_ns: int) -> list[Check]:
+    """Judge the statuses of a display.
+
+    Parameters
+    ----------
+    role
+        The display's name, for the table.
+    lives
+        The statuses of each of its processes, in order.
+    tick_ns
+        Length of a tick in ns.
+    """
+    claims = [claim for life in lives for claim in life]
+    count = len(claims)
+    shares = [lie for life in lives for lie in share_lies(life, tick_ns * 1e-9)]
+    return [
+        judge_lies(f"state of {role}", count, [x for y in claims for x in state_lies(y)]),
+        judge_lies(f"finger of {role}", count, [x for y in claims for x in finger_lies(y)]),
+        judge_lies(f"figures of {role}", count, [x for y in claims for x in figure_lies(y)]),
+        judge_lies(f"availability of {role}", sum(len(life) > 1 for life in lives), shares),
+    ]
+
+
+def state_lies(claim: StatusClaim) -> Iterator[str]:
+    """Yield what is untrue of a status' state: "playing" is felt at full strength."""
+    if claim.state == "playing" and not claim.full:
+        yield "playing, and not felt at full strength"
+    # Before the last status a display may have received what ends the pulse.
+    if claim.full and claim.state != "playing" and not claim.final:
+        yield f"{claim.state}, and felt at full strength"
+    faults = latched(claim.summary["faults"])
+    if (claim.state == "fault") != bool(faults):
+        yield f"{claim.state}, with the faults {faults}"
+
+
+def finger_lies(claim: StatusClaim) -> Iterator[str]:
+    """Yield what is untrue of a status' sentence about the finger."""
+    finger = claim.summary["finger"] or ""
+    force_n, felt_n = pressed_n(finger), claim.felt_n
+    if force_n is not None:
+        wrong = not abs(force_n - felt_n) <= ROUNDING_N
+    elif finger.startswith("not pressed"):
+        wrong = not abs(felt_n) < TOUCH_N + ROUNDING_N
+    else:
+        wrong = not finger
+    if wrong:
+        yield f"{finger!r}, and {felt_n * 1e3:.1f} mN were felt"
+
+
+def figure_lies(claim: StatusClaim) -> Iterator[str]:
+    """Yield what is untrue of a status' figures by themselves."""
+    for key in claim.no_figures:
+        yield f"{key} is NaN or infinite"
+    samples, shares = claim.summary["samples"], claim.summary["availability"]
+    parts = [samples[key] for key in ("played", "late", "lost")]
+    if samples["sent"] is not None and None not in parts and samples["sent"] != sum(parts):
+        yield f"{samples['sent']} sent, and {'+'.join(map(str, parts))} accounted for"
+    for key in ("felt", "played", "judged", "missed"):
+        if shares[key] is not None and not -1e-9 <= shares[key] <= 1 + 1e-9:
+            yield f"availability.{key} is {shares[key]:.3g}"
+    within = claim.summary["within_jnd"]
+    if within is not None and not 0 <= within <= 1:
+        yield f"within JND {within:.3g} of the time"
+    if None not in (shares["judged"], shares["felt"]) and shares["judged"] > shares["felt"] + 1e-9:
+        yield f"{shares['judged']:.3%} judged, and {shares['felt']:.3%} felt"
+
+
+def share_lies(claims: Sequence[StatusClaim], tick_s: float) -> Iterator[str]:
+    """Yield which shares of the time between the first and last status of a process are untrue.
+
+    Ticks of which no trace arrived widen the bar.
+    """
+    if len(claims) < 2:
+        return
+    first, last = claims[0], claims[-1]
+    witnessed = last.ticks - first.ticks
+    ran = last.summary["loop"]["ticks"] - first.summary["loop"]["ticks"]
+    span_s = (last.tick_ns - first.tick_ns) * 1e-9
+    felt_s = (last.full_ticks - first.full_ticks) * tick_s
+    found = {"seconds": span_s, "felt": felt_s, "missed": span_s - ran * tick_s}
+    bar_s = SHARE_BAR * span_s + SHARE_MORE_S + abs(ran - witnessed) * tick_s
+    for key, expected_s in found.items():
+        claimed_s = _seconds(last, key) - _seconds(first, key)
+        if not abs(claimed_s - expected_s) <= bar_s:
+            yield f"{key} {claimed_s:.2f} s of {span_s:.1f} s, {expected_s:.2f} s witnessed"
+
+
+def _seconds(claim: StatusClaim, key: str) -> float:
+    shares = claim.summary["availability"]
+    seconds: float = shares["seconds"] or 0.0
+    return seconds if key == "seconds" else seconds * (shares[key] or 0.0)
+
+
+def judge_lines(
+    role: str,
+    lines: Sequence[LineClaim],
+    witness: Witness,
+    wrist_per_min: float | None,
+    impostors: Sequence[tuple[int, int]] = (),
+) -> list[Check]:
+    """Judge the lines that a terminal showed of a display.
+
+    Parameters
+    ----------
+    role
+        The display's name, for the table.
+    lines
+        What was read, in order.
+    witness
+        The display's ticks.
+    wrist_per_min
+        Heart rate of the source, in beats per minute; None where it is not known.
+    impostors
+        From and to when, in ns, something sent forces that have no heart rate.
+    """
+    known = [
+        line
+        for line in lines
+        if not any(a <= line.read_ns <= b + FORGOTTEN_NS for a, b in impostors)
+    ]
+    rates = [lie for line in known for lie in heart_rate_lies(line, witness, wrist_per_min)]
+    forces = [lie for line in lines for lie in line_lies(line, witness)]
+    ages = [lie for line in lines for lie in age_lies(line, witness)]
+    return [
+        judge_lies(f"terminal of {role}: state and force", len(lines), forces),
+        judge_lies(f"terminal of {role}: age", len(lines), ages),
+        judge_lies(f"terminal of {role}: heart rate", len(known), rates),
+    ]
+
+
+def line_lies(line: LineClaim, witness: Witness) -> Iterator[str]:
+    """Yield what is untrue of a line's state and forces, of the time that it is of."""
+    from_ns = line.read_ns - round((line.age_s or 0.0) * 1e9) - SEEN_WITHIN_NS
+    felt = witness.between(from_ns, line.read_ns)
+    if line.state == "playing" and not felt.full:
+        yield "playing, and not felt at full strength"
+    if line.state != "playing" and felt.full and not felt.less:
+        yield f"{line.state}, and felt at full strength"
+    for force_n in line.forces_n:
+        if felt.low_n is None or felt.high_n is None:
+            yield f"{force_n * 1e3:.0f} mN, and nothing was felt"
+        elif not (
+            felt.low_n - FORCE_SHARE * abs(felt.low_n) - FORCE_MORE_N
+            <= force_n
+            <= felt.high_n + FORCE_SHARE * abs(felt.high_n) + FORCE_MORE_N
+        ):
+            span = f"{felt.low_n * 1e3:.0f} to {felt.high_n * 1e3:.0f} mN"
+            yield f"{force_n * 1e3:.0f} mN, and {span} were felt"
+    if line.not_pressed and not (felt.low_n is not None and felt.low_n < TOUCH_N + FORCE_MORE_N):
+        yield f"not pressed, and {(felt.low_n or 0) * 1e3:.0f} mN at least were felt"
+
+
+def age_lies(line: LineClaim, witness: Witness) -> Iterator[str]:
+    """Yield what is untrue of a line's age: a display that is silent is shown as silent."""
+    newest_ns = witness.newest_ns(line.read_ns)
+    if newest_ns is None:
+        return
+    silent_s = (line.read_ns - newest_ns) * 1e-9
+    if line.state == "ended" and line.age_s is None:
+        return  # the last line of a display that has ended
+    if line.age_s is None:
+        if silent_s > CURRENT_S + BUSY_S:
+            yield f"as if current, and silent for {silent_s:.1f} s"
+        return
+    # A line may be read late, and a display come back meanwhile.
+    before_ns = witness.newest_ns(line.read_ns - round(BUSY_S * 1e9))
+    before_s = 0.0 if before_ns is None else (line.read_ns - before_ns) * 1e-9
+    if not silent_s - BUSY_S <= line.age_s <= max(silent_s, before_s) + BUSY_S:
+        yield f"{line.age_s:.1f} s ago, and silent for {silent_s:.1f} s"
+    if line.finger or line.heart_rate_per_min is not None:
+        yield f"{line.age_s:.1f} s ago, and the finger or heart rate as if current"
+    if line.age_s > 2 * CURRENT_S + 0.1 and not line.silent:
+        yield f"{line.age_s:.1f} s ago, and not that no telemetry comes"
+
+
+def heart_rate_lies(
+    line: LineClaim, witness: Witness, wrist_per_min: float | None
+) -> Iterator[str]:
+    """Yield what is untrue of a line's heart rate: it is the wrist's, of a pulse that is felt."""
+    rate = line.heart_rate_per_min
+    if rate is None:
+        return
+    if not witness.between(line.read_ns - SEEN_WITHIN_NS, line.read_ns).full:
+        yield f"{rate:.0f} /min, and no pulse was felt"
+    elif (
+        wrist_per_min is not None
+        and not wrist_per_min / HEART_RATE_TIMES <= rate <= wrist_per_min * HEART_RATE_TIMES
+    ):
+        yield f"{rate:.0f} /min, and {wrist_per_min:.0f} /min at the wrist"
+
+
+def judge_events(
+    role: str, lives: Sequence[Sequence[StatusClaim]], interruptions: Sequence[tuple[int, int]]
+) -> Check:
+    """Judge "what happened": each interruption of the pulse is named once, and no other one is."""
+    named = [at_ns for life in lives for at_ns in _interrupted_at(life)]
+    lies, held = [], Counter[int]()
+    for from_ns, until_ns in interruptions:
+        inside = [at_ns for at_ns in named if from_ns <= at_ns <= until_ns]
+        held.update(inside)
+        if until_ns - from_ns >= NAMED_FROM_NS and len(inside) != 1:
+            lies.append(f"{(until_ns - from_ns) * 1e-9:.2f} s named {len(inside)} times")
+    # The last of a process has no end that was witnessed.
+    ends = {at_ns for life in lives for at_ns in list(_interrupted_at(life))[-1:]}
+    lies += [
+        "one named that was not felt" for at_ns in named if not held[at_ns] and at_ns not in ends
+    ]
+    return judge_lies(f"interruptions of {role}", len(interruptions), lies)
+
+
+def _interrupted_at(claims: Sequence[StatusClaim]) -> Iterator[int]:
+    """Yield the ticks of the statuses by which a display names that it plays no more."""
+    watch = StatusWatch()
+    for claim in claims:
+        for event in watch.take(claim.state, claim.summary, claim.tick_ns):
+            if event.name == "state" and ", was playing for" in event.text:
+                yield claim.tick_ns
+
+
+def judge_ends(
+    ends: Sequence[tuple[str, int | None, Mapping[str, Any], StatusClaim | None]],
+) -> Check:
+    """Judge how displays that were stopped ended.
+
+    Parameters
+    ----------
+    ends
+        Of each: its name, exit status, the summary that it wrote, and its last status.
+    """
+    lies = []
+    for role, status, summary, last in ends:
+        expected = FAULT_STATUS if latched(summary["faults"]) else 0
+        if status != expected:
+            lies.append(f"{role}: status {status} with the faults {summary['faults']}")
+        if last is not None and last.final:
+            for key in ("finger", "faults", "samples"):
+                if summary[key] != last.summary[key]:
+                    lies.append(f"{role}: {key} {summary[key]}, and {last.summary[key]} at the end")
+    return judge_lies("exit statuses and summaries", len(ends), lies)

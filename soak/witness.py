@@ -1,0 +1,95 @@
+"""The neutral record of a display: each tick's felt force, as its traces have it."""
+
+from bisect import bisect_left, bisect_right
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from display_node.telemetry import Trace
+
+# Ticks further apart are of two blocks.
+GAP_NS = 50_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """What was felt between two instants.
+
+    low_n, high_n: least and most felt force in N; None where no tick has one. full, less: ticks
+    at which the pulse was felt at its full strength, and the others.
+    """
+
+    low_n: float | None
+    high_n: float | None
+    full: int
+    less: int
+
+
+@dataclass(slots=True)
+class Witness:
+    """The ticks of one display, in blocks of a trace at most; times on this machine's clock in ns.
+
+    ticks, full: ticks so far, and those at which the pulse was felt at its full strength.
+    interruptions: from and to when it was not, within one process. misses: between which two
+    ticks how many were missed. last_ns, last_n, last_full: the newest tick.
+    """
+
+    tick_ns: int
+    ticks: int = 0
+    full: int = 0
+    last_ns: int | None = None
+    last_n: float = float("nan")
+    last_full: bool = False
+    interruptions: list[tuple[int, int]] = field(default_factory=list)
+    misses: list[tuple[int, int, int]] = field(default_factory=list)
+    _first_ns: list[int] = field(default_factory=list)
+    _last_ns: list[int] = field(default_factory=list)
+    _blocks: list[Stretch] = field(default_factory=list)
+    _full_ns: int | None = None
+
+    def begin_process(self) -> None:
+        """Expect the ticks of another process: between the two, nothing was interrupted."""
+        self.last_ns, self._full_ns, self.last_full = None, None, False
+
+    def add(self, trace: Trace) -> None:
+        """Take the ticks of a trace."""
+        for at_ns, full in zip(trace.now_ns.tolist(), trace.scored.tolist(), strict=True):
+            self._tick(at_ns, full)
+        self.last_n = float(trace.felt_n[-1])
+        self.ticks += len(trace.now_ns)
+        self.full += int(np.count_nonzero(trace.scored))
+        # Between two ticks of one trace a process may have been stopped.
+        ends = np.flatnonzero(np.diff(trace.now_ns) > GAP_NS) + 1
+        for part in (slice(a, b) for a, b in pairwise([0, *ends.tolist(), len(trace.now_ns)])):
+            felt_n, full = trace.felt_n[part], int(np.count_nonzero(trace.scored[part]))
+            known_n = felt_n[np.isfinite(felt_n)]
+            spread = (float(known_n.min()), float(known_n.max())) if len(known_n) else (None, None)
+            self._first_ns.append(int(trace.now_ns[part][0]))
+            self._last_ns.append(int(trace.now_ns[part][-1]))
+            self._blocks.append(Stretch(*spread, full, len(felt_n) - full))
+
+    def _tick(self, at_ns: int, full: bool) -> None:
+        if self.last_ns is not None:
+            missed = round((at_ns - self.last_ns) / self.tick_ns) - 1
+            if missed > 0:
+                self.misses.append((self.last_ns, at_ns, missed))
+        if full:
+            if self._full_ns is not None and not self.last_full:
+                self.interruptions.append((self._full_ns, at_ns))
+            self._full_ns = at_ns
+        self.last_ns, self.last_full = at_ns, full
+
+    def between(self, from_ns: int, until_ns: int) -> Stretch:
+        """Return what was felt from `from_ns` to `until_ns`, by whole blocks of some 20 ms."""
+        begin, end = bisect_left(self._last_ns, from_ns), bisect_right(self._first_ns, until_ns)
+        blocks = self._blocks[begin:end]
+        lows = [block.low_n for block in blocks if block.low_n is not None]
+        highs = [block.high_n for block in blocks if block.high_n is not None]
+        full, less = sum(block.full for block in blocks), sum(block.less for block in blocks)
+        return Stretch(min(lows, default=None), max(highs, default=None), full, less)
+
+    def newest_ns(self, at_ns: int) -> int | None:
+        """Return when the newest tick before `at_ns` was; None before the first."""
+        number = bisect_right(self._first_ns, at_ns)
+        return min(at_ns, self._last_ns[number - 1]) if number else None

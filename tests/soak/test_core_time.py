@@ -1,0 +1,85 @@
+import os
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import pytest
+
+from soak.core_time import CoreTime, Excused, excuse, read_core_time
+from soak.verdict import LoopFigures, judge_calm_loop
+
+MS = 1_000_000
+
+
+def reading(at_ms: int, waited_ms: float, stolen_ms: int = 0, processor: int = 0) -> CoreTime:
+    return CoreTime(at_ms * MS, round(waited_ms * MS), processor, stolen_ms * MS)
+
+
+def excused(misses: list[tuple[int, int, int]], *readings: CoreTime) -> Excused:
+    return excuse([(a * MS, b * MS, missed) for a, b, missed in misses], readings, MS)
+
+
+def test_a_miss_is_excused_by_as_much_as_the_loop_waited_meanwhile() -> None:
+    before, after = reading(0, 5.0), reading(20, 8.2)
+    assert excused([(4, 9, 4)], before, after) == Excused(waited=3)
+    assert excused([(4, 6, 1)], before, after) == Excused(waited=1)
+    # Two gaps between the same readings share it.
+    assert excused([(4, 7, 2), (10, 13, 2)], before, after) == Excused(waited=3)
+    assert excused([(4, 9, 4)], before, reading(20, 5.0)) == Excused()
+
+
+def test_what_was_waited_at_another_time_excuses_nothing() -> None:
+    readings = reading(0, 0.0), reading(20, 9.0), reading(40, 9.0), reading(60, 9.0)
+    assert excused([(24, 29, 4)], *readings) == Excused()
+    assert excused([(18, 29, 4)], *readings) == Excused(waited=4)
+    assert excused([(70, 79, 8)], *readings) == Excused()
+    assert excused([(24, 29, 4)]) == Excused()
+
+
+def test_stolen_time_excuses_what_waiting_does_not() -> None:
+    before = reading(0, 0.0)
+    assert excused([(4, 19, 14)], before, reading(20, 3.0, stolen_ms=10)) == Excused(3, 10)
+    # Of another processor nothing was stolen from the loop.
+    assert excused([(4, 19, 14)], before, reading(20, 3.0, 10, processor=1)) == Excused(3, 0)
+
+
+def test_the_bar_is_for_the_misses_that_are_the_loops_own() -> None:
+    calm = LoopFigures(ticks=95_000, misses=5_000, tick_p99_us=200.0)
+    assert judge_calm_loop(calm)[0].ok is False
+    check = judge_calm_loop(replace(calm, excused=Excused(waited=4_100, stolen=100)))[0]
+    assert check.ok
+    for text in (
+        "5.000% of 100000",
+        "4.100% while it waited",
+        "0.100% stolen",
+        "0.800% of its own",
+    ):
+        assert text in check.found
+    assert judge_calm_loop(replace(calm, excused=Excused(waited=3_900)))[0].ok is False
+
+
+def test_a_process_that_shares_its_processor_waits_for_it() -> None:
+    processor = min(os.sched_getaffinity(0))
+    code = f"import os; os.sched_setaffinity(0, {{{processor}}}); print(flush=True)\nwhile 1: pass"
+    busy = [
+        subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) for _ in range(2)
+    ]
+    try:
+        for process in busy:
+            assert process.stdout is not None
+            process.stdout.readline()
+        first = read_core_time(busy[0].pid, 0)
+        if first is None:
+            pytest.skip("this kernel keeps no account of what a thread waits")
+        deadline_s = time.monotonic() + 20.0
+        while (now := read_core_time(busy[0].pid, 0)) and now.waited_ns - first.waited_ns < 20 * MS:
+            assert time.monotonic() < deadline_s
+            time.sleep(0.01)
+        assert now is not None
+        assert now.processor == processor
+    finally:
+        for process in busy:
+            process.kill()
+            process.communicate()
+    assert read_core_time(busy[0].pid, 0) is None

@@ -1,0 +1,253 @@
+"""Each check of truth passes what is so and fails a fabricated lie."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from display_node.telemetry import Status, Trace
+from protocol.summary import Availability, Loop, Samples, Summary
+from soak.claims import StatusClaim, no_figures, read_line
+from soak.truth import judge_ends, judge_events, judge_lines, judge_statuses
+from soak.witness import Witness
+
+MS = 1_000_000
+S = 1_000 * MS
+WRIST_PER_MIN = 75.0
+
+
+def trace(from_ms: int, count: int, felt_n: float = 0.245, full: bool = True) -> Trace:
+    now_ns = (from_ms + np.arange(count)) * MS
+    felt = np.full(count, felt_n)
+    return Trace(now_ns, now_ns, felt, felt, np.full(count, full))
+
+
+def witness(*traces: Trace) -> Witness:
+    found = Witness(MS)
+    for each in traces:
+        found.add(each)
+    return found
+
+
+def summary(**changes: Any) -> dict[str, Any]:
+    whole = Summary(
+        samples=Samples(100, 97, 2, 1, 0),
+        availability=Availability(10.0, 0.9, 0, 0.1, 0, 0, 0, 0, 0.9, 0.9),
+        loop=Loop(10_000, 0),
+        finger="pressed with 245 mN (model, no drive)",
+    )
+    return replace(whole, **changes).to_dict()
+
+
+def claim(state: str = "playing", at_ms: int = 0, full: bool = True, **changes: Any) -> StatusClaim:
+    at_ns = at_ms * MS
+    whole = summary(**changes)
+    return StatusClaim(at_ns, at_ns, 0.2452, full, 0, 0, state, False, whole)
+
+
+def verdicts(*claims: StatusClaim) -> dict[str, bool | None]:
+    """Of state, finger, figures and availability."""
+    return {x.name.split()[0]: x.ok for x in judge_statuses("mortal", [claims], MS)}
+
+
+def failed(*claims: StatusClaim) -> list[str]:
+    return [name for name, ok in verdicts(*claims).items() if ok is False]
+
+
+def test_statuses_that_are_so_pass() -> None:
+    assert failed(
+        claim(),
+        claim("stale", full=False),
+        claim("fault", full=False, faults=["loop overrun"]),
+        claim(faults=["sensing node: 3 readings missed"]),
+        replace(claim("waiting"), final=True),
+    ) == []  # fmt: skip
+    assert verdicts() == dict.fromkeys(("state", "finger", "figures", "availability"))
+
+
+@pytest.mark.parametrize(
+    ("lie", "check"),
+    [
+        (claim("playing", full=False), "state"),
+        (claim("stale", full=True), "state"),
+        (claim("stale", full=False, faults=["loop overrun"]), "state"),
+        (claim("fault", full=False), "state"),
+        (claim(finger="pressed with 247 mN (model, no drive)"), "finger"),
+        (claim(finger="not pressed (model, no drive)"), "finger"),
+        (claim(finger=None), "finger"),
+        (claim(samples=Samples(100, 97, 2, 2, 0)), "figures"),
+        (replace(claim(), no_figures=("summary.speed",)), "figures"),
+        (claim(within_jnd=1.2), "figures"),
+        (claim(availability=Availability(10.0, 1.1, 0, 0, 0, 0, 0, 0, 1, 1)), "figures"),
+        # Judged while nothing was felt: the share would be printed of time that was not.
+        (claim(availability=Availability(10.0, 0.1, 0, 0.9, 0, 0, 0, 0, 0.1, 0.9)), "figures"),
+    ],
+)
+def test_a_status_that_lies_fails(lie: StatusClaim, check: str) -> None:
+    assert failed(lie) == [check]
+
+
+def test_nan_is_found_in_a_status_wherever_it_is() -> None:
+    table = {"a": [1.0, {"b": float("nan")}], "c": float("inf"), "d": "nan"}
+    assert list(no_figures(table)) == ["a[1].b", "c"]
+    assert list(no_figures(Status("playing", "x", table, False))) == ["[2].a[1].b", "[2].c"]
+
+
+def after(seconds: float, felt_s: float, witnessed_s: float, ran_s: float) -> StatusClaim:
+    """A status 100 s after the first, with its shares and what was witnessed meanwhile."""
+    availability = Availability(
+        10.0 + seconds, (9.0 + felt_s) / (10.0 + seconds), missed=(seconds - ran_s) / (10 + seconds)
+    )
+    loop = Loop(10_000 + round(ran_s * 1e3), 0)
+    found = claim(at_ms=100_000, availability=availability, loop=loop)
+    return replace(found, ticks=round(ran_s * 1e3), full_ticks=round(witnessed_s * 1e3))
+
+
+@pytest.mark.parametrize(
+    ("seconds", "felt_s", "ran_s", "ok"),
+    [
+        (100.0, 50.0, 99.0, True),
+        (100.0, 50.9, 99.0, True),
+        # The time that was cut is left out, as "felt 100 %" of a run that was cut for half of it.
+        (50.0, 50.0, 99.0, False),
+        (100.0, 52.0, 99.0, False),
+        (100.0, 48.0, 99.0, False),
+    ],
+)
+def test_availability_is_that_of_the_ticks(
+    seconds: float, felt_s: float, ran_s: float, ok: bool
+) -> None:
+    last = after(seconds, felt_s, witnessed_s=50.0, ran_s=ran_s)
+    assert verdicts(claim(), last)["availability"] is ok
+
+
+def line(text: str, at_ms: int, seen: Witness, *impostors: tuple[int, int]) -> list[str]:
+    """Names of the checks that a line of a terminal fails."""
+    found = read_line(text, at_ms * MS)
+    assert found is not None, text
+    checks = judge_lines("mortal", [found], seen, WRIST_PER_MIN, impostors)
+    return [check.name.partition(": ")[2] for check in checks if check.ok is False]
+
+
+def shown(
+    state: str, rate: str = "75 /min", felt: str = "245.2 mN", finger: str = "pressed with 245 mN"
+) -> str:
+    row = f", finger {finger} (model, no drive)" if finger else ""
+    return (
+        f"{state}heart rate {rate}, force target 245.2 mN, force felt {felt}{row};"
+        " of the run so far: strain RMSE 3.1e-04, felt 90.0 % of the time, samples late 0"
+    )
+
+
+FORCE, AGE, RATE = "state and force", "age", "heart rate"
+PLAYING = witness(*(trace(number * 20, 20) for number in range(500)))
+AT_REST = witness(*(trace(number * 20, 20, 0.0, full=False) for number in range(500)))
+SILENT = "no telemetry: since 5 s; finger: unknown, before that: pressed with 245 mN; "
+
+
+@pytest.mark.parametrize(
+    ("text", "at_ms", "seen", "lies"),
+    [
+        (shown("playing: "), 10_100, PLAYING, []),
+        (shown("stale: ", rate="–", felt="0.0 mN", finger="not pressed"), 10_100, AT_REST, []),
+        (shown("playing: "), 10_100, AT_REST, [FORCE, RATE]),
+        (shown("stale: "), 10_100, PLAYING, [FORCE]),
+        (shown("playing: ", finger="not pressed"), 10_100, PLAYING, [FORCE]),
+        (shown("playing: ", finger="pressed with 372 mN"), 10_100, PLAYING, [FORCE]),
+        (shown("playing: ", felt="339.0 mN"), 10_100, PLAYING, [FORCE]),
+        (shown("stale: no samples to play; finger: pressed with 245 mN; ", rate="–", felt="0.0 mN",
+               finger="not pressed"), 10_100, AT_REST, [FORCE]),
+        (shown("playing: ", rate="13 /min"), 10_100, PLAYING, [RATE]),
+        # The display ended or froze at 10 s.
+        (shown("playing: "), 15_000, PLAYING, [FORCE, AGE, RATE]),
+        (shown(f"playing 5.0 s ago: {SILENT}", rate="–", finger=""), 15_000, PLAYING, []),
+        (shown(f"playing 2.0 s ago: {SILENT}", rate="–", finger=""), 15_000, PLAYING, [FORCE, AGE]),
+        (shown("playing 5.0 s ago: ", rate="–", finger=""), 15_000, PLAYING, [AGE]),
+        (shown(f"playing 5.0 s ago: {SILENT}", rate="–"), 15_000, PLAYING, [AGE]),
+        (shown(f"playing 5.0 s ago: {SILENT}", finger=""), 15_000, PLAYING, [AGE, RATE]),
+        # Silent, and it is not.
+        (shown(f"playing 5.0 s ago: {SILENT}", rate="–", finger=""), 9_900, PLAYING, [AGE]),
+    ],
+)  # fmt: skip
+def test_a_line_of_a_terminal(text: str, at_ms: int, seen: Witness, lies: list[str]) -> None:
+    assert line(text, at_ms, seen) == lies
+
+
+def test_the_heart_rate_of_an_impostor_is_nobodys() -> None:
+    text = shown("playing: ", rate="13 /min")
+    assert line(text, 10_100, PLAYING, (5 * S, 6 * S)) == []
+
+
+def test_a_line_that_shows_no_display_claims_nothing() -> None:
+    assert read_line("waiting for the display", 0) is None
+
+
+def history(*states: str) -> list[StatusClaim]:
+    """Statuses 0.2 s apart."""
+    return [claim(state, at_ms=200 * number) for number, state in enumerate(states)]
+
+
+P, X = "playing", "stale"
+
+
+@pytest.mark.parametrize(
+    ("states", "interruptions", "ok"),
+    [
+        ((P, P, X, X, X, P), [(250, 1_000)], True),
+        ((P, P, X, X, X, P), [(250, 1_000), (1_010, 1_050)], True),
+        ((P, P, P, P, P, P), [(250, 1_000)], False),
+        ((P, P, X, P, X, P), [(250, 1_000)], False),
+        ((P, X, P, P, X, X, P), [(750, 1_200)], False),
+        # Still interrupted when its process ended.
+        ((P, X, X, P, X, X), [(150, 500)], True),
+    ],
+)
+def test_an_interruption_is_named_once(
+    states: Sequence[str], interruptions: list[tuple[int, int]], ok: bool
+) -> None:
+    witnessed = [(from_ms * MS, until_ms * MS) for from_ms, until_ms in interruptions]
+    assert judge_events("mortal", [history(*states)], witnessed).ok is ok
+
+
+@pytest.mark.parametrize(
+    ("status", "faults", "last", "ok"),
+    [
+        (0, [], {}, True),
+        (3, ["loop overrun"], {"faults": ["loop overrun"]}, True),
+        (0, ["film's sensor: 2 gaps"], {"faults": ["film's sensor: 2 gaps"]}, True),
+        (0, ["loop overrun"], {"faults": ["loop overrun"]}, False),
+        (3, [], {}, False),
+        (0, [], {"finger": "not pressed"}, False),
+        (0, [], {"samples": Samples(101, 98, 2, 1, 0)}, False),
+    ],
+)
+def test_an_exit_status_is_that_of_the_summary(
+    status: int, faults: list[str], last: dict[str, Any], ok: bool
+) -> None:
+    final = replace(claim(**last), final=True)
+    written = summary(faults=faults)
+    assert judge_ends([("mortal", status, written, final)]).ok is ok
+
+
+def test_the_witness_keeps_interruptions_within_a_process() -> None:
+    seen = witness(trace(0, 20), trace(20, 20, full=False), trace(90, 20), trace(110, 20))
+    assert seen.interruptions == [(19 * MS, 90 * MS)]
+    assert seen.misses == [(39 * MS, 90 * MS, 50)]
+    seen.begin_process()
+    seen.add(trace(900, 20))
+    assert len(seen.interruptions) == len(seen.misses) == 1
+    assert (seen.ticks, seen.full, seen.last_ns) == (100, 80, 919 * MS)
+    assert seen.newest_ns(500 * MS) == 129 * MS
+
+
+def test_a_process_that_was_stopped_within_a_trace_was_silent_meanwhile() -> None:
+    whole = trace(0, 20)
+    whole.now_ns[10:] += 6 * S
+    seen = witness(whole, trace(6_020, 20))
+    assert seen.newest_ns(3 * S) == 9 * MS
+    assert seen.between(1 * S, 5 * S).low_n is None
+    text = shown(f"playing 4.0 s ago: {SILENT}", rate="–", finger="")
+    assert line(text, 4_010, seen) == []
+    assert line(shown("playing: "), 4_010, seen) == [FORCE, AGE, RATE]
