@@ -66,7 +66,7 @@ class WholeBench:
     processes: dict[str, "subprocess.Popen[bytes]"] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._address, self._telemetry = free_addresses(2)
+        self._address, self.telemetry = free_addresses(2)
         self.scene = self.folder / "scene.toml"
         text = find_scene(f"{self.kind}_bench").read_text(encoding="utf-8")
         # Ports of its own, so that it disturbs no other bench.
@@ -99,7 +99,7 @@ class WholeBench:
 
     def start_display(self) -> None:
         """The display node."""
-        words = (self.scene, "--connect", self._address, "--telemetry", self._telemetry)
+        words = (self.scene, "--connect", self._address, "--telemetry", self.telemetry)
         json_file = self.folder / "display.json"
         volume = "--quiet" if self.output is None else "--no-screen"
         self._start("display", "display_node.cli", *words, volume, "--json", json_file)
@@ -107,7 +107,7 @@ class WholeBench:
     def await_state(self, wanted: str, within_s: float = STATE_WITHIN_S) -> dict[str, Any]:
         """Wait until the display is so ("playing", "fault"); its summary then."""
         with zmq.Context() as context, context.socket(zmq.SUB) as socket:
-            socket.connect(self._telemetry)
+            socket.connect(self.telemetry)
             socket.subscribe(STATUS)
             deadline_s = time.monotonic() + within_s
             state, faults = "not there", list[str]()

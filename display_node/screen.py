@@ -246,6 +246,9 @@ def watch(
     socket = sockets.connect(context, zmq.SUB, address, keys)
     for wanted in (TRACE, STATUS):
         socket.subscribe(wanted)
+    if draw:
+        # Loads scipy: within a line it would be 1 s or more during which the line grows old.
+        heart_rate_per_min(np.empty(0), np.empty(0))
     live = None
     if draw and console.is_terminal:
         live = Live(screen.panel(), console=console, refresh_per_second=FRAMES_PER_S)

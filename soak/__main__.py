@@ -10,6 +10,8 @@ import typer
 
 from protocol.commands import JsonOption, one_line_errors, plain_console
 from protocol.result_files import check_writable
+from soak.bench import play_rounds
+from soak.bench_truth import judge_bench
 from soak.evidence import heart_rate_per_min, verdict
 from soak.keyring import Keyring
 from soak.leftovers import left_behind, mark
@@ -44,13 +46,23 @@ def soak(
         str | None,
         typer.Option(metavar="LIST", help="The nodes' own --realtime, such as fifo=40,slack."),
     ] = None,
+    bench: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            max=1000,
+            metavar="ROUNDS",
+            help="At the end so many troubles on an emulated bench, some 15 s each; 0: none.",
+        ),
+    ] = 6,
     json: JsonOption = None,
 ) -> None:
     """Torment both nodes, and judge what became of it.
 
     A sensing node and its displays run as processes of their own, over links that get worse and
     are cut; nodes are killed, restarted and stopped, displays join and leave, garbage floods the
-    ports. An undisturbed pair runs beside them. What is looked at is in docs/soak.md.
+    ports. An undisturbed pair runs beside them. At the end a display with an emulated drive is
+    stalled and cut off. What is looked at is in docs/soak.md.
 
     Exit status: 0 when every check is passed, 1 when one is not, 2 when it cannot run here.
     """
@@ -81,6 +93,8 @@ def soak(
             finally:
                 stage.clear()
             checks = verdict(run, loaded.display, heart_rate_per_min(loaded.sensing.source))
+            if bench:
+                checks += judge_bench(*play_rounds(Path(folder), seed, bench, console.print))
         addresses = [stage.calm_address, *([] if network.sensing else network.addresses)]
         checks.append(judge_none("left behind", left_behind(run.namespaces, addresses, folder)))
     print_verdict(run, checks, console)

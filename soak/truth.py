@@ -6,6 +6,7 @@ from typing import Any
 
 from display_node.fault_advice import FAULT_STATUS, latched
 from display_node.finger import TOUCH_N
+from display_node.telemetry import STATUS_TRACES, TRACE_TICKS
 from soak.claims import LineClaim, StatusClaim, pressed_n
 from soak.verdict import Check
 from soak.witness import Witness
@@ -20,8 +21,8 @@ FORCE_SHARE, FORCE_MORE_N = 0.2, 0.01
 CURRENT_S, BUSY_S = 1.0, 1.0
 SHARE_BAR, SHARE_MORE_S = 0.01, 0.05
 HEART_RATE_TIMES = 1.5
-# Statuses come each 0.2 s; a shorter interruption may fall between two of them.
-NAMED_FROM_NS = 400_000_000
+# A status comes each 200 ticks; an interruption of fewer ticks may fall between two of them.
+NAMED_FROM_TICKS = 2 * STATUS_TRACES * TRACE_TICKS
 # Until forces that no wrist has are out of what a heart rate is counted from.
 FORGOTTEN_NS = 8_000_000_000
 # So many lies are quoted in a verdict.
@@ -227,15 +228,15 @@ def heart_rate_lies(
 
 
 def judge_events(
-    role: str, lives: Sequence[Sequence[StatusClaim]], interruptions: Sequence[tuple[int, int]]
+    role: str, lives: Sequence[Sequence[StatusClaim]], interruptions: Sequence[tuple[int, int, int]]
 ) -> Check:
     """Judge "what happened": each interruption of the pulse is named once, and no other one is."""
     named = [at_ns for life in lives for at_ns in _interrupted_at(life)]
     lies, held = [], Counter[int]()
-    for from_ns, until_ns in interruptions:
+    for from_ns, until_ns, ticks in interruptions:
         inside = [at_ns for at_ns in named if from_ns <= at_ns <= until_ns]
         held.update(inside)
-        if until_ns - from_ns >= NAMED_FROM_NS and len(inside) != 1:
+        if len(inside) > 1 or (not inside and ticks >= NAMED_FROM_TICKS):
             lies.append(f"{(until_ns - from_ns) * 1e-9:.2f} s named {len(inside)} times")
     # The last of a process has no end that was witnessed.
     ends = {at_ns for life in lives for at_ns in list(_interrupted_at(life))[-1:]}

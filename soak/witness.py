@@ -31,8 +31,9 @@ class Witness:
     """The ticks of one display, in blocks of a trace at most; times on this machine's clock in ns.
 
     ticks, full: ticks so far, and those at which the pulse was felt at its full strength.
-    interruptions: from and to when it was not, within one process. misses: between which two
-    ticks how many were missed. last_ns, last_n, last_full: the newest tick.
+    interruptions: from and to when it was not, and in how many ticks, within one process.
+    misses: between which two ticks how many were missed. last_ns, last_n, last_full: the newest
+    tick.
     """
 
     tick_ns: int
@@ -41,16 +42,17 @@ class Witness:
     last_ns: int | None = None
     last_n: float = float("nan")
     last_full: bool = False
-    interruptions: list[tuple[int, int]] = field(default_factory=list)
+    interruptions: list[tuple[int, int, int]] = field(default_factory=list)
     misses: list[tuple[int, int, int]] = field(default_factory=list)
     _first_ns: list[int] = field(default_factory=list)
     _last_ns: list[int] = field(default_factory=list)
     _blocks: list[Stretch] = field(default_factory=list)
     _full_ns: int | None = None
+    _less: int = 0
 
     def begin_process(self) -> None:
         """Expect the ticks of another process: between the two, nothing was interrupted."""
-        self.last_ns, self._full_ns, self.last_full = None, None, False
+        self.last_ns, self._full_ns, self.last_full, self._less = None, None, False, 0
 
     def add(self, trace: Trace) -> None:
         """Take the ticks of a trace."""
@@ -76,8 +78,10 @@ class Witness:
                 self.misses.append((self.last_ns, at_ns, missed))
         if full:
             if self._full_ns is not None and not self.last_full:
-                self.interruptions.append((self._full_ns, at_ns))
-            self._full_ns = at_ns
+                self.interruptions.append((self._full_ns, at_ns, self._less))
+            self._full_ns, self._less = at_ns, 0
+        else:
+            self._less += 1
         self.last_ns, self.last_full = at_ns, full
 
     def between(self, from_ns: int, until_ns: int) -> Stretch:

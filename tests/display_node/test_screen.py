@@ -1,6 +1,8 @@
 import io
 import itertools
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -260,3 +262,14 @@ def test_a_pulse_that_is_not_felt_at_its_full_strength_has_no_heart_rate() -> No
     trace = trace_of_a_pulse(6)
     screen.add_trace(trace._replace(scored=trace.now_ns < 5_900_000_000))
     assert screen.heart_rate_per_min is None
+
+
+def test_what_takes_long_to_import_is_there_before_the_first_line() -> None:
+    """It took up to some seconds within a line, which showed a state that was over."""
+    code = (
+        "import sys; from rich.console import Console; from display_node import screen;"
+        f" screen.watch({free_address()!r}, Console(),"
+        " meanwhile=lambda: print('scipy.signal' in sys.modules))"
+    )
+    command = [sys.executable, "-c", code]
+    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "True\n"

@@ -193,7 +193,7 @@ P, X = "playing", "stale"
 
 
 @pytest.mark.parametrize(
-    ("states", "interruptions", "ok"),
+    ("states", "interruptions_ms", "ok"),
     [
         ((P, P, X, X, X, P), [(250, 1_000)], True),
         ((P, P, X, X, X, P), [(250, 1_000), (1_010, 1_050)], True),
@@ -205,10 +205,15 @@ P, X = "playing", "stale"
     ],
 )
 def test_an_interruption_is_named_once(
-    states: Sequence[str], interruptions: list[tuple[int, int]], ok: bool
+    states: Sequence[str], interruptions_ms: list[tuple[int, int]], ok: bool
 ) -> None:
-    witnessed = [(from_ms * MS, until_ms * MS) for from_ms, until_ms in interruptions]
+    witnessed = [(a * MS, b * MS, b - a) for a, b in interruptions_ms]
     assert judge_events("mortal", [history(*states)], witnessed).ok is ok
+
+
+def test_an_interruption_in_which_the_display_was_stopped_need_not_be_in_a_status() -> None:
+    assert judge_events("mortal", [history(P, P, P)], [(200 * MS, 2_800 * MS, 9)]).ok
+    assert not judge_events("mortal", [history(P, P, P)], [(200 * MS, 2_800 * MS, 450)]).ok
 
 
 @pytest.mark.parametrize(
@@ -233,7 +238,7 @@ def test_an_exit_status_is_that_of_the_summary(
 
 def test_the_witness_keeps_interruptions_within_a_process() -> None:
     seen = witness(trace(0, 20), trace(20, 20, full=False), trace(90, 20), trace(110, 20))
-    assert seen.interruptions == [(19 * MS, 90 * MS)]
+    assert seen.interruptions == [(19 * MS, 90 * MS, 20)]
     assert seen.misses == [(39 * MS, 90 * MS, 50)]
     seen.begin_process()
     seen.add(trace(900, 20))

@@ -1,0 +1,115 @@
+"""Pass or fail: what the display on a bench claimed of the finger against the motor's force. Pure.
+
+The witness is the emulated drive's own record of the force under its tip, which the display does
+not see: it has the film's readings and the positions that the drive reports.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from display_node.fault_advice import FAULT_STATUS, latched
+from display_node.finger import TOUCH_N
+from soak.claims import pressed_n
+from soak.truth import FORCE_MORE_N, FORCE_SHARE, judge_lies
+from soak.verdict import Check
+
+# A sentence is of a film's reading some 10 ms old, in a status that is read a while later.
+SEEN_WITHIN_NS = 300_000_000
+# A display that is told of a fault by its own status has taken the tip off by then.
+LEFT_WITHIN_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class FingerClaim:
+    """One status of the display on the bench; read_ns: when it arrived."""
+
+    read_ns: int
+    state: str
+    finger: str
+
+
+@dataclass(frozen=True, slots=True)
+class Round:
+    """One trouble on the bench.
+
+    trouble: its name and length. claims: until the display ended. status, faults, finger: of its
+    end. time_ns, force_n: the motor's record, one value a millisecond.
+    """
+
+    trouble: str
+    claims: Sequence[FingerClaim]
+    status: int | None
+    faults: Sequence[str]
+    finger: str
+    time_ns: NDArray[np.int64]
+    force_n: NDArray[np.float64]
+
+
+def judge_bench(rounds: Sequence[Round], failures: Sequence[str]) -> list[Check]:
+    """Judge the rounds on the bench; failures: benches on which the pulse was never felt."""
+    claims = sum(len(each.claims) for each in rounds)
+    finger = [f"{x.trouble}: {lie}" for x in rounds for y in x.claims for lie in finger_lies(y, x)]
+    ends = [f"{x.trouble}: {lie}" for x in rounds for lie in end_lies(x)]
+    most_n = max((float(each.force_n.max()) for each in rounds), default=0.0)
+    left = [seconds for each in rounds if (seconds := left_after_s(each)) is not None]
+    worst_s = max(left, default=0.0)
+    text = f"{worst_s:.2f} s at worst of {len(left)} faults; {most_n:.3f} N at most"
+    done = ", ".join(each.trouble for each in rounds) or "none"
+    return [
+        Check("bench: troubles", f"{done}; {len(failures)} benches not felt", "one at least",
+              bool(rounds)),
+        judge_lies("bench: finger", claims, finger),
+        judge_lies("bench: ends", len(rounds), ends),
+        Check("bench: off the finger after a fault", text, f"within {LEFT_WITHIN_S:g} s",
+              worst_s <= LEFT_WITHIN_S if left else None),
+    ]  # fmt: skip
+
+
+def finger_lies(claim: FingerClaim, of: Round) -> Iterator[str]:
+    """Yield what is untrue of a status' sentence about the finger."""
+    window = of.force_n[
+        (of.time_ns >= claim.read_ns - SEEN_WITHIN_NS) & (of.time_ns <= claim.read_ns)
+    ]
+    if not len(window):
+        return
+    low_n, high_n = float(window.min()), float(window.max())
+    felt = f"{low_n * 1e3:.0f} to {high_n * 1e3:.0f} mN were felt"
+    force_n = pressed_n(claim.finger)
+    if force_n is not None:
+        low_n -= FORCE_SHARE * low_n + FORCE_MORE_N
+        if not low_n <= force_n <= high_n * (1 + FORCE_SHARE) + FORCE_MORE_N:
+            yield f"{claim.finger!r}, and {felt}"
+    elif claim.finger.startswith("not pressed") and low_n > TOUCH_N + FORCE_MORE_N:
+        yield f"{claim.finger!r}, and {felt}"
+    elif claim.finger.startswith("withdrawn"):
+        later_n = of.force_n[of.time_ns >= claim.read_ns]
+        if len(later_n) and later_n.max() > TOUCH_N:
+            yield f"{claim.finger!r}, and {later_n.max() * 1e3:.0f} mN from then on"
+
+
+def end_lies(of: Round) -> Iterator[str]:
+    """Yield what is untrue of a display's end, and whether it left the finger pressed."""
+    expected = FAULT_STATUS if latched(of.faults) else 0
+    if of.status != expected:
+        yield f"exit status {of.status} with the faults {list(of.faults)}"
+    if of.force_n[-1] > TOUCH_N:
+        yield f"left pressed with {of.force_n[-1] * 1e3:.0f} mN"
+        if pressed_n(of.finger) is None:
+            yield f"{of.finger!r} at the end"
+
+
+def left_after_s(of: Round) -> float | None:
+    """Return after how many seconds from the first status with a fault the tip was off the finger
+    for good; infinite where it never was, None without such a status."""
+    begin_ns = next((claim.read_ns for claim in of.claims if claim.state == "fault"), None)
+    if begin_ns is None:
+        return None
+    pressed = np.flatnonzero(of.force_n > TOUCH_N)
+    if not len(pressed):
+        return 0.0
+    if pressed[-1] == len(of.force_n) - 1:
+        return float("inf")
+    return max(0.0, float(of.time_ns[pressed[-1]] - begin_ns) * 1e-9)
