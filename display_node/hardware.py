@@ -97,6 +97,8 @@ class Hardware:
         if self._sensor is not None:
             self._await_film(self._sensor)
         self._drive.start(self._film_n)
+        # What touched the film until now was no press of ours.
+        self._film_fault = None
         self.read()
 
     def read(self) -> str | None:
@@ -143,6 +145,7 @@ class Hardware:
 
     def finger(self, now_ns: int) -> FingerState:
         """Return what is measured at the finger now."""
+        self.read()
         status = self._drive.status()
         newest = self.feedback.newest
         since_ns = self._began_ns if newest is None else newest[0]
