@@ -4,7 +4,9 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
+from statistics import median
 
 # Unit of /proc/stat on Linux.
 JIFFY_NS = 10_000_000
@@ -66,8 +68,9 @@ def excuse(
 ) -> Excused:
     """Return how many missed ticks were the machine's.
 
-    Between the readings around a gap, as many ticks as the thread waited are excused, and of the
-    others as many as were stolen; gaps between the same two readings share what was waited.
+    Between the readings around a gap, as many ticks as the thread waited are excused, less what it
+    usually waits in that time; of the others as many as were stolen. Gaps between the same two
+    readings share what was waited.
 
     Parameters
     ----------
@@ -78,26 +81,42 @@ def excuse(
     tick_ns
         Length of a tick in ns.
     """
-    times_ns = [reading.at_ns for reading in readings]
-    found, count, before, after = NONE_EXCUSED, 0, -1, -1
+    spans = _spans(misses, [reading.at_ns for reading in readings])
+    usual = _usual_wait(readings, spans)
+    found = NONE_EXCUSED
+    for begin, end, count in spans:
+        first, last = readings[begin], readings[end]
+        waited_ns = last.waited_ns - first.waited_ns - usual * (last.at_ns - first.at_ns)
+        waited = min(count, round(max(0.0, waited_ns) / tick_ns))
+        stolen_ns = last.stolen_ns - first.stolen_ns if last.processor == first.processor else 0
+        stolen = min(count - waited, round(max(0, stolen_ns) / tick_ns))
+        found += Excused(waited, stolen)
+    return found
+
+
+def _spans(
+    misses: Sequence[tuple[int, int, int]], times_ns: Sequence[int]
+) -> list[tuple[int, int, int]]:
+    """Return between which readings how many ticks were missed; spans do not overlap."""
+    spans = list[tuple[int, int, int]]()
     for from_ns, until_ns, missed in sorted(misses):
         begin, end = bisect_right(times_ns, from_ns) - 1, bisect_left(times_ns, until_ns)
         if begin < 0 or end >= len(times_ns):
             continue  # nobody read it then
-        if begin >= after:
-            found += _excused(count, readings, before, after, tick_ns)
-            count, before, after = 0, begin, end
-        count, after = count + missed, max(after, end)
-    return found + _excused(count, readings, before, after, tick_ns)
+        if spans and begin < spans[-1][1]:
+            before, after, count = spans[-1]
+            spans[-1] = before, max(after, end), count + missed
+        else:
+            spans.append((begin, end, missed))
+    return spans
 
 
-def _excused(
-    count: int, readings: Sequence[CoreTime], before: int, after: int, tick_ns: int
-) -> Excused:
-    """Return how many of the misses between two readings are excused."""
-    if not count:
-        return NONE_EXCUSED
-    first, last = readings[before], readings[after]
-    waited = min(count, round((last.waited_ns - first.waited_ns) / tick_ns))
-    stolen_ns = last.stolen_ns - first.stolen_ns if last.processor == first.processor else 0
-    return Excused(waited, min(count - waited, round(max(0, stolen_ns) / tick_ns)))
+def _usual_wait(readings: Sequence[CoreTime], spans: Sequence[tuple[int, int, int]]) -> float:
+    """Return the share of the time that the thread waits where no tick is missed, by the median."""
+    touched = {number for begin, end, _ in spans for number in range(begin, end)}
+    shares = [
+        (last.waited_ns - first.waited_ns) / (last.at_ns - first.at_ns)
+        for number, (first, last) in enumerate(pairwise(readings))
+        if number not in touched and last.at_ns > first.at_ns
+    ]
+    return median(shares) if shares else 0.0

@@ -44,6 +44,21 @@ def test_stolen_time_excuses_what_waiting_does_not() -> None:
     assert excused([(4, 19, 14)], before, reading(20, 3.0, 10, processor=1)) == Excused(3, 0)
 
 
+def test_what_the_loop_waits_all_the_time_excuses_no_miss() -> None:
+    # 3 ms of each 20, and one span with 8 ms.
+    waits_ms = (0, 3, 6, 9, 17, 20)
+    readings = [reading(20 * number, waited_ms) for number, waited_ms in enumerate(waits_ms)]
+    assert excused([(24, 29, 3)], *readings) == Excused()
+    assert excused([(64, 73, 8)], *readings) == Excused(waited=5)
+
+
+def test_on_a_machine_that_is_too_busy_nothing_is_judged() -> None:
+    calm = LoopFigures(80_000, 20_000, 200.0, Excused(waited=19_900))
+    check = judge_calm_loop(calm)[0]
+    assert check.ok is None
+    assert "not judged" in check.found
+
+
 def test_the_bar_is_for_the_misses_that_are_the_loops_own() -> None:
     calm = LoopFigures(ticks=95_000, misses=5_000, tick_p99_us=200.0)
     assert judge_calm_loop(calm)[0].ok is False
