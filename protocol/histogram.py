@@ -62,26 +62,27 @@ class Histogram:
         Returns `end`, a lower bound, where that is beyond the range (see `beyond`), and None
         without any value.
         """
-        position = self._position(share)
-        if position is None or self.maximum is None:
+        if self.maximum is None:
             return None
-        if position == len(self._counts) - 1:
+        if self._is_beyond(share):
             return self.end
-        return min((position + 0.5) * self._bin_width, self.maximum)
-
-    def beyond(self, **shares: float) -> list[str]:
-        """Return the names of those quantiles that are beyond the range: `p99=0.99`."""
-        last = len(self._counts) - 1
-        return [name for name, share in shares.items() if self._position(share) == last]
-
-    def _position(self, share: float) -> int | None:
-        """Return the number of a quantile's bin; None without any value."""
         wanted, seen = share * self.count, 0
         for position, count in enumerate(self._counts):
             seen += count
             if seen >= wanted and count:
-                return position
-        return None
+                return min((position + 0.5) * self._bin_width, self.maximum)
+        return self.end
+
+    def beyond(self, **shares: float) -> list[str]:
+        """Return the names of those quantiles that are beyond the range: `p99=0.99`.
+
+        Without a walk through the bins: a status is built between two ticks.
+        """
+        return [name for name, share in shares.items() if self._is_beyond(share)]
+
+    def _is_beyond(self, share: float) -> bool:
+        within = self.count - self._counts[-1]
+        return self.count > 0 and (not within or within < share * self.count)
 
 
 def bound(name: str, beyond: Collection[str]) -> str:

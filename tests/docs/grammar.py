@@ -104,6 +104,10 @@ def _check_module(words: list[str]) -> None:
     if module == "benchmarks":
         known = {path.stem for path in (ROOT / "benchmarks").iterdir()}
         assert set(rest) <= known, f"no such benchmark: {rest}"
+    elif module.startswith("benchmarks."):
+        assert (ROOT / f"{module.replace('.', '/')}.py").exists(), f"no such benchmark: {module}"
+        text = (ROOT / f"{module.replace('.', '/')}.py").read_text(encoding="utf-8")
+        assert all(word in text for word in rest if word.startswith("-")), rest
     elif module in ("soak", "fuzz"):
         app = typer.Typer()
         app.command()({"soak": soak, "fuzz": fuzz}[module])
