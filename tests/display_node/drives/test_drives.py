@@ -51,7 +51,7 @@ def test_it_homes_comes_to_first_touch_and_runs_at_the_commanded_rate(
         status = bench.drive.status()
         assert status.fault is None
         assert not status.moving
-        assert abs(in_steps(bench, status.position_m)) <= 1
+        assert abs(in_steps(bench, status.position_m)) < 1.5
         # Where the tip stood at the beginning, half way to the finger, is home without homing.
         home_m = 0.3e-3 if keys.get("homing") == "none" else 0.0
         # The switch is looked at every millisecond, at 5 mm/s: 8 steps.

@@ -77,7 +77,9 @@ def test_a_second_network_takes_over_when_one_is_cut_and_a_single_one_cannot(
         # The end was heard over whichever network was left.
         assert sum(count or 0 for count in accounted) == outcome.sensing.samples.sent
         assert outcome.sensing.samples.sent == 1000 * SECONDS
-        assert outcome.display.rejected == outcome.sensing.rejected == {}
+        # A frame may come over both connections where a second one took over.
+        assert set(outcome.display.rejected) <= {"duplicate"}
+        assert outcome.sensing.rejected == {}
         assert outcome.display.faults == []
 
     # The first brought frames after its cut, too: for 5 s there was nothing but the second, for

@@ -122,7 +122,8 @@ def test_the_page_moves_and_says_what_is_felt(bench: Bench, visit: Visit) -> Non
         until(lambda: plot.screenshot() != before)
         assert said(page, "stream") == "radial pulse"
         assert said(page, "predictor") == "linear"
-        assert said(page, "limited") == "never"
+        # On a busy machine a tick or two may be bounded.
+        assert re.fullmatch(r"never|0\.\d s", said(page, "limited"))
         # 75 of the scene, where the loop is not held up.
         assert 40 < float(said(page, "heart").removesuffix(" /min")) < 150
         if PICTURES:
