@@ -64,12 +64,12 @@ class Case:
 
     @property
     def obeys(self) -> bool:
-        """Whether the drive still does what it is commanded, so that the tip can be withdrawn."""
+        """Return whether the drive still obeys, so that the tip can be withdrawn."""
         return self.kind not in DISOBEDIENT
 
     @property
     def of_film(self) -> bool:
-        """Whether it is the film's."""
+        """Return whether the lie is the film's, not the drive's."""
         return self.kind.value.startswith("film")
 
 
@@ -99,7 +99,7 @@ CASES = (
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a lie led to.
+    """Result of a lie.
 
     most_n: the most felt force; above_ms: time above the limit; named: the first fault, empty for
     none; named_ms: from the lie's begin to it; off_ms: from the fault until the tip is off the
@@ -149,7 +149,7 @@ def bench_scene(kind: str) -> DisplayScene:
 
 
 def lied(case: Case | None, kind: str, with_film: bool, force_n: Callable[[int], float]) -> Outcome:
-    """What a lie leads to; it begins when the pulse is felt. None for none."""
+    """Run a lie from when the pulse is felt; return its result. None runs the honest bench."""
     felt: list[Moment] = []
     with VirtualBench(bench_scene(kind), force_n, with_film, felt.append) as bench:
         wanted: dict[int, float] = {}
@@ -219,7 +219,7 @@ class Run:
     stream: str
 
     def outcome(self) -> Outcome:
-        """What it leads to."""
+        """Run the case and return its result."""
         return lied(self.case, self.kind, self.with_film, STREAMS[self.stream]())
 
 

@@ -35,7 +35,7 @@ STATES_PLAYED = ("playing", "starting", "stale")
 
 @dataclass
 class Tally:
-    """What came of a number of episodes: by their names, and those that left the tip pressed."""
+    """Counts of episodes by name and end, and descriptions of those that left the tip pressed."""
 
     episodes: Counter[str] = field(default_factory=Counter)
     withdrawn: Counter[str] = field(default_factory=Counter)
@@ -80,7 +80,7 @@ class Ordeal:
         return self.tally
 
     def _off(self) -> bool:
-        """Whether nothing has pressed of late."""
+        """Return whether nothing pressed in the judged last part of the episode."""
         return self.bench.world.now_ns - self._last_pressed_ns > JUDGED_MS * MS
 
     def _watch(self, moment: Moment) -> None:
@@ -146,7 +146,7 @@ class Ordeal:
 
 
 def _is_of(thread: VirtualThread, name: str) -> bool:
-    """Whether a thread is stopped by a stall of that name."""
+    """Return whether a stall of that name stops a thread."""
     if name == "process":
         return True
     return (thread.name == "loop") == (name == "loop") and thread.name not in ("film", "notifier")

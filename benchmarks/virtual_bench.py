@@ -79,7 +79,7 @@ class FilmPort:
         """It is there."""
 
     def write(self, data: bytes) -> None:
-        """What the board sends."""
+        """Take bytes that the board sends."""
         if not self.silent:
             self._pipe.write(data)
 
@@ -350,7 +350,7 @@ class VirtualBench:
             raise raised[0]
 
     def _connect(self) -> None:
-        """As `display_node.hardware.connected`, with a film on our port."""
+        """Start the bench as `display_node.hardware.connected` does, its film on a virtual port."""
         scene, actuator = self.scene, self.scene.actuator
         assert scene.drive is not None
         force_limit_n = scene.safety.force_limit_n
@@ -397,7 +397,7 @@ class VirtualBench:
             self.wrist.pass_over()
 
     def _loop(self) -> None:
-        """As `display_node.node.DisplayNode.run`, without sockets."""
+        """Run the loop of `display_node.node.DisplayNode.run`, without sockets."""
         world, tick_ns = self.world, self.scene.tick_ns
         next_ns = world.monotonic_ns() + tick_ns
         while not self._stopping:

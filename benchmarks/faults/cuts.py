@@ -115,7 +115,7 @@ def cut_runner(folder: Path, seed: int, whole: LinkScene = WHOLE) -> Iterator[Cu
 
 
 def opened_meanwhile(folder: Path, link_text: str, stop: bool) -> tuple[int, int]:
-    """How many second connections were opened and kept in `WATCHED_S` on a link.
+    """Count the second connections that were opened and kept in `WATCHED_S` on a link.
 
     stop: the sensing node stands still all the time.
     """
