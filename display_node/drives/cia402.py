@@ -10,6 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 
 from display_node.drives.approach import approach
 from display_node.drives.axis import Axis
@@ -29,8 +30,7 @@ from display_node.drives.direction import (
     WRONG_WAY,
     SearchBound,
     TouchGuard,
-    check_switch,
-    opened_m,
+    approach_touch,
 )
 from display_node.drives.drive import DriveStatus, no_film
 from display_node.drives.scene import Cia402Scene
@@ -82,11 +82,8 @@ class Cia402Drive:
             node.limit_travel()
             node.arm()
             self._follow(node)
-            opened = opened_m(scene.touch_m)
-            approach(self, axis.lowest_m + opened, speed, step_m, guard)
-            self._pause(node)
-            check_switch(self._home_switch(node), opened)
-            approach(self, 0.0, speed, step_m, guard)
+            home_switch = partial(self._home_switch, node)
+            approach_touch(self, axis.lowest_m, speed, step_m, home_switch, guard)
             self._pause(node)
         except BaseException as error:  # Ctrl-C, too, must not leave it moving.
             if isinstance(error, DriveError) and error.kind == WRONG_WAY:
@@ -214,6 +211,8 @@ class Cia402Drive:
         drive does not report its inputs."""
         if self._scene.homing != "switch" or self._scene.homing_method is not None:
             return None
+        # Reading it takes longer than the watchdog allows between two commands.
+        self._pause(node)
         try:
             inputs = node.read(DIGITAL_INPUTS)
         except DriveError as error:

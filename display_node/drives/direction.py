@@ -6,7 +6,9 @@ shows neither, so the home switch and the film are the witnesses.
 
 from collections.abc import Callable
 
+from display_node.drives.approach import approach
 from display_node.drives.axis import Axis
+from display_node.drives.drive import Drive
 from protocol.errors import DriveError
 
 # From home towards the finger: further than any switch needs to open.
@@ -59,6 +61,24 @@ class SearchBound:
                 f"no home switch on {self._most_m * 1e3:.1f} mm, from wherever the tip stood;"
                 f" {ADVICE}, and at touch and furthest",
             )
+
+
+def approach_touch(
+    drive: Drive,
+    home_m: float,
+    speed_m_per_s: float,
+    step_m: float,
+    home_switch: Callable[[], bool | None],
+    guard: Callable[[], None],
+) -> None:
+    """Go from home to first touch, and see on the way that the home switch opens; blocks.
+
+    home_switch returns whether it is closed, None where that is not known. Raises DriveError.
+    """
+    opened = opened_m(-home_m)
+    approach(drive, home_m + opened, speed_m_per_s, step_m, guard)
+    check_switch(home_switch(), opened)
+    approach(drive, 0.0, speed_m_per_s, step_m, guard)
 
 
 def opened_m(touch_m: float) -> float:

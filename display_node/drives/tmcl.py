@@ -14,7 +14,7 @@ from itertools import cycle
 
 from display_node.drives.approach import approach
 from display_node.drives.axis import Axis
-from display_node.drives.direction import WRONG_WAY, TouchGuard, check_switch, opened_m
+from display_node.drives.direction import WRONG_WAY, TouchGuard, approach_touch
 from display_node.drives.drive import DriveStatus, no_film
 from display_node.drives.scene import TmclScene
 from display_node.drives.supervisor import Supervisor
@@ -74,10 +74,7 @@ class TmclDrive:
             began_m = module.position_m
             module.arm()
             self._follow(module)
-            opened = opened_m(scene.touch_m)
-            approach(self, axis.lowest_m + opened, speed, step_m, guard)
-            check_switch(self._home_switch(), opened)
-            approach(self, 0.0, speed, step_m, guard)
+            approach_touch(self, axis.lowest_m, speed, step_m, self._home_switch, guard)
         except BaseException as error:  # Ctrl-C, too, must not leave it moving.
             if isinstance(error, DriveError) and error.kind == WRONG_WAY:
                 self._go_back(module, began_m)
@@ -223,8 +220,8 @@ class TmclDrive:
             self._supervisor.held(now_ns)
             if error.kind in PASSING:
                 self._missed_ns = now_ns
-            if error.kind in PASSING and now_ns - module.heard_ns <= self._scene.watchdog_ns:
-                return
+                if now_ns - module.heard_ns <= self._scene.watchdog_ns:
+                    return
             self._supervisor.fail(f"{error.kind}: {error}", now_ns)
         if error.kind not in (*PASSING, "fault"):
             time.sleep(RETRY_S)

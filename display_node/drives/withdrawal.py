@@ -71,7 +71,7 @@ class Withdrawal:
         trusted
             Whether the drive's position is to be believed.
         """
-        self.began_ns = self._counted_ns = self._turning_ns = self._sent_ns = now_ns
+        self._began_ns = self._counted_ns = self._turning_ns = self._sent_ns = now_ns
         self._peak_m = self._last_m = position_m
         self._began_m = self._way_m = way_m
         self._heard_ns = now_ns
@@ -90,7 +90,7 @@ class Withdrawal:
         if self.outcome is Outcome.UNCONFIRMED and silent_ns > SILENT_NS:
             # It is reached again, and what was commanded meanwhile may not have reached it.
             self.renew(heard_ns, self._way_m)
-        if not self._trusted or heard_ns <= self.began_ns or self.outcome is Outcome.WRONG_WAY:
+        if not self._trusted or heard_ns <= self._began_ns or self.outcome is Outcome.WRONG_WAY:
             return
         if self._may_turn(heard_ns, TURN_NS):
             self._peak_m = max(self._peak_m, position_m)
