@@ -16,6 +16,7 @@ from display_node.fault_advice import FAULT_STATUS
 
 from .telepulse.emulate.test_drive_commands import udp_multicast_reason
 from .unread import unread
+from .waiting import until
 
 LIMIT_N = 2.5
 TRIES = 4
@@ -154,6 +155,7 @@ def test_a_display_that_is_ended_on_its_way_home_leaves_the_drive_at_rest(tmp_pa
         bench = WholeBench(tmp_path, "tmcl", patience_ms=PATIENCE_MS, output=output.fileno())
         try:
             bench.start_drive()
+            until((tmp_path / "film").exists)
             bench.start_display()
             deadline_s = time.monotonic() + WITHDRAWN_WITHIN_S
             while b"looks for its home" not in printed.read_bytes():
