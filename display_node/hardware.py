@@ -79,8 +79,9 @@ class Hardware:
         self._step_rate = actuator.step_rate()
         self._drive = drive
         self._sensor = sensor
+        # The drive's, when it was read last.
+        self._status = drive.status()
         self._heard_ns = 0
-        self._held_back = False
         self.at_end = LimitCounter()
         self._began_ns = time.monotonic_ns()
         # Where the drive's commands had led to at the last tick.
@@ -103,15 +104,15 @@ class Hardware:
 
     def read(self) -> str | None:
         """Hand what has come to `feedback` and drive; the fault, if there is one."""
-        status = self._drive.status()
-        self._held_back = status.held_back
+        newest = self._read_film(self._sensor) if self._sensor is not None else None
+        # After the film, which a withdrawal goes by.
+        self._status = status = self._drive.status()
         if self._sensor is None:
             if status.heard_ns != self._heard_ns:
                 self._heard_ns = status.heard_ns
                 self.feedback.hear(status.heard_ns, self._contact.force(status.position_m))
         else:
             self._plausibility.report(status.position_m, status.heard_ns)
-            newest = self._read_film(self._sensor)
             if newest is not None and status.fault is None:
                 contradiction = self._plausibility.contradiction(newest[1], newest[0])
                 return self._film_fault or contradiction
@@ -135,7 +136,7 @@ class Hardware:
         self._way_m = way_m
         felt = display.tick(now_ns, elapsed_ticks)
         # A drive at fault takes no command: what it did with the last one is of the past.
-        self.at_end.add(self._held_back and not safety.faults)
+        self.at_end.add(self._status.held_back and not safety.faults)
         if safety.faults:
             self._drive.withdraw(safety.faults[0])
             self._name_withdrawal(display)
@@ -146,8 +147,7 @@ class Hardware:
     def finger(self, now_ns: int) -> FingerState:
         """Return what is measured at the finger now."""
         self.read()
-        status = self._drive.status()
-        newest = self.feedback.newest
+        status, newest = self._status, self.feedback.newest
         since_ns = self._began_ns if newest is None else newest[0]
         known = newest is not None and self.feedback.alive(now_ns)
         blind = self._sensor is None and status.withdrawal in (
@@ -194,7 +194,7 @@ class Hardware:
         return newest
 
     def _name_withdrawal(self, display: Display) -> None:
-        outcome = self._drive.status().withdrawal
+        outcome = self._status.withdrawal
         if outcome in (Outcome.UNCONFIRMED, Outcome.WRONG_WAY):
             display.safety.fault(f"withdrawal: {outcome.value}")
 
@@ -223,9 +223,8 @@ class Hardware:
         """
         self._drive.withdraw("ended")
         deadline_s = time.monotonic() + WITHDRAWN_WITHIN_S
-        while self._drive.status().withdrawal is Outcome.UNDER_WAY:
-            if time.monotonic() > deadline_s:
-                break
+        self._status = self._drive.status()
+        while self._status.withdrawal is Outcome.UNDER_WAY and time.monotonic() <= deadline_s:
             time.sleep(POLL_S)
             self.read()
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from display_node import hardware
+from display_node.drives.drive import DriveStatus
 from display_node.drives.withdrawal import Outcome
 from display_node.hardware import Hardware, connected
 from display_node.scene import DisplayScene
@@ -140,6 +141,30 @@ def test_after_a_fault_it_rests_or_has_left_the_finger_within_100_ms(
     assert bench.display.safety.faults[:1] == ([fault] if fault else [])
     # A drive that its own fault holds is named as one that does not withdraw.
     assert (bench.display.safety.faults[1:] == ["withdrawal: unconfirmed"]) == (happens is overheat)
+
+
+def test_each_tick_reads_the_drives_status_once_before_and_after_a_fault(
+    pulse_n: Callable[[float], float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = VirtualBench(pulse_n)
+    calls, status = [0], bench.drive.status
+
+    def counted() -> DriveStatus:
+        calls[0] += 1
+        return status()
+
+    monkeypatch.setattr(bench.drive, "status", counted)
+    for fault in (False, True):
+        if fault:
+            lose_the_film(bench)
+            bench.run(100)
+        assert bool(bench.display.safety.faults) == fault
+        calls[0], ticks = 0, bench.display.ticks
+        bench.run(500)
+        assert calls[0] == bench.display.ticks - ticks
+    calls[0] = 0
+    bench.hardware.finger(bench.now_ms * MS)
+    assert calls[0] == 1
 
 
 @pytest.mark.parametrize("loop_first", [False, True], ids=["the drive's thread", "the loop"])
