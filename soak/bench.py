@@ -4,20 +4,18 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable
+from itertools import islice
 from pathlib import Path
-from random import Random
 
 import zmq
 
 from benchmarks.whole_bench import BenchFailedError, WholeBench, playing
 from display_node.telemetry import STATUS, read_status
 from soak.bench_truth import FingerClaim, Round
+from soak.schedule import BENCH_WATCHDOG_S, Trouble, troubles
 
-# Of stalls, evenly by their logarithm: around the drive's watchdog, and far beyond it.
-STALLS_S = (0.05, 5.0)
 # So patient are watchdog and film, so that a machine that is busy does not end each round.
-PATIENCE_MS = 200
-PLAYED_S = (0.5, 2.0)
+PATIENCE_MS = round(BENCH_WATCHDOG_S * 1e3)
 # Until a tip that is withdrawn is off, and is named so several times.
 AFTER_S = 3.0
 POLL_MS = 50
@@ -27,27 +25,26 @@ def play_rounds(
     folder: Path, seed: int, count: int, log: Callable[[str], None]
 ) -> tuple[list[Round], list[str]]:
     """Play rounds of one trouble each; return them, and why others could not be played."""
-    random = Random(seed)
     rounds, failures = list[Round](), list[str]()
-    for number in range(count):
+    for number, trouble in enumerate(islice(troubles(seed), count)):
         (here := folder / f"bench-{number}").mkdir()
-        log(f"bench {number + 1} of {count}")
+        log(f"bench {number + 1} of {count}: {trouble}")
         try:
-            rounds.append(_play(here, random))
+            rounds.append(_play(here, trouble))
         except (BenchFailedError, subprocess.TimeoutExpired) as error:
             failures.append(str(error))
     return rounds, failures
 
 
-def _play(folder: Path, random: Random) -> Round:
+def _play(folder: Path, trouble: Trouble) -> Round:
     """Play until the pulse is felt, make the trouble, and end the display by SIGTERM."""
     claims = list[FingerClaim]()
     with playing(folder, "tmcl", patience_ms=PATIENCE_MS) as bench:
         with zmq.Context() as context, context.socket(zmq.SUB) as socket:
             socket.connect(bench.telemetry)
             socket.subscribe(STATUS)
-            claims += _listen(socket, random.uniform(*PLAYED_S))
-            trouble = _trouble(bench, random)
+            claims += _listen(socket, trouble.after_s)
+            _make(trouble, bench)
             claims += _listen(socket, AFTER_S)
             display = bench.processes["display"]
             display.send_signal(signal.SIGTERM)
@@ -56,21 +53,18 @@ def _play(folder: Path, random: Random) -> Round:
         motor = bench.motor()
         status = display.returncode
     faults, finger = summary.get("faults", []), summary.get("finger") or ""
-    return Round(trouble, claims, status, faults, finger, motor.time_ns, motor.force_n)
+    return Round(str(trouble), claims, status, faults, finger, motor.time_ns, motor.force_n)
 
 
-def _trouble(bench: WholeBench, random: Random) -> str:
-    """Stall the display, or kill the sensing node; return what was done."""
-    if random.random() < 0.25:
+def _make(trouble: Trouble, bench: WholeBench) -> None:
+    """Stall the display, or kill the sensing node."""
+    if trouble.kind == "cut":
         bench.processes["sensing"].kill()
-        return "cut"
-    low_s, high_s = STALLS_S
-    seconds = low_s * (high_s / low_s) ** random.random()
+        return
     display = bench.processes["display"]
     display.send_signal(signal.SIGSTOP)
-    time.sleep(seconds)
+    time.sleep(trouble.for_s)
     display.send_signal(signal.SIGCONT)
-    return f"stall {seconds:.2f} s"
 
 
 def _listen(

@@ -1,8 +1,8 @@
 """Which faults a soak has, and when: a seed in, a schedule out.
 
 The kinds come off a deck that is shuffled anew when it is empty, so that every kind has its turn,
-in an order that nobody chose. From the fourth deck on the sensing node is no more ended: one that
-lives for seconds says nothing of what it would use in the long run.
+in an order that nobody chose; so do the bench's troubles. From the fourth deck on the sensing node
+is no more ended: one that lives for seconds says nothing of what it would use in the long run.
 """
 
 import itertools
@@ -38,6 +38,15 @@ _LENGTHS_S = {
 }
 KINDS = tuple(_LENGTHS_S)
 ENDING_DECKS = 3
+# The watchdog of the bench's drive in s: a shorter stall is played through, a longer one a fault.
+BENCH_WATCHDOG_S = 0.2
+# Evenly by the logarithm: around the watchdog, and far beyond it.
+_BENCH_LENGTHS_S = {
+    "cut": (0.0, 0.0),
+    "short stall": (0.05, 0.75 * BENCH_WATCHDOG_S),
+    "long stall": (1.5 * BENCH_WATCHDOG_S, 5.0),
+}
+BENCH_KINDS = tuple(_BENCH_LENGTHS_S)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +62,22 @@ class Fault:
     after_s: float
     for_s: float
     detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Trouble:
+    """One thing that goes wrong on the bench.
+
+    kind: "cut", the sensing node is killed; "short stall" or "long stall", the display is stopped
+    for `for_s`. after_s: from when the pulse is felt.
+    """
+
+    kind: str
+    after_s: float
+    for_s: float
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.for_s:.2f} s" if self.for_s else self.kind
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +112,16 @@ def episodes(seed: int) -> Iterator[Episode]:
                     Fault(second.kind, second.target, after_s, second.for_s, second.detail)
                 )
         yield Episode(tuple(chosen), round(random.uniform(*REST_S), 2))
+
+
+def troubles(seed: int) -> Iterator[Trouble]:
+    """Yield the troubles of the bench, without an end; the same seed gives the same ones."""
+    random = Random(seed)
+    while True:
+        for kind in random.sample(BENCH_KINDS, len(BENCH_KINDS)):
+            low_s, high_s = _BENCH_LENGTHS_S[kind]
+            for_s = low_s and low_s * (high_s / low_s) ** random.random()
+            yield Trouble(kind, round(random.uniform(0.5, 2.0), 2), round(for_s, 3))
 
 
 def _faults(random: Random) -> Iterator[Fault]:

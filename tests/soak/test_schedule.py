@@ -2,7 +2,18 @@ from itertools import islice
 
 import pytest
 
-from soak.schedule import ENDING_DECKS, KINDS, MORTAL, SENSING_ENDS, Episode, Fault, episodes
+from soak.schedule import (
+    BENCH_KINDS,
+    BENCH_WATCHDOG_S,
+    ENDING_DECKS,
+    KINDS,
+    MORTAL,
+    SENSING_ENDS,
+    Episode,
+    Fault,
+    episodes,
+    troubles,
+)
 
 
 def taken(seed: int, count: int) -> list[Episode]:
@@ -50,3 +61,16 @@ def test_only_the_mortal_display_is_ever_killed() -> None:
 def test_there_is_time_to_be_felt_again_after_every_episode() -> None:
     assert min(episode.rest_s for episode in taken(1, 400)) >= 3.0
     assert all(fault.for_s > 0 for fault in faults(1, 400))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_every_trouble_of_the_bench_has_its_turn(seed: int) -> None:
+    """Two independent draws of seed 7 were both a cut."""
+    found = list(islice(troubles(seed), 2 * len(BENCH_KINDS)))
+    assert found == list(islice(troubles(seed), 2 * len(BENCH_KINDS)))
+    kinds = [trouble.kind for trouble in found]
+    assert set(kinds[: len(BENCH_KINDS)]) == set(BENCH_KINDS)
+    assert all(kinds.count(kind) == 2 for kind in BENCH_KINDS)
+    lengths_s = {kind: [x.for_s for x in found if x.kind == kind] for kind in BENCH_KINDS}
+    assert lengths_s["cut"] == [0.0, 0.0]
+    assert 0 < max(lengths_s["short stall"]) < BENCH_WATCHDOG_S < min(lengths_s["long stall"])
