@@ -65,7 +65,7 @@ class Display:
     """One display: receives a stream and plays it on its actuator.
 
     score: keep the running errors against what was received. feedback: the real film's
-    readings, in place of those of the scene's models.
+    readings, in place of those of the scene's models; may be set until the first tick.
     """
 
     def __init__(
@@ -76,9 +76,7 @@ class Display:
         feedback: Feedback | None = None,
     ) -> None:
         self._scene = scene
-        self._feedback = feedback
-        # What a real film says is as old as this.
-        self._felt_before_ns = scene.film.latency_ns if feedback is not None else 0
+        self.feedback = feedback
         self._name = name
         self._layer = scene.layer.layer()
         self._tick_ns = scene.tick_ns
@@ -180,12 +178,12 @@ class Display:
         safety, felt, loop = self.safety, self.felt, self._loop
         if elapsed_ticks > 1:
             loop.coast(elapsed_ticks - 1)
-        if self._feedback is None:
+        if self.feedback is None:
             felt_n, reading_n = loop.felt_n, loop.read_film()
             safety.watch(reading_n)
         else:
-            felt_n = reading_n = self._feedback.read(now_ns)
-            if self._feedback.alive(now_ns):
+            felt_n = reading_n = self.feedback.read(now_ns)
+            if self.feedback.alive(now_ns):
                 safety.watch(reading_n)
             else:
                 safety.fault("feedback lost")
@@ -198,7 +196,8 @@ class Display:
         felt.scored = alive and safety.gain == 1.0
         self._availability.add(self.state, elapsed_ticks)
         if felt.scored and self.fidelity is not None:
-            before_ns = self._felt_before_ns
+            # A real film's reading is as old as this.
+            before_ns = self._scene.film.latency_ns if self.feedback is not None else 0
             self.fidelity.felt(felt.sensing_now_ns - before_ns, felt.instant_ns - before_ns, felt_n)
         return felt
 
@@ -264,7 +263,7 @@ class Display:
 
     def _finger(self) -> str | None:
         """The models' finger in words; a real bench measures its own."""
-        if self._feedback is not None:
+        if self.feedback is not None:
             return None
         return describe_finger(FingerState(self.felt.felt_n, measured_by="model, no drive"))
 
@@ -317,7 +316,7 @@ class Display:
             negative=safety.below_zero.limited(*run),
             slew=safety.at_slew_limit.limited(*run),
         )
-        if self._feedback is not None:
+        if self.feedback is not None:
             return limits
         if loop.at_film_range is not None:
             limits = replace(limits, film=loop.at_film_range.limited(*run))

@@ -54,9 +54,8 @@ class DisplayNode:
         """
         paths = max(scene.paths, len(addresses))
         self._scene = scene = scene.model_copy(update={"paths": paths})
-        self._name = f"display-{uuid.uuid4().hex[:6]}"
         # Before any socket is opened: a loop that is not stable is refused here.
-        self._display = Display(scene, self._name)
+        self._display = Display(scene, f"display-{uuid.uuid4().hex[:6]}")
         self._hardware: Hardware | None = None
         self._stopping = False
         self._misses = 0
@@ -81,7 +80,7 @@ class DisplayNode:
     def use(self, hardware: Hardware) -> None:
         """Play on a real bench, started, in place of the scene's models. Call it before `run`."""
         self._hardware = hardware
-        self._display = Display(self._scene, self._name, feedback=hardware.feedback)
+        self._display.feedback = hardware.feedback
 
     def stop(self) -> None:
         """End the loop after the present tick."""

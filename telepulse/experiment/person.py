@@ -45,8 +45,7 @@ class Person:
     def use(self, hardware: Hardware) -> None:
         """Play on a real bench, started, in place of the scene's models."""
         self._hardware = hardware
-        scene = self._plan.direct.display
-        self._display = Display(scene, NAME, score=False, feedback=hardware.feedback)
+        self._display.feedback = hardware.feedback
 
     def stop(self) -> None:
         """End the session, an interval that is being felt at once."""

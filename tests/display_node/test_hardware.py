@@ -5,6 +5,8 @@ import re
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import closing
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -13,11 +15,13 @@ from display_node import hardware
 from display_node.drives.drive import DriveStatus
 from display_node.drives.withdrawal import Outcome
 from display_node.hardware import Hardware, connected
+from display_node.node import DisplayNode
 from display_node.scene import DisplayScene
 from protocol.errors import DriveError, SceneError, SourceError
 from protocol.scene import load_section
 from sensors.reading import Reading
 
+from ..nodes import free_address
 from ..streams import synthetic
 from .sender import MS, Sender
 from .virtual_bench import SCENES, TICK_MS, VirtualBench
@@ -301,6 +305,17 @@ def test_when_it_is_closed_the_tip_leaves_the_finger(monkeypatch: pytest.MonkeyP
     assert bench.drive.motor.force_n == 0
     assert bench.drive.closed
     assert bench.film.closed
+
+
+def test_a_node_judges_its_loop_once_before_its_drive_moves(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bench, judged = VirtualBench(lambda ms: 0.3), Mock()
+    monkeypatch.setattr("display_node.force_loop.refuse_unstable", judged)
+    with closing(DisplayNode(bench.scene, [free_address()], "tcp://127.0.0.1:*", print)) as node:
+        assert judged.call_count == 1
+        node.use(bench.hardware)
+    assert judged.call_count == 1
 
 
 class Quiet(VirtualBench):

@@ -6,13 +6,16 @@ import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from benchmarks.whole_bench import NICE
 from telepulse.experiment.interval import Played, Playing, draw_interval
+from telepulse.experiment.keyboard import Keyboard
 from telepulse.experiment.log import read_log
+from telepulse.experiment.person import Person
 from telepulse.experiment.trials import Letter, Trial
 from telepulse.scene import find_scene
 
@@ -77,6 +80,18 @@ def test_one_interval_after_the_other_is_pressed_by_the_motor(tmp_path: Path) ->
     assert errors_n[0] < 3e-3
     assert errors_n[2] < 3e-3
     assert errors_n[1] > 10e-3
+
+
+def test_a_person_has_the_loop_judged_once_before_the_drive_moves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench, judged = VirtualBench(force_n=lambda _: 0.0), Mock()
+    found = plan(tmp_path, condition("plain", LINK), scene=str(bench_scene(tmp_path)))
+    monkeypatch.setattr("display_node.force_loop.refuse_unstable", judged)
+    person = Person(found, Mock(Keyboard), print)
+    assert judged.call_count == 1
+    person.use(bench.hardware)
+    assert judged.call_count == 1
 
 
 def hurry(child: "subprocess.Popen[str]") -> None:
