@@ -182,7 +182,7 @@ class Cia402Drive:
     def _judge(self, node: Cia402Node, now_ns: int) -> None:
         """Pass on what the drive reported, and latch its fault where it has one."""
         supervisor = self._supervisor
-        supervisor.watch(now_ns)
+        supervisor.watch(now_ns, node.silence)
         # Its TPDO brings the position and the state.
         if node.heard_ns > supervisor.position_ns:
             supervisor.report(node.position_m, node.heard_ns)

@@ -1,6 +1,7 @@
 """A CiA 402 drive on its bus: setting it up by SDO, telling it by RPDO, hearing it by TPDO."""
 
 import logging
+import math
 import struct
 import time
 from collections import Counter
@@ -32,6 +33,8 @@ QUICK_STOP_ON_ABORT = 3
 COMMAND = struct.Struct("<Hi")
 STATE_TPDO = struct.Struct("<Hi")
 SPEED_TPDO = struct.Struct("<iH")
+# No axis is so many times faster than its fastest, or when homed so many lengths of its travel away.
+IMPLAUSIBLE = 10
 
 # What canopen logs, we raise or count; a program that wants its log can still have it.
 QUIET = logging.NullHandler()
@@ -50,8 +53,8 @@ class Cia402Node:
 
     statusword and state, error_code, position_m, speed_m_per_s: by its TPDOs, the last of which
     came at heard_ns on the monotonic clock. counts: "malformed" TPDOs and
-    emergencies, what is "garbled" on its way from a CAN adapter, and a bus that was "not closed".
-    Methods raise DriveError.
+    emergencies, "implausible" TPDOs, whose values cannot be and are not used, what is "garbled" on its way from a CAN adapter, and a bus that was "not
+    closed". Methods raise DriveError.
     """
 
     def __init__(self, scene: Cia402Scene, axis: Axis, counts: Counter[str]) -> None:
@@ -72,7 +75,9 @@ class Cia402Node:
         self.state = State.NOT_READY
         self.position_m = axis.lowest_m
         self.speed_m_per_s = 0.0
-        self.heard_ns = 0
+        self.heard_ns = self._implausible_ns = 0
+        # Before homing the drive counts from anywhere.
+        self._implausible_m = math.inf
         self.cyclic = True
         # Made once: making a message costs a third of sending it.
         self._command = can.Message(
@@ -105,6 +110,13 @@ class Cia402Node:
         code = self.error_code
         return ERRORS.get(code, f"error 0x{code:04X}") if code else "no error code"
 
+    @property
+    def silence(self) -> str:
+        """The name of a fault where nothing plausible has come for a while."""
+        if self._implausible_ns > self.heard_ns:
+            return "garbled: no plausible TPDO"
+        return "no answer"
+
     def configure(self) -> None:
         """Check that it is a CiA 402 drive, set its PDOs, limits and mode, and let PDOs flow."""
         scene, axis = self._scene, self._axis
@@ -126,8 +138,10 @@ class Cia402Node:
         self._node.nmt.state = "OPERATIONAL"
 
     def limit_travel(self) -> None:
-        """Give the drive the soft limits as well, where it has such. After homing."""
+        """Give the drive the soft limits as well, where it has such, and take no position far
+        beyond them for true. After homing."""
         ends = (self._axis.lowest_m, self._axis.furthest_m)
+        self._implausible_m = IMPLAUSIBLE * (ends[1] - ends[0])
         for subindex, end in enumerate(sorted(map(self._axis.units.position, ends)), 1):
             self.write_if_there(0x607D, subindex, end)
 
@@ -252,17 +266,25 @@ class Cia402Node:
         if len(data) != STATE_TPDO.size:
             self.counts["malformed"] += 1
             return
-        self.statusword, position = STATE_TPDO.unpack(data)
-        self.state = state_of(self.statusword)
-        self.position_m = self._axis.units.position_m(position)
+        statusword, position = STATE_TPDO.unpack(data)
+        state, position_m = state_of(statusword), self._axis.units.position_m(position)
+        if state is None or abs(position_m) > self._implausible_m:
+            self.counts["implausible"] += 1
+            self._implausible_ns = time.monotonic_ns()
+            return
+        self.statusword, self.state, self.position_m = statusword, state, position_m
         self.heard_ns = time.monotonic_ns()
 
     def _on_speed(self, _: int, data: bytearray, __: float) -> None:
         if len(data) != SPEED_TPDO.size:
             self.counts["malformed"] += 1
             return
-        velocity, self.error_code = SPEED_TPDO.unpack(data)
-        self.speed_m_per_s = self._axis.units.speed_m_per_s(velocity)
+        velocity, error_code = SPEED_TPDO.unpack(data)
+        speed_m_per_s = self._axis.units.speed_m_per_s(velocity)
+        if abs(speed_m_per_s) > IMPLAUSIBLE * self._axis.max_speed_m_per_s:
+            self.counts["implausible"] += 1
+            return
+        self.speed_m_per_s, self.error_code = speed_m_per_s, error_code
 
     def _on_emergency(self, _: int, data: bytearray, __: float) -> None:
         if len(data) < 2:

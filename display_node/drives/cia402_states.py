@@ -62,13 +62,13 @@ _NEXT = {
 }
 
 
-def state_of(statusword: int) -> State:
-    """The state that a statusword tells; one that tells none is not ready."""
+def state_of(statusword: int) -> State | None:
+    """Return the state that a statusword stands for; None where CiA 402 has no such state."""
     for state in State:
         mask, bits = state.value
         if statusword & mask == bits:
             return state
-    return State.NOT_READY
+    return None
 
 
 def towards_enabled(state: State, last: Control) -> Control:

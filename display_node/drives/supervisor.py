@@ -116,11 +116,11 @@ class Supervisor:
         if self.withdrawal is not None:
             self.withdrawal.renew(now_ns, self._commanded.way_m(now_ns))
 
-    def watch(self, now_ns: int) -> None:
+    def watch(self, now_ns: int, silence: str = "no answer") -> None:
         """Fail where commands or answers have stayed away for the watchdog's time.
 
         Call it often. A pause between its own calls is the host's: no command went out in it, and
-        no answer could be received.
+        no answer could be received. silence: the name of a fault where answers have stayed away.
         """
         stalled_ns = now_ns - self._stepped_ns
         self._stepped_ns = max(now_ns, self._stepped_ns)
@@ -132,7 +132,7 @@ class Supervisor:
         if uncommanded_ns > self._watchdog_ns:
             self.fail(f"no command for {uncommanded_ns * 1e-6:.0f} ms", now_ns)
         elif silent_ns > self._watchdog_ns:
-            self.fail(f"no answer for {silent_ns * 1e-6:.0f} ms", now_ns)
+            self.fail(f"{silence} for {silent_ns * 1e-6:.0f} ms", now_ns)
 
     def velocity(self, now_ns: int) -> int:
         """Return what to send the drive now, in its units; `sent` records that it was."""

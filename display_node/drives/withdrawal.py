@@ -80,7 +80,7 @@ class Withdrawal:
         self._trusted = trusted
         self._peak_n = self._last_n = 0.0
         self._rising = self._astray = 0
-        self.confirmed = False
+        self._relieved = self.confirmed = False
         self.outcome = Outcome.UNDER_WAY
 
     def report(self, position_m: float, heard_ns: int) -> None:
@@ -117,7 +117,8 @@ class Withdrawal:
                 self.outcome = Outcome.WRONG_WAY
             return
         self._rising = self._astray = 0
-        self.confirmed |= force_n < (1 - SHARE) * self._peak_n - CONFIRMED_N
+        self._relieved |= force_n < (1 - SHARE) * self._peak_n - CONFIRMED_N
+        self.confirmed |= self._relieved
 
     def renew(self, now_ns: int, way_m: float) -> None:
         """Count time and way anew: what was commanded until now may not have moved the motor."""
@@ -132,10 +133,12 @@ class Withdrawal:
             self._turning_ns = now_ns
         self._sent_ns = now_ns
         if self.outcome is Outcome.UNDER_WAY:
-            patient = self._trusted and now_ns - self._counted_ns < PATIENCE_NS
-            bounded = not (patient or (self._trusted and self.confirmed))
+            # Until its position is to be expected, and as long as it comes after that.
+            since_ns = max(self._counted_ns, self._heard_ns) if self.confirmed else self._counted_ns
+            bounded = not (self._trusted and now_ns - since_ns < PATIENCE_NS)
             if bounded and self._began_m - way_m >= self._blind_m:
-                there = self._last_m <= self._clear_m
+                relieved = self._relieved and self._last_n <= PRESSED_N
+                there = relieved or self._last_m <= self._clear_m
                 self.outcome = Outcome.WITHDRAWN if there else Outcome.UNCONFIRMED
         if self.outcome is Outcome.UNCONFIRMED and self._last_n > PRESSED_N:
             return -SLOW_M_PER_S

@@ -21,6 +21,8 @@ PULSE = paper_pulse()
         ("tmcl", Case(LieKind.POSITION_JUMP, "-0.5 mm"), False, False, "following error"),
         ("tmcl", Case(LieKind.DELAYED, "45 ms"), True, False, "drive: "),
         ("cia402", Case(LieKind.LOST, "1"), True, False, "no answer"),
+        ("cia402", Case(LieKind.GARBAGE, "1"), True, False, "garbled"),
+        ("cia402", Case(LieKind.GARBAGE, "1"), False, False, "feedback lost"),
         ("tmcl", Case(LieKind.FILM_ZERO), True, True, "the film reads"),
         ("cia402", Case(LieKind.NO_RETRACTION), True, False, "following error"),
     ],

@@ -7,7 +7,7 @@ import pytest
 
 from display_node.drives.axis import build_axis
 from display_node.drives.cia402 import Cia402Drive
-from display_node.drives.cia402_node import TPDO1
+from display_node.drives.cia402_node import SPEED_TPDO, STATE_TPDO, TPDO1, TPDO2
 from display_node.drives.cia402_states import Control, Mode, State, state_of, towards_enabled
 from display_node.drives.withdrawal import Outcome
 from display_node.step_rate import StepCommand
@@ -32,6 +32,7 @@ def test_every_statusword_is_one_state() -> None:
     assert state_of(0x0637) is State.ENABLED
     assert state_of(0x0650) is State.SWITCH_ON_DISABLED
     assert state_of(0x0218) is State.FAULT
+    assert state_of(0x0001) is None
 
 
 def test_from_a_fault_the_controlwords_lead_to_operation_enabled() -> None:
@@ -156,6 +157,27 @@ def test_malformed_pdos_are_counted_and_harmless() -> None:
             bus.send(can.Message(arbitration_id=TPDO1 + 1, is_extended_id=False, data=bytes(size)))
         bench.keep(0.0, lambda: bench.drive.counts["malformed"] == 7)
         assert bench.drive.status().fault is None
+
+
+def test_what_no_drive_reports_is_counted_and_not_used() -> None:
+    channel = uuid.uuid4().hex
+    with (
+        cia402_bench(channel=channel) as bench,
+        can.Bus(interface="virtual", channel=channel) as bus,
+    ):
+        bench.drive.start()
+        node = bench.drive._node  # type: ignore[attr-defined]
+        # A statusword of no state, a position and a speed far beyond the axis.
+        for identifier, data in (
+            (TPDO1 + 1, STATE_TPDO.pack(0x0001, 0)),
+            (TPDO1 + 1, STATE_TPDO.pack(0x0637, -(2**31))),
+            (TPDO2 + 1, SPEED_TPDO.pack(2**31 - 1, 0x4310)),
+        ):
+            bus.send(can.Message(arbitration_id=identifier, is_extended_id=False, data=data))
+        bench.keep(0.0, lambda: bench.drive.counts["implausible"] == 3)
+        assert bench.drive.status().fault is None
+        assert node.state is State.ENABLED
+        assert node.error_code == 0
 
 
 def test_noise_from_a_can_adapter_is_counted_and_the_drive_goes_on() -> None:

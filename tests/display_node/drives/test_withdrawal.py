@@ -5,6 +5,7 @@ import pytest
 from display_node.drives.withdrawal import (
     FAST_M_PER_S,
     MARGIN_M,
+    PATIENCE_NS,
     SLOW_M_PER_S,
     Outcome,
     Withdrawal,
@@ -77,6 +78,15 @@ def test_without_a_confirmation_it_ends_by_the_commanded_way(trusted: bool) -> N
     needed_m = BEGAN_M - CLEAR_M + MARGIN_M
     assert -tip.way_m == pytest.approx(needed_m, rel=0.01)
     assert tip.position_m < CLEAR_M
+
+
+def test_a_film_that_shows_relief_ends_it_by_the_commanded_way() -> None:
+    tip = Tip()
+    tip.reports = False
+    assert tip.run(1_000, force=True) is Outcome.WITHDRAWN
+    assert tip.position_m < CLEAR_M
+    # The way that it makes while a position is still waited for.
+    assert -tip.way_m < 1.01 * FAST_M_PER_S * PATIENCE_NS * 1e-9
 
 
 def test_what_a_silent_drive_may_not_have_heard_is_commanded_again() -> None:
