@@ -43,10 +43,15 @@ class Sender:
 
     def frame(self, now_ns: int, force_n: float, count: int = 5) -> bytes:
         """A frame whose last sample is taken at now_ns of the display's clock."""
-        t_first_ns = now_ns + AHEAD_NS - (count - 1) * self.stream.period_ns
-        width = self.stream.bytes_per_sample
-        values = np.full((count, len(self.stream.channels)), force_n, f"<f{width}")
-        frame = Frame(self.session, self.sent, t_first_ns, self.stream.period_ns, values)
+        return self.frame_of(now_ns, [force_n] * count)
+
+    def frame_of(self, now_ns: int, forces_n: list[float]) -> bytes:
+        """A frame of these samples, on every channel; the last is taken at now_ns."""
+        stream, count = self.stream, len(forces_n)
+        t_first_ns = now_ns + AHEAD_NS - (count - 1) * stream.period_ns
+        column = np.array(forces_n, f"<f{stream.bytes_per_sample}")[:, np.newaxis]
+        values = np.repeat(column, len(stream.channels), axis=1)
+        frame = Frame(self.session, self.sent, t_first_ns, stream.period_ns, values)
         self.sent += count
         return encode_frame(frame)
 
