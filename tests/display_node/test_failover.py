@@ -116,11 +116,17 @@ class Played:
         return sum(frame not in self.came_ms for frame in range(before_ms // FRAME_MS))
 
 
+def started(frame_ms: int = FRAME_MS) -> Failover:
+    """A failover that begins at 0 ms, with frames so far apart."""
+    failover = Failover()
+    failover.set_timeouts(frame_ms * MS, ANSWER_MS * MS)
+    failover.start(0)
+    return failover
+
+
 def play(link: Link, until_ms: int) -> Played:
     """Frames over two connections, as `DataPath` reads them."""
-    failover = Failover()
-    failover.set_timeouts(FRAME_MS * MS, ANSWER_MS * MS)
-    failover.start(0)
+    failover = started()
     played = Played(failover)
     first, second, opening = Tcp(link, 0), None, None
     had: list[set[int]] = [set(), set()]
@@ -192,9 +198,7 @@ def test_a_link_that_loses_much_is_not_thrashed(loss: float) -> None:
 
 
 def test_a_peer_that_stands_still_is_asked_again_less_and_less_often() -> None:
-    failover = Failover()
-    failover.set_timeouts(FRAME_MS * MS, ANSWER_MS * MS)
-    failover.start(0)
+    failover = started()
     for ms in range(60_000):
         if failover.due(ms * MS):
             # Its kernel answers.
@@ -235,17 +239,13 @@ def test_where_the_first_is_back_and_no_second_comes_about_it_is_kept() -> None:
 
 def racing() -> Failover:
     """At 320 ms the second connection has been opened."""
-    failover = Failover()
-    failover.set_timeouts(FRAME_MS * MS, ANSWER_MS * MS)
-    failover.start(0)
+    failover = started()
     assert failover.due(320 * MS)
     return failover
 
 
 def test_rare_frames_are_waited_for_and_a_stalled_process_waits_less() -> None:
-    failover = Failover()
-    failover.set_timeouts(10_000 * MS, ANSWER_MS * MS)
-    failover.start(0)
+    failover = started(frame_ms=10_000)
     assert not failover.due(29_999 * MS)
     assert failover.due(30_000 * MS)
     failover = Failover()
@@ -258,9 +258,7 @@ def test_rare_frames_are_waited_for_and_a_stalled_process_waits_less() -> None:
 
 
 def test_after_the_end_of_a_stream_silence_is_no_cut() -> None:
-    failover = Failover()
-    failover.set_timeouts(FRAME_MS * MS, ANSWER_MS * MS)
-    failover.start(0)
+    failover = started()
     # From when it was asked for to the first frame, none is owed.
     failover.first_heard(1_000 * MS, had=False, count=1)
     assert not failover.due(1_319 * MS)
@@ -270,9 +268,7 @@ def test_after_the_end_of_a_stream_silence_is_no_cut() -> None:
 
 
 def test_a_first_that_is_back_but_far_behind_is_not_waited_for() -> None:
-    failover = Failover()
-    failover.set_timeouts(FRAME_MS * MS, ANSWER_MS * MS)
-    failover.start(0)
+    failover = started()
     failover.first_heard(0, had=False, count=1)
     failover.first_heard(300 * MS, had=False, count=1)
     failover.first_heard(340 * MS, had=False, count=2)
@@ -280,9 +276,7 @@ def test_a_first_that_is_back_but_far_behind_is_not_waited_for() -> None:
     assert not failover.due(399 * MS)
     assert failover.due(400 * MS)
     # Up to date at once, it is let be.
-    failover = Failover()
-    failover.set_timeouts(FRAME_MS * MS, ANSWER_MS * MS)
-    failover.start(0)
+    failover = started()
     failover.first_heard(0, had=False, count=1)
     failover.first_heard(300 * MS, had=False, count=60)
     assert not failover.due(619 * MS)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from protocol.errors import SceneError, SourceError
+from protocol.errors import SceneError
 from protocol.scene import validate
 from sensing_node.sources.plausibility import SampleCheck
 from sensing_node.sources.recording import Recording, RecordingScene
@@ -23,6 +23,7 @@ from telepulse.simulate import simulate
 
 from ..nodes import RADIAL, free_address, read_json, run
 from ..streams import MS, synthetic
+from .recordings import recording, refusal, table
 
 RATE_HZ = 100
 TIMES_S = np.arange(1000) / RATE_HZ
@@ -37,27 +38,8 @@ def csv(folder: Path, **columns: object) -> Path:
     return path
 
 
-def table(path: Path, **keys: object) -> dict[str, object]:
-    return {"kind": "recording", "path": path.name, "rate": "100 Hz", "unit": "N"} | keys
-
-
-def opened(path: Path, **keys: object) -> Recording:
-    scene = validate(table(path, **keys), RecordingScene, "[sensing] source")
-    return Recording(scene, path.parent)
-
-
-def refusal(path: Path, **keys: object) -> str:
-    """One line that begins with the file."""
-    with pytest.raises(SourceError) as caught:
-        opened(path, **keys)
-    text = str(caught.value)
-    assert text.startswith(f"{path}: ")
-    assert "\n" not in text
-    return text.removeprefix(f"{path}: ")
-
-
 def warnings(path: Path, **keys: object) -> list[str]:
-    return [line.removeprefix(f"{path}: ") for line in opened(path, **keys).warnings]
+    return [line.removeprefix(f"{path}: ") for line in recording(path, **keys).warnings]
 
 
 def test_a_recording_of_a_pulse_is_neither_refused_nor_warned_of(tmp_path: Path) -> None:
@@ -92,12 +74,12 @@ def test_a_pulse_that_nobody_feels_is_warned_of(tmp_path: Path) -> None:
 
 def test_a_raw_recording_rests_on_the_preload_of_a_synthetic_one(tmp_path: Path) -> None:
     path = csv(tmp_path, adc=np.round(PULSE_N * 1e3 + 2000))
-    force_n = opened(path, unit="raw", peak_to_peak="0.3 N").take(1000)
+    force_n = recording(path, unit="raw", peak_to_peak="0.3 N").take(1000)
     assert force_n.mean() == pytest.approx(0.3)
     assert force_n.min() > 0.1
     # One that is set counts.
     keys = {"unit": "raw", "peak_to_peak": "0.3 N", "preload": "0.2 N"}
-    assert opened(path, **keys).take(1000).mean() == pytest.approx(0.2)
+    assert recording(path, **keys).take(1000).mean() == pytest.approx(0.2)
 
 
 def test_a_pulse_below_zero_is_refused_with_the_preload_that_it_needs(tmp_path: Path) -> None:
@@ -105,7 +87,7 @@ def test_a_pulse_below_zero_is_refused_with_the_preload_that_it_needs(tmp_path: 
     text = refusal(path)
     assert text.startswith("is below 0 N for 57 %")
     assert text.endswith('of the samples, which no display can play; set preload = "0.1 N" or more')
-    assert opened(path, preload="0.1 N").take(1000).min() > -1e-3
+    assert recording(path, preload="0.1 N").take(1000).min() > -1e-3
     half = refusal(path, unit="raw", peak_to_peak="0.3 N", preload="0 N")
     assert "which no display can play" in half
 
@@ -130,9 +112,9 @@ def test_a_recording_that_an_adc_has_cut_is_warned_of(tmp_path: Path) -> None:
 def test_a_pulse_that_pulls_is_refused_and_can_be_inverted(tmp_path: Path) -> None:
     path = csv(tmp_path, force=-PULSE_N)
     assert "set inverted = true" in refusal(path)
-    np.testing.assert_allclose(opened(path, inverted=True).take(1000)[:, 0], PULSE_N)
+    np.testing.assert_allclose(recording(path, inverted=True).take(1000)[:, 0], PULSE_N)
     keys = {"unit": "raw", "peak_to_peak": "0.3 N", "inverted": True}
-    raw_n = opened(path, **keys).take(1000)[:, 0]
+    raw_n = recording(path, **keys).take(1000)[:, 0]
     assert np.corrcoef(raw_n, PULSE_N)[0, 1] > 0.999
 
 
@@ -303,9 +285,9 @@ def test_an_emulated_board_sends_what_no_wrist_does(
     """Emulators make the boards that a real sensing node must stand."""
     path = csv(tmp_path, force=force_n)
     scene = validate(table(path), RecordingScene, "[sensing] source")
-    recording = Recording(scene, tmp_path, plausible=False)
-    assert len(recording.warnings) == 1
-    np.testing.assert_array_equal(recording.take(100)[:, 0], force_n[:100])
+    source = Recording(scene, tmp_path, plausible=False)
+    assert len(source.warnings) == 1
+    np.testing.assert_array_equal(source.take(100)[:, 0], force_n[:100])
 
 
 def test_a_sensing_node_refuses_the_wrong_unit_in_one_line(tmp_path: Path) -> None:

@@ -13,14 +13,10 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from protocol.errors import SourceError
-from sensing_node.sources.recording import Recording, RecordingScene
+
+from .recordings import recording, refusal
 
 NUMBERS = [0.25, 1.5, 3.0, 2.0]
-
-
-def recording(path: Path, **keys: object) -> Recording:
-    table = {"kind": "recording", "path": path.name, "rate": "100 Hz", "unit": "N"} | keys
-    return Recording(RecordingScene.model_validate(table), path.parent)
 
 
 def played(path: Path, **keys: object) -> list[float]:
@@ -39,16 +35,6 @@ def csv_file(folder: Path, text: str, encoding: str = "utf-8") -> Path:
 def npy_file(folder: Path, array: NDArray[Any], name: str = "pulse.npy") -> Path:
     np.save(folder / name, array, allow_pickle=True)
     return folder / name
-
-
-def refusal(path: Path, **keys: object) -> str:
-    """What is said of a file that is refused: one line that names it."""
-    with pytest.raises(SourceError) as caught:
-        recording(path, **keys)
-    text = str(caught.value)
-    assert text.startswith(f"{path}: ")
-    assert "\n" not in text
-    return text.removeprefix(f"{path}: ")
 
 
 @pytest.mark.parametrize(

@@ -127,13 +127,19 @@ def little_memory() -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_AS, before)
 
 
+def readers_after(*messages: Message) -> TelemetryReaders:
+    """Every reader, once it has taken these messages."""
+    readers = TelemetryReaders()
+    for message in messages:
+        readers.take(*message)
+    return readers
+
+
 @settings(deadline=None, max_examples=60)
 @given(messages)
 def test_every_reader_goes_on(said: list[Message]) -> None:
     with little_memory():
-        readers = TelemetryReaders()
-        for message in [*preamble(), *said]:
-            readers.take(*message)
+        readers = readers_after(*preamble(), *said)
         readers.draw()
 
 
@@ -161,9 +167,7 @@ def play(readers: TelemetryReaders, ticks: range, felt_n: float | None = None) -
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300])
 def test_a_force_that_becomes_unknown_is_a_gap_and_the_panel_goes_on(value: float) -> None:
     with little_memory():
-        readers = TelemetryReaders()
-        for message in preamble():
-            readers.take(*message)
+        readers = readers_after(*preamble())
         play(readers, range(0, 3_000))
         play(readers, range(3_000, 4_000), felt_n=value)
         readers.take(*status_message("fault", faults=["feedback lost"]))
