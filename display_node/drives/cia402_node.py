@@ -33,7 +33,7 @@ QUICK_STOP_ON_ABORT = 3
 COMMAND = struct.Struct("<Hi")
 STATE_TPDO = struct.Struct("<Hi")
 SPEED_TPDO = struct.Struct("<iH")
-# No axis is so many times faster than its fastest, or when homed so many lengths of its travel away.
+# No axis is so many times faster than its fastest, nor, once homed, so many times its travel away.
 IMPLAUSIBLE = 10
 
 # What canopen logs, we raise or count; a program that wants its log can still have it.
@@ -52,9 +52,9 @@ class Cia402Node:
     """One drive, and what it said last.
 
     statusword and state, error_code, position_m, speed_m_per_s: by its TPDOs, the last of which
-    came at heard_ns on the monotonic clock. counts: "malformed" TPDOs and
-    emergencies, "implausible" TPDOs, whose values cannot be and are not used, what is "garbled" on its way from a CAN adapter, and a bus that was "not
-    closed". Methods raise DriveError.
+    came at heard_ns on the monotonic clock. counts: "malformed" TPDOs and emergencies,
+    "implausible" TPDOs, whose values cannot be and are not used, what is "garbled" on its way
+    from a CAN adapter, and a bus that was "not closed". Methods raise DriveError.
     """
 
     def __init__(self, scene: Cia402Scene, axis: Axis, counts: Counter[str]) -> None:
