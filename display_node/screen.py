@@ -27,6 +27,7 @@ from display_node.alerts import Alert, alerts
 from display_node.braille_plot import braille_plot, limits
 from display_node.heart_rate import heart_rate_per_min
 from display_node.telemetry import STATUS, TRACE, Status, Trace, read_status, read_trace
+from display_node.telemetry_age import TelemetryAge
 from protocol import sockets
 from protocol.errors import WireError
 from protocol.histogram import bound
@@ -40,7 +41,7 @@ LINE_EVERY_S = 1.0
 KEEP_NS, APART_NS = 6_000_000_000, 10_000_000
 PLOT_S = 3.0
 RUN = "of the run so far"
-# Traces come fifty times a second; a display that is silent for so long is not shown as current.
+# Statuses come five times a second; an older one is not shown as current.
 CURRENT_NS = 1_000_000_000
 
 
@@ -54,11 +55,14 @@ class Tick(NamedTuple):
 
 
 class Screen:
-    """The state of a display, and how it looks."""
+    """The state of a display, and how it looks.
 
-    def __init__(self) -> None:
+    local: the display's address is on this machine.
+    """
+
+    def __init__(self, local: bool = False) -> None:
         self._ticks: deque[Tick] = deque(maxlen=KEEP_NS // APART_NS + 1)
-        self._heard_ns: int | None = None
+        self._age = TelemetryAge(local)
         self.status: Status | None = None
         # Messages that could not be read.
         self.unreadable = 0
@@ -71,11 +75,12 @@ class Screen:
                 case [topic, data] if topic == TRACE:
                     trace = read_trace(data)
                     self.add_trace(trace)
-                    self._heard_ns = now_ns
+                    if len(trace.now_ns):
+                        self._age.take_trace(int(trace.now_ns[-1]), now_ns)
                     return trace
                 case [topic, data] if topic == STATUS:
                     self.status = read_status(data)
-                    self._heard_ns = now_ns
+                    self._age.take_status(now_ns)
                 case _:
                     self.unreadable += 1
         except WireError:
@@ -119,7 +124,7 @@ class Screen:
         """Return the state at `now_ns` as a panel, grey where it is not current."""
         if self.status is None:
             return Panel("waiting for the display", title="telepulse")
-        current = self._silent_ns(now_ns) < CURRENT_NS
+        current = self._age_ns(now_ns) < CURRENT_NS
         value_style = "bold" if current else "dim"
         tables = []
         for rows in (self._now_rows(now_ns), self._run_rows()):
@@ -140,24 +145,23 @@ class Screen:
     def _alerts(self, now_ns: int) -> list[Alert]:
         assert self.status is not None
         status = self.status
-        found = alerts(status.state, status.summary, status.final, self._silent_ns(now_ns))
+        found = alerts(status.state, status.summary, status.final, self._age_ns(now_ns))
         return [Alert(_printable(name), _printable(text)) for name, text in found]
 
-    def _silent_ns(self, now_ns: int) -> int:
-        """Return for how long nothing came from a display that has not ended."""
+    def _age_ns(self, now_ns: int) -> int:
+        """Return the age of the status of a display that has not ended."""
         ended = self.status is not None and self.status.final
-        return 0 if ended or self._heard_ns is None else max(0, now_ns - self._heard_ns)
+        return 0 if ended else self._age.age_ns(now_ns) or 0
 
     def _state(self, now_ns: int) -> str:
         """Return the display's state, with its age where it is not current."""
         assert self.status is not None
-        silent_ns = self._silent_ns(now_ns)
-        state = self.status.state
-        return state if silent_ns < CURRENT_NS else f"{state} {silent_ns * 1e-9:.1f} s ago"
+        age_ns, state = self._age_ns(now_ns), self.status.state
+        return state if age_ns < CURRENT_NS else f"{state} {age_ns * 1e-9:.1f} s ago"
 
     def _now_rows(self, now_ns: int) -> list[tuple[str, str]]:
         """Return what holds at this moment; a heart rate only of a pulse that is felt now."""
-        current = self._silent_ns(now_ns) < CURRENT_NS
+        current = self._age_ns(now_ns) < CURRENT_NS
         rate = self.heart_rate_per_min if current else None
         last = self._ticks[-1] if self._ticks else None
         finger = None if self.status is None else self.status.summary.get("finger")
@@ -241,14 +245,15 @@ def watch(
     second, ends the watch by returning False, as does nothing else while a display is silent;
     keys: where the telemetry is protected. What cannot be read is counted and shown.
     """
-    screen = Screen()
+    if draw:
+        # Loads scipy, for 1 s or more: within a line it would grow old, once connected the
+        # telemetry would queue.
+        heart_rate_per_min(np.empty(0), np.empty(0))
+    screen = Screen(local=not sockets.beyond_loopback(address))
     context: sockets.Context = zmq.Context()
     socket = sockets.connect(context, zmq.SUB, address, keys)
     for wanted in (TRACE, STATUS):
         socket.subscribe(wanted)
-    if draw:
-        # Loads scipy: within a line it would be 1 s or more during which the line grows old.
-        heart_rate_per_min(np.empty(0), np.empty(0))
     live = None
     if draw and console.is_terminal:
         live = Live(screen.panel(), console=console, refresh_per_second=FRAMES_PER_S)
@@ -257,7 +262,8 @@ def watch(
     try:
         while meanwhile():
             sockets.wait_readable([socket], 1_000_000_000 // FRAMES_PER_S)
-            for message in sockets.receive_all(socket):
+            messages = list(sockets.receive_all(socket))
+            for message in messages:
                 trace = screen.take(message, time.monotonic_ns())
                 if trace is not None and on_trace is not None:
                     on_trace(trace)
@@ -266,6 +272,8 @@ def watch(
                         # However it ended, the last line shows it.
                         console.print(screen.line(time.monotonic_ns()), soft_wrap=True)
                     return screen.status
+            if len(messages) == sockets.MAX_MESSAGES:
+                continue  # more has queued, and only the newest is shown
             if live is not None:
                 live.update(screen.panel(time.monotonic_ns()))
             elif draw and time.monotonic() - line_s >= LINE_EVERY_S:

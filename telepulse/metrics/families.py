@@ -25,23 +25,23 @@ _NUMBER = re.compile(r"\d+(\.\d+)?")
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """heard_ns: when it was heard, on this process's clock."""
+    """sent_ns: when the node sent it, as far as is known, on this process's clock."""
 
     status: Status
-    heard_ns: int
+    sent_ns: int
     heart_rate_per_min: float | None = None
 
 
 def families(program: str, told: Told | None, now_ns: int, unreadable: int = 0) -> Iterator[Metric]:
     """The metrics at `now_ns`. A node that is silent has no figures, only the age of the last."""
-    silent = told is None or now_ns - told.heard_ns > SILENT_AFTER_NS
+    silent = told is None or now_ns - told.sent_ns > SILENT_AFTER_NS
     yield _gauge("up", "Whether the node speaks: 0 after 5 s of silence.", not silent)
     misread = Metric(PREFIX + "unreadable_statuses", "Statuses that could not be read.", "counter")
     misread.add_sample(misread.name + "_total", {}, unreadable)
     yield misread
     if told is None:
         return
-    age_s = (now_ns - told.heard_ns) * 1e-9
+    age_s = (now_ns - told.sent_ns) * 1e-9
     yield _gauge("status_age_seconds", "How old the figures are.", age_s)
     yield _info(program, told.status)
     if silent:

@@ -9,6 +9,7 @@ import zmq
 
 from display_node.screen import Screen
 from display_node.telemetry import TRACE, read_trace
+from display_node.telemetry_age import TelemetryAge
 from protocol import sockets
 from protocol.errors import AddressError, BesideError, WireError
 from protocol.keys import ClientKeys, read_pair
@@ -65,17 +66,24 @@ class Server(Collector):
         for topic in (STATUS, TRACE):
             socket.subscribe(topic)
         screen = Screen()
+        age = TelemetryAge(local=not sockets.beyond_loopback(address))
         while True:
             sockets.wait_readable([socket], WAIT_NS)
             for message in sockets.receive_all(socket):
                 try:
-                    self._take(screen, *message)
+                    self._take(screen, age, *message)
                 except (WireError, TypeError):
                     self._unreadable += 1
 
-    def _take(self, screen: Screen, topic: bytes, data: bytes) -> None:
+    def _take(self, screen: Screen, age: TelemetryAge, topic: bytes, data: bytes) -> None:
+        now_ns = time.monotonic_ns()
         if topic == TRACE:
-            screen.add_trace(read_trace(data))
+            trace = read_trace(data)
+            screen.add_trace(trace)
+            if len(trace.now_ns):
+                age.take_trace(int(trace.now_ns[-1]), now_ns)
         elif topic == STATUS:
             status = read_status(data)
-            self._told = Told(status, time.monotonic_ns(), screen.heart_rate_per_min)
+            age.take_status(now_ns)
+            sent_ns = now_ns - (age.age_ns(now_ns) or 0)
+            self._told = Told(status, sent_ns, screen.heart_rate_per_min)

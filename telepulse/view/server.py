@@ -15,10 +15,14 @@ from bokeh.server.util import bind_sockets
 from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop, PeriodicCallback
 
+from display_node.telemetry_age import TelemetryAge
 from protocol.errors import AddressError
 from protocol.keys import ClientKeys
+from protocol.sockets import beyond_loopback
 from telepulse.ports import free_addresses
+from telepulse.record.schema import EVENT, STATUS, TICK
 from telepulse.record.telemetry_reader import TelemetryReader
+from telepulse.record.transcript import Entry
 from telepulse.site import Site
 from telepulse.view.admission import Admission, AdmittingRouter
 from telepulse.view.live import Live
@@ -52,7 +56,9 @@ class PageServer:
     ) -> None:
         self._warn = warn
         self._live = Live()
-        self._heard_ns = time.monotonic_ns()
+        self._began_ns = time.monotonic_ns()
+        self._local = not beyond_loopback(address)
+        self._age = TelemetryAge(self._local)
         self._reader = TelemetryReader(address, keys, warn)
         self._reader.listen()
         self._stopping = False
@@ -118,19 +124,32 @@ class PageServer:
         Viewer(document, self._live, self._silent_ns)
 
     def _silent_ns(self) -> int:
-        return time.monotonic_ns() - self._heard_ns
+        """Return the age of the display's last status; before it, how long there was none."""
+        now_ns = time.monotonic_ns()
+        age_ns = self._age.age_ns(now_ns)
+        return now_ns - self._began_ns if age_ns is None else age_ns
 
     def _listen(self) -> None:
         now_ns = time.monotonic_ns()
         for entries in self._reader.messages():
-            self._heard_ns = now_ns
-            for entry in entries:
-                self._live.take(entry)
+            self._take(entries, now_ns)
         self._reader.tend(now_ns)
         over = self._end_ns is not None and now_ns >= self._end_ns
         if self._stopping or over:
             self._listening.stop()
             self._loop.call_later(LAST_LOOK_S, self._loop.stop)
+
+    def _take(self, entries: list[Entry], received_ns: int) -> None:
+        """Take the entries of one message."""
+        stamps_ns = [entry.fields["now_ns"] for entry in entries if entry.topic == TICK]
+        if stamps_ns:
+            self._age.take_trace(stamps_ns[-1], received_ns)
+        for entry in entries:
+            if entry.topic == EVENT and entry.fields["name"] == "begin":
+                self._age, self._began_ns = TelemetryAge(self._local), received_ns
+            elif entry.topic == STATUS:
+                self._age.take_status(received_ns)
+            self._live.take(entry)
 
 
 def _in_url(host: str) -> str:

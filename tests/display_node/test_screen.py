@@ -3,6 +3,8 @@ import itertools
 import math
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -10,8 +12,9 @@ import zmq
 from rich.console import Console
 
 from display_node import screen as screen_module
+from display_node.display import Felt
 from display_node.screen import Screen, watch
-from display_node.telemetry import STATUS, TRACE, Status, Trace
+from display_node.telemetry import STATUS, TRACE, Status, Trace, TraceWriter
 from protocol.causes import MEANINGS
 from protocol.limits import Limited, Limits
 from protocol.sockets import Context
@@ -262,6 +265,63 @@ def test_a_pulse_that_is_not_felt_at_its_full_strength_has_no_heart_rate() -> No
     trace = trace_of_a_pulse(6)
     screen.add_trace(trace._replace(scored=trace.now_ns < 5_900_000_000))
     assert screen.heart_rate_per_min is None
+
+
+def message_at(now_ns: int, felt_n: float = 0.356) -> bytes:
+    """A trace message of one tick at full strength."""
+    writer = TraceWriter()
+    writer.add(Felt(now_ns=now_ns, felt_n=felt_n, scored=True))
+    message = writer.rest()
+    assert message is not None
+    return message
+
+
+def shown(context: Context, send: Callable[[zmq.Socket[bytes]], None]) -> str:
+    """Return what a terminal shows of what `send` publishes, until a line names a state."""
+    address, console = free_address(), Console(file=io.StringIO(), width=500)
+    publisher = context.socket(zmq.XPUB)
+    publisher.bind(address)
+    end_s = time.monotonic() + 30.0
+    subscriptions = 0
+
+    def look() -> bool:
+        nonlocal subscriptions
+        while subscriptions < 2 and publisher.poll(10):
+            publisher.recv()
+            subscriptions += 1
+            if subscriptions == 2:
+                send(publisher)
+        return ": " not in console.file.getvalue() and time.monotonic() < end_s
+
+    watch(address, console, meanwhile=look)
+    return console.file.getvalue()
+
+
+PLAYING = pack_status("playing", "my pulse", Summary(finger="pressed with 356 mN"), final=False)
+
+
+def test_telemetry_that_has_queued_is_as_old_as_it_is(context: Context) -> None:
+    """A display had sent and frozen while its terminal was still importing: it was "playing"."""
+
+    def send(publisher: zmq.Socket[bytes]) -> None:
+        publisher.send_multipart((TRACE, message_at(time.monotonic_ns() - 5 * SECOND_NS)))
+        publisher.send_multipart((STATUS, PLAYING))
+
+    line = shown(context, send)
+    assert line.startswith(("playing 5.", "playing 6.")), line
+    assert "no telemetry: since" in line
+
+
+def test_the_state_of_a_killed_display_is_not_made_current_by_the_next(context: Context) -> None:
+    """The next process' first trace comes up to 0.2 s before its first status."""
+
+    def send(publisher: zmq.Socket[bytes]) -> None:
+        now_ns = time.monotonic_ns()
+        publisher.send_multipart((TRACE, message_at(now_ns - 5 * SECOND_NS)))
+        publisher.send_multipart((STATUS, PLAYING))
+        publisher.send_multipart((TRACE, message_at(now_ns, 0.0)))
+
+    assert shown(context, send).startswith(("playing 5.", "playing 6."))
 
 
 def test_what_takes_long_to_import_is_there_before_the_first_line() -> None:

@@ -43,7 +43,7 @@ def scraped(metrics: Iterator[Metric]) -> Scraped:
 
 def told(summary: Summary, state: str = "playing", stream: str = "my pulse") -> Told:
     status = Status(state, stream, summary.to_dict(), False, session=0xABC)
-    return Told(status, heard_ns=SECOND_NS, heart_rate_per_min=75.0)
+    return Told(status, sent_ns=SECOND_NS, heart_rate_per_min=75.0)
 
 
 def leaves(table: dict[str, Any], before: str = "") -> Iterator[str]:

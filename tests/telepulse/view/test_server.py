@@ -2,6 +2,7 @@ import asyncio
 import re
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from http.client import HTTPConnection
@@ -9,7 +10,14 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
+import zmq
 
+from display_node.display import Felt
+from display_node.heard import HEARD, HeardWriter
+from display_node.telemetry import STATUS, TRACE, TraceWriter
+from protocol.sockets import Context
+from protocol.status import pack_status
+from protocol.summary import Summary
 from telepulse.view import admission, server
 from telepulse.view.server import PageServer
 
@@ -139,3 +147,33 @@ def test_pages_that_are_opened_again_and_again_wait() -> None:
         statuses = [get(page, "/")[0] for _ in range(2 * admission.MAX_VIEWERS)]
     assert statuses[: admission.OPENED_AT_ONCE] == [200] * admission.OPENED_AT_ONCE
     assert statuses.count(503) >= admission.MAX_VIEWERS
+
+
+def test_telemetry_that_has_queued_is_as_old_as_it_is(pull_session: Any, context: Context) -> None:
+    """A page that could not read for 5 s showed what had queued as "playing"."""
+    address = free_address()
+    display = context.socket(zmq.XPUB)
+    display.bind(address)
+    with serving(address) as page:
+        for _ in range(4):
+            assert display.poll(20_000)
+            display.recv()
+        sent_ns = time.monotonic_ns() - 5 * 10**9
+        heard, trace = HeardWriter(1), TraceWriter()
+        heard.wanted = True
+        trace.add(Felt(now_ns=sent_ns, felt_n=0.356, scored=True))
+        for message in heard.take(sent_ns, time.time_ns() - 5 * 10**9):
+            display.send_multipart((HEARD, message))
+        display.send_multipart((TRACE, trace.rest() or b""))
+        display.send_multipart((STATUS, pack_status("playing", "pulse", Summary(), final=False)))
+
+        def said() -> dict[str, Any]:
+            session = pull_session(url=page.url)
+            words: dict[str, Any] = session.document.roots[0].tags[0].data["said"][0]
+            session.close()
+            return words
+
+        until(lambda: said()["state"] == "playing")
+        words = said()
+        assert re.fullmatch(r"\d+\.\d s ago", words["note"]), words["note"]
+        assert 5.0 <= float(words["note"].split()[0]) < 30.0

@@ -1,0 +1,78 @@
+"""Age of the telemetry by its stamps, over readers and displays that stand still."""
+
+import pytest
+
+from display_node.telemetry_age import WINDOW_NS, TelemetryAge
+
+MS, SECOND_NS = 1_000_000, 1_000_000_000
+HOUR_NS = 3600 * SECOND_NS
+
+
+def followed(age: TelemetryAge, ahead_ns: int, from_ns: int, to_ns: int, delay_ns: int = MS) -> int:
+    """Receive a trace and a status every 100 ms; `ahead_ns`: the display's clock before ours."""
+    for now_ns in range(from_ns, to_ns, 100 * MS):
+        age.take_trace(now_ns + ahead_ns, now_ns + delay_ns)
+        age.take_status(now_ns + delay_ns)
+    return now_ns
+
+
+def test_before_the_first_status_there_is_no_age() -> None:
+    age = TelemetryAge()
+    age.take_trace(0, 0)
+    assert age.age_ns(HOUR_NS) is None
+
+
+def test_on_this_machine_what_has_queued_is_as_old_as_its_stamp() -> None:
+    """The display sent and froze while its reader was still importing."""
+    age = TelemetryAge(local=True)
+    age.take_trace(HOUR_NS, HOUR_NS + 3 * SECOND_NS)
+    age.take_status(HOUR_NS + 3 * SECOND_NS)
+    assert age.age_ns(HOUR_NS + 3 * SECOND_NS) == 3 * SECOND_NS
+
+
+@pytest.mark.parametrize("local", [True, False])
+@pytest.mark.parametrize("ahead_ns", [-HOUR_NS, HOUR_NS])
+def test_over_another_clock_the_age_is_beyond_the_shortest_transit(
+    local: bool, ahead_ns: int
+) -> None:
+    """A tunnel's address is on this machine as well, and its display's clock is not."""
+    age = TelemetryAge(local)
+    last_ns = followed(age, ahead_ns, HOUR_NS, HOUR_NS + 2 * SECOND_NS, delay_ns=30 * MS)
+    assert age.age_ns(last_ns + 30 * MS) == 0
+    # The reader stands still for 5 s, and what it receives then has queued for 4 s.
+    age.take_trace(last_ns + SECOND_NS + ahead_ns, last_ns + 5 * SECOND_NS)
+    age.take_status(last_ns + 5 * SECOND_NS)
+    assert age.age_ns(last_ns + 5 * SECOND_NS) == 4 * SECOND_NS - 30 * MS
+
+
+def test_a_trace_of_the_next_process_does_not_make_a_killed_ones_status_current() -> None:
+    """A terminal showed "playing" of a display killed seconds before, and the next felt nothing."""
+    age = TelemetryAge(local=True)
+    last_ns = followed(age, 0, HOUR_NS, HOUR_NS + SECOND_NS)
+    back_ns = last_ns + 3 * SECOND_NS
+    age.take_trace(back_ns, back_ns)
+    assert age.age_ns(back_ns) == 3 * SECOND_NS
+
+
+def test_clocks_that_drift_leave_the_age_of_the_newest_at_nothing() -> None:
+    age = TelemetryAge()
+    for step in range(0, 12 * HOUR_NS, 10 * SECOND_NS):
+        age.take_trace(step - step // 20_000, step)
+        age.take_status(step)
+        found_ns = age.age_ns(step)
+        assert found_ns is not None
+        assert found_ns <= 2 * WINDOW_NS // 20_000
+
+
+def test_another_machine_that_was_started_again_begins_anew() -> None:
+    age = TelemetryAge()
+    last_ns = followed(age, HOUR_NS, HOUR_NS, HOUR_NS + SECOND_NS)
+    back_ns = last_ns + 60 * SECOND_NS
+    last_ns = followed(age, -back_ns, back_ns, back_ns + SECOND_NS)
+    assert age.age_ns(last_ns + MS) == 0
+
+
+def test_a_status_before_the_first_trace_is_as_old_as_its_receipt() -> None:
+    age = TelemetryAge()
+    age.take_status(SECOND_NS)
+    assert age.age_ns(3 * SECOND_NS) == 2 * SECOND_NS
