@@ -9,10 +9,8 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from contextlib import suppress
 from functools import partial
 
-from display_node.drives.approach import approach
 from display_node.drives.axis import Axis
 from display_node.drives.cia402_node import POLL_S, Cia402Node
 from display_node.drives.cia402_states import (
@@ -27,10 +25,10 @@ from display_node.drives.cia402_states import (
     towards_enabled,
 )
 from display_node.drives.direction import (
-    WRONG_WAY,
     SearchBound,
     TouchGuard,
     approach_touch,
+    undone_where_wrong,
 )
 from display_node.drives.drive import DriveStatus, no_film
 from display_node.drives.scene import Cia402Scene
@@ -69,27 +67,19 @@ class Cia402Drive:
         self.close()
         self._node = node = Cia402Node(self._scene, self._axis, self.counts)
         guard = TouchGuard(force_n)
-        scene, axis = self._scene, self._axis
-        speed, step_m = scene.homing_speed_m_per_s, axis.units.step_m
-        began_m = axis.lowest_m
-        try:
+        axis, speed = self._axis, self._scene.homing_speed_m_per_s
+        with undone_where_wrong(self, axis, speed, partial(self._follow_again, node)) as way:
             node.configure()
             node.select_velocity()
             self._enable(node)
-            began_m = node.position_m
+            way.began_m = node.position_m
             self._home(node, guard)
-            began_m = node.position_m
+            way.began_m = node.position_m
             node.limit_travel()
             node.arm()
             self._follow(node)
-            home_switch = partial(self._home_switch, node)
-            approach_touch(self, axis.lowest_m, speed, step_m, home_switch, guard)
+            approach_touch(self, axis, speed, partial(self._home_switch, node), guard)
             self._pause(node)
-        except BaseException as error:  # Ctrl-C, too, must not leave it moving.
-            if isinstance(error, DriveError) and error.kind == WRONG_WAY:
-                self._go_back(node, began_m)
-            self.close()
-            raise
         self._supervisor.verified = True
 
     def command(self, command: StepCommand) -> None:
@@ -161,14 +151,12 @@ class Cia402Drive:
             self._beat_ns = 0
         node.arm()
 
-    def _go_back(self, node: Cia402Node, began_m: float) -> None:
-        """Undo a way that has turned out to be the wrong one."""
-        with suppress(DriveError):  # that it was wrong is raised already
-            if self._thread is None:
-                node.tell(Control.ENABLE, 0)
-                node.select_velocity()
-                self._follow(node)
-            approach(self, began_m, self._scene.homing_speed_m_per_s, self._axis.units.step_m)
+    def _follow_again(self, node: Cia402Node) -> None:
+        """End the search for home, if that is what the drive does, and pass commands on."""
+        if self._thread is None:
+            node.tell(Control.ENABLE, 0)
+            node.select_velocity()
+            self._follow(node)
 
     def _run(self, node: Cia402Node) -> None:
         """Withdraw where the loop's thread cannot: it may hang, and a fault needs no tick."""

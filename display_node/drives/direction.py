@@ -4,7 +4,9 @@ A wrong `inverted` or two swapped wires make every withdrawal a press. What the 
 shows neither, so the home switch and the film are the witnesses.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 
 from display_node.drives.approach import approach
 from display_node.drives.axis import Axis
@@ -63,11 +65,37 @@ class SearchBound:
             )
 
 
+@dataclass
+class Way:
+    """A way home or to first touch. began_m: where it began, by the drive's own count."""
+
+    began_m: float
+
+
+@contextmanager
+def undone_where_wrong(
+    drive: Drive, axis: Axis, speed_m_per_s: float, follow: Callable[[], None]
+) -> Iterator[Way]:
+    """Close a drive whose start fails; one that went the wrong way goes back before.
+
+    follow makes the drive follow commands, where it does not.
+    """
+    way = Way(axis.lowest_m)
+    try:
+        yield way
+    except BaseException as error:  # Ctrl-C, too, must not leave it moving.
+        if isinstance(error, DriveError) and error.kind == WRONG_WAY:
+            with suppress(DriveError):  # that it was wrong is raised already
+                follow()
+                approach(drive, way.began_m, speed_m_per_s, axis.units.step_m)
+        drive.close()
+        raise
+
+
 def approach_touch(
     drive: Drive,
-    home_m: float,
+    axis: Axis,
     speed_m_per_s: float,
-    step_m: float,
     home_switch: Callable[[], bool | None],
     guard: Callable[[], None],
 ) -> None:
@@ -75,6 +103,7 @@ def approach_touch(
 
     home_switch returns whether it is closed, None where that is not known. Raises DriveError.
     """
+    home_m, step_m = axis.lowest_m, axis.units.step_m
     opened = opened_m(-home_m)
     approach(drive, home_m + opened, speed_m_per_s, step_m, guard)
     check_switch(home_switch(), opened)

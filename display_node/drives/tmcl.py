@@ -9,12 +9,11 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from contextlib import suppress
+from functools import partial
 from itertools import cycle
 
-from display_node.drives.approach import approach
 from display_node.drives.axis import Axis
-from display_node.drives.direction import WRONG_WAY, TouchGuard, approach_touch
+from display_node.drives.direction import TouchGuard, approach_touch, undone_where_wrong
 from display_node.drives.drive import DriveStatus, no_film
 from display_node.drives.scene import TmclScene
 from display_node.drives.supervisor import Supervisor
@@ -63,23 +62,16 @@ class TmclDrive:
         module.counts.update(self.counts)
         self.counts = module.counts
         guard = TouchGuard(force_n)
-        scene, axis = self._scene, self._axis
-        speed, step_m = scene.homing_speed_m_per_s, axis.units.step_m
-        began_m = axis.lowest_m
-        try:
+        axis, speed = self._axis, self._scene.homing_speed_m_per_s
+        with undone_where_wrong(self, axis, speed, partial(self._follow_again, module)) as way:
             module.configure()
             module.hear(Parameter.ACTUAL_POSITION)
-            began_m = module.position_m
+            way.began_m = module.position_m
             module.home(guard)
-            began_m = module.position_m
+            way.began_m = module.position_m
             module.arm()
             self._follow(module)
-            approach_touch(self, axis.lowest_m, speed, step_m, self._home_switch, guard)
-        except BaseException as error:  # Ctrl-C, too, must not leave it moving.
-            if isinstance(error, DriveError) and error.kind == WRONG_WAY:
-                self._go_back(module, began_m)
-            self.close()
-            raise
+            approach_touch(self, axis, speed, self._home_switch, guard)
         with self._lock:
             self._supervisor.verified = True
             self._supervisor.pause()
@@ -149,13 +141,11 @@ class TmclDrive:
         self._thread = threading.Thread(target=self._run, args=(module,), daemon=True)
         self._thread.start()
 
-    def _go_back(self, module: TmclModule, began_m: float) -> None:
-        """Undo a way that has turned out to be the wrong one."""
-        with suppress(DriveError):  # that it was wrong is raised already
-            if self._thread is None:
-                module.halt()
-                self._follow(module)
-            approach(self, began_m, self._scene.homing_speed_m_per_s, self._axis.units.step_m)
+    def _follow_again(self, module: TmclModule) -> None:
+        """End the search for home, if that is what the module does, and pass commands on."""
+        if self._thread is None:
+            module.halt()
+            self._follow(module)
 
     def _home_switch(self) -> bool | None:
         """Return whether the home switch is closed; None where it is not what home is by."""

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from unittest.mock import Mock
 
 import pytest
 
@@ -13,7 +14,9 @@ from display_node.drives.direction import (
     TouchGuard,
     check_switch,
     opened_m,
+    undone_where_wrong,
 )
+from display_node.drives.tmcl import TmclDrive
 from protocol.errors import DriveError
 from telepulse.emulate.lies import Lie, LieKind
 
@@ -44,6 +47,19 @@ def test_a_reversed_motor_is_refused_before_it_presses(make: MakeBench, film: bo
         if film:
             assert peak_n < 0.4
             assert bench.motor.force_n < 0.1
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), DriveError("no answer", "it is off")])
+def test_a_start_that_is_ended_otherwise_closes_the_drive_where_it_is(error: BaseException) -> None:
+    drive, follow = Mock(TmclDrive), Mock()
+    with (
+        pytest.raises(type(error)),
+        undone_where_wrong(drive, axis(), speed_m_per_s=1e-3, follow=follow),
+    ):
+        raise error
+    drive.close.assert_called_once_with()
+    follow.assert_not_called()
+    drive.command.assert_not_called()
 
 
 def test_a_film_that_is_pressed_before_first_touch_ends_the_motion() -> None:
