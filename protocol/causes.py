@@ -26,6 +26,8 @@ MEANINGS = {
     "unexpected": "messages that only the other kind of node sends: check the address",
     "flood": "messages dropped because a peer sent far more than it should:"
     " it is broken or hostile",
+    "held_back": "times when a sensing node left messages unread for 5 ms:"
+    " displays send far more than they should",
     "too_many_displays": "displays beyond the 1 000 that a sensing node serves: use a relay",
     "subscription": "subscriptions to topics that are not published here; the connection was cut",
     "too_many_connections": "connections beyond what this node has files for, which were cut:"

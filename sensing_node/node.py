@@ -20,6 +20,7 @@ from sensing_node.backlog import limits
 from sensing_node.conditioning import faults_of, limits_of
 from sensing_node.desk import Desk, Sender
 from sensing_node.framing import Framer
+from sensing_node.questions import QuestionBudget
 from sensing_node.sources.live import Live, Source, feed_of
 from sensing_node.sources.plausibility import SampleCheck
 from sensing_node.telemetry import Telemetry
@@ -64,6 +65,7 @@ class SensingNode:
         self._framer = Framer(description, self._session)
         self._check = SampleCheck(description.period_ns, log)
         self._desk = Desk(description, self._session)
+        self._questions = QuestionBudget()
         self._context: sockets.Context = zmq.Context()
         gate = Gate(self._context, keys, log)
         control = sockets.control_address(address)
@@ -121,15 +123,36 @@ class SensingNode:
             wait_ns = due_ns - self._clock()
             if wait_ns <= 0:
                 return
-            sockets.wait_readable(self._waited_for, min(wait_ns, MAX_WAIT_NS))
+            self._wait(wait_ns)
+
+    def _wait(self, timeout_ns: int) -> None:
+        """Sleep until something waits that may be read, at most `timeout_ns`."""
+        held_ns = self._questions.held_for_ns(self._clock())
+        if held_ns:
+            sockets.wait_readable(self._gate.sockets, min(timeout_ns, held_ns))
+        else:
+            sockets.wait_readable(self._waited_for, min(timeout_ns, MAX_WAIT_NS))
 
     def _answer_all(self, until_ns: int) -> None:
         """Answer what waits; what is left then waits until the next batch was sent."""
         self._gate.tend(time.monotonic_ns())
+        if self._questions.held_for_ns(self._clock()):
+            return
         for number, (*envelope, data) in enumerate(sockets.receive_all(self._control)):
             self._answer(tuple(envelope), data)
-            if number >= LEAST_ANSWERED and self._clock() >= until_ns:
+            now_ns = self._clock()
+            if not self._questions.spend(now_ns):
+                self._name_flood()
                 return
+            if number >= LEAST_ANSWERED and now_ns >= until_ns:
+                return
+
+    def _name_flood(self) -> None:
+        if self._questions.held == 1:
+            self._log(
+                f"{counted(len(self._desk.guests), 'display')} here, which send far more than"
+                " displays do; what is too much is left unread"
+            )
 
     def _answer(self, sender: Sender, data: bytes) -> None:
         known = len(self._desk.guests)
@@ -137,6 +160,7 @@ class SensingNode:
         if reply is not None:
             sockets.send(self._control, *sender, encode_control(reply))
         if len(self._desk.guests) > known:
+            self._questions.expect(len(self._desk.guests))
             self._log(f"{self._desk.guests[sender].shown_name} joined")
         elif self._desk.rejected["too_many_displays"] and not self._full:
             self._full = True
@@ -147,6 +171,7 @@ class SensingNode:
     def _forget_silent(self) -> None:
         for guest in self._desk.forget_silent(self._clock()):
             self._log(f"{guest.shown_name} is silent, forgotten")
+        self._questions.expect(len(self._desk.guests))
 
     def _see_off(self) -> None:
         """Tell every display where the stream ended, and stay until each has all of it.
@@ -164,7 +189,7 @@ class SensingNode:
                 sockets.send(self._control, *sender, bye)
             if self._desk.all_content:
                 return
-            sockets.wait_readable(self._waited_for, MAX_WAIT_NS)
+            self._wait(MAX_WAIT_NS)
 
     def _status(self, final: bool) -> bytes:
         state = "ended" if final else "streaming"
@@ -182,6 +207,8 @@ class SensingNode:
 
     def _summary(self) -> Summary:
         rejected = self._desk.rejected + self._subscribers.rejected + self._gate.rejected
+        if self._questions.held:
+            rejected["held_back"] = self._questions.held
         if self._telemetry is not None:
             rejected = rejected + self._telemetry.rejected
         if isinstance(self._source, Live):

@@ -4,17 +4,20 @@ A hostile sensing node sends each frame, or each answer of control, hundreds of 
 display asks for the clock as fast as it can. Both have all that an allowed peer has.
 """
 
+import argparse
 import os
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import zmq
 
 from benchmarks.faults.finger import finger_of
+from benchmarks.faults.own_time import own_time_of, pin
 from benchmarks.measure import show
 from protocol import sockets
 from protocol.messages import ClockRequest, encode_control
@@ -31,6 +34,10 @@ HOSTILE_WAIT_S = 4.0
 HOSTILE = "TELEPULSE_FLOOD"
 # Of each message that is sent, so many copies: 75 000 frames a second.
 COPIES = {"data": 375, "control": 1_500}
+# Of the display's scene.
+TICK_NS = 1_000_000
+# Share of ticks that a flood may cost by the display's own core time.
+OWN_BAR = 0.01
 
 
 def flooding_sensing_node(kind: str) -> None:
@@ -69,11 +76,24 @@ def flooding_display(address: str, over: Callable[[], bool]) -> int:
     return count
 
 
-def run(folder: Path, hostile: str | None, flood: Callable[[str], None]) -> tuple[Summary, Summary]:
-    """Both nodes' summaries of a run in which one of them may be hostile.
+@dataclass(frozen=True, slots=True)
+class FloodRun:
+    """Both nodes' summaries of a run, and the share of the display's ticks that were missed, and
+    that were missed by its own core time."""
+
+    sensing: Summary
+    display: Summary
+    missed: float
+    own_missed: float
+
+
+def run(
+    folder: Path, hostile: str | None, flood: Callable[[str], None], realtime: str | None = None
+) -> FloodRun:
+    """Run both nodes, of which one may be hostile; the display has a processor of its own.
 
     hostile: what the sensing node sends copies of. flood: runs while the nodes do, and is given
-    the sensing node's address.
+    the sensing node's address. realtime: the display's measures.
     """
     (address,) = free_addresses(1)
     telemetry, scene = f"ipc://{folder}/telemetry", str(find_scene("radial"))
@@ -83,6 +103,7 @@ def run(folder: Path, hostile: str | None, flood: Callable[[str], None]) -> tupl
     sensing_command = (module, scene, "--bind", address, "--json", str(jsons[0]))
     display_command = ("display_node.cli", scene, "--connect", address, "--no-screen")
     display_command += ("--telemetry", telemetry, "--json", str(jsons[1]))
+    display_command += () if realtime is None else ("--realtime", realtime)
     nodes = [
         subprocess.Popen(
             [sys.executable, "-m", *command],
@@ -94,8 +115,13 @@ def run(folder: Path, hostile: str | None, flood: Callable[[str], None]) -> tupl
         for command in (display_command, sensing_command)
     ]
     display, sensing = nodes
+    first, *others = sorted(os.sched_getaffinity(0))
+    # Every other process here, this one too, shares the rest.
+    pin(display.pid, first)
+    for process in (os.getpid(), sensing.pid):
+        pin(process, others[0] if others else first)
     try:
-        with finger_of(telemetry) as finger:
+        with finger_of(telemetry) as finger, own_time_of(display.pid) as own:
             wait_s = PATIENCE_S if hostile is None else HOSTILE_WAIT_S
             if finger.felt_from_ns(0, wait_s) is None and hostile is None:
                 raise RuntimeError("the pulse was not felt")
@@ -104,19 +130,26 @@ def run(folder: Path, hostile: str | None, flood: Callable[[str], None]) -> tupl
             node.terminate()
             await_end(node, name, PATIENCE_S)
     finally:
+        os.sched_setaffinity(0, {first, *others})
         for node in nodes:
             node.kill()
             node.communicate()
-    return read_summary(jsons[0]), read_summary(jsons[1])
+    missed, own_missed = own.own_misses(finger, TICK_NS)
+    summary = read_summary(jsons[1])
+    ticks = max(1, (summary.loop.ticks or 0) + missed)
+    return FloodRun(read_summary(jsons[0]), summary, missed / ticks, own_missed / ticks)
 
 
 def main() -> None:
     """Print the table."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--realtime", help="the display's measures, such as fifo=40")
+    realtime = parser.parse_args().realtime
     rows = []
     for name, hostile in (("none", None), ("frames", "data"), ("answers", "control")):
         with TemporaryDirectory(prefix="telepulse-") as folder:
-            _, display = run(Path(folder), hostile, lambda address: time.sleep(FLOODED_S))
-        rows.append((f"display: flood of {name}", *_figures(display)))
+            flooded = run(Path(folder), hostile, lambda _: time.sleep(FLOODED_S), realtime)
+        rows.append((f"display: flood of {name}", *_figures(flooded)))
     asked = 0
 
     def flood(address: str) -> None:
@@ -125,26 +158,32 @@ def main() -> None:
         asked = flooding_display(address, lambda: time.monotonic() > end_s)
 
     with TemporaryDirectory(prefix="telepulse-") as folder:
-        sensing, display = run(Path(folder), None, flood)
-    rows.append((f"display beside one that asks {asked / FLOODED_S:.0f} /s", *_figures(display)))
+        flooded = run(Path(folder), None, flood, realtime)
+    rows.append((f"display beside one that asks {asked / FLOODED_S:.0f} /s", *_figures(flooded)))
     show(
-        f"{FLOODED_S:g} s of a flood: ticks that were missed, share of the samples played in time,"
-        " what was refused",
-        ("flood", "missed", "in time", "p99 delay ms", "refused"),
+        f"{FLOODED_S:g} s of a flood: ticks that were missed, and by the display's own core time"
+        f" (bar {OWN_BAR:.0%}); share of the samples played in time, what was refused",
+        ("flood", "missed", "own", "tick p99 µs", "in time", "p99 delay ms", "refused"),
         rows,
     )
-    print("sensing node refused", sensing.rejected)
+    print("sensing node refused", flooded.sensing.rejected)
 
 
-def _figures(display: Summary) -> tuple[str, ...]:
-    loop, samples = display.loop, display.samples
-    misses = loop.deadline_misses or 0
-    missed = 100 * misses / max(1, (loop.ticks or 0) + misses)
+def _figures(flooded: FloodRun) -> tuple[str, ...]:
+    display = flooded.display
+    samples, tick_us = display.samples, display.loop.tick_us.p99
     due = (samples.played or 0) + (samples.late or 0) + (samples.lost or 0)
     played = "–" if not due else f"{100 * (samples.played or 0) / due:.1f} %"
     causes = ", ".join(f"{count} {cause}" for cause, count in display.rejected.items())
     delay = display.one_way_delay_ms.p99
-    return f"{missed:.1f} %", played, "–" if delay is None else f"{delay:.1f}", causes or "nothing"
+    return (
+        f"{100 * flooded.missed:.1f} %",
+        f"{100 * flooded.own_missed:.1f} %",
+        "–" if tick_us is None else f"{tick_us:.0f}",
+        played,
+        "–" if delay is None else f"{delay:.1f}",
+        causes or "nothing",
+    )
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import zmq
 
-from benchmarks.faults.flood import run
+from benchmarks.faults.flood import flooding_display, run
 from benchmarks.faults.hostile import (
     garbage_messages,
     port_of,
@@ -15,6 +15,7 @@ from benchmarks.faults.hostile import (
 )
 from benchmarks.faults.stage import staged, unaccounted
 from protocol.sockets import control_address
+from sensing_node.questions import QUESTIONS_AT_ONCE
 from telepulse.ports import free_addresses
 
 from .felt import assert_limits_kept
@@ -23,6 +24,7 @@ RAW, MESSAGES, SILENT = 60, 400, 500
 KINDS = (zmq.DEALER, zmq.XSUB, zmq.PUB)
 PLAYED = 500
 GROWN_BYTES = 60_000_000
+FLOODED_S = 2.0
 
 
 def test_garbage_on_every_port_changes_nothing(tmp_path: Path) -> None:
@@ -53,8 +55,22 @@ def test_garbage_on_every_port_changes_nothing(tmp_path: Path) -> None:
 def test_a_sensing_node_that_sends_all_frames_hundreds_of_times_is_closed_out(
     tmp_path: Path,
 ) -> None:
-    _, display = run(tmp_path, "data", lambda address: time.sleep(2.0))
+    display = run(tmp_path, "data", lambda address: time.sleep(FLOODED_S)).display
     assert display.rejected["flood"] > 0
     # No more is processed than what may queue, and the rate.
     assert 0 < display.rejected["duplicate"] < 30_000
+    assert display.faults == []
+
+
+def test_of_a_display_that_asks_without_end_few_questions_are_read(tmp_path: Path) -> None:
+    def flood(address: str) -> None:
+        end_s = time.monotonic() + FLOODED_S
+        flooding_display(address, lambda: time.monotonic() > end_s)
+
+    flooded = run(tmp_path, None, flood)
+    sensing, display = flooded.sensing, flooded.display
+    assert sensing.rejected["held_back"] > 0
+    # Two displays: what may come at once, and 1 200 a second.
+    assert sensing.rejected["flood"] < QUESTIONS_AT_ONCE + 2 * FLOODED_S * 1_200
+    assert display.samples.lost == 0
     assert display.faults == []

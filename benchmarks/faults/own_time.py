@@ -1,0 +1,92 @@
+"""Missed ticks of a display that are its own, apart from those that the machine took from it."""
+
+import os
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.faults.finger import Finger
+from soak.core_time import CoreTime, excuse, read_core_time
+
+READ_EVERY_S = 0.01
+
+
+def pin(pid: int, processor: int) -> None:
+    """Bind all threads of a process to one processor, and those that it starts later."""
+    for thread in os.listdir(f"/proc/{pid}/task"):
+        with suppress(ProcessLookupError):
+            os.sched_setaffinity(int(thread), {processor})
+
+
+class OwnTime:
+    """What the loop's thread of a process waited for others, read every 10 ms.
+
+    While a thread of the process itself ran on that processor (ZeroMQ's, which takes a flood in),
+    the loop waited for its own process: this is not excused.
+    """
+
+    def __init__(self, pid: int) -> None:
+        self._pid = pid
+        self._readings: list[tuple[CoreTime, int]] = []
+        self._over = threading.Event()
+
+    def read(self) -> None:
+        """Read until it is over."""
+        while not self._over.wait(READ_EVERY_S):
+            reading = read_core_time(self._pid, time.monotonic_ns())
+            if reading is not None:
+                self._readings.append((reading, _beside_ns(self._pid)))
+
+    def finish(self) -> None:
+        """End `read`."""
+        self._over.set()
+
+    def own_misses(self, finger: Finger, tick_ns: int) -> tuple[int, int]:
+        """Return how many ticks were missed by the traces, and how many of them by itself."""
+        now_ns = finger.trace().now_ns
+        missed = np.rint(np.diff(now_ns) / tick_ns).astype(int) - 1
+        gaps = [
+            (int(now_ns[at]), int(now_ns[at + 1]), int(missed[at]))
+            for at in np.flatnonzero(missed > 0)
+        ]
+        count = sum(each for *_, each in gaps)
+        return count, count - excuse(gaps, self._foreign(), tick_ns).all
+
+    def _foreign(self) -> list[CoreTime]:
+        """Return the readings with what the loop waited for other processes alone."""
+        waited_ns, readings = 0, [replace(self._readings[0][0], waited_ns=0)]
+        for (before, beside_ns), (after, beside_after_ns) in pairwise(self._readings):
+            ran_ns = beside_after_ns - beside_ns
+            waited_ns += max(0, after.waited_ns - before.waited_ns - ran_ns)
+            readings.append(replace(after, waited_ns=waited_ns))
+        return readings
+
+
+def _beside_ns(pid: int) -> int:
+    """Return for how long all threads but the loop's have run, in ns."""
+    total_ns = 0
+    for thread in os.listdir(f"/proc/{pid}/task"):
+        if int(thread) != pid:
+            with suppress(OSError):
+                text = Path(f"/proc/{pid}/task/{thread}/schedstat").read_text("ascii")
+                total_ns += int(text.split()[0])
+    return total_ns
+
+
+@contextmanager
+def own_time_of(pid: int) -> Iterator[OwnTime]:
+    """Read the time of a process while it lives, within a `with`."""
+    own = OwnTime(pid)
+    reader = threading.Thread(target=own.read)
+    reader.start()
+    try:
+        yield own
+    finally:
+        own.finish()
+        reader.join()
