@@ -178,6 +178,7 @@ class Display:
         safety, felt, loop = self.safety, self.felt, self._loop
         if elapsed_ticks > 1:
             loop.coast(elapsed_ticks - 1)
+            safety.skip(elapsed_ticks)
         if self.feedback is None:
             felt_n, reading_n = loop.felt_n, loop.read_film()
             safety.watch(reading_n)

@@ -1,7 +1,7 @@
 """Safety: what may reach the actuator, whatever the peer sends.
 
-Bounds on the target force and its slew; a gain that falls to nothing when the stream is stale
-and comes back by a ramp; a latch that holds the target at 0 N after a fault. What is
+Bounds on the target force and its slew; a gain that falls to nothing when the stream is stale or
+the loop stalls, and comes back by a ramp; a latch that holds the target at 0 N after a fault. What is
 felt then is not known here: see `finger.py`.
 """
 
@@ -46,6 +46,7 @@ class Safety:
         self._slew_n = scene.slew_limit_n_per_s * tick_ns * 1e-9
         self._fade = tick_ns / scene.fade_ns
         self._ramp = tick_ns / scene.ramp_ns
+        self._stale_ticks = scene.stale_after_ns // tick_ns
         self._overforce_n = scene.force_limit_n * scene.overforce
         self._last_n = 0.0
         # Whether a bound changed the last tick's force: an ordinary tick has nothing to count.
@@ -66,6 +67,19 @@ class Safety:
             self.fault("feedback is not a number")
         elif abs(feedback_n) > self._overforce_n:
             self.fault(f"felt force above {self._overforce_n:.3g} N")
+
+    def skip(self, elapsed_ticks: int) -> None:
+        """Fade for missed ticks; call it before `bound` of the tick that ends a stall.
+
+        To the finger a loop that stalls is a stream without samples: the last force stays. So from
+        the same time on, the gain falls by as much, and the pulse comes back by a ramp.
+
+        Parameters
+        ----------
+        elapsed_ticks
+            Ticks from the last one that ran; 1 where none was missed.
+        """
+        self.gain = max(0.0, self.gain - self._fade * max(0, elapsed_ticks - self._stale_ticks))
 
     def bound(self, reference_n: list[float], alive: bool) -> list[float]:
         """The reference within force and slew limits; towards 0 N when not alive or at fault."""
