@@ -57,6 +57,11 @@ class Pipe:
         self._data += data[: PORT_BYTES - len(self._data)]
         self._come.set()
 
+    @property
+    def waiting(self) -> int:
+        """How many bytes have come."""
+        return len(self._data)
+
     def read(self, size: int, timeout_s: float) -> bytes:
         """Wait for any bytes, and take up to `size` of them."""
         if not self._data:
@@ -115,6 +120,11 @@ class ModulePort:
         while len(data) < size and self._world.now_ns < until_ns:
             data += self._replies.read(size - len(data), (until_ns - self._world.now_ns) * 1e-9)
         return data
+
+    @property
+    def in_waiting(self) -> int:
+        """How many bytes have come."""
+        return self._replies.waiting
 
     def reset_input_buffer(self) -> None:
         """Drop what has come."""

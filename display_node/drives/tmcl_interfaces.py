@@ -5,6 +5,7 @@ And it describes every request and reply in words for its log, whether one is ke
 is most of what an exchange costs (decision 19), so it is left out here.
 """
 
+import math
 import time
 
 import can
@@ -19,19 +20,40 @@ DATAGRAM_BYTES = 9
 DRAIN_BYTES = 4096
 DRAIN_FRAMES = 64
 ELEVEN_BITS = 0x7FF
+# Replies to other requests that are passed over before one's own.
+MOST_STRAY = 2
 
 
 class _QuietInterface(TmclInterface):  # type: ignore[misc]
-    """PyTrinamic's interface without its log."""
+    """PyTrinamic's interface without its log.
+
+    stray: replies to another request, the last of them in `stray_reply`.
+    """
+
+    stray = 0
+    stray_reply: TMCLReply | None = None
 
     def send_request(self, request: TMCLRequest, *, no_reply: bool = False) -> TMCLReply:
-        """The checked reply to a request; `no_reply` is of requests that are not made here."""
+        """Return the checked reply to a request; `no_reply` is of requests that are not made here.
+
+        What waits already, and a reply to another request, is counted and passed over: the
+        request before may have been answered twice. Raises TimeoutError, with `stray_reply` set
+        where there were only such.
+        """
+        wanted = (self._host_id, request.moduleAddress, request.command)
+        self.stray_reply = None
+        self.stray += self._discard()
         self._send(self._host_id, request.moduleAddress, request.to_buffer())
-        reply = TMCLReply.from_buffer(self._recv(self._host_id, request.moduleAddress))
-        self._reply_check(reply)
-        if not reply.is_valid():
-            raise TMCLReplyStatusError(reply)
-        return reply
+        for _ in range(MOST_STRAY + 1):
+            reply = TMCLReply.from_buffer(self._recv(self._host_id, request.moduleAddress))
+            self._reply_check(reply)
+            if (reply.reply_address, reply.module_address, reply.command) == wanted:
+                if not reply.is_valid():
+                    raise TMCLReplyStatusError(reply)
+                return reply
+            self.stray += 1
+            self.stray_reply = reply
+        raise TimeoutError
 
 
 class SerialLine(_QuietInterface):
@@ -49,6 +71,13 @@ class SerialLine(_QuietInterface):
     def close(self) -> None:
         """Close the port."""
         self._port.close()
+
+    def _discard(self) -> int:
+        """Throw away what has come unasked; return how many datagrams."""
+        waiting: int = self._port.in_waiting
+        if waiting:
+            self._port.reset_input_buffer()
+        return math.ceil(waiting / DATAGRAM_BYTES)
 
     def _send(self, host_id: int, module_id: int, data: bytes) -> None:
         try:
@@ -86,6 +115,13 @@ class CanLine(_QuietInterface):
     def close(self) -> None:
         """Close the bus."""
         self._bus.shutdown()
+
+    def _discard(self) -> int:
+        """Throw away what has come unasked; return how many datagrams."""
+        for discarded in range(DRAIN_FRAMES):
+            if self._bus.recv(0.0) is None:
+                return discarded
+        return DRAIN_FRAMES
 
     def _send(self, host_id: int, module_id: int, data: bytes) -> None:
         frame = can.Message(arbitration_id=module_id, is_extended_id=False, data=data[1:8])

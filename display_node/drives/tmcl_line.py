@@ -16,45 +16,49 @@ class TmclLine:
     """One request at a time, each waiting for its reply; the codec is the maker's PyTrinamic.
 
     counts: replies that were missing ("no answer"), "garbled" (a wrong checksum) or "wrong" (of
-    another module or command).
+    another module or command), which are passed over.
     """
 
     def __init__(self, scene: TmclScene) -> None:
         """Open the line. Raises DriveError."""
         self._name = scene.port or f"{scene.interface} {scene.channel}"
-        self._addresses = (scene.host, scene.module)
         self._interface = _open(scene)
         self.counts: Counter[str] = Counter()
 
     def ask(self, command: int, kind: int, motor: int, value: int = 0) -> int:
         """The signed value in the module's reply.
 
-        Raises DriveError of kind "no answer", "garbled", "wrong", "refused" or "unplugged".
+        Raises DriveError of kind "no answer", "garbled", "wrong" (only answers to something else
+        came), "refused" or "unplugged".
         After one of the first three, what comes within another reply's time is thrown away. A
         reply that is later still is told from the next one's by its command alone.
         """
         import can
         from pytrinamic.tmcl import TMCLReplyChecksumError, TMCLReplyStatusError, TMCLStatus
 
+        interface = self._interface
+        stray = interface.stray
         try:
-            reply = self._interface.send(command, kind, motor, value)
-            heard = (reply.reply_address, reply.module_address, reply.command)
+            reply = interface.send(command, kind, motor, value)
         except TimeoutError:
-            return self._miss("no answer", f"no answer to command {command}")
+            if (wrong := interface.stray_reply) is None:
+                return self._miss("no answer", f"no answer to command {command}")
+            named = "an answer by {1} to {0}, about command {2}"
+            text = named.format(wrong.reply_address, wrong.module_address, wrong.command)
+            return self._miss("wrong", text)
         except TMCLReplyChecksumError:
             return self._miss("garbled", "an answer's checksum is wrong")
         except TMCLReplyStatusError as error:
-            heard = (error.reply.reply_address, error.reply.module_address, error.reply.command)
-            if heard == (*self._addresses, command):
-                status = TMCLStatus.get_name(error.status_code).lower()
-                text = f"{self._name}: command {command}, type {kind} is refused: {status}"
-                raise DriveError("refused", text) from None
+            status = TMCLStatus.get_name(error.status_code).lower()
+            text = f"{self._name}: command {command}, type {kind} is refused: {status}"
+            raise DriveError("refused", text) from None
         except (OSError, can.CanError, ValueError, IndexError) as error:
             if is_noise(error):
                 return self._miss("garbled", "an answer cannot be read")
             raise DriveError("unplugged", f"{self._name}: {error}") from None
-        if heard != (*self._addresses, command):
-            return self._miss("wrong", "an answer by {1} to {0}, about command {2}".format(*heard))
+        finally:
+            if interface.stray > stray:
+                self.counts["wrong"] += interface.stray - stray
         number: int = reply.value
         return number - (1 << 32) if number >= 1 << 31 else number
 
@@ -65,7 +69,8 @@ class TmclLine:
     def _miss(self, kind: str, text: str) -> int:
         import can
 
-        self.counts[kind] += 1
+        if kind != "wrong":  # each of those is counted already
+            self.counts[kind] += 1
         try:
             self._interface.drain()
         except (OSError, can.CanError, ValueError, IndexError) as error:

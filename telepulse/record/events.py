@@ -11,6 +11,8 @@ from protocol.refusals import REVOKED
 # As long as a display waits before it takes a sensing node for silent.
 CUT_AFTER_NS = 1_000_000_000
 CUT, FAULT = "link cut", "fault"
+# Counts of the bench are an event from so many within one status on; "superseded" ones are usual.
+MANY, USUAL = 20, "drive superseded"
 # By the events of the state, and of each cause of refusal.
 TOLD_OTHERWISE = {"stale", NOT_CONNECTED}
 
@@ -42,6 +44,9 @@ class StatusWatch:
         self._steps = 0
         self._limited: set[str] = set()
         self._refused: set[str] = set()
+        # Counts of the bench at the last status, and those that were named.
+        self._hardware: dict[str, int] = {}
+        self._frequent: set[str] = {USUAL}
 
     def begin_session(self) -> None:
         """Expect a stream to be joined and its frames to arrive."""
@@ -73,7 +78,8 @@ class StatusWatch:
         yield from self._counted(summary)
 
     def _counted(self, summary: Mapping[str, Any]) -> Iterator[Event]:
-        """Yield each clock step, and each limit and cause of refusal at its first count.
+        """Yield each clock step, each limit and cause of refusal at its first count, and what goes
+        wrong at the bench and is made good where that is frequent.
 
         How often and for how long is in the statuses.
         """
@@ -88,6 +94,13 @@ class StatusWatch:
         for cause in sorted(summary["rejected"].keys() - self._refused - {REVOKED}):
             self._refused.add(cause)
             yield Event("WARNING", "refused", *explain({cause: summary["rejected"][cause]}))
+        hardware = summary.get("hardware", {})
+        for name in sorted(hardware.keys() - self._frequent):
+            more = hardware[name] - self._hardware.get(name, 0)
+            if more > MANY:
+                self._frequent.add(name)
+                yield Event("WARNING", "hardware", f"{name}: {more} within one status")
+        self._hardware = dict(hardware)
 
     def _cut(self, now_ns: int) -> list[Alert]:
         if self._frame_ns is None or self._ended or now_ns - self._frame_ns <= CUT_AFTER_NS:

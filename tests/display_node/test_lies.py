@@ -34,3 +34,13 @@ def test_a_lie_is_named_before_it_presses_beyond_the_bars(
     outcome = lied(case, kind, with_film, hostile_stream if hostile else PULSE)
     assert named in outcome.named
     assert outcome.missed(honest_error_n=0.0, obeys=case.obeys) == []
+
+
+@pytest.mark.parametrize("from_start", [False, True], ids=["playing", "from the start"])
+def test_answers_that_come_twice_change_nothing_that_is_felt(from_start: bool) -> None:
+    honest = lied(None, "tmcl", True, hostile_stream)
+    outcome = lied(
+        Case(LieKind.DUPLICATED, "1", from_start=from_start), "tmcl", True, hostile_stream
+    )
+    assert outcome.named == ""
+    assert outcome.missed(honest.error_n) == []
