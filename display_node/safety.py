@@ -1,8 +1,8 @@
 """Safety: what may reach the actuator, whatever the peer sends.
 
 Bounds on the target force and its slew; a gain that falls to nothing when the stream is stale or
-the loop stalls, and comes back by a ramp; a latch that holds the target at 0 N after a fault. What is
-felt then is not known here: see `finger.py`.
+the loop stalls, and comes back by a ramp; a latch that holds the target at 0 N after a fault. What
+is felt then is not known here: see `finger.py`.
 """
 
 import math
