@@ -1,4 +1,4 @@
-"""What a person at a display must be told, from a status alone: terminal and page share it."""
+"""Alerts for the person at a display, from a status alone: terminal and page share them."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple

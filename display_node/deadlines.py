@@ -1,4 +1,4 @@
-"""When missed ticks are worth an alarm: by their rate, and by the longest gap. Pure."""
+"""Alarm on missed ticks: by their rate, and by the longest gap. Pure."""
 
 import math
 from collections import deque

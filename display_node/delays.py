@@ -1,4 +1,4 @@
-"""What the delays of all ticks that were played come to."""
+"""Statistics of the delays of all ticks that were played."""
 
 from protocol.histogram import Histogram
 from protocol.summary import Compensation, PlayoutDelay

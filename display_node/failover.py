@@ -1,4 +1,4 @@
-"""When to open a second connection beside one that is silent, and which of the two to keep.
+"""Opening of a second connection beside a silent one, and the choice of the one to keep.
 
 After a cut, TCP repeats what was lost only after as long again as the cut has lasted. A new
 connection is there within a few round trips, but on a link that only loses much, the old one may
@@ -40,7 +40,7 @@ OPENED_PER_S, OPENED_AT_ONCE = 0.5, 10
 
 
 class Keep(Enum):
-    """Which of two connections is kept; the other is to be closed."""
+    """The one of two connections that is kept; the other is to be closed."""
 
     FIRST = "first"
     SECOND = "second"

@@ -1,4 +1,4 @@
-"""What to do about a latched fault: one table for every surface, and the exit status."""
+"""Advice on latched faults: one table for every surface, and the exit status."""
 
 import sys
 from collections.abc import Iterable

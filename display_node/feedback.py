@@ -36,11 +36,11 @@ class Feedback:
 
     @property
     def newest(self) -> tuple[int, float] | None:
-        """When the newest sample was taken, and its force in N; None before any."""
+        """Time and force in N of the newest sample; None before any."""
         return self._samples[-1] if self._samples else None
 
     def alive(self, now_ns: int) -> bool:
-        """Whether readings can be had that are worth anything."""
+        """Return whether the newest sample is recent enough for readings."""
         samples = self._samples
         return bool(samples) and now_ns - samples[-1][0] <= self._stale_after_ns
 

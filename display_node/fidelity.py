@@ -1,5 +1,4 @@
-"""How true the felt force is to the pulse: running RMSE, aligned and in phase (eqs 23-25), and
-how rough.
+"""Errors of the felt force: running RMSE, aligned and in phase (eqs 23-25), and roughness.
 
 Truth and felt force come in as they are known, both on the sensing clock; a felt force is
 scored when the truth around its instant is there. Used by the display on what it received, and
@@ -42,7 +41,7 @@ class Fidelity:
         self._roughness = RoughnessMeter()
 
     def truth(self, t_ns: NDArray[np.int64], target_n: NDArray[np.float64]) -> None:
-        """What the finger should feel of consecutive samples taken at t_ns; may come late."""
+        """Add the force wanted at the finger, of consecutive samples taken at t_ns; may be late."""
         self._t_ns.append(t_ns)
         self._target_n.append(target_n)
         if len(self._t_ns) > MAX_PIECES:

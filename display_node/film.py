@@ -41,14 +41,14 @@ class FilmTable(Section):
 
     @property
     def volts_per_newton(self) -> float:
-        """What the ADC sees of a newton."""
+        """Voltage at the ADC per newton."""
         if self.sensitivity_v_per_n is not None:
             return self.sensitivity_v_per_n
         return Film(self.radius_m).volts_per_newton
 
     @property
     def millivolts_per_newton(self) -> float:
-        """What the paper's gains see of a newton, by eq 21 whatever the amplifier does."""
+        """Scale of the paper's gains in mV/N: by eq 21, whatever the amplifier does."""
         return 1e3 * Film(self.radius_m).volts_per_newton
 
     @property

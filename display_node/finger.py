@@ -10,7 +10,7 @@ TOUCH_N = 0.01
 
 @dataclass(frozen=True, slots=True)
 class FingerState:
-    """What is measured at the finger.
+    """The measured state of the finger.
 
     force_n: newest force in N, None where nothing measures it now; unknown_s: for how long not.
     measured_by: "" for the film, else what stands for it. outcome: of the drive's withdrawal, None

@@ -75,7 +75,7 @@ class ForceLoop:
         self.felt_n = self._drive(self.output)
 
     def read_film(self) -> float:
-        """What the film says of the felt force, in N. Call it once before each tick."""
+        """Return the film's reading of the felt force, in N. Call it once before each tick."""
         return self._film.read(self.felt_n)
 
     def tick(self, reference_n: list[float], reading_n: float) -> float:

@@ -204,7 +204,7 @@ class Hardware:
 
     @property
     def counts(self) -> Counter[str]:
-        """What went wrong on the way to drive and film and was made good, by name."""
+        """Errors on the way to drive and film that were made good, by name."""
         counts = Counter({f"drive {name}": n for name, n in self._drive.counts.items()})
         if self._sensor is not None:
             counts.update({f"film {name}": n for name, n in self._sensor.rejected.items()})
@@ -212,7 +212,7 @@ class Hardware:
         return +counts
 
     def faults(self) -> list[str]:
-        """What was wrong with the film's sensor, one line each."""
+        """Return what was wrong with the film's sensor, one line each."""
         return [] if self._sensor is None else self._sensor.faults()
 
     def withdraw(self) -> None:

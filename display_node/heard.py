@@ -1,4 +1,4 @@
-"""What the display has heard, for a recorder: every message as it came, and when.
+"""Record of all that the display receives, for a recorder: every message as it came, and when.
 
 Published as telemetry under a topic of its own, "heard", beside every trace and only while
 somebody has asked for it. Each message says how much was published before it, so that a reader
@@ -87,7 +87,7 @@ class HeardWriter:
         self._welcome = Message(arrived_ns, CONTROL, data)
 
     def take(self, now_ns: int, wall_ns: int) -> Iterator[bytes]:
-        """What was kept since the last time, as one telemetry message or several."""
+        """Yield the messages kept since the last call, in one telemetry message or several."""
         kept, self._messages, self._kept_bytes = self._messages, [], 0
         before = self._first if kept else self._heard
         while True:
@@ -118,7 +118,7 @@ def _up_to(messages: list[Message], limit_bytes: int) -> list[Message]:
 
 
 def read_heard(data: bytes) -> Heard:
-    """What was heard in a message. Raises WireError."""
+    """Decode a message of received messages. Raises WireError."""
     try:
         *head, messages = unpack(data, MAX_PART_MESSAGES)
         heard = Heard._make((*head, [Message(*message) for message in messages]))

@@ -26,7 +26,7 @@ class Lookup:
 
     @property
     def running(self) -> bool:
-        """Whether a look-up is under way."""
+        """True while a look-up is under way."""
         return self._thread is not None and self._thread.is_alive()
 
     def start(self) -> None:

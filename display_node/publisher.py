@@ -18,7 +18,7 @@ ASKED = b"\1" + PROVENANCE
 
 
 class Publisher:
-    """What a display publishes, over one bound XPUB socket.
+    """The publications of a display, over one bound XPUB socket.
 
     rejected: what its readers were refused, by cause.
     """

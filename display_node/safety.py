@@ -58,7 +58,7 @@ class Safety:
 
     @property
     def full(self) -> bool:
-        """Whether the pulse is felt at its full strength."""
+        """True while the pulse is felt at its full strength."""
         return self.gain == 1.0
 
     def watch(self, feedback_n: float) -> None:

@@ -1,4 +1,4 @@
-"""How long a command is held on a host that stalls, and how fast a stepper may press then.
+"""Holding time of a command on a host that stalls, and the speed that a stepper may press at then.
 
 A drive goes on as it was told last, until it is told again. A command meant for a tick that is held
 for many leads too far by all of them: a loop whose gain is made for a tick swings up, and what is
@@ -54,7 +54,7 @@ class StallGuard:
 
     @property
     def wary(self) -> bool:
-        """Whether the host has stalled lately."""
+        """True while the host has stalled lately."""
         return self._longest_s >= 2 * self._tick_s
 
     def fastest(self, screw_m: float) -> float:

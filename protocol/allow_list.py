@@ -50,7 +50,7 @@ class AllowList:
 
     @property
     def readable(self) -> bool:
-        """Whether the list that is on the disk is the one that was read."""
+        """True while the list on the disk is the one that was read."""
         return self._unreadable_since_ns is None
 
     def once_allowed(self, key: bytes) -> bool:
@@ -111,7 +111,7 @@ class AllowList:
 
 
 def read_allowed(path: Path) -> dict[bytes, PublicKey]:
-    """Who is allowed, by key; nobody where there is no file. Raises KeyFileError.
+    """Read the allowed keys and their names; none where there is no file. Raises KeyFileError.
 
     Empty lines and lines that begin with # say nothing.
     """

@@ -1,4 +1,4 @@
-"""What a display did in which share of its run. Pure.
+"""Shares of a display's run by its state. Pure.
 
 The whole time of the run is counted, also ticks that the loop missed. So a share of a part of the
 time, such as the time within the JND, can be printed with the part that it is of.

@@ -1,4 +1,4 @@
-"""What the command lines share: options, one way to fail, one way to sum up."""
+"""Common parts of the command lines: options, one way to fail, one way to sum up."""
 
 import sys
 from collections.abc import Iterator

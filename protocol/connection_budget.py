@@ -1,4 +1,4 @@
-"""How many connections a node's doors hold open, and which of them are cut beyond that.
+"""Bounds on the connections that a node's doors hold open, and the choice of those cut beyond.
 
 A stranger who connects again and again and says nothing must neither use up the process's file
 descriptors, nor its memory, nor its loop's time; and those who came before him stay.

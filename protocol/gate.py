@@ -1,4 +1,4 @@
-"""Who is let in: answers ZeroMQ's questions about keys by the allow-list, and shows others out.
+"""Admission of peers: answers ZeroMQ's questions about keys by the allow-list, and cuts others off.
 
 ZeroMQ asks once, when a connection is made, and cannot drop one later. So the gate knows the
 descriptor of each connection: when a key is taken off the list, the connections from wherever it
@@ -41,7 +41,7 @@ REASONS = {
 
 
 class Gate:
-    """Who gets in to all sockets that one context binds. One for each context, before they bind.
+    """Admission to all sockets that one context binds. One for each context, before they bind.
 
     With keys the allow-list decides; without, everybody may come. In either case the connections
     are bounded, so that one who connects again and again costs the others nothing.

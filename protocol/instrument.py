@@ -1,4 +1,4 @@
-"""What stands between a film and its numbers: a straight calibration line and an ADC.
+"""Conversion between a film and its numbers: a straight calibration line and an ADC.
 
 Each takes a number or an array and keeps its shape; a number stays a Python float, as the
 display's loop reads one a tick.

@@ -1,4 +1,4 @@
-"""What the system lets this process have: open files, of which each connection is one, and memory.
+"""Limits that the system sets this process: open files (each connection is one) and memory.
 
 Two connections of each display's stay open. At its limit of files a process can neither take nor
 make one, nor read its allow-list; at its limit of memory ZeroMQ ends it. So a node makes sure of

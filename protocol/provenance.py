@@ -30,7 +30,7 @@ _GIT_WITHIN_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """What a run was.
+    """The origin of a run's results.
 
     Attributes
     ----------

@@ -18,7 +18,7 @@ _SUMMARY = TypeAdapter(Summary)
 
 
 class Playing(NamedTuple):
-    """What a display makes of the stream.
+    """The way a display plays the stream.
 
     channel: the one that it plays. force_ratio: force at the finger per force at the wrist that
     makes both strains equal. strain_per_newton: of the layer under the finger. predictor: its name.
@@ -33,7 +33,7 @@ class Playing(NamedTuple):
 
 
 class Status(NamedTuple):
-    """Where a node stands: a word, its stream, its running summary.
+    """The status of a node: a word, its stream, its running summary.
 
     session: of the stream; None while there is none. displays: how many listen to a sensing node;
     None where the question does not apply. playing: of a display that knows its stream.

@@ -92,7 +92,7 @@ class Errors:
 
 @dataclass(frozen=True, slots=True)
 class Roughness:
-    """What is above 25 Hz, where touch is keenest: RMS in N of the force felt and of what was
+    """The part above 25 Hz, where touch is keenest: RMS in N of the force felt and of what was
     sensed at the same instants, and the ratio of their energies."""
 
     felt_n: float | None = None
@@ -111,7 +111,7 @@ class TickTime:
 
 @dataclass(frozen=True, slots=True)
 class Lateness:
-    """How late ticks began, in µs."""
+    """The lateness of ticks at their beginning, in µs."""
 
     p50: float | None = None
     p99: float | None = None

@@ -1,4 +1,4 @@
-"""What befalls a socket's connections, as ZeroMQ's monitor tells it."""
+"""Events of a socket's connections, as ZeroMQ's monitor reports them."""
 
 import itertools
 import struct

@@ -30,7 +30,7 @@ class ForceScale:
 
 
 class SensorTable(Section):
-    """What the tables of all live sensors share.
+    """The keys common to the tables of all live sensors.
 
     rate: samples a second, nominally; the true one is measured. unit: N or mN as they are; V or
     mV by the film's calibration: sensitivity (Fig. 4: 44 mV/N) or film_radius (eq 21), with
@@ -67,7 +67,7 @@ class SensorTable(Section):
         return round(1e9 / self.rate_hz)
 
     def contradicts(self, stated_unit: str | None) -> bool:
-        """Whether the unit that a device states is another force or voltage than the table's.
+        """Return whether a device states another unit of force or voltage than the table's.
 
         Counts are left alone: their scale is a calibration of its own.
         """

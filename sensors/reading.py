@@ -24,7 +24,7 @@ class Reading(NamedTuple):
 
     @property
     def times_ns(self) -> list[int]:
-        """When each of the samples was taken."""
+        """Times at which the samples were taken."""
         count, span_ns = len(self.force_n), self.end_ns - self.first_ns
         return [self.first_ns + number * span_ns // count for number in range(count)]
 
@@ -68,11 +68,11 @@ class Readings:
 
     @property
     def skew_ppm(self) -> float:
-        """How much faster the device's clock runs than the host's; 0 when it sends no time."""
+        """Rate of the device's clock beyond the host's, in ppm; 0 when it sends no time."""
         return self._clock.skew_ppm
 
     def faults(self, name: str) -> list[str]:
-        """What went wrong with the sensor of that name, one line each."""
+        """Return what went wrong with the sensor of that name, one line each."""
         if not self.samples:
             return [f"no sample came from {name}"]
         faults = []

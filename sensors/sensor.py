@@ -26,13 +26,13 @@ class Port(Protocol):
 
     @property
     def name(self) -> str:
-        """What people know it by."""
+        """Name for people."""
 
     def open(self) -> None:
         """Raises SourceError when the device is not there or cannot be used."""
 
     def read(self) -> Any:
-        """What arrived, for the decoder; after a while without anything, something false.
+        """Return what arrived, for the decoder; after a while without anything, something false.
 
         Raises whatever its driver does when the device has gone.
         """
@@ -46,7 +46,7 @@ class Decoder(Protocol):
 
     @property
     def rejected(self) -> Counter[str]:
-        """How often each cause of refusal came."""
+        """Count of refusals by cause."""
 
     def feed(self, data: Any) -> list[Packet]:
         """The packets that end in this."""
@@ -56,7 +56,7 @@ class Decoder(Protocol):
 
 
 class _Heard(NamedTuple):
-    """What the thread tells: data that arrived, or why the device has gone, or, with neither,
+    """A message of the thread: data that arrived, or why the device has gone, or, with neither,
     that it is back."""
 
     at_ns: int
@@ -95,7 +95,7 @@ class Sensor:
         self._thread.start()
 
     def poll(self) -> list[Reading]:
-        """What has come since the last call, in order. Never waits."""
+        """Return the readings that have come since the last call, in order. Never waits."""
         readings = []
         while self._heard:
             heard = self._heard.popleft()
@@ -115,7 +115,7 @@ class Sensor:
 
     @property
     def rejected(self) -> Counter[str]:
-        """What could not be used, by cause."""
+        """Count of what could not be used, by cause."""
         rejected = Counter(self._decoder.rejected)
         rejected["behind"] += self._readings.behind
         rejected["backlog"] += self._backlog
@@ -123,11 +123,11 @@ class Sensor:
 
     @property
     def skew_ppm(self) -> float:
-        """How much faster the device's clock runs than the host's; 0 when it sends no time."""
+        """Rate of the device's clock beyond the host's, in ppm; 0 when it sends no time."""
         return self._readings.skew_ppm
 
     def faults(self) -> list[str]:
-        """What went wrong so far, one line each."""
+        """Return what went wrong so far, one line each."""
         faults = self._readings.faults(self._port.name)
         if self._losses:
             gone_ns = self._gone_for_ns

@@ -56,7 +56,7 @@ class StepperScene(Section):
         return self.lead_m * self.step_angle_rad / (2 * math.pi) / self.microsteps
 
     def step_rate(self) -> StepRate:
-        """What turns a speed in m/s into this drive's steps, within its fastest."""
+        """Return the conversion of a speed in m/s into this drive's steps, up to its fastest."""
         return StepRate(1 / self.step_m, self.max_speed_m_per_s / self.step_m)
 
     def ticks_to_reading(self, film_latency_ns: int, tick_s: float) -> float:
@@ -121,7 +121,7 @@ class Stepper:
         return force_n
 
     def move(self, command: StepCommand) -> float:
-        """As `step`, without the contact: the tip's position from first touch at its end."""
+        """Run one tick without the contact; the tip's position from first touch at its end."""
         rate_hz = min(command.rate_hz, self._max_rate_hz) * command.direction
         if self._late is not None:
             rate_hz = self._late.step(rate_hz)

@@ -121,7 +121,7 @@ def _measure(
 
 
 def _collection_ms() -> float:
-    """What a full garbage collection costs, waits for a processor left out."""
+    """Return what a full garbage collection costs in ms, without waits for a processor."""
     began_ns = time.thread_time_ns()
     gc.collect()
     return (time.thread_time_ns() - began_ns) * 1e-6

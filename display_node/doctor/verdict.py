@@ -1,4 +1,4 @@
-"""What the doctor makes of a host and its ticks. Pure."""
+"""Verdict on a host and its ticks. Pure."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ class Verdict:
 
 
 def judge(host: Host, findings: Findings) -> Verdict:
-    """Whether this host keeps a loop on time, and what would help."""
+    """Judge whether this host keeps a loop on time, and what would help."""
     bare = findings.ticks[BARE, LOADED]
     best = findings.ticks.get((TOGETHER, LOADED), bare)
     share = best.missed / best.due if best.due else 1.0

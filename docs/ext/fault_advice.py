@@ -1,4 +1,4 @@
-"""What to do about each fault that a display latches, from the table that its surfaces use."""
+"""Table of each fault that a display latches and what to do about it, from its surfaces' table."""
 
 from display_node.fault_advice import ADVICE, AGAIN, OTHERWISE
 
