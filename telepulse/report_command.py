@@ -1,4 +1,4 @@
-"""What every command that makes a report does: check, build, write, print."""
+"""Common parts of the commands that make a report: check, build, write, print."""
 
 from collections.abc import Callable
 from dataclasses import replace

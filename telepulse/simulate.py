@@ -130,7 +130,7 @@ class Simulation:
 
     @property
     def newest_ns(self) -> int | None:
-        """When the newest sample that the display has was taken; None before any."""
+        """Time of the newest sample that the display has; None before any."""
         return self.display.receiver.buffer.newest_ns
 
     @property

@@ -1,4 +1,4 @@
-"""Which HTTP requests are meant for a server of ours, by the Host and Origin they name.
+"""Check of HTTP requests, by the Host and Origin they name, for those meant for a server of ours.
 
 A page of another site may let its own name resolve to this machine (DNS rebinding). A browser then
 takes our server for that site's, and lets the page read what it answers. The name stays in the

@@ -35,7 +35,8 @@ LATENCY_LOOK_TICKS, LATENCY_LOOK_PLAY_TICKS = 1.0, 2.0
 
 @dataclass(frozen=True, slots=True)
 class Actuator:
-    """What was found: told and film of the staircase, the fit, the contact (of a stepper)."""
+    """The results for an actuator: commands and film of the staircase, the fit, the contact (of a
+    stepper)."""
 
     pressed: Pressed
     told: Input
@@ -122,7 +123,7 @@ def _stairs(pressed: Pressed, contact: Contact, law: ContactLaw, film: FilmTable
 
 
 def _fits(found: Identified) -> bool:
-    """Whether what was fitted is worth a place in a scene."""
+    """Return whether the fit is worth a place in a scene."""
     return found.nrmse <= UNEXPLAINED_FAIL
 
 
@@ -138,7 +139,7 @@ def _latency_s(actuator: StepperScene, found: Identified, contact: Contact) -> f
 
 
 def _rotor_told(found: Identified, contact: Contact) -> bool:
-    """Whether the fitted resonance is the rotor's: play hides its way back."""
+    """Return whether the fitted resonance is the rotor's: play hides its way back."""
     return not {"m", "c"} & set(found.untold) and not _has_play(contact)
 
 

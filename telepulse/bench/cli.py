@@ -27,7 +27,7 @@ WARNING = (
 
 
 class Side(Enum):
-    """Which end of the system stands here."""
+    """The end of the system that stands here."""
 
     SENSING = "sensing"
     DISPLAY = "display"

@@ -1,4 +1,4 @@
-"""What the actuator presses on, from a slow ramp up and down: stiffness, touch and play."""
+"""Contact under the actuator, from a slow ramp up and down: stiffness, touch and play."""
 
 from dataclasses import dataclass
 
@@ -88,7 +88,7 @@ def fit_contact(pressed: Pressed, law: ContactLaw, film: FilmTable, lag_s: float
 
 
 def through_film(told: Input, film: FilmTable) -> Input:
-    """What an input is behind the film's filter; as it is where there is none."""
+    """Return an input behind the film's filter; as it is where there is none."""
     from scipy.signal import lfilter, lfilter_zi, ss2tf
 
     low_pass = film.low_pass(told.tick_s)

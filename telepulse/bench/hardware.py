@@ -66,7 +66,7 @@ class HardwareRig:
 
 
 def listen(sensor: Sensor, seconds: float) -> Heard:
-    """What a sensor says for so long. Raises BenchError when it says nothing."""
+    """Read a sensor for so long. Raises BenchError when no sample comes."""
     sensor.poll()
     end_s = time.monotonic() + seconds
     arrivals_ns: list[int] = []
@@ -107,7 +107,8 @@ def check_answers(drive: Drive, vco: StepRate) -> Check:
 
 
 def _answer_s(drive: Drive, command: StepCommand) -> float:
-    """How long it takes until the drive says that it does as told; the limit where it does not."""
+    """Return the time in s until the drive reports the commanded speed; the limit where it does
+    not."""
     began_s = time.monotonic()
     while (waited_s := time.monotonic() - began_s) < ANSWER_WITHIN_S:
         drive.command(command)

@@ -40,7 +40,7 @@ LATE_FILM_AGE_S, MOST_FILM_AGE_S = 0.02, 0.05
 
 @dataclass(slots=True)
 class Findings:
-    """What the checks found, each named by the part of the bench that was checked.
+    """The results of the checks, each named by the part of the bench that was checked.
 
     still: what the sensors said while nothing pressed; design: the scene's own gains and the
     proposed ones on what was identified. modelled: the scene names no drive, and it was its models
@@ -56,7 +56,7 @@ class Findings:
 
     @property
     def failed(self) -> bool:
-        """Whether any check failed."""
+        """True where any check failed."""
         return any(check.verdict == "fail" for _, check in self.checks)
 
     @property
@@ -73,7 +73,7 @@ class Findings:
 
     @contextmanager
     def part(self, part: str) -> Iterator[None]:
-        """What ends a part's checks early is a check that failed."""
+        """Add whatever ends a part's checks early as a check that failed."""
         try:
             yield
         except (BenchError, DriveError, SourceError) as error:

@@ -24,8 +24,8 @@ MAINS_LOOK = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """What a sensor said while nothing pressed: samples in N with the time each was taken, the
-    times at which batches arrived with the count of samples in each, and samples lost."""
+    """The samples of a sensor on which nothing pressed: force in N with the time each was taken,
+    the times at which batches arrived with the count of samples in each, and samples lost."""
 
     taken_ns: NDArray[np.int64]
     force_n: NDArray[np.float64]
@@ -36,7 +36,7 @@ class Heard:
 
 @dataclass(frozen=True, slots=True)
 class SensorFigures:
-    """What that is in figures.
+    """The figures of such samples.
 
     jitter_s: RMS of what sample times are off an even row by; arrival_jitter_s: the same of when
     they could be read; age_s: how old the newest sample is when the next batch comes, at 99 % of

@@ -1,4 +1,4 @@
-"""What a check found: ok, look (it works, but not as it should) or fail, and why."""
+"""Verdict of a check: ok, look (it works, but not as it should) or fail, and why."""
 
 from dataclasses import dataclass
 from typing import Literal

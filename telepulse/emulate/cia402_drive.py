@@ -88,7 +88,7 @@ class EmulatedDrive:
             self._homed = 0
 
     def search_by(self, method: int, search: int, leave: int) -> None:
-        """How to home: the method's number, and the speeds in the drive's units."""
+        """Set the homing method by its number, and the speeds in the drive's units."""
         self._method, self._search, self._leave = method, search, leave
 
     def limit(self, least: int, most: int) -> None:

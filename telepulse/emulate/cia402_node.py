@@ -113,7 +113,7 @@ class EmulatedNode:
             pdo.transmit()
 
     def _value(self, index: int) -> int | None:
-        """What an object of the drive holds that changes by itself."""
+        """Return the value of an object of the drive that changes by itself."""
         drive = self.drive
         values = {
             0x603F: drive.error_code,
@@ -194,6 +194,6 @@ class EmulatedNode:
         self.drive.limit(stored(0x607D, 1), stored(0x607D, 2))
 
     def _stored(self, index: int, subindex: int = 0) -> int:
-        """What was written to an object; 0 where nothing was."""
+        """Return what was written to an object; 0 where nothing was."""
         written = self._node.data_store.get(index, {}).get(subindex, b"")
         return int.from_bytes(written, "little", signed=True)

@@ -23,8 +23,8 @@ Fault = Literal["overtemperature", "following error", "stall"]
 
 
 class Moment(NamedTuple):
-    """What the motor is doing: the time, the tip's place from first touch and its speed, both
-    positive into the finger, and the force under it."""
+    """The motor's state at a time: the tip's place from first touch and its speed, both positive
+    into the finger, and the force under it."""
 
     time_ns: int
     tip_m: float
@@ -85,12 +85,12 @@ class EmulatedMotor:
 
     @property
     def homing(self) -> bool:
-        """Whether a search for the home switch is under way."""
+        """True while a search for the home switch is under way."""
         return self._homing is not None
 
     @property
     def at_switch(self) -> bool:
-        """Whether the home switch is closed."""
+        """True while the home switch is closed."""
         return self._steps * self._step_m <= SWITCH_M
 
     def run(self, rate_hz: float) -> None:
@@ -201,7 +201,7 @@ class EmulatedMotor:
         return 0.0
 
     def _place(self, travel_m: float) -> None:
-        """Where the tip stands at the beginning."""
+        """Place the tip where it stands at the beginning."""
         while self._stepper.screw_m < travel_m:
             self._stepper.move(_command(2e-3 / self._step_m))
         self._stepper.move(_command(0.0))

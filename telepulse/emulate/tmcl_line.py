@@ -1,4 +1,4 @@
-"""Where an emulated TMCL module is reached: on a pseudo-terminal, or on a CAN bus."""
+"""Lines to an emulated TMCL module: a pseudo-terminal, or a CAN bus."""
 
 import select
 import time

@@ -34,7 +34,7 @@ DROP = "drop "
 
 @dataclass(frozen=True, slots=True)
 class Carried:
-    """What a relay has done: packets written, packets lost, and how late packets were written
+    """The account of a relay: packets written, packets lost, and how late packets were written
     against the model, in µs."""
 
     packets: int
@@ -85,7 +85,7 @@ class Relay:
         self._filters[tun] = towards, filters
 
     def carried(self) -> Carried:
-        """What was done so far."""
+        """Return the account so far."""
         lost = self._lost + sum(direction.lost for direction, _ in self._ways.values())
         late_us = self._late_us
         quantiles_us = late_us.quantile(0.5), late_us.quantile(0.99)

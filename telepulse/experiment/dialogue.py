@@ -1,4 +1,4 @@
-"""What a subject can do in a trial, key by key. Pure, and blind: it does not know the trial."""
+"""Dialogue of a trial, key by key. Pure, and blind: it has no access to the trial."""
 
 from collections import Counter
 from dataclasses import dataclass

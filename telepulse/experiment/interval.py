@@ -35,7 +35,7 @@ TICKS_PER_S = 1_000
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """What is to be felt. foreperiod_ns: from the beginning until the curtain opens."""
+    """One interval to be felt. foreperiod_ns: from the beginning until the curtain opens."""
 
     letter: Letter
     scene: Scene
@@ -46,7 +46,7 @@ class Interval:
 
 
 class Played(BaseModel):
-    """What was felt of an interval, as the log has it.
+    """The record of an interval that was felt, as the log has it.
 
     Errors are RMSE in N against what was sensed; pulse_n: from peak to peak, what should have
     been felt; felt_s: at full strength. ticks: of the whole interval, missed ones included;
@@ -72,7 +72,7 @@ class Played(BaseModel):
 
     @property
     def stale(self) -> str:
-        """How the stream was stale while it was felt, "" where it was not."""
+        """Description of how the stream was stale while it was felt, "" where it was not."""
         if self.stale_ticks:
             return f"the stream stale for {100 * self.stale_ticks / self._of:.1f} % of the ticks"
         return "" if self.felt_s else "never felt at full strength"
@@ -157,7 +157,7 @@ class Playing:
 
     @property
     def display(self) -> Display:
-        """Who plays it."""
+        """The display that plays it."""
         return self._simulation.display
 
     def tick(self, now_ns: int, elapsed_ticks: int = 1) -> bool:
@@ -177,7 +177,7 @@ class Playing:
         self._close_ns = min(self._close_ns, now_ns)
 
     def played(self) -> Played:
-        """What was felt."""
+        """Return the record of this interval."""
         summary, interval = self._simulation.end(), self._interval
         force: Errors = summary.force_rmse_n
         rough: Roughness = summary.roughness

@@ -60,7 +60,8 @@ class Keyboard:
                 return key
 
     def wants_to_stop(self) -> bool:
-        """Whether q is among the keys that wait. What a pipe holds is in its order, and waits."""
+        """Return whether q is among the keys that wait. What a pipe holds is in its order, and
+        waits."""
         if self._is_terminal:
             self._read(0.0)
         return self._is_terminal and STOP_KEY in self._typed

@@ -54,7 +54,7 @@ class Header(_Line):
 
     @property
     def subject(self) -> str:
-        """Who answers, and on what: answers of one kind alone may be pooled."""
+        """The one who answers, and on what: answers of one kind alone may be pooled."""
         if self.threshold is not None:
             return "a simulated observer"
         return "a person on the scene's models" if self.felt_on == "models" else "a person"
@@ -96,7 +96,7 @@ class Log:
 
     @property
     def finished(self) -> bool:
-        """Whether all trials were answered."""
+        """True where all trials were answered."""
         return len(self.answered) == len(self.header.trials)
 
 

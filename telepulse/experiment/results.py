@@ -1,4 +1,4 @@
-"""What logs say: answers by condition, from one subject or several."""
+"""Results of logs: answers by condition, from one subject or several."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ class Outcome:
 
     @property
     def correct(self) -> bool:
-        """Whether X was named rightly; of no meaning in a catch trial."""
+        """True where X was named rightly; of no meaning in a catch trial."""
         return self.answered.answer == self.trial.x
 
     @property
@@ -41,7 +41,7 @@ class Outcome:
 
     @property
     def stale(self) -> bool:
-        """Whether the link left the stream stale in an interval."""
+        """True where the link left the stream stale in an interval."""
         return any(played.on_link and played.stale for played in self.answered.played)
 
     @property
@@ -160,12 +160,12 @@ def _version(log: Log) -> str:
 
 
 def correct(outcomes: Iterable[Outcome]) -> Proportion:
-    """How many were named rightly."""
+    """Return the proportion named rightly."""
     hits = [o.correct for o in outcomes]
     return Proportion(sum(hits), len(hits))
 
 
 def close(outcomes: Iterable[Outcome]) -> Proportion:
-    """How many were rated close to a direct touch, or the same."""
+    """Return the proportion rated close to a direct touch, or the same."""
     hits = [o.rating >= CLOSE for o in outcomes]
     return Proportion(sum(hits), len(hits))

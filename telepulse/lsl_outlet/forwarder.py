@@ -1,4 +1,4 @@
-"""What a display's telemetry tells, passed on to LSL; what cannot be is counted."""
+"""Forwarding of a display's telemetry to LSL; what cannot be forwarded is counted."""
 
 import math
 from collections import Counter
@@ -38,7 +38,7 @@ class Forwarder:
         return self._lost + self._in_order.lost
 
     def take(self, entries: list[Entry]) -> None:
-        """What one message of telemetry told."""
+        """Take the entries of one telemetry message."""
         ticks = [entry for entry in entries if entry.topic == TICK]
         if ticks:
             self._take_ticks(ticks)

@@ -1,4 +1,4 @@
-"""What a node last told, as Prometheus's metrics. Pure: time comes in."""
+"""A node's last status as Prometheus's metrics. Pure: time comes in."""
 
 import re
 from collections.abc import Iterator, Mapping

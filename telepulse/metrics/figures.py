@@ -1,4 +1,4 @@
-"""Which figure of a summary is which metric: Prometheus's names and base units."""
+"""Table of the summary's figures as metrics: Prometheus's names and base units."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -113,7 +113,7 @@ def replay(
 
 
 class Kind(Enum):
-    """What a recording is exported to."""
+    """The kinds of export of a recording."""
 
     CSV = "csv"
     PARQUET = "parquet"

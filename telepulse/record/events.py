@@ -1,4 +1,4 @@
-"""What happened, in words: from one status of a display to the next, and from its frames. Pure."""
+"""Events in words: from one status of a display to the next, and from its frames. Pure."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple

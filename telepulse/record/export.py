@@ -44,7 +44,8 @@ def export_csv(path: Path, folder: Path, log: Callable[[str], None]) -> None:
 
 
 def export_parquet(path: Path, folder: Path, log: Callable[[str], None]) -> None:
-    """As `export_csv`, with typed columns. Raises OutputError without pyarrow, too."""
+    """Write a recording's tables with typed columns into a new folder. Raises SourceError or
+    OutputError, the latter also without pyarrow."""
     check_parquet()
     _export_tables(path, folder, log, ParquetTable)
 

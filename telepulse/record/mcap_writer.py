@@ -48,7 +48,7 @@ class McapWriter:
         self.put(entry.topic, entry.t_ns, as_json(entry.fields))
 
     def put(self, topic: str, t_ns: int, data: bytes) -> None:
-        """As `add`, of a message that is JSON already."""
+        """Take a message that is JSON already into the present chunk."""
         if self._journal.waiting_bytes > MAX_WAITING_BYTES:
             self.dropped += 1
             return

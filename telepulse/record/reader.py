@@ -24,7 +24,7 @@ class RecordedMessage(NamedTuple):
 
     @property
     def fields(self) -> dict[str, Any]:
-        """What it says. Raises ValueError when that is no table."""
+        """The message's fields. Raises ValueError where its data is no table."""
         try:
             fields = json.loads(self.data)
         except RecursionError:

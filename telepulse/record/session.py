@@ -33,7 +33,7 @@ class Session:
             yield decode_frame(data)
 
     def fits(self, frame: Frame) -> bool:
-        """Whether the stream can hold such a frame."""
+        """Return whether the stream can hold such a frame."""
         description, values = self.description, frame.values
         return (
             values.shape[1] == len(description.channels)

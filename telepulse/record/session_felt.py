@@ -1,4 +1,4 @@
-"""What was felt and what happened in one session of a recording, on the sensing clock."""
+"""Ticks and events of one session of a recording, on the sensing clock."""
 
 import math
 from dataclasses import dataclass

@@ -40,7 +40,7 @@ class Entry(NamedTuple):
 
 
 class Transcript:
-    """What a display's telemetry says, and what of it never came.
+    """The content of a display's telemetry, and a count of what of it never came.
 
     missed: how many messages of each kind the display published that did not reach us. ended:
     the display has said its last word. provenance: of the display's run, None until it came.
@@ -58,11 +58,12 @@ class Transcript:
 
     @property
     def known(self) -> bool:
-        """Whether a display has been heard."""
+        """True once anything came from a display."""
         return self._run is not None
 
     def take(self, topic: bytes, data: bytes) -> list[Entry]:
-        """What a telemetry message adds to the recording; nothing until the display is known."""
+        """Return what a telemetry message adds to the recording; nothing until the display is
+        known."""
         try:
             if topic == PROVENANCE:
                 self.provenance = read_provenance(data)

@@ -1,4 +1,4 @@
-"""Who gets the page: requests under this server's own name, and few enough to draw for all."""
+"""Admission to the page: requests under this server's own name, and few enough to draw for all."""
 
 import time
 from collections.abc import Callable

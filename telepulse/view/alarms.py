@@ -1,4 +1,4 @@
-"""What a person must be told of, named as telemetry and recordings name it. Pure."""
+"""Alarms for the person at the page, named as telemetry and recordings name them. Pure."""
 
 import numpy as np
 
@@ -17,7 +17,7 @@ LOST, LATE, REFUSED, LIMITED = 3, 4, 6, 7
 
 
 def alarms(live: Live, silent_ns: int) -> list[Alert]:
-    """What is wrong now. silent_ns: for how long nothing came from the display."""
+    """Return what is wrong now. silent_ns: for how long nothing came from the display."""
     if not live.state:
         return []
     found = alerts(live.state, live.summary, live.final, silent_ns)

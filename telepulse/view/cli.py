@@ -20,7 +20,7 @@ MISSING = "Bokeh is missing; pip install 'telepulse[view]'"
 
 
 def bokeh_is_there() -> bool:
-    """Whether the extra that draws the page is installed."""
+    """Return whether the extra that draws the page is installed."""
     return find_spec("bokeh") is not None
 
 

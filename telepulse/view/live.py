@@ -1,4 +1,4 @@
-"""What is known of a display: its telemetry, as recordings hold it, in rolling windows. Pure.
+"""State of a display: its telemetry, as recordings hold it, in rolling windows. Pure.
 
 All times are Unix time on the display's clock: what was sensed stands where the display's clock
 stood then, by the offset that its last status told.

@@ -1,4 +1,4 @@
-"""What the page draws and says of a display at one instant. Pure: no browser, no clock."""
+"""Content of the page for a display at one instant. Pure: no browser, no clock."""
 
 import math
 from typing import NamedTuple
@@ -101,8 +101,8 @@ def _compression(force_n: Floats, strain_per_newton: float | None) -> Floats:
 
 
 def _errors(live: Live, ticks: Stretch, window_ns: int) -> tuple[Floats, Floats, float | None]:
-    """What was felt against what should have been, in phase and aligned; NaN where the pulse of
-    that instant has not come, and where it is not felt at full strength. And the JND, in N."""
+    """Return the errors of the felt force in phase and aligned, and the JND, all in N; NaN where
+    the pulse of that instant has not come, and where it is not felt at full strength."""
     ratio = live.force_ratio
     wrist = live.wrist.since(live.now_ns - window_ns - SPAN_NS)
     if ratio is None or not len(wrist.t_ns):

@@ -72,7 +72,7 @@ class PageServer:
 
     @property
     def viewers(self) -> int:
-        """How many pages are open."""
+        """Number of open pages."""
         return len(self._server.get_sessions())
 
     def stop(self) -> None:

@@ -48,7 +48,7 @@ FIGURES = {
 
 
 class Figure(NamedTuple):
-    """What a figure says, and a line beneath it."""
+    """The text of a figure, and a line beneath it."""
 
     value: str
     note: str = ""

@@ -83,7 +83,7 @@ def delays(findings: Findings) -> Plot:
 
 
 def delay_distribution(findings: Findings) -> Plot:
-    """How many frames and ticks had which delay at most."""
+    """Plot how many frames and ticks had at most which delay."""
 
     def draw(figure: "Figure") -> None:
         axes = figure.subplots()
@@ -171,7 +171,7 @@ def heart(forces: Forces) -> Plot:
 
 
 def _broken(t_s: Floats, *columns: Floats) -> list[Floats]:
-    """As they are, but no line is drawn over a hole in time."""
+    """Return the columns with a NaN in every hole in time, over which no line is drawn then."""
     holes = np.flatnonzero(np.diff(t_s) > HOLE_S) + 1
     return [np.insert(t_s, holes, t_s[holes]), *(np.insert(c, holes, np.nan) for c in columns)]
 

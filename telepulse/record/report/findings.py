@@ -1,4 +1,4 @@
-"""What a recording says of its run, gathered in one pass. Pure, but for reading the file."""
+"""Findings about a recorded run, gathered in one pass. Pure, but for reading the file."""
 
 import math
 from dataclasses import dataclass, field
@@ -47,7 +47,7 @@ class Trends:
 
 
 class Findings:
-    """What was found; complete after `finish`.
+    """The findings about a recording; complete after `finish`.
 
     whole, damaged, gaps, provenance: as the reader says. own: the display's last word of itself,
     None where there is none. forces: at wrist and finger. events: time in s, level, name, text;
@@ -90,7 +90,7 @@ class Findings:
 
     @property
     def seconds(self) -> float:
-        """How long it is."""
+        """Length in s."""
         return 0.0 if self.begin_ns is None else (self.end_ns - self.begin_ns) * 1e-9
 
     def summary(self) -> Summary:
@@ -200,7 +200,7 @@ class Findings:
             self.forces.felt(tick)
 
     def _alive(self, sensing_now_ns: int, instant_ns: int) -> bool:
-        """Whether the stream was not stale, as the display judges that."""
+        """Return whether the stream was not stale, as the display judges that."""
         receiver = self._listener.receiver
         newest_ns, delay_ns = receiver.buffer.newest_ns, receiver.delay.delay_ns
         if newest_ns is None or delay_ns is None:

@@ -45,7 +45,7 @@ class Forces:
         self._take(self.alignment.begin())
 
     def told(self, channel: int, ratio: float) -> None:
-        """What the display plays."""
+        """Set the channel that the display plays, and its force ratio."""
         self.alignment.told(channel, ratio)
 
     def sensed(self, frame: Frame, description: StreamDescription) -> None:
