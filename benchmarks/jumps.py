@@ -1,4 +1,4 @@
-"""What a finger feels of a peer whose forces jump beyond all limits, in virtual time."""
+"""Felt force under a peer whose forces jump beyond all limits, in virtual time."""
 
 import random
 

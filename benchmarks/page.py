@@ -49,7 +49,7 @@ class Viewer:
         self._wishes = ""
 
     def pictures(self) -> Iterator[float]:
-        """When each picture came, in s; each is acknowledged, as the page's script does."""
+        """Yield the time of each picture in s, and acknowledge it as the page's script does."""
         self._message()
         self._send({"msgid": "1", "msgtype": "PULL-DOC-REQ"}, {})
         content: Any = None

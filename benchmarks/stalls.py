@@ -1,4 +1,4 @@
-"""How hard a finger is pressed by a host that stalls, in virtual time.
+"""Peak force at the finger when the host stalls, in virtual time.
 
 The pulse is a half sine of 0.53 N, far steeper than a wrist's. Between any two ticks the host
 misses a number of them, drawn evenly from 1 to the longest, or none for most of the time.
@@ -93,6 +93,6 @@ def pressed(scene: DisplayScene, host: Host, seconds: float = SECONDS) -> tuple[
 
 
 def beat_n(time_s: float) -> float:
-    """What is wanted: a half sine, twice a second."""
+    """Return the wanted force: a half sine, twice a second."""
     into_s = time_s % EVERY_S
     return PEAK_N * math.sin(math.pi * into_s / BEAT_S) if into_s < BEAT_S else 0.0

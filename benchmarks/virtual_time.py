@@ -48,7 +48,7 @@ class VirtualThread:
         self.ended.wait(timeout)
 
     def is_alive(self) -> bool:
-        """Whether it has not ended."""
+        """Return whether it has not ended."""
         return not self.ended.is_set()
 
     def go_on(self) -> None:
@@ -72,7 +72,7 @@ class VirtualEvent:
         self._waiting: list[tuple[VirtualThread, int]] = []
 
     def is_set(self) -> bool:
-        """Whether it is set."""
+        """Return whether it is set."""
         return self._is_set
 
     def set(self) -> None:

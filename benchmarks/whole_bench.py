@@ -35,7 +35,7 @@ NICE = -15
 
 
 class MotorTrace(NamedTuple):
-    """What the emulated motor did, one value a millisecond; trouble_ns: when something went
+    """The course of the emulated motor, one value a millisecond; trouble_ns: when something went
     wrong in it or in its film, on the monotonic clock, None where nothing did."""
 
     time_ns: NDArray[np.int64]
@@ -133,7 +133,7 @@ class WholeBench:
         return summary
 
     def motor(self) -> MotorTrace:
-        """What the motor did until `end`."""
+        """Return the motor's course until `end`."""
         rows = np.genfromtxt(
             self.folder / "motor.csv",
             delimiter=",",
@@ -148,7 +148,7 @@ class WholeBench:
         return MotorTrace(rows["time_ns"], rows["speed_m_per_s"], rows["force_n"], trouble_ns)
 
     def said(self) -> str:
-        """What the processes printed."""
+        """Return all that the processes have printed."""
         return (self.folder / "log").read_text("utf-8")
 
     def _start(self, name: str, module: str, *words: object) -> None:

@@ -34,7 +34,7 @@ def context() -> Iterator[Context]:
 
 @pytest.fixture
 def goes_first() -> Iterator[None]:
-    """What the test starts has a priority, where that may be had: other tests, which run beside
+    """Give what the test starts a priority, where that may be had: other tests, which run beside
     it, must not look like a host that is too busy for the nodes."""
     if not hasattr(os, "setpriority"):
         yield

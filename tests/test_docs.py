@@ -61,7 +61,7 @@ def test_every_cause_of_refusal_is_documented_and_no_other() -> None:
 
 
 def test_nothing_claims_that_the_finger_is_at_rest() -> None:
-    """What is known of the finger is measured, and `display_node/finger.py` makes the sentence."""
+    """Statements about the finger are measured: `display_node/finger.py` makes the sentence."""
     texts = [
         *(ROOT / "docs").rglob("*.md"),
         *(path for package in PACKAGES for path in (ROOT / package).rglob("*.py")),

@@ -37,7 +37,7 @@ def on_a_bench(
     *options: str,
     output: int | None = None,
 ) -> MotorTrace:
-    """What the motor does on a bench on which something happens while the pulse is felt."""
+    """Return the motor's course on a bench on which something happens while the pulse is felt."""
     if kind == "cia402" and (reason := udp_multicast_reason()) is not None:
         pytest.skip(f"udp_multicast: {reason}")
     for attempt in range(TRIES):

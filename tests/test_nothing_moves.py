@@ -134,7 +134,7 @@ def refuse_a_session(folder: Path) -> "subprocess.CompletedProcess[str]":
 
 
 def cases(bench: EmulatedBench, taken: str) -> dict[str, Case]:
-    """What may fail, by its name. taken: an address that somebody else has bound."""
+    """Return the failures by name. taken: an address that another process has bound."""
     folder, scene = bench.folder, str(bench.scene)
     there = folder / "there.mcap"
     there.write_bytes(b"")

@@ -42,7 +42,7 @@ STREAM_ENDS_WITHIN_S = 30.0
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What a fault came to, over all the times it was made.
+    """The results of one fault, over all the times it was made.
 
     back_ms: from its end until the pulse was felt again, each time; felt: the share of the time
     it was felt while the fault lasted, where it should be. unaccounted: samples that no account
@@ -223,7 +223,8 @@ def one_of_twenty_never_reads(folder: Path, times: int, rng: random.Random) -> F
 
 
 def missing_in_crowd(output: str, sent: int) -> int:
-    """What the accounts of `benchmarks.faults.crowd` do not name, or name as lost."""
+    """Return how many samples the accounts of `benchmarks.faults.crowd` do not name, or name as
+    lost."""
     accounts = json.loads(output)
     return sum(abs(sent - total - before) + lost for total, _, _, lost, before in accounts)
 
@@ -277,8 +278,8 @@ def suspended(whose: str) -> Callable[[Path, int, random.Random], Found]:
 
 @contextmanager
 def yielding() -> Iterator[None]:
-    """Who does harm is on another machine: within, we take no time from nodes of real-time
-    priority, even if they have theirs from us."""
+    """Run without real-time priority within: the harm stands for another machine's, and must take
+    no processor time from nodes that inherited such a priority from us."""
     policy, priority = os.sched_getscheduler(0), os.sched_getparam(0)
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     try:

@@ -87,7 +87,7 @@ class Opening:
     rto_ms: int = RTO_MS
 
     def step(self, ms: int) -> bool:
-        """Whether it is there, and delivers."""
+        """Advance to a time, and return whether the connection is there and delivers."""
         if ms < self.next_ms:
             return False
         if self.link.passes(ms):
@@ -102,13 +102,13 @@ class Opening:
 
 @dataclass
 class Played:
-    """What came of a run: when each frame came first."""
+    """The course of a run: when each frame came first."""
 
     failover: Failover
     came_ms: dict[int, int] = field(default_factory=dict)
 
     def back_ms(self, end_ms: int) -> int:
-        """How long after the end of a cut a frame came while it was still fresh."""
+        """Return the time from the end of a cut until a frame came while it was still fresh."""
         fresh = [ms for frame, ms in self.came_ms.items() if ms - frame * FRAME_MS <= FRESH_MS]
         return min(ms for ms in fresh if ms >= end_ms) - end_ms
 

@@ -1,4 +1,4 @@
-"""What is felt changes no faster than the slew limit, whatever a peer asks."""
+"""Felt force changes no faster than the slew limit, whatever a peer sends."""
 
 import numpy as np
 import pytest

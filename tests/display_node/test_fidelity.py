@@ -180,7 +180,7 @@ def test_one_sample_of_truth_scores_nothing() -> None:
 
 
 def grown_bytes(run: Callable[[int], None], minutes: int = 10) -> int:
-    """What memory grows by from the first minute to the last."""
+    """Return the growth of memory from the first minute to the last."""
     tracemalloc.start()
     try:
         run(0)

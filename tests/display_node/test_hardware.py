@@ -41,7 +41,8 @@ def pulse_n() -> Callable[[float], float]:
 
 
 def ended_after_ms(bench: VirtualBench, from_ms: int, pressing: bool = False) -> int:
-    """How long after a time the tip moved or, unless it may stay pressing, pressed last."""
+    """Return the time from from_ms until the tip moved or, unless it may stay pressing, pressed
+    last."""
     last_ns = from_ms * MS
     for moment in bench.moments:
         moves = abs(moment.speed_m_per_s) > STILL_MM_PER_S
@@ -92,7 +93,7 @@ def test_a_drive_that_is_held_back_at_the_end_of_its_travel_is_counted(
 
 
 def rmse_n(bench: VirtualBench) -> float:
-    """What the display makes of its own truth."""
+    """Return the display's own aligned force error."""
     assert bench.display.fidelity is not None
     bench.display.fidelity.finish()
     summary = bench.display.summary()

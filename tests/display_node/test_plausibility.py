@@ -58,7 +58,7 @@ def test_a_motion_within_50_ms_is_not_held_against_it() -> None:
 
 
 def rise(n_per_s: float, end_n: float = 3.5) -> str | None:
-    """What is said on the way of a ramp to its end."""
+    """Return the fault on the way of a ramp to its end."""
     rising, ms, found = RisingForce(2.7, 50.0, 8 * MS), 0, None
     while found is None and n_per_s * ms * 1e-3 <= end_n:
         found = rising.fault(n_per_s * ms * 1e-3, ms * MS)

@@ -203,7 +203,7 @@ def test_a_status_has_every_key_of_a_summary() -> None:
 
 
 def test_a_film_that_falls_silent_is_a_fault_and_its_force_unknown() -> None:
-    """As when the emulator of the film is ended while a display plays."""
+    """The emulator of the film is ended while a display plays."""
     feedback = Feedback(0, 40 * MS)
     display = Display(load_section(RADIAL, "display", DisplayScene), "test", feedback=feedback)
     sender, writer, messages = Sender(), TraceWriter(), []

@@ -69,7 +69,7 @@ class VirtualDrive:
             self._send()
 
     def run_thread(self, now_ns: int) -> None:
-        """What the drive's own thread does, once a millisecond."""
+        """Do the work of the drive's own thread, once a millisecond."""
         self.now_ns = self.told_ns = now_ns
         self._hear()
         self.supervisor.watch(now_ns)
@@ -143,8 +143,9 @@ class VirtualFilm:
 
 @dataclass
 class VirtualBench:
-    """What happens on it is changed between two runs: `sending`, `drive`, `film`, and which threads
-    of the display's process run: `loop_runs`, `thread_runs` (the drive's), and which wakes first.
+    """A bench on which conditions change between two runs: `sending`, `drive`, `film`, and which
+    threads of the display's process run: `loop_runs`, `thread_runs` (the drive's), and which wakes
+    first.
 
     moments: of the motor, every ms; felt: of the display's ticks, with their times.
     """

@@ -1,4 +1,4 @@
-"""Whether a command could be run: its program takes these words, and what it names is there."""
+"""Check that a command could be run: its program takes these words, and what it names is there."""
 
 import re
 import shlex
@@ -56,7 +56,7 @@ def _check(command: str) -> None:
 
 
 def recipes(arguments: list[str]) -> list[str]:
-    """What `make` would run, installing left out."""
+    """Return what `make` would run, installing left out."""
     made = subprocess.run(
         ["make", "--dry-run", "--no-print-directory", *arguments],
         cwd=ROOT,

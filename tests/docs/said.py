@@ -1,4 +1,4 @@
-"""What the pages tell a reader to type: how each command is run here, or why it is not."""
+"""Commands on the pages that a reader types: the way each is run here, or why it is not."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""What the project says of itself is well-formed, and says what it does."""
+"""The project's descriptions of itself are well-formed and true."""
 
 import re
 import subprocess

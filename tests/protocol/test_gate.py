@@ -1,4 +1,4 @@
-"""Who gets in, on real sockets; the gate is tended by hand."""
+"""Admission on real sockets; the gate is polled by hand."""
 
 import socket as plain
 import time

@@ -26,7 +26,7 @@ SCENES = {
 
 
 class Heard(NamedTuple):
-    """What a host made of a board's bytes; off_ms: each reading's time less the true one."""
+    """A board's bytes as a host reads them; off_ms: each reading's time less the true one."""
 
     board: SensorBoard
     readings: Readings

@@ -84,7 +84,7 @@ def test_a_socket_is_read_and_its_end_is_named() -> None:
 def test_rfc2217_is_read() -> None:
     def serve(connection: socket.socket, over: threading.Event) -> None:
         class Client:
-            """Where the port manager's own replies go."""
+            """The writer of the port manager's own replies."""
 
             def write(self, data: bytes) -> None:
                 connection.sendall(data)
@@ -203,7 +203,7 @@ def test_at_a_wrong_baud_rate_nothing_is_a_sample_and_noise_is_counted(
 
 
 def misheard(data: bytes, sent_at: int, read_at: int) -> bytes:
-    """What a UART reads of bytes (8N1) that were sent at another rate."""
+    """Return what a UART reads of bytes (8N1) that were sent at another rate."""
     bits = [bit for byte in data for bit in (0, *((byte >> i) & 1 for i in range(8)), 1)]
     step, at, heard_bytes = sent_at / read_at, 0.0, bytearray()
     while at + 10 * step < len(bits):

@@ -48,7 +48,7 @@ def bench_scene(folder: Path) -> Path:
 
 
 def force_between(bench: VirtualBench, from_ns: int, until_ns: int) -> "np.ndarray":
-    """What the motor pressed with."""
+    """Return the motor's force from one time to another."""
     return np.array([m.force_n for m in bench.moments if from_ns <= m.time_ns < until_ns])
 
 
@@ -95,7 +95,8 @@ def test_a_person_has_the_loop_judged_once_before_the_drive_moves(
 
 
 def hurry(child: "subprocess.Popen[str]") -> None:
-    """What else this machine does must not look like a fault, where that may be had."""
+    """Raise a process's priority where that may be had, so that other load does not look like a
+    fault."""
     with suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, child.pid, NICE)
 

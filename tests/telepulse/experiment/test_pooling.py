@@ -1,4 +1,5 @@
-"""What is never pooled silently: observers with people, other sessions, spoilt trials."""
+"""Kinds of answers that are never pooled silently: simulated observers, other sessions, spoilt
+trials."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What Prometheus is told, read back by its own parser."""
+"""Metrics read back by Prometheus's own parser."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -29,7 +29,7 @@ class Page(Collector):
 
 
 def scraped(metrics: Iterator[Metric]) -> Scraped:
-    """As a scrape reads it: each sample once, by its name and labels."""
+    """Return the samples of a scrape: each once, by its name and labels."""
     registry = CollectorRegistry()
     registry.register(Page(list(metrics)))
     found: Scraped = {}

@@ -53,7 +53,7 @@ class Served:
         return self.scrape().get(("telepulse_" + name, tuple(sorted(labels.items()))))
 
     def gone(self) -> bool:
-        """Whether nobody serves the page any more."""
+        """Return whether nobody serves the page any more."""
         try:
             self.scrape()
         except (URLError, OSError):

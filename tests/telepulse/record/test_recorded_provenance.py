@@ -1,4 +1,4 @@
-"""What a recording keeps of the run that made it, and what it tells of its own broken end."""
+"""Provenance in a recording of the run that made it, and its reader's lines on a broken end."""
 
 import csv
 import json

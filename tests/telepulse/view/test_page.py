@@ -137,7 +137,7 @@ def said(page: Page, id: str) -> str:
 
 
 def stands_still(page: Page, ms: int) -> bool:
-    """Whether what is drawn is the same after a while."""
+    """Return whether the picture is the same after a while."""
     before = page.evaluate(DRAWN)
     page.wait_for_timeout(ms)
     return bool(page.evaluate(DRAWN) == before)

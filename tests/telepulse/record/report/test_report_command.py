@@ -27,7 +27,7 @@ PLOTS = (
 
 
 class Page(HTMLParser):
-    """What a page needs besides itself."""
+    """The files that a page needs besides itself."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
