@@ -54,6 +54,15 @@ class DataPath:
         for line in self.lines:
             line.socket.subscribe(b"")
 
+    def unsubscribe(self) -> None:
+        """Ask for nothing any more, and expect nothing; the first connection stays."""
+        self._subscribed = False
+        self.failover.abandon()
+        self._second.disconnect()
+        self._forget()
+        for line in self.lines:
+            line.socket.unsubscribe(b"")
+
     def take_heard(self, now_ns: int) -> bool:
         """Return whether anything has come since this was called last; close a connection that is
         not needed any more."""

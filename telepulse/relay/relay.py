@@ -6,6 +6,7 @@ from collections.abc import Callable
 import zmq
 
 from display_node.connection import CUT_NS
+from display_node.data_path import DataPath
 from display_node.line import ANSWER_NS, PATIENCE_NS
 from display_node.lookup import Lookup
 from protocol import sockets
@@ -15,7 +16,7 @@ from protocol.keys import ClientKeys, ServerKeys
 from protocol.refusals import Refusals
 from protocol.subscribers import Subscribers
 from protocol.summary import Frames as FrameCounts
-from protocol.summary import Summary
+from protocol.summary import Reconnections, Summary
 from telepulse.relay.frames import Frames
 from telepulse.relay.proxy import Proxy
 from telepulse.relay.silence import Silence
@@ -23,8 +24,6 @@ from telepulse.relay.silence import Silence
 LOOK_EVERY_NS = 100_000_000
 # How soon Ctrl-C is heeded.
 WAIT_NS = 50_000_000
-# Frames may be long; where the link is dead, control is silent, too, and tells sooner.
-DATA_PATIENCE_NS = 10_000_000_000
 
 
 class Relay:
@@ -56,23 +55,23 @@ class Relay:
         context = self._context
         self._gate = Gate(context, server_keys, log)
         self._refusals = Refusals(context, client_keys, log)
-        data_in = sockets.unconnected(context, zmq.SUB, client_keys)
+        self._path = DataPath(context, client_keys)
         control_in = sockets.unconnected(context, zmq.DEALER, client_keys)
-        self._refusals.watch(data_in)
-        self._refusals.watch(control_in)
+        for socket in (control_in, *(line.socket for line in self._path.lines)):
+            self._refusals.watch(socket)
         data_out = sockets.bind(context, zmq.XPUB, bind, self._gate)
-        self._frames = Frames(data_out, data_in, Subscribers(data_out, (b"",), log))
+        self._frames = Frames(data_out, self._path, Subscribers(data_out, (b"",), log))
         control_out = sockets.bind(context, zmq.ROUTER, control, self._gate)
         self._control = Proxy(context, control_out, control_in)
-        self._silences = (
-            Silence(CUT_NS, once_heard=True),
-            Silence(PATIENCE_NS),
-            Silence(DATA_PATIENCE_NS),
-        )
+        # Of both connections together, and of control.
+        self._cut = Silence(CUT_NS, once_heard=True)
+        self._unanswered = Silence(PATIENCE_NS)
         self._lookup = Lookup(connect, log)
         self._address: str | None = None
         self._next_look_ns = 0
-        self.reconnections = 0
+        # When control was connected last, so many frames had come.
+        self._heard_before = 0
+        self._controls = 0
 
     def stop(self) -> None:
         """End in a moment."""
@@ -98,57 +97,64 @@ class Relay:
 
     def _tend(self, now_ns: int) -> None:
         """Connect once the sensing node's address is known, and anew where nothing is heard."""
-        self._frames.tend()
-        self._refusals.tend(now_ns)
+        self._frames.tend(now_ns)
+        answered = self._refusals.tend(now_ns)
+        for line in self._path.lines if answered else ():
+            line.take_answer(answered)
         self._gate.tend(now_ns)
         found = self._lookup.take()
         if found is not None:
-            self._reconnect(found)
+            self._connect_control(found)
+        self._frames.connect(now_ns, found)
         if now_ns < self._next_look_ns:
             return
         self._next_look_ns = now_ns + LOOK_EVERY_NS
         self._control.look()
-        if self._silent(now_ns) and not self._lookup.running:
+        asked, answers = self._control.asked, self._control.heard
+        # A display that asks for the clock wants frames as well.
+        cut = self._cut.lasts(now_ns, asked, answers + self._frames.heard)
+        unanswered = self._unanswered.lasts(now_ns, asked, answers)
+        if cut:
+            self._path.failover.give_up()
+        if (self._address is None or cut or unanswered) and not self._lookup.running:
             self._lookup.start()
 
-    def _silent(self, now_ns: int) -> bool:
-        # A display that asks for the clock wants frames as well.
-        asked, answers, frames = self._control.asked, self._control.heard, self._frames.heard
-        lasts = [
-            silence.lasts(now_ns, asked, heard)
-            for silence, heard in zip(
-                self._silences, (answers + frames, answers, frames), strict=True
-            )
-        ]
-        return self._address is None or any(lasts)
-
-    def _reconnect(self, address: str) -> None:
-        """Connect to `address`; what still waits for the old connection is given up with it."""
+    def _connect_control(self, address: str) -> None:
+        """Connect control to `address`; what still waits for the old connection is given up with
+        it. Where no frames have come either, those are waited for no longer."""
         if self._address is not None:
-            self.reconnections += 1
-            if self.reconnections == 1:
+            self._controls += 1
+            if self._controls == 1:
                 self._log(f"{self._connect} is silent; connecting anew, as often as it is")
+            if self._frames.heard == self._heard_before:
+                self._path.failover.give_up()
+        self._heard_before = self._frames.heard
         # The kernel repeats a request to connect after 1 s, which is late where a cut has ended
         # meanwhile; but a way may take longer than one hurries.
-        answer_ns = ANSWER_NS if self.reconnections % 2 else 0
+        answer_ns = ANSWER_NS if self._controls % 2 else 0
         self._control.stop()
         was, control = self._address, sockets.control_address
-        sockets.reconnect(self._frames.sensing, was, address, answer_ns)
         sockets.reconnect(self._control.sensing, was and control(was), control(address), answer_ns)
         self._address = address
-        for silence in self._silences:
+        for silence in (self._cut, self._unanswered):
             silence.begin_anew()
         self._control.start()
 
     def _summary(self) -> Summary:
+        failover = self._path.failover
         self._log(
             f"{counted(self._frames.heard, 'frame')} ({_megabytes(self._frames)})"
             f" and {_megabytes(self._control)} of answers came from {self._connect},"
-            f" over {counted(1 + self.reconnections, 'connection')};"
+            f" {counted(self._controls, 'reconnection')} of control,"
+            f" {counted(failover.opened, 'second connection')} for frames;"
             f" {self._control.dropped} questions found no room"
         )
         rejected = self._refusals.rejected + self._frames.rejected + self._gate.rejected
-        return Summary(frames=FrameCounts(received=self._frames.heard), rejected=dict(rejected))
+        return Summary(
+            frames=FrameCounts(received=self._frames.heard),
+            reconnections=Reconnections(failover.opened, failover.kept, self._controls),
+            rejected=dict(rejected),
+        )
 
 
 def _megabytes(way: Frames | Proxy) -> str:

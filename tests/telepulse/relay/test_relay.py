@@ -1,5 +1,6 @@
 """Relays between raw peers, in threads of the test."""
 
+import itertools
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -9,13 +10,17 @@ from pathlib import Path
 import pytest
 import zmq
 
+from benchmarks.faults.hostile import port_of
 from protocol import sockets
 from protocol.allow_list import allow, revoke
 from protocol.keys import ClientKeys, KeyPair, ServerKeys, new_pair, read_pair
+from protocol.messages import encode_frame
 from protocol.sockets import Context, Socket, control_address
 from protocol.summary import Summary
 from telepulse.relay.relay import Relay
 
+from ...display_node.frames import frame
+from ...middleman import Middleman
 from ...nodes import free_address
 
 PATIENCE_S = 20.0
@@ -191,6 +196,70 @@ def test_what_is_asked_and_not_answered_makes_it_connect_anew(context: Context) 
         sensing.control.send_multipart([first, b"", bytes(4 * 65_536 + 1)])
         eventually(lambda: display.control.send(b"again") or asked_by_another(sensing, first))
         assert any("silent" in line for line in relay.log)
+
+
+class DeadOnes:
+    """Alters nothing of a connection, until those that there are by then carry nothing more."""
+
+    def __init__(self) -> None:
+        self._seen: set[int] = set()
+        self._dead: set[int] = set()
+
+    def __call__(self, data: bytes) -> bytes:
+        # Each direction of a connection has a thread of its own.
+        self._seen.add(threading.get_ident())
+        return b"" if threading.get_ident() in self._dead else data
+
+    def cut(self) -> None:
+        self._dead |= self._seen
+
+
+def test_where_frames_alone_fall_silent_they_come_over_a_second_connection(
+    context: Context,
+) -> None:
+    inner, outer, public = free_address(), free_address(), free_address()
+    sensing, display = Sensing(context, inner), Raw(context, outer)
+    line, control, dead = (
+        middleman(public, inner),
+        middleman(*map(control_address, (public, inner))),
+        DeadOnes(),
+    )
+    line.down = dead
+    frames = (encode_frame(frame(5 * number)) for number in itertools.count())
+
+    def play() -> object:
+        """Send a frame, ask and answer; what was received of the frames."""
+        sensing.data.send(next(frames))
+        display.control.send(b"question")
+        *envelope, _ = sensing.asked()
+        sensing.control.send_multipart([*envelope, b"answer"])
+        assert display.control.recv() == b"answer"
+        return display.data.poll(5) and display.data.recv()
+
+    try:
+        with relaying(public, outer) as relay:
+            eventually(play)
+            # Frames come regularly, so that their length is known.
+            for _ in range(50):
+                play()
+            dead.cut()
+            while play():
+                pass
+            from_s = time.monotonic()
+            eventually(play)
+            silent_s = time.monotonic() - from_s
+            reconnections = relay.end().reconnections
+        # As long as a display takes, and far less than the 10 s without a known length.
+        assert silent_s < 5
+        assert reconnections.opened
+        assert reconnections.control == 0
+    finally:
+        line.close()
+        control.close()
+
+
+def middleman(listen: str, onto: str) -> Middleman:
+    return Middleman(port_of(listen), port_of(onto))
 
 
 def asked_by_another(sensing: Sensing, first: bytes) -> bool:
