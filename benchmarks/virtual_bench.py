@@ -59,7 +59,7 @@ class Pipe:
 
     @property
     def waiting(self) -> int:
-        """How many bytes have come."""
+        """Count of the bytes that have come."""
         return len(self._data)
 
     def read(self, size: int, timeout_s: float) -> bytes:
@@ -123,7 +123,7 @@ class ModulePort:
 
     @property
     def in_waiting(self) -> int:
-        """How many bytes have come."""
+        """Count of the bytes that have come."""
         return self._replies.waiting
 
     def reset_input_buffer(self) -> None:

@@ -47,12 +47,12 @@ def chain(values: NDArray[np.float64], **keys: object) -> Conditioned:
 
 
 def heard(values: NDArray[np.float64], **keys: object) -> NDArray[np.float64]:
-    """What the chain makes of a force, both of shape (samples,)."""
+    """Return the chain's output for a force, both of shape (samples,)."""
     return chain(values, **keys).take(len(values)).ravel()
 
 
 def gain(frequency_hz: float, **keys: object) -> float:
-    """How much of a sine on 0.5 N the chain leaves, once it has settled."""
+    """Return the share of a sine on 0.5 N that the chain leaves, once it has settled."""
     turns = frequency_hz * np.arange(40_000) / RATE_HZ
     force_n = 0.5 + 0.1 * np.cos(2 * np.pi * turns)
     tail = heard(force_n, **keys)[20_000:]

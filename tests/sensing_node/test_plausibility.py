@@ -1,4 +1,4 @@
-"""What a source is checked for when it is opened, and while it runs."""
+"""Checks of a source when it is opened, and while it runs."""
 
 import datetime
 import itertools

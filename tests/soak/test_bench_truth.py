@@ -1,4 +1,4 @@
-"""What a bench claims, against a motor's record; each check fails a fabricated lie."""
+"""Claims of a bench, against a motor's record; each check fails a fabricated lie."""
 
 from dataclasses import replace
 

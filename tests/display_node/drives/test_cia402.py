@@ -1,4 +1,4 @@
-"""What can go wrong with a CiA 402 drive on its bus."""
+"""Faults of a CiA 402 drive on its bus."""
 
 import uuid
 

@@ -1,4 +1,4 @@
-"""What every kind of drive must do, each on its real bytes."""
+"""Behaviour that every kind of drive must have, each on its real bytes."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager

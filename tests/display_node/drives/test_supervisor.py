@@ -1,4 +1,4 @@
-"""What a drive is sent, whatever the loop, the host and the drive do."""
+"""Commands to a drive, whatever the loop, the host and the drive do."""
 
 import random
 

@@ -1,4 +1,4 @@
-"""What can go wrong on the line to a TMCL module."""
+"""Faults on the line to a TMCL module."""
 
 import os
 import pty
