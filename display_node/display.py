@@ -22,15 +22,7 @@ from protocol.availability import AvailabilityCounter
 from protocol.limits import Limits
 from protocol.messages import Control, Report
 from protocol.status import Playing
-from protocol.summary import (
-    Clock,
-    Frames,
-    Loop,
-    OneWayDelay,
-    Samples,
-    Summary,
-    TickTime,
-)
+from protocol.summary import Loop, Summary, TickTime
 from protocol.tactile import matching_force_ratio
 
 REPORT_EVERY_NS = 1_000_000_000
@@ -272,35 +264,15 @@ class Display:
         self, deadline_misses: int | None = None, tick_us: TickTime | None = None
     ) -> Summary:
         """The summary so far; the loop's figures come from whoever runs it."""
-        receiver, clock = self.receiver, self.receiver.clock
-        account, delay = receiver.account(), receiver.one_way_delay_ms
-        frames, reordered = receiver.frames
-        known = clock.ready
-        summary = Summary(
-            samples=Samples(
-                account.sent, account.played, account.late, account.lost, account.before_joining
-            ),
-            frames=Frames(frames, reordered, receiver.copies),
-            one_way_delay_ms=OneWayDelay(
-                delay.quantile(0.5),
-                delay.quantile(0.99),
-                delay.maximum,
-                delay.beyond(p50=0.5, p99=0.99),
-            ),
+        summary = replace(
+            self.receiver.summary(self.felt.now_ns),
             playout_delay_ms=self._delays.playout_delay_ms,
             covered_delay_ms=self._delays.covered_delay_ms,
             availability=self._availability.availability(self._delays.ticks),
             compensation=self._delays.compensation(may_trust=self._stand_in.trusted is not None),
-            clock=Clock(
-                clock.offset_ns(self.felt.now_ns) * 1e-6 if known else None,
-                clock.skew_ppm if known else None,
-                clock.uncertainty_ns(self.felt.now_ns) * 1e-6 if known else None,
-                clock.asymmetry_bound_ns * 1e-6 if known else None,
-                receiver.clock_steps,
-            ),
             limited=self._limits(),
             loop=Loop(self.ticks, deadline_misses, tick_us or TickTime()),
-            rejected=dict(receiver.rejected),
+            rejected=dict(self.receiver.rejected),
             faults=list(self.safety.faults),
             finger=self._finger(),
         )

@@ -24,6 +24,7 @@ from protocol.messages import (
     decode_frame,
 )
 from protocol.stream import StreamDescription
+from protocol.summary import Clock, Frames, OneWayDelay, Samples, Summary
 
 HELLO_EVERY_NS = 250_000_000
 # A minute of it; more often, TCP delivers requests and replies in bunches, which is a bias.
@@ -149,6 +150,29 @@ class Receiver:
         return (
             self._frames_closed + self.buffer.frames,
             self._reordered_closed + self.buffer.reordered,
+        )
+
+    def summary(self, now_ns: int) -> Summary:
+        """Return the summary's figures of what was received: samples, frames, delay and clock."""
+        account, delay, clock = self.account(), self.one_way_delay_ms, self.clock
+        return Summary(
+            samples=Samples(
+                account.sent, account.played, account.late, account.lost, account.before_joining
+            ),
+            frames=Frames(*self.frames, self.copies),
+            one_way_delay_ms=OneWayDelay(
+                delay.quantile(0.5),
+                delay.quantile(0.99),
+                delay.maximum,
+                delay.beyond(p50=0.5, p99=0.99),
+            ),
+            clock=Clock(
+                clock.offset_ns(now_ns) * 1e-6 if clock.ready else None,
+                clock.skew_ppm if clock.ready else None,
+                clock.uncertainty_ns(now_ns) * 1e-6 if clock.ready else None,
+                clock.asymmetry_bound_ns * 1e-6 if clock.ready else None,
+                self.clock_steps,
+            ),
         )
 
     def over(self, now_ns: int, playout_delay_ns: int) -> bool:

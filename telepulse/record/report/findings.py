@@ -1,7 +1,7 @@
 """Findings about a recorded run, gathered in one pass. Pure, but for reading the file."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from protocol.availability import Availability
 from protocol.errors import SourceError
 from protocol.histogram import Histogram
 from protocol.messages import Frame
-from protocol.summary import Clock, Frames, Loop, OneWayDelay, PlayoutDelay, Samples, Summary
+from protocol.summary import Loop, PlayoutDelay, Summary
 from telepulse.record.listener import Listener
 from telepulse.record.reader import RecordingReader
 from telepulse.record.report.alignment import Tick
@@ -95,31 +95,12 @@ class Findings:
 
     def summary(self) -> Summary:
         """The same keys as a display's own summary, where the recording tells them."""
-        receiver, delay = self._listener.receiver, self.one_way_delay_ms
-        account, clock = receiver.account(), receiver.clock
-        now_ns, known = self._last_now_ns or 0, receiver.clock.ready
-        summary = Summary(
-            samples=Samples(
-                account.sent, account.played, account.late, account.lost, account.before_joining
-            ),
-            frames=Frames(*receiver.frames, receiver.copies),
-            one_way_delay_ms=OneWayDelay(
-                delay.quantile(0.5),
-                delay.quantile(0.99),
-                delay.maximum,
-                delay.beyond(p50=0.5, p99=0.99),
-            ),
+        summary = replace(
+            self._listener.receiver.summary(self._last_now_ns or 0),
             playout_delay_ms=PlayoutDelay(
                 self.playout_ms.mean,
                 self.playout_ms.quantile(0.99),
                 self.playout_ms.beyond(p99=0.99),
-            ),
-            clock=Clock(
-                clock.offset_ns(now_ns) * 1e-6 if known else None,
-                clock.skew_ppm if known else None,
-                clock.uncertainty_ns(now_ns) * 1e-6 if known else None,
-                clock.asymmetry_bound_ns * 1e-6 if known else None,
-                receiver.clock_steps,
             ),
             availability=self._availability(),
             loop=Loop(self.ticks, self._misses),
