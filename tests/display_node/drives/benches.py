@@ -178,3 +178,15 @@ def cia402_bench(
             drive.close()
             end()
             node.close()
+
+
+@contextmanager
+def shared_bus() -> Iterator[tuple[Bench, can.BusABC]]:
+    """A CiA 402 drive that has started, and another node's end of its bus."""
+    channel = uuid.uuid4().hex
+    with (
+        cia402_bench(channel=channel) as bench,
+        can.Bus(interface="virtual", channel=channel) as bus,
+    ):
+        bench.drive.start()
+        yield bench, bus

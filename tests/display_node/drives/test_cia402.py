@@ -1,7 +1,5 @@
 """Faults of a CiA 402 drive on its bus."""
 
-import uuid
-
 import can
 import pytest
 
@@ -18,6 +16,7 @@ from .benches import (
     LAYER,
     cia402_bench,
     cia402_scene,
+    shared_bus,
     slcan_bench,
     stepper,
     wait,
@@ -147,12 +146,7 @@ def test_a_bus_that_is_not_there_is_said() -> None:
 
 
 def test_malformed_pdos_are_counted_and_harmless() -> None:
-    channel = uuid.uuid4().hex
-    with (
-        cia402_bench(channel=channel) as bench,
-        can.Bus(interface="virtual", channel=channel) as bus,
-    ):
-        bench.drive.start()
+    with shared_bus() as (bench, bus):
         for size in (0, 1, 2, 3, 4, 5, 7):
             bus.send(can.Message(arbitration_id=TPDO1 + 1, is_extended_id=False, data=bytes(size)))
         bench.keep(0.0, lambda: bench.drive.counts["malformed"] == 7)
@@ -160,12 +154,7 @@ def test_malformed_pdos_are_counted_and_harmless() -> None:
 
 
 def test_what_no_drive_reports_is_counted_and_not_used() -> None:
-    channel = uuid.uuid4().hex
-    with (
-        cia402_bench(channel=channel) as bench,
-        can.Bus(interface="virtual", channel=channel) as bus,
-    ):
-        bench.drive.start()
+    with shared_bus() as (bench, bus):
         node = bench.drive._node  # type: ignore[attr-defined]
         # A statusword of no state, a position and a speed far beyond the axis.
         for identifier, data in (

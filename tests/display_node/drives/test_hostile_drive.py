@@ -1,21 +1,14 @@
 """Emergencies of any size and number, from a drive that goes on running."""
 
-import uuid
-
 import can
 
 from display_node.drives.cia402_node import EMERGENCY
 
-from .benches import cia402_bench
+from .benches import shared_bus
 
 
 def test_emergencies_without_a_code_are_counted() -> None:
-    channel = uuid.uuid4().hex
-    with (
-        cia402_bench(channel=channel) as bench,
-        can.Bus(interface="virtual", channel=channel) as bus,
-    ):
-        bench.drive.start()
+    with shared_bus() as (bench, bus):
         for data in (b"", b"\x10", bytes(2), bytes(5)):
             bus.send(can.Message(arbitration_id=EMERGENCY + 1, is_extended_id=False, data=data))
         bench.keep(0.0, lambda: bench.drive.counts["malformed"] == 2)
@@ -23,12 +16,7 @@ def test_emergencies_without_a_code_are_counted() -> None:
 
 
 def test_emergencies_without_end_are_not_kept() -> None:
-    channel = uuid.uuid4().hex
-    with (
-        cia402_bench(channel=channel) as bench,
-        can.Bus(interface="virtual", channel=channel) as bus,
-    ):
-        bench.drive.start()
+    with shared_bus() as (bench, bus):
         for _ in range(200):
             bus.send(can.Message(arbitration_id=EMERGENCY + 1, is_extended_id=False, data=bytes(8)))
         bus.send(can.Message(arbitration_id=EMERGENCY + 1, is_extended_id=False, data=b""))
