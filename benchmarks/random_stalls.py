@@ -89,7 +89,7 @@ class Ordeal:
             self.tally.most_n = max(self.tally.most_n, moment.force_n)
 
     def _episode(self) -> None:
-        """One trouble, or two that overlap, and what came of it."""
+        """Make one trouble, or two that overlap, and record what came of it."""
         bench, chance, tally = self.bench, self._chance, self.tally
         names, begin_ns = list[str](), bench.world.now_ns
         end_ns = begin_ns
@@ -153,7 +153,7 @@ def _is_of(thread: VirtualThread, name: str) -> bool:
 
 
 def chunk(kind: str, with_film: bool, seed: int, seconds: float = CHUNK_S) -> Tally:
-    """One ordeal."""
+    """Run one ordeal."""
     return Ordeal(kind, with_film, seed).run(seconds)
 
 

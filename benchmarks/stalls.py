@@ -30,7 +30,7 @@ def between_all(longest: int) -> Host:
 
 
 def for_a_while(longest: int) -> Host:
-    """One that does so for 3 s of every 10."""
+    """Return a host that stalls before every tick for 3 s of every 10."""
     return lambda chance, at_s: chance.randint(1, longest) if at_s % 10 < 3 else 0
 
 

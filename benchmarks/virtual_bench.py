@@ -81,7 +81,7 @@ class FilmPort:
         self.silent = False
 
     def open(self) -> None:
-        """It is there."""
+        """Do nothing: the port is there."""
 
     def write(self, data: bytes) -> None:
         """Take bytes that the board sends."""
@@ -173,7 +173,7 @@ class CanEnd(can.BusABC):
             self.far.notifier.receive(frame)
 
     def shutdown(self) -> None:
-        """Nothing is open."""
+        """Do nothing but mark it as shut down."""
         self._is_shutdown = True
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
@@ -181,7 +181,8 @@ class CanEnd(can.BusABC):
 
 
 class Notifier:
-    """In place of `can.Notifier`: a thread of the process that hands frames to the listeners.
+    """The replacement of `can.Notifier`: a thread of the process that hands frames to the
+    listeners.
 
     An SDO's answer comes while its request is being sent, and is handed on at once, as are frames
     to the drive.

@@ -257,7 +257,7 @@ class VirtualTime:
 
 
 class _Clock:
-    """In place of the module `time`."""
+    """The replacement of the module `time`."""
 
     def __init__(self, world: VirtualTime) -> None:
         self.monotonic_ns, self.monotonic, self.sleep = (
@@ -268,7 +268,7 @@ class _Clock:
 
 
 class _Threads:
-    """In place of the module `threading`."""
+    """The replacement of the module `threading`."""
 
     def __init__(self, world: VirtualTime) -> None:
         self._world = world

@@ -57,7 +57,8 @@ def _force(state: FingerState) -> str:
 
 
 def _withdrawn(state: FingerState, force: str) -> str:
-    """By its position; the film may say otherwise, or nothing."""
+    """Describe a withdrawal that the position shows; the film may contradict it, or read
+    nothing."""
     if state.force_n is None:
         return f"withdrawn by the drive's position, {force}"
     if abs(state.force_n) < TOUCH_N:

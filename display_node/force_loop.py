@@ -88,7 +88,8 @@ class ForceLoop:
         return self.felt_n
 
     def shift(self, way_m: float) -> None:
-        """By the present tick a stepper has gone so much further than the outputs said."""
+        """Move the stepper's models on: it has gone so much further than the outputs led by this
+        tick."""
         if isinstance(self._controller, StepperController):
             self._controller.shift(way_m)
 

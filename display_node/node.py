@@ -91,7 +91,7 @@ class DisplayNode:
         self._context.destroy(linger=0)
 
     def await_recorder(self, seconds: float) -> bool:
-        """Before `run`: wait until somebody asks for all that is heard; False when none does."""
+        """Wait before `run` until a recorder asks for all that is heard; False when none does."""
         return self._telemetry.await_recorder(seconds)
 
     def run(self, seconds: float | None = None, once: bool = False) -> Summary:

@@ -40,7 +40,8 @@ class StallGuard:
         self.held_s = tick_s
 
     def tick(self, missed_ticks: int, wanted_n: float) -> None:
-        """Once a tick: how many were missed before it, and what the finger is to feel now."""
+        """Advance one tick, with how many were missed before it and what the finger is to feel
+        now."""
         self.peak_n = max(wanted_n, self._worst * self.peak_n)
         if not (missed_ticks or self._longest_s):
             return

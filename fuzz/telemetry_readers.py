@@ -45,7 +45,8 @@ Message = tuple[bytes, bytes]
 
 
 class TelemetryReaders:
-    """Gives each message to the panel, the page, the recorder, the report, LSL and the metrics."""
+    """All readers of telemetry: the panel, the page, the recorder, the report, LSL and the
+    metrics."""
 
     def __init__(self) -> None:
         self.screen, self.live, self.transcript = Screen(), Live(), Transcript()
@@ -89,7 +90,7 @@ class TelemetryReaders:
 
 
 class KeptOutlets:
-    """Takes what LSL would publish and checks that LSL could."""
+    """A check of what LSL would publish."""
 
     def local_clock(self) -> float:
         return 0.0

@@ -119,7 +119,8 @@ def beside(
 
 @contextmanager
 def beginning() -> Iterator[Callable[[str], None]]:
-    """For the process itself: gives what says that it is ready; an error of ours ends it, said.
+    """Yield a callback that reports readiness; a TelepulseError is reported and ends the process.
+    Called by the process itself.
 
     It gives way to the node's loop.
     """
@@ -133,13 +134,14 @@ def beginning() -> Iterator[Callable[[str], None]]:
 
 
 def say(text: str) -> None:
-    """For the process itself: have the node say something to people."""
+    """Have the node print something for people. Called by the process itself."""
     with suppress(OSError):  # the node may have gone
         print(json.dumps({"says": text}), flush=True)
 
 
 def told() -> dict[str, Any] | None:
-    """For the process itself: what it is told next; None when the node has ended."""
+    """Return the node's next message; None when the node has ended. Called by the process
+    itself."""
     line = sys.stdin.readline()
     words: dict[str, Any] | None = json.loads(line) if line.endswith("\n") else None
     return words

@@ -1,4 +1,4 @@
-"""Why a connection to another node does not come about. ZeroMQ would try for ever, in silence."""
+"""Reasons why a connection to another node fails. ZeroMQ would try for ever, in silence."""
 
 from collections import Counter
 from collections.abc import Callable

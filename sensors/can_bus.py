@@ -54,7 +54,7 @@ class CanBus:
         self._bus: Any = None
 
     def open(self) -> None:
-        """Raises SourceError when the bus cannot be used."""
+        """Open the bus. Raises SourceError when it cannot be used."""
         # python-can takes a tenth of a second to import; scenes without it do without.
         import can
 

@@ -1,4 +1,4 @@
-"""From a sensor's own unit to newtons: the keys that every live sensor's table has."""
+"""Conversion from a sensor's own unit to newtons: the keys that every live sensor's table has."""
 
 from dataclasses import dataclass
 from typing import Annotated, Literal

@@ -30,7 +30,7 @@ class Reading(NamedTuple):
 
 
 class Readings:
-    """Makes readings of one sensor's packets. Pure: arrivals' times come in.
+    """The conversion of one sensor's packets to readings. Pure: arrivals' times come in.
 
     samples: placed so far; missing: lost before them. restarts: how often the device's clock
     began anew. behind: packets that were refused because the stream was past their time.

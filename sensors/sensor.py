@@ -29,7 +29,7 @@ class Port(Protocol):
         """Name for people."""
 
     def open(self) -> None:
-        """Raises SourceError when the device is not there or cannot be used."""
+        """Open the device. Raises SourceError when it is not there or cannot be used."""
 
     def read(self) -> Any:
         """Return what arrived, for the decoder; after a while without anything, something false.
@@ -42,7 +42,7 @@ class Port(Protocol):
 
 
 class Decoder(Protocol):
-    """Makes packets of what a port reads, and counts what it cannot use. Pure."""
+    """The conversion of a port's data to packets; counts what it cannot use. Pure."""
 
     @property
     def rejected(self) -> Counter[str]:

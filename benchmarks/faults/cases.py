@@ -200,7 +200,7 @@ def display_stopped(folder: Path, times: int, rng: random.Random) -> Found:
 
 
 def one_of_twenty_never_reads(folder: Path, times: int, rng: random.Random) -> Found:
-    """Beside a display that is felt, eighteen that listen in one process, and the one."""
+    """Play a display beside eighteen listeners in one process and one that never reads."""
     with staged(folder) as stage:
         sensing, display, finger = stage.play()
         crowd_of = (sys.executable, "-m", "benchmarks.faults.crowd")

@@ -76,7 +76,7 @@ class Recovery:
 
 
 class CutRunner:
-    """Makes cuts on one link between one pair of nodes.
+    """The maker of cuts on one link between one pair of nodes.
 
     sensing, display: the nodes.
     """

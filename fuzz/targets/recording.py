@@ -28,7 +28,7 @@ _SCENES = [
 
 
 def seeds() -> list[bytes]:
-    """One file of each kind, read in each way, and what cannot be scaled or sent."""
+    """Return one file of each kind, read in each way, and what cannot be scaled or sent."""
     table = np.array([[0.1, 1], [0.2, 2], [0.3, 4]], "<f4")
     npy, npz = io.BytesIO(), io.BytesIO()
     np.save(npy, table)

@@ -128,8 +128,8 @@ def _fits(found: Identified) -> bool:
 
 
 def _latency_s(actuator: StepperScene, found: Identified, contact: Contact) -> float:
-    """From a command to its motion, film's age included, as the scene's model has it: a rotor
-    that the scene will have delays by its own 2 ζ/ω beside it."""
+    """Return the time from a command to its motion, film's age included, as the scene's model has
+    it: a rotor that the scene will have delays by its own 2 ζ/ω beside it."""
     if _rotor_told(found, contact):
         return found.model.latency_s
     if actuator.rotor_resonance_hz is None:

@@ -88,7 +88,8 @@ def listen(sensor: Sensor, seconds: float) -> Heard:
 
 
 def check_answers(drive: Drive, vco: StepRate) -> Check:
-    """From a command to the drive's own report of that speed: away from the finger and back."""
+    """Check the time from a command to the drive's own report of that speed: off the finger and
+    back."""
     waits_s = []
     away = vco.command(-ANSWER_SPEED_M_PER_S)
     back = StepCommand(away.rate_hz, 1)

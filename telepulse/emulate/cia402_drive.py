@@ -57,7 +57,7 @@ class EmulatedDrive:
 
     @property
     def statusword(self) -> int:
-        """Of the present state, with the homing bits in that mode."""
+        """Statusword of the present state, with the homing bits in that mode."""
         word: int = self.state.value[1]
         if self.state not in (State.FAULT, State.SWITCH_ON_DISABLED):
             word |= VOLTAGE_ENABLED

@@ -32,7 +32,7 @@ class EmulatedLink:
     carried: Carried | None = None
 
     def change(self, scene: LinkScene, number: int = 0) -> None:
-        """One of the links is like this from now on; what is under way arrives."""
+        """Change one of the links from now on; what is under way arrives."""
         self.orders.write(f"{number} {scene.text()}\n")
         self.orders.flush()
 

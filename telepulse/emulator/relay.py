@@ -75,7 +75,7 @@ class Relay:
                 self._receive(tun)
 
     def redirect(self, tun: int, direction: Direction) -> None:
-        """From now on packets of this device go in another way; those under way arrive."""
+        """Send this device's packets another way from now on; those under way arrive."""
         former, other = self._ways[tun]
         self._lost += former.lost
         self._ways[tun] = direction, other

@@ -47,7 +47,7 @@ class Stop:
 
 
 class Dialogue:
-    """One trial's: keys in, what they ask for out."""
+    """The dialogue of one trial: keys come in, the actions they ask for go out."""
 
     def __init__(self, kind: Kind, replays: int | None) -> None:
         self._kind = kind

@@ -79,7 +79,7 @@ class Played(BaseModel):
 
     @property
     def spoilt(self) -> str:
-        """Why this is not what the trial was to be, "" where it is.
+        """Reason why this is not what the trial was to be, "" where it is.
 
         A stream that is stale over the link is the condition's own: no link but the model's lies
         between source and display.

@@ -36,7 +36,7 @@ class Outcome:
 
     @property
     def spoilt(self) -> str:
-        """Why this trial is not what it was to be, "" where it is."""
+        """Reason why this trial is not what it was to be, "" where it is."""
         return next((why for played in self.answered.played if (why := played.spoilt)), "")
 
     @property

@@ -28,7 +28,7 @@ class Session:
     provenance: list[dict[str, str]] = field(default_factory=list)
 
     def frames(self) -> Iterator[Frame]:
-        """They, in order."""
+        """Yield the frames in order."""
         for _, data in sorted(self.data.items()):
             yield decode_frame(data)
 

@@ -69,7 +69,8 @@ class Live:
 
     @property
     def finger_strain_per_newton(self) -> float | None:
-        """Of the layer under the finger; None while the display knows no stream."""
+        """Strain per newton of the layer under the finger; None while the display knows no
+        stream."""
         return None if self._playing is None else float(self._playing["strain_per_newton"])
 
     @property
@@ -79,7 +80,7 @@ class Live:
 
     @property
     def wrist_strain_per_newton(self) -> float | None:
-        """Of the layer at the wrist."""
+        """Strain per newton of the layer at the wrist."""
         finger, ratio = self.finger_strain_per_newton, self.force_ratio
         return None if finger is None or ratio is None else finger * ratio
 
@@ -142,7 +143,8 @@ class Live:
         )
 
     def _shares(self) -> tuple[float, float]:
-        """Of 100 samples that were due in the last second, how many were lost and late."""
+        """Return how many of 100 samples that were due in the last second were lost, and how many
+        late."""
         old, new = self._samples[0], self._samples[-1]
         grown = {name: new.get(name, 0) - old.get(name, 0) for name in ("played", "lost", "late")}
         due = sum(grown.values())

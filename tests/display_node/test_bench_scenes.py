@@ -30,7 +30,7 @@ def built(scene: DisplayScene, **actually: object) -> ForceLoop:
 def off_n(
     loop: ForceLoop, pulse_n: NDArray[np.float64], lead_ticks: float = 0.0
 ) -> NDArray[np.float64]:
-    """By how much the force at each tick's beginning is off, the reference known ahead.
+    """Return the force error at each tick's beginning, the reference known ahead.
 
     lead_ticks: how much later than now the loop's reference begins.
     """

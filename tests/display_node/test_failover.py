@@ -238,7 +238,7 @@ def test_where_the_first_is_back_and_no_second_comes_about_it_is_kept() -> None:
 
 
 def racing() -> Failover:
-    """At 320 ms the second connection has been opened."""
+    """Return a failover whose second connection has been opened at 320 ms."""
     failover = started()
     assert failover.due(320 * MS)
     return failover

@@ -52,7 +52,7 @@ class VirtualDrive:
         self.arm()
 
     def arm(self) -> None:
-        """It stands at first touch."""
+        """Stand at first touch, ready for commands."""
         self.supervisor.arm(self.now_ns)
         self.supervisor.verified = True
         self._hear()
@@ -61,7 +61,7 @@ class VirtualDrive:
         return self.supervisor.way_m(now_ns)
 
     def start(self, force_n: Callable[[], float | None] = no_film) -> None:
-        """It stands at first touch already."""
+        """Do nothing: it stands at first touch already."""
 
     def command(self, command: StepCommand) -> None:
         if self.supervisor.fault is None:
@@ -211,7 +211,7 @@ class VirtualBench:
         self.loop_runs = self.thread_runs = True
 
     def restart(self) -> None:
-        """After a fault the display is started anew, which brings the drive to first touch."""
+        """Start the display anew after a fault, which brings the drive to first touch."""
         motor = self.drive.motor
         motor.reset()
         motor.watch(0)

@@ -29,7 +29,7 @@ RECIPES = {*OTHERS, "ruff", "mypy", "lint-imports", "touch", "rm", "mkdir"}
 
 
 def check(command: str) -> None:
-    """Raises AssertionError where it could not be run as it stands."""
+    """Raise AssertionError where it could not be run as it stands."""
     try:
         _check(command)
     except Exception as error:

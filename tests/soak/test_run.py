@@ -36,7 +36,7 @@ OPTIONS = ("--realtime", "gc")
 
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One episode, as soon as may be."""
+    """Make the run one episode, as soon as may be."""
     monkeypatch.setattr(soak.run, "episodes", lambda seed: iter([EPISODE]))
     monkeypatch.setattr(soak.run, "HEAD_START_S", 2.0)
     monkeypatch.setenv(MARK, str(os.getpid()))

@@ -48,7 +48,7 @@ def claim(state: str = "playing", at_ms: int = 0, full: bool = True, **changes: 
 
 
 def verdicts(*claims: StatusClaim) -> dict[str, bool | None]:
-    """Of state, finger, figures and availability."""
+    """Return the verdicts on state, finger, figures and availability."""
     return {x.name.split()[0]: x.ok for x in judge_statuses("mortal", [claims], MS)}
 
 

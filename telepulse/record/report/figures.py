@@ -68,7 +68,7 @@ def error(forces: Forces) -> Plot:
 
 
 def delays(findings: Findings) -> Plot:
-    """One-way and playout delay over time."""
+    """Plot one-way and playout delay over time."""
     trends = findings.trends
 
     def draw(figure: "Figure") -> None:
@@ -177,7 +177,7 @@ def _broken(t_s: Floats, *columns: Floats) -> list[Floats]:
 
 
 def _legend(axes: "Axes") -> None:
-    """Above the plot, where it hides nothing."""
+    """Place the legend above the plot, where it hides nothing."""
     axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, borderpad=0.1)
 
 

@@ -85,7 +85,7 @@ class Findings:
 
     @property
     def one_way_delay_ms(self) -> Histogram:
-        """Of all frames, as the display counts it."""
+        """One-way delays of all frames, as the display counts them."""
         return self._listener.receiver.one_way_delay_ms
 
     @property

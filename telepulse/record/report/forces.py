@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 
 
 class Forces:
-    """Takes frames and ticks as an `Alignment`, which it holds.
+    """Forces of a recording, from frames and ticks as an `Alignment` takes them, which it holds.
 
     first, worst: the first stretch at full strength, and the one around the largest error.
     heart: time in s, beats a minute at the wrist and at the finger.
@@ -41,7 +41,7 @@ class Forces:
         self._beats: list[Block] = []
 
     def begin(self) -> None:
-        """Another session begins."""
+        """Begin another session."""
         self._take(self.alignment.begin())
 
     def told(self, channel: int, ratio: float) -> None:

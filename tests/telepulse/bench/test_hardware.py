@@ -50,7 +50,7 @@ class Bench:
             self._samples.append((self._now_ns, self._stepper.step(self._told)))
 
     def start(self) -> None:
-        """Nothing to do."""
+        """Do nothing."""
 
     def command(self, command: StepCommand) -> None:
         # Told at one of its own instants, so that the way it says is the way it goes.
@@ -76,7 +76,7 @@ class Bench:
         self._told = StepCommand(0.02 / STEP_M, -1)
 
     def close(self) -> None:
-        """Nothing to do."""
+        """Do nothing."""
 
     def poll(self) -> list[Reading]:
         self._advance()

@@ -58,7 +58,7 @@ PRESS_ON = """
 
 
 def udp_multicast_reason() -> str | None:
-    """Why udp_multicast cannot carry CAN here; None where it can."""
+    """Return why udp_multicast cannot carry CAN here; None where it can."""
     channel = f"239.74.163.{2 + uuid.uuid4().int % 200}"
     try:
         with (

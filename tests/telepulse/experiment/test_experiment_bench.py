@@ -102,7 +102,7 @@ def hurry(child: "subprocess.Popen[str]") -> None:
 
 
 def run_once(session: Path, log: Path) -> str:
-    """Why it did not come to its end; nothing when it did."""
+    """Run the session, and return why it did not come to its end; nothing when it did."""
     resume = ("--resume",) if log.exists() else ()
     words = ("experiment", "run", str(session), "--log", str(log), "--yes", *resume)
     with subprocess.Popen(
