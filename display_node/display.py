@@ -19,6 +19,7 @@ from display_node.safety import Safety
 from display_node.scene import DisplayScene
 from display_node.stand_in import StandIn
 from protocol.availability import AvailabilityCounter
+from protocol.interruptions import InterruptionCounter
 from protocol.limits import Limits
 from protocol.messages import Control, Report
 from protocol.status import Playing
@@ -83,6 +84,7 @@ class Display:
         self._next_report_ns = 0
         self._delays = PlayedDelays()
         self._availability = AvailabilityCounter(scene.tick_ns * 1e-9)
+        self._interruptions = InterruptionCounter(scene.tick_ns * 1e-9)
         self.fidelity = Fidelity(self._layer.strain_per_newton) if score else None
         self.receiver = Receiver(name, scene.channel, scene.late_target, scene.paths)
         self.safety = Safety(scene.safety, scene.tick_ns)
@@ -188,6 +190,7 @@ class Display:
         felt.felt_n = felt_n
         felt.scored = alive and safety.gain == 1.0
         self._availability.add(self.state, elapsed_ticks)
+        self._interruptions.add(felt.scored, elapsed_ticks)
         if felt.scored and self.fidelity is not None:
             # A real film's reading is as old as this.
             before_ns = self._scene.film.latency_ns if self.feedback is not None else 0
@@ -269,6 +272,7 @@ class Display:
             playout_delay_ms=self._delays.playout_delay_ms,
             covered_delay_ms=self._delays.covered_delay_ms,
             availability=self._availability.availability(self._delays.ticks),
+            interruptions=self._interruptions.interruptions(),
             compensation=self._delays.compensation(may_trust=self._stand_in.trusted is not None),
             limited=self._limits(),
             loop=Loop(self.ticks, deadline_misses, tick_us or TickTime()),

@@ -31,6 +31,7 @@ from display_node.telemetry_age import TelemetryAge
 from protocol import sockets
 from protocol.errors import WireError
 from protocol.histogram import bound
+from protocol.interruptions import interruptions_text
 from protocol.keys import ClientKeys, read_pair
 from protocol.limits import limit_texts
 from protocol.output import unblocked_output
@@ -184,6 +185,7 @@ class Screen:
             ("playout delay", _show(s["playout_delay_ms"]["mean"], "ms")),
             ("felt", _show(s["availability"]["felt"], "% of the time", 1, 100)),
             ("stale", _show(s["availability"]["stale"], "% of the time", 1, 100)),
+            ("interrupted", interruptions_text(s["interruptions"]) or "–"),
             ("predicted", _show(s["compensation"]["predicted"], "% of the time played", 1, 100)),
             ("energy above 25 Hz", _show(s["roughness"]["energy_ratio"], "of the sensed", 2)),
             ("samples late", _count(s["samples"]["late"])),

@@ -17,6 +17,7 @@ from protocol.availability import Availability, availability_text, part_text
 from protocol.causes import explain
 from protocol.counted import counted
 from protocol.histogram import bound
+from protocol.interruptions import Interruptions, interruptions_text
 from protocol.limits import Limits, limit_texts
 from protocol.provenance import Provenance
 from protocol.result_files import write_whole
@@ -183,6 +184,7 @@ class Summary:
     strain_rmse: Errors = Errors()
     within_jnd: float | None = None
     availability: Availability = field(default_factory=Availability)
+    interruptions: Interruptions = field(default_factory=Interruptions)
     roughness: Roughness = Roughness()
     limited: Limits = field(default_factory=Limits)
     loop: Loop = field(default_factory=Loop)
@@ -279,6 +281,7 @@ def _rows(s: Summary) -> list[tuple[str, str]]:
             f"aligned {_e(s.strain_rmse.aligned)}, in phase {_e(s.strain_rmse.in_phase)}",
         ),
         ("availability", availability_text(dataclasses.asdict(s.availability)) or _ABSENT),
+        ("interrupted", interruptions_text(dataclasses.asdict(s.interruptions)) or _ABSENT),
         (
             "within JND",
             f"{_f(_percent(s.within_jnd))} % of"

@@ -1,16 +1,15 @@
 """Pass or fail: what a display claimed of itself against what the witness felt. Pure."""
 
-from collections import Counter
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from display_node.fault_advice import FAULT_STATUS, latched
 from display_node.finger import TOUCH_N
-from display_node.telemetry import STATUS_TRACES, TRACE_TICKS
 from soak.claims import LineClaim, StatusClaim, pressed_n
 from soak.verdict import Check
 from soak.witness import Witness
-from telepulse.record.events import StatusWatch
+from telepulse.record.events import INTERRUPTED, StatusWatch
 
 # A status follows the tick that it is of: its force is that tick's but for rounding to 1 mN.
 ROUNDING_N = 0.6e-3
@@ -21,8 +20,9 @@ FORCE_SHARE, FORCE_MORE_N = 0.2, 0.01
 CURRENT_S, BUSY_S = 1.0, 1.0
 SHARE_BAR, SHARE_MORE_S = 0.01, 0.05
 HEART_RATE_TIMES = 1.5
-# A status comes each 200 ticks; an interruption of fewer ticks may fall between two of them.
-NAMED_FROM_TICKS = 2 * STATUS_TRACES * TRACE_TICKS
+# An event names an interruption to 0.01 s, from tick to tick.
+NAMED_TO_S = 0.02
+_WITHOUT = re.compile(r"after (\d+\.\d+) s ")
 # Until forces that no wrist has are out of what a heart rate is counted from.
 FORGOTTEN_NS = 8_000_000_000
 # So many lies are quoted in a verdict.
@@ -230,29 +230,57 @@ def heart_rate_lies(
 def judge_events(
     role: str, lives: Sequence[Sequence[StatusClaim]], interruptions: Sequence[tuple[int, int, int]]
 ) -> Check:
-    """Judge "what happened": each interruption of the pulse is named once, and no other one is."""
-    named = [at_ns for life in lives for at_ns in _interrupted_at(life)]
-    lies, held = [], Counter[int]()
-    for from_ns, until_ns, ticks in interruptions:
-        inside = [at_ns for at_ns in named if from_ns <= at_ns <= until_ns]
-        held.update(inside)
-        if len(inside) > 1 or (not inside and ticks >= NAMED_FROM_TICKS):
-            lies.append(f"{(until_ns - from_ns) * 1e-9:.2f} s named {len(inside)} times")
-    # The last of a process has no end that was witnessed.
-    ends = {at_ns for life in lives for at_ns in list(_interrupted_at(life))[-1:]}
-    lies += [
-        "one named that was not felt" for at_ns in named if not held[at_ns] and at_ns not in ends
-    ]
-    return judge_lies(f"interruptions of {role}", len(interruptions), lies)
+    """Judge "what happened": each interruption of the pulse is named once, and no other one is.
+
+    Parameters
+    ----------
+    role
+        The display's name, for the table.
+    lives
+        The statuses of each of its processes, in order.
+    interruptions
+        From and to when in ns the pulse was not felt at full strength, and in how many ticks.
+    """
+    lies = [lie for life in lives for lie in _event_lies(life, interruptions)]
+    return judge_lies(f"interruptions of {role}", len(interruptions) or len(lies), lies)
 
 
-def _interrupted_at(claims: Sequence[StatusClaim]) -> Iterator[int]:
-    """Yield the ticks of the statuses by which a display names that it plays no more."""
-    watch = StatusWatch()
-    for claim in claims:
-        for event in watch.take(claim.state, claim.summary, claim.tick_ns):
-            if event.name == "state" and ", was playing for" in event.text:
-                yield claim.tick_ns
+def _event_lies(
+    life: Sequence[StatusClaim], interruptions: Sequence[tuple[int, int, int]]
+) -> Iterator[str]:
+    """Yield what is untrue of what one process named, from each status to the next.
+
+    Where a trace did not arrive between the two, what was felt is not known.
+    """
+    watch, before = StatusWatch(), None
+    for claim in life:
+        events = watch.take(claim.state, claim.summary, claim.tick_ns)
+        named = [event.text for event in events if event.name == INTERRUPTED]
+        if before is not None and _whole(before, claim):
+            ended = [x for x in interruptions if before.tick_ns < x[1] <= claim.tick_ns]
+            without_s = sum(until_ns - from_ns for from_ns, until_ns, _ in ended) * 1e-9
+            count, named_s = _count(claim) - _count(before), sum(map(_without_s, named))
+            if count != len(ended) or not abs(named_s - without_s) <= NAMED_TO_S:
+                found = f"{len(ended)} of {without_s:.2f} s"
+                yield f"{found}, and named {count} of {named_s:.2f} s"
+        before = claim
+
+
+def _whole(before: StatusClaim, claim: StatusClaim) -> bool:
+    """Return whether every tick between two statuses was witnessed."""
+    ran = claim.summary["loop"]["ticks"] - before.summary["loop"]["ticks"]
+    return ran == claim.ticks - before.ticks
+
+
+def _count(claim: StatusClaim) -> int:
+    count: int = claim.summary["interruptions"]["count"] or 0
+    return count
+
+
+def _without_s(text: str) -> float:
+    """Return the seconds that an event of interruptions names."""
+    found = _WITHOUT.match(text)
+    return float("nan") if found is None else float(found[1])
 
 
 def judge_ends(

@@ -103,6 +103,9 @@ FIGURES = [
     _gauge("run_seconds", "availability.seconds", "Time of the run, missed ticks included."),
     _gauge("played_ratio", "availability.played", "Share of the run in which a pulse was played."),
     _gauge("judged_ratio", "availability.judged", "Share of the run that could be judged."),
+    _count("interruptions", "interruptions.count", help="Interruptions of the pulse."),
+    _gauge("interrupted_seconds", "interruptions.seconds", "Time of all interruptions."),
+    _gauge("longest_interruption_seconds", "interruptions.longest_s", "The longest of them."),
     _gauge("predicted_ratio", "compensation.predicted", "Share predicted, of the time played."),
     _gauge("trusted_ratio", "compensation.trusted", "Share trusted, of the time played."),
     _gauge("clock_offset_seconds", "clock.offset_ms", "Sensing clock minus display clock.", MS),
@@ -162,6 +165,7 @@ FIGURES = [
 # What a summary says besides; faults are words (`families`).
 NOT_FIGURES = {
     *("speed", "loop.realtime", "faults", "finger"),
+    *("interruptions.began_s", "interruptions.ended_s"),
     # Quantiles that are lower bounds, by name.
     *(f"{table}.beyond" for table in ("one_way_delay_ms", "playout_delay_ms")),
     *(f"loop.{table}.beyond" for table in ("tick_us", "late_us")),

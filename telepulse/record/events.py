@@ -10,7 +10,7 @@ from protocol.refusals import REVOKED
 
 # As long as a display waits before it takes a sensing node for silent.
 CUT_AFTER_NS = 1_000_000_000
-CUT, FAULT = "link cut", "fault"
+CUT, FAULT, INTERRUPTED = "link cut", "fault", "felt again"
 # Counts of the bench are an event from so many within one status on; "superseded" ones are usual.
 MANY, USUAL = 20, "drive superseded"
 # By the events of the state, and of each cause of refusal.
@@ -42,6 +42,8 @@ class StatusWatch:
         # When what lasts now began, by its name.
         self._began_ns: dict[str, int] = {}
         self._steps = 0
+        # How many interruptions were named, and their seconds; None before the first status.
+        self._interruptions: tuple[int, float] | None = None
         self._limited: set[str] = set()
         self._refused: set[str] = set()
         # Counts of the bench at the last status, and those that were named.
@@ -75,7 +77,24 @@ class StatusWatch:
             yield Event("INFO", "join", f"the pulse is felt; samples sent before: {before_joining}")
         wrong = [alert for alert in alerts(state, summary) if alert.name not in TOLD_OTHERWISE]
         yield from self._lasting([*wrong, *self._cut(now_ns)], now_ns)
+        yield from self._interrupted(summary.get("interruptions", {}))
         yield from self._counted(summary)
+
+    def _interrupted(self, known: Mapping[str, Any]) -> Iterator[Event]:
+        """Yield the interruptions that ended since the last status; one may lie between two."""
+        count, seconds = known.get("count") or 0, known.get("seconds") or 0.0
+        named = self._interruptions
+        self._interruptions = count, seconds
+        if named is None or count <= named[0]:
+            return
+        new, text = count - named[0], f"after {seconds - named[1]:.2f} s without the whole pulse"
+        if new > 1:
+            text += f", interrupted {new} times"
+        began_s, ended_s = known.get("began_s"), known.get("ended_s")
+        if began_s is not None and ended_s is not None:
+            last = ", the last" if new > 1 else ":"
+            text += f"{last} from {began_s:.2f} to {ended_s:.2f} s of the run"
+        yield Event("WARNING", INTERRUPTED, text)
 
     def _counted(self, summary: Mapping[str, Any]) -> Iterator[Event]:
         """Yield each clock step, each limit and cause of refusal at its first count, and what goes

@@ -9,6 +9,7 @@ from rich.console import Console
 
 from protocol.availability import Availability
 from protocol.errors import OutputError
+from protocol.interruptions import Interruptions
 from protocol.limits import Limited, Limits
 from protocol.result_files import check_writable
 from protocol.summary import (
@@ -63,6 +64,7 @@ FULL = Summary(
     availability=Availability(
         60.5, 0.167, 0.005, 0.805, 0.022, 0.001, 0.0, 0.0, played=0.172, judged=0.167
     ),
+    interruptions=Interruptions(3, 4.25, 2.6, 57.0, 57.35),
     faults=["silence", "force limit"],
     finger="withdrawn",
 )
@@ -82,6 +84,7 @@ KEYS = {
         *("seconds", "felt", "starting", "stale", "faulted", "waiting", "ended", "missed"),
         *("played", "judged"),
     },
+    "interruptions": {"count", "seconds", "longest_s", "began_s", "ended_s"},
     "limited": {"force", "negative", "slew", "travel", "film", "adc"},
     "roughness": {"felt_n", "sensed_n", "energy_ratio"},
     "loop": {
@@ -218,6 +221,7 @@ def test_people_read_the_same() -> None:
         "strain RMSE": "aligned 9.425e-09, in phase 5.780e-08",
         "availability": "felt 16.7 %, starting 0.5 %, stale 80.5 %, faulted 2.2 %, waiting 0.1 %"
         " of 60.5 s",
+        "interrupted": "3 times, 4.25 s in all, the longest 2.60 s",
         "within JND": "87.5 % of the 16.7 % of the run that could be judged",
         "above 25 Hz": "0.600 mN felt, 0.500 mN sensed: energy 1.44 times",
         "limited": "force limit 312 times, 4.1 s (20.5 % of the run);"

@@ -1,6 +1,5 @@
 """Each check of truth passes what is so and fails a fabricated lie."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -8,6 +7,7 @@ import numpy as np
 import pytest
 
 from display_node.telemetry import Status, Trace
+from protocol.interruptions import Interruptions
 from protocol.summary import Availability, Loop, Samples, Summary
 from soak.claims import StatusClaim, no_figures, read_line
 from soak.truth import judge_ends, judge_events, judge_lines, judge_statuses
@@ -184,36 +184,42 @@ def test_a_line_that_shows_no_display_claims_nothing() -> None:
     assert read_line("waiting for the display", 0) is None
 
 
-def history(*states: str) -> list[StatusClaim]:
-    """Statuses 0.2 s apart."""
-    return [claim(state, at_ms=200 * number) for number, state in enumerate(states)]
-
-
-P, X = "playing", "stale"
+def counting(*interruptions_ms: tuple[int, int]) -> list[StatusClaim]:
+    """Statuses 0.2 s apart of a display that counts these interruptions, until 1.6 s."""
+    claims = []
+    for at_ms in range(0, 1_700, 200):
+        over = [(a, b) for a, b in interruptions_ms if b <= at_ms]
+        times_s = (over[-1][0] * 1e-3, over[-1][1] * 1e-3) if over else (None, None)
+        lengths_s = [(b - a) * 1e-3 for a, b in over]
+        known = Interruptions(len(over), sum(lengths_s), max(lengths_s, default=None), *times_s)
+        changes = {"loop": Loop(at_ms, 0), "interruptions": known}
+        claims.append(replace(claim(at_ms=at_ms, **changes), ticks=at_ms))
+    return claims
 
 
 @pytest.mark.parametrize(
-    ("states", "interruptions_ms", "ok"),
+    ("named_ms", "witnessed_ms", "ok"),
     [
-        ((P, P, X, X, X, P), [(250, 1_000)], True),
-        ((P, P, X, X, X, P), [(250, 1_000), (1_010, 1_050)], True),
-        ((P, P, P, P, P, P), [(250, 1_000)], False),
-        ((P, P, X, P, X, P), [(250, 1_000)], False),
-        ((P, X, P, P, X, X, P), [(750, 1_200)], False),
-        # Still interrupted when its process ended.
-        ((P, X, X, P, X, X), [(150, 500)], True),
+        ([(250, 1_000)], [(250, 1_000)], True),
+        # Two between the same statuses, and one that neither of two statuses saw.
+        ([(210, 240), (250, 390)], [(210, 240), (250, 390)], True),
+        ([], [(250, 1_000)], False),
+        ([], [(250, 280)], False),
+        ([(250, 1_000)], [], False),
+        ([(250, 900)], [(250, 1_000)], False),
+        ([(250, 300), (310, 990)], [(250, 1_000)], False),
     ],
 )
 def test_an_interruption_is_named_once(
-    states: Sequence[str], interruptions_ms: list[tuple[int, int]], ok: bool
+    named_ms: list[tuple[int, int]], witnessed_ms: list[tuple[int, int]], ok: bool
 ) -> None:
-    witnessed = [(a * MS, b * MS, b - a) for a, b in interruptions_ms]
-    assert judge_events("mortal", [history(*states)], witnessed).ok is ok
+    witnessed = [(a * MS, b * MS, b - a) for a, b in witnessed_ms]
+    assert judge_events("mortal", [counting(*named_ms)], witnessed).ok is ok
 
 
-def test_an_interruption_in_which_the_display_was_stopped_need_not_be_in_a_status() -> None:
-    assert judge_events("mortal", [history(P, P, P)], [(200 * MS, 2_800 * MS, 9)]).ok
-    assert not judge_events("mortal", [history(P, P, P)], [(200 * MS, 2_800 * MS, 450)]).ok
+def test_an_interruption_is_not_judged_where_a_trace_did_not_arrive() -> None:
+    claims = [replace(each, ticks=each.ticks - 20 * (each.ticks > 900)) for each in counting()]
+    assert judge_events("mortal", [claims], [(250 * MS, 1_000 * MS, 9)]).ok
 
 
 @pytest.mark.parametrize(
