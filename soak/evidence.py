@@ -14,7 +14,7 @@ from soak.recovery import beside, gaps_s, recoveries
 from soak.run import MINUTE_S, Run
 from soak.schedule import ENDURING, GUEST, MORTAL, PORTS, SENSING
 from soak.stage import CALM_DISPLAY, CALM_SENSING, TORMENTED
-from soak.truth import judge_ends, judge_events, judge_lines, judge_statuses
+from soak.truth import judge_ends, judge_events, judge_lines, judge_stalls, judge_statuses
 from soak.verdict import (
     MEGA,
     Check,
@@ -57,7 +57,7 @@ def verdict(run: Run, scene: DisplayScene, wrist_per_min: float | None) -> list[
     checks += judge_recovery(recoveries(run.played, felt))
     calm_gaps = gaps_s(run.played, felt[CALM_DISPLAY])
     checks += judge_untouched(beside(run.played, felt), calm_gaps)
-    checks += _judge_truth(run, lives, scene.tick_ns, wrist_per_min)
+    checks += _judge_truth(run, lives, scene, wrist_per_min)
     complaints = [text for life in run.stage.all_lives if (text := life.complaint())]
     checks.append(judge_none("bad ends", [*complaints, *run.stage.complaints]))
     return checks
@@ -69,7 +69,7 @@ def heart_rate_per_min(source: object) -> float | None:
 
 
 def _judge_truth(
-    run: Run, lives: dict[str, list[Life]], tick_ns: int, wrist_per_min: float | None
+    run: Run, lives: dict[str, list[Life]], scene: DisplayScene, wrist_per_min: float | None
 ) -> Iterator[Check]:
     """Judge what displays claimed against what was witnessed."""
     impostors = [
@@ -80,8 +80,11 @@ def _judge_truth(
     ]
     for role in (CALM_DISPLAY, *TORMENTED):
         claims = [life.claims for life in lives[role]]
-        yield from judge_statuses(role, claims, tick_ns)
-        yield judge_events(role, claims, run.ears.witnesses[role].interruptions)
+        witness = run.ears.witnesses[role]
+        yield from judge_statuses(role, claims, scene.tick_ns)
+        yield judge_events(role, claims, witness.interruptions)
+        faded_ns = scene.safety.stale_after_ns + scene.safety.fade_ns + 2 * scene.tick_ns
+        yield judge_stalls(role, claims, witness.gaps, faded_ns)
     for role, lines in run.terminals.lines.items():
         known = [] if role == CALM_DISPLAY else impostors
         yield from judge_lines(role, lines, run.ears.witnesses[role], wrist_per_min, known)

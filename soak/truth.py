@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 from display_node.fault_advice import FAULT_STATUS, latched
@@ -243,6 +244,41 @@ def judge_events(
     """
     lies = [lie for life in lives for lie in _event_lies(life, interruptions)]
     return judge_lies(f"interruptions of {role}", len(interruptions) or len(lies), lies)
+
+
+def judge_stalls(
+    role: str,
+    lives: Sequence[Sequence[StatusClaim]],
+    gaps: Sequence[tuple[int, int, bool]],
+    faded_ns: int,
+) -> Check:
+    """Judge the ends of stalls: after one in which the pulse fades, it comes back by a ramp.
+
+    Parameters
+    ----------
+    role
+        The display's name, for the table.
+    lives
+        The statuses of each of its processes, in order.
+    gaps
+        From and to when in ns there was no tick, and whether the next one was at full strength.
+    faded_ns
+        Without samples for so long, the pulse has faded to nothing, in ns.
+    """
+    stalls = [gap for gap in gaps if gap[1] - gap[0] > faded_ns]
+    # Where a trace did not arrive, there were ticks.
+    spans = [
+        (before.tick_ns, claim.tick_ns)
+        for life in lives
+        for before, claim in pairwise(life)
+        if _whole(before, claim)
+    ]
+    lies = [
+        f"at full strength after {(until_ns - from_ns) * 1e-9:.2f} s without a tick"
+        for from_ns, until_ns, full in stalls
+        if full and any(a <= from_ns and until_ns <= b for a, b in spans)
+    ]
+    return judge_lies(f"ends of stalls of {role}", len(stalls), lies)
 
 
 def _event_lies(

@@ -32,8 +32,9 @@ class Witness:
 
     ticks, full: ticks so far, and those at which the pulse was felt at its full strength.
     interruptions: from and to when it was not, and in how many ticks, within one process.
-    misses: between which two ticks how many were missed. last_ns, last_n, last_full: the newest
-    tick.
+    misses: between which two ticks how many were missed. gaps: from and to when there was no tick
+    for more than 50 ms, and whether the next one was at full strength. last_ns, last_n, last_full:
+    the newest tick.
     """
 
     tick_ns: int
@@ -44,6 +45,7 @@ class Witness:
     last_full: bool = False
     interruptions: list[tuple[int, int, int]] = field(default_factory=list)
     misses: list[tuple[int, int, int]] = field(default_factory=list)
+    gaps: list[tuple[int, int, bool]] = field(default_factory=list)
     _first_ns: list[int] = field(default_factory=list)
     _last_ns: list[int] = field(default_factory=list)
     _blocks: list[Stretch] = field(default_factory=list)
@@ -76,6 +78,8 @@ class Witness:
             missed = round((at_ns - self.last_ns) / self.tick_ns) - 1
             if missed > 0:
                 self.misses.append((self.last_ns, at_ns, missed))
+            if at_ns - self.last_ns > GAP_NS:
+                self.gaps.append((self.last_ns, at_ns, full))
         if full:
             if self._full_ns is not None and not self.last_full:
                 self.interruptions.append((self._full_ns, at_ns, self._less))

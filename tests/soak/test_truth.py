@@ -10,7 +10,7 @@ from display_node.telemetry import Status, Trace
 from protocol.interruptions import Interruptions
 from protocol.summary import Availability, Loop, Samples, Summary
 from soak.claims import StatusClaim, no_figures, read_line
-from soak.truth import judge_ends, judge_events, judge_lines, judge_statuses
+from soak.truth import judge_ends, judge_events, judge_lines, judge_stalls, judge_statuses
 from soak.witness import Witness
 
 MS = 1_000_000
@@ -217,6 +217,24 @@ def test_an_interruption_is_named_once(
     assert judge_events("mortal", [counting(*named_ms)], witnessed).ok is ok
 
 
+@pytest.mark.parametrize(
+    ("gap", "lost", "ok"),
+    [
+        ((250, 900, False), 0, True),
+        ((250, 900, True), 0, False),
+        # The ticks between them were in a trace that did not arrive.
+        ((250, 900, True), 20, True),
+        # Short enough to be played through.
+        ((250, 340, True), 0, None),
+    ],
+)
+def test_a_stall_ends_by_a_ramp(gap: tuple[int, int, bool], lost: int, ok: bool | None) -> None:
+    first, *_, last = counting()
+    claims = [first, replace(last, ticks=last.ticks - lost)]
+    gaps = [(gap[0] * MS, gap[1] * MS, gap[2])]
+    assert judge_stalls("mortal", [claims], gaps, 102 * MS).ok is ok
+
+
 def test_an_interruption_is_not_judged_where_a_trace_did_not_arrive() -> None:
     claims = [replace(each, ticks=each.ticks - 20 * (each.ticks > 900)) for each in counting()]
     assert judge_events("mortal", [claims], [(250 * MS, 1_000 * MS, 9)]).ok
@@ -246,6 +264,7 @@ def test_the_witness_keeps_interruptions_within_a_process() -> None:
     seen = witness(trace(0, 20), trace(20, 20, full=False), trace(90, 20), trace(110, 20))
     assert seen.interruptions == [(19 * MS, 90 * MS, 20)]
     assert seen.misses == [(39 * MS, 90 * MS, 50)]
+    assert seen.gaps == [(39 * MS, 90 * MS, True)]
     seen.begin_process()
     seen.add(trace(900, 20))
     assert len(seen.interruptions) == len(seen.misses) == 1
