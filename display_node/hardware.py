@@ -14,6 +14,7 @@ from display_node.feedback import Feedback
 from display_node.finger import FingerState
 from display_node.plausibility import FilmPlausibility, RisingForce
 from display_node.scene import DisplayScene
+from display_node.start_advice import advised
 from protocol.errors import SceneError, SourceError
 from protocol.limits import LimitCounter
 from sensors.scene import open_sensor
@@ -48,7 +49,8 @@ def connected(
     sensor = open_sensor(scene.feedback, folder, log) if scene.feedback is not None else None
     with closing(Hardware(scene, drive, sensor)) as hardware:
         log("the drive looks for its home: keep the finger away")
-        hardware.start()
+        with advised():
+            hardware.start()
         log("the drive is at first touch")
         yield hardware
 

@@ -1,5 +1,6 @@
 """One TMCL module on its line: requests, their replies, and what can go wrong with them."""
 
+import os
 from collections import Counter
 from typing import TYPE_CHECKING
 
@@ -94,8 +95,15 @@ def _open(scene: TmclScene) -> "SerialLine | CanLine":
         return CanLine(open_bus(scene), scene.host, scene.module, timeout_s)
     try:
         port = serial.serial_for_url(
-            scene.port, scene.baud, timeout=timeout_s, write_timeout=scene.watchdog_ns * 1e-9
+            scene.port,
+            scene.baud,
+            timeout=timeout_s,
+            write_timeout=scene.watchdog_ns * 1e-9,
+            # Two programs that command one drive contradict each other.
+            exclusive=True,
         )
     except (OSError, ValueError) as error:
-        raise DriveError("unplugged", f"{scene.port} cannot be opened: {error}") from None
+        number = getattr(error, "errno", None)
+        reason = os.strerror(number) if number else error
+        raise DriveError("unplugged", f"{scene.port} cannot be opened: {reason}") from None
     return SerialLine(port, scene.host, scene.module)

@@ -14,6 +14,7 @@ from display_node.actuators.stepper import StepperScene
 from display_node.drives import build_drive
 from display_node.drives.scene import Cia402Scene, TmclScene
 from display_node.scene import DisplayScene
+from display_node.start_advice import advised
 from protocol.errors import BenchError, DriveError, SceneError, SourceError
 from protocol.scene import validate
 from sensing_node.scene import SensingScene
@@ -127,7 +128,8 @@ def _check_drive(
     findings.add("drive", check_line(table, tick_s))
     with findings.part("film"), closing(open_sensor(film, folder, print)) as sensor:
         with findings.part("drive"), closing(drive):
-            drive.start(partial(_newest_n, sensor))
+            with advised():
+                drive.start(partial(_newest_n, sensor))
             age_s = _check_still(findings, "film", listen(sensor, seconds), film.rate_hz, live=True)
             findings.add("film", _check_age(age_s))
             findings.add("drive", check_answers(drive, vco))

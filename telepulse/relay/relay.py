@@ -102,7 +102,8 @@ class Relay:
         for line in self._path.lines if answered else ():
             line.take_answer(answered)
         self._gate.tend(now_ns)
-        found = self._lookup.take()
+        # Asked first: what a look-up that has ended since has found is taken the next time.
+        looking, found = self._lookup.running, self._lookup.take()
         if found is not None:
             self._connect_control(found)
         self._frames.connect(now_ns, found)
@@ -116,7 +117,8 @@ class Relay:
         unanswered = self._unanswered.lasts(now_ns, asked, answers)
         if cut:
             self._path.failover.give_up()
-        if (self._address is None or cut or unanswered) and not self._lookup.running:
+        wanted = self._address is None or cut or unanswered
+        if wanted and not looking and found is None:
             self._lookup.start()
 
     def _connect_control(self, address: str) -> None:
