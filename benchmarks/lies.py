@@ -1,7 +1,8 @@
 """Drives and films that report what is not so: what is felt, and when it is named.
 
 Every lie of `telepulse.emulate.lies` on both kinds of drive, with a film and without, by the
-product's own code in virtual time. `python -m benchmarks.lies NAME` runs the lies of one name.
+product's own code in virtual time. `python -m benchmarks.lies NAME` runs the lies of one name,
+`python -m benchmarks.lies NAME 3` those on a finger three times as stiff as the scene's.
 """
 
 import os
@@ -93,7 +94,7 @@ CASES = (
     Case(LieKind.FILM_FROZEN),
     *(Case(LieKind.FILM_SCALED, size) for size in ("0.5", "2")),
     Case(LieKind.FILM_NOISE, "0.2 N"),
-    *(Case(LieKind.FILM_LATE, size) for size in ("20 ms", "60 ms")),
+    *(Case(LieKind.FILM_LATE, size) for size in ("10 ms", "15 ms", "20 ms", "60 ms")),
 )
 
 
@@ -148,10 +149,19 @@ def bench_scene(kind: str) -> DisplayScene:
     return load_section(find_scene(f"{kind}_bench"), "display", DisplayScene)
 
 
-def lied(case: Case | None, kind: str, with_film: bool, force_n: Callable[[int], float]) -> Outcome:
-    """Run a lie from when the pulse is felt; return its result. None runs the honest bench."""
+def lied(
+    case: Case | None,
+    kind: str,
+    with_film: bool,
+    force_n: Callable[[int], float],
+    finger: float = 1.0,
+) -> Outcome:
+    """Run a lie from when the pulse is felt; return its result. None runs the honest bench.
+
+    finger: its stiffness, as a factor of the scene's.
+    """
     felt: list[Moment] = []
-    with VirtualBench(bench_scene(kind), force_n, with_film, felt.append) as bench:
+    with VirtualBench(bench_scene(kind), force_n, with_film, felt.append, finger) as bench:
         wanted: dict[int, float] = {}
         bench.on_tick = lambda now_ns, target_n: wanted.setdefault(now_ns // MS, target_n)
         if case is not None and case.from_start:
@@ -217,10 +227,11 @@ class Run:
     kind: str
     with_film: bool
     stream: str
+    finger: float = 1.0
 
     def outcome(self) -> Outcome:
         """Run the case and return its result."""
-        return lied(self.case, self.kind, self.with_film, STREAMS[self.stream]())
+        return lied(self.case, self.kind, self.with_film, STREAMS[self.stream](), self.finger)
 
 
 STREAMS: dict[str, Callable[[], Callable[[int], float]]] = {
@@ -229,10 +240,10 @@ STREAMS: dict[str, Callable[[], Callable[[int], float]]] = {
 }
 
 
-def rows(name: str = "") -> list[tuple[str, ...]]:
-    """The table's rows, of the lies of one name or of all."""
+def rows(name: str = "", finger: float = 1.0) -> list[tuple[str, ...]]:
+    """Return the table's rows, of the lies of one name or of all."""
     runs = [
-        Run(case, kind, with_film, stream)
+        Run(case, kind, with_film, stream, finger)
         for case in (None, *CASES)
         for with_film in (True, False)
         for stream in STREAMS
@@ -263,7 +274,7 @@ def rows(name: str = "") -> list[tuple[str, ...]]:
     return table
 
 
-def main(name: str = "") -> None:
+def main(name: str = "", finger: str = "1") -> None:
     """Print the table."""
     show(
         f"Lies of drives and films; bars: {BAR_FORCE_N:g} N, {BAR_ABOVE_MS} ms above the limit of"
@@ -281,9 +292,9 @@ def main(name: str = "") -> None:
             "bars missed",
             "named",
         ),
-        rows(name),
+        rows(name, float(finger)),
     )
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:2])
+    main(*sys.argv[1:3])

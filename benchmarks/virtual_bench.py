@@ -271,12 +271,14 @@ class VirtualBench:
     scene: with a drive. force_n: the pulse, by ms. with_film: the scene's film is read; without,
     the drive's position stands for it. watch: is given every millisecond of the motor. on_tick: is
     given the time and the target of every tick. fault_ns: when the display was at fault first.
+    finger: its stiffness, as a factor of the scene's.
     """
 
     scene: DisplayScene
     force_n: Callable[[int], float]
     with_film: bool = True
     watch: Callable[[Moment], None] | None = None
+    finger: float = 1.0
     sending: bool = True
     world: VirtualTime = field(default_factory=VirtualTime)
     loop: VirtualThread | None = None
@@ -290,7 +292,9 @@ class VirtualBench:
             self.scene = self.scene.model_copy(update={"feedback": None})
         self.drive_scene: DriveScene = self.scene.drive  # type: ignore[assignment]
         world, actuator = self.world, self.scene.actuator
-        law = actuator.contact(self.scene.layer.layer())
+        stiffness = self.finger * actuator.fingertip_n_per_m
+        finger = actuator.model_copy(update={"fingertip_n_per_m": stiffness})
+        law = finger.contact(self.scene.layer.layer())
         self.motor = EmulatedMotor(actuator, law, self.drive_scene.touch_m, world.now_ns)
         self.motor.trace = self.watch
         self.film = FilmPort(world)

@@ -178,10 +178,12 @@ class Display:
             safety.watch(reading_n)
         else:
             felt_n = reading_n = self.feedback.read(now_ns)
-            if self.feedback.alive(now_ns):
-                safety.watch(reading_n)
-            else:
+            if not self.feedback.alive(now_ns):
                 safety.fault("feedback lost")
+            else:
+                safety.watch(reading_n)
+                if (late := self.feedback.late) is not None and not safety.faults:
+                    safety.fault(late)
         reference_n = safety.bound(reference_n, alive)
         loop.tick(reference_n, reading_n)
         self.ticks += 1

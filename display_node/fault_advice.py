@@ -17,6 +17,8 @@ ADVICE = (
     ("felt force", "check the film (telepulse calibrate) and the drive's direction"
      " (telepulse bench)"),
     ("feedback is not a number", "check the film's sensor and its calibration in the scene"),
+    ("feedback late", "check the film's sensor, its cable and the latency in [display.film]:"
+     " telepulse bench measures it"),
     ("feedback lost", "check the film's sensor and its cable"),
     ("loop overrun", "this host stopped the loop: display-node --doctor names what helps"),
     ("no command", "this host stopped the loop: display-node --doctor names what helps"),

@@ -55,3 +55,26 @@ def test_a_flood_is_bounded_and_the_newest_is_kept() -> None:
     for number in range(3 * KEEP):
         feedback.hear(number * 1000, float(number))
     assert feedback.read(3 * KEEP * 1000 + MS) == 3 * KEEP - 1
+
+
+def late_after_ms(ages_ms: list[float], latency_ms: int = 8, stall_ms: int = 0) -> int | None:
+    """When readings of these ages, every 2 ms and after a stall of the loop, are a fault."""
+    feedback = Feedback(latency_ms * MS, 40 * MS)
+    for tick, age_ms in enumerate(ages_ms):
+        now_ms = 1_000 + 2 * tick + (stall_ms if tick else 0)
+        feedback.hear(round((now_ms - age_ms) * MS), 0.3)
+        feedback.read(now_ms * MS)
+        if feedback.late is not None:
+            assert feedback.late == "feedback late: readings are 19 ms old or older, not 8 ms"
+            return 2 * tick
+    return None
+
+
+def test_readings_that_are_all_older_than_assumed_are_a_fault() -> None:
+    assert late_after_ms([21, 19] * 100) == 100
+    # As old as assumed, delivered every 16 ms, or late for less than 100 ms.
+    assert late_after_ms([13.0] * 200) is None
+    assert late_after_ms([float(2 * (tick % 8)) for tick in range(200)], latency_ms=4) is None
+    assert late_after_ms(([19.0] * 49 + [9.0]) * 4) is None
+    # Nor is a loop that stood still: it has seen few readings.
+    assert late_after_ms([19.0] * 19, stall_ms=500) is None

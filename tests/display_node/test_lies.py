@@ -44,3 +44,10 @@ def test_answers_that_come_twice_change_nothing_that_is_felt(from_start: bool) -
     )
     assert outcome.named == ""
     assert outcome.missed(honest.error_n) == []
+
+
+def test_a_late_film_is_named_before_a_stiff_finger_is_pressed_by_a_loop_that_swings() -> None:
+    case = Case(LieKind.FILM_LATE, "20 ms")
+    outcome = lied(case, "tmcl", True, hostile_stream, finger=3.0)
+    assert "feedback late" in outcome.named
+    assert outcome.missed(honest_error_n=0.0) == []
