@@ -5,20 +5,24 @@ WINDOW_NS = 60_000_000_000
 # A display on this machine stamps by this machine's clock, unless the address leads through a
 # tunnel. Telemetry that seems to be older than this, or of the future, has another clock.
 LONGEST_QUEUED_NS = 10_000_000_000
+# Traces further apart have a stall between them, or the start of another process.
+BREAK_NS = 500_000_000
 
 
 class TelemetryAge:
-    """Age of the newest status of one display.
+    """Age of the newest status of one display, as of the last time when it held.
 
     Telemetry may have queued while its reader or its display stood still, so its age counts from
-    the display's stamp and not from its receipt. A status has no stamp; it follows a trace of the
-    same tick. The clock of another machine has an unknown offset: there, the age counts from the
-    earliest receipt that the shortest transit of the last one to two minutes allows.
+    the display's stamp and not from its receipt. A status has no stamp: it follows a trace of the
+    same tick, and holds until the newest of the traces that follow without a break. The clock of
+    another machine has an unknown offset: there, the age counts from the earliest receipt that the
+    shortest transit of the last one to two minutes allows.
     """
 
     def __init__(self, local: bool = False) -> None:
         """local: the display's address is on this machine."""
         self._local = local
+        # The newest trace, and the one until which the newest status holds.
         self._stamped_ns: int | None = None
         self._status_ns: int | None = None
         # Least difference of receipt and stamp, in the present window and in the one before.
@@ -33,6 +37,11 @@ class TelemetryAge:
         if self._stamped_ns is not None and stamped_ns < self._stamped_ns:
             # Another clock: its machine was started again.
             self._least_ns = self._before_ns = self._status_ns = None
+        elif (
+            self._status_ns == self._stamped_ns is not None
+            and stamped_ns - self._stamped_ns <= BREAK_NS
+        ):
+            self._status_ns = stamped_ns
         self._stamped_ns = stamped_ns
         difference_ns = received_ns - stamped_ns
         if received_ns >= self._window_ends_ns:

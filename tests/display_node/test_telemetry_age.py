@@ -76,3 +76,17 @@ def test_a_status_before_the_first_trace_is_as_old_as_its_receipt() -> None:
     age = TelemetryAge()
     age.take_status(SECOND_NS)
     assert age.age_ns(3 * SECOND_NS) == 2 * SECOND_NS
+
+
+def test_a_status_holds_while_traces_follow_it() -> None:
+    """With ticks of 10 ms a status comes only every 2 s."""
+    age = TelemetryAge(local=True)
+    age.take_trace(0, 0)
+    age.take_status(0)
+    for now_ns in range(200 * MS, 2_000 * MS, 200 * MS):
+        assert age.age_ns(now_ns) == 200 * MS
+        age.take_trace(now_ns, now_ns)
+    # After a stall it does not, whatever follows.
+    age.take_trace(5 * SECOND_NS, 5 * SECOND_NS)
+    age.take_trace(5_200 * MS, 5_200 * MS)
+    assert age.age_ns(5_200 * MS) == 3_400 * MS

@@ -61,6 +61,9 @@ def test_a_stopped_display_comes_back_to_the_present_and_another_misses_nothing(
     assert undisturbed.samples.lost == 0
     assert account.samples.late
     assert (account.loop.deadline_misses or 0) > STOPPED_S * 900
+    # By a ramp of 0.3 s, although the newest of the stream had queued.
+    assert (account.interruptions.count or 0) >= 1
+    assert (account.interruptions.longest_s or 0.0) > STOPPED_S + 0.25
     assert_limits_kept(finger)
 
 
