@@ -1,7 +1,8 @@
 """Provenance: what produced a figure, for summaries, recordings and reports.
 
 It names the scene as it was in effect, the version, the host and the command. Of keys it holds the
-paths that the command line names, never what is in them.
+paths that the command line names, never what is in them. Passwords and the like are left out
+(`protocol/redaction.py`).
 """
 
 import dataclasses
@@ -19,6 +20,7 @@ from typing import Any
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from protocol.errors import WireError
+from protocol.redaction import redact, redact_command
 from protocol.scene import load_document
 
 PROVENANCE = b"provenance"
@@ -102,9 +104,9 @@ def collect(
         host=platform.node(),
         platform=platform.platform(),
         python=platform.python_version(),
-        command=[Path(sys.argv[0]).name, *sys.argv[1:]],
-        scene=written,
-        effective=effective,
+        command=[Path(sys.argv[0]).name, *redact_command(sys.argv[1:])],
+        scene=redact(written),
+        effective=redact(effective),
         seeds=found,
     )
 

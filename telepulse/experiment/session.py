@@ -9,6 +9,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from display_node.prediction import PredictorName
 from display_node.scene import DisplayScene
 from protocol.quantities import Nanoseconds
+from protocol.redaction import redact
 from protocol.scene import Section, load_document, load_toml, validate
 from protocol.stream import Name
 from telepulse.link import LinkScene, parse_link
@@ -108,7 +109,7 @@ def load_plan(path: Path) -> Plan:
         )
         for condition in session.conditions
     }
-    return Plan(session, {"session": written, "scene": document}, direct, impaired)
+    return Plan(session, redact({"session": written, "scene": document}), direct, impaired)
 
 
 def _display(table: dict[str, Any], condition: Condition, where: str) -> DisplayScene:
