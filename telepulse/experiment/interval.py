@@ -13,6 +13,7 @@ from random import Random
 
 from pydantic import BaseModel, ConfigDict
 
+from display_node.deadlines import GAP_NS
 from display_node.display import Display
 from display_node.feedback import Feedback
 from display_node.safety import Safety
@@ -50,8 +51,8 @@ class Played(BaseModel):
 
     Errors are RMSE in N against what was sensed; pulse_n: from peak to peak, what should have
     been felt; felt_s: at full strength. ticks: of the whole interval, missed ones included;
-    stale_ticks: of those in which the curtain was open and the stream was stale. Logs of before
-    these two have neither.
+    stale_ticks: of those in which the curtain was open and the stream was stale; longest_gap_ms:
+    longest time between two ticks. Logs of before these have none of them.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -69,6 +70,7 @@ class Played(BaseModel):
     deadline_misses: int
     ticks: int = 0
     stale_ticks: int = 0
+    longest_gap_ms: float = 0.0
 
     @property
     def stale(self) -> str:
@@ -81,11 +83,14 @@ class Played(BaseModel):
     def spoilt(self) -> str:
         """Reason why this is not what the trial was to be, "" where it is.
 
-        A stream that is stale over the link is the condition's own: no link but the model's lies
-        between source and display.
+        A stream that is stale over the link is the condition's own, which is under test: no link
+        but the model's lies between source and display, and its times are the model's, however
+        late a tick is. What the machine does shows in missed ticks alone.
         """
         if self.deadline_misses > MOST_MISSED * self._of:
             return f"{100 * self.deadline_misses / self._of:.1f} % of the ticks missed"
+        if self.longest_gap_ms > GAP_NS * 1e-6:
+            return f"no tick for {self.longest_gap_ms:.0f} ms"
         return "" if self.on_link else self.stale
 
     @property
@@ -151,7 +156,7 @@ class Playing:
         self._close_ns = self._open_ns + interval.felt_ns
         self._rest_ns = scene.safety.fade_ns + REST_NS
         self._simulation.begin((self._close_ns + self._rest_ns - begin_ns) * 1e-9)
-        self._all_ticks = 0
+        self._all_ticks, self._longest_ticks = 0, 1
         self._ticks, self._least_n, self._most_n = 0, math.inf, -math.inf
         self.deadline_misses = 0
 
@@ -164,6 +169,7 @@ class Playing:
         """Tick the display; False when it is over, and the actuator at rest."""
         self.deadline_misses += elapsed_ticks - 1
         self._all_ticks += elapsed_ticks
+        self._longest_ticks = max(self._longest_ticks, elapsed_ticks)
         self._curtain.opened = self._open_ns <= now_ns < self._close_ns
         felt = self._simulation.tick(now_ns, elapsed_ticks, self._tick)
         if felt.scored:
@@ -195,6 +201,7 @@ class Playing:
             deadline_misses=self.deadline_misses,
             ticks=self._all_ticks,
             stale_ticks=self._curtain.stale_ticks,
+            longest_gap_ms=self._longest_ticks * self._tick_ns * 1e-6,
         )
 
 

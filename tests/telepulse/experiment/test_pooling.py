@@ -80,12 +80,13 @@ def test_other_sessions_and_scenes_are_reported_apart(tmp_path: Path) -> None:
         ({"ticks": 1000, "deadline_misses": 30}, "3.0 % of the ticks missed"),
         ({"ticks": 1000, "stale_ticks": 60}, "the stream stale for 6.0 % of the ticks"),
         ({"ticks": 1000, "felt_s": 0.0}, "never felt at full strength"),
+        ({"ticks": 10_000, "deadline_misses": 59, "longest_gap_ms": 60.0}, "no tick for 60 ms"),
         # A log of before ticks were in it: an interval of 1 s.
         ({"deadline_misses": 30}, "3.0 % of the ticks missed"),
     ],
 )
 def test_a_spoilt_trial_is_named_and_left_out_unless_asked_for(
-    spoils: dict[str, int], why: str, tmp_path: Path
+    spoils: dict[str, float], why: str, tmp_path: Path
 ) -> None:
     found = plan(tmp_path, condition("plain"))
     # A is direct.
@@ -108,7 +109,7 @@ def test_a_stream_that_its_own_link_leaves_stale_is_named_and_counted(tmp_path: 
     whole = plan(tmp_path, condition("plain", "delay=5ms", "auto"), interval="0.5 s")
     cut = plan(tmp_path, condition("plain", "delay=5ms,cut.from=2s,cut.for=3s", "auto"))
 
-    def felt(found: Plan) -> Played:
+    def felt(found: Plan, stall_ms: int = 0) -> Played:
         trial = draw_trials(found.session, 1)[0]
         letter: Literal["A", "B"] = "B" if trial.direct == "A" else "A"
         drawn: Interval = replace(
@@ -116,12 +117,19 @@ def test_a_stream_that_its_own_link_leaves_stale_is_named_and_counted(tmp_path: 
             foreperiod_ns=1_700_000_000,
             felt_ns=700_000_000,
         )
-        playing, now_ns = Playing(drawn, 0), 0
-        while playing.tick(now_ns):
-            now_ns += drawn.scene.display.tick_ns
+        playing, now_ns, elapsed = Playing(drawn, 0), 0, 1
+        while playing.tick(now_ns, elapsed):
+            # The machine runs nothing for a while, in the middle of what is felt.
+            elapsed = 1 + (stall_ms if now_ns == 2_000_000_000 else 0)
+            now_ns += elapsed * drawn.scene.display.tick_ns
         return playing.played()
 
     assert felt(whole).stale == ""
+    assert felt(whole).spoilt == ""
+    # Whatever the machine does is no staleness of the link's.
+    stalled = felt(whole, stall_ms=300)
+    assert stalled.stale_ticks == 0
+    assert "of the ticks missed" in stalled.spoilt
     broken = felt(cut)
     assert broken.stale_ticks > 0
     assert "stale" in broken.stale
