@@ -115,10 +115,16 @@ def episodes(seed: int) -> Iterator[Episode]:
 
 
 def troubles(seed: int) -> Iterator[Trouble]:
-    """Yield the troubles of the bench, without an end; the same seed gives the same ones."""
+    """Yield the troubles of the bench, without an end; the same seed gives the same ones.
+
+    The first is a long stall, so that a single round meets a fault.
+    """
     random = Random(seed)
-    while True:
-        for kind in random.sample(BENCH_KINDS, len(BENCH_KINDS)):
+    for number in itertools.count():
+        deck = random.sample(BENCH_KINDS, len(BENCH_KINDS))
+        if number == 0:
+            deck.sort(key=lambda kind: kind != "long stall")
+        for kind in deck:
             low_s, high_s = _BENCH_LENGTHS_S[kind]
             for_s = low_s and low_s * (high_s / low_s) ** random.random()
             yield Trouble(kind, round(random.uniform(0.5, 2.0), 2), round(for_s, 3))

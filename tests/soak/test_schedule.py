@@ -70,6 +70,7 @@ def test_every_trouble_of_the_bench_has_its_turn(seed: int) -> None:
     assert found == list(islice(troubles(seed), 2 * len(BENCH_KINDS)))
     kinds = [trouble.kind for trouble in found]
     assert set(kinds[: len(BENCH_KINDS)]) == set(BENCH_KINDS)
+    assert kinds[0] == "long stall"
     assert all(kinds.count(kind) == 2 for kind in BENCH_KINDS)
     lengths_s = {kind: [x.for_s for x in found if x.kind == kind] for kind in BENCH_KINDS}
     assert lengths_s["cut"] == [0.0, 0.0]
