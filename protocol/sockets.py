@@ -6,10 +6,11 @@ kernel's keepalive lets go of a peer that is dead or beyond a cut.
 """
 
 import errno
+import os
 import re
 import select
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, nullcontext, suppress
 from types import MappingProxyType
 from typing import TYPE_CHECKING, cast
 
@@ -99,11 +100,26 @@ def bind(
     if gate is not None:
         gate.guard(socket)
     try:
-        socket.bind(address)
+        with _own_file() if address.startswith("ipc://") else nullcontext():
+            socket.bind(address)
     except zmq.ZMQError as error:
         socket.close(0)
         raise AddressError(f"cannot bind {address}: {_reason(error)}") from None
     return socket
+
+
+@contextmanager
+def _own_file() -> Iterator[None]:
+    """Let the file of an ipc address be its user's alone, within a `with`.
+
+    libzmq 4.3.5 ends the process where it cannot accept an ipc connection for want of a file
+    descriptor (its ipc_listener.cpp), and whoever may connect can bring that about.
+    """
+    before = os.umask(0o077)
+    try:
+        yield
+    finally:
+        os.umask(before)
 
 
 def connect(context: Context, kind: int, address: str, keys: ClientKeys | None = None) -> Socket:

@@ -1,5 +1,7 @@
 """Strangers without a key, and a system that grants little: a node goes on, or does not begin."""
 
+import errno
+import os
 import signal
 import socket as plain
 import subprocess
@@ -7,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 import zmq
@@ -24,10 +27,13 @@ from .waiting import PATIENCE_S
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="limits and priorities are Linux's")
 FEW_FILES = 128
 STRANGERS = 300
+NOBODY = 65_534
 SENSING, DISPLAY = "sensing_node.cli", "display_node.cli"
 
 
-def limited(limit: str, value: int, module: str, *arguments: str) -> "subprocess.Popen[str]":
+def limited(
+    limit: str, value: int, module: str, *arguments: str, umask: int = -1
+) -> "subprocess.Popen[str]":
     """Start a module of ours under a resource limit, as `ulimit` sets it."""
     import resource
 
@@ -37,6 +43,7 @@ def limited(limit: str, value: int, module: str, *arguments: str) -> "subprocess
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        umask=umask,
         preexec_fn=lambda: resource.setrlimit(getattr(resource, limit), (value, value)),
     )
 
@@ -113,3 +120,35 @@ def test_where_the_system_grants_too_little_a_node_does_not_begin(
     assert (node.returncode, output) == (2, "")
     assert errors.count("\n") == 1
     assert errors.rstrip().endswith(f"raise the limit: {advice}")
+
+
+@needs_rights
+def test_another_user_does_not_end_a_node_with_few_files_over_an_ipc_address() -> None:
+    with TemporaryDirectory(prefix="telepulse-") as folder:
+        Path(folder).chmod(0o755)
+        path = Path(folder, "pulse")
+        node = limited("RLIMIT_NOFILE", FEW_FILES, SENSING, "--bind", f"ipc://{path}", umask=0)
+        try:
+            assert node.stdout is not None
+            node.stdout.readline()
+            found: list[int] = []
+            with ExitStack() as until_the_end:
+                os.seteuid(NOBODY)
+                until_the_end.callback(os.seteuid, 0)
+                for _ in range(STRANGERS):
+                    one = until_the_end.enter_context(plain.socket(plain.AF_UNIX))
+                    one.setblocking(False)
+                    found.append(one.connect_ex(str(path)))
+                assert node.poll() is None
+            assert set(found) == {errno.EACCES}
+            # Its own user is let in.
+            with plain.socket(plain.AF_UNIX) as own:
+                own.connect(str(path))
+                own.settimeout(PATIENCE_S)
+                assert own.recv(1)
+            node.send_signal(signal.SIGTERM)
+            output, errors = node.communicate(timeout=PATIENCE_S)
+            assert node.returncode == 0, output + errors
+        finally:
+            node.kill()
+            node.communicate()
