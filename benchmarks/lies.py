@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 from benchmarks.measure import show
 from benchmarks.virtual_bench import MS, VirtualBench
+from display_node.alerts import STIFFNESS, alerts
 from display_node.scene import DisplayScene
 from protocol.errors import TelepulseError
 from protocol.scene import load_section
@@ -92,7 +93,7 @@ CASES = (
     *(Case(LieKind.GARBAGE, size) for size in ("0.3", "1")),
     Case(LieKind.FILM_ZERO),
     Case(LieKind.FILM_FROZEN),
-    *(Case(LieKind.FILM_SCALED, size) for size in ("0.5", "2")),
+    *(Case(LieKind.FILM_SCALED, size) for size in ("0.3", "0.5", "2", "3")),
     Case(LieKind.FILM_NOISE, "0.2 N"),
     *(Case(LieKind.FILM_LATE, size) for size in ("10 ms", "15 ms", "20 ms", "60 ms")),
 )
@@ -104,7 +105,8 @@ class Outcome:
 
     most_n: the most felt force; above_ms: time above the limit; named: the first fault, empty for
     none; named_ms: from the lie's begin to it; off_ms: from the fault until the tip is off the
-    finger for good, None where it stays on; error_n: the most that was felt beyond what was wanted.
+    finger for good, None where it stays on; error_n: the most that was felt beyond what was wanted;
+    warned: an alert of the display that latches nothing; stiffness: of the finger as it was learnt.
     """
 
     most_n: float
@@ -113,6 +115,8 @@ class Outcome:
     named_ms: int | None
     off_ms: int | None
     error_n: float
+    warned: str = ""
+    stiffness: float | None = None
 
     def missed(self, honest_error_n: float, obeys: bool = True) -> list[str]:
         """The bars that it misses; honest_error_n is what is felt beyond what is wanted without a
@@ -124,7 +128,7 @@ class Outcome:
             missed.append("force")
         if self.above_ms > BAR_ABOVE_MS:
             missed.append("time")
-        if not self.named and not harmless:
+        if not (self.named or self.warned or harmless):
             missed.append("name")
         if self.named and obeys and (self.off_ms is None or self.off_ms > BAR_OFF_MS):
             missed.append("off")
@@ -181,7 +185,14 @@ def lied(
             if case is not None:
                 bench.motor.lies.begin(case.lie, began_ns)
         _run_on(bench, felt)
-        return _outcome(felt, wanted, began_ns, bench.fault_ns, "; ".join(bench.faults))
+        outcome = _outcome(felt, wanted, began_ns, bench.fault_ns, "; ".join(bench.faults))
+        summary = bench.display.summary()
+        warned = [a for a in alerts(bench.display.state, summary.to_dict()) if a.name == STIFFNESS]
+        return replace(
+            outcome,
+            warned="; ".join(f"{alert.name} {alert.text}" for alert in warned),
+            stiffness=summary.finger_stiffness if with_film else None,
+        )
 
 
 def _run_on(bench: VirtualBench, felt: list[Moment]) -> None:
@@ -268,7 +279,8 @@ def rows(name: str = "", finger: float = 1.0) -> list[tuple[str, ...]]:
                 f"{outcome.error_n:.2f}",
                 " ".join(outcome.missed(honest.error_n, run.case is None or run.case.obeys))
                 or "none",
-                outcome.named[:50],
+                "" if outcome.stiffness is None else f"{outcome.stiffness:.2f}",
+                (outcome.named or outcome.warned)[:50],
             )
         )
     return table
@@ -290,6 +302,7 @@ def main(name: str = "", finger: str = "1") -> None:
             "off ms",
             "error N",
             "bars missed",
+            "stiffness",
             "named",
         ),
         rows(name, float(finger)),

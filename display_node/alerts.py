@@ -11,7 +11,9 @@ from protocol.watch import HANDSHAKE, NO_KEY, NOT_AUTHENTIC, REPLAYED
 
 # Without telemetry for so long a display is taken for silent.
 SILENT_AFTER_NS = 2_000_000_000
-NOT_CONNECTED = "not connected"
+NOT_CONNECTED, STIFFNESS = "not connected", "finger's stiffness"
+# Of the scene's fingertip: people's fingers are within 0.3 to 3, and the estimate within 10 %.
+LEAST_STIFFNESS, MOST_STIFFNESS = 0.25, 4.0
 # Counts from which a link is taken for refused; a node that ends breaks off, too.
 CONNECTION_CAUSES = {REFUSED_KEY: 1, NO_KEY: 1, NOT_AUTHENTIC: 1, REPLAYED: 1, HANDSHAKE: BREAKS}
 
@@ -54,8 +56,21 @@ def alerts(
         found.append(Alert(NOT_CONNECTED, "; ".join(explain(refusals))))
     if state == "stale":
         found.append(Alert("stale", f"no samples to play{finger}"))
+    stiffness = summary.get("finger_stiffness")
+    if stiffness is not None and not LEAST_STIFFNESS <= stiffness <= MOST_STIFFNESS:
+        found.append(Alert(STIFFNESS, _implausible_stiffness(stiffness)))
     late = deadline_alarm(summary.get("loop", {}))
     return found if late is None else [*found, Alert("deadline misses", late)]
+
+
+def _implausible_stiffness(stiffness: float) -> str:
+    """Return what a stiffness that no finger has may come from, and what to do."""
+    few = stiffness < 1
+    return (
+        f"{stiffness:.2f} times the scene's fingertip, implausible for a finger: the film reads too"
+        f" {'little' if few else 'much'} (telepulse calibrate) or the motor goes"
+        f" {'less' if few else 'further'} than it counts (telepulse bench)"
+    )
 
 
 def _refused_connections(state: str, summary: Mapping[str, Any]) -> dict[str, int]:

@@ -129,6 +129,11 @@ class StepperController:
             pressing = min(fastest, guard.fastest(screw_m))
         return self._pid.step(error, response, feed, -fastest, pressing)
 
+    @property
+    def finger_stiffness(self) -> float | None:
+        """See `Observer.finger_stiffness`; None without an observer."""
+        return None if self._observer is None else self._observer.finger_stiffness
+
     def skip(self, speed_m_per_s: float) -> None:
         """A tick was missed, in which the drive went on at a speed."""
         self._missed_ticks += 1

@@ -281,6 +281,7 @@ class Display:
             rejected=dict(self.receiver.rejected),
             faults=list(self.safety.faults),
             finger=self._finger(),
+            finger_stiffness=self._loop.finger_stiffness,
         )
         return self.fidelity.scored(summary) if self.fidelity is not None else summary
 

@@ -58,6 +58,12 @@ class ForceLoop:
         """The count of readings at the range of the film's ADC; None without an ADC."""
         return self._film.at_range
 
+    @property
+    def finger_stiffness(self) -> float | None:
+        """See `Observer.finger_stiffness`; None without an observer."""
+        controller = self._controller
+        return controller.finger_stiffness if isinstance(controller, StepperController) else None
+
     def coast(self, ticks: int) -> None:
         """Ticks that were missed: the drive goes on as it was told last, until its watchdog
         brings it to rest."""

@@ -205,6 +205,11 @@ class Hardware:
         self._drive.command(self._step_rate.command(speed_m_per_s))
 
     @property
+    def measures_force(self) -> bool:
+        """Whether a film measures it; without, the model of contact stands for it."""
+        return self._sensor is not None
+
+    @property
     def counts(self) -> Counter[str]:
         """Errors on the way to drive and film that were made good, by name."""
         counts = Counter({f"drive {name}": n for name, n in self._drive.counts.items()})

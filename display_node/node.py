@@ -196,6 +196,9 @@ class DisplayNode:
                     travel=self._hardware.at_end.limited(self._scene.tick_ns * 1e-9, ticks),
                 ),
                 hardware=dict(self._hardware.counts),
+                finger_stiffness=(
+                    summary.finger_stiffness if self._hardware.measures_force else None
+                ),
                 finger=describe_finger(self._hardware.finger(time.monotonic_ns())),
                 faults=[
                     *summary.faults,

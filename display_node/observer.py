@@ -29,6 +29,8 @@ MAX_OFFSET_M = 1e-3
 FIRST_OFFSET_M = 1e-4
 FIRST_SOFTNESS = 0.3
 SOFTNESS_RANGE = (0.2, 5.0)
+# The compliance is learnt where its error is down to this share of the first guess's.
+LEARNT = 0.5
 LEAST_FORCE_N = 0.01
 # A reading further off than so many standard deviations is trusted no more than this one.
 OUTLIER = 8.0
@@ -117,6 +119,13 @@ class Observer:
     def screw_m(self) -> float:
         """Commanded travel of the screw from where the tip touches the finger."""
         return self._twin.screw_m + self._offset_m
+
+    @property
+    def finger_stiffness(self) -> float | None:
+        """Learnt stiffness of the finger, as a factor of the scene's; None while it is a guess."""
+        if self._spread[1, 1] >= (LEARNT * self._first[1] ** 0.5) ** 2:
+            return None
+        return self._softness_m_per_n / self._law.finger_m_per_n
 
     def correct(self, reading_n: float) -> None:
         """Take the film's reading at this tick; one that is no number is passed over."""

@@ -193,6 +193,7 @@ class Summary:
     hardware: dict[str, int] = field(default_factory=dict)
     faults: list[str] = field(default_factory=list)
     finger: str | None = None
+    finger_stiffness: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON and msgpack; what is no figure (NaN, infinite, beyond
@@ -319,6 +320,7 @@ def _rows(s: Summary) -> list[tuple[str, str]]:
         ("hardware", _counts(s.hardware) or _ABSENT),
         ("faults", "; ".join(s.faults) or "none"),
         ("finger", s.finger or _ABSENT),
+        ("finger's stiffness", f"{_f(s.finger_stiffness, 2)} times the scene's fingertip"),
     ]
 
 

@@ -89,6 +89,7 @@ FIGURES = [
         MS,
         p99="0.99",
     ),
+    _gauge("finger_stiffness_ratio", "finger_stiffness", "Learnt stiffness by the scene's."),
     _gauge("playout_delay_mean_seconds", "playout_delay_ms.mean", "Mean perceived delay.", MS),
     _gauge(
         "covered_delay_mean_seconds",

@@ -51,3 +51,24 @@ def test_a_late_film_is_named_before_a_stiff_finger_is_pressed_by_a_loop_that_sw
     outcome = lied(case, "tmcl", True, hostile_stream, finger=3.0)
     assert "feedback late" in outcome.named
     assert outcome.missed(honest_error_n=0.0) == []
+
+
+def test_half_a_film_half_a_motor_and_half_a_finger_look_the_same() -> None:
+    """Only their product can be learnt, and it is shown."""
+    film = lied(Case(LieKind.FILM_SCALED, "0.5"), "tmcl", True, PULSE)
+    motor = lied(Case(LieKind.GAIN, "0.5"), "tmcl", True, PULSE)
+    finger = lied(None, "tmcl", True, PULSE, finger=0.5)
+    for outcome in (film, motor, finger):
+        assert outcome.stiffness == pytest.approx(0.5, abs=0.05)
+        assert (outcome.named, outcome.warned) == ("", "")
+    # What differs is what is felt, and nothing measures that but the film.
+    assert film.most_n == pytest.approx(2 * finger.most_n, rel=0.1)
+
+
+def test_a_stiffness_that_no_finger_has_is_an_alert() -> None:
+    outcome = lied(Case(LieKind.FILM_SCALED, "5"), "tmcl", True, PULSE)
+    assert "implausible for a finger: the film reads too much" in outcome.warned
+    for finger in (0.3, 3.0):
+        honest = lied(None, "tmcl", True, PULSE, finger=finger)
+        assert honest.stiffness == pytest.approx(finger, rel=0.1)
+        assert (honest.named, honest.warned) == ("", "")

@@ -67,6 +67,7 @@ FULL = Summary(
     interruptions=Interruptions(3, 4.25, 2.6, 57.0, 57.35),
     faults=["silence", "force limit"],
     finger="withdrawn",
+    finger_stiffness=1.9,
 )
 KEYS = {
     "samples": {"sent", "played", "late", "lost", "before_joining"},
@@ -96,6 +97,7 @@ KEYS = {
     "hardware": set(),
     "faults": None,
     "finger": None,
+    "finger_stiffness": None,
 }
 
 
@@ -237,6 +239,7 @@ def test_people_read_the_same() -> None:
         "hardware": "3 film crc",
         "faults": "silence; force limit",
         "finger": "withdrawn",
+        "finger's stiffness": "1.90 times the scene's fingertip",
     }
     assert printed(FULL).splitlines()[0].strip() == "display-node"
 
