@@ -114,10 +114,12 @@ class VirtualLock:
     def __exit__(self, *_: object) -> None:
         self.release()
 
-    def acquire(self) -> bool:
-        """Wait until it is free, and hold it."""
+    def acquire(self, timeout: float | None = None) -> bool:
+        """Wait until it is free, `timeout` seconds at most, and hold it."""
+        # It may be taken again before who was woken by its release runs.
         while not self._free.is_set():
-            self._free.wait()
+            if not self._free.wait(timeout) and timeout is not None:
+                return False
         self._free.clear()
         return True
 

@@ -31,6 +31,7 @@ from display_node.drives.direction import (
     undone_where_wrong,
 )
 from display_node.drives.drive import DriveStatus, no_film
+from display_node.drives.passable_lock import PassableLock
 from display_node.drives.scene import Cia402Scene
 from display_node.drives.supervisor import Supervisor
 from display_node.step_rate import AT_REST, StepCommand
@@ -57,7 +58,7 @@ class Cia402Drive:
         self._ending = threading.Event()
         self._supervisor = Supervisor(axis, scene.watchdog_ns)
         # Of the supervisor and of what is sent, by the loop's thread and by ours.
-        self._lock = threading.Lock()
+        self._lock = PassableLock()
         self._control = Control.ENABLE
         self._beat_ns = 0
         self.counts: Counter[str] = Counter()
@@ -161,7 +162,7 @@ class Cia402Drive:
     def _run(self, node: Cia402Node) -> None:
         """Withdraw where the loop's thread cannot: it may hang, and a fault needs no tick."""
         while not self._ending.wait(WATCH_S):
-            with self._lock:
+            with self._lock.passing():
                 now_ns = time.monotonic_ns()
                 self._judge(node, now_ns)
                 if self._supervisor.withdrawal is not None:

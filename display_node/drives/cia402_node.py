@@ -12,6 +12,7 @@ from display_node.drives.axis import Axis
 from display_node.drives.bus_errors import BusErrors
 from display_node.drives.can_bus import open_bus
 from display_node.drives.cia402_states import Control, Mode, State, state_of
+from display_node.drives.passable_lock import PassableLock
 from display_node.drives.scene import Cia402Scene
 from protocol.errors import DriveError
 
@@ -90,6 +91,8 @@ class Cia402Node:
         self._bus = open_bus(scene)
         self._network = canopen.Network(self._bus)
         self._network.NOTIFIER_CYCLE = NOTIFIER_CYCLE_S
+        # canopen's own threads send as well.
+        self._sending = PassableLock(self._network.send_lock)
         sheet = str(files("display_node.drives") / "cia402.eds")
         self._node = canopen.RemoteNode(scene.node, sheet)
         self._node.sdo.RESPONSE_TIMEOUT = SDO_TIMEOUT_S
@@ -183,7 +186,7 @@ class Cia402Node:
         try:
             if self._errors.lost is not None:
                 raise self._errors.lost
-            with self._network.send_lock:
+            with self._sending.passing():
                 self._bus.send(message, self._scene.watchdog_ns * 1e-9)
         except Exception as error:
             raise DriveError("unplugged", f"{self._name}: {error}") from None

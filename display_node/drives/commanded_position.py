@@ -34,13 +34,17 @@ class CommandedPosition:
     def record(self, speed_m_per_s: float, now_ns: int) -> None:
         """Record a speed that was sent at a time, perhaps the same again."""
         last = self._legs[-1]
+        # A thread that stood still records what it sent later than another thread's newer one.
+        now_ns = max(now_ns, last.sent_ns)
         if speed_m_per_s != last.sent:
             way_m, speed = last.after((now_ns - last.sent_ns) * 1e-9, self._acceleration)
             self._legs.append(_Leg(now_ns, way_m, speed, speed_m_per_s))
 
     def way_m(self, now_ns: int) -> float:
         """Return the way in m until a time, as far back as speeds are kept."""
-        for leg in reversed(self._legs):
+        # By index, as another thread may record meanwhile (`PassableLock`).
+        for back in range(1, len(self._legs) + 1):
+            leg = self._legs[-back]
             if now_ns >= leg.sent_ns:
                 return leg.after((now_ns - leg.sent_ns) * 1e-9, self._acceleration)[0]
         return self._legs[0].way_m
@@ -48,7 +52,7 @@ class CommandedPosition:
     def bounds_m(self, from_ns: int, to_ns: int) -> tuple[float, float]:
         """Return the least and the greatest way in m within a time, to the speeds sent."""
         ways = [self.way_m(from_ns), self.way_m(to_ns)]
-        ways += [leg.way_m for leg in self._legs if from_ns < leg.sent_ns < to_ns]
+        ways += [leg.way_m for leg in tuple(self._legs) if from_ns < leg.sent_ns < to_ns]
         return min(ways), max(ways)
 
 

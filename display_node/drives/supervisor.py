@@ -97,19 +97,19 @@ class Supervisor:
         """Latch a fault and begin the withdrawal; a second one changes nothing."""
         if self.fault is not None:
             return
+        if self.verified:
+            commanded_m = self._following.position_m(now_ns)
+            # NaN before the first report: then the reported position stands alone.
+            furthest_m = min(max(self.position_m, commanded_m), self._axis.furthest_m)
+            self.withdrawal = Withdrawal(
+                now_ns,
+                furthest_m,
+                self._commanded.way_m(now_ns),
+                self._axis.clear_m,
+                trusted=not self._following.failed,
+            )
+        # Last: a thread that is stopped before this leaves no fault without its withdrawal.
         self.fault = fault
-        if not self.verified:
-            return
-        commanded_m = self._following.position_m(now_ns)
-        # NaN before the first report: then the reported position stands alone.
-        furthest_m = min(max(self.position_m, commanded_m), self._axis.furthest_m)
-        self.withdrawal = Withdrawal(
-            now_ns,
-            furthest_m,
-            self._commanded.way_m(now_ns),
-            self._axis.clear_m,
-            trusted=not self._following.failed,
-        )
 
     def held(self, now_ns: int) -> None:
         """Note that a command was not carried out, as far as is known: it is no way made."""

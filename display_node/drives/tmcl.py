@@ -15,6 +15,7 @@ from itertools import cycle
 from display_node.drives.axis import Axis
 from display_node.drives.direction import TouchGuard, approach_touch, undone_where_wrong
 from display_node.drives.drive import DriveStatus, no_film
+from display_node.drives.passable_lock import PassableLock
 from display_node.drives.scene import TmclScene
 from display_node.drives.supervisor import Supervisor
 from display_node.drives.tmcl_module import PASSING, TmclModule
@@ -51,7 +52,7 @@ class TmclDrive:
         self._closing = False
         self._supervisor = Supervisor(axis, scene.watchdog_ns)
         # Of the supervisor, which the loop's thread and ours both use.
-        self._lock = threading.Lock()
+        self._lock = PassableLock()
         self._taken_ns = self._missed_ns = 0
         self.counts: Counter[str] = Counter()
 
@@ -183,7 +184,7 @@ class TmclDrive:
 
     def _pass_on(self, module: TmclModule, now_ns: int) -> None:
         """Send the velocity of now, however old the command is: that keeps its heartbeat."""
-        with self._lock:
+        with self._lock.passing():
             supervisor = self._supervisor
             supervisor.watch(now_ns)
             self._taken_ns = supervisor.commanded_ns
@@ -192,7 +193,7 @@ class TmclDrive:
         module.rotate(velocity)
 
     def _report(self, module: TmclModule) -> None:
-        with self._lock:
+        with self._lock.passing():
             supervisor = self._supervisor
             supervisor.answered(module.heard_ns)
             if supervisor.fault and module.position_ns - self._missed_ns < AMBIGUOUS_NS:
@@ -206,7 +207,7 @@ class TmclDrive:
         A module that obeys without an answer is thus commanded on, to its home switch.
         """
         now_ns = time.monotonic_ns()
-        with self._lock:
+        with self._lock.passing():
             self._supervisor.held(now_ns)
             if error.kind in PASSING:
                 self._missed_ns = now_ns
