@@ -11,6 +11,8 @@ from pathlib import Path
 import zmq
 
 PATIENCE_S = 10.0
+# A node that takes no connections for now drops requests, which are repeated after 1 s.
+TURNED_AWAY_S = 2.0
 # ZMTP 3.0 without a mechanism, see rfc.zeromq.org/spec/23.
 GREETING = b"\xff" + bytes(8) + b"\x7f\x03\x00" + b"NULL".ljust(20, b"\0") + bytes(32)
 READY_BYTES = 27
@@ -82,14 +84,13 @@ def queued_bytes(connection: socket.socket) -> int | None:
 def raw_garbage(port: int, count: int, rng: random.Random) -> None:
     """Connections that send random bytes and go."""
     for _ in range(count):
-        with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as connection:
-            connection.settimeout(PATIENCE_S)
-            # Whoever reads it may have hung up already.
-            try:
-                connection.sendall(rng.choice((b"", GREETING[:12], GREETING)))
-                connection.sendall(rng.randbytes(RAW_BYTES))
-            except ConnectionError:
-                continue
+        # Whoever reads it may have hung up already, or take no connection for now.
+        with (
+            suppress(ConnectionError, TimeoutError),
+            socket.create_connection(("127.0.0.1", port), PATIENCE_S) as connection,
+        ):
+            connection.sendall(rng.choice((b"", GREETING[:12], GREETING)))
+            connection.sendall(rng.randbytes(RAW_BYTES))
 
 
 def garbage_messages(port: int, kind: int, count: int, rng: random.Random) -> None:
@@ -107,10 +108,11 @@ def garbage_messages(port: int, kind: int, count: int, rng: random.Random) -> No
 
 @contextmanager
 def silent_connections(port: int, count: int) -> Iterator[None]:
-    """Connections that say nothing, within a `with`."""
+    """Hold connections that send nothing, within a `with`; fewer where no more are taken."""
     with ExitStack() as held:
-        for _ in range(count):
-            held.enter_context(socket.create_connection(("127.0.0.1", port), PATIENCE_S))
+        with suppress(TimeoutError):
+            for _ in range(count):
+                held.enter_context(socket.create_connection(("127.0.0.1", port), TURNED_AWAY_S))
         yield
 
 
