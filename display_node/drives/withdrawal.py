@@ -130,7 +130,9 @@ class Withdrawal:
         """Return the speed to command now, negative or 0; way_m is the commanded way by now."""
         self._way_m = way_m
         if now_ns - self._sent_ns > PAUSE_NS:
+            # Its watchdog has ended the last command, whose way was counted on.
             self._turning_ns = now_ns
+            self.renew(now_ns, way_m)
         self._sent_ns = now_ns
         if self.outcome is Outcome.UNDER_WAY:
             # Until its position is to be expected, and as long as it comes after that.

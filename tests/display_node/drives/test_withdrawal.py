@@ -131,6 +131,17 @@ def test_after_a_pause_of_the_host_the_tip_may_turn_again() -> None:
     assert tip.run(300) is Outcome.WITHDRAWN
 
 
+def test_what_was_commanded_before_a_pause_is_no_way_made() -> None:
+    """The drive's watchdog ended it, while the commands seemed to lead on for 0.4 s."""
+    tip = Tip()
+    assert tip.withdrawal.speed_m_per_s(MS, 0.0) == -SLOW_M_PER_S
+    tip.now_ms, tip.way_m = 400, -SLOW_M_PER_S * 0.4
+    for ms in range(2, 400):
+        tip.withdrawal.report(BEGAN_M, ms * MS)
+    assert tip.run(100) is Outcome.WITHDRAWN
+    assert tip.position_m == pytest.approx(CLEAR_M, abs=FAST_M_PER_S * 1e-3)
+
+
 def test_readings_that_rise_before_anything_was_sent_stop_nothing() -> None:
     """The loop reads the film while the drive's thread stands still."""
     tip = Tip()
