@@ -50,9 +50,9 @@ def main() -> None:
         [row(*fault) for fault in FAULTS],
     )
     show(
-        f"What reaches the finger; bars: {FORCE_LIMIT_N:g} N, {SLEW_N_PER_S:g} N/s",
-        ("peer or restart", "drive", "most N", "fastest N/s", "rise ms"),
-        [peer_row(kind, name, happens) for name, happens in PEERS for kind in KINDS],
+        f"Felt after a restart; bars: {FORCE_LIMIT_N:g} N, {SLEW_N_PER_S:g} N/s",
+        ("restart", "drive", "most N", "fastest N/s", "rise ms"),
+        [restart_row(kind, name, happens) for name, happens in RESTARTS for kind in KINDS],
     )
 
 
@@ -127,8 +127,10 @@ def pressed(motor: MotorTrace, at_ns: int) -> bool:
     return bool(before.any() and motor.force_n[before].min() > 0.05)
 
 
-def peer_row(kind: str, name: str, happens: Callable[[Path, str], MotorTrace]) -> tuple[str, ...]:
-    """What a peer's stream, or a restart, does to the finger."""
+def restart_row(
+    kind: str, name: str, happens: Callable[[Path, str], MotorTrace]
+) -> tuple[str, ...]:
+    """Force, slew and rise at the finger after a restart."""
     for _ in range(TRIES):
         with TemporaryDirectory(prefix="telepulse-") as folder:
             try:
@@ -140,22 +142,6 @@ def peer_row(kind: str, name: str, happens: Callable[[Path, str], MotorTrace]) -
         slope = (felt_n[STRETCH_MS:] - felt_n[:-STRETCH_MS]) / STRETCH_MS * 1e3
         return name, kind, f"{felt_n.max():.3f}", f"{slope.max():.1f}", rise_ms(felt_n)
     return name, kind, "", "", f"failed {TRIES} times"
-
-
-def hostile(force_n: Callable[[int], float], folder: Path, kind: str) -> MotorTrace:
-    """A wrist that senses what no wrist does."""
-    lines = "\n".join(f"{force_n(ms):g}" for ms in range(1_000))
-    (folder / "hostile.csv").write_text(f"force\n{lines}\n", "utf-8")
-    source = folder / "hostile.toml"
-    source.write_text(
-        '[sensing.source]\nkind = "recording"\npath = "hostile.csv"\ncolumn = "force"\n'
-        'rate = "1 kHz"\nunit = "N"\nrepeat = "loop"\n',
-        "utf-8",
-    )
-    with playing(folder, kind, str(source)) as bench:
-        time.sleep(2 * AFTER_S)
-        bench.end()
-        return bench.motor()
 
 
 def sensing_restarted(folder: Path, kind: str) -> MotorTrace:
@@ -228,10 +214,7 @@ FAULTS: tuple[tuple[str, str, Callable[[str, Path], Outcome]], ...] = (
     ("the drive falls silent", "its watchdog, or our stop", partial(trouble, "silent")),
     ("the drive's cable is pulled", "its watchdog", partial(trouble, "unplugged")),
 )
-PEERS: tuple[tuple[str, Callable[[Path, str], MotorTrace]], ...] = (
-    ("1000 N", partial(hostile, lambda _: 1_000.0)),
-    ("±1e29 N by 40 ms", partial(hostile, lambda ms: 1e29 if ms // 40 % 2 else -1e29)),
-    ("±1e29 N by 1 ms", partial(hostile, lambda ms: 1e29 if ms % 2 else -1e29)),
+RESTARTS: tuple[tuple[str, Callable[[Path, str], MotorTrace]], ...] = (
     ("sensing node started anew", sensing_restarted),
     ("display started anew after a fault", display_restarted),
 )
