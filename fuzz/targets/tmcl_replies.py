@@ -15,9 +15,11 @@ from telepulse.emulate.tmcl_module import DATAGRAM, checksum
 
 
 class _Port:
-    """A serial port whose bytes have all come, and on which nobody hears us."""
+    """A serial port whose bytes come after a request, whatever that is."""
 
     data = b""
+    # Before the request.
+    in_waiting = 0
 
     def read(self, count: int) -> bytes:
         taken, self.data = self.data[:count], self.data[count:]

@@ -1,11 +1,13 @@
 """Faults of a CiA 402 drive on its bus."""
 
+from unittest.mock import patch
+
 import can
 import pytest
 
 from display_node.drives.axis import build_axis
 from display_node.drives.cia402 import Cia402Drive
-from display_node.drives.cia402_node import SPEED_TPDO, STATE_TPDO, TPDO1, TPDO2
+from display_node.drives.cia402_node import SPEED_TPDO, STATE_TPDO, TPDO1, TPDO2, Cia402Node
 from display_node.drives.cia402_states import Control, Mode, State, state_of, towards_enabled
 from display_node.drives.withdrawal import Outcome
 from display_node.step_rate import StepCommand
@@ -74,7 +76,7 @@ def test_a_drive_that_missed_our_heartbeat_is_enabled_again_and_withdraws() -> N
         bench.drive.start()
         bench.keep(RATE_HZ, lambda: bench.motor.tip_m > 0.05e-3)
         # Its own watchdog is first where this process stands still.
-        with bench.drive._lock:  # type: ignore[attr-defined]
+        with patch.object(Cia402Node, "_send"):
             wait(lambda: bench.motor.tripped)
             wait(lambda: bench.at_rest)
         wait(lambda: bench.drive.status().withdrawal is Outcome.WITHDRAWN)
@@ -90,7 +92,7 @@ def test_what_a_missed_heartbeat_does_is_the_drives_option(abort_option: int, st
         bench.drive.start()
         bench.emulator.drive.abort_option = abort_option
         bench.keep(RATE_HZ, lambda: bench.motor.rate_hz > 0)
-        with bench.drive._lock:  # type: ignore[attr-defined]
+        with patch.object(Cia402Node, "_send"):
             wait(lambda: bench.emulator.drive.state is state)
             assert bench.at_rest
 
