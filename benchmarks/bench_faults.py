@@ -35,7 +35,7 @@ STRETCH_MS = 10
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a fault led to: ms until peace, and the fault's names in the summary."""
+    """Result of a fault: ms until peace, and the fault's names in the summary."""
 
     peace_ms: float
     named: tuple[str, ...]
@@ -72,8 +72,8 @@ def row(name: str, done: str, once: Callable[[str, Path], Outcome]) -> tuple[str
 
 
 def tried(once: Callable[[Path], Outcome]) -> Outcome | None:
-    """What a fault led to on a bench that was well until then; None where a busy machine had
-    brought it to rest before, time after time."""
+    """Return the result of a fault on a bench that played until then; None where a busy machine
+    had brought it to rest before, time after time."""
     for _ in range(TRIES):
         with TemporaryDirectory(prefix="telepulse-") as folder:
             try:
@@ -122,7 +122,7 @@ def ended(bench: WholeBench, at_ns: int | None) -> Outcome:
 
 
 def pressed(motor: MotorTrace, at_ns: int) -> bool:
-    """Whether the pulse was felt in the 100 ms before."""
+    """Return whether the pulse was felt in the 100 ms before."""
     before = (motor.time_ns < at_ns) & (motor.time_ns > at_ns - 100_000_000)
     return bool(before.any() and motor.force_n[before].min() > 0.05)
 
@@ -182,7 +182,7 @@ def felt_again(bench: WholeBench, start: Callable[[], None]) -> MotorTrace:
 
 
 def rise_ms(felt_n: "np.typing.NDArray[np.float64]") -> str:
-    """How long the force took from 10 % to 90 % of its usual size, the first time."""
+    """Return the time in ms of the first rise from 10 % to 90 % of the usual force."""
     usual_n = np.median(felt_n[felt_n > LIGHT_N])
     first, then = np.argmax(felt_n > 0.1 * usual_n), np.argmax(felt_n > 0.9 * usual_n)
     return f"{then - first}"

@@ -31,7 +31,7 @@ REPORT_EVERY_NS = 1_000_000_000
 
 @dataclass(slots=True)
 class Felt:
-    """How things stood at the beginning of the last tick.
+    """State at the beginning of the last tick.
 
     instant_ns is on the sensing clock; felt_n: NaN where a real film gives no reading; `scored`:
     the pulse was being felt at its full strength;
@@ -106,7 +106,7 @@ class Display:
 
     @property
     def output(self) -> float:
-        """What the controller wants of the actuator until the next tick: m/s of a stepper."""
+        """Output of the controller until the next tick: m/s of a stepper."""
         return self._loop.output
 
     @property
@@ -116,7 +116,7 @@ class Display:
 
     @property
     def playing(self) -> Playing | None:
-        """What it makes of the stream; None while it knows none."""
+        """The way it plays the stream; None while it knows none."""
         if self.receiver.description is None:
             return None
         scene, strain_per_newton = self._scene, self._layer.strain_per_newton
@@ -126,7 +126,7 @@ class Display:
 
     @property
     def over(self) -> bool:
-        """Whether the session has ended and was played to its end."""
+        """True when the session has ended and was played to its end."""
         if not self.receiver.buffer.ended:
             return False
         return self.receiver.over(self.felt.now_ns, self.felt.playout_delay_ns)
@@ -159,7 +159,7 @@ class Display:
             self._reserve_ns = self._reach_ns + description.period_ns
 
     def requests(self, now_ns: int) -> list[Control]:
-        """What to send to the sensing node now: requests and reports."""
+        """Return the requests and reports to send to the sensing node now."""
         wanted = self.receiver.requests(now_ns)
         if now_ns >= self._next_report_ns and self.receiver.session is not None:
             self._next_report_ns = now_ns + REPORT_EVERY_NS

@@ -206,7 +206,7 @@ class Hardware:
 
     @property
     def measures_force(self) -> bool:
-        """Whether a film measures it; without, the model of contact stands for it."""
+        """True where a film measures the force; without, the model of contact stands for it."""
         return self._sensor is not None
 
     @property

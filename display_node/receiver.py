@@ -102,11 +102,11 @@ class Receiver:
 
     @property
     def listening(self) -> bool:
-        """Whether frames can be understood: the stream's description and its clock are known."""
+        """True when frames can be used: the stream's description and its clock are known."""
         return self.session is not None and self.clock.ready
 
     def silent(self, now_ns: int) -> bool:
-        """Whether nothing valid has come for a while."""
+        """Return whether nothing valid has come for a while."""
         return now_ns - self._heard_ns > SILENT_AFTER_NS
 
     def introduce(self) -> None:
@@ -115,7 +115,7 @@ class Receiver:
         self._next_hello_ns = 0
 
     def requests(self, now_ns: int) -> list[Control]:
-        """What should be said to the sensing node now: hello, clock, and at last bye."""
+        """Return the messages to send to the sensing node now: hello, clock, and at last bye."""
         wanted: list[Control] = []
         silent = self.silent(now_ns)
         lost = self.session is None or silent or self._in_doubt
@@ -141,7 +141,7 @@ class Receiver:
 
     @property
     def clock_steps(self) -> int:
-        """How often a clock has stepped, in all sessions so far."""
+        """Count of the steps of a clock, in all sessions so far."""
         return self._steps_closed + self.clock.steps
 
     @property
@@ -176,7 +176,7 @@ class Receiver:
         )
 
     def over(self, now_ns: int, playout_delay_ns: int) -> bool:
-        """Whether, once the session has ended, all that may still come has had its time."""
+        """Return whether, once the session has ended, all that may still come has had its time."""
         end_ns = self.buffer.end_ns
         if end_ns is None:
             return True

@@ -1,9 +1,13 @@
-"""What to do about a drive that cannot be started: one table for every command that starts one."""
+"""Advice on a drive that cannot be started: one table for every command that starts one."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from display_node.fault_advice import OTHERWISE
 from protocol.errors import DriveError
+
+_IN_USE = "another program uses it: end that one (fuser names it)"
+_NO_WATCHDOG = "without this watchdog the drive would not stop by itself: use "
 
 # Kind of DriveError, words of its text, and what to do: the first entry that fits.
 ADVICE = (
@@ -12,9 +16,8 @@ ADVICE = (
      " /dev/serial/by-id lists the ports of this machine"),
     ("unplugged", "Permission denied", "let this user open the port: sudo usermod -aG dialout"
      " $USER, then log in again"),
-    ("unplugged", "busy", "another program uses it: end that one (fuser names it)"),
-    ("unplugged", "temporarily unavailable", "another program uses it: end that one (fuser"
-     " names it)"),
+    ("unplugged", "busy", _IN_USE),
+    ("unplugged", "temporarily unavailable", _IN_USE),
     ("unplugged", "Network is down", "bring the bus up, with the bit rate of the drive: sudo ip"
      " link set CHANNEL up type can bitrate BITRATE"),
     ("unplugged", "No such device", "check `channel` in [display.drive] and the adapter: ip link"
@@ -29,10 +32,9 @@ ADVICE = (
      " its shield"),
     ("refused", "profile", "this is no drive of profile CiA 402: check `node` in [display.drive]"),
     ("refused", "mode", "choose another `mode` in [display.drive], or a drive that takes speeds"),
-    ("refused", "0x1016", "without this watchdog the drive would not stop by itself: use one that"
-     " has a consumer heartbeat"),
-    ("refused", "heartbeat", "without this watchdog the drive would not stop by itself: use a"
-     " module that has a heartbeat, or set `watchdog` to a time that it takes"),
+    ("refused", "0x1016", _NO_WATCHDOG + "one that has a consumer heartbeat"),
+    ("refused", "heartbeat", _NO_WATCHDOG + "a module that has a heartbeat, or set `watchdog` to a"
+     " time that it takes"),
     ("refused", "", "compare this setting of the scene with the drive's manual"),
     ("not homed", "", "check the home switch and its wires, `homing` and `touch` in"
      " [display.drive]"),
@@ -43,16 +45,13 @@ ADVICE = (
     # Its own text says what to look at.
     ("wrong way", "", ""),
 )  # fmt: skip
-OTHERWISE = "see docs/drives.md"
 
 
 def start_advice(error: DriveError) -> str:
     """Return what to do about a drive that refused to start; empty where its text says so."""
     text = str(error)
-    for kind, words, advice in ADVICE:
-        if error.kind == kind and words in text:
-            return advice
-    return OTHERWISE
+    fitting = (what for kind, words, what in ADVICE if error.kind == kind and words in text)
+    return next(fitting, OTHERWISE)
 
 
 @contextmanager

@@ -74,7 +74,7 @@ def control_address(address: str) -> str:
 
 
 def beyond_loopback(address: str) -> bool:
-    """Whether the address can be reached from, or reaches, another machine."""
+    """Return whether the address can be reached from, or reaches, another machine."""
     if address.startswith(("ipc://", "inproc://")):
         return False
     host = address.removeprefix("tcp://").rpartition(":")[0]
@@ -192,7 +192,7 @@ def receive_all(socket: Socket) -> Iterator[list[bytes]]:
 
 
 def receive_each(socket: Socket) -> Iterator[bytes]:
-    """As `receive_all` where a message has one part; of one with several, each is a message.
+    """Yield messages of one part, as `receive_all` does; of one with several, each is a message.
 
     The quickest way to a frame: the socket is asked for nothing but the message.
     """
@@ -226,7 +226,7 @@ def wait_readable(sockets: Sequence[Socket], timeout_ns: int) -> None:
 
 
 def wait_drained(numbers: Sequence[int], timeout_ns: int) -> None:
-    """As `wait_readable`, for `descriptors` of sockets that were all read to their end since
+    """Wait as `wait_readable`, for `descriptors` of sockets that were all read to their end since
     anything was sent on them, so that there is no need to ask them again.
 
     What was left on a socket nevertheless waits for the next message or the time's end.
@@ -236,7 +236,7 @@ def wait_drained(numbers: Sequence[int], timeout_ns: int) -> None:
 
 
 def descriptors(sockets: Sequence[Socket]) -> list[int]:
-    """What to wait for each socket by; it stays the same as long as the socket."""
+    """Return what to wait for each socket by; it stays the same as long as the socket."""
     return [cast(int, socket.getsockopt(zmq.FD)) for socket in sockets]
 
 

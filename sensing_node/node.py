@@ -80,7 +80,7 @@ class SensingNode:
 
     @property
     def telemetry_address(self) -> str:
-        """Where statuses are published; empty where none are."""
+        """Address at which statuses are published; empty where none are."""
         return "" if self._telemetry is None else self._telemetry.address
 
     def stop(self) -> None:

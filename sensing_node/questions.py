@@ -1,4 +1,4 @@
-"""How many questions of displays are read: as many as displays send, whoever sends more."""
+"""Bound on the questions of displays that are read: as many as displays send."""
 
 from protocol.token_bucket import TokenBucket
 

@@ -158,7 +158,7 @@ def _end_ns(life: Life) -> int:
 
 
 def _faults(run: Run, role: str) -> list[tuple[int, int]]:
-    """When something was done to a display or to its sensing node."""
+    """Times at which something was done to a display or to its sensing node."""
     return [
         (done.began_ns, played.over_ns(role) or done.over_ns)
         for played in run.played

@@ -1,4 +1,4 @@
-"""Which faults a soak has, and when: a seed in, a schedule out.
+"""Schedule of a soak's faults: a seed in, kinds and times out.
 
 The kinds come off a deck that is shuffled anew when it is empty, so that every kind has its turn,
 in an order that nobody chose; so do the bench's troubles. From the fourth deck on the sensing node

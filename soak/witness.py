@@ -14,7 +14,7 @@ GAP_NS = 50_000_000
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """What was felt between two instants.
+    """The force felt between two instants.
 
     low_n, high_n: least and most felt force in N; None where no tick has one. full, less: ticks
     at which the pulse was felt at its full strength, and the others.

@@ -33,7 +33,7 @@ SENDER = (b"simulated display",)
 DRAIN_LIMIT_NS = 15_000_000_000
 
 Event = Callable[[bytes, int], None]
-"""What happens to some bytes at a time."""
+"""An action on some bytes, given a time."""
 Tick = Callable[[Display, int, int], Felt]
 """A display's tick at a time, so many ticks after its last: `Display.tick`, or its bench's."""
 

@@ -60,7 +60,7 @@ def subscribing(port: int, topic_bytes: int, seconds: float) -> None:
 
 
 def _shake_hands(connection: socket.socket) -> None:
-    """As ZeroMQ does. Raises ConnectionError."""
+    """Open a connection as ZeroMQ does. Raises ConnectionError."""
     connection.sendall(GREETING + _command(b"\x05READY\x0bSocket-Type\x00\x00\x00\x03SUB"))
     awaited = len(GREETING) + READY_BYTES
     while awaited:
@@ -71,7 +71,7 @@ def _shake_hands(connection: socket.socket) -> None:
 
 
 def queued_bytes(connection: socket.socket) -> int | None:
-    """What queues in the kernel for this connection at its other end, on this machine; None when
+    """Return the bytes that queue in the kernel at this connection's other end, here; None when
     that end has let go of it."""
     ours = f"{connection.getsockname()[1]:04X}"
     for line in Path("/proc/net/tcp").read_text(encoding="ascii").splitlines()[1:]:

@@ -25,7 +25,7 @@ def pin(pid: int, processor: int) -> None:
 
 
 class OwnTime:
-    """What the loop's thread of a process waited for others, read every 10 ms.
+    """Waiting time of a process's loop thread for a processor, read every 10 ms.
 
     While a thread of the process itself ran on that processor (ZeroMQ's, which takes a flood in),
     the loop waited for its own process: this is not excused.

@@ -17,7 +17,7 @@ class State(Enum):
 
     @property
     def text(self) -> str:
-        """As a person reads it."""
+        """The state in words."""
         return self.name.lower().replace("_", " ")
 
 

@@ -1,4 +1,4 @@
-"""Where a drive's commands lead, and whether the drive's own position follows them.
+"""Position that a drive's commands lead to, and the following error of the drive's own position.
 
 CiA 402 calls the distance between the two the following error. Pure: times come in, in ns on the
 monotonic clock.

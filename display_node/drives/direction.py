@@ -1,4 +1,4 @@
-"""Whether the motor turns the way its commands say, found out before the tip touches a finger.
+"""Verification of the motor's direction, before the tip touches a finger.
 
 A wrong `inverted` or two swapped wires make every withdrawal a press. What the drive counts itself
 shows neither, so the home switch and the film are the witnesses.

@@ -1,4 +1,4 @@
-"""What one drive is commanded: the loop's speed within its limits, or the way off the finger.
+"""Commands of one drive: the loop's speed within its limits, or the way off the finger.
 
 Whatever goes wrong, the tip withdraws as long as the drive obeys. The decision is here, once for
 all kinds of drive, so that it depends neither on the kind nor on which thread of the process wakes
@@ -38,12 +38,12 @@ class Supervisor:
 
     @property
     def outcome(self) -> Outcome | None:
-        """How far the withdrawal has come; None where there is none."""
+        """State of the withdrawal; None where there is none."""
         return None if self.withdrawal is None else self.withdrawal.outcome
 
     @property
     def commanded_ns(self) -> int:
-        """When the loop commanded last; 0 before its first command."""
+        """Time of the loop's last command; 0 before the first."""
         return self._command[1]
 
     def arm(self, now_ns: int) -> None:

@@ -1,4 +1,4 @@
-"""What carries TMCL datagrams: a serial port by URL, or any CAN bus.
+"""Carriers of TMCL datagrams: a serial port by URL, or any CAN bus.
 
 PyTrinamic's own interfaces open serial devices by name, and the CAN channels can0 to can7 alone.
 And it describes every request and reply in words for its log, whether one is kept or not: that

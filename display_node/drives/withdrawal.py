@@ -35,7 +35,7 @@ PRESSED_N = 0.05
 
 
 class Outcome(Enum):
-    """How far a withdrawal has come.
+    """State of a withdrawal.
 
     UNCONFIRMED: it was commanded whole, and the drive's position does not show it. WRONG_WAY: it
     went towards the finger, and was stopped.

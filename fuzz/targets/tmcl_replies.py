@@ -1,4 +1,4 @@
-"""What a TMCL module may answer to one request after the other, on a serial line."""
+"""Answers of a TMCL module to one request after the other, on a serial line."""
 
 from contextlib import suppress
 from unittest.mock import patch

@@ -72,7 +72,7 @@ class Session(Section):
 
     @property
     def joined_ns(self) -> int:
-        """When a display plays the stream over whichever of the links, from the beginning on."""
+        """Time from which a display plays the stream over any of the links, in ns."""
         links = [condition.link for condition in self.conditions]
         waits_ns = [DELAYS * link.delay_ns + JITTERS * link.jitter_ns for link in links]
         return JOINED_NS + max(waits_ns)

@@ -29,7 +29,7 @@ _LEVELS = {"stale": "WARNING", "fault": "ERROR"}
 
 
 class StatusWatch:
-    """Notices what changes at a display, whose statuses come five times a second.
+    """The changes at a display, whose statuses come five times a second.
 
     What lasts gives two events: where it begins, and where it is over, with how long it lasted.
     """

@@ -1,4 +1,4 @@
-"""What happened, from the statuses of a display in virtual time."""
+"""Events, from the statuses of a display in virtual time."""
 
 import re
 from pathlib import Path

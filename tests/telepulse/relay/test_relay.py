@@ -93,7 +93,7 @@ class Raw:
 
 
 def published(data: Socket, heard: Socket, texts: Iterator[bytes]) -> bytes:
-    """What is heard first of messages that are published one after the other."""
+    """Return what arrives first of messages that are published one after the other."""
     return eventually(lambda: data.send(next(texts)) or (heard.poll(20) and heard.recv()))
 
 
