@@ -2,11 +2,14 @@
 
 import statistics
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from rich.console import Console
 from rich.table import Table
+
+from protocol.histogram import bound
+from protocol.summary import Lateness, OneWayDelay, TickTime
 
 REPEATS = 15
 BATCH_S = 0.02
@@ -39,6 +42,21 @@ def show(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> N
     for row in rows:
         table.add_row(*row)
     Console().print(table)
+
+
+def median_quantile(
+    key: str, tables: Iterable[OneWayDelay | TickTime | Lateness], digits: int = 0
+) -> str:
+    """Return the median of a quantile over runs, as "> 5000" where it is beyond what is counted."""
+    found = [
+        (figure, key in table.beyond)
+        for table in tables
+        if (figure := getattr(table, key)) is not None
+    ]
+    if not found:
+        return "–"
+    figure, beyond = statistics.median_low(found)
+    return f"{bound(key, [key] if beyond else [])}{figure:.{digits}f}"
 
 
 def _batch_s(call: Callable[[], object], count: int) -> float:

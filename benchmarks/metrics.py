@@ -16,7 +16,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from urllib.request import urlopen
 
-from benchmarks.measure import show
+from benchmarks.measure import median_quantile, show
 from protocol.summary import Loop
 from telepulse.node_process import await_end, read_summary
 from telepulse.ports import free_addresses
@@ -55,15 +55,11 @@ def main() -> None:
 
 
 def _row(name: str, found: list[tuple[Loop, float]], bare: float) -> tuple[str, ...]:
-    late = [
-        statistics.median(getattr(loop.late_us, key) or 0.0 for loop, _ in found)
-        for key in ("p50", "p99")
-    ]
     missed = _missed(found)
     return (
         name,
         f"{statistics.median(rate for _, rate in found):.0f}",
-        *(f"{value:.0f}" for value in late),
+        *(median_quantile(key, (loop.late_us for loop, _ in found)) for key in ("p50", "p99")),
         f"{missed:.1f}",
         f"{missed / bare:.2f}" if bare else "–",
     )

@@ -9,7 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from benchmarks.measure import show
+from benchmarks.measure import median_quantile, show
+from protocol.histogram import bound
 from protocol.summary import Summary
 from telepulse.emulator import run_nodes, unavailable
 from telepulse.link import parse_link
@@ -72,14 +73,13 @@ def main() -> None:
 def row(name: str, paths: int, summary: Summary, base_ms: float) -> tuple[str, ...]:
     """A run as it stands in the table; base_ms: the loss-free p99."""
     delay_ms, samples = summary.one_way_delay_ms, summary.samples
-    p99_ms = delay_ms.p99 or 0.0
-    delays_ms = (delay_ms.p50 or 0.0, p99_ms, delay_ms.max or 0.0)
     counts = (samples.sent, samples.played, samples.late, samples.lost)
     return (
         name,
         str(paths),
-        *(f"{value:.1f}" for value in delays_ms),
-        f"{p99_ms / base_ms:.2f}",
+        *(median_quantile(key, [delay_ms], 1) for key in ("p50", "p99")),
+        f"{delay_ms.max or 0.0:.1f}",
+        f"{bound('p99', delay_ms.beyond)}{(delay_ms.p99 or 0.0) / base_ms:.2f}",
         *map(str, counts),
     )
 

@@ -6,7 +6,6 @@ Runs take turns, so that all of them meet the same machine. What is not granted 
 """
 
 import os
-import statistics
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -14,7 +13,7 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from benchmarks.measure import show
+from benchmarks.measure import median_quantile, show
 from display_node.doctor.jitter import busy_processes
 from protocol.realtime.held import GIVEN_UP
 from protocol.summary import Loop
@@ -26,6 +25,7 @@ SECONDS = 6.0
 ROUNDS = 3
 ENDS_WITHIN_S = 30.0
 BARE = "bare"
+QUANTILES = ("p50", "p99", "p999")
 CPU = (os.cpu_count() or 1) - 1
 ALONE = ("slack", "gc", "lock", f"cpu={CPU}", "fifo=40")
 WISHES = {name: name for name in ALONE} | {"together": "slack,gc,lock,fifo=40"}
@@ -61,10 +61,6 @@ def main() -> None:
 
 def row(name: str, beside: str, found: Sequence[Loop], bare: Sequence[Loop]) -> tuple[str, ...]:
     """A measure's rounds as they stand in the table."""
-    p50, p99, p999 = (
-        statistics.median(getattr(loop.late_us, key) or 0.0 for loop in found)
-        for key in ("p50", "p99", "p999")
-    )
     latest = max(loop.late_us.max or 0.0 for loop in found)
     missed = [loop.deadline_misses or 0 for loop in found]
     better = sum(
@@ -75,7 +71,8 @@ def row(name: str, beside: str, found: Sequence[Loop], bare: Sequence[Loop]) -> 
     return (
         name + (f", given up in {given_up}" if given_up else ""),
         beside,
-        *(f"{value:.0f}" for value in (p50, p99, p999, latest)),
+        *(median_quantile(key, (loop.late_us for loop in found)) for key in QUANTILES),
+        f"{latest:.0f}",
         str(sum(missed)),
         str(sum(missed) + sum(loop.ticks or 0 for loop in found)),
         "–" if name == BARE else f"{better} of {len(found)}",

@@ -117,10 +117,9 @@ class Gate:
             if not any(door.behind for door in self._doors):
                 self._to_show_out.clear()
         for _ in range(MAX_ANSWERS):
-            try:
-                envelope, empty, *request = self._zap.recv_multipart(zmq.NOBLOCK)
-            except zmq.Again:
+            if not sockets.has_message(self._zap):
                 return
+            envelope, empty, *request = self._zap.recv_multipart(zmq.NOBLOCK)
             user = self._judge(keys, request)
             sockets.send(self._zap, envelope, empty, *zap.reply(request, user))
 

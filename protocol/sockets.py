@@ -178,17 +178,21 @@ def disconnect(socket: Socket, address: str) -> None:
         socket.disconnect(address)
 
 
+def has_message(socket: Socket) -> bool:
+    """Return whether a message waits, in all its parts."""
+    return bool(cast(int, socket.getsockopt(zmq.EVENTS)) & _POLLIN)
+
+
 def receive_all(socket: Socket) -> Iterator[list[bytes]]:
     """The messages that wait, without blocking; a message is its list of parts.
 
     At most `MAX_MESSAGES` a call, so that a flood cannot keep a loop from its ticks.
     """
     for _ in range(MAX_MESSAGES):
-        try:
-            message = socket.recv_multipart(zmq.NOBLOCK)
-        except zmq.Again:
+        # Asked first: mostly nothing waits, and an exception takes twice as long.
+        if not has_message(socket):
             return
-        yield message
+        yield socket.recv_multipart(zmq.NOBLOCK)
 
 
 def receive_each(socket: Socket) -> Iterator[bytes]:
@@ -221,7 +225,7 @@ def wait_readable(sockets: Sequence[Socket], timeout_ns: int) -> None:
     ZeroMQ's own poll counts whole milliseconds, too coarse for a 1 kHz loop. Its descriptors
     are edge-triggered, and sending uses the edge up too: so each socket is asked first.
     """
-    if timeout_ns > 0 and not any(_has_message(socket) for socket in sockets):
+    if timeout_ns > 0 and not any(has_message(socket) for socket in sockets):
         wait_drained(descriptors(sockets), timeout_ns)
 
 
@@ -238,10 +242,6 @@ def wait_drained(numbers: Sequence[int], timeout_ns: int) -> None:
 def descriptors(sockets: Sequence[Socket]) -> list[int]:
     """Return what to wait for each socket by; it stays the same as long as the socket."""
     return [cast(int, socket.getsockopt(zmq.FD)) for socket in sockets]
-
-
-def _has_message(socket: Socket) -> bool:
-    return bool(cast(int, socket.getsockopt(zmq.EVENTS)) & _POLLIN)
 
 
 def _reason(error: zmq.ZMQError) -> str:

@@ -42,10 +42,9 @@ class Subscribers:
         """What was subscribed to of what is published, or is no more, since the last time, as XPUB
         says it; call it often."""
         for _ in range(sockets.MAX_MESSAGES):
-            try:
-                frame = self._socket.recv(zmq.NOBLOCK, copy=False)
-            except zmq.Again:
+            if not sockets.has_message(self._socket):
                 return
+            frame = self._socket.recv(zmq.NOBLOCK, copy=False)
             said = frame.bytes
             if said[:1] in (b"\0", b"\1") and self._publishes(said[1:]):
                 yield said

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import zmq
 
-from protocol.sockets import Context, Socket
+from protocol.sockets import Context, Socket, has_message
 
 NO_KEY, NOT_AUTHENTIC, REPLAYED, HANDSHAKE = "no_key", "not_authentic", "replayed", "handshake"
 _CAUSES: dict[int, str] = {
@@ -41,10 +41,9 @@ class Watch:
         Bounded, as whoever connects as fast as he can would keep a loop here for good.
         """
         for _ in range(most):
-            try:
-                head, endpoint = self.socket.recv_multipart(zmq.NOBLOCK)
-            except zmq.Again:
+            if not has_message(self.socket):
                 return
+            head, endpoint = self.socket.recv_multipart(zmq.NOBLOCK)
             event, value = _EVENT.unpack(head)
             yield event, value, endpoint.decode("utf-8", "replace")
 

@@ -115,15 +115,14 @@ class SensingNode:
             self._context.destroy(linger=sockets.LINGER_MS)
 
     def _serve_until(self, due_ns: int) -> None:
-        """Answer displays until the next batch is due."""
+        """Answer displays until the next batch is due, and once where it is due already."""
         while not self._stopping:
             self._answer_all(due_ns)
             if self._telemetry is not None and self._telemetry.due(self._clock()):
                 self._telemetry.publish(self._status(final=False))
-            wait_ns = due_ns - self._clock()
-            if wait_ns <= 0:
-                return
-            self._wait(wait_ns)
+            self._wait(due_ns - self._clock())
+            if self._clock() >= due_ns:
+                return  # the batch goes out before further answers
 
     def _wait(self, timeout_ns: int) -> None:
         """Sleep until something waits that may be read, at most `timeout_ns`."""

@@ -18,7 +18,7 @@ import zmq
 
 from benchmarks.faults.finger import finger_of
 from benchmarks.faults.own_time import own_time_of, pin
-from benchmarks.measure import show
+from benchmarks.measure import median_quantile, show
 from protocol import sockets
 from protocol.messages import ClockRequest, encode_control
 from protocol.sockets import control_address
@@ -171,17 +171,16 @@ def main() -> None:
 
 def _figures(flooded: FloodRun) -> tuple[str, ...]:
     display = flooded.display
-    samples, tick_us = display.samples, display.loop.tick_us.p99
+    samples = display.samples
     due = (samples.played or 0) + (samples.late or 0) + (samples.lost or 0)
     played = "–" if not due else f"{100 * (samples.played or 0) / due:.1f} %"
     causes = ", ".join(f"{count} {cause}" for cause, count in display.rejected.items())
-    delay = display.one_way_delay_ms.p99
     return (
         f"{100 * flooded.missed:.1f} %",
         f"{100 * flooded.own_missed:.1f} %",
-        "–" if tick_us is None else f"{tick_us:.0f}",
+        median_quantile("p99", [display.loop.tick_us]),
         played,
-        "–" if delay is None else f"{delay:.1f}",
+        median_quantile("p99", [display.one_way_delay_ms], 1),
         causes or "nothing",
     )
 
