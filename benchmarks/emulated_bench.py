@@ -1,5 +1,9 @@
 """The whole emulated bench against the same scene on the in-process model: is a real drive's path
 through bytes and processes as true as the model is?
+
+Scored is the force in the emulated motor's own record against the pulse, once the playout delay has
+settled and each half second at the shift that suits it best: a delay that moves is no error of
+the path. The display's own figure, of the whole run, stands beside it.
 """
 
 import re
@@ -9,35 +13,47 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.measure import show
 from benchmarks.whole_bench import KINDS, BenchFailedError, playing
+from sensing_node.scene import build_source
 from telepulse.scene import find_scene, load_scene
-from telepulse.simulate import simulate
+from telepulse.simulate import Simulation
+
+Forces = NDArray[np.float64]
 
 SECONDS = 15.0
 RUNS = 2
 BAR_RATIO = 1.5
+# From the first press on; until the end, when the tip leaves.
+SETTLED_MS, LEAVING_MS = 5000, 1000
+WINDOW_MS = 500
+# Five beats are a breath: the pulse repeats itself.
+PERIOD_MS = 4000
+PRESSED_N = 0.05
 BAR_COMMANDS = 500.0
 SOURCE = "real_bench"
 
 
 def main() -> None:
     """Print the table. Bars: 1 kHz, 500 commands a second, an RMSE of 1.5 times the model's."""
+    pulse_n = pulse()
     with TemporaryDirectory(prefix="telepulse-") as folder:
-        base_n = model_rmse_n(Path(folder))
-        rows = [row(kind, base_n) for _ in range(RUNS) for kind in KINDS]
+        base_n = settled_rmse_n(model_force_n(Path(folder)), pulse_n)
+    rows = [row(kind, base_n, pulse_n) for _ in range(RUNS) for kind in KINDS]
     show(
-        f"The whole emulated bench, {SECONDS:g} s a run: force RMSE (aligned) beside the in-process"
-        f" model's of {base_n * 1e3:.2f} mN; bars: {BAR_RATIO} times it, 1000 samples and"
-        f" {BAR_COMMANDS:g} commands a second",
-        ("drive", "RMSE mN", "ratio", "samples/s", "commands/s", "missed ticks", "on the way"),
+        f"The whole emulated bench, {SECONDS:g} s a run: RMSE of the motor's own force, settled,"
+        f" beside the in-process model's of {base_n * 1e3:.2f} mN; of the whole run, by the"
+        f" display; bars: {BAR_RATIO} times the model's, 1000 samples and {BAR_COMMANDS:g} commands"
+        " a second",
+        ("drive", "RMSE mN", "ratio", "whole", "samples/s", "commands/s", "missed", "on the way"),
         sorted(rows),
     )
 
 
-def row(kind: str, base_n: float) -> tuple[str, ...]:
-    """A run as it stands in the table."""
+def row(kind: str, base_n: float, pulse_n: Forces) -> tuple[str, ...]:
+    """Return the row of a run."""
     with TemporaryDirectory(prefix="telepulse-") as folder:
         try:
             with playing(Path(folder), kind, SOURCE) as bench:
@@ -45,16 +61,17 @@ def row(kind: str, base_n: float) -> tuple[str, ...]:
                 time.sleep(SECONDS)
                 after, felt_s = bench.await_state("playing"), time.monotonic() - began_s
                 summary = bench.end()
+                motor = bench.motor()
         except BenchFailedError as error:
-            return kind, "none", "", "", "", "", str(error).splitlines()[0]
+            return kind, "none", "", "", "", "", "", str(error).splitlines()[0]
     sampled = after["samples"]["played"] - before["samples"]["played"]
-    return figures(kind, summary, base_n, sampled / felt_s)
+    rmse_n = settled_rmse_n(motor.force_n, pulse_n)
+    shown = (f"{rmse_n * 1e3:.2f}", f"{rmse_n / base_n:.2f}")
+    return kind, *shown, *figures(summary, sampled / felt_s)
 
 
-def figures(
-    kind: str, summary: dict[str, Any], base_n: float, sampled_hz: float
-) -> tuple[str, ...]:
-    """A run's summary as it stands in the table."""
+def figures(summary: dict[str, Any], sampled_hz: float) -> tuple[str, ...]:
+    """Return what the display sums up, as it stands in the table."""
     loop = summary["loop"]
     rmse_n = summary["force_rmse_n"]["aligned"] or np.nan
     counts = summary["hardware"]
@@ -62,9 +79,7 @@ def figures(
     ran_s = (loop["ticks"] + loop["deadline_misses"]) * 2e-3
     on_the_way = [f"{count} {name}" for name, count in counts.items()] + summary["faults"]
     return (
-        kind,
         f"{rmse_n * 1e3:.2f}",
-        f"{rmse_n / base_n:.2f}",
         f"{sampled_hz:.0f}",
         f"{told / ran_s:.0f}",
         str(loop["deadline_misses"]),
@@ -72,8 +87,40 @@ def figures(
     )
 
 
-def model_rmse_n(folder: Path) -> float:
-    """What the scene's models make of the same pulse, drive and sensors left out."""
+def pulse() -> Forces:
+    """Return one period of the pulse that the board plays, in N, a value a millisecond."""
+    path = find_scene(SOURCE)
+    pulse_n = build_source(load_scene(path).sensing, path.parent).take(2 * PERIOD_MS)[:, 0]
+    assert np.allclose(pulse_n[:PERIOD_MS], pulse_n[PERIOD_MS:])
+    return pulse_n[:PERIOD_MS]
+
+
+def settled_rmse_n(force_n: Forces, pulse_n: Forces) -> float:
+    """Return the RMSE of a force in N, a value a millisecond, each window at its best shift."""
+    pressed = np.flatnonzero(force_n > PRESSED_N)
+    settled_n = force_n[pressed[0] + SETTLED_MS : pressed[-1] - LEAVING_MS]
+    windows = len(settled_n) // WINDOW_MS
+    squares = [
+        best_square(window_n, pulse_n)
+        for window_n in settled_n[: windows * WINDOW_MS].reshape(windows, WINDOW_MS)
+    ]
+    return float(np.sqrt(np.mean(squares)))
+
+
+def best_square(window_n: Forces, pulse_n: Forces) -> float:
+    """Return the least mean square, over all shifts in steps of 0.1 ms, of a window's error."""
+    time_ms = np.arange(len(window_n))
+
+    def square(shift_ms: float) -> float:
+        shifted_n = np.interp(time_ms + shift_ms, np.arange(PERIOD_MS), pulse_n, period=PERIOD_MS)
+        return float(np.mean((window_n - shifted_n) ** 2))
+
+    coarse_ms = min(range(PERIOD_MS), key=square)
+    return min(square(coarse_ms + tenths / 10) for tenths in range(-10, 11))
+
+
+def model_force_n(folder: Path) -> Forces:
+    """Return what the scene's models make of the same pulse, drive and sensors left out."""
     text = find_scene("tmcl_bench").read_text("utf-8")
     source = find_scene(SOURCE).read_text("utf-8")
     table = re.search(r"\[sensing\.source\].*?\n\n", source, re.DOTALL)
@@ -82,6 +129,9 @@ def model_rmse_n(folder: Path) -> float:
     text = re.sub(r"\[display\.(drive|feedback)\][^[]*", "", text)
     path = folder / "model.toml"
     path.write_text(text, "utf-8")
-    rmse_n = simulate(load_scene(path), SECONDS, seed=1).force_rmse_n.aligned
-    assert rmse_n is not None
-    return rmse_n
+    scene = load_scene(path)
+    felt_n: list[float] = []
+    Simulation(scene, seed=1).run(SECONDS, watch=lambda felt: felt_n.append(felt.felt_n))
+    tick_ms = scene.display.tick_ns * 1e-6
+    every_ms = np.arange(0.0, (len(felt_n) - 1) * tick_ms)
+    return np.interp(every_ms, np.arange(len(felt_n)) * tick_ms, felt_n)

@@ -27,8 +27,8 @@ ENDS_WITHIN_S = 30.0
 BARE = "bare"
 QUANTILES = ("p50", "p99", "p999")
 CPU = (os.cpu_count() or 1) - 1
-ALONE = ("slack", "gc", "lock", f"cpu={CPU}", "fifo=40")
-WISHES = {name: name for name in ALONE} | {"together": "slack,gc,lock,fifo=40"}
+ALONE = ("slack", "lock", f"cpu={CPU}", "fifo=40")
+WISHES = {name: name for name in ALONE} | {"together": "slack,lock,fifo=40"}
 
 
 def main() -> None:

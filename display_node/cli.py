@@ -40,6 +40,7 @@ from protocol.protection import (
 )
 from protocol.provenance import collect
 from protocol.realtime import Asked, check_strict, parse_realtime
+from protocol.realtime.memory import freeze_objects
 from protocol.realtime.options import RealtimeOption, held_for
 from protocol.result_files import check_writable
 from protocol.scene import load_section
@@ -165,13 +166,15 @@ def display(
                 DisplayNode(section, connect, telemetry, console.print, keys, readers, told)
             ) as node,
             recorded_beside(node, record, own, quiet) as recording,
-            # The last: what can fail without the drive has failed before it moves.
-            connected(section, scene.parent, console.print, without_film) as hardware,
         ):
-            served.follow(node.telemetry_address, own)
-            if hardware is not None:
-                node.use(hardware)
-            summary = _run(node, connect, seconds, once, screen and not quiet, console, own, asked)
+            freeze_objects()
+            # The last: what can fail without the drive has failed before it moves.
+            with connected(section, scene.parent, console.print, without_film) as hardware:
+                served.follow(node.telemetry_address, own)
+                if hardware is not None:
+                    node.use(hardware)
+                draw = screen and not quiet
+                summary = _run(node, connect, seconds, once, draw, console, own, asked)
     sum_up(PROGRAM, summary, "display node", console, json, provenance)
     end_at_faults(PROGRAM, summary.faults)
     if not recording.whole:

@@ -21,6 +21,7 @@ from protocol.process_limits import allow_connections
 from protocol.protection import AllowOption, InsecureOption, KeyOption, server_keys
 from protocol.provenance import collect
 from protocol.realtime import check_strict, parse_realtime
+from protocol.realtime.memory import freeze_objects
 from protocol.realtime.options import RealtimeOption, held_for
 from protocol.result_files import check_writable
 from protocol.scene import load_section
@@ -108,6 +109,7 @@ def sense(
         if description.group_delay_ns:
             delay_ms = description.group_delay_ns * 1e-6
             console.print(f"the conditioning chain delays the pulse by {delay_ms:.1f} ms")
+        freeze_objects()
         with held_for(PROGRAM, asked, console) as held:
             summary = held.noted(node.run(seconds))
     sum_up(PROGRAM, summary, "sensing node", console, json, provenance)

@@ -4,9 +4,7 @@ It leaves the host as it was: every measure is taken back, and of files only its
 """
 
 import dataclasses
-import gc
 import json as json_format
-import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -72,7 +70,7 @@ def _tick_of(scene: Path | None) -> tuple[int, Work]:
 
 def _try(host: Host) -> Held:
     """Take each measure for a moment; what was said to it."""
-    words = ["slack", "gc", "lock", "fifo"]
+    words = ["slack", "lock", "fifo"]
     if host.isolated:
         words.append(f"cpu={host.isolated.rpartition(',')[2].rpartition('-')[2]}")
     elif len(host.cpus) > 1:
@@ -115,16 +113,8 @@ def _measure(
         | {(name, LOADED): ticks for name, ticks in loaded.items()},
         option=",".join(chosen) or None,
         refusals=[str(refusal) for refusal in held.refused],
-        collection_ms=_collection_ms(),
         stolen=(stolen_after - stolen_before) / max(1, all_after - all_before),
     )
-
-
-def _collection_ms() -> float:
-    """Return what a full garbage collection costs in ms, without waits for a processor."""
-    began_ns = time.thread_time_ns()
-    gc.collect()
-    return (time.thread_time_ns() - began_ns) * 1e-6
 
 
 def _print_rows(title: str, rows: Sequence[tuple[str, str]], console: Console) -> None:
@@ -172,7 +162,6 @@ def _write(path: Path, host: Host, held: Held, findings: Findings, verdict: Verd
             | {"beyond": ticks.late_us.beyond(**QUANTILES)}
             for (name, beside), ticks in findings.ticks.items()
         ],
-        "collection_ms": findings.collection_ms,
         "stolen": findings.stolen,
         "verdict": dataclasses.asdict(verdict),
     }

@@ -21,14 +21,13 @@ Table = Mapping[tuple[str, str], Ticks]
 @dataclass(frozen=True, slots=True)
 class Findings:
     """ticks: by measure and what ran beside it; option: what to give --realtime, None where nothing
-    is granted; refusals: lines; collection_ms: a full garbage collection; stolen: share of time
-    that a hypervisor gave to others meanwhile."""
+    is granted; refusals: lines; stolen: share of time that a hypervisor gave to others
+    meanwhile."""
 
     tick_ns: int
     ticks: Table
     option: str | None
     refusals: Sequence[str]
-    collection_ms: float
     stolen: float
 
 
@@ -65,19 +64,12 @@ def judge(host: Host, findings: Findings) -> Verdict:
 
 
 def _of_ticks(findings: Findings) -> list[str]:
-    advice = []
-    if findings.stolen > STOLEN:
-        advice.append(
-            f"the hypervisor gave {findings.stolen:.1%} of the time to others: nothing set here"
-            " helps against that; take a machine of its own, or pin its processors"
-        )
-    ticks = findings.collection_ms * 1e6 / findings.tick_ns
-    if ticks >= 1:
-        advice.append(
-            f"a full garbage collection takes {findings.collection_ms:.0f} ms, {ticks:.0f} ticks:"
-            " gc keeps it from that"
-        )
-    return advice
+    if findings.stolen <= STOLEN:
+        return []
+    return [
+        f"the hypervisor gave {findings.stolen:.1%} of the time to others: nothing set here"
+        " helps against that; take a machine of its own, or pin its processors"
+    ]
 
 
 def _of_host(host: Host) -> list[str]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from protocol.errors import RealtimeError
 
-MEASURES = ("fifo", "lock", "cpu", "gc", "slack")
+MEASURES = ("fifo", "lock", "cpu", "slack")
 STRICT = "strict"
 # Under 50, at which a PREEMPT_RT kernel runs the threads that bring frames from the network.
 FIFO_PRIORITY = 40
@@ -17,19 +17,18 @@ MAX_CPU = 4095
 @dataclass(frozen=True, slots=True)
 class Asked:
     """fifo: the loop's priority under SCHED_FIFO, None for none; lock: memory stays in RAM; cpus:
-    the loop runs on these alone, empty for any; gc: what exists at the start is no garbage
-    collector's concern; slack: timers are not put off; strict: all of it, or no start."""
+    the loop runs on these alone, empty for any; slack: timers are not put off; strict: all of it,
+    or no start."""
 
     fifo: int | None = None
     lock: bool = False
     cpus: frozenset[int] = frozenset()
-    gc: bool = False
     slack: bool = False
     strict: bool = False
 
 
 def parse_realtime(text: str | None) -> Asked:
-    """What `fifo=40,lock,cpu=2-3,gc,slack,strict` asks for, or any part of it; None asks for
+    """What `fifo=40,lock,cpu=2-3,slack,strict` asks for, or any part of it; None asks for
     nothing. `cpu` may come several times. Raises RealtimeError."""
     if text is None:
         return Asked()
@@ -40,6 +39,8 @@ def parse_realtime(text: str | None) -> Asked:
             fifo = _priority(value)
         elif name == "cpu":
             cpus.update(_cpus(value))
+        elif name == "gc":
+            raise RealtimeError("--realtime: gc is always taken by now: leave it out")
         elif name not in (*MEASURES, STRICT):
             raise RealtimeError(f"--realtime: unknown measure {name!r:.80}{_suggestion(name)}")
         elif name == "fifo" or name in plain:
@@ -52,7 +53,6 @@ def parse_realtime(text: str | None) -> Asked:
         fifo=fifo,
         lock="lock" in plain,
         cpus=frozenset(cpus),
-        gc="gc" in plain,
         slack="slack" in plain,
         strict=STRICT in plain,
     )

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from protocol.errors import RealtimeError
 from protocol.realtime.asked import Asked, spans
-from protocol.realtime.memory import frozen, locked
+from protocol.realtime.memory import locked
 from protocol.realtime.rights import NotGrantedError
 from protocol.realtime.scheduling import LONGEST_RUN_US, first_in_first_out, pinned, prompt
 from protocol.summary import Summary
@@ -64,7 +64,7 @@ def hold(asked: Asked, log: Callable[[str], None]) -> Iterator[Held]:
     with ExitStack() as until_the_end:
         for name, measure in _measures(asked, overrun).items():
             try:
-                if sys.platform != "linux" and name != "gc":
+                if sys.platform != "linux":
                     raise NotGrantedError("this system has no such thing", "Linux has")
                 held.granted[name] = until_the_end.enter_context(measure)
             except NotGrantedError as error:
@@ -84,8 +84,6 @@ def check_strict(asked: Asked) -> None:
 def _measures(asked: Asked, overrun: Callable[[], None]) -> dict[str, AbstractContextManager[str]]:
     """The measures asked for by name, in the order in which they are taken."""
     measures: dict[str, AbstractContextManager[str]] = {}
-    if asked.gc:
-        measures["gc"] = frozen()
     if asked.lock:
         measures["lock"] = locked()
     if asked.slack:

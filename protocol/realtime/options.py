@@ -15,7 +15,7 @@ from protocol.realtime.held import Held, hold
 RealtimeOption = Annotated[
     str | None,
     typer.Option(
-        metavar="fifo=40,lock,cpu=1,gc,slack",
+        metavar="fifo=40,lock,cpu=1,slack",
         help="Ask the system for these, or some of them, so that the loop is on time; what is not"
         " granted is said, and done without. With 'strict' the node does not start then.",
     ),

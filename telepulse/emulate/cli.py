@@ -10,6 +10,7 @@ import typer
 
 from protocol.commands import StopAfterOption, one_line_errors, plain_console
 from protocol.counted import counted
+from protocol.realtime.memory import freeze_objects
 from protocol.scene import load_section
 from protocol.signals import stop_on_signals
 from sensors.binary_frames import MAX_SAMPLES, SampleFormat
@@ -84,6 +85,7 @@ def sensor(
     stop_on_signals(stopped.set)
     with closing(port):
         console.print(source_table(port.path, board.rate_hz, framing, samples))
+        freeze_objects()
         play(board, port, time.monotonic_ns() + round((seconds or FOREVER_S) * 1e9), stopped.is_set)
     console.print(
         f"{counted(board.sampled, 'sample')} sent, {counted(port.dropped, 'byte')} that nobody read"

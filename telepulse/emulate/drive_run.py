@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TextIO
 
 from protocol.errors import OutputError
+from protocol.realtime.memory import freeze_objects
 from protocol.signals import stop_on_signals
 from telepulse.emulate.film import EmulatedFilm
 from telepulse.emulate.lies import Lie
@@ -68,6 +69,7 @@ class DriveRun:
             stopping = True
 
         stop_on_signals(stop)
+        freeze_objects()
         began_s, pressed_s = time.monotonic(), math.inf
         while not stopping:
             now_s = time.monotonic()

@@ -12,6 +12,7 @@ from protocol.errors import OutputError
 from protocol.output import unblocked_output
 from protocol.quantities import parse_ratio
 from protocol.realtime import check_strict, parse_realtime
+from protocol.realtime.memory import freeze_objects
 from protocol.realtime.options import RealtimeOption, held_for
 from protocol.signals import stop_on_signals
 from telepulse.report import Report
@@ -123,6 +124,7 @@ def run(
                 console.print(f"The drive will move.\n{BENCH_IS_CLEAR} [y/N]")
                 if keyboard.await_key() != "y":
                     raise SystemExit(1)
+            freeze_objects()
             # The last: what can fail without the drive has failed before it moves.
             bench = connected(scene.display, scene.path.parent, console.print)
             hardware = stack.enter_context(bench)

@@ -22,6 +22,7 @@ from protocol.protection import (
     server_keys,
 )
 from protocol.provenance import collect
+from protocol.realtime.memory import freeze_objects
 from protocol.result_files import check_writable
 from protocol.signals import stop_on_signals
 from protocol.sockets import control_address
@@ -78,5 +79,6 @@ def relay(
         provenance = collect()
     stop_on_signals(node.stop)
     console.print(f"relaying {connect} on {bind} (control {control})")
+    freeze_objects()
     summary = node.run(seconds)
     sum_up(PROGRAM, summary, "relay", console, json, provenance)

@@ -124,7 +124,7 @@ SESSIONS: dict[str, list[Step | Stop | Do]] = {
         Step("telepulse view tcp://127.0.0.1:PORT", shows="http://127"),
         Stop("telepulse view tcp://127.0.0.1:PORT"),
         Stop(f"{PLAY} --connect tcp://127.0.0.1:5555 --metrics 9100"),
-        *on_air(f"{PLAY} --realtime fifo=40,lock,gc,slack", more=FROM_THERE),
+        *on_air(f"{PLAY} --realtime fifo=40,lock,slack", more=FROM_THERE),
         Step("display-node --doctor scenes/radial.toml", more="--seconds 0.5", says="ticks"),
     ],
     "demo and simulation": [

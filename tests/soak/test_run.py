@@ -31,7 +31,7 @@ EPISODE = Episode(
     (Fault("kill sensing", SENSING, 0.0, 0.2), Fault("freeze display", MORTAL, 0.1, 0.3)), 2.0
 )
 
-OPTIONS = ("--realtime", "gc")
+OPTIONS = ("--realtime", "slack")
 
 
 @pytest.fixture
@@ -74,7 +74,7 @@ def test_a_soak_finds_every_sample_and_leaves_nothing_behind(tmp_path: Path) -> 
         assert not account.found.startswith("0 samples")
         assert checks[f"force of {role}"].ok
     assert "felt again: freeze display + kill sensing" in checks
-    granted = [path for path in folder.glob("*.out") if "real-time: gc" in path.read_text("utf-8")]
+    granted = [path for path in folder.glob("*.out") if "real-time: slack" in path.read_text("utf-8")]
     assert len(granted) == len(stage.all_lives)
     lives = [(life.role, life.ending) for life in stage.all_lives if life.role == "sensing"]
     assert lives == [("sensing", "killed"), ("sensing", "stopped")]

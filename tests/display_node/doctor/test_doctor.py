@@ -40,7 +40,7 @@ def test_the_doctor_measures_with_each_measure_and_without(tmp_path: Path) -> No
     assert (doctor.returncode, doctor.stderr) == (0, "")
     report = read_json(path)
     assert report["refused"] == []
-    assert {"slack", "gc", "lock", "fifo=40"} <= set(report["granted"])
+    assert {"slack", "lock", "fifo=40"} <= set(report["granted"])
     rows = {(row["with"], row["beside"]) for row in report["late_us"]}
     measures = {"bare", "together", *report["granted"]}
     assert rows == {(name, beside) for name in measures for beside in ("nothing", "load")}

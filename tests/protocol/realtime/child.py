@@ -2,7 +2,6 @@
 after. Given seconds, it runs on for so long without a pause, in the loop's thread or a helper's."""
 
 import ctypes
-import gc
 import json
 import os
 import sys
@@ -30,7 +29,6 @@ def state() -> dict[str, Any]:
         "cpus": sorted(os.sched_getaffinity(me)),
         "helpers_cpus": sorted(os.sched_getaffinity(min(named))),
         "locked_kib": locked_kib(),
-        "frozen": gc.get_freeze_count(),
         "slack_ns": int(Path("/proc/self/timerslack_ns").read_text()),
     }
 

@@ -18,10 +18,10 @@ from protocol.realtime.asked import spans
         ("cpu=0", Asked(cpus=frozenset({0}))),
         ("cpu=2-4", Asked(cpus=frozenset({2, 3, 4}))),
         ("cpu=1,cpu=3", Asked(cpus=frozenset({1, 3}))),
-        (" gc , slack ", Asked(gc=True, slack=True)),
+        (" lock , slack ", Asked(lock=True, slack=True)),
         (
-            "fifo=20,lock,cpu=1,gc,slack,strict",
-            Asked(20, lock=True, cpus=frozenset({1}), gc=True, slack=True, strict=True),
+            "fifo=20,lock,cpu=1,slack,strict",
+            Asked(20, lock=True, cpus=frozenset({1}), slack=True, strict=True),
         ),
     ],
 )
@@ -32,7 +32,7 @@ def test_what_is_written_is_asked_for(text: str | None, asked: Asked) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "unknown measure ''; known: fifo, lock, cpu, gc, slack, strict"),
+        ("", "unknown measure ''; known: fifo, lock, cpu, slack, strict"),
         ("fifo,", "unknown measure ''"),
         ("lok", "unknown measure 'lok'; did you mean lock?"),
         ("fifo=0", "fifo=0: a priority is 1 to 98"),
@@ -41,7 +41,8 @@ def test_what_is_written_is_asked_for(text: str | None, asked: Asked) -> None:
         ("fifo=-1", "fifo=-1: a priority"),
         ("fifo=²", "fifo=²: a priority"),
         ("fifo,fifo=3", "fifo is there twice"),
-        ("gc,gc", "gc is there twice"),
+        ("lock,lock", "lock is there twice"),
+        ("gc", "gc is always taken by now: leave it out"),
         ("lock=yes", "lock takes no value, got 'yes'"),
         ("cpu", "cpu=: write one as cpu=1"),
         ("cpu=-1", "cpu=-1: write one"),
