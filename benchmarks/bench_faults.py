@@ -57,7 +57,7 @@ def main() -> None:
 
 
 def row(name: str, done: str, once: Callable[[str, Path], Outcome]) -> tuple[str, ...]:
-    """A fault as it stands in the table."""
+    """Return the row of a fault."""
     outcomes: list[Outcome] = []
     times_ms = []
     for kind in KINDS:

@@ -71,7 +71,7 @@ def row(kind: str, base_n: float, pulse_n: Forces) -> tuple[str, ...]:
 
 
 def figures(summary: dict[str, Any], sampled_hz: float) -> tuple[str, ...]:
-    """Return what the display sums up, as it stands in the table."""
+    """Return the row's figures from the display's summary."""
     loop = summary["loop"]
     rmse_n = summary["force_rmse_n"]["aligned"] or np.nan
     counts = summary["hardware"]

@@ -1,5 +1,5 @@
-"""What serving metrics costs a display: ticks it misses while nobody serves them, while they are
-scraped once a second, and while 20 threads scrape without a pause.
+"""Cost of serving metrics to a display: ticks missed without metrics, with a scrape a second, and
+with 20 threads that scrape without a pause.
 
 Runs take turns, so that all of them meet the same machine.
 """
@@ -75,7 +75,7 @@ def _missed(found: list[tuple[Loop, float]]) -> float:
 
 
 def _play(scene: str, address: str, threads: int, summary: Path) -> tuple[Loop, float]:
-    """What a display's loop says of itself at its end, and how often it was scraped a second."""
+    """Return the loop's figures of a display's run, and the rate of scrapes in Hz."""
     node = subprocess.Popen(
         [
             *(sys.executable, "-m", "display_node.cli", scene, "--connect", address),
@@ -103,7 +103,7 @@ def _play(scene: str, address: str, threads: int, summary: Path) -> tuple[Loop, 
 
 @contextmanager
 def _scraping(url: str, threads: int) -> Iterator[Callable[[], int]]:
-    """So many threads scrape; gives how often they have. One alone waits a second each time."""
+    """Scrape in `threads` threads; yield a count of the scrapes. One alone waits 1 s after each."""
     ending, counts = threading.Event(), [0] * threads
 
     def scrape(number: int) -> None:

@@ -71,7 +71,7 @@ def main() -> None:
 
 
 def row(name: str, paths: int, summary: Summary, base_ms: float) -> tuple[str, ...]:
-    """A run as it stands in the table; base_ms: the loss-free p99."""
+    """Return the row of a run; base_ms: the loss-free p99."""
     delay_ms, samples = summary.one_way_delay_ms, summary.samples
     counts = (samples.sent, samples.played, samples.late, samples.lost)
     return (
@@ -85,7 +85,7 @@ def row(name: str, paths: int, summary: Summary, base_ms: float) -> tuple[str, .
 
 
 def cut_row(name: str, links: Sequence[str], summary: Summary) -> tuple[str, ...]:
-    """A run with a cut as it stands in the table."""
+    """Return the row of a run with a cut."""
     mean_ms, longest_ms = summary.playout_delay_ms.mean or 0.0, summary.one_way_delay_ms.max or 0.0
     figures_ms = (mean_ms, longest_ms, max(0.0, longest_ms - mean_ms))
     first = summary.frames.first.values() or (summary.frames.received,)
@@ -105,7 +105,7 @@ def play(folder: Path, *links: str, paths: int = 1) -> Summary:
 
 
 def simulated(folder: Path) -> Summary:
-    """What the model of TCP says of one path with loss."""
+    """Return the summary of one path with loss by the model of TCP."""
     scene = load_scene(scene_of(folder, paths=1))
     link = parse_link(LOSSY + ",transport=tcp")
     return simulate(replace(scene, link=link), SECONDS, seed=1)

@@ -60,7 +60,7 @@ def main() -> None:
 
 
 def row(name: str, beside: str, found: Sequence[Loop], bare: Sequence[Loop]) -> tuple[str, ...]:
-    """A measure's rounds as they stand in the table."""
+    """Return the row of a measure's rounds."""
     latest = max(loop.late_us.max or 0.0 for loop in found)
     missed = [loop.deadline_misses or 0 for loop in found]
     better = sum(
@@ -93,7 +93,7 @@ def _sensing(scene: str, address: str) -> Iterator[None]:
 
 
 def _play(scene: str, address: str, wish: str, summary: Path) -> Loop:
-    """What a display's loop says of itself at the end of its run; `wish`: bare, or one of ours."""
+    """Return the loop's figures of a display's run; `wish`: bare, or a key of WISHES."""
     options = [] if wish == BARE else ["--realtime", WISHES[wish]]
     node = subprocess.Popen(
         [

@@ -116,7 +116,7 @@ class Display:
 
     @property
     def playing(self) -> Playing | None:
-        """The way it plays the stream; None while it knows none."""
+        """Channel, force ratio and predictor with which the stream is played; None before it is."""
         if self.receiver.description is None:
             return None
         scene, strain_per_newton = self._scene, self._layer.strain_per_newton
@@ -200,7 +200,7 @@ class Display:
         return felt
 
     def shift(self, way_m: float) -> None:
-        """Before a tick: the drive has been told to go so much further than `output` said."""
+        """Account for a way in m that was commanded beyond `output`; call it before a tick."""
         self._loop.shift(way_m)
 
     def _reference(self, now_ns: int) -> tuple[list[float], bool]:

@@ -121,8 +121,8 @@ class Hardware:
         return None if status.fault is None else f"drive: {status.fault}"
 
     def tick(self, display: Display, now_ns: int, elapsed_ticks: int) -> Felt:
-        """A tick of a display on this bench: it is told within it what the controller wants, or
-        after a fault to take the tip off the finger."""
+        """Tick a display on this bench, and command the drive: the controller's output, or after a
+        fault the withdrawal."""
         safety = display.safety
         fault = self.read()
         if fault is not None and not safety.faults:

@@ -110,7 +110,7 @@ class Receiver:
         return now_ns - self._heard_ns > SILENT_AFTER_NS
 
     def introduce(self) -> None:
-        """Say hello at once: control goes over a connection that nobody knows."""
+        """Send hello with the next requests: control goes over a new connection."""
         self._in_doubt = True
         self._next_hello_ns = 0
 

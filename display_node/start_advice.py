@@ -48,7 +48,7 @@ ADVICE = (
 
 
 def start_advice(error: DriveError) -> str:
-    """Return what to do about a drive that refused to start; empty where its text says so."""
+    """Return advice on a drive that refused to start; empty where the error's text holds it."""
     text = str(error)
     fitting = (what for kind, words, what in ADVICE if error.kind == kind and words in text)
     return next(fitting, OTHERWISE)

@@ -79,7 +79,7 @@ class Gate:
             self.sockets.append(self._zap)
 
     def guard(self, socket: sockets.Socket) -> None:
-        """Let in whom the list allows, and nobody else; before `socket` is bound."""
+        """Admit to `socket` the keys of the allow-list alone; call it before `socket` is bound."""
         if self._keys is not None:
             socket.setsockopt(zmq.CURVE_SERVER, 1)
             socket.setsockopt(zmq.CURVE_SECRETKEY, self._keys.own.secret)
@@ -116,10 +116,7 @@ class Gate:
             # Of a connection that was let in, a door that is behind may not know yet.
             if not any(door.behind for door in self._doors):
                 self._to_show_out.clear()
-        for _ in range(MAX_ANSWERS):
-            if not sockets.has_message(self._zap):
-                return
-            envelope, empty, *request = self._zap.recv_multipart(zmq.NOBLOCK)
+        for envelope, empty, *request in sockets.receive_all(self._zap, MAX_ANSWERS):
             user = self._judge(keys, request)
             sockets.send(self._zap, envelope, empty, *zap.reply(request, user))
 

@@ -88,7 +88,9 @@ def bind(
     gate: "Gate | None" = None,
     limits: Mapping[int, int] = MappingProxyType({}),
 ) -> Socket:
-    """A socket of `kind` bound to `address`; `gate` says who gets in. Raises AddressError.
+    """Return a socket of `kind` bound to `address`; `gate` authenticates its peers.
+
+    Raises AddressError.
 
     limits: socket options for what queues for each peer, where ours do not fit.
     """
@@ -183,12 +185,12 @@ def has_message(socket: Socket) -> bool:
     return bool(cast(int, socket.getsockopt(zmq.EVENTS)) & _POLLIN)
 
 
-def receive_all(socket: Socket) -> Iterator[list[bytes]]:
-    """The messages that wait, without blocking; a message is its list of parts.
+def receive_all(socket: Socket, most: int = MAX_MESSAGES) -> Iterator[list[bytes]]:
+    """Yield the messages that wait, without blocking; a message is its list of parts.
 
-    At most `MAX_MESSAGES` a call, so that a flood cannot keep a loop from its ticks.
+    At most `most` a call, so that a flood cannot keep a loop from its ticks.
     """
-    for _ in range(MAX_MESSAGES):
+    for _ in range(most):
         # Asked first: mostly nothing waits, and an exception takes twice as long.
         if not has_message(socket):
             return

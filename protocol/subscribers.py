@@ -1,8 +1,8 @@
-"""Who subscribes to what a bound XPUB socket publishes; who goes on asking for other things is cut.
+"""Subscriptions of a bound XPUB socket, and a budget on those to topics that are not published.
 
 ZeroMQ keeps each subscription of each peer, some 50 bytes for each letter of it, and has no option
 against that. So `sockets.bind` has it take one subscription of each connection at a time, however
-many are sent, and no long ones; and here a connection has a budget of what nobody publishes.
+many are sent, and no long ones. Here each connection has a budget; beyond it, it is cut.
 """
 
 from collections import Counter
@@ -29,7 +29,7 @@ class Subscribers:
     def __init__(
         self, socket: sockets.Socket, topics: Sequence[bytes], log: Callable[[str], None]
     ) -> None:
-        """topics: what is published; of b"" everything, and nobody need ask for a part of it."""
+        """topics: what is published; b"" stands for every topic, and is subscribed to whole."""
         self._socket = socket
         self._topics = topics
         self._log = log
@@ -39,8 +39,10 @@ class Subscribers:
         self.rejected: Counter[str] = Counter()
 
     def said(self) -> Iterator[bytes]:
-        """What was subscribed to of what is published, or is no more, since the last time, as XPUB
-        says it; call it often."""
+        """Yield the subscriptions and cancellations of published topics since the last call.
+
+        Each is XPUB's message: b"\\1" or b"\\0", then the topic. Call it often.
+        """
         for _ in range(sockets.MAX_MESSAGES):
             if not sockets.has_message(self._socket):
                 return
@@ -52,7 +54,7 @@ class Subscribers:
                 self._charge(frame, len(said))
 
     def tend(self) -> None:
-        """As `said`, for who need not know."""
+        """Read the subscriptions and cancellations, and charge the budget, as `said` does."""
         for _ in self.said():
             pass
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import zmq
 
-from protocol.sockets import Context, Socket, has_message
+from protocol.sockets import Context, Socket, receive_all
 
 NO_KEY, NOT_AUTHENTIC, REPLAYED, HANDSHAKE = "no_key", "not_authentic", "replayed", "handshake"
 _CAUSES: dict[int, str] = {
@@ -40,10 +40,7 @@ class Watch:
 
         Bounded, as whoever connects as fast as he can would keep a loop here for good.
         """
-        for _ in range(most):
-            if not has_message(self.socket):
-                return
-            head, endpoint = self.socket.recv_multipart(zmq.NOBLOCK)
+        for head, endpoint in receive_all(self.socket, most):
             event, value = _EVENT.unpack(head)
             yield event, value, endpoint.decode("utf-8", "replace")
 

@@ -91,8 +91,10 @@ class Simulation:
         return replace(self.end(), speed=speed)
 
     def begin(self, seconds: float, settle_seconds: float = 0.0) -> int:
-        """Let there be `seconds` of stream, and score from when it is `settle_seconds` old; when
-        its last sample is due."""
+        """Begin `seconds` of stream, scored from when it is `settle_seconds` old.
+
+        Returns the time in ns at which its last sample is due.
+        """
         self._scored_from_ns = self._stream_ns + round(settle_seconds * 1e9)
         last_ns = self._stream_ns + round(seconds * 1e9) - 1
         self._plan_batch(last_ns)
@@ -139,7 +141,7 @@ class Simulation:
         return self._down.lost_data
 
     def _plan_batch(self, last_ns: int) -> None:
-        """Sense the next batch when it is due, the last one short; then say how many there were."""
+        """Sense the next batch when it is due, the last one short; then send a bye."""
 
         def sense(_: bytes, now_ns: int) -> None:
             block = self._paced.read(now_ns + SENSING_CLOCK_AHEAD_NS)

@@ -1,4 +1,4 @@
-"""Peers that do harm: who never reads, who sends garbage, who connects and says nothing."""
+"""Peers that do harm: one that never reads, one that sends garbage, one that sends nothing."""
 
 import random
 import socket
@@ -94,7 +94,7 @@ def raw_garbage(port: int, count: int, rng: random.Random) -> None:
 
 
 def garbage_messages(port: int, kind: int, count: int, rng: random.Random) -> None:
-    """Random messages over a connection that is as ZeroMQ wants it, from a socket of a kind."""
+    """Send random messages from a socket of a kind, over a valid ZeroMQ connection."""
     with zmq.Context() as context, context.socket(kind) as peer:
         peer.setsockopt(zmq.LINGER, 0)
         peer.setsockopt(zmq.SNDTIMEO, 1)

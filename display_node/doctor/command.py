@@ -69,7 +69,7 @@ def _tick_of(scene: Path | None) -> tuple[int, Work]:
 
 
 def _try(host: Host) -> Held:
-    """Take each measure for a moment; what was said to it."""
+    """Take each measure for a moment; return which were granted and which refused."""
     words = ["slack", "lock", "fifo"]
     if host.isolated:
         words.append(f"cpu={host.isolated.rpartition(',')[2].rpartition('-')[2]}")

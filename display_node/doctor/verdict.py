@@ -59,11 +59,11 @@ def judge(host: Host, findings: Findings) -> Verdict:
     return Verdict(
         status,
         reason,
-        [*_of_ticks(findings), *_of_host(host), *findings.refusals],
+        [*_of_stolen_time(findings), *_of_host(host), *findings.refusals],
     )
 
 
-def _of_ticks(findings: Findings) -> list[str]:
+def _of_stolen_time(findings: Findings) -> list[str]:
     if findings.stolen <= STOLEN:
         return []
     return [

@@ -1,4 +1,4 @@
-"""What is asked of the operating system, as it is written on a command line."""
+"""Real-time measures requested of the operating system, parsed from a command line."""
 
 import difflib
 from dataclasses import dataclass
@@ -28,8 +28,10 @@ class Asked:
 
 
 def parse_realtime(text: str | None) -> Asked:
-    """What `fifo=40,lock,cpu=2-3,slack,strict` asks for, or any part of it; None asks for
-    nothing. `cpu` may come several times. Raises RealtimeError."""
+    """Parse `fifo=40,lock,cpu=2-3,slack,strict`, or any part of it; None requests nothing.
+
+    `cpu` may come several times. Raises RealtimeError.
+    """
     if text is None:
         return Asked()
     fifo, cpus, plain = None, set[int](), set[str]()

@@ -17,7 +17,7 @@ GIVEN_UP = " given up"
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """A measure that was asked for and not granted, why, and what to do."""
+    """A measure that was requested and not granted, with the reason and advice."""
 
     name: str
     reason: str
@@ -35,7 +35,7 @@ class Held:
     refused: list[Refusal] = field(default_factory=list)
 
     def noted(self, summary: Summary) -> Summary:
-        """A loop's summary that names what was granted to it."""
+        """Return a loop's summary with the names of the measures that were granted."""
         return replace(summary, loop=replace(summary.loop, realtime=list(self.granted)))
 
     def __str__(self) -> str:
@@ -82,7 +82,7 @@ def check_strict(asked: Asked) -> None:
 
 
 def _measures(asked: Asked, overrun: Callable[[], None]) -> dict[str, AbstractContextManager[str]]:
-    """The measures asked for by name, in the order in which they are taken."""
+    """Return the requested measures by name, in the order in which they are taken."""
     measures: dict[str, AbstractContextManager[str]] = {}
     if asked.lock:
         measures["lock"] = locked()

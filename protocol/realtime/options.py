@@ -1,4 +1,4 @@
-"""The command-line option of real-time measures, and what a node says about them."""
+"""Command-line option of real-time measures, and the lines that report on them."""
 
 import sys
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ RealtimeOption = Annotated[
 
 @contextmanager
 def held_for(program: str, asked: Asked, console: Console) -> Iterator[Held]:
-    """As `hold`, for a command: it says what is granted, and on stderr what is not."""
+    """Take the measures as `hold` does; print what is granted, and on stderr what is not."""
 
     def warn(line: str) -> None:
         print(f"{program}: {line}", file=sys.stderr)

@@ -26,8 +26,8 @@ MOTOR_FAULTS: dict[str, Fault] = {
 
 
 class DriveRun:
-    """Polls an emulated drive until it is told to stop, lets one thing go wrong on the way, and
-    writes down every millisecond of the motor's."""
+    """Loop that polls an emulated drive, begins one fault, and records the motor's every
+    millisecond."""
 
     def __init__(
         self,
