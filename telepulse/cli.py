@@ -26,6 +26,7 @@ from protocol.protection import (
     client_keys,
     server_keys,
 )
+from protocol.realtime.memory import freeze_objects
 from protocol.result_files import check_writable
 from protocol.signals import stop_on_signals
 from telepulse.bench.cli import bench
@@ -216,6 +217,7 @@ def link_command(
         timer = threading.Timer(seconds, between.stop)
         timer.daemon = True
         timer.start()
+    freeze_objects()
     between.run()
 
 

@@ -21,6 +21,7 @@ from display_node.scene import DisplayScene
 from protocol import sockets
 from protocol.histogram import bound
 from protocol.realtime import Asked, Held, hold, parse_realtime
+from protocol.realtime.memory import freeze_objects
 from protocol.result_files import write_whole
 from protocol.scene import load_section
 
@@ -50,6 +51,8 @@ def run_doctor(
         f"\nticks of {tick_ns * 1e-6:g} ms, {seconds:g} s in all, beside nothing and beside"
         f" {processors} busy processes"
     )
+    # As a node does before its loop.
+    freeze_objects()
     findings = _measure(tick_ns, work, held, seconds, processors, host.isolated)
     verdict = judge(host, findings)
     _print_ticks(findings.ticks, console)

@@ -20,6 +20,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from protocol.histogram import Histogram
+from protocol.realtime.memory import freeze_objects
 from telepulse.emulator.packet_filter import PacketFilter, read_filters
 from telepulse.emulator.tun import MTU_BYTES
 from telepulse.link import Direction, parse_link
@@ -154,6 +155,7 @@ def main(arguments: list[str]) -> None:
             for tun, direction in zip(pair, directions(int(number), text), strict=True):
                 relay.redirect(tun, direction)
 
+    freeze_objects()
     _say({"began_ns": began_ns})
     relay.run(sys.stdin.fileno(), obey)
     _say(asdict(relay.carried()))

@@ -26,6 +26,7 @@ from protocol.protection import (
     telemetry_keys,
 )
 from protocol.provenance import collect
+from protocol.realtime.memory import freeze_objects
 from protocol.result_files import check_writable
 from protocol.signals import stop_on_signals
 from telepulse.report_command import TablesOption, publish
@@ -106,10 +107,13 @@ def replay(
         description = session.description
         source = Replay(description, session.frames())
         node = SensingNode(source, description, bind, log=console.print, keys=keys)
+        provenance = collect()
     stop_on_signals(node.stop)
     length_s = session.samples * description.period_ns * 1e-9
     console.print(f"playing {description.name!r} of {file} on {bind}: {length_s:.1f} s")
-    sum_up(PROGRAM, node.run(seconds), "replay", console, json, collect())
+    freeze_objects()
+    summary = node.run(seconds)
+    sum_up(PROGRAM, summary, "replay", console, json, provenance)
 
 
 class Kind(Enum):
