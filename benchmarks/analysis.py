@@ -12,17 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.measure import show
-from display_node.display import Felt
-from display_node.heard import CONTROL, HEARD, SUBSCRIBED, HeardWriter
-from display_node.telemetry import TRACE, TraceWriter
-from protocol.messages import ClockReply, Frame, Welcome, encode_control, encode_frame
-from protocol.status import STATUS, Playing, pack_status
-from protocol.stream import Channel, StreamDescription
-from protocol.summary import Summary
+from display_node.display import TickState
+from display_node.telemetry.capture import CONTROL, HEARD, SUBSCRIBED, CaptureWriter
+from display_node.telemetry.messages import TRACE, TraceWriter
+from protocol.run_summary import Summary
 from protocol.tactile import ElasticLayer
-from sensing_node.sources.synthetic import Synthetic, SyntheticScene
-from telepulse.record.mcap_writer import McapWriter
-from telepulse.record.transcript import Transcript
+from protocol.wire.messages import ClockReply, Frame, Welcome, encode_control, encode_frame
+from protocol.wire.status import STATUS, PlaybackStatus, pack_status
+from protocol.wire.stream import Channel, StreamDescription
+from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
+from telepulse.recording.mcap_writer import McapWriter
+from telepulse.telemetry.transcript import Transcript
 
 SECONDS = 3_600
 TICK_NS = 1_000_000
@@ -63,7 +63,7 @@ def record(path: Path, seconds: int, lost: Container[int] = ()) -> None:
 
     lost: numbers of frames that never come.
     """
-    pulse = Synthetic(SyntheticScene.model_validate({"kind": "synthetic"}))
+    pulse = SyntheticSource(SyntheticScene.model_validate({"kind": "synthetic"}))
     force_n = pulse.take(seconds * 1000)[:, 0].astype("<f4")
     writer, transcript = McapWriter(path), Transcript()
     for number, (topic, message) in enumerate(telemetry(force_n, lost)):
@@ -76,7 +76,7 @@ def record(path: Path, seconds: int, lost: Container[int] = ()) -> None:
 
 def telemetry(force_n: Samples, lost: Container[int]) -> Iterator[tuple[bytes, bytes]]:
     """The messages of a run: topic and data."""
-    heard, traces = HeardWriter(run=1), TraceWriter()
+    heard, traces = CaptureWriter(run=1), TraceWriter()
     heard.follow(SUBSCRIBED)
     heard.add(BEGIN_NS, CONTROL, encode_control(Welcome(1, 0, DESCRIPTION)))
     for tick in range(len(force_n)):
@@ -97,7 +97,7 @@ def telemetry(force_n: Samples, lost: Container[int]) -> Iterator[tuple[bytes, b
 
 def status(state: str, final: bool) -> bytes:
     """A word of the display's of itself."""
-    playing = Playing(0, 1.0, DESCRIPTION.layer.strain_per_newton, "linear", 60_000_000)
+    playing = PlaybackStatus(0, 1.0, DESCRIPTION.layer.strain_per_newton, "linear", 60_000_000)
     return pack_status(state, DESCRIPTION.name, Summary(), final, 1, playing=playing)
 
 
@@ -114,18 +114,20 @@ def arriving(tick: int, force_n: Samples, lost: Container[int]) -> Iterator[tupl
         yield 0, encode_frame(Frame(1, first, sensing_ns - BATCH * TICK_NS, TICK_NS, values))
 
 
-def felt(tick: int, force_n: Samples) -> Felt:
+def felt(tick: int, force_n: Samples) -> TickState:
     """A tick that plays what was sensed 40 ms ago, a little too strong."""
     now_ns, played = BEGIN_NS + tick * TICK_NS, tick - DELAY_TICKS
     sensing_ns = now_ns + AHEAD_NS
     target_n = float(force_n[played]) if played >= 0 else 0.0
     instant_ns = sensing_ns - DELAY_TICKS * TICK_NS
-    return Felt(now_ns, sensing_ns, instant_ns, target_n, GAIN * target_n, played >= RAMP_TICKS)
+    return TickState(
+        now_ns, sensing_ns, instant_ns, target_n, GAIN * target_n, played >= RAMP_TICKS
+    )
 
 
 def run(*arguments: str) -> tuple[float, float]:
     """Run a command of telepulse; its time on a core in s, and the most memory it had in MB."""
-    command = [sys.executable, "-m", "telepulse.cli", *arguments]
+    command = [sys.executable, "-m", "telepulse", *arguments]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)

@@ -16,12 +16,11 @@ from benchmarks.measure import show
 from benchmarks.polled import polled
 from display_node.drives import Drive, build_drive
 from display_node.drives.scene import Cia402Scene, TmclScene
-from display_node.step_rate import StepCommand
-from telepulse.emulate.cia402_node import EmulatedNode
-from telepulse.emulate.motor import EmulatedMotor
-from telepulse.emulate.pty_port import PtyPort
-from telepulse.emulate.tmcl_line import SerialLine
-from telepulse.emulate.tmcl_module import EmulatedModule
+from display_node.plant.stepper import StepCommand
+from telepulse.emulators.cia402_node import EmulatedNode
+from telepulse.emulators.motor import EmulatedMotor
+from telepulse.emulators.pty_port import PtyPort
+from telepulse.emulators.tmcl_module import EmulatedModule, EmulatedSerialLine
 
 REPEATS = 5
 BAR_MS = 100.0
@@ -94,7 +93,7 @@ def tmcl_bench() -> Iterator[Bench]:
     scene = TmclScene.model_validate({"kind": "tmcl", "port": str(port.path), **HERE})
     turned = motor(0.0)
     module = EmulatedModule(scene, turned)
-    line = SerialLine(module, port)
+    line = EmulatedSerialLine(module, port)
     bench = Bench(build_drive(scene, ACTUATOR, LAYER, FORCE_LIMIT_N), turned, module)
 
     open_line = ExitStack()

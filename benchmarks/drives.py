@@ -18,25 +18,23 @@ from pytrinamic.tmcl import TMCLRequest
 
 from benchmarks.measure import show
 from benchmarks.polled import polled
-from display_node.actuators.stepper import StepperScene
 from display_node.drives import build_drive
 from display_node.drives.axis import build_axis
-from display_node.drives.cia402 import Cia402Drive
-from display_node.drives.cia402_node import Cia402Node
-from display_node.drives.cia402_states import Control
+from display_node.drives.cia402.drive import Cia402Drive
+from display_node.drives.cia402.node import Cia402Node
+from display_node.drives.cia402.states import Control
 from display_node.drives.drive import Drive
 from display_node.drives.scene import Cia402Scene, TmclScene
-from display_node.drives.tmcl_line import TmclLine
-from display_node.drives.tmcl_numbers import Command
-from display_node.step_rate import StepCommand
-from protocol.stream import LayerTable
-from telepulse.bench.line_rate import TMCL_BITS
-from telepulse.emulate.cia402_node import EmulatedNode
-from telepulse.emulate.motor import EmulatedMotor
-from telepulse.emulate.pty_port import PtyPort
-from telepulse.emulate.slcan_bus import SlcanBus
-from telepulse.emulate.tmcl_line import CanLine, SerialLine
-from telepulse.emulate.tmcl_module import EmulatedModule
+from display_node.drives.tmcl.line import TmclLine
+from display_node.drives.tmcl.parameters import Command
+from display_node.plant.stepper import StepCommand, StepperScene
+from protocol.wire.stream import LayerTable
+from telepulse.commissioning.hardware import TMCL_BITS
+from telepulse.emulators.cia402_node import EmulatedNode
+from telepulse.emulators.motor import EmulatedMotor
+from telepulse.emulators.pty_port import PtyPort
+from telepulse.emulators.slcan import SlcanBus
+from telepulse.emulators.tmcl_module import EmulatedCanLine, EmulatedModule, EmulatedSerialLine
 
 RUNS = 5
 CALLS = 500
@@ -164,9 +162,9 @@ def tmcl_calls() -> Iterator[dict[str, Call]]:
         boxed_port = PtyPort(None)
         boxed = TmclScene.model_validate({**TMCL, "port": str(boxed_port.path)})
         for server in (
-            SerialLine(EmulatedModule(on_pty, motor(0.0)), port),
-            CanLine(EmulatedModule(on_can, motor(0.0)), on_can, can.Bus(**CAN_BUS)),  # type: ignore[arg-type]
-            SerialLine(EmulatedModule(boxed, motor(boxed.touch_m)), boxed_port),
+            EmulatedSerialLine(EmulatedModule(on_pty, motor(0.0)), port),
+            EmulatedCanLine(EmulatedModule(on_can, motor(0.0)), on_can, can.Bus(**CAN_BUS)),  # type: ignore[arg-type]
+            EmulatedSerialLine(EmulatedModule(boxed, motor(boxed.touch_m)), boxed_port),
         ):
             open_things.callback(server.close)
             open_things.enter_context(polled(lambda s=server: s.serve(0.005)))  # type: ignore[misc]

@@ -19,7 +19,7 @@ from benchmarks.measure import show
 from benchmarks.whole_bench import KINDS, BenchFailedError, playing
 from sensing_node.scene import build_source
 from telepulse.scene import find_scene, load_scene
-from telepulse.simulate import Simulation
+from telepulse.simulation.virtual_time import Simulation
 
 Forces = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.measure import show
-from display_node.force_loop import scenes_force_loop
-from display_node.safety import Safety
+from display_node.control.force_loop import scenes_force_loop
+from display_node.control.safety import Safety
 from display_node.scene import DisplayScene
 from telepulse.scene import find_scene, load_scene
 

@@ -11,9 +11,9 @@ import zmq
 
 from benchmarks.measure import show, time_call
 from protocol import sockets
-from protocol.allow_list import allow, revoke
-from protocol.gate import Gate
-from protocol.keys import ClientKeys, KeyPair, ServerKeys, new_pair, read_pair
+from protocol.security.allow_list import allow, revoke
+from protocol.security.authenticator import Authenticator
+from protocol.security.keys import ClientKeys, KeyPair, ServerKeys, new_pair, read_pair
 
 FRAME_S = 0.005
 ROUNDS = 10
@@ -44,7 +44,7 @@ class Stream:
     """A guarded PUB socket with a number each 5 ms, as frames are, and its readers."""
 
     def __init__(self, context: sockets.Context, keys: ServerKeys, address: str) -> None:
-        self.gate = Gate(context, keys, lambda _: None)
+        self.gate = Authenticator(context, keys, lambda _: None)
         self._data = sockets.bind(context, zmq.PUB, address, self.gate)
         self.address = self._data.getsockopt_string(zmq.LAST_ENDPOINT)
         self.readers: list[Reader] = []

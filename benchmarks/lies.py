@@ -1,6 +1,6 @@
 """Drives and films that report what is not so: what is felt, and when it is named.
 
-Every lie of `telepulse.emulate.lies` on both kinds of drive, with a film and without, by the
+Every lie of `telepulse.emulators.lies` on both kinds of drive, with a film and without, by the
 product's own code in virtual time. `python -m benchmarks.lies NAME` runs the lies of one name,
 `python -m benchmarks.lies NAME 3` those on a finger three times as stiff as the scene's.
 """
@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 
 from benchmarks.measure import show
 from benchmarks.virtual_bench import MS, VirtualBench
-from display_node.alerts import STIFFNESS, alerts
 from display_node.scene import DisplayScene
+from display_node.telemetry.alerts import STIFFNESS, alerts
+from protocol.config.scene import load_section
 from protocol.errors import TelepulseError
-from protocol.scene import load_section
-from sensing_node.sources.synthetic import Synthetic, SyntheticScene
-from telepulse.emulate.lies import Lie, LieKind, read_lie
-from telepulse.emulate.motor import Moment
+from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
+from telepulse.emulators.lies import Lie, LieKind, read_lie
+from telepulse.emulators.motor import Moment
 from telepulse.scene import find_scene
 
 KINDS = ("tmcl", "cia402")
@@ -138,7 +138,7 @@ class Outcome:
 def paper_pulse() -> Callable[[int], float]:
     """The paper's pulse, by ms."""
     keys = {"preset": "paper", "rate": "1 kHz", "peak_to_peak": "0.3 N", "preload": "0.3 N"}
-    source = Synthetic(SyntheticScene.model_validate({"kind": "synthetic", **keys}))
+    source = SyntheticSource(SyntheticScene.model_validate({"kind": "synthetic", **keys}))
     values = source.take(12_000)[:, 0].tolist()
     return lambda ms: values[ms % len(values)]
 

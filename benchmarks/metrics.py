@@ -17,9 +17,8 @@ from tempfile import TemporaryDirectory
 from urllib.request import urlopen
 
 from benchmarks.measure import median_quantile, show
-from protocol.summary import Loop
-from telepulse.node_process import await_end, read_summary
-from telepulse.ports import free_addresses
+from protocol.run_summary import Loop
+from telepulse.processes import await_end, free_addresses, read_summary
 from telepulse.scene import find_scene
 
 SECONDS = 8.0

@@ -18,7 +18,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from benchmarks.measure import show
-from telepulse.ports import free_addresses
+from telepulse.processes import free_addresses
 from telepulse.scene import find_scene
 
 OTHERS = 20
@@ -128,7 +128,7 @@ def page() -> Iterator[int]:
         for command in (
             ("sensing_node.cli", scene, "--bind", data),
             ("display_node.cli", scene, "--connect", data, "--telemetry", telemetry, "--no-screen"),
-            ("telepulse.cli", "view", telemetry),
+            ("telepulse", "view", telemetry),
         ):
             node = stack.enter_context(
                 subprocess.Popen(

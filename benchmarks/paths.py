@@ -11,11 +11,11 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.measure import median_quantile, show
 from protocol.histogram import bound
-from protocol.summary import Summary
-from telepulse.emulator import run_nodes, unavailable
-from telepulse.link import parse_link
+from protocol.run_summary import Summary
+from telepulse.netem import run_nodes, unavailable
 from telepulse.scene import find_scene, load_scene
-from telepulse.simulate import simulate
+from telepulse.simulation.link_model import parse_link
+from telepulse.simulation.virtual_time import simulate
 
 SECONDS = 30.0
 LOSS_FREE = "delay=20ms,jitter=3ms"

@@ -20,7 +20,7 @@ from benchmarks.lies import KINDS, TOUCH_N, bench_scene, paper_pulse
 from benchmarks.measure import show
 from benchmarks.virtual_bench import MS, VirtualBench
 from benchmarks.virtual_time import VirtualThread
-from telepulse.emulate.motor import Moment
+from telepulse.emulators.motor import Moment
 
 HOURS = 3.0
 # Of virtual time, by one seed.

@@ -15,10 +15,9 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.measure import median_quantile, show
 from display_node.doctor.jitter import busy_processes
-from protocol.realtime.held import GIVEN_UP
-from protocol.summary import Loop
-from telepulse.node_process import await_end, read_summary
-from telepulse.ports import free_addresses
+from protocol.host.realtime_grant import GIVEN_UP
+from protocol.run_summary import Loop
+from telepulse.processes import await_end, free_addresses, read_summary
 from telepulse.scene import find_scene
 
 SECONDS = 6.0

@@ -16,12 +16,12 @@ import zmq
 from numpy.typing import NDArray
 
 from benchmarks.measure import show
-from display_node.display import Felt
-from display_node.publisher import Publisher
-from display_node.telemetry import TRACE_TICKS
+from display_node.display import TickState
+from display_node.telemetry.messages import TRACE_TICKS
+from display_node.telemetry.publisher import Publisher
 from protocol import sockets
-from protocol.messages import Frame, encode_frame
-from protocol.summary import Summary
+from protocol.run_summary import Summary
+from protocol.wire.messages import Frame, encode_frame
 
 TICK_NS = 1_000_000
 TICKS_A_FRAME = 5
@@ -76,7 +76,9 @@ def publish(publisher: Publisher, ticks: int) -> NDArray[np.float64]:
         time.sleep(max(0, due_ns - time.monotonic_ns()) * 1e-9)
         values = force_n[tick : tick + TICKS_A_FRAME, np.newaxis].astype("<f4")
         data = encode_frame(Frame(1, tick, due_ns, TICK_NS, values))
-        felt = Felt(due_ns, due_ns, due_ns, force_n[tick], force_n[tick] * 1.001, True, math.nan)
+        felt = TickState(
+            due_ns, due_ns, due_ns, force_n[tick], force_n[tick] * 1.001, True, math.nan
+        )
         began_ns = time.perf_counter_ns()
         if tick % TICKS_A_FRAME == 0:
             publisher.heard.add(due_ns, 0, data)
@@ -102,7 +104,8 @@ def nobody(address: str) -> Iterator[bool]:
 @contextmanager
 def screen(address: str) -> Iterator[bool]:
     """A reader of traces and statuses, in a process of its own."""
-    code = "import sys; from display_node.screen import watch; from rich.console import Console;"
+    code = "import sys; from display_node.telemetry.terminal import watch;"
+    code += " from rich.console import Console;"
     code += " watch(sys.argv[1], Console(), draw=False)"
     with subprocess.Popen([sys.executable, "-c", code, address]):
         time.sleep(2)
@@ -112,6 +115,6 @@ def screen(address: str) -> Iterator[bool]:
 @contextmanager
 def recorder(address: str, path: Path) -> Iterator[bool]:
     """The recorder."""
-    command = (sys.executable, "-m", "telepulse.cli", "record", address, str(path), "--quiet")
+    command = (sys.executable, "-m", "telepulse", "record", address, str(path), "--quiet")
     with subprocess.Popen(command):
         yield True

@@ -16,13 +16,20 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.measure import show, time_call
-from protocol.scene import validate
-from sensing_node.sources.synthetic import Synthetic, SyntheticScene
-from sensors.reading import Readings
-from sensors.serial_port import SerialScene
-from telepulse.emulate.sensor import source_table
-from telepulse.emulate.sensor_board import Encode, Habits, SensorBoard, binary, line, timed_line
-from telepulse.ports import free_addresses
+from protocol.config.scene import validate
+from pulse_sensors.reading import Readings
+from pulse_sensors.serial_port import SerialScene
+from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
+from telepulse.emulators.sensor_board import (
+    Encode,
+    Habits,
+    SensorBoard,
+    binary,
+    line,
+    source_table,
+    timed_line,
+)
+from telepulse.processes import free_addresses
 
 SECONDS, SETTLED_S = 60, 5
 SKEW = 200e-6
@@ -112,7 +119,7 @@ def node_us(framing: str | None) -> float:
             return _difference_us(scene)
         scene.write_text(source_table(link, 1000, framing, "float32"), encoding="utf-8")
         board = subprocess.Popen(
-            _module("telepulse.cli", "emulate", "sensor", "--link", link, "--framing", framing),
+            _module("telepulse", "emulate", "sensor", "--link", link, "--framing", framing),
             stdout=subprocess.DEVNULL,
         )
         try:
@@ -146,4 +153,4 @@ def _module(*words: object) -> list[str]:
 
 def _board(kind: Kind, start_ns: int, skew: float) -> SensorBoard:
     scene = SyntheticScene.model_validate({"kind": "synthetic"})
-    return SensorBoard(Synthetic(scene), kind.encode, Habits(kind.frame, skew), start_ns)
+    return SensorBoard(SyntheticSource(scene), kind.encode, Habits(kind.frame, skew), start_ns)

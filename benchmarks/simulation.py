@@ -4,10 +4,10 @@ import statistics
 from dataclasses import replace
 
 from benchmarks.measure import show
-from protocol.scene import Section
-from telepulse.link import parse_link
+from protocol.config.scene import Section
 from telepulse.scene import Scene, find_scene, load_scene
-from telepulse.simulate import simulate
+from telepulse.simulation.link_model import parse_link
+from telepulse.simulation.virtual_time import simulate
 
 SECONDS = 20.0
 REPEATS = 5

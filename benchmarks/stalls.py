@@ -10,10 +10,10 @@ from collections.abc import Callable
 from unittest.mock import patch
 
 from benchmarks.measure import show
-from display_node.force_loop import scenes_force_loop
-from display_node.safety import Safety
+from display_node.control.force_loop import scenes_force_loop
+from display_node.control.safety import Safety
+from display_node.control.stall_guard import StallGuard
 from display_node.scene import DisplayScene
-from display_node.stall_guard import StallGuard
 from telepulse.scene import find_scene, load_scene
 
 PEAK_N = 0.53

@@ -15,26 +15,31 @@ import can
 import numpy as np
 
 from benchmarks.virtual_time import VirtualEvent, VirtualThread, VirtualTime
-from display_node.actuators.stepper import StepperScene
 from display_node.display import Display
 from display_node.drives import Drive, build_drive
+from display_node.drives.hardware import Hardware
 from display_node.drives.scene import Cia402Scene, DriveScene, TmclScene
-from display_node.hardware import Hardware
+from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
-from protocol.messages import Frame, encode_control, encode_frame
-from protocol.stream import Channel, StreamDescription
 from protocol.tactile import ElasticLayer
-from sensing_node.desk import Desk
-from sensors.sensor import Sensor
-from sensors.serial_port import SerialScene
-from telepulse.emulate.cia402_node import EmulatedNode
-from telepulse.emulate.film import EmulatedFilm
-from telepulse.emulate.motor import EmulatedMotor, Moment
-from telepulse.emulate.tmcl_module import Datagrams, EmulatedModule
+from protocol.wire.messages import Frame, encode_control, encode_frame
+from protocol.wire.stream import Channel, StreamDescription
+from pulse_sensors.sensor import Sensor
+from pulse_sensors.serial_port import SerialScene
+from sensing_node.control_server import ControlServer
+from telepulse.emulators.cia402_node import EmulatedNode
+from telepulse.emulators.drive_run import EmulatedFilm
+from telepulse.emulators.motor import EmulatedMotor, Moment
+from telepulse.emulators.tmcl_module import Datagrams, EmulatedModule
 
 MS = 1_000_000
 # All that waits or looks at the clock: the product's, and the emulators'.
-VIRTUAL = ("display_node.drives", "display_node.hardware", "sensors.sensor", "telepulse.emulate")
+VIRTUAL = (
+    "display_node.drives",
+    "display_node.drives.hardware",
+    "pulse_sensors.sensor",
+    "telepulse.emulators",
+)
 BATCH = 5
 NETWORK_NS = 2 * MS
 # A serial line to a module on USB, each way.
@@ -89,7 +94,7 @@ class FilmPort:
             self._pipe.write(data)
 
     def read(self) -> bytes:
-        """See `sensors.serial_port.SerialPort.read`."""
+        """See `pulse_sensors.serial_port.SerialPort.read`."""
         return self._pipe.read(PORT_BYTES, 0.1)
 
     def close(self) -> None:
@@ -238,7 +243,7 @@ class Wrist:
             "virtual pulse", MS, BATCH, (Channel("pulse"),), ElasticLayer()
         )
         self._session = session
-        self._desk = Desk(self._description, session)
+        self._desk = ControlServer(self._description, session)
         self._sent = 0
         self._time_ms = 0
 
@@ -365,7 +370,7 @@ class VirtualBench:
             raise raised[0]
 
     def _connect(self) -> None:
-        """Start the bench as `display_node.hardware.connected` does, its film on a virtual port."""
+        """Start the bench as `hardware.connected` does, its film on a virtual port."""
         scene, actuator = self.scene, self.scene.actuator
         assert scene.drive is not None
         force_limit_n = scene.safety.force_limit_n

@@ -19,8 +19,8 @@ import numpy as np
 import zmq
 from numpy.typing import NDArray
 
-from display_node.telemetry import STATUS, read_status
-from telepulse.ports import free_addresses
+from display_node.telemetry.messages import STATUS, read_status
+from telepulse.processes import free_addresses
 from telepulse.scene import find_scene
 
 KINDS = ("tmcl", "cia402")
@@ -84,14 +84,14 @@ class WholeBench:
     def start_board(self) -> None:
         """The sensor board at the wrist, with 4 ms of USB."""
         words = ("emulate", "sensor", self.source, "--link", self.folder / "board")
-        self._start("board", "telepulse.cli", *words, "--delivery-ms", "4")
+        self._start("board", "telepulse", *words, "--delivery-ms", "4")
 
     def start_drive(self) -> None:
         """The drive at the finger, with its film."""
         serial = ("--link", self.folder / "drive") if self.kind == "tmcl" else ()
         film = ("--film-link", self.folder / "film", "--trace", self.folder / "motor.csv")
         words = ("emulate", self.kind, self.scene, *serial, *film, *self.drive_options)
-        self._start("drive", "telepulse.cli", *words)
+        self._start("drive", "telepulse", *words)
 
     def start_sensing(self) -> None:
         """The sensing node."""

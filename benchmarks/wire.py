@@ -3,7 +3,7 @@
 import numpy as np
 
 from benchmarks.measure import show, time_call
-from protocol.messages import Frame, decode_frame, encode_frame
+from protocol.wire.messages import Frame, decode_frame, encode_frame
 
 BAR_US = 15.0
 

@@ -9,14 +9,14 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from display_node.discovery import discovered
 from display_node.doctor import run_doctor
+from display_node.drives.hardware import connected
 from display_node.fault_advice import end_at_faults
-from display_node.hardware import connected
 from display_node.node import DisplayNode
-from display_node.recording import recorded_beside
+from display_node.reception.discovery import discovered
 from display_node.scene import DisplayScene
-from protocol.commands import (
+from display_node.telemetry.recorder_process import start_recorder
+from protocol.cli_options import (
     JsonOption,
     QuietOption,
     StopAfterOption,
@@ -24,13 +24,21 @@ from protocol.commands import (
     plain_console,
     sum_up,
 )
+from protocol.config.scene import load_section
 from protocol.discovery.options import DiscoverOption, NamedOption
 from protocol.errors import DiscoveryError, ProtectionError, SceneError
-from protocol.keys import ServerKeys
-from protocol.metrics import MetricsOption, metrics_beside
-from protocol.output import unblocked_output
-from protocol.process_limits import allow_connections
-from protocol.protection import (
+from protocol.host.memory import freeze_objects
+from protocol.host.process import allow_connections, interrupt_on_signals, stop_on_signals
+from protocol.host.realtime_grant import check_strict
+from protocol.host.realtime_options import RealtimeOption, granted_for
+from protocol.host.realtime_request import RealtimeRequest, parse_realtime
+from protocol.host.result_files import check_writable
+from protocol.host.standard_output import unblocked_output
+from protocol.metrics import MetricsOption, start_metrics
+from protocol.provenance import collect
+from protocol.run_summary import Summary
+from protocol.security.keys import ServerKeys
+from protocol.security.protection import (
     AllowOption,
     InsecureOption,
     KeyOption,
@@ -38,15 +46,7 @@ from protocol.protection import (
     client_keys,
     server_keys,
 )
-from protocol.provenance import collect
-from protocol.realtime import Asked, check_strict, parse_realtime
-from protocol.realtime.memory import freeze_objects
-from protocol.realtime.options import RealtimeOption, held_for
-from protocol.result_files import check_writable
-from protocol.scene import load_section
-from protocol.signals import interrupt_on_signals, stop_on_signals
 from protocol.sockets import beyond_loopback
-from protocol.summary import Summary
 
 PROGRAM = "display-node"
 SCREEN_ENDS_WITHIN_S = 5
@@ -161,11 +161,11 @@ def display(
         # A drive on its way home comes to rest, whatever ends this process.
         interrupt_on_signals()
         with (
-            metrics_beside(PROGRAM, metrics, console) as served,
+            start_metrics(PROGRAM, metrics, console) as served,
             closing(
                 DisplayNode(section, connect, telemetry, console.print, keys, readers, told)
             ) as node,
-            recorded_beside(node, record, own, quiet) as recording,
+            start_recorder(node, record, own, quiet) as recording,
         ):
             freeze_objects()
             # The last: what can fail without the drive has failed before it moves.
@@ -202,17 +202,17 @@ def _run(
     screen: bool,
     console: Console,
     key: Path | None,
-    asked: Asked,
+    asked: RealtimeRequest,
 ) -> Summary:
     """Run the node, beside the process that draws its state; `key` opens the telemetry to it."""
     stop_on_signals(node.stop)
     console.print(f"waiting for {', '.join(connect)}; telemetry on {node.telemetry_address}")
     watcher = None
     if screen:
-        command = [sys.executable, "-m", "display_node.screen", node.telemetry_address]
+        command = [sys.executable, "-m", "display_node.telemetry.terminal", node.telemetry_address]
         watcher = subprocess.Popen([*command, *([str(key)] if key else [])])
     # After these processes are started, which would have some of the measures as well.
-    with held_for(PROGRAM, asked, console) as held:
+    with granted_for(PROGRAM, asked, console) as held:
         summary = held.noted(node.run(seconds, once))
     if watcher is not None:
         try:

@@ -6,31 +6,29 @@ The live node and the virtual-time simulation drive this same class; time is an 
 import math
 from dataclasses import dataclass, replace
 
-from display_node.compensation import auto_delay_ns
-from display_node.delay import Delay
-from display_node.delays import PlayedDelays
-from display_node.feedback import Feedback
-from display_node.fidelity import Fidelity
-from display_node.finger import FingerState, describe_finger
-from display_node.force_loop import scenes_force_loop
-from display_node.playout import PlayoutClock
-from display_node.receiver import Receiver
-from display_node.safety import Safety
+from display_node.control.force_loop import scenes_force_loop
+from display_node.control.safety import Safety
+from display_node.drives.feedback import Feedback
+from display_node.drives.finger import FingerState, describe_finger
+from display_node.plant.filters import DelayLine
+from display_node.prediction.concealment import Concealment
+from display_node.prediction.trust import auto_delay_ns
+from display_node.reception.playout_clock import PlayedDelays, PlayoutClock
+from display_node.reception.receiver import Receiver
 from display_node.scene import DisplayScene
-from display_node.stand_in import StandIn
-from protocol.availability import AvailabilityCounter
-from protocol.interruptions import InterruptionCounter
+from display_node.scoring.tracking_error import TrackingError
+from protocol.availability import AvailabilityCounter, InterruptionCounter
 from protocol.limits import Limits
-from protocol.messages import Control, Report
-from protocol.status import Playing
-from protocol.summary import Loop, Summary, TickTime
+from protocol.run_summary import Loop, Summary, TickTime
 from protocol.tactile import matching_force_ratio
+from protocol.wire.messages import Control, DisplayReport
+from protocol.wire.status import PlaybackStatus
 
 REPORT_EVERY_NS = 1_000_000_000
 
 
 @dataclass(slots=True)
-class Felt:
+class TickState:
     """State at the beginning of the last tick.
 
     instant_ns is on the sensing clock; felt_n: NaN where a real film gives no reading; `scored`:
@@ -73,10 +71,10 @@ class Display:
         self._name = name
         self._layer = scene.layer.layer()
         self._tick_ns = scene.tick_ns
-        self._stand_in = StandIn(scene)
+        self._stand_in = Concealment(scene)
         self._loop = scenes_force_loop(scene)
         lead_ticks = self._loop.lead_ns / scene.tick_ns
-        self._target = Delay(lead_ticks) if lead_ticks else None
+        self._target = DelayLine(lead_ticks) if lead_ticks else None
         self._playout = PlayoutClock()
         self._beginnings = 0
         self._force_ratio = 1.0
@@ -85,10 +83,10 @@ class Display:
         self._delays = PlayedDelays()
         self._availability = AvailabilityCounter(scene.tick_ns * 1e-9)
         self._interruptions = InterruptionCounter(scene.tick_ns * 1e-9)
-        self.fidelity = Fidelity(self._layer.strain_per_newton) if score else None
+        self.fidelity = TrackingError(self._layer.strain_per_newton) if score else None
         self.receiver = Receiver(name, scene.channel, scene.late_target, scene.paths)
         self.safety = Safety(scene.safety, scene.tick_ns)
-        self.felt = Felt()
+        self.felt = TickState()
         self.ticks = 0
 
     @property
@@ -115,14 +113,16 @@ class Display:
         return self._force_ratio
 
     @property
-    def playing(self) -> Playing | None:
+    def playing(self) -> PlaybackStatus | None:
         """Channel, force ratio and predictor with which the stream is played; None before it is."""
         if self.receiver.description is None:
             return None
         scene, strain_per_newton = self._scene, self._layer.strain_per_newton
         stale_after_ns = scene.safety.stale_after_ns
         ratio = self._force_ratio
-        return Playing(scene.channel, ratio, strain_per_newton, scene.predictor, stale_after_ns)
+        return PlaybackStatus(
+            scene.channel, ratio, strain_per_newton, scene.predictor, stale_after_ns
+        )
 
     @property
     def over(self) -> bool:
@@ -153,7 +153,7 @@ class Display:
             self._group_delay_ns = description.group_delay_ns
             self._lead_ns = description.group_delay_ns + self._loop.lead_ns
             self._playout = PlayoutClock()
-            self._stand_in = StandIn(self._scene)
+            self._stand_in = Concealment(self._scene)
             self._reach_ns = self._lead_ns + self._loop.horizon * self._tick_ns
             # What "auto" adds for the loop itself: the sample after its horizon's end.
             self._reserve_ns = self._reach_ns + description.period_ns
@@ -166,7 +166,7 @@ class Display:
             wanted.append(self._report(self.receiver.session))
         return wanted
 
-    def tick(self, now_ns: int, elapsed_ticks: int = 1) -> Felt:
+    def tick(self, now_ns: int, elapsed_ticks: int = 1) -> TickState:
         """Advance the force loop to `now_ns`, `elapsed_ticks` ticks after the last one."""
         reference_n, alive = self._reference(now_ns)
         safety, felt, loop = self.safety, self.felt, self._loop
@@ -243,11 +243,11 @@ class Display:
             self._delays.add(sensing_now_ns - instant_ns, predicted_ns, felt.trusted)
         return [ratio * force_n for force_n in wrist_n], alive
 
-    def _report(self, session: int) -> Report:
+    def _report(self, session: int) -> DisplayReport:
         account = self.receiver.account()
         delay = self.receiver.one_way_delay_ms
         aligned = self.fidelity.force_rmse_n.aligned if self.fidelity is not None else None
-        return Report(
+        return DisplayReport(
             session=session,
             display=self._name,
             played=account.played,

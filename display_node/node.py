@@ -9,22 +9,22 @@ from dataclasses import replace
 
 import zmq
 
-from display_node.connection import Connection
-from display_node.deadlines import GAP_NS, DeadlineWatch
 from display_node.display import Display
+from display_node.drives.finger import describe_finger
+from display_node.drives.hardware import Hardware
 from display_node.fault_advice import FILM_NOTE, advise
-from display_node.finger import describe_finger
-from display_node.hardware import Hardware
-from display_node.heard import CONTROL
-from display_node.publisher import Publisher
+from display_node.reception.connection import Connection
 from display_node.scene import DisplayScene
-from display_node.telemetry import write_status
+from display_node.scoring.deadlines import GAP_NS, DeadlineWatch
+from display_node.telemetry.capture import CONTROL
+from display_node.telemetry.messages import write_status
+from display_node.telemetry.publisher import Publisher
 from protocol import sockets
-from protocol.gate import Gate
 from protocol.histogram import Histogram
-from protocol.keys import ClientKeys, ServerKeys
-from protocol.messages import encode_control
-from protocol.summary import Lateness, Summary, TickTime
+from protocol.run_summary import Lateness, Summary, TickTime
+from protocol.security.authenticator import Authenticator
+from protocol.security.keys import ClientKeys, ServerKeys
+from protocol.wire.messages import encode_control
 
 # Of each connection, however late it is: a host that is always late still receives all of a stream.
 LEAST_READ = 16
@@ -68,7 +68,7 @@ class DisplayNode:
         self._context: sockets.Context = zmq.Context()
         try:
             self._connection = Connection(self._context, addresses, paths, log, keys)
-            gate = Gate(self._context, telemetry_keys, log)
+            gate = Authenticator(self._context, telemetry_keys, log)
             telemetry = sockets.bind(self._context, zmq.XPUB, telemetry_address, gate)
             self._telemetry = Publisher(telemetry, secrets.randbits(62), gate, log, provenance)
         except BaseException:

@@ -4,17 +4,17 @@ from typing import Annotated
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from display_node.actuators.second_order import SecondOrderScene
-from display_node.actuators.stepper import StepperScene
-from display_node.controller import ControllerScene
+from display_node.control.controller import ControllerScene
+from display_node.control.safety import SafetyScene
 from display_node.drives.scene import DriveTable
-from display_node.film import FilmTable
+from display_node.plant.film import FilmTable
+from display_node.plant.second_order import SecondOrderScene
+from display_node.plant.stepper import StepperScene
 from display_node.prediction import PredictorName
-from display_node.safety import SafetyScene
-from protocol.quantities import Nanoseconds, Ratio, parse_quantity
-from protocol.scene import Section
-from protocol.stream import LayerTable
-from sensors.scene import SensorScene
+from protocol.config.quantities import Nanoseconds, Ratio, parse_quantity
+from protocol.config.scene import Section
+from protocol.wire.stream import LayerTable
+from pulse_sensors.scene import SensorScene
 
 MAX_COMPENSATION_NS = 10_000_000_000
 

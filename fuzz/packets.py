@@ -5,10 +5,10 @@ from collections.abc import Iterable
 from typing import Any, Protocol
 
 from fuzz.refusals import check_causes
-from protocol.scene import validate
-from sensors.lsl_inlet import LslScene
-from sensors.packet import LARGEST, Packet
-from sensors.reading import Readings
+from protocol.config.scene import validate
+from pulse_sensors.lsl_inlet import LslScene
+from pulse_sensors.packet import LARGEST, Packet
+from pulse_sensors.reading import Readings
 
 TABLE = validate(
     {"kind": "lsl", "stream": "x", "rate": "1 kHz", "unit": "N"}, LslScene, where="fuzz"
@@ -17,7 +17,7 @@ MS = 1_000_000
 
 
 class Decoder(Protocol):
-    """See sensors/sensor.py."""
+    """See pulse_sensors/sensor.py."""
 
     rejected: Counter[str]
 

@@ -3,10 +3,11 @@ of the account all the same."""
 
 import numpy as np
 
-from display_node.jitter_buffer import MAX_AHEAD_SAMPLES
-from display_node.receiver import MAX_ASKED, Receiver
+from display_node.reception.jitter_buffer import MAX_AHEAD_SAMPLES
+from display_node.reception.receiver import MAX_ASKED, Receiver
 from fuzz.refusals import check_causes
-from protocol.messages import (
+from protocol.tactile import ElasticLayer
+from protocol.wire.messages import (
     Bye,
     ClockReply,
     ClockRequest,
@@ -16,8 +17,7 @@ from protocol.messages import (
     encode_control,
     encode_frame,
 )
-from protocol.stream import Channel, StreamDescription
-from protocol.tactile import ElasticLayer
+from protocol.wire.stream import Channel, StreamDescription
 
 MS = 1_000_000
 AHEAD_NS = 5_000_000_000

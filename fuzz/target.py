@@ -15,7 +15,7 @@ import atheris  # type: ignore[import-untyped]
 
 from fuzz.msgpack_mutator import mutate
 
-OURS = ("protocol", "sensors", "sensing_node", "display_node", "telepulse")
+OURS = ("protocol", "pulse_sensors", "sensing_node", "display_node", "telepulse")
 PACKAGES = [*OURS, "tomllib", "cobs", "cantools", "textparser", "canopen", "pytrinamic", "mcap"]
 # What one input of a few kB may cost: memory that it uses, and memory that it only asks for.
 MOST_BYTES_AN_INPUT = 64 << 20

@@ -10,27 +10,27 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from display_node.display import Felt
-from display_node.heard import CONTROL, HEARD, SUBSCRIBED, HeardWriter
-from display_node.screen import Screen
-from display_node.telemetry import STATUS, TRACE, TraceWriter
-from protocol.messages import ClockReply, Frame, Welcome, encode_control, encode_frame
-from protocol.status import Playing, pack_status
-from protocol.stream import Channel, StreamDescription
-from protocol.summary import Clock, Samples, Summary
+from display_node.display import TickState
+from display_node.telemetry.capture import CONTROL, HEARD, SUBSCRIBED, CaptureWriter
+from display_node.telemetry.messages import STATUS, TRACE, TraceWriter
+from display_node.telemetry.terminal import TerminalView
+from protocol.run_summary import Clock, SampleCounts, Summary
 from protocol.tactile import ElasticLayer
+from protocol.wire.messages import ClockReply, Frame, Welcome, encode_control, encode_frame
+from protocol.wire.status import PlaybackStatus, pack_status
+from protocol.wire.stream import Channel, StreamDescription
 from telepulse.lsl_outlet.forwarder import Forwarder
-from telepulse.metrics.families import Told as ToldStatus
+from telepulse.metrics.families import NodeState as ToldStatus
 from telepulse.metrics.families import families
-from telepulse.record.mcap_writer import as_json
-from telepulse.record.report.findings import Findings
-from telepulse.record.report.in_turn import Told
-from telepulse.record.transcript import Transcript
+from telepulse.recording.mcap_writer import as_json
+from telepulse.recording.report.findings import RunFindings
+from telepulse.recording.report.in_turn import TimedMessage
+from telepulse.telemetry.transcript import Transcript
 from telepulse.view.alarms import alarms
-from telepulse.view.live import Live
+from telepulse.view.live import LiveState
 from telepulse.view.picture import picture
 from telepulse.view.plots import padded
-from telepulse.view.words import figures, state
+from telepulse.view.text import figures, state
 
 MS = 1_000_000
 SECOND_NS = 1000 * MS
@@ -39,7 +39,7 @@ SESSION = 7
 WELCOME = Welcome(
     SESSION, 0, StreamDescription("pulse", MS, 5, (Channel("force"),), ElasticLayer())
 )
-PLAYING = Playing(0, 1.0, -4.8e-6, "linear", 60 * MS)
+PLAYING = PlaybackStatus(0, 1.0, -4.8e-6, "linear", 60 * MS)
 MOST_CHARACTERS = 100_000
 Message = tuple[bytes, bytes]
 
@@ -49,10 +49,10 @@ class TelemetryReaders:
     metrics."""
 
     def __init__(self) -> None:
-        self.screen, self.live, self.transcript = Screen(), Live(), Transcript()
+        self.screen, self.live, self.transcript = TerminalView(), LiveState(), Transcript()
         self.outlets = KeptOutlets()
         self.forwarder = Forwarder(self.outlets, str)
-        self.findings = Findings(Path("telemetry"))
+        self.findings = RunFindings(Path("telemetry"))
 
     def take(self, topic: bytes, data: bytes) -> None:
         """Hand a telemetry message to every reader."""
@@ -62,7 +62,7 @@ class TelemetryReaders:
             self.live.take(entry)
             # A recording holds what every reader of JSON can read.
             fields = json.loads(as_json(entry.fields), parse_constant=_refuse_constant)
-            self.findings.take(Told(entry.topic, entry.t_ns, fields))
+            self.findings.take(TimedMessage(entry.topic, entry.t_ns, fields))
         self.forwarder.take(entries)
 
     def draw(self) -> None:
@@ -112,7 +112,7 @@ class KeptOutlets:
 
 def preamble() -> list[Message]:
     """Return what a display publishes before a pulse is felt: stream, clock, status, frames."""
-    heard = HeardWriter(run=1)
+    heard = CaptureWriter(run=1)
     heard.follow(SUBSCRIBED)
     heard.add(0, CONTROL, encode_control(WELCOME))
     for number in range(8):
@@ -123,7 +123,7 @@ def preamble() -> list[Message]:
     return [*messages, status_message("playing")]
 
 
-def trace_message(*felt: Felt) -> Message:
+def trace_message(*felt: TickState) -> Message:
     """Return ticks as a trace message."""
     writer = TraceWriter()
     message = None
@@ -132,9 +132,12 @@ def trace_message(*felt: Felt) -> Message:
     return TRACE, writer.rest() or message or b""
 
 
-def status_message(state: str, playing: Playing = PLAYING, **changes: Any) -> Message:
+def status_message(state: str, playing: PlaybackStatus = PLAYING, **changes: Any) -> Message:
     """Return a status message, of a display whose clock is known."""
-    whole = {"clock": Clock(AHEAD_NS / MS, 1.0, 0.1, 0.2, 0), "samples": Samples(5, 5, 0, 0, 0)}
+    whole = {
+        "clock": Clock(AHEAD_NS / MS, 1.0, 0.1, 0.2, 0),
+        "samples": SampleCounts(5, 5, 0, 0, 0),
+    }
     summary = Summary(**(whole | changes))
     return STATUS, pack_status(state, "pulse", summary, False, SESSION, playing=playing)
 
@@ -143,7 +146,7 @@ def heard_message(
     frame: Frame, arrived_ns: int, now_ns: int, wall_ns: int, run: int = 1
 ) -> Message:
     """Return a frame as it was heard."""
-    heard = HeardWriter(run)
+    heard = CaptureWriter(run)
     heard.follow(SUBSCRIBED)
     heard.add(arrived_ns, 0, encode_frame(frame))
     (part,) = heard.take(now_ns, wall_ns)

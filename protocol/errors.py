@@ -89,7 +89,7 @@ class OutputError(TelepulseError, OSError):
     """
 
 
-class BesideError(TelepulseError, OSError):
+class SidecarError(TelepulseError, OSError):
     """A process beside a node cannot begin.
 
     Example scenarios: the port of its page is taken, its library is not installed.

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.counted import counted
+from protocol.config.quantities import count_text
 
 # Key of `Limits` → the limit's name for people.
 NAMES = {
@@ -107,7 +107,7 @@ def limit_texts(limits: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 def _text(name: str, limited: Mapping[str, Any]) -> str:
     times, seconds, share = (limited.get(key) or 0 for key in ("times", "seconds", "share"))
-    text = f"{name} {counted(times, 'time')}, {_seconds(seconds)}"
+    text = f"{name} {count_text(times, 'time')}, {_seconds(seconds)}"
     return f"{text} ({_percent(share)} of the run)"
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from protocol.beside import Companion, beside
+from protocol.host.sidecar import Sidecar, start_sidecar
 from protocol.sockets import beyond_loopback
 
 MetricsOption = Annotated[
@@ -21,10 +21,10 @@ MetricsOption = Annotated[
 ]
 
 
-class Metrics:
+class MetricsSidecar:
     """What serves a node's figures, once it is told where they are published."""
 
-    def __init__(self, companion: Companion | None) -> None:
+    def __init__(self, companion: Sidecar | None) -> None:
         """None: nothing is served."""
         self._companion = companion
 
@@ -39,16 +39,16 @@ class Metrics:
 
 
 @contextmanager
-def metrics_beside(program: str, where: str | None, console: Console) -> Iterator[Metrics]:
+def start_metrics(program: str, where: str | None, console: Console) -> Iterator[MetricsSidecar]:
     """Metrics served at `where` (None: not at all) within a `with`; enter it before anything
     moves. Raises BesideError where the port is taken or the library is missing."""
     if where is None:
-        yield Metrics(None)
+        yield MetricsSidecar(None)
         return
     # By its name: what reads both nodes' telemetry stands above them.
     arguments = ("the server of metrics", "telepulse.metrics", program, where)
-    with beside(program, *arguments, log=console.print) as companion:
+    with start_sidecar(program, *arguments, log=console.print) as companion:
         console.print(f"metrics on {companion.said}")
         if beyond_loopback(companion.said.replace("http", "tcp", 1).removesuffix("/metrics")):
             console.print("who reaches that port reads them: HTTP has neither keys nor encryption")
-        yield Metrics(companion)
+        yield MetricsSidecar(companion)

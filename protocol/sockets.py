@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, cast
 import zmq
 
 from protocol.errors import AddressError
-from protocol.keys import ClientKeys
-from protocol.messages import MAX_FRAME_BYTES
+from protocol.security.keys import ClientKeys
+from protocol.wire.messages import MAX_FRAME_BYTES
 
 if TYPE_CHECKING:
-    from protocol.gate import Gate
+    from protocol.security.authenticator import Authenticator
 
 # The kernel asks whether a silent peer is there. ZeroMQ's own heartbeats end the whole process
 # where a peer goes that had filled our queue (libzmq 4.3.5, its issues 3937 and 4364).
@@ -34,7 +34,7 @@ RECONNECT_MS = 20
 HIGH_WATER_FRAMES = 1_000
 LINGER_MS = 500
 MAX_MESSAGES = 200
-# Who publishes hears nothing but subscriptions (protocol/subscribers.py).
+# Who publishes hears nothing but subscriptions (protocol/security/subscription_budget.py).
 _FOR_SUBSCRIPTIONS: dict[int, int] = {
     # Each is told of, not the first alone: else one peer's topics hide behind another's.
     zmq.XPUB_VERBOSE: 1,
@@ -85,7 +85,7 @@ def bind(
     context: Context,
     kind: int,
     address: str,
-    gate: "Gate | None" = None,
+    gate: "Authenticator | None" = None,
     limits: Mapping[int, int] = MappingProxyType({}),
 ) -> Socket:
     """Return a socket of `kind` bound to `address`; `gate` authenticates its peers.

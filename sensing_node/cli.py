@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from protocol.commands import (
+from protocol.cli_options import (
     JsonOption,
     QuietOption,
     StopAfterOption,
@@ -14,18 +14,18 @@ from protocol.commands import (
     plain_console,
     sum_up,
 )
-from protocol.discovery.options import AnnounceOption, announced_beside
-from protocol.metrics import MetricsOption, metrics_beside
-from protocol.output import unblocked_output
-from protocol.process_limits import allow_connections
-from protocol.protection import AllowOption, InsecureOption, KeyOption, server_keys
+from protocol.config.scene import load_section
+from protocol.discovery.options import AnnounceOption, start_announcer
+from protocol.host.memory import freeze_objects
+from protocol.host.process import allow_connections, stop_on_signals
+from protocol.host.realtime_grant import check_strict
+from protocol.host.realtime_options import RealtimeOption, granted_for
+from protocol.host.realtime_request import parse_realtime
+from protocol.host.result_files import check_writable
+from protocol.host.standard_output import unblocked_output
+from protocol.metrics import MetricsOption, start_metrics
 from protocol.provenance import collect
-from protocol.realtime import check_strict, parse_realtime
-from protocol.realtime.memory import freeze_objects
-from protocol.realtime.options import RealtimeOption, held_for
-from protocol.result_files import check_writable
-from protocol.scene import load_section
-from protocol.signals import stop_on_signals
+from protocol.security.protection import AllowOption, InsecureOption, KeyOption, server_keys
 from protocol.sockets import control_address
 from sensing_node.node import SensingNode
 from sensing_node.scene import SensingScene, describe_stream, open_source
@@ -88,9 +88,9 @@ def sense(
             keys = server_keys(bind, key, allow, insecure)
             section = load_section(scene, "sensing", SensingScene)
             provenance = collect(scene, {"sensing": section})
-            served = until_the_end.enter_context(metrics_beside(PROGRAM, metrics, console))
+            served = until_the_end.enter_context(start_metrics(PROGRAM, metrics, console))
             announcing = until_the_end.enter_context(
-                announced_beside(PROGRAM, announce, bind, section.stream, keys, console)
+                start_announcer(PROGRAM, announce, bind, section.stream, keys, console)
             )
             source = until_the_end.enter_context(open_source(section, scene.parent, console.print))
             description = describe_stream(section, source)
@@ -110,7 +110,7 @@ def sense(
             delay_ms = description.group_delay_ns * 1e-6
             console.print(f"the conditioning chain delays the pulse by {delay_ms:.1f} ms")
         freeze_objects()
-        with held_for(PROGRAM, asked, console) as held:
+        with granted_for(PROGRAM, asked, console) as held:
             summary = held.noted(node.run(seconds))
     sum_up(PROGRAM, summary, "sensing node", console, json, provenance)
 

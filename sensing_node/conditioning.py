@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from protocol.calibration import Adc, Calibration
+from protocol.config.quantities import Hertz, Metres, Newtons, Volts, VoltsPerNewton
+from protocol.config.scene import Section
 from protocol.errors import SceneError
-from protocol.instrument import Adc, Calibration
 from protocol.limits import LimitCounter, Limits
-from protocol.quantities import Hertz, Metres, Newtons, Volts, VoltsPerNewton
-from protocol.scene import Section
 from protocol.tactile import Film
-from sensing_node.sources import Samples
-from sensing_node.sources.recording import Recording
+from sensing_node.sources import SampleSource
+from sensing_node.sources.recorded import RecordedSource
 from sensing_node.sources.synthetic import PRESETS
 
 # The delay is the paper's pulse's: next to nothing of it is above this.
@@ -93,7 +93,7 @@ class Conditioned:
     Raises SceneError for a corner that is not below half the source's rate.
     """
 
-    def __init__(self, source: Samples, scene: ConditioningScene) -> None:
+    def __init__(self, source: SampleSource, scene: ConditioningScene) -> None:
         rate_hz = 1e9 / source.period_ns
         self._source = source
         self._calibration = scene.calibration()
@@ -148,7 +148,7 @@ class Conditioned:
 def faults_of(samples: object) -> list[str]:
     """What went wrong in a source's chain, one line each, for the summary."""
     match samples:
-        case Recording():
+        case RecordedSource():
             return list(samples.warnings)
         case Conditioned():
             return samples.faults()

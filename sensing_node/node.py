@@ -7,21 +7,19 @@ from collections.abc import Callable
 import zmq
 
 from protocol import sockets
-from protocol.counted import counted
-from protocol.gate import Gate
-from protocol.keys import ServerKeys
-from protocol.messages import Bye, encode_control, encode_frame
-from protocol.status import pack_status
-from protocol.stream import StreamDescription
-from protocol.subscribers import Subscribers
-from protocol.summary import Samples as SampleCounts
-from protocol.summary import Summary
-from sensing_node.backlog import limits
+from protocol.config.quantities import count_text
+from protocol.run_summary import SampleCounts, Summary
+from protocol.security.authenticator import Authenticator
+from protocol.security.keys import ServerKeys
+from protocol.security.subscription_budget import SubscriptionBudget
+from protocol.wire.messages import Bye, encode_control, encode_frame
+from protocol.wire.status import pack_status
+from protocol.wire.stream import StreamDescription
 from sensing_node.conditioning import faults_of, limits_of
-from sensing_node.desk import Desk, Sender
-from sensing_node.framing import Framer
-from sensing_node.questions import QuestionBudget
-from sensing_node.sources.live import Live, Source, feed_of
+from sensing_node.control_server import ControlServer, QuestionBudget, Sender
+from sensing_node.framer import Framer
+from sensing_node.send_queue import limits
+from sensing_node.sources.live import LiveSource, Source, feed_of
 from sensing_node.sources.plausibility import SampleCheck
 from sensing_node.telemetry import Telemetry
 
@@ -64,14 +62,14 @@ class SensingNode:
         self._session = secrets.randbits(62)
         self._framer = Framer(description, self._session)
         self._check = SampleCheck(description.period_ns, log)
-        self._desk = Desk(description, self._session)
+        self._desk = ControlServer(description, self._session)
         self._questions = QuestionBudget()
         self._context: sockets.Context = zmq.Context()
-        gate = Gate(self._context, keys, log)
+        gate = Authenticator(self._context, keys, log)
         control = sockets.control_address(address)
         self._control = sockets.bind(self._context, zmq.ROUTER, control, gate)
         self._data = sockets.bind(self._context, zmq.XPUB, address, gate, limits(description))
-        self._subscribers = Subscribers(self._data, (b"",), log)
+        self._subscribers = SubscriptionBudget(self._data, (b"",), log)
         self._gate = gate
         self._telemetry = None
         if telemetry_address is not None:
@@ -149,7 +147,7 @@ class SensingNode:
     def _name_flood(self) -> None:
         if self._questions.held == 1:
             self._log(
-                f"{counted(len(self._desk.guests), 'display')} here, which send far more than"
+                f"{count_text(len(self._desk.guests), 'display')} here, which send far more than"
                 " displays do; what is too much is left unread"
             )
 
@@ -164,7 +162,8 @@ class SensingNode:
         elif self._desk.rejected["too_many_displays"] and not self._full:
             self._full = True
             self._log(
-                f"{counted(known, 'display')} here, which is the most; no further one is answered"
+                f"{count_text(known, 'display')} here, which is the most;"
+                " no further one is answered"
             )
 
     def _forget_silent(self) -> None:
@@ -210,7 +209,7 @@ class SensingNode:
             rejected["held_back"] = self._questions.held
         if self._telemetry is not None:
             rejected = rejected + self._telemetry.rejected
-        if isinstance(self._source, Live):
+        if isinstance(self._source, LiveSource):
             rejected = rejected + self._source.rejected
             faults = self._source.faults()
         else:

@@ -7,20 +7,20 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from protocol.config.quantities import Nanoseconds
+from protocol.config.scene import Section
 from protocol.errors import SceneError
-from protocol.quantities import Nanoseconds
-from protocol.scene import Section
-from protocol.stream import LayerTable, Name, StreamDescription
+from protocol.wire.stream import LayerTable, Name, StreamDescription
+from pulse_sensors.can_bus import CanScene
+from pulse_sensors.force_scale import SensorTable
+from pulse_sensors.lsl_inlet import LslScene
+from pulse_sensors.scene import open_sensor
+from pulse_sensors.serial_port import SerialScene
 from sensing_node.conditioning import Conditioned, ConditioningScene, faults_of
-from sensing_node.sources import Samples
-from sensing_node.sources.live import Live, Source
-from sensing_node.sources.recording import Recording, RecordingScene
-from sensing_node.sources.synthetic import Synthetic, SyntheticScene
-from sensors.can_bus import CanScene
-from sensors.force_scale import SensorTable
-from sensors.lsl_inlet import LslScene
-from sensors.scene import open_sensor
-from sensors.serial_port import SerialScene
+from sensing_node.sources import SampleSource
+from sensing_node.sources.live import LiveSource, Source
+from sensing_node.sources.recorded import RecordedSource, RecordingScene
+from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 
 _WIDTHS: dict[str, Literal[4, 8]] = {"float32": 4, "float64": 8}
 
@@ -62,22 +62,22 @@ def open_source(scene: SensingScene, folder: Path, log: Callable[[str], None]) -
         return
     sensor = open_sensor(scene.source, folder, log)
     try:
-        yield Live(sensor)
+        yield LiveSource(sensor)
     finally:
         sensor.close()
 
 
-def build_source(scene: SensingScene, folder: Path, plausible: bool = True) -> Samples:
+def build_source(scene: SensingScene, folder: Path, plausible: bool = True) -> SampleSource:
     """The source the scene names, heard through its conditioning chain if it has one.
 
     `folder` is the scene file's. plausible: refuse a recording that cannot be a pulse. Raises
     SourceError or SceneError, as for a live sensor: it gives its samples to a sensing node alone.
     """
-    source: Samples
+    source: SampleSource
     if isinstance(scene.source, SyntheticScene):
-        source = Synthetic(scene.source)
+        source = SyntheticSource(scene.source)
     elif isinstance(scene.source, RecordingScene):
-        source = Recording(scene.source, folder, plausible)
+        source = RecordedSource(scene.source, folder, plausible)
     else:
         raise SceneError(
             f'[sensing] source: kind "{scene.source.kind}" is a live sensor; a sensing node reads'

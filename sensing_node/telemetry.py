@@ -5,9 +5,9 @@ from collections.abc import Callable
 import zmq
 
 from protocol import sockets
-from protocol.gate import Gate
-from protocol.status import STATUS
-from protocol.subscribers import Subscribers
+from protocol.security.authenticator import Authenticator
+from protocol.security.subscription_budget import SubscriptionBudget
+from protocol.wire.status import STATUS
 
 STATUS_EVERY_NS = 1_000_000_000
 MAX_READERS = 32
@@ -18,10 +18,10 @@ class Telemetry:
 
     def __init__(self, context: sockets.Context, address: str, log: Callable[[str], None]) -> None:
         """Raises AddressError."""
-        self._gate = Gate(context, None, log, most=MAX_READERS)
+        self._gate = Authenticator(context, None, log, most=MAX_READERS)
         self.rejected = self._gate.rejected
         self._socket = sockets.bind(context, zmq.XPUB, address, self._gate)
-        self._readers = Subscribers(self._socket, (STATUS,), log)
+        self._readers = SubscriptionBudget(self._socket, (STATUS,), log)
         self._next_ns = 0
         self.address = self._socket.getsockopt_string(zmq.LAST_ENDPOINT)
 

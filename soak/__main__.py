@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from protocol.commands import JsonOption, one_line_errors, plain_console
-from protocol.result_files import check_writable
+from protocol.cli_options import JsonOption, one_line_errors, plain_console
+from protocol.host.result_files import check_writable
 from soak.bench import play_rounds
 from soak.bench_truth import judge_bench
 from soak.evidence import heart_rate_per_min, verdict
@@ -20,7 +20,7 @@ from soak.report import print_verdict, write_verdict
 from soak.run import Run
 from soak.stage import Stage
 from soak.verdict import judge_none
-from telepulse.emulator import unavailable
+from telepulse.netem import unavailable
 from telepulse.scene import DEFAULT_SCENE, find_scene, load_scene
 
 PROGRAM = "soak"

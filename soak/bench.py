@@ -10,7 +10,7 @@ from pathlib import Path
 import zmq
 
 from benchmarks.whole_bench import BenchFailedError, WholeBench, playing
-from display_node.telemetry import STATUS, read_status
+from display_node.telemetry.messages import STATUS, read_status
 from soak.bench_truth import FingerClaim, Round
 from soak.schedule import BENCH_WATCHDOG_S, Trouble, troubles
 

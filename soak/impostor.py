@@ -14,10 +14,10 @@ import numpy as np
 import zmq
 
 from protocol import sockets
-from protocol.messages import ClockReply, Frame, encode_control, encode_frame
-from protocol.stream import Channel, StreamDescription
 from protocol.tactile import ElasticLayer
-from sensing_node.desk import Desk
+from protocol.wire.messages import ClockReply, Frame, encode_control, encode_frame
+from protocol.wire.stream import Channel, StreamDescription
+from sensing_node.control_server import ControlServer
 
 BATCH = 5
 PERIOD_NS = 1_000_000
@@ -38,7 +38,7 @@ def main(arguments: list[str]) -> None:
         channels=(Channel("pulse"),),
         layer=ElasticLayer(),
     )
-    desk = Desk(description, session)
+    desk = ControlServer(description, session)
     context: sockets.Context = zmq.Context()
     control = sockets.bind(context, zmq.ROUTER, sockets.control_address(address))
     data = sockets.bind(context, zmq.PUB, address)

@@ -13,17 +13,17 @@ from dataclasses import dataclass, field
 import zmq
 import zmq.asyncio
 
-from display_node.telemetry import STATUS, TRACE, read_status, read_trace, unpack
+from display_node.telemetry.messages import STATUS, TRACE, read_status, read_trace, unpack
 from protocol.errors import WireError
-from protocol.keys import ClientKeys
-from protocol.messages import decode_frame
+from protocol.security.keys import ClientKeys
+from protocol.wire.messages import decode_frame
 from soak.accounts import Mark
 from soak.claims import StatusClaim, no_figures
 from soak.core_time import read_core_time
 from soak.felt import FeltLog
 from soak.lives import Life
 from soak.witness import Witness
-from telepulse.emulator import Namespace
+from telepulse.netem import Namespace
 
 RECONNECT_MS = 20
 HIGH_WATER = 10_000

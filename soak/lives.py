@@ -15,7 +15,7 @@ from typing import Any
 from soak.accounts import Mark
 from soak.claims import StatusClaim
 from soak.core_time import CoreTime
-from telepulse.emulator import Namespace
+from telepulse.netem import Namespace
 
 # What a node prints when its loop begins.
 _UP = {"sensing_node.cli": "streaming ", "display_node.cli": "waiting for "}

@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import IO
 
-from telepulse.emulator import EmulatedLink, EmulatorError, Namespace, emulate
-from telepulse.link import LinkScene, parse_link
-from telepulse.ports import free_addresses
+from telepulse.netem import EmulatedLink, EmulatorError, Namespace, emulate
+from telepulse.processes import free_addresses
+from telepulse.simulation.link_model import LinkScene, parse_link
 
 CALM = "delay=10ms,jitter=1ms"
 LINKS = 4

@@ -13,8 +13,8 @@ import time
 from contextlib import suppress
 
 from protocol.sockets import control_address
-from telepulse.link import Direction, parse_link
-from telepulse.link.scene import LinkScene
+from telepulse.simulation.link_model import Direction, parse_link
+from telepulse.simulation.link_model.scene import LinkScene
 
 REPEAT_NS = 200_000_000
 CHUNK_BYTES = 16_384

@@ -9,8 +9,7 @@ from soak.keyring import Keyring
 from soak.lives import Life, begin, launch
 from soak.network import Network
 from soak.schedule import ENDURING, GUEST, MORTAL, SENSING
-from telepulse.node_process import NodeError
-from telepulse.ports import free_addresses
+from telepulse.processes import NodeError, free_addresses
 
 CALM_SENSING, CALM_DISPLAY = "calm sensing", "calm display"
 TORMENTED = (ENDURING, MORTAL, GUEST)

@@ -1,4 +1,4 @@
-"""The terminals of displays: what `display_node.screen` shows, line by line, as it is read."""
+"""Terminals of displays: the lines of `display_node.telemetry.terminal`, as they are read."""
 
 import asyncio
 import sys
@@ -39,7 +39,7 @@ class Terminals:
     async def _show(self, role: str, address: str) -> None:
         while True:
             process = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-m", "display_node.screen", address),
+                *(sys.executable, "-m", "display_node.telemetry.terminal", address),
                 stdout=asyncio.subprocess.PIPE,
                 start_new_session=True,
             )

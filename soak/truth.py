@@ -5,12 +5,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
+from display_node.drives.finger import TOUCH_N
 from display_node.fault_advice import FAULT_STATUS, latched
-from display_node.finger import TOUCH_N
 from soak.claims import LineClaim, StatusClaim, pressed_n
 from soak.verdict import Check
 from soak.witness import Witness
-from telepulse.record.events import INTERRUPTED, StatusWatch
+from telepulse.telemetry.events import INTERRUPTED, StatusWatch
 
 # A status follows the tick that it is of: its force is that tick's but for rounding to 1 mN.
 ROUNDING_N = 0.6e-3

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from display_node.scene import DisplayScene
+from protocol.config.scene import load_document, load_section
 from protocol.errors import SceneError
 from protocol.provenance import Provenance, collect
-from protocol.scene import load_document, load_section
 from sensing_node.scene import SensingScene
-from telepulse.link import LinkScene
+from telepulse.simulation.link_model import LinkScene
 
 _HERE = Path(__file__).parent
 SCENE_FOLDERS = (_HERE / "scenes", _HERE.parent / "scenes")

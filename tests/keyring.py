@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from protocol.allow_list import allow
-from protocol.keys import ClientKeys, KeyPair, ServerKeys, new_pair, read_pair
+from protocol.security.allow_list import allow
+from protocol.security.keys import ClientKeys, KeyPair, ServerKeys, new_pair, read_pair
 
 
 class Keyring:

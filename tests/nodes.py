@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from telepulse.ports import free_addresses
+from telepulse.processes import free_addresses
 
 ROOT = Path(__file__).parents[1]
 RADIAL = ROOT / "scenes" / "radial.toml"

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import pytest
 
-from protocol.realtime.rights import CAP_IPC_LOCK, CAP_SYS_NICE
+from protocol.host.scheduling import CAP_IPC_LOCK, CAP_SYS_NICE
 
 from .nodes import ROOT
 

@@ -1,8 +1,8 @@
 """A stream and a source for tests."""
 
-from protocol.stream import Channel, StreamDescription
 from protocol.tactile import ElasticLayer
-from sensing_node.sources.synthetic import Synthetic, SyntheticScene
+from protocol.wire.stream import Channel, StreamDescription
+from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 
 MS = 1_000_000
 
@@ -18,6 +18,6 @@ def description(**changes: object) -> StreamDescription:
     return StreamDescription(**(fields | changes))  # type: ignore[arg-type]
 
 
-def synthetic(**keys: object) -> Synthetic:
+def synthetic(**keys: object) -> SyntheticSource:
     """A synthetic source from the keys of a scene's table."""
-    return Synthetic(SyntheticScene.model_validate({"kind": "synthetic"} | keys))
+    return SyntheticSource(SyntheticScene.model_validate({"kind": "synthetic"} | keys))

@@ -6,16 +6,16 @@ import pytest
 from pydantic import BaseModel
 
 from display_node.scene import DisplayScene
-from protocol.causes import MEANINGS
-from protocol.gate import REASONS
-from protocol.refusals import REFUSED_KEY, REVOKED
-from protocol.subscribers import SUBSCRIPTION
+from protocol.security.authenticator import REASONS
+from protocol.security.causes import MEANINGS
+from protocol.security.handshake_monitor import REFUSED_KEY, REVOKED
+from protocol.security.subscription_budget import SUBSCRIPTION
 from sensing_node.scene import SensingScene
-from telepulse.link import LinkScene
+from telepulse.simulation.link_model import LinkScene
 
 from .nodes import ROOT
 
-PACKAGES = ("protocol", "sensors", "sensing_node", "display_node", "telepulse")
+PACKAGES = ("protocol", "pulse_sensors", "sensing_node", "display_node", "telepulse")
 
 
 def keys(schema: type[BaseModel]) -> Iterator[str]:
@@ -61,7 +61,7 @@ def test_every_cause_of_refusal_is_documented_and_no_other() -> None:
 
 
 def test_nothing_claims_that_the_finger_is_at_rest() -> None:
-    """Statements about the finger are measured: `display_node/finger.py` makes the sentence."""
+    """Statements about the finger are measured: `drives/finger.py` makes the sentence."""
     texts = [
         *(ROOT / "docs").rglob("*.md"),
         *(path for package in PACKAGES for path in (ROOT / package).rglob("*.py")),

@@ -10,11 +10,11 @@ from typer.testing import CliRunner
 
 from display_node.cli import app as display_node
 from protocol.errors import AddressError, SceneError, TelepulseError
-from protocol.realtime import parse_realtime
+from protocol.host.realtime_request import parse_realtime
 from protocol.sockets import beyond_loopback, control_address
 from sensing_node.cli import app as sensing_node
-from telepulse.cli import app as telepulse
-from telepulse.link import parse_link
+from telepulse.cli.main import app as telepulse
+from telepulse.simulation.link_model import parse_link
 
 from .nodes import RADIAL
 

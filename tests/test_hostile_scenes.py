@@ -16,11 +16,11 @@ from pydantic import BaseModel
 from display_node.display import Display
 from display_node.scene import DisplayScene
 from fuzz.refusals import check_line
+from protocol.config.quantities import UNITS
+from protocol.config.scene import load_document, validate
 from protocol.errors import SceneError, SourceError
-from protocol.quantities import UNITS
-from protocol.scene import load_document, validate
 from sensing_node.scene import SensingScene, build_source, describe_stream
-from telepulse.link import LinkScene, parse_link
+from telepulse.simulation.link_model import LinkScene, parse_link
 
 from .nodes import ROOT
 from .test_docs import keys

@@ -14,8 +14,8 @@ import pytest
 from typer.testing import CliRunner
 
 from display_node.cli import app as display_app
-from telepulse.cli import app as telepulse_app
-from telepulse.ports import free_addresses
+from telepulse.cli.main import app as telepulse_app
+from telepulse.processes import free_addresses
 
 from .nodes import ROOT, process
 from .telepulse.bench.test_bench_command import drive_scene
@@ -36,7 +36,7 @@ respiration_rate = "15 /min"
 CLEAR = "Is the bench clear of fingers? [y/N]"
 ENDS_WITHIN_S = 60.0
 # What reaches a TMCL module; ours as well, as another test may have imported it already.
-LINE = ("pytrinamic.tmcl", "display_node.drives.tmcl_interfaces")
+LINE = ("pytrinamic.tmcl", "display_node.drives.tmcl.interfaces")
 
 
 @dataclass
@@ -84,7 +84,7 @@ def emulated_bench(folder: Path) -> Iterator[EmulatedBench]:
     bench = EmulatedBench(folder, drive_scene(folder))
     links = ("--link", folder / "drive", "--film-link", folder / "film")
     words = ("emulate", "tmcl", bench.scene, *links, "--trace", folder / "motor.csv")
-    with process("telepulse.cli", *map(str, words)) as emulator:
+    with process("telepulse", *map(str, words)) as emulator:
         until((folder / "film").exists)
         yield bench
         emulator.terminate()
@@ -123,7 +123,7 @@ def refuse_a_session(folder: Path) -> "subprocess.CompletedProcess[str]":
     """Run a session as a process, and answer that the bench is not clear."""
     words = ("experiment", "run", folder / "session.toml", "--log", folder / "answered.jsonl")
     return subprocess.run(
-        [sys.executable, "-m", "telepulse.cli", *map(str, words)],
+        [sys.executable, "-m", "telepulse", *map(str, words)],
         cwd=ROOT,
         input="n",
         capture_output=True,

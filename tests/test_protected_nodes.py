@@ -8,10 +8,10 @@ import pytest
 import zmq
 
 from protocol import sockets
-from protocol.allow_list import revoke
-from protocol.keys import ClientKeys
-from protocol.messages import Hello, encode_control
+from protocol.security.allow_list import revoke
+from protocol.security.keys import ClientKeys
 from protocol.sockets import Context, control_address
+from protocol.wire.messages import Hello, encode_control
 
 from .display_node.live import await_state, await_status, subscribe
 from .keyring import Keyring

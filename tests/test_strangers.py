@@ -15,8 +15,8 @@ import pytest
 import zmq
 
 from protocol import sockets
-from protocol.messages import Hello, encode_control
 from protocol.sockets import Context
+from protocol.wire.messages import Hello, encode_control
 
 from .display_node.live import await_state, await_status
 from .keyring import Keyring

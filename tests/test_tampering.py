@@ -10,11 +10,11 @@ from pathlib import Path
 
 import zmq
 
-from display_node.telemetry import Status
+from display_node.telemetry.messages import Status
 from protocol import sockets
-from protocol.gate import Gate
-from protocol.messages import Hello, encode_control
+from protocol.security.authenticator import Authenticator
 from protocol.sockets import Context
+from protocol.wire.messages import Hello, encode_control
 
 from .display_node.live import await_state, await_status, subscribe
 from .keyring import Keyring
@@ -132,7 +132,7 @@ def test_what_is_replayed_or_reflected_to_who_connects_is_not_believed(
     keyring = Keyring(tmp_path / "keys")
     keyring.allow("finger")
     bound, address = free_address(), free_address()
-    gate = Gate(context, keyring.server(), print)
+    gate = Authenticator(context, keyring.server(), print)
     data = sockets.bind(context, zmq.PUB, bound, gate)
     with middleman(port(address), port(bound)) as between:
         listener = subscribed(context, address, keyring)
@@ -159,7 +159,7 @@ def test_a_message_altered_on_its_way_to_who_binds_is_refused_though_zeromq_ends
     keyring = Keyring(tmp_path / "keys")
     keyring.allow("finger")
     bound, address = free_address(), free_address()
-    gate = Gate(context, keyring.server(), print)
+    gate = Authenticator(context, keyring.server(), print)
     desk = sockets.bind(context, zmq.ROUTER, bound, gate)
     heard: list[bytes] = []
 
@@ -209,7 +209,7 @@ def with_a_further_part(data: bytes) -> bytes:
 
 def test_what_a_node_says_reflected_to_it_gets_no_frame(context: Context, tmp_path: Path) -> None:
     keyring = Keyring(tmp_path / "keys")
-    gate = Gate(context, keyring.server(), print)
+    gate = Authenticator(context, keyring.server(), print)
     address = free_address()
     data = sockets.bind(context, zmq.PUB, address, gate)
     heard, end_s = b"", time.monotonic() + QUIET_S

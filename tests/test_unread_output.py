@@ -14,8 +14,8 @@ import pytest
 import zmq
 
 from protocol import sockets
-from protocol.messages import Hello, Welcome, decode_control, encode_control
 from protocol.sockets import Context, control_address
+from protocol.wire.messages import Hello, Welcome, decode_control, encode_control
 
 from .display_node.live import await_state, subscribe
 from .nodes import RADIAL, ROOT, assert_accounted, free_address, process, read_json
@@ -24,7 +24,7 @@ from .waiting import until
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="/dev/full, /proc")
 ENDS_WITHIN_S = 20.0
-SENSING, DISPLAY, TELEPULSE = "sensing_node.cli", "display_node.cli", "telepulse.cli"
+SENSING, DISPLAY, TELEPULSE = "sensing_node.cli", "display_node.cli", "telepulse"
 
 
 @contextmanager

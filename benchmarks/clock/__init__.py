@@ -14,9 +14,9 @@ import numpy as np
 
 from benchmarks.clock import virtual
 from benchmarks.measure import show
-from protocol.offset_line import Floats
-from telepulse.emulator import Namespace, emulate, unavailable
-from telepulse.link import parse_link
+from protocol.clock.offset_regression import Floats
+from telepulse.netem import Namespace, emulate, unavailable
+from telepulse.simulation.link_model import parse_link
 
 LINK = "delay=20ms,jitter=3ms,loss=1%"
 SECONDS = 62.0

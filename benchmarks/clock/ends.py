@@ -12,10 +12,10 @@ from functools import partial
 import zmq
 
 from benchmarks.clock.scaled import now_ns, scaled_ns
-from display_node.receiver import Receiver
+from display_node.reception.receiver import Receiver
 from protocol import sockets
-from protocol.messages import encode_control
-from protocol.scene import load_section
+from protocol.config.scene import load_section
+from protocol.wire.messages import encode_control
 from sensing_node.node import SensingNode
 from sensing_node.scene import SensingScene, describe_stream, open_source
 from telepulse.scene import find_scene

@@ -7,10 +7,10 @@ from unittest.mock import patch
 from benchmarks.compensation.trust import show_trust
 from benchmarks.measure import show
 from display_node.prediction import PredictorName
-from protocol.summary import Summary
-from telepulse.link import parse_link
+from protocol.run_summary import Summary
 from telepulse.scene import find_scene, load_scene
-from telepulse.simulate import Simulation
+from telepulse.simulation.link_model import parse_link
+from telepulse.simulation.virtual_time import Simulation
 
 SETTLE_S, SCORED_S = 28.0, 12.0
 # Trust is won slowly, and E then goes to 0 by 20 ms a second.
@@ -40,7 +40,7 @@ def _show_all_predicted() -> None:
     for name, link in LINKS.items():
         for predictor, batch_ms in CASES:
             smooth = _played(link, predictor, 0, batch_ms)
-            with patch("display_node.smoothing.DECAY_OVER_HORIZON", 0.0):
+            with patch("display_node.prediction.concealment.DECAY_OVER_HORIZON", 0.0):
                 rough = _played(link, predictor, 0, batch_ms)
             rows.append((name, f"{batch_ms} ms", predictor, *_figures(rough), *_figures(smooth)))
     show(

@@ -12,14 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.measure import show
-from display_node.display import Felt
-from display_node.fidelity import JND
-from sensing_node.sources.recording import RecordingScene
+from display_node.display import TickState
+from display_node.scoring.tracking_error import JND
+from sensing_node.sources.recorded import RecordingScene
 from sensing_node.sources.synthetic import NOMINAL_BEAT_S
-from telepulse.link import parse_link
-from telepulse.scene import Scene, find_scene, load_scene
-from telepulse.simulate import STREAM_BEGINS_NS, Simulation
-from telepulse.study.prediction_sets import (
+from telepulse.reports.studies.prediction_sets import (
     RATE_HZ,
     Beats,
     Floats,
@@ -30,7 +27,10 @@ from telepulse.study.prediction_sets import (
     through_chain,
     with_ectopics,
 )
-from telepulse.study.sweep import sweep
+from telepulse.reports.studies.sweep import sweep
+from telepulse.scene import Scene, find_scene, load_scene
+from telepulse.simulation.link_model import parse_link
+from telepulse.simulation.virtual_time import STREAM_BEGINS_NS, Simulation
 
 SECONDS, TURN_S = 60.0, 40.0
 SEEDS = (1, 2, 3)
@@ -84,7 +84,7 @@ def score(case: Case) -> Score:
     noise = np.random.default_rng((case.seed, 1)).standard_normal(len(true_n))
     now_s, errors_n, trusted, delay_ns = [], [], [], []
 
-    def watch(felt: Felt) -> None:
+    def watch(felt: TickState) -> None:
         sample = round((felt.now_ns - STREAM_BEGINS_NS) * RATE_HZ * 1e-9)
         if sample < len(true_n):
             now_s.append(sample / RATE_HZ)

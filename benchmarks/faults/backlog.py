@@ -8,9 +8,9 @@ import zmq
 from benchmarks.faults.hostile import deaf_subscriber, port_of
 from benchmarks.measure import show
 from protocol import sockets
-from protocol.stream import Channel, StreamDescription
 from protocol.tactile import ElasticLayer
-from sensing_node.backlog import HEADER_BYTES, limits
+from protocol.wire.stream import Channel, StreamDescription
+from sensing_node.send_queue import HEADER_BYTES, limits
 
 FRAME_S = 5e-3
 SAMPLES = (5, 50, 250, 4000)

@@ -25,9 +25,9 @@ from benchmarks.faults.stage import Node, staged, unaccounted
 from benchmarks.faults.stepped import STEP_VARIABLE
 from benchmarks.faults.witness import witness_of
 from protocol.sockets import control_address
-from telepulse.emulator import emulate
-from telepulse.link import parse_link
-from telepulse.ports import free_addresses
+from telepulse.netem import emulate
+from telepulse.processes import free_addresses
+from telepulse.simulation.link_model import parse_link
 
 WHOLE = parse_link("delay=20ms,jitter=3ms")
 CUT = parse_link("loss=100%")

@@ -11,9 +11,9 @@ import time
 
 import zmq
 
-from display_node.receiver import Receiver
+from display_node.reception.receiver import Receiver
 from protocol import sockets
-from protocol.messages import encode_control
+from protocol.wire.messages import encode_control
 
 POLL_MS = 5
 # When a sample's instant is over: nobody feels it, so it may be late.

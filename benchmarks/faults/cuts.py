@@ -19,9 +19,9 @@ from tempfile import TemporaryDirectory
 from benchmarks.faults.finger import Finger
 from benchmarks.faults.stage import PORT, Node, staged
 from benchmarks.measure import show
-from telepulse.emulator import EmulatedLink, PacketFilter, emulate
-from telepulse.link import LinkScene, parse_link
+from telepulse.netem import EmulatedLink, PacketFilter, emulate
 from telepulse.scene import find_scene
+from telepulse.simulation.link_model import LinkScene, parse_link
 
 WHOLE_TEXT = "20±3 ms"
 WHOLE = parse_link("delay=20ms,jitter=3ms")

@@ -20,11 +20,10 @@ from benchmarks.faults.finger import finger_of
 from benchmarks.faults.own_time import own_time_of, pin
 from benchmarks.measure import median_quantile, show
 from protocol import sockets
-from protocol.messages import ClockRequest, encode_control
+from protocol.run_summary import Summary
 from protocol.sockets import control_address
-from protocol.summary import Summary
-from telepulse.node_process import await_end, read_summary
-from telepulse.ports import free_addresses
+from protocol.wire.messages import ClockRequest, encode_control
+from telepulse.processes import await_end, free_addresses, read_summary
 from telepulse.scene import find_scene
 
 FLOODED_S = 8.0
@@ -42,7 +41,8 @@ OWN_BAR = 0.01
 
 def flooding_sensing_node(kind: str) -> None:
     """Run a sensing node that sends copies of its frames or of its answers."""
-    from sensing_node import backlog, node
+    from sensing_node import node
+    from sensing_node import send_queue as backlog
 
     send = sockets.send
 

@@ -12,10 +12,9 @@ from pathlib import Path
 
 from benchmarks.faults.finger import Finger, finger_of
 from benchmarks.faults.stepped import STEP
-from protocol.summary import Summary
-from telepulse.emulator import EmulatedLink
-from telepulse.node_process import await_end, read_summary
-from telepulse.ports import free_addresses
+from protocol.run_summary import Summary
+from telepulse.netem import EmulatedLink
+from telepulse.processes import await_end, free_addresses, read_summary
 from telepulse.scene import find_scene
 
 PORT = 5555

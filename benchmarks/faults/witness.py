@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 import zmq
 
-from protocol.messages import decode_frame
+from protocol.wire.messages import decode_frame
 
 POLL_MS = 20
 

@@ -11,9 +11,9 @@ from benchmarks.load.run import process, relay
 from benchmarks.load.sensing import Stream, sense
 from benchmarks.measure import show
 from protocol import sockets
-from protocol.clock import ClockEstimator, ClockExchange
-from protocol.messages import ClockReply, ClockRequest, decode_control, encode_control
-from telepulse.ports import free_addresses
+from protocol.clock.estimator import ClockEstimator, ClockExchange
+from protocol.wire.messages import ClockReply, ClockRequest, decode_control, encode_control
+from telepulse.processes import free_addresses
 
 EXCHANGES = 250
 EVERY_S = 0.02

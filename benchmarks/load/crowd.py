@@ -10,12 +10,12 @@ from multiprocessing.connection import Connection
 import zmq
 
 from protocol import sockets
-from protocol.keys import ClientKeys
-from protocol.messages import (
+from protocol.security.keys import ClientKeys
+from protocol.wire.messages import (
     ClockRequest,
+    DisplayReport,
     Frame,
     Hello,
-    Report,
     Welcome,
     decode_control,
     decode_frame,
@@ -138,7 +138,9 @@ class Crowd:
                     self._drain(control)
                     sockets.send(control, encode_control(ClockRequest(now_ns)))
             for number in range(passed % REPORT_SLOTS, self._count, REPORT_SLOTS):
-                report = Report(self._session, f"{id(self)}-{number}", 1, 0, 0, 1.0, 1.0, 1.0, 0.1)
+                report = DisplayReport(
+                    self._session, f"{id(self)}-{number}", 1, 0, 0, 1.0, 1.0, 1.0, 0.1
+                )
                 sockets.send(self._controls[number], encode_control(report))
         self._slot = slot
 

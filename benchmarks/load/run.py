@@ -15,10 +15,10 @@ import numpy as np
 
 from benchmarks.load.crowd import Heard, be_a_crowd
 from benchmarks.load.sensing import Stream, sense
-from protocol.allow_list import allow
-from protocol.keys import ClientKeys, ServerKeys, new_pair, read_pair
-from protocol.signals import stop_on_signals
-from telepulse.ports import free_addresses
+from protocol.host.process import stop_on_signals
+from protocol.security.allow_list import allow
+from protocol.security.keys import ClientKeys, ServerKeys, new_pair, read_pair
+from telepulse.processes import free_addresses
 from telepulse.relay.relay import Relay
 
 SECONDS = 5.0

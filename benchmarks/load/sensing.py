@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.keys import ServerKeys
-from protocol.signals import stop_on_signals
-from protocol.stream import Channel, StreamDescription
+from protocol.host.process import stop_on_signals
+from protocol.security.keys import ServerKeys
 from protocol.tactile import ElasticLayer
+from protocol.wire.stream import Channel, StreamDescription
 from sensing_node.node import SensingNode
-from sensing_node.sources.synthetic import Synthetic, SyntheticScene
+from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,7 @@ class Array:
     """An array of films that all feel the same pulse."""
 
     def __init__(self, channels: int) -> None:
-        self._pulse = Synthetic(SyntheticScene(kind="synthetic"))
+        self._pulse = SyntheticSource(SyntheticScene(kind="synthetic"))
         self.period_ns = self._pulse.period_ns
         self.channels = tuple(Channel(f"film {number}") for number in range(channels))
 

@@ -8,7 +8,7 @@ import zmq
 from benchmarks.peers import curve, ours
 from benchmarks.peers.message import Arrival, Wire
 from protocol import sockets
-from protocol.messages import decode_frame
+from protocol.wire.messages import decode_frame
 
 publish = ours.publish
 

@@ -8,13 +8,13 @@ import zmq
 
 from benchmarks.peers import curve
 from benchmarks.peers.message import VALUE, Arrival, Wire
-from display_node.jitter_buffer import JitterBuffer
-from display_node.receiver import Receiver
+from display_node.reception.jitter_buffer import JitterBuffer
+from display_node.reception.receiver import Receiver
 from protocol import sockets
-from protocol.messages import Frame, encode_control, encode_frame
-from protocol.stream import Channel, StreamDescription
 from protocol.tactile import ElasticLayer
-from sensing_node.desk import Desk
+from protocol.wire.messages import Frame, encode_control, encode_frame
+from protocol.wire.stream import Channel, StreamDescription
+from sensing_node.control_server import ControlServer
 
 SESSION = 1
 PERIOD_NS = 1_000_000
@@ -31,7 +31,7 @@ def publish(wire: Wire, numbers: Iterable[int]) -> None:
     control = curve.serve(sockets.unconnected(context, zmq.ROUTER), wire.keys)
     data.bind(data_address(wire))
     control.bind(sockets.control_address(data_address(wire)))
-    desk = Desk(DESCRIPTION, SESSION)
+    desk = ControlServer(DESCRIPTION, SESSION)
     values = np.full((1, 1), VALUE, np.float32)
     for sequence in numbers:
         for *sender, message in sockets.receive_all(control):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from benchmarks.peers.curve import make_keys
 from benchmarks.peers.message import Arrival, Wire
-from telepulse.ports import free_addresses
+from telepulse.processes import free_addresses
 
 PERIOD_NS = 1_000_000
 # Connecting, and the first messages of a process, are not what is measured.

@@ -16,14 +16,23 @@ from rich.text import Text
 from display_node.display import Display
 from display_node.doctor.host import Host, describe, read_host, stolen
 from display_node.doctor.jitter import Ticks, Work, busy_processes, run_in_turns
-from display_node.doctor.verdict import BARE, IDLE, LOADED, TOGETHER, Findings, Verdict, judge
+from display_node.doctor.verdict import (
+    BARE,
+    IDLE,
+    LOADED,
+    TOGETHER,
+    HostFindings,
+    HostVerdict,
+    judge,
+)
 from display_node.scene import DisplayScene
 from protocol import sockets
+from protocol.config.scene import load_section
 from protocol.histogram import bound
-from protocol.realtime import Asked, Held, hold, parse_realtime
-from protocol.realtime.memory import freeze_objects
-from protocol.result_files import write_whole
-from protocol.scene import load_section
+from protocol.host.memory import freeze_objects
+from protocol.host.realtime_grant import RealtimeGrant, hold
+from protocol.host.realtime_request import RealtimeRequest, parse_realtime
+from protocol.host.result_files import write_whole
 
 SECONDS = 30.0
 MAX_ROUNDS = 4
@@ -71,7 +80,7 @@ def _tick_of(scene: Path | None) -> tuple[int, Work]:
     return section.tick_ns, Display(section, "doctor").tick
 
 
-def _try(host: Host) -> Held:
+def _try(host: Host) -> RealtimeGrant:
     """Take each measure for a moment; return which were granted and which refused."""
     words = ["slack", "lock", "fifo"]
     if host.isolated:
@@ -79,7 +88,7 @@ def _try(host: Host) -> Held:
     elif len(host.cpus) > 1:
         # Interrupts come to the first by default.
         words.append(f"cpu={host.cpus[-1]}")
-    tried = Held()
+    tried = RealtimeGrant()
     for word in words:
         with hold(parse_realtime(word), log=lambda line: None) as held:
             tried.granted |= held.granted
@@ -88,12 +97,12 @@ def _try(host: Host) -> Held:
 
 
 def _measure(
-    tick_ns: int, work: Work, held: Held, seconds: float, processors: int, isolated: str
-) -> Findings:
+    tick_ns: int, work: Work, held: RealtimeGrant, seconds: float, processors: int, isolated: str
+) -> HostFindings:
     """Ticks bare, with each measure that is granted, and with all of them; a processor is chosen
     only where one is isolated, as another is no better alone."""
     chosen = [name for name in held.granted if isolated or not name.startswith("cpu")]
-    wishes = {BARE: Asked()} | {name: parse_realtime(name) for name in held.granted}
+    wishes = {BARE: RealtimeRequest()} | {name: parse_realtime(name) for name in held.granted}
     if chosen:
         wishes[TOGETHER] = parse_realtime(",".join(chosen))
     each_s = seconds / (2 * len(wishes))
@@ -110,7 +119,7 @@ def _measure(
         stolen_after, all_after = stolen()
     finally:
         context.destroy(linger=0)
-    return Findings(
+    return HostFindings(
         tick_ns=tick_ns,
         ticks={(name, IDLE): ticks for name, ticks in idle.items()}
         | {(name, LOADED): ticks for name, ticks in loaded.items()},
@@ -153,7 +162,9 @@ def _figures(ticks: Ticks) -> dict[str, float | None]:
     }
 
 
-def _write(path: Path, host: Host, held: Held, findings: Findings, verdict: Verdict) -> None:
+def _write(
+    path: Path, host: Host, held: RealtimeGrant, findings: HostFindings, verdict: HostVerdict
+) -> None:
     report = {
         "host": dataclasses.asdict(host),
         "granted": held.granted,

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import zmq
 
-from protocol.realtime.asked import spans
+from protocol.host.realtime_request import spans
 
 CPU = Path("/sys/devices/system/cpu")
 CGROUP = Path("/sys/fs/cgroup")

@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 
 from protocol import sockets
 from protocol.histogram import Histogram
-from protocol.realtime import Asked, hold
+from protocol.host.realtime_grant import hold
+from protocol.host.realtime_request import RealtimeRequest
 
 # It ends with who started it, however that ends.
 BUSY = """
@@ -56,7 +57,7 @@ def run_ticks(
 
 
 def run_in_turns(
-    wishes: dict[str, Asked],
+    wishes: dict[str, RealtimeRequest],
     rounds: int,
     slot_s: float,
     tick_ns: int,

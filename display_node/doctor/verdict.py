@@ -3,9 +3,9 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from display_node.deadlines import ALARM_SHARE, GAP_NS
 from display_node.doctor.host import Host
 from display_node.doctor.jitter import Ticks
+from display_node.scoring.deadlines import ALARM_SHARE, GAP_NS
 
 BARE, TOGETHER = "bare", "together"
 IDLE, LOADED = "nothing", "load"
@@ -19,7 +19,7 @@ Table = Mapping[tuple[str, str], Ticks]
 
 
 @dataclass(frozen=True, slots=True)
-class Findings:
+class HostFindings:
     """ticks: by measure and what ran beside it; option: what to give --realtime, None where nothing
     is granted; refusals: lines; stolen: share of time that a hypervisor gave to others
     meanwhile."""
@@ -32,7 +32,7 @@ class Findings:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class HostVerdict:
     """status: ok, look or fail; reason: a line; advice: lines, the weightiest first."""
 
     status: str
@@ -40,7 +40,7 @@ class Verdict:
     advice: list[str]
 
 
-def judge(host: Host, findings: Findings) -> Verdict:
+def judge(host: Host, findings: HostFindings) -> HostVerdict:
     """Judge whether this host keeps a loop on time, and what would help."""
     bare = findings.ticks[BARE, LOADED]
     best = findings.ticks.get((TOGETHER, LOADED), bare)
@@ -56,14 +56,14 @@ def judge(host: Host, findings: Findings) -> Verdict:
     if stood_still:
         status = "fail"
         reason += f": longer than the watchdog of a drive ({GAP_NS * 1e-6:.0f} ms)"
-    return Verdict(
+    return HostVerdict(
         status,
         reason,
         [*_of_stolen_time(findings), *_of_host(host), *findings.refusals],
     )
 
 
-def _of_stolen_time(findings: Findings) -> list[str]:
+def _of_stolen_time(findings: HostFindings) -> list[str]:
     if findings.stolen <= STOLEN:
         return []
     return [

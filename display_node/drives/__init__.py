@@ -1,12 +1,12 @@
 """Real drives, one file a kind: what the actuator is commanded through."""
 
-from display_node.actuators.second_order import SecondOrderScene
-from display_node.actuators.stepper import StepperScene
 from display_node.drives.axis import build_axis
-from display_node.drives.cia402 import Cia402Drive
+from display_node.drives.cia402.drive import Cia402Drive
 from display_node.drives.drive import Drive
 from display_node.drives.scene import Cia402Scene, TmclScene
-from display_node.drives.tmcl import TmclDrive
+from display_node.drives.tmcl.drive import TmclDrive
+from display_node.plant.second_order import SecondOrderScene
+from display_node.plant.stepper import StepperScene
 from protocol.errors import SceneError
 from protocol.tactile import ElasticLayer
 

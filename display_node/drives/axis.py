@@ -1,12 +1,56 @@
-"""One driven axis: what it moves, how far it may go, and how its drive counts."""
+"""One driven axis: what it moves, how far it may go, and how its drive counts.
+
+Between the tip's metres and a drive's own integers.
+"""
 
 from dataclasses import dataclass
 
-from display_node.actuators.stepper import StepperScene
 from display_node.drives.scene import Cia402Scene, DriveScene
-from display_node.drives.travel import Travel
-from display_node.drives.units import Units
+from display_node.drives.soft_limits import SoftLimits
+from display_node.plant.stepper import StepCommand, StepperScene
 from protocol.tactile import ElasticLayer
+
+LARGEST = 2**31 - 1
+
+
+@dataclass(frozen=True, slots=True)
+class Units:
+    """How a drive counts.
+
+    step_m: travel of one (micro)step. per_step: the drive's position units in one step.
+    per_step_rate: its velocity units in one step a second. direction: 1 where the drive's
+    positive goes into the finger, −1 where it goes away. home_m: where its zero is, from first
+    touch.
+    """
+
+    step_m: float
+    per_step: float
+    per_step_rate: float
+    direction: int
+    home_m: float
+
+    def signed(self, command: StepCommand) -> float:
+        """A command's speed in m/s."""
+        return command.rate_hz * command.direction * self.step_m
+
+    def velocity(self, speed_m_per_s: float) -> int:
+        """A speed as the drive writes it, within 32 bits."""
+        units = round(self.direction * speed_m_per_s / self.step_m * self.per_step_rate)
+        return min(max(units, -LARGEST), LARGEST)
+
+    def speed_m_per_s(self, velocity: int) -> float:
+        """The speed that the drive's number stands for."""
+        return self.direction * velocity / self.per_step_rate * self.step_m
+
+    def position(self, position_m: float) -> int:
+        """A tip position as the drive writes it, within 32 bits."""
+        units = round(self.direction * (position_m - self.home_m) / self.step_m * self.per_step)
+        return min(max(units, -LARGEST), LARGEST)
+
+    def position_m(self, position: int) -> float:
+        """The tip position that the drive's number stands for."""
+        return self.direction * position / self.per_step * self.step_m + self.home_m
+
 
 # Between a command and the motor's reaction.
 REACTION_S = 2e-3
@@ -23,7 +67,7 @@ class Axis:
     """
 
     units: Units
-    travel: Travel
+    travel: SoftLimits
     lowest_m: float
     furthest_m: float
     max_speed_m_per_s: float
@@ -57,7 +101,9 @@ def build_axis(
     reaction_s = REACTION_S + scene.watchdog_ns * 1e-9
     return Axis(
         units=units,
-        travel=Travel(-scene.touch_m, furthest_m, actuator.max_acceleration_m_per_s2, reaction_s),
+        travel=SoftLimits(
+            -scene.touch_m, furthest_m, actuator.max_acceleration_m_per_s2, reaction_s
+        ),
         lowest_m=-scene.touch_m,
         furthest_m=furthest_m,
         max_speed_m_per_s=actuator.max_speed_m_per_s,

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from display_node.drives.withdrawal import Outcome
-from display_node.step_rate import StepCommand
+from display_node.drives.withdrawal import WithdrawalOutcome
+from display_node.plant.stepper import StepCommand
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +26,7 @@ class DriveStatus:
     fault: str | None
     moving: bool
     heard_ns: int
-    withdrawal: Outcome | None = None
+    withdrawal: WithdrawalOutcome | None = None
     answered_ns: int = 0
     held_back: bool = False
 

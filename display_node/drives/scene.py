@@ -4,8 +4,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from protocol.quantities import BitsPerSecond, Metres, MetresPerSecond, Nanoseconds
-from protocol.scene import Section
+from protocol.config.quantities import BitsPerSecond, Metres, MetresPerSecond, Nanoseconds
+from protocol.config.scene import Section
 
 Scale = Annotated[float, Field(gt=0, le=1e9)]
 

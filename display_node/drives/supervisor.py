@@ -8,7 +8,7 @@ first. Pure: times come in, in ns on the monotonic clock; its caller serialises 
 from display_node.drives.axis import Axis
 from display_node.drives.commanded_position import CommandedPosition, FollowingError
 from display_node.drives.drive import DriveStatus
-from display_node.drives.withdrawal import Outcome, Withdrawal
+from display_node.drives.withdrawal import Withdrawal, WithdrawalOutcome
 
 
 class Supervisor:
@@ -37,7 +37,7 @@ class Supervisor:
         self.position_ns = self.answered_ns = 0
 
     @property
-    def outcome(self) -> Outcome | None:
+    def outcome(self) -> WithdrawalOutcome | None:
         """State of the withdrawal; None where there is none."""
         return None if self.withdrawal is None else self.withdrawal.outcome
 

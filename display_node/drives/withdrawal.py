@@ -34,7 +34,7 @@ SILENT_NS = 50_000_000
 PRESSED_N = 0.05
 
 
-class Outcome(Enum):
+class WithdrawalOutcome(Enum):
     """State of a withdrawal.
 
     UNCONFIRMED: it was commanded whole, and the drive's position does not show it. WRONG_WAY: it
@@ -81,40 +81,44 @@ class Withdrawal:
         self._peak_n = self._last_n = 0.0
         self._rising = self._astray = 0
         self._relieved = self.confirmed = False
-        self.outcome = Outcome.UNDER_WAY
+        self.outcome = WithdrawalOutcome.UNDER_WAY
 
     def report(self, position_m: float, heard_ns: int) -> None:
         """Take a position that the drive reported, in m from first touch."""
         silent_ns, self._heard_ns = heard_ns - self._heard_ns, heard_ns
         self._last_m = position_m
-        if self.outcome is Outcome.UNCONFIRMED and silent_ns > SILENT_NS:
+        if self.outcome is WithdrawalOutcome.UNCONFIRMED and silent_ns > SILENT_NS:
             # It is reached again, and what was commanded meanwhile may not have reached it.
             self.renew(heard_ns, self._way_m)
-        if not self._trusted or heard_ns <= self._began_ns or self.outcome is Outcome.WRONG_WAY:
+        if (
+            not self._trusted
+            or heard_ns <= self._began_ns
+            or self.outcome is WithdrawalOutcome.WRONG_WAY
+        ):
             return
         if self._may_turn(heard_ns, TURN_NS):
             self._peak_m = max(self._peak_m, position_m)
         elif position_m > self._peak_m + WRONG_WAY_M:
             self._astray += 1
             if self._astray >= IN_A_ROW:
-                self.outcome = Outcome.WRONG_WAY
+                self.outcome = WithdrawalOutcome.WRONG_WAY
             return
         self._astray = 0
         self.confirmed |= position_m < self._peak_m - CONFIRMED_M
         if position_m <= self._clear_m:
-            self.outcome = Outcome.WITHDRAWN
+            self.outcome = WithdrawalOutcome.WITHDRAWN
 
     def press(self, force_n: float, taken_ns: int) -> None:
         """Take a reading of the film, in N."""
         self._last_n = force_n
-        if self.outcome is not Outcome.UNDER_WAY:
+        if self.outcome is not WithdrawalOutcome.UNDER_WAY:
             return
         if self._may_turn(taken_ns, FILM_TURN_NS):
             self._peak_n = max(self._peak_n, force_n)
         elif force_n > (1 + SHARE) * self._peak_n + WRONG_WAY_N:
             self._rising += 1
             if self._rising >= IN_A_ROW:
-                self.outcome = Outcome.WRONG_WAY
+                self.outcome = WithdrawalOutcome.WRONG_WAY
             return
         self._rising = self._astray = 0
         self._relieved |= force_n < (1 - SHARE) * self._peak_n - CONFIRMED_N
@@ -123,8 +127,8 @@ class Withdrawal:
     def renew(self, now_ns: int, way_m: float) -> None:
         """Count time and way anew: what was commanded until now may not have moved the motor."""
         self._counted_ns, self._began_m = now_ns, way_m
-        if self.outcome is Outcome.UNCONFIRMED:
-            self.outcome = Outcome.UNDER_WAY
+        if self.outcome is WithdrawalOutcome.UNCONFIRMED:
+            self.outcome = WithdrawalOutcome.UNDER_WAY
 
     def speed_m_per_s(self, now_ns: int, way_m: float) -> float:
         """Return the speed to command now, negative or 0; way_m is the commanded way by now."""
@@ -134,17 +138,19 @@ class Withdrawal:
             self._turning_ns = now_ns
             self.renew(now_ns, way_m)
         self._sent_ns = now_ns
-        if self.outcome is Outcome.UNDER_WAY:
+        if self.outcome is WithdrawalOutcome.UNDER_WAY:
             # Until its position is to be expected, and as long as it comes after that.
             since_ns = max(self._counted_ns, self._heard_ns) if self.confirmed else self._counted_ns
             bounded = not (self._trusted and now_ns - since_ns < PATIENCE_NS)
             if bounded and self._began_m - way_m >= self._blind_m:
                 relieved = self._relieved and self._last_n <= PRESSED_N
                 there = relieved or self._last_m <= self._clear_m
-                self.outcome = Outcome.WITHDRAWN if there else Outcome.UNCONFIRMED
-        if self.outcome is Outcome.UNCONFIRMED and self._last_n > PRESSED_N:
+                self.outcome = (
+                    WithdrawalOutcome.WITHDRAWN if there else WithdrawalOutcome.UNCONFIRMED
+                )
+        if self.outcome is WithdrawalOutcome.UNCONFIRMED and self._last_n > PRESSED_N:
             return -SLOW_M_PER_S
-        if self.outcome is not Outcome.UNDER_WAY:
+        if self.outcome is not WithdrawalOutcome.UNDER_WAY:
             return 0.0
         return -(FAST_M_PER_S if self.confirmed else SLOW_M_PER_S)
 

@@ -2,8 +2,7 @@
 
 from typing import Literal, Protocol
 
-from display_node.prediction.hold import Hold
-from display_node.prediction.linear import Linear
+from display_node.prediction.extrapolation import Hold, Linear
 
 PredictorName = Literal["hold", "linear", "fir", "analogue", "harmonic", "stack"]
 UNLEARNT: tuple[PredictorName, ...] = ("hold", "linear")

@@ -10,8 +10,7 @@ and its lowest local minima are the analogues. After Lorenz (1969), analogues as
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.prediction.expert import AHEAD, HORIZONS, Trajectories
-from display_node.prediction.history import History
+from display_node.prediction.expert import AHEAD, HORIZONS, History, Trajectories
 
 LAGS = 8_000
 # Nearer lags have no 250 ms after them, and are the present beat itself.

@@ -11,12 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from display_node.prediction.analogue import Analogue
-from display_node.prediction.expert import HORIZONS, SPACING, Expert
+from display_node.prediction.expert import HORIZONS, SPACING, Expert, History
 from display_node.prediction.fir import Fir
-from display_node.prediction.grid import STEP_NS, Cell, Grid
-from display_node.prediction.harmonic import Harmonic
-from display_node.prediction.history import History
-from display_node.prediction.rhythm import Rhythm
+from display_node.prediction.grid import STEP_NS, Grid, GridCell
+from display_node.prediction.harmonic import Harmonic, Rhythm
 from display_node.prediction.stack import Stack
 
 CAPACITY = 8_192
@@ -100,7 +98,7 @@ class Ensemble:
         rms = self._stack.rms(max(horizon, 1) - 1)
         return None if rms is None else self._scale * rms
 
-    def _step(self, cell: Cell) -> Iterator[None]:
+    def _step(self, cell: GridCell) -> Iterator[None]:
         """All that a new cell asks for, piece by piece."""
         if not self._scale:
             self._settle(cell)
@@ -122,7 +120,7 @@ class Ensemble:
         for expert in self._experts:
             expert.learn(history)
 
-    def _settle(self, cell: Cell) -> None:
+    def _settle(self, cell: GridCell) -> None:
         """Collect the warm-up; at its end, learn its level and size and take it in."""
         seen = self._warm_up
         seen.append(cell.value)
@@ -158,7 +156,7 @@ class Ensemble:
         margin = MARGIN * (high - low)
         self._bounds = low - margin, high + margin
 
-    def _publish(self, cell: Cell, rows: NDArray[np.float64]) -> None:
+    def _publish(self, cell: GridCell, rows: NDArray[np.float64]) -> None:
         """Make the path of the stack, in N, and its errors; begin anew if they left all bounds."""
         history, scale = self._history, self._scale
         newest = history.newest

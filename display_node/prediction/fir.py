@@ -8,8 +8,7 @@ arrives. Haykin, Adaptive Filter Theory, exponentially weighted RLS.
 import numpy as np
 from scipy.linalg.blas import dger, dsymv, dsyr
 
-from display_node.prediction.expert import FURTHEST, HORIZONS, SPACING, Trajectories
-from display_node.prediction.history import History
+from display_node.prediction.expert import FURTHEST, HORIZONS, SPACING, History, Trajectories
 
 # The near past at every step; further back, means over STRIDE steps: 1.3 s.
 NEAR, FAR, STRIDE = 40, 55, 4

@@ -14,7 +14,7 @@ MAX_GAP_NS = 100_000_000
 KEEP_NS = 1_000_000_000
 
 
-class Cell(NamedTuple):
+class GridCell(NamedTuple):
     """A cell's number from 0, its end and its mean."""
 
     number: int
@@ -31,8 +31,8 @@ class Grid:
         self._first_number = 0
         self._end_ns: int | None = None
         self._count = 0
-        self.fresh: deque[Cell] = deque()
-        self.late: list[Cell] = []
+        self.fresh: deque[GridCell] = deque()
+        self.late: list[GridCell] = []
 
     def observe(self, times_ns: list[int], values: list[float]) -> None:
         """Take samples that have newly arrived, in order among themselves; none of them twice."""
@@ -60,7 +60,7 @@ class Grid:
         """Give out the cells that the newest sample completes."""
         end_ns = (self._end_ns or 0) + STEP_NS
         while end_ns <= self._samples[-1][0]:
-            self.fresh.append(Cell(self._count, end_ns, self._mean(end_ns)))
+            self.fresh.append(GridCell(self._count, end_ns, self._mean(end_ns)))
             self._end_ns = end_ns
             self._count += 1
             end_ns += STEP_NS
@@ -79,10 +79,10 @@ class Grid:
         for number in range(first, last + 1):
             end_ns = self._first_ns + (number + 1) * STEP_NS
             if end_ns - STEP_NS >= samples[0][0]:
-                self._correct(Cell(self._first_number + number, end_ns, self._mean(end_ns)))
+                self._correct(GridCell(self._first_number + number, end_ns, self._mean(end_ns)))
         self._complete()
 
-    def _correct(self, cell: Cell) -> None:
+    def _correct(self, cell: GridCell) -> None:
         waiting = len(self.fresh) - (self._count - cell.number)
         if waiting < 0:
             self.late.append(cell)

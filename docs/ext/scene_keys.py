@@ -10,8 +10,8 @@ from pydantic import BeforeValidator
 from pydantic.fields import FieldInfo
 
 from ext.from_code import load
-from protocol.quantities import UNITS, parse_ratio
-from protocol.scene import Section
+from protocol.config.quantities import UNITS, parse_ratio
+from protocol.config.scene import Section
 
 # Which dimension the suffix of a field's name stands for: `delay_ns` is written `delay = "40 ms"`.
 DIMENSIONS = {

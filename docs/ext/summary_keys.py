@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Iterator
 from typing import Any, get_type_hints
 
-from protocol.summary import Summary
+from protocol.run_summary import Summary
 
 
 def write() -> str:

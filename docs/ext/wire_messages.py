@@ -5,8 +5,8 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from protocol import messages
-from protocol.stream import StreamDescription
+from protocol.wire import messages
+from protocol.wire.stream import StreamDescription
 
 
 def write() -> str:

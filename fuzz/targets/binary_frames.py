@@ -7,7 +7,7 @@ import struct
 from cobs import cobs
 
 from fuzz.packets import check_decoder
-from sensors.binary_frames import FrameDecoder, FrameEncoder, SampleFormat, crc
+from pulse_sensors.binary_frames import FrameDecoder, FrameEncoder, SampleFormat, crc
 
 PERIOD_NS = 1_000_000
 FORMATS: tuple[SampleFormat, ...] = ("int16", "int32", "float32")

@@ -6,9 +6,9 @@ import can
 
 from fuzz.scratch import scratch_folder
 from fuzz.targets.can_messages import DATABASE
+from protocol.config.scene import validate
 from protocol.errors import SourceError
-from protocol.scene import validate
-from sensors.can_bus import CanDecoder, CanScene
+from pulse_sensors.can_bus import CanDecoder, CanScene
 
 _FOLDER = scratch_folder()
 _TABLE = {

@@ -7,8 +7,8 @@ import can
 
 from fuzz.packets import check_fed
 from fuzz.scratch import scratch_folder
-from protocol.scene import validate
-from sensors.can_bus import CanDecoder, CanScene
+from protocol.config.scene import validate
+from pulse_sensors.can_bus import CanDecoder, CanScene
 
 DATABASE = """VERSION ""
 NS_ :

@@ -8,14 +8,14 @@ from unittest.mock import patch
 
 import can
 
-from display_node.actuators.stepper import StepperScene
-from display_node.drives import cia402_node
 from display_node.drives.axis import build_axis
-from display_node.drives.cia402_node import EMERGENCY, TPDO1, TPDO2, Cia402Node
+from display_node.drives.cia402 import node as cia402_node
+from display_node.drives.cia402.node import EMERGENCY, TPDO1, TPDO2, Cia402Node
 from display_node.drives.scene import Cia402Scene
+from display_node.plant.stepper import StepperScene
+from protocol.config.scene import validate
 from protocol.errors import DriveError
-from protocol.scene import validate
-from protocol.stream import LayerTable
+from protocol.wire.stream import LayerTable
 
 REQUEST, ANSWER = 0x600, 0x580
 SAYS = (TPDO1, TPDO2, EMERGENCY)

@@ -1,18 +1,18 @@
 """Control messages, from either node."""
 
 from fuzz.refusals import refusals
-from protocol.messages import (
+from protocol.tactile import ElasticLayer, matching_force_ratio
+from protocol.wire.messages import (
     Bye,
     ClockReply,
     ClockRequest,
+    DisplayReport,
     Hello,
-    Report,
     Welcome,
     decode_control,
     encode_control,
 )
-from protocol.stream import Channel, StreamDescription
-from protocol.tactile import ElasticLayer, matching_force_ratio
+from protocol.wire.stream import Channel, StreamDescription
 
 MSGPACK = True
 
@@ -29,7 +29,7 @@ def seeds() -> list[bytes]:
         Bye(7, 5000),
         ClockRequest(-5),
         ClockReply(7, 1, 2, 3),
-        Report(7, "display", 90, 6, 4, 1.5, 2.5, 40.0, 0.25),
+        DisplayReport(7, "display", 90, 6, 4, 1.5, 2.5, 40.0, 0.25),
     )
     return [encode_control(message) for message in messages]
 

@@ -3,8 +3,8 @@
 from fuzz.refusals import check_causes
 from fuzz.targets.control import DESCRIPTION
 from fuzz.targets.control import seeds as messages
-from protocol.messages import Bye, Report, decode_control, encode_control
-from sensing_node.desk import ADDRESS_BYTES, MAX_GUESTS, MAX_HOPS, Desk
+from protocol.wire.messages import Bye, DisplayReport, decode_control, encode_control
+from sensing_node.control_server import ADDRESS_BYTES, MAX_GUESTS, MAX_HOPS, ControlServer
 
 SESSION = 7
 STEP_NS = 300_000_000
@@ -17,7 +17,7 @@ def seeds() -> list[bytes]:
 
 def try_one(data: bytes) -> None:
     """Each message is answered, noted or counted, and no more guests are kept than may be."""
-    desk = Desk(DESCRIPTION, SESSION)
+    desk = ControlServer(DESCRIPTION, SESSION)
     answered = noted = count = 0
     for count, (sender, message) in enumerate(_read(data), 1):
         refused = desk.rejected.total()
@@ -27,7 +27,7 @@ def try_one(data: bytes) -> None:
             decode_control(encode_control(reply))
         elif desk.rejected.total() == refused:
             noted += 1
-            assert isinstance(decode_control(message), Bye | Report)
+            assert isinstance(decode_control(message), Bye | DisplayReport)
         if count % 4 == 0:
             desk.forget_silent(count * STEP_NS)
         assert len(desk.guests) <= MAX_GUESTS

@@ -3,7 +3,7 @@
 import numpy as np
 
 from fuzz.refusals import refusals
-from protocol.messages import Frame, decode_frame, encode_frame
+from protocol.wire.messages import Frame, decode_frame, encode_frame
 
 MSGPACK = True
 

@@ -2,10 +2,10 @@
 
 from fuzz.refusals import check_line
 from fuzz.scratch import scratch_folder
-from protocol.allow_list import read_allowed
 from protocol.errors import KeyFileError
-from protocol.keys import PUBLIC, SECRET, read_pair, read_public
-from protocol.zap import DOMAIN, KEY_BYTES, VERSION, read_knock, reply
+from protocol.security.allow_list import read_allowed
+from protocol.security.keys import PUBLIC, SECRET, read_pair, read_public
+from protocol.security.zap import DOMAIN, KEY_BYTES, VERSION, read_request, reply
 
 _FILE = scratch_folder() / "wrist.key"
 _FILE.touch(mode=0o600)
@@ -30,7 +30,7 @@ def try_one(data: bytes) -> None:
         else:
             assert all(len(key) == KEY_BYTES for key in keys)
     request = data.split(b"\n")
-    knock = read_knock(request)
+    knock = read_request(request)
     if knock is not None:
         knock.address.encode()
     assert len(reply(request, None)) == len(reply(request, "wrist")) == 6

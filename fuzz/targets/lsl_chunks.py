@@ -4,7 +4,7 @@ import struct
 from collections.abc import Iterator
 
 from fuzz.packets import check_fed
-from sensors.lsl_inlet import Chunk, LslDecoder
+from pulse_sensors.lsl_inlet import Chunk, LslDecoder
 
 _SAMPLE = struct.Struct("<dd")
 CHUNK = 8

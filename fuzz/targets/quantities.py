@@ -3,10 +3,10 @@
 import math
 from contextlib import suppress
 
+from protocol.config.quantities import UNITS, in_unit_of, parse_quantity, parse_ratio
 from protocol.errors import RealtimeError, SceneError
-from protocol.quantities import UNITS, in_unit_of, parse_quantity, parse_ratio
-from protocol.realtime import parse_realtime
-from telepulse.link import parse_link
+from protocol.host.realtime_request import parse_realtime
+from telepulse.simulation.link_model import parse_link
 
 LINKS = (
     "delay=40ms,jitter=10ms,loss=1%,jitter_kind=pareto",

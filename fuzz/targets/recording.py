@@ -6,9 +6,9 @@ from contextlib import suppress
 import numpy as np
 
 from fuzz.scratch import scratch_folder
+from protocol.config.scene import validate
 from protocol.errors import SourceError
-from protocol.scene import validate
-from sensing_node.sources.recording import Recording, RecordingScene
+from sensing_node.sources.recorded import RecordedSource, RecordingScene
 
 _FOLDER = scratch_folder()
 _TABLES = (
@@ -55,4 +55,4 @@ def try_one(data: bytes) -> None:
         scene = _SCENES[data[0] % len(_SCENES)]
         (_FOLDER / scene.path).write_bytes(data[1:])
         with suppress(SourceError):
-            assert np.isfinite(Recording(scene, _FOLDER).take(10).astype("<f4")).all()
+            assert np.isfinite(RecordedSource(scene, _FOLDER).take(10).astype("<f4")).all()

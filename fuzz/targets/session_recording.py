@@ -11,8 +11,8 @@ from fuzz.scratch import scratch_folder
 from fuzz.targets.control import seeds as controls
 from fuzz.targets.frame import seeds as frames
 from protocol.errors import SourceError
-from telepulse.record.schema import CLOCK, FRAME, SCHEMAS, STREAM
-from telepulse.record.session import longest_session
+from telepulse.recording.session import longest_session
+from telepulse.telemetry.schema import CLOCK, FRAME, SCHEMAS, STREAM
 
 _FILE = scratch_folder() / "session.mcap"
 WELCOME = 1

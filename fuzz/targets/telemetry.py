@@ -3,9 +3,9 @@
 import msgpack
 import numpy as np
 
-from display_node.display import Felt
-from display_node.heard import HEARD, HeardWriter, read_heard
-from display_node.telemetry import (
+from display_node.display import TickState
+from display_node.telemetry.capture import HEARD, CaptureWriter, read_capture
+from display_node.telemetry.messages import (
     STATUS,
     TRACE,
     TRACE_TICKS,
@@ -15,7 +15,7 @@ from display_node.telemetry import (
 )
 from fuzz.refusals import refusals
 from fuzz.telemetry_readers import TelemetryReaders, preamble
-from protocol.summary import Summary
+from protocol.run_summary import Summary
 
 MSGPACK = True
 
@@ -23,9 +23,11 @@ MSGPACK = True
 def seeds() -> list[bytes]:
     """A trace, two statuses, and what was heard."""
     writer = TraceWriter()
-    traces = [writer.add(Felt(tick, tick, tick, 0.5, 0.4, True)) for tick in range(TRACE_TICKS)]
+    traces = [
+        writer.add(TickState(tick, tick, tick, 0.5, 0.4, True)) for tick in range(TRACE_TICKS)
+    ]
     statuses = [["playing", "pulse", Summary().to_dict(), final] for final in (False, True)]
-    heard = HeardWriter(run=7)
+    heard = CaptureWriter(run=7)
     heard.wanted = True
     for number in range(3):
         heard.add(number, number - 1, b"a message")
@@ -39,7 +41,7 @@ def try_one(data: bytes) -> None:
         trace = read_trace(data)
         assert {np.shape(column) for column in trace} == {np.shape(trace.now_ns)}
     with refusals():
-        assert all(type(message.data) is bytes for message in read_heard(data).messages)
+        assert all(type(message.data) is bytes for message in read_capture(data).messages)
     with refusals():
         read_status(data)
     readers = TelemetryReaders()

@@ -1,7 +1,7 @@
 """Lines of text from a sensor board; the first byte says how they are read and cut."""
 
 from fuzz.packets import check_decoder
-from sensors.text_lines import TextDecoder, TimeUnit
+from pulse_sensors.text_lines import TextDecoder, TimeUnit
 
 PERIOD_NS = 1_000_000
 UNITS: tuple[TimeUnit | None, ...] = (None, "us", "ms", "s")

@@ -6,12 +6,12 @@ from unittest.mock import patch
 import serial
 
 from display_node.drives.scene import TmclScene
-from display_node.drives.tmcl_interfaces import DATAGRAM_BYTES
-from display_node.drives.tmcl_line import TmclLine
-from display_node.drives.tmcl_numbers import Command, Parameter
+from display_node.drives.tmcl.interfaces import DATAGRAM_BYTES
+from display_node.drives.tmcl.line import TmclLine
+from display_node.drives.tmcl.parameters import Command, Parameter
+from protocol.config.scene import validate
 from protocol.errors import DriveError
-from protocol.scene import validate
-from telepulse.emulate.tmcl_module import DATAGRAM, checksum
+from telepulse.emulators.tmcl_module import DATAGRAM, checksum
 
 
 class _Port:

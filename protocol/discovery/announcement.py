@@ -2,16 +2,21 @@
 
 A DNS-SD service (RFC 6763): its instance's name, its port, its host's addresses and a TXT record.
 Anybody on the network can read it, and anybody can send one.
+
+Which of the announced nodes a display connects to. Pure.
+
+Which of a node's addresses to use. Pure.
 """
 
 import hashlib
 import ipaddress
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from ipaddress import IPv4Interface
 
-from protocol.errors import WireError
-from protocol.messages import VERSION
-from protocol.stream import MAX_NAME
+from protocol.errors import DiscoveryError, WireError
+from protocol.wire.messages import VERSION
+from protocol.wire.stream import MAX_NAME
 
 SERVICE = "_telepulse._tcp.local."
 # RFC 6763: of an instance's name, and of a string in a TXT record.
@@ -115,3 +120,67 @@ def _hex(txt: Mapping[bytes, bytes | None], key: bytes, length_bytes: int) -> st
 
 def _cut(text: str, size_bytes: int) -> str:
     return text.encode()[:size_bytes].decode(errors="ignore")
+
+
+def matching(
+    found: Iterable[Announcement], name: str | None, fingerprint: str | None
+) -> list[Announcement]:
+    """Those of that name (None: of any) that answer with that key (None: with any, or none)."""
+    return [
+        one
+        for one in found
+        if (name is None or one.name.casefold() == name.casefold())
+        and (fingerprint is None or one.fingerprint == fingerprint)
+    ]
+
+
+def only_match(candidates: Sequence[Announcement]) -> Announcement:
+    """The only one. Raises DiscoveryError where there are several, or it has just gone."""
+    if not candidates:
+        raise DiscoveryError("the sensing node that was found has just gone")
+    several = sorted(candidates, key=lambda one: one.name)
+    if len(several) > 1:
+        names = ", ".join(repr(one.name) for one in several)
+        raise DiscoveryError(
+            f"{len(several)} sensing nodes are announced: {names}; choose one by --named NAME"
+        )
+    return several[0]
+
+
+EVERYWHERE = ("*", "0.0.0.0")
+
+
+def announced_addresses(
+    host: str, own: Iterable[IPv4Interface], names: dict[str, list[str]]
+) -> list[str]:
+    """The addresses to announce of a node that is bound to `host`.
+
+    own: this machine's addresses; names: those of each interface, by its name. Raises
+    DiscoveryError where there are none.
+    """
+    addresses = [str(one.ip) for one in own]
+    if host in EVERYWHERE:
+        found = [str(one.ip) for one in own if not one.ip.is_loopback]
+    elif host in names:
+        found = names[host]
+    else:
+        found = [address for address in addresses if address == host]
+    if not found:
+        reason = (
+            "this machine is on no network" if host in EVERYWHERE else "is no IPv4 address here"
+        )
+        raise DiscoveryError(f"--announce: {host}: {reason}; there is nothing to announce")
+    return found
+
+
+def reachable(announcement: Announcement, own: Sequence[IPv4Interface]) -> list[str]:
+    """Its addresses on networks that this machine is on: only from there is it announced.
+
+    Of a node on this very machine, one; else none that this machine has itself, for two may have
+    the same address on networks of their own (container bridges).
+    """
+    ours = {str(one.ip) for one in own}
+    if ours.issuperset(announcement.addresses):
+        return [announcement.addresses[0]]
+    there = [address for address in announcement.addresses if address not in ours]
+    return [a for a in there if any(IPv4Interface(a).ip in one.network for one in own)]

@@ -3,21 +3,20 @@
 import json
 import sys
 
-from protocol.beside import beginning, say, told
-from protocol.discovery.announcement import SERVICE, announced, to_txt
-from protocol.discovery.networks import told_of
+from protocol.discovery.announcement import SERVICE, announced, announced_addresses, to_txt
+from protocol.host.sidecar import receive, run_as_sidecar, say
 
 
 def main() -> None:
     """Announce once told to, until the node ends; then take it back."""
     words = json.loads(sys.argv[1])
-    with beginning() as ready:
+    with run_as_sidecar() as ready:
         from protocol.discovery import multicast
 
-        addresses = told_of(words["bound_to"], *multicast.own_addresses())
+        addresses = announced_addresses(words["bound_to"], *multicast.own_addresses())
         network = multicast.speaking_on(addresses)
         ready(", ".join(addresses))
-    if told() is None:
+    if receive() is None:
         network.close()
         return
     key = None if words["key"] is None else bytes.fromhex(words["key"])
@@ -38,7 +37,7 @@ def main() -> None:
         raise SystemExit(1) from None
     name = info.name.removesuffix("." + SERVICE)
     say(f"announced as {name!r} at {', '.join(addresses)}")
-    told()
+    receive()
     network.unregister_all_services()
     network.close()
 

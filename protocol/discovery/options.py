@@ -9,9 +9,9 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from protocol.beside import Companion, beside
 from protocol.errors import DiscoveryError
-from protocol.keys import ServerKeys
+from protocol.host.sidecar import Sidecar, start_sidecar
+from protocol.security.keys import ServerKeys
 from protocol.sockets import control_address
 
 AnnounceOption = Annotated[
@@ -36,10 +36,10 @@ NamedOption = Annotated[
 ]
 
 
-class Announcing:
+class Announcer:
     """What announces a node, once its sockets are bound."""
 
-    def __init__(self, companion: Companion | None) -> None:
+    def __init__(self, companion: Sidecar | None) -> None:
         """None: nothing is announced."""
         self._companion = companion
 
@@ -50,15 +50,15 @@ class Announcing:
 
 
 @contextmanager
-def announced_beside(
+def start_announcer(
     program: str, wanted: bool, address: str, stream: str, keys: ServerKeys | None, console: Console
-) -> Iterator[Announcing]:
+) -> Iterator[Announcer]:
     """Announce what is bound to `address`, where that is wanted, within a `with`.
 
     Raises DiscoveryError where there is nothing to announce, BesideError.
     """
     if not wanted:
-        yield Announcing(None)
+        yield Announcer(None)
         return
     control_address(address)
     if not address.startswith("tcp://"):
@@ -73,5 +73,5 @@ def announced_beside(
     }
     module = "protocol.discovery.announcer"
     log = console.print
-    with beside(program, "the announcer", module, json.dumps(words), log=log) as companion:
-        yield Announcing(companion)
+    with start_sidecar(program, "the announcer", module, json.dumps(words), log=log) as companion:
+        yield Announcer(companion)

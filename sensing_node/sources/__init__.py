@@ -1,7 +1,7 @@
 """Sources of pulse force, one file a kind.
 
 A source that knows sample number i without waiting (synthetic, recording) gives samples in
-order by `take`; `Paced` turns that into samples that fall due as time passes. A live sensor
+order by `take`; `PacedSource` turns that into samples that fall due as time passes. A live sensor
 (`live.py`) gives blocks of what has come.
 """
 
@@ -11,11 +11,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.stream import Channel
+from protocol.wire.stream import Channel
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class SampleBlock:
     """Consecutive samples: values in N of shape (samples, channels), times on the local clock.
 
     missing: samples taken right before them that were lost on their way to this node.
@@ -27,7 +27,7 @@ class Block:
     missing: int = 0
 
 
-class Samples(Protocol):
+class SampleSource(Protocol):
     """A source that gives its samples in order."""
 
     @property
@@ -42,10 +42,10 @@ class Samples(Protocol):
         """The next samples, shape (at most count, channels); fewer only at the end."""
 
 
-class Paced:
+class PacedSource:
     """Lets samples fall due: sample i at start_ns + i · period_ns."""
 
-    def __init__(self, samples: Samples, start_ns: int) -> None:
+    def __init__(self, samples: SampleSource, start_ns: int) -> None:
         self._samples = samples
         self._start_ns = start_ns
         self._taken = 0
@@ -55,7 +55,7 @@ class Paced:
         """When `count` further samples will be due."""
         return self._start_ns + (self._taken + count - 1) * self._samples.period_ns
 
-    def read(self, now_ns: int) -> Block | None:
+    def read(self, now_ns: int) -> SampleBlock | None:
         """All samples due by now that were not read yet; None when there are none."""
         period_ns = self._samples.period_ns
         count = (now_ns - self._start_ns) // period_ns + 1 - self._taken
@@ -65,6 +65,6 @@ class Paced:
         self.exhausted = len(values) < count
         if not len(values):
             return None
-        block = Block(self.due_ns(1), period_ns, values)
+        block = SampleBlock(self.due_ns(1), period_ns, values)
         self._taken += len(values)
         return block

@@ -4,14 +4,14 @@ from collections import Counter, deque
 
 import numpy as np
 
-from protocol.stream import Channel
-from sensing_node.sources import Block, Paced, Samples
-from sensing_node.sources.replay import Replay
-from sensors.reading import Reading
-from sensors.sensor import Sensor
+from protocol.wire.stream import Channel
+from pulse_sensors.reading import Reading
+from pulse_sensors.sensor import Sensor
+from sensing_node.sources import PacedSource, SampleBlock, SampleSource
+from sensing_node.sources.replay import ReplaySource
 
 
-class Live:
+class LiveSource:
     """What a sensor sends, as blocks of samples that follow one another.
 
     Where samples are missing, the next block says how many: they keep their sequence numbers,
@@ -31,7 +31,7 @@ class Live:
         """When, after the last look, `count` further samples may have been taken."""
         return self._read_ns + count * self.period_ns
 
-    def read(self, now_ns: int) -> Block | None:
+    def read(self, now_ns: int) -> SampleBlock | None:
         """Samples that have come by now, up to where some are missing; None when none has."""
         self._read_ns = now_ns
         self._readings.extend(self._sensor.poll())
@@ -43,7 +43,9 @@ class Live:
             last = self._readings.popleft()
             force_n += last.force_n
         period_ns = round((last.end_ns - first.first_ns) / len(force_n))
-        return Block(first.first_ns, period_ns, np.array(force_n)[:, np.newaxis], first.missing)
+        return SampleBlock(
+            first.first_ns, period_ns, np.array(force_n)[:, np.newaxis], first.missing
+        )
 
     @property
     def rejected(self) -> Counter[str]:
@@ -55,11 +57,13 @@ class Live:
         return self._sensor.faults()
 
 
-Source = Samples | Live | Replay
+Source = SampleSource | LiveSource | ReplaySource
 
 
-def feed_of(source: Source, start_ns: int) -> Paced | Live | Replay:
+def feed_of(source: Source, start_ns: int) -> PacedSource | LiveSource | ReplaySource:
     """The source's blocks: of one that knows its samples ahead, as they fall due from a start."""
-    if isinstance(source, Replay):
+    if isinstance(source, ReplaySource):
         source.begin(start_ns)
-    return source if isinstance(source, Live | Replay) else Paced(source, start_ns)
+    return (
+        source if isinstance(source, LiveSource | ReplaySource) else PacedSource(source, start_ns)
+    )

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from sensing_node.sources.recording_file import Column
+from sensing_node.sources.recording_file import RecordedColumn
 
 # Twice the highest `preload` and `peak_to_peak`: no pulse presses so, at a wrist or a finger.
 MOST_N = 20.0
@@ -39,14 +39,14 @@ _TIME_NAME = re.compile(r"time|^t$|^t[_\s(\[]", re.IGNORECASE)
 SETTLED_S, STILL_S = 2.0, 5.0
 
 
-def refuse_constant(column: Column) -> str | None:
+def refuse_constant(column: RecordedColumn) -> str | None:
     """Return that a column has one value alone; None where it has more."""
     if np.ptp(column.values) >= SMALLEST:
         return None
     return f"{_named(column)}: all values are equal, {column.values[0]:g}; it has no pulse"
 
 
-def refuse_times(column: Column) -> str | None:
+def refuse_times(column: RecordedColumn) -> str | None:
     """Return that a column only rises, as times do, and what to set; None where it falls too."""
     values = column.values
     steps = np.diff(values)
@@ -61,7 +61,7 @@ def refuse_times(column: Column) -> str | None:
     return f"{text}; set column to the one with the force" if column.others else text
 
 
-def refuse_rate(column: Column, rate_hz: float) -> str | None:
+def refuse_rate(column: RecordedColumn, rate_hz: float) -> str | None:
     """Return how the file's own times contradict the scene's rate; None where they do not.
 
     Where the times' unit is not in their name, the one is taken that comes closest to the rate.
@@ -86,7 +86,7 @@ def refuse_rate(column: Column, rate_hz: float) -> str | None:
     return None
 
 
-def warn_of_gaps(column: Column) -> list[str]:
+def warn_of_gaps(column: RecordedColumn) -> list[str]:
     """Return a warning of each time column whose times leave gaps."""
     warnings = []
     for name, times in column.rising.items():
@@ -200,7 +200,7 @@ def _samples(count: int) -> str:
     return f"{count} sample{'s' * (count != 1)}"
 
 
-def _named(column: Column) -> str:
+def _named(column: RecordedColumn) -> str:
     return f"column {column.number}" + (f' ("{column.name}")' if column.name else "")
 
 

@@ -17,7 +17,7 @@ LARGEST = 1e30
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class RecordedColumn:
     """One column of a file.
 
     values: shape (samples,), finite. number: from 0. name: as in the file, empty where it has
@@ -32,7 +32,7 @@ class Column:
     rising: dict[str, NDArray[np.float64]] = field(default_factory=dict)
 
 
-def load_column(path: Path, column: int | str) -> Column:
+def load_column(path: Path, column: int | str) -> RecordedColumn:
     """Return one column of a file.
 
     Parameters
@@ -76,7 +76,7 @@ def load_column(path: Path, column: int | str) -> Column:
     return loaded
 
 
-def _load_csv(path: Path, column: int | str) -> Column:
+def _load_csv(path: Path, column: int | str) -> RecordedColumn:
     with path.open(newline="", encoding="utf-8-sig") as file:
         rows = csv.reader(file)
         first = [name.strip() for name in next(rows, [])]
@@ -98,7 +98,7 @@ def _load_csv(path: Path, column: int | str) -> Column:
                 values.append(_number(row, number, f"{path}: line {rows.line_num}"))
                 rising.add(row)
     names = first if has_header else [""] * len(first)
-    return Column(
+    return RecordedColumn(
         np.array(values, dtype=np.float64),
         number,
         names[number],
@@ -143,7 +143,7 @@ def _number(row: list[str], position: int, where: str) -> float:
     return float(row[position])
 
 
-def _load_numpy(path: Path, column: int | str) -> Column:
+def _load_numpy(path: Path, column: int | str) -> RecordedColumn:
     """A column of an .npy, or one of an .npz's arrays; what it is its bytes tell."""
     with path.open("rb") as file:
         loaded = np.load(file, allow_pickle=False)
@@ -158,12 +158,12 @@ def _load_numpy(path: Path, column: int | str) -> Column:
             chosen = _column_of(np.asarray(loaded[str(column)]), 0, path).values
             others = [name for name in names if name != column]
             beside = {name: np.asarray(loaded[name]) for name in others}
-    return Column(
+    return RecordedColumn(
         chosen, names.index(str(column)), str(column), tuple(others), _rising(beside, len(chosen))
     )
 
 
-def _column_of(array: NDArray[Any], column: int | str, path: Path) -> Column:
+def _column_of(array: NDArray[Any], column: int | str, path: Path) -> RecordedColumn:
     if array.ndim not in (1, 2) or array.dtype.kind not in "iuf":
         raise SourceError(
             f"{path}: needs real numbers in one or two dimensions,"
@@ -177,7 +177,7 @@ def _column_of(array: NDArray[Any], column: int | str, path: Path) -> Column:
     with np.errstate(invalid="ignore"):
         values = np.ascontiguousarray(table[:, column], dtype=np.float64)
         rising = _rising({str(place): table[:, place] for place in others}, len(values))
-    return Column(values, column, others=("",) * len(others), rising=rising)
+    return RecordedColumn(values, column, others=("",) * len(others), rising=rising)
 
 
 def _rising(arrays: dict[str, NDArray[Any]], length: int) -> dict[str, NDArray[np.float64]]:

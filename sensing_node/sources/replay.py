@@ -4,12 +4,12 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from protocol.messages import Frame
-from protocol.stream import StreamDescription
-from sensing_node.sources import Block
+from protocol.wire.messages import Frame
+from protocol.wire.stream import StreamDescription
+from sensing_node.sources import SampleBlock
 
 
-class Replay:
+class ReplaySource:
     """Gives each frame as a block when its last sample is due, counted from a start.
 
     Samples that the recording lacks between two frames keep their sequence numbers: displays
@@ -42,7 +42,7 @@ class Replay:
             return self._shift_ns
         return frame.t_first_ns + (len(frame.values) - 1) * frame.period_ns + self._shift_ns
 
-    def read(self, now_ns: int) -> Block | None:
+    def read(self, now_ns: int) -> SampleBlock | None:
         """The next frame's samples if they are due; None when they are not."""
         while (frame := self._next) is not None and self.due_ns(1) <= now_ns:
             self._next = next(self._frames, None)
@@ -53,5 +53,5 @@ class Replay:
             missing = max(0, frame.first_sample - self._expected)
             self._expected += missing + len(values)
             t_first_ns = frame.t_first_ns + known * frame.period_ns + self._shift_ns
-            return Block(t_first_ns, frame.period_ns, values, missing)
+            return SampleBlock(t_first_ns, frame.period_ns, values, missing)
         return None

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from protocol.quantities import Hertz, Newtons, Ratio
-from protocol.scene import Section
-from protocol.stream import Channel
+from protocol.config.quantities import Hertz, Newtons, Ratio
+from protocol.config.scene import Section
+from protocol.wire.stream import Channel
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class SyntheticScene(Section):
     seed: Annotated[int, Field(ge=0)] = 1
 
 
-class Synthetic:
+class SyntheticSource:
     """Gives the pulse that a `SyntheticScene` describes, in newtons."""
 
     channels = (Channel("pulse"),)

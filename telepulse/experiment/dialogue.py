@@ -4,9 +4,8 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Literal
 
-from protocol.counted import counted
-from telepulse.experiment.session import Kind
-from telepulse.experiment.trials import LETTERS, Letter
+from protocol.config.quantities import count_text
+from telepulse.experiment.session import LETTERS, Kind, Letter
 
 STOP_KEY = "q"
 ANSWERS: dict[str, dict[str, Literal["A", "B", 1, 2, 3, 4, 5]]] = {
@@ -72,7 +71,7 @@ class Dialogue:
     def _feel(self, letter: Letter) -> Feel | Say:
         if self._replays is not None and self._felt[letter] >= self._replays:
             return Say(
-                f"{letter} was felt {counted(self._felt[letter], 'time')}; no more in this trial"
+                f"{letter} was felt {count_text(self._felt[letter], 'time')}; no more in this trial"
             )
         self._felt[letter] += 1
         return Feel(letter, self._felt[letter])

@@ -13,16 +13,15 @@ from random import Random
 
 from pydantic import BaseModel, ConfigDict
 
-from display_node.deadlines import GAP_NS
+from display_node.control.safety import Safety
 from display_node.display import Display
-from display_node.feedback import Feedback
-from display_node.safety import Safety
-from protocol.summary import Errors, Roughness
+from display_node.drives.feedback import Feedback
+from display_node.scoring.deadlines import GAP_NS
+from protocol.run_summary import AlignedErrors, Roughness
 from sensing_node.sources.synthetic import SyntheticScene
-from telepulse.experiment.session import Plan
-from telepulse.experiment.trials import Letter, Trial
+from telepulse.experiment.session import Letter, Plan, Trial
 from telepulse.scene import Scene
-from telepulse.simulate import Simulation, Tick
+from telepulse.simulation.virtual_time import Simulation, Tick
 
 # Longer than a beat: the pulse begins to be felt anywhere in one.
 FOREPERIOD_NS = 1_000_000_000
@@ -46,7 +45,7 @@ class Interval:
     felt_ns: int
 
 
-class Played(BaseModel):
+class PlayedInterval(BaseModel):
     """The record of an interval that was felt, as the log has it.
 
     Errors are RMSE in N against what was sensed; pulse_n: from peak to peak, what should have
@@ -123,7 +122,7 @@ def draw_interval(
     )
 
 
-class Curtain(Safety):
+class GatedSafety(Safety):
     """Safety that takes the stream for stale while it is closed."""
 
     opened = False
@@ -135,7 +134,7 @@ class Curtain(Safety):
         return super().bound(reference_n, alive and self.opened)
 
 
-class Playing:
+class IntervalPlayback:
     """An interval that is being felt. Pure: whoever ticks it has the clock, and the bench."""
 
     def __init__(
@@ -149,7 +148,7 @@ class Playing:
         scene = interval.scene.display
         self._interval = interval
         self._simulation = Simulation(interval.scene, interval.link_seed, begin_ns, feedback)
-        self._curtain = self._simulation.display.safety = Curtain(scene.safety, scene.tick_ns)
+        self._curtain = self._simulation.display.safety = GatedSafety(scene.safety, scene.tick_ns)
         self._tick = tick
         self._tick_ns = scene.tick_ns
         self._open_ns = begin_ns + interval.foreperiod_ns
@@ -182,12 +181,12 @@ class Playing:
         """Close the curtain now."""
         self._close_ns = min(self._close_ns, now_ns)
 
-    def played(self) -> Played:
+    def played(self) -> PlayedInterval:
         """Return the record of this interval."""
         summary, interval = self._simulation.end(), self._interval
-        force: Errors = summary.force_rmse_n
+        force: AlignedErrors = summary.force_rmse_n
         rough: Roughness = summary.roughness
-        return Played(
+        return PlayedInterval(
             letter=interval.letter,
             on_link=interval.on_link,
             link_seed=interval.link_seed,
@@ -205,15 +204,15 @@ class Playing:
         )
 
 
-def play_at_once(interval: Interval) -> Played:
+def play_at_once(interval: Interval) -> PlayedInterval:
     """Play an interval on the scene's models in virtual time. Raises SceneError or SourceError."""
-    playing, now_ns = Playing(interval, 0), 0
+    playing, now_ns = IntervalPlayback(interval, 0), 0
     while playing.tick(now_ns):
         now_ns += interval.scene.display.tick_ns
     return playing.played()
 
 
-def error_share(played: Sequence[Played], letter: Letter) -> float:
+def error_share(played: Sequence[PlayedInterval], letter: Letter) -> float:
     """Mean aligned force error of a letter's intervals over the direct pulse from peak to peak.
 
     An interval that never came to its full strength is all error: 1. NaN without any.

@@ -12,11 +12,10 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
+from protocol.config.scene import validate
 from protocol.errors import OutputError, TelepulseError
-from protocol.scene import validate
-from telepulse.experiment.interval import Played
-from telepulse.experiment.session import Session
-from telepulse.experiment.trials import Trial
+from telepulse.experiment.interval import PlayedInterval
+from telepulse.experiment.session import Session, Trial
 
 
 class LogError(TelepulseError, ValueError):
@@ -69,7 +68,7 @@ class Answered(_Line):
     index: int = Field(ge=0)
     answer: Literal["A", "B", 1, 2, 3, 4, 5]
     response_s: float | None
-    played: tuple[Played, ...] = Field(min_length=1)
+    played: tuple[PlayedInterval, ...] = Field(min_length=1)
 
 
 class Resumed(_Line):

@@ -5,11 +5,11 @@ from collections.abc import Callable
 from typing import Literal
 
 from display_node.display import Display
+from display_node.drives.hardware import Hardware
 from display_node.fault_advice import advise
-from display_node.hardware import Hardware
 from protocol.errors import BenchError
 from telepulse.experiment.dialogue import HELP, Answer, Dialogue, Feel, Say, Stop
-from telepulse.experiment.interval import Interval, Played, Playing
+from telepulse.experiment.interval import Interval, IntervalPlayback, PlayedInterval
 from telepulse.experiment.keyboard import Keyboard
 from telepulse.experiment.log import Answered, now
 from telepulse.experiment.pace import pace
@@ -54,7 +54,7 @@ class Person:
     def answer(self, index: int, draw: Draw) -> Answered | None:
         """Ask until there is an answer; None when the session is to end. Raises BenchError."""
         session = self._plan.session
-        dialogue, played = Dialogue(session.kind, session.replays), list[Played]()
+        dialogue, played = Dialogue(session.kind, session.replays), list[PlayedInterval]()
         of = len(session.conditions) * session.trials + session.catch
         self._say(f"\ntrial {index + 1} of {of}.  {HELP[session.kind]}")
         began_s = time.monotonic()
@@ -105,13 +105,15 @@ class Person:
             pace(self._tick_ns, rest)
         return None if self._stopping else keys[0]
 
-    def _feel(self, interval: Interval) -> Played | None:
+    def _feel(self, interval: Interval) -> PlayedInterval | None:
         """Let an interval be felt, to its end; None when the session is to end."""
         hardware = self._hardware
         if hardware is None:
-            playing = Playing(interval, time.monotonic_ns())
+            playing = IntervalPlayback(interval, time.monotonic_ns())
         else:
-            playing = Playing(interval, time.monotonic_ns(), hardware.feedback, hardware.tick)
+            playing = IntervalPlayback(
+                interval, time.monotonic_ns(), hardware.feedback, hardware.tick
+            )
             _catch_up(hardware)
         self._display = playing.display
 

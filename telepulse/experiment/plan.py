@@ -1,13 +1,13 @@
 """How many trials it takes, as tables."""
 
-from telepulse.experiment.estimates import (
+from telepulse.experiment.psychometrics import (
     PAPER,
+    d_prime,
     hits_needed,
     power,
     trials_needed,
 )
-from telepulse.experiment.psychometric import d_prime
-from telepulse.report import Chapter, Report, Table
+from telepulse.reports.document import Chapter, Report, Table
 
 SHARES = (0.55, 0.6, 2 / 3, 0.75, 0.8, 0.9, 0.95)
 COUNTS = (6, 10, 16, 20, 32, 50, 100)

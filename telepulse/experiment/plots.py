@@ -6,16 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from telepulse.experiment.estimates import CHANCE, PAPER, mean_of
-from telepulse.experiment.psychometric import Threshold, proportion_correct
-from telepulse.experiment.results import Outcome, Results, close, correct
-from telepulse.report import Plot
+from telepulse.experiment.psychometrics import CHANCE, PAPER, Threshold, mean_of, proportion_correct
+from telepulse.experiment.results import ConditionOutcome, SessionResults, close, correct
+from telepulse.reports.document import Plot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def shares(results: Results) -> Plot:
+def shares(results: SessionResults) -> Plot:
     """Share of right answers by condition."""
 
     def draw(figure: "Figure") -> None:
@@ -42,7 +41,7 @@ def shares(results: Results) -> Plot:
     )
 
 
-def psychometric(results: Results, threshold: Threshold | None) -> Plot:
+def psychometric(results: SessionResults, threshold: Threshold | None) -> Plot:
     """Share of right answers against the measured difference in force error."""
 
     def draw(figure: "Figure") -> None:
@@ -80,7 +79,7 @@ def psychometric(results: Results, threshold: Threshold | None) -> Plot:
     )
 
 
-def ratings(results: Results, groups: Sequence[tuple[str, list[Outcome]]]) -> Plot:
+def ratings(results: SessionResults, groups: Sequence[tuple[str, list[ConditionOutcome]]]) -> Plot:
     """Every rating by condition, and their means."""
 
     def draw(figure: "Figure") -> None:
@@ -109,7 +108,7 @@ def ratings(results: Results, groups: Sequence[tuple[str, list[Outcome]]]) -> Pl
     )
 
 
-def course(results: Results) -> Plot:
+def course(results: SessionResults) -> Plot:
     """Answers and response times in the order of the trials."""
 
     def draw(figure: "Figure") -> None:
@@ -148,7 +147,7 @@ def course(results: Results) -> Plot:
     )
 
 
-def errors(results: Results) -> Plot:
+def errors(results: SessionResults) -> Plot:
     """The aligned force error of each interval."""
 
     def draw(figure: "Figure") -> None:

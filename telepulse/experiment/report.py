@@ -6,14 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from protocol.counted import counted
+from protocol.config.quantities import count_text
 from telepulse.experiment import plots
-from telepulse.experiment.estimates import LEVEL, PAPER, Proportion, hits_needed, mean_of, power
 from telepulse.experiment.log import Log
 from telepulse.experiment.plan import percent
-from telepulse.experiment.psychometric import Threshold, d_prime, fit_threshold
-from telepulse.experiment.results import Outcome, Results, close, correct, gather
-from telepulse.report import Chapter, Report, Table, provenance_table
+from telepulse.experiment.psychometrics import (
+    LEVEL,
+    PAPER,
+    Proportion,
+    Threshold,
+    d_prime,
+    fit_threshold,
+    hits_needed,
+    mean_of,
+    power,
+)
+from telepulse.experiment.results import ConditionOutcome, SessionResults, close, correct, gather
+from telepulse.reports.document import Chapter, Report, Table, provenance_table
 
 NONE = "–"
 POOLED, DIRECT = "all of them", "no link (catch)"
@@ -53,7 +62,7 @@ def _provenance(logs: Sequence[Log]) -> list[Chapter]:
     return [Chapter("Provenance of the sessions", tables=tables)] if tables else []
 
 
-def _labels(results: Results) -> list[str]:
+def _labels(results: SessionResults) -> list[str]:
     """Return what a reader must know of the answers before he reads them."""
     labels = []
     if results.thresholds:
@@ -65,7 +74,7 @@ def _labels(results: Results) -> list[str]:
     elif results.who != "a person":
         labels.append("Nobody felt anything: the scene's models ran, without a drive.")
     if results.spoilt:
-        trials = counted(len(results.spoilt), "answered trial")
+        trials = count_text(len(results.spoilt), "answered trial")
         verb = "is" if len(results.spoilt) == 1 else "are"
         fate = "counted all the same" if results.pooled else "left out of all figures but theirs"
         labels.append(
@@ -87,7 +96,7 @@ def _labels(results: Results) -> list[str]:
     return labels
 
 
-def _spoilt_table(results: Results) -> list[Table]:
+def _spoilt_table(results: SessionResults) -> list[Table]:
     if not results.spoilt:
         return []
     rows = tuple(
@@ -97,7 +106,7 @@ def _spoilt_table(results: Results) -> list[Table]:
     return [Table("Spoilt trials", ("subject", "trial", "condition", "why"), rows)]
 
 
-def threshold_of(outcomes: Sequence[Outcome]) -> Threshold | None:
+def threshold_of(outcomes: Sequence[ConditionOutcome]) -> Threshold | None:
     """The threshold that makes ABX answers likeliest, as a share of the pulse."""
     return fit_threshold(
         [
@@ -108,7 +117,7 @@ def threshold_of(outcomes: Sequence[Outcome]) -> Threshold | None:
     )
 
 
-def _abx_chapter(results: Results) -> Chapter:
+def _abx_chapter(results: SessionResults) -> Chapter:
     tables = [_right_table(results), _threshold_table(results)]
     if results.of(None):
         tables.append(_catch_table(results))
@@ -122,7 +131,7 @@ def _abx_chapter(results: Results) -> Chapter:
     )
 
 
-def _answered(results: Results) -> str:
+def _answered(results: SessionResults) -> str:
     count, subjects = len(results.outcomes), len(results.subjects)
     if not results.pooled:
         count += len(results.spoilt)
@@ -140,7 +149,7 @@ def _abx_words(found: Proportion) -> str:
     )
 
 
-def _right_table(results: Results) -> Table:
+def _right_table(results: SessionResults) -> Table:
     groups = [*results.by_condition(), (POOLED, results.tested)]
     rows = []
     for name, outcomes in groups:
@@ -184,7 +193,7 @@ def _d(found: Proportion) -> str:
     return f"{at:.1f} ({low:.1f}–{'∞' if math.isinf(high) else f'{high:.1f}'})"
 
 
-def _subject_table(results: Results) -> Table:
+def _subject_table(results: SessionResults) -> Table:
     rows, passed = [], 0
     for subject in results.subjects:
         mine = [o for o in results.tested if o.subject == subject]
@@ -201,7 +210,7 @@ def _subject_table(results: Results) -> Table:
     )
 
 
-def _threshold_table(results: Results) -> Table:
+def _threshold_table(results: SessionResults) -> Table:
     names = list(results.subjects)
     groups = [(name, [o for o in results.outcomes if o.subject == name]) for name in names]
     if len(names) > 1:
@@ -225,7 +234,7 @@ def _threshold_cells(found: Threshold | None) -> tuple[str, str]:
     return f"{100 * found.value:.2g} %", f"{100 * found.low:.2g} to {100 * found.high:.2g} %"
 
 
-def _catch_table(results: Results) -> Table:
+def _catch_table(results: SessionResults) -> Table:
     said = [o.answered.answer == "A" for o in results.of(None)]
     found = Proportion(sum(said), len(said))
     row = ("X called A", f"{found.hits} of {found.of}", percent(found.share), _between(found))
@@ -237,7 +246,7 @@ def _catch_table(results: Results) -> Table:
     )
 
 
-def _rating_chapter(results: Results) -> Chapter:
+def _rating_chapter(results: SessionResults) -> Chapter:
     groups = list(results.by_condition())
     if results.of(None):
         groups.append((DIRECT, results.of(None)))
@@ -272,7 +281,7 @@ def _rating_chapter(results: Results) -> Chapter:
     )
 
 
-def _course_chapter(results: Results) -> Chapter:
+def _course_chapter(results: SessionResults) -> Chapter:
     times = [t for o in results.outcomes if (t := o.answered.response_s) is not None]
     plays = [len(o.answered.played) for o in results.outcomes]
     words = f"Intervals felt for an answer: {np.mean(plays):.1f} on average, {max(plays)} at most."
@@ -283,7 +292,7 @@ def _course_chapter(results: Results) -> Chapter:
     return Chapter("In the course of the session", (words,), (), (plots.course(results),))
 
 
-def _errors_chapter(results: Results) -> Chapter:
+def _errors_chapter(results: SessionResults) -> Chapter:
     rows = []
     for name, outcomes in [*results.by_condition(), (DIRECT, results.of(None))]:
         for on_link, what in ((True, "link"), (False, "direct")):

@@ -5,19 +5,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from telepulse.experiment.estimates import Proportion
 from telepulse.experiment.interval import error_share
 from telepulse.experiment.log import Answered, Log, LogError
-from telepulse.experiment.psychometric import Errors
-from telepulse.experiment.session import Kind
-from telepulse.experiment.trials import Trial
+from telepulse.experiment.psychometrics import IntervalErrors, Proportion
+from telepulse.experiment.session import Kind, Trial
 
 # The paper asked whether it was felt "close to a direct touch".
 CLOSE = 4
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class ConditionOutcome:
     """An answered trial."""
 
     subject: str
@@ -45,10 +43,10 @@ class Outcome:
         return any(played.on_link and played.stale for played in self.answered.played)
 
     @property
-    def errors(self) -> Errors:
+    def errors(self) -> IntervalErrors:
         """Aligned force errors of A, B and X as shares of the pulse; NaN of what was not felt."""
         played = self.answered.played
-        return Errors(*(error_share(played, letter) for letter in ("A", "B", "X")))
+        return IntervalErrors(*(error_share(played, letter) for letter in ("A", "B", "X")))
 
     def force_mn(self, on_link: bool, field: str) -> float:
         """Mean force error of the intervals over the link, or of the direct ones, in mN."""
@@ -61,7 +59,7 @@ class Outcome:
 
 
 @dataclass(frozen=True, slots=True)
-class Results:
+class SessionResults:
     """All outcomes that count, in order, and the conditions in the order of the session file.
 
     spoilt: further outcomes, in which ticks were missed or the stream was stale; pooled: they are
@@ -73,29 +71,29 @@ class Results:
     title: str
     conditions: tuple[str, ...]
     subjects: tuple[str, ...]
-    outcomes: tuple[Outcome, ...]
+    outcomes: tuple[ConditionOutcome, ...]
     asked: int
-    spoilt: tuple[Outcome, ...] = ()
+    spoilt: tuple[ConditionOutcome, ...] = ()
     pooled: bool = False
     who: str = "a person"
     thresholds: tuple[float, ...] = ()
     versions: tuple[str, ...] = ()
 
-    def of(self, condition: str | None) -> list[Outcome]:
+    def of(self, condition: str | None) -> list[ConditionOutcome]:
         """A condition's outcomes; None: those of catch trials."""
         return [o for o in self.outcomes if o.trial.condition == condition]
 
     @property
-    def tested(self) -> list[Outcome]:
+    def tested(self) -> list[ConditionOutcome]:
         """All but catch trials."""
         return [o for o in self.outcomes if o.trial.condition is not None]
 
-    def by_condition(self) -> Iterator[tuple[str, list[Outcome]]]:
+    def by_condition(self) -> Iterator[tuple[str, list[ConditionOutcome]]]:
         """The conditions that were answered."""
         return ((name, found) for name in self.conditions if (found := self.of(name)))
 
 
-def gather(logs: Sequence[Log], with_spoilt: bool = False) -> Results:
+def gather(logs: Sequence[Log], with_spoilt: bool = False) -> SessionResults:
     """Pool logs of one kind of subject, session and scene. Raises LogError.
 
     with_spoilt: count spoilt trials with the others; they are counted too where there are no
@@ -110,7 +108,7 @@ def gather(logs: Sequence[Log], with_spoilt: bool = False) -> Results:
         if what := _difference(log, first):
             raise LogError(f"{log.path}: {what}; report them apart")
     found = tuple(
-        Outcome(name, log.header.trials[answered.index], answered)
+        ConditionOutcome(name, log.header.trials[answered.index], answered)
         for name, log in zip(names, logs, strict=True)
         for answered in log.answered
     )
@@ -121,7 +119,7 @@ def gather(logs: Sequence[Log], with_spoilt: bool = False) -> Results:
     outcomes = found if pooled else clean
     if not any(o.trial.condition is not None for o in outcomes):
         raise LogError(f"{first.path}: no trial of a condition is answered yet")
-    return Results(
+    return SessionResults(
         kind=first.session.kind,
         title=first.session.title or first.path.stem,
         conditions=tuple(condition.name for condition in first.session.conditions),
@@ -159,13 +157,13 @@ def _version(log: Log) -> str:
     return f"{log.header.version} ({commit})" if commit else log.header.version
 
 
-def correct(outcomes: Iterable[Outcome]) -> Proportion:
+def correct(outcomes: Iterable[ConditionOutcome]) -> Proportion:
     """Return the proportion named rightly."""
     hits = [o.correct for o in outcomes]
     return Proportion(sum(hits), len(hits))
 
 
-def close(outcomes: Iterable[Outcome]) -> Proportion:
+def close(outcomes: Iterable[ConditionOutcome]) -> Proportion:
     """Return the proportion rated close to a direct touch, or the same."""
     hits = [o.rating >= CLOSE for o in outcomes]
     return Proportion(sum(hits), len(hits))

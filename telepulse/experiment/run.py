@@ -9,8 +9,8 @@ from typing import Literal
 
 from protocol.errors import SceneError
 from telepulse.experiment.interval import (
-    Played,
-    Playing,
+    IntervalPlayback,
+    PlayedInterval,
     draw_interval,
     error_share,
     play_at_once,
@@ -25,11 +25,9 @@ from telepulse.experiment.log import (
     our_version,
     read_log,
 )
-from telepulse.experiment.observer import Observer
 from telepulse.experiment.person import Draw
-from telepulse.experiment.psychometric import Errors
-from telepulse.experiment.session import Plan
-from telepulse.experiment.trials import LETTERS, draw_trials
+from telepulse.experiment.psychometrics import IntervalErrors, SimulatedObserver
+from telepulse.experiment.session import LETTERS, Plan, draw_trials
 from telepulse.scene import scene_provenance
 
 Subject = Callable[[int, Draw], Answered | None]
@@ -90,7 +88,9 @@ def check_playable(plan: Plan, header: Header) -> None:
     first = {trial.condition: index for index, trial in reversed(list(enumerate(header.trials)))}
     for index in first.values():
         for letter in LETTERS[plan.session.kind]:
-            Playing(draw_interval(plan, header.seed, index, header.trials[index], letter, 1), 0)
+            IntervalPlayback(
+                draw_interval(plan, header.seed, index, header.trials[index], letter, 1), 0
+            )
 
 
 def run_session(plan: Plan, file: LogFile, header: Header, done: int, subject: Subject) -> bool:
@@ -110,10 +110,10 @@ def simulated(plan: Plan, threshold: float, seed: int) -> Subject:
 
     def answer(index: int, draw: Draw) -> Answered:
         # An observer of each trial's own: one that resumes answers as one that never stopped.
-        observer = Observer(threshold, seed * 100_000 + index)
+        observer = SimulatedObserver(threshold, seed * 100_000 + index)
         played = [_play(draw, letter) for letter in LETTERS[kind]]
         a, b, x = (error_share(played, letter) for letter in ("A", "B", "X"))
-        value = observer.tell(Errors(a, b, x)) if kind == "abx" else observer.rate(a, x)
+        value = observer.tell(IntervalErrors(a, b, x)) if kind == "abx" else observer.rate(a, x)
         return Answered.model_validate(
             {"time": now(), "index": index, "answer": value, "response_s": None, "played": played}
         )
@@ -121,7 +121,7 @@ def simulated(plan: Plan, threshold: float, seed: int) -> Subject:
     return answer
 
 
-def _play(draw: Draw, letter: str) -> Played:
+def _play(draw: Draw, letter: str) -> PlayedInterval:
     interval = draw(letter, 1)  # type: ignore[arg-type]
     scene = interval.scene
     display = scene.display.model_copy(update={"drive": None, "feedback": None})

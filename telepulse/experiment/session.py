@@ -1,19 +1,23 @@
-"""The session file: what is compared, how often, for how long."""
+"""The session file: what is compared, how often, for how long.
+
+The trials of a session: which link, what is A and B and X, in which order. Pure.
+"""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from random import Random
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from display_node.prediction import PredictorName
 from display_node.scene import DisplayScene
-from protocol.quantities import Nanoseconds
-from protocol.redaction import redact
-from protocol.scene import Section, load_document, load_toml, validate
-from protocol.stream import Name
-from telepulse.link import LinkScene, parse_link
+from protocol.config.quantities import Nanoseconds
+from protocol.config.scene import Section, load_document, load_toml, validate
+from protocol.provenance import redact
+from protocol.wire.stream import Name
 from telepulse.scene import Scene, find_scene, load_scene
+from telepulse.simulation.link_model import LinkScene, parse_link
 
 # By then a display has joined and plays: so long over no link, and so many times the link's delay
 # and jitter more.
@@ -115,3 +119,50 @@ def load_plan(path: Path) -> Plan:
 def _display(table: dict[str, Any], condition: Condition, where: str) -> DisplayScene:
     given = condition.model_dump(include={"compensation", "predictor"}, exclude_none=True)
     return validate({**table, **given}, DisplayScene, where)
+
+
+Letter = Literal["A", "B", "X"]
+LETTERS: dict[str, tuple[Letter, ...]] = {"abx": ("A", "B", "X"), "rating": ("A", "X")}
+"""What is felt in a trial of a kind."""
+
+
+class Trial(BaseModel):
+    """One trial. direct: which of A and B is felt without a link; x: which of them X is.
+
+    condition: None in a catch trial, where nothing is felt over a link. In a rating A is the
+    open reference, always direct, and B is what X may be.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    condition: str | None
+    direct: Literal["A", "B"]
+    x: Literal["A", "B"]
+    pulse_seed: int
+
+    def on_link(self, letter: Letter) -> bool:
+        """Whether an interval of this trial is felt over the link."""
+        return self.condition is not None and (self.x if letter == "X" else letter) != self.direct
+
+
+def draw_trials(session: Session, seed: int) -> tuple[Trial, ...]:
+    """All trials in their order: as many of each condition as asked for, shuffled.
+
+    What is A and what is X is drawn for each trial alone, not balanced over them: only then is a
+    guess right with a chance of exactly one half, whatever was noticed of the trials before.
+    """
+    random = Random(f"trials {seed}")
+    names: list[str | None] = [c.name for c in session.conditions for _ in range(session.trials)]
+    names += [None] * session.catch
+    random.shuffle(names)
+    return tuple(_draw(session, name, random) for name in names)
+
+
+def _draw(session: Session, condition: str | None, random: Random) -> Trial:
+    pulse_seed = random.getrandbits(31)
+    if session.kind == "rating":
+        return Trial(condition=condition, direct="A", x="B", pulse_seed=pulse_seed)
+    direct, x = random.choice("AB"), random.choice("AB")
+    return Trial.model_validate(
+        {"condition": condition, "direct": direct, "x": x, "pulse_seed": pulse_seed}
+    )

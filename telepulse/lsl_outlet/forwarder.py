@@ -1,18 +1,91 @@
-"""Forwarding of a display's telemetry to LSL; what cannot be forwarded is counted."""
+"""Forwarding of a display's telemetry to LSL; what cannot be forwarded is counted.
+
+Frames in the order of their samples. Pure.
+
+Unix time as LSL counts it: seconds of its local clock.
+"""
 
 import math
+import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from protocol.messages import Frame
-from telepulse.lsl_outlet.in_order import InOrder
-from telepulse.lsl_outlet.lsl_time import LslTime
+from protocol.wire.messages import Frame
 from telepulse.lsl_outlet.outlets import Outlets
-from telepulse.record.listener import Listener
-from telepulse.record.schema import EVENT, FRAME, TICK
-from telepulse.record.transcript import Entry
+from telepulse.telemetry.listener import Listener
+from telepulse.telemetry.schema import EVENT, FRAME, TICK
+from telepulse.telemetry.transcript import Entry
+
+# Longer than a link that reorders keeps a frame; later ones are missing.
+HOLD_NS = 500_000_000
+
+
+class InOrder:
+    """Holds a frame back while one before it is missing and may still come.
+
+    lost: samples that did not come in time.
+    """
+
+    def __init__(self) -> None:
+        self._held: dict[int, tuple[int, Frame]] = {}
+        self._next_sample: int | None = None
+        self.lost = 0
+
+    def take(self, frame: Frame, now_ns: int) -> Iterator[Frame]:
+        """A frame has come; the frames whose turn it is."""
+        if self._next_sample is None:
+            self._next_sample = frame.first_sample
+        if frame.first_sample >= self._next_sample:
+            self._held[frame.first_sample] = (now_ns, frame)
+        while self._held:
+            first = min(self._held)
+            if first > self._next_sample and now_ns - self._held[first][0] < HOLD_NS:
+                return
+            yield self._release(first)
+
+    def rest(self) -> Iterator[Frame]:
+        """What is still held, when nothing more comes."""
+        while self._held:
+            yield self._release(min(self._held))
+
+    def _release(self, first: int) -> Frame:
+        _, frame = self._held.pop(first)
+        self.lost += first - (self._next_sample or 0)
+        self._next_sample = first + len(frame.values)
+        return frame
+
+
+TRIES = 9
+
+
+class LslTime:
+    """Maps Unix times of one run of a display; distances in time stay what they were.
+
+    Right as far as this host's clock and the display's host's agree; exact where they are one.
+    """
+
+    def __init__(self, local_clock: Callable[[], float]) -> None:
+        self._local_clock = local_clock
+        self.begin()
+
+    def begin(self) -> None:
+        """Compare both clocks: when a run of the display begins."""
+        self._unix_ns, self._lsl_s, _ = min(
+            (self._compare() for _ in range(TRIES)), key=lambda reading: reading[2]
+        )
+
+    def at(self, unix_ns: int) -> float:
+        """LSL's time of a Unix time, in s."""
+        return self._lsl_s + (unix_ns - self._unix_ns) * 1e-9
+
+    def _compare(self) -> tuple[int, float, float]:
+        """One instant on both clocks, and how long it took to read them."""
+        before_s = self._local_clock()
+        unix_ns = time.time_ns()
+        after_s = self._local_clock()
+        return unix_ns, (before_s + after_s) / 2, after_s - before_s
 
 
 class Forwarder:

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from protocol.stream import StreamDescription
-from sensors.extra import library
+from protocol.wire.stream import StreamDescription
+from pulse_sensors.extra import library
 
 MANUFACTURER = "telepulse"
 FORCE, MARKERS = "Force", "Markers"

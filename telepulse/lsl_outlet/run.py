@@ -4,11 +4,11 @@ import math
 import time
 from collections.abc import Callable
 
-from protocol.counted import counted
-from protocol.keys import ClientKeys
+from protocol.config.quantities import count_text
+from protocol.security.keys import ClientKeys
 from telepulse.lsl_outlet.forwarder import Forwarder
 from telepulse.lsl_outlet.outlets import Outlets
-from telepulse.record.telemetry_reader import TelemetryReader
+from telepulse.telemetry.client import TelemetryReader
 
 LOOK_EVERY_NS = 100_000_000
 
@@ -66,13 +66,18 @@ class LslOutlet:
         if not transcript.known:
             self._warn(f"{self._address}: nothing was heard from it")
             return False
-        given = ", ".join(counted(passed[f"{name}s"], name) for name in ("sample", "tick", "event"))
+        given = ", ".join(
+            count_text(passed[f"{name}s"], name) for name in ("sample", "tick", "event")
+        )
         early = passed["frames too early"]
         before = (
-            f"; {counted(early, 'frame')} came before the sensing clock was known" if early else ""
+            f"; {count_text(early, 'frame')} came before the sensing clock was known"
+            if early
+            else ""
         )
         self._log(
-            f"{self._address}: {given}; {counted(self._forwarder.lost, 'sample')} missing{before}"
+            f"{self._address}: {given};"
+            f" {count_text(self._forwarder.lost, 'sample')} missing{before}"
         )
         if transcript.missed:
             counts = ", ".join(f"{n} {name}" for name, n in sorted(transcript.missed.items()))

@@ -4,23 +4,23 @@ import os
 import sys
 import threading
 
-from protocol.beside import beginning, told
-from telepulse.metrics.address import parse_address
+from protocol.host.sidecar import receive, run_as_sidecar
+from telepulse.metrics.server import parse_address
 
 
 def main() -> None:
     """Serve until the node ends."""
     program, where = sys.argv[1:]
-    with beginning() as ready:
+    with run_as_sidecar() as ready:
         address = parse_address(where)
         from telepulse.metrics.server import Server
 
         server = Server(program, *address)
         ready(server.url)
-    node = told()
+    node = receive()
     if node is not None:
         threading.Thread(target=server.follow, args=(node["address"], node["key"])).start()
-        told()
+        receive()
     # Its threads have nothing to finish, and some wait for who asked.
     os._exit(0)
 

@@ -13,8 +13,8 @@ from prometheus_client.metrics_core import (
     StateSetMetricFamily,
 )
 
-from protocol.status import Status
-from telepulse.metrics.figures import FIGURES, Figure
+from protocol.wire.status import Status
+from telepulse.metrics.figures import FIGURES, MetricFigure
 
 PREFIX = "telepulse_"
 # As long as a node may be held up and still be there.
@@ -24,7 +24,7 @@ _NUMBER = re.compile(r"\d+(\.\d+)?")
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class NodeState:
     """sent_ns: when the node sent it, as far as is known, on this process's clock."""
 
     status: Status
@@ -32,7 +32,9 @@ class Told:
     heart_rate_per_min: float | None = None
 
 
-def families(program: str, told: Told | None, now_ns: int, unreadable: int = 0) -> Iterator[Metric]:
+def families(
+    program: str, told: NodeState | None, now_ns: int, unreadable: int = 0
+) -> Iterator[Metric]:
     """The metrics at `now_ns`. A node that is silent has no figures, only the age of the last."""
     silent = told is None or now_ns - told.sent_ns > SILENT_AFTER_NS
     yield _gauge("up", "Whether the node speaks: 0 after 5 s of silence.", not silent)
@@ -98,7 +100,9 @@ def _figures(summary: Mapping[str, Any]) -> Iterator[Metric]:
     yield from found.values()
 
 
-def _samples(figure: Figure, summary: Mapping[str, Any]) -> Iterator[tuple[dict[str, str], float]]:
+def _samples(
+    figure: MetricFigure, summary: Mapping[str, Any]
+) -> Iterator[tuple[dict[str, str], float]]:
     value: Any = summary
     for key in figure.key.split("."):
         value = value[key]

@@ -10,7 +10,7 @@ from protocol.limits import NAMES
 MS, US, PPM = 1e-3, 1e-6, 1e-6
 
 
-class Kind(Enum):
+class MetricKind(Enum):
     """Prometheus's kinds. A summary's quantiles are of all the node's life."""
 
     COUNTER = "counter"
@@ -19,14 +19,14 @@ class Kind(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
+class MetricFigure:
     """A number at `key` of a summary, or a table of counts there, of which `label` tells the names.
 
     scale: from the summary's unit to the base unit.
     """
 
     name: str
-    kind: Kind
+    kind: MetricKind
     key: str
     help: str = ""
     scale: float = 1.0
@@ -34,21 +34,21 @@ class Figure:
     label: str = ""
 
 
-def _count(name: str, key: str, help: str, **labels: str) -> Figure:
-    return Figure(name, Kind.COUNTER, key, help, 1, labels)
+def _count(name: str, key: str, help: str, **labels: str) -> MetricFigure:
+    return MetricFigure(name, MetricKind.COUNTER, key, help, 1, labels)
 
 
-def _counts(name: str, key: str, help: str, label: str) -> Figure:
-    return Figure(name, Kind.COUNTER, key, help, 1, {}, label)
+def _counts(name: str, key: str, help: str, label: str) -> MetricFigure:
+    return MetricFigure(name, MetricKind.COUNTER, key, help, 1, {}, label)
 
 
-def _gauge(name: str, key: str, help: str = "", scale: float = 1.0, **labels: str) -> Figure:
-    return Figure(name, Kind.GAUGE, key, help, scale, labels)
+def _gauge(name: str, key: str, help: str = "", scale: float = 1.0, **labels: str) -> MetricFigure:
+    return MetricFigure(name, MetricKind.GAUGE, key, help, scale, labels)
 
 
-def _quantiles(name: str, table: str, help: str, scale: float, **keys: str) -> list[Figure]:
+def _quantiles(name: str, table: str, help: str, scale: float, **keys: str) -> list[MetricFigure]:
     return [
-        Figure(name, Kind.SUMMARY, f"{table}.{key}", help, scale, {"quantile": share})
+        MetricFigure(name, MetricKind.SUMMARY, f"{table}.{key}", help, scale, {"quantile": share})
         for key, share in keys.items()
     ]
 

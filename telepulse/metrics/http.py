@@ -8,7 +8,7 @@ from typing import Any
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
 from wsgiref.types import StartResponse, WSGIApplication, WSGIEnvironment
 
-from telepulse.site import Site
+from telepulse.http_site import Site
 
 # A scrape takes some 10 ms. A peer that sends no request, or does not read, is cut off.
 REQUEST_WITHIN_S = 10.0

@@ -1,5 +1,9 @@
-"""The server of metrics: hears a node's telemetry, answers Prometheus."""
+"""The server of metrics: hears a node's telemetry, answers Prometheus.
 
+Where metrics are served: [ADDRESS:]PORT.
+"""
+
+import re
 import threading
 import time
 from collections.abc import Iterator
@@ -7,23 +11,37 @@ from pathlib import Path
 
 import zmq
 
-from display_node.screen import Screen
-from display_node.telemetry import TRACE, read_trace
-from display_node.telemetry_age import TelemetryAge
+from display_node.telemetry.messages import TRACE, TelemetryAge, read_trace
+from display_node.telemetry.terminal import TerminalView
 from protocol import sockets
-from protocol.errors import AddressError, BesideError, WireError
-from protocol.keys import ClientKeys, read_pair
-from protocol.status import STATUS, read_status
+from protocol.errors import AddressError, SidecarError, WireError
+from protocol.security.keys import ClientKeys, read_pair
+from protocol.wire.status import STATUS, read_status
 from telepulse.metrics.http import MetricsHTTPServer
+
+LOOPBACK = "127.0.0.1"
+MAX_PORT = 65_535
+_WHERE = re.compile(r"(?:(?P<host>\[[0-9A-Fa-f:.]+\]|[^\s:\[\]]+):)?(?P<port>[0-9]{1,5})")
+
+
+def parse_address(text: str) -> tuple[str, int]:
+    """Host and port; without a host, this machine alone. Raises AddressError."""
+    match = _WHERE.fullmatch(text)
+    if match is None or int(match["port"]) > MAX_PORT:
+        raise AddressError(
+            f"--metrics {text}: not a port; write 9100, or ADDRESS:9100 for other machines"
+        )
+    return (match["host"] or LOOPBACK).strip("[]"), int(match["port"])
+
 
 try:
     from prometheus_client import CollectorRegistry, make_wsgi_app
     from prometheus_client.metrics_core import Metric
     from prometheus_client.registry import Collector
 
-    from telepulse.metrics.families import Told, families
+    from telepulse.metrics.families import NodeState, families
 except ImportError as error:
-    raise BesideError(
+    raise SidecarError(
         f"metrics need prometheus_client, which cannot be loaded ({error});"
         " pip install 'telepulse[metrics]'"
     ) from None
@@ -40,7 +58,7 @@ class Server(Collector):
     def __init__(self, program: str, host: str, port: int) -> None:
         """Raises AddressError where that cannot be bound."""
         self._program = program
-        self._told: Told | None = None
+        self._told: NodeState | None = None
         self._unreadable = 0
         registry = CollectorRegistry()
         registry.register(self)
@@ -65,7 +83,7 @@ class Server(Collector):
         socket = sockets.connect(context, zmq.SUB, address, keys)
         for topic in (STATUS, TRACE):
             socket.subscribe(topic)
-        screen = Screen()
+        screen = TerminalView()
         age = TelemetryAge(local=not sockets.beyond_loopback(address))
         while True:
             sockets.wait_readable([socket], WAIT_NS)
@@ -75,7 +93,7 @@ class Server(Collector):
                 except (WireError, TypeError):
                     self._unreadable += 1
 
-    def _take(self, screen: Screen, age: TelemetryAge, topic: bytes, data: bytes) -> None:
+    def _take(self, screen: TerminalView, age: TelemetryAge, topic: bytes, data: bytes) -> None:
         now_ns = time.monotonic_ns()
         if topic == TRACE:
             trace = read_trace(data)
@@ -86,4 +104,4 @@ class Server(Collector):
             status = read_status(data)
             age.take_status(now_ns)
             sent_ns = now_ns - (age.age_ns(now_ns) or 0)
-            self._told = Told(status, sent_ns, screen.heart_rate_per_min)
+            self._told = NodeState(status, sent_ns, screen.heart_rate_per_min)

@@ -2,13 +2,13 @@
 
 from collections import Counter
 
-from display_node.data_path import DataPath
-from display_node.failover import PATIENCE_FRAMES
-from display_node.line import ANSWER_NS
+from display_node.reception.data_path import DataPath
+from display_node.reception.endpoint import ANSWER_NS
+from display_node.reception.failover import PATIENCE_FRAMES
 from protocol import sockets
 from protocol.errors import WireError
-from protocol.messages import decode_frame
-from protocol.subscribers import Subscribers
+from protocol.security.subscription_budget import SubscriptionBudget
+from protocol.wire.messages import decode_frame
 
 _SUBSCRIBED = b"\1"
 # How long a frame is, is read from one frame in so much time.
@@ -17,7 +17,7 @@ READ_EVERY_NS = 100_000_000
 MOST_SILENT_NS = 10_000_000_000
 
 
-class Frames:
+class FrameForwarder:
     """Passes frames on from a data path to a bound XPUB socket.
 
     While displays listen, the path is judged by its silence, as a display judges its own: a second
@@ -27,7 +27,7 @@ class Frames:
     """
 
     def __init__(
-        self, displays: sockets.Socket, sensing: DataPath, subscribers: Subscribers
+        self, displays: sockets.Socket, sensing: DataPath, subscribers: SubscriptionBudget
     ) -> None:
         self.sensing = sensing
         self.heard = self.heard_bytes = 0

@@ -1,25 +1,60 @@
-"""Displays on one side, a sensing node or a further relay on the other."""
+"""Displays on one side, a sensing node or a further relay on the other.
+
+Whether a connection is dead: asked, it says nothing.
+"""
 
 import time
 from collections.abc import Callable
 
 import zmq
 
-from display_node.connection import CUT_NS
-from display_node.data_path import DataPath
-from display_node.line import ANSWER_NS, PATIENCE_NS
-from display_node.lookup import Lookup
+from display_node.reception.connection import CUT_NS, Lookup
+from display_node.reception.data_path import DataPath
+from display_node.reception.endpoint import ANSWER_NS, PATIENCE_NS
 from protocol import sockets
-from protocol.counted import counted
-from protocol.gate import Gate
-from protocol.keys import ClientKeys, ServerKeys
-from protocol.refusals import Refusals
-from protocol.subscribers import Subscribers
-from protocol.summary import Frames as FrameCounts
-from protocol.summary import Reconnections, Summary
-from telepulse.relay.frames import Frames
+from protocol.config.quantities import count_text
+from protocol.run_summary import FrameCounts, Reconnections, Summary
+from protocol.security.authenticator import Authenticator
+from protocol.security.handshake_monitor import HandshakeMonitor
+from protocol.security.keys import ClientKeys, ServerKeys
+from protocol.security.subscription_budget import SubscriptionBudget
+from telepulse.relay.frames import FrameForwarder
 from telepulse.relay.proxy import Proxy
-from telepulse.relay.silence import Silence
+
+
+class Silence:
+    """Watches counts of what was asked and what was heard. Pure: time comes in.
+
+    once_heard: it says nothing of a connection that nothing has come over yet.
+    """
+
+    def __init__(self, patience_ns: int, once_heard: bool = False) -> None:
+        self._patience_ns = patience_ns
+        self._once_heard = once_heard
+        self._speaks = not once_heard
+        self._asked = self._heard = 0
+        self._since_ns: int | None = None
+
+    def lasts(self, now_ns: int, asked: int, heard: int) -> bool:
+        """Whether nothing has been heard for longer than the patience after something was asked.
+
+        Where nothing is asked, as without displays, nothing need be heard.
+        """
+        if heard != self._heard:
+            self._since_ns = None
+            self._speaks = True
+        elif asked != self._asked and self._since_ns is None:
+            self._since_ns = now_ns
+        self._asked, self._heard = asked, heard
+        if self._since_ns is None or not self._speaks:
+            return False
+        return now_ns - self._since_ns >= self._patience_ns
+
+    def begin_anew(self) -> None:
+        """Be patient again: the connection is new."""
+        self._since_ns = None
+        self._speaks = not self._once_heard
+
 
 LOOK_EVERY_NS = 100_000_000
 # How soon Ctrl-C is heeded.
@@ -53,14 +88,16 @@ class Relay:
         self._stopping = False
         self._context: sockets.Context = zmq.Context()
         context = self._context
-        self._gate = Gate(context, server_keys, log)
-        self._refusals = Refusals(context, client_keys, log)
+        self._gate = Authenticator(context, server_keys, log)
+        self._refusals = HandshakeMonitor(context, client_keys, log)
         self._path = DataPath(context, client_keys)
         control_in = sockets.unconnected(context, zmq.DEALER, client_keys)
         for socket in (control_in, *(line.socket for line in self._path.lines)):
             self._refusals.watch(socket)
         data_out = sockets.bind(context, zmq.XPUB, bind, self._gate)
-        self._frames = Frames(data_out, self._path, Subscribers(data_out, (b"",), log))
+        self._frames = FrameForwarder(
+            data_out, self._path, SubscriptionBudget(data_out, (b"",), log)
+        )
         control_out = sockets.bind(context, zmq.ROUTER, control, self._gate)
         self._control = Proxy(context, control_out, control_in)
         # Of both connections together, and of control.
@@ -145,10 +182,10 @@ class Relay:
     def _summary(self) -> Summary:
         failover = self._path.failover
         self._log(
-            f"{counted(self._frames.heard, 'frame')} ({_megabytes(self._frames)})"
+            f"{count_text(self._frames.heard, 'frame')} ({_megabytes(self._frames)})"
             f" and {_megabytes(self._control)} of answers came from {self._connect},"
-            f" {counted(self._controls, 'reconnection')} of control,"
-            f" {counted(failover.opened, 'second connection')} for frames;"
+            f" {count_text(self._controls, 'reconnection')} of control,"
+            f" {count_text(failover.opened, 'second connection')} for frames;"
             f" {self._control.dropped} questions found no room"
         )
         rejected = self._refusals.rejected + self._frames.rejected + self._gate.rejected
@@ -159,5 +196,5 @@ class Relay:
         )
 
 
-def _megabytes(way: Frames | Proxy) -> str:
+def _megabytes(way: FrameForwarder | Proxy) -> str:
     return f"{way.heard_bytes * 1e-6:.1f} MB"

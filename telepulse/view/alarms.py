@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from display_node.alerts import SILENT_AFTER_NS, Alert, alerts
-from protocol.causes import explain
+from display_node.telemetry.alerts import SILENT_AFTER_NS, Alert, alerts
 from protocol.limits import limit_texts
-from telepulse.record.events import CUT, CUT_AFTER_NS
-from telepulse.view.live import Live
+from protocol.security.causes import explain
+from telepulse.telemetry.events import CUT, CUT_AFTER_NS
+from telepulse.view.live import LiveState
 
 SECOND_NS = 1_000_000_000
 # What happened once is told for so long.
@@ -16,7 +16,7 @@ MUCH_LOSS = 5.0
 LOST, LATE, REFUSED, LIMITED = 3, 4, 6, 7
 
 
-def alarms(live: Live, silent_ns: int) -> list[Alert]:
+def alarms(live: LiveState, silent_ns: int) -> list[Alert]:
     """Return what is wrong now. silent_ns: for how long nothing came from the display."""
     if not live.state:
         return []
@@ -28,7 +28,7 @@ def alarms(live: Live, silent_ns: int) -> list[Alert]:
     return found + _counted(live)
 
 
-def _counted(live: Live) -> list[Alert]:
+def _counted(live: LiveState) -> list[Alert]:
     found = []
     recent = live.statuses.since(live.now_ns - TOLD_NS).values
     if len(recent):

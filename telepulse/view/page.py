@@ -10,9 +10,9 @@ from bokeh.events import ConnectionLost, DocumentReady
 from bokeh.models import ColumnDataSource, CustomJS
 from jinja2 import Template
 
-from telepulse.view import words
+from telepulse.view import text as words
 from telepulse.view.alarms import alarms
-from telepulse.view.live import Live
+from telepulse.view.live import LiveState
 from telepulse.view.picture import picture
 from telepulse.view.plots import PLOTS, Plots
 
@@ -28,7 +28,7 @@ class Viewer:
     silent_ns: tells for how long nothing came from the display.
     """
 
-    def __init__(self, document: Document, live: Live, silent_ns: Callable[[], int]) -> None:
+    def __init__(self, document: Document, live: LiveState, silent_ns: Callable[[], int]) -> None:
         self._live, self._silent_ns = live, silent_ns
         self._plots = Plots()
         self._words = ColumnDataSource({"said": [None]})
@@ -53,7 +53,7 @@ class Viewer:
             figures=words.FIGURES,
             plots=PLOTS,
         )
-        self._figures: dict[str, words.Figure] = {}
+        self._figures: dict[str, words.PageFigure] = {}
         self._number = 0
         self.draw()
         # Bokeh ends it with the viewer's session.

@@ -5,10 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from display_node.fidelity import JND, MAX_GAP_NS, SPAN_NS, interpolate
-from display_node.heart_rate import heart_rate_per_min
-from telepulse.view.live import Live
-from telepulse.view.rolling import Floats, Stretch, Times, thin
+from display_node.scoring.heart_rate import heart_rate_per_min
+from display_node.scoring.tracking_error import JND, MAX_GAP_NS, SPAN_NS, interpolate
+from telepulse.view.live import Floats, LiveState, Stretch, Times, thin
 
 SECOND_NS = 1_000_000_000
 # Ten seconds at 1 kHz: of each 16 ms the least and the greatest.
@@ -21,7 +20,7 @@ STEPS = 4
 Columns = dict[str, Floats]
 
 
-class Scores(NamedTuple):
+class PictureScores(NamedTuple):
     """Over the window: RMS errors in N, the share below the just noticeable difference of the time
     that could be judged, that difference in N, and the share of the window that could be judged;
     None where there is none yet."""
@@ -41,11 +40,11 @@ class Picture(NamedTuple):
 
     columns: dict[str, Columns]
     limits: dict[str, tuple[float, float]]
-    scores: Scores
+    scores: PictureScores
     heart_rate_per_min: float | None
 
 
-def picture(live: Live, window_ns: int) -> Picture:
+def picture(live: LiveState, window_ns: int) -> Picture:
     """The last `window_ns` of a display."""
     begin_ns = live.now_ns - window_ns
     ticks, wrist = live.ticks.since(begin_ns), live.wrist.since(begin_ns)
@@ -78,7 +77,7 @@ def picture(live: Live, window_ns: int) -> Picture:
         "aligned": curve(ticks, aligned_n * 1e3),
     }
     within, judged = _within(aligned_n, jnd_n), _judged(ticks, aligned_n, begin_ns, live.now_ns)
-    scores = Scores(_rms(in_phase_n), _rms(aligned_n), within, jnd_n, judged)
+    scores = PictureScores(_rms(in_phase_n), _rms(aligned_n), within, jnd_n, judged)
     return Picture(
         window_ns / SECOND_NS, columns, _limits(columns, jnd_n), scores, _heart_rate(live)
     )
@@ -100,7 +99,7 @@ def _compression(force_n: Floats, strain_per_newton: float | None) -> Floats:
     return force_n * (math.nan if strain_per_newton is None else -1e6 * strain_per_newton)
 
 
-def _errors(live: Live, ticks: Stretch, window_ns: int) -> tuple[Floats, Floats, float | None]:
+def _errors(live: LiveState, ticks: Stretch, window_ns: int) -> tuple[Floats, Floats, float | None]:
     """Return the errors of the felt force in phase and aligned, and the JND, all in N; NaN where
     the pulse of that instant has not come, and where it is not felt at full strength."""
     ratio = live.force_ratio
@@ -142,7 +141,7 @@ def _judged(ticks: Stretch, error_n: Floats, begin_ns: int, now_ns: int) -> floa
     return min(1.0, float(np.count_nonzero(~np.isnan(error_n))) * tick_ns / whole_ns)
 
 
-def _heart_rate(live: Live) -> float | None:
+def _heart_rate(live: LiveState) -> float | None:
     """Return the heart rate of what is felt at full strength now."""
     ticks = live.ticks.since(live.now_ns - HEART_NS)
     if len(ticks.t_ns) < 2:

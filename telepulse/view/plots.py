@@ -27,7 +27,7 @@ class Curve(NamedTuple):
     dash: str = "solid"
 
 
-class Plot(NamedTuple):
+class PagePlot(NamedTuple):
     """A plot: its id on the page, heading, what its axis says, curves, a line about it."""
 
     id: str
@@ -39,7 +39,7 @@ class Plot(NamedTuple):
 
 
 PLOTS = (
-    Plot(
+    PagePlot(
         "force",
         "Force",
         "force (mN)",
@@ -47,7 +47,7 @@ PLOTS = (
         "Each where it was at that time: the finger follows by the playout delay.",
         wide=True,
     ),
-    Plot(
+    PagePlot(
         "error",
         "Error of the force felt",
         "error (mN)",
@@ -59,7 +59,7 @@ PLOTS = (
         " A finger notices differences from 7 to 10 % on.",
         wide=True,
     ),
-    Plot(
+    PagePlot(
         "strain",
         "Compressive strain in the rubber",
         "strain (10⁻⁶)",
@@ -68,25 +68,25 @@ PLOTS = (
             Curve("finger_strain", "at the finger", FELT),
         ),
     ),
-    Plot(
+    PagePlot(
         "delay",
         "Delays",
         "delay (ms)",
         (Curve("one_way", "one-way delay", SENSED), Curve("playout", "playout delay", FELT)),
     ),
-    Plot(
+    PagePlot(
         "loss",
         "Loss",
         "samples (%)",
         (Curve("lost", "lost", SENSED), Curve("late", "late", FELT, "dashed")),
     ),
-    Plot(
+    PagePlot(
         "predictor",
         "Predictor: the error it expects",
         "RMS error (mN)",
         (Curve("predictor", "where it stands in", FELT),),
     ),
-    Plot(
+    PagePlot(
         "offset",
         "Clock offset, against now",
         "offset (ms)",
@@ -96,7 +96,7 @@ PLOTS = (
             Curve("offset_high", "", MUTED, "dashed"),
         ),
     ),
-    Plot("skew", "Clock skew", "skew (ppm)", (Curve("skew", "sensing against display", FELT),)),
+    PagePlot("skew", "Clock skew", "skew (ppm)", (Curve("skew", "sensing against display", FELT),)),
 )
 
 
@@ -126,7 +126,7 @@ class Plots:
         jnd_mn = (picture.scores.jnd_n or 0.0) * 1e3
         self._band.update(bottom=-jnd_mn, top=jnd_mn)
 
-    def _draw(self, plot: Plot) -> figure:
+    def _draw(self, plot: PagePlot) -> figure:
         drawn = figure(
             name=plot.id,
             height=HEIGHT,

@@ -15,17 +15,17 @@ from bokeh.server.util import bind_sockets
 from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop, PeriodicCallback
 
-from display_node.telemetry_age import TelemetryAge
+from display_node.telemetry.messages import TelemetryAge
 from protocol.errors import AddressError
-from protocol.keys import ClientKeys
+from protocol.security.keys import ClientKeys
 from protocol.sockets import beyond_loopback
-from telepulse.ports import free_addresses
-from telepulse.record.schema import EVENT, STATUS, TICK
-from telepulse.record.telemetry_reader import TelemetryReader
-from telepulse.record.transcript import Entry
-from telepulse.site import Site
+from telepulse.http_site import Site
+from telepulse.processes import free_addresses
+from telepulse.telemetry.client import TelemetryReader
+from telepulse.telemetry.schema import EVENT, STATUS, TICK
+from telepulse.telemetry.transcript import Entry
 from telepulse.view.admission import Admission, AdmittingRouter
-from telepulse.view.live import Live
+from telepulse.view.live import LiveState
 from telepulse.view.page import Viewer
 
 PORT = 5006
@@ -55,7 +55,7 @@ class PageServer:
         keys: ClientKeys | None = None,
     ) -> None:
         self._warn = warn
-        self._live = Live()
+        self._live = LiveState()
         self._began_ns = time.monotonic_ns()
         self._local = not beyond_loopback(address)
         self._age = TelemetryAge(self._local)

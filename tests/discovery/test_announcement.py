@@ -12,12 +12,14 @@ from protocol.discovery.announcement import (
     SERVICE,
     Announcement,
     announced,
+    announced_addresses,
     fingerprint,
+    matching,
+    only_match,
+    reachable,
     read_announcement,
     to_txt,
 )
-from protocol.discovery.choice import fitting, the_one
-from protocol.discovery.networks import reachable, told_of
 from protocol.errors import DiscoveryError, WireError
 
 KEY = bytes(range(32))
@@ -152,23 +154,23 @@ def test_only_addresses_on_our_networks_are_used(
 
 def test_what_is_bound_is_what_is_told_of() -> None:
     names = {"eth0": ["192.0.2.2"]}
-    assert told_of("*", OWN, names) == ["192.0.2.2", "172.17.0.1"]
-    assert told_of("127.0.0.1", OWN, names) == ["127.0.0.1"]
-    assert told_of("eth0", OWN, names) == ["192.0.2.2"]
+    assert announced_addresses("*", OWN, names) == ["192.0.2.2", "172.17.0.1"]
+    assert announced_addresses("127.0.0.1", OWN, names) == ["127.0.0.1"]
+    assert announced_addresses("eth0", OWN, names) == ["192.0.2.2"]
     with pytest.raises(DiscoveryError, match=r"192\.0\.2\.9: is no IPv4 address here"):
-        told_of("192.0.2.9", OWN, names)
+        announced_addresses("192.0.2.9", OWN, names)
     with pytest.raises(DiscoveryError, match="on no network"):
-        told_of("*", OWN[:1], {})
+        announced_addresses("*", OWN[:1], {})
 
 
 def test_one_is_chosen_by_its_name_and_by_the_key_that_is_asked_for() -> None:
     left, right = (announced("pulse", host, 5555, KEY) for host in ("left", "right"))
     spoofed = announced("pulse", "other", 5555, None)
     found = [right, left, spoofed]
-    assert fitting(found, None, None) == found
-    assert fitting(found, None, fingerprint(KEY)) == [right, left]
-    assert the_one(fitting(found, "Pulse on LEFT", None)) == left
+    assert matching(found, None, None) == found
+    assert matching(found, None, fingerprint(KEY)) == [right, left]
+    assert only_match(matching(found, "Pulse on LEFT", None)) == left
     with pytest.raises(DiscoveryError, match=r"2 .*'pulse on left', 'pulse on right'; .*--named"):
-        the_one(fitting(found, None, fingerprint(KEY)))
+        only_match(matching(found, None, fingerprint(KEY)))
     with pytest.raises(DiscoveryError, match="just gone"):
-        the_one([])
+        only_match([])

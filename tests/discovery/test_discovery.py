@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 
 from protocol.discovery.announcement import SERVICE, announced, to_txt
-from protocol.discovery.look import Look
-from telepulse.emulator import Namespace, emulate, unavailable
-from telepulse.link import parse_link
+from protocol.discovery.browser import Browser
+from telepulse.netem import Namespace, emulate, unavailable
+from telepulse.simulation.link_model import parse_link
 
 from ..keyring import Keyring
 from ..nodes import RADIAL, ROOT, assert_accounted, read_json
@@ -24,7 +24,7 @@ from ..telepulse.emulator.tcp import needs_emulator
 from ..waiting import PATIENCE_S, until
 
 zeroconf = pytest.importorskip("zeroconf")
-DISPLAY, SENSING, TELEPULSE = "display_node.cli", "sensing_node.cli", "telepulse.cli"
+DISPLAY, SENSING, TELEPULSE = "display_node.cli", "sensing_node.cli", "telepulse"
 BIND = "tcp://127.0.0.1:5555"
 
 
@@ -104,7 +104,7 @@ def test_an_announced_node_is_found_until_it_ends_however_it_ends(place: Place) 
         line = await_line(wrist, "announced as")
         assert line.endswith("at 127.0.0.1\n")
         name = line.split("'")[1]
-        with place.entered(), Look(print) as look:
+        with place.entered(), Browser(print) as look:
             until(lambda: [one.name for one in look.found] == [name])
             (one,) = look.found
             assert (one.addresses, one.port, one.fingerprint) == (("127.0.0.1",), 5555, None)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from display_node.jitter_buffer import JitterBuffer
+from display_node.reception.jitter_buffer import JitterBuffer
 from protocol.errors import WireError
-from protocol.messages import Frame
+from protocol.wire.messages import Frame
 
 MS = 1_000_000
 T0_NS = 1_700_000_000_000_000_000

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import pytest
 import zmq
 
-from display_node.telemetry import STATUS, Status, read_status
+from display_node.telemetry.messages import STATUS, Status, read_status
 from protocol.sockets import Context
 
 from ..nodes import RADIAL

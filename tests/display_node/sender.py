@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from display_node.display import Display
-from protocol.messages import (
+from protocol.wire.messages import (
     ClockReply,
     ClockRequest,
     Control,
@@ -15,7 +15,7 @@ from protocol.messages import (
     encode_control,
     encode_frame,
 )
-from protocol.stream import StreamDescription
+from protocol.wire.stream import StreamDescription
 
 from ..streams import description
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from display_node.force_loop import ForceLoop, scenes_force_loop
+from display_node.control.force_loop import ForceLoop, scenes_force_loop
 from display_node.scene import DisplayScene
-from protocol.scene import load_section
+from protocol.config.scene import load_section
 
 from ..streams import synthetic
 

@@ -5,16 +5,15 @@ import time
 import pytest
 import zmq
 
-from display_node import line
-from display_node.connection import Connection
-from display_node.data_path import DataPath
-from display_node.line import Line
-from display_node.lookup import Lookup
+from display_node.reception import endpoint as line
+from display_node.reception.connection import Connection, Lookup
+from display_node.reception.data_path import DataPath
+from display_node.reception.endpoint import Endpoint
 from protocol.errors import AddressError
-from protocol.refusals import Refusals
+from protocol.run_summary import Reconnections
+from protocol.security.handshake_monitor import HandshakeMonitor
 from protocol.sockets import Context, Socket, control_address
-from protocol.summary import Reconnections
-from telepulse.ports import free_addresses
+from telepulse.processes import free_addresses
 
 from ..nodes import free_address
 from ..waiting import until
@@ -58,7 +57,7 @@ def tend(connection: Connection, from_ms: int, to_ms: int) -> list[int]:
     return connected_ms
 
 
-def deliver(sender: Socket, path: DataPath | Line) -> None:
+def deliver(sender: Socket, path: DataPath | Endpoint) -> None:
     """Send until it has been received."""
     end_s = time.monotonic() + PATIENCE_S
     while not list(path.messages()):
@@ -130,7 +129,7 @@ def test_a_silence_of_all_together_is_a_cut(
     context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Hosts answer in real time, not in ours.
-    monkeypatch.setattr(Refusals, "tend", lambda self, now_ns: [])
+    monkeypatch.setattr(HandshakeMonitor, "tend", lambda self, now_ns: [])
     address = free_address()
     publisher = context.socket(zmq.PUB)
     publisher.bind(address)
@@ -154,7 +153,7 @@ def test_requests_to_connect_are_repeated_soon_but_now_and_then_may_take_their_t
     address = free_address()
     publisher = context.socket(zmq.PUB)
     publisher.bind(address)
-    asking = Line(context.socket(zmq.SUB))
+    asking = Endpoint(context.socket(zmq.SUB))
 
     def timeouts_ms(tries: int, hurried: bool = True) -> list[int]:
         timeouts = []
@@ -175,7 +174,7 @@ def test_requests_to_connect_are_repeated_soon_but_now_and_then_may_take_their_t
 def test_who_stood_still_itself_does_not_wait_long_for_more_than_what_has_queued(
     context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Refusals, "tend", lambda self, now_ns: [])
+    monkeypatch.setattr(HandshakeMonitor, "tend", lambda self, now_ns: [])
     address = free_address()
     publisher = context.socket(zmq.PUB)
     publisher.bind(address)
@@ -296,7 +295,7 @@ def test_a_wrong_address_is_refused_at_once(context: Context) -> None:
 def test_a_data_path_that_is_silent_alone_gets_a_second_connection(
     context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Refusals, "tend", lambda self, now_ns: [])
+    monkeypatch.setattr(HandshakeMonitor, "tend", lambda self, now_ns: [])
     address = free_address()
     publisher, server = context.socket(zmq.XPUB), context.socket(zmq.ROUTER)
     publisher.setsockopt(zmq.XPUB_VERBOSE, 1)
@@ -341,7 +340,7 @@ def test_a_data_path_that_is_silent_alone_gets_a_second_connection(
 def test_a_connection_that_floods_is_closed_for_a_while(
     context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Refusals, "tend", lambda self, now_ns: [])
+    monkeypatch.setattr(HandshakeMonitor, "tend", lambda self, now_ns: [])
     monkeypatch.setattr(line, "BURST", 200)
     address = free_address()
     publisher, said = context.socket(zmq.PUB), []

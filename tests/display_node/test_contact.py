@@ -6,8 +6,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from display_node.actuators.contact import ContactLaw
-from display_node.actuators.stepper import StepperScene
+from display_node.plant.contact import ContactLaw
+from display_node.plant.stepper import StepperScene
 from protocol.tactile import ElasticLayer
 
 REDUCED_PA = 0.05e9 / 0.75

@@ -2,10 +2,10 @@ import math
 
 import pytest
 
-from display_node.actuators.contact import ContactLaw
-from display_node.actuators.stepper import StepperScene
-from display_node.controller import ControllerScene, StepperController
-from display_node.feed_forward import ScrewPath
+from display_node.control.controller import ControllerScene, StepperController
+from display_node.control.feed_forward import ScrewPath
+from display_node.plant.contact import ContactLaw
+from display_node.plant.stepper import StepperScene
 from protocol.tactile import Film
 
 TICK_S = 1e-3

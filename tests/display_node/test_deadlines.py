@@ -1,7 +1,7 @@
 """Deadline misses in virtual time: when they are an alarm, and when they are not."""
 
-from display_node.deadlines import GAP_NS, WINDOW_NS, DeadlineWatch, deadline_alarm
-from protocol.summary import Loop, Summary
+from display_node.scoring.deadlines import GAP_NS, WINDOW_NS, DeadlineWatch, deadline_alarm
+from protocol.run_summary import Loop, Summary
 
 TICK_NS = 1_000_000
 

@@ -1,6 +1,6 @@
 import pytest
 
-from display_node.delay import Delay
+from display_node.plant.filters import DelayLine
 
 
 @pytest.mark.parametrize(
@@ -14,5 +14,5 @@ from display_node.delay import Delay
     ],
 )
 def test_values_come_back_so_many_ticks_later(ticks: float, expected: list[float]) -> None:
-    delay = Delay(ticks)
+    delay = DelayLine(ticks)
     assert [delay.step(value) for value in (1, 2, 4, 8, 16)] == expected

@@ -9,9 +9,11 @@ from hypothesis import strategies as st
 
 from display_node.display import Display
 from display_node.scene import DisplayScene
-from display_node.telemetry import TraceWriter, read_status, read_trace, write_status
+from display_node.telemetry.messages import TraceWriter, read_status, read_trace, write_status
+from protocol.config.scene import load_section, validate
 from protocol.errors import SceneError
-from protocol.messages import (
+from protocol.tactile import ElasticLayer
+from protocol.wire.messages import (
     Bye,
     ClockReply,
     ClockRequest,
@@ -20,8 +22,6 @@ from protocol.messages import (
     encode_control,
     encode_frame,
 )
-from protocol.scene import load_section, validate
-from protocol.tactile import ElasticLayer
 
 from ..streams import description
 from .sender import AHEAD_NS, MS, Sender, run

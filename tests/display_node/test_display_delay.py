@@ -8,8 +8,8 @@ import pytest
 
 from display_node.display import Display
 from display_node.scene import DisplayScene
-from protocol.messages import Frame, encode_frame
-from protocol.scene import load_section
+from protocol.config.scene import load_section
+from protocol.wire.messages import Frame, encode_frame
 
 from ..streams import description
 from .sender import AHEAD_NS, MS, Sender

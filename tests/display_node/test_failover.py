@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from display_node.failover import Failover, Keep
+from display_node.reception.failover import Failover, Keep
 
 MS = 1_000_000
 FRAME_MS, ONE_WAY_MS = 5, 20

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from display_node.actuators.stepper import StepperScene
-from display_node.actuators.transmission import Play, Rotor
-from display_node.feed_forward import Gap, ScrewPath
+from display_node.control.feed_forward import Gap, ScrewPath
+from display_node.plant.stepper import StepperScene
+from display_node.plant.transmission import Backlash, Rotor
 from protocol.tactile import ElasticLayer
 
 Positions = NDArray[np.float64]
@@ -36,7 +36,7 @@ class Bench:
     def run(self, tip_m: Positions) -> tuple[Positions, Positions, Positions]:
         """Screw, wanted tip and moved tip at each tick's end."""
         named = self.scene
-        turned = Play(named.backlash_m)
+        turned = Backlash(named.backlash_m)
         rotor = None
         if named.rotor_resonance_hz is not None:
             rotor = Rotor(named.rotor_resonance_hz, named.rotor_damping, self.tick_s)

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from display_node.feedback import KEEP, Feedback
+from display_node.drives.feedback import KEEP, Feedback
 
 MS = 1_000_000
 

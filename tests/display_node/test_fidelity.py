@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from display_node.fidelity import Fidelity
+from display_node.scoring.tracking_error import TrackingError
 from protocol.tactile import ElasticLayer
 
 MS = 1_000_000
@@ -38,18 +38,20 @@ def frames(t_ns: Times, size: int = 5) -> list[Times]:
     return np.split(t_ns, range(size, len(t_ns), size))
 
 
-def tell(fidelity: Fidelity, pieces: Iterable[Times], wave: Wave = pulse_n) -> None:
+def tell(fidelity: TrackingError, pieces: Iterable[Times], wave: Wave = pulse_n) -> None:
     for t_ns in pieces:
         fidelity.truth(t_ns, wave(t_ns))
 
 
-def feel(fidelity: Fidelity, ticks_ns: Times, forces_n: Forces, delay_ns: int = DELAY_NS) -> None:
+def feel(
+    fidelity: TrackingError, ticks_ns: Times, forces_n: Forces, delay_ns: int = DELAY_NS
+) -> None:
     for now_ns, force_n in zip(ticks_ns.tolist(), forces_n.tolist(), strict=True):
         fidelity.felt(now_ns, now_ns - delay_ns, force_n)
 
 
-def scored(ticks_ns: Times, felt_n: Forces, truth_s: float = 6.0) -> Fidelity:
-    fidelity = Fidelity(STRAIN_PER_NEWTON)
+def scored(ticks_ns: Times, felt_n: Forces, truth_s: float = 6.0) -> TrackingError:
+    fidelity = TrackingError(STRAIN_PER_NEWTON)
     tell(fidelity, frames(sample_times_ns(truth_s)))
     feel(fidelity, ticks_ns, felt_n)
     fidelity.finish()
@@ -96,7 +98,7 @@ def test_within_jnd_is_the_share_below_10_percent_of_peak_to_peak() -> None:
 
 
 def test_nothing_is_known_before_anything_was_scored() -> None:
-    fidelity = Fidelity(STRAIN_PER_NEWTON)
+    fidelity = TrackingError(STRAIN_PER_NEWTON)
     feel(fidelity, tick_times_ns(1.0, 5.0), np.zeros(4000))
     fidelity.finish()
     assert fidelity.force_rmse_n.aligned is None
@@ -106,7 +108,7 @@ def test_nothing_is_known_before_anything_was_scored() -> None:
 
 def test_the_errors_are_known_while_it_runs() -> None:
     ticks_ns = tick_times_ns(1.0, 5.0)
-    fidelity = Fidelity(STRAIN_PER_NEWTON)
+    fidelity = TrackingError(STRAIN_PER_NEWTON)
     tell(fidelity, frames(sample_times_ns(6.0), size=100))
     feel(fidelity, ticks_ns, pulse_n(ticks_ns - DELAY_NS) + 0.01)
     assert fidelity.force_rmse_n.aligned == pytest.approx(0.01, rel=1e-3)
@@ -117,7 +119,7 @@ def test_truth_that_comes_after_the_felt_force_is_waited_for() -> None:
     # In the order of a display: the error in phase needs samples that have yet to arrive.
     ticks_ns = tick_times_ns(2.0, 14.0)
     felt_n = pulse_n(ticks_ns)
-    fidelity, late_ns = Fidelity(STRAIN_PER_NEWTON), 1900 * MS
+    fidelity, late_ns = TrackingError(STRAIN_PER_NEWTON), 1900 * MS
     pending = frames(sample_times_ns(16.0))
     for now_ns, force_n in zip(ticks_ns.tolist(), felt_n.tolist(), strict=True):
         while pending and pending[0][-1] + late_ns <= now_ns:
@@ -135,7 +137,7 @@ def test_truth_out_of_order_is_put_right() -> None:
     felt_n = pulse_n(ticks_ns) + np.random.default_rng(4).normal(0, 0.03, len(ticks_ns))
     shuffled = frames(sample_times_ns(6.0))
     np.random.default_rng(1).shuffle(shuffled)
-    fidelity = Fidelity(STRAIN_PER_NEWTON)
+    fidelity = TrackingError(STRAIN_PER_NEWTON)
     tell(fidelity, shuffled)
     feel(fidelity, ticks_ns, felt_n)
     fidelity.finish()
@@ -152,7 +154,7 @@ def test_where_truth_is_missing_nothing_is_scored(gap_ms: int, is_scored: bool) 
     ticks_ns = tick_times_ns(1.0, 5.0)
     felt_n = pulse_n(ticks_ns)
     felt_n[(ticks_ns > gap_ns[0]) & (ticks_ns < gap_ns[1])] += 100.0
-    fidelity = Fidelity(STRAIN_PER_NEWTON)
+    fidelity = TrackingError(STRAIN_PER_NEWTON)
     tell(fidelity, frames(t_ns[here], size=1))
     feel(fidelity, ticks_ns, felt_n, delay_ns=0)
     fidelity.finish()
@@ -163,7 +165,7 @@ def test_where_truth_is_missing_nothing_is_scored(gap_ms: int, is_scored: bool) 
 def test_before_and_after_all_truth_nothing_is_scored() -> None:
     ticks_ns = tick_times_ns(-1.0, 9.0)
     inside = (ticks_ns > T0_NS) & (ticks_ns < T0_NS + 5999 * MS)
-    fidelity = Fidelity(STRAIN_PER_NEWTON)
+    fidelity = TrackingError(STRAIN_PER_NEWTON)
     tell(fidelity, frames(sample_times_ns(6.0)))
     feel(fidelity, ticks_ns, np.where(inside, pulse_n(ticks_ns), 100.0), delay_ns=0)
     fidelity.finish()
@@ -172,7 +174,7 @@ def test_before_and_after_all_truth_nothing_is_scored() -> None:
 
 
 def test_one_sample_of_truth_scores_nothing() -> None:
-    fidelity = Fidelity(STRAIN_PER_NEWTON)
+    fidelity = TrackingError(STRAIN_PER_NEWTON)
     tell(fidelity, [sample_times_ns(0.001)])
     feel(fidelity, tick_times_ns(0.0, 1.0), np.zeros(1000))
     fidelity.finish()
@@ -194,7 +196,7 @@ def grown_bytes(run: Callable[[int], None], minutes: int = 10) -> int:
 
 @pytest.mark.parametrize("felt_share", [1.0, 0.3, 0.0], ids=["felt", "a fault after 18 s", "never"])
 def test_memory_does_not_grow_in_ten_minutes(felt_share: float) -> None:
-    fidelity = Fidelity(STRAIN_PER_NEWTON)
+    fidelity = TrackingError(STRAIN_PER_NEWTON)
     first_ns, force_n = T0_NS + np.arange(25, dtype=np.int64) * MS, np.linspace(0.3, 0.4, 25)
 
     def one_minute(minute: int) -> None:
@@ -211,7 +213,7 @@ def test_memory_does_not_grow_in_ten_minutes(felt_share: float) -> None:
 
 
 def test_what_was_felt_before_a_fault_is_scored_however_long_it_lasts() -> None:
-    fidelity = Fidelity(STRAIN_PER_NEWTON)
+    fidelity = TrackingError(STRAIN_PER_NEWTON)
     ticks_ns = tick_times_ns(1.0, 2.0)
     pieces = frames(sample_times_ns(120.0))
     tell(fidelity, pieces[:400])
@@ -222,7 +224,7 @@ def test_what_was_felt_before_a_fault_is_scored_however_long_it_lasts() -> None:
 
 
 def test_a_force_that_is_unknown_is_not_scored() -> None:
-    fidelity = Fidelity(STRAIN_PER_NEWTON)
+    fidelity = TrackingError(STRAIN_PER_NEWTON)
     ticks_ns = tick_times_ns(1.0, 2.0)
     tell(fidelity, frames(sample_times_ns(120.0))[:400])
     felt_n = pulse_n(ticks_ns - DELAY_NS) + 0.01

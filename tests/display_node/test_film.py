@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from display_node.film import FeedbackFilm, FilmTable
+from display_node.plant.film import FeedbackFilm, FilmTable
 
 TICK_S = 1e-3
 

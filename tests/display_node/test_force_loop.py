@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from display_node.actuators.second_order import SecondOrderScene
-from display_node.actuators.stepper import StepperScene
-from display_node.controller import ControllerScene
-from display_node.film import FilmTable
-from display_node.force_loop import WATCHDOG_S, ForceLoop, build_force_loop
+from display_node.control.controller import ControllerScene
+from display_node.control.force_loop import WATCHDOG_S, ForceLoop, build_force_loop
+from display_node.plant.film import FilmTable
+from display_node.plant.second_order import SecondOrderScene
+from display_node.plant.stepper import StepperScene
 from protocol.errors import SceneError
 from protocol.tactile import ElasticLayer
-from sensing_node.sources.synthetic import Synthetic, SyntheticScene
+from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 
 TICK_S = 1e-3
 WATCHDOG_TICKS = round(WATCHDOG_S / TICK_S)
@@ -54,7 +54,9 @@ def tick(loop: ForceLoop, *reference_n: float) -> float:
 @pytest.fixture(scope="module")
 def pulse_n() -> NDArray[np.float64]:
     """8 s of the paper's pulse: 0.3 N from peak to peak, on 0.3 N."""
-    source = Synthetic(SyntheticScene.model_validate({"kind": "synthetic", "preset": "paper"}))
+    source = SyntheticSource(
+        SyntheticScene.model_validate({"kind": "synthetic", "preset": "paper"})
+    )
     return source.take(8001)[:, 0]
 
 

@@ -11,15 +11,15 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from display_node import hardware
+from display_node.drives import hardware
 from display_node.drives.drive import DriveStatus
-from display_node.drives.withdrawal import Outcome
-from display_node.hardware import Hardware, connected
+from display_node.drives.hardware import Hardware, connected
+from display_node.drives.withdrawal import WithdrawalOutcome
 from display_node.node import DisplayNode
 from display_node.scene import DisplayScene
+from protocol.config.scene import load_section
 from protocol.errors import DriveError, SceneError, SourceError
-from protocol.scene import load_section
-from sensors.reading import Reading
+from pulse_sensors.reading import Reading
 
 from ..nodes import free_address
 from ..streams import synthetic
@@ -188,7 +188,7 @@ def test_after_a_stall_the_tip_withdraws_whichever_thread_wakes_first(
     (fault,) = bench.display.safety.faults
     assert re.search(r"no command for \d+ ms", fault)
     assert ended_after_ms(bench, woke_ms) < 300
-    assert bench.hardware.finger(bench.now_ms * MS).outcome is Outcome.WITHDRAWN
+    assert bench.hardware.finger(bench.now_ms * MS).outcome is WithdrawalOutcome.WITHDRAWN
 
 
 def test_a_loop_that_hangs_alone_leaves_the_withdrawal_to_the_drives_thread(
@@ -312,7 +312,7 @@ def test_a_node_judges_its_loop_once_before_its_drive_moves(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     bench, judged = VirtualBench(lambda ms: 0.3), Mock()
-    monkeypatch.setattr("display_node.force_loop.refuse_unstable", judged)
+    monkeypatch.setattr("display_node.control.force_loop.refuse_unstable", judged)
     with closing(DisplayNode(bench.scene, [free_address()], "tcp://127.0.0.1:*", print)) as node:
         assert judged.call_count == 1
         node.use(bench.hardware)

@@ -7,33 +7,33 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from display_node.heard import (
+from display_node.telemetry.capture import (
     CONTROL,
     MAX_KEPT_BYTES,
     SUBSCRIBED,
     UNSUBSCRIBED,
-    Heard,
-    HeardWriter,
-    Message,
-    read_heard,
+    CapturedMessage,
+    CapturedMessages,
+    CaptureWriter,
+    read_capture,
 )
 from protocol.errors import WireError
-from protocol.messages import MAX_FRAME_BYTES
+from protocol.wire.messages import MAX_FRAME_BYTES
 
 MAX_SOCKET_BYTES = 4 * MAX_FRAME_BYTES
 
 
-def wanted() -> HeardWriter:
-    writer = HeardWriter(run=9)
+def wanted() -> CaptureWriter:
+    writer = CaptureWriter(run=9)
     writer.follow(SUBSCRIBED)
     return writer
 
 
-def taken(writer: HeardWriter) -> list[Heard]:
-    return [read_heard(message) for message in writer.take(100, 2_000)]
+def taken(writer: CaptureWriter) -> list[CapturedMessages]:
+    return [read_capture(message) for message in writer.take(100, 2_000)]
 
 
-def messages_of(parts: list[Heard]) -> Iterator[Message]:
+def messages_of(parts: list[CapturedMessages]) -> Iterator[CapturedMessage]:
     for part in parts:
         yield from part.messages
 
@@ -44,12 +44,14 @@ def test_every_message_comes_through_with_its_time_and_path() -> None:
     writer.add(1, 0, b"a")
     writer.add(2, CONTROL, b"")
     (heard,) = taken(writer)
-    assert heard == Heard(9, 100, 2_000, 5, 2, 0, [Message(1, 0, b"a"), Message(2, CONTROL, b"")])
-    assert taken(writer) == [Heard(9, 100, 2_000, 5, 2, 2, [])]
+    assert heard == CapturedMessages(
+        9, 100, 2_000, 5, 2, 0, [CapturedMessage(1, 0, b"a"), CapturedMessage(2, CONTROL, b"")]
+    )
+    assert taken(writer) == [CapturedMessages(9, 100, 2_000, 5, 2, 2, [])]
 
 
 def test_nothing_is_kept_while_nobody_asks_and_yet_it_is_counted() -> None:
-    writer = HeardWriter(run=9)
+    writer = CaptureWriter(run=9)
     writer.follow(b"\1")
     writer.follow(b"\1trace")
     writer.add(1, 0, b"a")
@@ -61,16 +63,16 @@ def test_nothing_is_kept_while_nobody_asks_and_yet_it_is_counted() -> None:
     writer.follow(SUBSCRIBED)
     writer.add(4, 0, b"d")
     (heard,) = taken(writer)
-    assert (heard.before, heard.messages) == (3, [Message(4, 0, b"d")])
+    assert (heard.before, heard.messages) == (3, [CapturedMessage(4, 0, b"d")])
 
 
 def test_who_comes_late_is_told_what_the_stream_is() -> None:
-    writer = HeardWriter(run=9)
+    writer = CaptureWriter(run=9)
     writer.add(1, CONTROL, b"welcome")
     writer.welcome(1, b"welcome")
     for _ in range(2):
         writer.follow(SUBSCRIBED)
-        assert list(messages_of(taken(writer))) == [Message(1, CONTROL, b"welcome")]
+        assert list(messages_of(taken(writer))) == [CapturedMessage(1, CONTROL, b"welcome")]
 
 
 def test_what_is_above_a_frames_limit_is_cut() -> None:
@@ -86,7 +88,7 @@ def test_a_flood_is_parted_for_the_socket_and_beyond_a_limit_counted_only() -> N
         writer.add(number, 0, bytes(MAX_FRAME_BYTES))
     parts = list(writer.take(100, 2_000))
     assert all(len(part) < MAX_SOCKET_BYTES for part in parts)
-    heard = [read_heard(part) for part in parts]
+    heard = [read_capture(part) for part in parts]
     kept = list(messages_of(heard))
     assert MAX_KEPT_BYTES // MAX_FRAME_BYTES <= len(kept) < count
     assert [message.arrived_ns for message in kept] == list(range(len(kept)))
@@ -94,7 +96,7 @@ def test_a_flood_is_parted_for_the_socket_and_beyond_a_limit_counted_only() -> N
         assert other.before == one.before + len(one.messages)
     writer.add(count, 0, b"after")
     (after,) = taken(writer)
-    assert (after.before, after.messages) == (count, [Message(count, 0, b"after")])
+    assert (after.before, after.messages) == (count, [CapturedMessage(count, 0, b"after")])
 
 
 plain = st.recursive(
@@ -112,7 +114,7 @@ plain = st.recursive(
 )
 def test_bytes_are_read_or_refused(data: bytes) -> None:
     with suppress(WireError):
-        assert isinstance(read_heard(data), Heard)
+        assert isinstance(read_capture(data), CapturedMessages)
 
 
 @pytest.mark.parametrize(
@@ -130,4 +132,4 @@ def test_bytes_are_read_or_refused(data: bytes) -> None:
 )
 def test_what_was_not_heard_is_refused(value: object) -> None:
     with pytest.raises(WireError):
-        read_heard(msgpack.packb(value))
+        read_capture(msgpack.packb(value))

@@ -2,14 +2,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from display_node.heart_rate import heart_rate_per_min
-from sensing_node.sources.synthetic import Synthetic, SyntheticScene
+from display_node.scoring.heart_rate import heart_rate_per_min
+from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 
 
 def pulse_n(duration_s: float, spacing_s: float = 1e-3, **table: object) -> NDArray[np.float64]:
     scene = SyntheticScene.model_validate({"kind": "synthetic"} | table)
     thin = round(spacing_s / 1e-3)
-    return Synthetic(scene).take(round(duration_s * 1000))[::thin, 0]
+    return SyntheticSource(scene).take(round(duration_s * 1000))[::thin, 0]
 
 
 def times_s(forces_n: NDArray[np.float64], spacing_s: float = 1e-3) -> NDArray[np.float64]:

@@ -7,7 +7,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, precondition, rule
 
-from display_node.jitter_buffer import KEEP_SAMPLES, MAX_AHEAD_SAMPLES, JitterBuffer
+from display_node.reception.jitter_buffer import KEEP_SAMPLES, MAX_AHEAD_SAMPLES, JitterBuffer
 from fuzz.stream_play import BATCH, StreamPlay
 from protocol.errors import WireError
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from display_node.jitter_buffer import Account, JitterBuffer
+from display_node.reception.jitter_buffer import JitterBuffer, SampleAccount
 from protocol.errors import WireError
 
 from .frames import MS, at_ns, filled, frame, refusal
@@ -39,7 +39,7 @@ class Ledger:
         return len(fates), fates.count("played"), fates.count("late"), fates.count("lost")
 
 
-def counts(account: Account) -> tuple[int, int, int, int]:
+def counts(account: SampleAccount) -> tuple[int, int, int, int]:
     assert account.sent == account.played + account.late + account.lost
     return account.sent, account.played, account.late, account.lost
 
@@ -84,16 +84,16 @@ def test_every_sample_is_played_late_or_lost(
 
 
 def test_accounts_of_sessions_add_up() -> None:
-    total = Account(10, 6, 3, 2) + Account(7, 4, 1, 1)
-    assert (total, total.lost) == (Account(17, 10, 4, 3), 3)
+    total = SampleAccount(10, 6, 3, 2) + SampleAccount(7, 4, 1, 1)
+    assert (total, total.lost) == (SampleAccount(17, 10, 4, 3), 3)
 
 
 def test_a_frame_from_before_the_first_counts_as_late() -> None:
     buffer = filled(frame(50))
     buffer.advance(at_ns(54))
-    assert buffer.account() == Account(5, 5, 0, 50)
+    assert buffer.account() == SampleAccount(5, 5, 0, 50)
     buffer.put(frame(40))
-    assert buffer.account() == Account(15, 5, 5, 40)
+    assert buffer.account() == SampleAccount(15, 5, 5, 40)
     assert buffer.account().lost == 5
 
 
@@ -183,7 +183,7 @@ def test_a_tail_that_never_came_is_lost_once_all_the_rest_was_played() -> None:
 
 def test_a_session_of_which_nothing_came_was_all_before_joining() -> None:
     buffer = JitterBuffer(0)
-    assert buffer.account() == Account()
+    assert buffer.account() == SampleAccount()
     buffer.end(1000, now_ns=None)
-    assert buffer.account() == Account(before_joining=1000)
+    assert buffer.account() == SampleAccount(before_joining=1000)
     assert buffer.end_ns is None

@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from display_node.jitter_buffer import (
+from display_node.reception.jitter_buffer import (
     KEEP_SAMPLES,
     MAX_AHEAD_SAMPLES,
     TIME_TOLERANCE_NS,
     JitterBuffer,
 )
-from protocol.messages import Frame
+from protocol.wire.messages import Frame
 
 from .frames import MS, T0_NS, at_ns, filled, frame, refusal
 

@@ -6,7 +6,7 @@ The whole table: `make bench ARGS=lies`.
 import pytest
 
 from benchmarks.lies import Case, hostile_stream, lied, paper_pulse
-from telepulse.emulate.lies import LieKind
+from telepulse.emulators.lies import LieKind
 
 PULSE = paper_pulse()
 

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from display_node.linear_loop import LinearLoop
-from display_node.observer import DESIGN_FORCE_N
+from display_node.control.linear_loop import LinearLoop
+from display_node.control.observer import DESIGN_FORCE_N
 
 from .loops import FINE, LAYER, TICK_S, Case, Shipped, Table
 

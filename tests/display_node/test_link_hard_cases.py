@@ -8,9 +8,9 @@ import pytest
 
 from display_node.display import Display
 from display_node.scene import DisplayScene
-from protocol.messages import Bye, Frame, Welcome, encode_control, encode_frame
-from protocol.scene import load_section
-from protocol.summary import Samples
+from protocol.config.scene import load_section
+from protocol.run_summary import SampleCounts
+from protocol.wire.messages import Bye, Frame, Welcome, encode_control, encode_frame
 
 from ..streams import description
 from .virtual_link import AHEAD_NS, BATCH, HOUR_NS, MS, WAY_NS, VirtualLink, ahead_ns, pulse_n
@@ -25,7 +25,7 @@ def display(**changes: object) -> Display:
     return Display(scene.model_copy(update=changes), "test")
 
 
-def assert_accounted(link: VirtualLink) -> Samples:
+def assert_accounted(link: VirtualLink) -> SampleCounts:
     """Each sample that was sent is played, late, lost, or from before joining; none is two."""
     link.sends = False
     end_ms = link.played[-1][0] // MS + 1

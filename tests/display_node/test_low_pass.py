@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import butter, lsim
 
-from display_node.low_pass import LowPass
+from display_node.plant.filters import LowPass
 
 TICK_S = 1e-3
 orders = pytest.mark.parametrize("order", [1, 2, 3, 4])

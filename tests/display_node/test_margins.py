@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from display_node.linear_loop import Law, LinearLoop, Plant
-from display_node.margins import FORCE_SHARES, felt_noise, margins, refuse_unstable
+from display_node.control.linear_loop import Law, LinearLoop, LinearPlant
+from display_node.control.margins import FORCE_SHARES, felt_noise, margins, refuse_unstable
 from display_node.scene import DisplayScene
+from protocol.config.scene import load_section
 from protocol.errors import SceneError
-from protocol.scene import load_section
 
 from .loops import FINE, LAYER, LIMIT_N, TICK_S, Case, Shipped, Table
 
@@ -33,7 +33,7 @@ def looped(z_domain: control.TransferFunction) -> LinearLoop:
     """A textbook loop: negative feedback of 1 round a transfer function of z."""
     system = control.ss(z_domain)
     a, b, c = system.A, system.B[:, 0], system.C[0]
-    plant = Plant(
+    plant = LinearPlant(
         displaced=np.zeros(len(a)),
         read=lambda state: float(c @ state),
         tip=lambda state: float(c @ state),

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import zmq
 
-from display_node.telemetry import TRACE, read_status, read_trace
-from protocol.messages import (
+from display_node.telemetry.messages import TRACE, read_status, read_trace
+from protocol.sockets import Context, control_address
+from protocol.wire.messages import (
     ClockReply,
     ClockRequest,
     Frame,
@@ -19,7 +20,6 @@ from protocol.messages import (
     encode_control,
     encode_frame,
 )
-from protocol.sockets import Context, control_address
 
 from ..nodes import RADIAL, assert_accounted, free_address, process, read_json, run
 from ..streams import description

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from protocol.sockets import Context
-from telepulse.ports import free_addresses
+from telepulse.processes import free_addresses
 
 from ..nodes import RADIAL, assert_accounted, free_address, process, read_json
 from .live import (
@@ -43,7 +43,7 @@ def test_of_two_addresses_one_may_go_without_a_sample_lost(
     more = ("--connect", address, "--once", "--json", str(summary))
     relay_arguments = ("link", "--connect", address, "--bind", relayed, "--seconds", "60")
     with (
-        process("telepulse.cli", *relay_arguments) as relay,
+        process("telepulse", *relay_arguments) as relay,
         process(MODULE, *display_arguments(relayed, telemetry_address, *more)) as display,
         process("sensing_node.cli", *sensing_arguments(address, 10)),
     ):

@@ -4,10 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from display_node.actuators.contact import ContactLaw
-from display_node.actuators.stepper import Stepper, StepperScene
-from display_node.film import FeedbackFilm, FilmTable
-from display_node.observer import (
+from display_node.control.observer import (
     DESIGN_FORCE_N,
     MAX_OFFSET_M,
     OUTLIER,
@@ -16,7 +13,9 @@ from display_node.observer import (
     ObserverScene,
     observer_gains,
 )
-from display_node.step_rate import StepRate
+from display_node.plant.contact import ContactLaw
+from display_node.plant.film import FeedbackFilm, FilmTable
+from display_node.plant.stepper import Stepper, StepperScene, StepRate
 from protocol.tactile import ElasticLayer
 
 TICK_S = 1e-3

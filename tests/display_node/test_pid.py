@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from display_node.actuators.second_order import SecondOrder, SecondOrderScene
-from display_node.controller import ControllerScene
-from display_node.pid import Pid
+from display_node.control.controller import ControllerScene
+from display_node.control.pid import Pid
+from display_node.plant.second_order import SecondOrder, SecondOrderScene
 from protocol.tactile import Film
 
 TICK_S = 1e-3

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from display_node.plausibility import SOFTEST, WITHIN_NS, FilmPlausibility, RisingForce
+from display_node.control.film_plausibility import SOFTEST, WITHIN_NS, FilmPlausibility, RisingForce
 
 from .drives.benches import LAYER, stepper
 

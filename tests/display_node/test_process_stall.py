@@ -12,7 +12,7 @@ import pytest
 from display_node.display import Display
 from display_node.node import LEAST_READ
 from display_node.scene import DisplayScene
-from protocol.scene import load_section
+from protocol.config.scene import load_section
 
 from .sender import MS, Sender, run
 

@@ -3,10 +3,16 @@ import time
 import pytest
 import zmq
 
-from display_node.display import Felt
-from display_node.heard import CONTROL, HEARD, Heard, Message, read_heard
-from display_node.publisher import Publisher
-from display_node.telemetry import STATUS, STATUS_TRACES, TRACE, TRACE_TICKS, read_trace
+from display_node.display import TickState
+from display_node.telemetry.capture import (
+    CONTROL,
+    HEARD,
+    CapturedMessage,
+    CapturedMessages,
+    read_capture,
+)
+from display_node.telemetry.messages import STATUS, STATUS_TRACES, TRACE, TRACE_TICKS, read_trace
+from display_node.telemetry.publisher import Publisher
 from protocol import sockets
 from protocol.sockets import Context
 
@@ -16,7 +22,7 @@ from .live import PATIENCE_S, subscribe
 
 def ticks(publisher: Publisher, count: int) -> int:
     """How many statuses are due on the way."""
-    return sum(publisher.add(Felt(now_ns=number)) for number in range(count))
+    return sum(publisher.add(TickState(now_ns=number)) for number in range(count))
 
 
 def received(socket: zmq.Socket) -> list[tuple[bytes, bytes]]:
@@ -27,13 +33,13 @@ def received(socket: zmq.Socket) -> list[tuple[bytes, bytes]]:
     return messages
 
 
-def heard_by(socket: zmq.Socket, publisher: Publisher) -> Heard:
+def heard_by(socket: zmq.Socket, publisher: Publisher) -> CapturedMessages:
     """The first of what was heard that reaches a reader which has just come."""
     end_s = time.monotonic() + PATIENCE_S
     while time.monotonic() < end_s:
         ticks(publisher, TRACE_TICKS)
         if socket.poll(20):
-            return read_heard(socket.recv_multipart()[1])
+            return read_capture(socket.recv_multipart()[1])
     pytest.fail("nothing came")
 
 
@@ -62,7 +68,7 @@ def test_each_recorder_is_told_of_the_stream_however_late_it_comes(
         reader = context.socket(zmq.SUB)
         reader.subscribe(HEARD)
         reader.connect(publisher.address)
-        assert heard_by(reader, publisher).messages == [Message(1, CONTROL, b"welcome")]
+        assert heard_by(reader, publisher).messages == [CapturedMessage(1, CONTROL, b"welcome")]
 
 
 def test_the_last_ticks_and_messages_come_before_the_last_status(
@@ -77,7 +83,7 @@ def test_the_last_ticks_and_messages_come_before_the_last_status(
     messages = received(everything)
     traces = [read_trace(data) for topic, data in messages if topic == TRACE]
     assert [len(trace.now_ns) for trace in traces] == [TRACE_TICKS, 3]
-    heard = [read_heard(data) for topic, data in messages if topic == HEARD]
-    assert [m for part in heard for m in part.messages] == [Message(5, 0, b"last")]
+    heard = [read_capture(data) for topic, data in messages if topic == HEARD]
+    assert [m for part in heard for m in part.messages] == [CapturedMessage(5, 0, b"last")]
     assert heard[-1].traces == 2
     assert messages[-1] == (STATUS, b"status")

@@ -5,7 +5,7 @@ import pytest
 from benchmarks.lies import KINDS, TOUCH_N, bench_scene, paper_pulse
 from benchmarks.random_stalls import MOST_LOOKS, Ordeal
 from benchmarks.virtual_bench import MS, VirtualBench
-from telepulse.emulate.motor import Moment
+from telepulse.emulators.motor import Moment
 
 # Hours of it: `make bench ARGS=random_stalls`.
 SECONDS = 30.0

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from display_node.receiver import MAX_ASKED, Receiver
-from protocol.messages import (
+from display_node.reception.receiver import MAX_ASKED, Receiver
+from protocol.wire.messages import (
     Bye,
     ClockReply,
     ClockRequest,
@@ -15,7 +15,7 @@ from protocol.messages import (
     encode_control,
     encode_frame,
 )
-from protocol.stream import Channel
+from protocol.wire.stream import Channel
 
 from ..streams import description
 from .sender import AHEAD_NS, MS, Sender

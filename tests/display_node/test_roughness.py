@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from display_node.roughness import RoughnessMeter
-from protocol.summary import Roughness
+from display_node.scoring.tracking_error import RoughnessMeter
+from protocol.run_summary import Roughness
 
 MS = 1_000_000
 T0_NS = 1_700_000_000_000_000_000

@@ -11,24 +11,24 @@ import pytest
 import zmq
 from rich.console import Console
 
-from display_node import screen as screen_module
-from display_node.display import Felt
-from display_node.screen import Screen, watch
-from display_node.telemetry import STATUS, TRACE, Status, Trace, TraceWriter
-from protocol.causes import MEANINGS
+from display_node.display import TickState
+from display_node.telemetry import terminal as screen_module
+from display_node.telemetry.messages import STATUS, TRACE, Status, Trace, TraceWriter
+from display_node.telemetry.terminal import TerminalView, watch
 from protocol.limits import Limited, Limits
-from protocol.sockets import Context
-from protocol.status import pack_status
-from protocol.summary import (
+from protocol.run_summary import (
+    AlignedErrors,
     Compensation,
-    Errors,
     Loop,
     OneWayDelay,
     PlayoutDelay,
     Roughness,
-    Samples,
+    SampleCounts,
     Summary,
 )
+from protocol.security.causes import MEANINGS
+from protocol.sockets import Context
+from protocol.wire.status import pack_status
 
 from ..nodes import free_address
 
@@ -46,25 +46,25 @@ def trace_of_a_pulse(seconds: float) -> Trace:
 
 def status() -> Status:
     summary = Summary(
-        samples=Samples(1000, 990, 7, 3, 0),
+        samples=SampleCounts(1000, 990, 7, 3, 0),
         one_way_delay_ms=OneWayDelay(1.25, 4.5, 9.0),
         playout_delay_ms=PlayoutDelay(12.5, 14.0),
         compensation=Compensation(0.375),
         roughness=Roughness(6e-4, 5e-4, 1.44),
-        strain_rmse=Errors(1.5e-9, 2e-8),
+        strain_rmse=AlignedErrors(1.5e-9, 2e-8),
         loop=Loop(1000, 42),
     )
     return Status("playing", "my pulse", summary.to_dict(), False)
 
 
-def printed(screen: Screen) -> str:
+def printed(screen: TerminalView) -> str:
     console = Console(width=100, record=True, file=io.StringIO())
     console.print(screen.panel())
     return console.export_text()
 
 
 def test_the_panel_shows_what_a_person_watches() -> None:
-    screen = Screen()
+    screen = TerminalView()
     screen.add_trace(trace_of_a_pulse(6))
     screen.status = status()
     text = printed(screen)
@@ -77,7 +77,7 @@ def test_the_panel_shows_what_a_person_watches() -> None:
 
 
 def test_the_line_shows_the_same_in_one_line() -> None:
-    screen = Screen()
+    screen = TerminalView()
     screen.add_trace(trace_of_a_pulse(6))
     screen.status = status()
     line = screen.line()
@@ -86,7 +86,7 @@ def test_the_line_shows_the_same_in_one_line() -> None:
 
 
 def test_a_fault_is_named_with_what_to_do_in_line_and_panel() -> None:
-    screen = Screen()
+    screen = TerminalView()
     summary = status().summary | {"faults": ["feedback lost"], "finger": "pressed with 245 mN"}
     screen.status = status()._replace(state="fault", summary=summary)
     said = (
@@ -98,7 +98,7 @@ def test_a_fault_is_named_with_what_to_do_in_line_and_panel() -> None:
 
 
 def test_a_revoked_display_is_named_until_it_plays_again() -> None:
-    screen = Screen()
+    screen = TerminalView()
     summary = status().summary | {"rejected": {"revoked": 4}}
     screen.status = status()._replace(state="stale", summary=summary)
     assert "stale: revoked: the other node allowed this node's key before" in screen.line()
@@ -107,7 +107,7 @@ def test_a_revoked_display_is_named_until_it_plays_again() -> None:
 
 
 def test_a_limit_is_shown_where_it_was_reached() -> None:
-    screen = Screen()
+    screen = TerminalView()
     screen.status = status()
     assert "limited" not in printed(screen)
     limits = Limits(force=Limited(312, 4.1, 0.205), travel=Limited(1, 0.5, 0.025))
@@ -132,7 +132,7 @@ def test_a_limit_is_shown_where_it_was_reached() -> None:
 def test_a_display_that_does_not_get_in_shows_why(
     state: str, rejected: dict[str, int], named: bool
 ) -> None:
-    screen = Screen()
+    screen = TerminalView()
     summary = status().summary | {"rejected": rejected}
     screen.status = status()._replace(state=state, summary=summary)
     ((cause, count),) = rejected.items()
@@ -140,7 +140,7 @@ def test_a_display_that_does_not_get_in_shows_why(
 
 
 def test_the_plot_is_a_line_without_holes() -> None:
-    screen = Screen()
+    screen = TerminalView()
     screen.add_trace(trace_of_a_pulse(3))
     screen.status = status()
     rows = [
@@ -154,7 +154,7 @@ def test_the_plot_is_a_line_without_holes() -> None:
 
 
 def test_before_anything_is_known_it_says_so() -> None:
-    screen = Screen()
+    screen = TerminalView()
     assert "waiting" in printed(screen)
     assert "waiting" in screen.line()
     screen.status = Status("waiting", "", Summary().to_dict(), False)
@@ -162,7 +162,7 @@ def test_before_anything_is_known_it_says_so() -> None:
 
 
 def test_only_the_last_seconds_are_kept() -> None:
-    screen = Screen()
+    screen = TerminalView()
     for start_s in range(0, 120, 2):
         trace = trace_of_a_pulse(2)
         shifted = trace._replace(now_ns=trace.now_ns + start_s * 10**9)
@@ -192,7 +192,7 @@ def test_what_cannot_be_read_is_counted_shown_and_ends_nothing(context: Context)
     last = watch(address, Console(file=io.StringIO()), draw=False, meanwhile=look)
     assert last is not None
     assert last.final
-    screen = Screen()
+    screen = TerminalView()
     for message in ((TRACE, b"?"), (STATUS, b"?"), (STATUS,), (STATUS, FINAL, b"")):
         assert screen.take(message) is None
     assert screen.take((STATUS, FINAL)) is None
@@ -220,7 +220,7 @@ def test_a_display_that_stands_still_is_waited_for(
 
 @pytest.mark.parametrize("name", ["[red]evil[/red]", "\x1b[31mevil", "[/]"])
 def test_the_texts_of_a_status_cannot_draw_on_the_screen(name: str) -> None:
-    screen = Screen()
+    screen = TerminalView()
     texts = {"faults": [name], "finger": name, "rejected": {name: 1}}
     screen.status = status()._replace(stream=name, summary=status().summary | texts)
     text = printed(screen)
@@ -229,7 +229,7 @@ def test_the_texts_of_a_status_cannot_draw_on_the_screen(name: str) -> None:
 
 
 def test_what_is_not_current_has_its_age_and_no_heart_rate() -> None:
-    screen = Screen()
+    screen = TerminalView()
     screen.add_trace(trace_of_a_pulse(6))
     screen.take(
         (STATUS, pack_status("playing", "my pulse", Summary(), final=False)), 10 * SECOND_NS
@@ -247,13 +247,13 @@ def test_what_is_not_current_has_its_age_and_no_heart_rate() -> None:
 
 
 def test_a_display_that_has_ended_is_not_old() -> None:
-    screen = Screen()
+    screen = TerminalView()
     screen.take((STATUS, FINAL), 0)
     assert screen.line(60 * SECOND_NS).startswith("ended: ")
 
 
 def test_a_clock_that_begins_anew_begins_the_pulse_anew() -> None:
-    screen = Screen()
+    screen = TerminalView()
     later = trace_of_a_pulse(6)
     screen.add_trace(later._replace(now_ns=later.now_ns + 3_600 * SECOND_NS))
     screen.add_trace(trace_of_a_pulse(3))
@@ -261,7 +261,7 @@ def test_a_clock_that_begins_anew_begins_the_pulse_anew() -> None:
 
 
 def test_a_pulse_that_is_not_felt_at_its_full_strength_has_no_heart_rate() -> None:
-    screen = Screen()
+    screen = TerminalView()
     trace = trace_of_a_pulse(6)
     screen.add_trace(trace._replace(scored=trace.now_ns < 5_900_000_000))
     assert screen.heart_rate_per_min is None
@@ -270,7 +270,7 @@ def test_a_pulse_that_is_not_felt_at_its_full_strength_has_no_heart_rate() -> No
 def message_at(now_ns: int, felt_n: float = 0.356) -> bytes:
     """A trace message of one tick at full strength."""
     writer = TraceWriter()
-    writer.add(Felt(now_ns=now_ns, felt_n=felt_n, scored=True))
+    writer.add(TickState(now_ns=now_ns, felt_n=felt_n, scored=True))
     message = writer.rest()
     assert message is not None
     return message

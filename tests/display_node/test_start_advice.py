@@ -13,8 +13,8 @@ import serial
 from typer.testing import CliRunner
 
 from display_node.cli import app
-from display_node.drives.tmcl_line import TmclLine
-from display_node.start_advice import ADVICE, OTHERWISE, advised, start_advice
+from display_node.drives.tmcl.line import TmclLine
+from display_node.fault_advice import OTHERWISE, START_ADVICE, advised, start_advice
 from protocol.errors import DriveError
 
 from ..nodes import ROOT
@@ -95,7 +95,7 @@ def test_every_kind_of_refusal_in_the_code_has_an_advice() -> None:
     assert {"no answer", "garbled", "refused", "unplugged", "not there"} <= kinds
     for kind in kinds:
         assert start_advice(DriveError(kind, "node 1: text")) != OTHERWISE
-    assert kinds == {kind for kind, *_ in ADVICE}
+    assert kinds == {kind for kind, *_ in START_ADVICE}
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from display_node.step_rate import StepRate
+from display_node.plant.stepper import StepRate
 
 
 @pytest.mark.parametrize(

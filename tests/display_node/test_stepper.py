@@ -4,9 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from display_node.actuators.stepper import Stepper, StepperScene
-from display_node.actuators.transmission import Play, Rotor
-from display_node.step_rate import StepCommand
+from display_node.plant.stepper import StepCommand, Stepper, StepperScene
+from display_node.plant.transmission import Backlash, Rotor
 from protocol.tactile import ElasticLayer
 
 TICK_S = 1e-3
@@ -163,7 +162,7 @@ def test_its_way_is_that_of_its_rotor_and_its_play(table: dict[str, object]) -> 
     rotor = None
     if named.rotor_resonance_hz is not None:
         rotor = Rotor(named.rotor_resonance_hz, named.rotor_damping, TICK_S)
-    play = Play(named.backlash_m)
+    play = Backlash(named.backlash_m)
     law = named.contact(ElasticLayer())
     before_m = 0.0
     for tick in range(600):

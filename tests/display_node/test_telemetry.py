@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from display_node.display import Display, Felt
-from display_node.feedback import Feedback
+from display_node.display import Display, TickState
+from display_node.drives.feedback import Feedback
 from display_node.scene import DisplayScene
-from display_node.telemetry import (
+from display_node.telemetry.messages import (
     TRACE_TICKS,
     Trace,
     TraceWriter,
@@ -21,11 +21,11 @@ from display_node.telemetry import (
     read_trace,
     write_status,
 )
+from protocol.config.scene import load_section
 from protocol.errors import WireError
-from protocol.messages import LARGEST_N, TIME_RANGE
-from protocol.scene import load_section
-from protocol.status import pack_status
-from protocol.summary import Samples, Summary
+from protocol.run_summary import SampleCounts, Summary
+from protocol.wire.messages import LARGEST_N, TIME_RANGE
+from protocol.wire.status import pack_status
 
 from .sender import MS, Sender, run
 
@@ -34,7 +34,7 @@ int64 = st.integers(-(2**63), 2**63 - 1)
 times_ns = st.integers(TIME_RANGE.start, TIME_RANGE.stop - 1)
 forces_n = st.floats(-LARGEST_N, LARGEST_N)
 ticks = st.builds(
-    Felt,
+    TickState,
     now_ns=times_ns,
     instant_ns=times_ns,
     target_n=forces_n,
@@ -45,14 +45,14 @@ ticks = st.builds(
 )
 
 
-def traces(felt: list[Felt]) -> list[bytes]:
+def traces(felt: list[TickState]) -> list[bytes]:
     writer = TraceWriter()
     return [message for tick in felt if (message := writer.add(tick)) is not None]
 
 
 @settings(deadline=None)
 @given(st.lists(ticks, min_size=TRACE_TICKS, max_size=3 * TRACE_TICKS))
-def test_every_tick_comes_through_a_trace(felt: list[Felt]) -> None:
+def test_every_tick_comes_through_a_trace(felt: list[TickState]) -> None:
     felt.sort(key=lambda tick: tick.now_ns)
     read = [read_trace(message) for message in traces(felt)]
     assert len(read) == len(felt) // TRACE_TICKS
@@ -65,7 +65,7 @@ def test_every_tick_comes_through_a_trace(felt: list[Felt]) -> None:
 
 def trace_of(**changes: object) -> Trace:
     """Read a trace of ticks that are all alike but for the changes to the last one."""
-    felt = [Felt(tick, tick, tick, 0.5, 0.4, True, 0.01) for tick in range(TRACE_TICKS)]
+    felt = [TickState(tick, tick, tick, 0.5, 0.4, True, 0.01) for tick in range(TRACE_TICKS)]
     for name, value in changes.items():
         setattr(felt[-1], name, value)
     (message,) = traces(felt)
@@ -96,7 +96,7 @@ def test_times_that_fall_or_are_out_of_range_are_refused(changes: dict[str, int]
 
 @pytest.mark.parametrize("number", [2**53, 2**63])
 def test_a_summary_that_counts_beyond_all_measure_is_refused(number: int) -> None:
-    whole = Summary(samples=Samples(sent=number))
+    whole = Summary(samples=SampleCounts(sent=number))
     with pytest.raises(WireError, match="out of range"):
         read_status(pack_status("playing", "", whole, final=False))
 
@@ -124,7 +124,7 @@ def test_the_status_comes_through_before_there_is_a_stream() -> None:
     assert (status.state, status.stream, status.final) == ("waiting", "", True)
 
 
-good_trace = traces([Felt()] * TRACE_TICKS)[0]
+good_trace = traces([TickState()] * TRACE_TICKS)[0]
 plain = st.recursive(
     st.none() | st.booleans() | int64 | st.floats() | st.text(max_size=5) | st.binary(max_size=60),
     lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text(max_size=3), inner),
@@ -199,7 +199,7 @@ def test_a_status_with_what_is_no_summary_is_refused(summary: object) -> None:
 def test_a_status_has_every_key_of_a_summary() -> None:
     told = {"samples": {"late": 3}, "of a later version": 1}
     status = read_status(msgpack.packb(["playing", "stream", told, True, None, None, None]))
-    assert status.summary == Summary(samples=Samples(late=3)).to_dict()
+    assert status.summary == Summary(samples=SampleCounts(late=3)).to_dict()
 
 
 def test_a_film_that_falls_silent_is_a_fault_and_its_force_unknown() -> None:

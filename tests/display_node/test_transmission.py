@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
-from display_node.actuators.transmission import Play, Rotor
+from display_node.plant.transmission import Backlash, Rotor
 
 RESONANCE_HZ = 100.0
 W = 2 * math.pi * RESONANCE_HZ
@@ -85,7 +85,7 @@ ways = st.lists(st.floats(-10, 10), min_size=1, max_size=50)
 def test_play_stays_within_its_gap_and_moves_no_more_than_it_must(
     way: list[float], width: float
 ) -> None:
-    play, before = Play(width), 0.0
+    play, before = Backlash(width), 0.0
     for driving in way:
         driven = play.step(driving)
         assert abs(driven - driving) <= width / 2 * (1 + 1e-9) + 1e-12
@@ -95,7 +95,7 @@ def test_play_stays_within_its_gap_and_moves_no_more_than_it_must(
 
 
 def test_play_is_crossed_by_its_whole_width_after_a_reversal() -> None:
-    play = Play(2.0)
+    play = Backlash(2.0)
     assert [play.step(x) for x in (0.5, 1.0, 4.0)] == [0.0, 0.0, 3.0]
     assert [play.step(x) for x in (3.0, 2.0, 1.5)] == [3.0, 3.0, 2.5]
     assert [play.step(x) for x in (2.5, 3.5, 3.6)] == [2.5, 2.5, pytest.approx(2.6)]
@@ -104,7 +104,7 @@ def test_play_is_crossed_by_its_whole_width_after_a_reversal() -> None:
 @settings(deadline=None)
 @given(ways)
 def test_the_same_place_again_moves_nothing(way: list[float]) -> None:
-    play = Play(1.0)
+    play = Backlash(1.0)
     for driving in way:
         assert play.step(driving) == play.step(driving)
 
@@ -112,7 +112,7 @@ def test_the_same_place_again_moves_nothing(way: list[float]) -> None:
 @settings(deadline=None)
 @given(ways)
 def test_a_detour_within_the_gap_leaves_no_trace(way: list[float]) -> None:
-    straight, detour = Play(1.0), Play(1.0)
+    straight, detour = Backlash(1.0), Backlash(1.0)
     for driving in way:
         driven = straight.step(driving)
         assert detour.step(driving) == driven

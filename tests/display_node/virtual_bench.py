@@ -9,19 +9,18 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from display_node.actuators.stepper import StepperScene
-from display_node.display import Display, Felt
+from display_node.display import Display, TickState
 from display_node.drives.axis import Axis, build_axis
 from display_node.drives.drive import DriveStatus, no_film
+from display_node.drives.hardware import Hardware
 from display_node.drives.supervisor import Supervisor
-from display_node.hardware import Hardware
+from display_node.plant.stepper import StepCommand, StepperScene
 from display_node.scene import DisplayScene
-from display_node.step_rate import StepCommand
-from protocol.scene import load_section
-from sensors.packet import Packet
-from sensors.reading import Reading, Readings
-from telepulse.emulate.film import FRAME
-from telepulse.emulate.motor import EmulatedMotor, Moment
+from protocol.config.scene import load_section
+from pulse_sensors.packet import Packet
+from pulse_sensors.reading import Reading, Readings
+from telepulse.emulators.drive_run import FRAME
+from telepulse.emulators.motor import EmulatedMotor, Moment
 
 from .sender import MS, Sender
 
@@ -231,7 +230,7 @@ class VirtualBench:
         elapsed = max(1, (self.now_ms - self._ticked_ms) // TICK_MS)
         self._ticked_ms = self.now_ms
         self.drive.told_ns = now_ns + self.command_late_ns(self.now_ms)
-        felt: Felt = self.hardware.tick(self.display, now_ns, elapsed)
+        felt: TickState = self.hardware.tick(self.display, now_ns, elapsed)
         self.felt.append((now_ns, felt.target_n, felt.felt_n))
         for request in self.display.requests(now_ns):
             answer = self.sender.answer(request, now_ns) if self.sending else None

@@ -10,7 +10,7 @@ import typer
 
 import display_node.cli
 import sensing_node.cli
-import telepulse.cli
+import telepulse.cli.main
 from fuzz.__main__ import fuzz
 from soak.__main__ import soak
 from telepulse.scene import find_scene
@@ -19,7 +19,7 @@ from ..nodes import ROOT
 from .pages import OTHERS
 
 APPLICATIONS = {
-    "telepulse": telepulse.cli.app,
+    "telepulse": telepulse.cli.main.app,
     "sensing-node": sensing_node.cli.app,
     "display-node": display_node.cli.app,
 }

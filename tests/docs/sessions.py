@@ -12,7 +12,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from telepulse.ports import free_addresses
+from telepulse.processes import free_addresses
 
 from ..nodes import ROOT
 from ..waiting import until

@@ -13,9 +13,9 @@ import pytest
 import yaml
 
 from display_node.scene import DisplayScene
-from protocol.scene import validate
+from protocol.config.scene import validate
 from sensing_node.scene import SensingScene
-from telepulse.link import LinkScene
+from telepulse.simulation.link_model import LinkScene
 
 from ..nodes import ROOT
 from .pages import PYTHON, Block, blocks

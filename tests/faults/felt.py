@@ -28,6 +28,6 @@ def assert_back_within_a_second(finger: Finger, fault: Callable[[], int]) -> Non
 def assert_limits_kept(finger: Finger) -> None:
     """Neither force nor slew was beyond the scene's limits, from the first tick to the last."""
     force_n, wanted_n_per_s, _ = finger.peaks()
-    # A host that stalls is felt less (display_node/stall_guard.py).
+    # A host that stalls is felt less (display_node/control/stall_guard.py).
     assert 0.25 < force_n <= FORCE_LIMIT_N
     assert wanted_n_per_s <= SLEW_LIMIT_N_PER_S

@@ -9,8 +9,8 @@ import pytest
 from benchmarks.faults.cuts import DATA, Cut, cut_runner
 from benchmarks.faults.finger import Finger
 from benchmarks.faults.stage import staged, unaccounted
-from telepulse.emulator import emulate
-from telepulse.link import parse_link
+from telepulse.netem import emulate
+from telepulse.simulation.link_model import parse_link
 
 from ..telepulse.emulator.tcp import needs_emulator
 from .felt import (

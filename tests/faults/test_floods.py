@@ -15,8 +15,8 @@ from benchmarks.faults.hostile import (
 )
 from benchmarks.faults.stage import staged, unaccounted
 from protocol.sockets import control_address
-from sensing_node.questions import QUESTIONS_AT_ONCE
-from telepulse.ports import free_addresses
+from sensing_node.control_server import QUESTIONS_AT_ONCE
+from telepulse.processes import free_addresses
 
 from .felt import assert_limits_kept
 

@@ -12,9 +12,9 @@ from benchmarks.faults.hostile import port_of, subscribing
 from benchmarks.faults.stage import staged, unaccounted
 from benchmarks.faults.witness import witness_of
 from protocol import sockets
+from protocol.security.subscription_budget import FOREIGN_BYTES, SUBSCRIPTION, SubscriptionBudget
 from protocol.sockets import Context
-from protocol.subscribers import FOREIGN_BYTES, SUBSCRIPTION, Subscribers
-from telepulse.ports import free_addresses
+from telepulse.processes import free_addresses
 
 from ..nodes import free_address, process
 from ..waiting import until
@@ -51,7 +51,7 @@ def test_endless_subscriptions_cost_a_relay_little_and_go_no_further(tmp_path: P
     with staged(tmp_path) as stage, ExitStack() as stack:
         stage.bind, stage.connect = inner, [inner]
         sensing = stage.sense()
-        node = stack.enter_context(process("telepulse.cli", *relay))
+        node = stack.enter_context(process("telepulse", *relay))
         hearing = stack.enter_context(witness_of(outer))
         until(lambda: hearing.sent)
         before_bytes = rss_bytes(node.pid)
@@ -83,7 +83,7 @@ def test_who_asks_for_a_little_else_stays_and_who_goes_on_is_cut_named_once_and_
 ) -> None:
     address = f"ipc://{tmp_path}/data" if ipc else free_address()
     data, log = sockets.bind(context, zmq.XPUB, address), list[str]()
-    subscribers, said = Subscribers(data, (b"trace", b"status"), log.append), list[bytes]()
+    subscribers, said = SubscriptionBudget(data, (b"trace", b"status"), log.append), list[bytes]()
     with reader(context, address) as modest, reader(context, address) as greedy:
 
         def heard(one: sockets.Socket) -> int:

@@ -4,18 +4,18 @@ import math
 
 import numpy as np
 
-from protocol.messages import (
+from protocol.tactile import ElasticLayer
+from protocol.wire.messages import (
     Bye,
     ClockReply,
     ClockRequest,
     Control,
+    DisplayReport,
     Frame,
     Hello,
-    Report,
     Welcome,
 )
-from protocol.stream import Channel, StreamDescription
-from protocol.tactile import ElasticLayer
+from protocol.wire.stream import Channel, StreamDescription
 
 DESCRIPTION = StreamDescription(
     name="radial pulse",
@@ -68,7 +68,7 @@ CONTROL: dict[str, tuple[Control, bytes]] = {
     "clock request": (ClockRequest(-5), b"\x93\x01\xa6clock?\xfb"),
     "clock reply": (ClockReply(7, 1, 2, 3), b"\x96\x01\xa5clock\x07\x01\x02\x03"),
     "report": (
-        Report(7, "display-1", 90, 6, 4, 1.5, math.nan, 40.0, 0.25),
+        DisplayReport(7, "display-1", 90, 6, 4, 1.5, math.nan, 40.0, 0.25),
         b"\x9b\x01\xa6report\x07\xa9display-1\x5a\x06\x04"
         b"\xcb\x3f\xf8\x00\x00\x00\x00\x00\x00"
         b"\xcb\x7f\xf8\x00\x00\x00\x00\x00\x00"

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from protocol.allow_list import AllowList, allow, read_allowed, revoke
 from protocol.errors import KeyFileError
-from protocol.keys import PublicKey
+from protocol.security.allow_list import AllowList, allow, read_allowed, revoke
+from protocol.security.keys import PublicKey
 
 WRIST, FINGER = PublicKey("wrist", b"\x01" * 32), PublicKey("finger", b"\x02" * 32)
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.clock import ClockEstimator, ClockExchange
+from protocol.clock.estimator import ClockEstimator, ClockExchange
 
 MS = 1_000_000
 S = 1_000 * MS

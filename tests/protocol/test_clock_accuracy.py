@@ -6,10 +6,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from display_node.receiver import CLOCK_FAST_NS
-from protocol.clock import ClockEstimator, ClockExchange
-from telepulse.link import Direction, parse_link
-from telepulse.link.tcp_stream import TcpStream
+from display_node.reception.receiver import CLOCK_FAST_NS
+from protocol.clock.estimator import ClockEstimator, ClockExchange
+from telepulse.simulation.link_model import Direction, parse_link
+from telepulse.simulation.link_model.messages import TcpStream
 
 MS = 1_000_000
 S = 1_000 * MS

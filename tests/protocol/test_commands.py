@@ -3,7 +3,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from protocol.commands import one_line_errors
+from protocol.cli_options import one_line_errors
 from protocol.errors import (
     AddressError,
     OutputError,
@@ -12,7 +12,7 @@ from protocol.errors import (
     TelepulseError,
     WireError,
 )
-from protocol.signals import stop_on_signals
+from protocol.host.process import stop_on_signals
 
 
 @pytest.mark.parametrize(

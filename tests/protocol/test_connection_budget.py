@@ -10,9 +10,9 @@ import pytest
 import zmq
 
 from protocol import sockets
-from protocol.connection_budget import BEHIND_NS
-from protocol.door import MAX_EVENTS, Door
-from protocol.gate import TOO_MANY, Gate
+from protocol.security.authenticator import TOO_MANY, Authenticator
+from protocol.security.connection_budget import BEHIND_NS
+from protocol.security.connection_table import MAX_EVENTS, ConnectionTable
 from protocol.sockets import Context, Socket
 
 from ..waiting import PATIENCE_S
@@ -27,7 +27,7 @@ class Guarded:
 
     def __init__(self, context: Context, strangers: ExitStack) -> None:
         self.lines: list[str] = []
-        self.gate = Gate(context, None, self.lines.append, most=MOST)
+        self.gate = Authenticator(context, None, self.lines.append, most=MOST)
         self._context = context
         self._strangers = strangers
         self.data = sockets.bind(context, zmq.PUB, "tcp://*:*", self.gate)
@@ -127,7 +127,7 @@ def test_a_call_reads_little_however_much_has_happened(guarded: Guarded) -> None
     for _ in range(5 * MAX_EVENTS):
         guarded.stranger(HERE).close()
     (door,) = guarded.gate._doors
-    assert isinstance(door, Door)
+    assert isinstance(door, ConnectionTable)
     guarded.tend_until(lambda: door.behind)
     assert door.connections <= MAX_EVENTS
 

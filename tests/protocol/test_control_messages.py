@@ -6,19 +6,19 @@ import msgpack
 import pytest
 
 from protocol.errors import WireError
-from protocol.messages import (
+from protocol.tactile import ElasticLayer
+from protocol.wire.messages import (
     MAX_CONTROL_BYTES,
     Bye,
     ClockReply,
     Control,
+    DisplayReport,
     Hello,
-    Report,
     Welcome,
     decode_control,
     encode_control,
 )
-from protocol.stream import Channel, StreamDescription
-from protocol.tactile import ElasticLayer
+from protocol.wire.stream import Channel, StreamDescription
 
 from .examples import CONTROL, DESCRIPTION
 
@@ -50,7 +50,7 @@ def test_each_kind_has_these_very_bytes(message: Control, data: bytes) -> None:
         Hello("žilice " * 10),
         Bye(2**63 - 1, 0),
         ClockReply(0, -(2**62), 2**62 - 1, 0),
-        Report(0, "me", 1, 2, 3, 0.1, 0.2, 0.3, 0.4),
+        DisplayReport(0, "me", 1, 2, 3, 0.1, 0.2, 0.3, 0.4),
         Welcome(
             1,
             2,
@@ -143,7 +143,7 @@ def test_a_reports_measures_are_numbers(position: int, value: object) -> None:
 
 def test_a_whole_number_serves_as_a_measure() -> None:
     report = decode_control(replaced([*REPORT], 9, 40))
-    assert report == Report(7, "me", 90, 6, 4, 1.5, 2.5, 40, 0.25)
+    assert report == DisplayReport(7, "me", 90, 6, 4, 1.5, 2.5, 40, 0.25)
 
 
 @pytest.mark.parametrize("fields", [[1, "hello", "me"], REPORT], ids=["hello", "report"])

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from protocol.exchanges import BLOCK, LEVELS, ClockExchange, digest
-from protocol.offset_line import fit_lines
+from protocol.clock.exchanges import BLOCK, LEVELS, ClockExchange, block_offset
+from protocol.clock.offset_regression import fit_lines
 
 MS = 1_000_000
 S = 1_000 * MS
@@ -20,7 +20,7 @@ def test_levels_are_means_of_the_shortest_delays_of_each_way() -> None:
         exchange(i * 20 * MS, there, back, 5 * MS)
         for i, (there, back) in enumerate(zip(there_ms, back_ms, strict=True))
     ]
-    seen = digest(block, block[0], skew=0.0, skew_doubt=0.0)
+    seen = block_offset(block, block[0], skew=0.0, skew_doubt=0.0)
     first_ns = block[0].offset_ns
     means = [(20, 10), (25, 10.5), (35, 11.5), (35, 11.5), (35, 11.5)]
     expected = [5 + (there - back) / 2 for there, back in means]
@@ -32,11 +32,11 @@ def test_levels_are_means_of_the_shortest_delays_of_each_way() -> None:
 def test_a_skew_that_is_known_does_not_make_late_delays_look_short() -> None:
     skew = 500e-6
     block = [exchange(i * S, 20, 20, round(i * S * skew)) for i in range(BLOCK)]
-    blind = digest(block, block[0], 0.0, 0.0)
-    seeing = digest(block, block[0], skew, 0.0)
+    blind = block_offset(block, block[0], 0.0, 0.0)
+    seeing = block_offset(block, block[0], skew, 0.0)
     assert seeing.round_trip_ns[0] == pytest.approx(40 * MS, abs=100_000)
     assert blind.round_trip_ns[0] < 34 * MS
-    doubtful = digest(block, block[0], 0.0, 2 * skew)
+    doubtful = block_offset(block, block[0], 0.0, 2 * skew)
     assert doubtful.round_trip_ns[0] > 40 * MS
 
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 import zmq
 
-from protocol import gate as gate_module
 from protocol import sockets
-from protocol.allow_list import UNREADABLE_AT_MOST_NS, revoke
 from protocol.errors import KeyFileError
-from protocol.gate import Gate
-from protocol.keys import ClientKeys
+from protocol.security import authenticator as gate_module
+from protocol.security.allow_list import UNREADABLE_AT_MOST_NS, revoke
+from protocol.security.authenticator import Authenticator
+from protocol.security.keys import ClientKeys
 from protocol.sockets import Context, Socket
 
 from ..keyring import Keyring
@@ -41,7 +41,7 @@ class Hall:
         self._context = context
         self._listeners: list[Listener] = []
         self.said: list[str] = []
-        self.gate = Gate(context, keyring.server(), self.said.append)
+        self.gate = Authenticator(context, keyring.server(), self.said.append)
         self.data = sockets.bind(context, zmq.PUB, address, self.gate)
         self.address = self.data.getsockopt_string(zmq.LAST_ENDPOINT)
         self.sent = 0
@@ -238,7 +238,7 @@ def test_a_list_that_is_unusable_at_the_start_is_an_error(
 ) -> None:
     keyring.allowed.write_text("nonsense\n")
     with pytest.raises(KeyFileError):
-        Gate(context, keyring.server(), print)
+        Authenticator(context, keyring.server(), print)
 
 
 def test_without_a_gate_that_answers_nobody_gets_in(context: Context, keyring: Keyring) -> None:

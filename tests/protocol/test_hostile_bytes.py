@@ -11,7 +11,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from protocol.errors import WireError
-from protocol.messages import (
+from protocol.wire.messages import (
     MAX_CONTROL_BYTES,
     MAX_FRAME_BYTES,
     VERSION,

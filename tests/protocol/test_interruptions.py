@@ -2,7 +2,7 @@ from dataclasses import astuple
 
 import pytest
 
-from protocol.interruptions import InterruptionCounter, Interruptions
+from protocol.availability import InterruptionCounter, Interruptions
 
 
 def counted(*ticks: tuple[bool, int]) -> Interruptions:

@@ -8,7 +8,7 @@ import zmq
 from zmq.utils import z85
 
 from protocol.errors import KeyFileError
-from protocol.keys import KeyPair, PublicKey, new_pair, read_pair, read_public
+from protocol.security.keys import KeyPair, PublicKey, new_pair, read_pair, read_public
 
 POSIX = pytest.mark.skipif(os.name != "posix", reason="modes are POSIX")
 

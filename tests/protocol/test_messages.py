@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from protocol.errors import WireError
-from protocol.messages import MAX_FRAME_BYTES, Frame, decode_frame, encode_frame
+from protocol.wire.messages import MAX_FRAME_BYTES, Frame, decode_frame, encode_frame
 
 from .examples import FLOAT32_BYTES, FLOAT32_FRAME, FLOAT64_BYTES, FLOAT64_FRAME
 

@@ -2,7 +2,7 @@ import random
 
 import pytest
 
-from protocol.one_way_clock import OneWayClock
+from protocol.clock.device_clock import DeviceClock
 
 MS = 1_000_000
 S = 1_000 * MS
@@ -18,7 +18,7 @@ class Device:
         self.zero_ns = 7 * S
         self.random = random.Random(1)
         self.now_ns = 100 * S
-        self.clock = OneWayClock()
+        self.clock = DeviceClock()
 
     def shows_ns(self, host_ns: int) -> int:
         return round((host_ns - 100 * S) * (1 + self.skew)) + self.zero_ns

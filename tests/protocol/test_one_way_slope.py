@@ -3,8 +3,8 @@ import random
 
 import pytest
 
-from protocol.clock import ClockEstimator, ClockExchange
-from protocol.one_way_slope import BLOCK, KEEP_BLOCKS, STEADY_BLOCKS, OneWaySlope
+from protocol.clock.estimator import ClockEstimator, ClockExchange
+from protocol.clock.skew import BLOCK, KEEP_BLOCKS, STEADY_BLOCKS, OneWaySkew
 
 MS = 1_000_000
 S = 1_000 * MS
@@ -22,8 +22,8 @@ def shown_ns(local_ns: int, skew_ppm: float) -> int:
     return local_ns + 3_600 * S + round(local_ns * skew_ppm * 1e-6)
 
 
-def heard(messages: list[tuple[int, int]], skew_ppm: float) -> OneWaySlope:
-    slope = OneWaySlope()
+def heard(messages: list[tuple[int, int]], skew_ppm: float) -> OneWaySkew:
+    slope = OneWaySkew()
     for sent_ns, arrived_ns in messages:
         slope.hear(shown_ns(sent_ns, skew_ppm), arrived_ns, slope.skew)
     return slope

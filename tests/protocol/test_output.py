@@ -8,8 +8,8 @@ from contextlib import closing
 
 import pytest
 
-from protocol import output
-from protocol.output import MAX_QUEUED, QueuedStream
+from protocol.host import standard_output as output
+from protocol.host.standard_output import MAX_QUEUED, QueuedStream
 
 from ..unread import KINDS, fill, unread
 

@@ -3,11 +3,11 @@ import sys
 
 import pytest
 
-from protocol.process_limits import FILES
+from protocol.host.process import FILES
 
 PROGRAM = """
 import resource
-from protocol.process_limits import allow_connections
+from protocol.host.process import allow_connections
 resource.setrlimit(resource.RLIMIT_NOFILE, ({present}, {most}))
 allow_connections()
 print(*resource.getrlimit(resource.RLIMIT_NOFILE))

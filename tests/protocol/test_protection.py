@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from protocol.errors import AddressError, KeyFileError, ProtectionError
-from protocol.protection import client_keys, server_keys
+from protocol.security.protection import client_keys, server_keys
 
 from ..keyring import Keyring
 

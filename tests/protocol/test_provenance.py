@@ -6,9 +6,9 @@ import pytest
 
 from display_node.scene import DisplayScene
 from protocol import provenance
+from protocol.config.scene import load_section
 from protocol.errors import WireError
 from protocol.provenance import MAX_BYTES, collect, read_provenance
-from protocol.scene import load_section
 
 from ..nodes import RADIAL, run
 
@@ -37,7 +37,7 @@ def test_the_commit_is_a_checkouts_alone(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_a_summary_carries_it_and_no_key(tmp_path: Path) -> None:
     out = tmp_path / "out.json"
-    result = run("telepulse.cli", "simulate", "--seconds", "1", "--seed", "7", "--json", str(out))
+    result = run("telepulse", "simulate", "--seconds", "1", "--seed", "7", "--json", str(out))
     assert result.returncode == 0
     found = json.loads(out.read_text(encoding="utf-8"))["provenance"]
     assert found["seeds"] == {"link": 7, "source": found["effective"]["sensing"]["source"]["seed"]}

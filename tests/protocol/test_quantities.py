@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
-from protocol import quantities
-from protocol.quantities import UNITS, in_unit_of, parse_quantity, parse_ratio
+from protocol.config import quantities
+from protocol.config.quantities import UNITS, in_unit_of, parse_quantity, parse_ratio
 
 # Written out once more, so that a slip of the pen in the table does not go unseen.
 ONE_OF_EACH = [

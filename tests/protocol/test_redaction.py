@@ -10,12 +10,11 @@ import pytest
 from pydantic import BaseModel
 
 from display_node.scene import DisplayScene
-from protocol.provenance import collect
-from protocol.redaction import REDACTED, redact, redact_command
-from protocol.scene import load_section
+from protocol.config.scene import load_section
+from protocol.provenance import REDACTED, collect, redact, redact_command
 from sensing_node.scene import SensingScene
 from telepulse.experiment.session import load_plan
-from telepulse.link import LinkScene
+from telepulse.simulation.link_model import LinkScene
 
 from ..nodes import RADIAL, ROOT, run
 
@@ -62,7 +61,7 @@ def test_provenance_has_a_scenes_options_without_their_secrets(
 def test_neither_a_summary_nor_an_experiments_log_has_a_secret(scene: Path) -> None:
     out, session = scene.parent / "out.json", scene.parent / "session.toml"
     command = ("simulate", str(scene), "--seconds", "1", "--json", str(out))
-    assert run("telepulse.cli", *command).returncode == 0
+    assert run("telepulse", *command).returncode == 0
     example = (ROOT / "telepulse" / "experiment" / "example.toml").read_text(encoding="utf-8")
     session.write_text(re.sub("(?m)^scene = .*", f'scene = "{scene}"', example), encoding="utf-8")
     for text in (out.read_text(encoding="utf-8"), json.dumps(load_plan(session).tables)):

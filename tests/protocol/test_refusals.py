@@ -6,10 +6,10 @@ import pytest
 import zmq
 
 from protocol import sockets
-from protocol.allow_list import revoke
-from protocol.gate import Gate
-from protocol.keys import ClientKeys
-from protocol.refusals import Refusals
+from protocol.security.allow_list import revoke
+from protocol.security.authenticator import Authenticator
+from protocol.security.handshake_monitor import HandshakeMonitor
+from protocol.security.keys import ClientKeys
 from protocol.sockets import Context
 
 from ..keyring import Keyring
@@ -23,7 +23,7 @@ class Visitor:
 
     def __init__(self, context: Context, address: str, keys: ClientKeys | None) -> None:
         self.said: list[str] = []
-        self.refusals = Refusals(context, keys, self.said.append)
+        self.refusals = HandshakeMonitor(context, keys, self.said.append)
         self.sockets = [sockets.unconnected(context, zmq.SUB, keys) for _ in range(2)]
         self._now_ns = 0
         for socket in self.sockets:
@@ -31,7 +31,7 @@ class Visitor:
             socket.subscribe(b"")
             socket.connect(address)
 
-    def tend_until(self, done: Callable[[], object], gate: Gate | None = None) -> None:
+    def tend_until(self, done: Callable[[], object], gate: Authenticator | None = None) -> None:
         end_s = time.monotonic() + PATIENCE_S
         while not done():
             assert time.monotonic() < end_s, (self.said, self.refusals.rejected)
@@ -59,7 +59,7 @@ def test_who_is_refused_is_told_why_once(
     context: Context, keyring: Keyring, own: str, peer: str, cause: str, reason: str
 ) -> None:
     address = free_address()
-    gate = Gate(context, keyring.server(), print)
+    gate = Authenticator(context, keyring.server(), print)
     sockets.bind(context, zmq.PUB, address, gate)
     visitor = Visitor(context, address, keyring.client(own, peer) if own else None)
     # ZeroMQ itself tries again where the other breaks off, and no more where it is refused.
@@ -75,7 +75,7 @@ def test_who_was_let_in_and_is_refused_later_is_told_that_it_was_revoked(
 ) -> None:
     address = free_address()
     keyring.allow("finger")
-    gate = Gate(context, keyring.server(), print)
+    gate = Authenticator(context, keyring.server(), print)
     socket = sockets.bind(context, zmq.PUB, address, gate)
     visitor = Visitor(context, address, keyring.client("finger"))
     waiting = list(visitor.sockets)

@@ -4,9 +4,9 @@ from typing import Annotated, Literal
 import pytest
 from pydantic import Field, ValidationError
 
+from protocol.config.quantities import Metres, Nanoseconds, Newtons, Ratio
+from protocol.config.scene import Section, load_document, load_section, validate
 from protocol.errors import SceneError
-from protocol.quantities import Metres, Nanoseconds, Newtons, Ratio
-from protocol.scene import Section, load_document, load_section, validate
 
 
 class Motor(Section):

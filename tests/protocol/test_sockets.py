@@ -6,8 +6,8 @@ import pytest
 import zmq
 
 from protocol import sockets
-from protocol.messages import MAX_FRAME_BYTES
 from protocol.sockets import MAX_MESSAGES, Context, Socket
+from protocol.wire.messages import MAX_FRAME_BYTES
 
 # Longer than any test may take: who waits for it in vain fails by pytest's own timeout.
 FOREVER_NS = 3_600_000_000_000

@@ -2,10 +2,10 @@ import msgpack
 import pytest
 
 from protocol.errors import WireError
-from protocol.status import Playing, pack_status, read_status
-from protocol.summary import Samples, Summary
+from protocol.run_summary import SampleCounts, Summary
+from protocol.wire.status import PlaybackStatus, pack_status, read_status
 
-SUMMARY = Summary(samples=Samples(sent=5))
+SUMMARY = Summary(samples=SampleCounts(sent=5))
 
 
 def test_a_sensing_nodes_status_comes_through() -> None:
@@ -16,7 +16,7 @@ def test_a_sensing_nodes_status_comes_through() -> None:
 
 
 def test_a_display_tells_what_it_plays() -> None:
-    playing = Playing(1, 0.5, -4.8e-6, "stack", 60_000_000)
+    playing = PlaybackStatus(1, 0.5, -4.8e-6, "stack", 60_000_000)
     status = read_status(pack_status("playing", "pulse", SUMMARY, False, 7, playing=playing))
     assert status.playing == playing
 

@@ -5,10 +5,10 @@ import msgpack
 import pytest
 from pydantic import ValidationError
 
+from protocol.config.scene import validate
 from protocol.errors import SceneError, WireError
-from protocol.scene import validate
-from protocol.stream import Channel, LayerTable, StreamDescription, description_from_wire
 from protocol.tactile import ElasticLayer
+from protocol.wire.stream import Channel, LayerTable, StreamDescription, description_from_wire
 
 from .examples import DESCRIPTION
 

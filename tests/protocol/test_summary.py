@@ -7,24 +7,23 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from protocol.availability import Availability
+from protocol.availability import Availability, Interruptions
 from protocol.errors import OutputError
-from protocol.interruptions import Interruptions
+from protocol.host.result_files import check_writable
 from protocol.limits import Limited, Limits
-from protocol.result_files import check_writable
-from protocol.summary import (
+from protocol.run_summary import (
+    AlignedErrors,
     Clock,
     Compensation,
     Deadlines,
-    Errors,
-    Frames,
+    FrameCounts,
     Lateness,
     Loop,
     OneWayDelay,
     PlayoutDelay,
     Reconnections,
     Roughness,
-    Samples,
+    SampleCounts,
     Summary,
     TickTime,
     print_summary,
@@ -33,8 +32,8 @@ from protocol.summary import (
 
 NEVER = Limited(0, 0.0, 0.0)
 FULL = Summary(
-    samples=Samples(sent=1000, played=950, late=30, lost=20, before_joining=7),
-    frames=Frames(received=196, reordered=3, copies=392, first={"tcp://one:5555": 190}),
+    samples=SampleCounts(sent=1000, played=950, late=30, lost=20, before_joining=7),
+    frames=FrameCounts(received=196, reordered=3, copies=392, first={"tcp://one:5555": 190}),
     reconnections=Reconnections(opened=3, kept=2, control=1),
     one_way_delay_ms=OneWayDelay(p50=20.12, p99=35.5, max=41.0),
     playout_delay_ms=PlayoutDelay(mean=42.0, p99=45.0),
@@ -43,8 +42,8 @@ FULL = Summary(
     clock=Clock(
         offset_ms=-12.3456, skew_ppm=50.25, uncertainty_ms=0.125, asymmetry_ms=17.5, steps=1
     ),
-    force_rmse_n=Errors(aligned=0.00025, in_phase=0.0301),
-    strain_rmse=Errors(aligned=9.4249e-9, in_phase=5.7802e-8),
+    force_rmse_n=AlignedErrors(aligned=0.00025, in_phase=0.0301),
+    strain_rmse=AlignedErrors(aligned=9.4249e-9, in_phase=5.7802e-8),
     within_jnd=0.875,
     roughness=Roughness(felt_n=0.0006, sensed_n=0.0005, energy_ratio=1.44),
     limited=Limits(force=Limited(312, 4.1, 0.205), slew=Limited(1, 0.02, 0.0001), travel=NEVER),
@@ -163,7 +162,7 @@ def test_what_is_known_is_there() -> None:
 def test_what_is_no_number_is_null(value: float) -> None:
     summary = Summary(
         covered_delay_ms=value,
-        force_rmse_n=Errors(aligned=value),
+        force_rmse_n=AlignedErrors(aligned=value),
         loop=Loop(tick_us=TickTime(p50=value)),
     )
     table = summary.to_dict()
@@ -254,7 +253,7 @@ def test_a_quantile_beyond_what_is_counted_is_a_lower_bound() -> None:
 
 
 def test_one_is_not_many() -> None:
-    shown = rows(printed(Summary(samples=Samples(1, before_joining=1), loop=Loop(1, 1))))
+    shown = rows(printed(Summary(samples=SampleCounts(1, before_joining=1), loop=Loop(1, 1))))
     assert shown["loop"] == "1 tick, 1 deadline miss"
     assert shown["before joining"] == "1 sample sent before a display listened"
 
@@ -262,11 +261,11 @@ def test_one_is_not_many() -> None:
 def test_a_row_without_a_value_is_left_out() -> None:
     assert rows(printed(Summary())) == {"rejected": "nothing", "faults": "none"}
     partly = Summary(
-        samples=Samples(sent=5),
+        samples=SampleCounts(sent=5),
         speed=math.nan,
         within_jnd=1.0,
-        force_rmse_n=Errors(aligned=0.001),
-        strain_rmse=Errors(in_phase=math.nan),
+        force_rmse_n=AlignedErrors(aligned=0.001),
+        strain_rmse=AlignedErrors(in_phase=math.nan),
     )
     shown = rows(printed(partly))
     assert set(shown) == {"samples", "within JND", "rejected", "faults"}

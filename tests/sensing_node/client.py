@@ -2,7 +2,8 @@
 
 import zmq
 
-from protocol.messages import (
+from protocol.sockets import control_address
+from protocol.wire.messages import (
     Bye,
     Control,
     Frame,
@@ -12,7 +13,6 @@ from protocol.messages import (
     decode_frame,
     encode_control,
 )
-from protocol.sockets import control_address
 
 PATIENCE_MS = 20_000
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from protocol.config.scene import validate
 from protocol.errors import SourceError
-from protocol.scene import validate
-from sensing_node.sources.recording import Recording, RecordingScene
+from sensing_node.sources.recorded import RecordedSource, RecordingScene
 
 
 def table(path: Path, **keys: object) -> dict[str, object]:
@@ -14,10 +14,10 @@ def table(path: Path, **keys: object) -> dict[str, object]:
     return {"kind": "recording", "path": path.name, "rate": "100 Hz", "unit": "N"} | keys
 
 
-def recording(path: Path, **keys: object) -> Recording:
+def recording(path: Path, **keys: object) -> RecordedSource:
     """The recording in a file, opened."""
     scene = validate(table(path, **keys), RecordingScene, "[sensing] source")
-    return Recording(scene, path.parent)
+    return RecordedSource(scene, path.parent)
 
 
 def refusal(path: Path, **keys: object) -> str:

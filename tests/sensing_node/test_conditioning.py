@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from protocol.config.scene import validate
 from protocol.errors import SceneError
 from protocol.limits import Limited, Limits
-from protocol.scene import validate
-from protocol.stream import Channel
 from protocol.tactile import Film
+from protocol.wire.stream import Channel
 from sensing_node.conditioning import Conditioned, ConditioningScene, faults_of, limits_of
 from sensing_node.scene import SensingScene, build_source, describe_stream
 
@@ -281,7 +281,7 @@ def test_a_wrong_table_is_one_line_that_names_the_key(keys: dict[str, Any], said
 def test_a_scene_without_a_chain_does_not_wait_for_scipy() -> None:
     code = (
         "import sys; from pathlib import Path; import sensing_node.cli;"
-        "from protocol.scene import load_section; from sensing_node.scene import *;"
+        "from protocol.config.scene import load_section; from sensing_node.scene import *;"
         f"scene = load_section(Path({str(RADIAL)!r}), 'sensing', SensingScene);"
         "build_source(scene, Path()).take(10); print('scipy.signal' in sys.modules)"
     )

@@ -3,20 +3,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.messages import decode_frame, encode_frame
-from protocol.stream import Channel
-from sensing_node.framing import Framer
-from sensing_node.sources import Block
+from protocol.wire.messages import decode_frame, encode_frame
+from protocol.wire.stream import Channel
+from sensing_node.framer import Framer
+from sensing_node.sources import SampleBlock
 
 from ..streams import MS, description
 
 START_NS = 5_000_000_123
 
 
-def block(first: int, count: int, channels: int = 1) -> Block:
+def block(first: int, count: int, channels: int = 1) -> SampleBlock:
     """Sample number i has the values i, i + 0.25, ... and is of START_NS + i ms."""
     values = np.arange(first, first + count, dtype=np.float64)[:, np.newaxis]
-    return Block(START_NS + first * MS, MS, values + 0.25 * np.arange(channels))
+    return SampleBlock(START_NS + first * MS, MS, values + 0.25 * np.arange(channels))
 
 
 @given(st.lists(st.integers(0, 40), max_size=12), st.integers(1, 9))
@@ -41,7 +41,7 @@ def test_samples_are_numbered_and_timed_without_gaps(sizes: list[int], batch: in
 @pytest.mark.parametrize(("width", "dtype"), [(4, "<f4"), (8, "<f8")])
 def test_samples_are_as_wide_as_described(width: int, dtype: str) -> None:
     framer = Framer(description(bytes_per_sample=width), session=1)
-    (frame,) = framer.frames(Block(START_NS, MS, np.array([[0.1], [0.2]])))
+    (frame,) = framer.frames(SampleBlock(START_NS, MS, np.array([[0.1], [0.2]])))
     assert frame.values.dtype == np.dtype(dtype)
     assert frame.values[:, 0].tolist() == np.array([0.1, 0.2], dtype).tolist()
 

@@ -5,10 +5,10 @@ from typing import Any
 
 import zmq
 
-from protocol.messages import Bye, ClockReply, ClockRequest, Hello, Welcome, decode_control
-from protocol.messages import encode_control as encode
 from protocol.sockets import Context, control_address
-from sensing_node.desk import MAX_GUESTS, Desk, Guest, Sender
+from protocol.wire.messages import Bye, ClockReply, ClockRequest, Hello, Welcome, decode_control
+from protocol.wire.messages import encode_control as encode
+from sensing_node.control_server import MAX_GUESTS, Client, ControlServer, Sender
 
 from ..nodes import RADIAL, free_address, process
 from ..streams import description
@@ -47,7 +47,7 @@ def test_who_comes_when_it_is_full_is_not_answered_and_those_who_are_there_still
     assert f"{TOO_MANY} too_many_displays" in output
 
 
-class Counted(dict[Sender, Guest]):
+class Counted(dict[Sender, Client]):
     """Guests, and how often somebody went through all of them."""
 
     passes = 0
@@ -62,7 +62,7 @@ class Counted(dict[Sender, Guest]):
 
 
 def test_a_displays_clock_costs_the_same_however_many_displays_there_are() -> None:
-    desk = Desk(description(), session=1)
+    desk = ControlServer(description(), session=1)
     desk.guests = Counted()
     desk.answer((b"new",), encode(Hello("new")), 0, 0)
     assert desk.guests.passes == 1

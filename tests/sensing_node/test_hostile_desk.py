@@ -5,8 +5,8 @@ import tracemalloc
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from protocol.messages import Bye, ClockRequest, Hello, Report, encode_control
-from sensing_node.desk import ADDRESS_BYTES, FORGET_AFTER_NS, MAX_GUESTS, Desk
+from protocol.wire.messages import Bye, ClockRequest, DisplayReport, Hello, encode_control
+from sensing_node.control_server import ADDRESS_BYTES, FORGET_AFTER_NS, MAX_GUESTS, ControlServer
 
 from ..streams import description
 
@@ -22,7 +22,7 @@ messages = st.one_of(
     st.builds(ClockRequest, st.integers(-(2**62), 2**62 - 1)),
     st.builds(Bye, st.sampled_from([SESSION, 8]), counts),
     st.builds(
-        Report,
+        DisplayReport,
         *(st.sampled_from([SESSION, 8]), names, counts, counts, counts),
         *(figures, figures, figures, figures),
     ),
@@ -33,7 +33,7 @@ senders = st.lists(st.binary(max_size=4), max_size=6).map(tuple)
 @settings(max_examples=150)
 @given(st.lists(st.tuples(senders, messages, st.integers(0, FORGET_AFTER_NS)), max_size=40))
 def test_a_guest_is_whoever_said_something_valid_not_long_ago(said: list) -> None:
-    desk, now_ns = Desk(description(), SESSION), 0
+    desk, now_ns = ControlServer(description(), SESSION), 0
     spoke_ns: dict[tuple[bytes, ...], int] = {}
     for sender, message, later_ns in said:
         now_ns += later_ns
@@ -51,14 +51,14 @@ def test_a_guest_is_whoever_said_something_valid_not_long_ago(said: list) -> Non
 
 
 def test_an_address_of_other_length_than_zeromq_makes_is_refused() -> None:
-    desk = Desk(description(), SESSION)
+    desk = ControlServer(description(), SESSION)
     assert desk.answer((b"peer", bytes(ADDRESS_BYTES)), HELLO, 0, 0) is not None
     assert desk.answer((b"peer", bytes(ADDRESS_BYTES + 1)), HELLO, 0, 0) is None
     assert desk.rejected == {"malformed": 1}
 
 
 def test_a_crowd_with_long_addresses_costs_little() -> None:
-    desk = Desk(description(), SESSION)
+    desk = ControlServer(description(), SESSION)
     tracemalloc.start()
     try:
         for number in range(2 * MAX_GUESTS):

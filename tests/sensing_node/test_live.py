@@ -4,14 +4,14 @@ from typing import Any
 
 import pytest
 
+from protocol.config.scene import validate
 from protocol.errors import SceneError
-from protocol.scene import validate
-from sensing_node.framing import Framer
+from pulse_sensors.reading import Reading
+from pulse_sensors.sensor import Sensor
+from sensing_node.framer import Framer
 from sensing_node.scene import SensingScene, build_source, describe_stream
-from sensing_node.sources import Paced
-from sensing_node.sources.live import Live, feed_of
-from sensors.reading import Reading
-from sensors.sensor import Sensor
+from sensing_node.sources import PacedSource
+from sensing_node.sources.live import LiveSource, feed_of
 
 from ..streams import MS, description, synthetic
 
@@ -45,7 +45,7 @@ def reading(first_ms: float, *force_n: float, missing: int = 0, period_ms: float
 
 
 def test_readings_that_follow_one_another_are_one_block() -> None:
-    live = Live(Given([reading(5, 0.1, 0.2), reading(7, 0.3, period_ms=1.3)]))
+    live = LiveSource(Given([reading(5, 0.1, 0.2), reading(7, 0.3, period_ms=1.3)]))
     block = live.read(0)
     assert block is not None
     assert (block.t_first_ns, block.period_ns, block.missing) == (5 * MS, round(3.3 / 3 * MS), 0)
@@ -54,7 +54,7 @@ def test_readings_that_follow_one_another_are_one_block() -> None:
 
 
 def test_a_gap_ends_a_block_and_keeps_its_sequence_numbers() -> None:
-    live = Live(Given([reading(5, 0.1, 0.2), reading(17, 0.3, missing=10), reading(18, 0.4)]))
+    live = LiveSource(Given([reading(5, 0.1, 0.2), reading(17, 0.3, missing=10), reading(18, 0.4)]))
     framer = Framer(description(batch=5), 1)
     frames = []
     while (block := live.read(0)) is not None:
@@ -67,7 +67,7 @@ def test_a_gap_ends_a_block_and_keeps_its_sequence_numbers() -> None:
 
 
 def test_it_is_looked_at_once_a_batch() -> None:
-    live = Live(Given())
+    live = LiveSource(Given())
     assert live.due_ns(1) == MS
     live.read(50 * MS)
     assert live.due_ns(5) == 55 * MS
@@ -75,19 +75,19 @@ def test_it_is_looked_at_once_a_batch() -> None:
 
 
 def test_it_tells_what_its_sensor_tells() -> None:
-    live = Live(Given())
+    live = LiveSource(Given())
     assert (live.rejected, live.faults()) == ({"crc": 3}, ["it hurts"])
 
 
 def test_a_feed_is_the_live_sensor_itself_or_paces_what_is_known() -> None:
-    live = Live(Given())
+    live = LiveSource(Given())
     assert feed_of(live, 7) is live
-    assert isinstance(feed_of(synthetic(), 7), Paced)
+    assert isinstance(feed_of(synthetic(), 7), PacedSource)
 
 
 def test_a_live_stream_is_described_by_its_nominal_rate() -> None:
     scene = validate({"source": SERIAL}, SensingScene, "scene")
-    stream = describe_stream(scene, Live(Given()))
+    stream = describe_stream(scene, LiveSource(Given()))
     assert (stream.rate_hz, stream.batch, stream.group_delay_ns) == (1000, 5, 0)
 
 

@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 import zmq
 
-from protocol.messages import (
+from protocol.sockets import control_address
+from protocol.wire.messages import (
     Bye,
     ClockReply,
     ClockRequest,
+    DisplayReport,
     Hello,
-    Report,
     decode_control,
     decode_frame,
     encode_control,
 )
-from protocol.sockets import control_address
-from telepulse.ports import HOST
+from telepulse.processes import HOST
 
 from ..nodes import RADIAL, free_address, process, read_json, run
 from .client import PATIENCE_MS, Client
@@ -174,7 +174,7 @@ def test_displays_may_leave_and_come_back(address: str, client: Client) -> None:
             assert {first.session, welcome.session, frame.session} == {session}
             assert frame.first_sample > first.first_sample
             assert welcome.samples_sent > first.first_sample
-            report = Report(session, "anna's", 900, 20, 3, 1.0, 2.0, 40.0, 0.001)
+            report = DisplayReport(session, "anna's", 900, 20, 3, 1.0, 2.0, 40.0, 0.001)
             client.control.send(encode_control(report))
             client.ask(ClockRequest(0))
             output = end(node)
@@ -195,7 +195,7 @@ GARBAGE: list[tuple[list[bytes], str]] = [
     ([HELLO] * 1000, "malformed"),
     ([encode_control(ClockReply(1, 1, 1, 1))], "unexpected"),
     ([encode_control(Bye(1, 1))], "session"),
-    ([encode_control(Report(1, "raw", 1, 0, 0, 0.0, 0.0, 0.0, 0.0))], "session"),
+    ([encode_control(DisplayReport(1, "raw", 1, 0, 0, 0.0, 0.0, 0.0, 0.0))], "session"),
 ]
 RANDOM_SIZES = (1, 10, 100, 1000, 60_000)
 

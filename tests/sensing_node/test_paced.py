@@ -4,8 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from protocol.stream import Channel
-from sensing_node.sources import Block, Paced
+from protocol.wire.stream import Channel
+from sensing_node.sources import PacedSource, SampleBlock
 
 PERIOD_NS = 1_000_000
 START_NS = 77_000_000_123
@@ -25,11 +25,11 @@ class Counting:
         return taken
 
 
-def paced(length: int = 1000) -> Paced:
-    return Paced(Counting(length), START_NS)
+def paced(length: int = 1000) -> PacedSource:
+    return PacedSource(Counting(length), START_NS)
 
 
-def numbers(block: Block | None) -> list[int]:
+def numbers(block: SampleBlock | None) -> list[int]:
     return [] if block is None else block.values[:, 0].astype(int).tolist()
 
 

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from protocol.config.scene import validate
 from protocol.errors import SceneError
-from protocol.scene import validate
 from sensing_node.sources.plausibility import SampleCheck
-from sensing_node.sources.recording import Recording, RecordingScene
+from sensing_node.sources.recorded import RecordedSource, RecordingScene
 from telepulse.scene import load_scene
-from telepulse.simulate import simulate
+from telepulse.simulation.virtual_time import simulate
 
 from ..nodes import RADIAL, free_address, read_json, run
 from ..streams import MS, synthetic
@@ -285,7 +285,7 @@ def test_an_emulated_board_sends_what_no_wrist_does(
     """Emulators make the boards that a real sensing node must stand."""
     path = csv(tmp_path, force=force_n)
     scene = validate(table(path), RecordingScene, "[sensing] source")
-    source = Recording(scene, tmp_path, plausible=False)
+    source = RecordedSource(scene, tmp_path, plausible=False)
     assert len(source.warnings) == 1
     np.testing.assert_array_equal(source.take(100)[:, 0], force_n[:100])
 

@@ -1,6 +1,11 @@
 """Virtual time: how many questions are read of displays that ask without end."""
 
-from sensing_node.questions import LEAST_PER_S, QUESTIONS_AT_ONCE, QUESTIONS_PER_S, QuestionBudget
+from sensing_node.control_server import (
+    LEAST_PER_S,
+    QUESTIONS_AT_ONCE,
+    QUESTIONS_PER_S,
+    QuestionBudget,
+)
 
 MS, SECONDS = 1_000_000, 10
 # Each hold lets one more pass than the budget has.

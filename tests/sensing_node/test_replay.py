@@ -1,11 +1,11 @@
 import numpy as np
 
-from protocol.messages import Frame
-from protocol.stream import StreamDescription
-from sensing_node.framing import Framer
-from sensing_node.sources import Block
+from protocol.wire.messages import Frame
+from protocol.wire.stream import StreamDescription
+from sensing_node.framer import Framer
+from sensing_node.sources import SampleBlock
 from sensing_node.sources.live import feed_of
-from sensing_node.sources.replay import Replay
+from sensing_node.sources.replay import ReplaySource
 
 from ..streams import MS, description
 
@@ -17,9 +17,9 @@ def frame(first: int, count: int = 5, late_ns: int = 0, period_ns: int = MS) -> 
     return Frame(1, first, 1_000 * MS + first * MS + late_ns, period_ns, values)
 
 
-def played(*frames: Frame) -> list[Block]:
+def played(*frames: Frame) -> list[SampleBlock]:
     """All blocks, read at the instants at which the source says they are due."""
-    replay = Replay(description(), frames)
+    replay = ReplaySource(description(), frames)
     assert feed_of(replay, START_NS) is replay
     blocks = []
     while not replay.exhausted:
@@ -32,7 +32,7 @@ def played(*frames: Frame) -> list[Block]:
     return blocks
 
 
-def sent(blocks: list[Block], stream: StreamDescription) -> list[Frame]:
+def sent(blocks: list[SampleBlock], stream: StreamDescription) -> list[Frame]:
     framer = Framer(stream, session=9)
     return [frame for block in blocks for frame in framer.frames(block)]
 

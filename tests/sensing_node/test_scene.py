@@ -4,12 +4,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from protocol.config.scene import load_section, validate
 from protocol.errors import SceneError, SourceError
-from protocol.scene import load_section, validate
 from protocol.tactile import ElasticLayer
 from sensing_node.scene import SensingScene, build_source, describe_stream
-from sensing_node.sources.recording import Recording
-from sensing_node.sources.synthetic import Synthetic
+from sensing_node.sources.recorded import RecordedSource
+from sensing_node.sources.synthetic import SyntheticSource
 
 from ..nodes import ROOT
 from .test_recording import heartpy_recording
@@ -126,9 +126,9 @@ def test_a_wrong_scene_is_one_line_that_names_the_key(
 
 def test_the_kind_decides_the_source(tmp_path: Path) -> None:
     np.savetxt(tmp_path / "pulse.csv", [1.0, 2.0])
-    assert isinstance(build_source(scene(), tmp_path), Synthetic)
+    assert isinstance(build_source(scene(), tmp_path), SyntheticSource)
     recording = validate({"source": RECORDING}, SensingScene, "scene")
-    assert isinstance(build_source(recording, tmp_path), Recording)
+    assert isinstance(build_source(recording, tmp_path), RecordedSource)
     with pytest.raises(SourceError):
         build_source(recording, tmp_path / "elsewhere")
 

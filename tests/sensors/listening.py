@@ -1,7 +1,7 @@
 """Waiting for what a live sensor's thread hears."""
 
-from sensors.reading import Reading
-from sensors.sensor import Sensor
+from pulse_sensors.reading import Reading
+from pulse_sensors.sensor import Sensor
 
 from ..waiting import until
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import can
 import pytest
 
+from protocol.config.scene import validate
 from protocol.errors import SourceError
-from protocol.scene import validate
-from sensors.can_bus import CanDecoder, CanScene
-from sensors.packet import Packet
-from sensors.scene import open_sensor
+from pulse_sensors.can_bus import CanDecoder, CanScene
+from pulse_sensors.packet import Packet
+from pulse_sensors.scene import open_sensor
 
 from .listening import forces, heard
 

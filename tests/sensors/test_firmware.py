@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sensors.binary_frames import FrameDecoder
+from pulse_sensors.binary_frames import FrameDecoder
 
 from ..nodes import ROOT
 

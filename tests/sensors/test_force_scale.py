@@ -3,9 +3,9 @@ from typing import Any
 
 import pytest
 
+from protocol.config.scene import validate
 from protocol.errors import SceneError
-from protocol.scene import validate
-from sensors.force_scale import SensorTable
+from pulse_sensors.force_scale import SensorTable
 
 
 def newtons(value: float, **keys: Any) -> float:

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
+from protocol.config.scene import validate
 from protocol.errors import SourceError
-from protocol.scene import validate
-from sensors import lsl_inlet
-from sensors.lsl_inlet import Chunk, LslDecoder, LslScene
-from sensors.packet import Packet
-from sensors.scene import open_sensor
+from pulse_sensors import lsl_inlet
+from pulse_sensors.lsl_inlet import Chunk, LslDecoder, LslScene
+from pulse_sensors.packet import Packet
+from pulse_sensors.scene import open_sensor
 
 from ..lsl_loopback import lsl_on_loopback
 from ..waiting import until

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from protocol.scene import validate
-from sensors.packet import Packet
-from sensors.reading import Reading, Readings
-from sensors.serial_port import SerialScene
-from telepulse.emulate.sensor_board import Habits, SensorBoard, binary, line, timed_line
+from protocol.config.scene import validate
+from pulse_sensors.packet import Packet
+from pulse_sensors.reading import Reading, Readings
+from pulse_sensors.serial_port import SerialScene
+from telepulse.emulators.sensor_board import Habits, SensorBoard, binary, line, timed_line
 
 from ..streams import synthetic
 

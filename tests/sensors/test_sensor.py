@@ -5,12 +5,12 @@ from contextlib import closing
 
 import pytest
 
+from protocol.config.scene import validate
 from protocol.errors import SourceError
-from protocol.scene import validate
-from sensors import sensor as module
-from sensors.force_scale import SensorTable
-from sensors.packet import Packet
-from sensors.sensor import Sensor
+from pulse_sensors import sensor as module
+from pulse_sensors.force_scale import SensorTable
+from pulse_sensors.packet import Packet
+from pulse_sensors.sensor import Sensor
 
 from ..waiting import until
 

@@ -11,14 +11,14 @@ import pytest
 from serial import serial_for_url
 from serial.rfc2217 import PortManager
 
+from protocol.config.scene import validate
 from protocol.errors import SourceError
-from protocol.scene import validate
-from sensors.binary_frames import FrameEncoder
-from sensors.scene import open_sensor
-from sensors.sensor import Sensor
-from sensors.serial_port import SerialPort, SerialScene
-from telepulse.emulate.pty_port import PtyPort
-from telepulse.emulate.sensor_board import binary, timed_line
+from pulse_sensors.binary_frames import FrameEncoder
+from pulse_sensors.scene import open_sensor
+from pulse_sensors.sensor import Sensor
+from pulse_sensors.serial_port import SerialPort, SerialScene
+from telepulse.emulators.pty_port import PtyPort
+from telepulse.emulators.sensor_board import binary, timed_line
 
 from ..waiting import PATIENCE_S, until
 from .listening import forces, heard

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sensors.packet import Packet
-from sensors.text_lines import TextDecoder, TimeUnit
+from pulse_sensors.packet import Packet
+from pulse_sensors.text_lines import TextDecoder, TimeUnit
 
 MS = 1_000_000
 

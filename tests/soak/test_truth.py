@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from display_node.telemetry import Status, Trace
-from protocol.interruptions import Interruptions
-from protocol.summary import Availability, Loop, Samples, Summary
+from display_node.telemetry.messages import Status, Trace
+from protocol.availability import Interruptions
+from protocol.run_summary import Availability, Loop, SampleCounts, Summary
 from soak.claims import StatusClaim, no_figures, read_line
 from soak.truth import judge_ends, judge_events, judge_lines, judge_stalls, judge_statuses
 from soak.witness import Witness
@@ -33,7 +33,7 @@ def witness(*traces: Trace) -> Witness:
 
 def summary(**changes: Any) -> dict[str, Any]:
     whole = Summary(
-        samples=Samples(100, 97, 2, 1, 0),
+        samples=SampleCounts(100, 97, 2, 1, 0),
         availability=Availability(10.0, 0.9, 0, 0.1, 0, 0, 0, 0, 0.9, 0.9),
         loop=Loop(10_000, 0),
         finger="pressed with 245 mN (model, no drive)",
@@ -77,7 +77,7 @@ def test_statuses_that_are_so_pass() -> None:
         (claim(finger="pressed with 247 mN (model, no drive)"), "finger"),
         (claim(finger="not pressed (model, no drive)"), "finger"),
         (claim(finger=None), "finger"),
-        (claim(samples=Samples(100, 97, 2, 2, 0)), "figures"),
+        (claim(samples=SampleCounts(100, 97, 2, 2, 0)), "figures"),
         (replace(claim(), no_figures=("summary.speed",)), "figures"),
         (claim(within_jnd=1.2), "figures"),
         (claim(availability=Availability(10.0, 1.1, 0, 0, 0, 0, 0, 0, 1, 1)), "figures"),
@@ -249,7 +249,7 @@ def test_an_interruption_is_not_judged_where_a_trace_did_not_arrive() -> None:
         (0, ["loop overrun"], {"faults": ["loop overrun"]}, False),
         (3, [], {}, False),
         (0, [], {"finger": "not pressed"}, False),
-        (0, [], {"samples": Samples(101, 98, 2, 1, 0)}, False),
+        (0, [], {"samples": SampleCounts(101, 98, 2, 1, 0)}, False),
     ],
 )
 def test_an_exit_status_is_that_of_the_summary(

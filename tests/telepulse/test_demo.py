@@ -11,7 +11,7 @@ import pytest
 
 from ..nodes import RADIAL, ROOT, assert_accounted, process, read_json, run
 
-MODULE = "telepulse.cli"
+MODULE = "telepulse"
 KEYS = {
     "samples": {"sent", "played", "late", "lost", "before_joining"},
     "frames": {"received", "reordered", "copies", "first"},
@@ -151,7 +151,7 @@ def test_the_first_line_says_where_the_page_is() -> None:
 
 
 def test_without_bokeh_the_demo_says_how_to_get_the_page_and_goes_on() -> None:
-    code = "import sys; sys.modules['bokeh'] = None; import telepulse.cli as c; c.main()"
+    code = "import sys; sys.modules['bokeh'] = None; import telepulse.cli.main as c; c.main()"
     for page, status in ((), 0), (("--page",), 2):
         result = subprocess.run(
             [sys.executable, "-c", code, "demo", "--seconds", "1", *page],

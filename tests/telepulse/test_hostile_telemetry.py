@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from display_node.display import Felt
-from display_node.telemetry import TRACE
+from display_node.display import TickState
+from display_node.telemetry.messages import TRACE
 from fuzz.telemetry_readers import (
     AHEAD_NS,
     MS,
@@ -28,21 +28,21 @@ from fuzz.telemetry_readers import (
     trace_message,
 )
 from protocol.availability import Availability
-from protocol.causes import MEANINGS
-from protocol.messages import Frame
-from protocol.status import Playing
-from protocol.summary import (
+from protocol.run_summary import (
+    AlignedErrors,
     Clock,
     Compensation,
     Deadlines,
-    Errors,
     Loop,
     OneWayDelay,
     PlayoutDelay,
     Roughness,
-    Samples,
+    SampleCounts,
     Summary,
 )
+from protocol.security.causes import MEANINGS
+from protocol.wire.messages import Frame
+from protocol.wire.status import PlaybackStatus
 
 MOST_MORE_BYTES = 1 << 30
 AWKWARD = [math.nan, math.inf, -math.inf, 1e300, -1e300, 5e-324, 1e15, 1e6, -1e6, 0.0, 0.3]
@@ -55,9 +55,9 @@ times_ns = (
 counts = st.integers(0, 10_000) | st.sampled_from([-1, 2**53 - 1, 2**53, 2**63 - 1])
 words = st.sampled_from(["waiting", "starting", "playing", "stale", "ended", "fault", "", "\x1b["])
 
-ticks = st.builds(Felt, times_ns, times_ns, times_ns, awkward, awkward, st.booleans(), awkward)
+ticks = st.builds(TickState, times_ns, times_ns, times_ns, awkward, awkward, st.booleans(), awkward)
 near_ticks = st.builds(
-    lambda ms, felt_n, scored: Felt(ms * MS, 0, ms * MS + AHEAD_NS, 0.3, felt_n, scored),
+    lambda ms, felt_n, scored: TickState(ms * MS, 0, ms * MS + AHEAD_NS, 0.3, felt_n, scored),
     *(st.integers(0, 3_000), awkward, st.booleans()),
 )
 traces = st.lists(ticks | near_ticks, max_size=25).map(lambda felt: trace_message(*felt))
@@ -67,13 +67,13 @@ rising_traces = st.lists(near_ticks, max_size=25).map(
 summaries = st.fixed_dictionaries(
     {},
     optional={
-        "samples": st.builds(Samples, counts, counts, counts, counts, counts),
+        "samples": st.builds(SampleCounts, counts, counts, counts, counts, counts),
         "one_way_delay_ms": st.builds(OneWayDelay, awkward, awkward, awkward),
         "playout_delay_ms": st.builds(PlayoutDelay, awkward, awkward),
         "compensation": st.builds(Compensation, awkward, awkward),
         "clock": st.builds(Clock, awkward, awkward, awkward, awkward, counts),
-        "force_rmse_n": st.builds(Errors, awkward, awkward),
-        "strain_rmse": st.builds(Errors, awkward, awkward),
+        "force_rmse_n": st.builds(AlignedErrors, awkward, awkward),
+        "strain_rmse": st.builds(AlignedErrors, awkward, awkward),
         "within_jnd": awkward,
         "availability": st.builds(Availability, *[awkward] * 10),
         "roughness": st.builds(Roughness, awkward, awkward, awkward),
@@ -86,7 +86,7 @@ summaries = st.fixed_dictionaries(
         "faults": st.lists(words, max_size=2),
     },
 )
-played = st.builds(Playing, st.integers(-1, 70), awkward, awkward, words, times_ns)
+played = st.builds(PlaybackStatus, st.integers(-1, 70), awkward, awkward, words, times_ns)
 statuses = st.builds(
     lambda state, playing, changes: status_message(state, playing, **changes),
     *(words, st.just(PLAYING) | played, summaries),
@@ -151,7 +151,7 @@ def play(readers: TelemetryReaders, ticks: range, felt_n: float | None = None) -
     """Feel a pulse for so many ms; felt_n: in its place."""
     for first in range(ticks.start, ticks.stop, 20):
         felt = [
-            Felt(
+            TickState(
                 tick * MS,
                 tick * MS + AHEAD_NS,
                 (tick - 40) * MS + AHEAD_NS,

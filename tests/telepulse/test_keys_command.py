@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from protocol.allow_list import read_allowed
-from telepulse.cli import app
+from protocol.security.allow_list import read_allowed
+from telepulse.cli.main import app
 
 
 @pytest.fixture(autouse=True)

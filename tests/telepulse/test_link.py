@@ -1,7 +1,7 @@
 import pytest
 
 from protocol.errors import SceneError
-from telepulse.link import parse_link
+from telepulse.simulation.link_model import parse_link
 
 EVERYTHING = (
     "delay=40ms,jitter=10ms,jitter_kind=pareto,loss=1%,burst_loss.share=2%,burst_loss.length=50ms,"

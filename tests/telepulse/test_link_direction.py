@@ -6,7 +6,7 @@ from itertools import groupby
 import numpy as np
 import pytest
 
-from telepulse.link import Direction, MessageLink, parse_link
+from telepulse.simulation.link_model import Direction, MessageLink, parse_link
 
 MS = 1_000_000
 PACKETS = 40_000

@@ -6,9 +6,9 @@ from pathlib import Path
 import zmq
 
 from protocol import sockets
-from protocol.keys import ClientKeys
-from protocol.messages import Hello, Welcome, decode_control, encode_control
+from protocol.security.keys import ClientKeys
 from protocol.sockets import Context, control_address
+from protocol.wire.messages import Hello, Welcome, decode_control, encode_control
 
 from ..keyring import Keyring
 from ..nodes import RADIAL, free_address, process, run
@@ -33,7 +33,7 @@ def test_a_link_has_keys_on_both_sides(context: Context, tmp_path: Path) -> None
         heard.append(([], []))
     with (
         process("sensing_node.cli", str(RADIAL), "--bind", far, "--key", keyring.path("wrist")),
-        process("telepulse.cli", *link),
+        process("telepulse", *link),
     ):
         end_s = time.monotonic() + PATIENCE_S
         while not all(heard[0]):
@@ -50,7 +50,7 @@ def test_a_link_has_keys_on_both_sides(context: Context, tmp_path: Path) -> None
 def test_beyond_loopback_it_starts_with_keys_or_where_it_is_told_to_do_without() -> None:
     for option, other in (("--connect", "--bind"), ("--bind", "--connect")):
         arguments = ("link", option, "tcp://192.0.2.1:5555", other, free_address())
-        refused = run("telepulse.cli", *arguments)
+        refused = run("telepulse", *arguments)
         assert refused.returncode == 2
         assert refused.stderr.startswith("telepulse: tcp://192.0.2.1:5555 reaches beyond")
         assert refused.stderr.count("\n") == 1

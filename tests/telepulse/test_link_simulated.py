@@ -4,10 +4,10 @@ import dataclasses
 
 import pytest
 
-from protocol.summary import Summary
-from telepulse.link import parse_link
+from protocol.run_summary import Summary
 from telepulse.scene import load_scene
-from telepulse.simulate import simulate
+from telepulse.simulation.link_model import parse_link
+from telepulse.simulation.virtual_time import simulate
 
 from ..nodes import RADIAL
 

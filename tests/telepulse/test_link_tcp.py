@@ -2,8 +2,8 @@
 
 import pytest
 
-from telepulse.link import Direction, parse_link
-from telepulse.link.tcp_stream import TcpStream
+from telepulse.simulation.link_model import Direction, parse_link
+from telepulse.simulation.link_model.messages import TcpStream
 
 MS = 1_000_000
 STEP = 10

@@ -8,15 +8,15 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-import telepulse.simulate
-from display_node.display import Felt
+import telepulse.simulation.virtual_time
+from display_node.display import TickState
 from display_node.prediction import PredictorName
-from protocol.summary import Summary
-from sensing_node.sources.recording import RecordingScene
-from telepulse.link import MessageLink, parse_link
+from protocol.run_summary import Summary
+from sensing_node.sources.recorded import RecordingScene
+from telepulse.reports.studies.prediction_sets import Floats, drawn, fibrillating, make_rhythm
 from telepulse.scene import Scene, load_scene
-from telepulse.simulate import Simulation
-from telepulse.study.prediction_sets import Floats, drawn, fibrillating, make_rhythm
+from telepulse.simulation.link_model import MessageLink, parse_link
+from telepulse.simulation.virtual_time import Simulation
 
 from ..nodes import RADIAL
 
@@ -83,7 +83,7 @@ class Ticks:
     target_n: list[float] = dataclasses.field(default_factory=list)
     trusted: list[bool] = dataclasses.field(default_factory=list)
 
-    def take(self, felt: Felt) -> None:
+    def take(self, felt: TickState) -> None:
         self.at_s.append(felt.now_ns * 1e-9 - STREAM_BEGINS_S)
         self.instant_ns.append(felt.instant_ns)
         self.delay_ms.append(felt.playout_delay_ns / MS)
@@ -209,7 +209,7 @@ def test_late_samples_are_worth_predicting_from(monkeypatch: pytest.MonkeyPatch)
     fresh = [error_n("stack", delay_ms) for delay_ms in delays_ms]
     hold = [error_n("hold", delay_ms) for delay_ms in delays_ms]
     monkeypatch.setattr(ClassicBuffer, "delay_ns", one_percent_late_ns(STALLS))
-    monkeypatch.setattr(telepulse.simulate, "MessageLink", ClassicBuffer)
+    monkeypatch.setattr(telepulse.simulation.virtual_time, "MessageLink", ClassicBuffer)
     assert fresh[0] < 0.5 * error_n("stack", 0)
     # The longer one waits, the less has to be predicted.
     assert fresh[1] < fresh[0] < hold[0]

@@ -3,7 +3,7 @@
 from socket import AF_INET, SOCK_STREAM, socket
 from urllib.parse import urlsplit
 
-from telepulse.ports import HOST, free_addresses
+from telepulse.processes import HOST, free_addresses
 
 
 def test_no_port_is_given_twice_in_a_row_though_nobody_binds_it() -> None:

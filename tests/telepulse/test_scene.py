@@ -3,8 +3,8 @@ from pathlib import Path
 import pytest
 
 from protocol.errors import SceneError
-from telepulse.link import LinkScene
 from telepulse.scene import find_scene, load_scene
+from telepulse.simulation.link_model import LinkScene
 
 from ..nodes import RADIAL
 

@@ -10,10 +10,10 @@ from rich.console import Console
 from protocol.availability import NAMES
 from protocol.errors import SceneError
 from protocol.limits import limit_texts
-from protocol.summary import Summary, print_summary
-from telepulse.link import parse_link
+from protocol.run_summary import Summary, print_summary
 from telepulse.scene import Scene, load_scene
-from telepulse.simulate import Simulation, simulate
+from telepulse.simulation.link_model import parse_link
+from telepulse.simulation.virtual_time import Simulation, simulate
 
 from ..nodes import RADIAL, ROOT
 

@@ -2,7 +2,7 @@ import socket
 
 import pytest
 
-from telepulse.site import Site
+from telepulse.http_site import Site
 
 HERE = socket.gethostname().lower()
 

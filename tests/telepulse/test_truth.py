@@ -6,15 +6,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from protocol.config.scene import validate
 from protocol.limits import Limited
-from protocol.messages import Frame
-from protocol.scene import validate
-from sensing_node.framing import Framer
+from protocol.wire.messages import Frame
+from sensing_node.framer import Framer
 from sensing_node.scene import SensingScene, build_source, describe_stream
-from sensing_node.sources import Paced
+from sensing_node.sources import PacedSource
 from telepulse.scene import Scene, load_scene
-from telepulse.simulate import simulate
-from telepulse.truth import Truth
+from telepulse.simulation.reference_force import ReferenceForce
+from telepulse.simulation.virtual_time import simulate
 
 from ..nodes import RADIAL, ROOT
 
@@ -33,13 +33,13 @@ def frames(scene: SensingScene) -> list[Frame]:
     """Two seconds of the stream."""
     source = build_source(scene, Path())
     framer = Framer(describe_stream(scene, source), session=1)
-    block = Paced(source, 0).read(1_999_999_999)
+    block = PacedSource(source, 0).read(1_999_999_999)
     assert block is not None
     return framer.frames(block)
 
 
 def truth(scene: SensingScene, of: list[Frame]) -> np.ndarray[Any, Any]:
-    under_test = Truth(scene, Path())
+    under_test = ReferenceForce(scene, Path())
     return np.concatenate([under_test.of(frame).values for frame in of])
 
 
@@ -50,7 +50,7 @@ def samples(scene: SensingScene) -> np.ndarray[Any, Any]:
 @pytest.mark.parametrize("conditioning", [None, {}, CHARGE])
 def test_where_frames_hold_the_truth_they_are_it(conditioning: dict[str, Any] | None) -> None:
     scene = sensing(conditioning)
-    under_test = Truth(scene, Path())
+    under_test = ReferenceForce(scene, Path())
     assert all(under_test.of(frame) is frame for frame in frames(scene))
 
 
@@ -71,7 +71,7 @@ def test_the_static_force_is_lost_to_truth_too() -> None:
 
 def test_a_true_frame_is_the_frame_but_for_its_values() -> None:
     scene = sensing(FILTERS)
-    under_test = Truth(scene, Path())
+    under_test = ReferenceForce(scene, Path())
     for frame in frames(scene):
         assert under_test.of(frame)[:4] == frame[:4]
 
@@ -88,7 +88,7 @@ def test_missing_frames_do_not_shift_what_is_true() -> None:
 
 def test_a_frame_from_before_has_no_truth_left() -> None:
     scene = sensing(FILTERS)
-    under_test, sent = Truth(scene, Path()), frames(scene)
+    under_test, sent = ReferenceForce(scene, Path()), frames(scene)
     under_test.of(sent[3])
     with pytest.raises(ValueError, match="sample 10 comes after 19"):
         under_test.of(sent[2])

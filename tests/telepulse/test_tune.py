@@ -4,9 +4,15 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from telepulse.cli import app
+from telepulse.cli.main import app
+from telepulse.commissioning.tuning import (
+    LEAST_DELAY_TICKS,
+    MOST_SENSITIVITY,
+    as_toml,
+    design,
+    judge,
+)
 from telepulse.scene import find_scene, load_scene
-from telepulse.tune import LEAST_DELAY_TICKS, MOST_SENSITIVITY, as_toml, design, judge
 
 from ..nodes import ROOT
 

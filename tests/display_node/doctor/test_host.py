@@ -5,7 +5,7 @@ import pytest
 
 from display_node.doctor import host as module
 from display_node.doctor.host import Host, describe, preemption_of, read_host, stolen
-from protocol.realtime.asked import spans
+from protocol.host.realtime_request import spans
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,15 @@ import pytest
 
 from display_node.doctor.host import Host
 from display_node.doctor.jitter import Ticks
-from display_node.doctor.verdict import BARE, IDLE, LOADED, TOGETHER, Findings, Verdict, judge
+from display_node.doctor.verdict import (
+    BARE,
+    IDLE,
+    LOADED,
+    TOGETHER,
+    HostFindings,
+    HostVerdict,
+    judge,
+)
 from protocol.histogram import Histogram
 
 GOOD_HOST = Host("Linux 6.18", "PREEMPT_RT", clocksource="tsc", curve=True)
@@ -18,18 +26,18 @@ def ticks(begun: int, missed: int, latest_us: float = 80.0) -> Ticks:
     return Ticks(late_us, missed)
 
 
-def findings(bare: Ticks, together: Ticks | None = None, **changes: object) -> Findings:
+def findings(bare: Ticks, together: Ticks | None = None, **changes: object) -> HostFindings:
     found = {(BARE, IDLE): ticks(1000, 0), (BARE, LOADED): bare}
     if together is not None:
         found[TOGETHER, LOADED] = together
     option = None if together is None else "slack,fifo=40"
     return replace(
-        Findings(1_000_000, found, option, [], 0.0),
+        HostFindings(1_000_000, found, option, [], 0.0),
         **changes,  # type: ignore[arg-type]
     )
 
 
-def verdict(found: Findings, host: Host = GOOD_HOST) -> Verdict:
+def verdict(found: HostFindings, host: Host = GOOD_HOST) -> HostVerdict:
     return judge(host, found)
 
 

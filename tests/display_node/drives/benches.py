@@ -10,20 +10,18 @@ from typing import Any
 import can
 
 from benchmarks.polled import polled
-from display_node.actuators.stepper import StepperScene
 from display_node.drives.axis import build_axis
-from display_node.drives.cia402 import Cia402Drive
+from display_node.drives.cia402.drive import Cia402Drive
 from display_node.drives.drive import Drive
 from display_node.drives.scene import Cia402Scene, TmclScene
-from display_node.drives.tmcl import TmclDrive
-from display_node.step_rate import StepCommand
-from protocol.stream import LayerTable
-from telepulse.emulate.cia402_node import ALL_MODES, EmulatedNode
-from telepulse.emulate.motor import EmulatedMotor
-from telepulse.emulate.pty_port import PtyPort
-from telepulse.emulate.slcan_bus import SlcanBus
-from telepulse.emulate.tmcl_line import CanLine, SerialLine
-from telepulse.emulate.tmcl_module import EmulatedModule
+from display_node.drives.tmcl.drive import TmclDrive
+from display_node.plant.stepper import StepCommand, StepperScene
+from protocol.wire.stream import LayerTable
+from telepulse.emulators.cia402_node import ALL_MODES, EmulatedNode
+from telepulse.emulators.motor import EmulatedMotor
+from telepulse.emulators.pty_port import PtyPort
+from telepulse.emulators.slcan import SlcanBus
+from telepulse.emulators.tmcl_module import EmulatedCanLine, EmulatedModule, EmulatedSerialLine
 
 LAYER = LayerTable().layer()
 FORCE_LIMIT_N = 2.5
@@ -98,20 +96,20 @@ def tmcl_bench(
         scene = tmcl_scene(**at_port, options={"sleep_after_open": 0.0}, **keys)
         motor = emulated_motor(scene, actuator)
         module = EmulatedModule(scene, motor)
-        line: CanLine | SerialLine = CanLine(module, scene, SlcanBus(port))
+        line: EmulatedCanLine | EmulatedSerialLine = EmulatedCanLine(module, scene, SlcanBus(port))
     elif on_can:
         channel = uuid.uuid4().hex
         scene = tmcl_scene(interface="virtual", channel=channel, **keys)
         bus = can.Bus(interface="virtual", channel=channel)
         motor = emulated_motor(scene, actuator)
         module = EmulatedModule(scene, motor)
-        line = CanLine(module, scene, bus)
+        line = EmulatedCanLine(module, scene, bus)
     else:
         port = PtyPort(None)
         scene = tmcl_scene(port=str(port.path), **keys)
         motor = emulated_motor(scene, actuator)
         module = EmulatedModule(scene, motor)
-        line = SerialLine(module, port)
+        line = EmulatedSerialLine(module, port)
     plugged = True
 
     def poll() -> None:

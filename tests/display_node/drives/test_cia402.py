@@ -6,11 +6,11 @@ import can
 import pytest
 
 from display_node.drives.axis import build_axis
-from display_node.drives.cia402 import Cia402Drive
-from display_node.drives.cia402_node import SPEED_TPDO, STATE_TPDO, TPDO1, TPDO2, Cia402Node
-from display_node.drives.cia402_states import Control, Mode, State, state_of, towards_enabled
-from display_node.drives.withdrawal import Outcome
-from display_node.step_rate import StepCommand
+from display_node.drives.cia402.drive import Cia402Drive
+from display_node.drives.cia402.node import SPEED_TPDO, STATE_TPDO, TPDO1, TPDO2, Cia402Node
+from display_node.drives.cia402.states import Control, Mode, State, state_of, towards_enabled
+from display_node.drives.withdrawal import WithdrawalOutcome
+from display_node.plant.stepper import StepCommand
 from protocol.errors import DriveError
 
 from .benches import (
@@ -62,7 +62,7 @@ def test_a_silent_drive_is_a_fault_and_stops_by_itself() -> None:
         bench.emulator.silent = True
         bench.keep(RATE_HZ, lambda: bench.drive.status().fault is not None)
         assert "no answer" in str(bench.drive.status().fault)
-        wait(lambda: bench.drive.status().withdrawal is Outcome.UNCONFIRMED)
+        wait(lambda: bench.drive.status().withdrawal is WithdrawalOutcome.UNCONFIRMED)
         wait(lambda: bench.at_rest)
         # Unheard, it is commanded all the way off the finger.
         assert bench.motor.tip_m < -0.2e-3
@@ -79,7 +79,7 @@ def test_a_drive_that_missed_our_heartbeat_is_enabled_again_and_withdraws() -> N
         with patch.object(Cia402Node, "_send"):
             wait(lambda: bench.motor.tripped)
             wait(lambda: bench.at_rest)
-        wait(lambda: bench.drive.status().withdrawal is Outcome.WITHDRAWN)
+        wait(lambda: bench.drive.status().withdrawal is WithdrawalOutcome.WITHDRAWN)
         wait(lambda: bench.at_rest)
         assert bench.motor.tip_m < -0.2e-3
 

@@ -7,7 +7,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from display_node.drives.direction import (
+from display_node.drives.homing import (
     OPENED_M,
     SEARCH_MARGIN_M,
     SearchBound,
@@ -16,9 +16,9 @@ from display_node.drives.direction import (
     opened_m,
     undone_where_wrong,
 )
-from display_node.drives.tmcl import TmclDrive
+from display_node.drives.tmcl.drive import TmclDrive
 from protocol.errors import DriveError
-from telepulse.emulate.lies import Lie, LieKind
+from telepulse.emulators.lies import Lie, LieKind
 
 from .benches import Bench, cia402_bench, tmcl_bench
 from .test_supervisor import axis

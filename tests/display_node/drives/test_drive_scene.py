@@ -5,8 +5,8 @@ import pytest
 from display_node.drives import build_drive
 from display_node.drives.scene import Cia402Scene, TmclScene
 from display_node.scene import DisplayScene
+from protocol.config.scene import validate
 from protocol.errors import SceneError
-from protocol.scene import validate
 
 from .benches import FORCE_LIMIT_N, LAYER
 

@@ -6,8 +6,8 @@ from functools import partial
 
 import pytest
 
-from display_node.drives.withdrawal import Outcome
-from display_node.step_rate import StepCommand
+from display_node.drives.withdrawal import WithdrawalOutcome
+from display_node.plant.stepper import StepCommand
 
 from .benches import Bench, cia402_bench, slcan_bench, stepper, tmcl_bench, wait
 
@@ -109,7 +109,7 @@ def test_a_fault_of_the_drive_is_named_and_the_tip_leaves_as_soon_as_the_drive_o
         named = (bench.drive.status().fault or "").replace("deviation", "following error")
         assert fault in named
         bench.motor.reset()
-        wait(lambda: bench.drive.status().withdrawal is not Outcome.UNDER_WAY)
+        wait(lambda: bench.drive.status().withdrawal is not WithdrawalOutcome.UNDER_WAY)
         wait(lambda: bench.at_rest)
         assert bench.motor.tip_m < 0
         bench.drive.start()
@@ -131,7 +131,7 @@ def test_without_commands_for_the_watchdogs_time_the_tip_leaves(make_any: MakeBe
         bench.drive.start()
         bench.keep(RATE_HZ, lambda: bench.motor.tip_m > 0.05e-3)
         wait(lambda: bench.drive.status().fault is not None)
-        wait(lambda: bench.drive.status().withdrawal is Outcome.WITHDRAWN)
+        wait(lambda: bench.drive.status().withdrawal is WithdrawalOutcome.WITHDRAWN)
         wait(lambda: bench.at_rest)
         assert bench.motor.tip_m < -0.2e-3
         bench.drive.command(StepCommand(RATE_HZ, 1))
@@ -143,7 +143,7 @@ def test_a_withdrawn_tip_stays_off_the_finger(make: MakeBench) -> None:
         bench.drive.start()
         bench.keep(RATE_HZ, lambda: bench.motor.tip_m > 0.1e-3)
         bench.drive.withdraw("stopped")
-        wait(lambda: bench.drive.status().withdrawal is Outcome.WITHDRAWN)
+        wait(lambda: bench.drive.status().withdrawal is WithdrawalOutcome.WITHDRAWN)
         wait(lambda: bench.at_rest)
         away_m = bench.motor.tip_m
         assert away_m < -0.2e-3

@@ -2,7 +2,7 @@
 
 import can
 
-from display_node.drives.cia402_node import EMERGENCY
+from display_node.drives.cia402.node import EMERGENCY
 
 from .benches import shared_bus
 

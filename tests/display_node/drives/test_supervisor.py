@@ -6,7 +6,7 @@ import pytest
 
 from display_node.drives.axis import Axis, build_axis
 from display_node.drives.supervisor import Supervisor
-from display_node.drives.withdrawal import Outcome
+from display_node.drives.withdrawal import WithdrawalOutcome
 
 from .benches import FORCE_LIMIT_N, LAYER, stepper, tmcl_scene
 
@@ -73,7 +73,7 @@ def test_a_host_that_stood_still_withdraws(stalled_ms: int) -> None:
     bench.speed = 0.0
     supervisor = bench.run(200)
     assert supervisor.fault == f"no command for {stalled_ms + 1} ms"
-    assert supervisor.outcome is Outcome.WITHDRAWN
+    assert supervisor.outcome is WithdrawalOutcome.WITHDRAWN
     assert bench.tip_m < -0.4e-3
 
 
@@ -104,7 +104,7 @@ def test_a_position_that_stands_still_is_a_following_error_and_is_not_gone_by() 
     assert "following error" in str(supervisor.fault)
     # 150 µm, as long as positions may be late, and as long as it must last.
     assert bench.furthest_m < bench.frozen_m + 1.2e-3
-    assert supervisor.outcome is Outcome.UNCONFIRMED
+    assert supervisor.outcome is WithdrawalOutcome.UNCONFIRMED
     assert bench.tip_m < -0.5e-3
 
 

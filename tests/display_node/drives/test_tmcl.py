@@ -10,12 +10,12 @@ import tty
 import pytest
 
 from display_node.drives.axis import build_axis
-from display_node.drives.tmcl import TmclDrive
-from display_node.drives.tmcl_line import TmclLine
-from display_node.drives.tmcl_numbers import Command, Parameter
-from display_node.drives.withdrawal import Outcome
+from display_node.drives.tmcl.drive import TmclDrive
+from display_node.drives.tmcl.line import TmclLine
+from display_node.drives.tmcl.parameters import Command, Parameter
+from display_node.drives.withdrawal import WithdrawalOutcome
 from protocol.errors import DriveError
-from telepulse.emulate.tmcl_module import DATAGRAM, EmulatedModule, checksum
+from telepulse.emulators.tmcl_module import DATAGRAM, EmulatedModule, checksum
 
 from .benches import FORCE_LIMIT_N, LAYER, emulated_motor, stepper, tmcl_bench, tmcl_scene, wait
 
@@ -46,7 +46,7 @@ def test_answers_that_are_none_stop_the_motor_and_are_counted(
         assert bench.drive.counts[named] > 0
         # None of what a module says late or wrongly is taken for an answer to something else.
         bench.emulator.answers = "right"
-        wait(lambda: bench.drive.status().withdrawal is not Outcome.UNDER_WAY)
+        wait(lambda: bench.drive.status().withdrawal is not WithdrawalOutcome.UNDER_WAY)
         wait(lambda: bench.at_rest)
         assert bench.motor.tip_m < 0
         bench.drive.start()

@@ -4,10 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from display_node.actuators.stepper import StepperScene
 from display_node.drives.axis import build_axis
-from display_node.drives.travel import Travel
-from telepulse.emulate.motor import TICK_NS, EmulatedMotor
+from display_node.drives.soft_limits import SoftLimits
+from display_node.plant.stepper import StepperScene
+from telepulse.emulators.motor import TICK_NS, EmulatedMotor
 
 from .benches import FORCE_LIMIT_N, LAYER, stepper, tmcl_scene
 
@@ -22,13 +22,13 @@ WATCHDOG_NS = 50_000_000
 def test_a_bounded_speed_points_the_same_way_and_is_no_faster(
     wanted: float, position_m: float, age_s: float
 ) -> None:
-    bounded = Travel(-0.002, 0.003, 20.0, 0.05).bound(wanted, position_m, age_s)
+    bounded = SoftLimits(-0.002, 0.003, 20.0, 0.05).bound(wanted, position_m, age_s)
     assert abs(bounded) <= abs(wanted)
     assert bounded * wanted >= 0
 
 
 def test_what_is_beyond_an_end_may_only_come_back() -> None:
-    travel = Travel(-0.002, 0.003, 20.0, 0.05)
+    travel = SoftLimits(-0.002, 0.003, 20.0, 0.05)
     assert travel.bound(0.1, 0.0031, 0.0) == 0.0
     assert travel.bound(-0.1, -0.0021, 0.0) == 0.0
     assert travel.bound(-0.1, 0.0031, 0.0) < 0.0
@@ -37,8 +37,8 @@ def test_what_is_beyond_an_end_may_only_come_back() -> None:
 
 @pytest.mark.parametrize("speed", [math.nan, 0.0])
 def test_no_number_is_no_motion(speed: float) -> None:
-    assert Travel(-1, 1, 20.0, 0.05).bound(speed, 0.0, 0.0) == 0.0
-    assert Travel(-1, 1, 20.0, 0.05).bound(1.0, math.nan, 0.0) == 0.0
+    assert SoftLimits(-1, 1, 20.0, 0.05).bound(speed, 0.0, 0.0) == 0.0
+    assert SoftLimits(-1, 1, 20.0, 0.05).bound(1.0, math.nan, 0.0) == 0.0
 
 
 @pytest.mark.parametrize("direction", [1, -1])

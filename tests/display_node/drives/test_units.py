@@ -2,8 +2,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from display_node.drives.units import LARGEST, Units
-from display_node.step_rate import StepCommand
+from display_node.drives.axis import LARGEST, Units
+from display_node.plant.stepper import StepCommand
 
 UNITS = Units(step_m=1e-6, per_step=4.0, per_step_rate=0.5, direction=-1, home_m=-2e-3)
 

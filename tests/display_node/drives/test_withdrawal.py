@@ -7,8 +7,8 @@ from display_node.drives.withdrawal import (
     MARGIN_M,
     PATIENCE_NS,
     SLOW_M_PER_S,
-    Outcome,
     Withdrawal,
+    WithdrawalOutcome,
 )
 
 MS = 1_000_000
@@ -27,7 +27,7 @@ class Tip:
         self.now_ms = 0
         self.reports = True
 
-    def run(self, ms: int, force: bool = False) -> Outcome:
+    def run(self, ms: int, force: bool = False) -> WithdrawalOutcome:
         for _ in range(ms):
             self.now_ms += 1
             speed = self.withdrawal.speed_m_per_s(self.now_ms * MS, self.way_m)
@@ -44,7 +44,7 @@ class Tip:
 def test_it_is_slow_until_the_position_confirms_it_and_ends_off_the_finger() -> None:
     tip = Tip()
     assert tip.withdrawal.speed_m_per_s(MS, 0.0) == -SLOW_M_PER_S
-    assert tip.run(100) is Outcome.WITHDRAWN
+    assert tip.run(100) is WithdrawalOutcome.WITHDRAWN
     assert tip.withdrawal.confirmed
     assert tip.position_m == pytest.approx(CLEAR_M, abs=FAST_M_PER_S * 1e-3)
     assert tip.withdrawal.speed_m_per_s(101 * MS, tip.way_m) == 0
@@ -54,7 +54,7 @@ def test_it_is_slow_until_the_position_confirms_it_and_ends_off_the_finger() -> 
 def test_the_wrong_way_stops_it_at_once(by_film: bool) -> None:
     tip = Tip(gain=-1.0)
     tip.reports = not by_film
-    assert tip.run(200, force=by_film) is Outcome.WRONG_WAY
+    assert tip.run(200, force=by_film) is WithdrawalOutcome.WRONG_WAY
     # 0.1 mm is the bound of the position, and both may need time to turn.
     assert tip.position_m < BEGAN_M + (0.7e-3 if by_film else 0.5e-3)
     assert tip.withdrawal.speed_m_per_s(300 * MS, tip.way_m) == 0
@@ -67,14 +67,14 @@ def test_one_reading_alone_stops_nothing() -> None:
     for ms in (90, 91):
         tip.withdrawal.press(9.0, ms * MS)
     tip.withdrawal.press(0.0, 92 * MS)
-    assert tip.withdrawal.outcome is Outcome.UNDER_WAY
+    assert tip.withdrawal.outcome is WithdrawalOutcome.UNDER_WAY
 
 
 @pytest.mark.parametrize("trusted", [True, False])
 def test_without_a_confirmation_it_ends_by_the_commanded_way(trusted: bool) -> None:
     tip = Tip(trusted)
     tip.reports = False
-    assert tip.run(1_000) is Outcome.UNCONFIRMED
+    assert tip.run(1_000) is WithdrawalOutcome.UNCONFIRMED
     needed_m = BEGAN_M - CLEAR_M + MARGIN_M
     assert -tip.way_m == pytest.approx(needed_m, rel=0.01)
     assert tip.position_m < CLEAR_M
@@ -83,7 +83,7 @@ def test_without_a_confirmation_it_ends_by_the_commanded_way(trusted: bool) -> N
 def test_a_film_that_shows_relief_ends_it_by_the_commanded_way() -> None:
     tip = Tip()
     tip.reports = False
-    assert tip.run(1_000, force=True) is Outcome.WITHDRAWN
+    assert tip.run(1_000, force=True) is WithdrawalOutcome.WITHDRAWN
     assert tip.position_m < CLEAR_M
     # The way that it makes while a position is still waited for.
     assert -tip.way_m < 1.01 * FAST_M_PER_S * PATIENCE_NS * 1e-9
@@ -92,9 +92,9 @@ def test_a_film_that_shows_relief_ends_it_by_the_commanded_way() -> None:
 def test_what_a_silent_drive_may_not_have_heard_is_commanded_again() -> None:
     tip = Tip(gain=0.0)
     tip.reports = False
-    assert tip.run(1_000) is Outcome.UNCONFIRMED
+    assert tip.run(1_000) is WithdrawalOutcome.UNCONFIRMED
     tip.gain, tip.reports = 1.0, True
-    assert tip.run(200) is Outcome.WITHDRAWN
+    assert tip.run(200) is WithdrawalOutcome.WITHDRAWN
 
 
 def test_a_motor_that_its_drive_holds_is_commanded_on() -> None:
@@ -102,14 +102,14 @@ def test_a_motor_that_its_drive_holds_is_commanded_on() -> None:
     for _ in range(500):
         tip.run(10)
         tip.withdrawal.renew(tip.now_ms * MS, tip.way_m)
-    assert tip.withdrawal.outcome is Outcome.UNDER_WAY
+    assert tip.withdrawal.outcome is WithdrawalOutcome.UNDER_WAY
     tip.gain = 1.0
-    assert tip.run(200) is Outcome.WITHDRAWN
+    assert tip.run(200) is WithdrawalOutcome.WITHDRAWN
 
 
 def test_a_film_that_is_still_pressed_keeps_an_unconfirmed_one_going() -> None:
     tip = Tip(trusted=False, gain=0.0)
-    assert tip.run(1_000, force=True) is Outcome.UNCONFIRMED
+    assert tip.run(1_000, force=True) is WithdrawalOutcome.UNCONFIRMED
     tip.gain = 1.0
     tip.run(1_000, force=True)
     assert tip.position_m < 0.06e-3
@@ -119,7 +119,7 @@ def test_one_wrong_position_alone_stops_nothing() -> None:
     tip = Tip()
     tip.run(40)
     tip.withdrawal.report(9e-3, 41 * MS)
-    assert tip.run(100) is Outcome.WITHDRAWN
+    assert tip.run(100) is WithdrawalOutcome.WITHDRAWN
 
 
 def test_after_a_pause_of_the_host_the_tip_may_turn_again() -> None:
@@ -128,7 +128,7 @@ def test_after_a_pause_of_the_host_the_tip_may_turn_again() -> None:
     tip.run(3)
     tip.now_ms += 1_000
     tip.position_m += 2e-3
-    assert tip.run(300) is Outcome.WITHDRAWN
+    assert tip.run(300) is WithdrawalOutcome.WITHDRAWN
 
 
 def test_what_was_commanded_before_a_pause_is_no_way_made() -> None:
@@ -138,7 +138,7 @@ def test_what_was_commanded_before_a_pause_is_no_way_made() -> None:
     tip.now_ms, tip.way_m = 400, -SLOW_M_PER_S * 0.4
     for ms in range(2, 400):
         tip.withdrawal.report(BEGAN_M, ms * MS)
-    assert tip.run(100) is Outcome.WITHDRAWN
+    assert tip.run(100) is WithdrawalOutcome.WITHDRAWN
     assert tip.position_m == pytest.approx(CLEAR_M, abs=FAST_M_PER_S * 1e-3)
 
 
@@ -148,7 +148,7 @@ def test_readings_that_rise_before_anything_was_sent_stop_nothing() -> None:
     for ms in range(1, 200, 4):
         tip.withdrawal.press(0.3 + 1e-3 * ms, ms * MS)
         tip.withdrawal.report(BEGAN_M + 1e-6 * ms, ms * MS)
-    assert tip.withdrawal.outcome is Outcome.UNDER_WAY
+    assert tip.withdrawal.outcome is WithdrawalOutcome.UNDER_WAY
     tip.now_ms = 200
     tip.position_m += 0.2e-3
-    assert tip.run(300) is Outcome.WITHDRAWN
+    assert tip.run(300) is WithdrawalOutcome.WITHDRAWN

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from display_node.prediction import Predictor
-from display_node.prediction.expert import AHEAD, Expert
-from display_node.prediction.history import History
+from display_node.prediction.expert import AHEAD, Expert, History
 
 MS = 1_000_000
 T0_NS = 7_000 * MS

@@ -2,10 +2,9 @@ import numpy as np
 import pytest
 
 from display_node.prediction.analogue import Analogue
+from display_node.prediction.expert import History
 from display_node.prediction.fir import Fir
-from display_node.prediction.harmonic import Harmonic
-from display_node.prediction.history import History
-from display_node.prediction.rhythm import Rhythm
+from display_node.prediction.harmonic import Harmonic, Rhythm
 
 from .signals import BEAT_S, Floats, beats, expert_errors
 

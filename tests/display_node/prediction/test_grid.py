@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from display_node.prediction.grid import MAX_GAP_NS, STEP_NS, Cell, Grid
+from display_node.prediction.grid import MAX_GAP_NS, STEP_NS, Grid, GridCell
 
 from .signals import MS, T0_NS
 
 
-def cells(grid: Grid) -> list[Cell]:
+def cells(grid: Grid) -> list[GridCell]:
     taken = list(grid.fresh)
     grid.fresh.clear()
     return taken

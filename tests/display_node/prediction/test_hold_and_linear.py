@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from display_node.prediction import PredictorName, build_predictor
-from display_node.prediction.linear import REACH_NS
+from display_node.prediction.extrapolation import REACH_NS
 
 MS = 1_000_000
 T0_NS = 7_000 * MS

@@ -9,11 +9,11 @@ import pytest
 from display_node.display import Display
 from display_node.prediction import PredictorName
 from display_node.scene import DisplayScene
-from display_node.telemetry import TRACE_TICKS, TraceWriter, read_trace
-from protocol.scene import load_section
-from telepulse.link import parse_link
+from display_node.telemetry.messages import TRACE_TICKS, TraceWriter, read_trace
+from protocol.config.scene import load_section
 from telepulse.scene import load_scene
-from telepulse.simulate import simulate
+from telepulse.simulation.link_model import parse_link
+from telepulse.simulation.virtual_time import simulate
 
 from ..sender import Sender, run
 

@@ -13,7 +13,8 @@ from typing import Any
 
 import zmq
 
-from protocol.realtime import hold, parse_realtime
+from protocol.host.realtime_grant import hold
+from protocol.host.realtime_request import parse_realtime
 
 
 def state() -> dict[str, Any]:

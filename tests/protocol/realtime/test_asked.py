@@ -3,29 +3,28 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.errors import RealtimeError
-from protocol.realtime import Asked, parse_realtime
-from protocol.realtime.asked import spans
+from protocol.host.realtime_request import RealtimeRequest, parse_realtime, spans
 
 
 @pytest.mark.parametrize(
     ("text", "asked"),
     [
-        (None, Asked()),
-        ("fifo", Asked(fifo=40)),
-        ("fifo=1", Asked(fifo=1)),
-        ("fifo=98", Asked(fifo=98)),
-        ("lock", Asked(lock=True)),
-        ("cpu=0", Asked(cpus=frozenset({0}))),
-        ("cpu=2-4", Asked(cpus=frozenset({2, 3, 4}))),
-        ("cpu=1,cpu=3", Asked(cpus=frozenset({1, 3}))),
-        (" lock , slack ", Asked(lock=True, slack=True)),
+        (None, RealtimeRequest()),
+        ("fifo", RealtimeRequest(fifo=40)),
+        ("fifo=1", RealtimeRequest(fifo=1)),
+        ("fifo=98", RealtimeRequest(fifo=98)),
+        ("lock", RealtimeRequest(lock=True)),
+        ("cpu=0", RealtimeRequest(cpus=frozenset({0}))),
+        ("cpu=2-4", RealtimeRequest(cpus=frozenset({2, 3, 4}))),
+        ("cpu=1,cpu=3", RealtimeRequest(cpus=frozenset({1, 3}))),
+        (" lock , slack ", RealtimeRequest(lock=True, slack=True)),
         (
             "fifo=20,lock,cpu=1,slack,strict",
-            Asked(20, lock=True, cpus=frozenset({1}), slack=True, strict=True),
+            RealtimeRequest(20, lock=True, cpus=frozenset({1}), slack=True, strict=True),
         ),
     ],
 )
-def test_what_is_written_is_asked_for(text: str | None, asked: Asked) -> None:
+def test_what_is_written_is_asked_for(text: str | None, asked: RealtimeRequest) -> None:
     assert parse_realtime(text) == asked
 
 

@@ -8,16 +8,18 @@ import pytest
 import zmq
 
 from protocol.errors import RealtimeError
-from protocol.realtime import hold, parse_realtime
-from protocol.realtime.scheduling import helpers
-from protocol.summary import Summary
+from protocol.host.realtime_grant import hold
+from protocol.host.realtime_request import parse_realtime
+from protocol.host.scheduling import helpers
+from protocol.run_summary import Summary
 
 from ...rights import needs_rights, with_rights, without_rights
 
 CHILD = "tests.protocol.realtime.child"
 HANGS = """
 import itertools
-from protocol.realtime import hold, parse_realtime
+from protocol.host.realtime_grant import hold
+from protocol.host.realtime_request import parse_realtime
 with hold(parse_realtime("fifo=1"), print):
     print("held", flush=True)
     sum(itertools.repeat(0))
@@ -150,7 +152,8 @@ def test_a_summary_names_what_was_granted() -> None:
 
 NO_DESCRIPTOR = """
 import os, resource, threading, time
-from protocol.realtime import hold, parse_realtime
+from protocol.host.realtime_grant import hold
+from protocol.host.realtime_request import parse_realtime
 
 def spin(seconds):
     end_s = time.monotonic() + seconds
@@ -176,7 +179,8 @@ for name in dir(os):
 sys.modules["resource"] = None
 import display_node.cli, sensing_node.cli
 from display_node.doctor.host import describe, read_host
-from protocol.realtime import hold, parse_realtime
+from protocol.host.realtime_grant import hold
+from protocol.host.realtime_request import parse_realtime
 sys.platform = "win32"
 with hold(parse_realtime("fifo,lock,cpu=0,slack"), log=print) as held:
     print(*held.granted)

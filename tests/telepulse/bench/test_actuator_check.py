@@ -1,17 +1,17 @@
 import pytest
 
-from display_node.actuators.stepper import StepperScene
+from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
-from telepulse.bench.actuator_check import (
+from telepulse.commissioning.actuator_check import (
     Actuator,
     check_actuator,
     check_contact,
     check_latency,
 )
-from telepulse.bench.contact import Contact
-from telepulse.bench.identify import Identified
-from telepulse.bench.response import Model
-from telepulse.bench.rig import ModelRig
+from telepulse.commissioning.contact import Contact
+from telepulse.commissioning.identification import Identified
+from telepulse.commissioning.response import Model
+from telepulse.commissioning.rig import ModelRig
 from telepulse.scene import find_scene, load_scene
 
 from .test_press import bench

@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from telepulse.cli import app
+from telepulse.cli.main import app
 from telepulse.scene import load_scene
 
 from ...nodes import ROOT, process
@@ -156,7 +156,7 @@ def test_a_drive_that_is_not_there_fails(tmp_path: Path) -> None:
 def test_an_emulated_drive_is_checked_over_its_real_bytes(tmp_path: Path) -> None:
     scene, path = drive_scene(tmp_path), tmp_path / "bench.json"
     links = ("--link", str(tmp_path / "drive"), "--film-link", str(tmp_path / "film"))
-    with process("telepulse.cli", "emulate", "tmcl", str(scene), *links) as emulator:
+    with process("telepulse", "emulate", "tmcl", str(scene), *links) as emulator:
         assert emulator.stdout is not None
         assert "TMCL module" in emulator.stdout.readline()
         options = ("--only", "display", "--yes", "--seconds", "1", "--json", str(path))

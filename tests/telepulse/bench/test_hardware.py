@@ -5,18 +5,17 @@ from collections import Counter, deque
 
 import pytest
 
-from display_node.actuators.stepper import Stepper, StepperScene
 from display_node.drives.commanded_position import CommandedPosition
 from display_node.drives.drive import DriveStatus
-from display_node.drives.withdrawal import Outcome
+from display_node.drives.withdrawal import WithdrawalOutcome
+from display_node.plant.stepper import StepCommand, Stepper, StepperScene, StepRate
 from display_node.scene import DisplayScene
-from display_node.step_rate import StepCommand, StepRate
 from protocol.errors import BenchError, DriveError
-from sensors.reading import Reading
-from telepulse.bench.actuator_check import check_actuator
-from telepulse.bench.hardware import HardwareRig, check_answers, listen
-from telepulse.bench.press import Recorder, press_stepper
-from telepulse.bench.sensor_check import judge_sensor, measure
+from pulse_sensors.reading import Reading
+from telepulse.commissioning.actuator_check import check_actuator
+from telepulse.commissioning.hardware import HardwareRig, check_answers, listen
+from telepulse.commissioning.press import PressRecorder, press_stepper
+from telepulse.commissioning.sensor_check import judge_sensor, measure
 
 from .test_press import bench
 
@@ -40,7 +39,7 @@ class Bench:
         self.counts: Counter[str] = Counter()
         self.withdrawals = 0
         self._way = CommandedPosition()
-        self._outcome: Outcome | None = None
+        self._outcome: WithdrawalOutcome | None = None
 
     def _advance(self) -> None:
         while self._now_ns + MS <= time.monotonic_ns():
@@ -65,13 +64,13 @@ class Bench:
         self._advance()
         speed = self._told.rate_hz * self._told.direction * STEP_M
         place_m = self._stepper.screw_m
-        if self._outcome is Outcome.UNDER_WAY and place_m <= 0:
-            self._outcome, self._told = Outcome.WITHDRAWN, StepCommand(0.0, 0)
+        if self._outcome is WithdrawalOutcome.UNDER_WAY and place_m <= 0:
+            self._outcome, self._told = WithdrawalOutcome.WITHDRAWN, StepCommand(0.0, 0)
         return DriveStatus(place_m, speed, self.fault, speed != 0, self._now_ns, self._outcome)
 
     def withdraw(self, reason: str) -> None:
         self.withdrawals += 1
-        self._outcome = Outcome.UNDER_WAY
+        self._outcome = WithdrawalOutcome.UNDER_WAY
         self._queue.clear()
         self._told = StepCommand(0.02 / STEP_M, -1)
 
@@ -123,7 +122,7 @@ def test_a_press_that_is_given_up_goes_back_off_the_finger(scene: DisplayScene, 
 
     drive.poll = poll  # type: ignore[method-assign]
     with pytest.raises(BenchError, match="stopped pressing and went back"):
-        press_stepper(Recorder(rig, 0.1, 0.3), actuator, 0.3)
+        press_stepper(PressRecorder(rig, 0.1, 0.3), actuator, 0.3)
     assert max(pressed_n) > 0.05
     assert drive.withdrawals == 1
     assert Bench.poll(drive)[-1].force_n[0] == pytest.approx(0.0, abs=5e-3)

@@ -5,12 +5,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from display_node.actuators.second_order import SecondOrder, SecondOrderScene
-from display_node.actuators.transmission import Rotor
+from display_node.plant.second_order import SecondOrder, SecondOrderScene
+from display_node.plant.transmission import Rotor
 from protocol.errors import BenchError
-from telepulse.bench.identify import Identified, identify
-from telepulse.bench.response import Input, Model, respond
-from telepulse.bench.step_response import step_response
+from telepulse.commissioning.identification import Identified, identify
+from telepulse.commissioning.response import Input, Model, respond, step_response
 
 TABLE_4 = Model(0.65, 0.61, 4.23)
 # A rotor that rings at 100 Hz with ζ = 0.2.

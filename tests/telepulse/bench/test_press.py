@@ -4,11 +4,11 @@ from itertools import count
 import numpy as np
 import pytest
 
-from display_node.actuators.stepper import StepperScene
+from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
 from protocol.errors import BenchError
-from telepulse.bench.press import GUARD, Recorder, press_stepper, profile
-from telepulse.bench.rig import FilmSample, ModelRig
+from telepulse.commissioning.press import GUARD, PressRecorder, press_stepper, profile
+from telepulse.commissioning.rig import FilmSample, ModelRig
 from telepulse.scene import find_scene, load_scene
 
 SILENT_S = 0.06
@@ -52,7 +52,7 @@ def test_a_profile_makes_its_way_within_its_acceleration() -> None:
 
 def test_a_press_keeps_to_its_force_and_ends_where_it_began() -> None:
     display, actuator = bench()
-    recorder = Recorder(ModelRig(display), GUARD * 0.3, SILENT_S)
+    recorder = PressRecorder(ModelRig(display), GUARD * 0.3, SILENT_S)
     press_stepper(recorder, actuator, 0.3)
     assert 0.28 < max(recorder.film_n) < 0.33
     assert recorder.film_n[-1] == 0.0
@@ -64,7 +64,7 @@ def test_it_stops_at_once_when_the_film_says_too_much(says_n: float) -> None:
     display, actuator = bench()
     rig = Broken(ModelRig(display), at=1500, says_n=says_n)
     with pytest.raises(BenchError, match=r"the film says .* above 0.45 N"):
-        press_stepper(Recorder(rig, GUARD * 0.3, SILENT_S), actuator, 0.3)
+        press_stepper(PressRecorder(rig, GUARD * 0.3, SILENT_S), actuator, 0.3)
     assert rig.stopped_at == rig.ticks == 1500
 
 
@@ -72,7 +72,7 @@ def test_it_stops_when_the_film_falls_silent() -> None:
     display, actuator = bench()
     rig = Broken(ModelRig(display), at=1500, says_n=None)
     with pytest.raises(BenchError, match="said nothing for 60 ms"):
-        press_stepper(Recorder(rig, GUARD * 0.3, SILENT_S), actuator, 0.3)
+        press_stepper(PressRecorder(rig, GUARD * 0.3, SILENT_S), actuator, 0.3)
     assert rig.stopped_at == rig.ticks
     assert 1555 <= rig.ticks <= 1565
 
@@ -82,14 +82,14 @@ def test_a_finger_that_is_not_there_is_not_searched_for_ever() -> None:
     soft = actuator.model_copy(update={"fingertip_n_per_m": 50.0})
     rig = Broken(ModelRig(display.model_copy(update={"actuator": soft})), 10**9, None)
     with pytest.raises(BenchError, match="nothing was touched on 3 mm"):
-        press_stepper(Recorder(rig, GUARD * 0.3, SILENT_S), actuator, 0.3)
+        press_stepper(PressRecorder(rig, GUARD * 0.3, SILENT_S), actuator, 0.3)
     assert rig.stopped_at == rig.ticks
 
 
 def test_a_stop_much_harder_than_the_scene_says_is_not_pressed_hard() -> None:
     display, actuator = bench()
     hard = actuator.model_copy(update={"fingertip_n_per_m": 50_000.0})
-    recorder = Recorder(
+    recorder = PressRecorder(
         ModelRig(display.model_copy(update={"actuator": hard})), GUARD * 0.3, SILENT_S
     )
     press_stepper(recorder, actuator, 0.3)
@@ -98,7 +98,7 @@ def test_a_stop_much_harder_than_the_scene_says_is_not_pressed_hard() -> None:
 
 def test_samples_and_outputs_are_kept_as_told() -> None:
     display, _ = bench()
-    recorder = Recorder(ModelRig(display), 1.0, SILENT_S)
+    recorder = PressRecorder(ModelRig(display), 1.0, SILENT_S)
     recorder.run([0.0, 0.01, 0.02])
     assert recorder.output == [0.0, 0.01, 0.02]
     assert recorder.told_s == pytest.approx([0.0, 1e-3, 2e-3])

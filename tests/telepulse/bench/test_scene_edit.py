@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from protocol.errors import OutputError, SceneError
-from telepulse.bench.scene_edit import Changes, as_toml, set_keys, write_scene
+from telepulse.commissioning.scene_edit import Changes, as_toml, set_keys, write_scene
 from telepulse.scene import SCENE_FOLDERS
 
 SCENE = """title = "a bench"  # mine

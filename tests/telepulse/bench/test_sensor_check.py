@@ -4,22 +4,26 @@ import numpy as np
 import pytest
 
 from protocol.errors import BenchError
-from telepulse.bench.sensor_check import Heard, judge_sensor, measure
+from telepulse.commissioning.sensor_check import SensorRecord, judge_sensor, measure
 
 PERIOD_NS = 1_000_000
 COUNT = 5_000
 
 
-def heard(noise_n: float = 1e-3, hum_n: float = 0.0, zero_n: float = 0.0, batch: int = 8) -> Heard:
+def heard(
+    noise_n: float = 1e-3, hum_n: float = 0.0, zero_n: float = 0.0, batch: int = 8
+) -> SensorRecord:
     """Samples every ms, read a batch at a time when the last of it was taken."""
     rng, t_s = np.random.default_rng(1), np.arange(COUNT) * 1e-3
     force_n = zero_n + noise_n * rng.standard_normal(COUNT)
     force_n += hum_n * np.sin(2 * np.pi * 50.1 * t_s)
     taken_ns = 10**12 + np.arange(COUNT) * PERIOD_NS
-    return Heard(taken_ns, force_n, taken_ns[batch - 1 :: batch], np.full(COUNT // batch, batch))
+    return SensorRecord(
+        taken_ns, force_n, taken_ns[batch - 1 :: batch], np.full(COUNT // batch, batch)
+    )
 
 
-def verdicts(record: Heard, nominal_hz: float = 1000.0) -> dict[str, str]:
+def verdicts(record: SensorRecord, nominal_hz: float = 1000.0) -> dict[str, str]:
     checks = judge_sensor(measure(record), nominal_hz)
     assert all(check.reason for check in checks if check.verdict != "ok")
     return {check.name: check.verdict for check in checks if check.verdict != "ok"}
@@ -58,7 +62,9 @@ def test_mains_is_found_with_its_share() -> None:
         (replace(heard(), missing=500), 1000.0, {"missing samples": "fail"}),
     ],
 )
-def test_what_is_wrong_is_named(record: Heard, nominal_hz: float, expected: dict[str, str]) -> None:
+def test_what_is_wrong_is_named(
+    record: SensorRecord, nominal_hz: float, expected: dict[str, str]
+) -> None:
     assert verdicts(record, nominal_hz) == expected
 
 

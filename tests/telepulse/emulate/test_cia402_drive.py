@@ -2,8 +2,7 @@
 
 import pytest
 
-from display_node.actuators.stepper import StepperScene
-from display_node.drives.cia402_states import (
+from display_node.drives.cia402.states import (
     HERE,
     HOMING_ATTAINED,
     HOMING_ERROR,
@@ -14,14 +13,15 @@ from display_node.drives.cia402_states import (
     State,
 )
 from display_node.drives.scene import Cia402Scene
-from protocol.stream import LayerTable
-from telepulse.emulate.cia402_drive import (
+from display_node.plant.stepper import StepperScene
+from protocol.wire.stream import LayerTable
+from telepulse.emulators.cia402_drive import (
     HEARTBEAT_ERROR,
     NEGATIVE_LIMIT,
     POSITIVE_LIMIT,
     EmulatedDrive,
 )
-from telepulse.emulate.motor import EmulatedMotor
+from telepulse.emulators.motor import EmulatedMotor
 
 MS = 1_000_000
 ACTUATOR = StepperScene.model_validate({"kind": "stepper"})

@@ -15,10 +15,10 @@ import serial
 
 from display_node.drives import build_drive
 from display_node.drives.drive import Drive
+from display_node.plant.stepper import StepCommand
 from display_node.scene import DisplayScene
-from display_node.step_rate import StepCommand
-from protocol.scene import load_section
-from sensors.binary_frames import FrameDecoder
+from protocol.config.scene import load_section
+from pulse_sensors.binary_frames import FrameDecoder
 
 from ...nodes import ROOT, process, start
 
@@ -44,8 +44,8 @@ PRESS_ON = """
     from pathlib import Path
     from display_node.drives import build_drive
     from display_node.scene import DisplayScene
-    from display_node.step_rate import StepCommand
-    from protocol.scene import load_section
+    from display_node.plant.stepper import StepCommand
+    from protocol.config.scene import load_section
 
     scene = load_section(Path(sys.argv[1]), "display", DisplayScene)
     drive = build_drive(scene.drive, scene.actuator, scene.layer.layer(), 2.5)
@@ -108,7 +108,7 @@ def test_a_drive_with_its_film_is_there_until_it_is_stopped(
 ) -> None:
     film = tmp_path / "film"
     arguments = ("--link", str(tmp_path / "drive"), "--film-link", str(film))
-    with process("telepulse.cli", "emulate", "tmcl", str(tmcl_scene), *arguments) as child:
+    with process("telepulse", "emulate", "tmcl", str(tmcl_scene), *arguments) as child:
         assert first_line(child) == f"TMCL module on {tmp_path / 'drive'}; film on {film}\n"
         drive = drive_of(tmcl_scene)
         drive.start()
@@ -133,7 +133,7 @@ def test_a_killed_driver_leaves_the_finger_in_peace(tmcl_scene: Path, tmp_path: 
     """Its own heartbeat stops the module: the force on the film stands still."""
     film = tmp_path / "film"
     arguments = ("--link", str(tmp_path / "drive"), "--film-link", str(film))
-    with process("telepulse.cli", "emulate", "tmcl", str(tmcl_scene), *arguments) as child:
+    with process("telepulse", "emulate", "tmcl", str(tmcl_scene), *arguments) as child:
         first_line(child)
         driver = Popen(
             [sys.executable, "-c", textwrap.dedent(PRESS_ON), str(tmcl_scene)],
@@ -173,7 +173,7 @@ def wait_for(
 def test_faults_come_when_they_are_told_to(tmcl_scene: Path, tmp_path: Path) -> None:
     arguments = ("--link", str(tmp_path / "drive"), "--fault", "overtemperature")
     with process(
-        "telepulse.cli", "emulate", "tmcl", str(tmcl_scene), *arguments, "--fault-after", "0.3"
+        "telepulse", "emulate", "tmcl", str(tmcl_scene), *arguments, "--fault-after", "0.3"
     ) as child:
         first_line(child)
         drive = drive_of(tmcl_scene)
@@ -199,7 +199,7 @@ def test_a_cia_402_drive_is_moved_from_another_process_and_its_end_is_named(
     else:
         keys += f'channel = "239.74.163.{2 + uuid.uuid4().int % 200}"'
     scene = scene_with(tmp_path, keys)
-    with process("telepulse.cli", "emulate", "cia402", str(scene), *options) as child:
+    with process("telepulse", "emulate", "cia402", str(scene), *options) as child:
         assert f"CiA 402 node 1 on CAN {interface}" in first_line(child)
         drive = drive_of(scene)
         drive.start()
@@ -219,7 +219,7 @@ def test_a_scene_that_does_not_fit_is_said_in_one_line(
     tmcl_scene: Path, command: str, words: str
 ) -> None:
     scene = str(tmcl_scene) if command == "cia402" else "no-such"
-    child = start("telepulse.cli", "emulate", command, scene)
+    child = start("telepulse", "emulate", command, scene)
     _, errors = child.communicate(timeout=LONGEST_S)
     assert child.returncode == 2
     assert words in errors
@@ -230,7 +230,7 @@ def test_a_silent_film_leaves_the_drive_as_it_is(tmcl_scene: Path, tmp_path: Pat
     film, trace = tmp_path / "film", tmp_path / "motor.csv"
     arguments = ("--link", str(tmp_path / "drive"), "--film-link", str(film))
     arguments += ("--trace", str(trace), "--fault", "film-silent", "--fault-after", "0")
-    with process("telepulse.cli", "emulate", "tmcl", str(tmcl_scene), *arguments) as child:
+    with process("telepulse", "emulate", "tmcl", str(tmcl_scene), *arguments) as child:
         first_line(child)
         drive = drive_of(tmcl_scene)
         drive.start()

@@ -2,13 +2,13 @@
 
 import pytest
 
-from display_node.actuators.stepper import StepperScene
 from display_node.drives.scene import TmclScene
+from display_node.plant.stepper import StepperScene
 from protocol.errors import SceneError
-from protocol.stream import LayerTable
-from telepulse.emulate.lies import SIZES, Lie, LieInjector, LieKind, read_lie
-from telepulse.emulate.motor import TICK_NS, EmulatedMotor
-from telepulse.emulate.tmcl_module import EmulatedModule
+from protocol.wire.stream import LayerTable
+from telepulse.emulators.lies import SIZES, Lie, LieInjector, LieKind, read_lie
+from telepulse.emulators.motor import TICK_NS, EmulatedMotor
+from telepulse.emulators.tmcl_module import EmulatedModule
 
 MS = TICK_NS
 TOUCH_M = 2e-3

@@ -2,9 +2,9 @@
 
 import pytest
 
-from display_node.actuators.stepper import StepperScene
-from protocol.stream import LayerTable
-from telepulse.emulate.motor import SWITCH_M, TICK_NS, EmulatedMotor
+from display_node.plant.stepper import StepperScene
+from protocol.wire.stream import LayerTable
+from telepulse.emulators.motor import SWITCH_M, TICK_NS, EmulatedMotor
 
 TOUCH_M = 2e-3
 SCENE = StepperScene.model_validate({"kind": "stepper"})

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from protocol.messages import Frame, decode_frame
+from protocol.wire.messages import Frame, decode_frame
 
 from ...nodes import RADIAL, assert_accounted, free_address, process, read_json, run
 from ...sensing_node.client import Client
 from ...waiting import until
 
-BOARD, SENSING, DISPLAY = "telepulse.cli", "sensing_node.cli", "display_node.cli"
+BOARD, SENSING, DISPLAY = "telepulse", "sensing_node.cli", "display_node.cli"
 KEYS = {"binary": 'framing = "binary"', "text": 'framing = "text"\ndevice_time = "us"'}
 
 
@@ -184,7 +184,7 @@ def test_a_link_where_something_else_is_is_one_line(tmp_path: Path) -> None:
 
 
 def test_a_live_sensor_cannot_be_simulated(tmp_path: Path) -> None:
-    result = run("telepulse.cli", "simulate", str(scene_file(tmp_path)))
+    result = run("telepulse", "simulate", str(scene_file(tmp_path)))
     assert result.returncode == 2
     assert result.stderr.startswith('telepulse: [sensing] source: kind "serial" is a live sensor')
     assert result.stderr.count("\n") == 1

@@ -9,10 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sensors.scene import open_sensor
-from telepulse.emulate.pty_port import PtyPort
-from telepulse.emulate.slcan_adapter import LONGEST, SlcanAdapter
-from telepulse.emulate.slcan_bus import SlcanBus
+from pulse_sensors.scene import open_sensor
+from telepulse.emulators.pty_port import PtyPort
+from telepulse.emulators.slcan import LONGEST, SlcanAdapter, SlcanBus
 
 from ...sensors.listening import forces, heard
 from ...sensors.test_can_bus import DBC, message, scene

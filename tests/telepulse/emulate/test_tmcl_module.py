@@ -5,12 +5,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pytrinamic.tmcl import TMCLReply, TMCLRequest
 
-from display_node.actuators.stepper import StepperScene
 from display_node.drives.scene import TmclScene
-from display_node.drives.tmcl_numbers import Command, Parameter, Search
-from protocol.stream import LayerTable
-from telepulse.emulate.motor import EmulatedMotor
-from telepulse.emulate.tmcl_module import (
+from display_node.drives.tmcl.parameters import Command, Parameter, Search
+from display_node.plant.stepper import StepperScene
+from protocol.wire.stream import LayerTable
+from telepulse.emulators.motor import EmulatedMotor
+from telepulse.emulators.tmcl_module import (
     INVALID_COMMAND,
     INVALID_VALUE,
     WRONG_CHECKSUM,

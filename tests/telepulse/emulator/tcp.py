@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from telepulse.emulator import EmulatedLink, unavailable
+from telepulse.netem import EmulatedLink, unavailable
 
 PORT = 5000
 PATIENCE_S = 20.0

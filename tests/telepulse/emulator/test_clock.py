@@ -6,15 +6,15 @@ from statistics import median
 
 import zmq
 
-from display_node.receiver import Receiver
+from display_node.reception.receiver import Receiver
 from protocol import sockets
-from protocol.messages import encode_control
-from protocol.scene import load_section
+from protocol.config.scene import load_section
+from protocol.wire.messages import encode_control
 from sensing_node.node import SensingNode
 from sensing_node.scene import SensingScene, describe_stream, open_source
-from telepulse.emulator import emulate
-from telepulse.link import parse_link
+from telepulse.netem import emulate
 from telepulse.scene import find_scene
+from telepulse.simulation.link_model import parse_link
 
 from .tcp import needs_emulator
 

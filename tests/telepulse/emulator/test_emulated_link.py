@@ -7,8 +7,8 @@ import time
 
 import pytest
 
-from telepulse.emulator import EmulatorError, emulate, unavailable
-from telepulse.link import parse_link
+from telepulse.netem import EmulatorError, emulate, unavailable
+from telepulse.simulation.link_model import parse_link
 
 from .tcp import PATIENCE_S, PORT, connected, needs_emulator, stream
 

@@ -3,8 +3,8 @@
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from telepulse.emulator import Outcome, run_nodes
-from telepulse.link import parse_link
+from telepulse.netem import NodesOutcome, run_nodes
+from telepulse.simulation.link_model import parse_link
 
 from ...nodes import RADIAL
 from .tcp import needs_emulator
@@ -13,7 +13,7 @@ LOSSY = parse_link("delay=20ms,jitter=3ms,loss=1%")
 SECONDS = 10
 
 
-def balance(outcome: Outcome) -> None:
+def balance(outcome: NodesOutcome) -> None:
     """Both accounts name each sample once, and TCP has lost none."""
     samples = outcome.display.samples
     assert samples.sent is not None
@@ -30,7 +30,7 @@ def balance(outcome: Outcome) -> None:
     assert outcome.carried.lost > 0
 
 
-def play(folder: Path, paths: int) -> Outcome:
+def play(folder: Path, paths: int) -> NodesOutcome:
     """The default scene in frames of 10 ms."""
     scene = folder / f"{paths}.toml"
     text = RADIAL.read_text(encoding="utf-8").replace('batch = "5 ms"', 'batch = "10 ms"')

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import zmq
 
-from display_node.telemetry import TRACE, read_trace
-from telepulse.emulator import Outcome, run_nodes
-from telepulse.link import parse_link
+from display_node.telemetry.messages import TRACE, read_trace
+from telepulse.netem import NodesOutcome, run_nodes
+from telepulse.simulation.link_model import parse_link
 
 from ...nodes import RADIAL
 from .tcp import needs_emulator
@@ -45,7 +45,7 @@ def heard(address: str) -> Iterator[list[bytes]]:
         listener.join()
 
 
-def played(folder: Path, *links: str) -> tuple[Outcome, float]:
+def played(folder: Path, *links: str) -> tuple[NodesOutcome, float]:
     """Both nodes' accounts, and for how many seconds the pulse was not felt between its first and
     its last instant at full strength."""
     scenes = {"first": FIRST, "second": SECOND}

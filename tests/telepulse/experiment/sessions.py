@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from telepulse.experiment.interval import Played
+from telepulse.experiment.interval import PlayedInterval
 from telepulse.experiment.session import Plan, load_plan
 
 BAD = "delay=40ms,jitter=5ms,loss=1%"
@@ -28,9 +28,9 @@ def plan(folder: Path, *conditions: str, **keys: object) -> Plan:
     return load_plan(write(folder / "session.toml", *conditions, **keys))  # type: ignore[arg-type]
 
 
-def played(letter: str, on_link: bool, error_n: float, pulse_n: float = 0.3) -> Played:
+def played(letter: str, on_link: bool, error_n: float, pulse_n: float = 0.3) -> PlayedInterval:
     """An interval with a force error."""
-    return Played.model_validate(
+    return PlayedInterval.model_validate(
         {
             "letter": letter,
             "on_link": on_link,

@@ -4,21 +4,19 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from telepulse.experiment.estimates import (
+from telepulse.experiment.psychometrics import (
     PAPER,
+    IntervalErrors,
     Proportion,
+    SimulatedObserver,
+    d_prime,
+    fit_threshold,
     hits_needed,
     mean_of,
     power,
-    trials_needed,
-)
-from telepulse.experiment.observer import Observer
-from telepulse.experiment.psychometric import (
-    Errors,
-    d_prime,
-    fit_threshold,
     proportion_correct,
     says_a,
+    trials_needed,
 )
 
 
@@ -38,11 +36,11 @@ def test_the_interval_holds_the_true_share_at_least_95_times_of_100(of: int) -> 
 
 
 def test_the_interval_holds_what_a_simulated_observer_does() -> None:
-    errors, threshold, of = Errors(0.12, 0.0, 0.12), 0.08, 40
+    errors, threshold, of = IntervalErrors(0.12, 0.0, 0.12), 0.08, 40
     share, held, sessions = float(says_a(errors, threshold)), 0, 400
     intervals = [Proportion(hits, of).interval for hits in range(of + 1)]
     for seed in range(sessions):
-        observer = Observer(threshold, seed)
+        observer = SimulatedObserver(threshold, seed)
         low, high = intervals[sum(observer.tell(errors) == "A" for _ in range(of))]
         held += low <= share <= high
     assert held >= 0.95 * sessions - 4 * math.sqrt(sessions * 0.95 * 0.05)
@@ -71,12 +69,12 @@ def test_a_mean_and_its_interval() -> None:
 @pytest.mark.parametrize("apart", [0.0, 0.7, 2.0, 4.0])
 def test_the_observer_does_as_its_equation_says(apart: float) -> None:
     of = 4_000
-    observer = Observer(1.0, round(10 * apart))
+    observer = SimulatedObserver(1.0, round(10 * apart))
     right = 0
     for trial in range(of):
         a, b = (apart, 0.0) if trial % 2 else (0.0, apart)
         x = a if trial % 3 else b
-        right += observer.tell(Errors(a, b, x)) == ("A" if trial % 3 else "B")
+        right += observer.tell(IntervalErrors(a, b, x)) == ("A" if trial % 3 else "B")
     share = proportion_correct(apart)
     assert abs(right / of - share) < 4 * math.sqrt(0.25 / of)
 
@@ -90,10 +88,10 @@ def test_d_prime_undoes_the_proportion() -> None:
 
 def test_the_threshold_of_an_observer_is_found_again() -> None:
     threshold, trials = 0.05, []
-    observer = Observer(threshold, 3)
+    observer = SimulatedObserver(threshold, 3)
     for number in range(600):
         apart = (0.02, 0.06, 0.12, 0.2)[number % 4]
-        errors = Errors(apart, 0.0, apart * (number % 3 > 0))
+        errors = IntervalErrors(apart, 0.0, apart * (number % 3 > 0))
         trials.append((errors, observer.tell(errors) == "A"))
     found = fit_threshold(trials)
     assert found is not None
@@ -102,14 +100,14 @@ def test_the_threshold_of_an_observer_is_found_again() -> None:
 
 
 def test_an_observer_who_is_never_wrong_has_a_threshold_below_and_no_bound_above_zero() -> None:
-    found = fit_threshold([(Errors(0.1, 0.0, 0.1), True)] * 50)
+    found = fit_threshold([(IntervalErrors(0.1, 0.0, 0.1), True)] * 50)
     assert found is not None
     assert found.low == 0
     assert found.high < 0.1
 
 
 def test_ratings_fall_with_the_error() -> None:
-    observer = Observer(0.05, 1)
+    observer = SimulatedObserver(0.05, 1)
     means = [np.mean([observer.rate(0.0, error) for _ in range(400)]) for error in (0, 0.1, 0.5)]
     assert means[0] > 4
     assert means[0] > means[1] > means[2] == 1

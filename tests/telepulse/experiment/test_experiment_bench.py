@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from benchmarks.whole_bench import NICE
-from telepulse.experiment.interval import Played, Playing, draw_interval
+from telepulse.experiment.interval import IntervalPlayback, PlayedInterval, draw_interval
 from telepulse.experiment.keyboard import Keyboard
 from telepulse.experiment.log import read_log
 from telepulse.experiment.person import Person
-from telepulse.experiment.trials import Letter, Trial
+from telepulse.experiment.session import Letter, Trial
 from telepulse.scene import find_scene
 
 from ...display_node.virtual_bench import MS, TICK_MS, VirtualBench
@@ -57,12 +57,12 @@ def test_one_interval_after_the_other_is_pressed_by_the_motor(tmp_path: Path) ->
     scene = str(bench_scene(tmp_path))
     found = plan(tmp_path, condition("plain", LINK), scene=scene, interval="0.5 s")
     trial = Trial(condition="plain", direct="A", x="B", pulse_seed=3)
-    heard: list[Played] = []
+    heard: list[PlayedInterval] = []
     letters: tuple[Letter, ...] = ("A", "X", "A")
     for letter in letters:
         interval = draw_interval(found, 1, 0, trial, letter, 1)
         begin_ns, hardware = bench.now_ms * MS, bench.hardware
-        playing, on = Playing(interval, begin_ns, hardware.feedback, hardware.tick), True
+        playing, on = IntervalPlayback(interval, begin_ns, hardware.feedback, hardware.tick), True
         while on:
             bench.now_ms += TICK_MS
             now_ns = bench.now_ms * MS
@@ -87,7 +87,7 @@ def test_a_person_has_the_loop_judged_once_before_the_drive_moves(
 ) -> None:
     bench, judged = VirtualBench(force_n=lambda _: 0.0), Mock()
     found = plan(tmp_path, condition("plain", LINK), scene=str(bench_scene(tmp_path)))
-    monkeypatch.setattr("display_node.force_loop.refuse_unstable", judged)
+    monkeypatch.setattr("display_node.control.force_loop.refuse_unstable", judged)
     person = Person(found, Mock(Keyboard), print)
     assert judged.call_count == 1
     person.use(bench.hardware)
@@ -106,7 +106,7 @@ def run_once(session: Path, log: Path) -> str:
     resume = ("--resume",) if log.exists() else ()
     words = ("experiment", "run", str(session), "--log", str(log), "--yes", *resume)
     with subprocess.Popen(
-        [sys.executable, "-m", "telepulse.cli", *words],
+        [sys.executable, "-m", "telepulse", *words],
         cwd=ROOT,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -125,7 +125,7 @@ def test_a_session_on_an_emulated_drive(tmp_path: Path) -> None:
     )
     log = tmp_path / "log.jsonl"
     words = ("--link", tmp_path / "drive", "--film-link", tmp_path / "film", "--trace", trace)
-    with process("telepulse.cli", "emulate", "tmcl", str(scene), *map(str, words)) as emulator:
+    with process("telepulse", "emulate", "tmcl", str(scene), *map(str, words)) as emulator:
         hurry(emulator)
         until((tmp_path / "film").exists)
         for _ in range(TRIES):

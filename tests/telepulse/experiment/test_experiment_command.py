@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
-from telepulse.cli import app
+from telepulse.cli.main import app
 from telepulse.experiment.log import Log, read_log
-from telepulse.experiment.psychometric import says_a
+from telepulse.experiment.psychometrics import says_a
 from telepulse.experiment.report import build_report, threshold_of
 from telepulse.experiment.results import correct, gather
 from telepulse.experiment.run import open_log
@@ -45,7 +45,7 @@ def observed(session: Path, threshold: str, log: Path, *options: str) -> Log:
 
 def process(session: Path, *options: str, **pipes: Any) -> "subprocess.Popen[bytes]":
     """`telepulse experiment run` in the session's folder."""
-    command = [sys.executable, "-m", "telepulse.cli", "experiment", "run", session.name]
+    command = [sys.executable, "-m", "telepulse", "experiment", "run", session.name]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     folder = session.parent
     if "--observer" not in options:

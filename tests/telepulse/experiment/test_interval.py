@@ -3,11 +3,11 @@ from pathlib import Path
 from telepulse.experiment.interval import (
     FOREPERIOD_NS,
     Interval,
-    Playing,
+    IntervalPlayback,
     draw_interval,
     play_at_once,
 )
-from telepulse.experiment.trials import Trial, draw_trials
+from telepulse.experiment.session import Trial, draw_trials
 
 from .sessions import condition, plan
 
@@ -25,7 +25,7 @@ def intervals(folder: Path, *conditions: str, **keys: object) -> dict[str, Inter
 
 def forces(interval: Interval, stop_ns: int | None = None) -> list[tuple[int, float]]:
     """Time and force felt, tick by tick."""
-    playing, now_ns, felt = Playing(interval, 0), 0, []
+    playing, now_ns, felt = IntervalPlayback(interval, 0), 0, []
     while playing.tick(now_ns):
         felt.append((now_ns, playing.display.felt.felt_n))
         now_ns += interval.scene.display.tick_ns

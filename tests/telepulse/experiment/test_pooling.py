@@ -8,13 +8,12 @@ from typing import Literal
 import pytest
 from typer.testing import CliRunner
 
-from telepulse.cli import app
-from telepulse.experiment.interval import Interval, Played, Playing, draw_interval
+from telepulse.cli.main import app
+from telepulse.experiment.interval import Interval, IntervalPlayback, PlayedInterval, draw_interval
 from telepulse.experiment.log import Answered, Header, Log, LogError, now
 from telepulse.experiment.report import build_report
 from telepulse.experiment.results import gather
-from telepulse.experiment.session import Plan
-from telepulse.experiment.trials import draw_trials
+from telepulse.experiment.session import Plan, draw_trials
 
 from .sessions import condition, plan, played, write
 
@@ -24,7 +23,7 @@ CLEAN = [played("A", False, 1e-3), played("B", True, 50e-3), played("X", True, 5
 def log(
     found: Plan,
     name: str,
-    intervals: list[list[Played]],
+    intervals: list[list[PlayedInterval]],
     threshold: float | None = None,
     felt_on: Literal["drive", "models"] = "drive",
 ) -> Log:
@@ -109,7 +108,7 @@ def test_a_stream_that_its_own_link_leaves_stale_is_named_and_counted(tmp_path: 
     whole = plan(tmp_path, condition("plain", "delay=5ms", "auto"), interval="0.5 s")
     cut = plan(tmp_path, condition("plain", "delay=5ms,cut.from=2s,cut.for=3s", "auto"))
 
-    def felt(found: Plan, stall_ms: int = 0) -> Played:
+    def felt(found: Plan, stall_ms: int = 0) -> PlayedInterval:
         trial = draw_trials(found.session, 1)[0]
         letter: Literal["A", "B"] = "B" if trial.direct == "A" else "A"
         drawn: Interval = replace(
@@ -117,7 +116,7 @@ def test_a_stream_that_its_own_link_leaves_stale_is_named_and_counted(tmp_path: 
             foreperiod_ns=1_700_000_000,
             felt_ns=700_000_000,
         )
-        playing, now_ns, elapsed = Playing(drawn, 0), 0, 1
+        playing, now_ns, elapsed = IntervalPlayback(drawn, 0), 0, 1
         while playing.tick(now_ns, elapsed):
             # The machine runs nothing for a while, in the middle of what is felt.
             elapsed = 1 + (stall_ms if now_ns == 2_000_000_000 else 0)

@@ -4,9 +4,8 @@ from pathlib import Path
 import pytest
 
 from protocol.errors import SceneError
-from telepulse.experiment.session import load_plan
-from telepulse.experiment.trials import draw_trials
-from telepulse.link import LinkScene
+from telepulse.experiment.session import draw_trials, load_plan
+from telepulse.simulation.link_model import LinkScene
 
 from ...nodes import RADIAL
 from .sessions import condition, plan, write

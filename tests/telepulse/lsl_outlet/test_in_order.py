@@ -1,6 +1,6 @@
 from collections.abc import Iterable
 
-from telepulse.lsl_outlet.in_order import HOLD_NS, InOrder
+from telepulse.lsl_outlet.forwarder import HOLD_NS, InOrder
 
 from ..record.speaker import BATCH, MS, numbered_frame
 

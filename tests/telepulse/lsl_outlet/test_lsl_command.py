@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from display_node.heard import CONTROL
+from display_node.telemetry.capture import CONTROL
 
 from ...lsl_loopback import lsl_on_loopback
 from ...nodes import free_address, process, run
 from ...waiting import until
 from ..record.speaker import BATCH, MS, SESSION, Speaker, clock_reply, numbered_frame, speaking
 
-MODULE = "telepulse.cli"
+MODULE = "telepulse"
 # Of sensing time, where the speaker's first sample is.
 FIRST_NS = 1_000 * MS
 RESOLVE_S = 30.0

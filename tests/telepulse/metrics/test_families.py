@@ -11,9 +11,17 @@ from prometheus_client.metrics_core import Metric
 from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.registry import Collector
 
-from protocol.status import Status
-from protocol.summary import Clock, Frames, Lateness, Loop, OneWayDelay, Samples, Summary
-from telepulse.metrics.families import SILENT_AFTER_NS, Told, families
+from protocol.run_summary import (
+    Clock,
+    FrameCounts,
+    Lateness,
+    Loop,
+    OneWayDelay,
+    SampleCounts,
+    Summary,
+)
+from protocol.wire.status import Status
+from telepulse.metrics.families import SILENT_AFTER_NS, NodeState, families
 from telepulse.metrics.figures import FIGURES, NOT_FIGURES
 
 SECOND_NS = 1_000_000_000
@@ -41,9 +49,9 @@ def scraped(metrics: Iterator[Metric]) -> Scraped:
     return found
 
 
-def told(summary: Summary, state: str = "playing", stream: str = "my pulse") -> Told:
+def told(summary: Summary, state: str = "playing", stream: str = "my pulse") -> NodeState:
     status = Status(state, stream, summary.to_dict(), False, session=0xABC)
-    return Told(status, sent_ns=SECOND_NS, heart_rate_per_min=75.0)
+    return NodeState(status, sent_ns=SECOND_NS, heart_rate_per_min=75.0)
 
 
 def leaves(table: dict[str, Any], before: str = "") -> Iterator[str]:
@@ -62,8 +70,8 @@ def test_every_key_of_a_summary_is_a_metric_or_said_to_be_none() -> None:
 
 def test_figures_come_in_base_units_and_counts_as_counters() -> None:
     summary = Summary(
-        samples=Samples(1000, 990, 7, 3, 50),
-        frames=Frames(200, 1, 0, {"tcp://a:1": 120, "tcp://b:1": 80}),
+        samples=SampleCounts(1000, 990, 7, 3, 50),
+        frames=FrameCounts(200, 1, 0, {"tcp://a:1": 120, "tcp://b:1": 80}),
         one_way_delay_ms=OneWayDelay(1.5, 4.0, 9.0),
         clock=Clock(offset_ms=-2.0, skew_ppm=30.0),
         loop=Loop(5000, 4, late_us=Lateness(60.0, 100.0, 500.0, 900.0)),
@@ -109,7 +117,7 @@ def test_what_there_is_none_of_is_not_there() -> None:
 
 
 def test_a_node_that_is_silent_has_no_figures_only_their_age() -> None:
-    summary = Summary(samples=Samples(1000, 990, 7, 3, 0))
+    summary = Summary(samples=SampleCounts(1000, 990, 7, 3, 0))
     last_ns = SECOND_NS + SILENT_AFTER_NS
     speaking = scraped(families("display-node", told(summary), last_ns))
     silent = scraped(families("display-node", told(summary), last_ns + 1))

@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 from prometheus_client.parser import text_string_to_metric_families
 
 from protocol.errors import AddressError
-from telepulse.metrics.address import parse_address
-from telepulse.metrics.figures import FIGURES, Kind
+from telepulse.metrics.figures import FIGURES, MetricKind
+from telepulse.metrics.server import parse_address
 
 from ...keyring import Keyring
 from ...nodes import RADIAL, free_address, process, read_json, run
@@ -116,7 +116,7 @@ def test_both_nodes_serve_what_they_sum_up(tmp_path: Path) -> None:
             if figure.label or value is None:
                 assert not value
                 continue
-            suffix = "_total" if figure.kind is Kind.COUNTER else ""
+            suffix = "_total" if figure.kind is MetricKind.COUNTER else ""
             name, labels = "telepulse_" + figure.name + suffix, tuple(figure.labels.items())
             assert last[name, labels] == pytest.approx(value * figure.scale), figure.key
             compared += 1

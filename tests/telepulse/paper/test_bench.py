@@ -1,16 +1,17 @@
 import pytest
 
-from display_node.film import FilmTable
-from telepulse.paper import bench, numbers
-from telepulse.paper.bench import Trial
-from telepulse.paper.bench_chapter import chapter
+from display_node.plant.film import FilmTable
+from telepulse.reports.paper import numbers
+from telepulse.reports.paper import stepper as bench
+from telepulse.reports.paper.stepper import StepperTrial
+from telepulse.reports.paper.stepper_chapter import chapter
 from telepulse.scene import Scene
 
 CLEAN_BAR_N = 0.3e-3
 REAL_BAR_N = 4e-3
 
 
-def rmse_n(trials: list[Trial]) -> dict[str, float]:
+def rmse_n(trials: list[StepperTrial]) -> dict[str, float]:
     return {t.name: t.force_rmse_n for t in trials if t.force_rmse_n is not None}
 
 

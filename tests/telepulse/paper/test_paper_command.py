@@ -9,7 +9,7 @@ import pytest
 
 from ...nodes import ROOT, read_json, run
 
-MODULE = "telepulse.cli"
+MODULE = "telepulse"
 PLOTS = {
     "calibration",
     "simulated-strain",
@@ -146,7 +146,9 @@ def test_a_json_file_that_cannot_be_written_is_said_first(tmp_path: Path) -> Non
 
 
 def test_without_the_extra_it_says_what_to_install(tmp_path: Path) -> None:
-    program = "import sys; sys.modules['matplotlib'] = None; import telepulse.cli as c; c.main()"
+    program = (
+        "import sys; sys.modules['matplotlib'] = None; import telepulse.cli.main as c; c.main()"
+    )
     result = subprocess.run(
         [sys.executable, "-c", program, "paper", "--out", str(tmp_path / "report")],
         cwd=ROOT,

@@ -2,18 +2,18 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from telepulse.paper import readings
-from telepulse.paper.numbers import EXPERIMENT, LAYER, SIMULATION, Gains
-from telepulse.paper.pulse import beats, deviation_n
-from telepulse.paper.readings import (
+from telepulse.reports.paper import readings
+from telepulse.reports.paper.numbers import EXPERIMENT, LAYER, SIMULATION, Gains
+from telepulse.reports.paper.pulse import beats, deviation_n
+from telepulse.reports.paper.readings import (
     FILM_MV,
     MEASURED_FORCE,
     MEASURED_STRAIN,
     PRINTED,
     READINGS,
     SIMULATED_STRAIN,
-    Outcome,
-    Reading,
+    ReadingOutcome,
+    UnitReading,
 )
 
 ERRORS = {
@@ -26,11 +26,11 @@ ERRORS = {
 
 
 @pytest.fixture(scope="module")
-def outcomes() -> dict[str, Outcome]:
+def outcomes() -> dict[str, ReadingOutcome]:
     return {outcome.reading.name: outcome for outcome in readings.measure()}
 
 
-def test_each_reading_has_its_error(outcomes: dict[str, Outcome]) -> None:
+def test_each_reading_has_its_error(outcomes: dict[str, ReadingOutcome]) -> None:
     assert set(outcomes) == set(ERRORS)
     for name, (simulation, experiment) in ERRORS.items():
         outcome = outcomes[name]
@@ -44,7 +44,7 @@ def test_doing_nothing_over_whole_beats() -> None:
 
 @pytest.mark.parametrize("reading", READINGS, ids=lambda reading: str(reading.name))
 @pytest.mark.parametrize("gains", [SIMULATION, EXPERIMENT], ids=["simulation", "experiment"])
-def test_the_response_is_that_of_scipys_lsim(reading: Reading, gains: Gains) -> None:
+def test_the_response_is_that_of_scipys_lsim(reading: UnitReading, gains: Gains) -> None:
     wanted_n = beats("paper", 5000.0, 0.8)
     t_s = np.arange(len(wanted_n)) / 5000.0
     felt_n = lsim(readings.closed_loop(reading, gains), wanted_n, t_s)[1]
@@ -68,7 +68,7 @@ def test_the_printed_errors_as_forces() -> None:
 
 
 def test_eq_21_in_millivolts_gives_each_printed_error_at_another_height(
-    outcomes: dict[str, Outcome],
+    outcomes: dict[str, ReadingOutcome],
 ) -> None:
     heights_n = [outcomes["mV by eq 21"].peak_to_peak_n(printed) for printed in PRINTED]
     assert heights_n == pytest.approx([0.888, 3.20, 1.86], rel=0.004)
@@ -77,7 +77,7 @@ def test_eq_21_in_millivolts_gives_each_printed_error_at_another_height(
 
 
 def test_no_reading_gives_two_of_the_printed_errors_at_one_height(
-    outcomes: dict[str, Outcome],
+    outcomes: dict[str, ReadingOutcome],
 ) -> None:
     for outcome in outcomes.values():
         simulated_n, force_n, strain_n = (outcome.peak_to_peak_n(p) for p in PRINTED)
@@ -85,14 +85,14 @@ def test_no_reading_gives_two_of_the_printed_errors_at_one_height(
         assert strain_n > 1.5 * simulated_n
 
 
-def test_the_figure_of_a_height_is_the_printed_one(outcomes: dict[str, Outcome]) -> None:
+def test_the_figure_of_a_height_is_the_printed_one(outcomes: dict[str, ReadingOutcome]) -> None:
     height_n = outcomes["mV by eq 21"].peak_to_peak_n(SIMULATED_STRAIN)
     wanted_n = height_n * beats("paper", readings.RATE_HZ, 6.0)
     error = LAYER.strain(readings.follow(FILM_MV, SIMULATION, wanted_n) - wanted_n)
     assert readings.rmse(error) == pytest.approx(9.4249e-9, rel=1e-9)
 
 
-def test_starting_on_the_pulse_is_easier(outcomes: dict[str, Outcome]) -> None:
+def test_starting_on_the_pulse_is_easier(outcomes: dict[str, ReadingOutcome]) -> None:
     settled = readings.rmse_without_the_start(FILM_MV, SIMULATION)
     assert 0.9 < settled / outcomes["mV by eq 21"].simulation < 0.97
 

@@ -2,10 +2,10 @@ import math
 
 import pytest
 
-from display_node.actuators.second_order import SecondOrder
-from telepulse.paper.numbers import ACTUATOR, EXPERIMENT, SIMULATION, Gains
-from telepulse.paper.readings import FILM_MV
-from telepulse.paper.sampling import least_rate_hz, spectral_radius
+from display_node.plant.second_order import SecondOrder
+from telepulse.reports.paper.numbers import ACTUATOR, EXPERIMENT, SIMULATION, Gains
+from telepulse.reports.paper.readings import FILM_MV
+from telepulse.reports.paper.sampling import least_rate_hz, spectral_radius
 
 CASES: list[tuple[Gains, float | None, int, float]] = [
     (SIMULATION, None, 0, 2066),

@@ -6,28 +6,34 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from display_node.controller import ControllerScene
-from display_node.pid import Pid
+from display_node.control.controller import ControllerScene
+from display_node.control.pid import Pid
 from protocol.errors import SceneError
-from telepulse.paper import numbers, stability_chapter
-from telepulse.paper.pulse import deviation_n
-from telepulse.paper.stability import (
+from telepulse.reports.document import Report, write_report
+from telepulse.reports.paper import numbers, stability_chapter
+from telepulse.reports.paper.pulse import deviation_n
+from telepulse.reports.paper.stability import (
     BOUND_N,
     HELD_N,
-    Outcome,
-    Run,
     Setup,
-    Trial,
-    Verdict,
+    StabilityOutcome,
+    StabilityRun,
+    StabilityTrial,
+    StabilityVerdict,
     attempt,
     judge,
     setup,
     shipped,
 )
-from telepulse.paper.stability_chatter import BETWEEN_N, chatter
-from telepulse.paper.stability_loops import STEPPER, saturated_steps
-from telepulse.paper.stability_rates import PEAK_TO_PEAK_N, RATES_HZ, Sampled, measure, papers
-from telepulse.report import Report, write_report
+from telepulse.reports.paper.stability_chatter import BETWEEN_N, chatter
+from telepulse.reports.paper.stability_loops import STEPPER, saturated_steps
+from telepulse.reports.paper.stability_rates import (
+    PEAK_TO_PEAK_N,
+    RATES_HZ,
+    Sampled,
+    measure,
+    papers,
+)
 
 STEP_M = 0.625e-6
 FINGER = setup({"kp": 300, "error": "position"}, STEPPER)
@@ -54,11 +60,11 @@ def rates() -> tuple[Sampled, ...]:
 
 
 @pytest.fixture(scope="module")
-def outcomes() -> tuple[Outcome, ...]:
+def outcomes() -> tuple[StabilityOutcome, ...]:
     return tuple(stability_chapter.outcomes())
 
 
-def of(outcomes: tuple[Outcome, ...], case: str, *words: str) -> list[Outcome]:
+def of(outcomes: tuple[StabilityOutcome, ...], case: str, *words: str) -> list[StabilityOutcome]:
     found = [
         outcome
         for outcome in outcomes
@@ -68,7 +74,9 @@ def of(outcomes: tuple[Outcome, ...], case: str, *words: str) -> list[Outcome]:
     return found
 
 
-def verdicts(outcomes: tuple[Outcome, ...], case: str, *words: str) -> Counter[Verdict]:
+def verdicts(
+    outcomes: tuple[StabilityOutcome, ...], case: str, *words: str
+) -> Counter[StabilityVerdict]:
     return Counter(outcome.verdict for outcome in of(outcomes, case, *words))
 
 
@@ -114,95 +122,108 @@ def test_the_delay_margin_foretells_what_a_tick_of_delay_does(rates: tuple[Sampl
 
 @pytest.mark.parametrize("case", CASES)
 def test_every_case_is_stable_or_refused_with_a_reason(
-    outcomes: tuple[Outcome, ...], case: str
+    outcomes: tuple[StabilityOutcome, ...], case: str
 ) -> None:
     for outcome in of(outcomes, case):
-        assert outcome.verdict not in (Verdict.FAILS, Verdict.WRONG), outcome
+        assert outcome.verdict not in (StabilityVerdict.FAILS, StabilityVerdict.WRONG), outcome
 
 
-def test_every_row_has_its_figure_and_reason(outcomes: tuple[Outcome, ...]) -> None:
+def test_every_row_has_its_figure_and_reason(outcomes: tuple[StabilityOutcome, ...]) -> None:
     assert {outcome.case for outcome in outcomes} == set(CASES)
     for outcome in outcomes:
         assert outcome.reason, outcome
-        assert outcome.figure != "–" or outcome.verdict in (Verdict.REFUSED, Verdict.FAILS)
+        assert outcome.figure != "–" or outcome.verdict in (
+            StabilityVerdict.REFUSED,
+            StabilityVerdict.FAILS,
+        )
 
 
-def test_stiff_contact_is_stable_up_to_what_is_refused(outcomes: tuple[Outcome, ...]) -> None:
-    assert verdicts(outcomes, "stiff contact") == {Verdict.STABLE: 12, Verdict.REFUSED: 1}
+def test_stiff_contact_is_stable_up_to_what_is_refused(
+    outcomes: tuple[StabilityOutcome, ...],
+) -> None:
+    assert verdicts(outcomes, "stiff contact") == {
+        StabilityVerdict.STABLE: 12,
+        StabilityVerdict.REFUSED: 1,
+    }
     (refused,) = of(outcomes, "stiff contact", "kp = 10")
     assert re.fullmatch(r"the force loop is not stable \(largest pole 1\.\d+, .*", refused.reason)
 
 
 @pytest.mark.parametrize("damping", ["ζ = 1e-06", "ζ = 0,"])
 def test_a_rotor_that_rings_for_ever_is_refused(
-    outcomes: tuple[Outcome, ...], damping: str
+    outcomes: tuple[StabilityOutcome, ...], damping: str
 ) -> None:
-    assert verdicts(outcomes, "nearly undamped", damping) == {Verdict.REFUSED: 2}
-    assert verdicts(outcomes, "nearly undamped", "ζ = 0.2") == {Verdict.STABLE: 2}
+    assert verdicts(outcomes, "nearly undamped", damping) == {StabilityVerdict.REFUSED: 2}
+    assert verdicts(outcomes, "nearly undamped", "ζ = 0.2") == {StabilityVerdict.STABLE: 2}
 
 
-def test_eq_22_without_damping_needs_a_derivative(outcomes: tuple[Outcome, ...]) -> None:
-    assert verdicts(outcomes, "nearly undamped", "gains on mV") == {Verdict.STABLE: 2}
-    assert verdicts(outcomes, "nearly undamped", "proportional") == {Verdict.REFUSED: 2}
+def test_eq_22_without_damping_needs_a_derivative(outcomes: tuple[StabilityOutcome, ...]) -> None:
+    assert verdicts(outcomes, "nearly undamped", "gains on mV") == {StabilityVerdict.STABLE: 2}
+    assert verdicts(outcomes, "nearly undamped", "proportional") == {StabilityVerdict.REFUSED: 2}
 
 
-def test_the_layer_up_to_its_limits(outcomes: tuple[Outcome, ...]) -> None:
-    assert verdicts(outcomes, "ν → 0.5") == {Verdict.STABLE: 3, Verdict.REFUSED: 1}
+def test_the_layer_up_to_its_limits(outcomes: tuple[StabilityOutcome, ...]) -> None:
+    assert verdicts(outcomes, "ν → 0.5") == {
+        StabilityVerdict.STABLE: 3,
+        StabilityVerdict.REFUSED: 1,
+    }
     (beyond,) = of(outcomes, "ν → 0.5", "0.5000001")
     assert beyond.reason == "poisson_ratio is 0.5000001; it must be in 0 to 0.5"
-    assert verdicts(outcomes, "vanishing thickness", "1e-12") == {Verdict.STABLE: 1}
+    assert verdicts(outcomes, "vanishing thickness", "1e-12") == {StabilityVerdict.STABLE: 1}
     for thickness in ("5e-324", "0.0 m"):
-        assert verdicts(outcomes, "vanishing thickness", thickness) == {Verdict.REFUSED: 1}
+        assert verdicts(outcomes, "vanishing thickness", thickness) == {StabilityVerdict.REFUSED: 1}
 
 
-def test_a_microsecond_and_a_tenth_of_a_second_are_ticks(outcomes: tuple[Outcome, ...]) -> None:
-    assert verdicts(outcomes, "extreme ticks") == {Verdict.STABLE: 11}
+def test_a_microsecond_and_a_tenth_of_a_second_are_ticks(
+    outcomes: tuple[StabilityOutcome, ...],
+) -> None:
+    assert verdicts(outcomes, "extreme ticks") == {StabilityVerdict.STABLE: 11}
 
 
-def test_saturation_winds_nothing_up(outcomes: tuple[Outcome, ...]) -> None:
-    assert verdicts(outcomes, "saturated step rate") == {Verdict.STABLE: 6}
+def test_saturation_winds_nothing_up(outcomes: tuple[StabilityOutcome, ...]) -> None:
+    assert verdicts(outcomes, "saturated step rate") == {StabilityVerdict.STABLE: 6}
 
 
 def test_no_limit_cycle_of_more_than_a_microstep_is_left_by_a_dead_band(
-    outcomes: tuple[Outcome, ...],
+    outcomes: tuple[StabilityOutcome, ...],
 ) -> None:
-    assert verdicts(outcomes, "direction chatter", "no dead band")[Verdict.CYCLES] == 3
-    assert set(verdicts(outcomes, "direction chatter", ", dead band")) == {Verdict.STABLE}
+    assert verdicts(outcomes, "direction chatter", "no dead band")[StabilityVerdict.CYCLES] == 3
+    assert set(verdicts(outcomes, "direction chatter", ", dead band")) == {StabilityVerdict.STABLE}
 
 
-def test_no_shipped_scene_cycles(outcomes: tuple[Outcome, ...]) -> None:
-    assert verdicts(outcomes, "direction chatter", "as shipped") == {Verdict.STABLE: 4}
+def test_no_shipped_scene_cycles(outcomes: tuple[StabilityOutcome, ...]) -> None:
+    assert verdicts(outcomes, "direction chatter", "as shipped") == {StabilityVerdict.STABLE: 4}
 
 
-def test_a_step_keeps_the_slew_limit(outcomes: tuple[Outcome, ...]) -> None:
-    assert verdicts(outcomes, "a step of 1 N") == {Verdict.STABLE: 8}
+def test_a_step_keeps_the_slew_limit(outcomes: tuple[StabilityOutcome, ...]) -> None:
+    assert verdicts(outcomes, "a step of 1 N") == {StabilityVerdict.STABLE: 8}
     (bench,) = of(outcomes, "a step of 1 N", "/bench", "through")
     assert bench.figure.startswith("overshoot 0.0 %, within 2 % after 2")
     assert float(bench.figure.split()[-2]) <= 51
 
 
-def test_no_reference_gets_past_safety(outcomes: tuple[Outcome, ...]) -> None:
+def test_no_reference_gets_past_safety(outcomes: tuple[StabilityOutcome, ...]) -> None:
     for case in ("a force spike", "denormals and NaN"):
-        assert verdicts(outcomes, case, "one reference") == {Verdict.STABLE: 4}
+        assert verdicts(outcomes, case, "one reference") == {StabilityVerdict.STABLE: 4}
 
 
 @pytest.mark.parametrize("scene", ["scenes/bench", "scenes/real_bench"])
 def test_a_reading_that_cannot_be_brings_a_stepper_to_rest(
-    outcomes: tuple[Outcome, ...], scene: str
+    outcomes: tuple[StabilityOutcome, ...], scene: str
 ) -> None:
     (spike,) = of(outcomes, "a force spike", scene, "reading of 100")
     (no_number,) = of(outcomes, "denormals and NaN", scene, "reading of NaN, ∞, −∞")
-    assert spike.verdict == no_number.verdict == Verdict.REFUSED
+    assert spike.verdict == no_number.verdict == StabilityVerdict.REFUSED
     assert spike.reason.endswith("felt force above 2.7 N")
     assert no_number.reason.endswith("feedback is not a number")
 
 
 @pytest.mark.parametrize("held", ["NaN", "∞", "−∞"])
 def test_a_peers_samples_that_are_no_numbers_are_counted(
-    outcomes: tuple[Outcome, ...], held: str
+    outcomes: tuple[StabilityOutcome, ...], held: str
 ) -> None:
     (outcome,) = of(outcomes, "a peer's samples", f"holds {held}")
-    assert outcome.verdict is Verdict.REFUSED
+    assert outcome.verdict is StabilityVerdict.REFUSED
     assert outcome.figure.startswith("150 of 150 odd frames refused")
 
 
@@ -211,7 +232,9 @@ def test_a_peers_samples_that_are_no_numbers_are_counted(
 
 def judged(felt_n: float | list[float], *faults: str, loop: Setup = FINGER, since: int = 0) -> str:
     felt = np.full(100, felt_n) if isinstance(felt_n, float) else np.array(felt_n)
-    verdict, reason = judge(Trial("", "", loop, "as it should", since=since), Run(felt, faults))
+    verdict, reason = judge(
+        StabilityTrial("", "", loop, "as it should", since=since), StabilityRun(felt, faults)
+    )
     assert reason
     return verdict
 
@@ -227,20 +250,20 @@ STEPPER_LAW = FINGER.actuator.contact(FINGER.layer)  # type: ignore[union-attr]
 @pytest.mark.parametrize(
     ("felt_n", "verdict"),
     [
-        (HELD_N, Verdict.STABLE),
-        (microsteps_from_target_n(0.99), Verdict.STABLE),
-        (microsteps_from_target_n(-0.99), Verdict.STABLE),
-        (microsteps_from_target_n(1.01), Verdict.WRONG),
-        (microsteps_from_target_n(-1.01), Verdict.WRONG),
-        (math.nan, Verdict.WRONG),
-        ([HELD_N] * 10 + [1.01 * BOUND_N] + [HELD_N] * 100, Verdict.WRONG),
-        ([HELD_N] * 10 + [-1.01 * BOUND_N] + [HELD_N] * 100, Verdict.WRONG),
-        ([math.inf] + [HELD_N] * 100, Verdict.WRONG),
-        ([0.0] + [HELD_N] * 100, Verdict.STABLE),
+        (HELD_N, StabilityVerdict.STABLE),
+        (microsteps_from_target_n(0.99), StabilityVerdict.STABLE),
+        (microsteps_from_target_n(-0.99), StabilityVerdict.STABLE),
+        (microsteps_from_target_n(1.01), StabilityVerdict.WRONG),
+        (microsteps_from_target_n(-1.01), StabilityVerdict.WRONG),
+        (math.nan, StabilityVerdict.WRONG),
+        ([HELD_N] * 10 + [1.01 * BOUND_N] + [HELD_N] * 100, StabilityVerdict.WRONG),
+        ([HELD_N] * 10 + [-1.01 * BOUND_N] + [HELD_N] * 100, StabilityVerdict.WRONG),
+        ([math.inf] + [HELD_N] * 100, StabilityVerdict.WRONG),
+        ([0.0] + [HELD_N] * 100, StabilityVerdict.STABLE),
     ],
 )
 def test_a_run_is_judged_by_its_bounds_and_its_end(
-    felt_n: float | list[float], verdict: Verdict
+    felt_n: float | list[float], verdict: StabilityVerdict
 ) -> None:
     assert judged(felt_n) == verdict
 
@@ -248,39 +271,43 @@ def test_a_run_is_judged_by_its_bounds_and_its_end(
 @pytest.mark.parametrize(
     ("after_n", "verdict"),
     [
-        ([0.0], Verdict.REFUSED),
-        ([0.39, 0.0], Verdict.REFUSED),
-        ([0.41, 0.0], Verdict.FAILS),
-        ([2e-3], Verdict.FAILS),
-        ([1.01 * BOUND_N, 0.0], Verdict.FAILS),
-        ([math.nan, 0.0], Verdict.FAILS),
+        ([0.0], StabilityVerdict.REFUSED),
+        ([0.39, 0.0], StabilityVerdict.REFUSED),
+        ([0.41, 0.0], StabilityVerdict.FAILS),
+        ([2e-3], StabilityVerdict.FAILS),
+        ([1.01 * BOUND_N, 0.0], StabilityVerdict.FAILS),
+        ([math.nan, 0.0], StabilityVerdict.FAILS),
     ],
 )
-def test_a_fault_must_bring_the_finger_to_rest(after_n: list[float], verdict: Verdict) -> None:
+def test_a_fault_must_bring_the_finger_to_rest(
+    after_n: list[float], verdict: StabilityVerdict
+) -> None:
     felt_n = [HELD_N] * 50 + after_n + after_n[-1:] * 200
     assert judged(felt_n, "a fault", since=50) == verdict
 
 
 def test_on_eq_22_a_hundredth_is_settled() -> None:
     loop = papers(numbers.EXPERIMENT, 200.0, 1e-3)
-    assert judged(1.009 * HELD_N, loop=loop) == Verdict.STABLE
-    assert judged(1.011 * HELD_N, loop=loop) == Verdict.WRONG
+    assert judged(1.009 * HELD_N, loop=loop) == StabilityVerdict.STABLE
+    assert judged(1.011 * HELD_N, loop=loop) == StabilityVerdict.WRONG
 
 
 def test_an_unstable_loop_is_refused_by_the_display_itself() -> None:
     ringing = setup({"kp": 390, "error": "position"}, {**STEPPER, "rotor_resonance": "100 Hz"})
     with pytest.raises(SceneError, match="not stable"):
         ringing.loop()
-    outcome = attempt(Trial("", "", ringing))
-    assert outcome.verdict is Verdict.REFUSED
+    outcome = attempt(StabilityTrial("", "", ringing))
+    assert outcome.verdict is StabilityVerdict.REFUSED
     assert "\n" not in outcome.reason
 
 
 def test_an_unstable_loop_that_is_not_refused_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("display_node.force_loop.refuse_unstable", lambda *_: None)
+    monkeypatch.setattr("display_node.control.force_loop.refuse_unstable", lambda *_: None)
     rotor = {**STEPPER, "rotor_resonance": "100 Hz", "rotor_damping": 0.0}
-    outcome = attempt(Trial("", "", setup({"kp": 100, "error": "position"}, rotor), safe=False))
-    assert outcome.verdict is Verdict.WRONG
+    outcome = attempt(
+        StabilityTrial("", "", setup({"kp": 100, "error": "position"}, rotor), safe=False)
+    )
+    assert outcome.verdict is StabilityVerdict.WRONG
     assert outcome.reason == "felt beyond 2.7 N"
 
 
@@ -322,8 +349,8 @@ def test_windup_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ControllerScene, "pid", winding)
     told = {outcome.run.split(",")[0]: outcome for outcome in saturated_steps()}
     wound_up = told["position with ki = 500"]
-    assert (wound_up.verdict, wound_up.reason) == (Verdict.WRONG, "winds up")
-    assert told["feed-forward"].verdict is Verdict.STABLE
+    assert (wound_up.verdict, wound_up.reason) == (StabilityVerdict.WRONG, "winds up")
+    assert told["feed-forward"].verdict is StabilityVerdict.STABLE
 
 
 def test_a_setup_is_the_scenes() -> None:
@@ -337,7 +364,7 @@ def test_a_setup_is_the_scenes() -> None:
 
 
 def test_the_chapter_says_what_was_found(
-    outcomes: tuple[Outcome, ...],
+    outcomes: tuple[StabilityOutcome, ...],
     rates: tuple[Sampled, ...],
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
@@ -348,7 +375,7 @@ def test_the_chapter_says_what_was_found(
     assert [len(table.rows) for table in chapter.tables] == [28, len(outcomes)]
     assert "0 of 28 loops diverge" in chapter.paragraphs[1]
     for outcome in outcomes:
-        wrong = outcome.verdict in (Verdict.FAILS, Verdict.WRONG)
+        wrong = outcome.verdict in (StabilityVerdict.FAILS, StabilityVerdict.WRONG)
         assert (f"{outcome.run} ({outcome.verdict})" in chapter.paragraphs[2]) == wrong
     page = write_report(Report("", (chapter,)), tmp_path).read_text("utf-8")
     assert not re.search(r"\b(nan|inf|None)\b", page)

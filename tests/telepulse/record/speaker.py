@@ -9,15 +9,15 @@ from typing import TypeVar
 import numpy as np
 import zmq
 
-from display_node.display import Felt
-from display_node.heard import CONTROL
-from display_node.publisher import Publisher
+from display_node.display import TickState
+from display_node.telemetry.capture import CONTROL
+from display_node.telemetry.publisher import Publisher
 from protocol import sockets
-from protocol.gate import Gate
-from protocol.keys import ServerKeys
-from protocol.messages import Bye, ClockReply, Frame, Welcome, encode_control, encode_frame
-from protocol.status import pack_status
-from protocol.summary import Summary
+from protocol.run_summary import Summary
+from protocol.security.authenticator import Authenticator
+from protocol.security.keys import ServerKeys
+from protocol.wire.messages import Bye, ClockReply, Frame, Welcome, encode_control, encode_frame
+from protocol.wire.status import pack_status
 
 from ...streams import description
 
@@ -37,7 +37,7 @@ class Speaker:
         # A short queue, for a test of what happens when it is full.
         socket.setsockopt(zmq.SNDHWM, QUEUE)
         socket.setsockopt(zmq.SNDBUF, 8_192)
-        self.gate = None if keys is None else Gate(context, keys, print)
+        self.gate = None if keys is None else Authenticator(context, keys, print)
         if self.gate is not None:
             self.gate.guard(socket)
         socket.bind(address)
@@ -67,7 +67,7 @@ class Speaker:
                 self.hear(0, encode_frame(numbered_frame(self.frames, session)))
                 self.frames += 1
                 self.sent_ns.append(now_ns)
-            felt = Felt(now_ns, now_ns, self.ticks * MS, 0.5, self.ticks * 1e-3, True)
+            felt = TickState(now_ns, now_ns, self.ticks * MS, 0.5, self.ticks * 1e-3, True)
             if self.publisher.add(felt):
                 self.status("playing")
             self.ticks += 1

@@ -4,8 +4,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks.analysis import record
-from telepulse.record.edf import export_edf
-from telepulse.record.export import export_csv, export_parquet
+from telepulse.recording.edf import export_edf
+from telepulse.recording.export import export_csv, export_parquet
 
 from ...nodes import ROOT
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from display_node.display import Display
 from display_node.scene import DisplayScene
-from protocol.scene import load_section
-from telepulse.record.events import INTERRUPTED, StatusWatch
+from protocol.config.scene import load_section
+from telepulse.telemetry.events import INTERRUPTED, StatusWatch
 
 from ...display_node.sender import MS, Sender, run
 

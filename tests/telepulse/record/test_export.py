@@ -11,14 +11,14 @@ from pyarrow import parquet
 
 from benchmarks.analysis import AHEAD_NS, BATCH, BEGIN_NS, DELAY_TICKS, GAIN, UNIX_NS, record
 from protocol.errors import OutputError
-from telepulse.record.edf import LOWEST, export_edf
-from telepulse.record.export import export_csv, export_parquet
-from telepulse.record.reader import RecordingReader
-from telepulse.record.schema import FRAME
+from telepulse.recording.edf import LOWEST, export_edf
+from telepulse.recording.export import export_csv, export_parquet
+from telepulse.recording.reader import RecordingReader
+from telepulse.telemetry.schema import FRAME
 
 from ...nodes import run
 
-MODULE = "telepulse.cli"
+MODULE = "telepulse"
 TABLES = ("samples", "ticks", "clock", "events")
 # A frame alone, and a hole of a tenth of a second.
 LOST = {100, *range(300, 320)}
@@ -79,7 +79,7 @@ def test_parquet_holds_what_csv_holds_with_types_and_units(recording: Path, tmp_
 def test_many_rows_are_written_in_groups(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("telepulse.record.parquet.ROWS_A_GROUP", 700)
+    monkeypatch.setattr("telepulse.recording.tables.ROWS_A_GROUP", 700)
     export_parquet(recording, tmp_path / "out", print)
     file = parquet.ParquetFile(tmp_path / "out" / "ticks.parquet")
     assert file.metadata.num_row_groups == 5

@@ -13,7 +13,7 @@ from mcap.records import Chunk, DataEnd, Footer, Header, MessageIndex
 from mcap.stream_reader import StreamReader
 
 from benchmarks.analysis import record
-from telepulse.record.schema import CLOCK, EVENT, FRAME, SCHEMAS, STATUS, STREAM, TICK
+from telepulse.telemetry.schema import CLOCK, EVENT, FRAME, SCHEMAS, STATUS, STREAM, TICK
 
 from .foxglove import assert_fits, assert_readable
 

@@ -7,12 +7,12 @@ import pytest
 
 from benchmarks.analysis import record
 from protocol.errors import SourceError
-from telepulse.record.edf import export_edf
-from telepulse.record.export import export_csv, export_parquet
-from telepulse.record.mcap_writer import McapWriter
-from telepulse.record.reader import RecordedMessage, RecordingReader
-from telepulse.record.report.findings import read_findings
-from telepulse.record.schema import FRAME, TICK
+from telepulse.recording.edf import export_edf
+from telepulse.recording.export import export_csv, export_parquet
+from telepulse.recording.mcap_writer import McapWriter
+from telepulse.recording.reader import RecordedMessage, RecordingReader
+from telepulse.recording.report.findings import read_findings
+from telepulse.telemetry.schema import FRAME, TICK
 
 READERS: dict[str, Callable[[Path, Path], Any]] = {
     "report": lambda path, _: read_findings(path),

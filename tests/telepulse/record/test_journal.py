@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from protocol.errors import OutputError
-from telepulse.record.journal import Journal
+from telepulse.recording.mcap_writer import Journal
 
 
 class Disk:

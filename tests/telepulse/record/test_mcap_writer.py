@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from telepulse.record import mcap_writer
-from telepulse.record.mcap_writer import McapWriter
-from telepulse.record.reader import RecordingReader
-from telepulse.record.schema import FRAME, TICK
-from telepulse.record.transcript import Entry
+from telepulse.recording import mcap_writer
+from telepulse.recording.mcap_writer import McapWriter
+from telepulse.recording.reader import RecordingReader
+from telepulse.telemetry.schema import FRAME, TICK
+from telepulse.telemetry.transcript import Entry
 
 
 def test_memory_is_bounded_while_the_disk_is_full_and_what_finds_no_room_is_counted(

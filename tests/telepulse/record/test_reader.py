@@ -7,12 +7,12 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from protocol.errors import OutputError, SourceError
-from telepulse.record.export import export_mcap
-from telepulse.record.mcap_writer import McapWriter
-from telepulse.record.reader import RecordedMessage, RecordingReader
-from telepulse.record.schema import EVENT, FRAME, SCHEMAS, TICK
-from telepulse.record.session import longest_session
-from telepulse.record.transcript import Entry
+from telepulse.recording.export import export_mcap
+from telepulse.recording.mcap_writer import McapWriter
+from telepulse.recording.reader import RecordedMessage, RecordingReader
+from telepulse.recording.session import longest_session
+from telepulse.telemetry.schema import EVENT, FRAME, SCHEMAS, TICK
+from telepulse.telemetry.transcript import Entry
 
 TICKS_A_CHUNK = 4
 

@@ -10,12 +10,12 @@ from pyarrow import parquet
 
 from benchmarks.analysis import record
 from protocol.provenance import PROVENANCE, collect
-from telepulse.record.edf import export_edf
-from telepulse.record.export import export_csv, export_mcap, export_parquet
-from telepulse.record.mcap_writer import MAX_RUNS, McapWriter
-from telepulse.record.reader import RecordingReader
-from telepulse.record.report.chapters import build_recording_report
-from telepulse.record.transcript import Transcript
+from telepulse.recording.edf import export_edf
+from telepulse.recording.export import export_csv, export_mcap, export_parquet
+from telepulse.recording.mcap_writer import MAX_RUNS, McapWriter
+from telepulse.recording.reader import RecordingReader
+from telepulse.recording.report.chapters import build_recording_report
+from telepulse.telemetry.transcript import Transcript
 
 from ...nodes import RADIAL
 

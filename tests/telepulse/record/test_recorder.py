@@ -12,15 +12,15 @@ from pathlib import Path
 import pytest
 
 from protocol.errors import SourceError
-from protocol.messages import decode_frame, encode_frame
-from telepulse.record.reader import RecordedMessage, RecordingReader
-from telepulse.record.schema import EVENT, FRAME, STATUS, STREAM, TICK
+from protocol.wire.messages import decode_frame, encode_frame
+from telepulse.recording.reader import RecordedMessage, RecordingReader
+from telepulse.telemetry.schema import EVENT, FRAME, STATUS, STREAM, TICK
 
 from ...keyring import Keyring
 from ...nodes import free_address, process, run
 from .speaker import Speaker, bye, numbered_frame, speaking
 
-MODULE = "telepulse.cli"
+MODULE = "telepulse"
 PATIENCE_S = 30.0
 SECOND_NS = 1_000_000_000
 

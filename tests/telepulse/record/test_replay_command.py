@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from telepulse.record.reader import RecordingReader
-from telepulse.record.schema import FRAME, STATUS, TICK
+from telepulse.recording.reader import RecordingReader
+from telepulse.telemetry.schema import FRAME, STATUS, TICK
 
 from ...nodes import RADIAL, assert_accounted, free_address, process, read_json, run
 
-MODULE = "telepulse.cli"
+MODULE = "telepulse"
 PATIENCE_S = 60.0
 
 

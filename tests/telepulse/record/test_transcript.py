@@ -10,17 +10,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from display_node.display import Felt
+from display_node.display import TickState
 from display_node.fault_advice import FILM_NOTE, advise
-from display_node.heard import CONTROL, HEARD, SUBSCRIBED, HeardWriter
-from display_node.telemetry import STATUS as STATUS_TOPIC
-from display_node.telemetry import TRACE, TraceWriter
-from protocol.causes import MEANINGS
+from display_node.telemetry.capture import CONTROL, HEARD, SUBSCRIBED, CaptureWriter
+from display_node.telemetry.messages import STATUS as STATUS_TOPIC
+from display_node.telemetry.messages import TRACE, TraceWriter
 from protocol.limits import Limited, Limits
-from protocol.messages import Hello, Welcome, encode_control, encode_frame
-from protocol.status import Playing, pack_status
-from protocol.summary import Clock, Compensation, Deadlines, Loop, Samples, Summary
-from telepulse.record.schema import (
+from protocol.run_summary import Clock, Compensation, Deadlines, Loop, SampleCounts, Summary
+from protocol.security.causes import MEANINGS
+from protocol.wire.messages import Hello, Welcome, encode_control, encode_frame
+from protocol.wire.status import PlaybackStatus, pack_status
+from telepulse.telemetry.schema import (
     CLOCK,
     EVENT,
     FRAME,
@@ -28,7 +28,7 @@ from telepulse.record.schema import (
     SCHEMAS,
     STREAM,
 )
-from telepulse.record.transcript import Entry, Transcript
+from telepulse.telemetry.transcript import Entry, Transcript
 
 from ...streams import description
 from .foxglove import assert_fits, assert_readable
@@ -36,7 +36,7 @@ from .speaker import SESSION, bye, clock_reply, numbered_frame
 
 WALL_NS = 1_700_000_000_000_000_000
 NOW_NS = 50_000_000_000
-PLAYING = Playing(0, 1.0, -4.8e-6, "linear", 60_000_000)
+PLAYING = PlaybackStatus(0, 1.0, -4.8e-6, "linear", 60_000_000)
 WELCOME = encode_control(Welcome(SESSION, 0, description()))
 
 
@@ -49,7 +49,7 @@ class Spoken:
 
     def restart(self, run: int, ahead_ns: int = WALL_NS) -> None:
         self.ahead_ns = ahead_ns
-        self.heard = HeardWriter(run)
+        self.heard = CaptureWriter(run)
         self.heard.follow(SUBSCRIBED)
 
     def hear(self, *messages: tuple[int, bytes], at_ns: int = NOW_NS) -> list[Entry]:
@@ -67,7 +67,7 @@ class Spoken:
         self.heard.statuses += 1
         return self.transcript.take(STATUS_TOPIC, message)
 
-    def ticks(self, *felt: Felt) -> list[Entry]:
+    def ticks(self, *felt: TickState) -> list[Entry]:
         writer = TraceWriter()
         for tick in felt:
             writer.add(tick)
@@ -125,7 +125,9 @@ def test_ticks_have_unix_times_as_far_apart_as_they_were() -> None:
     spoken.hear()
     spoken.ahead_ns -= 10**12
     spoken.hear()
-    entries = spoken.ticks(Felt(NOW_NS + 1, 5, 6, 0.25, 0.125, True), Felt(NOW_NS + 1_000_001))
+    entries = spoken.ticks(
+        TickState(NOW_NS + 1, 5, 6, 0.25, 0.125, True), TickState(NOW_NS + 1_000_001)
+    )
     assert [entry.t_ns for entry in entries] == [WALL_NS + NOW_NS + 1, WALL_NS + NOW_NS + 1_000_001]
     assert entries[0].fields == {
         "now_ns": NOW_NS + 1,
@@ -171,7 +173,7 @@ def test_what_lasts_is_told_where_it_begins_and_where_it_is_over() -> None:
     # Statuses of 20 s, five times a second; frames come again after 12 s.
     for number in range(1, 100):
         at_ns = NOW_NS + number * 200_000_000
-        entries += spoken.ticks(Felt(at_ns))
+        entries += spoken.ticks(TickState(at_ns))
         if number >= 60:
             entries += spoken.hear((0, encode_frame(numbered_frame(number))), at_ns=at_ns)
         state = "stale" if 10 <= number <= 60 else "playing"
@@ -205,7 +207,7 @@ def test_a_revocation_is_told_once_until_it_is_undone() -> None:
 def test_what_the_display_published_and_did_not_come_is_counted() -> None:
     spoken = Spoken()
     spoken.hear((CONTROL, WELCOME))
-    spoken.ticks(Felt())
+    spoken.ticks(TickState())
     assert spoken.transcript.missed == {}
     spoken.heard.traces += 4
     spoken.heard.statuses += 1
@@ -223,7 +225,7 @@ def test_what_the_display_published_and_did_not_come_is_counted() -> None:
 def test_what_came_before_the_recorder_is_not_missed_and_another_run_begins_anew() -> None:
     spoken = Spoken()
     spoken.heard.traces = 1000
-    assert spoken.ticks(Felt()) == []
+    assert spoken.ticks(TickState()) == []
     assert told(spoken.hear()) == [("begin", "the recording")]
     spoken.restart(2, ahead_ns=WALL_NS + 5)
     entries = spoken.hear((0, encode_frame(numbered_frame(0))))
@@ -239,11 +241,14 @@ def test_foxglove_can_read_every_schema(topic: str) -> None:
 
 
 def test_every_message_is_as_its_schema_says() -> None:
-    spoken, full = Spoken(), Summary(samples=Samples(5, 4, 1, 0, 2), compensation=Compensation(0.5))
+    spoken, full = (
+        Spoken(),
+        Summary(samples=SampleCounts(5, 4, 1, 0, 2), compensation=Compensation(0.5)),
+    )
     entries = [
         *spoken.hear((CONTROL, WELCOME), (0, encode_frame(numbered_frame(0))), (0, b"?")),
         *spoken.hear((CONTROL, clock_reply(1, 2))),
-        *spoken.ticks(Felt(1, 2, 3, 0.5, 0.5, True, 0.01, True), Felt(now_ns=2)),
+        *spoken.ticks(TickState(1, 2, 3, 0.5, 0.5, True, 0.01, True), TickState(now_ns=2)),
         *spoken.status("playing", samples=full.samples, rejected={"session": 1}, faults=["x"]),
         *spoken.status("stale", compensation=full.compensation),
     ]

@@ -12,11 +12,11 @@ import zmq
 
 from benchmarks.faults.hostile import port_of
 from protocol import sockets
-from protocol.allow_list import allow, revoke
-from protocol.keys import ClientKeys, KeyPair, ServerKeys, new_pair, read_pair
-from protocol.messages import encode_frame
+from protocol.run_summary import Summary
+from protocol.security.allow_list import allow, revoke
+from protocol.security.keys import ClientKeys, KeyPair, ServerKeys, new_pair, read_pair
 from protocol.sockets import Context, Socket, control_address
-from protocol.summary import Summary
+from protocol.wire.messages import encode_frame
 from telepulse.relay.relay import Relay
 
 from ...display_node.frames import frame

@@ -8,7 +8,7 @@ from subprocess import Popen
 import pytest
 
 from protocol.sockets import Context
-from telepulse.cli import app
+from telepulse.cli.main import app
 
 from ...display_node.live import (
     PATIENCE_S,
@@ -41,7 +41,7 @@ def test_two_relays_feed_a_display_each_and_every_sample_is_accounted_for(
 
         # The second is behind the first.
         nodes = [
-            start("telepulse.cli", *relay_arguments(connect, bind, "--json", str(path)))
+            start("telepulse", *relay_arguments(connect, bind, "--json", str(path)))
             for connect, bind, path in zip((address, relays[0]), relays, relay_sums, strict=True)
         ]
         displays = [

@@ -1,4 +1,4 @@
-from telepulse.relay.silence import Silence
+from telepulse.relay.relay import Silence
 
 S = 1_000_000_000
 PATIENCE_NS = 2 * S

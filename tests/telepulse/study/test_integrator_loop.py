@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from sensing_node.sources.synthetic import SyntheticScene
-from telepulse.study.integrator_loop import (
+from telepulse.reports.studies.integrator_loop import (
     DERIVATIVE_FILTER_HZ,
     KD,
     KI,
@@ -20,7 +20,7 @@ from telepulse.study.integrator_loop import (
     pid_step,
     pulse_from_rest,
 )
-from telepulse.study.integrators import Plant, exact_hold, shipped
+from telepulse.reports.studies.integrators import Plant, exact_hold, shipped
 
 TABLE_4 = Plant(0.65, 0.61, 4.23)
 SCENE = SyntheticScene.model_validate({"kind": "synthetic", "preset": "paper"})

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from telepulse.study.integrator_loop import decimal_plant, decimals, hold_open
-from telepulse.study.integrator_scores import largest_error
-from telepulse.study.integrators import (
+from telepulse.reports.studies.integrator_loop import decimal_plant, decimals, hold_open
+from telepulse.reports.studies.integrator_scores import largest_error
+from telepulse.reports.studies.integrators import (
     Plant,
     Step,
     exact_hold,
@@ -20,7 +20,7 @@ from telepulse.study.integrators import (
     semi_implicit_euler,
     shipped,
 )
-from telepulse.study.library_integrators import (
+from telepulse.reports.studies.library_integrators import (
     Solver,
     control_steps,
     lsim_steps,

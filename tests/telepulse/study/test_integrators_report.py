@@ -2,15 +2,20 @@ import sys
 
 import pytest
 
-from telepulse.report import Report
-from telepulse.study.integrator_scores import CONTROL, DEFAULT, Effort, score_integrators
-from telepulse.study.integrators_report import NOT_INSTALLED, report_integrators
-from telepulse.study.one_thread import in_one_thread
+from telepulse.reports.document import Report
+from telepulse.reports.studies.integrator_scores import (
+    CONTROL,
+    DEFAULT,
+    IntegratorEffort,
+    score_integrators,
+)
+from telepulse.reports.studies.integrators_report import NOT_INSTALLED, report_integrators
+from telepulse.reports.studies.one_thread import in_one_thread
 
-LITTLE = Effort(
+LITTLE = IntegratorEffort(
     seconds=0.3, rounds=1, substeps=(1, 2), solvers=(("RK45", 1e-6),), rotor_seconds=0.2
 )
-LEAST = Effort(seconds=0.02, rounds=1, substeps=(1,), solvers=(), rotor_seconds=0.01)
+LEAST = IntegratorEffort(seconds=0.02, rounds=1, substeps=(1,), solvers=(), rotor_seconds=0.01)
 
 
 @pytest.fixture(scope="module")

@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from display_node.safety import SafetyScene
-from telepulse.cli import app
-from telepulse.report import THEMES
-from telepulse.study import link_policies, link_scores
-from telepulse.study.link_play import Cell, Effort, Outcome, play, pooled
-from telepulse.study.link_policies import CLASSIC, FRESH, HOLD, arrivals_ms, play_policies
-from telepulse.study.link_report import advice, least_in_phase, report_links
-from telepulse.study.link_scores import PREDICTORS, Link, Scores, score_links
-from telepulse.study.prediction_sets import Pulse, synthetic_pulses
+from display_node.control.safety import SafetyScene
+from telepulse.cli.main import app
+from telepulse.reports.document import THEMES
+from telepulse.reports.studies import link_policies, link_scores
+from telepulse.reports.studies.link_play import LinkCell, LinkEffort, LinkOutcome, play, pooled
+from telepulse.reports.studies.link_policies import CLASSIC, FRESH, HOLD, arrivals_ms, play_policies
+from telepulse.reports.studies.link_report import advice, least_in_phase, report_links
+from telepulse.reports.studies.link_scores import PREDICTORS, Link, LinkScores, score_links
+from telepulse.reports.studies.prediction_sets import Pulse, synthetic_pulses
 
-LITTLE = Effort(seconds=4, settle_seconds=2, seeds=(1,))
+LITTLE = LinkEffort(seconds=4, settle_seconds=2, seeds=(1,))
 FAR = "delay=40ms,jitter=1ms"
 STALLS = "delay=40ms,jitter=3ms,loss=1%,transport=tcp"
-OUTCOME = Outcome(
+OUTCOME = LinkOutcome(
     in_phase_n=0.03,
     aligned_n=0.01,
     deviation_n=0.1,
@@ -35,7 +35,7 @@ OUTCOME = Outcome(
 )
 
 
-def made_up() -> Scores:
+def made_up() -> LinkScores:
     """Over its one link the stack is best at 0, the others at 40 ms; auto chooses 20 ms."""
     curves = {}
     for predictor in PREDICTORS:
@@ -45,11 +45,13 @@ def made_up() -> Scores:
             40.0: OUTCOME,
             None: replace(OUTCOME, in_phase_n=0.045, aligned_n=0.0002),
         }
-    return Scores({"here": curves}, {}, dict.fromkeys(PREDICTORS, 20.0))
+    return LinkScores({"here": curves}, {}, dict.fromkeys(PREDICTORS, 20.0))
 
 
 def test_what_is_not_buffered_is_predicted() -> None:
-    some = {delay_ms: play(Cell(FAR, "linear", delay_ms), LITTLE) for delay_ms in (0.0, 20.0, 80.0)}
+    some = {
+        delay_ms: play(LinkCell(FAR, "linear", delay_ms), LITTLE) for delay_ms in (0.0, 20.0, 80.0)
+    }
     for delay_ms, outcome in some.items():
         assert outcome.delay_ms == pytest.approx(delay_ms, abs=0.5)
     # A frame's newest sample is on average 2 ms older when it is played than when it came.
@@ -61,7 +63,7 @@ def test_what_is_not_buffered_is_predicted() -> None:
 
 def test_both_errors_follow_the_delay() -> None:
     hold, linear, buffered = (
-        play(Cell(FAR, predictor, delay_ms), LITTLE)
+        play(LinkCell(FAR, predictor, delay_ms), LITTLE)
         for predictor, delay_ms in (("hold", 0.0), ("linear", 0.0), ("linear", 80.0))
     )
     assert linear.in_phase < hold.in_phase < buffered.in_phase
@@ -71,8 +73,8 @@ def test_both_errors_follow_the_delay() -> None:
 
 
 def test_what_is_faded_out_is_not_felt_and_not_scored() -> None:
-    cut = play(Cell("delay=20ms,cut.from=4s,cut.for=1s", "hold", 40.0), LITTLE)
-    whole = play(Cell("delay=20ms", "hold", 40.0), LITTLE)
+    cut = play(LinkCell("delay=20ms,cut.from=4s,cut.for=1s", "hold", 40.0), LITTLE)
+    whole = play(LinkCell("delay=20ms", "hold", 40.0), LITTLE)
     assert whole.felt == pytest.approx(1, abs=0.001)
     # A second of silence, less what it takes to notice, and the ramp back to full strength.
     silent_s = 1 + SafetyScene().ramp_ns * 1e-9
@@ -131,7 +133,7 @@ def test_the_report_says_what_to_choose() -> None:
 def test_the_command_plays_prints_its_tables_and_writes_page_pictures_and_json(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    tiny = Effort(seconds=1, settle_seconds=1, seeds=(1,))
+    tiny = LinkEffort(seconds=1, settle_seconds=1, seeds=(1,))
     links = {"far": Link(FAR, (0.0, 80.0))}
     monkeypatch.setattr(link_scores, "pulses", lambda *_, **__: [])
     monkeypatch.setattr(

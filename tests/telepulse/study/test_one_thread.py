@@ -3,8 +3,8 @@ import os
 import pytest
 
 from protocol.errors import SceneError
+from telepulse.reports.studies.one_thread import THREADS, in_one_thread
 from telepulse.scene import find_scene
-from telepulse.study.one_thread import THREADS, in_one_thread
 
 
 def test_the_function_runs_elsewhere_with_one_thread_and_our_environment_stays(

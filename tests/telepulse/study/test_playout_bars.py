@@ -4,11 +4,11 @@ import math
 
 import pytest
 
-from display_node.playout import DelayEstimator
-from telepulse.study.playout_optimum import best_constant_ms, best_moving
-from telepulse.study.playout_play import play
-from telepulse.study.playout_report import BARS, CONSTANT
-from telepulse.study.playout_traces import BURSTS, make_trace
+from display_node.reception.playout_clock import DelayEstimator
+from telepulse.reports.studies.playout_optimum import best_constant_ms, best_moving
+from telepulse.reports.studies.playout_play import play
+from telepulse.reports.studies.playout_report import BARS, CONSTANT
+from telepulse.reports.studies.playout_traces import BURSTS, make_trace
 
 # A third of the study's; bursts come every 12 s, and need all of it.
 SECONDS, BURSTS_SECONDS = 100.0, 300.0

@@ -4,31 +4,31 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from telepulse.cli import app
-from telepulse.report import THEMES, Report
-from telepulse.study import playout_scores
-from telepulse.study.playout_report import BARS, bars, report_playout
-from telepulse.study.playout_scores import (
+from telepulse.cli.main import app
+from telepulse.reports.document import THEMES, Report
+from telepulse.reports.studies import playout_scores
+from telepulse.reports.studies.playout_report import BARS, bars, report_playout
+from telepulse.reports.studies.playout_scores import (
     OURS,
     RULES,
-    Effort,
+    PlayoutEffort,
+    PlayoutScores,
     RuleOnLink,
-    Scores,
     score_playout,
     score_rule,
 )
-from telepulse.study.playout_traces import GAUSSIAN, TCP
+from telepulse.reports.studies.playout_traces import GAUSSIAN, TCP
 
-LITTLE = Effort(seconds=20, scan=3, bisections=3, links=(GAUSSIAN, TCP), curves=(TCP,))
+LITTLE = PlayoutEffort(seconds=20, scan=3, bisections=3, links=(GAUSSIAN, TCP), curves=(TCP,))
 
 
 @pytest.fixture(scope="module")
-def scores() -> Scores:
+def scores() -> PlayoutScores:
     return score_playout(LITTLE)
 
 
 @pytest.fixture(scope="module")
-def report(scores: Scores) -> Report:
+def report(scores: PlayoutScores) -> Report:
     return report_playout(scores, LITTLE)
 
 
@@ -45,7 +45,9 @@ def test_every_rule_and_both_optima_have_a_row_on_every_link(report: Report) -> 
     assert [row[0] for row in free.rows] == [row[0] for row in warped.rows] == list(RULES)
 
 
-def test_a_tuned_rule_is_within_the_share_and_no_better_than_the_bound(scores: Scores) -> None:
+def test_a_tuned_rule_is_within_the_share_and_no_better_than_the_bound(
+    scores: PlayoutScores,
+) -> None:
     for link, rules in scores.rules.items():
         for score in rules.values():
             assert not score.reached or score.tuned.late <= LITTLE.late
@@ -56,16 +58,16 @@ def test_a_tuned_rule_is_within_the_share_and_no_better_than_the_bound(scores: S
     assert scores.rules[GAUSSIAN][OURS].tuned.late > 0.5 * LITTLE.late
 
 
-def test_a_share_that_no_setting_reaches_is_said(scores: Scores, report: Report) -> None:
-    strict = Effort(seconds=20, scan=2, bisections=1, links=(TCP,), late=0.0)
+def test_a_share_that_no_setting_reaches_is_said(scores: PlayoutScores, report: Report) -> None:
+    strict = PlayoutEffort(seconds=20, scan=2, bisections=1, links=(TCP,), late=0.0)
     score = score_rule(RuleOnLink("Moon percentile", TCP), strict)
     assert not score.reached
-    missed = Scores({TCP: scores.links[TCP]}, {TCP: dict.fromkeys(RULES, score)})
+    missed = PlayoutScores({TCP: scores.links[TCP]}, {TCP: dict.fromkeys(RULES, score)})
     cells = [row[1] for row in report_playout(missed, strict).chapters[0].tables[0].rows[2:]]
     assert all(cell.endswith(f" at {score.tuned.late:.1%}") for cell in cells)
 
 
-def test_the_verdict_is_counted_from_the_ratios(scores: Scores, report: Report) -> None:
+def test_the_verdict_is_counted_from_the_ratios(scores: PlayoutScores, report: Report) -> None:
     judged = bars(scores)
     assert [(link, optimum) for link, optimum, *_ in judged] == [
         (link, optimum) for link, optimum, _ in BARS if link in LITTLE.links
@@ -80,7 +82,7 @@ def test_the_verdict_is_counted_from_the_ratios(scores: Scores, report: Report) 
 
 
 def test_the_command_prints_its_tables_and_writes_page_pictures_and_json(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scores: Scores
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scores: PlayoutScores
 ) -> None:
     monkeypatch.setattr(playout_scores, "score_playout", lambda *_: scores)
     out, table = tmp_path / "new" / "folder", tmp_path / "tables.json"

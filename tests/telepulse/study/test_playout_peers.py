@@ -4,8 +4,14 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from telepulse.study.playout_peers import FixedDelay, MoonPercentile, NetEqLike, Ramjee1, Ramjee4
-from telepulse.study.playout_play import DelayRule
+from telepulse.reports.studies.playout_peers import (
+    FixedDelay,
+    MoonPercentile,
+    NetEqLike,
+    Ramjee1,
+    Ramjee4,
+)
+from telepulse.reports.studies.playout_play import DelayRule
 
 MS = 1_000_000
 

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from telepulse.study.playout_peers import FixedDelay
-from telepulse.study.playout_play import felt_delays_ns, play
-from telepulse.study.playout_traces import Trace, in_order
+from telepulse.reports.studies.playout_peers import FixedDelay
+from telepulse.reports.studies.playout_play import felt_delays_ns, play
+from telepulse.reports.studies.playout_traces import DelayTrace, in_order
 
 MS = 1_000_000
 
@@ -19,7 +19,7 @@ class Told:
         self.delay_ns = round(self._delays_ms.pop(0) * MS)
 
 
-def felt_ms(trace: Trace, *asked_ms: float) -> list[float]:
+def felt_ms(trace: DelayTrace, *asked_ms: float) -> list[float]:
     asked_ns = np.array([round(ms * MS) for ms in asked_ms])
     felt: list[float] = (felt_delays_ns(trace, asked_ns) / MS).tolist()
     return felt

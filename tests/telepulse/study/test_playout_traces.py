@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from telepulse.study.playout_traces import (
+from telepulse.reports.studies.playout_traces import (
     BURSTS,
     FAST,
     FRAME_NS,
@@ -12,7 +12,7 @@ from telepulse.study.playout_traces import (
     SLOW,
     SPIKES,
     TCP,
-    Trace,
+    DelayTrace,
     in_order,
     make_trace,
 )
@@ -39,7 +39,7 @@ def test_a_trace_is_the_same_every_time(name: str) -> None:
 
 
 def test_who_waits_for_a_frame_arrives_with_it() -> None:
-    trace: Trace = in_order("", np.array([20.0, 40.0, 20.0, 20.0, 20.0, 20.0]))
+    trace: DelayTrace = in_order("", np.array([20.0, 40.0, 20.0, 20.0, 20.0, 20.0]))
     assert (trace.delay_ns / MS).tolist() == [20, 40, 35, 30, 25, 20]
 
 

@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from telepulse.cli import app
-from telepulse.report import THEMES
-from telepulse.study import prediction_scores
-from telepulse.study.prediction_bars import BARS, MEDIAN, Bar, Verdict, judge
-from telepulse.study.prediction_report import missing_sets, report_prediction
-from telepulse.study.prediction_scores import (
+from telepulse.cli.main import app
+from telepulse.reports.document import THEMES
+from telepulse.reports.studies import prediction_scores
+from telepulse.reports.studies.prediction_bars import BARS, MEDIAN, Bar, BarVerdict, judge
+from telepulse.reports.studies.prediction_report import missing_sets, report_prediction
+from telepulse.reports.studies.prediction_scores import (
     HORIZONS_MS,
     Cost,
-    Effort,
-    Scores,
+    PredictionEffort,
+    PredictionScores,
     cost,
     score,
 )
-from telepulse.study.prediction_sets import RECORDED, SILENT, Pulse
+from telepulse.reports.studies.prediction_sets import RECORDED, SILENT, Pulse
 
 NAMES = (
     "hold",
@@ -34,13 +34,15 @@ NAMES = (
 SETS = ("steady", "variability", "ramp", "ectopic", "fibrillation")
 
 
-def made_up(error: float = 0.1) -> Scores:
+def made_up(error: float = 0.1) -> PredictionScores:
     errors = {name: (error,) * len(HORIZONS_MS) for name in NAMES}
     costs = {
         name: Cost(1.0, 2.0, 5.0)
         for name in ("hold", "linear", "fir", "analogue", "harmonic", "stack")
     }
-    return Scores(dict.fromkeys((*SETS, *RECORDED), errors), dict.fromkeys(SILENT, errors), costs)
+    return PredictionScores(
+        dict.fromkeys((*SETS, *RECORDED), errors), dict.fromkeys(SILENT, errors), costs
+    )
 
 
 def sine(seconds: float, hertz: float = 1.0) -> Pulse:
@@ -68,12 +70,12 @@ def test_only_what_is_learnt_costs() -> None:
 
 def test_a_bar_is_reached_within_its_allowance_at_every_horizon() -> None:
     bar = Bar(MEDIAN, "stack", "prototype", (0.1, 0.1, None, 0.1))
-    assert Verdict(bar, (0.1, 0.05, 9.0, 0.1049)).reached
-    missed = Verdict(bar, (0.1, 0.12, 0.0, 0.1))
+    assert BarVerdict(bar, (0.1, 0.05, 9.0, 0.1049)).reached
+    missed = BarVerdict(bar, (0.1, 0.12, 0.0, 0.1))
     assert not missed.reached
     assert missed.excess(1) == pytest.approx(0.2)
     assert missed.excess(2) is None
-    assert not Verdict(replace(bar, allowance=0.0), (0.1, 0.1001, 0.0, 0.1)).reached
+    assert not BarVerdict(replace(bar, allowance=0.0), (0.1, 0.1001, 0.0, 0.1)).reached
 
 
 def test_every_bar_is_judged_on_its_own_set() -> None:
@@ -91,14 +93,14 @@ def test_without_medians_only_sets_are_judged() -> None:
 
 
 def test_the_report_counts_what_is_reached_and_says_by_how_much_not() -> None:
-    table = report_prediction(made_up(), Effort()).chapters[1].tables[0]
+    table = report_prediction(made_up(), PredictionEffort()).chapters[1].tables[0]
     assert len(table.rows) == len(BARS)
     prize = next(row for row in table.rows if row[0] == "variability" and row[2] == "prize")
     assert prize[3:] == ("0.100 / –", "0.100 / –", "0.100 / 0.180", "0.100 / –", "reached")
     stack = next(row for row in table.rows if row[:2] == (MEDIAN, "stack"))
     assert stack[-1] == "missed: 20 ms +122%"
     reached = sum(row[-1] == "reached" for row in table.rows)
-    text = report_prediction(made_up(), Effort()).chapters[1].paragraphs[0]
+    text = report_prediction(made_up(), PredictionEffort()).chapters[1].paragraphs[0]
     assert text.startswith(f"{reached} of {len(BARS)} rows")
 
 
@@ -107,7 +109,10 @@ def test_missing_recordings_are_named() -> None:
     assert missing_sets(scores) == ""
     fewer = replace(scores, errors={name: scores.errors[name] for name in SETS})
     assert "pip install 'telepulse[test]'" in missing_sets(fewer)
-    assert missing_sets(fewer) in report_prediction(fewer, Effort()).chapters[0].paragraphs[0]
+    assert (
+        missing_sets(fewer)
+        in report_prediction(fewer, PredictionEffort()).chapters[0].paragraphs[0]
+    )
 
 
 def test_the_command_prints_its_tables_and_writes_page_pictures_and_json(

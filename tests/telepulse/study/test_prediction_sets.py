@@ -3,7 +3,7 @@ import sys
 import numpy as np
 import pytest
 
-from telepulse.study.prediction_sets import (
+from telepulse.reports.studies.prediction_sets import (
     NOISE,
     RATE_HZ,
     RECORDED,
@@ -32,7 +32,7 @@ def test_there_are_twelve_sets_of_unit_deviation_and_1_percent_noise() -> None:
 
 
 def test_without_heartpy_there_are_no_recordings(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("telepulse.study.prediction_sets.find_spec", lambda _: None)
+    monkeypatch.setattr("telepulse.reports.studies.prediction_sets.find_spec", lambda _: None)
     assert recorded_pulses(10.0) == {}
     assert "heartpy" not in sys.modules
     assert len(RECORDED) == 4
@@ -64,10 +64,10 @@ def test_fibrillating_intervals_are_independent() -> None:
 
 
 def test_a_drawn_pulse_is_the_synthetic_sources() -> None:
-    from sensing_node.sources.synthetic import Synthetic, SyntheticScene
+    from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 
     scene = SyntheticScene.model_validate({"kind": "synthetic", "preset": "paper"})
-    expected = Synthetic(scene).take(5_000)[:, 0]
+    expected = SyntheticSource(scene).take(5_000)[:, 0]
     ours = drawn(make_rhythm(rng(), 5.0, 0.0, lambda _: 75.0), "paper", 5.0, 0.8)
     assert np.corrcoef(ours, expected)[0, 1] == pytest.approx(1, abs=1e-6)
 

@@ -4,12 +4,12 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from telepulse.cli import app
-from telepulse.report import THEMES
-from telepulse.study import one_thread
-from telepulse.study.integrator_scores import DEFAULT, Effort
+from telepulse.cli.main import app
+from telepulse.reports.document import THEMES
+from telepulse.reports.studies import one_thread
+from telepulse.reports.studies.integrator_scores import DEFAULT, IntegratorEffort
 
-LITTLE = Effort(seconds=0.1, rounds=1, substeps=(1,), solvers=(), rotor_seconds=0.02)
+LITTLE = IntegratorEffort(seconds=0.1, rounds=1, substeps=(1,), solvers=(), rotor_seconds=0.02)
 
 
 def test_the_command_prints_its_tables_and_writes_page_pictures_and_json(

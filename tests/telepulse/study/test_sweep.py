@@ -9,22 +9,21 @@ import pytest
 from typer.testing import CliRunner
 
 from protocol.errors import SweepError
-from telepulse.cli import app
-from telepulse.study import sweep as sweep_module
-from telepulse.study.link_play import Cell, Effort, play
-from telepulse.study.one_thread import THREADS
-from telepulse.study.playout_scores import Effort as PlayoutEffort
-from telepulse.study.playout_scores import score_playout
-from telepulse.study.playout_traces import GAUSSIAN
-from telepulse.study.sweep import sweep
+from telepulse.cli.main import app
+from telepulse.reports.studies import sweep as sweep_module
+from telepulse.reports.studies.link_play import LinkCell, LinkEffort, play
+from telepulse.reports.studies.one_thread import THREADS
+from telepulse.reports.studies.playout_scores import PlayoutEffort, score_playout
+from telepulse.reports.studies.playout_traces import GAUSSIAN
+from telepulse.reports.studies.sweep import sweep
 
 from ...nodes import free_address, process
 
 LONG_S = 60
 LITTLE = PlayoutEffort(seconds=3, scan=2, bisections=1, links=(GAUSSIAN,))
-play_little = partial(play, effort=Effort(seconds=1, settle_seconds=1))
+play_little = partial(play, effort=LinkEffort(seconds=1, settle_seconds=1))
 CELLS = [
-    Cell("delay=20ms,jitter=3ms,loss=5%", "linear", delay_ms, seed)
+    LinkCell("delay=20ms,jitter=3ms,loss=5%", "linear", delay_ms, seed)
     for delay_ms in (0.0, None)
     for seed in (1, 2)
 ]
@@ -76,7 +75,7 @@ def test_a_study_is_the_same_on_a_cluster(cluster: str) -> None:
 def test_a_case_that_fails_is_named(cluster: str) -> None:
     with pytest.raises(SweepError, match=r"^-1: ValueError: math domain error$"):
         sweep(math.sqrt, [4, -1, 9], cluster)
-    lost = Cell("delay=40parsec", "hold", 0.0)
+    lost = LinkCell("delay=40parsec", "hold", 0.0)
     with pytest.raises(SweepError, match=r"^hold at E = 0 ms over delay=40parsec, seed 1: Scene"):
         sweep(play_little, [CELLS[0], lost])
 

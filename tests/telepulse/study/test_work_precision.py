@@ -2,8 +2,8 @@ import math
 
 import pytest
 
-from telepulse.study.integrators import Step
-from telepulse.study.work_precision import ROUNDING, Point, beaten_by, costs_us, verdict
+from telepulse.reports.studies.integrators import Step
+from telepulse.reports.studies.work_precision import ROUNDING, Point, beaten_by, costs_us, verdict
 
 FAST = Point("fast", "fast", 1e-3, 0.1)
 MIDDLE = Point("middle", "middle × 2", 1e-6, 1.0)

@@ -1,9 +1,9 @@
 import pytest
 
 from protocol.limits import Limited, Limits
-from protocol.summary import Clock, Deadlines, Loop, Samples
+from protocol.run_summary import Clock, Deadlines, Loop, SampleCounts
 from telepulse.view.alarms import alarms
-from telepulse.view.live import Live
+from telepulse.view.live import LiveState
 
 from .told import AHEAD_NS, MS, SECOND_NS, Told
 
@@ -16,7 +16,7 @@ def names(told: Told, silent_ns: int = 0) -> list[str]:
 
 @pytest.fixture
 def told() -> Told:
-    told = Told(Live())
+    told = Told(LiveState())
     told.go(3)
     return told
 
@@ -81,7 +81,7 @@ def test_a_revoked_display_says_so(told: Told) -> None:
         ("deadline misses", {"loop": LATE}),
         ("refused", {"rejected": {"malformed": 3}}),
         ("limited", {"limited": Limits(force=Limited(3, 1.5, 0.1))}),
-        ("loss", {"samples": Samples(4000, 3000, 300, 700, 0)}),
+        ("loss", {"samples": SampleCounts(4000, 3000, 300, 700, 0)}),
     ],
 )
 def test_what_is_counted_is_told_for_a_while(

@@ -15,7 +15,7 @@ from ...nodes import RADIAL, free_address, start
 from ...waiting import until
 from .conftest import Page, Visit
 
-MODULE = "telepulse.cli"
+MODULE = "telepulse"
 # Where to put the pictures of the documentation: TELEPULSE_SCREENSHOTS=docs/images
 PICTURES = os.environ.get("TELEPULSE_SCREENSHOTS")
 # For them the nodes have a priority: the browser draws in software, on the same processors.

@@ -1,7 +1,7 @@
 """The page in a real browser, of a display that publishes a fault."""
 
 from display_node.fault_advice import advise
-from protocol.summary import Summary
+from protocol.run_summary import Summary
 
 from ...nodes import free_address
 from ...waiting import until

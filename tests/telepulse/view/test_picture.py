@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from telepulse.view.live import Live
+from telepulse.view.live import LiveState
 from telepulse.view.picture import POINTS, nice, picture
 
 from .told import (
@@ -26,7 +26,7 @@ RATIO = 2.0
 
 @pytest.fixture
 def told() -> Told:
-    told = Told(Live())
+    told = Told(LiveState())
     told.go(6)
     return told
 
@@ -74,7 +74,7 @@ def test_delays_and_clocks_are_what_they_were_made(told: Told) -> None:
 
 
 def test_a_minute_is_as_light_as_five_seconds_and_no_peak_is_missing() -> None:
-    told = Told(Live())
+    told = Told(LiveState())
     told.go(20)
     long = picture(told.live, 60 * SECOND_NS).columns
     assert all(len(column["t"]) <= 1.1 * POINTS for column in long.values())
@@ -82,7 +82,7 @@ def test_a_minute_is_as_light_as_five_seconds_and_no_peak_is_missing() -> None:
 
 
 def test_before_anything_came_there_is_an_empty_picture() -> None:
-    shown = picture(Live(), WINDOW_NS)
+    shown = picture(LiveState(), WINDOW_NS)
     assert all(len(column["t"]) == 0 for column in shown.columns.values())
     assert shown.scores == (None,) * 5
     assert all(low < high for low, high in shown.limits.values())
@@ -111,7 +111,7 @@ def test_a_heart_rate_is_of_what_is_felt_now_and_never_of_a_gap(told: Told) -> N
 
 
 def test_a_cut_link_is_a_gap_in_the_curve() -> None:
-    told = Told(Live())
+    told = Told(LiveState())
     told.go(2)
     told.linked = False
     told.go(0.5, "stale")
@@ -125,7 +125,7 @@ def test_a_cut_link_is_a_gap_in_the_curve() -> None:
 
 
 def test_late_frames_are_put_in_order_and_copies_left_out() -> None:
-    told = Told(Live())
+    told = Told(LiveState())
     told.at_ns += 10 * MS
     later_ns = told.at_ns
     told.frame()
@@ -143,7 +143,7 @@ def test_late_frames_are_put_in_order_and_copies_left_out() -> None:
     [{"session": 8}, {"t_first_ns": 1 << 62}, {"t_first_ns": 0}, {"channels": 2, "force_n": []}],
 )
 def test_frames_that_the_display_refuses_are_not_drawn(changes: dict[str, object]) -> None:
-    told = Told(Live())
+    told = Told(LiveState())
     told.frame(**changes)
     assert len(told.live.wrist) == 0
 

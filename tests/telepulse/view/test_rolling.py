@@ -3,14 +3,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from telepulse.view.rolling import Rolling, thin
+from telepulse.view.live import RollingTable, thin
 
 CAPACITY = 100
 
 
 @given(st.lists(st.integers(1, CAPACITY), max_size=30))
 def test_the_newest_rows_are_kept_and_counted(blocks: list[int]) -> None:
-    rolling = Rolling(1, CAPACITY)
+    rolling = RollingTable(1, CAPACITY)
     total = 0
     for count in blocks:
         t_ns = np.arange(total, total + count, dtype=np.int64)
@@ -23,7 +23,7 @@ def test_the_newest_rows_are_kept_and_counted(blocks: list[int]) -> None:
 
 
 def test_more_at_once_than_there_is_room_for_is_refused() -> None:
-    rolling = Rolling(1, CAPACITY)
+    rolling = RollingTable(1, CAPACITY)
     with pytest.raises(ValueError, match="room for 100"):
         rolling.insert(np.arange(101, dtype=np.int64), np.zeros((101, 1)))
 

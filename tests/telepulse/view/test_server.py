@@ -12,12 +12,12 @@ from urllib.parse import urlsplit
 import pytest
 import zmq
 
-from display_node.display import Felt
-from display_node.heard import HEARD, HeardWriter
-from display_node.telemetry import STATUS, TRACE, TraceWriter
+from display_node.display import TickState
+from display_node.telemetry.capture import HEARD, CaptureWriter
+from display_node.telemetry.messages import STATUS, TRACE, TraceWriter
+from protocol.run_summary import Summary
 from protocol.sockets import Context
-from protocol.status import pack_status
-from protocol.summary import Summary
+from protocol.wire.status import pack_status
 from telepulse.view import admission, server
 from telepulse.view.server import PageServer
 
@@ -159,9 +159,9 @@ def test_telemetry_that_has_queued_is_as_old_as_it_is(pull_session: Any, context
             assert display.poll(20_000)
             display.recv()
         sent_ns = time.monotonic_ns() - 5 * 10**9
-        heard, trace = HeardWriter(1), TraceWriter()
+        heard, trace = CaptureWriter(1), TraceWriter()
         heard.wanted = True
-        trace.add(Felt(now_ns=sent_ns, felt_n=0.356, scored=True))
+        trace.add(TickState(now_ns=sent_ns, felt_n=0.356, scored=True))
         for message in heard.take(sent_ns, time.time_ns() - 5 * 10**9):
             display.send_multipart((HEARD, message))
         display.send_multipart((TRACE, trace.rest() or b""))

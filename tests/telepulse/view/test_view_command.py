@@ -8,7 +8,7 @@ from ...keyring import Keyring
 from ...nodes import ROOT, free_address, process, run
 from ..record.speaker import speaking
 
-MODULE = "telepulse.cli"
+MODULE = "telepulse"
 TELEMETRY = "tcp://127.0.0.1:5600"
 
 
@@ -47,7 +47,7 @@ def test_a_port_that_is_taken_is_said_where_it_was_asked_for() -> None:
 
 
 def test_without_bokeh_it_says_what_to_install() -> None:
-    code = "import sys; sys.modules['bokeh'] = None; from telepulse.cli import main; main()"
+    code = "import sys; sys.modules['bokeh'] = None; from telepulse.cli.main import main; main()"
     result = subprocess.run(
         [sys.executable, "-c", code, "view", TELEMETRY],
         cwd=ROOT,

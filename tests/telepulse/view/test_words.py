@@ -2,15 +2,15 @@ from dataclasses import asdict
 
 from protocol.availability import Availability
 from protocol.limits import Limited, Limits
-from telepulse.view.live import Live
+from telepulse.view.live import LiveState
 from telepulse.view.picture import picture
-from telepulse.view.words import FIGURES, age, figures, state
+from telepulse.view.text import FIGURES, age, figures, state
 
 from .told import SECOND_NS, Told
 
 
 def test_what_is_not_known_is_a_dash() -> None:
-    live = Live()
+    live = LiveState()
     said = figures(live, picture(live, SECOND_NS))
     assert said.keys() == FIGURES.keys()
     assert {figure.value for figure in said.values()} == {"–"}
@@ -18,7 +18,7 @@ def test_what_is_not_known_is_a_dash() -> None:
 
 
 def test_figures_have_their_units() -> None:
-    told = Told(Live())
+    told = Told(LiveState())
     told.go(6)
     # A display of another host, that runs for an hour and a half less.
     said = figures(told.live, picture(told.live, 5 * SECOND_NS))
@@ -39,7 +39,7 @@ def test_figures_have_their_units() -> None:
 
 
 def test_a_share_stands_beside_the_part_that_it_is_of() -> None:
-    told = Told(Live())
+    told = Told(LiveState())
     whole = Availability(60.0, 0.16, 0.01, 0.83, 0.0, 0.0, 0.0, 0.0, played=0.17, judged=0.16)
     compensation = {"predicted": 0.012, "trusted": None}
     told.status("stale", availability=asdict(whole), compensation=compensation)
@@ -49,7 +49,7 @@ def test_a_share_stands_beside_the_part_that_it_is_of() -> None:
 
 
 def test_what_is_not_current_has_its_age_and_no_heart_rate() -> None:
-    told = Told(Live())
+    told = Told(LiveState())
     told.go(6)
     now, late = 0, 2_300_000_000
     assert (age(told.live, now), age(told.live, late)) == ("", "2.3 s ago")
@@ -63,7 +63,7 @@ def test_what_is_not_current_has_its_age_and_no_heart_rate() -> None:
 
 
 def test_how_long_the_pulse_was_held_at_a_limit_is_a_figure() -> None:
-    told = Told(Live())
+    told = Told(LiveState())
     told.status("playing", limited=asdict(Limits(force=Limited(0, 0.0, 0.0))))
     assert figures(told.live, picture(told.live, SECOND_NS))["limited"].value == "never"
     limits = Limits(force=Limited(312, 4.1, 0.205), slew=Limited(2, 0.2, 0.01))
@@ -76,7 +76,7 @@ def test_how_long_the_pulse_was_held_at_a_limit_is_a_figure() -> None:
 
 
 def test_the_last_state_says_that_it_is_the_last() -> None:
-    told = Told(Live())
+    told = Told(LiveState())
     told.go(1)
     assert state(told.live)[0] == "playing"
     told.status("playing", final=True)
@@ -88,7 +88,7 @@ def test_the_last_state_says_that_it_is_the_last() -> None:
 
 
 def test_a_fault_claims_of_the_finger_what_was_measured_and_no_more() -> None:
-    told = Told(Live())
+    told = Told(LiveState())
     told.go(1)
     told.status("fault", faults=["feedback lost"])
     assert state(told.live) == ("fault", "latched until the display is started again")

@@ -4,11 +4,11 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from protocol.summary import Clock, Errors, Loop, Samples, Summary
+from protocol.run_summary import AlignedErrors, Clock, Loop, SampleCounts, Summary
 from protocol.tactile import ElasticLayer
-from telepulse.record.schema import EVENT, FRAME, LEVELS, STATUS, STREAM, TICK
-from telepulse.record.transcript import Entry
-from telepulse.view.live import Live
+from telepulse.telemetry.schema import EVENT, FRAME, LEVELS, STATUS, STREAM, TICK
+from telepulse.telemetry.transcript import Entry
+from telepulse.view.live import LiveState
 
 MS = 1_000_000
 SECOND_NS = 1000 * MS
@@ -31,7 +31,7 @@ def pulse_n(t_ns: float) -> float:
 class Told:
     """A display's telemetry, instant by instant, taken by `live`."""
 
-    def __init__(self, live: Live, at_ns: int = SECOND_NS) -> None:
+    def __init__(self, live: LiveState, at_ns: int = SECOND_NS) -> None:
         self.live = live
         self.at_ns = at_ns
         self.summary: dict[str, Any] = {}
@@ -50,10 +50,10 @@ class Told:
 
     def status(self, state: str, final: bool = False, **changes: Any) -> None:
         whole = Summary(
-            samples=Samples(self.played, self.played, 0, 0, 0),
+            samples=SampleCounts(self.played, self.played, 0, 0, 0),
             clock=Clock(AHEAD_NS / MS, 3.0, 0.05, 0.1, 0),
-            force_rmse_n=Errors(2e-3, 3e-3),
-            strain_rmse=Errors(*(abs(FINGER.strain(e)) for e in (2e-3, 3e-3))),
+            force_rmse_n=AlignedErrors(2e-3, 3e-3),
+            strain_rmse=AlignedErrors(*(abs(FINGER.strain(e)) for e in (2e-3, 3e-3))),
             loop=Loop(1000, 0),
         )
         fields = without_none(whole.to_dict() | changes)

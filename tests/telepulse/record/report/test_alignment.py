@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from protocol.messages import Frame
-from protocol.stream import Channel
-from telepulse.record.report.alignment import Alignment, Block, Tick
+from protocol.wire.messages import Frame
+from protocol.wire.stream import Channel
+from telepulse.recording.report.alignment import AlignedBlock, AlignedTick, Alignment
 
 from ....streams import description
 
@@ -30,14 +30,14 @@ def run(seconds: int, ratio: float, channel: int, group_delay_ns: int = 0) -> Al
         for at in range(first, first + BATCH):
             if at >= 40:
                 target_n = ratio * force_n[at - 40, channel]
-                tick = Tick(t_s[at], at * MS, (at - 40) * MS, target_n, target_n + 1e-3)
+                tick = AlignedTick(t_s[at], at * MS, (at - 40) * MS, target_n, target_n + 1e-3)
                 blocks += alignment.felt(tick)
     blocks += alignment.finish()
     check(blocks, len(t_s) - 40)
     return alignment
 
 
-def check(blocks: list[Block], ticks: int) -> None:
+def check(blocks: list[AlignedBlock], ticks: int) -> None:
     assert sum(len(block.t_s) for block in blocks) == ticks
     error_n = np.concatenate([block.felt_n - block.wrist_n for block in blocks])
     np.testing.assert_allclose(error_n, 1e-3)

@@ -1,10 +1,10 @@
 import json
 from collections.abc import Iterable
 
-from telepulse.record.reader import RecordedMessage
-from telepulse.record.report import in_turn as module
-from telepulse.record.report.in_turn import in_turn
-from telepulse.record.schema import CLOCK, EVENT, FRAME, TICK
+from telepulse.recording.reader import RecordedMessage
+from telepulse.recording.report import in_turn as module
+from telepulse.recording.report.in_turn import in_turn
+from telepulse.telemetry.schema import CLOCK, EVENT, FRAME, TICK
 
 
 def message(topic: str, **fields: int) -> RecordedMessage:

@@ -5,20 +5,20 @@ from pathlib import Path
 import pytest
 
 from benchmarks.analysis import DELAY_TICKS, GAIN, record
-from display_node.heard import CONTROL
+from display_node.telemetry.capture import CONTROL
 from protocol.limits import Limited, Limits
-from telepulse.record.mcap_writer import McapWriter
-from telepulse.record.reader import RecordingReader
-from telepulse.record.report.chapters import build_recording_report
-from telepulse.record.report.findings import Findings, read_findings
-from telepulse.record.report.in_turn import in_turn
-from telepulse.record.schema import TICK
+from telepulse.recording.mcap_writer import McapWriter
+from telepulse.recording.reader import RecordingReader
+from telepulse.recording.report.chapters import build_recording_report
+from telepulse.recording.report.findings import RunFindings, read_findings
+from telepulse.recording.report.in_turn import in_turn
+from telepulse.telemetry.schema import TICK
 
 from ....nodes import RADIAL, free_address, process, read_json, run
 from ..test_replay_command import recorded_display
 from ..test_transcript import WELCOME, Spoken
 
-MODULE = "telepulse.cli"
+MODULE = "telepulse"
 PATIENCE_S = 240.0
 PLOTS = (
     *("force-first", "force-worst", "error", "heart-rate"),
@@ -152,7 +152,7 @@ def test_a_limit_that_was_reached_is_an_event_and_a_row(tmp_path: Path) -> None:
 def test_ticks_that_were_left_out_are_missed_ones(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     record(path, 2)
-    findings = Findings(path)
+    findings = RunFindings(path)
     for number, told in enumerate(in_turn(RecordingReader(path))):
         if told.topic != TICK or number % 100:
             findings.take(told)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from telepulse.record.report.trend import BINS, Trend
+from telepulse.recording.report.trend import BINS, Trend
 
 
 @pytest.mark.parametrize("hours", [0.01, 1, 30])

@@ -1,0 +1,1 @@
+"""The force loop under the finger: controller, observer, margins and safety."""

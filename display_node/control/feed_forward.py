@@ -1,0 +1,125 @@
+"""Feed-forward: where the screw must be for the tip to follow a reference, known in advance.
+
+The inverse of the contact law, of the rotor's resonance and of the backlash. The reference's
+next samples are known (the playout buffer holds them), so derivatives need no filter and the
+gap of the backlash is crossed where the reference turns, not after.
+"""
+
+import math
+from collections import deque
+
+from display_node.plant.contact import ContactLaw
+from display_node.plant.stepper import StepperScene
+
+# A turn smaller than this share of the backlash is not worth crossing the gap twice.
+TURN_SHARE = 0.25
+
+
+class ScrewPath:
+    """Turns a short horizon of reference forces into the screw's next position and speed.
+
+    horizon: how many ticks after the present one the reference must reach.
+    """
+
+    def __init__(self, scene: StepperScene, law: ContactLaw, tick_s: float) -> None:
+        self._law = law
+        self._tick_s = tick_s
+        self._rotor: tuple[float, float] | None = None
+        self._gap: Gap | None = None
+        self.horizon = 1
+        if scene.rotor_resonance_hz is not None:
+            w = 2 * math.pi * scene.rotor_resonance_hz
+            self._rotor = scene.rotor_damping / (w * tick_s), 1 / (w * tick_s) ** 2
+            self.horizon = 2
+        if scene.backlash_m:
+            self._gap = Gap(scene, tick_s)
+            self.horizon = max(self.horizon, 2 + self._gap.lead)
+        self._fed_m: float | None = None
+        self.tip_m = 0.0
+        self.screw_m = 0.0
+        self.further_m = 0.0
+
+    def advance(self, reference_n: list[float], held_s: float = 0.0) -> float:
+        """The speed in m/s for this tick; sets where tip and screw should be at its end, and how
+        much further the screw when the speed has been held.
+
+        reference_n: the force wanted now and in each of the next `horizon` ticks; held_s: how long
+        the speed will be held, where that is longer than a tick.
+        """
+        position = self._law.position
+        self.tip_m = screw_m = position(reference_n[1])
+        if self._rotor is not None:
+            # Exact in continuous time, as the rotor has no zeros: x + (2ζ/ω) x' + x''/ω².
+            slope, bend = self._rotor
+            before_m, after_m = position(reference_n[0]), position(reference_n[2])
+            screw_m += slope * (after_m - before_m) + bend * (after_m - 2 * screw_m + before_m)
+        if self._gap is not None:
+            screw_m += self._gap.cross([position(force_n) for force_n in reference_n[1:]])
+        if self._fed_m is None:
+            self._fed_m = position(reference_n[0]) + screw_m - self.tip_m
+        self.screw_m = screw_m
+        self.further_m = 0.0
+        if held_s > self._tick_s:
+            # Beyond a tick more, a pulse's slope foretells nothing.
+            slope_m_per_s = (self.tip_m - position(reference_n[0])) / self._tick_s
+            self.further_m = slope_m_per_s * min(held_s - self._tick_s, self._tick_s)
+        speed_m_per_s = (screw_m + self.further_m - self._fed_m) / max(held_s, self._tick_s)
+        self._fed_m += speed_m_per_s * self._tick_s
+        return speed_m_per_s
+
+    def skip(self, speed_m_per_s: float) -> None:
+        """A tick was missed, in which the drive went on at a speed."""
+        self.shift(speed_m_per_s * self._tick_s)
+
+    def shift(self, way_m: float) -> None:
+        """The screw has gone so much further than it was told to."""
+        if self._fed_m is not None:
+            self._fed_m += way_m
+
+
+class Gap:
+    """Which flank of the backlash the screw must be on, as an offset of the screw.
+
+    The change of flank is a zero-vibration input shape (Singer and Seering 1990): two steps
+    half a period of the rotor apart, which leave it at rest.
+    """
+
+    def __init__(self, scene: StepperScene, tick_s: float) -> None:
+        self._half_m = scene.backlash_m / 2
+        self._least_turn_m = scene.backlash_m * TURN_SHARE
+        self._extreme_m = -math.inf
+        self._direction = 1
+        self._shares: tuple[float, float, float] | None = None
+        # The two steps begin this many ticks before the turn, so that it lies between them.
+        self.lead = 0
+        damping, delay = scene.rotor_damping, 0
+        if scene.rotor_resonance_hz is not None and damping < 1:
+            damped = math.sqrt(1 - damping * damping)
+            half_period = 1 / (2 * scene.rotor_resonance_hz * damped) / tick_s
+            kept = math.exp(-damping * math.pi / damped)
+            delay, part = int(half_period), half_period % 1.0
+            late = kept / (1 + kept)
+            self._shares = 1 - late, late * (1 - part), late * part
+            self.lead = 1 if delay else 0
+        self._past: deque[int] = deque([self._direction] * (delay + 2), delay + 2)
+
+    def cross(self, tip_m: list[float]) -> float:
+        """Offset of the screw for the next tick; tip_m is the way from there on."""
+        self._turn(tip_m[self.lead :])
+        self._past.append(self._direction)
+        if self._shares is None:
+            return self._half_m * self._direction
+        at_once, late, later = self._shares
+        shape = at_once * self._past[-1] + late * self._past[1] + later * self._past[0]
+        return self._half_m * shape
+
+    def _turn(self, tip_m: list[float]) -> None:
+        direction = self._direction
+        self._extreme_m = extreme_m = max(self._extreme_m, tip_m[0] * direction)
+        for position_m in tip_m:
+            if position_m * direction > extreme_m:
+                return
+            if position_m * direction < extreme_m - self._least_turn_m:
+                self._direction = -direction
+                self._extreme_m = -tip_m[0] * direction
+                return

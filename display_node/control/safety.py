@@ -1,0 +1,122 @@
+"""Safety: what may reach the actuator, whatever the peer sends.
+
+Bounds on the target force and its slew; a gain that falls to nothing when the stream is stale or
+the loop stalls, and comes back by a ramp; a latch that holds the target at 0 N after a fault. What
+is felt then is not known here: see `finger.py`.
+"""
+
+import math
+from typing import Annotated
+
+from pydantic import Field
+
+from protocol.config.quantities import Nanoseconds, Newtons, NewtonsPerSecond
+from protocol.config.scene import Section
+from protocol.limits import LimitCounter
+
+# A reference below 0 N by less than this is rounding and noise, not a part of the pulse.
+NEGLIGIBLE_N = 1e-3
+
+
+class SafetyScene(Section):
+    """The `safety` table: default force limit is the calibrated range of the paper's Fig. 4.
+
+    overforce: felt force, as a multiple of the limit, that counts as a fault. feedback_within:
+    a real film that says nothing for so long is lost.
+    """
+
+    force_limit_n: Annotated[Newtons, Field(gt=0, le=100)] = 2.5
+    slew_limit_n_per_s: Annotated[NewtonsPerSecond, Field(gt=0)] = 50.0
+    stale_after_ns: Annotated[Nanoseconds, Field(ge=1_000_000, le=10_000_000_000)] = 60_000_000
+    fade_ns: Annotated[Nanoseconds, Field(ge=1_000_000, le=1_000_000_000)] = 40_000_000
+    ramp_ns: Annotated[Nanoseconds, Field(ge=1_000_000, le=10_000_000_000)] = 300_000_000
+    overforce: Annotated[float, Field(ge=1, le=10)] = 1.08
+    feedback_within_ns: Annotated[Nanoseconds, Field(ge=1_000_000, le=80_000_000)] = 40_000_000
+
+
+class Safety:
+    """Bounds the reference of one actuator, tick by tick.
+
+    at_force_limit, below_zero, at_slew_limit: how often and how long each bound held. A slew
+    that is bounded while the pulse ramps up or fades out is meant to be, and is not counted.
+    """
+
+    def __init__(self, scene: SafetyScene, tick_ns: int) -> None:
+        self._limit_n = scene.force_limit_n
+        self._slew_n = scene.slew_limit_n_per_s * tick_ns * 1e-9
+        self._fade = tick_ns / scene.fade_ns
+        self._ramp = tick_ns / scene.ramp_ns
+        self._stale_ticks = scene.stale_after_ns // tick_ns
+        self._overforce_n = scene.force_limit_n * scene.overforce
+        self._last_n = 0.0
+        # Whether a bound changed the last tick's force: an ordinary tick has nothing to count.
+        self._differed = False
+        self.gain = 0.0
+        self.faults: list[str] = []
+        self.at_force_limit, self.below_zero = LimitCounter(), LimitCounter()
+        self.at_slew_limit = LimitCounter()
+
+    @property
+    def full(self) -> bool:
+        """True while the pulse is felt at its full strength."""
+        return self.gain == 1.0
+
+    def watch(self, feedback_n: float) -> None:
+        """Look at the felt force; a reading that cannot be trusted is a fault, and latches."""
+        if not math.isfinite(feedback_n):
+            self.fault("feedback is not a number")
+        elif abs(feedback_n) > self._overforce_n:
+            self.fault(f"felt force above {self._overforce_n:.3g} N")
+
+    def skip(self, elapsed_ticks: int) -> None:
+        """Fade for missed ticks; call it before `bound` of the tick that ends a stall.
+
+        To the finger a loop that stalls is a stream without samples: the last force stays. So from
+        the same time on, the gain falls by as much, and the pulse comes back by a ramp.
+
+        Parameters
+        ----------
+        elapsed_ticks
+            Ticks from the last one that ran; 1 where none was missed.
+        """
+        self.gain = max(0.0, self.gain - self._fade * max(0, elapsed_ticks - self._stale_ticks))
+
+    def bound(self, reference_n: list[float], alive: bool) -> list[float]:
+        """The reference within force and slew limits; towards 0 N when not alive or at fault."""
+        if not alive or self.faults:
+            self.gain = max(0.0, self.gain - self._fade)
+        elif self.gain < 1.0:
+            self.gain = min(1.0, self.gain + self._ramp)
+        gain, limit_n, slew_n, last_n = self.gain, self._limit_n, self._slew_n, self._last_n
+        bounded = []
+        for force_n in reference_n:
+            wanted_n = gain * force_n
+            if wanted_n > limit_n:
+                wanted_n = limit_n
+            elif not wanted_n >= 0.0:  # a NaN as well: overflow of two enormous samples
+                wanted_n = 0.0
+            if wanted_n > last_n + slew_n:
+                wanted_n = last_n + slew_n
+            elif wanted_n < last_n - slew_n:
+                wanted_n = last_n - slew_n
+            last_n = wanted_n
+            bounded.append(wanted_n)
+        first_n = gain * reference_n[0]
+        if first_n != bounded[0] or self._differed:
+            self._count(first_n, bounded[0])
+            self._differed = first_n != bounded[0]
+        self._last_n = bounded[0]
+        return bounded
+
+    def _count(self, wanted_n: float, bounded_n: float) -> None:
+        """Count the bounds that make this tick's force differ from the wanted one."""
+        below = not wanted_n >= -NEGLIGIBLE_N
+        within_n = 0.0 if below else min(max(wanted_n, 0.0), self._limit_n)
+        self.at_force_limit.add(wanted_n > self._limit_n)
+        self.below_zero.add(below)
+        self.at_slew_limit.add(self.gain == 1.0 and bounded_n != within_n)
+
+    def fault(self, name: str) -> None:
+        """Latch a fault: the target falls to 0 N, and only a new start lifts it."""
+        if name not in self.faults:
+            self.faults.append(name)

@@ -1,0 +1,1 @@
+"""CANopen drives of profile CiA 402."""

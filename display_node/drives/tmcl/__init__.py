@@ -1,0 +1,1 @@
+"""Stepper modules that speak TMCL."""

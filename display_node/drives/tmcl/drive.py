@@ -1,0 +1,218 @@
+"""A stepper module that speaks TMCL, in velocity mode.
+
+TMCL answers every request, and the answer takes as long as the line does: 1.6 ms there and back
+at 115200 baud. So a thread of its own talks to the module, and the force loop leaves the latest
+command in a mailbox.
+"""
+
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from functools import partial
+from itertools import cycle
+
+from display_node.drives.axis import Axis
+from display_node.drives.drive import DriveStatus, no_film
+from display_node.drives.homing import TouchGuard, approach_touch, undone_where_wrong
+from display_node.drives.passable_lock import PassableLock
+from display_node.drives.scene import TmclScene
+from display_node.drives.supervisor import Supervisor
+from display_node.drives.tmcl.module import PASSING, TmclModule
+from display_node.drives.tmcl.parameters import Parameter
+from display_node.plant.stepper import AT_REST, StepCommand
+from protocol.errors import DriveError
+
+# What is asked in turn, one a slot: so often at least, more often where the line has time.
+QUESTIONS = (
+    Parameter.ACTUAL_POSITION,
+    Parameter.ERROR_FLAGS,
+    Parameter.ACTUAL_SPEED,
+    Parameter.DRIVER_FLAGS,
+)
+QUESTION_NS = 10_000_000
+REST_WITHIN_S = 1.0
+REST_POLL_S = 0.002
+# Between two tries on a line that is gone.
+RETRY_S = 0.02
+# An answer names its command, not its question: so long after a missed one a position may be the
+# late answer to another question. A withdrawal does not go by it.
+AMBIGUOUS_NS = 200_000_000
+
+
+class TmclDrive:
+    """See `Drive`. counts: as of `TmclLine`, and commands that a newer one "superseded"."""
+
+    def __init__(self, scene: TmclScene, axis: Axis) -> None:
+        self._scene = scene
+        self._axis = axis
+        self._module: TmclModule | None = None
+        self._thread: threading.Thread | None = None
+        self._woken = threading.Event()
+        self._closing = False
+        self._supervisor = Supervisor(axis, scene.watchdog_ns)
+        # Of the supervisor, which the loop's thread and ours both use.
+        self._lock = PassableLock()
+        self._taken_ns = self._missed_ns = 0
+        self.counts: Counter[str] = Counter()
+
+    def start(self, force_n: Callable[[], float | None] = no_film) -> None:
+        """See `Drive.start`."""
+        self.close()
+        self._module = module = TmclModule(self._scene, self._axis)
+        module.counts.update(self.counts)
+        self.counts = module.counts
+        guard = TouchGuard(force_n)
+        axis, speed = self._axis, self._scene.homing_speed_m_per_s
+        with undone_where_wrong(self, axis, speed, partial(self._follow_again, module)) as way:
+            module.configure()
+            module.hear(Parameter.ACTUAL_POSITION)
+            way.began_m = module.position_m
+            module.home(guard)
+            way.began_m = module.position_m
+            module.arm()
+            self._follow(module)
+            approach_touch(self, axis, speed, self._home_switch, guard)
+        with self._lock:
+            self._supervisor.verified = True
+            self._supervisor.pause()
+
+    def command(self, command: StepCommand) -> None:
+        """See `Drive.command`."""
+        supervisor = self._supervisor
+        if supervisor.fault is not None:
+            return
+        with self._lock:
+            if supervisor.commanded_ns > self._taken_ns:
+                self.counts["superseded"] += 1
+            supervisor.command(self._axis.units.signed(command), time.monotonic_ns())
+        self._woken.set()
+
+    def press(self, force_n: float, taken_ns: int) -> None:
+        """See `Drive.press`."""
+        with self._lock:
+            self._supervisor.press(force_n, taken_ns)
+
+    def status(self) -> DriveStatus:
+        """See `Drive.status`."""
+        module = self._module
+        with self._lock:
+            return self._supervisor.status(0.0 if module is None else module.speed_m_per_s)
+
+    def way_m(self, now_ns: int) -> float:
+        """See `Drive.way_m`."""
+        with self._lock:
+            return self._supervisor.way_m(now_ns)
+
+    def withdraw(self, reason: str) -> None:
+        """See `Drive.withdraw`."""
+        with self._lock:
+            self._supervisor.fail(reason, time.monotonic_ns())
+        self._woken.set()
+
+    def close(self) -> None:
+        """See `Drive.close`."""
+        if self._thread is not None:
+            with self._lock:
+                self._supervisor.command(0.0, time.monotonic_ns())
+            deadline_s = time.monotonic() + REST_WITHIN_S
+            while self._moves() and time.monotonic() < deadline_s:
+                time.sleep(REST_POLL_S)
+            self._closing = True
+            self._woken.set()
+            self._thread.join()
+            self._thread = None
+        self._supervisor.end("closed")
+        if self._module is not None:
+            self._module.halt()
+            self._module.close()
+            self._module = None
+
+    def _moves(self) -> bool:
+        status = self.status()
+        return status.fault is None and status.moving
+
+    def _follow(self, module: TmclModule) -> None:
+        """Begin to pass commands on."""
+        now_ns = time.monotonic_ns()
+        self._supervisor.arm(now_ns)
+        self._supervisor.report(module.position_m, now_ns)
+        self._taken_ns = self._missed_ns = 0
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, args=(module,), daemon=True)
+        self._thread.start()
+
+    def _follow_again(self, module: TmclModule) -> None:
+        """End the search for home, if that is what the module does, and pass commands on."""
+        if self._thread is None:
+            module.halt()
+            self._follow(module)
+
+    def _home_switch(self) -> bool | None:
+        """Return whether the home switch is closed; None where it is not what home is by."""
+        module = self._module
+        if module is None or self._scene.homing != "switch" or self._scene.homing_method:
+            return None
+        asked_ns, module.switch_wanted = time.monotonic_ns(), True
+        deadline_s = time.monotonic() + REST_WITHIN_S
+        while module.switch_ns < asked_ns and time.monotonic() < deadline_s:
+            self.command(AT_REST)
+            time.sleep(REST_POLL_S)
+        module.switch_wanted = False
+        if module.switch_ns < asked_ns:
+            raise DriveError("no answer", "the module does not report its home switch")
+        return module.switch_closed
+
+    def _run(self, module: TmclModule) -> None:
+        questions = cycle(QUESTIONS)
+        asked_ns = 0
+        while not self._closing:
+            self._woken.wait(self._scene.period_ns * 1e-9)
+            self._woken.clear()
+            now_ns = time.monotonic_ns()
+            try:
+                # A command between any two questions: an answer that comes far too late names
+                # its command, and so is never taken for the answer to another question.
+                self._pass_on(module, now_ns)
+                if not self._woken.is_set() or now_ns - asked_ns >= QUESTION_NS:
+                    asked_ns = now_ns
+                    question = next(questions)
+                    module.hear(module.switch if module.switch_wanted else question)
+            except DriveError as error:
+                self._fail(module, error)
+            self._report(module)
+
+    def _pass_on(self, module: TmclModule, now_ns: int) -> None:
+        """Send the velocity of now, however old the command is: that keeps its heartbeat."""
+        with self._lock.passing():
+            supervisor = self._supervisor
+            supervisor.watch(now_ns)
+            self._taken_ns = supervisor.commanded_ns
+            velocity = supervisor.velocity(now_ns)
+            supervisor.sent(velocity, now_ns)
+        module.rotate(velocity)
+
+    def _report(self, module: TmclModule) -> None:
+        with self._lock.passing():
+            supervisor = self._supervisor
+            supervisor.answered(module.heard_ns)
+            if supervisor.fault and module.position_ns - self._missed_ns < AMBIGUOUS_NS:
+                return
+            if module.position_ns > supervisor.position_ns:
+                supervisor.report(module.position_m, module.position_ns)
+
+    def _fail(self, module: TmclModule, error: DriveError) -> None:
+        """Latch what the next request cannot make good; the withdrawal goes on trying.
+
+        A module that obeys without an answer is thus commanded on, to its home switch.
+        """
+        now_ns = time.monotonic_ns()
+        with self._lock.passing():
+            self._supervisor.held(now_ns)
+            if error.kind in PASSING:
+                self._missed_ns = now_ns
+                if now_ns - module.heard_ns <= self._scene.watchdog_ns:
+                    return
+            self._supervisor.fail(f"{error.kind}: {error}", now_ns)
+        if error.kind not in (*PASSING, "fault"):
+            time.sleep(RETRY_S)

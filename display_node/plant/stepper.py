@@ -1,0 +1,176 @@
+"""A physical stepper: microsteps on a lead screw, pressing through rubber on a fingertip.
+
+Defaults: the paper's Tables 2A and 2B (1.8° motor, 0.1 m stroke, 0.4 m/s, 100 N). The rotor's
+resonance and the screw's backlash are modelled when the scene names them.
+
+Step rate (the paper's VCO) and direction logic: a control output becomes steps.
+"""
+
+import math
+from typing import Annotated, Literal, NamedTuple
+
+from pydantic import Field
+
+from display_node.plant.contact import ContactLaw
+from display_node.plant.filters import DelayLine
+from display_node.plant.transmission import Backlash, Rotor
+from protocol.config.quantities import (
+    Hertz,
+    Metres,
+    MetresPerSecond,
+    MetresPerSecond2,
+    Nanoseconds,
+    Newtons,
+    NewtonsPerMetre,
+    Radians,
+)
+from protocol.config.scene import Section
+from protocol.limits import LimitCounter
+from protocol.tactile import ElasticLayer
+
+
+class StepCommand(NamedTuple):
+    """What a stepper drive is told: steps a second (never negative), and which way (±1, 0)."""
+
+    rate_hz: float
+    direction: int
+
+
+AT_REST = StepCommand(0.0, 0)
+
+
+class StepRate:
+    """The paper's VCO and direction logic: a control output becomes step rate and direction."""
+
+    def __init__(self, hz_per_unit: float, max_rate_hz: float) -> None:
+        self._hz_per_unit = hz_per_unit
+        self._max_rate_hz = max_rate_hz
+
+    def command(self, output: float) -> StepCommand:
+        """Rate by the magnitude, direction by the sign; at rest without an output."""
+        size = abs(output)
+        if not size:
+            return AT_REST
+        rate_hz = min(size * self._hz_per_unit, self._max_rate_hz)
+        return StepCommand(rate_hz, 1 if output > 0 else -1)
+
+
+class StepperScene(Section):
+    """The `actuator` table of kind "stepper".
+
+    rotor_resonance and its damping ratio ζ: without, the rotor is where the microstep says;
+    backlash: the screw's play; latency: from a command to its motion.
+    """
+
+    kind: Literal["stepper"]
+    step_angle_rad: Annotated[Radians, Field(gt=0)] = math.radians(1.8)
+    microsteps: Annotated[int, Field(ge=1, le=256)] = 16
+    lead_m: Annotated[Metres, Field(gt=0, le=0.1)] = 2e-3
+    max_speed_m_per_s: Annotated[MetresPerSecond, Field(gt=0)] = 0.4
+    max_acceleration_m_per_s2: Annotated[MetresPerSecond2, Field(gt=0)] = 20.0
+    stroke_m: Annotated[Metres, Field(gt=0)] = 0.1
+    thrust_n: Annotated[Newtons, Field(gt=0)] = 100.0
+    tip_radius_m: Annotated[Metres, Field(ge=1e-6, le=1)] = 5e-3
+    fingertip_n_per_m: Annotated[NewtonsPerMetre, Field(ge=1e-3, le=1e12)] = 1e3
+    rotor_resonance_hz: Annotated[Hertz, Field(ge=0.1, le=10_000)] | None = None
+    rotor_damping: Annotated[float, Field(ge=0, le=10)] = 0.2
+    backlash_m: Annotated[Metres, Field(ge=0, le=1e-3)] = 0.0
+    latency_ns: Annotated[Nanoseconds, Field(ge=0, le=50_000_000)] = 0
+
+    @property
+    def step_m(self) -> float:
+        """Travel of one microstep."""
+        return self.lead_m * self.step_angle_rad / (2 * math.pi) / self.microsteps
+
+    def step_rate(self) -> StepRate:
+        """Return the conversion of a speed in m/s into this drive's steps, up to its fastest."""
+        return StepRate(1 / self.step_m, self.max_speed_m_per_s / self.step_m)
+
+    def ticks_to_reading(self, film_latency_ns: int, tick_s: float) -> float:
+        """Ticks from a command to the reading that tells of it, by a film that is so late."""
+        return (self.latency_ns + film_latency_ns) * 1e-9 / tick_s
+
+    def contact(self, layer: ElasticLayer) -> ContactLaw:
+        """The contact law of this tip on the local layer; the tip itself is rigid."""
+        reduced_pa = layer.young_modulus_pa / (1 - layer.poisson_ratio**2)
+        return ContactLaw(self.tip_radius_m, reduced_pa, self.fingertip_n_per_m)
+
+
+class Stepper:
+    """Counts microsteps and says how hard the tip presses; at rest not above force_limit_n.
+
+    A soft stop holds the screw there. A rotor that rings swings past it, and backlash may keep
+    the tip where it swung to: safety's fault on the felt force is the bound of that. Not
+    modelled here: lost steps below the thrust limit, the screw's own springiness. at_end: how
+    often and for how many ticks the soft stop has held the screw.
+    """
+
+    def __init__(
+        self, scene: StepperScene, law: ContactLaw, force_limit_n: float, tick_s: float
+    ) -> None:
+        self._law = law
+        self._step_m = scene.step_m
+        self._tick_s = tick_s
+        self._max_rate_hz = scene.max_speed_m_per_s / scene.step_m
+        self._max_change_hz = scene.max_acceleration_m_per_s2 / scene.step_m * tick_s
+        # A soft stop where the tip would press with the limit, whatever is commanded. The play
+        # is on top of it, and below the home position, or it could not be taken up there.
+        furthest_m = min(scene.stroke_m, law.position(min(scene.thrust_n, force_limit_n)))
+        self._first_step = -math.ceil(scene.backlash_m / scene.step_m)
+        self._last_step = math.floor((furthest_m + scene.backlash_m / 2) / scene.step_m)
+        self._rotor: Rotor | None = None
+        if scene.rotor_resonance_hz is not None:
+            self._rotor = Rotor(scene.rotor_resonance_hz, scene.rotor_damping, tick_s)
+        self._play = Backlash(scene.backlash_m) if scene.backlash_m else None
+        self._late = DelayLine(scene.latency_ns * 1e-9 / tick_s) if scene.latency_ns else None
+        # On whole microsteps the tip comes to the same places again and again.
+        self._forces_n: dict[float, float] = {}
+        self._phase = 0.0
+        self._rate_hz = 0.0
+        self.tip_m = 0.0
+        self.force_n = 0.0
+        self.at_end = LimitCounter()
+
+    @property
+    def screw_m(self) -> float:
+        """Commanded travel from first touch, between microsteps too."""
+        return self._phase * self._step_m
+
+    def step(self, command: StepCommand) -> float:
+        """Run one tick at a commanded rate and direction; the force in N at its end."""
+        position_m, forces_n = self.move(command), self._forces_n
+        force_n = forces_n.get(position_m)
+        if force_n is None:
+            force_n = self._law.force(position_m)
+            if self._rotor is None:
+                forces_n[position_m] = force_n
+        self.force_n = force_n
+        return force_n
+
+    def move(self, command: StepCommand) -> float:
+        """Run one tick without the contact; the tip's position from first touch at its end."""
+        rate_hz = min(command.rate_hz, self._max_rate_hz) * command.direction
+        if self._late is not None:
+            rate_hz = self._late.step(rate_hz)
+        limit_hz = self._max_change_hz
+        if rate_hz > self._rate_hz + limit_hz:
+            rate_hz = self._rate_hz + limit_hz
+        elif rate_hz < self._rate_hz - limit_hz:
+            rate_hz = self._rate_hz - limit_hz
+        before, phase = self._phase, self._phase + rate_hz * self._tick_s
+        self.at_end.add(phase > self._last_step)
+        if not self._first_step <= phase <= self._last_step:
+            phase = float(min(max(phase, self._first_step), self._last_step))
+            rate_hz = 0.0
+        self._phase, self._rate_hz = phase, rate_hz
+        position_m = round(phase) * self._step_m
+        if self._rotor is not None:
+            position_m = self._rotor.step(round(before) * self._step_m, position_m)
+        if self._play is not None:
+            position_m = self._play.step(position_m)
+        self.tip_m = position_m
+        return position_m
+
+    def shift(self, way_m: float) -> None:
+        """The screw has gone so much further than the last command says."""
+        self._phase += way_m / self._step_m

@@ -1,0 +1,1 @@
+"""Reception of the stream: connections, jitter buffer, playout clock, delay estimators."""

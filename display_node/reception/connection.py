@@ -1,0 +1,278 @@
+"""The display's sockets to its sensing node, connected and kept so.
+
+Looking up the number behind an address's name, beside the loop.
+
+ZeroMQ looks names up in the thread that moves all its messages, and a slow name server holds that
+up for seconds. So a thread of ours looks them up, which lives only while it does; ZeroMQ is given
+numbers.
+"""
+
+import itertools
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+
+import zmq
+
+from display_node.reception.data_path import DataPath
+from display_node.reception.endpoint import ANSWER_NS, FLOODED_NS, Endpoint
+from display_node.reception.failover import FOLLOWS_WITHIN_NS
+from protocol import sockets
+from protocol.run_summary import Reconnections
+from protocol.security.handshake_monitor import HandshakeMonitor
+from protocol.security.keys import ClientKeys
+
+LOOK_UP_AGAIN_S = 2.0
+
+
+class Lookup:
+    """Finds the number behind an address's name, beside the loop."""
+
+    def __init__(self, address: str, log: Callable[[str], None]) -> None:
+        self._address = address
+        self._log = log
+        self._said = ""
+        self._lookups = 0
+        self._found: str | None = None
+        self._thread: threading.Thread | None = None
+
+    @property
+    def running(self) -> bool:
+        """True while a look-up is under way."""
+        return self._thread is not None and self._thread.is_alive()
+
+    def start(self) -> None:
+        """Look up; the outcome is there when `running` ends."""
+        # A daemon: a name server that does not answer must not hold up the program's end.
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        try:
+            self._thread.start()
+        except RuntimeError:
+            # No thread is to be had: the loop goes on, and asks again.
+            self._say(f"{self._address} cannot be looked up: no thread can be started; trying on")
+
+    def take(self) -> str | None:
+        """The address with a number for a name, once for each look-up that found one."""
+        found, self._found = self._found, None
+        return found
+
+    def _run(self) -> None:
+        if not self._address.startswith("tcp://"):
+            self._found = self._address
+            return
+        host, _, port = self._address.removeprefix("tcp://").rpartition(":")
+        try:
+            found = socket.getaddrinfo(host.strip("[]"), port, type=socket.SOCK_STREAM)
+        except OSError as error:
+            self._say(f"{host} is not found: {error.strerror}; trying on")
+            time.sleep(LOOK_UP_AGAIN_S)
+            return
+        # A name may stand for several numbers, not all of them reachable: one after the other.
+        numbers = sorted({(family != socket.AF_INET, name[0]) for family, *_, name in found})
+        is_ipv6, number = numbers[self._lookups % len(numbers)]
+        self._lookups += 1
+        number = f"[{number}]" if is_ipv6 else number
+        self._found = f"tcp://{number}:{port}"
+
+    def _say(self, text: str) -> None:
+        if text != self._said:
+            self._said = text
+            self._log(text)
+
+
+# How long to wait for the answer to a request to connect, at least `ANSWER_NS`: the kernel repeats
+# it only after 1 s.
+ANSWER_ROUND_TRIPS = 3
+FLOOD = "flood"
+# A silence of all lines for so long: control, too, is connected anew.
+CUT_NS = 500_000_000
+# Where this process itself stood still for so long, what it receives first has only queued.
+STOOD_STILL_NS = 250_000_000
+
+
+class Connection:
+    """Control and data sockets of one stream, over one address or several.
+
+    A path is a data socket, a TCP connection of its own; the addresses share out the paths.
+    Control goes over one address at a time and moves on to the next when nothing is received.
+
+    rejected: how often a connection was refused, by cause.
+    """
+
+    def __init__(
+        self,
+        context: sockets.Context,
+        addresses: Sequence[str],
+        paths: int,
+        log: Callable[[str], None],
+        keys: ClientKeys | None = None,
+    ) -> None:
+        """paths: at least one for each address. Raises AddressError."""
+        shares = [range(number, paths, len(addresses)) for number in range(len(addresses))]
+        self.routes = [
+            Path(context, address, len(share), log, keys)
+            for address, share in zip(addresses, shares, strict=True)
+        ]
+        self._turns = itertools.cycle(self.routes)
+        # What was last subscribed with.
+        self._times_ns: tuple[int, int] | None = None
+        self._heard_ns: int | None = None
+        self._tended_ns: int | None = None
+        self._cut_ns = CUT_NS
+        self._controls = 0
+        self.control = Endpoint(sockets.unconnected(context, zmq.DEALER, keys))
+        self._paths = [path for route in self.routes for path in route.paths]
+        self._lines = [self.control, *(line for path in self._paths for line in path.lines)]
+        self.descriptors = sockets.descriptors([line.socket for line in self._lines])
+        self._refusals = HandshakeMonitor(context, keys, log)
+        for line in self._lines:
+            self._refusals.watch(line.socket)
+        self.rejected = self._refusals.rejected
+        self._log = log
+        # What was reported, once.
+        self._flooded: set[str] = set()
+
+    @property
+    def reconnections(self) -> Reconnections:
+        """Counts of connections made beside, or instead of, those that were silent."""
+        opened = sum(path.failover.opened for path in self._paths)
+        kept = sum(path.failover.kept for path in self._paths)
+        return Reconnections(opened, kept, self._controls)
+
+    def subscribe(self, frame_ns: int, round_trip_ns: int, now_ns: int) -> None:
+        """Ask for frames, from now on; one covers `frame_ns`. The way to the sensing node and
+        back takes `round_trip_ns`."""
+        times_ns = frame_ns, max(ANSWER_NS, ANSWER_ROUND_TRIPS * round_trip_ns)
+        if times_ns == self._times_ns:
+            return
+        first, self._times_ns = self._times_ns is None, times_ns
+        for line in self._lines:
+            line.answer_ns = times_ns[1]
+        for path in self._paths:
+            path.failover.set_timeouts(*times_ns)
+            for line in path.lines:
+                line.expect(1e9 / frame_ns)
+            if first:
+                path.subscribe(now_ns)
+
+    def tend(self, now_ns: int) -> bool:
+        """Connect what is silent, once its address is known; call each tick.
+
+        Returns whether control has a new connection, over which nobody knows this display yet.
+        """
+        answered = self._refusals.tend(now_ns)
+        for line in self._lines if answered else ():
+            line.take_answer(answered)
+        self._close_floods(now_ns)
+        cut = self._cut(now_ns)
+        for path in self._paths if cut else ():
+            path.failover.give_up()
+        for route in self.routes:
+            route.tend(now_ns)
+        introduce = self._ask_again(now_ns)
+        if cut and self.control.address is not None:
+            self._connect_control(self.control.address, now_ns)
+            return True
+        return introduce or (self.control.silent(now_ns) and self._move_control(now_ns))
+
+    def _close_floods(self, now_ns: int) -> None:
+        """Close for a while what brings more than any stream does."""
+        until_ns = now_ns + FLOODED_NS
+        for route in self.routes:
+            for path in route.paths:
+                if path.flooded(now_ns):
+                    self._count_flood(path.close(until_ns), route.address)
+        if self.control.flooded(now_ns):
+            self._count_flood(self.control.close(until_ns), "control")
+
+    def _count_flood(self, dropped: int, whose: str) -> None:
+        self.rejected[FLOOD] += max(1, dropped)
+        if whose not in self._flooded:
+            self._flooded.add(whose)
+            self._log(f"{whose} sends far more than a stream; closed for {FLOODED_NS // 10**9} s")
+
+    def _ask_again(self, now_ns: int) -> bool:
+        """Where one request of control and data is answered, the other, sent while the network was
+        cut, need not be waited for. Returns whether control has a new connection."""
+        control = self.control
+        for path in self._paths:
+            data = path.first
+            if control.answered == data.answered or data.address is None:
+                continue
+            waits = control if data.answered else data
+            if now_ns - waits.asked_ns < waits.answer_ns:
+                continue
+            if sockets.control_address(data.address) != control.address:
+                continue
+            if waits is data:
+                data.connect(data.address, now_ns, hurried=False)
+            else:
+                # It may have been too hurried for this network.
+                self._connect_control(control.address, now_ns, hurried=False)
+                return True
+        return False
+
+    def _cut(self, now_ns: int) -> bool:
+        """Return whether all lines together have been silent for too long; once in a silence."""
+        stood_still = self._tended_ns is not None and now_ns - self._tended_ns >= STOOD_STILL_NS
+        self._tended_ns = now_ns
+        for path in self._paths if stood_still else ():
+            path.failover.mark_suspect(now_ns)
+        # Each is asked, and none twice.
+        heard = sum(path.take_heard(now_ns) for path in self._paths)
+        if heard + self.control.heard(now_ns):
+            self._heard_ns = now_ns
+            self._cut_ns = FOLLOWS_WITHIN_NS if stood_still else CUT_NS
+        elif self._heard_ns is not None and now_ns - self._heard_ns >= self._cut_ns:
+            self._heard_ns = None
+            return True
+        return False
+
+    def _move_control(self, now_ns: int) -> bool:
+        for route in itertools.islice(self._turns, len(self.routes)):
+            address = route.paths[0].first.address
+            if address is not None:
+                self._connect_control(sockets.control_address(address), now_ns)
+                return True
+        return False
+
+    def _connect_control(self, address: str, now_ns: int, hurried: bool = True) -> None:
+        self._controls += self.control.address is not None
+        self.control.connect(address, now_ns, hurried)
+
+
+class Path:
+    """One address of the sensing node and the data paths that are connected to it.
+
+    won: frames whose first copy came this way.
+    """
+
+    def __init__(
+        self,
+        context: sockets.Context,
+        address: str,
+        paths: int,
+        log: Callable[[str], None],
+        keys: ClientKeys | None = None,
+    ) -> None:
+        """Raises AddressError when `address` is none."""
+        sockets.control_address(address)
+        self.address = address
+        self.paths = [DataPath(context, keys) for _ in range(paths)]
+        self._lookup = Lookup(address, log)
+        self.won = 0
+
+    def messages(self) -> Iterator[bytes]:
+        """Yield the messages that wait."""
+        for path in self.paths:
+            yield from path.messages()
+
+    def tend(self, now_ns: int) -> None:
+        """Look the address up while nothing is received from it, and connect to what is found."""
+        found = None if self._lookup.running else self._lookup.take()
+        wanted = False
+        for path in self.paths:
+            wanted |= path.tend(now_ns, found)
+        if wanted and found is None and not self._lookup.running:
+            self._lookup.start()

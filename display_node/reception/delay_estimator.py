@@ -1,0 +1,188 @@
+"""One reading of a link: the path's base, and how far above it delays reach. Pure.
+
+A quantile of delays of which old ones count less and less. Pure.
+"""
+
+from collections import deque
+
+BIN_NS = 1_000_000
+BINS = 11_000
+
+
+class ExponentialQuantile:
+    """The level above which a given share of what was counted lies.
+
+    A histogram of 1 ms bins from 0 to 11 s. Counting costs a step or two, whatever is in it,
+    since the quantile's bin is carried on.
+    """
+
+    def __init__(self, share_above: float) -> None:
+        self._share_above = share_above
+        self._weights = [0.0] * BINS
+        self._weight = 1.0
+        self._total = 0.0
+        # The quantile's bin and the weight above it, both carried on from one to the next.
+        self._position = 0
+        self._above = 0.0
+
+    def add(self, value_ns: int, kept: float) -> int:
+        """Count a value of 0 or more; the upper edge in ns of the quantile's bin.
+
+        kept: what is left of the weight of all before it, above 0 and at most 1.
+        """
+        self._forget(kept)
+        weights, weight = self._weights, self._weight
+        counted = min(value_ns // BIN_NS, BINS - 1)
+        weights[counted] += weight
+        self._total += weight
+        allowed = self._share_above * self._total
+        position, above = self._position, self._above
+        if counted > position:
+            above += weight
+        while above > allowed:
+            position += 1
+            above -= weights[position]
+        while position and above + weights[position] <= allowed:
+            above += weights[position]
+            position -= 1
+        self._position, self._above = position, above
+        return (position + 1) * BIN_NS
+
+    def _forget(self, kept: float) -> None:
+        """Grow the weight of what comes next, which forgets like shrinking all old ones."""
+        self._weight /= kept
+        if self._weight > 1e100:
+            scale = 1 / self._weight
+            self._weights = [weight * scale for weight in self._weights]
+            self._total *= scale
+            self._above *= scale
+            self._weight = 1.0
+
+
+BASE_NS = 2_000_000_000
+# A silence is no evidence on the path: it ages the base by no more than this.
+SILENCE_NS = 200_000_000
+# The display cannot follow faster (its time-warp is 2 %), so there is nothing to gain.
+RELEASE_PER_NS = 0.02
+# What the playout jumps over anyway is not worth waiting for either.
+JUMP_NS = 500_000_000
+# A longer path shows itself by lasting; a queue that runs empty falls, again and again.
+LONGER_AFTER_NS = 50_000_000
+FALLING_NS = 10_000_000
+FAR_ABOVE = 2
+
+
+class LongerPath:
+    """Notices delays that stay above a limit for a while without falling.
+
+    Frames that queued behind one another fall from each to the next, down to where they were
+    before; frames on a longer path do not.
+    """
+
+    def __init__(self, after_ns: int) -> None:
+        self._after_ns = after_ns
+        self._since_ns: int | None = None
+        self._level_ns = 0
+
+    @property
+    def suspected(self) -> bool:
+        """Whether delays are above the limit, but not for long enough."""
+        return self._since_ns is not None
+
+    def base_ns(self, delay_ns: int, limit_ns: int, now_ns: int) -> int | None:
+        """The longer path's base, when this frame's delay has made it certain; else None."""
+        if delay_ns <= limit_ns:
+            self._since_ns = None
+        elif self._since_ns is None or delay_ns < self._level_ns - FALLING_NS:
+            self._since_ns, self._level_ns = now_ns, delay_ns
+        elif now_ns - self._since_ns >= self._after_ns:
+            self._since_ns = None
+            return min(delay_ns, self._level_ns)
+        return None
+
+
+class DelayTracker:
+    """The delay that one reading of the link asks for: its base + a quantile of delay over it.
+
+    The base is the smallest delay of the last 2 s. `follows`: it is lifted as soon as all
+    delays of 50 ms were more than twice as far above it as usual; a burst of long delays is
+    then a longer path and not jitter. Rises at once, falls by 20 ms a second.
+
+    warp: how fast the playout can follow, in seconds a second; `late_share` depends on it.
+    """
+
+    def __init__(self, late_target: float, follows: bool, warp: float) -> None:
+        self._reach = ExponentialQuantile(late_target)
+        self._longer = LongerPath(LONGER_AFTER_NS) if follows else None
+        self._warp = warp
+        # Falling in time, rising in delay: the first is the window's smallest.
+        self._window: deque[tuple[int, int]] = deque()
+        self._heard_ns = 0
+        self._delay_ns: int | None = None
+        self._followed_ns = 0.0
+        # Sums over frames of which old ones count less and less.
+        self._count = self._excess_ns = self._delays_ns = self._late = 0.0
+
+    @property
+    def late_share(self) -> float:
+        """Share of late frames, where the playout follows this track."""
+        return self._late / self._count if self._count else 0.0
+
+    @property
+    def mean_ns(self) -> float:
+        """Mean of the delay asked for."""
+        return self._delays_ns / self._count if self._count else 0.0
+
+    def lift(self, base_ns: int) -> None:
+        """The path is longer: what was smaller is of no use any more."""
+        self._window.clear()
+        self._window.append((self._heard_ns, base_ns))
+
+    def observe(self, delay_ns: int, now_ns: int, elapsed_ns: int, kept: float) -> int:
+        """A frame came, `elapsed_ns` after the one before it; the delay asked for now.
+
+        kept: what is left of the weight of all before it.
+        """
+        self._heard_ns += min(elapsed_ns, SILENCE_NS)
+        window = self._window
+        # The base that was in force when it came: a frame that this was too low for is late.
+        base_ns = window[0][1] if window else delay_ns
+        excess_ns = max(delay_ns - base_ns, 0)
+        reach_ns = self._reach.add(excess_ns, kept)
+        self._count = self._count * kept + 1
+        self._excess_ns = self._excess_ns * kept + excess_ns
+        if self._longer is not None:
+            limit_ns = base_ns + int(FAR_ABOVE * self._excess_ns / self._count)
+            longer_ns = self._longer.base_ns(delay_ns, limit_ns, now_ns)
+            if longer_ns is not None:
+                self.lift(longer_ns)
+        self._keep(delay_ns)
+        asked_ns = released(self._delay_ns, window[0][1] + reach_ns, elapsed_ns)
+        self._score(delay_ns, asked_ns, elapsed_ns, kept)
+        self._delay_ns = asked_ns
+        return asked_ns
+
+    def _keep(self, delay_ns: int) -> None:
+        window = self._window
+        while window and window[-1][1] >= delay_ns:
+            window.pop()
+        window.append((self._heard_ns, delay_ns))
+        while window[0][0] <= self._heard_ns - BASE_NS:
+            window.popleft()
+
+    def _score(self, delay_ns: int, asked_ns: int, elapsed_ns: int, kept: float) -> None:
+        if self._delay_ns is None:
+            self._followed_ns = asked_ns
+        else:
+            room_ns = self._warp * elapsed_ns
+            missing_ns = self._delay_ns - self._followed_ns
+            self._followed_ns += min(max(missing_ns, -room_ns), room_ns)
+        self._late = self._late * kept + (delay_ns > self._followed_ns)
+        self._delays_ns = self._delays_ns * kept + asked_ns
+
+
+def released(delay_ns: int | None, wanted_ns: int, elapsed_ns: int) -> int:
+    """The next delay on the way to the one wanted: up at once, down by 20 ms a second."""
+    if delay_ns is None or wanted_ns >= delay_ns or delay_ns - wanted_ns > JUMP_NS:
+        return wanted_ns
+    return max(wanted_ns, delay_ns - round(RELEASE_PER_NS * elapsed_ns))

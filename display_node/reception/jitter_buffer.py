@@ -1,0 +1,237 @@
+"""The jitter buffer: one session's samples in time order, and the account of each of them.
+
+All times are the sensing clock's. `advance` says which instant is being played; a sample whose
+instant has passed by then was played, one that arrives later is late, one that never arrives
+is lost. A late sample is kept all the same: it still serves the predictor.
+"""
+
+from bisect import bisect_left, bisect_right
+from dataclasses import dataclass
+
+from protocol.errors import WireError
+from protocol.wire.messages import Frame
+
+KEEP_SAMPLES = 16_384
+MAX_AHEAD_SAMPLES = 65_536
+TIME_TOLERANCE_NS = 1_000_000_000
+NEVER_NS = -(1 << 64)
+
+
+@dataclass(frozen=True, slots=True)
+class SampleAccount:
+    """sent = played + late + lost, of the samples whose instant has passed."""
+
+    sent: int = 0
+    played: int = 0
+    late: int = 0
+    before_joining: int = 0
+
+    @property
+    def lost(self) -> int:
+        """Samples that never arrived."""
+        return self.sent - self.played - self.late
+
+    def __add__(self, other: "SampleAccount") -> "SampleAccount":
+        return SampleAccount(
+            self.sent + other.sent,
+            self.played + other.played,
+            self.late + other.late,
+            self.before_joining + other.before_joining,
+        )
+
+
+class JitterBuffer:
+    """Holds one channel of one session's samples.
+
+    begin_index: the first sample that counts, where another buffer had those before.
+    """
+
+    def __init__(self, channel: int, begin_index: int | None = None) -> None:
+        self._channel = channel
+        self._joining = begin_index is None
+        self._indices: list[int] = []
+        self._times: list[int] = []
+        self._values: list[float] = []
+        # Samples before this list position have had their instant.
+        self._settled = 0
+        self._settled_index: int | None = None
+        self._instant_ns: int | None = None
+        # The latest instant ever played: it stays where it was when the playout jumps back.
+        self._passed_ns = NEVER_NS
+        self._first_index = begin_index
+        self._floor_index = begin_index or 0
+        self._period_ns = 1
+        self._end_index: int | None = None
+        self._played = 0
+        self._late = 0
+        self.frames = 0
+        self.reordered = 0
+        self.ended = False
+
+    @property
+    def newest_ns(self) -> int | None:
+        """Time of the newest sample; None while there is none."""
+        return self._times[-1] if self._times else None
+
+    @property
+    def waiting(self) -> int:
+        """Samples that wait for their instant."""
+        return len(self._times) - self._settled
+
+    def put(self, frame: Frame) -> None:
+        """Take a frame.
+
+        Raises WireError: "duplicate", "overlap", "timestamp", "too_old", "overflow".
+        """
+        count = len(frame.values)
+        first = frame.first_sample
+        period_ns = frame.period_ns
+        position = len(self._indices)
+        if position and first <= self._indices[-1]:
+            position = bisect_left(self._indices, first)
+        self._check(frame, position, count)
+        times = list(range(frame.t_first_ns, frame.t_first_ns + count * period_ns, period_ns))
+        if position < len(self._indices):
+            self.reordered += 1
+        self._indices[position:position] = range(first, first + count)
+        self._times[position:position] = times
+        self._values[position:position] = frame.values[:, self._channel].tolist()
+        self._period_ns = period_ns
+        self.frames += 1
+        if self._first_index is None or first < self._first_index:
+            self._first_index = first
+        if times[0] <= self._passed_ns:
+            self._settle_late(position, bisect_right(times, self._passed_ns))
+        if len(self._times) > 2 * KEEP_SAMPLES:
+            self._trim()
+
+    def _check(self, frame: Frame, position: int, count: int) -> None:
+        """Refuse what is here already or cannot be true beside its neighbours."""
+        indices, times = self._indices, self._times
+        first, t_first_ns, period_ns = frame.first_sample, frame.t_first_ns, frame.period_ns
+        last = first + count - 1
+        if position < len(indices):
+            later = indices[position]
+            if later <= last:
+                all_here = indices[position + count - 1 : position + count] == [last]
+                cause = "duplicate" if all_here else "overlap"
+                raise WireError(cause, f"sample {later} is here already")
+            last_ns = t_first_ns + (count - 1) * period_ns
+            _check_gap(times[position] - last_ns, (later - last) * period_ns)
+        if position:
+            earlier = indices[position - 1]
+            _check_gap(t_first_ns - times[position - 1], (first - earlier) * period_ns)
+        elif first < self._floor_index:
+            raise WireError("too_old", f"sample {first} is older than the buffer reaches")
+        if len(times) - self._settled + count > MAX_AHEAD_SAMPLES:
+            raise WireError("overflow", f"more than {MAX_AHEAD_SAMPLES} samples wait already")
+
+    def _settle_late(self, position: int, count: int) -> None:
+        self._late += count
+        self._settled += count
+        last_index = self._indices[position] + count - 1
+        if self._settled_index is None or last_index > self._settled_index:
+            self._settled_index = last_index
+
+    def _trim(self) -> None:
+        # The last settled sample is still needed: the instant lies between it and the next.
+        surplus = min(len(self._times) - KEEP_SAMPLES, self._settled - 1)
+        if surplus > 0:
+            self._floor_index = self._indices[surplus - 1] + 1
+            del self._indices[:surplus], self._times[:surplus], self._values[:surplus]
+            self._settled -= surplus
+
+    def advance(self, instant_ns: int) -> None:
+        """Play the instant: settles every sample up to it.
+
+        After a jump back of the playout what was settled stays settled, and is known again.
+        """
+        self._instant_ns = instant_ns
+        if instant_ns <= self._passed_ns:
+            return
+        self._passed_ns = instant_ns
+        times, settled = self._times, self._settled
+        length = len(times)
+        while settled < length and times[settled] <= instant_ns:
+            settled += 1
+        if settled > self._settled:
+            self._played += settled - self._settled
+            self._settled = settled
+            self._settled_index = self._indices[settled - 1]
+
+    def known(self, step_ns: int, count: int) -> list[float]:
+        """Values at the instant being played and `step_ns` apart after it, by linear
+        interpolation; ends early where the newest sample ends, empty before the first."""
+        times, values, position = self._times, self._values, self._settled
+        length = len(times)
+        t_ns = self._instant_ns
+        if t_ns is not None and t_ns < self._passed_ns:
+            position = bisect_right(times, t_ns)
+        if t_ns is None or not position:
+            return []
+        result = []
+        for _ in range(count):
+            while position < length and times[position] <= t_ns:
+                position += 1
+            before_ns = times[position - 1]
+            if position == length:
+                if before_ns == t_ns:
+                    result.append(values[-1])
+                break
+            share = (t_ns - before_ns) / (times[position] - before_ns)
+            before = values[position - 1]
+            result.append(before + share * (values[position] - before))
+            t_ns += step_ns
+        return result
+
+    def end(self, samples_sent: int, now_ns: int | None) -> None:
+        """The session ended after `samples_sent` samples; what is missing of them is lost.
+
+        now_ns is the sensing clock's, if known. Raises WireError("implausible") when that is
+        more than there was time for, or less than came.
+        """
+        if self._indices:
+            missing = samples_sent - 1 - self._indices[-1]
+            if missing < 0:
+                raise WireError("implausible", f"the end at {samples_sent} is before the newest")
+            room_ns = TIME_TOLERANCE_NS + (now_ns or self._times[-1]) - self._times[-1]
+            if missing * self._period_ns > room_ns:
+                raise WireError("implausible", f"no time for {missing} further samples")
+        self._end_index = samples_sent
+        self.ended = True
+
+    @property
+    def end_ns(self) -> int | None:
+        """Time of the session's last sample, once its end is known."""
+        if self._end_index is None or not self._times:
+            return None
+        return self._times[-1] + (self._end_index - 1 - self._indices[-1]) * self._period_ns
+
+    @property
+    def complete(self) -> bool:
+        """Whether the session's last sample has come."""
+        return bool(self._indices) and self._indices[-1] + 1 == self._end_index
+
+    def account(self) -> SampleAccount:
+        """The account so far; once the session has ended and played out, of all of it."""
+        first = self._first_index
+        if first is None:
+            return SampleAccount(before_joining=self._end_index or 0)
+        settled_end = first if self._settled_index is None else self._settled_index + 1
+        if self._end_index is not None and not self.waiting:
+            settled_end = max(settled_end, self._end_index)
+        before_joining = first if self._joining else 0
+        return SampleAccount(settled_end - first, self._played, self._late, before_joining)
+
+    def successor(self) -> "JitterBuffer":
+        """An empty buffer that goes on with the account after the last settled sample: samples
+        that wait, and those of before that still come, are lost."""
+        account = self.account()
+        if self._first_index is None:
+            return JitterBuffer(self._channel)
+        return JitterBuffer(self._channel, self._first_index + account.sent)
+
+
+def _check_gap(gap_ns: int, expected_ns: int) -> None:
+    if gap_ns <= 0 or abs(gap_ns - expected_ns) > TIME_TOLERANCE_NS + expected_ns // 5:
+        raise WireError("timestamp", "a frame's time does not fit its sequence number")

@@ -1,0 +1,278 @@
+"""The receiving half of a display: session, clock, jitter buffer, delay estimate.
+
+Bytes and their arrival times come in, requests to the sensing node come out; what cannot be
+used is counted under its cause. No sockets here.
+"""
+
+from collections import Counter, deque
+
+from display_node.reception.delay_estimator import JUMP_NS
+from display_node.reception.jitter_buffer import JitterBuffer, SampleAccount
+from display_node.reception.playout_clock import DelayEstimator
+from protocol.clock.estimator import READY_AFTER, ClockEstimator, ClockExchange
+from protocol.errors import WireError
+from protocol.histogram import Histogram
+from protocol.run_summary import Clock, FrameCounts, OneWayDelay, SampleCounts, Summary
+from protocol.wire.messages import (
+    Bye,
+    ClockReply,
+    ClockRequest,
+    Control,
+    Frame,
+    Hello,
+    Welcome,
+    decode_control,
+    decode_frame,
+)
+from protocol.wire.stream import StreamDescription
+
+HELLO_EVERY_NS = 250_000_000
+# A minute of it; more often, TCP delivers requests and replies in bunches, which is a bias.
+# The first ones at once: without the clock there is nothing to feel.
+CLOCK_FAST_NS = 20_000_000
+CLOCK_FAST_COUNT = 3_000
+CLOCK_EVERY_NS = 50_000_000
+# Requests that no reply has come to; what is older is forgotten.
+MAX_ASKED = 256
+SILENT_AFTER_NS = 1_000_000_000
+FUTURE_NS = 1_000_000_000
+OLDEST_NS = 60_000_000_000
+# After the last sample's instant, this long for late ones to come in; for the last one itself as
+# long as a sensing node stays to see it off.
+GRACE_NS = 500_000_000
+LAST_GRACE_NS = 3_500_000_000
+
+
+class Receiver:
+    """Follows the stream of one sensing node through its sessions.
+
+    paths: connections that frames come over; with more than one, all but the first of a frame
+    are copies, and none is refused for it.
+    """
+
+    def __init__(self, name: str, channel: int, late_target: float, paths: int = 1) -> None:
+        self._name = name
+        self._paths = paths
+        self._channel = channel
+        self._late_target = late_target
+        self._closed = SampleAccount()
+        self._frames_closed = self._reordered_closed = 0
+        self._next_hello_ns = self._next_clock_ns = 0
+        self._in_doubt = False
+        self._clock_requests = 0
+        # When each request was sent that may still be answered, oldest first.
+        self._asked_ns: deque[int] = deque(maxlen=MAX_ASKED)
+        self._steps_closed = 0
+        self._heard_ns = 0
+        self.copies = 0
+        self.rejected: Counter[str] = Counter()
+        self.one_way_delay_ms = Histogram(0.1, 20_000)
+        self.sessions = 0
+        # Sessions, and clock steps within one: what came before says nothing of what comes.
+        self.beginnings = 0
+        self.session: int | None = None
+        # There is a stream, its clock is known, and enough has come to start playing.
+        self.ready = False
+        self.description: StreamDescription | None = None
+        self.clock = ClockEstimator()
+        self.delay = DelayEstimator(late_target)
+        self.buffer = JitterBuffer(channel)
+        self._farewell: Bye | None = None
+
+    def on_frame(self, data: bytes, now_ns: int) -> Frame | None:
+        """Take a data message; the frame if it was new and valid."""
+        try:
+            frame = decode_frame(data)
+            self._accept(frame, now_ns)
+        except WireError as error:
+            if error.cause == "duplicate" and self._paths > 1:
+                self.copies += 1
+            else:
+                self.rejected[error.cause] += 1
+            return None
+        return frame
+
+    def on_control(self, data: bytes, now_ns: int) -> None:
+        """Take a control message."""
+        try:
+            message = decode_control(data)
+            self._take(message, now_ns)
+        except WireError as error:
+            self.rejected[error.cause] += 1
+
+    @property
+    def listening(self) -> bool:
+        """True when frames can be used: the stream's description and its clock are known."""
+        return self.session is not None and self.clock.ready
+
+    def silent(self, now_ns: int) -> bool:
+        """Return whether nothing valid has come for a while."""
+        return now_ns - self._heard_ns > SILENT_AFTER_NS
+
+    def introduce(self) -> None:
+        """Send hello with the next requests: control goes over a new connection."""
+        self._in_doubt = True
+        self._next_hello_ns = 0
+
+    def requests(self, now_ns: int) -> list[Control]:
+        """Return the messages to send to the sensing node now: hello, clock, and at last bye."""
+        wanted: list[Control] = []
+        silent = self.silent(now_ns)
+        lost = self.session is None or silent or self._in_doubt
+        if lost and now_ns >= self._next_hello_ns:
+            self._next_hello_ns = now_ns + HELLO_EVERY_NS
+            self._in_doubt = False
+            wanted.append(Hello(self._name))
+        if self.session is not None and not silent and now_ns >= self._next_clock_ns:
+            fast = self._clock_requests < CLOCK_FAST_COUNT
+            self._clock_requests += 1
+            if self._clock_requests >= READY_AFTER:
+                self._next_clock_ns = now_ns + (CLOCK_FAST_NS if fast else CLOCK_EVERY_NS)
+            self._asked_ns.append(now_ns)
+            wanted.append(ClockRequest(now_ns))
+        if self._farewell is not None and self.buffer.complete:
+            wanted.append(self._farewell)
+            self._farewell = None
+        return wanted
+
+    def account(self) -> SampleAccount:
+        """The account of all samples of all sessions so far."""
+        return self._closed + self.buffer.account()
+
+    @property
+    def clock_steps(self) -> int:
+        """Count of the steps of a clock, in all sessions so far."""
+        return self._steps_closed + self.clock.steps
+
+    @property
+    def frames(self) -> tuple[int, int]:
+        """Frames received, and how many of them came after a later one."""
+        return (
+            self._frames_closed + self.buffer.frames,
+            self._reordered_closed + self.buffer.reordered,
+        )
+
+    def summary(self, now_ns: int) -> Summary:
+        """Return the summary's figures of what was received: samples, frames, delay and clock."""
+        account, delay, clock = self.account(), self.one_way_delay_ms, self.clock
+        return Summary(
+            samples=SampleCounts(
+                account.sent, account.played, account.late, account.lost, account.before_joining
+            ),
+            frames=FrameCounts(*self.frames, self.copies),
+            one_way_delay_ms=OneWayDelay(
+                delay.quantile(0.5),
+                delay.quantile(0.99),
+                delay.maximum,
+                delay.beyond(p50=0.5, p99=0.99),
+            ),
+            clock=Clock(
+                clock.offset_ns(now_ns) * 1e-6 if clock.ready else None,
+                clock.skew_ppm if clock.ready else None,
+                clock.uncertainty_ns(now_ns) * 1e-6 if clock.ready else None,
+                clock.asymmetry_bound_ns * 1e-6 if clock.ready else None,
+                self.clock_steps,
+            ),
+        )
+
+    def over(self, now_ns: int, playout_delay_ns: int) -> bool:
+        """Return whether, once the session has ended, all that may still come has had its time."""
+        end_ns = self.buffer.end_ns
+        if end_ns is None:
+            return True
+        grace_ns = GRACE_NS if self.buffer.complete else LAST_GRACE_NS
+        return self.clock.remote_ns(now_ns) > end_ns + playout_delay_ns + grace_ns
+
+    def _accept(self, frame: Frame, now_ns: int) -> None:
+        """Check a frame against its session and put it into the buffer. Raises WireError."""
+        description = self.description
+        if description is None:
+            raise WireError("before_welcome", "a frame before the stream's description")
+        if frame.session != self.session:
+            self._in_doubt = True
+            raise WireError("session", "a frame of another session")
+        values = frame.values
+        if (
+            values.shape[1] != len(description.channels)
+            or values.shape[0] > description.batch
+            or values.dtype.itemsize != description.bytes_per_sample
+            or not description.period_ns <= 2 * frame.period_ns <= 4 * description.period_ns
+            or self._channel >= values.shape[1]
+        ):
+            raise WireError("mismatch", "a frame does not match the stream's description")
+        last_ns = frame.t_first_ns + (len(values) - 1) * frame.period_ns
+        if not self.clock.ready:
+            raise WireError("before_clock", "a frame before the sensing clock is known")
+        sensing_now_ns = self.clock.remote_ns(now_ns)
+        if not -OLDEST_NS < last_ns - sensing_now_ns < FUTURE_NS:
+            raise WireError("timestamp", "a frame's time is not near the present")
+        self.buffer.put(frame)
+        self._heard_ns = now_ns
+        self.clock.hear(last_ns, now_ns)
+        self.delay.observe(sensing_now_ns - frame.t_first_ns, now_ns)
+        self.ready = self.ready or self.delay.settled
+        self.one_way_delay_ms.add((sensing_now_ns - last_ns) * 1e-6)
+
+    def _take(self, message: Control, now_ns: int) -> None:
+        match message:
+            case Welcome(session=session, description=description):
+                self._heard_ns = now_ns
+                if session != self.session:
+                    self._begin(session, description)
+            case ClockReply() if message.session != self.session:
+                self._in_doubt = True
+                raise WireError("session", "a clock reply of another session")
+            case ClockReply(t1_ns=t1_ns, t2_ns=t2_ns, t3_ns=t3_ns):
+                self._follow_clock(ClockExchange(t1_ns, t2_ns, t3_ns, now_ns))
+            case Bye() if message.session != self.session:
+                raise WireError("session", "the end of another session")
+            case Bye(samples_sent=samples_sent):
+                sensing_now_ns = self.clock.remote_ns(now_ns) if self.clock.ready else None
+                self.buffer.end(samples_sent, sensing_now_ns)
+                self._farewell = message
+                # A stream too short to know its delays well is played all the same.
+                self.ready = self.ready or self.buffer.frames > 0
+            case _:
+                raise WireError("unexpected", "a message that only displays send")
+
+    def _follow_clock(self, exchange: ClockExchange) -> None:
+        """Take a clock reply; after a step of a clock, the stream begins anew. Raises WireError."""
+        if exchange.t1_ns not in self._asked_ns:
+            raise WireError("unasked", "a clock reply to no request of ours, or once more to one")
+        self._asked_ns.remove(exchange.t1_ns)
+        clock, now_ns = self.clock, exchange.t4_ns
+        steps, expected_ns = clock.steps, clock.remote_ns(now_ns)
+        if not clock.add(exchange):
+            raise WireError("implausible", "a clock reply before its request")
+        if clock.steps != steps:
+            self._clock_requests = 0
+            if abs(clock.remote_ns(now_ns) - expected_ns) > JUMP_NS:
+                self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        """A clock has jumped, and the playout jumps with it: times before and after it do not
+        belong together. What waits to be played is given up."""
+        if self.buffer.ended:
+            return
+        self.beginnings += 1
+        self.ready = False
+        self.delay = DelayEstimator(self._late_target)
+        self._closed += self.buffer.account()
+        self._frames_closed, self._reordered_closed = self.frames
+        self.buffer = self.buffer.successor()
+
+    def _begin(self, session: int, description: StreamDescription) -> None:
+        """A new session: its samples, times and clock have nothing to do with the last one's."""
+        self._closed = self.account()
+        self._frames_closed, self._reordered_closed = self.frames
+        self.session, self.description = session, description
+        self.sessions += 1
+        self.beginnings += 1
+        self.ready = False
+        self._clock_requests = 0
+        self._next_clock_ns = 0
+        self._steps_closed = self.clock_steps
+        self.clock = ClockEstimator()
+        self.delay = DelayEstimator(self._late_target)
+        self.buffer = JitterBuffer(self._channel)
+        self._farewell = None

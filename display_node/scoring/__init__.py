@@ -1,0 +1,1 @@
+"""Figures that rate the felt pulse and the loop: errors, roughness, heart rate, deadlines."""

@@ -1,0 +1,91 @@
+"""Alarm on missed ticks: by their rate, and by the longest gap. Pure."""
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+from protocol.run_summary import Deadlines
+
+WINDOW_NS = 5_000_000_000
+# Above this share of the window's ticks the alarm begins; it ends below half of it.
+ALARM_SHARE = 0.01
+# The default watchdog of a drive; a display without a drive is judged by it as well.
+GAP_NS = 50_000_000
+
+
+def deadline_alarm(loop: Mapping[str, Any]) -> str | None:
+    """Return the text of the deadline alarm of a summary's `loop`; None while it is off."""
+    if not loop.get("late"):
+        return None
+    last = loop.get("last_5s", {})
+    missed, gap_ms = last.get("missed"), last.get("gap_ms")
+    # What another program publishes may lack them.
+    share = "too many" if missed is None else f"{100 * missed:.1f} %"
+    gap = "" if gap_ms is None else f", longest gap {gap_ms:.0f} ms"
+    return f"{share} of the ticks of the last 5 s missed{gap}"
+
+
+class DeadlineWatch:
+    """Judges a loop's missed ticks over the last 5 s.
+
+    A single missed tick is not felt. The alarm is raised while more than 1 % of the ticks of the
+    last 5 s were missed, and for 5 s after a gap longer than a drive's watchdog.
+
+    Parameters
+    ----------
+    tick_ns
+        Period of the loop in ns.
+    gap_ns
+        Longest time without a tick that raises no alarm, in ns.
+
+    Attributes
+    ----------
+    alarm
+        Whether the alarm is on.
+    """
+
+    def __init__(self, tick_ns: int, gap_ns: int = GAP_NS) -> None:
+        self._tick_ns = tick_ns
+        self._gap_ns = gap_ns
+        # Time of each late tick of the window, in ns, and how many ticks it came after the last.
+        self._late: deque[tuple[int, int]] = deque()
+        self._missed = self._most_missed = 0
+        self._longest_ticks = 0
+        self._stood_still_ns = -math.inf
+        self.alarm = False
+
+    def add(self, now_ns: int, elapsed_ticks: int) -> None:
+        """Count one tick that began `elapsed_ticks` periods after the last one."""
+        late = self._late
+        if elapsed_ticks > 1:
+            late.append((now_ns, elapsed_ticks))
+            self._missed += elapsed_ticks - 1
+            self._longest_ticks = max(self._longest_ticks, elapsed_ticks)
+            if elapsed_ticks * self._tick_ns > self._gap_ns:
+                self._stood_still_ns = now_ns
+        elif not late:
+            return
+        while late and late[0][0] <= now_ns - WINDOW_NS:
+            self._missed -= late.popleft()[1] - 1
+        self._most_missed = max(self._most_missed, self._missed)
+        bar = ALARM_SHARE / 2 if self.alarm else ALARM_SHARE
+        stood_still = now_ns - self._stood_still_ns < WINDOW_NS
+        self.alarm = stood_still or self._share(self._missed) > bar
+
+    @property
+    def last_5s(self) -> Deadlines:
+        """Share of ticks missed in the last 5 s, and the longest gap among them."""
+        longest = max((elapsed for _, elapsed in self._late), default=1)
+        return self._deadlines(self._missed, longest)
+
+    @property
+    def worst_5s(self) -> Deadlines:
+        """Largest share of ticks missed in any 5 s so far, and the longest gap."""
+        return self._deadlines(self._most_missed, max(1, self._longest_ticks))
+
+    def _deadlines(self, missed: int, longest_ticks: int) -> Deadlines:
+        return Deadlines(self._share(missed), longest_ticks * self._tick_ns * 1e-6)
+
+    def _share(self, missed: int) -> float:
+        return min(1.0, missed * self._tick_ns / WINDOW_NS)

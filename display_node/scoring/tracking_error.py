@@ -1,0 +1,234 @@
+"""Errors of the felt force: running RMSE, aligned and in phase (eqs 23-25), and roughness.
+
+Truth and felt force come in as they are known, both on the sensing clock; a felt force is
+scored when the truth around its instant is there. Used by the display on what it received, and
+by a demo or simulation on what was really sensed.
+
+Roughness: how much of the felt force is above 25 Hz, beside what was sensed there. Pure.
+
+The pulse itself ends below; what is above is noise, and the jumps that prediction adds.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.run_summary import AlignedErrors, Roughness, Summary
+from protocol.wire.messages import Frame
+
+ABOVE_HZ = 25.0
+# Half the filter's length; its edge is ±14 Hz wide, and a pulse's slow part 70 dB down.
+REACH_S = 0.1
+Floats = NDArray[np.float64]
+
+
+class RoughnessMeter:
+    """Sums the energy above 25 Hz of felt and sensed force over the same ticks."""
+
+    def __init__(self) -> None:
+        self._kernel = np.empty(0)
+        self._period_ns = 0
+        self._last_ns = 0
+        self._felt_n, self._sensed_n = np.empty(0), np.empty(0)
+        self._felt = self._sensed = 0.0
+        self._count = 0
+
+    def add(self, now_ns: NDArray[np.int64], felt_n: Floats, sensed_n: Floats) -> None:
+        """Take consecutive ticks, the next ones at each call; NaN where nothing was sensed, or
+        the force felt is unknown.
+
+        Around a NaN, and where ticks are missing, nothing is counted.
+        """
+        if len(now_ns) < 2:
+            return
+        period_ns = int(np.median(np.diff(now_ns)))
+        # Ticks are read on a clock that is corrected now and then.
+        if abs(period_ns - self._period_ns) > 0.1 * self._period_ns:
+            self._period_ns, self._kernel = period_ns, high_pass(period_ns * 1e-9)
+            self._felt_n, self._sensed_n = np.empty(0), np.empty(0)
+        missing = np.diff(now_ns, prepend=self._last_ns) > 1.5 * period_ns
+        missing |= ~np.isfinite(felt_n)
+        felt_n = np.where(np.isfinite(felt_n), felt_n, 0.0)
+        self._last_ns = int(now_ns[-1])
+        felt_n = np.concatenate([self._felt_n, felt_n])
+        sensed_n = np.concatenate([self._sensed_n, np.where(missing, np.nan, sensed_n)])
+        keep = max(len(self._kernel) - 1, 0)
+        kept = slice(max(0, len(felt_n) - keep), None)
+        self._felt_n, self._sensed_n = felt_n[kept], sensed_n[kept]
+        if not keep or len(felt_n) <= keep:
+            return
+        sensed = np.convolve(sensed_n, self._kernel, "valid")
+        counted = ~np.isnan(sensed)
+        felt, sensed = np.convolve(felt_n, self._kernel, "valid")[counted], sensed[counted]
+        self._felt += float(felt @ felt)
+        self._sensed += float(sensed @ sensed)
+        self._count += len(felt)
+
+    @property
+    def roughness(self) -> Roughness:
+        """So far; nothing before 0.2 s in one piece, or with ticks too slow for 25 Hz."""
+        if not self._count:
+            return Roughness()
+        ratio = self._felt / self._sensed if self._sensed else None
+        felt_n, sensed_n = (math.sqrt(sum_ / self._count) for sum_ in (self._felt, self._sensed))
+        return Roughness(felt_n, sensed_n, ratio)
+
+
+def high_pass(period_s: float) -> Floats:
+    """A symmetric filter that lets pass what is above 25 Hz, at a sample each period_s: all
+    minus a windowed sinc (Blackman). Empty where so slow a rate holds nothing above 25 Hz."""
+    if 2 * ABOVE_HZ * period_s >= 1:
+        return np.empty(0)
+    reach = round(REACH_S / period_s)
+    t_s = np.arange(-reach, reach + 1) * period_s
+    low_pass = np.sinc(2 * ABOVE_HZ * t_s) * np.blackman(2 * reach + 1)
+    kernel = -low_pass / low_pass.sum()
+    kernel[reach] += 1
+    return np.asarray(kernel)
+
+
+BLOCK = 256
+# Felt forces wait this many ticks for the truth of their instant to arrive.
+PATIENCE = 2_048
+# Truth that no felt force asks for (a display at fault) is forgotten after this.
+KEEP_NS = 30_000_000_000
+MAX_PIECES = 1_024
+# Truth further apart than this (a cut link) is not interpolated: nothing is scored there.
+MAX_GAP_NS = 60_000_000
+JND = 0.10
+SPAN_NS = 2_000_000_000
+
+
+class TrackingError:
+    """Accumulates both errors and the roughness; strain_per_newton is the local layer's."""
+
+    def __init__(self, strain_per_newton: float) -> None:
+        self._strain_per_newton = abs(strain_per_newton)
+        self._t_ns: list[NDArray[np.int64]] = []
+        self._target_n: list[NDArray[np.float64]] = []
+        self._felt: list[tuple[int, int, float]] = []
+        self._aligned = self._in_phase = 0.0
+        self._aligned_count = self._in_phase_count = 0
+        self._within = 0
+        self._roughness = RoughnessMeter()
+
+    def truth(self, t_ns: NDArray[np.int64], target_n: NDArray[np.float64]) -> None:
+        """Add the force wanted at the finger, of consecutive samples taken at t_ns; may be late."""
+        self._t_ns.append(t_ns)
+        self._target_n.append(target_n)
+        if len(self._t_ns) > MAX_PIECES:
+            until_ns = int(t_ns[-1]) - KEEP_NS
+            while self._felt and self._felt[0][1] < until_ns:
+                self._score_oldest()
+            self._gathered(until_ns)
+
+    def sensed(
+        self, frame: Frame, channel: int, force_ratio: float, group_delay_ns: int = 0
+    ) -> None:
+        """A frame of the pulse; `force_ratio` is the right force at the finger per wrist force,
+        group_delay_ns by how much a sample is later than the pulse in it."""
+        first_ns = frame.t_first_ns - group_delay_ns
+        end_ns = first_ns + len(frame.values) * frame.period_ns
+        t_ns = np.arange(first_ns, end_ns, frame.period_ns, dtype=np.int64)
+        self.truth(t_ns, frame.values[:, channel].astype(np.float64) * force_ratio)
+
+    def felt(self, now_ns: int, instant_ns: int, force_n: float) -> None:
+        """Take what the finger feels at now_ns, when the pulse of instant_ns is played; NaN where
+        it is unknown, and nothing is scored then."""
+        felt = self._felt
+        felt.append((now_ns, instant_ns, force_n))
+        if len(felt) >= PATIENCE + BLOCK:
+            self._score_oldest()
+
+    def finish(self) -> None:
+        """Score what is left."""
+        while self._felt:
+            self._score_oldest()
+
+    @property
+    def force_rmse_n(self) -> AlignedErrors:
+        """RMSE of the force, in N."""
+        return AlignedErrors(
+            _root(self._aligned, self._aligned_count), _root(self._in_phase, self._in_phase_count)
+        )
+
+    @property
+    def strain_rmse(self) -> AlignedErrors:
+        """RMSE of the strain: the force's by the local layer."""
+        force = self.force_rmse_n
+        return AlignedErrors(
+            None if force.aligned is None else force.aligned * self._strain_per_newton,
+            None if force.in_phase is None else force.in_phase * self._strain_per_newton,
+        )
+
+    @property
+    def within_jnd(self) -> float | None:
+        """Share of the time that could be judged in which the aligned force error is below 10 %
+        of the pulse's peak to peak."""
+        return self._within / self._aligned_count if self._aligned_count else None
+
+    def scored(self, summary: Summary) -> Summary:
+        """Return the summary with the errors and the roughness found here, and the share of its
+        run that could be judged."""
+        ticks = (summary.loop.ticks or 0) + (summary.loop.deadline_misses or 0)
+        judged = min(1.0, self._aligned_count / ticks) if ticks else None
+        return replace(
+            summary,
+            force_rmse_n=self.force_rmse_n,
+            strain_rmse=self.strain_rmse,
+            within_jnd=self.within_jnd,
+            availability=replace(summary.availability, judged=judged),
+            roughness=self._roughness.roughness,
+        )
+
+    def _score_oldest(self) -> None:
+        block, self._felt = self._felt[:BLOCK], self._felt[BLOCK:]
+        if not self._t_ns:
+            return
+        t_ns, target_n = self._gathered(until_ns=block[0][1] - SPAN_NS)
+        now_ns = np.array([now for now, _, _ in block])
+        instant_ns = np.array([instant for _, instant, _ in block])
+        felt_n = np.array([force for _, _, force in block])
+        sensed_n = interpolate(instant_ns, t_ns, target_n)
+        self._roughness.add(now_ns, felt_n, sensed_n)
+        aligned = felt_n - sensed_n
+        in_phase = felt_n - interpolate(now_ns, t_ns, target_n)
+        aligned, in_phase = aligned[~np.isnan(aligned)], in_phase[~np.isnan(in_phase)]
+        self._aligned += float(aligned @ aligned)
+        self._aligned_count += len(aligned)
+        self._in_phase += float(in_phase @ in_phase)
+        self._in_phase_count += len(in_phase)
+        self._within += int(np.count_nonzero(np.abs(aligned) < JND * np.ptp(target_n)))
+
+    def _gathered(self, until_ns: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """All truth in order of time, forgetting what is older than `until_ns`."""
+        t_ns, target_n = np.concatenate(self._t_ns), np.concatenate(self._target_n)
+        if np.any(t_ns[1:] < t_ns[:-1]):
+            order = np.argsort(t_ns, kind="stable")
+            t_ns, target_n = t_ns[order], target_n[order]
+        keep = max(0, int(np.searchsorted(t_ns, until_ns)) - 1)
+        t_ns, target_n = t_ns[keep:], target_n[keep:]
+        self._t_ns, self._target_n = [t_ns], [target_n]
+        return t_ns, target_n
+
+
+def interpolate(
+    at_ns: NDArray[np.int64], t_ns: NDArray[np.int64], values: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Linear interpolation; NaN outside of t_ns and inside of gaps."""
+    if len(t_ns) < 2:
+        return np.full(len(at_ns), np.nan)
+    right = np.searchsorted(t_ns, at_ns, side="right")
+    inside = (right > 0) & (right < len(t_ns))
+    right = np.clip(right, 1, len(t_ns) - 1)
+    gap_ns = t_ns[right] - t_ns[right - 1]
+    share = (at_ns - t_ns[right - 1]) / np.maximum(gap_ns, 1)
+    result: NDArray[np.float64] = values[right - 1] + share * (values[right] - values[right - 1])
+    result[~inside | (gap_ns > MAX_GAP_NS)] = np.nan
+    return result
+
+
+def _root(total: float, count: int) -> float | None:
+    return math.sqrt(total / count) if count else None

@@ -1,0 +1,1 @@
+"""Telemetry of a display: publisher, capture for recorders, terminal view."""

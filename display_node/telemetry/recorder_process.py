@@ -1,0 +1,91 @@
+"""The recorder beside a display: a process of its own that is there before the drive moves."""
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from display_node.node import DisplayNode
+from protocol.cli_options import USAGE_ERROR
+from protocol.errors import OutputError
+
+STARTS_WITHIN_S = 30.0
+ENDS_WITHIN_S = 10.0
+LOOK_EVERY_S = 0.05
+# As long as a display may be held up and still be there.
+SILENT_AFTER_S = 5.0
+
+
+class RecorderProcess:
+    """The outcome of a recording: whole, unless the recorder named what is missing."""
+
+    whole = True
+
+
+@contextmanager
+def start_recorder(
+    node: DisplayNode, path: Path | None, key: Path | None, quiet: bool
+) -> Iterator[RecorderProcess]:
+    """Record a display's telemetry to `path` (None: not at all) within a `with`.
+
+    The recorder listens when the `with` begins, so that its first tick is recorded; the outcome
+    is known when the `with` has ended. A display that fails before its first tick leaves no file.
+
+    key: opens the telemetry, where it is protected.
+
+    Raises SystemExit with the recorder's status where that cannot begin, and OutputError where it
+    does not start.
+    """
+    recording = RecorderProcess()
+    if path is None:
+        yield recording
+        return
+    process = _start(node, path, key, quiet)
+    try:
+        yield recording
+    except BaseException:
+        process.terminate()
+        _end(process, path)
+        raise
+    recording.whole = _end(process, path)
+
+
+def _start(
+    node: DisplayNode, path: Path, key: Path | None, quiet: bool
+) -> "subprocess.Popen[bytes]":
+    """Start the recorder and wait until it listens."""
+    # By its name: what runs both nodes stands above them.
+    process = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "telepulse", "record"),
+            *(node.telemetry_address, str(path), "--until-silent", str(SILENT_AFTER_S)),
+            *("--display-pid", str(os.getpid())),
+            *(("--key", str(key)) if key else ("--insecure",)),
+            *(("--quiet",) if quiet else ()),
+        ],
+        # Ctrl-C is the display's: its last word ends the recorder.
+        start_new_session=True,
+    )
+    until_s = time.monotonic() + STARTS_WITHIN_S
+    while not node.await_recorder(LOOK_EVERY_S):
+        if process.poll() is not None:
+            raise SystemExit(process.returncode or USAGE_ERROR)
+        if time.monotonic() > until_s:
+            process.kill()
+            process.wait()
+            raise OutputError(f"{path}: the recorder does not start")
+    return process
+
+
+def _end(process: "subprocess.Popen[bytes]", path: Path) -> bool:
+    """Wait for the recorder to end. Return whether it recorded all, which it has named itself."""
+    try:
+        return process.wait(ENDS_WITHIN_S) == 0
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+        print(f"{path}: the recorder did not end", file=sys.stderr)
+        return False

@@ -1,0 +1,310 @@
+"""The live state in a terminal, drawn from the telemetry by a process of its own.
+
+`python -m display_node.telemetry.terminal ADDRESS [KEY]` shows a display's telemetry: a panel in a
+terminal, a line a second elsewhere. It ends with the display, or with the process that started it.
+KEY is the display's own secret key file, where its telemetry is protected.
+"""
+
+import math
+import os
+import signal
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import zmq
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from display_node.scoring.heart_rate import heart_rate_per_min
+from display_node.telemetry.alerts import Alert, alerts
+from display_node.telemetry.braille_plot import braille_plot, limits
+from display_node.telemetry.messages import (
+    STATUS,
+    TRACE,
+    Status,
+    TelemetryAge,
+    Trace,
+    read_status,
+    read_trace,
+)
+from protocol import sockets
+from protocol.availability import interruptions_text
+from protocol.errors import WireError
+from protocol.histogram import bound
+from protocol.host.standard_output import unblocked_output
+from protocol.limits import limit_texts
+from protocol.security.keys import ClientKeys, read_pair
+
+FRAMES_PER_S = 8
+LINE_EVERY_S = 1.0
+# Of the ticks: one each 10 ms, for 6 s.
+KEEP_NS, APART_NS = 6_000_000_000, 10_000_000
+PLOT_S = 3.0
+RUN = "of the run so far"
+# Statuses come five times a second; an older one is not shown as current.
+CURRENT_NS = 1_000_000_000
+
+
+class TerminalTick(NamedTuple):
+    """A tick that is kept; felt_n is NaN where it is unknown."""
+
+    now_ns: int
+    target_n: float
+    felt_n: float
+    scored: bool
+
+
+class TerminalView:
+    """The state of a display, and how it looks.
+
+    local: the display's address is on this machine.
+    """
+
+    def __init__(self, local: bool = False) -> None:
+        self._ticks: deque[TerminalTick] = deque(maxlen=KEEP_NS // APART_NS + 1)
+        self._age = TelemetryAge(local)
+        self.status: Status | None = None
+        # Messages that could not be read.
+        self.unreadable = 0
+
+    def take(self, message: Sequence[bytes], now_ns: int = 0) -> Trace | None:
+        """Take a telemetry message, of its topic and its data, that came at `now_ns` of this
+        process's clock; return the trace where it is one."""
+        try:
+            match message:
+                case [topic, data] if topic == TRACE:
+                    trace = read_trace(data)
+                    self.add_trace(trace)
+                    if len(trace.now_ns):
+                        self._age.take_trace(int(trace.now_ns[-1]), now_ns)
+                    return trace
+                case [topic, data] if topic == STATUS:
+                    self.status = read_status(data)
+                    self._age.take_status(now_ns)
+                case _:
+                    self.unreadable += 1
+        except WireError:
+            self.unreadable += 1
+        return None
+
+    def add_trace(self, trace: Trace) -> None:
+        """Take ticks; of each 10 ms one is kept, for 6 s. A clock that falls begins afresh."""
+        columns = (trace.now_ns, trace.target_n, trace.felt_n, trace.scored)
+        for tick in map(
+            TerminalTick._make, zip(*(column.tolist() for column in columns), strict=True)
+        ):
+            if self._ticks and tick.now_ns < self._ticks[-1].now_ns:
+                self._ticks.clear()
+            if not self._ticks or tick.now_ns - self._ticks[-1].now_ns >= APART_NS:
+                self._ticks.append(tick)
+        while self._ticks and self._ticks[0].now_ns < self._ticks[-1].now_ns - KEEP_NS:
+            self._ticks.popleft()
+
+    @property
+    def heart_rate_per_min(self) -> float | None:
+        """Heart rate of the pulse that is felt; None while none is felt at full strength."""
+        t_s = np.array([tick.now_ns * 1e-9 for tick in self._ticks])
+        felt_n = [tick.felt_n if tick.scored else math.nan for tick in self._ticks]
+        return heart_rate_per_min(t_s, np.array(felt_n))
+
+    def line(self, now_ns: int = 0) -> str:
+        """Return the state at `now_ns` in one line."""
+        if self.status is None:
+            return "waiting for the display"
+        now, run = (
+            ", ".join(f"{name} {value}" for name, value in rows)
+            for rows in (self._now_rows(now_ns), self._run_rows())
+        )
+        # The state stands before them.
+        said = f"{self.status.state}: "
+        wrong = "".join(
+            f"{name}: {text}; ".removeprefix(said) for name, text in self._alerts(now_ns)
+        )
+        return f"{self._state(now_ns)}: {wrong}{now}; {RUN}: {run}"
+
+    def panel(self, now_ns: int = 0) -> RenderableType:
+        """Return the state at `now_ns` as a panel, grey where it is not current."""
+        if self.status is None:
+            return Panel("waiting for the display", title="telepulse")
+        current = self._age_ns(now_ns) < CURRENT_NS
+        value_style = "bold" if current else "dim"
+        tables = []
+        for rows in (self._now_rows(now_ns), self._run_rows()):
+            table = Table(show_header=False, box=None, pad_edge=False)
+            half = (len(rows) + 1) // 2
+            for left, right in zip(rows[:half], [*rows[half:], ("", "")], strict=False):
+                texts = [(left[0], ""), (left[1], value_style), ("  ", "")]
+                texts += [(right[0], ""), (right[1], value_style)]
+                table.add_row(*(Text(text, style) for text, style in texts))
+            tables.append(table)
+        stream = _printable(self.status.stream)
+        title = Text(f"telepulse · {stream or 'no stream'} · {self._state(now_ns)}")
+        wrong = [Text(f"{name}: {text}", "bold red") for name, text in self._alerts(now_ns)]
+        parts = (*wrong, tables[0], Text(), *self._plot(current), Text(), Text(RUN, "dim"))
+        whole = Group(*parts, tables[1])
+        return Panel(whole, title=title, expand=False, style="" if current else "dim")
+
+    def _alerts(self, now_ns: int) -> list[Alert]:
+        assert self.status is not None
+        status = self.status
+        found = alerts(status.state, status.summary, status.final, self._age_ns(now_ns))
+        return [Alert(_printable(name), _printable(text)) for name, text in found]
+
+    def _age_ns(self, now_ns: int) -> int:
+        """Return the age of the status of a display that has not ended."""
+        ended = self.status is not None and self.status.final
+        return 0 if ended else self._age.age_ns(now_ns) or 0
+
+    def _state(self, now_ns: int) -> str:
+        """Return the display's state, with its age where it is not current."""
+        assert self.status is not None
+        age_ns, state = self._age_ns(now_ns), self.status.state
+        return state if age_ns < CURRENT_NS else f"{state} {age_ns * 1e-9:.1f} s ago"
+
+    def _now_rows(self, now_ns: int) -> list[tuple[str, str]]:
+        """Return what holds at this moment; a heart rate only of a pulse that is felt now."""
+        current = self._age_ns(now_ns) < CURRENT_NS
+        rate = self.heart_rate_per_min if current else None
+        last = self._ticks[-1] if self._ticks else None
+        finger = None if self.status is None else self.status.summary.get("finger")
+        return [
+            ("heart rate", _show(rate, "/min", 0)),
+            ("force target", _show(None if last is None else last.target_n, "mN", 1, 1e3)),
+            ("force felt", _show(None if last is None else last.felt_n, "mN", 1, 1e3)),
+            *([("finger", _printable(finger))] if finger and current else []),
+        ]
+
+    def _run_rows(self) -> list[tuple[str, str]]:
+        """Return the figures of the whole run so far."""
+        assert self.status is not None
+        s = self.status.summary
+        return [
+            ("strain RMSE", _exponent(s["strain_rmse"]["aligned"])),
+            ("force RMSE", _show(s["force_rmse_n"]["aligned"], "mN", 3, 1e3)),
+            ("one-way delay p50", _quantile(s["one_way_delay_ms"], "p50", "ms")),
+            ("one-way delay p99", _quantile(s["one_way_delay_ms"], "p99", "ms")),
+            ("playout delay", _show(s["playout_delay_ms"]["mean"], "ms")),
+            ("felt", _show(s["availability"]["felt"], "% of the time", 1, 100)),
+            ("stale", _show(s["availability"]["stale"], "% of the time", 1, 100)),
+            ("interrupted", interruptions_text(s["interruptions"]) or "–"),
+            ("predicted", _show(s["compensation"]["predicted"], "% of the time played", 1, 100)),
+            ("energy above 25 Hz", _show(s["roughness"]["energy_ratio"], "of the sensed", 2)),
+            ("samples late", _count(s["samples"]["late"])),
+            ("samples lost", _count(s["samples"]["lost"])),
+            ("samples played", _count(s["samples"]["played"])),
+            ("deadline misses", _count(s["loop"]["deadline_misses"])),
+            *([("limited", limited[0])] if (limited := limit_texts(s["limited"])) else []),
+            *([("telemetry not readable", str(self.unreadable))] if self.unreadable else []),
+        ]
+
+    def _plot(self, current: bool) -> list[RenderableType]:
+        ticks = list(self._ticks)[-(round(PLOT_S * 1e9) // APART_NS) :]
+        felt_n, target_n = [tick.felt_n for tick in ticks], [tick.target_n for tick in ticks]
+        ends = limits(felt_n, target_n)
+        if len(ticks) < 2 or ends is None:
+            return [Text("no pulse yet", "dim")]
+        low, high = ends
+        return [
+            Text("felt (line) over target (dots), last 3 s", "dim"),
+            *braille_plot(felt_n, target_n, low, high, "cyan" if current else "dim"),
+            Text(f"{low * 1e3:.0f} to {high * 1e3:.0f} mN", "dim"),
+        ]
+
+
+def _show(value: float | None, unit: str, digits: int = 1, scale: float = 1.0) -> str:
+    if value is None:
+        return "–"
+    return "unknown" if math.isnan(value) else f"{value * scale:.{digits}f} {unit}"
+
+
+def _quantile(table: Mapping[str, Any], key: str, unit: str) -> str:
+    return f"{bound(key, table['beyond'])}{_show(table[key], unit)}"
+
+
+def _printable(text: str) -> str:
+    """Return text from a status, which cannot draw on the screen."""
+    return "".join(character if character.isprintable() else "?" for character in text)
+
+
+def _count(value: Any) -> str:
+    return "–" if value is None else str(value)
+
+
+def _exponent(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2e}"
+
+
+def watch(
+    address: str,
+    console: Console,
+    on_trace: Callable[[Trace], None] | None = None,
+    draw: bool = True,
+    meanwhile: Callable[[], bool] = lambda: True,
+    keys: ClientKeys | None = None,
+) -> Status | None:
+    """Follow a display's telemetry until it ends; its last status, None if it never spoke.
+
+    on_trace gets every trace as well; draw: show the state; meanwhile: called several times a
+    second, ends the watch by returning False, as does nothing else while a display is silent;
+    keys: where the telemetry is protected. What cannot be read is counted and shown.
+    """
+    if draw:
+        # Loads scipy, for 1 s or more: within a line it would grow old, once connected the
+        # telemetry would queue.
+        heart_rate_per_min(np.empty(0), np.empty(0))
+    screen = TerminalView(local=not sockets.beyond_loopback(address))
+    context: sockets.Context = zmq.Context()
+    socket = sockets.connect(context, zmq.SUB, address, keys)
+    for wanted in (TRACE, STATUS):
+        socket.subscribe(wanted)
+    live = None
+    if draw and console.is_terminal:
+        live = Live(screen.panel(), console=console, refresh_per_second=FRAMES_PER_S)
+        live.start()
+    line_s = time.monotonic()
+    try:
+        while meanwhile():
+            sockets.wait_readable([socket], 1_000_000_000 // FRAMES_PER_S)
+            messages = list(sockets.receive_all(socket))
+            for message in messages:
+                trace = screen.take(message, time.monotonic_ns())
+                if trace is not None and on_trace is not None:
+                    on_trace(trace)
+                if screen.status is not None and screen.status.final:
+                    if draw and live is None:
+                        # However it ended, the last line shows it.
+                        console.print(screen.line(time.monotonic_ns()), soft_wrap=True)
+                    return screen.status
+            if len(messages) == sockets.MAX_MESSAGES:
+                continue  # more has queued, and only the newest is shown
+            if live is not None:
+                live.update(screen.panel(time.monotonic_ns()))
+            elif draw and time.monotonic() - line_s >= LINE_EVERY_S:
+                line_s = time.monotonic()
+                console.print(screen.line(time.monotonic_ns()), soft_wrap=True)
+        return screen.status
+    finally:
+        if live is not None:
+            live.update(screen.panel(time.monotonic_ns()))
+            live.stop()
+        context.destroy(linger=0)
+
+
+if __name__ == "__main__":
+    # The display ends on Ctrl-C and says so by its last status; then this ends too.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    address, *key = sys.argv[1:]
+    pairs = [read_pair(Path(path)) for path in key]
+    own = ClientKeys(pairs[0], pairs[0].public) if pairs else None
+    parent = os.getppid()
+    console = Console(markup=False, emoji=False)
+    with unblocked_output():
+        watch(address, console, meanwhile=lambda: os.getppid() == parent, keys=own)

@@ -1,0 +1,1 @@
+"""Clocks of two machines: exchanges, offset, skew, and the clocks of devices."""

@@ -1,0 +1,1 @@
+"""Configuration: the scene file, and quantities with units."""

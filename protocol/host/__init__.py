@@ -1,0 +1,1 @@
+"""Services of the host: real-time measures, processes beside a node, signals, output."""

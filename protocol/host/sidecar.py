@@ -1,0 +1,160 @@
+"""A process beside a node, for what would hold up its loop: it is ready before the node moves, is
+told what it needs, and ends with the node however that ends.
+
+The two talk in lines of JSON: it says once that it is ready, or why it cannot; its standard input
+ends with the node, kill -9 included.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import IO, Any
+
+from protocol.errors import SidecarError, TelepulseError
+
+STARTS_WITHIN_S = 30.0
+ENDS_WITHIN_S = 5.0
+# The loop comes first.
+NICENESS = 10
+
+
+class Sidecar:
+    """A process that runs beside the node. said: what it told when it was ready."""
+
+    def __init__(
+        self,
+        what: str,
+        module: str,
+        *arguments: str,
+        log: Callable[[str], None],
+        warn: Callable[[str], None],
+    ) -> None:
+        """what: its name for people. log is told what it says later, warn when it ends before the
+        node does.
+
+        Returns once it is ready. Raises BesideError with its reason where it cannot begin.
+        """
+        self._what, self._log, self._warn = what, log, warn
+        self._ending = False
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", module, *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            encoding="utf-8",
+            # Ctrl-C is the node's, which ends this one.
+            start_new_session=True,
+        )
+        try:
+            self.said = self._hear()
+        except BaseException:
+            self._close()
+            raise
+        # It waits in the kernel, and wakes when something is said.
+        self._watcher = threading.Thread(target=self._watch, daemon=True)
+        self._watcher.start()
+
+    def tell(self, **words: Any) -> None:
+        """Tell it something; where it has ended meanwhile, that is said already."""
+        with suppress(OSError):
+            stdin = _there(self._process.stdin)
+            stdin.write(json.dumps(words) + "\n")
+            stdin.flush()
+
+    def end(self) -> None:
+        """End it, and wait until it has."""
+        self._ending = True
+        with suppress(OSError):
+            _there(self._process.stdin).close()
+        self._watcher.join(ENDS_WITHIN_S)
+        self._close()
+
+    def _hear(self) -> str:
+        late = threading.Timer(STARTS_WITHIN_S, self._process.kill)
+        late.start()
+        line = _there(self._process.stdout).readline()
+        late.cancel()
+        try:
+            words = json.loads(line)
+        except ValueError:
+            raise SidecarError(f"{self._what} cannot be started") from None
+        if "ready" not in words:
+            raise SidecarError(words["error"])
+        return str(words["ready"])
+
+    def _watch(self) -> None:
+        for line in _there(self._process.stdout):
+            self._log(_said(line))
+        status = self._process.wait()
+        if not self._ending:
+            self._warn(f"{self._what} has ended with status {status}; the node goes on without")
+
+    def _close(self) -> None:
+        self._process.kill()
+        self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout):
+            with suppress(OSError):
+                _there(pipe).close()
+
+
+@contextmanager
+def start_sidecar(
+    program: str, what: str, module: str, *arguments: str, log: Callable[[str], None]
+) -> Iterator[Sidecar]:
+    """A companion of the node `program` within a `with`; log is told what it says. Raises
+    BesideError."""
+
+    def warn(text: str) -> None:
+        print(f"{program}: {text}", file=sys.stderr)
+
+    companion = Sidecar(what, module, *arguments, log=log, warn=warn)
+    try:
+        yield companion
+    finally:
+        companion.end()
+
+
+@contextmanager
+def run_as_sidecar() -> Iterator[Callable[[str], None]]:
+    """Yield a callback that reports readiness; a TelepulseError is reported and ends the process.
+    Called by the process itself.
+
+    It gives way to the node's loop.
+    """
+    if hasattr(os, "nice"):
+        os.nice(NICENESS)
+    try:
+        yield lambda text: print(json.dumps({"ready": text}), flush=True)
+    except TelepulseError as error:
+        print(json.dumps({"error": str(error)}), flush=True)
+        raise SystemExit(1) from None
+
+
+def say(text: str) -> None:
+    """Have the node print something for people. Called by the process itself."""
+    with suppress(OSError):  # the node may have gone
+        print(json.dumps({"says": text}), flush=True)
+
+
+def receive() -> dict[str, Any] | None:
+    """Return the node's next message; None when the node has ended. Called by the process
+    itself."""
+    line = sys.stdin.readline()
+    words: dict[str, Any] | None = json.loads(line) if line.endswith("\n") else None
+    return words
+
+
+def _said(line: str) -> str:
+    """Return what a sidecar's line is to say; one that a library of it printed is said as it is."""
+    try:
+        return str(json.loads(line)["says"])
+    except (ValueError, TypeError, KeyError):
+        return line.rstrip()
+
+
+def _there(pipe: IO[str] | None) -> IO[str]:
+    assert pipe is not None
+    return pipe

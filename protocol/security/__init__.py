@@ -1,0 +1,1 @@
+"""Protection of links: keys, authentication, connection and subscription budgets."""

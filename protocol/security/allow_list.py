@@ -1,0 +1,194 @@
+"""The allow-list: the public keys that a node lets in, a line each, as they stand in .pub files."""
+
+import os
+import stat
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from protocol.errors import KeyFileError
+from protocol.security.keys import READ_BY_ALL, PublicKey, create, parse_public, read_text
+
+MAX_ALLOWED = 10_000
+_MAX_BYTES = 200 * MAX_ALLOWED
+LOOK_EVERY_NS = 1_000_000_000
+# A list that cannot be read may be one that revokes a key.
+UNREADABLE_AT_MOST_NS = 10_000_000_000
+
+
+class AllowList:
+    """The allow-list of a running node: read again after each change, until that succeeds.
+
+    While a changed list cannot be read, nobody new is let in; after 10 s of that nobody stays.
+    Time comes in. The caller cuts the connections of the keys that `tend` returns.
+
+    Parameters
+    ----------
+    path
+        The list's file.
+    log
+        Receives a line for each change that concerns a peer, and for a list that cannot be read.
+
+    Raises
+    ------
+    KeyFileError
+        When the list cannot be used now.
+    """
+
+    def __init__(self, path: Path, log: Callable[[str], None]) -> None:
+        self._path, self._log = path, log
+        self._stamp = _stamp(path)
+        self._allowed = self._read()
+        self._once_allowed = set(self._allowed)
+        self._look_ns = 0
+        self._unreadable_since_ns: int | None = None
+        self._reason = ""
+
+    @property
+    def allowed(self) -> Mapping[bytes, PublicKey]:
+        """The keys that may stay, with their names."""
+        return self._allowed
+
+    @property
+    def readable(self) -> bool:
+        """True while the list on the disk is the one that was read."""
+        return self._unreadable_since_ns is None
+
+    def once_allowed(self, key: bytes) -> bool:
+        """Return whether the key was on the list at some time of this run."""
+        return key in self._once_allowed
+
+    def tend(self, now_ns: int) -> list[bytes]:
+        """Read the list when it has changed; return the keys that may stay no longer.
+
+        Call it often: it looks at the file once a second.
+        """
+        if now_ns < self._look_ns:
+            return []
+        self._look_ns = now_ns + LOOK_EVERY_NS
+        stamp = _stamp(self._path)
+        if self.readable and stamp == self._stamp:
+            return []
+        try:
+            allowed = self._read()
+        except KeyFileError as error:
+            return self._fail(str(error), now_ns)
+        # Of before the reading: a list that was written meanwhile is read again.
+        self._stamp = stamp
+        if not self.readable:
+            self._unreadable_since_ns, self._reason = None, ""
+            self._log(f"{self._path} is read again")
+        return self._replace(allowed)
+
+    def _fail(self, reason: str, now_ns: int) -> list[bytes]:
+        limit_s = UNREADABLE_AT_MOST_NS // 1_000_000_000
+        if self._unreadable_since_ns is None:
+            self._unreadable_since_ns = now_ns
+        if reason != self._reason:
+            self._reason = reason
+            self._log(
+                f"{reason}; until it can be read nobody new is let in, and after {limit_s} s"
+                " nobody stays"
+            )
+        if now_ns - self._unreadable_since_ns < UNREADABLE_AT_MOST_NS or not self._allowed:
+            return []
+        self._log(f"{self._path} could not be read for {limit_s} s: nobody stays")
+        gone, self._allowed = list(self._allowed), {}
+        return gone
+
+    def _replace(self, allowed: dict[bytes, PublicKey]) -> list[bytes]:
+        gone = [key for key in self._allowed if key not in allowed]
+        for key in gone:
+            self._log(f"{self._allowed[key].name} is allowed no more")
+        self._allowed = allowed
+        self._once_allowed |= allowed.keys()
+        return gone
+
+    def _read(self) -> dict[bytes, PublicKey]:
+        allowed = read_allowed(self._path)
+        if not allowed:
+            self._log(f"{self._path} allows nobody; telepulse keys allow FILE.pub lets in")
+        return allowed
+
+
+def read_allowed(path: Path) -> dict[bytes, PublicKey]:
+    """Read the allowed keys and their names; none where there is no file. Raises KeyFileError.
+
+    Empty lines and lines that begin with # say nothing.
+    """
+    return {public.key: public for _, public in _read(path) if public is not None}
+
+
+def allow(path: Path, public: PublicKey) -> None:
+    """Add a key. Raises KeyFileError, also where its name or itself is there already."""
+    lines = _read(path)
+    for known in (known for _, known in lines if known is not None):
+        if known == public:
+            raise KeyFileError(f"{public.name} is allowed already in {path}")
+        if known.name == public.name:
+            raise KeyFileError(
+                f"{path} allows another key of the name {public.name}; take that out first:"
+                f" telepulse keys revoke {public.name}"
+            )
+        if known.key == public.key:
+            raise KeyFileError(f"{path} allows this key already, by the name {known.name}")
+    _replace(path, [*(line for line, _ in lines), public.line])
+
+
+def revoke(path: Path, name: str) -> None:
+    """Take out the key of a name. Raises KeyFileError where there is none."""
+    lines = _read(path)
+    kept = [line for line, known in lines if known is None or known.name != name]
+    if len(kept) == len(lines):
+        names = ", ".join(sorted(known.name for _, known in lines if known)) or "nobody"
+        raise KeyFileError(f"{path} does not allow {name}; it allows {names}")
+    _replace(path, kept)
+
+
+def _read(path: Path) -> list[tuple[str, PublicKey | None]]:
+    try:
+        if not path.exists():
+            return []
+    except OSError as error:
+        raise KeyFileError(f"{path}: cannot read: {error.strerror}") from None
+    text, mode = read_text(path, _MAX_BYTES)
+    if os.name == "posix" and mode & (stat.S_IWGRP | stat.S_IWOTH):
+        raise KeyFileError(f"{path}: others may write this allow-list; run: chmod go-w {path}")
+    lines: list[tuple[str, PublicKey | None]] = []
+    keys: set[bytes] = set()
+    for number, line in enumerate(text.splitlines(), 1):
+        public = None
+        if line.strip() and not line.lstrip().startswith("#"):
+            try:
+                public = parse_public(line)
+            except ValueError as error:
+                raise KeyFileError(f"{path}, line {number}: {error}") from None
+            if public.key in keys:
+                # Else revoking one of its names would leave the key allowed.
+                raise KeyFileError(f"{path}, line {number}: this key stands there already")
+            keys.add(public.key)
+        lines.append((line, public))
+    return lines
+
+
+def _replace(path: Path, lines: list[str]) -> None:
+    """Write the list anew: a node that reads it meets the old one or the new one, whole."""
+    new = path.with_name(path.name + ".new")
+    if new.exists():
+        raise KeyFileError(
+            f"{new} is there: another command changes the list; if none does, remove it"
+        )
+    create(new, "".join(line + "\n" for line in lines), READ_BY_ALL)
+    try:
+        os.replace(new, path)
+    except OSError as error:
+        new.unlink()
+        raise KeyFileError(f"{path}: cannot write: {error.strerror}") from None
+
+
+def _stamp(path: Path) -> tuple[int, int, int, int] | None:
+    """Return what changes when the file or its mode does; None where it cannot be looked at."""
+    try:
+        status = os.stat(path)
+    except OSError:
+        return None
+    return status.st_mtime_ns, status.st_ctime_ns, status.st_size, status.st_ino

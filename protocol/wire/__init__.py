@@ -1,0 +1,1 @@
+"""Formats that cross a socket: messages, stream description, status."""

@@ -1,0 +1,225 @@
+"""Wire messages: encode, decode, validate.
+
+Data goes from the sensing node to its displays as frames, one msgpack array each:
+
+    [version, session, first_sample, t_first_ns, period_ns, channels, bytes_per_sample, payload]
+
+`payload` holds consecutive samples as little-endian floats, sample by sample. `first_sample` is
+the sequence number: how many samples of the session came before this frame, so that a display
+counts what is missing in samples. Times are the sensing node's clock.
+
+Control goes both ways as msgpack arrays [version, kind, ...]. Whatever a peer sends, decoding
+returns a valid message or raises WireError with the cause it is counted under.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import msgpack
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.errors import WireError
+from protocol.wire.stream import MAX_NAME, StreamDescription, description_from_wire
+
+VERSION = 1
+MAX_FRAME_BYTES = 65_536
+MAX_CONTROL_BYTES = 65_536
+MAX_CHANNELS = 64
+MAX_PERIOD_NS = 10_000_000_000
+# Sample counts are whole in a float as well, and never wrap: 285 years at 1 MHz. Times leave room
+# to add and to extrapolate within 64 bits: clocks within 146 years of their zero.
+TIME_RANGE = range(-(1 << 62), 1 << 62)
+COUNT_RANGE = range(1 << 53)
+_SESSION, _COUNT, _TIME = range(1 << 63), COUNT_RANGE, TIME_RANGE
+# No force of a pulse is beyond this, in whatever unit it was meant; figures made of it stay finite.
+LARGEST_N = 1e6
+_FORMATS: dict[int, np.dtype[Any]] = {4: np.dtype("<f4"), 8: np.dtype("<f8")}
+
+_pack: Callable[[object], bytes] = msgpack.Packer(use_bin_type=True).pack
+
+
+class Frame(NamedTuple):
+    """A batch of consecutive samples; `values` has shape (samples, channels)."""
+
+    session: int
+    first_sample: int
+    t_first_ns: int
+    period_ns: int
+    values: NDArray[Any]
+
+
+def encode_frame(frame: Frame) -> bytes:
+    """The frame's bytes. `values` must be float32 or float64 of shape (samples, channels)."""
+    session, first_sample, t_first_ns, period_ns, values = frame
+    width = values.itemsize
+    if values.dtype is not _FORMATS[width]:
+        values = values.astype(_FORMATS[width])
+    channels, payload = values.shape[1], values.tobytes()
+    return _pack((VERSION, session, first_sample, t_first_ns, period_ns, channels, width, payload))
+
+
+def decode_frame(data: bytes) -> Frame:
+    """The frame in `data`. Raises WireError; its causes are in docs/wire.md."""
+    fields = _unpack(data, MAX_FRAME_BYTES)
+    if len(fields) != 8:
+        raise WireError("malformed", f"a frame has 8 fields, this one {len(fields)}")
+    _, session, first_sample, t_first_ns, period_ns, channels, width, payload = fields
+    if not (
+        type(session) is type(first_sample) is type(t_first_ns) is type(period_ns) is int
+        and type(channels) is type(width) is int
+        and type(payload) is bytes
+    ):
+        raise WireError("malformed", "a frame's field has the wrong type")
+    if not (
+        session in _SESSION
+        and first_sample in _COUNT
+        and t_first_ns in _TIME
+        and 0 < period_ns <= MAX_PERIOD_NS
+        and 0 < channels <= MAX_CHANNELS
+        and width in _FORMATS
+    ):
+        raise WireError("malformed", "a frame's field is out of range")
+    if not payload or len(payload) % (channels * width):
+        raise WireError("malformed", f"{len(payload)} bytes are not whole samples")
+    values = np.frombuffer(payload, _FORMATS[width])
+    numbers = values.tolist()
+    # A NaN hides from `max`, never from the sum.
+    if not math.isfinite(sum(numbers)) or max(numbers) > LARGEST_N or min(numbers) < -LARGEST_N:
+        raise WireError("not_finite", f"a sample is NaN, infinite or beyond {LARGEST_N:.0e} N")
+    return Frame(session, first_sample, t_first_ns, period_ns, values.reshape(-1, channels))
+
+
+@dataclass(frozen=True, slots=True)
+class Hello:
+    """A display asks for the stream's description."""
+
+    display: str
+
+
+@dataclass(frozen=True, slots=True)
+class Welcome:
+    """The sensing node's answer: its session, how many samples it has sent, the stream."""
+
+    session: int
+    samples_sent: int
+    description: StreamDescription
+
+
+@dataclass(frozen=True, slots=True)
+class Bye:
+    """The session is over after `samples_sent` samples."""
+
+    session: int
+    samples_sent: int
+
+
+@dataclass(frozen=True, slots=True)
+class ClockRequest:
+    """A display asks for the sensing clock at its own time t1."""
+
+    t1_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class ClockReply:
+    """The sensing clock when the request came (t2) and when this reply left (t3)."""
+
+    session: int
+    t1_ns: int
+    t2_ns: int
+    t3_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class DisplayReport:
+    """A display tells the sensing node how the stream arrives; NaN where it cannot know."""
+
+    session: int
+    display: str
+    played: int
+    late: int
+    lost: int
+    one_way_delay_p50_ms: float
+    one_way_delay_p99_ms: float
+    playout_delay_ms: float
+    force_rmse_n: float
+
+
+Control = Hello | Welcome | Bye | ClockRequest | ClockReply | DisplayReport
+
+# Each kind with what its fields hold: a type, or the range of an int; float admits int and NaN.
+_KINDS: dict[str, tuple[type[Control], tuple[type | range, ...]]] = {
+    "hello": (Hello, (str,)),
+    "welcome": (Welcome, (_SESSION, _COUNT, dict)),
+    "bye": (Bye, (_SESSION, _COUNT)),
+    "clock?": (ClockRequest, (_TIME,)),
+    "clock": (ClockReply, (_SESSION, _TIME, _TIME, _TIME)),
+    "report": (DisplayReport, (_SESSION, str, _COUNT, _COUNT, _COUNT, float, float, float, float)),
+}
+_NAMES = {kind: name for name, (kind, _) in _KINDS.items()}
+
+
+def encode_control(message: Control) -> bytes:
+    """The control message's bytes."""
+    name = _NAMES[type(message)]
+    fields = [getattr(message, field) for field in message.__slots__]
+    if isinstance(message, Welcome):
+        fields[-1] = message.description.to_wire()
+    return _pack([VERSION, name, *fields])
+
+
+def decode_control(data: bytes) -> Control:
+    """The control message in `data`. Raises WireError."""
+    fields = _unpack(data, MAX_CONTROL_BYTES)
+    name = fields[1] if len(fields) > 1 else None
+    if not isinstance(name, str) or name not in _KINDS:
+        raise WireError("malformed", f"unknown kind of control message {_shown(name)}")
+    kind, types = _KINDS[name]
+    values = fields[2:]
+    if len(values) != len(types):
+        raise WireError("malformed", f"{name} has {len(types)} fields, this one {len(values)}")
+    for position, (value, expected) in enumerate(zip(values, types, strict=True)):
+        if not _fits(value, expected):
+            raise WireError("malformed", f"{name}: field {position} does not fit")
+    if kind is Welcome:
+        values[-1] = description_from_wire(values[-1])
+    return kind(*values)
+
+
+def _fits(value: object, expected: type | range) -> bool:
+    if isinstance(expected, range):
+        return type(value) is int and value in expected
+    if expected is float:
+        return type(value) in (float, int)
+    if expected is str:
+        # Names are printed on terminals.
+        return isinstance(value, str) and len(value) <= MAX_NAME and value.isprintable()
+    return type(value) is expected
+
+
+def _unpack(data: bytes, limit: int) -> list[Any]:
+    """The array in `data`, whose first field is our version. Raises WireError."""
+    if len(data) > limit:
+        raise WireError("oversized", f"{len(data)} bytes, at most {limit} are taken")
+    try:
+        # Room for a container is made before its content is seen: without the limits a message
+        # of nested, empty promises would take hundreds of megabytes.
+        fields = msgpack.unpackb(
+            data, raw=False, max_array_len=MAX_CHANNELS, max_map_len=MAX_CHANNELS
+        )
+    except (ValueError, msgpack.UnpackException) as error:
+        cause = "truncated" if "incomplete" in str(error) else "not_msgpack"
+        raise WireError(cause, f"not a msgpack message: {error!r:.80}") from None
+    if type(fields) is not list or not fields:
+        raise WireError("malformed", "a message is a msgpack array")
+    if type(fields[0]) is not int or fields[0] != VERSION:
+        raise WireError("version", f"protocol version {VERSION} is spoken, got {_shown(fields[0])}")
+    return fields
+
+
+def _shown(field: object) -> str:
+    """A field in an error; of a container its type, as nesting may be too deep to be shown."""
+    return f"{field!r:.40}" if isinstance(field, int | str) else type(field).__name__

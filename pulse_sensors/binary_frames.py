@@ -1,0 +1,135 @@
+"""The compact framing of a sensor board: COBS, a sample counter, the device's time, a CRC.
+
+A frame between two zero bytes is, before COBS and in little-endian order:
+
+    format 1 byte | counter 4 | time 4 | samples | CRC 2
+
+format: 0x11 int16, 0x12 int32, 0x13 float32. counter: number of the first sample. time: the
+device's micros() at the last sample. CRC: CRC-16/CCITT-FALSE of all before it. Both numbers
+begin again at 0 after 2^32. At most `MAX_SAMPLES` samples a frame.
+"""
+
+import binascii
+import struct
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+
+from protocol.errors import WireError
+from pulse_sensors.device_counters import DeviceTime, SampleCounter
+from pulse_sensors.extra import library
+from pulse_sensors.packet import LARGEST, Packet
+
+SampleFormat = Literal["int16", "int32", "float32"]
+
+MAX_SAMPLES = 64
+_CODES: dict[SampleFormat, int] = {"int16": 0x11, "int32": 0x12, "float32": 0x13}
+_DTYPES: dict[int, np.dtype[Any]] = {
+    0x11: np.dtype("<i2"),
+    0x12: np.dtype("<i4"),
+    0x13: np.dtype("<f4"),
+}
+_HEAD = struct.Struct("<BII")
+_CRC_BYTES = 2
+# COBS adds one byte in 254, and one.
+MAX_ENCODED_BYTES = (_HEAD.size + 4 * MAX_SAMPLES + _CRC_BYTES) * 255 // 254 + 1
+
+
+class FrameEncoder:
+    """Numbers a board's samples and makes frames of them."""
+
+    def __init__(self, sample_format: SampleFormat) -> None:
+        """Raises SourceError without the cobs package."""
+        self._cobs = library("cobs.cobs", 'framing = "binary"')
+        self._code = _CODES[sample_format]
+        self._counter = 0
+
+    def frame(self, values: Sequence[float], last_us: int) -> bytes:
+        """A frame of 1 to 64 samples, the last taken at `last_us`; integers are cut to range."""
+        dtype = _DTYPES[self._code]
+        samples = np.asarray(values, dtype=np.float64)
+        if dtype.kind == "i":
+            limits = np.iinfo(dtype)
+            samples = np.clip(np.rint(samples), limits.min, limits.max)
+        head = _HEAD.pack(self._code, self._counter, last_us & 0xFFFF_FFFF)
+        self._counter = self._counter + len(samples) & 0xFFFF_FFFF
+        body = head + samples.astype(dtype).tobytes()
+        encoded: bytes = self._cobs.encode(body + struct.pack("<H", crc(body)))
+        return encoded + b"\0"
+
+
+class FrameDecoder:
+    """Makes packets of a board's bytes, however they are cut; what is not valid is counted.
+
+    Noise costs the frame that it touches; if it hides the zero byte between two, the next one
+    too. What came before the first zero byte may be the rest of a frame that we did not hear.
+    """
+
+    def __init__(self, period_ns: int) -> None:
+        """period_ns: the samples' own, nominally. Raises SourceError without the cobs package."""
+        self._cobs = library("cobs.cobs", 'framing = "binary"')
+        self._period_ns = period_ns
+        self.rejected: Counter[str] = Counter()
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin anew, as after a cable was pulled."""
+        self._buffer = b""
+        self._skipping = False
+        self._synchronised = False
+        self._time = DeviceTime()
+        self._counter = SampleCounter(1 << 32, self._period_ns)
+
+    def feed(self, data: bytes) -> list[Packet]:
+        """The packets that end in these bytes."""
+        *whole, rest = (self._buffer + data).split(b"\0")
+        packets = []
+        for encoded in whole:
+            if encoded and not self._skipping:
+                try:
+                    packets.append(self._packet(encoded))
+                except WireError as error:
+                    self.rejected[error.cause if self._synchronised else "partial"] += 1
+            self._skipping, self._synchronised = False, True
+        if len(rest) > MAX_ENCODED_BYTES:
+            if not self._skipping:
+                self.rejected["framing"] += 1
+            self._skipping, rest = True, b""
+        self._buffer = rest
+        return packets
+
+    def _packet(self, encoded: bytes) -> Packet:
+        """Raises WireError with the cause."""
+        try:
+            body: bytes = self._cobs.decode(encoded)
+        except self._cobs.DecodeError:
+            raise WireError("framing", "not COBS") from None
+        payload_bytes = len(body) - _HEAD.size - _CRC_BYTES
+        if payload_bytes <= 0:
+            raise WireError("framing", f"{len(body)} bytes hold no sample")
+        if int.from_bytes(body[-_CRC_BYTES:], "little") != crc(body[:-_CRC_BYTES]):
+            raise WireError("crc", "the CRC does not fit")
+        code, counter, last_us = _HEAD.unpack_from(body)
+        dtype = _DTYPES.get(code)
+        if dtype is None or payload_bytes % dtype.itemsize:
+            raise WireError("format", f"format {code:#x} with {payload_bytes} bytes of samples")
+        values = np.frombuffer(body, dtype, payload_bytes // dtype.itemsize, _HEAD.size)
+        # Some NaN are signals, at which NumPy would warn.
+        with np.errstate(invalid="ignore"):
+            usable = np.abs(values.astype(np.float64)) <= LARGEST
+        if not usable.all():
+            raise WireError("not_finite", "a sample is NaN, infinite or beyond all units")
+        passed_ns = self._time.since_last_ns(last_us)
+        missing = self._counter.missing(counter, len(values), passed_ns)
+        if missing is None:
+            self.rejected["counter"] += 1
+        return Packet(
+            tuple(values.tolist()), self._time.take(last_us), missing or 0, passed_ns is None
+        )
+
+
+def crc(data: bytes) -> int:
+    """CRC-16/CCITT-FALSE: polynomial 0x1021, from 0xFFFF on, not reflected."""
+    return binascii.crc_hqx(data, 0xFFFF)

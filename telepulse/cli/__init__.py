@@ -1,0 +1,1 @@
+"""The command line of telepulse, one file for each command."""

@@ -1,0 +1,219 @@
+"""The demo: both nodes as real processes on this machine, watched live, summed up at the end.
+
+On one host the truth of both ends is known: the demo listens to the sensing node directly and
+to the display's telemetry, and scores what was felt against what was really sensed.
+"""
+
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import zmq
+from rich.console import Console
+
+from display_node.fault_advice import FAULT_STATUS, SENSING_NOTE
+from display_node.scoring.tracking_error import TrackingError
+from display_node.telemetry.messages import Trace
+from display_node.telemetry.terminal import watch
+from protocol import sockets
+from protocol.errors import OutputError, TelepulseError
+from protocol.host.process import stop_on_signals
+from protocol.run_summary import Summary
+from protocol.tactile import matching_force_ratio
+from protocol.wire.messages import decode_frame
+from sensing_node.scene import open_source
+from telepulse.cli.view import MISSING, bokeh_is_there
+from telepulse.processes import NodeError, await_end, free_addresses, read_summary
+from telepulse.scene import Scene, load_scene
+from telepulse.simulation.link_model import LinkScene
+from telepulse.simulation.reference_force import ReferenceForce
+
+ENDS_WITHIN_S = 10.0
+# The display is listening before the pulse begins.
+HEAD_START_S = 0.7
+
+
+class DemoError(TelepulseError, RuntimeError):
+    """The accounts of the two nodes do not agree."""
+
+
+def run_demo(
+    path: Path,
+    seconds: float,
+    link: LinkScene | None,
+    draw: bool,
+    page: bool | None,
+    console: Console,
+) -> Summary:
+    """Run both nodes for `seconds` of pulse; `link` overrides the scene's.
+
+    page: serve the live page too; None: where it can be, with `draw`. Raises SceneError,
+    SourceError, NodeError, DemoError, or OutputError where the page is wanted and cannot be.
+    """
+    scene = load_scene(path)
+    link = scene.link if link is None else link
+    truth = ReferenceForce(scene.sensing, scene.path.parent)
+    # The display, which may move a drive, is started before the sensing node.
+    with open_source(scene.sensing, scene.path.parent, console.print):
+        pass
+    impaired = link != LinkScene()
+    sensing_address, link_address, telemetry_address = free_addresses(3)
+    display_address = link_address if impaired else sensing_address
+    with tempfile.TemporaryDirectory(prefix="telepulse-") as folder, _Processes() as processes:
+        # Before anything else, so that nobody misses the beginning.
+        served = None
+        if page or (page is None and draw):
+            served = _open_page(processes, telemetry_address, path, bool(page), console)
+        sensing_json, display_json = Path(folder, "sensing.json"), Path(folder, "display.json")
+        display = processes.start(
+            "display_node.cli",
+            *(str(path), "--connect", display_address, "--telemetry", telemetry_address),
+            *("--once", "--seconds", str(seconds + ENDS_WITHIN_S), "--quiet"),
+            *("--json", str(display_json)),
+        )
+        relay = None
+        if impaired:
+            relay = processes.start(
+                "telepulse",
+                *("link", "--connect", sensing_address, "--bind", display_address),
+                *("--link", link.text(), "--seconds", str(seconds + ENDS_WITHIN_S)),
+            )
+        time.sleep(HEAD_START_S)
+        sensing = processes.start(
+            "sensing_node.cli",
+            *(str(path), "--bind", sensing_address, "--seconds", str(seconds), "--quiet"),
+            *("--json", str(sensing_json)),
+        )
+        # Ctrl-C ends the pulse; what was sent of it is played and summed up all the same.
+        stop_on_signals(sensing.terminate)
+        with _Scorer(scene, truth, sensing_address) as referee:
+
+            def meanwhile() -> bool:
+                referee.listen()
+                return display.poll() is None and not sensing.poll()
+
+            watch(telemetry_address, console, referee.felt, draw, meanwhile)
+        if served is not None and served.poll() is not None:
+            console.print("the live page ended before the demo did")
+        if relay is not None and relay.poll():
+            await_end(relay, "link between the nodes", ENDS_WITHIN_S)
+        await_end(sensing, "sensing node", ENDS_WITHIN_S)
+        await_end(display, "display node", ENDS_WITHIN_S, may_end_with=FAULT_STATUS)
+        return _compose(read_summary(sensing_json), read_summary(display_json), referee.fidelity)
+
+
+def _open_page(
+    processes: "_Processes", telemetry: str, path: Path, wanted: bool, console: Console
+) -> "subprocess.Popen[str] | None":
+    """Start the page's process and say where it is, or why there is none.
+
+    wanted: raise OutputError or NodeError instead.
+    """
+    try:
+        if not bokeh_is_there():
+            raise OutputError(MISSING)
+        page = processes.start("telepulse", "view", telemetry)
+        assert page.stdout is not None
+        address = page.stdout.readline().strip()
+        if not address:
+            await_end(page, "live page", ENDS_WITHIN_S)
+            raise NodeError("the live page said nothing")
+    except TelepulseError as error:
+        if wanted:
+            raise
+        console.print(f"no live page: {error}")
+        return None
+    console.print(address)
+    return page
+
+
+class _Scorer:
+    """Hears both ends: the pulse as it is sensed, and the force as it is felt."""
+
+    def __init__(self, scene: Scene, truth: ReferenceForce, sensing_address: str) -> None:
+        layer = scene.display.layer.layer()
+        self._channel = scene.display.channel
+        self._truth = truth
+        self._ratio = matching_force_ratio(scene.sensing.layer.layer(), layer)
+        self._context: sockets.Context = zmq.Context()
+        self._data = sockets.connect(self._context, zmq.SUB, sensing_address)
+        self._data.subscribe(b"")
+        self.fidelity = TrackingError(layer.strain_per_newton)
+
+    def __enter__(self) -> "_Scorer":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.listen()
+        self.fidelity.finish()
+        self._context.destroy(linger=0)
+
+    def listen(self) -> None:
+        """Take what the sensing node has sent."""
+        for (message,) in sockets.receive_all(self._data):
+            true_frame = self._truth.of(decode_frame(message))
+            self.fidelity.sensed(true_frame, self._channel, self._ratio)
+
+    def felt(self, trace: Trace) -> None:
+        """Take what the finger felt."""
+        for now_ns, instant_ns, force_n, scored in zip(
+            *(column.tolist() for column in (trace.now_ns, trace.instant_ns, trace.felt_n)),
+            trace.scored.tolist(),
+            strict=True,
+        ):
+            if scored:
+                self.fidelity.felt(now_ns, instant_ns, force_n)
+
+
+class _Processes:
+    """Child processes that do not outlive the demo, however it ends."""
+
+    def __init__(self) -> None:
+        self._children: list[subprocess.Popen[str]] = []
+
+    def __enter__(self) -> "_Processes":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for child in self._children:
+            child.terminate()
+        for child in self._children:
+            try:
+                child.communicate(timeout=5)
+            except subprocess.TimeoutExpired:
+                child.kill()
+                child.communicate()
+
+    def start(self, module: str, *arguments: str) -> subprocess.Popen[str]:
+        """Run a module of ours as a process of its own."""
+        child = subprocess.Popen(
+            [sys.executable, "-m", module, *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        self._children.append(child)
+        return child
+
+
+def _compose(sensing: Summary, display: Summary, fidelity: TrackingError) -> Summary:
+    """The display's summary with the true errors, after both accounts were compared."""
+    sent = sensing.samples.sent
+    if display.clock.offset_ms is None:
+        raise DemoError("the display never heard from the sensing node")
+    accounted = (display.samples.sent or 0) + (display.samples.before_joining or 0)
+    if sent != accounted:
+        raise DemoError(
+            f"the sensing node sent {sent} samples, the display accounts for {accounted}"
+        )
+    causes = {*display.rejected, *sensing.rejected}
+    return replace(
+        fidelity.scored(display),
+        rejected={c: display.rejected.get(c, 0) + sensing.rejected.get(c, 0) for c in causes},
+        limited=replace(display.limited, adc=sensing.limited.adc),
+        faults=display.faults + [f"{SENSING_NOTE}{note}" for note in sensing.faults],
+    )

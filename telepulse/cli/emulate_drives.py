@@ -1,0 +1,240 @@
+"""`telepulse emulate tmcl` and `cia402`: a drive that is not there, for the real driver to move."""
+
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+import typer
+
+from display_node.drives.can_bus import open_bus
+from display_node.drives.scene import Cia402Scene, DriveScene, TmclScene
+from display_node.plant.stepper import StepperScene
+from display_node.scene import DisplayScene
+from protocol.cli_options import StopAfterOption, one_line_errors, plain_console
+from protocol.config.scene import load_section
+from protocol.errors import SceneError
+from telepulse.emulators.drive_run import FILM_SILENT, MOTOR_FAULTS, DriveRun
+from telepulse.emulators.lies import Lie, LieKind, read_lie
+from telepulse.emulators.motor import EmulatedMotor
+from telepulse.emulators.pty_port import PtyPort
+from telepulse.emulators.tmcl_module import Answer, EmulatedModule
+from telepulse.scene import find_scene
+
+if TYPE_CHECKING:
+    import can
+
+PROGRAM = "telepulse"
+POLL_S = 0.001
+SceneT = TypeVar("SceneT", bound=DriveScene)
+
+MOTOR_AND_FILM = (*MOTOR_FAULTS, FILM_SILENT)
+LIES = tuple(kind.value for kind in LieKind)
+TMCL_FAULTS = (*MOTOR_AND_FILM, "silent", "late", "wrong", "garbled", "unplugged")
+CIA402_FAULTS = (*MOTOR_AND_FILM, "silent", "unplugged")
+
+_ANSWERS: dict[str, Answer] = {
+    "silent": "none",
+    "late": "late",
+    "wrong": "wrong",
+    "garbled": "garbled",
+}
+
+SceneArgument = Annotated[
+    str, typer.Argument(help="A scene whose [display.drive] is of this kind, as file or name.")
+]
+LinkOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="PATH",
+        help="Make PATH the serial port, of the module or of an slcan adapter with the drive behind"
+        " it, for the scene to name.",
+    ),
+]
+FilmOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="PATH",
+        help="Make PATH a serial port on which a sensor board sends the force under the finger,"
+        ' in framing = "binary".',
+    ),
+]
+
+
+def _fault_option(names: tuple[str, ...]) -> Any:
+    return typer.Option(
+        "--fault",
+        metavar="NAME",
+        help=f"What goes wrong, at --fault-after: {', '.join(names)}; or a lie, which the drive"
+        f" does not report: {', '.join(LIES)}.",
+    )
+
+
+SizeOption = Annotated[
+    str | None,
+    typer.Option(
+        "--size",
+        help="Size of a lie that has one, with its unit: --fault delayed --size '45 ms',"
+        " --fault gain --size 0.3.",
+    ),
+]
+AfterOption = Annotated[
+    float,
+    typer.Option(
+        "--fault-after", min=0, metavar="SECONDS", help="When, from the first press on the finger."
+    ),
+]
+FromStartOption = Annotated[
+    bool,
+    typer.Option(
+        "--fault-from-start", help="The fault is there from the start, in place of --fault-after."
+    ),
+]
+TraceOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Write a CSV line every ms: place, speed, force under the finger, what is wrong.",
+    ),
+]
+
+
+def tmcl(
+    scene: SceneArgument,
+    link: LinkOption = None,
+    film_link: FilmOption = None,
+    fault: Annotated[str | None, _fault_option(TMCL_FAULTS)] = None,
+    size: SizeOption = None,
+    fault_after: AfterOption = 0.0,
+    fault_from_start: FromStartOption = False,
+    trace: TraceOption = None,
+    seconds: StopAfterOption = None,
+) -> None:
+    """Be a TMCL stepper module: on a serial port of its own, or on the scene's CAN bus.
+
+    A physical model of the scene's [display.actuator] turns under a finger, with a home switch,
+    the module's heartbeat, its limits and its faults.
+    """
+    # python-can brings its import time; other commands do without.
+    from telepulse.emulators.tmcl_module import EmulatedCanLine, EmulatedSerialLine
+
+    with one_line_errors(PROGRAM), ExitStack() as open_things:
+        lie = _lie(fault, size, TMCL_FAULTS)
+        drive, motor = _load(scene, TmclScene)
+        module = EmulatedModule(drive, motor)
+        line: EmulatedSerialLine | EmulatedCanLine
+        if drive.port is not None:
+            port = PtyPort(link)
+            line, place = EmulatedSerialLine(module, port), str(port.path)
+        else:
+            line = EmulatedCanLine(module, drive, _bus(drive, link))
+            place = f"CAN {drive.interface} {drive.channel}, identifier {drive.module}"
+        cable = open_things.enter_context(ExitStack())
+        cable.callback(line.close)
+        serve: Callable[[float], None] = line.serve
+
+        def break_down(trouble: str) -> None:
+            nonlocal serve
+            if trouble in _ANSWERS:
+                module.answers = _ANSWERS[trouble]
+            else:
+                serve = time.sleep
+                cable.close()
+
+        def poll() -> None:
+            serve(POLL_S)
+            motor.advance(time.monotonic_ns())
+
+        run = DriveRun(motor, film_link, trace, open_things)
+        _say(f"TMCL module on {place}", film_link)
+        after_s = None if fault_from_start else fault_after
+        run.run(poll, break_down, fault, lie, after_s, seconds)
+
+
+def cia402(
+    scene: SceneArgument,
+    interface: Annotated[
+        str | None, typer.Option(help="CAN interface as python-can names it; else the scene's.")
+    ] = None,
+    channel: Annotated[str | None, typer.Option(help="Channel of the CAN interface.")] = None,
+    link: LinkOption = None,
+    film_link: FilmOption = None,
+    fault: Annotated[str | None, _fault_option(CIA402_FAULTS)] = None,
+    size: SizeOption = None,
+    fault_after: AfterOption = 0.0,
+    fault_from_start: FromStartOption = False,
+    trace: TraceOption = None,
+    seconds: StopAfterOption = None,
+) -> None:
+    """Be a CANopen drive of profile CiA 402 on a CAN bus.
+
+    A physical model of the scene's [display.actuator] turns under a finger, with a home switch,
+    software limits, heartbeat monitoring and faults. --fault silent: it receives and sends nothing.
+    """
+    from telepulse.emulators.cia402_node import EmulatedNode
+
+    with one_line_errors(PROGRAM), ExitStack() as open_things:
+        lie = _lie(fault, size, CIA402_FAULTS)
+        drive, motor = _load(scene, Cia402Scene)
+        changes = {"interface": interface, "channel": channel or (str(link) if link else None)}
+        drive = drive.model_copy(update={key: to for key, to in changes.items() if to})
+        node = EmulatedNode(drive, motor, _bus(drive, link))
+        cable = open_things.enter_context(ExitStack())
+        cable.callback(node.close)
+
+        def break_down(trouble: str) -> None:
+            node.silent = True
+            if trouble == "unplugged":
+                cable.close()
+
+        def poll() -> None:
+            time.sleep(POLL_S)
+            node.poll()
+
+        run = DriveRun(motor, film_link, trace, open_things)
+        _say(f"CiA 402 node {drive.node} on CAN {drive.interface} {drive.channel}", film_link)
+        after_s = None if fault_from_start else fault_after
+        run.run(poll, break_down, fault, lie, after_s, seconds)
+
+
+def _lie(fault: str | None, size: str | None, names: tuple[str, ...]) -> Lie | None:
+    """The lie that a fault's name stands for; None for any other fault. Raises SceneError."""
+    if fault in LIES:
+        return read_lie(LieKind(fault), size)
+    if fault is not None and fault not in names:
+        raise SceneError(f"--fault: no {fault!r}; there are {', '.join((*names, *LIES))}")
+    if size is not None:
+        raise SceneError(f"--size: {fault or 'no --fault'} has none")
+    return None
+
+
+def _load(name: str, kind: type[SceneT]) -> tuple[SceneT, EmulatedMotor]:
+    """The scene's drive, and a motor as its actuator says."""
+    path = find_scene(name)
+    display = load_section(path, "display", DisplayScene)
+    if not isinstance(display.drive, kind):
+        wanted = "tmcl" if kind is TmclScene else "cia402"
+        raise SceneError(f'{path}: [display.drive] kind = "{wanted}" is needed here')
+    if not isinstance(display.actuator, StepperScene):
+        raise SceneError(f'{path}: a drive needs [display.actuator] kind = "stepper"')
+    law = display.actuator.contact(display.layer.layer())
+    return display.drive, EmulatedMotor(
+        display.actuator, law, display.drive.touch_m, time.monotonic_ns()
+    )
+
+
+def _bus(drive: DriveScene, link: Path | None) -> "can.BusABC":
+    """The scene's bus; where that is reached by an slcan adapter, the bus behind one of ours."""
+    if drive.interface == "slcan":
+        from telepulse.emulators.slcan import SlcanBus
+
+        return SlcanBus(PtyPort(link))
+    if link is not None:
+        raise SceneError(f"--link: CAN by {drive.interface} has no serial port; slcan has one")
+    return open_bus(drive)
+
+
+def _say(what: str, film_link: Path | None) -> None:
+    film = f"; film on {film_link}" if film_link else ""
+    plain_console().print(f"{what}{film}")

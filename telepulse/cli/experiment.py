@@ -1,0 +1,174 @@
+"""`telepulse experiment`: run blinded trials, and say what they show."""
+
+from contextlib import ExitStack, closing
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from protocol.cli_options import BENCH_IS_CLEAR, one_line_errors, plain_console
+from protocol.config.quantities import parse_ratio
+from protocol.errors import OutputError
+from protocol.host.memory import freeze_objects
+from protocol.host.process import stop_on_signals
+from protocol.host.realtime_grant import check_strict
+from protocol.host.realtime_options import RealtimeOption, granted_for
+from protocol.host.realtime_request import parse_realtime
+from protocol.host.standard_output import unblocked_output
+from telepulse.cli.report_options import FolderOption, TablesOption, publish
+from telepulse.reports.document import Report
+
+PROGRAM = "telepulse"
+app = typer.Typer(
+    no_args_is_help=True,
+    help="Can a finger tell the link from direct playback? Blinded trials, and what they show.",
+)
+SessionArgument = Annotated[Path, typer.Argument(metavar="SESSION.toml", show_default=False)]
+
+
+def _threshold(text: str) -> float:
+    try:
+        share = parse_ratio(text)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+    if not 0 < share <= 100:
+        raise typer.BadParameter(f"{text!r} must be more than 0")
+    return share
+
+
+@app.command()
+def new(path: SessionArgument) -> None:
+    """Write an example of a session file, to be changed; nothing is overwritten."""
+    text = files("telepulse.experiment").joinpath("example.toml").read_text(encoding="utf-8")
+    with one_line_errors(PROGRAM):
+        try:
+            with path.open("x", encoding="utf-8") as file:
+                file.write(text)
+        except FileExistsError:
+            raise OutputError(f"{path}: is there already; name another file") from None
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
+    plain_console().print(f"{path}: change it, then: telepulse experiment run {path} --log LOG")
+
+
+@app.command()
+@unblocked_output()
+def run(
+    session: SessionArgument,
+    log: Annotated[
+        Path, typer.Option(metavar="FILE.jsonl", help="Write the trials here, each at once.")
+    ],
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with a log that is there already.")
+    ] = False,
+    observer: Annotated[
+        float | None,
+        typer.Option(
+            metavar="'5 %'",
+            parser=_threshold,
+            help="No person: a simulated observer answers, in virtual time. Its threshold, as a"
+            " share of the pulse from peak to peak.",
+        ),
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before the drive moves.")] = False,
+    without_drive: Annotated[
+        bool,
+        typer.Option(
+            "--without-drive",
+            help="Run a scene that names no drive, to try a session: its models run, nobody feels"
+            " anything, and the log has it so.",
+        ),
+    ] = False,
+    realtime: RealtimeOption = None,
+) -> None:
+    """Run a session: the subject feels A, B and X on the scene's actuator, and answers by keys.
+
+    A scene with a [display.drive] is felt on the real bench. One without is refused for a person,
+    who would feel nothing, unless --without-drive is given. What A, B and X were is said when the
+    session has ended.
+
+    Exit status: 0 when it has ended or was stopped by q, 2 when it cannot be run or a fault ends
+    it; the reason is one line on stderr.
+    """
+    from display_node.drives.hardware import connected
+    from telepulse.experiment.keyboard import Keyboard
+    from telepulse.experiment.log import read_log
+    from telepulse.experiment.person import Person
+    from telepulse.experiment.report import build_report
+    from telepulse.experiment.run import (
+        check_drive,
+        check_playable,
+        open_log,
+        run_session,
+        simulated,
+    )
+    from telepulse.experiment.session import load_plan
+
+    console = plain_console()
+    with one_line_errors(PROGRAM), ExitStack() as stack:
+        asked = parse_realtime(realtime)
+        check_strict(asked)
+        plan = load_plan(session)
+        if observer is None:
+            check_drive(plan, without_drive)
+        file, header, done = open_log(log, plan, observer, resume)
+        stack.enter_context(closing(file))
+        if observer is not None:
+            subject = simulated(plan, observer, header.seed)
+        else:
+            scene = plan.direct
+            check_playable(plan, header)
+            keyboard = stack.enter_context(Keyboard())
+            person = Person(plan, keyboard, console.print)
+            if scene.display.drive is not None and not yes:
+                console.print(f"The drive will move.\n{BENCH_IS_CLEAR} [y/N]")
+                if keyboard.await_key() != "y":
+                    raise SystemExit(1)
+            freeze_objects()
+            # The last: what can fail without the drive has failed before it moves.
+            bench = connected(scene.display, scene.path.parent, console.print)
+            hardware = stack.enter_context(bench)
+            if hardware is not None:
+                person.use(hardware)
+            stop_on_signals(person.stop)
+            stack.enter_context(granted_for(PROGRAM, asked, console))
+            subject = person.answer
+        finished = run_session(plan, file, header, done, subject)
+    if not finished:
+        console.print(f"stopped; go on: telepulse experiment run {session} --log {log} --resume")
+        return
+    publish(lambda: build_report([read_log(log)]), None, None)
+
+
+@app.command()
+def report(
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", show_default=False)],
+    out: FolderOption = Path("out/experiment"),
+    spoilt: Annotated[
+        bool, typer.Option("--spoilt", help="Count the spoilt trials with the others.")
+    ] = False,
+    json: TablesOption = None,
+) -> None:
+    """Report what the logs show: proportions with exact intervals, thresholds, objective errors.
+
+    Several logs are several subjects of one experiment: people or simulated observers, on one
+    scene, with intervals of one kind. Trials in which more than 1 % of the ticks were
+    missed, or a stream without a link was stale, are listed as spoilt and left out.
+    Prints tables and writes a page.
+    """
+    from telepulse.experiment.log import read_log
+    from telepulse.experiment.report import build_report
+
+    def build() -> Report:
+        return build_report([read_log(path) for path in logs], spoilt)
+
+    publish(build, out, json)
+
+
+@app.command()
+def plan(json: TablesOption = None) -> None:
+    """Print how many trials it takes to show what, and what six can."""
+    from telepulse.experiment.plan import build_plan
+
+    publish(build_plan, None, json)

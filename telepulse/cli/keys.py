@@ -1,0 +1,77 @@
+"""`telepulse keys`: make keys, say whom a node lets in."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from protocol.cli_options import one_line_errors, plain_console
+from protocol.security.allow_list import allow, read_allowed, revoke
+from protocol.security.keys import new_pair, read_public
+from protocol.security.protection import ALLOWED
+
+PROGRAM = "telepulse"
+app = typer.Typer(
+    no_args_is_help=True,
+    help="Keys that nodes on two machines know each other by. One for each node: its secret key"
+    " never leaves its machine; its public key goes to the machine it talks to.",
+)
+
+NameArgument = Annotated[str, typer.Argument(metavar="NAME", help="Of the node: wrist, finger.")]
+FolderOption = Annotated[Path, typer.Option(help="Where the keys are.")]
+ListOption = Annotated[
+    Path | None,
+    typer.Option("--list", metavar="FILE", help="The allow-list; else 'allowed' in the folder."),
+]
+FOLDER = Path("keys")
+
+
+@app.command()
+def new(name: NameArgument, folder: FolderOption = FOLDER) -> None:
+    """Make a key pair: NAME.key, which only you may read, and NAME.pub, to give away."""
+    with one_line_errors(PROGRAM):
+        secret, public = new_pair(folder, name)
+    plain_console().print(
+        f"{secret}: secret, stays on this machine: --key {secret}\n"
+        f"{public}: public, one line; copy it to the other machine. There\n"
+        f"  a sensing node lets {name} in by: telepulse keys allow {public.name}\n"
+        f"  a display connects to {name} with: --peer {public.name}"
+    )
+
+
+@app.command(name="allow")
+def allow_command(
+    public: Annotated[Path, typer.Argument(metavar="FILE.pub", help="Whom to let in.")],
+    folder: FolderOption = FOLDER,
+    allowed: ListOption = None,
+) -> None:
+    """Let a node in: add its public key to the allow-list; running nodes see it within 1 s."""
+    path = allowed or folder / ALLOWED
+    with one_line_errors(PROGRAM):
+        peer = read_public(public)
+        allow(path, peer)
+    plain_console().print(f"{path} allows {peer.name}")
+
+
+@app.command(name="revoke")
+def revoke_command(
+    name: NameArgument, folder: FolderOption = FOLDER, allowed: ListOption = None
+) -> None:
+    """Let a node in no more; running nodes cut its connections within 2 s."""
+    path = allowed or folder / ALLOWED
+    with one_line_errors(PROGRAM):
+        revoke(path, name)
+    plain_console().print(f"{path} allows {name} no more")
+
+
+@app.command(name="list")
+def list_command(folder: FolderOption = FOLDER, allowed: ListOption = None) -> None:
+    """Print who is let in: name and public key."""
+    path = allowed or folder / ALLOWED
+    console = plain_console()
+    with one_line_errors(PROGRAM):
+        peers = read_allowed(path).values()
+    for peer in peers:
+        console.print(f"{peer.key.hex()}  {peer.name}")
+    if not peers:
+        console.print(f"{path} allows nobody")

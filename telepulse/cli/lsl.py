@@ -1,0 +1,38 @@
+"""`telepulse lsl`."""
+
+from typing import Annotated
+
+import typer
+
+from protocol.cli_options import QuietOption, StopAfterOption, one_line_errors, plain_console
+from protocol.host.process import stop_on_signals
+from protocol.security.protection import InsecureOption, KeyOption, PeerOption, telemetry_keys
+from telepulse.cli.recordings import NOT_WHOLE, PROGRAM, SilenceOption, warn
+
+
+def lsl(
+    address: Annotated[str, typer.Argument(help="A display's telemetry: tcp://HOST:PORT.")],
+    seconds: StopAfterOption = None,
+    until_silent: SilenceOption = None,
+    quiet: QuietOption = False,
+    key: KeyOption = None,
+    peer: PeerOption = None,
+    insecure: InsecureOption = False,
+) -> None:
+    """Publish a display's stream to the Lab Streaming Layer, where LabRecorder finds it.
+
+    Three streams: "telepulse wrist", the force of each channel as it came; "telepulse finger",
+    target and felt force of each tick; "telepulse events", what happened, as markers. Ends with
+    the display. With --key alone, the key is the display's own.
+
+    Exit status: 0, 1 when telemetry was missed, which is said, 2 when it cannot begin.
+    """
+    from telepulse.lsl_outlet.run import LslOutlet
+
+    console = plain_console(quiet)
+    with one_line_errors(PROGRAM):
+        keys = telemetry_keys(address, key, peer, insecure)
+        outlet = LslOutlet(address, console.print, warn, keys)
+    stop_on_signals(outlet.stop)
+    if not outlet.run(seconds, until_silent):
+        raise SystemExit(NOT_WHOLE)

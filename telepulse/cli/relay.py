@@ -1,0 +1,83 @@
+"""`telepulse relay`."""
+
+from typing import Annotated
+
+import typer
+
+from protocol.cli_options import (
+    JsonOption,
+    QuietOption,
+    StopAfterOption,
+    one_line_errors,
+    plain_console,
+    sum_up,
+)
+from protocol.host.memory import freeze_objects
+from protocol.host.process import allow_connections, stop_on_signals
+from protocol.host.result_files import check_writable
+from protocol.provenance import collect
+from protocol.security.protection import (
+    AllowOption,
+    InsecureOption,
+    KeyOption,
+    PeerOption,
+    client_keys,
+    server_keys,
+)
+from protocol.sockets import control_address
+from telepulse.relay.relay import Relay
+
+PROGRAM = "telepulse"
+
+
+def relay(
+    connect: Annotated[
+        str,
+        typer.Option(
+            help="Address of the sensing node or of a further relay; it need not be there yet."
+        ),
+    ],
+    bind: Annotated[
+        str,
+        typer.Option(help="Address for displays to connect to; control uses the next port."),
+    ],
+    seconds: StopAfterOption = None,
+    json: JsonOption = None,
+    quiet: QuietOption = False,
+    key: KeyOption = None,
+    peer: PeerOption = None,
+    allow: AllowOption = None,
+    insecure: InsecureOption = False,
+) -> None:
+    """Pass one sensing node's stream on to many displays, on another machine.
+
+    The sensing node sends each frame once to a relay, however many displays are behind it.
+    Displays connect to the relay as they would to the sensing node, and still ask the sensing
+    node itself for its clock and tell it how the stream arrives. Up to three relays may follow
+    one another; any number stands side by side.
+
+        telepulse relay --connect tcp://SENSING:5555 --bind tcp://*:5655 \\
+            --key keys/relay.key --peer keys/wrist.pub
+
+    The sensing node allows the relay's key, the relay those of its displays: whoever is let in
+    there hears the stream. A display gives the relay's public key as its --peer.
+
+    Exit status: 0 at Ctrl-C or SIGTERM, 2 when an address or a key cannot be used; the reason is
+    one line on stderr.
+    """
+    console = plain_console(quiet)
+    with one_line_errors(PROGRAM):
+        allow_connections()
+        check_writable(json)
+        control = control_address(bind)
+        control_address(connect)
+        # Without --peer the sensing node is on this machine, and has no keys.
+        upstream = client_keys([connect], key if peer else None, peer, insecure)
+        downstream = server_keys(bind, key, allow, insecure)
+        node = Relay(connect, bind, console.print, upstream, downstream)
+        provenance = collect()
+    stop_on_signals(node.stop)
+    console.print(f"relaying {connect} on {bind} (control {control})")
+    freeze_objects()
+    summary = node.run(seconds)
+    sum_up(PROGRAM, summary, "relay", console, json, provenance)

@@ -1,0 +1,91 @@
+"""`telepulse study`: one command a study."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from telepulse.cli.report_options import FolderOption, TablesOption, publish
+
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Compute on the Dask cluster of this scheduler, not on this machine's cores.",
+    ),
+]
+app = typer.Typer(no_args_is_help=True, help="Questions about the system, answered by computing.")
+
+
+@app.command()
+def integrators(out: FolderOption = Path("out/integrators"), json: TablesOption = None) -> None:
+    """Speed against error of the ways to integrate the paper's actuator in its loop.
+
+    Takes about half a minute. python-control takes part where it is installed.
+    """
+    # The study brings matplotlib's and scipy's import times; other commands do without.
+    from telepulse.reports.studies.integrator_scores import IntegratorEffort, score_integrators
+    from telepulse.reports.studies.integrators_report import report_integrators
+    from telepulse.reports.studies.one_thread import in_one_thread
+
+    effort = IntegratorEffort()
+    publish(lambda: report_integrators(in_one_thread(score_integrators, effort), effort), out, json)
+
+
+@app.command()
+def playout(
+    out: FolderOption = Path("out/playout"),
+    json: TablesOption = None,
+    scheduler: SchedulerOption = None,
+) -> None:
+    """Delay against late frames of the ways to set the playout delay, and what is best possible.
+
+    Uses all cores; takes about a minute on two.
+    """
+    from telepulse.reports.studies import playout_scores
+    from telepulse.reports.studies.playout_report import CURVES, report_playout
+
+    effort = playout_scores.PlayoutEffort(curves=CURVES)
+    publish(
+        lambda: report_playout(playout_scores.score_playout(effort, scheduler), effort), out, json
+    )
+
+
+@app.command()
+def prediction(
+    out: FolderOption = Path("out/prediction"),
+    json: TablesOption = None,
+    scheduler: SchedulerOption = None,
+) -> None:
+    """Error against horizon and cost of the predictors, on pulses and recordings.
+
+    Uses all cores; takes about a minute on two. Recordings take part where heartpy is installed.
+    """
+    from telepulse.reports.studies import prediction_scores
+    from telepulse.reports.studies.prediction_report import report_prediction
+
+    effort = prediction_scores.PredictionEffort()
+    publish(
+        lambda: report_prediction(prediction_scores.score_predictors(effort, scheduler), effort),
+        out,
+        json,
+    )
+
+
+@app.command()
+def link(
+    out: FolderOption = Path("out/link"),
+    json: TablesOption = None,
+    scheduler: SchedulerOption = None,
+) -> None:
+    """Error of the felt force over several links, against how much is buffered and predicted.
+
+    Uses all cores; takes about three minutes on two. A recording takes part where heartpy is
+    installed.
+    """
+    from telepulse.reports.studies import link_scores
+    from telepulse.reports.studies.link_play import LinkEffort
+    from telepulse.reports.studies.link_report import report_links
+
+    effort = LinkEffort()
+    publish(lambda: report_links(link_scores.score_links(effort, scheduler), effort), out, json)

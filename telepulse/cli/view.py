@@ -1,0 +1,83 @@
+"""`telepulse view`."""
+
+import ipaddress
+import os
+import sys
+from importlib.util import find_spec
+from typing import Annotated
+
+import typer
+
+from protocol.cli_options import QuietOption, StopAfterOption, one_line_errors, plain_console
+from protocol.errors import AddressError, OutputError, ProtectionError
+from protocol.host.process import stop_on_signals
+from protocol.security.protection import InsecureOption, KeyOption, PeerOption, telemetry_keys
+from telepulse.cli.recordings import PROGRAM, warn
+
+# The display's loop goes first.
+NICENESS = 10
+MISSING = "Bokeh is missing; pip install 'telepulse[view]'"
+
+
+def bokeh_is_there() -> bool:
+    """Return whether the extra that draws the page is installed."""
+    return find_spec("bokeh") is not None
+
+
+def view(
+    address: Annotated[str, typer.Argument(help="A display's telemetry: tcp://HOST:PORT.")],
+    port: Annotated[
+        int | None,
+        typer.Option(min=1, max=65_535, help="Serve the page here; else 5006, or what is free."),
+    ] = None,
+    host: Annotated[
+        str, typer.Option(help="This machine's address to serve on; beyond it: --insecure.")
+    ] = "127.0.0.1",
+    seconds: StopAfterOption = None,
+    quiet: QuietOption = False,
+    key: KeyOption = None,
+    peer: PeerOption = None,
+    insecure: InsecureOption = False,
+) -> None:
+    """Show a display live in a browser: forces, strains, errors, delays, clocks, alarms.
+
+    A process of its own that reads the display's telemetry, as a recorder does; the display's
+    loop does not notice. The first line says the page's address. The display may start later,
+    end and come back.
+
+    With --key alone, the key is the display's own.
+
+    Exit status: 0 when stopped, 2 when it cannot begin; the reason is one line on stderr.
+    """
+    console = plain_console(quiet)
+    with one_line_errors(PROGRAM):
+        if not bokeh_is_there():
+            raise OutputError(MISSING)
+        _check_host(host, insecure)
+        keys = telemetry_keys(address, key, peer, insecure)
+        from telepulse.view.server import PageServer
+
+        page = PageServer(address, host, port, warn, keys)
+    # Takes a second, in which nobody's page should stand still.
+    import scipy.signal  # noqa: F401
+
+    if hasattr(os, "nice"):
+        os.nice(NICENESS)
+    stop_on_signals(page.stop)
+    console.print(f"page: {page.url}")
+    sys.stdout.flush()
+    page.run(seconds)
+
+
+def _check_host(host: str, insecure: bool) -> None:
+    """Raises AddressError for what is no address, ProtectionError for one that others reach."""
+    try:
+        address = ipaddress.ip_address("127.0.0.1" if host == "localhost" else host)
+    except ValueError:
+        raise AddressError(f"--host {host}: give an IP address of this machine") from None
+    if address.is_unspecified:
+        raise AddressError(f"--host {host}: name the one address that browsers will use")
+    if not (address.is_loopback or insecure):
+        raise ProtectionError(
+            f"--host {host} shows the page to all who reach this machine; --insecure allows it"
+        )

@@ -1,0 +1,92 @@
+"""Keys of a scene file set by editing its text, so that comments and order stay."""
+
+import re
+import tomllib
+from pathlib import Path
+
+from protocol.errors import SceneError
+from protocol.host.result_files import write_whole
+
+Changes = dict[str, dict[str, str]]
+
+
+def set_keys(text: str, changes: Changes) -> str:
+    """The text with keys of tables set, such as {"display.film": {"latency": '"4 ms"'}}.
+
+    Values are TOML. A key that is there is changed in its place; a new one goes to the end of
+    its table, a new table to the end of the text. Raises SceneError where a table is not
+    written as a [header] of its own.
+    """
+    lines = text.splitlines()
+    for table, keys in changes.items():
+        for key, value in keys.items():
+            _set(lines, table, key, value)
+    edited = "\n".join(lines) + "\n"
+    for table, keys in changes.items():
+        found = tomllib.loads(edited)
+        for name in table.split("."):
+            found = found.get(name, {})
+        for key, value in keys.items():
+            if found.get(key) != tomllib.loads(f"x = {value}")["x"]:
+                raise SceneError(f"[{table}] is not written as a table of its own: set it by hand")
+    return edited
+
+
+def check_editable(path: Path) -> None:
+    """Check before a press that what it may find can be set in a scene. Raises SceneError."""
+    found = {"latency": '"1 ms"'}
+    try:
+        set_keys(
+            path.read_text(encoding="utf-8"), {"display.actuator": found, "display.film": found}
+        )
+    except (tomllib.TOMLDecodeError, AttributeError):
+        raise _not_editable(path) from None
+
+
+def write_scene(source: Path, target: Path, changes: Changes, note: str = "") -> None:
+    """Write a copy of a scene with keys set, and a comment at its end.
+
+    Raises SceneError or OutputError.
+    """
+    try:
+        edited = set_keys(source.read_text(encoding="utf-8"), changes)
+    except tomllib.TOMLDecodeError:
+        raise _not_editable(source) from None
+    write_whole(target, edited + (note and note + "\n"))
+
+
+def _not_editable(path: Path) -> SceneError:
+    return SceneError(
+        f"{path}: a table of its own is needed for each of [display.actuator] and [display.film]:"
+        " what a press finds cannot be set otherwise but by hand"
+    )
+
+
+def as_toml(changes: Changes) -> str:
+    """The changes as they are written in a scene."""
+    tables = (
+        "\n".join([f"[{table}]", *(f"{key} = {value}" for key, value in keys.items())])
+        for table, keys in changes.items()
+    )
+    return "\n\n".join(tables)
+
+
+def _set(lines: list[str], table: str, key: str, value: str) -> None:
+    header = re.compile(rf"\s*\[\s*{re.escape(table)}\s*\]\s*(#.*)?")
+    begin = next((at for at, line in enumerate(lines) if header.fullmatch(line)), None)
+    if begin is None:
+        lines += ["", f"[{table}]", f"{key} = {value}"]
+        return
+    end = next(
+        (at for at in range(begin + 1, len(lines)) if lines[at].lstrip().startswith("[")),
+        len(lines),
+    )
+    assigned = re.compile(rf'(\s*{re.escape(key)}\s*=\s*)("[^"]*"|[^"#\s]+)(\s*(?:#.*)?)')
+    for at in range(begin + 1, end):
+        match = assigned.fullmatch(lines[at])
+        if match is not None:
+            lines[at] = match.group(1) + value + match.group(3)
+            return
+    while end > begin + 1 and not lines[end - 1].strip():
+        end -= 1
+    lines.insert(end, f"{key} = {value}")

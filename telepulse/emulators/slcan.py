@@ -1,0 +1,135 @@
+"""The CAN bus behind an emulated slcan adapter, on which an emulated node is the only one.
+
+An emulated CAN adapter of the slcan kind: the host's lines in, answers and frames out. Pure.
+
+The lines are those of the LAWICEL CANUSB manual, which other adapters took over: letters for what
+to do, hexadecimal digits for identifier and data, a carriage return at the end.
+"""
+
+import select
+from collections import deque
+from typing import Any
+
+import can
+
+from telepulse.emulators.pty_port import PtyPort
+
+OK, REFUSED = b"\r", b"\a"
+VERSION, SERIAL_NUMBER, STATUS = b"V1013\r", b"NA123\r", b"F00\r"
+BIT_RATES = range(9)
+# A line of the longest frame: letter, identifier, length, eight bytes.
+LONGEST = 1 + 8 + 1 + 16
+
+
+class SlcanAdapter:
+    """Opened and closed by the host; frames pass only while it is open.
+
+    refused: lines that were answered by a bell.
+    """
+
+    def __init__(self) -> None:
+        self._line = b""
+        self.is_open = False
+        self.refused = 0
+
+    def feed(self, data: bytes) -> tuple[bytes, list[can.Message]]:
+        """What to answer to these bytes, and the frames for the bus."""
+        *lines, rest = (self._line + data).split(b"\r")
+        # Noise without an end is forgotten but for what makes its line too long.
+        self._line = rest[: LONGEST + 1]
+        answers, frames = b"", []
+        for line in lines:
+            try:
+                answer, frame = self._carry_out(line)
+            except ValueError:
+                self.refused += 1
+                answer, frame = REFUSED, None
+            answers += answer
+            frames += [frame] if frame is not None else []
+        return answers, frames
+
+    def encode(self, frame: can.Message) -> bytes:
+        """A frame from the bus, as the host is told of it; nothing while closed."""
+        if not self.is_open:
+            return b""
+        letter, digits = ("T", 8) if frame.is_extended_id else ("t", 3)
+        letter = letter.replace("t", "r").replace("T", "R") if frame.is_remote_frame else letter
+        data = "" if frame.is_remote_frame else frame.data.hex().upper()
+        return f"{letter}{frame.arbitration_id:0{digits}X}{frame.dlc}{data}\r".encode()
+
+    def _carry_out(self, line: bytes) -> tuple[bytes, can.Message | None]:
+        """Raises ValueError for a line that is none."""
+        if len(line) > LONGEST:
+            raise ValueError("too long")
+        text = line.decode("ascii")
+        match text[:1]:
+            case "":
+                return OK, None
+            case "V":
+                return VERSION, None
+            case "N":
+                return SERIAL_NUMBER, None
+            case "F":
+                return STATUS, None
+            case "S" if not self.is_open and int(text[1:]) in BIT_RATES:
+                return OK, None
+            case "O" | "L" | "C" if len(text) == 1:
+                self.is_open = text != "C"
+                return OK, None
+            case "t" | "T" | "r" | "R" if self.is_open:
+                return (b"z\r" if text[0] in "tr" else b"Z\r"), _frame(text)
+        raise ValueError("not known, or not now")
+
+
+def _frame(text: str) -> can.Message:
+    """Raises ValueError."""
+    extended, remote = text[0] in "TR", text[0] in "rR"
+    digits = 8 if extended else 3
+    length = int(text[1 + digits : 2 + digits])
+    data = bytes.fromhex(text[2 + digits :])
+    if len(data) != (0 if remote else length):
+        raise ValueError("not as many bytes as it says")
+    return can.Message(
+        arbitration_id=int(text[1 : 1 + digits], 16),
+        is_extended_id=extended,
+        is_remote_frame=remote,
+        dlc=length,
+        data=data,
+        check=True,
+    )
+
+
+class SlcanBus(can.BusABC):
+    """A bus for a node: what the host sends through the adapter's serial port comes here."""
+
+    def __init__(self, port: PtyPort) -> None:
+        """The port is closed with the bus."""
+        super().__init__(channel=str(port.path))
+        self.channel_info = f"slcan {port.path}"
+        self._port = port
+        self._adapter = SlcanAdapter()
+        self._waiting: deque[can.Message] = deque()
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Tell the host of a frame; one that it does not fetch is dropped, as by an adapter."""
+        self._port.write(self._adapter.encode(msg))
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if not self._waiting and select.select([self._port], [], [], timeout)[0]:
+            answers, frames = self._adapter.feed(self._port.read())
+            self._port.write(answers)
+            self._waiting.extend(frames)
+        return (self._waiting.popleft() if self._waiting else None), False
+
+    def fileno(self) -> int:
+        """For `select`."""
+        return self._port.fileno()
+
+    def shutdown(self) -> None:
+        """Unplug the adapter."""
+        if not self._is_shutdown:
+            super().shutdown()
+            self._port.close()
+
+    def _apply_filters(self, filters: Any) -> None:
+        """Frames are filtered as they are received."""

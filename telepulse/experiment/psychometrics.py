@@ -1,0 +1,188 @@
+"""The differencing observer: how often a difference is told apart, and the least that is.
+
+What is felt of an interval is one number, its force error in units of the threshold, and noise of
+deviation 1. X is called what it is nearer to: the differencing strategy of Macmillan and Creelman,
+*Detection Theory*, ch. 9. At the threshold d' is 1.
+
+Proportions with exact intervals, mean ratings, and how many trials show what.
+
+A simulated observer: feels force errors with a threshold of its own, and noise. Pure.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from random import Random
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import ndtr
+from scipy.stats import binom, binomtest
+
+CHANCE = 0.5
+LEVEL = 0.05
+MOST_TRIALS = 5_000
+RESAMPLED = 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class Proportion:
+    """So many of so many."""
+
+    hits: int
+    of: int
+
+    @property
+    def share(self) -> float:
+        """Between 0 and 1."""
+        return self.hits / self.of
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Clopper and Pearson's, 95 %: holds the true share at least so often."""
+        found = binomtest(self.hits, self.of).proportion_ci(1 - LEVEL, method="exact")
+        return float(found.low), float(found.high)
+
+    @property
+    def p_value(self) -> float:
+        """Probability of so many or more by guessing between two."""
+        return float(binomtest(self.hits, self.of, CHANCE, alternative="greater").pvalue)
+
+
+PAPER = Proportion(4, 6)
+"""The paper's section 5.4: 66 % of six subjects felt it close to a direct touch."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mean:
+    """A mean, and the 95 % percentile interval of its bootstrap."""
+
+    value: float
+    low: float
+    high: float
+
+
+def mean_of(values: Sequence[float]) -> Mean:
+    """Of one value or more; the same values give the same interval."""
+    drawn = np.random.default_rng(0).choice(np.asarray(values), (RESAMPLED, len(values)))
+    low, high = np.quantile(drawn.mean(axis=1), (LEVEL / 2, 1 - LEVEL / 2))
+    return Mean(float(np.mean(values)), float(low), float(high))
+
+
+def hits_needed(trials: int) -> int:
+    """The least number of right answers that is beyond guessing, p ≤ 5 %; trials + 1: none is."""
+    return int(binom.isf(LEVEL, trials, CHANCE)) + 1
+
+
+def power(trials: int, share: float) -> float:
+    """How often somebody who is right so often passes for more than guessing."""
+    return float(binom.sf(hits_needed(trials) - 1, trials, share))
+
+
+def trials_needed(share: float, wanted_power: float) -> int | None:
+    """The number of trials from which on the power is never less; None: more than 5000."""
+    trials = np.arange(1, MOST_TRIALS + 1)
+    hits = binom.isf(LEVEL, trials, CHANCE)
+    short = np.flatnonzero(binom.sf(hits, trials, share) < wanted_power)
+    needed = 1 if not len(short) else int(trials[short[-1]]) + 1
+    return needed if needed <= MOST_TRIALS else None
+
+
+Floats = NDArray[np.float64]
+
+LARGEST = 20.0
+STEPS = 4_000
+DECADES = 3
+# Half of the 95 % point of chi square with one degree of freedom.
+LOG_LIKELIHOOD_DROP = 1.920729
+
+
+class IntervalErrors(NamedTuple):
+    """Force errors of a trial's intervals, in one unit."""
+
+    a: float
+    b: float
+    x: float
+
+
+def says_a(errors: IntervalErrors, threshold: float | Floats) -> Floats:
+    """Probability that X is called A.
+
+    |x − a| < |x − b| where a − b and x − (a + b)/2 have the same sign; with noise of deviation 1
+    they are independent, of variances 2 and 3/2.
+    """
+    apart = (errors.a - errors.b) / np.asarray(threshold) / math.sqrt(2)
+    aside = (errors.x - (errors.a + errors.b) / 2) / np.asarray(threshold) / math.sqrt(1.5)
+    return np.asarray(ndtr(apart) * ndtr(aside) + ndtr(-apart) * ndtr(-aside))
+
+
+def proportion_correct(d_prime: float) -> float:
+    """Share of right answers of ABX where A and B are d' apart."""
+    return float(says_a(IntervalErrors(d_prime, 0.0, d_prime), 1.0))
+
+
+def d_prime(share: float) -> float:
+    """The d' that gives a share of right answers; 0 at a half and below, infinite at 1."""
+    if share <= 0.5:
+        return 0.0
+    if share >= proportion_correct(LARGEST):
+        return math.inf
+    return float(brentq(lambda d: proportion_correct(d) - share, 0.0, LARGEST))
+
+
+@dataclass(frozen=True, slots=True)
+class Threshold:
+    """The error at which d' is 1, and the interval of its 95 % profile likelihood; 0 and infinity
+    where the answers set no bound."""
+
+    value: float
+    low: float
+    high: float
+
+
+def fit_threshold(trials: Sequence[tuple[IntervalErrors, bool]]) -> Threshold | None:
+    """The threshold that makes the answers likeliest; each trial's errors and whether X was
+    called A. None where the answers set no bound at either side, as too few or mere guesses."""
+    largest = max((abs(errors.a - errors.b) for errors, _ in trials), default=0.0)
+    if largest == 0:
+        return None
+    tried = largest * np.logspace(-DECADES, DECADES, STEPS)
+    likelihood = np.zeros(STEPS)
+    for errors, said_a in trials:
+        chance = says_a(errors, tried)
+        likelihood += np.log(np.maximum(chance if said_a else 1 - chance, 1e-300))
+    best = int(np.argmax(likelihood))
+    within = np.flatnonzero(likelihood > likelihood[best] - LOG_LIKELIHOOD_DROP)
+    low = 0.0 if within[0] == 0 else float(tried[within[0]])
+    high = math.inf if within[-1] == STEPS - 1 else float(tried[within[-1]])
+    return None if low == 0 and high == math.inf else Threshold(float(tried[best]), low, high)
+
+
+BEST_RATING = 5
+
+
+class SimulatedObserver:
+    """Answers by the differencing strategy of `psychometric.py`.
+
+    threshold: the difference in force error whose d' is 1, as a share of the pulse from peak to
+    peak. Errors are given in the same unit. It feels errors aligned: a finger that only feels
+    cannot know that a true pulse is late.
+    """
+
+    def __init__(self, threshold: float, seed: int) -> None:
+        self._threshold = threshold
+        self._random = Random(f"observer {seed}")
+
+    def tell(self, errors: IntervalErrors) -> str:
+        """What X is: "A" or "B"."""
+        a, b, x = map(self._feel, errors)
+        return "A" if abs(x - a) < abs(x - b) else "B"
+
+    def rate(self, reference: float, x: float) -> int:
+        """How close X is to the reference: 5 within a threshold, 4 within two, and so on to 1."""
+        return max(1, BEST_RATING - int(abs(self._feel(x) - self._feel(reference))))
+
+    def _feel(self, error: float) -> float:
+        return error / self._threshold + self._random.gauss(0, 1)

@@ -1,0 +1,7 @@
+"""`python -m telepulse.netem`: the relay of an emulated link, as a process of its own."""
+
+import sys
+
+from telepulse.netem.forwarder import main
+
+main(sys.argv[1:])

@@ -1,0 +1,162 @@
+"""A network namespace of our own, nameless: it goes when nothing holds it any more.
+
+TUN devices: a network interface whose packets a program reads and writes.
+
+Requests and flags are those of <linux/if_tun.h>, <linux/if.h> and <linux/sockios.h>.
+"""
+
+import ctypes
+import fcntl
+import os
+import socket
+import struct
+import subprocess
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from typing import IO
+
+from protocol.errors import TelepulseError
+
+TUN_PATH = "/dev/net/tun"
+MTU_BYTES = 1500
+_TUNSETIFF = 0x400454CA
+_IFF_TUN, _IFF_NO_PI = 0x0001, 0x1000
+_IFF_UP, _IFF_RUNNING = 0x0001, 0x0040
+_SIOCSIFFLAGS, _SIOCSIFADDR, _SIOCSIFNETMASK, _SIOCSIFMTU = 0x8914, 0x8916, 0x891C, 0x8922
+_NETMASK = "255.255.255.252"
+
+
+def open_tun(name: str, address: str) -> int:
+    """Make a TUN device in the present network namespace and bring it up; IPv4 packets only.
+
+    address: its own, in a network of four. Returns the non-blocking descriptor to read and write
+    packets with; the device goes when it is closed. Raises OSError.
+    """
+    descriptor = os.open(TUN_PATH, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        flags = _IFF_TUN | _IFF_NO_PI
+        fcntl.ioctl(descriptor, _TUNSETIFF, struct.pack("16sH14x", name.encode(), flags))
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
+            _request(control, _SIOCSIFADDR, name, _internet(address))
+            _request(control, _SIOCSIFNETMASK, name, _internet(_NETMASK))
+            _request(control, _SIOCSIFMTU, name, struct.pack("i", MTU_BYTES))
+        bring_up(name)
+    except OSError:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def bring_up(name: str) -> None:
+    """Bring an interface of the present network namespace up. Raises OSError."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
+        _request(control, _SIOCSIFFLAGS, name, struct.pack("h", _IFF_UP | _IFF_RUNNING))
+
+
+def _request(control: socket.socket, number: int, name: str, value: bytes) -> None:
+    fcntl.ioctl(control, number, struct.pack("16s24s", name.encode(), value))
+
+
+def _internet(address: str) -> bytes:
+    """A struct sockaddr_in without a port."""
+    return struct.pack("=HH4s8x", socket.AF_INET, 0, socket.inet_aton(address))
+
+
+_CLONE_NEWNET = 0x40000000
+_OURS = "/proc/thread-self/ns/net"
+_libc = ctypes.CDLL(None, use_errno=True)
+
+
+class EmulatorError(TelepulseError, OSError):
+    """The link emulator cannot run here, or its relay failed.
+
+    Example scenarios: not root, no /dev/net/tun, the relay was killed.
+    """
+
+
+def unavailable() -> str | None:
+    """Why namespaces and TUN devices cannot be made here; None when they can."""
+    if os.geteuid() != 0:
+        return "the link emulator needs root"
+    try:
+        os.close(os.open(TUN_PATH, os.O_RDWR))
+        with _and_home_again():
+            _unshare()
+    except OSError as error:
+        return f"the link emulator needs {TUN_PATH} and network namespaces: {error.strerror}"
+    return None
+
+
+class Namespace:
+    """A network namespace with a loopback and a TUN device at each of `addresses`.
+
+    tuns: the descriptors their packets are read from and written to.
+    """
+
+    def __init__(self, addresses: Sequence[str]) -> None:
+        """Raises EmulatorError."""
+        self.addresses = tuple(addresses)
+        self._descriptors = ExitStack()
+        try:
+            with _and_home_again():
+                _unshare()
+                self._namespace = self._kept(os.open(_OURS, os.O_RDONLY))
+                bring_up("lo")
+                self.tuns = tuple(
+                    self._kept(open_tun(f"tun{number}", address))
+                    for number, address in enumerate(addresses)
+                )
+        except OSError as error:
+            self.close()
+            raise EmulatorError(f"cannot make a namespace with TUN devices: {error}") from None
+
+    @property
+    def address(self) -> str:
+        """Its first address."""
+        return self.addresses[0]
+
+    def close(self) -> None:
+        """Let go of it; the kernel removes it once no program runs in it any more."""
+        self._descriptors.close()
+
+    def _kept(self, descriptor: int) -> int:
+        self._descriptors.callback(os.close, descriptor)
+        return descriptor
+
+    @contextmanager
+    def entered(self) -> Iterator[None]:
+        """Within, what this thread opens or starts is in the namespace, and stays there."""
+        with _and_home_again():
+            _check(_libc.setns(self._namespace, _CLONE_NEWNET))
+            yield
+
+    def start(
+        self,
+        *command: str,
+        stdout: IO[str] | int | None = None,
+        stderr: IO[str] | int | None = None,
+    ) -> subprocess.Popen[str]:
+        """Start a program in the namespace; it is the caller's to end."""
+        with self.entered():
+            return subprocess.Popen(command, stdout=stdout, stderr=stderr, text=True)
+
+
+@contextmanager
+def _and_home_again() -> Iterator[None]:
+    """Afterwards this thread is in the namespace that it was in before."""
+    home = os.open(_OURS, os.O_RDONLY)
+    try:
+        yield
+    finally:
+        _check(_libc.setns(home, _CLONE_NEWNET))
+        os.close(home)
+
+
+def _unshare() -> None:
+    _check(_libc.unshare(_CLONE_NEWNET))
+
+
+def _check(outcome: int) -> None:
+    if outcome:
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number))

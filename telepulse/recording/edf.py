@@ -1,0 +1,169 @@
+"""A recording as an EDF+ file, for the viewers and tools of physiology.
+
+EDF (Kemp et al. 1992, https://www.edfplus.info) holds evenly spaced numbers of 16 bits. So the
+recording's longest session is drawn on an even grid of the sensing clock, and what that takes away
+is said: the step of the numbers in the log, losses and events as annotations.
+"""
+
+import math
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from display_node.scoring.tracking_error import MAX_GAP_NS, interpolate
+from protocol.config.quantities import count_text
+from protocol.errors import OutputError, SourceError
+from telepulse.recording.session import RecordedSession, felt_in, longest_session
+
+SECOND_NS = 1_000_000_000
+# The lowest number stands for no value: nothing else is so low.
+LOWEST, HIGHEST = -32_768, 32_767
+MARGIN = 0.02
+LABEL_CHARACTERS = 16
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def export_edf(path: Path, file: Path, log: Callable[[str], None]) -> None:
+    """Write force at the wrist and force felt into `file`. Raises SourceError or OutputError."""
+    edfio = _edfio()
+    if file.exists():
+        raise OutputError(f"{file}: is there already; name another by --out")
+    session = longest_session(path, log)
+    t_ns, numbers, values = _samples(session)
+    felt = felt_in(path, session.number)
+    rate_hz = _rate_hz(session, path)
+    seconds = math.ceil((t_ns[-1] - t_ns[0] + session.description.period_ns) / SECOND_NS)
+    grid_ns = t_ns[0] + np.arange(seconds * rate_hz, dtype=np.int64) * SECOND_NS // rate_hz
+    columns = [
+        (f"Force {channel.name}", _resampled(grid_ns, t_ns, values[:, number]))
+        for number, channel in enumerate(session.description.channels)
+    ]
+    columns.append(("Force felt", _resampled(grid_ns, felt.t_ns, felt.force_n)))
+    try:
+        signals = [_signal(edfio, name, force_n, rate_hz) for name, force_n in columns]
+    except ValueError as error:
+        raise SourceError(f"{path}: holds forces that EDF cannot: {error}") from None
+    losses = _losses(edfio, t_ns, numbers, session.description.period_ns)
+    events = [
+        edfio.EdfAnnotation(max(0, at_ns - int(t_ns[0])) * 1e-9, None, text)
+        for at_ns, text in felt.events
+    ]
+    cut = [] if not session.cut else [edfio.EdfAnnotation(seconds, None, session.cut)]
+    start = _utc(felt.unix_ns(int(t_ns[0])))
+    origin = [
+        edfio.EdfAnnotation(0, None, f"{key} {run[key]}")
+        for run in session.provenance
+        for key in ("version", "commit", "host", "command")
+        if key in run
+    ]
+    edf = edfio.Edf(
+        signals,
+        recording=edfio.Recording(
+            startdate=start.date(), equipment_code="telepulse", additional=("times_are_UTC",)
+        ),
+        starttime=start.time(),
+        annotations=sorted([*losses, *events, *cut, *origin], key=lambda note: float(note.onset)),
+    )
+    try:
+        edf.write(file)
+    except OSError as error:
+        raise OutputError(f"{file}: cannot be written: {error.strerror}") from None
+    steps = ", ".join(f"{signal.label} {_step(signal):.2g} mN" for signal in signals)
+    log(
+        f"{file}: {seconds} s at {rate_hz} Hz, {count_text(len(losses), 'loss', 'losses')}"
+        f" and {count_text(len(events), 'event')} as annotations; 16 bits, a step is: {steps}"
+    )
+
+
+def _edfio() -> Any:
+    try:
+        import edfio
+    except ImportError as error:
+        raise OutputError(
+            f"an export to edf needs edfio, which cannot be loaded ({error});"
+            " pip install 'telepulse[analysis]'"
+        ) from None
+    return edfio
+
+
+def _samples(session: RecordedSession) -> tuple[Ints, Ints, Floats]:
+    """Times, numbers and values of all samples, in order of time."""
+    times, numbers, values = [], [], []
+    for frame in session.frames():
+        at = np.arange(len(frame.values), dtype=np.int64)
+        times.append(frame.t_first_ns + at * frame.period_ns)
+        numbers.append(frame.first_sample + at)
+        values.append(frame.values.astype(np.float64))
+    return np.concatenate(times), np.concatenate(numbers), np.concatenate(values)
+
+
+def _rate_hz(session: RecordedSession, path: Path) -> int:
+    """The grid's rate: the stream's own, to a whole number. Raises SourceError."""
+    if session.description.period_ns > MAX_GAP_NS:
+        slowest_hz = math.ceil(SECOND_NS / MAX_GAP_NS)
+        raise SourceError(
+            f"{path}: its rate is {session.description.rate_hz:g} Hz, below the {slowest_hz} Hz"
+            " of an export to edf; export it to csv"
+        )
+    return round(session.description.rate_hz)
+
+
+def _resampled(grid_ns: Ints, t_ns: Ints, force_n: Floats) -> Floats:
+    """A line through the values; NaN where they are too far apart for one, and outside."""
+    on_grid_n = interpolate(grid_ns, t_ns, force_n)
+    # The last one before a hole is known, all the same.
+    at = np.minimum(np.searchsorted(t_ns, grid_ns), len(t_ns) - 1)
+    return np.where(t_ns[at] == grid_ns, force_n[at], on_grid_n)
+
+
+def _signal(edfio: Any, label: str, force_n: Floats, rate_hz: int) -> Any:
+    force_mn = force_n * 1e3
+    known = force_mn[~np.isnan(force_mn)]
+    low, high = _range(known)
+    return edfio.EdfSignal(
+        np.where(np.isnan(force_mn), low, force_mn),
+        rate_hz,
+        label=label.encode("ascii", "replace").decode()[:LABEL_CHARACTERS],
+        physical_dimension="mN",
+        physical_range=(low, high),
+        digital_range=(LOWEST, HIGHEST),
+    )
+
+
+def _range(force_mn: Floats) -> tuple[float, float]:
+    """A range around the values that the header's eight characters can hold."""
+    if not len(force_mn):
+        return -1.0, 1.0
+    low, high = float(force_mn.min()), float(force_mn.max())
+    width = max(high - low, 1e-3, 1e-4 * abs(low), 1e-4 * abs(high))
+    unit = 10.0 ** (math.floor(math.log10(width)) - 1)
+    digits = max(0, 1 - math.floor(math.log10(width)))
+    low = math.floor((low - MARGIN * width) / unit) * unit
+    high = math.ceil((high + MARGIN * width) / unit) * unit
+    return round(low, digits), round(high, digits)
+
+
+def _step(signal: Any) -> float:
+    return float((signal.physical_max - signal.physical_min) / (HIGHEST - LOWEST))
+
+
+def _losses(edfio: Any, t_ns: Ints, numbers: Ints, period_ns: int) -> list[Any]:
+    missing = np.diff(numbers) - 1
+    return [
+        edfio.EdfAnnotation(
+            (int(t_ns[at] - t_ns[0]) + period_ns) * 1e-9,
+            int(missing[at]) * period_ns * 1e-9,
+            f"{count_text(int(missing[at]), 'sample')} lost",
+        )
+        for at in np.flatnonzero(missing > 0)
+    ]
+
+
+def _utc(unix_ns: int) -> datetime:
+    """To the microsecond."""
+    return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=unix_ns // 1000)

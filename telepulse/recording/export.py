@@ -1,0 +1,155 @@
+"""A recording as tables, or as a whole MCAP file again."""
+
+import csv
+import json
+from collections import Counter
+from collections.abc import Callable
+from contextlib import ExitStack
+from itertools import chain
+from pathlib import Path
+
+from protocol.config.quantities import count_text
+from protocol.errors import OutputError, SourceError
+from protocol.host.result_files import write_whole
+from telepulse.recording.mcap_writer import McapWriter
+from telepulse.recording.reader import RecordedMessage, RecordingReader
+from telepulse.recording.tables import (
+    TABLES,
+    ParquetTable,
+    Row,
+    TableColumn,
+    check_parquet,
+    columns,
+    rows,
+)
+from telepulse.telemetry.schema import SCHEMAS
+
+MESSAGES_A_CHUNK = 5_000
+PROVENANCE = "provenance.json"
+
+
+class CsvTable:
+    """A table as CSV: numbers as they are, nothing where there is no value."""
+
+    suffix = ".csv"
+
+    def __init__(self, path: Path, columns: list[TableColumn]) -> None:
+        """Raises OSError."""
+        self._file = path.open("w", newline="", encoding="utf-8")
+        writer = csv.writer(self._file)
+        writer.writerow([column.name for column in columns])
+        self.add: Callable[[Row], object] = writer.writerow
+        self.close = self._file.close
+
+
+Kind = type[CsvTable] | type[ParquetTable]
+
+
+def export_csv(path: Path, folder: Path, log: Callable[[str], None]) -> None:
+    """Write a recording's tables into a new folder. Raises SourceError or OutputError."""
+    _export_tables(path, folder, log, CsvTable)
+
+
+def export_parquet(path: Path, folder: Path, log: Callable[[str], None]) -> None:
+    """Write a recording's tables with typed columns into a new folder. Raises SourceError or
+    OutputError, the latter also without pyarrow."""
+    check_parquet()
+    _export_tables(path, folder, log, ParquetTable)
+
+
+def _export_tables(path: Path, folder: Path, log: Callable[[str], None], kind: Kind) -> None:
+    reader, tables = RecordingReader(path), _Tables(folder, kind)
+    try:
+        with tables:
+            for message in reader:
+                if message.topic in TABLES:
+                    tables.add(message)
+            tables.describe(path, reader)
+    except FileExistsError:
+        raise OutputError(f"{folder}: is there already; name another by --out") from None
+    except (SourceError, OutputError):
+        raise
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from None
+    except (LookupError, ValueError, TypeError, ArithmeticError) as error:
+        raise SourceError(f"{path}: a message is not telepulse's: {error!r:.80}") from None
+    say_gaps(path, reader, log)
+    log(f"{folder}: " + ", ".join(f"{tables.rows[t]} {name}" for t, name in TABLES.items()))
+
+
+class _Tables(ExitStack):
+    """A file a topic, in a folder that is made for the first message. rows: in each of them."""
+
+    def __init__(self, folder: Path, kind: Kind) -> None:
+        super().__init__()
+        self._folder = folder
+        self._kind = kind
+        self._files: dict[str, CsvTable | ParquetTable] = {}
+        self._columns: dict[str, list[TableColumn]] = {}
+        self.rows: Counter[str] = Counter()
+
+    def add(self, message: RecordedMessage) -> None:
+        """Write a message's rows. Raises OSError; KeyError, ValueError, TypeError of its fields."""
+        if message.topic not in self._files:
+            self._files[message.topic] = self._open(message)
+        file = self._files[message.topic]
+        for row in rows(message):
+            file.add(row)
+            self.rows[message.topic] += 1
+
+    def describe(self, path: Path, reader: RecordingReader) -> None:
+        """Write beside the tables what produced the recording, what of it could not be read, and
+        what each column holds and on which clock. Raises OutputError."""
+        if not self._files:
+            return
+        described = {
+            "recording": str(path),
+            "whole": reader.whole,
+            "gaps": reader.gaps(),
+            "runs": [dict(run) for run in reader.provenance],
+            "columns": {
+                name: {c.name: {"unit": c.unit, "description": c.says} for c in found}
+                for name, found in self._columns.items()
+            },
+        }
+        for file in self._files.values():
+            if isinstance(file, ParquetTable):
+                file.describe(described)
+        write_whole(self._folder / PROVENANCE, json.dumps(described, indent=2) + "\n")
+
+    def _open(self, first: RecordedMessage) -> CsvTable | ParquetTable:
+        if not self._files:
+            self._folder.mkdir(parents=True)
+        path = self._folder / f"{TABLES[first.topic]}{self._kind.suffix}"
+        self._columns[path.name] = columns(first)
+        file = self._kind(path, self._columns[path.name])
+        self.callback(file.close)
+        return file
+
+
+def export_mcap(path: Path, copy: Path, log: Callable[[str], None]) -> None:
+    """Write what can be read of a recording as a whole one. Raises SourceError or OutputError."""
+    reader = RecordingReader(path)
+    messages = (message for message in reader if message.topic in SCHEMAS)
+    # What cannot be read leaves no file behind.
+    first = next(messages, None)
+    if first is None:
+        raise SourceError(f"{path}: holds no message")
+    writer = McapWriter(copy)
+    for number, message in enumerate(chain([first], messages)):
+        writer.put(*message)
+        if number % MESSAGES_A_CHUNK == 0:
+            writer.flush()
+    for provenance in reader.provenance:
+        writer.describe(provenance)
+    reason = writer.close()
+    if reason is not None or writer.dropped:
+        raise OutputError(f"{copy}: cannot be written: {reason or 'the disk was full'}")
+    say_gaps(path, reader, log)
+    log(f"{copy}: {count_text(sum(writer.written.values()), 'message')}")
+
+
+def say_gaps(path: Path, reader: RecordingReader, log: Callable[[str], None]) -> None:
+    """Report what of a recording could not be read."""
+    for line in reader.gaps():
+        log(f"{path}: {line}")

@@ -1,0 +1,190 @@
+"""The report of a recording: its chapters in their order."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from statistics import median
+from typing import TYPE_CHECKING
+
+from protocol.availability import NAMES as AVAILABILITY
+from protocol.availability import part_text
+from protocol.config.quantities import count_text
+from protocol.histogram import bound
+from protocol.limits import limit_texts
+from protocol.run_summary import Lateness, OneWayDelay, PlayoutDelay, Summary
+from telepulse.recording.report.findings import RunFindings, read_findings
+from telepulse.reports.document import Chapter, Report, Table, provenance_table
+
+if TYPE_CHECKING:
+    from telepulse.reports.document import Plot
+
+NONE = "–"
+LEVELS = {2: "", 3: "warning", 4: "error"}
+
+
+def build_recording_report(path: Path) -> Report:
+    """Read a recording and report it. Raises SourceError."""
+    findings = read_findings(path)
+    chapters = (
+        _whole(findings),
+        _force(findings),
+        _delays(findings),
+        _clock_and_loop(findings),
+        _events(findings),
+        *_provenance(findings),
+    )
+    return Report(f"Recording {path.name}", chapters)
+
+
+def _whole(findings: RunFindings) -> Chapter:
+    begin = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(
+        microseconds=(findings.begin_ns or 0) // 1000
+    )
+    streams = ", ".join(f"“{name}”" for name in dict.fromkeys(findings.streams)) or "no stream"
+    said = [
+        f"{streams}, {begin:%Y-%m-%d %H:%M:%S} UTC, {findings.seconds:.1f} s,"
+        f" {count_text(len(findings.streams), 'session')} of the sensing node."
+    ]
+    said += [f"The recording: {line}." for line in findings.gaps]
+    if findings.runs > 1:
+        said.append(
+            f"The display was started {findings.runs} times; its own figures are of the last run."
+        )
+    own_ticks = None if findings.own is None else findings.own.loop.ticks
+    if findings.runs == 1 and own_ticks is not None and own_ticks > findings.ticks:
+        said.append(
+            f"The display's own figures count {count_text(own_ticks - findings.ticks, 'tick')} more"
+            " than were recorded: from before the recording, or missed by the recorder."
+        )
+    return Chapter("In short", tuple(said), (_summary(findings),))
+
+
+def _summary(findings: RunFindings) -> Table:
+    recorded, own = findings.summary(), findings.own or Summary()
+    rows = [(name, show(recorded), show(own)) for name, show in _ROWS]
+    for place, name in enumerate(("wrist", "finger")):
+        rates = [rate for _, *both in findings.forces.heart if (rate := both[place]) is not None]
+        shown = f"{median(rates):.1f} /min" if rates else NONE
+        rows.append((f"heart rate at the {name}, median", shown, NONE))
+    last = "its last word" if findings.own_final else "its last status, for it never ended"
+    return Table(
+        "the run",
+        ("", "from the recording", "the display's own"),
+        tuple(row for row in rows if row[1:] != (NONE, NONE)),
+        note=f"Its own: by {last}. From the recording: computed from frames, clock replies and"
+        " ticks with the display's own modules. A tick is recorded with when it was due, not when"
+        " it began: what came in between counts as late there. Ticks missed before the first one"
+        " and a loss after the last frame are not seen.",
+    )
+
+
+def _number(value: float | None, unit: str, digits: int = 1, scale: float = 1.0) -> str:
+    return NONE if value is None else f"{value * scale:.{digits}f} {unit}".rstrip()
+
+
+def _quantile(
+    table: OneWayDelay | PlayoutDelay | Lateness, key: str, unit: str, digits: int
+) -> str:
+    return f"{bound(key, table.beyond)}{_number(getattr(table, key), unit, digits)}"
+
+
+def _share_of_run(key: str) -> Callable[[Summary], str]:
+    return lambda s: _number(getattr(s.availability, key), "% of the run", 1, 100)
+
+
+_Row = tuple[str, Callable[[Summary], str]]
+_ROWS: tuple[_Row, ...] = (
+    ("frames received", lambda s: _number(s.frames.received, "", 0)),
+    ("frames out of order", lambda s: _number(s.frames.reordered, "", 0)),
+    ("samples sent", lambda s: _number(s.samples.sent, "", 0)),
+    ("samples played", lambda s: _number(s.samples.played, "", 0)),
+    ("samples late", lambda s: _number(s.samples.late, "", 0)),
+    ("samples lost", lambda s: _number(s.samples.lost, "", 0)),
+    ("one-way delay, p50", lambda s: _quantile(s.one_way_delay_ms, "p50", "ms", 2)),
+    ("one-way delay, p99", lambda s: _quantile(s.one_way_delay_ms, "p99", "ms", 2)),
+    ("one-way delay, max", lambda s: _number(s.one_way_delay_ms.max, "ms", 2)),
+    ("playout delay, mean", lambda s: _number(s.playout_delay_ms.mean, "ms", 2)),
+    ("playout delay, p99", lambda s: _quantile(s.playout_delay_ms, "p99", "ms", 2)),
+    *((f"time: {text}", _share_of_run(key)) for key, text in AVAILABILITY.items()),
+    (
+        "predicted",
+        lambda s: _number(
+            s.compensation.predicted, f"% of {part_text(s.availability.played)} played", 1, 100
+        ),
+    ),
+    ("force RMSE, aligned", lambda s: _number(s.force_rmse_n.aligned, "mN", 3, 1e3)),
+    ("force RMSE, in phase", lambda s: _number(s.force_rmse_n.in_phase, "mN", 3, 1e3)),
+    (
+        "within JND",
+        lambda s: _number(s.within_jnd, f"% of {part_text(s.availability.judged)} judged", 2, 100),
+    ),
+    ("above 25 Hz, felt", lambda s: _number(s.roughness.felt_n, "mN", 3, 1e3)),
+    ("above 25 Hz, sensed", lambda s: _number(s.roughness.sensed_n, "mN", 3, 1e3)),
+    ("limited", lambda s: "; ".join(limit_texts(asdict(s.limited))) or NONE),
+    ("clock offset", lambda s: _number(s.clock.offset_ms, "ms", 3)),
+    ("clock skew", lambda s: _number(s.clock.skew_ppm, "ppm", 1)),
+    ("clock steps", lambda s: _number(s.clock.steps, "", 0)),
+    ("ticks", lambda s: _number(s.loop.ticks, "", 0)),
+    ("ticks missed", lambda s: _number(s.loop.deadline_misses, "", 0)),
+    ("ticks began late, p99", lambda s: _quantile(s.loop.late_us, "p99", "µs", 0)),
+    ("ticks began late, max", lambda s: _number(s.loop.late_us.max, "µs", 0)),
+)
+
+
+def _force(findings: RunFindings) -> Chapter:
+    from telepulse.recording.report import figures
+
+    forces = findings.forces
+    alignment = forces.alignment
+    if alignment.ratio is None or not forces.first:
+        return Chapter("Force", ("The pulse was never played at its full strength.",))
+    plots: list[Plot] = [
+        figures.stretch("force-first", "The first seconds at full strength.", forces.first),
+        figures.stretch("force-worst", "Around the largest difference.", forces.worst),
+        figures.error(forces),
+    ]
+    if forces.heart:
+        plots.append(figures.heart(forces))
+    found = (
+        f"The finger is to feel {alignment.ratio:.4g} times the force of channel"
+        f" {alignment.channel}; the wrist's force is shown times that, at the instants that were"
+        " played."
+    )
+    return Chapter("Force", (found,), plots=tuple(plots))
+
+
+def _delays(findings: RunFindings) -> Chapter:
+    from telepulse.recording.report import figures
+
+    plots = (
+        figures.delays(findings),
+        figures.delay_distribution(findings),
+        figures.loss(findings),
+    )
+    return Chapter("Delay and loss", plots=plots)
+
+
+def _clock_and_loop(findings: RunFindings) -> Chapter:
+    from telepulse.recording.report import figures
+
+    return Chapter("Clock and loop", plots=(figures.clock(findings), figures.loop(findings)))
+
+
+def _events(findings: RunFindings) -> Chapter:
+    rows = tuple(
+        (f"{t_s:.2f}", LEVELS.get(level, str(level)), name, text)
+        for t_s, level, name, text in findings.events
+    )
+    more = f"{findings.more_events} further ones are not shown." if findings.more_events else ""
+    return Chapter("What happened", tables=(Table("events", ("s", "", "what", ""), rows, more),))
+
+
+def _provenance(findings: RunFindings) -> Iterator[Chapter]:
+    """Yield what produced the recording, where it has it: those of older versions do not."""
+    if findings.provenance:
+        tables = tuple(
+            provenance_table(f"run {number}" if len(findings.provenance) > 1 else "the run", run)
+            for number, run in enumerate(findings.provenance, 1)
+        )
+        yield Chapter("Provenance of the recording", tables=tables)

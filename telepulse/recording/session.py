@@ -1,0 +1,154 @@
+"""One session out of a recording: its description and its frames.
+
+Ticks and events of one session of a recording, on the sensing clock.
+"""
+
+import math
+from base64 import b64decode
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.config.quantities import count_text
+from protocol.errors import SourceError, WireError
+from protocol.wire.messages import Frame, Welcome, decode_control, decode_frame
+from protocol.wire.stream import StreamDescription
+from telepulse.recording.reader import RecordedMessage, RecordingReader
+from telepulse.telemetry.listener import Listener
+from telepulse.telemetry.schema import EVENT, FRAME, STREAM, TICK
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedForce:
+    """Force felt at instants of the sensing clock, in order; events with theirs.
+
+    sensing_minus_unix_ns: brings Unix time to the sensing clock, as at the session's first tick.
+    """
+
+    t_ns: NDArray[np.int64]
+    force_n: NDArray[np.float64]
+    events: list[tuple[int, str]]
+    sensing_minus_unix_ns: int
+
+    def unix_ns(self, sensing_ns: int) -> int:
+        """Unix time of an instant of the sensing clock."""
+        return sensing_ns - self.sensing_minus_unix_ns
+
+
+def felt_in(path: Path, session: int) -> RecordedForce:
+    """Follow the clock through a recording. Raises SourceError."""
+    listener, apart_ns = Listener(), 0
+    t_ns: list[int] = []
+    force_n: list[float] = []
+    events: list[tuple[int, str]] = []
+    # Before the clock is known.
+    early: list[tuple[int, str]] = []
+    receiver = listener.receiver
+    try:
+        for message in RecordingReader(path):
+            fields = message.fields
+            if message.topic == TICK:
+                if receiver.session != session or not receiver.clock.ready:
+                    continue
+                sensing_ns = receiver.clock.remote_ns(fields["now_ns"])
+                if not t_ns:
+                    apart_ns = sensing_ns - message.t_ns
+                    events += [(at_ns + apart_ns, text) for at_ns, text in early]
+                unix_minus_display_ns = message.t_ns - fields["now_ns"]
+                t_ns.append(sensing_ns)
+                force_n.append(float(fields.get("felt_n", math.nan)))
+                listener.play(fields["instant_ns"])
+            elif message.topic != EVENT:
+                listener.take(message.topic, fields)
+            elif receiver.session == session:
+                text = f"{fields['name']}: {fields['message']}"
+                if t_ns:
+                    at_ns = receiver.clock.remote_ns(message.t_ns - unix_minus_display_ns)
+                    events.append((at_ns, text))
+                else:
+                    early.append((message.t_ns, text))
+        times_ns = np.array(t_ns, np.int64)
+    except (LookupError, ValueError, TypeError, ArithmeticError) as error:
+        raise SourceError(f"{path}: a message is not telepulse's: {error!r:.80}") from None
+    if not t_ns:
+        raise SourceError(f"{path}: holds no tick while the sensing clock was known")
+    order = np.argsort(times_ns, kind="stable")
+    return RecordedForce(times_ns[order], np.array(force_n)[order], events, apart_ns)
+
+
+@dataclass
+class RecordedSession:
+    """The frames of one session, as bytes by the number of their first sample.
+
+    cut: how the recording breaks off, "" where it is whole. provenance: of the recording's runs.
+    """
+
+    number: int
+    description: StreamDescription
+    data: dict[int, bytes] = field(default_factory=dict)
+    samples: int = 0
+    cut: str = ""
+    provenance: list[dict[str, str]] = field(default_factory=list)
+
+    def frames(self) -> Iterator[Frame]:
+        """Yield the frames in order."""
+        for _, data in sorted(self.data.items()):
+            yield decode_frame(data)
+
+    def fits(self, frame: Frame) -> bool:
+        """Return whether the stream can hold such a frame."""
+        description, values = self.description, frame.values
+        return (
+            values.shape[1] == len(description.channels)
+            and values.itemsize == description.bytes_per_sample
+            and values.shape[0] <= description.batch
+        )
+
+
+def longest_session(path: Path, log: Callable[[str], None]) -> RecordedSession:
+    """The session with most samples; `log` is told what else there is and what is missing.
+
+    Raises SourceError when there is none.
+    """
+    reader = RecordingReader(path)
+    sessions: dict[int, RecordedSession] = {}
+    unfit = 0
+    for message in reader:
+        try:
+            unfit += not _take(message, sessions)
+        except (WireError, ValueError, KeyError, TypeError):
+            unfit += 1
+    for line in reader.gaps():
+        log(f"{path}: {line}")
+    if unfit:
+        log(f"{path}: left out: {count_text(unfit, 'frame')} unfit for their stream")
+    longest = max(sessions.values(), key=lambda session: session.samples, default=None)
+    if longest is None or not longest.samples:
+        raise SourceError(f"{path}: holds no frame of a stream that is described")
+    longest.provenance = reader.provenance
+    longest.cut = "" if reader.whole else reader.gaps()[0]
+    if len(sessions) > 1:
+        log(f"{path}: holds {len(sessions)} sessions; the longest is taken")
+    return longest
+
+
+def _take(message: RecordedMessage, sessions: dict[int, RecordedSession]) -> bool:
+    """Add a frame or a description; False for a frame that cannot be used."""
+    if message.topic == STREAM:
+        welcome = decode_control(b64decode(message.fields["data"]))
+        if isinstance(welcome, Welcome):
+            session = RecordedSession(welcome.session, welcome.description)
+            sessions.setdefault(welcome.session, session)
+    elif message.topic == FRAME:
+        data = b64decode(message.fields["data"])
+        frame = decode_frame(data)
+        found = sessions.get(frame.session)
+        if found is None or not found.fits(frame):
+            return False
+        if frame.first_sample not in found.data:
+            found.data[frame.first_sample] = data
+            found.samples += len(frame.values)
+    return True

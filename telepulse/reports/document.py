@@ -1,0 +1,234 @@
+"""Reports: chapters of text, tables and plots, as a folder that a browser opens.
+
+Needs the extra `report` (matplotlib and Jinja). Every plot is drawn twice, light and dark, and
+the page shows the one that its reader's system asks for.
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.table import Table as RichTable
+
+from protocol.errors import OutputError
+from protocol.host.result_files import write_whole
+from protocol.provenance import Provenance
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PAGE = "index.html"
+SIZE_INCHES = (8.0, 4.5)
+DOTS_PER_INCH = 144
+# Cells longer than this are words, set flush left in the terminal.
+LONGEST_NUMBER = 16
+MISSING = "reports need matplotlib and Jinja: pip install 'telepulse[report]'"
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table of text; the first column names the row.
+
+    summary: what a terminal shows in the place of a table that is too long for it.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    note: str = ""
+    summary: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Plot:
+    """A plot: `name` is its file's stem, `draw` fills an empty figure."""
+
+    name: str
+    caption: str
+    draw: "Callable[[Figure], None]"
+
+
+@dataclass(frozen=True, slots=True)
+class Chapter:
+    """A chapter: paragraphs, then tables, then plots."""
+
+    title: str
+    paragraphs: tuple[str, ...] = ()
+    tables: tuple[Table, ...] = ()
+    plots: tuple[Plot, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """A titled row of chapters. provenance: what made the report."""
+
+    title: str
+    chapters: tuple[Chapter, ...]
+    provenance: Provenance | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Titles, paragraphs and tables as plain types for JSON."""
+        made = {} if self.provenance is None else {"provenance": self.provenance.to_dict()}
+        return made | {
+            "title": self.title,
+            "chapters": [
+                {
+                    "title": chapter.title,
+                    "paragraphs": list(chapter.paragraphs),
+                    "tables": [
+                        {
+                            "title": table.title,
+                            "rows": [
+                                dict(zip(table.columns, row, strict=True)) for row in table.rows
+                            ],
+                            "note": table.note,
+                        }
+                        for table in chapter.tables
+                    ],
+                }
+                for chapter in self.chapters
+            ],
+        }
+
+
+def provenance_table(title: str, provenance: Mapping[str, Any]) -> Table:
+    """Return what produced something as a table; too long for a terminal, which shows the head."""
+    texts = {
+        key: value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+        for key, value in provenance.items()
+    }
+    head = [texts[key] for key in ("version", "commit", "start_utc", "host") if key in texts]
+    return Table(title, ("", ""), tuple(texts.items()), summary=", ".join(head))
+
+
+@dataclass(frozen=True, slots=True)
+class Theme:
+    """Colours of a plot. Line colours are told apart by lightness too."""
+
+    name: str
+    ground: str
+    ink: str
+    faint: str
+    lines: tuple[str, ...]
+
+
+THEMES = (
+    Theme(
+        "light",
+        "#ffffff",
+        "#1d2329",
+        "#d5dae0",
+        ("#1f5fa8", "#d1570b", "#1f8a5b", "#8d3fb0", "#b8912a"),
+    ),
+    Theme(
+        "dark",
+        "#14181d",
+        "#e4e8ec",
+        "#353d46",
+        ("#6fb1ff", "#ff9d5c", "#5fd3a0", "#cf9bf0", "#e8c765"),
+    ),
+)
+
+
+def check_can_report(folder: Path) -> None:
+    """Say before the work what would fail after it. Raises OutputError."""
+    try:
+        import jinja2  # noqa: F401
+        import matplotlib  # noqa: F401
+
+        folder.mkdir(parents=True, exist_ok=True)
+        page = folder / PAGE
+        was_there = page.exists()
+        page.open("a").close()
+        if not was_there:
+            page.unlink()
+    except ImportError:
+        raise OutputError(MISSING) from None
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be written: {error.strerror}") from None
+
+
+def write_report(report: Report, folder: Path) -> Path:
+    """Write the page and its pictures into `folder`; the page's path. Raises OutputError."""
+    check_can_report(folder)
+    written = report
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    if report.provenance is not None:
+        made = provenance_table("how this was made", report.provenance.to_dict())
+        chapter = Chapter("Provenance of this report", tables=(made,))
+        report = replace(report, chapters=(*report.chapters, chapter))
+    for chapter in report.chapters:
+        for plot in chapter.plots:
+            for theme in THEMES:
+                _draw(plot, theme, folder / f"{plot.name}-{theme.name}.png")
+    environment = Environment(
+        loader=PackageLoader("telepulse.reports", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    page = folder / PAGE
+    write_whole(page, environment.get_template("report.html").render(report=report))
+    write_json(written, folder / "report.json")
+    return page
+
+
+def write_json(report: Report, path: Path) -> None:
+    """Write the report's text and tables as JSON. Raises OutputError."""
+    write_whole(path, json.dumps(report.to_dict(), indent=2, ensure_ascii=False) + "\n")
+
+
+def print_tables(report: Report, console: Console) -> None:
+    """Print the report's tables to the terminal; numbers are never cut, however narrow it is."""
+    for chapter in report.chapters:
+        for table in chapter.tables:
+            if table.summary:
+                console.print(f"{table.title}: {table.summary}", markup=False)
+                continue
+            shown = RichTable(title=table.title, title_justify="left", caption=table.note or None)
+            least = 1
+            for position, column in enumerate(table.columns):
+                longest = max((len(row[position]) for row in table.rows), default=0)
+                words = position == 0 or longest > LONGEST_NUMBER
+                # Names wrap between words, numbers not at all.
+                width = min(longest, LONGEST_NUMBER) if words else longest
+                width = max(width, *map(len, column.split()), 1)
+                shown.add_column(column, justify="left" if words else "right", min_width=width)
+                least += width + 3
+            for row in table.rows:
+                shown.add_row(*row)
+            console.print(shown, width=max(console.width, least), crop=False)
+
+
+def _draw(plot: Plot, theme: Theme, path: Path) -> None:
+    import matplotlib
+    from cycler import cycler
+    from matplotlib.figure import Figure
+
+    style: Any = {
+        "figure.facecolor": theme.ground,
+        "axes.facecolor": theme.ground,
+        "savefig.facecolor": theme.ground,
+        "axes.edgecolor": theme.ink,
+        "axes.labelcolor": theme.ink,
+        "text.color": theme.ink,
+        "xtick.color": theme.ink,
+        "ytick.color": theme.ink,
+        "grid.color": theme.faint,
+        "legend.frameon": False,
+        "axes.grid": True,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.prop_cycle": cycler(color=theme.lines),
+        "font.size": 12,
+        "lines.linewidth": 1.8,
+    }
+    with matplotlib.rc_context(style):
+        figure = Figure(figsize=SIZE_INCHES, layout="constrained")
+        plot.draw(figure)
+        figure.savefig(path, dpi=DOTS_PER_INCH)

@@ -1,0 +1,138 @@
+"""Ways to step the paper's actuator, eq 22, from tick to tick under a held voltage.
+
+m f'' + c f' + k f = u, at rest at first. Each function gives a stepper: a voltage in V in, the
+force in N at the tick's end out. Those written out here work in floats and in decimals alike,
+so that the same code also runs in as many digits as a reference needs.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from decimal import Decimal, getcontext
+from typing import Generic, TypeVar
+
+from display_node.plant.second_order import SecondOrder, SecondOrderScene
+
+Number = TypeVar("Number", float, Decimal)
+Step = Callable[[Number], Number]
+Matrix = list[list[Decimal]]
+
+
+@dataclass(frozen=True, slots=True)
+class Plant(Generic[Number]):
+    """The numbers of eq 22."""
+
+    m: Number
+    c: Number
+    k: Number
+
+
+def explicit_euler(plant: Plant[Number], tick_s: Number, substeps: int) -> Step[Number]:
+    """Force and rate both from the slopes at the sub-step's beginning; order 1."""
+    m, c, k = plant.m, plant.c, plant.k
+    h = tick_s / substeps
+    force = rate = tick_s * 0
+
+    def step(volts: Number) -> Number:
+        nonlocal force, rate
+        for _ in range(substeps):
+            force, rate = force + h * rate, rate + h * (volts - c * rate - k * force) / m
+        return force
+
+    return step
+
+
+def semi_implicit_euler(plant: Plant[Number], tick_s: Number, substeps: int) -> Step[Number]:
+    """The rate first, then the force with the new rate; order 1, keeps an oscillation's energy."""
+    m, c, k = plant.m, plant.c, plant.k
+    h = tick_s / substeps
+    force = rate = tick_s * 0
+
+    def step(volts: Number) -> Number:
+        nonlocal force, rate
+        for _ in range(substeps):
+            rate += h * (volts - c * rate - k * force) / m
+            force += h * rate
+        return force
+
+    return step
+
+
+def rk4(plant: Plant[Number], tick_s: Number, substeps: int) -> Step[Number]:
+    """The classical Runge-Kutta method; order 4."""
+    m, c, k = plant.m, plant.c, plant.k
+    h = tick_s / substeps
+    half, sixth = h / 2, h / 6
+    force = rate = tick_s * 0
+
+    def step(volts: Number) -> Number:
+        nonlocal force, rate
+        for _ in range(substeps):
+            slope1 = (volts - c * rate - k * force) / m
+            rate2 = rate + half * slope1
+            slope2 = (volts - c * rate2 - k * (force + half * rate)) / m
+            rate3 = rate + half * slope2
+            slope3 = (volts - c * rate3 - k * (force + half * rate2)) / m
+            rate4 = rate + h * slope3
+            slope4 = (volts - c * rate4 - k * (force + h * rate3)) / m
+            force += sixth * (rate + 2 * (rate2 + rate3) + rate4)
+            rate += sixth * (slope1 + 2 * (slope2 + slope3) + slope4)
+        return force
+
+    return step
+
+
+def shipped(plant: Plant[float], tick_s: float) -> Step[float]:
+    """What the display node runs: `SecondOrder`, the exact zero-order hold in floats."""
+    scene = SecondOrderScene(kind="second_order", m=plant.m, c=plant.c, k=plant.k)
+    return SecondOrder(scene, tick_s).step
+
+
+def exact_hold(plant: Plant[Decimal], tick_s: Decimal) -> Step[Decimal]:
+    """The exact zero-order hold in the decimal context's digits."""
+    (a11, a12, b1), (a21, a22, b2) = held_matrix(plant, tick_s)[:2]
+    force = rate = Decimal(0)
+
+    def step(volts: Decimal) -> Decimal:
+        nonlocal force, rate
+        force, rate = (
+            a11 * force + a12 * rate + b1 * volts,
+            a21 * force + a22 * rate + b2 * volts,
+        )
+        return force
+
+    return step
+
+
+def held_matrix(plant: Plant[Decimal], tick_s: Decimal) -> Matrix:
+    """The 3 × 3 map of (force, rate, held voltage) over a tick, in the decimal context's digits.
+
+    The exponential of eq 22's matrix: a Taylor series of a small enough part, squared up.
+    """
+    zero = Decimal(0)
+    system = [
+        [zero, tick_s, zero],
+        [-plant.k / plant.m * tick_s, -plant.c / plant.m * tick_s, tick_s / plant.m],
+        [zero, zero, zero],
+    ]
+    halvings = 0
+    while max(abs(x) for row in system for x in row) > 1:
+        system = [[x / 2 for x in row] for row in system]
+        halvings += 1
+    term = total = [[Decimal(int(i == j)) for j in range(3)] for i in range(3)]
+    smallest = Decimal(10) ** -(getcontext().prec + 10)
+    order = 0
+    while max(abs(x) for row in term for x in row) > smallest:
+        order += 1
+        term = [[x / order for x in row] for row in _product(term, system)]
+        total = [[total[i][j] + term[i][j] for j in range(3)] for i in range(3)]
+    for _ in range(halvings):
+        total = _product(total, total)
+    return total
+
+
+def _product(a: Matrix, b: Matrix) -> Matrix:
+    columns = list(zip(*b, strict=True))
+    return [
+        [sum((x * y for x, y in zip(row, column, strict=True)), Decimal(0)) for column in columns]
+        for row in a
+    ]

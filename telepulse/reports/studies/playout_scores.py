@@ -1,0 +1,199 @@
+"""Every rule on every link: at 1 % late, at its defaults, and what the optima need."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+from display_node.reception.playout_clock import LATE_TARGET, DelayEstimator
+from telepulse.reports.studies.playout_optimum import best_constant_ms, best_moving, cheapest
+from telepulse.reports.studies.playout_peers import (
+    FixedDelay,
+    MoonPercentile,
+    NetEqLike,
+    Ramjee1,
+    Ramjee4,
+)
+from telepulse.reports.studies.playout_play import DelayRule, MakeRule, PlayedTrace, play
+from telepulse.reports.studies.playout_traces import FRAME_NS, LINKS, SECONDS, make_trace
+from telepulse.reports.studies.sweep import sweep
+
+MS = 1e6
+FRAME_MS = FRAME_NS / MS
+# Prices of a late share, in ms, for the optimum's curve.
+PRICES_MS = (10.0, 30.0, 100.0, 300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """A rule and its one knob, from the setting with fewest late frames to that with most."""
+
+    name: str
+    make: MakeRule
+    knob: str
+    fewest: float
+    most: float
+    default: float
+
+
+def _ours(late_target: float) -> DelayRule:
+    return DelayEstimator(late_target, warp=math.inf)
+
+
+def _fixed(reserve_ms: float) -> DelayRule:
+    return FixedDelay(round(reserve_ms * MS))
+
+
+OURS = "ours"
+RULES: dict[str, Rule] = {
+    rule.name: rule
+    for rule in (
+        Rule(OURS, _ours, "late target", 1e-4, 0.3, LATE_TARGET),
+        Rule("Ramjee 1", Ramjee1, "β", 60.0, 0.5, 4.0),
+        Rule("Ramjee 4", Ramjee4, "β", 60.0, 0.5, 4.0),
+        Rule("Moon percentile", MoonPercentile, "late target", 1e-4, 0.3, 0.01),
+        Rule("NetEQ-like", NetEqLike, "late target", 1e-4, 0.999, 0.05),
+        Rule("fixed", _fixed, "reserve in ms", 600.0, 1.0, 40.0),
+    )
+}
+
+
+@dataclass(frozen=True, slots=True)
+class PlayoutEffort:
+    """How much is computed. scan: settings over a knob's whole range; bisections: after it."""
+
+    seconds: float = SECONDS
+    scan: int = 4
+    bisections: int = 5
+    links: tuple[str, ...] = tuple(LINKS)
+    curves: tuple[str, ...] = ()
+    late: float = LATE_TARGET
+
+
+@dataclass(frozen=True, slots=True)
+class RuleScore:
+    """One rule on one link. tuned: at `knob`, the least delay that has at most the share late.
+
+    reached: some setting had it; else `tuned` is the one with the fewest late frames.
+    default: at its default; warped: as the display would play that. tried: every setting that
+    was played, by its late share.
+    """
+
+    tuned: PlayedTrace
+    knob: float
+    reached: bool
+    default: PlayedTrace
+    warped: PlayedTrace
+    tried: tuple[PlayedTrace, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class LinkScore:
+    """What is known of a link beforehand: its smallest delay and both optima, in ms.
+
+    moving_ms is a bound, found_ms what the path found needs; curve: the optimum at prices.
+    """
+
+    smallest_ms: float
+    constant_ms: float
+    moving_ms: float
+    found_ms: float
+    curve: tuple[PlayedTrace, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class PlayoutScores:
+    """By link; rules by link and name."""
+
+    links: dict[str, LinkScore]
+    rules: dict[str, dict[str, RuleScore]]
+
+
+class RuleOnLink(NamedTuple):
+    """Which rule is played on which link."""
+
+    rule: str
+    link: str
+
+    def __str__(self) -> str:
+        return f"{self.rule} on {self.link}"
+
+
+def score_playout(effort: PlayoutEffort, scheduler: str | None = None) -> PlayoutScores:
+    """Play everything, on all cores or a Dask cluster; the same for the same effort.
+
+    Raises SweepError.
+    """
+    cases = [RuleOnLink(name, link) for link in effort.links for name in RULES]
+    links = sweep(partial(score_link, effort=effort), effort.links, scheduler)
+    rules: dict[str, dict[str, RuleScore]] = {link: {} for link in effort.links}
+    for case, score in zip(
+        cases, sweep(partial(score_rule, effort=effort), cases, scheduler), strict=True
+    ):
+        rules[case.link][case.rule] = score
+    return PlayoutScores(dict(zip(effort.links, links, strict=True)), rules)
+
+
+def score_link(link: str, effort: PlayoutEffort) -> LinkScore:
+    """The optima of a link."""
+    delay_ms = make_trace(link, effort.seconds).delay_ns / MS
+    optimum = best_moving(delay_ms, effort.late, FRAME_MS)
+    prices_ms = PRICES_MS if link in effort.curves else ()
+    paths = (cheapest(delay_ms, price_ms, FRAME_MS) for price_ms in prices_ms)
+    return LinkScore(
+        float(delay_ms.min()),
+        best_constant_ms(delay_ms, effort.late),
+        optimum.bound_ms,
+        optimum.best.delay_ms,
+        (
+            PlayedTrace(optimum.bound_ms, effort.late),
+            *(PlayedTrace(path.delay_ms, path.late) for path in paths),
+        ),
+    )
+
+
+def score_rule(case: RuleOnLink, effort: PlayoutEffort) -> RuleScore:
+    """A rule on a link."""
+    rule, trace = RULES[case.rule], make_trace(case.link, effort.seconds)
+
+    def at(knob: float) -> PlayedTrace:
+        return play(rule.make(knob), trace)
+
+    tried = _search(at, rule, effort)
+    within = {knob: played for knob, played in tried.items() if played.late <= effort.late}
+    if within:
+        knob = min(within, key=lambda one: within[one].delay_ms)
+    else:
+        knob = min(tried, key=lambda one: tried[one].late)
+    # The display tells our estimator how slowly it follows; the others have no ear for it.
+    follower = DelayEstimator(rule.default) if case.rule == OURS else rule.make(rule.default)
+    return RuleScore(
+        tuned=tried[knob],
+        knob=knob,
+        reached=bool(within),
+        default=at(rule.default),
+        warped=play(follower, trace, warped=True),
+        tried=tuple(sorted(tried.values(), key=lambda played: played.late)),
+    )
+
+
+def _search(
+    at: Callable[[float], PlayedTrace], rule: Rule, effort: PlayoutEffort
+) -> dict[float, PlayedTrace]:
+    """Settings evenly over the knob's logarithm, then bisection to the share that may be late."""
+    few, many = math.log(rule.fewest), math.log(rule.most)
+    scanned = [few + (many - few) * step / (effort.scan - 1) for step in range(effort.scan)]
+    tried = {math.exp(one): at(math.exp(one)) for one in scanned}
+    over = [one for one in scanned if tried[math.exp(one)].late > effort.late]
+    if not over or over[0] == few:
+        return tried
+    many, few = over[0], scanned[scanned.index(over[0]) - 1]
+    for _ in range(effort.bisections):
+        middle = (few + many) / 2
+        played = tried[math.exp(middle)] = at(math.exp(middle))
+        if played.late <= effort.late:
+            few = middle
+        else:
+            many = middle
+    return tried

@@ -1,0 +1,195 @@
+"""The study of predictors as a report: errors, costs, and the prototype's figures beside them."""
+
+from typing import TYPE_CHECKING
+
+from telepulse.reports.document import Chapter, Plot, Report, Table
+from telepulse.reports.studies.prediction_bars import ALLOWANCE, MEDIAN, BarVerdict, judge
+from telepulse.reports.studies.prediction_scores import (
+    COSTLY_FROM_S,
+    HORIZONS_MS,
+    PredictionEffort,
+    PredictionScores,
+)
+from telepulse.reports.studies.prediction_sets import (
+    HIGH_PASS_HZ,
+    LOW_PASS_HZ,
+    NOISE,
+    RECORDED,
+    SCORED_FROM_S,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TICK_BOUND_US = 150.0
+HORIZON_COLUMNS = tuple(f"{horizon_ms} ms" for horizon_ms in HORIZONS_MS)
+# What stands for a scene's predictor of several trajectories in the plot of cost.
+SHOWN_AS = {"analogue": "analogue 0.05 s"}
+# The horizon whose error is plotted against cost.
+PLOTTED = HORIZONS_MS.index(100)
+STYLES = ("o-", "s-", "x--", "^-", "v--", "P-", "D-", "*-")
+
+
+def report_prediction(scores: PredictionScores, effort: PredictionEffort) -> Report:
+    """The report on scores that took this effort."""
+    return Report(
+        "Prediction: error against horizon and cost",
+        (_errors_chapter(scores, effort), _bars_chapter(scores), _costs_chapter(scores)),
+    )
+
+
+def missing_sets(scores: PredictionScores) -> str:
+    """A sentence on the recordings that could not take part; empty when all did."""
+    if set(RECORDED) <= set(scores.errors):
+        return ""
+    return (
+        f" The {len(RECORDED)} recordings are missing, so that medians are over"
+        f" {len(scores.errors)} sets: pip install 'telepulse[test]' brings heartpy with them."
+    )
+
+
+def _errors_chapter(scores: PredictionScores, effort: PredictionEffort) -> Chapter:
+    return Chapter(
+        "Errors",
+        (
+            f"Each of {len(scores.errors)} pulses of up to {effort.seconds:g} s at 1 kHz passes a"
+            f" causal chain of {HIGH_PASS_HZ:g} to {LOW_PASS_HZ:g} Hz and gets white noise of"
+            f" {NOISE:.0%} of its standard deviation. It comes in frames of 5 ms, and a predictor"
+            " has one piece of work a millisecond, as in a display. NRMSE: RMS difference from the"
+            f" pulse without noise over its standard deviation, after {SCORED_FROM_S:g} s; the"
+            f" horizon counts from the newest sample.{missing_sets(scores)}",
+        ),
+        (
+            _table("Median over the sets", "predictor", scores.medians),
+            _table(
+                "The stack, by set",
+                "set",
+                {name: errors["stack"] for name, errors in scores.errors.items()},
+            ),
+        ),
+        (
+            Plot(
+                "error-horizon",
+                "Median NRMSE against the horizon.",
+                lambda figure: _draw_horizons(figure, scores),
+            ),
+        ),
+    )
+
+
+def _table(title: str, first: str, rows: dict[str, tuple[float, ...]]) -> Table:
+    return Table(
+        title,
+        (first, *HORIZON_COLUMNS),
+        tuple((name, *(f"{error:.3f}" for error in errors)) for name, errors in rows.items()),
+    )
+
+
+def _bars_chapter(scores: PredictionScores) -> Chapter:
+    verdicts = judge(scores.errors, scores.medians)
+    silent = judge(scores.silent_errors, {})
+    reached = sum(verdict.reached for verdict in verdicts)
+    return Chapter(
+        "Beside the prototype",
+        (
+            f"{reached} of {len(verdicts)} rows are reached. The prototype's figures were printed"
+            " by its authors; its sets are not here. Ours have the same names, but rates, shares"
+            " and noise within them are our choice, and the recordings are others: what differs by"
+            " a tenth may differ for that alone. Its oracles knew its generator, not ours.",
+            "In our source a beat's systole is as long as its own interval asks: shapes foretell"
+            " the next beat, which is how a predictor can be below an oracle. The second"
+            " table has systoles that follow the interval before, where nothing but the rhythm"
+            f" tells: {sum(verdict.reached for verdict in silent)} of {len(silent)} rows are"
+            " reached there.",
+        ),
+        (
+            _bars_table("Ours / the prototype's", verdicts),
+            _bars_table("The same where no shape foretells the next beat", silent),
+        ),
+    )
+
+
+def _bars_table(title: str, verdicts: list[BarVerdict]) -> Table:
+    return Table(
+        title,
+        ("set", "predictor", "whose", *HORIZON_COLUMNS, "verdict"),
+        tuple(_bar_row(verdict) for verdict in verdicts),
+        f"Reached: at every horizon at most {ALLOWANCE:.0%} above the prototype, or at or below"
+        " the prize and the oracle.",
+    )
+
+
+def _bar_row(verdict: BarVerdict) -> tuple[str, ...]:
+    bar = verdict.bar
+    cells, misses = [], []
+    for at, (ours, figure) in enumerate(zip(verdict.ours, bar.figures, strict=True)):
+        cells.append(f"{ours:.3f} / " + ("–" if figure is None else f"{figure:.3f}"))
+        excess = verdict.excess(at)
+        if excess is not None and excess > bar.allowance:
+            misses.append(f"{HORIZON_COLUMNS[at]} +{excess:.0%}")
+    result = "missed: " + ", ".join(misses) if misses else "reached"
+    return (bar.where, bar.predictor, bar.whose, *cells, result)
+
+
+def _costs_chapter(scores: PredictionScores) -> Chapter:
+    stack = scores.costs["stack"]
+    within = "within" if stack.tick_p99_us <= TICK_BOUND_US else "above"
+    return Chapter(
+        "Costs",
+        (
+            f"Processor time of one thread, after {COSTLY_FROM_S:g} s, at ticks of 1 ms that each"
+            " do one piece of work and ask for one prediction; a step is 5 ms. The stack's 99th"
+            f" percentile is {stack.tick_p99_us:.0f} µs a tick, {within} the"
+            f" {TICK_BOUND_US:g} µs that it may take; a busy machine makes it more.",
+        ),
+        (
+            Table(
+                "Cost by the predictor a scene names",
+                ("predictor", "tick p50 (µs)", "tick p99 (µs)", "a step (µs)", "NRMSE at 100 ms"),
+                tuple(
+                    (
+                        name,
+                        f"{cost.tick_p50_us:.1f}",
+                        f"{cost.tick_p99_us:.1f}",
+                        f"{cost.step_us:.1f}",
+                        f"{_plotted(scores, name):.3f}",
+                    )
+                    for name, cost in scores.costs.items()
+                ),
+                "Error: median over the sets; of the analogues the one of the shortest memory.",
+            ),
+        ),
+        (
+            Plot(
+                "cost-error",
+                "Median NRMSE at 100 ms against the cost of 5 ms of samples.",
+                lambda figure: _draw_costs(figure, scores),
+            ),
+        ),
+    )
+
+
+def _plotted(scores: PredictionScores, name: str) -> float:
+    return scores.medians[SHOWN_AS.get(name, name)][PLOTTED]
+
+
+def _draw_horizons(figure: "Figure", scores: PredictionScores) -> None:
+    axes = figure.add_subplot()
+    for style, (name, errors) in zip(STYLES, scores.medians.items(), strict=False):
+        axes.plot(HORIZONS_MS, errors, style, label=name)
+    axes.set_yscale("log")
+    axes.set_xlabel("horizon (ms)")
+    axes.set_ylabel(f"NRMSE, {MEDIAN}")
+    figure.legend(loc="outside lower center", ncols=4, fontsize="small")
+
+
+def _draw_costs(figure: "Figure", scores: PredictionScores) -> None:
+    axes = figure.add_subplot()
+    for name, cost in scores.costs.items():
+        error = _plotted(scores, name)
+        axes.plot(cost.step_us, error, "o")
+        axes.annotate(name, (cost.step_us, error), (6, 4), textcoords="offset points")
+    axes.set_xscale("log")
+    axes.margins(0.15)
+    axes.set_xlabel("processor time of 5 ms of samples (µs)")
+    axes.set_ylabel("NRMSE at 100 ms")

@@ -1,0 +1,85 @@
+"""One function over many cases: on all cores of this machine, or on a Dask cluster."""
+
+import asyncio
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError, Executor, Future
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager, contextmanager
+from typing import TypeVar
+
+from protocol.errors import SweepError
+from telepulse.reports.studies.one_thread import one_thread_pool
+
+Case = TypeVar("Case")
+Result = TypeVar("Result")
+CONNECT_S = 10
+MISSING = "a sweep on a cluster needs Dask: pip install 'telepulse[cluster]'"
+
+
+def sweep(
+    function: Callable[[Case], Result], cases: Sequence[Case], scheduler: str | None = None
+) -> list[Result]:
+    """What a function makes of each case, in the order of the cases.
+
+    The function is pure and belongs to a module, where other processes find it. scheduler:
+    address of a Dask scheduler such as `tcp://HOST:8786`, whose workers have this telepulse
+    installed; without one, every core of this machine works. The results are the same. Raises
+    SweepError, which names a case that fails by its `str`; what has not begun then never does.
+    """
+    if not cases:
+        return []
+    with _workers(len(cases), scheduler) as workers:
+        jobs = [workers.submit(function, case) for case in cases]
+        try:
+            return [_result(job, case) for job, case in zip(jobs, cases, strict=True)]
+        finally:
+            for job in jobs:
+                job.cancel()
+
+
+def _result(job: Future[Result], case: object) -> Result:
+    try:
+        return job.result()
+    except BrokenProcessPool:
+        raise SweepError(f"{case}: a worker died, maybe for want of memory") from None
+    except CancelledError:
+        raise SweepError(f"{case}: the scheduler went away") from None
+    except Exception as error:
+        raise SweepError(f"{case}: {type(error).__name__}: {error}") from error
+
+
+def _workers(cases: int, scheduler: str | None) -> AbstractContextManager[Executor]:
+    if scheduler is None:
+        return one_thread_pool(min(cases, os.cpu_count() or 1))
+    return _cluster(scheduler)
+
+
+@contextmanager
+def _cluster(scheduler: str) -> Iterator[Executor]:
+    """The workers of a cluster; Dask itself gives the linear algebra of each one thread."""
+    try:
+        from distributed import Client
+    except ImportError:
+        raise SweepError(MISSING) from None
+    try:
+        asyncio.run(_reach(scheduler))
+    except (OSError, ValueError) as error:
+        raise SweepError(f"{scheduler}: no Dask scheduler there: {error}") from None
+    with Client(scheduler, timeout=CONNECT_S, set_as_default=False) as client:
+        try:
+            client.wait_for_workers(1, timeout=CONNECT_S)
+        except TimeoutError:
+            raise SweepError(
+                f"{scheduler}: no worker has joined; start one: dask worker {scheduler}"
+            ) from None
+        yield client.get_executor(pure=False)
+
+
+async def _reach(scheduler: str) -> None:
+    """Connect once. A Dask client that cannot goes on trying while it is thrown away."""
+    from distributed import Security, connect
+
+    arguments = Security().get_connection_args("client")
+    comm = await connect(scheduler, timeout=CONNECT_S, **arguments)
+    await comm.close()

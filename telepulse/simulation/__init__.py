@@ -1,0 +1,1 @@
+"""Both nodes and the link between them in virtual time."""

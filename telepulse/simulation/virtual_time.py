@@ -1,0 +1,185 @@
+"""Both nodes and the link between them in virtual time: the same modules, no sockets, no sleep.
+
+source → frames → wire bytes → link → display, one event after the other. Ticked as a clock goes,
+it is as well a display in real time, on whose bench somebody feels what the link does.
+"""
+
+import heapq
+import itertools
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+from display_node.display import Display, TickState
+from display_node.drives.feedback import Feedback
+from display_node.fault_advice import SENSING_NOTE
+from display_node.scoring.tracking_error import TrackingError
+from protocol.run_summary import Summary
+from protocol.wire.messages import Bye, Control, encode_control, encode_frame
+from sensing_node.conditioning import faults_of, limits_of
+from sensing_node.control_server import ControlServer
+from sensing_node.framer import Framer
+from sensing_node.scene import build_source, describe_stream
+from sensing_node.sources import PacedSource
+from sensing_node.sources.plausibility import SampleCheck
+from telepulse.scene import Scene
+from telepulse.simulation.link_model import MessageLink
+from telepulse.simulation.reference_force import ReferenceForce
+
+# The sensing clock of a simulation runs this far ahead, so that a mix-up of clocks shows.
+SENSING_CLOCK_AHEAD_NS = 3_600_000_000_000
+STREAM_BEGINS_NS = 500_000_000
+SENDER = (b"simulated display",)
+DRAIN_LIMIT_NS = 15_000_000_000
+
+Event = Callable[[bytes, int], None]
+"""An action on some bytes, given a time."""
+Tick = Callable[[Display, int, int], TickState]
+"""A display's tick at a time, so many ticks after its last: `Display.tick`, or its bench's."""
+
+
+class Simulation:
+    """One run of a scene in virtual time; the same scene and seed give the same summary.
+
+    begin_ns: the display's clock when the link begins. feedback: the real film of its bench.
+    """
+
+    def __init__(
+        self, scene: Scene, seed: int, begin_ns: int = 0, feedback: Feedback | None = None
+    ) -> None:
+        """Raises SceneError or SourceError."""
+        self._scene = scene
+        self._source = build_source(scene.sensing, scene.path.parent)
+        self._truth = ReferenceForce(scene.sensing, scene.path.parent)
+        self._description = describe_stream(scene.sensing, self._source)
+        self._now_ns = begin_ns
+        self._stream_ns = begin_ns + STREAM_BEGINS_NS
+        self._scored_from_ns = self._stream_ns
+        # What a real film says is as old as this.
+        self._felt_before_ns = scene.display.film.latency_ns if feedback is not None else 0
+        self._paced = PacedSource(self._source, self._stream_ns + SENSING_CLOCK_AHEAD_NS)
+        self._session = seed + 1
+        self._framer = Framer(self._description, self._session)
+        self._check = SampleCheck(self._description.period_ns)
+        self._desk = ControlServer(self._description, self._session)
+        self.display = Display(scene.display, "simulated display", False, feedback)
+        self._fidelity = TrackingError(scene.display.layer.layer().strain_per_newton)
+        self._down = MessageLink(scene.link, seed, begin_ns)
+        self._up = MessageLink(scene.link, seed + 1, begin_ns)
+        self._events: list[tuple[int, int, Event, bytes]] = []
+        self._order = itertools.count()
+
+    def run(
+        self,
+        seconds: float,
+        settle_seconds: float = 0.0,
+        watch: Callable[[TickState], None] | None = None,
+    ) -> Summary:
+        """Simulate `seconds` of stream and its playing to the end.
+
+        What is felt before the stream is `settle_seconds` old is not scored. watch sees every
+        tick that is, until the stream ends.
+        """
+        began_s, tick_ns = time.perf_counter(), self._scene.display.tick_ns
+        begin_ns, last_ns = self._now_ns, self.begin(seconds, settle_seconds)
+        while not self.display.over and self._now_ns < last_ns + DRAIN_LIMIT_NS:
+            felt, now_ns = self.tick(self._now_ns + tick_ns), self._now_ns
+            heard = felt.scored and self._scored_from_ns <= now_ns <= last_ns
+            if watch is not None and heard:
+                watch(felt)
+        speed = (self._now_ns - begin_ns) / 1e9 / (time.perf_counter() - began_s)
+        return replace(self.end(), speed=speed)
+
+    def begin(self, seconds: float, settle_seconds: float = 0.0) -> int:
+        """Begin `seconds` of stream, scored from when it is `settle_seconds` old.
+
+        Returns the time in ns at which its last sample is due.
+        """
+        self._scored_from_ns = self._stream_ns + round(settle_seconds * 1e9)
+        last_ns = self._stream_ns + round(seconds * 1e9) - 1
+        self._plan_batch(last_ns)
+        return last_ns
+
+    def tick(self, now_ns: int, elapsed_ticks: int = 1, tick: Tick = Display.tick) -> TickState:
+        """Let happen what is due, and tick the display."""
+        self._now_ns, events = now_ns, self._events
+        while events and events[0][0] <= now_ns:
+            at_ns, _, happen, data = heapq.heappop(events)
+            happen(data, at_ns)
+        felt = tick(self.display, now_ns, elapsed_ticks)
+        if felt.scored and now_ns >= self._scored_from_ns:
+            before_ns = self._felt_before_ns
+            true_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS - before_ns
+            self._fidelity.felt(true_now_ns, felt.instant_ns - before_ns, felt.felt_n)
+        for message in self.display.requests(now_ns):
+            self._post(self._up, now_ns, self._answer, message)
+        return felt
+
+    def end(self) -> Summary:
+        """Score what is left."""
+        self._fidelity.finish()
+        display = self.display.summary()
+        notes = faults_of(self._source) + self._check.faults()
+        faults = display.faults + [f"{SENSING_NOTE}{note}" for note in notes]
+        limited = replace(display.limited, adc=limits_of(self._source).adc)
+        clock = display.clock
+        if clock.offset_ms is not None:
+            # What the simulation has put between the clocks is known; what is left is the error.
+            offset_ms = clock.offset_ms - SENSING_CLOCK_AHEAD_NS * 1e-6
+            clock = replace(clock, offset_ms=offset_ms)
+        summary = replace(display, clock=clock, limited=limited, faults=faults)
+        return self._fidelity.scored(summary)
+
+    @property
+    def newest_ns(self) -> int | None:
+        """Time of the newest sample that the display has; None before any."""
+        return self.display.receiver.buffer.newest_ns
+
+    @property
+    def lost_frames(self) -> int:
+        """Data frames that the link has lost."""
+        return self._down.lost_data
+
+    def _plan_batch(self, last_ns: int) -> None:
+        """Sense the next batch when it is due, the last one short; then send a bye."""
+
+        def sense(_: bytes, now_ns: int) -> None:
+            block = self._paced.read(now_ns + SENSING_CLOCK_AHEAD_NS)
+            if block is None:
+                return self._plan_batch(last_ns)
+            self._check.add(block.values)
+            for frame in self._framer.frames(block):
+                ratio = self.display.force_ratio
+                true_frame = self._truth.of(frame)
+                self._fidelity.sensed(true_frame, self._scene.display.channel, ratio)
+                data = encode_frame(frame)
+                arrival_ns = self._down.data_arrival_ns(now_ns, len(data))
+                if arrival_ns is not None:
+                    self._plan(arrival_ns, self.display.on_frame, data)
+            self._plan_batch(last_ns)
+
+        ahead_ns = SENSING_CLOCK_AHEAD_NS
+        if self._paced.exhausted or self._paced.due_ns(1) - ahead_ns > last_ns:
+            bye = Bye(self._session, self._framer.samples_sent)
+            self._post(self._down, last_ns, self.display.on_control, bye)
+            return
+        due_ns = min(self._paced.due_ns(self._description.batch) - ahead_ns, last_ns)
+        self._plan(due_ns, sense, b"")
+
+    def _answer(self, data: bytes, now_ns: int) -> None:
+        sensing_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS
+        reply = self._desk.answer(SENDER, data, sensing_now_ns, self._framer.samples_sent)
+        if reply is not None:
+            self._post(self._down, now_ns, self.display.on_control, reply)
+
+    def _post(self, link: MessageLink, now_ns: int, deliver: Event, message: Control) -> None:
+        data = encode_control(message)
+        self._plan(link.control_arrival_ns(now_ns, len(data)), deliver, data)
+
+    def _plan(self, at_ns: int, happen: Event, data: bytes) -> None:
+        heapq.heappush(self._events, (at_ns, next(self._order), happen, data))
+
+
+def simulate(scene: Scene, seconds: float, seed: int) -> Summary:
+    """Run a scene in virtual time. Raises SceneError or SourceError."""
+    return Simulation(scene, seed).run(seconds)

@@ -1,0 +1,145 @@
+"""Events in words: from one status of a display to the next, and from its frames. Pure."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from display_node.telemetry.alerts import NOT_CONNECTED, Alert, alerts
+from protocol.limits import NAMES
+from protocol.security.causes import explain
+from protocol.security.handshake_monitor import REVOKED
+
+# As long as a display waits before it takes a sensing node for silent.
+CUT_AFTER_NS = 1_000_000_000
+CUT, FAULT, INTERRUPTED = "link cut", "fault", "felt again"
+# Counts of the bench are an event from so many within one status on; "superseded" ones are usual.
+MANY, USUAL = 20, "drive superseded"
+# By the events of the state, and of each cause of refusal.
+TOLD_OTHERWISE = {"stale", NOT_CONNECTED}
+
+
+class Event(NamedTuple):
+    """Something that happened; level is INFO, WARNING or ERROR, name its short word."""
+
+    level: str
+    name: str
+    text: str
+
+
+_LEVELS = {"stale": "WARNING", "fault": "ERROR"}
+
+
+class StatusWatch:
+    """The changes at a display, whose statuses come five times a second.
+
+    What lasts gives two events: where it begins, and where it is over, with how long it lasted.
+    """
+
+    def __init__(self) -> None:
+        self._state, self._state_ns = "", 0
+        self._joined = self._ended = False
+        # When the last frame arrived; None before the first.
+        self._frame_ns: int | None = None
+        # When what lasts now began, by its name.
+        self._began_ns: dict[str, int] = {}
+        self._steps = 0
+        # How many interruptions were named, and their seconds; None before the first status.
+        self._interruptions: tuple[int, float] | None = None
+        self._limited: set[str] = set()
+        self._refused: set[str] = set()
+        # Counts of the bench at the last status, and those that were named.
+        self._hardware: dict[str, int] = {}
+        self._frequent: set[str] = {USUAL}
+
+    def begin_session(self) -> None:
+        """Expect a stream to be joined and its frames to arrive."""
+        self._joined = self._ended = False
+        self._frame_ns = None
+
+    def end_stream(self) -> None:
+        """Expect no further frames."""
+        self._ended = True
+
+    def arrive(self, now_ns: int) -> Iterator[Event]:
+        """Take the arrival of a frame; yield the end of a cut."""
+        self._frame_ns = now_ns
+        yield from self._over(CUT, now_ns)
+
+    def take(self, state: str, summary: Mapping[str, Any], now_ns: int) -> Iterator[Event]:
+        """Take a status of the time `now_ns`, on the display's clock; yield what is new in it."""
+        if state != self._state:
+            seconds = (now_ns - self._state_ns) * 1e-9
+            before = f", was {self._state} for {seconds:.1f} s" if self._state else ""
+            self._state, self._state_ns = state, now_ns
+            yield Event(_LEVELS.get(state, "INFO"), "state", f"{state}{before}")
+        if state == "playing" and not self._joined:
+            self._joined = True
+            before_joining = summary["samples"].get("before_joining") or 0
+            yield Event("INFO", "join", f"the pulse is felt; samples sent before: {before_joining}")
+        wrong = [alert for alert in alerts(state, summary) if alert.name not in TOLD_OTHERWISE]
+        yield from self._lasting([*wrong, *self._cut(now_ns)], now_ns)
+        yield from self._interrupted(summary.get("interruptions", {}))
+        yield from self._counted(summary)
+
+    def _interrupted(self, known: Mapping[str, Any]) -> Iterator[Event]:
+        """Yield the interruptions that ended since the last status; one may lie between two."""
+        count, seconds = known.get("count") or 0, known.get("seconds") or 0.0
+        named = self._interruptions
+        self._interruptions = count, seconds
+        if named is None or count <= named[0]:
+            return
+        new, text = count - named[0], f"after {seconds - named[1]:.2f} s without the whole pulse"
+        if new > 1:
+            text += f", interrupted {new} times"
+        began_s, ended_s = known.get("began_s"), known.get("ended_s")
+        if began_s is not None and ended_s is not None:
+            last = ", the last" if new > 1 else ":"
+            text += f"{last} from {began_s:.2f} to {ended_s:.2f} s of the run"
+        yield Event("WARNING", INTERRUPTED, text)
+
+    def _counted(self, summary: Mapping[str, Any]) -> Iterator[Event]:
+        """Yield each clock step, each limit and cause of refusal at its first count, and what goes
+        wrong at the bench and is made good where that is frequent.
+
+        How often and for how long is in the statuses.
+        """
+        steps = summary["clock"].get("steps") or 0
+        if steps > self._steps:
+            yield Event("WARNING", "clock step", f"a clock has jumped; jumps so far: {steps}")
+        self._steps = steps
+        for limit, name in NAMES.items():
+            if summary["limited"][limit].get("times") and limit not in self._limited:
+                self._limited.add(limit)
+                yield Event("WARNING", "limited", f"{name} reached")
+        for cause in sorted(summary["rejected"].keys() - self._refused - {REVOKED}):
+            self._refused.add(cause)
+            yield Event("WARNING", "refused", *explain({cause: summary["rejected"][cause]}))
+        hardware = summary.get("hardware", {})
+        for name in sorted(hardware.keys() - self._frequent):
+            more = hardware[name] - self._hardware.get(name, 0)
+            if more > MANY:
+                self._frequent.add(name)
+                yield Event("WARNING", "hardware", f"{name}: {more} within one status")
+        self._hardware = dict(hardware)
+
+    def _cut(self, now_ns: int) -> list[Alert]:
+        if self._frame_ns is None or self._ended or now_ns - self._frame_ns <= CUT_AFTER_NS:
+            return []
+        return [Alert(CUT, f"no frame for {(now_ns - self._frame_ns) * 1e-9:.1f} s")]
+
+    def _lasting(self, wrong: list[Alert], now_ns: int) -> Iterator[Event]:
+        names = {alert.name for alert in wrong}
+        for name in self._began_ns.keys() - names:
+            yield from self._over(name, now_ns)
+        for name, text in wrong:
+            if name not in self._began_ns:
+                # A cut began with the last frame that arrived.
+                began_ns = self._frame_ns if name == CUT else now_ns
+                self._began_ns[name] = now_ns if began_ns is None else began_ns
+                kind, _, fault = name.partition(": ")
+                level = "ERROR" if kind == FAULT else "WARNING"
+                yield Event(level, kind, f"{fault}: {text}" if fault else text)
+
+    def _over(self, name: str, now_ns: int) -> Iterator[Event]:
+        began_ns = self._began_ns.pop(name, None)
+        if began_ns is not None:
+            yield Event("INFO", name, f"over after {(now_ns - began_ns) * 1e-9:.1f} s")
