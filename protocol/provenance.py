@@ -165,7 +165,7 @@ def collect(
         host=platform.node(),
         platform=platform.platform(),
         python=platform.python_version(),
-        command=[Path(sys.argv[0]).name, *redact_command(sys.argv[1:])],
+        command=[_program(), *redact_command(sys.argv[1:])],
         scene=redact(written),
         effective=redact(effective),
         seeds=found,
@@ -189,6 +189,12 @@ def read_provenance(data: bytes) -> dict[str, str]:
 
 
 _TABLE: TypeAdapter[dict[str, Any]] = TypeAdapter(dict[str, Any])
+
+
+def _program() -> str:
+    path = Path(sys.argv[0])
+    # `python -m telepulse` runs the package's `__main__.py`.
+    return path.parent.name if path.name == "__main__.py" else path.name
 
 
 def _commit() -> str | None:
