@@ -2,7 +2,7 @@
 
 import pytest
 
-from .__main__ import SCENES, SEEDS, read, run
+from tests.golden.__main__ import SCENES, SEEDS, read, run
 
 
 @pytest.mark.parametrize("seed", SEEDS)

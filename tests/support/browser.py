@@ -1,0 +1,42 @@
+"""Pages in a browser that must not request anything of another host."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+from urllib.parse import urlsplit
+
+PATIENCE_MS = 30_000
+DESKTOP = {"width": 1280, "height": 800}
+
+Page = Any
+
+
+class Visit:
+    """Opens pages, each as a reader of its own, and keeps what went wrong in them."""
+
+    def __init__(self, browser: Any) -> None:
+        self._browser = browser
+        self.wrong: list[str] = []
+
+    @contextmanager
+    def __call__(self, url: str, **reader: Any) -> Iterator[Page]:
+        context = self._browser.new_context(**({"viewport": DESKTOP} | reader))
+        context.set_default_timeout(PATIENCE_MS)
+        page = context.new_page()
+        page.on("request", self._request)
+        page.on("websocket", self._request)
+        page.on("console", self._console)
+        page.on("pageerror", lambda error: self.wrong.append(f"error: {error}"))
+        page.goto(url)
+        try:
+            yield page
+        finally:
+            context.close()
+
+    def _request(self, request: Any) -> None:
+        if urlsplit(request.url).hostname != "127.0.0.1":
+            self.wrong.append(f"foreign request: {request.url}")
+
+    def _console(self, message: Any) -> None:
+        if message.type in ("error", "warning"):
+            self.wrong.append(f"{message.type}: {message.text}")

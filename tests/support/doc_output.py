@@ -1,0 +1,233 @@
+"""Commands on the pages that a reader types: the way each is run here, or why it is not."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.support.doc_pages import PYTHON, blocks
+from tests.support.doc_sessions import Do, Step, Stop
+
+SENSE = "sensing-node scenes/radial.toml"
+PLAY = "display-node scenes/radial.toml"
+SERVED = "--bind tcp://127.0.0.1:5555"
+FROM_THERE = "--connect tcp://127.0.0.1:5555"
+STREAMING = "streaming 'radial pulse'"
+PROTECTED = "sensing-node scenes/radial.toml --bind tcp://*:5555 --key keys/wrist.key"
+RELAY = (
+    "telepulse relay --connect tcp://SENSING:5555 --bind tcp://*:5655 --key keys/relay.key"
+    " --peer keys/wrist.pub"
+)
+AT_THE_FINGER = (
+    "display-node scenes/radial.toml --connect tcp://HOST:5555 --key keys/finger.key"
+    " --peer wrist.pub"
+)
+LINK = "delay=40ms,jitter=10ms,loss=1%"
+
+
+def carry(what: str, where: str) -> Do:
+    """Take a file from one machine's folder to another's."""
+    return lambda folder: shutil.copy(folder / what, folder / where) and None
+
+
+def felt(where: str) -> Do:
+    """See in a summary that a pulse was played."""
+
+    def look(folder: Path) -> None:
+        assert json.loads((folder / where).read_text(encoding="utf-8"))["samples"]["played"] > 0
+
+    return look
+
+
+def loads(folder: Path) -> None:
+    """Reference loads and what a film said of them."""
+    text = "load (g), reading_mV\n0, 0.1\n50, 22\n100, 43.5\n150, 65\n200, 86.4\n"
+    (folder / "loads.csv").write_text(text, encoding="utf-8")
+
+
+def snippets_of(page: str) -> Do:
+    """Run a page's Python where the commands have written what it reads."""
+
+    def run(folder: Path) -> None:
+        codes = [block.text for block in blocks() if (block.page, block.language) == (page, PYTHON)]
+        assert codes
+        for code in codes:
+            subprocess.run([sys.executable, "-c", code], cwd=folder, check=True)
+
+    return run
+
+
+def on_air(command: str, more: str = "", at: str = ".") -> list[Step | Stop | Do]:
+    """A display that plays a pulse, and is ended by Ctrl-C."""
+    return [Step(command, more=more, at=at, shows="playing"), Stop(command)]
+
+
+SESSIONS: dict[str, list[Step | Stop | Do]] = {
+    "two machines": [
+        Step("telepulse keys new wrist", at="wrist"),
+        Step("telepulse keys new finger", at="finger"),
+        carry("finger/keys/finger.pub", "wrist/finger.pub"),
+        carry("wrist/keys/wrist.pub", "finger/wrist.pub"),
+        Step("telepulse keys allow finger.pub", at="wrist", says="keys/allowed allows finger"),
+        Step(PROTECTED, at="wrist", shows=STREAMING),
+        *on_air(AT_THE_FINGER, at="finger"),
+        Step("telepulse keys new relay", at="relay"),
+        carry("wrist/keys/wrist.pub", "relay/keys/wrist.pub"),
+        carry("finger/keys/finger.pub", "relay/finger.pub"),
+        carry("relay/keys/relay.pub", "wrist/relay.pub"),
+        carry("relay/keys/relay.pub", "finger/relay.pub"),
+        Step("telepulse keys allow relay.pub", at="wrist"),
+        Step("telepulse keys allow finger.pub", at="relay"),
+        Step(RELAY, at="relay", shows="tcp://"),
+        *on_air(
+            PLAY,
+            more="--connect tcp://127.0.0.1:5655 --key keys/finger.key --peer relay.pub",
+            at="finger",
+        ),
+    ],
+    "tutorial": [
+        Step("make demo", more="--seconds 2", says="page: http://127.0.0.1:"),
+        Step(f"""make demo ARGS="--link '{LINK}'\"""", more="--seconds 2"),
+        Step(f"telepulse simulate radial --link '{LINK}'", more="--seconds 1"),
+        Step(
+            "telepulse simulate radial --link 'delay=40ms,cut.from=10s,cut.for=2s'",
+            more="--seconds 13",
+        ),
+    ],
+    "recording": [
+        Step(SENSE, more=SERVED, shows=STREAMING),
+        Step(
+            f"{PLAY} --record pulse.mcap",
+            more=f"{FROM_THERE} --telemetry tcp://127.0.0.1:PORT",
+            shows="playing",
+        ),
+        Step("telepulse record tcp://127.0.0.1:PORT pulse.mcap", more="--seconds 1", at="beside"),
+        Step("telepulse lsl tcp://127.0.0.1:PORT", more="--seconds 1"),
+        Stop(f"{PLAY} --record pulse.mcap"),
+        Stop(SENSE),
+        Step("telepulse replay pulse.mcap", more=f"{SERVED} --seconds 1"),
+        Step("telepulse export pulse.mcap --to csv"),
+        Step("telepulse export pulse.mcap --to mcap"),
+        Step("telepulse export pulse.mcap --to parquet"),
+        Step("telepulse export pulse.mcap --to edf"),
+        Step("telepulse report pulse.mcap"),
+        snippets_of("docs/analysis.md"),
+    ],
+    "one machine": [
+        Step(f"{SENSE} --metrics 9101", more=SERVED, shows=STREAMING),
+        Step(
+            f"{PLAY} --connect tcp://127.0.0.1:5555 --metrics 9100",
+            more="--telemetry tcp://127.0.0.1:PORT",
+            shows="playing",
+        ),
+        Step("telepulse view tcp://127.0.0.1:PORT", shows="http://127"),
+        Stop("telepulse view tcp://127.0.0.1:PORT"),
+        Stop(f"{PLAY} --connect tcp://127.0.0.1:5555 --metrics 9100"),
+        *on_air(f"{PLAY} --realtime fifo=40,lock,slack", more=FROM_THERE),
+        Step("display-node --doctor scenes/radial.toml", more="--seconds 0.5", says="ticks"),
+    ],
+    "demo and simulation": [
+        Step(
+            f"""make demo ARGS="--seconds 5 --json out.json --link '{LINK}' --no-ui\"""",
+            more="--seconds 2",
+        ),
+        felt("out.json"),
+        Step("telepulse simulate radial", more="--seconds 1"),
+        Step("telepulse simulate radial --seconds 60", more="--seconds 1"),
+        Step(f"telepulse simulate radial --link '{LINK}' --json out.json", more="--seconds 1"),
+        Step(
+            "telepulse simulate wan"
+            " --link 'delay=40ms,loss=1%,cut.from=10s,cut.for=2s,transport=tcp'",
+            more="--seconds 13",
+        ),
+        loads,
+        Step("telepulse calibrate loads.csv"),
+    ],
+    "experiment": [
+        Step("telepulse experiment new mine.toml"),
+        Step("telepulse experiment plan"),
+    ],
+    "emulated bench": [
+        Step("telepulse emulate sensor radial --link /tmp/board", shows="kind"),
+        Stop("telepulse emulate sensor radial --link /tmp/board"),
+        Step("telepulse emulate tmcl SCENE --link /tmp/drive --film-link /tmp/film", shows="film"),
+        Stop("telepulse emulate tmcl SCENE --link /tmp/drive --film-link /tmp/film"),
+        Step(
+            "telepulse emulate sensor real_bench --link /tmp/telepulse-board --delivery-ms 4",
+            shows="kind",
+        ),
+        Step(
+            "telepulse emulate tmcl tmcl_bench --link /tmp/telepulse-drive"
+            " --film-link /tmp/telepulse-film",
+            shows="film",
+        ),
+        Step("sensing-node scenes/tmcl_bench.toml", more=SERVED, shows="streaming"),
+        # On a busy machine a fault may end it; `test_emulated_bench.py` judges that.
+        Step("display-node scenes/tmcl_bench.toml", more=FROM_THERE, shows="playing|fault"),
+    ],
+}
+
+# Why it is not run here, and where the like of it is. It is held against the real command line all
+# the same, and what it names must be there.
+BENCH = "half a minute; tests/system/commissioning/test_bench_command.py"
+FUZZ = "a minute and more; tests/system/hostile/test_fuzz_runner.py"
+MULTICAST = "needs a network that carries multicast; tests/system/discovery"
+OBSERVER = "a minute; tests/system/experiment/test_experiment_command.py"
+SUBJECT = "asks a person; tests/system/experiment"
+UNRUN = {
+    "telepulse experiment run mine.toml --log anna.jsonl": SUBJECT,
+    "telepulse experiment run mine.toml --log try.jsonl --without-drive": SUBJECT,
+    "telepulse experiment run mine.toml --log anna.jsonl --resume": SUBJECT,
+    "telepulse experiment run mine.toml --log o.jsonl --observer '5 %'": OBSERVER,
+    "telepulse experiment report anna.jsonl": OBSERVER,
+    "telepulse experiment report anna.jsonl bo.jsonl": OBSERVER,
+    f"{PROTECTED} --announce": MULTICAST,
+    f"{PLAY} --discover --key keys/finger.key --peer wrist.pub": MULTICAST,
+    f"{PLAY} --named 'radial pulse on ward-3' --key keys/finger.key --peer wrist.pub": MULTICAST,
+    "telepulse discover": MULTICAST,
+    "curl -s http://127.0.0.1:9100/metrics": "a reader's own; tests/system/metrics",
+    "make test": "is what runs this",
+    "telepulse demo": "make demo, run above",
+    "source .venv/bin/activate": "the shell's own",
+    "pre-commit install": "writes into .git; tests/system/documentation/test_habits.py",
+    "python -m sphinx -W --keep-going -n docs out/docs": "tests/system/documentation/test_site.py",
+    "make bench ARGS=wire": "a minute",
+    "python -m benchmarks.faults.cuts": "needs root, and half an hour; system/faults/test_cuts.py",
+    "python -m benchmarks.faults.cuts --thrash": "needs root; reception/test_failover.py",
+    "python -m benchmarks.faults.flood": "a minute; tests/system/faults/test_floods.py",
+    "docker compose up": "needs an engine, and a registry for the base image",
+    "make report": "a minute; tests/system/reports/test_paper_command.py",
+    "make bench": "an hour",
+    'make demo ARGS="--seconds 300"': "five minutes; the like is run above",
+    f"{PLAY} --metrics 9100": "run above, with its sensing node's address",
+    "make bench ARGS=load": "minutes",
+    "make fuzz": FUZZ,
+    'make fuzz ARGS="--seconds 600"': FUZZ,
+    'make fuzz ARGS="--only frame --seconds 300"': FUZZ,
+    'make soak ARGS="--minutes 20 --seed 7"': "20 minutes; tests/system/soak/test_run.py",
+    "telepulse paper": "half a minute; tests/system/reports/test_paper_command.py",
+    "telepulse study integrators": "half a minute; tests/system/reports/test_study_command.py",
+    "telepulse study playout": "minutes; tests/system/reports/test_playout_command.py",
+    "telepulse study prediction": "minutes; tests/system/reports/test_prediction_report.py",
+    "telepulse study link": "minutes; tests/system/reports/test_link_study.py",
+    "telepulse calibrate LOADS.csv": "as loads.csv, above",
+    "telepulse tune checked.toml": "of a bench that was there",
+    "display-node checked.toml --connect tcp://HOST:5555 --key keys/finger.key --peer wrist.pub": (
+        "of a bench that was there"
+    ),
+    "telepulse tune real_bench": "10 s; tests/system/commissioning/test_tuning.py",
+    "telepulse bench my_bench.toml": BENCH,
+    "telepulse bench my_bench.toml --only display": BENCH,
+    "telepulse bench my_bench.toml --only display --write checked.toml --out out/bench": BENCH,
+    "telepulse bench real_bench": BENCH,
+    "telepulse emulate tmcl my_bench.toml --link drive --film-link film": BENCH,
+    "telepulse emulate cia402 SCENE --interface udp_multicast --channel 239.74.163.2": (
+        "needs multicast; tests/system/drives/test_drive_commands.py"
+    ),
+    'telepulse calibrate --scene my_bench.toml --at finger --loads "0, 0.5, 1, 1.5, 1, 0.5, 0 N"': (
+        "asks for loads to be put on a film; tests/system/commissioning"
+    ),
+    "sensing-node SCENES/tmcl_bench.toml --bind tcp://127.0.0.1:5555": "the README's, run above",
+    "display-node SCENES/tmcl_bench.toml --connect tcp://127.0.0.1:5555": "the README's, as above",
+}

@@ -1,0 +1,77 @@
+"""What stands in the pages: their blocks of commands, tables and code."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from markdown_it import MarkdownIt
+
+from tests.support.nodes import ROOT
+
+PROGRAMS = ("telepulse", "sensing-node", "display-node", "make", "python", "pip", "docker")
+# A reader's own.
+OTHERS = ("source", "pre-commit", "curl")
+# What `telepulse lsl` calls its streams.
+NAMES = ("telepulse wrist", "telepulse finger", "telepulse events")
+PYTHON = "python"
+SHELLS = ("console", "sh", "shell", "bash")
+
+
+@dataclass(frozen=True)
+class Block:
+    """An indented or fenced block; an indented one has no language."""
+
+    page: str
+    line: int
+    language: str
+    text: str
+
+    @property
+    def place(self) -> str:
+        """Where it is, for a failure's line."""
+        return f"{self.page}:{self.line}"
+
+    @property
+    def is_shell(self) -> bool:
+        """Whether it holds commands: it says so, or begins with a program."""
+        if self.language:
+            return self.language in SHELLS
+        return self.text.strip().removeprefix("$ ").split()[0] in (*PROGRAMS, *OTHERS)
+
+
+def pages() -> list[Path]:
+    """Every page that a reader is shown."""
+    named = [ROOT / name for name in ("README.md", "CONTRIBUTING.md")]
+    return [*(page for page in named if page.exists()), *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def blocks() -> Iterator[Block]:
+    """Every block of every page."""
+    for page in pages():
+        name = str(page.relative_to(ROOT))
+        for token in MarkdownIt().parse(page.read_text(encoding="utf-8")):
+            if token.type in ("fence", "code_block"):
+                assert token.map is not None
+                yield Block(name, token.map[0] + 1, token.info.strip(), token.content)
+
+
+def commands(block: Block) -> Iterator[str]:
+    """The commands of a shell block, on one line each, without prompts, comments and output."""
+    prompted = any(line.startswith("$ ") for line in block.text.splitlines())
+    for line in block.text.replace("\\\n", " ").splitlines():
+        if prompted and not line.startswith("$ "):
+            continue
+        if words := re.sub(r"(^|\s)#\s.*", "", line.removeprefix("$ ")).split():
+            yield " ".join(words)
+
+
+def commands_in_text() -> Iterator[str]:
+    """Commands that stand in a sentence or a table, as `code`."""
+    for page in pages():
+        for token in MarkdownIt().enable("table").parse(page.read_text(encoding="utf-8")):
+            for child in token.children or ():
+                words = child.content.split()
+                typed = len(words) > 1 and words[0] in PROGRAMS and child.content not in NAMES
+                if child.type == "code_inline" and typed:
+                    yield " ".join(words)

@@ -1,0 +1,138 @@
+"""Runs commands as a reader would: in a folder, one after the other, some beside the next."""
+
+import os
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from telepulse.processes import free_addresses
+from tests.support.doc_commands import recipes
+from tests.support.nodes import ROOT
+from tests.support.waiting import until
+
+BIN = Path(sys.executable).parent
+LONGEST_S = 60
+
+
+@dataclass(frozen=True)
+class Step:
+    """A command as it stands in a page. `more` is appended, and nothing else is changed but the
+    places of `Session`; `at` is the folder it is typed in. With `shows`, it runs on beside the
+    next steps once it has said that, a pattern, and is ended by Ctrl-C."""
+
+    command: str
+    more: str = ""
+    at: str = "."
+    shows: str | None = None
+    says: str = ""
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Ctrl-C in the terminal where this command runs."""
+
+    command: str
+
+
+Do = Callable[[Path], None]
+
+
+class Session:
+    """A folder with the scenes in it, and what runs there."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        shutil.copytree(ROOT / "scenes", folder / "scenes")
+        ports = [address.rpartition(":")[2] for address in free_addresses(4)]
+        self.places = {
+            r"\b5555\b": ports[0],
+            r"\b5655\b": ports[1],
+            r"\bPORT\b": ports[2],
+            r"\b9100\b": ports[3],
+            r"\b9101\b": str(int(ports[3]) + 1),
+            r"\b(HOST|SENSING)\b": "127.0.0.1",
+            r"\bSCENE\b": "tmcl_bench",
+            r"/tmp/": f"{folder}/",
+        }
+        for scene in (folder / "scenes").glob("*.toml"):
+            scene.write_text(self.placed(scene.read_text(encoding="utf-8")), encoding="utf-8")
+        self._running: dict[str, tuple[subprocess.Popen[str], Path]] = {}
+
+    def placed(self, text: str) -> str:
+        """A command with this session's ports, hosts and folders."""
+        for place, ours in self.places.items():
+            text = re.sub(place, ours, text)
+        return text
+
+    def play(self, steps: Sequence[Step | Stop | Do]) -> None:
+        """All steps; what still runs at the end is stopped, the last one first."""
+        with ExitStack() as until_the_end:
+            for step in steps:
+                if isinstance(step, Step):
+                    self._type(step, until_the_end)
+                elif isinstance(step, Stop):
+                    self._stop(step.command)
+                else:
+                    step(self.folder)
+
+    def _type(self, step: Step, until_the_end: ExitStack) -> None:
+        where = self.folder / step.at
+        if not where.exists():
+            where.mkdir()
+            shutil.copytree(self.folder / "scenes", where / "scenes")
+        line = self.placed(step.command)
+        if line.startswith("make "):
+            (line,) = recipes(shlex.split(line)[1:])
+        program, *words = shlex.split(f"{line} {self.placed(step.more)}")
+        heard = self.folder / f"{len(list(self.folder.glob('*.heard')))}.heard"
+        with heard.open("w", encoding="utf-8") as output:
+            child = subprocess.Popen(
+                [str(BIN / program), *words],
+                cwd=where,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env={**os.environ, "PYTHONUNBUFFERED": "1", "COLUMNS": "200"},
+                text=True,
+            )
+        self._running[step.command] = child, heard
+        until_the_end.callback(self._stop, step.command)
+        if step.shows is None:
+            child.wait(LONGEST_S)
+            self._stop(step.command)
+            assert step.says in heard.read_text(encoding="utf-8")
+        else:
+            pattern = step.shows
+            with suppress(AssertionError):
+                until(lambda: _has(heard, pattern) or child.poll() is not None, LONGEST_S)
+            assert _has(heard, pattern), _said(line, heard)
+
+    def _stop(self, command: str) -> None:
+        """End it by Ctrl-C if it still runs; nothing that the pages show ends badly."""
+        if command not in self._running:
+            return
+        child, heard = self._running.pop(command)
+        if child.poll() is None:
+            child.send_signal(signal.SIGINT)
+        try:
+            status = child.wait(LONGEST_S)
+        finally:
+            if child.poll() is None:
+                child.kill()
+                child.wait()
+        assert status == 0, _said(f"{command}: exit status {status}", heard)
+
+
+def _has(heard: Path, pattern: str) -> bool:
+    return re.search(pattern, heard.read_text(encoding="utf-8")) is not None
+
+
+def _said(what: str, heard: Path) -> str:
+    return f"{what}\n{heard.read_text(encoding='utf-8')[-2000:]}"

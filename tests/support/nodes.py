@@ -1,0 +1,66 @@
+"""The two nodes as real processes, for tests."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from telepulse.processes import free_addresses
+
+ROOT = Path(__file__).parents[2]
+RADIAL = ROOT / "scenes" / "radial.toml"
+
+
+def free_address() -> str:
+    """A loopback address whose port and the next one are free."""
+    return free_addresses(1)[0]
+
+
+def start(module: str, *arguments: str) -> subprocess.Popen[str]:
+    """Run a module of ours as a process; its output is piped."""
+    return subprocess.Popen(
+        [sys.executable, "-m", module, *arguments],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+@contextmanager
+def process(module: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """A process that does not outlive the test; pytest shows what it said if the test fails."""
+    child = start(module, *arguments)
+    try:
+        yield child
+    finally:
+        if child.poll() is None:
+            child.kill()
+        for said in child.communicate():
+            print(module, said)
+
+
+def run(module: str, *arguments: str, timeout_s: float = 60) -> "subprocess.CompletedProcess[str]":
+    """Run a module of ours to its end."""
+    return subprocess.run(
+        [sys.executable, "-m", module, *arguments],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=timeout_s,
+        check=False,
+    )
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A summary as a node wrote it."""
+    table: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return table
+
+
+def assert_accounted(samples: dict[str, int]) -> None:
+    """sent = played + late + lost."""
+    assert samples["sent"] == samples["played"] + samples["late"] + samples["lost"]

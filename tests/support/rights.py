@@ -1,0 +1,63 @@
+"""Children with the rights that the tests have, or without those to a priority and to memory."""
+
+import ctypes
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Callable
+
+import pytest
+
+from protocol.host.scheduling import CAP_IPC_LOCK, CAP_SYS_NICE
+from tests.support.nodes import ROOT
+
+# From <linux/prctl.h>.
+PR_CAPBSET_DROP = 24
+
+
+def _may_have_priority() -> bool:
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    except OSError:
+        return False
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    return True
+
+
+needs_rights = pytest.mark.skipif(
+    not _may_have_priority(), reason="needs the right to SCHED_FIFO, which root has"
+)
+
+
+def with_rights(*command: str) -> "subprocess.CompletedProcess[str]":
+    """Run Python on a command line, with the rights that the tests have."""
+    return _run(command, None)
+
+
+def without_rights(*command: str) -> "subprocess.CompletedProcess[str]":
+    """Run Python as somebody who may have no priority and lock no memory."""
+    return _run(command, _give_up)
+
+
+def _give_up() -> None:
+    for limit in (resource.RLIMIT_RTPRIO, resource.RLIMIT_MEMLOCK):
+        resource.setrlimit(limit, (0, 0))
+    libc = ctypes.CDLL(None)
+    for capability in (CAP_SYS_NICE, CAP_IPC_LOCK):
+        # Fails where nobody has it anyway.
+        libc.prctl(PR_CAPBSET_DROP, capability, 0, 0, 0)
+
+
+def _run(
+    command: tuple[str, ...], prepare: Callable[[], None] | None
+) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(
+        [sys.executable, *command],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+        preexec_fn=prepare,
+    )

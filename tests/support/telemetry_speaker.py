@@ -1,0 +1,111 @@
+"""A display's telemetry without a display: says what a test wants, over a real socket."""
+
+import math
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TypeVar
+
+import numpy as np
+import zmq
+
+from display_node.display import TickState
+from display_node.telemetry.capture import CONTROL
+from display_node.telemetry.publisher import Publisher
+from protocol import sockets
+from protocol.run_summary import Summary
+from protocol.security.authenticator import Authenticator
+from protocol.security.keys import ServerKeys
+from protocol.wire.messages import Bye, ClockReply, Frame, Welcome, encode_control, encode_frame
+from protocol.wire.status import pack_status
+from tests.support.streams import description
+
+SESSION = 7
+MS = 1_000_000
+BATCH = 5
+QUEUE = 100
+
+
+class Speaker:
+    """Publishes ticks of 1 ms and frames of five samples, numbered, as fast as it is asked."""
+
+    def __init__(
+        self, context: sockets.Context, address: str, keys: ServerKeys | None = None
+    ) -> None:
+        socket = sockets.unconnected(context, zmq.XPUB)
+        # A short queue, for a test of what happens when it is full.
+        socket.setsockopt(zmq.SNDHWM, QUEUE)
+        socket.setsockopt(zmq.SNDBUF, 8_192)
+        self.gate = None if keys is None else Authenticator(context, keys, print)
+        if self.gate is not None:
+            self.gate.guard(socket)
+        socket.bind(address)
+        self.publisher = Publisher(socket, run=1, gate=self.gate)
+        self.frames = self.ticks = 0
+        self.sent_ns: list[int] = []
+
+    def begin(self) -> None:
+        """Wait for a recorder and describe the stream."""
+        assert self.publisher.await_recorder(30)
+        self.welcome()
+
+    def welcome(self, session: int = SESSION) -> None:
+        self.hear(CONTROL, encode_control(Welcome(session, 0, description())))
+
+    def hear(self, path: int, data: bytes) -> None:
+        now_ns = time.monotonic_ns()
+        self.publisher.heard.add(now_ns, path, data)
+        if path == CONTROL:
+            self.publisher.heard.welcome(now_ns, data)
+
+    def speak(self, ms: int, session: int = SESSION) -> None:
+        """So many ticks, a frame with every fifth."""
+        for _ in range(ms):
+            now_ns = time.monotonic_ns()
+            if self.ticks % BATCH == 0:
+                self.hear(0, encode_frame(numbered_frame(self.frames, session)))
+                self.frames += 1
+                self.sent_ns.append(now_ns)
+            felt = TickState(now_ns, now_ns, self.ticks * MS, 0.5, self.ticks * 1e-3, True)
+            if self.publisher.add(felt):
+                self.status("playing")
+            self.ticks += 1
+
+    def status(self, state: str, summary: Summary | None = None, final: bool = False) -> None:
+        data = pack_status(state, "test pulse", summary or Summary(), final)
+        if final:
+            self.publisher.finish(data)
+        else:
+            self.publisher.status(data)
+
+
+def numbered_frame(number: int, session: int = SESSION) -> Frame:
+    """Samples whose values say which they are, and no float32 exactly."""
+    first = number * BATCH
+    values = (np.arange(first, first + BATCH)[:, np.newaxis] * 0.1 + math.pi).astype("<f4")
+    return Frame(session, first, 1_000 * MS + first * MS, MS, values)
+
+
+def clock_reply(t1_ns: int, ahead_ns: int, session: int = SESSION) -> bytes:
+    return encode_control(ClockReply(session, t1_ns, t1_ns + ahead_ns, t1_ns + ahead_ns))
+
+
+def bye(samples_sent: int) -> bytes:
+    return encode_control(Bye(SESSION, samples_sent))
+
+
+Kind = TypeVar("Kind", bound=Speaker)
+
+
+@contextmanager
+def speaking(
+    address: str,
+    keys: ServerKeys | None = None,
+    kind: type[Kind] = Speaker,  # type: ignore[assignment]
+) -> Iterator[Kind]:
+    """A speaker on a socket of its own, which is gone at the end."""
+    context: sockets.Context = zmq.Context()
+    try:
+        yield kind(context, address, keys)
+    finally:
+        context.destroy(linger=200)

@@ -1,0 +1,265 @@
+"""A bench in virtual time for many short tests: a wrist, a display, an emulated motor, its film.
+
+The drive is simplified: the product's `Supervisor` commands the motor without a line, threads or
+homing. The whole bench of `benchmarks/virtual_bench.py` takes 1.7 times as long for the same tests.
+"""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from display_node.display import Display, TickState
+from display_node.drives.axis import Axis, build_axis
+from display_node.drives.drive import DriveStatus, no_film
+from display_node.drives.hardware import Hardware
+from display_node.drives.supervisor import Supervisor
+from display_node.plant.stepper import StepCommand, StepperScene
+from display_node.scene import DisplayScene
+from protocol.config.scene import load_section
+from pulse_sensors.packet import Packet
+from pulse_sensors.reading import Reading, Readings
+from telepulse.emulators.drive_run import FRAME
+from telepulse.emulators.motor import EmulatedMotor, Moment
+from tests.support.sender import MS, Sender
+
+SCENES = Path(__file__).parents[2] / "scenes"
+BATCH = 5
+TICK_MS = 2
+FIRST_MS = 20
+WAY_NS = 2 * MS
+DELIVERY_NS = MS // 4
+# 1 mm/s of the scene's actuator.
+TOUCHING_HZ = 1_600.0
+
+
+class VirtualDrive:
+    """A drive that obeys `late_ns` after it was told, commanded by the product's supervision.
+
+    obeys: it is reached at all; answers: it is heard.
+    """
+
+    def __init__(self, motor: EmulatedMotor, axis: Axis, late_ns: int, watchdog_ns: int) -> None:
+        self.motor, self._axis, self._late_ns = motor, axis, late_ns
+        self.now_ns = self.told_ns = 0
+        self.supervisor = Supervisor(axis, watchdog_ns)
+        self.counts: Counter[str] = Counter()
+        self.commands: list[float] = []
+        self.closed = False
+        self.obeys = self.answers = True
+        self.arm()
+
+    def arm(self) -> None:
+        """Stand at first touch, ready for commands."""
+        self.supervisor.arm(self.now_ns)
+        self.supervisor.verified = True
+        self._hear()
+
+    def way_m(self, now_ns: int) -> float:
+        return self.supervisor.way_m(now_ns)
+
+    def start(self, force_n: Callable[[], float | None] = no_film) -> None:
+        """Do nothing: it stands at first touch already."""
+
+    def command(self, command: StepCommand) -> None:
+        if self.supervisor.fault is None:
+            self.supervisor.command(self._axis.units.signed(command), self.now_ns)
+            self._send()
+
+    def run_thread(self, now_ns: int) -> None:
+        """Do the work of the drive's own thread, once a millisecond."""
+        self.now_ns = self.told_ns = now_ns
+        self._hear()
+        self.supervisor.watch(now_ns)
+        if self.supervisor.fault is not None:
+            self._send()
+
+    def press(self, force_n: float, taken_ns: int) -> None:
+        self.supervisor.press(force_n, taken_ns)
+
+    def status(self) -> DriveStatus:
+        self._hear()
+        return self.supervisor.status(self.motor.rate_hz * self._axis.units.step_m)
+
+    def withdraw(self, reason: str) -> None:
+        self.supervisor.fail(reason, self.now_ns)
+
+    def close(self) -> None:
+        self.closed = True
+
+    def _hear(self) -> None:
+        motor = self.motor
+        motor.advance(self.now_ns)
+        if self.answers:
+            self.supervisor.report(motor.tip_m, self.now_ns)
+        if motor.fault:
+            self.supervisor.fail(f"fault: {motor.fault}", self.now_ns)
+
+    def _send(self) -> None:
+        sent_ns = max(self.now_ns, self.told_ns)
+        velocity = self.supervisor.velocity(sent_ns)
+        self.supervisor.sent(velocity, sent_ns)
+        if not self.obeys:
+            return
+        self.motor.advance(sent_ns + self._late_ns)
+        self.motor.feed()
+        self.commands.append(velocity * self._axis.units.step_m)
+        self.motor.run(velocity)
+
+
+class VirtualFilm:
+    """The film's sensor: four samples a frame, which take a while to come."""
+
+    def __init__(self, motor: EmulatedMotor, readings: Readings) -> None:
+        self._motor, self._readings = motor, readings
+        self._sent = 0
+        self.now_ns = 0
+        self.silent = self.closed = False
+        self.rejected: Counter[str] = Counter()
+
+    def poll(self) -> list[Reading]:
+        found: list[Reading] = []
+        forces_n = self._motor.forces_n
+        if self.silent:
+            return found
+        while len(forces_n) >= FRAME and (self._sent + FRAME) * MS + DELIVERY_NS <= self.now_ns:
+            packet = Packet(tuple(forces_n.popleft() for _ in range(FRAME)), self._device_ns())
+            reading = self._readings.of(packet, self._sent * MS + DELIVERY_NS)
+            found += [reading] if reading is not None else []
+        return found
+
+    def _device_ns(self) -> int:
+        self._sent += FRAME
+        return self._sent * MS
+
+    def faults(self) -> list[str]:
+        return ["the film is torn"] if self.silent else []
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@dataclass
+class VirtualBench:
+    """A bench on which conditions change between two runs: `sending`, `drive`, `film`, and which
+    threads of the display's process run: `loop_runs`, `thread_runs` (the drive's), and which wakes
+    first.
+
+    moments: of the motor, every ms; felt: of the display's ticks, with their times.
+    """
+
+    force_n: Callable[[float], float]
+    changes: dict[str, object] = field(default_factory=dict)
+    sending: bool = True
+    loop_runs: bool = True
+    thread_runs: bool = True
+    loop_first: bool = False
+    command_late_ns: Callable[[int], int] = lambda _: 0
+
+    def __post_init__(self) -> None:
+        scene = load_section(SCENES / "tmcl_bench.toml", "display", DisplayScene)
+        self.scene = scene = scene.model_copy(update=self.changes)
+        assert scene.feedback is not None
+        motor, axis = at_touch(scene)
+        self.moments: list[Moment] = []
+        motor.trace = self.moments.append
+        # The film's delivery is part of the latency that a bench shows.
+        assert isinstance(scene.actuator, StepperScene)
+        late_ns = scene.actuator.latency_ns - DELIVERY_NS
+        assert scene.drive is not None
+        self.drive = VirtualDrive(motor, axis, late_ns, scene.drive.watchdog_ns)
+        self.film = VirtualFilm(motor, Readings(scene.feedback))
+        self._start_display()
+        self.sender = Sender()
+        self._waiting: list[tuple[int, bytes]] = []
+        self.felt: list[tuple[int, float, float]] = []
+        # The film's first samples come before the first tick, as `Hardware.start` sees to.
+        self.now_ms = self._ticked_ms = FIRST_MS
+        self.drive.now_ns = self.film.now_ns = FIRST_MS * MS
+        motor.advance(FIRST_MS * MS)
+        self.drive.arm()
+        self.hardware.read()
+
+    def run(self, ms: int) -> None:
+        """Let time pass: a frame every 5 ms, a tick every 2."""
+        for _ in range(ms):
+            self.now_ms += 1
+            now_ns = self.now_ms * MS
+            if self.sending and self.now_ms % BATCH == 0:
+                forces_n = [self.force_n(self.now_ms - BATCH + 1 + i) for i in range(BATCH)]
+                self._waiting.append((now_ns + WAY_NS, self.sender.frame_of(now_ns, forces_n)))
+            while self._waiting and self._waiting[0][0] <= now_ns:
+                self.display.on_frame(self._waiting.pop(0)[1], now_ns)
+            self.drive.motor.advance(now_ns)
+            for thread in (self._run_loop, self._run_thread)[:: 1 if self.loop_first else -1]:
+                thread(now_ns)
+
+    def _run_loop(self, now_ns: int) -> None:
+        if self.loop_runs and self.now_ms % TICK_MS == 0:
+            self._tick(now_ns)
+
+    def _run_thread(self, now_ns: int) -> None:
+        if self.thread_runs:
+            self.drive.run_thread(now_ns)
+
+    def stall(self, ms: int) -> None:
+        """Let time pass in which the display's process does not run, as after SIGSTOP."""
+        self.loop_runs = self.thread_runs = False
+        self.run(ms)
+        self.loop_runs = self.thread_runs = True
+
+    def restart(self) -> None:
+        """Start the display anew after a fault, which brings the drive to first touch."""
+        motor = self.drive.motor
+        motor.reset()
+        motor.watch(0)
+        self.now_ms = to_touch(motor, self.now_ms * MS) // MS
+        motor.watch(self.scene.drive.watchdog_ns if self.scene.drive else 0)
+        self.drive.now_ns = self.now_ms * MS
+        self.drive.arm()
+        self.film.silent, self._ticked_ms = False, self.now_ms
+        self._start_display()
+
+    def _start_display(self) -> None:
+        self.hardware = Hardware(self.scene, self.drive, self.film)  # type: ignore[arg-type]
+        self.display = Display(self.scene, "virtual", feedback=self.hardware.feedback)
+
+    def _tick(self, now_ns: int) -> None:
+        self.drive.now_ns = self.film.now_ns = now_ns
+        elapsed = max(1, (self.now_ms - self._ticked_ms) // TICK_MS)
+        self._ticked_ms = self.now_ms
+        self.drive.told_ns = now_ns + self.command_late_ns(self.now_ms)
+        felt: TickState = self.hardware.tick(self.display, now_ns, elapsed)
+        self.felt.append((now_ns, felt.target_n, felt.felt_n))
+        for request in self.display.requests(now_ns):
+            answer = self.sender.answer(request, now_ns) if self.sending else None
+            if answer is not None:
+                self.display.on_control(answer, now_ns)
+
+
+def at_touch(scene: DisplayScene) -> tuple[EmulatedMotor, Axis]:
+    """The motor, at time 0 at rest where the tip first touches, and its axis."""
+    actuator, drive, layer = scene.actuator, scene.drive, scene.layer.layer()
+    assert isinstance(actuator, StepperScene)
+    assert drive is not None
+    now_ns = -2_000 * MS
+    motor = EmulatedMotor(actuator, actuator.contact(layer), drive.touch_m, now_ns)
+    to_touch(motor, now_ns)
+    motor.advance(0)
+    motor.forces_n.clear()
+    motor.watch(drive.watchdog_ns)
+    return motor, build_axis(drive, actuator, layer, scene.safety.force_limit_n)
+
+
+def to_touch(motor: EmulatedMotor, now_ns: int) -> int:
+    """Bring the tip off the finger, and to first touch; when it is there."""
+    motor.run(-TOUCHING_HZ)
+    while motor.tip_m >= 0:
+        now_ns += MS
+        motor.advance(now_ns)
+    motor.run(TOUCHING_HZ)
+    while motor.tip_m < 0:
+        now_ns += MS
+        motor.advance(now_ns)
+    motor.run(0.0)
+    return now_ns

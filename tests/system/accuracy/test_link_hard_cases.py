@@ -1,0 +1,276 @@
+"""The whole display, in virtual time, on what links and peers do at their worst."""
+
+from pathlib import Path
+from random import Random
+
+import numpy as np
+import pytest
+
+from display_node.display import Display
+from display_node.scene import DisplayScene
+from protocol.config.scene import load_section
+from protocol.run_summary import SampleCounts
+from protocol.wire.messages import Bye, Frame, Welcome, encode_control, encode_frame
+from tests.support.streams import description
+from tests.support.virtual_link import (
+    AHEAD_NS,
+    BATCH,
+    HOUR_NS,
+    MS,
+    WAY_NS,
+    VirtualLink,
+    ahead_ns,
+    pulse_n,
+)
+
+SCENES = Path(__file__).parents[3] / "scenes"
+# Half a microstep, and what 1 ms of a straight line between samples leaves.
+EXACT_N = 1e-4
+
+
+def display(**changes: object) -> Display:
+    scene = load_section(SCENES / "radial.toml", "display", DisplayScene)
+    return Display(scene.model_copy(update=changes), "test")
+
+
+def assert_accounted(link: VirtualLink) -> SampleCounts:
+    """Each sample that was sent is played, late, lost, or from before joining; none is two."""
+    link.sends = False
+    end_ms = link.played[-1][0] // MS + 1
+    sent = link.first_sample + link.frames * BATCH
+    bye = encode_control(Bye(link.session, sent))
+    link.deliver(end_ms * MS + WAY_NS, "control", bye)
+    link.run(end_ms, end_ms + 2000)
+    samples = link.display.summary().samples
+    assert link.display.over
+    assert samples.sent is not None
+    assert samples.sent == (samples.played or 0) + (samples.late or 0) + (samples.lost or 0)
+    assert samples.sent + (samples.before_joining or 0) == sent
+    return samples
+
+
+@pytest.mark.parametrize("wrap", [2**16, 2**31, 2**32, 2**40])
+def test_sequence_numbers_pass_where_other_protocols_wrap(wrap: int) -> None:
+    link = VirtualLink(display(), first_sample=wrap - 1500)
+    link.run(0, 3000)
+    assert max(link.errors_n(0, 3000)) < EXACT_N
+    assert link.full_strength_ms(1500, 3000) == 1500
+    assert assert_accounted(link).lost == 0
+    assert link.display.summary().rejected == {}
+
+
+def test_a_session_ends_at_the_last_sequence_number_there_is() -> None:
+    last = 2**53
+    link = VirtualLink(display(), first_sample=last - 2000)
+    link.run(0, 3000)
+    assert link.full_strength_ms(1500, 2000) == 500
+    # Frames beyond it are refused, and the finger is brought to rest.
+    assert link.display.summary().rejected == {"malformed": 3000 // BATCH - 2000 // BATCH - 4}
+    assert link.display.state == "stale"
+    assert link.played[-1][1] == 0
+
+
+def test_frames_a_hundred_places_out_of_order_are_all_played_in_order() -> None:
+    random = Random(5)
+
+    def shuffled(_: int, __: int) -> list[int]:
+        return [WAY_NS + random.randrange(100 * BATCH) * MS]
+
+    link = VirtualLink(display(compensation_ns=600 * MS), delays_ns=shuffled)
+    link.run(0, 6000)
+    assert max(link.errors_n(0, 6000)) < EXACT_N
+    assert link.full_strength_ms(2000, 6000) == 4000
+    frames = link.display.summary().frames
+    assert (frames.reordered or 0) > 0.8 * (frames.received or 0)
+    samples = assert_accounted(link)
+    assert (samples.late, samples.lost) == (0, 0)
+
+
+@pytest.mark.parametrize("order", ["together", "each its own way", "one far behind"])
+def test_duplicates_on_all_paths_are_played_once(order: str) -> None:
+    random = Random(5)
+    delays_ns = {
+        "together": lambda _, __: [WAY_NS] * 3,
+        "each its own way": lambda _, __: [random.randint(WAY_NS, 2 * WAY_NS) for _ in range(3)],
+        "one far behind": lambda _, __: [WAY_NS, WAY_NS, 9000 * MS],
+    }[order]
+    link = VirtualLink(display(paths=3), delays_ns=delays_ns)
+    link.run(0, 12_000)
+    assert max(link.errors_n(2000, 12_000)) < 1e-2
+    assert link.full_strength_ms(2000, 12_000) == 10_000
+    summary = link.display.summary()
+    missing = {"together": 0, "each its own way": 16, "one far behind": 1810}[order]
+    received = summary.frames.received or 0
+    assert 2 * received - missing <= (summary.frames.copies or 0) <= 2 * received
+    assert summary.rejected == {}
+    samples = assert_accounted(link)
+    assert samples.lost == 0
+
+
+def test_a_session_that_changes_in_mid_stream_is_not_mixed_up_with_the_one_before() -> None:
+    # The old session's frames still come over a slower path, between the new one's.
+    slow = [2000 * MS]
+    link = VirtualLink(display(paths=2), delays_ns=lambda _, __: [WAY_NS, *slow])
+    link.run(0, 3000)
+    link.session, link.frames, slow[:] = 8, 0, []
+    link.run(3000, 8000)
+    assert link.display.receiver.sessions == 2
+    assert link.full_strength_ms(4200, 8000) == 3800
+    assert max(link.errors_n(4200, 8000)) < 1e-2
+    assert link.display.summary().rejected["session"] > 1900 // BATCH
+
+
+def test_two_sensing_nodes_behind_one_display_do_not_take_turns() -> None:
+    link = VirtualLink(display(paths=2))
+    for ms in range(0, 5000, BATCH):
+        values = np.full((BATCH, 1), 2.0)
+        stranger = Frame(8, ms, ms * MS + AHEAD_NS, MS, values)
+        link.deliver(ms * MS, "frame", encode_frame(stranger))
+    link.run(0, 5000)
+    assert link.display.receiver.sessions == 1
+    assert max(link.errors_n(1500, 5000)) < EXACT_N
+    assert link.full_strength_ms(1500, 5000) == 3500
+
+
+@pytest.mark.parametrize("frames", [1, 2, 10])
+def test_a_stream_of_one_frame_is_accounted_for(frames: int) -> None:
+    link = VirtualLink(display())
+    link.sends = False
+    link.run(0, 1000)
+    for number in range(frames):
+        link.run(1000 + BATCH * number, 1000 + BATCH * (number + 1))
+        link.send((1000 + BATCH * number) * MS)
+    samples = assert_accounted(link)
+    assert samples.sent == frames * BATCH
+    assert samples.lost == 0
+
+
+def test_irregular_sample_periods_are_played_at_their_times() -> None:
+    random = Random(5)
+    link = VirtualLink(display(compensation_ns=60 * MS))
+    link.sends = False
+    taken_ns, first = 0, 0
+    while taken_ns < 5000 * MS:
+        count = random.randint(1, BATCH)
+        period_ns = random.randint(MS // 2, 2 * MS)
+        times_ns = [taken_ns + i * period_ns for i in range(count)]
+        values = np.array([[pulse_n(t_ns)] for t_ns in times_ns])
+        data = encode_frame(Frame(7, first, ahead_ns(taken_ns), period_ns, values))
+        link.deliver(times_ns[-1] + WAY_NS, "frame", data)
+        first, taken_ns = first + count, times_ns[-1] + random.randint(MS // 2, 2 * MS)
+    link.run(0, 5000)
+    assert link.display.summary().rejected.keys() <= {"before_welcome", "before_clock"}
+    assert max(link.errors_n(0, 5000)) < EXACT_N
+    assert link.full_strength_ms(1500, 5000) == 3500
+
+
+@pytest.mark.parametrize("cut_ms", [5000, 10_000])
+def test_what_queued_in_a_silence_is_not_played_when_it_comes_all_at_once(cut_ms: int) -> None:
+    back_ms = 3000 + cut_ms
+
+    def queued(_: int, true_ns: int) -> list[int]:
+        waiting_ns = back_ms * MS - true_ns if 3000 * MS <= true_ns < back_ms * MS else 0
+        return [WAY_NS + waiting_ns]
+
+    link = VirtualLink(
+        display(),
+        delays_ns=queued,
+        control_delay_ns=lambda ns: None if 3000 * MS <= ns < back_ms * MS else WAY_NS,
+    )
+    link.run(0, back_ms + 2000)
+    # At rest soon after the cut, with nothing of the past afterwards: always the pulse of E ago.
+    assert link.full_strength_ms(3200, back_ms) == 0
+    assert {force_n for t_ns, force_n, _, _ in link.played if 3500 <= t_ns // MS < back_ms} == {0}
+    assert link.full_strength_ms(back_ms + 1000, back_ms + 2000) == 1000
+    after_ns = [delay for t_ns, _, delay, full in link.played if t_ns >= back_ms * MS and full]
+    assert max(after_ns) < 60 * MS
+    assert max(link.errors_n(back_ms, back_ms + 2000)) < 1e-3
+    samples = assert_accounted(link)
+    assert samples.lost == 0
+    assert abs((samples.late or 0) - cut_ms) < 100
+
+
+# A display's own clock is monotonic: it goes on, as after a suspend, and never back.
+@pytest.mark.parametrize(("host", "hours"), [("sensing", -1), ("sensing", 1), ("display", 1)])
+def test_a_clock_that_steps_by_an_hour_is_felt_through_soon(host: str, hours: int) -> None:
+    def stepped(true_ns: int) -> int:
+        return true_ns + 2 * HOUR_NS + (hours * HOUR_NS if true_ns >= 3000 * MS else 0)
+
+    clocks = {f"{host}_clock": stepped}
+    link = VirtualLink(display(), **clocks)  # type: ignore[arg-type]
+    link.run(0, 9000)
+    assert link.full_strength_ms(1500, 3000) == 1500
+    assert link.full_strength_ms(7000, 9000) == 2000
+    assert max(link.errors_n(7000, 9000)) < 1e-3
+    assert_accounted(link)
+
+
+@pytest.mark.parametrize("ppm", [-500, 500])
+@pytest.mark.parametrize("host", ["sensing", "display"])
+def test_a_skew_of_500_ppm_is_not_felt(host: str, ppm: int) -> None:
+    def skewed(true_ns: int) -> int:
+        return true_ns + 2 * HOUR_NS + true_ns * ppm // 1_000_000
+
+    clocks = {f"{host}_clock": skewed}
+    link = VirtualLink(display(), **clocks)  # type: ignore[arg-type]
+    link.run(0, 15_000)
+    assert link.full_strength_ms(1500, 15_000) == 13_500
+    assert max(link.errors_n(5000, 15_000)) < 1e-3
+    samples = assert_accounted(link)
+    assert (samples.lost, link.display.summary().rejected) == (0, {})
+
+
+def test_control_that_moves_to_a_longer_path_does_not_move_the_pulse() -> None:
+    def moved(true_ns: int) -> int | None:
+        if true_ns < 3000 * MS:
+            return WAY_NS
+        return None if true_ns < 6000 * MS else 5 * WAY_NS
+
+    def skewed(true_ns: int) -> int:
+        return true_ns + 2 * HOUR_NS + true_ns * 50 // 1_000_000
+
+    link = VirtualLink(display(), sensing_clock=skewed, control_delay_ns=moved)
+    link.run(0, 12_000)
+    assert link.full_strength_ms(1500, 12_000) == 10_500
+    assert max(link.errors_n(1500, 12_000)) < EXACT_N
+    off_ns = link.display.receiver.clock.remote_ns(12_000 * MS) - skewed(12_000 * MS)
+    assert abs(off_ns) < 0.1 * MS
+    assert link.display.receiver.clock.steps == 0
+
+
+LIES = {
+    "the future": (900, 0),
+    "the far future": (10_000, 0),
+    "the past": (-900, 0),
+    "the far past": (-100_000, 0),
+    "a number ahead": (0, 1000),
+    "times that overlap": (-3, 0),
+}
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_a_frame_that_lies_about_time_is_overcome(lie: str) -> None:
+    shift_ms, skipped = LIES[lie]
+    link = VirtualLink(display())
+    link.run(0, 3000)
+    first = link.frames * BATCH + skipped
+    t_ns = 3000 * MS + AHEAD_NS + shift_ms * MS
+    frame = Frame(7, first, t_ns, MS, np.full((BATCH, 1), 2.0))
+    link.deliver(3000 * MS + WAY_NS, "frame", encode_frame(frame))
+    link.frames += 1
+    link.run(3000, 8000)
+    assert max(force_n for _, force_n, _, _ in link.played) <= 2.5
+    assert link.full_strength_ms(6000, 8000) == 2000
+    assert max(link.errors_n(6000, 8000)) < 1e-3
+    assert link.display.receiver.sessions == 1
+
+
+def test_a_welcome_of_the_same_session_changes_nothing() -> None:
+    link = VirtualLink(display())
+    link.run(0, 2000)
+    welcome = encode_control(Welcome(7, 10**6, description(batch=1, period_ns=10 * MS)))
+    for ms in range(2000, 4000, 10):
+        link.deliver(ms * MS, "control", welcome)
+    link.run(2000, 4000)
+    assert link.full_strength_ms(1500, 4000) == 2500
+    assert max(link.errors_n(1500, 4000)) < EXACT_N

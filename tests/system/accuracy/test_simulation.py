@@ -1,0 +1,181 @@
+import dataclasses
+import importlib.util
+import io
+import re
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from protocol.availability import NAMES
+from protocol.errors import SceneError
+from protocol.limits import limit_texts
+from protocol.run_summary import Summary, print_summary
+from telepulse.scene import Scene, load_scene
+from telepulse.simulation.link_model import parse_link
+from telepulse.simulation.virtual_time import Simulation, simulate
+from tests.support.nodes import RADIAL, ROOT
+
+SCENES = sorted((ROOT / "scenes").glob("*.toml"))
+LIVE = [path for path in SCENES if path.stem in ("tmcl_bench", "cia402_bench")]
+MODELLED = [path for path in SCENES if path not in LIVE]
+
+
+def with_link(text: str, path: Path = RADIAL) -> Scene:
+    return dataclasses.replace(load_scene(path), link=parse_link(text))
+
+
+def accounted(summary: Summary) -> int:
+    samples = summary.samples
+    assert samples.played is not None
+    assert samples.late is not None
+    assert samples.lost is not None
+    assert samples.sent == samples.played + samples.late + samples.lost
+    return samples.sent
+
+
+@pytest.mark.parametrize("path", MODELLED, ids=lambda path: path.stem)
+def test_every_scene_that_comes_with_us_is_felt_within_the_jnd(path: Path) -> None:
+    summary = simulate(load_scene(path), seconds=8, seed=1)
+    accounted(summary)
+    # Nothing holds the pulse of a scene that comes with us at a limit.
+    assert limit_texts(dataclasses.asdict(summary.limited)) == []
+    assert summary.within_jnd == 1.0
+    assert summary.faults == []
+    assert summary.rejected == {}
+
+
+@pytest.mark.parametrize("path", LIVE, ids=lambda path: path.stem)
+def test_a_scene_of_a_live_bench_is_not_simulated(path: Path) -> None:
+    with pytest.raises(SceneError, match='kind "serial" is a live sensor'):
+        simulate(load_scene(path), seconds=1, seed=1)
+
+
+def test_over_a_perfect_link_every_sample_is_played() -> None:
+    summary = simulate(load_scene(RADIAL), seconds=10, seed=1)
+    assert accounted(summary) == summary.samples.played == 10_000
+    # The nearest microstep leaves 0.18 mN: nothing that a link can cost is in it.
+    assert summary.force_rmse_n.aligned == pytest.approx(0.18e-3, rel=0.1)
+    assert summary.one_way_delay_ms.max == 0
+
+
+def test_what_the_link_loses_is_what_the_display_misses() -> None:
+    simulation = Simulation(with_link("delay=30ms,loss=5%"), seed=3)
+    summary = simulation.run(20)
+    accounted(summary)
+    assert simulation.lost_frames > 100
+    assert summary.samples.lost == 5 * simulation.lost_frames
+    assert summary.samples.late == 0
+
+
+def test_jitter_makes_disorder_and_a_stated_share_of_late_samples() -> None:
+    summary = simulate(with_link("delay=40ms,jitter=10ms"), seconds=60, seed=1)
+    accounted(summary)
+    assert summary.samples.lost == 0
+    assert summary.frames.reordered
+    assert summary.samples.late is not None
+    assert 0 < summary.samples.late / 60_000 < 0.02
+    assert summary.within_jnd == 1.0
+
+
+def test_the_same_seed_gives_the_same_summary_and_another_does_not() -> None:
+    scene = with_link("delay=40ms,jitter=10ms,loss=1%")
+
+    def figures(seed: int) -> Summary:
+        return dataclasses.replace(simulate(scene, 5, seed), speed=None)
+
+    assert figures(1) == figures(1)
+    assert figures(1) != figures(2)
+
+
+def test_the_sensing_clock_is_found_though_it_is_an_hour_ahead() -> None:
+    simulation = Simulation(with_link("delay=25ms"), seed=1)
+    summary = simulation.run(5)
+    clock = simulation.display.summary().clock
+    assert clock.offset_ms == pytest.approx(3_600_000, abs=1e-3)
+    assert summary.one_way_delay_ms.p50 == pytest.approx(25, abs=0.1)
+
+
+def test_a_total_loss_ends_and_says_so() -> None:
+    summary = simulate(with_link("loss=100%"), seconds=3, seed=1)
+    assert summary.samples.played == 0
+    assert summary.samples.before_joining == 3000
+    assert summary.force_rmse_n.aligned is None
+
+
+def test_two_different_layers_are_strained_alike(tmp_path: Path) -> None:
+    text = RADIAL.read_text(encoding="utf-8")
+    sensing, display = text.split("[display]")
+    path = tmp_path / "layers.toml"
+    thick = sensing.replace('thickness = "2 mm"', 'thickness = "4 mm"')
+    path.write_text(thick + "[display]" + display, encoding="utf-8")
+    summary = simulate(load_scene(path), seconds=5, seed=1)
+    # Twice the thickness at the wrist is half the strain, and so half the force at the finger.
+    assert summary.strain_rmse.aligned is not None
+    assert summary.strain_rmse.aligned < 2e-9
+    assert summary.within_jnd == 1.0
+
+
+def test_a_real_recording_is_felt(tmp_path: Path) -> None:
+    package = importlib.util.find_spec("heartpy")
+    assert package is not None
+    assert package.origin is not None
+    recording = Path(package.origin).parent / "data" / "data.csv"
+    text = re.sub(
+        r"\[sensing\.source\].*?\n\n",
+        f'[sensing.source]\nkind = "recording"\npath = "{recording}"\nrate = "100 Hz"\n'
+        'unit = "raw"\npeak_to_peak = "0.3 N"\npreload = "0.3 N"\n\n',
+        RADIAL.read_text(encoding="utf-8"),
+        flags=re.DOTALL,
+    )
+    path = tmp_path / "recorded.toml"
+    path.write_text(text.replace('batch = "5 ms"', 'batch = "10 ms"'), encoding="utf-8")
+    summary = simulate(load_scene(path), seconds=20, seed=1)
+    assert accounted(summary) == summary.samples.played == 2000
+    assert summary.within_jnd == 1.0
+    assert summary.force_rmse_n.aligned is not None
+    assert summary.force_rmse_n.aligned < 0.5e-3
+
+
+def test_shares_of_time_say_of_what_part_of_the_whole_time_they_are() -> None:
+    summary = simulate(with_link("delay=20ms,cut.from=2.5s,cut.for=10s"), seconds=14, seed=1)
+    times, within = summary.availability, summary.within_jnd
+    assert within is not None
+    assert times.seconds is not None
+    assert times.judged is not None
+    assert within > 0.9
+    # Twice 2 s of stream, of which ramp and fade cannot be judged.
+    assert 14.5 < times.seconds < 16
+    assert 3.0 < times.judged * times.seconds < 4.0
+    assert times.felt == pytest.approx(times.judged, abs=0.01)
+    assert times.stale == pytest.approx(10 / times.seconds, abs=0.03)
+    parts = [getattr(times, name) for name in NAMES]
+    assert sum(parts) == pytest.approx(1.0)
+    assert f"% of the {100 * times.judged:.1f} % of the run that could be judged" in shown(summary)
+
+
+def test_the_hour_between_a_simulations_clocks_is_no_offset() -> None:
+    summary = simulate(with_link("delay=20ms"), seconds=2, seed=1)
+    assert summary.clock.offset_ms == pytest.approx(0.0, abs=1e-3)
+    assert "360000" not in shown(summary)
+
+
+def shown(summary: Summary) -> str:
+    out = io.StringIO()
+    print_summary(summary, "simulation", Console(file=out, width=200))
+    return out.getvalue()
+
+
+def test_a_pulse_above_the_force_limit_is_counted_as_cut(tmp_path: Path) -> None:
+    path = tmp_path / "hard.toml"
+    text = RADIAL.read_text(encoding="utf-8")
+    path.write_text(text.replace('peak_to_peak = "0.3 N"', 'peak_to_peak = "6 N"'), "utf-8")
+    limited = simulate(load_scene(path), seconds=8, seed=1).limited
+    # Ten beats: each is cut at its top, and pulls once or twice between the tops.
+    for limit in (limited.force, limited.negative):
+        assert limit.times is not None
+        assert 7 <= limit.times <= 20
+        assert limit.seconds is not None
+        assert limit.share == pytest.approx(limit.seconds / 9.5, rel=0.1)
+    assert limited.travel.times is not None
+    assert limited.travel.times > 0

@@ -1,0 +1,137 @@
+import pytest
+
+from display_node.plant.stepper import StepperScene
+from display_node.scene import DisplayScene
+from telepulse.commissioning.actuator_check import (
+    Actuator,
+    check_actuator,
+    check_contact,
+    check_latency,
+)
+from telepulse.commissioning.contact import Contact
+from telepulse.commissioning.identification import Identified
+from telepulse.commissioning.response import Model
+from telepulse.commissioning.rig import ModelRig
+from telepulse.scene import find_scene, load_scene
+from tests.unit.telepulse.commissioning.test_press import bench
+
+
+def checked(really: DisplayScene, taken_for: DisplayScene | None = None) -> Actuator:
+    """A bench that is really so, checked with a scene that may say something else."""
+    scene = taken_for or really
+    return check_actuator(ModelRig(really), scene, 0.3, scene.film.latency_ns * 1e-9)
+
+
+def verdicts(actuator: Actuator) -> dict[str, str]:
+    return {check.name: check.verdict for check in actuator.checks if check.verdict != "ok"}
+
+
+def number(actuator: Actuator, key: str) -> float:
+    return float(actuator.changes["display.actuator"][key].strip('"').split()[0])
+
+
+def test_the_papers_actuator_is_found_exactly() -> None:
+    found = checked(load_scene(find_scene("paper")).display)
+    assert found.changes == {"display.actuator": {"m": "0.65", "c": "0.61", "k": "4.23"}}
+    assert verdicts(found) == {}
+
+
+@pytest.mark.parametrize("latency_ms", [0.0, 4.2, 13.5])
+def test_the_latency_is_found_within_a_fifth_of_a_tick(latency_ms: float) -> None:
+    scene, _ = bench()
+    really, _ = bench(latency_ns=round(latency_ms * 1e6))
+    found = checked(really, scene)
+    assert number(found, "latency") == pytest.approx(latency_ms, abs=0.2)
+    assert verdicts(found) == ({"drive's latency": "look"} if latency_ms else {})
+
+
+def test_the_films_share_of_the_latency_is_not_the_drives() -> None:
+    scene, _ = bench(latency_ns=4_000_000)
+    late_film = scene.film.model_copy(update={"latency_ns": 5_000_000})
+    scene = scene.model_copy(update={"film": late_film})
+    assert number(checked(scene), "latency") == pytest.approx(4.0, abs=0.2)
+
+
+def test_a_ringing_rotor_is_found_through_a_slow_noisy_film() -> None:
+    really, _ = bench("real_bench", backlash_m=0.0, latency_ns=4_200_000)
+    found = checked(really)
+    assert number(found, "rotor_resonance") == pytest.approx(100.0, abs=5.0)
+    assert number(found, "rotor_damping") == pytest.approx(0.2, abs=0.05)
+    assert number(found, "latency") == pytest.approx(4.2, abs=0.2)
+    assert found.identified.model.k == pytest.approx(1.0, abs=0.01)
+
+
+def test_play_is_found_and_then_the_rotor_is_left_as_it_was() -> None:
+    really, _ = bench("real_bench", fingertip_n_per_m=1500.0, backlash_m=14e-6)
+    scene, _ = bench("real_bench")
+    found = checked(really, scene)
+    assert number(found, "backlash") == pytest.approx(14.0, abs=1.5)
+    assert number(found, "fingertip") == pytest.approx(1500.0, rel=0.02)
+    assert "rotor_resonance" not in found.changes["display.actuator"]
+    assert verdicts(found) == {"finger": "look", "play": "look"}
+
+
+def test_a_drive_that_loses_steps_is_named() -> None:
+    scene, actuator = bench()
+    # It makes half of the way that it is told: wrong microsteps, or lost steps.
+    half = actuator.model_copy(update={"lead_m": actuator.lead_m / 2})
+
+    class Losing(ModelRig):
+        def __init__(self) -> None:
+            super().__init__(scene.model_copy(update={"actuator": half}))
+
+        def tick(self, output: float) -> tuple[float, list]:  # type: ignore[type-arg]
+            return super().tick(output / 2)
+
+    found = check_actuator(Losing(), scene, 0.3, 0.0)
+    assert number(found, "fingertip") == pytest.approx(500.0, rel=0.05)
+    assert verdicts(found)["finger"] == "look"
+    assert isinstance(scene.actuator, StepperScene)
+
+
+SHARP = Model(2.6e-6, 1.1e-3, 1.0)
+LINE_S = 0.78e-3
+
+
+def judged(
+    latency_s: float, *, nrmse: float = 0.02, untold: tuple[str, ...] = (), delay_s: float = 2e-3
+) -> tuple[str, bool]:
+    """The verdict on a latency found over a line at a tick of 2 ms, and whether it is doubtful."""
+    _, actuator = bench(latency_ns=400_000)
+    found = Identified(SHARP, (0.0,) * 4, 0.0, nrmse, untold, delay_s)
+    contact = Contact(1000.0, 2.0, 0.0, 1e-6, 0.0, 1e-6, 0.01)
+    judged = check_latency(actuator, found, contact, latency_s, least_latency_s=LINE_S, tick_s=2e-3)
+    assert (judged.check.reason == "") is (judged.check.verdict == "ok")
+    return judged.check.verdict, judged.doubtful
+
+
+@pytest.mark.parametrize(
+    ("latency_s", "verdict"),
+    [(0.9e-3, "ok"), (-0.98e-3, "look"), (2.6e-59, "look"), (-2.5e-3, "fail")],
+)
+def test_a_latency_that_no_drive_can_have_is_not_ok(latency_s: float, verdict: str) -> None:
+    assert judged(latency_s) == (verdict, verdict != "ok")
+
+
+def test_a_latency_of_a_bad_fit_is_not_ok() -> None:
+    assert judged(0.9e-3, nrmse=0.4) == ("look", True)
+    assert judged(0.9e-3, untold=("latency",)) == ("look", True)
+    assert judged(49.5e-3, delay_s=50e-3) == ("fail", True)
+    assert judged(float("nan")) == ("fail", True)
+
+
+@pytest.mark.parametrize(
+    ("contact", "verdicts"),
+    [
+        (Contact(1000.0, 2.0, 0.0, 1e-6, 0.0, 1e-6, 0.01), ["ok", "ok"]),
+        (Contact(1000.0, 700.0, 0.0, 1e-6, 0.0, 1e-6, 0.01), ["look", "ok"]),
+        (Contact(1000.0, 2.0, 0.0, 1e-6, -60e-6, 1e-6, 0.01), ["ok", "look"]),
+        (Contact(1000.0, 2.0, 0.0, 1e-6, 0.0, 1e-6, 0.5), ["fail", "fail"]),
+    ],
+    ids=["plausible", "not determined", "play below 0", "not explained"],
+)
+def test_a_contact_that_the_ramp_does_not_tell_is_not_ok(
+    contact: Contact, verdicts: list[str]
+) -> None:
+    _, actuator = bench()
+    assert [check.verdict for check in check_contact(actuator, contact)] == verdicts

@@ -1,0 +1,170 @@
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from telepulse.cli.main import app
+from telepulse.scene import load_scene
+from tests.support.nodes import ROOT, process
+
+SCENES = ("radial", "wan", "bench", "real_bench", "conditioned", "paper")
+
+
+def bench(scene: str | Path, *options: str, answers: str = "") -> tuple[int, str, str]:
+    result = CliRunner().invoke(app, ["bench", str(scene), *options], input=answers)
+    return result.exit_code, result.stdout, result.stderr
+
+
+def rows(path: Path) -> dict[tuple[str, str], dict[str, str]]:
+    (table,) = json.loads(path.read_text(encoding="utf-8"))["chapters"][0]["tables"]
+    return {(row["part"], row["check"]): row for row in table["rows"]}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_shipped_scenes_models_pass_their_bench_check(name: str, tmp_path: Path) -> None:
+    status, _, error = bench(name, "--json", str(tmp_path / "bench.json"))
+    assert (status, error) == (0, "")
+    found = rows(tmp_path / "bench.json")
+    assert {part for part, _ in found} == {"wrist", "film", "actuator", "loop"}
+    looks = {key for key, row in found.items() if row["verdict"] != "ok"}
+    assert looks <= {("loop", "margins")}
+
+
+def test_what_was_found_is_written_into_a_scene_that_passes(tmp_path: Path) -> None:
+    # The controller knows of no latency, and the finger is twice as stiff as it takes it for.
+    text = (ROOT / "scenes" / "bench.toml").read_text(encoding="utf-8")
+    text = text.replace('fingertip = "1 N/mm"', 'fingertip = "2 N/mm" # rubber\nlatency = "8 ms"')
+    scene, found = tmp_path / "late.toml", tmp_path / "found.toml"
+    scene.write_text(text.replace("kp = 390", "kp = 60"), encoding="utf-8")
+    status, out, _ = bench(
+        scene, "--only", "display", "--write", str(found), "--out", str(tmp_path / "page")
+    )
+    assert status == 0
+    assert f"scene: {found}" in out
+    assert (tmp_path / "page" / "stairs-light.png").exists()
+    written = found.read_text(encoding="utf-8")
+    assert "# rubber" in written
+    assert "# Eq 22 from commanded to felt force: m = " in written
+    actuator = load_scene(found).display.actuator
+    assert actuator.kind == "stepper"
+    assert actuator.fingertip_n_per_m == pytest.approx(2000.0, rel=0.01)
+    assert actuator.latency_ns == pytest.approx(8e6, abs=2e5)
+    assert bench(found, "--only", "display")[0] == 0
+
+
+def test_a_loop_that_would_be_unstable_fails_and_gains_are_proposed(tmp_path: Path) -> None:
+    text = (ROOT / "scenes" / "bench.toml").read_text(encoding="utf-8")
+    scene = tmp_path / "late.toml"
+    late = text.replace('fingertip = "1 N/mm"', 'fingertip = "1 N/mm"\nlatency = "12 ms"')
+    scene.write_text(late, encoding="utf-8")
+    status, out, _ = bench(scene, "--only", "display", "--json", str(tmp_path / "bench.json"))
+    assert status == 1
+    margins = rows(tmp_path / "bench.json")[("loop", "margins")]
+    assert margins["verdict"] == "fail"
+    assert "stable" in margins["why"]
+    assert "gains for it" in out
+
+
+def test_a_noisy_wrist_sensor_is_named(tmp_path: Path) -> None:
+    text = (ROOT / "scenes" / "bench.toml").read_text(encoding="utf-8")
+    scene, path = tmp_path / "noisy.toml", tmp_path / "bench.json"
+    source = 'kind = "synthetic"\nhum = "60 mN"\nnoise = "4 mN"'
+    scene.write_text(text.replace('kind = "synthetic"', source, 1), encoding="utf-8")
+    status, _, _ = bench(scene, "--only", "sensing", "--json", str(path))
+    assert status == 1
+    found = rows(path)
+    assert found[("wrist", "noise")]["verdict"] == "fail"
+    assert found[("wrist", "mains")]["found"] == "99 % of the noise"
+
+
+def test_a_recording_is_no_sensor(tmp_path: Path) -> None:
+    text = (ROOT / "scenes" / "radial.toml").read_text(encoding="utf-8")
+    (tmp_path / "pulse.csv").write_text("0.1\n0.2\n0.3\n", encoding="utf-8")
+    recording = (
+        '[sensing.source]\nkind = "recording"\npath = "pulse.csv"\nrate = "500 Hz"\nunit = "N"'
+    )
+    scene = tmp_path / "recording.toml"
+    scene.write_text(recording + text[text.index("\n\n[display") :], encoding="utf-8")
+    status, out, _ = bench(scene, "--only", "sensing")
+    assert status == 1
+    assert "a recording" in out.replace("\n", " ")
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        (("--force", "3 N"), "above the scene's force_limit, 2.5 N"),
+        (("--force", "3"), "is no force"),
+        (("--force", "0 N"), "must be above 0 N"),
+        (("--write", "/no/such/folder/found.toml"), "/no/such/folder"),
+    ],
+)
+def test_bad_options_are_one_line(options: tuple[str, ...], reason: str) -> None:
+    status, _, error = bench("bench", *options)
+    assert status == 2
+    assert error.count("\n") == 1
+    assert reason in error
+
+
+DRIVE = """
+[display.drive]
+kind = "tmcl"
+port = "{folder}/drive"
+period = "10 ms"
+reply_timeout = "50 ms"
+watchdog = "200 ms"
+
+[display.safety]
+feedback_within = "80 ms"
+
+[display.feedback]
+kind = "serial"
+port = "{folder}/film"
+framing = "binary"
+rate = "1 kHz"
+unit = "N"
+"""
+
+
+def drive_scene(folder: Path) -> Path:
+    text = (ROOT / "scenes" / "bench.toml").read_text(encoding="utf-8")
+    text = text.replace('lead = "2 mm"', 'lead = "2 mm"\nstroke = "20 mm"\nmax_speed = "50 mm/s"')
+    scene = folder / "drive.toml"
+    scene.write_text(text + DRIVE.format(folder=folder), encoding="utf-8")
+    return scene
+
+
+def test_nothing_moves_before_the_person_says_that_no_finger_is_there(tmp_path: Path) -> None:
+    status, out, _ = bench(drive_scene(tmp_path), "--only", "display", answers="n\n")
+    assert status == 1
+    assert "Keep fingers away" in out
+    assert "bench of" not in out
+
+
+def test_a_drive_that_is_not_there_fails(tmp_path: Path) -> None:
+    path = tmp_path / "bench.json"
+    status, _, _ = bench(drive_scene(tmp_path), "--only", "display", "--yes", "--json", str(path))
+    assert status == 1
+    found = rows(path)
+    assert found[("film", "ended early")]["verdict"] == "fail"
+    assert "640 commands a second" in found[("drive", "line")]["found"]
+
+
+@pytest.mark.usefixtures("goes_first")
+def test_an_emulated_drive_is_checked_over_its_real_bytes(tmp_path: Path) -> None:
+    scene, path = drive_scene(tmp_path), tmp_path / "bench.json"
+    links = ("--link", str(tmp_path / "drive"), "--film-link", str(tmp_path / "film"))
+    with process("telepulse", "emulate", "tmcl", str(scene), *links) as emulator:
+        assert emulator.stdout is not None
+        assert "TMCL module" in emulator.stdout.readline()
+        options = ("--only", "display", "--yes", "--seconds", "1", "--json", str(path))
+        bench(scene, *options)
+    found = rows(path)
+    assert "640 commands a second" in found[("drive", "line")]["found"]
+    assert found[("film", "missing samples")]["found"] == "0.00 %"
+    if ("actuator", "finger") in found:
+        assert found[("actuator", "finger")]["verdict"] == "ok"
+    else:
+        # A machine too busy for real time ends the press, and says why.
+        assert found[("drive", "ended early")]["why"]

@@ -1,0 +1,93 @@
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from telepulse.cli.main import app
+from telepulse.commissioning.tuning import (
+    LEAST_DELAY_TICKS,
+    MOST_SENSITIVITY,
+    as_toml,
+    design,
+    judge,
+)
+from telepulse.scene import find_scene, load_scene
+from tests.support.nodes import ROOT
+
+SCENES = ("radial", "wan", "bench", "real_bench", "conditioned")
+
+
+def tune(scene: str | Path, *options: str) -> tuple[int, str, str]:
+    result = CliRunner().invoke(app, ["tune", str(scene), *options])
+    return result.exit_code, result.stdout, result.stderr
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_scenes_gains_are_those_of_the_design(name: str) -> None:
+    display = load_scene(find_scene(name)).display
+    assert design(display).controller == display.controller
+
+
+@pytest.mark.parametrize("name", [*SCENES, "paper"])
+def test_a_design_keeps_its_margins(name: str) -> None:
+    display = load_scene(find_scene(name)).display
+    worst = design(display).worst
+    assert worst.stable
+    assert worst.peak_sensitivity <= MOST_SENSITIVITY * 1.01
+    assert worst.delay_s >= LEAST_DELAY_TICKS * display.tick_ns * 1e-9 * 0.99
+
+
+def test_the_design_is_the_best_within_its_margins() -> None:
+    display = load_scene(find_scene("real_bench")).display
+    best = design(display)
+    for factor in (0.5, 0.9):
+        controller = best.controller.model_copy(update={"kp": best.controller.kp * factor})
+        felt_n = judge(display, controller).felt_n
+        assert felt_n is not None
+        assert best.felt_n is not None
+        assert felt_n > best.felt_n
+    bolder = best.controller.model_copy(update={"kp": best.controller.kp * 1.1})
+    assert judge(display, bolder).worst.peak_sensitivity > MOST_SENSITIVITY
+
+
+def test_what_is_printed_can_be_pasted_into_the_scene(tmp_path: Path) -> None:
+    text = (ROOT / "scenes" / "real_bench.toml").read_text(encoding="utf-8")
+    begin, end = text.index("[display.controller]"), text.index("[display.actuator]")
+    proposed = design(load_scene(find_scene("real_bench")).display).controller
+    scene = tmp_path / "tuned.toml"
+    scene.write_text(text[:begin] + as_toml(proposed) + "\n\n" + text[end:], encoding="utf-8")
+    assert load_scene(scene).display.controller == proposed
+    status, out, _ = tune(scene)
+    assert status == 0
+    assert as_toml(proposed) in out
+
+
+def test_a_loop_that_is_not_stable_is_refused_with_a_way_out(tmp_path: Path) -> None:
+    text = (ROOT / "scenes" / "real_bench.toml").read_text(encoding="utf-8")
+    begin, end = text.index("[display.controller.observer]"), text.index("[display.actuator]")
+    scene = tmp_path / "wild.toml"
+    scene.write_text(text[:begin].replace("kp = 190", "kp = 5000") + text[end:], encoding="utf-8")
+    status, out, error = tune(scene)
+    assert status == 2
+    assert "[display.controller.observer]" in out
+    assert error.count("\n") == 1
+    assert "wild.toml" in error
+    assert "not stable" in error
+
+
+def test_json_holds_the_table(tmp_path: Path) -> None:
+    path = tmp_path / "tune.json"
+    status, _, _ = tune("bench", "--json", str(path))
+    assert status == 0
+    (table,) = json.loads(path.read_text(encoding="utf-8"))["chapters"][0]["tables"]
+    rows = {row[""]: row for row in table["rows"]}
+    assert rows["stable"] == {"": "stable", "scene": "yes", "design": "yes"}
+    assert rows["kp"]["scene"] == "390"
+
+
+def test_the_papers_gains_have_less_margin_than_the_design() -> None:
+    display = load_scene(find_scene("paper")).display
+    present, proposed = judge(display, display.controller), design(display)
+    assert present.worst.peak_sensitivity > proposed.worst.peak_sensitivity
+    assert present.worst.delay_s < proposed.worst.delay_s

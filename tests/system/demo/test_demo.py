@@ -1,0 +1,223 @@
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+from tests.support.nodes import RADIAL, ROOT, assert_accounted, process, read_json, run
+
+MODULE = "telepulse"
+KEYS = {
+    "samples": {"sent", "played", "late", "lost", "before_joining"},
+    "frames": {"received", "reordered", "copies", "first"},
+    "one_way_delay_ms": {"p50", "p99", "max", "beyond"},
+    "playout_delay_ms": {"mean", "p99", "beyond"},
+    "clock": {"offset_ms", "skew_ppm", "uncertainty_ms", "asymmetry_ms", "steps"},
+    "force_rmse_n": {"aligned", "in_phase"},
+    "strain_rmse": {"aligned", "in_phase"},
+    "loop": {
+        *("ticks", "deadline_misses", "tick_us", "late_us"),
+        *("late", "last_5s", "worst_5s", "realtime"),
+    },
+}
+
+
+def test_the_demo_carries_the_pulse_and_accounts_for_every_sample(tmp_path: Path) -> None:
+    out = tmp_path / "out.json"
+    result = run(MODULE, "demo", "--seconds", "4", "--json", str(out), "--no-ui")
+    assert result.returncode == 0, result.stderr
+    summary = read_json(out)
+    for key, inner in KEYS.items():
+        assert set(summary[key]) == inner
+    assert {"covered_delay_ms", "within_jnd", "speed", "rejected", "faults"} <= set(summary)
+    samples = summary["samples"]
+    assert_accounted(samples)
+    assert samples["sent"] + samples["before_joining"] == 4000
+    # Far above the 0.3 mN of a quiet machine: a busy one holds up the loop.
+    assert summary["within_jnd"] > 0.9
+    assert summary["force_rmse_n"]["aligned"] < 20e-3
+    assert "sent =" in result.stdout
+    assert result.stderr == ""
+
+
+def test_the_demo_over_a_bad_link_counts_what_is_late_and_lost(tmp_path: Path) -> None:
+    out = tmp_path / "out.json"
+    link = "delay=40ms,jitter=10ms,loss=5%"
+    arguments = ("--seconds", "6", "--json", str(out), "--link", link, "--no-ui")
+    result = run(MODULE, "demo", *arguments)
+    assert result.returncode == 0, result.stderr
+    summary = read_json(out)
+    assert_accounted(summary["samples"])
+    assert summary["samples"]["lost"] > 50
+    assert 25 < summary["one_way_delay_ms"]["p50"] < 60
+    assert summary["playout_delay_ms"]["mean"] > 45
+
+
+def test_a_demo_whose_display_latches_a_fault_names_it_and_ends_with_status_3(
+    tmp_path: Path,
+) -> None:
+    scene, out = tmp_path / "noisy.toml", tmp_path / "out.json"
+    # The film's noise is read as more force than may be felt.
+    text = RADIAL.read_text(encoding="utf-8").replace(
+        'force_limit = "2.5 N"', 'force_limit = "0.1 N"\noverforce = 1'
+    )
+    noise = '\n[display.film]\nnoise = "5 mN"\n'
+    scene.write_text(text + noise, encoding="utf-8")
+    result = run(MODULE, "demo", str(scene), "--seconds", "3", "--json", str(out), "--no-page")
+    fault, advice = "felt force above 0.1 N", "check the film (telepulse calibrate)"
+    assert result.returncode == 3
+    assert result.stderr.startswith(f"telepulse: ended at the fault '{fault}': {advice}")
+    assert result.stderr.count("\n") == 1
+    # The line of each second names it, with what to do.
+    assert re.search(rf"^fault: {fault}: {re.escape(advice)}", result.stdout, re.MULTILINE)
+    assert read_json(out)["faults"] == [fault]
+    assert_accounted(read_json(out)["samples"])
+
+
+def test_the_demo_scores_against_the_pulse_before_the_sensing_chain(tmp_path: Path) -> None:
+    scene, out = tmp_path / "clipping.toml", tmp_path / "out.json"
+    # 10 mV are 0.227 N at Fig. 4's sensitivity, and no sample of the stream is above.
+    chain = '[sensing.conditioning]\nadc_bits = 16\nadc_range = "10 mV"\n\n'
+    text = RADIAL.read_text(encoding="utf-8")
+    scene.write_text(text.replace("[sensing.layer]", chain + "[sensing.layer]"), "utf-8")
+    result = run(MODULE, "demo", str(scene), "--seconds", "3", "--json", str(out), "--no-ui")
+    assert result.returncode == 0, result.stderr
+    summary = read_json(out)
+    assert summary["force_rmse_n"]["aligned"] > 50e-3
+    (fault,) = summary["faults"]
+    assert fault.endswith("samples beyond the ADC's range")
+    assert summary["limited"]["adc"]["share"] > 0.5
+    assert summary["limited"]["force"]["times"] == 0
+
+
+def test_ctrl_c_ends_the_pulse_and_sums_up(tmp_path: Path) -> None:
+    out = tmp_path / "out.json"
+    arguments = ("--seconds", "100", "--json", str(out), "--no-page")
+    with process(MODULE, "demo", *arguments) as demo:
+        assert demo.stdout is not None
+        while not demo.stdout.readline().startswith("playing:"):
+            assert demo.poll() is None
+        demo.send_signal(signal.SIGINT)
+        output, errors = demo.communicate(timeout=20)
+        assert demo.returncode == 0
+    assert errors == ""
+    assert "sent =" in output
+    assert_accounted(read_json(out)["samples"])
+
+
+def test_in_a_terminal_the_demo_draws_a_panel_with_a_pulse_trace() -> None:
+    leader, follower = pty.openpty()
+    environment = os.environ | {"COLUMNS": "100", "LINES": "40", "TERM": "xterm"}
+    child = subprocess.Popen(
+        [sys.executable, "-m", MODULE, "demo", "--seconds", "4", "--no-page"],
+        cwd=ROOT,
+        stdin=follower,
+        stdout=follower,
+        stderr=follower,
+        env=environment,
+    )
+    os.close(follower)
+    output = b""
+    while chunk := read_or_end(leader):
+        output += chunk
+    os.close(leader)
+    assert child.wait(10) == 0
+    text = output.decode(errors="replace")
+    for word in ("heart rate", "force felt", "strain RMSE", "playout delay", "deadline misses"):
+        assert word in text
+    assert any("\u2801" <= character <= "\u28ff" for character in text)
+    assert "sent =" in text
+
+
+def test_the_first_line_says_where_the_page_is() -> None:
+    with process(MODULE, "demo", "--seconds", "100") as demo:
+        assert demo.stdout is not None
+        word, _, url = demo.stdout.readline().strip().partition(" ")
+        assert word == "page:"
+        with urllib.request.urlopen(f"{url}/", timeout=30) as answer:
+            assert "<title>telepulse: live</title>" in answer.read().decode()
+        while not demo.stdout.readline().startswith("playing:"):
+            assert demo.poll() is None
+        demo.send_signal(signal.SIGINT)
+        output, errors = demo.communicate(timeout=30)
+    assert demo.returncode == 0
+    assert errors == ""
+    assert "sent =" in output
+
+
+def test_without_bokeh_the_demo_says_how_to_get_the_page_and_goes_on() -> None:
+    code = "import sys; sys.modules['bokeh'] = None; import telepulse.cli.main as c; c.main()"
+    for page, status in ((), 0), (("--page",), 2):
+        result = subprocess.run(
+            [sys.executable, "-c", code, "demo", "--seconds", "1", *page],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+        assert result.returncode == status
+        first = (result.stdout + result.stderr).splitlines()[0]
+        assert first.endswith("Bokeh is missing; pip install 'telepulse[view]'")
+        assert ("sent =" in result.stdout) == (status == 0)
+
+
+def read_or_end(descriptor: int) -> bytes:
+    try:
+        return os.read(descriptor, 65_536)
+    except OSError:
+        # Linux ends a pseudo-terminal this way when its last writer has gone.
+        return b""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (("demo", "nowhere"), "radial"),
+        (("demo", "nowhere.toml"), "no such scene file"),
+        (("demo", "--link", "delay=40"), "time"),
+        (("simulate", "radial", "--link", "loss=7"), "less"),
+        (("link", "--connect", "tcp://h", "--bind", "tcp://127.0.0.1:1"), "address"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(arguments: tuple[str, ...], word: str) -> None:
+    result = run(MODULE, *arguments)
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert word in result.stderr
+
+
+def test_simulate_prints_the_same_summary(tmp_path: Path) -> None:
+    out = tmp_path / "out.json"
+    result = run(MODULE, "simulate", "wan", "--seconds", "5", "--json", str(out))
+    assert result.returncode == 0, result.stderr
+    summary = read_json(out)
+    assert_accounted(summary["samples"])
+    assert summary["speed"] > 0
+    assert summary["loop"]["deadline_misses"] is None
+    for word in ("sent =", "one-way delay", "force RMSE", "times real time"):
+        assert word in result.stdout
+
+
+@pytest.mark.parametrize("seconds", ["nan", "inf", "-1", "0", "soon"])
+def test_no_time_is_refused(seconds: str) -> None:
+    result = run(MODULE, "simulate", "--seconds", seconds)
+    assert result.returncode == 2
+    assert "--seconds" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+@pytest.mark.parametrize("command", ["demo", "simulate"])
+def test_a_result_that_cannot_be_written_is_said_before_the_run(
+    command: str, tmp_path: Path
+) -> None:
+    missing = tmp_path / "nowhere" / "out.json"
+    result = run(MODULE, command, "--seconds", "1000", "--json", str(missing))
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert str(missing) in result.stderr

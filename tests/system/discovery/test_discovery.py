@@ -1,0 +1,229 @@
+"""Nodes that are announced and found: real processes, real multicast DNS."""
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
+from pathlib import Path
+
+import pytest
+
+from protocol.discovery.announcement import SERVICE, announced, to_txt
+from protocol.discovery.browser import Browser
+from telepulse.netem import Namespace, emulate, unavailable
+from telepulse.simulation.link_model import parse_link
+from tests.support.keyring import Keyring
+from tests.support.nodes import RADIAL, ROOT, assert_accounted, read_json
+from tests.support.tcp import needs_emulator
+from tests.support.waiting import PATIENCE_S, until
+
+zeroconf = pytest.importorskip("zeroconf")
+DISPLAY, SENSING, TELEPULSE = "display_node.cli", "sensing_node.cli", "telepulse"
+BIND = "tcp://127.0.0.1:5555"
+
+
+class Place:
+    """Where programs run: a network of their own where that can be had, or this machine's."""
+
+    def __init__(self, namespace: Namespace | None) -> None:
+        self._namespace = namespace
+
+    def entered(self) -> AbstractContextManager[None]:
+        return self._namespace.entered() if self._namespace else nullcontext()
+
+    @contextmanager
+    def process(self, module: str, *arguments: str) -> Iterator["subprocess.Popen[str]"]:
+        with self.entered():
+            child = subprocess.Popen(
+                [sys.executable, "-m", module, *arguments],
+                cwd=ROOT,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+        try:
+            yield child
+        finally:
+            if child.poll() is None:
+                child.kill()
+            child.communicate()
+
+    def run(self, module: str, *arguments: str) -> tuple[int, str, str]:
+        with self.process(module, *arguments) as child:
+            said, errors = child.communicate(timeout=3 * PATIENCE_S)
+            return child.returncode, said, errors
+
+    @contextmanager
+    def service(self, name: str, port: int, txt: dict[str, str]) -> Iterator[None]:
+        """Something announced on loopback, by whoever."""
+        info = zeroconf.ServiceInfo(
+            *(SERVICE, f"{name}.{SERVICE}"),
+            port=port,
+            properties=txt,
+            server=f"{port}.local.",
+            parsed_addresses=["127.0.0.1"],
+        )
+        with self.entered():
+            network = zeroconf.Zeroconf(interfaces=["127.0.0.1"])
+        with closing(network):
+            network.register_service(info, cooperating_responders=True)
+            yield
+
+
+@pytest.fixture
+def place() -> Iterator[Place]:
+    if unavailable() is not None:
+        yield Place(None)
+        return
+    with closing(Namespace([])) as namespace:
+        yield Place(namespace)
+
+
+def await_line(node: "subprocess.Popen[str]", word: str) -> str:
+    assert node.stdout is not None
+    patience = threading.Timer(3 * PATIENCE_S, node.kill)
+    patience.start()
+    while word not in (line := node.stdout.readline()):
+        assert line, f"it never said {word!r}"
+    patience.cancel()
+    return line
+
+
+def display(*more: str) -> tuple[str, ...]:
+    return (str(RADIAL), "--no-screen", *more)
+
+
+def test_an_announced_node_is_found_until_it_ends_however_it_ends(place: Place) -> None:
+    with place.process(SENSING, str(RADIAL), "--bind", BIND, "--announce") as wrist:
+        line = await_line(wrist, "announced as")
+        assert line.endswith("at 127.0.0.1\n")
+        name = line.split("'")[1]
+        with place.entered(), Browser(print) as look:
+            until(lambda: [one.name for one in look.found] == [name])
+            (one,) = look.found
+            assert (one.addresses, one.port, one.fingerprint) == (("127.0.0.1",), 5555, None)
+            wrist.send_signal(signal.SIGKILL)
+            wrist.wait(PATIENCE_S)
+            # Its announcer says good-bye, or the name would be known for another hour.
+            until(lambda: not look.found)
+            assert not look.refused
+        # A display's loop is alone in its process.
+        assert not [one.name for one in threading.enumerate() if "zeroconf" in one.name]
+
+
+def test_who_is_no_node_is_refused_in_a_line_and_several_are_a_choice(
+    place: Place, tmp_path: Path
+) -> None:
+    left, right = (announced("pulse", host, 5555, None) for host in ("left", "right"))
+    with (
+        place.service("left\u202e", 80, {"v": "1", "stream": "x"}),
+        place.service("older", 81, {"v": "0"}),
+        place.service(left.name, 5555, to_txt(left)),
+        place.service(right.name, 5555, to_txt(right)),
+    ):
+        json_path = tmp_path / "found.json"
+        listing = (TELEPULSE, "discover", "--seconds", "3", "--json", str(json_path))
+        with (
+            place.process(DISPLAY, *display("--named", "Pulse on right")) as chosen,
+            ThreadPoolExecutor() as pool,
+        ):
+            either = pool.submit(place.run, DISPLAY, *display("--discover"))
+            status, said, errors = place.run(*listing)
+            # Nobody is there: as with --connect, it may come.
+            found = await_line(chosen, "found ")
+        assert (status, errors) == (0, "")
+        assert found == f"found 'pulse on right' at {BIND}\n"
+        assert said.count("not a sensing node: ") == 2
+        assert "not a sensing node: older: it speaks another version" in said
+        assert "2 sensing nodes announced; refused: 1 malformed, 1 version" in said
+        (table,) = json.loads(json_path.read_text(encoding="utf-8"))["chapters"][0]["tables"]
+        assert [row["name"] for row in table["rows"]] == ["pulse on left", "pulse on right"]
+
+        status, _, errors = either.result()
+        assert status == 2
+        assert errors.count("\n") == 1
+        assert "'pulse on left', 'pulse on right'; choose one by --named NAME" in errors
+
+
+def test_an_announcement_does_not_make_a_node_of_who_has_not_its_key(
+    place: Place, tmp_path: Path
+) -> None:
+    ring, result = Keyring(tmp_path / "keys"), tmp_path / "display.json"
+    ring.allow("finger")
+    # It tells the fingerprint of wrist, at the address of who has another key, and lets us in.
+    spoofed = announced("pulse", "spoofed", 5555, ring.pair("wrist").public.key)
+    keys = ("--key", ring.path("finger"), "--peer", ring.path("wrist", "pub"))
+    impostor = ("--bind", BIND, "--key", ring.path("impostor"), "--quiet")
+    with (
+        place.process(SENSING, str(RADIAL), *impostor),
+        place.service(spoofed.name, 5555, to_txt(spoofed)),
+    ):
+        with_keys = display("--discover", *keys, "--json", str(result))
+        with place.process(DISPLAY, *with_keys) as finger:
+            # Where no key is given, it is not done without.
+            status, _, errors = place.run(DISPLAY, *display("--discover"))
+            await_line(finger, "found 'pulse on spoofed'")
+            await_line(finger, "breaks off: it is not wrist, whose public key --peer gives")
+            finger.terminate()
+            assert finger.wait(PATIENCE_S) == 0
+        assert status == 2
+        assert "'pulse on spoofed' lets in who has a key; give --key" in errors
+    summary = read_json(result)
+    assert summary["frames"]["received"] == 0
+    assert summary["rejected"]["handshake"] >= 1
+
+
+@needs_emulator
+def test_over_two_networks_with_keys_it_is_found_on_both(tmp_path: Path) -> None:
+    ring, result = Keyring(tmp_path / "keys"), tmp_path / "display.json"
+    ring.allow("finger")
+    wrist = ("--bind", "tcp://*:5555", "--key", ring.path("wrist"), "--announce")
+    finger = ("--key", ring.path("finger"), "--peer", ring.path("wrist", "pub"))
+    with emulate(parse_link("delay=2ms"), parse_link("delay=2ms")) as link:
+        there, here = Place(link.sensing), Place(link.display)
+        with (
+            here.process(
+                *(DISPLAY, str(RADIAL), "--discover", *finger, "--once", "--json", str(result))
+            ) as display_node,
+            there.process(SENSING, str(RADIAL), *wrist) as node,
+        ):
+            found = await_line(display_node, "found ")
+            await_line(display_node, "playing: ")
+            node.terminate()
+            assert node.wait(2 * PATIENCE_S) == 0
+            assert display_node.wait(2 * PATIENCE_S) == 0
+    assert found.endswith("at tcp://10.77.0.1:5555, tcp://10.77.1.1:5555\n")
+    summary = read_json(result)
+    assert_accounted(summary["samples"])
+    assert summary["samples"]["played"] > 0
+    assert len(summary["frames"]["first"]) == 2
+    assert summary["rejected"] == {}
+
+
+def test_without_a_network_it_is_one_line() -> None:
+    if unavailable() is not None or shutil.which("unshare") is None:
+        pytest.skip("needs the right to a network namespace")
+    for module, option, word in (
+        (DISPLAY, "--discover", "no network here carries multicast (there is none)"),
+        (SENSING, "--announce", "is no IPv4 address here; there is nothing to announce"),
+    ):
+        command = ("unshare", "-n", sys.executable, "-m", module, str(RADIAL), option)
+        result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+        assert result.returncode == 2
+        assert result.stderr.count("\n") == 1
+        assert word in result.stderr
+
+
+def test_what_does_not_go_together_is_one_line(place: Place, tmp_path: Path) -> None:
+    status, _, errors = place.run(DISPLAY, *display("--discover", "--connect", "tcp://h:1"))
+    assert (status, errors.count("\n")) == (2, 1)
+    assert "choose one" in errors
+    ipc = f"ipc://{tmp_path}/stream"
+    status, _, errors = place.run(SENSING, str(RADIAL), "--bind", ipc, "--announce")
+    assert (status, errors.count("\n")) == (2, 1)
+    assert "is on this machine alone" in errors

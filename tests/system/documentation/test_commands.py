@@ -1,0 +1,73 @@
+"""Every command that a page tells a reader to type is run, or held against the real command line
+and named with the reason why it is not run."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.support.doc_commands import check
+from tests.support.doc_output import SESSIONS, UNRUN
+from tests.support.doc_pages import Block, blocks, commands, commands_in_text
+from tests.support.doc_sessions import Session, Step
+from tests.support.nodes import ROOT
+
+TYPED = {
+    command: block.place for block in blocks() if block.is_shell for command in commands(block)
+}
+RUN = {step.command for steps in SESSIONS.values() for step in steps if isinstance(step, Step)}
+
+
+def test_every_command_is_run_or_named_with_a_reason() -> None:
+    unknown = {command: place for command, place in TYPED.items() if command not in {*RUN, *UNRUN}}
+    assert unknown == {}
+
+
+def test_no_reason_is_left_of_a_command_that_is_gone() -> None:
+    assert set(UNRUN) - set(TYPED) == set()
+    assert set(UNRUN) & RUN == set()
+    named = [path for reason in UNRUN.values() for path in re.findall(r"tests/\S+", reason)]
+    assert [path for path in named if not (ROOT / path).exists()] == []
+
+
+@pytest.mark.parametrize("command", sorted(UNRUN))
+def test_what_is_not_run_could_be(command: str) -> None:
+    check(command)
+
+
+def test_commands_in_sentences_could_be_run() -> None:
+    found = list(commands_in_text())
+    assert len(found) > 50
+    for command in found:
+        check(command)
+
+
+# A busy machine takes seconds to start each of its processes.
+@pytest.mark.timeout(300)
+@pytest.mark.usefixtures("goes_first")
+@pytest.mark.parametrize("name", SESSIONS)
+def test_a_reader_can_type_it(name: str, tmp_path: Path) -> None:
+    Session(tmp_path).play(SESSIONS[name])
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "telepulse simulate radial --secnds 3",
+        "telepulse simulat radial",
+        "telepulse simulate radical",
+        "sensing-node scenes/gone.toml",
+        "make dmo",
+        "make bench ARGS=wires",
+        "pip install 'telepulse[reord]'",
+        "python -m benchmark",
+    ],
+)
+def test_what_is_no_command_is_found(command: str) -> None:
+    with pytest.raises(AssertionError):
+        check(command)
+
+
+def test_comments_prompts_and_output_are_no_commands() -> None:
+    block = Block("page.md", 1, "console", "$ telepulse demo \\\n  --no-ui  # here\nout put\n")
+    assert list(commands(block)) == ["telepulse demo --no-ui"]

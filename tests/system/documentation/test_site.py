@@ -1,0 +1,86 @@
+"""The site is built without a warning, and needs nothing but itself."""
+
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from display_node.scene import DisplayScene
+from sensing_node.scene import SensingScene
+from tests.support.nodes import ROOT
+from tests.unit.documentation.test_docs import keys
+
+# What a browser fetches by itself; a link that is followed by hand may lead anywhere.
+FETCHED = {
+    ("script", "src"),
+    ("img", "src"),
+    ("iframe", "src"),
+    ("source", "src"),
+    ("link", "href"),
+}
+NOT_FETCHED = {"canonical", "next", "prev", "search", "index", "author"}
+
+
+class Fetches(HTMLParser):
+    """What a page makes a browser fetch."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.addresses: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        if given.get("rel") not in NOT_FETCHED:
+            self.addresses += [v or "" for k, v in attrs if (tag, k) in FETCHED]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The built site; a warning fails the build."""
+    folder = tmp_path_factory.mktemp("site")
+    build = subprocess.run(
+        [
+            *(sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-q"),
+            *("-d", str(folder / "doctrees"), str(ROOT / "docs"), str(folder / "html")),
+        ],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert build.returncode == 0, build.stderr
+    return folder / "html"
+
+
+def test_every_page_is_in_the_site(site: Path) -> None:
+    written = {p.relative_to(ROOT / "docs").with_suffix("") for p in (ROOT / "docs").rglob("*.md")}
+    built = {p.relative_to(site).with_suffix("") for p in site.rglob("*.html")}
+    assert written - built == set()
+
+
+def test_a_browser_fetches_nothing_from_elsewhere(site: Path) -> None:
+    foreign = []
+    for page in site.rglob("*.html"):
+        fetches = Fetches()
+        fetches.feed(page.read_text(encoding="utf-8"))
+        foreign += [a for a in fetches.addresses if re.match(r"(https?:)?//", a)]
+    for sheet in site.rglob("*.css"):
+        text = sheet.read_text(encoding="utf-8")
+        foreign += re.findall(r"(?:url\(|@import)\s*['\"]?(?:https?:)?//[^)]*", text)
+    assert foreign == []
+
+
+def test_the_generated_pages_say_what_the_code_says(site: Path) -> None:
+    def words(name: str) -> str:
+        page = (site / "reference" / f"{name}.html").read_text(encoding="utf-8")
+        return re.sub(r"<[^>]+>", "", page)
+
+    scenes = words("scenes")
+    assert [key for s in (SensingScene, DisplayScene) for key in keys(s) if key not in scenes] == []
+    assert "≥ 100 us, ≤ 100 ms" in scenes
+    assert "telepulse keys revoke" in words("commands")
+    assert "2^63" in words("wire")
+    assert "playout_delay_ms.mean" in words("summary")

@@ -1,0 +1,246 @@
+"""`telepulse emulate tmcl` and `cia402` as processes, moved by drivers in others."""
+
+import signal
+import sys
+import textwrap
+import time
+import uuid
+from collections.abc import Callable
+from pathlib import Path
+from subprocess import PIPE, Popen
+
+import can
+import pytest
+import serial
+
+from display_node.drives import build_drive
+from display_node.drives.drive import Drive
+from display_node.plant.stepper import StepCommand
+from display_node.scene import DisplayScene
+from protocol.config.scene import load_section
+from pulse_sensors.binary_frames import FrameDecoder
+from tests.support.nodes import ROOT, process, start
+
+LONGEST_S = 30.0
+SCENE = """
+    [display.controller]
+    error = "position"
+    feed_forward = true
+    kp = 190
+
+    [display.actuator]
+    kind = "stepper"
+
+    [display.drive]
+    {drive}
+    touch = "0.6 mm"
+    homing_speed = "20 mm/s"
+    watchdog = "400 ms"
+"""
+# A driver that presses on, and never ends by itself.
+PRESS_ON = """
+    import sys, time
+    from pathlib import Path
+    from display_node.drives import build_drive
+    from display_node.scene import DisplayScene
+    from display_node.plant.stepper import StepCommand
+    from protocol.config.scene import load_section
+
+    scene = load_section(Path(sys.argv[1]), "display", DisplayScene)
+    drive = build_drive(scene.drive, scene.actuator, scene.layer.layer(), 2.5)
+    drive.start()
+    print("started", flush=True)
+    while True:
+        drive.command(StepCommand(400.0, 1))
+        time.sleep(0.002)
+"""
+
+
+def udp_multicast_reason() -> str | None:
+    """Return why udp_multicast cannot carry CAN here; None where it can."""
+    channel = f"239.74.163.{2 + uuid.uuid4().int % 200}"
+    try:
+        with (
+            can.Bus(interface="udp_multicast", channel=channel) as one,
+            can.Bus(interface="udp_multicast", channel=channel) as other,
+        ):
+            one.send(can.Message(arbitration_id=1, is_extended_id=False, data=b"\1"))
+            return None if other.recv(2.0) else "no multicast comes through"
+    except (OSError, can.CanError) as error:
+        return str(error)
+
+
+def scene_with(folder: Path, drive: str) -> Path:
+    path = folder / "scene.toml"
+    lines = drive.replace("\n", "\n    ")
+    path.write_text(textwrap.dedent(SCENE.format(drive=lines)), encoding="utf-8")
+    return path
+
+
+def drive_of(scene: Path) -> Drive:
+    display = load_section(scene, "display", DisplayScene)
+    assert display.drive is not None
+    return build_drive(display.drive, display.actuator, display.layer.layer(), 2.5)
+
+
+def keep(drive: Drive, rate_hz: float, until: Callable[[], bool]) -> None:
+    deadline_s = time.monotonic() + LONGEST_S
+    while not until():
+        assert time.monotonic() < deadline_s, drive.status()
+        drive.command(StepCommand(abs(rate_hz), 1 if rate_hz > 0 else -1))
+        time.sleep(0.002)
+
+
+def first_line(child: Popen[str]) -> str:
+    assert child.stdout is not None
+    return child.stdout.readline()
+
+
+@pytest.fixture
+def tmcl_scene(tmp_path: Path) -> Path:
+    port = tmp_path / "drive"
+    return scene_with(tmp_path, f'kind = "tmcl"\nport = "{port}"\nreply_timeout = "50 ms"')
+
+
+def test_a_drive_with_its_film_is_there_until_it_is_stopped(
+    tmcl_scene: Path, tmp_path: Path
+) -> None:
+    film = tmp_path / "film"
+    arguments = ("--link", str(tmp_path / "drive"), "--film-link", str(film))
+    with process("telepulse", "emulate", "tmcl", str(tmcl_scene), *arguments) as child:
+        assert first_line(child) == f"TMCL module on {tmp_path / 'drive'}; film on {film}\n"
+        drive = drive_of(tmcl_scene)
+        drive.start()
+        decoder = FrameDecoder(1_000_000)
+        forces_n: list[float] = []
+        with serial.Serial(str(film), timeout=0) as port:
+
+            def pressed() -> bool:
+                for packet in decoder.feed(port.read(4096)):
+                    forces_n.extend(packet.values)
+                return bool(forces_n) and forces_n[-1] > 0.02
+
+            keep(drive, 1000.0, pressed)
+        drive.close()
+        child.send_signal(signal.SIGTERM)
+        assert child.wait(LONGEST_S) == 0
+    assert not film.is_symlink()
+    assert decoder.rejected.total() == 0
+
+
+def test_a_killed_driver_leaves_the_finger_in_peace(tmcl_scene: Path, tmp_path: Path) -> None:
+    """Its own heartbeat stops the module: the force on the film stands still."""
+    film = tmp_path / "film"
+    arguments = ("--link", str(tmp_path / "drive"), "--film-link", str(film))
+    with process("telepulse", "emulate", "tmcl", str(tmcl_scene), *arguments) as child:
+        first_line(child)
+        driver = Popen(
+            [sys.executable, "-c", textwrap.dedent(PRESS_ON), str(tmcl_scene)],
+            cwd=ROOT,
+            stdout=PIPE,
+            text=True,
+        )
+        try:
+            assert first_line(driver) == "started\n"
+            decoder = FrameDecoder(1_000_000)
+            with serial.Serial(str(film), timeout=0.05) as port:
+                wait_for(decoder, port, lambda forces_n: forces_n[-1] > 0.005)
+                driver.kill()
+                driver.wait(LONGEST_S)
+                # 300 samples of the film's own clock at one force, well below the limit.
+                wait_for(decoder, port, lambda forces_n: len(set(forces_n[-300:])) == 1, 300)
+        finally:
+            driver.kill()
+            driver.communicate()
+
+
+def wait_for(
+    decoder: FrameDecoder,
+    port: serial.Serial,
+    holds: Callable[[list[float]], bool],
+    least: int = 1,
+) -> None:
+    forces_n: list[float] = []
+    deadline_s = time.monotonic() + LONGEST_S
+    while len(forces_n) < least or not holds(forces_n):
+        assert time.monotonic() < deadline_s
+        for packet in decoder.feed(port.read(256)):
+            forces_n.extend(packet.values)
+        assert max(forces_n, default=0.0) < 2.5
+
+
+def test_faults_come_when_they_are_told_to(tmcl_scene: Path, tmp_path: Path) -> None:
+    arguments = ("--link", str(tmp_path / "drive"), "--fault", "overtemperature")
+    with process(
+        "telepulse", "emulate", "tmcl", str(tmcl_scene), *arguments, "--fault-after", "0.3"
+    ) as child:
+        first_line(child)
+        drive = drive_of(tmcl_scene)
+        drive.start()
+        keep(drive, 400.0, lambda: drive.status().position_m > 50e-6)
+        assert drive.status().fault is None
+        keep(drive, -1.0, lambda: drive.status().fault is not None)
+        assert drive.status().fault == "fault: overtemperature"
+        drive.close()
+
+
+@pytest.mark.parametrize("interface", ["udp_multicast", "slcan"])
+def test_a_cia_402_drive_is_moved_from_another_process_and_its_end_is_named(
+    interface: str, tmp_path: Path
+) -> None:
+    keys, link = f'kind = "cia402"\ninterface = "{interface}"\n', tmp_path / "can"
+    options: tuple[str, ...] = ()
+    if interface == "slcan":
+        keys += f'channel = "{link}"\noptions = {{ sleep_after_open = 0 }}'
+        options = ("--link", str(link))
+    elif (reason := udp_multicast_reason()) is not None:
+        pytest.skip(f"udp_multicast: {reason}")
+    else:
+        keys += f'channel = "239.74.163.{2 + uuid.uuid4().int % 200}"'
+    scene = scene_with(tmp_path, keys)
+    with process("telepulse", "emulate", "cia402", str(scene), *options) as child:
+        assert f"CiA 402 node 1 on CAN {interface}" in first_line(child)
+        drive = drive_of(scene)
+        drive.start()
+        keep(drive, 400.0, lambda: drive.status().position_m > 50e-6)
+        child.send_signal(signal.SIGTERM)
+        keep(drive, 0.0, lambda: drive.status().fault is not None)
+        assert child.wait(LONGEST_S) == 0
+        assert str(drive.status().fault).startswith(("unplugged", "no answer"))
+        drive.close()
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [("cia402", 'kind = "cia402" is needed'), ("tmcl", "no-such: no such scene")],
+)
+def test_a_scene_that_does_not_fit_is_said_in_one_line(
+    tmcl_scene: Path, command: str, words: str
+) -> None:
+    scene = str(tmcl_scene) if command == "cia402" else "no-such"
+    child = start("telepulse", "emulate", command, scene)
+    _, errors = child.communicate(timeout=LONGEST_S)
+    assert child.returncode == 2
+    assert words in errors
+    assert len(errors.splitlines()) == 1
+
+
+def test_a_silent_film_leaves_the_drive_as_it_is(tmcl_scene: Path, tmp_path: Path) -> None:
+    film, trace = tmp_path / "film", tmp_path / "motor.csv"
+    arguments = ("--link", str(tmp_path / "drive"), "--film-link", str(film))
+    arguments += ("--trace", str(trace), "--fault", "film-silent", "--fault-after", "0")
+    with process("telepulse", "emulate", "tmcl", str(tmcl_scene), *arguments) as child:
+        first_line(child)
+        drive = drive_of(tmcl_scene)
+        drive.start()
+        keep(drive, 400.0, lambda: drive.status().position_m > 50e-6)
+        with serial.Serial(str(film), timeout=0.2) as port:
+            port.reset_input_buffer()
+            assert port.read(64) == b""
+        drive.close()
+        child.send_signal(signal.SIGTERM)
+        assert child.wait(LONGEST_S) == 0
+    header, *rows = trace.read_text(encoding="utf-8").splitlines()
+    assert header == "time_ns,tip_m,speed_m_per_s,force_n,trouble"
+    assert rows[-1].endswith(",film-silent")
+    assert max(float(row.split(",")[3]) for row in rows) > 0

@@ -1,0 +1,169 @@
+"""The whole emulated bench as processes: board, sensing node, display node, drive and film.
+
+A busy machine may bring it to rest by a fault of its own making: asserted is what holds then, too.
+Times from a fault to rest are in tests/system/drives/test_hardware.py, in virtual time.
+"""
+
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from benchmarks.whole_bench import BenchFailedError, MotorTrace, WholeBench, playing
+from display_node.fault_advice import FAULT_STATUS
+from tests.support.unread import unread
+from tests.support.waiting import until
+from tests.system.drives.test_drive_commands import udp_multicast_reason
+
+LIMIT_N = 2.5
+TRIES = 4
+PLAYED_S = 0.5
+# Of a machine that is busy with other tests; the scenes' own are in benchmarks/bench_faults.py.
+PATIENCE_MS = 400
+REST_WITHIN_S = 0.8
+WITHDRAWN_WITHIN_S = 20.0
+POLL_S = 0.01
+# From the first press on: the ramp is over, and the pulse is felt.
+TROUBLE_AFTER_S = "1"
+
+
+def on_a_bench(
+    folder: Path,
+    kind: str,
+    happens: Callable[[WholeBench], None],
+    *options: str,
+    output: int | None = None,
+) -> MotorTrace:
+    """Return the motor's course on a bench on which something happens while the pulse is felt."""
+    if kind == "cia402" and (reason := udp_multicast_reason()) is not None:
+        pytest.skip(f"udp_multicast: {reason}")
+    for attempt in range(TRIES):
+        (here := folder / str(attempt)).mkdir()
+        try:
+            patience = {"patience_ms": PATIENCE_MS, "output": output}
+            with playing(here, kind, "real_bench", *options, **patience) as bench:
+                happens(bench)
+                bench.end()
+                return bench.motor()
+        except BenchFailedError as error:
+            why = str(error)
+    pytest.fail(f"the pulse was not felt in {TRIES} attempts: {why}")
+
+
+def assert_in_peace(motor: MotorTrace) -> None:
+    """Something was felt, never more than allowed, and at the end the motor is at rest."""
+    assert 0.1 < motor.force_n.max() <= LIMIT_N
+    assert not motor.speed_m_per_s[-50:].any()
+
+
+def test_a_display_that_is_told_to_end_takes_the_tip_off_the_finger(tmp_path: Path) -> None:
+    """Before that the pulse is felt through every piece, until its stream ends, and again.
+
+    Nobody reads what the display prints: that holds up neither its start nor the withdrawal.
+    """
+    silent_ns: list[int] = []
+
+    def happens(bench: WholeBench) -> None:
+        time.sleep(PLAYED_S)
+        bench.processes["sensing"].kill()
+        bench.await_state("stale")
+        time.sleep(REST_WITHIN_S)
+        silent_ns.append(time.monotonic_ns())
+        bench.start_sensing()
+        bench.await_state("playing")
+        time.sleep(PLAYED_S)
+        summary = bench.end()
+        # Of its own making: a busy machine has let the watchdog stop it before.
+        if summary["faults"]:
+            raise BenchFailedError(summary["faults"])
+        assert summary["samples"]["played"] > 0
+        assert summary["force_rmse_n"]["aligned"] < 0.1
+        times = {name: limit["times"] for name, limit in summary["limited"].items()}
+        # A drive that is so patient begins to brake early: how often is of the machine's making.
+        assert times.pop("travel") is not None
+        assert times == {"force": 0, "negative": 0, "slew": 0, "film": None, "adc": None}
+
+    with unread("pipe") as output:
+        motor = on_a_bench(tmp_path, "tmcl", happens, output=output)
+    assert_in_peace(motor)
+    assert motor.force_n[-1] == 0
+    before = motor.time_ns < silent_ns[-1]
+    assert motor.force_n[before][-1] == 0
+    assert motor.force_n[~before].max() > 0.1
+
+
+@pytest.mark.parametrize("kind", ["tmcl", "cia402"])
+def test_a_display_that_stood_still_takes_the_tip_off_the_finger(kind: str, tmp_path: Path) -> None:
+    """SIGSTOP for longer than the drive's watchdog, SIGCONT; the display goes on, and withdraws."""
+    withdrawn_ns: list[int] = []
+
+    def happens(bench: WholeBench) -> None:
+        time.sleep(PLAYED_S)
+        display = bench.processes["display"]
+        display.send_signal(signal.SIGSTOP)
+        time.sleep(REST_WITHIN_S)
+        display.send_signal(signal.SIGCONT)
+        finger, deadline_s = "", time.monotonic() + WITHDRAWN_WITHIN_S
+        while finger != "withdrawn":
+            assert time.monotonic() < deadline_s, finger
+            finger = bench.await_state("fault")["finger"]
+        withdrawn_ns.append(time.monotonic_ns())
+        summary = bench.end()
+        assert summary["samples"]["played"] > 0
+        assert "no command for" in summary["faults"][0]
+        assert summary["finger"] == "withdrawn"
+
+    motor = on_a_bench(tmp_path, kind, happens)
+    assert_in_peace(motor)
+    assert motor.force_n[motor.time_ns < withdrawn_ns[-1]][-1] == 0
+
+
+def test_a_killed_display_leaves_the_motor_to_its_watchdog(tmp_path: Path) -> None:
+    def happens(bench: WholeBench) -> None:
+        bench.processes["display"].kill()
+        time.sleep(REST_WITHIN_S)
+
+    assert_in_peace(on_a_bench(tmp_path, "tmcl", happens))
+
+
+@pytest.mark.parametrize(
+    ("word", "finger"),
+    [("film-silent", "force unknown since "), ("unplugged", "the drive does not answer")],
+)
+def test_a_bench_that_breaks_says_so_and_rests(word: str, finger: str, tmp_path: Path) -> None:
+    """And says of the finger what is measured, with an exit status that tells of the fault."""
+
+    def happens(bench: WholeBench) -> None:
+        bench.await_state("fault")
+        time.sleep(REST_WITHIN_S)
+        summary = bench.end()
+        assert summary["faults"]
+        assert finger in summary["finger"]
+        assert bench.processes["display"].returncode == FAULT_STATUS
+
+    options = ("--fault", word, "--fault-after", TROUBLE_AFTER_S)
+    assert_in_peace(on_a_bench(tmp_path, "tmcl", happens, *options))
+
+
+def test_a_display_that_is_ended_on_its_way_home_leaves_the_drive_at_rest(tmp_path: Path) -> None:
+    """SIGTERM before it has a loop, and before the drive's own watchdog is armed."""
+    printed = tmp_path / "printed"
+    with printed.open("wb") as output:
+        bench = WholeBench(tmp_path, "tmcl", patience_ms=PATIENCE_MS, output=output.fileno())
+        try:
+            bench.start_drive()
+            until((tmp_path / "film").exists)
+            bench.start_display()
+            deadline_s = time.monotonic() + WITHDRAWN_WITHIN_S
+            while b"looks for its home" not in printed.read_bytes():
+                assert time.monotonic() < deadline_s, printed.read_bytes()
+                time.sleep(POLL_S)
+            bench.processes["display"].send_signal(signal.SIGTERM)
+            assert bench.processes["display"].wait(WITHDRAWN_WITHIN_S) != 0
+            time.sleep(REST_WITHIN_S)
+            bench.end()
+        finally:
+            bench.kill()
+    assert not bench.motor().speed_m_per_s[-50:].any()

@@ -1,0 +1,388 @@
+"""The bench behind a display: what it does with a fault, in virtual time."""
+
+import math
+import re
+import time
+from collections import Counter
+from collections.abc import Callable
+from contextlib import closing
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+
+from display_node.drives import hardware
+from display_node.drives.drive import DriveStatus
+from display_node.drives.hardware import Hardware, connected
+from display_node.drives.withdrawal import WithdrawalOutcome
+from display_node.node import DisplayNode
+from display_node.scene import DisplayScene
+from protocol.config.scene import load_section
+from protocol.errors import DriveError, SceneError, SourceError
+from pulse_sensors.reading import Reading
+from tests.support.nodes import free_address
+from tests.support.sender import MS, Sender
+from tests.support.streams import synthetic
+from tests.support.virtual_bench import SCENES, TICK_MS, VirtualBench
+
+STILL_MM_PER_S = 1e-3
+BAR_MS = 100
+LIMIT_N = 2.5
+SLEW_N_PER_S = 50.0
+
+
+@pytest.fixture(scope="module")
+def pulse_n() -> Callable[[float], float]:
+    """The paper's pulse, by ms."""
+    samples = synthetic(preset="paper", rate="1 kHz", peak_to_peak="0.3 N", preload="0.3 N")
+    values = samples.take(8_000)[:, 0].tolist()
+    return lambda ms: values[max(0, int(ms)) % len(values)]
+
+
+def ended_after_ms(bench: VirtualBench, from_ms: int, pressing: bool = False) -> int:
+    """Return the time from from_ms until the tip moved or, unless it may stay pressing, pressed
+    last."""
+    last_ns = from_ms * MS
+    for moment in bench.moments:
+        moves = abs(moment.speed_m_per_s) > STILL_MM_PER_S
+        if moves if pressing else moment.force_n > 0:
+            last_ns = max(last_ns, moment.time_ns)
+    return last_ns // MS - from_ms
+
+
+def test_the_pulse_is_followed_through_drive_and_film(pulse_n: Callable[[float], float]) -> None:
+    bench = VirtualBench(pulse_n)
+    bench.run(6_000)
+    assert rmse_n(bench) < 0.4e-3
+
+
+@pytest.mark.parametrize("late_us", [lambda ms: 300, lambda ms: ms * 7919 % 1000])
+def test_commands_that_come_late_cost_little(
+    pulse_n: Callable[[float], float], late_us: Callable[[int], int]
+) -> None:
+    """By their times the display knows where the tip has gone meanwhile."""
+    bench = VirtualBench(pulse_n)
+    bench.command_late_ns = lambda ms: 1_000 * late_us(ms)
+    bench.run(6_000)
+    assert rmse_n(bench) < 0.45e-3
+
+
+def test_missed_ticks_cost_little(pulse_n: Callable[[float], float]) -> None:
+    bench = VirtualBench(pulse_n)
+    bench.command_late_ns = lambda ms: MS
+    bench.run(2_000)
+    for _ in range(40):
+        bench.stall(4 * TICK_MS)
+        bench.run(100)
+    assert rmse_n(bench) < 1.4e-3
+
+
+def test_a_drive_that_is_held_back_at_the_end_of_its_travel_is_counted(
+    pulse_n: Callable[[float], float],
+) -> None:
+    gentle, hard = VirtualBench(pulse_n), VirtualBench(lambda ms: 10 * pulse_n(ms))
+    for bench in (gentle, hard):
+        bench.run(3_000)
+    assert (gentle.hardware.at_end.times, gentle.hardware.at_end.ticks) == (0, 0)
+    at_end, limited = hard.hardware.at_end, hard.display.summary().limited
+    assert at_end.times > 0
+    assert limited.force.share == pytest.approx(0.7, abs=0.3)
+    # The models of actuator and film are beside a real bench, and bound nothing there.
+    assert (limited.travel.times, limited.film.times) == (None, None)
+
+
+def rmse_n(bench: VirtualBench) -> float:
+    """Return the display's own aligned force error."""
+    assert bench.display.fidelity is not None
+    bench.display.fidelity.finish()
+    summary = bench.display.summary()
+    assert summary.faults == []
+    assert summary.force_rmse_n.aligned is not None
+    return summary.force_rmse_n.aligned
+
+
+def lose_the_film(bench: VirtualBench) -> None:
+    bench.film.silent = True
+
+
+def lose_the_stream(bench: VirtualBench) -> None:
+    bench.sending = False
+
+
+def overheat(bench: VirtualBench) -> None:
+    bench.drive.motor.fail("overtemperature")
+
+
+def hang(bench: VirtualBench) -> None:
+    bench.loop_runs = bench.thread_runs = False
+
+
+@pytest.mark.parametrize(
+    ("happens", "pressing", "fault"),
+    [
+        (lose_the_film, False, "feedback lost"),
+        (lose_the_stream, False, None),
+        (overheat, True, "drive: fault: overtemperature"),
+        (hang, True, None),
+    ],
+    ids=["feedback lost", "stale stream", "drive fault", "process hangs"],
+)
+@pytest.mark.parametrize("from_ms", [2_000, 2_130, 2_311, 2_502, 2_777])
+def test_after_a_fault_it_rests_or_has_left_the_finger_within_100_ms(
+    pulse_n: Callable[[float], float],
+    happens: Callable[[VirtualBench], None],
+    pressing: bool,
+    fault: str | None,
+    from_ms: int,
+) -> None:
+    bench = VirtualBench(pulse_n)
+    bench.run(from_ms)
+    began_ms = bench.now_ms
+    assert bench.moments[-1].force_n > 0.1
+    happens(bench)
+    bench.run(600)
+    assert ended_after_ms(bench, began_ms, pressing) <= BAR_MS
+    assert bench.display.safety.faults[:1] == ([fault] if fault else [])
+    # A drive that its own fault holds is named as one that does not withdraw.
+    assert (bench.display.safety.faults[1:] == ["withdrawal: unconfirmed"]) == (happens is overheat)
+
+
+def test_each_tick_reads_the_drives_status_once_before_and_after_a_fault(
+    pulse_n: Callable[[float], float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = VirtualBench(pulse_n)
+    calls, status = [0], bench.drive.status
+
+    def counted() -> DriveStatus:
+        calls[0] += 1
+        return status()
+
+    monkeypatch.setattr(bench.drive, "status", counted)
+    for fault in (False, True):
+        if fault:
+            lose_the_film(bench)
+            bench.run(100)
+        assert bool(bench.display.safety.faults) == fault
+        calls[0], ticks = 0, bench.display.ticks
+        bench.run(500)
+        assert calls[0] == bench.display.ticks - ticks
+    calls[0] = 0
+    bench.hardware.finger(bench.now_ms * MS)
+    assert calls[0] == 1
+
+
+@pytest.mark.parametrize("loop_first", [False, True], ids=["the drive's thread", "the loop"])
+@pytest.mark.parametrize("stalled_ms", [70, 100, 400, 1_000, 10_000])
+@pytest.mark.parametrize("from_ms", [2_000, 2_311, 2_777])
+def test_after_a_stall_the_tip_withdraws_whichever_thread_wakes_first(
+    pulse_n: Callable[[float], float], loop_first: bool, stalled_ms: int, from_ms: int
+) -> None:
+    bench = VirtualBench(pulse_n)
+    bench.run(from_ms)
+    bench.loop_first = loop_first
+    bench.stall(stalled_ms)
+    assert bench.moments[-1].force_n > 0.1
+    woke_ms = bench.now_ms
+    bench.run(1_000)
+    (fault,) = bench.display.safety.faults
+    assert re.search(r"no command for \d+ ms", fault)
+    assert ended_after_ms(bench, woke_ms) < 300
+    assert bench.hardware.finger(bench.now_ms * MS).outcome is WithdrawalOutcome.WITHDRAWN
+
+
+def test_a_loop_that_hangs_alone_leaves_the_withdrawal_to_the_drives_thread(
+    pulse_n: Callable[[float], float],
+) -> None:
+    bench = VirtualBench(pulse_n)
+    bench.run(2_000)
+    bench.loop_runs = False
+    bench.run(500)
+    assert bench.moments[-1].force_n == 0
+
+
+def test_a_long_overrun_is_a_fault_whatever_the_drive_says(
+    pulse_n: Callable[[float], float],
+) -> None:
+    bench = VirtualBench(pulse_n)
+    bench.run(2_000)
+    bench.drive.motor.watch(0)
+    bench.loop_first = True
+    bench.stall(300)
+    began_ms = bench.now_ms
+    bench.run(500)
+    (fault,) = bench.display.safety.faults
+    assert "no command for 30" in fault
+    assert bench.moments[-1].force_n == 0
+    # By then it had gone on for 300 ms, up to its soft limit.
+    assert ended_after_ms(bench, began_ms) <= 3 * BAR_MS
+
+
+@pytest.mark.parametrize(
+    "force_n",
+    [
+        lambda ms: 1_000.0,
+        lambda ms: 9e5 if int(ms) // 40 % 2 else -9e5,
+        lambda ms: 9e5 if int(ms) % 2 else -9e5,
+    ],
+    ids=["1000 N", "±900 kN", "±900 kN each sample"],
+)
+def test_no_peer_presses_harder_or_faster_than_safety_allows(
+    force_n: Callable[[float], float],
+) -> None:
+    bench = VirtualBench(force_n)
+    bench.run(3_000)
+    felt_n = np.array([moment.force_n for moment in bench.moments])
+    assert felt_n.max() <= LIMIT_N
+    within_n = felt_n[10:] - felt_n[:-10]
+    assert within_n.max() <= SLEW_N_PER_S * 10e-3 * 1.1
+    target_n = np.array([target_n for _, target_n, _ in bench.felt])
+    assert np.diff(target_n).max() <= SLEW_N_PER_S * TICK_MS * 1e-3 * (1 + 1e-9)
+    assert bench.display.safety.faults == []
+
+
+def test_a_sensing_node_that_is_started_anew_is_felt_by_a_ramp(
+    pulse_n: Callable[[float], float],
+) -> None:
+    bench = VirtualBench(lambda ms: 0.5)
+    bench.run(2_000)
+    bench.sending = False
+    bench.run(1_000)
+    assert bench.moments[-1].force_n == 0
+    bench.sender, bench.sending = Sender(session=8), True
+    bench.run(3_000)
+    felt_n = np.array([moment.force_n for moment in bench.moments])[2_900:]
+    begins, full = np.argmax(felt_n > 0.02), np.argmax(felt_n > 0.48)
+    assert felt_n[-1] == pytest.approx(0.5, abs=2e-3)
+    # From 4 % to 96 %.
+    assert full - begins > 0.9 * bench.scene.safety.ramp_ns / MS
+    assert np.diff(felt_n).max() < 5e-3
+
+
+@pytest.mark.parametrize("happens", [lose_the_film, overheat, hang])
+def test_after_a_fault_and_a_restart_the_force_comes_back_by_a_ramp(
+    happens: Callable[[VirtualBench], None],
+) -> None:
+    bench = VirtualBench(lambda ms: 0.5)
+    bench.run(2_000)
+    happens(bench)
+    bench.run(200)
+    bench.loop_runs = bench.thread_runs = True
+    bench.run(400)
+    assert bench.display.safety.faults
+    bench.restart()
+    began = len(bench.moments)
+    bench.run(3_000)
+    assert bench.display.safety.faults == []
+    felt_n = np.array([moment.force_n for moment in bench.moments[began:]])
+    begins = int(np.argmax(felt_n > 0.01))
+    ramp_n = 0.5 * np.arange(len(felt_n) - begins) * MS / bench.scene.safety.ramp_ns
+    assert (felt_n[begins:] <= ramp_n + 0.03).all()
+    assert felt_n[-1] == pytest.approx(0.5, abs=2e-3)
+
+
+def test_what_goes_wrong_is_counted_and_told() -> None:
+    bench = VirtualBench(lambda ms: 0.3)
+    bench.drive.counts["superseded"] = 3
+    bench.film.rejected["garbled"] = 2
+    assert bench.hardware.counts == Counter({"drive superseded": 3, "film garbled": 2})
+    bench.hardware.feedback.hear(0, 0.1)
+    assert bench.hardware.counts["film out of order"] == 1
+    lose_the_film(bench)
+    assert bench.hardware.faults() == ["the film is torn"]
+
+
+def test_when_it_is_closed_the_tip_leaves_the_finger(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = VirtualBench(lambda ms: 0.5)
+    bench.run(2_000)
+    assert bench.moments[-1].force_n > 0.4
+
+    def sleep(seconds: float) -> None:
+        for _ in range(round(seconds * 1e3)):
+            bench.drive.run_thread(bench.drive.now_ns + MS)
+
+    monkeypatch.setattr(time, "sleep", sleep)
+    bench.hardware.close()
+    assert bench.drive.motor.force_n == 0
+    assert bench.drive.closed
+    assert bench.film.closed
+
+
+def test_a_node_judges_its_loop_once_before_its_drive_moves(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bench, judged = VirtualBench(lambda ms: 0.3), Mock()
+    monkeypatch.setattr("display_node.control.force_loop.refuse_unstable", judged)
+    with closing(DisplayNode(bench.scene, [free_address()], "tcp://127.0.0.1:*", print)) as node:
+        assert judged.call_count == 1
+        node.use(bench.hardware)
+    assert judged.call_count == 1
+
+
+class Quiet(VirtualBench):
+    """A film whose first sample comes with the third look at it, or never."""
+
+    looks = 0
+
+    def poll(self) -> list[Reading]:
+        self.looks += 1
+        now_ns = time.monotonic_ns()
+        return [Reading(now_ns, now_ns + MS, (0.1,), 0)] if self.looks >= 3 else []
+
+
+@pytest.fixture
+def scene() -> DisplayScene:
+    return load_section(SCENES / "tmcl_bench.toml", "display", DisplayScene)
+
+
+def test_it_starts_with_the_films_first_sample(scene: DisplayScene) -> None:
+    bench = Quiet(lambda ms: 0.3)
+    started = Hardware(scene, bench.drive, bench)  # type: ignore[arg-type]
+    started.start()
+    # The first sample is there before the drive moves.
+    assert bench.looks == 4
+    assert started.feedback.samples == 2
+
+
+def test_without_a_first_sample_it_does_not_start(
+    scene: DisplayScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hardware, "FIRST_SAMPLE_WITHIN_S", 0.05)
+    bench = Quiet(lambda ms: 0.3)
+    bench.looks = -10_000
+    with pytest.raises(SourceError, match=r"no sample within 0\.05 s"):
+        Hardware(scene, bench.drive, bench).start()  # type: ignore[arg-type]
+
+
+def test_without_a_sensor_the_drive_says_where_it_presses(scene: DisplayScene) -> None:
+    bench = VirtualBench(lambda ms: 0.5)
+    bench.run(2_000)
+    told = Hardware(scene, bench.drive, sensor=None)
+    told.read()
+    told.read()
+    read_n = told.feedback.read(bench.now_ms * MS)
+    assert read_n == pytest.approx(bench.drive.motor.force_n, rel=1e-6)
+    assert not math.isnan(read_n)
+    # The same report, seen again, is no second sample.
+    assert told.feedback.samples == 1
+    assert told.counts == Counter()
+
+
+def test_a_scene_without_a_drive_is_refused(scene: DisplayScene) -> None:
+    bench = VirtualBench(lambda ms: 0.3)
+    with pytest.raises(SceneError, match="drive"):
+        Hardware(scene.model_copy(update={"drive": None}), bench.drive, None)
+
+
+def test_a_drive_without_a_film_is_refused_unless_that_is_wanted(scene: DisplayScene) -> None:
+    """Before anything is opened: this scene's ports are not there."""
+    blind = scene.model_copy(update={"feedback": None})
+    with (
+        pytest.raises(SceneError, match=r"\[display\.feedback\] is missing.*--without-film"),
+        connected(blind, SCENES, print),
+    ):
+        pass
+    with (
+        pytest.raises(DriveError, match="cannot be opened"),
+        connected(blind, SCENES, print, without_film=True),
+    ):
+        pass

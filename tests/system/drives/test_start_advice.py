@@ -1,0 +1,126 @@
+"""Each way in which a drive refuses to start says what, where and what to do."""
+
+import os
+import pty
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+import serial
+from typer.testing import CliRunner
+
+from display_node.cli import app
+from display_node.drives.tmcl.line import TmclLine
+from display_node.fault_advice import OTHERWISE, START_ADVICE, advised, start_advice
+from protocol.errors import DriveError
+from tests.support.drive_benches import tmcl_scene
+from tests.support.nodes import ROOT
+from tests.system.commissioning.test_bench_command import drive_scene
+
+DRIVES = ROOT / "display_node" / "drives"
+
+
+def refused(start: Callable[[], object]) -> str:
+    """The line in which a start is refused."""
+    with pytest.raises(DriveError) as error, advised():
+        start()
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def failing(error: Exception) -> Callable[..., None]:
+    def fail(*_: Any, **__: Any) -> None:
+        raise error
+
+    return fail
+
+
+@pytest.mark.parametrize(
+    ("error", "advice"),
+    [
+        (serial.SerialException(2, "could not open port: No such file"), "/dev/serial/by-id"),
+        (serial.SerialException(13, "could not open port: Permission"), "usermod -aG dialout"),
+        (serial.SerialException(16, "could not open port: busy"), "another program uses it"),
+        (serial.SerialException(5, "could not configure port"), "check the drive's cable"),
+        (ValueError("invalid URL, protocol 'x' not known"), "check the drive's cable"),
+    ],
+)
+def test_a_serial_port_that_cannot_be_opened(
+    error: Exception, advice: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(serial, "serial_for_url", failing(error))
+    text = refused(lambda: TmclLine(tmcl_scene(port="/dev/ttyACM7")))
+    assert text.startswith("/dev/ttyACM7 cannot be opened: ")
+    assert advice in text
+
+
+def test_a_serial_port_that_another_program_uses() -> None:
+    master, slave = pty.openpty()
+    port = os.ttyname(slave)
+    first = TmclLine(tmcl_scene(port=port))
+    try:
+        text = refused(lambda: TmclLine(tmcl_scene(port=port)))
+    finally:
+        first.close()
+        os.close(master)
+        os.close(slave)
+    assert text.startswith(f"{port} cannot be opened: ")
+    assert "another program uses it" in text
+
+
+@pytest.mark.parametrize(
+    ("error", "advice"),
+    [
+        (OSError(19, "No such device"), "ip link lists the CAN interfaces"),
+        (OSError(100, "Network is down"), "sudo ip link set CHANNEL up"),
+        (can.CanInterfaceNotImplementedError("Unknown interface type 'x'"), "check `interface`"),
+    ],
+)
+def test_a_can_bus_that_cannot_be_opened(
+    error: Exception, advice: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(can, "Bus", failing(error))
+    text = refused(lambda: TmclLine(tmcl_scene(interface="socketcan", channel="can7")))
+    assert text.startswith("CAN bus socketcan can7 cannot be opened: ")
+    assert advice in text
+
+
+def test_every_kind_of_refusal_in_the_code_has_an_advice() -> None:
+    sources = "\n".join(path.read_text(encoding="utf-8") for path in DRIVES.rglob("*.py"))
+    kinds = set(re.findall(r'(?:DriveError\(|_miss\()\s*"([a-z ]+)"', sources)) | {"wrong way"}
+    assert {"no answer", "garbled", "refused", "unplugged", "not there"} <= kinds
+    for kind in kinds:
+        assert start_advice(DriveError(kind, "node 1: text")) != OTHERWISE
+    assert kinds == {kind for kind, *_ in START_ADVICE}
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "advice"),
+    [
+        ("refused", "node 1 has profile 401, not 402", "no drive of profile CiA 402"),
+        ("refused", "node 1 refuses 0x1016:1: no such object", "would not stop by itself"),
+        ("refused", "the module's heartbeat is 0 ms, not 50", "would not stop by itself"),
+        ("refused", "command 5, type 4 is refused: wrong type", "the drive's manual"),
+        ("unplugged", "PyTrinamic is missing; pip install 'telepulse[drives]'", ""),
+    ],
+)
+def test_what_a_drive_refuses(kind: str, text: str, advice: str) -> None:
+    found = start_advice(DriveError(kind, text))
+    assert advice in found
+    assert bool(found) == bool(advice)
+
+
+def test_display_node_names_what_where_and_what_to_do(tmp_path: Path) -> None:
+    text = drive_scene(tmp_path).read_text(encoding="utf-8")
+    scene = tmp_path / "without_film.toml"
+    scene.write_text(text.partition("[display.feedback]")[0], encoding="utf-8")
+    ended = CliRunner().invoke(app, [str(scene), "--no-screen", "--without-film"])
+    assert ended.exit_code == 2
+    (line,) = ended.stderr.splitlines()
+    port = re.search(r'port = "([^"]+)"', text.split("[display.drive]")[1])
+    assert port is not None
+    assert line.startswith(f"display-node: {port[1]} cannot be opened: No such file or directory; ")
+    assert "check `port` in [display.drive] and the cable" in line

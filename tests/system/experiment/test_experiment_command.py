@@ -1,0 +1,274 @@
+"""The commands as people use them: files, processes, a terminal."""
+
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from telepulse.cli.main import app
+from telepulse.experiment.log import Log, read_log
+from telepulse.experiment.psychometrics import says_a
+from telepulse.experiment.report import build_report, threshold_of
+from telepulse.experiment.results import correct, gather
+from telepulse.experiment.run import open_log
+from telepulse.experiment.session import load_plan
+from tests.support.experiment_sessions import condition, write
+from tests.support.nodes import ROOT
+from tests.support.waiting import until
+
+# One that is felt, and one that nobody feels.
+PLAIN = condition("plain")
+NOTHING = condition("nothing", "delay=5ms", "auto")
+KEYS = b"abx1"
+
+
+def experiment(*arguments: object) -> Result:
+    return CliRunner().invoke(app, ["experiment", *map(str, arguments)])
+
+
+def observed(session: Path, threshold: str, log: Path, *options: str) -> Log:
+    """The log of a simulated observer."""
+    result = experiment("run", session, "--log", log, "--observer", threshold, *options)
+    assert result.exit_code == 0, result.output
+    return read_log(log)
+
+
+def process(session: Path, *options: str, **pipes: Any) -> "subprocess.Popen[bytes]":
+    """`telepulse experiment run` in the session's folder."""
+    command = [sys.executable, "-m", "telepulse", "experiment", "run", session.name]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    folder = session.parent
+    if "--observer" not in options:
+        options = (*options, "--without-drive")
+    return subprocess.Popen([*command, *options], cwd=folder, env=environment, **pipes)
+
+
+def lines(log: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
+
+
+def test_an_observer_is_right_as_often_as_its_threshold_says(tmp_path: Path) -> None:
+    """Far below the error of the link, between, and far above, where it is guessed."""
+    session = write(tmp_path / "s.toml", PLAIN, trials=6)
+    shares = []
+    for threshold in ("0.1 %", "7 %", "1000 %"):
+        results = gather([observed(session, threshold, tmp_path / f"{len(shares)}.jsonl")])
+        plain = results.of("plain")
+        found = correct(plain)
+        shares.append(found.share)
+        level = float(threshold.split()[0]) / 100
+        calls_a = [float(says_a(o.errors, level)) for o in plain]
+        expected = [p if o.trial.x == "A" else 1 - p for p, o in zip(calls_a, plain, strict=True)]
+        low, high = found.interval
+        assert low <= sum(expected) / len(expected) <= high
+    assert shares[0] == 1 > shares[1] > shares[2]
+    assert low < 0.5 < high
+
+
+def test_a_session_that_was_killed_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
+    session = write(tmp_path / "s.toml", PLAIN, trials=6)
+    whole = observed(session, "5 %", tmp_path / "whole.jsonl")
+    log = tmp_path / "killed.jsonl"
+    with process(session, "--log", log.name, "--observer", "5 %") as child:
+        until(lambda: log.exists() and log.read_bytes().count(b"\n") >= 3)
+        child.kill()
+    assert 2 <= len(read_log(log).answered) < 6
+    with log.open("ab") as file:
+        file.write(b'{"line":"trial","ti')
+    killed = observed(session, "5 %", log, "--resume")
+    assert killed.finished
+    assert killed.header.trials == whole.header.trials
+    assert [(a.answer, a.played) for a in killed.answered] == [
+        (a.answer, a.played) for a in whole.answered
+    ]
+    assert [line["line"] for line in lines(log)].count("resumed") == 1
+
+
+@contextmanager
+def terminal(session: Path, *options: str) -> Iterator[tuple["subprocess.Popen[bytes]", int]]:
+    """A session whose keyboard is a terminal; its output is a pipe."""
+    ours, theirs = pty.openpty()
+    try:
+        with process(session, *options, stdin=theirs, stdout=subprocess.PIPE) as child:
+            try:
+                yield child, ours
+            finally:
+                child.kill()
+    finally:
+        os.close(ours)
+        os.close(theirs)
+
+
+def said(child: "subprocess.Popen[bytes]", wanted: bytes) -> bytes:
+    """Output until something is said."""
+    assert child.stdout is not None
+    heard = b""
+    while wanted not in heard:
+        line = child.stdout.readline()
+        assert line, heard
+        heard += line
+    return heard
+
+
+def test_a_person_answers_by_keys_and_stops_in_the_midst_of_an_interval(tmp_path: Path) -> None:
+    session = write(tmp_path / "s.toml", PLAIN, kind="rating", interval="0.5 s")
+    with terminal(session, "--log", "log.jsonl") as (child, keys):
+        said(child, b"trial 1 of 2")
+        # An arrow key ends with an A, and is none.
+        os.write(keys, b"\x1b[A")
+        os.write(keys, b"ax4")
+        heard = said(child, b"trial 2 of 2")
+        assert heard.count(b"is over") == 2
+        os.write(keys, b"A")
+        said(child, b"A ...")
+        os.write(keys, b"q")
+        heard = said(child, b"stopped; go on: telepulse experiment run s.toml --log log.jsonl")
+        assert b"is over" not in heard
+        assert child.wait(20) == 0
+    (answered,) = read_log(tmp_path / "log.jsonl").answered
+    assert answered.answer == 4
+    assert answered.response_s is not None
+    assert answered.response_s > 1
+    assert [(p.letter, p.on_link) for p in answered.played] == [("A", False), ("X", True)]
+    assert any(p.felt_s > 0 for p in answered.played)
+
+
+def test_nothing_is_said_of_what_x_is_before_the_end(tmp_path: Path) -> None:
+    """Two sessions that differ in what A, B and X are say the same, byte by byte."""
+    outputs, children = [], []
+    for number in range(2):
+        (folder := tmp_path / str(number)).mkdir()
+        session = write(folder / "s.toml", PLAIN)
+        file, header, _ = open_log(folder / "log.jsonl", load_plan(session), None, resume=False)
+        file.close()
+        if number:
+            table = json.loads(header.model_dump_json())
+            flip = {"A": "B", "B": "A"}
+            for trial in table["trials"]:
+                trial["x"] = flip[trial["x"]]
+            (folder / "log.jsonl").write_text(json.dumps(table) + "\n", encoding="utf-8")
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        child = process(session, "--log", "log.jsonl", "--resume", **pipes)
+        children.append(child)
+        assert child.stdin is not None
+        child.stdin.write(KEYS + b"a1")
+        child.stdin.close()
+        child.stdin = None
+    for child in children:
+        outputs.append(child.communicate(timeout=60))
+        assert child.returncode == 0
+    assert outputs[0] == outputs[1]
+    assert b"feel B and X first" in outputs[0][0]
+    logs = [read_log(tmp_path / str(number) / "log.jsonl") for number in range(2)]
+    assert [len(log.answered) for log in logs] == [1, 1]
+    on_link = [[p.on_link for p in log.answered[0].played] for log in logs]
+    assert on_link[0][:2] == on_link[1][:2]
+    assert on_link[0][2] != on_link[1][2]
+    right = [correct(gather([log], with_spoilt=True).tested).hits for log in logs]
+    assert sorted(right) == [0, 1]
+
+
+def test_a_report_of_several_subjects(tmp_path: Path) -> None:
+    session = write(tmp_path / "s.toml", PLAIN, NOTHING, trials=3, catch=1)
+    logs = [tmp_path / "anna.jsonl", tmp_path / "bo.jsonl"]
+    for log, threshold in zip(logs, ("1 %", "20 %"), strict=True):
+        observed(session, threshold, log)
+    out, table = tmp_path / "out", tmp_path / "t.json"
+    result = experiment("report", *logs, "--out", out, "--json", table)
+    assert result.exit_code == 0, result.output
+    page = (out / "index.html").read_text(encoding="utf-8")
+    for name in ("shares", "psychometric", "course", "errors"):
+        assert f"experiment-{name}-light.png" in page
+        assert (out / f"experiment-{name}-light.png").stat().st_size > 5_000
+    results = gather([read_log(log) for log in logs])
+    first = json.loads(table.read_text(encoding="utf-8"))["chapters"][0]
+    rows = {row["condition"]: row for row in first["tables"][0]["rows"]}
+    found = correct(results.of("plain"))
+    assert rows["plain"]["right"] == f"{found.hits} of 6"
+    assert rows["all of them"]["right"].endswith("of 12")
+    assert float(rows["plain"]["direct mN"]) < 2 < float(rows["plain"]["link mN"])
+    assert {row["subject"] for row in first["tables"][1]["rows"]} == {"anna", "bo"}
+    assert "22.3 to 95.7 %" in result.output
+    assert threshold_of(results.outcomes) is not None
+
+
+def test_a_report_of_ratings(tmp_path: Path) -> None:
+    session = write(tmp_path / "s.toml", PLAIN, kind="rating", trials=4, catch=4)
+    log = observed(session, "1 %", tmp_path / "log.jsonl")
+    table = build_report([log]).chapters[0].tables[0]
+    rows = {row[0]: dict(zip(table.columns, row, strict=True)) for row in table.rows}
+    assert float(rows["plain"]["mean (95 %)"].split()[0]) < 2
+    assert float(rows["no link (catch)"]["mean (95 %)"].split()[0]) > 3
+    assert rows["plain"]["close"] == "0 of 4"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (("run", "none.toml", "--log", "x"), "none.toml: no such session file"),
+        (
+            ("run", "s.toml", "--log", "there", "--without-drive"),
+            "is there already; go on with it by --resume",
+        ),
+        (("run", "s.toml", "--log", "none", "--resume", "--without-drive"), "none: cannot be read"),
+        (
+            ("run", "s.toml", "--log", "there", "--resume", "--without-drive"),
+            "its first line is none of a session",
+        ),
+        (("run", "live.toml", "--log", "x", "--observer", "5 %"), "is a live sensor"),
+        (("run", "s.toml", "--log", "x", "--observer", "-1"), "'-1' must be more than 0"),
+        (("report", "there"), "there: no log of a session"),
+        (("report", "garbage"), "garbage: line 1: no line of a session's log"),
+        (("new", "s.toml"), "s.toml: is there already; name another file"),
+    ],
+)
+def test_what_cannot_be_done_is_said_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], reason: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / "s.toml")
+    write(tmp_path / "live.toml", scene="tmcl_bench")
+    (tmp_path / "there").touch()
+    (tmp_path / "garbage").write_text("{}\n", encoding="utf-8")
+    result = experiment(*arguments)
+    assert result.exit_code == 2
+    assert reason in result.stderr
+    if not result.stderr.startswith("Usage"):
+        assert result.stderr.count("\n") == 1
+
+
+def test_a_log_goes_on_with_its_own_session_alone(tmp_path: Path) -> None:
+    log = tmp_path / "log.jsonl"
+    observed(write(tmp_path / "s.toml", trials=1), "5 %", log)
+    other = write(tmp_path / "s.toml", trials=2)
+    result = experiment("run", other, "--log", log, "--observer", "5 %", "--resume")
+    assert result.exit_code == 2
+    assert "session, scene or observer are not those it began with" in result.stderr
+
+
+def test_the_example_and_the_plan_are_printed(tmp_path: Path) -> None:
+    assert experiment("new", tmp_path / "mine.toml").exit_code == 0
+    assert "[[conditions]]" in (tmp_path / "mine.toml").read_text(encoding="utf-8")
+    result = experiment("plan")
+    assert result.exit_code == 0
+    assert "The paper had six." in result.output
+
+
+def test_a_session_ends_safely_when_it_is_told_to(tmp_path: Path) -> None:
+    session = write(tmp_path / "s.toml", interval="30 s")
+    with terminal(session, "--log", "log.jsonl") as (child, keys):
+        said(child, b"trial 1 of 2")
+        os.write(keys, b"a")
+        said(child, b"A ...")
+        child.send_signal(signal.SIGTERM)
+        said(child, b"stopped; go on")
+        assert child.wait(20) == 0

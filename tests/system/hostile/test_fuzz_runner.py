@@ -1,0 +1,82 @@
+"""`python -m fuzz`: what it says of a target that holds, and of those that do not."""
+
+import importlib.util
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.support.nodes import ROOT
+
+needs_atheris = pytest.mark.skipif(
+    importlib.util.find_spec("atheris") is None,
+    reason="atheris is not installed: there is no wheel of it for every Python; make fuzz",
+)
+
+
+def fuzz(*arguments: str, cwd: Path = ROOT) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(
+        [sys.executable, "-m", "fuzz", *arguments],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        timeout=110,
+        check=False,
+    )
+
+
+@needs_atheris
+def test_a_target_that_holds(tmp_path: Path) -> None:
+    ended = fuzz("--only", "frame", "--seconds", "1", "--out", str(tmp_path))
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    row, verdict = ended.stdout.splitlines()[1:]
+    found = re.fullmatch(r"frame +([\d,]+) +[\d,]+ +([\d,]+) +\d+ MB +0", row)
+    assert found is not None
+    inputs, features = (int(number.replace(",", "")) for number in found.groups())
+    assert inputs > 10
+    assert features > 10
+    assert re.fullmatch(rf"ok: {found[1]} inputs on 1 targets in \d+ s, 0 crashes", verdict)
+    assert list((tmp_path / "frame" / "corpus").iterdir())
+
+
+# Decoders that stumble over a byte, take much memory for it, or make room and never use it.
+BROKEN = {
+    "AssertionError": 'assert b"\\x7f" not in data',
+    "bytes took": 'b"x" * (200 << 20 if b"\\x7f" in data else 1)',
+    "MemoryError": 'bytes(1 << 30 if b"\\x7f" in data else 1)',
+}
+
+
+@needs_atheris
+@pytest.mark.parametrize(("reason", "code"), BROKEN.items(), ids=BROKEN)
+def test_a_target_that_does_not_hold(reason: str, code: str, tmp_path: Path) -> None:
+    package = tmp_path / "fuzz"
+    package.mkdir()
+    for source in (ROOT / "fuzz").glob("*.py"):
+        (package / source.name).write_text(source.read_text("utf-8"), "utf-8")
+    (package / "targets").mkdir()
+    (package / "targets" / "__init__.py").write_text('NAMES = ("broken",)\n', "utf-8")
+    (package / "targets" / "broken.py").write_text(
+        f"def seeds():\n    return [b'seed']\n\n\ndef try_one(data):\n    {code}\n", "utf-8"
+    )
+    ended = fuzz("--seconds", "30", "--out", "out", cwd=tmp_path)
+    assert ended.returncode == 1, ended.stdout + ended.stderr
+    assert re.search(r"^FAIL: [\d,]+ inputs on 1 targets in \d+ s, 1 crashes$", ended.stdout, re.M)
+    assert reason in ended.stdout
+    crash = re.search(r"^input: ([0-9a-f]+)$", ended.stdout, re.M)
+    assert crash is not None
+    assert b"\x7f" in bytes.fromhex(crash[1])
+    again = re.search(r"^again: (.+)$", ended.stdout, re.M)
+    assert again is not None
+    replayed = subprocess.run(
+        again[1].split(), cwd=tmp_path, capture_output=True, timeout=60, check=False
+    )
+    assert replayed.returncode != 0
+
+
+def test_a_target_that_is_none() -> None:
+    ended = fuzz("--only", "nothing")
+    assert ended.returncode == 2
+    assert ended.stderr.startswith("fuzz: no target nothing; known: binary_frames, ")

@@ -1,0 +1,219 @@
+"""Real TCP of the kernel over the emulated link."""
+
+import os
+import signal
+import socket
+import time
+
+import pytest
+
+from telepulse.netem import EmulatorError, emulate, unavailable
+from telepulse.simulation.link_model import parse_link
+from tests.support.tcp import PATIENCE_S, PORT, connected, needs_emulator, stream
+
+MS = 1_000_000
+
+
+@needs_emulator
+def test_a_round_trip_takes_what_the_model_says() -> None:
+    with emulate(parse_link("delay=20ms")) as link, connected(link) as (sensing, display):
+        trips_ms = []
+        for _ in range(20):
+            began_ns = time.monotonic_ns()
+            display.sendall(b"?")
+            sensing.sendall(sensing.recv(1))
+            assert display.recv(1) == b"?"
+            trips_ms.append((time.monotonic_ns() - began_ns) / MS)
+    assert min(trips_ms) >= 40
+    # Only a machine that is busy for most of them would make the least of 20 late.
+    assert min(trips_ms) < 45
+    assert link.carried is not None
+    assert link.carried.lost == 0
+    assert link.carried.packets >= 2 * 20
+
+
+@needs_emulator
+def test_a_lost_packet_holds_up_what_follows_and_nothing_is_missing() -> None:
+    with (
+        emulate(parse_link("delay=20ms,loss=5%")) as link,
+        connected(link) as (sensing, display),
+    ):
+        sent_ns, read_ns = stream(sensing, display, messages=200, step_ms=5)
+    delays_ms = [(read - sent) / MS for sent, read in zip(sent_ns, read_ns, strict=True)]
+    assert min(delays_ms) >= 20
+    # The loss, its acknowledgement's way back and the repeat's way: three times the delay.
+    assert max(delays_ms) >= 3 * 20
+    assert link.carried is not None
+    assert link.carried.lost > 0
+
+
+@needs_emulator
+def test_nothing_passes_a_cut_and_all_comes_after_it() -> None:
+    with (
+        emulate(parse_link("delay=20ms,cut.from=0.8s,cut.for=0.6s")) as link,
+        connected(link) as (sensing, display),
+    ):
+        sent_ns, read_ns = stream(sensing, display, messages=120, step_ms=10)
+    from_ms, to_ms = 800 + 20, 1400 + 20
+    times_ms = [(read - link.began_ns) / MS for read in read_ns]
+    # Read before the gap may be a little after it came.
+    assert not [time for time in times_ms if from_ms + 100 < time < to_ms]
+    sent_in_it = sum(from_ms - 20 < (sent - link.began_ns) / MS < to_ms - 20 for sent in sent_ns)
+    assert sent_in_it > 0
+    assert sum(time >= to_ms for time in times_ms) >= sent_in_it
+
+
+@needs_emulator
+def test_a_link_can_be_changed_while_it_carries_and_others_stay_as_they_are() -> None:
+    whole, cut = parse_link("delay=1ms"), parse_link("loss=100%")
+    with (
+        emulate(whole, whole) as link,
+        connected(link, 0) as (sensing, display),
+        connected(link, 1) as (other, others_display),
+    ):
+        # What was ordered before a packet was sent is obeyed before it is carried.
+        link.change(cut)
+        sensing.sendall(b"lost")
+        other.sendall(b"carried")
+        assert others_display.recv(7) == b"carried"
+        display.settimeout(0.1)
+        with pytest.raises(TimeoutError):
+            display.recv(4)
+        link.change(whole)
+        display.settimeout(PATIENCE_S)
+        assert display.recv(4) == b"lost"
+    assert link.carried is not None
+    assert link.carried.lost > 0
+
+
+@needs_emulator
+def test_a_rate_limit_is_kept() -> None:
+    with (
+        emulate(parse_link("delay=5ms,rate=1Mbit/s")) as link,
+        connected(link) as (sensing, display),
+    ):
+        began_ns = time.monotonic_ns()
+        data = bytes(60_000)
+        sensing.sendall(data)
+        received = 0
+        while received < len(data):
+            received += len(display.recv(65_536))
+        elapsed_s = (time.monotonic_ns() - began_ns) * 1e-9
+    # Headers make it some percent more; a sender that slows down may make it twice as long.
+    assert elapsed_s > len(data) * 8 / 1e6
+    assert elapsed_s < 4 * len(data) * 8 / 1e6
+
+
+@needs_emulator
+def test_two_links_do_not_see_each_other() -> None:
+    near, far = parse_link("delay=1ms"), parse_link("delay=50ms")
+    with (
+        emulate(near) as one,
+        emulate(far) as other,
+        connected(one) as (one_sensing, one_display),
+        connected(other) as (other_sensing, other_display),
+    ):
+        one_sensing.sendall(b"1")
+        other_sensing.sendall(b"2")
+        assert (one_display.recv(1), other_display.recv(1)) == (b"1", b"2")
+
+
+@needs_emulator
+def test_several_links_between_the_same_two_each_do_as_they_are_told() -> None:
+    scenes = parse_link("delay=20ms"), parse_link("delay=60ms"), parse_link("loss=1")
+    with emulate(*scenes) as link:
+        assert len(set(link.sensing.addresses) | set(link.display.addresses)) == 2 * len(scenes)
+        trips_ms: dict[int, list[float]] = {0: [], 1: []}
+        for number, trips in trips_ms.items():
+            with connected(link, number) as (sensing, display):
+                for _ in range(10):
+                    began_ns = time.monotonic_ns()
+                    display.sendall(b"?")
+                    sensing.sendall(sensing.recv(1))
+                    assert display.recv(1) == b"?"
+                    trips.append((time.monotonic_ns() - began_ns) / MS)
+        with link.display.entered(), socket.socket() as caller:
+            caller.settimeout(0.3)
+            with pytest.raises(TimeoutError):
+                caller.connect((link.sensing.addresses[2], PORT))
+    assert 40 <= min(trips_ms[0]) < 45
+    assert 120 <= min(trips_ms[1]) < 125
+    assert link.carried is not None
+    assert link.carried.lost >= 1
+
+
+@needs_emulator
+def test_a_link_carries_nothing_of_its_own() -> None:
+    with emulate(parse_link("")) as link:
+        # Long enough for what a new interface has to say, which is said at once.
+        time.sleep(0.3)
+    assert link.carried is not None
+    assert link.carried.packets == 0
+
+
+@needs_emulator
+def test_nothing_is_left_behind_though_it_ends_with_an_error() -> None:
+    before = open_descriptors()
+    home = os.readlink("/proc/thread-self/ns/net")
+    others = children()
+    relays: set[int] = set()
+
+    def fail_within() -> None:
+        with emulate(parse_link("")) as link, link.sensing.entered():
+            relays.update(children() - others)
+            assert os.readlink("/proc/thread-self/ns/net") != home
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail_within()
+    assert os.readlink("/proc/thread-self/ns/net") == home
+    assert open_descriptors() == before
+    assert relays - children() == relays != set()
+
+
+@needs_emulator
+def test_a_relay_that_does_not_start_is_told_of() -> None:
+    def use() -> None:
+        with emulate(parse_link(""), seed="none"):  # type: ignore[arg-type]
+            pytest.fail("there is no such seed")
+
+    with pytest.raises(EmulatorError, match=r"relay.*ValueError.*none"):
+        use()
+
+
+@needs_emulator
+def test_a_relay_that_is_killed_is_told_of() -> None:
+    def use() -> None:
+        before = children()
+        with emulate(parse_link("")):
+            for relay in children() - before:
+                os.kill(relay, signal.SIGKILL)
+
+    with pytest.raises(EmulatorError, match="relay of the emulated link ended"):
+        use()
+
+
+def test_without_root_it_says_that_it_needs_root(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    assert unavailable() == "the link emulator needs root"
+
+
+def open_descriptors() -> set[str]:
+    """Descriptors of this process, each with what it is."""
+    folder = "/proc/self/fd"
+    paths = (f"{folder}/{name}" for name in os.listdir(folder))
+    return {f"{path} {os.readlink(path)}" for path in paths if os.path.exists(path)}
+
+
+def children() -> set[int]:
+    """Processes that this one has started and that have not ended."""
+    found = set()
+    for name in filter(str.isdigit, os.listdir("/proc")):
+        try:
+            with open(f"/proc/{name}/stat", encoding="ascii", errors="replace") as stat:
+                parent = int(stat.read().rpartition(")")[2].split()[1])
+        except OSError:
+            continue
+        if parent == os.getpid():
+            found.add(int(name))
+    return found

@@ -1,0 +1,99 @@
+"""Both nodes with an address for each of several links, which are cut one after the other."""
+
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import zmq
+
+from display_node.telemetry.messages import TRACE, read_trace
+from telepulse.netem import NodesOutcome, run_nodes
+from telepulse.simulation.link_model import parse_link
+from tests.support.nodes import RADIAL
+from tests.support.tcp import needs_emulator
+
+# On the link's clock, which begins 1 s before the sensing node is started.
+FIRST = parse_link("delay=20ms,jitter=3ms,cut.from=6s,cut.for=5s")
+SECOND = parse_link("delay=20ms,jitter=3ms,cut.from=15s,cut.for=60min")
+SECONDS = 17
+
+
+@contextmanager
+def heard(address: str) -> Iterator[list[bytes]]:
+    """The traces that a display publishes meanwhile."""
+    traces: list[bytes] = []
+    over = threading.Event()
+
+    def listen() -> None:
+        with zmq.Context() as context, context.socket(zmq.SUB) as socket:
+            socket.subscribe(TRACE)
+            socket.connect(address)
+            while not over.is_set():
+                if socket.poll(50):
+                    traces.append(socket.recv_multipart()[1])
+
+    listener = threading.Thread(target=listen)
+    listener.start()
+    try:
+        yield traces
+    finally:
+        over.set()
+        listener.join()
+
+
+def played(folder: Path, *links: str) -> tuple[NodesOutcome, float]:
+    """Both nodes' accounts, and for how many seconds the pulse was not felt between its first and
+    its last instant at full strength."""
+    scenes = {"first": FIRST, "second": SECOND}
+    address = f"ipc://{folder}/{len(links)}"
+    with heard(address) as traces:
+        outcome = run_nodes(
+            RADIAL, *(scenes[link] for link in links), seconds=SECONDS, telemetry=address
+        )
+    read = [read_trace(trace) for trace in traces]
+    now_ns = np.concatenate([trace.now_ns for trace in read])
+    felt = np.concatenate([trace.scored for trace in read])
+    first, last = np.flatnonzero(felt)[[0, -1]]
+    ticks_ns = np.diff(now_ns[first : last + 1])
+    return outcome, float(ticks_ns[~felt[first + 1 : last + 1]].sum()) * 1e-9
+
+
+@needs_emulator
+def test_a_second_network_takes_over_when_one_is_cut_and_a_single_one_cannot(
+    tmp_path: Path,
+) -> None:
+    with ThreadPoolExecutor() as pool:
+        both = pool.submit(played, tmp_path, "first", "second")
+        single = pool.submit(played, tmp_path, "first")
+        (two, two_unfelt_s), (one, one_unfelt_s) = both.result(), single.result()
+
+    for outcome in (two, one):
+        samples = outcome.display.samples
+        accounted = samples.played, samples.late, samples.lost, samples.before_joining
+        # The end was heard over whichever network was left.
+        assert sum(count or 0 for count in accounted) == outcome.sensing.samples.sent
+        assert outcome.sensing.samples.sent == 1000 * SECONDS
+        # A frame may come over both connections where a second one took over.
+        assert set(outcome.display.rejected) <= {"duplicate"}
+        assert outcome.sensing.rejected == {}
+        assert outcome.display.faults == []
+
+    # The first brought frames after its cut, too: for 5 s there was nothing but the second, for
+    # the last ones nothing but the first.
+    assert two.display.samples.lost == 0
+    # On a machine that is busy with something else, both miss some of it.
+    assert two_unfelt_s < one_unfelt_s / 2
+    first = list(two.display.frames.first.values())
+    assert sum(first) == two.display.frames.received
+    assert min(first) > 400
+    assert two.display.frames.copies is not None
+    assert 200 < two.display.frames.copies < sum(first)
+
+    # What was cut is lost, and the pulse is felt again soon after.
+    assert one.display.samples.lost is not None
+    assert one.display.samples.lost > 4000
+    assert one.display.frames.first == {}
+    assert one_unfelt_s > 4.5

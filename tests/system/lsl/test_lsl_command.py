@@ -1,0 +1,161 @@
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from display_node.telemetry.capture import CONTROL
+from tests.support.lsl_loopback import lsl_on_loopback
+from tests.support.nodes import free_address, process, run
+from tests.support.telemetry_speaker import (
+    BATCH,
+    MS,
+    SESSION,
+    Speaker,
+    clock_reply,
+    numbered_frame,
+    speaking,
+)
+from tests.support.waiting import until
+
+MODULE = "telepulse"
+# Of sensing time, where the speaker's first sample is.
+FIRST_NS = 1_000 * MS
+RESOLVE_S = 30.0
+
+
+class Source(Speaker):
+    """A speaker whose frames have a clock, and come at its pace."""
+
+    def tell_clock(self, session: int = SESSION) -> None:
+        """The sensing clock: at its first sample now, as many replies as it takes to believe it."""
+        self.ahead_ns = FIRST_NS + self.ticks * MS - time.monotonic_ns()
+        for _ in range(4):
+            self.hear(CONTROL, clock_reply(time.monotonic_ns(), self.ahead_ns, session))
+            time.sleep(0.025)
+
+    def speak_for(self, ms: int, session: int = SESSION) -> None:
+        for _ in range(ms // 20):
+            self.speak(20, session)
+            time.sleep(0.02)
+
+
+@contextmanager
+def streaming(address: str, pylsl: Any) -> Iterator[tuple[Source, Any, Any]]:
+    """A source, an outlet process that has heard its stream, and inlets of wrist and finger."""
+    with speaking(address, kind=Source) as source, process(MODULE, "lsl", address) as outlet:
+        source.begin()
+        source.tell_clock()
+        source.speak(40)
+        inlets = [inlet(pylsl, address, part) for part in ("wrist", "finger", "events")]
+        yield source, outlet, inlets
+        del inlets
+
+
+def inlet(pylsl: Any, address: str, part: str) -> Any:
+    found = pylsl.resolve_byprop("source_id", f"telepulse {address} {part}", 1, RESOLVE_S)
+    assert found, part
+    opened = pylsl.StreamInlet(found[0], recover=False)
+    opened.open_stream(RESOLVE_S)
+    return opened
+
+
+def pulled(stream: Any, enough: int) -> tuple[Any, Any]:
+    """Samples and times, once so many have come."""
+    samples: list[Any] = []
+    times_s: list[float] = []
+
+    def come() -> bool:
+        more, at_s = stream.pull_chunk(timeout=0.0)
+        samples.extend(more)
+        times_s.extend(at_s)
+        return len(samples) >= enough
+
+    until(come)
+    return np.array(samples), np.array(times_s)
+
+
+def test_an_inlet_gets_the_same_samples_as_far_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pylsl, address = lsl_on_loopback(tmp_path, monkeypatch), free_address()
+    with streaming(address, pylsl) as (source, outlet, (wrist, finger, _)):
+        info = wrist.info()
+        assert (info.name(), info.type(), info.nominal_srate()) == ("telepulse wrist", "Force", 1e3)
+        assert (info.get_channel_labels(), info.get_channel_units()) == (["pulse"], ["N"])
+        assert info.desc().child("acquisition").child_value("manufacturer") == "telepulse"
+        assert finger.info().get_channel_labels() == ["target", "felt"]
+        first = source.frames
+        source.speak_for(400)
+        # A frame is lost on its way to the display; those after it wait for it a while.
+        source.frames += 1
+        source.ticks += BATCH
+        source.speak_for(800)
+        frames = [n for n in range(first, source.frames) if n != first + 400 // BATCH]
+        values, times_s = pulled(wrist, BATCH * len(frames))
+        expected = np.concatenate([numbered_frame(n).values for n in frames])
+        np.testing.assert_array_equal(values.astype("<f4"), expected)
+        apart_s = np.diff(times_s)
+        gap = 400 - 1
+        np.testing.assert_allclose(np.delete(apart_s, gap), 1e-3, atol=2e-5)
+        assert apart_s[gap] == pytest.approx((1 + BATCH) * 1e-3, abs=2e-5)
+        # The sample's own instant, on the clock of this host that LSL shares.
+        sensing_s = (FIRST_NS + first * BATCH * MS - source.ahead_ns) * 1e-9
+        lsl_ahead_s = pylsl.local_clock() - time.monotonic_ns() * 1e-9
+        assert times_s[0] == pytest.approx(sensing_s + lsl_ahead_s, abs=0.05)
+        forces_n, ticks_s = pulled(finger, 600)
+        assert forces_n[0, 0] == 0.5
+        np.testing.assert_allclose(np.diff(forces_n[:400, 1]), 1e-3)
+        assert np.all(np.diff(ticks_s) > 0)
+        source.status("ended", final=True)
+        output, errors = outlet.communicate(timeout=30)
+        assert (outlet.returncode, errors) == (0, ""), errors
+    assert f"{BATCH} samples missing" in output
+    assert f"{source.frames * BATCH - BATCH} samples" in output
+
+
+def test_a_session_that_begins_anew_goes_on_in_the_same_stream(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pylsl, address = lsl_on_loopback(tmp_path, monkeypatch), free_address()
+    with streaming(address, pylsl) as (source, outlet, (wrist, _, events)):
+        source.speak_for(100)
+        before, _ = pulled(wrist, 100)
+        source.welcome(SESSION + 1)
+        source.frames = source.ticks = 0
+        source.tell_clock(SESSION + 1)
+        source.speak_for(200, SESSION + 1)
+        values, _ = pulled(wrist, 200)
+        expected = np.concatenate([numbered_frame(n).values for n in range(200 // BATCH)])
+        np.testing.assert_array_equal(values.astype("<f4"), expected)
+        assert len(before) == 100
+        told: list[str] = []
+
+        def said() -> bool:
+            told.extend(text for (text,) in events.pull_chunk(timeout=0.0)[0])
+            return f"session: 'test pulse', session {SESSION + 1}" in told
+
+        until(said)
+        source.status("ended", final=True)
+        output, errors = outlet.communicate(timeout=30)
+        assert (outlet.returncode, errors) == (0, ""), errors
+    assert f"begins: session {SESSION}\n" in output
+    assert f"goes on: session {SESSION + 1}\n" in output
+    assert "0 samples missing" in output
+
+
+def test_what_cannot_begin_is_one_line() -> None:
+    result = run(MODULE, "lsl", "tcp://192.0.2.1:5557")
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert "--insecure" in result.stderr
+
+
+def test_silence_ends_it_where_it_is_told_so() -> None:
+    address = free_address()
+    result = run(MODULE, "lsl", address, "--until-silent", "0.3")
+    assert result.returncode == 1
+    assert f"{address}: nothing was heard from it" in result.stderr

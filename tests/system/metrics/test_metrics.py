@@ -1,0 +1,231 @@
+"""Nodes that serve metrics: real processes, real HTTP."""
+
+import os
+import signal
+import socket
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from urllib.error import HTTPError, URLError
+from urllib.parse import urlsplit
+from urllib.request import Request, urlopen
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from prometheus_client.parser import text_string_to_metric_families
+
+from protocol.errors import AddressError
+from telepulse.metrics.figures import FIGURES, MetricKind
+from telepulse.metrics.server import parse_address
+from tests.support.keyring import Keyring
+from tests.support.nodes import RADIAL, free_address, process, read_json, run
+from tests.support.waiting import PATIENCE_S, until
+
+DISPLAY, SENSING = "display_node.cli", "sensing_node.cli"
+Labels = tuple[tuple[str, str], ...]
+
+
+class Served:
+    """A node and the page of its metrics."""
+
+    def __init__(self, node: "subprocess.Popen[str]") -> None:
+        assert node.stdout is not None
+        line = node.stdout.readline()
+        assert line.startswith("metrics on http://"), line
+        self.node, self.url = node, line.split()[-1]
+        children = Path(f"/proc/{node.pid}/task/{node.pid}/children").read_text().split()
+        (self.server,) = map(int, children)
+
+    def scrape(self) -> dict[tuple[str, Labels], float]:
+        with urlopen(self.url, timeout=PATIENCE_S) as answer:
+            text = answer.read().decode()
+        return {
+            (sample.name, tuple(sorted(sample.labels.items()))): sample.value
+            for family in text_string_to_metric_families(text)
+            for sample in family.samples
+        }
+
+    def figure(self, name: str, **labels: str) -> float | None:
+        return self.scrape().get(("telepulse_" + name, tuple(sorted(labels.items()))))
+
+    def gone(self) -> bool:
+        """Return whether nobody serves the page any more."""
+        try:
+            self.scrape()
+        except (URLError, OSError):
+            return not Path(f"/proc/{self.server}").exists()
+        return False
+
+
+@contextmanager
+def served(module: str, *arguments: str) -> Iterator[Served]:
+    with process(module, str(RADIAL), *arguments, "--metrics", "0") as node:
+        yield Served(node)
+
+
+def display(address: str, *more: str) -> tuple[str, ...]:
+    return (*("--connect", address, "--no-screen"), *more)
+
+
+def at(summary: dict[str, Any], key: str) -> Any:
+    value: Any = summary
+    for part in key.split("."):
+        value = value[part]
+    return value
+
+
+def test_both_nodes_serve_what_they_sum_up(tmp_path: Path) -> None:
+    address, jsons = free_address(), [tmp_path / "display.json", tmp_path / "sensing.json"]
+    with served(DISPLAY, *display(address, "--json", str(jsons[0]))) as finger:
+        until(lambda: finger.figure("state", telepulse_state="waiting") == 1)
+        # Without frames there is nothing to say of them yet.
+        assert finger.figure("one_way_delay_max_seconds") is None
+        with served(SENSING, "--bind", address, "--json", str(jsons[1])) as wrist:
+            until(lambda: finger.figure("state", telepulse_state="playing") == 1)
+            until(lambda: wrist.figure("displays") == 1)
+            sent = wrist.figure("samples_sent_total")
+            # Nothing of a heart is known before it has beaten twice.
+            until(lambda: finger.figure("heart_rate_hertz") is not None)
+            wrist.node.terminate()
+            assert wrist.node.wait(PATIENCE_S) == 0
+            until(wrist.gone)
+        until(lambda: finger.figure("state", telepulse_state="ended") == 1)
+        sensed = read_json(jsons[1])["samples"]["sent"]
+        until(
+            lambda: (
+                (finger.figure("samples_sent_total") or 0)
+                + (finger.figure("samples_before_joining") or 0)
+                == sensed
+            )
+        )
+        last = finger.scrape()
+        finger.node.terminate()
+        assert finger.node.wait(PATIENCE_S) == 0
+        until(finger.gone)
+    assert sent is not None
+    assert 0 < sent <= sensed
+    summary, compared = read_json(jsons[0]), 0
+    for figure in FIGURES:
+        # The loop and the clock went on, and what is felt is scored to its end.
+        if figure.key.partition(".")[0] in ("samples", "frames", "one_way_delay_ms", "rejected"):
+            value = at(summary, figure.key)
+            if figure.label or value is None:
+                assert not value
+                continue
+            suffix = "_total" if figure.kind is MetricKind.COUNTER else ""
+            name, labels = "telepulse_" + figure.name + suffix, tuple(figure.labels.items())
+            assert last[name, labels] == pytest.approx(value * figure.scale), figure.key
+            compared += 1
+    assert compared > 9
+
+
+def test_another_site_is_not_served() -> None:
+    with served(SENSING, "--bind", free_address()) as wrist:
+        where = urlsplit(wrist.url).netloc
+        evil = where.replace("127.0.0.1", "evil.example")
+        for headers in (
+            {"Host": evil},
+            {"Host": evil, "Origin": f"http://{evil}"},
+            {"Origin": "http://evil.example"},
+        ):
+            with pytest.raises(HTTPError) as refused:
+                urlopen(Request(wrist.url, headers=headers), timeout=PATIENCE_S)
+            assert refused.value.code == 403
+            assert refused.value.read().count(b"\n") == 1
+        assert wrist.scrape()
+
+
+def test_a_server_that_is_killed_is_said_and_the_node_goes_on(tmp_path: Path) -> None:
+    json = tmp_path / "sensing.json"
+    with served(SENSING, "--bind", free_address(), "--json", str(json)) as wrist:
+        until(lambda: wrist.figure("up") == 1)
+        os.kill(wrist.server, signal.SIGKILL)
+        assert wrist.node.stderr is not None
+        said = wrist.node.stderr.readline()
+        wrist.node.terminate()
+        assert wrist.node.wait(PATIENCE_S) == 0
+        _, errors = wrist.node.communicate()
+    assert said.startswith("sensing-node: the server of metrics has ended with status -9")
+    assert errors == ""
+    assert read_json(json)["samples"]["sent"] > 0
+
+
+def test_a_node_held_up_has_no_figures_until_it_speaks_and_killed_no_server() -> None:
+    with served(SENSING, "--bind", free_address()) as wrist:
+        until(lambda: wrist.figure("samples_sent_total"))
+        wrist.node.send_signal(signal.SIGSTOP)
+        until(lambda: wrist.figure("up") == 0)
+        assert wrist.figure("samples_sent_total") is None
+        age_s = wrist.figure("status_age_seconds")
+        assert age_s is not None
+        assert age_s > 5
+        wrist.node.send_signal(signal.SIGCONT)
+        until(lambda: wrist.figure("up") == 1)
+        assert wrist.figure("samples_sent_total")
+        wrist.node.kill()
+        wrist.node.wait(PATIENCE_S)
+        until(wrist.gone)
+
+
+def test_telemetry_with_keys_is_read_by_the_own_server(tmp_path: Path) -> None:
+    ring, address = Keyring(tmp_path / "keys"), free_address()
+    ring.allow("notes")
+    keys = ("--key", ring.path("finger"), "--peer", ring.path("wrist", "pub"))
+    telemetry = ("--telemetry", free_address().replace("127.0.0.1", "*"))
+    with served(DISPLAY, *display(address, *keys, *telemetry)) as finger:
+        until(lambda: finger.figure("up") == 1)
+
+
+def test_a_port_in_use_is_one_line_before_anything_starts() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        result = run(DISPLAY, str(RADIAL), "--metrics", port)
+    assert result.returncode == 2
+    assert result.stdout == ""
+    assert result.stderr.count("\n") == 1
+    assert f"--metrics: cannot bind 127.0.0.1:{port}: Address already in use" in result.stderr
+
+
+def test_without_the_library_it_says_which_extra_brings_it(tmp_path: Path) -> None:
+    shadow = tmp_path / "prometheus_client.py"
+    shadow.write_text("raise ImportError('not here')\n", encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", f"{tmp_path}")
+        result = run(SENSING, str(RADIAL), "--metrics", "0")
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert "pip install 'telepulse[metrics]'" in result.stderr
+
+
+def test_beyond_this_machine_who_may_read_is_said() -> None:
+    with process(SENSING, str(RADIAL), "--metrics", "0.0.0.0:0", "--bind", free_address()) as node:
+        assert node.stdout is not None
+        assert node.stdout.readline().startswith("metrics on http://0.0.0.0:")
+        assert "neither keys nor encryption" in node.stdout.readline()
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        ("9100", ("127.0.0.1", 9100)),
+        ("0", ("127.0.0.1", 0)),
+        ("192.0.2.7:9100", ("192.0.2.7", 9100)),
+        ("[::1]:9100", ("::1", 9100)),
+        ("localhost:9100", ("localhost", 9100)),
+    ],
+)
+def test_where_metrics_are_served(text: str, where: tuple[str, int]) -> None:
+    assert parse_address(text) == where
+
+
+@given(st.text() | st.integers().map(str) | st.integers().map("host:{}".format))
+def test_an_address_is_one_or_refused(text: str) -> None:
+    try:
+        host, port = parse_address(text)
+    except AddressError:
+        return
+    assert host
+    assert 0 <= port <= 65_535

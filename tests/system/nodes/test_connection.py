@@ -1,0 +1,386 @@
+import socket as plain
+import threading
+import time
+
+import pytest
+import zmq
+
+from display_node.reception import endpoint as line
+from display_node.reception.connection import Connection, Lookup
+from display_node.reception.data_path import DataPath
+from display_node.reception.endpoint import Endpoint
+from protocol.errors import AddressError
+from protocol.run_summary import Reconnections
+from protocol.security.handshake_monitor import HandshakeMonitor
+from protocol.sockets import Context, Socket, control_address
+from telepulse.processes import free_addresses
+from tests.support.nodes import free_address
+from tests.support.waiting import until
+
+MS = 1_000_000
+PATIENCE_S = 10.0
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The names that were looked up; all of them are this machine's."""
+    names: list[str] = []
+
+    def look_up(host: str, port: str, **_: object) -> list[tuple[object, ...]]:
+        names.append(host)
+        return [(plain.AF_INET, plain.SOCK_STREAM, 6, "", ("127.0.0.1", int(port)))]
+
+    monkeypatch.setattr(plain, "getaddrinfo", look_up)
+    return names
+
+
+def control_of(connection: Connection) -> Socket:
+    return connection.control.socket
+
+
+def tend_until_connected(connection: Connection, monitor: Socket) -> None:
+    end_s = time.monotonic() + PATIENCE_S
+    while not monitor.poll(5):
+        assert time.monotonic() < end_s
+        connection.tend(time.monotonic_ns())
+
+
+def tend(connection: Connection, from_ms: int, to_ms: int) -> list[int]:
+    """Tend in virtual time; when control was connected, in ms."""
+    connected_ms = []
+    for ms in range(from_ms, to_ms, 10):
+        if connection.tend(ms * MS):
+            connected_ms.append(ms)
+        while any(route._lookup.running for route in connection.routes):
+            threading.Event().wait(0.0005)
+    return connected_ms
+
+
+def deliver(sender: Socket, path: DataPath | Endpoint) -> None:
+    """Send until it has been received."""
+    end_s = time.monotonic() + PATIENCE_S
+    while not list(path.messages()):
+        assert time.monotonic() < end_s
+        sender.send(b"a frame")
+        threading.Event().wait(0.005)
+
+
+@pytest.mark.parametrize("host", ["localhost", "127.0.0.1"])
+def test_names_and_numbers_are_connected_to(host: str, context: Context) -> None:
+    address = free_address()
+    server = context.socket(zmq.ROUTER)
+    server.bind(control_address(address))
+    connection = Connection(context, [address.replace("127.0.0.1", host)], 1, log=print)
+    control = control_of(connection)
+    tend_until_connected(connection, control.get_monitor_socket(zmq.EVENT_HANDSHAKE_SUCCEEDED))
+    control.send(b"hello")
+    assert server.poll(PATIENCE_S * 1000)
+    assert server.recv_multipart()[1] == b"hello"
+
+
+def test_a_name_server_that_does_not_answer_holds_nothing_up(
+    context: Context, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer, asked = threading.Event(), []
+
+    def slow(host: str, port: str, **_: object) -> list[tuple[object, ...]]:
+        asked.append(host)
+        assert answer.wait(PATIENCE_S)
+        return [(plain.AF_INET, plain.SOCK_STREAM, 6, "", ("127.0.0.1", int(port)))]
+
+    monkeypatch.setattr(plain, "getaddrinfo", slow)
+    connection = Connection(context, ["tcp://somewhere:5555"], 2, log=print)
+    monitor = control_of(connection).get_monitor_socket(zmq.EVENT_CONNECT_DELAYED)
+    for ms in range(0, 60_000, 10):
+        connection.tend(ms * MS)
+    assert asked == ["somewhere"]
+    assert not monitor.poll(0)
+    answer.set()
+    tend_until_connected(connection, monitor)
+    assert asked == ["somewhere"]
+
+
+def test_a_silent_address_is_looked_up_and_connected_anew(
+    context: Context, asked: list[str]
+) -> None:
+    connection = Connection(context, ["tcp://somewhere:1"], 1, log=print)
+    tend(connection, 0, 1_000)
+    assert len(asked) == 1
+    tend(connection, 1_000, 11_000)
+    assert 5 <= len(asked) <= 6
+
+
+def test_an_address_that_is_heard_is_let_be(context: Context, asked: list[str]) -> None:
+    address = free_address()
+    publisher = context.socket(zmq.PUB)
+    publisher.bind(address)
+    connection = Connection(context, [address, "tcp://silent:1"], 2, log=print)
+    connection.subscribe(5 * MS, 0, 0)
+    tend(connection, 0, 100)
+    for ms in range(400, 60_000, 400):
+        deliver(publisher, connection.routes[0].paths[0])
+        tend(connection, ms, ms + 20)
+    assert asked.count("127.0.0.1") == 1
+    assert asked.count("silent") > 20
+
+
+def test_a_silence_of_all_together_is_a_cut(
+    context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Hosts answer in real time, not in ours.
+    monkeypatch.setattr(HandshakeMonitor, "tend", lambda self, now_ns: [])
+    address = free_address()
+    publisher = context.socket(zmq.PUB)
+    publisher.bind(address)
+    connection = Connection(context, [address, "tcp://other:1"], 2, log=print)
+    connection.subscribe(5 * MS, 0, 0)
+    tend(connection, 0, 20)
+    deliver(publisher, connection.routes[0].paths[0])
+    # Both are connected anew, once, and control is where it was; then patience is as usual.
+    control = connection.control.address
+    assert tend(connection, 20, 2_010) == [520]
+    assert connection.control.address == control
+    assert [asked.count(name) for name in ("127.0.0.1", "other")] == [2, 2]
+    assert tend(connection, 2_010, 3_000) == [2_520]
+    assert connection.control.address != control
+    assert [asked.count(name) for name in ("127.0.0.1", "other")] == [3, 3]
+
+
+def test_requests_to_connect_are_repeated_soon_but_now_and_then_may_take_their_time(
+    context: Context,
+) -> None:
+    address = free_address()
+    publisher = context.socket(zmq.PUB)
+    publisher.bind(address)
+    asking = Endpoint(context.socket(zmq.SUB))
+
+    def timeouts_ms(tries: int, hurried: bool = True) -> list[int]:
+        timeouts = []
+        for _ in range(tries):
+            asking.connect(address, 0, hurried)
+            timeouts.append(asking.socket.getsockopt(zmq.CONNECT_TIMEOUT))
+        return timeouts
+
+    assert timeouts_ms(3, hurried=False) == [0, 0, 0]
+    assert timeouts_ms(3) == [100, 100, 100]
+    asking.socket.subscribe(b"")
+    deliver(publisher, asking)
+    assert asking.heard(0)
+    asking.answer_ns = 900 * MS
+    assert timeouts_ms(12) == [900] * 10 + [0, 900]
+
+
+def test_who_stood_still_itself_does_not_wait_long_for_more_than_what_has_queued(
+    context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(HandshakeMonitor, "tend", lambda self, now_ns: [])
+    address = free_address()
+    publisher = context.socket(zmq.PUB)
+    publisher.bind(address)
+    connection = Connection(context, [address], 1, log=print)
+    connection.subscribe(5 * MS, 0, 0)
+    tend(connection, 0, 20)
+    deliver(publisher, connection.routes[0].paths[0])
+    tend(connection, 20, 40)
+    deliver(publisher, connection.routes[0].paths[0])
+    assert tend(connection, 1_000, 1_490) == [1_150]
+
+
+def test_where_one_port_answers_the_other_is_asked_again_at_once(
+    context: Context, asked: list[str]
+) -> None:
+    address = free_address()
+    data = context.socket(zmq.PUB)
+    data.bind(address)
+    connection = Connection(context, [address], 1, log=print)
+    began = 0
+    end_s = time.monotonic() + PATIENCE_S
+    while not connection.routes[0].paths[0].first.answered:
+        assert time.monotonic() < end_s
+        began += connection.tend(1_000 * MS)
+        connection._refusals._look_ns = 0
+    assert began == 1
+    # What was asked for at the same time may be answered yet.
+    assert not connection.tend(1_099 * MS)
+    assert control_of(connection).getsockopt(zmq.CONNECT_TIMEOUT) == 100
+    # Of control alone, which nobody listens to, it would hear only when its patience is over.
+    assert connection.tend(1_100 * MS)
+    assert control_of(connection).getsockopt(zmq.CONNECT_TIMEOUT) == 0
+    assert not connection.tend(1_101 * MS)
+
+
+def test_a_stream_of_rare_frames_is_waited_for(context: Context, asked: list[str]) -> None:
+    connection = Connection(context, ["tcp://somewhere:1"], 1, log=print)
+    connection.subscribe(10_000 * MS, 0, 0)
+    tend(connection, 0, 29_000)
+    assert len(asked) == 1
+    tend(connection, 29_000, 32_000)
+    assert len(asked) == 2
+
+
+def test_paths_are_shared_out_and_each_address_has_one(context: Context) -> None:
+    addresses = ["tcp://127.0.0.1:1", "tcp://127.0.0.1:3", "tcp://127.0.0.1:5"]
+    for paths, shares in ((3, [1, 1, 1]), (4, [2, 1, 1]), (8, [3, 3, 2])):
+        connection = Connection(context, addresses, paths, log=print)
+        assert [len(route.paths) for route in connection.routes] == shares
+
+
+def test_control_moves_on_from_an_address_that_does_not_answer_and_stays_at_one_that_does(
+    context: Context, asked: list[str]
+) -> None:
+    address, answering = free_addresses(2)
+    server = context.socket(zmq.ROUTER)
+    server.bind(control_address(answering))
+    connection = Connection(context, [address, answering], 2, log=print)
+    control = control_of(connection)
+    assert tend(connection, 0, 1_000) == [10]
+    assert tend(connection, 1_000, 3_000) == [2_010]
+    control.send(b"clock?")
+    assert server.poll(PATIENCE_S * 1000)
+    peer, _ = server.recv_multipart()
+    for ms in range(3_000, 10_000, 400):
+        server.send_multipart([peer, b"clock"])
+        assert control.poll(PATIENCE_S * 1000)
+        assert list(connection.control.messages()) == [b"clock"]
+        assert tend(connection, ms, ms + 400) == []
+    # Then that one falls silent as well: it is tried once more, and the first has its turn again.
+    assert tend(connection, 10_200, 12_200) == [10_300]
+    assert connection.control.address == control_address(answering)
+    assert tend(connection, 12_200, 13_000) == [12_300]
+    assert connection.control.address == control_address(address)
+
+
+def test_a_name_nobody_knows_is_said_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(host: str, port: str, **_: object) -> list[tuple[object, ...]]:
+        raise plain.gaierror(plain.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(plain, "getaddrinfo", unknown)
+    monkeypatch.setattr(time, "sleep", lambda _: None)
+    said: list[str] = []
+    lookup = Lookup("tcp://nowhere:5555", said.append)
+    for _ in range(3):
+        lookup.start()
+        while lookup.running:
+            threading.Event().wait(0.001)
+        assert lookup.take() is None
+    assert said == ["nowhere is not found: Name or service not known; trying on"]
+
+
+def test_the_numbers_of_a_name_are_tried_one_after_the_other(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def two(host: str, port: str, **_: object) -> list[tuple[object, ...]]:
+        return [
+            (plain.AF_INET6, plain.SOCK_STREAM, 6, "", ("::1", int(port), 0, 0)),
+            (plain.AF_INET, plain.SOCK_STREAM, 6, "", ("127.0.0.1", int(port))),
+        ]
+
+    monkeypatch.setattr(plain, "getaddrinfo", two)
+    lookup = Lookup("tcp://both:5555", print)
+    found = []
+    for _ in range(3):
+        lookup.start()
+        while lookup.running:
+            threading.Event().wait(0.001)
+        found.append(lookup.take())
+    assert found == ["tcp://127.0.0.1:5555", "tcp://[::1]:5555", "tcp://127.0.0.1:5555"]
+
+
+def test_a_wrong_address_is_refused_at_once(context: Context) -> None:
+    with pytest.raises(AddressError):
+        Connection(context, ["tcp://127.0.0.1:5555", "somewhere:5555"], 2, log=print)
+
+
+def test_a_data_path_that_is_silent_alone_gets_a_second_connection(
+    context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(HandshakeMonitor, "tend", lambda self, now_ns: [])
+    address = free_address()
+    publisher, server = context.socket(zmq.XPUB), context.socket(zmq.ROUTER)
+    publisher.setsockopt(zmq.XPUB_VERBOSE, 1)
+    publisher.bind(address)
+    server.bind(control_address(address))
+    connection = Connection(context, [address], 1, log=print)
+    connection.subscribe(5 * MS, 0, 0)
+    (path,) = connection.routes[0].paths
+    tend(connection, 0, 20)
+    control_of(connection).send(b"clock?")
+    peer, _ = server.recv_multipart()
+    deliver(publisher, path)
+    first = path.first
+    for ms in range(20, 320, 10):
+        # Control goes on: the network as a whole is not silent.
+        server.send_multipart([peer, b"clock"])
+        assert control_of(connection).poll(PATIENCE_S * 1000)
+        assert list(connection.control.messages()) == [b"clock"]
+        assert tend(connection, ms, ms + 10) == []
+    assert connection.reconnections == Reconnections(opened=0, kept=0, control=0)
+    tend(connection, 320, 340)
+    assert connection.reconnections == Reconnections(opened=1, kept=0, control=0)
+    # Over both comes the same, once.
+    for _ in range(2):
+        assert publisher.poll(PATIENCE_S * 1000)
+        assert publisher.recv() == b"\1"
+    received: list[bytes] = []
+    for number in range(20):
+        publisher.send(b"frame %d" % number)
+        received += path.messages()
+        threading.Event().wait(0.01)
+    received += path.messages()
+    assert sorted(received) == sorted({b"frame %d" % number for number in range(20)})
+    tend(connection, 340, 350)
+    # One of them is closed, and the other goes on.
+    assert not path.failover.racing
+    kept = path.first is not first
+    assert connection.reconnections == Reconnections(opened=1, kept=kept, control=0)
+    deliver(publisher, path)
+
+
+def test_a_connection_that_floods_is_closed_for_a_while(
+    context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(HandshakeMonitor, "tend", lambda self, now_ns: [])
+    monkeypatch.setattr(line, "BURST", 200)
+    address = free_address()
+    publisher, said = context.socket(zmq.PUB), []
+    publisher.bind(address)
+    connection = Connection(context, [address], 1, log=said.append)
+    connection.subscribe(5 * MS, 0, 0)
+    (path,) = connection.routes[0].paths
+    tend(connection, 0, 20)
+    deliver(publisher, path)
+    received, end_s = 0, time.monotonic() + PATIENCE_S
+    while path.first.address is not None:
+        assert time.monotonic() < end_s
+        for _ in range(100):
+            publisher.send(b"a frame")
+        received += len(list(path.messages()))
+        connection.tend(20 * MS)
+    assert 200 <= received < 1_000
+    assert connection.rejected["flood"] > 0
+    # It is left alone, however often it is asked, and then it has another chance.
+    looked_up = len(asked)
+    tend(connection, 30, 5_000)
+    assert path.first.address is None
+    assert len(asked) == looked_up
+    tend(connection, 5_030, 5_060)
+    deliver(publisher, path)
+    assert said == [f"{address} sends far more than a stream; closed for 5 s"]
+
+
+def test_a_system_without_a_free_thread_ends_no_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    lines: list[str] = []
+    lookup = Lookup("tcp://127.0.0.1:5555", lines.append)
+
+    def no_thread(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", no_thread)
+        for _ in range(3):
+            lookup.start()
+            assert not lookup.running
+    assert len(lines) == 1
+    lookup.start()
+    until(lambda: not lookup.running)
+    assert lookup.take() == "tcp://127.0.0.1:5555"

@@ -1,0 +1,261 @@
+import secrets
+import signal
+import time
+from pathlib import Path
+
+import msgpack
+import numpy as np
+import pytest
+import zmq
+
+from display_node.telemetry.messages import TRACE, read_status, read_trace
+from protocol.sockets import Context, control_address
+from protocol.wire.messages import (
+    ClockReply,
+    ClockRequest,
+    Frame,
+    Hello,
+    Welcome,
+    decode_control,
+    encode_control,
+    encode_frame,
+)
+from tests.support.live_display import (
+    MODULE,
+    PATIENCE_S,
+    await_state,
+    display_arguments,
+    sensing_arguments,
+    subscribe,
+)
+from tests.support.nodes import RADIAL, assert_accounted, free_address, process, read_json, run
+from tests.support.streams import description
+
+
+@pytest.mark.parametrize("first", ["display", "sensing"])
+def test_either_node_may_start_first(first: str, context: Context, tmp_path: Path) -> None:
+    address, telemetry_address = free_address(), free_address()
+    summary = tmp_path / "display.json"
+    display = display_arguments(address, telemetry_address, "--once", "--json", str(summary))
+    nodes = [(MODULE, display), ("sensing_node.cli", sensing_arguments(address, 4))]
+    if first == "sensing":
+        nodes.reverse()
+    telemetry = subscribe(context, telemetry_address)
+    with process(nodes[0][0], *nodes[0][1]) as one:
+        if first == "display":
+            await_state(telemetry, "waiting")
+        else:
+            await_bound(context, address)
+        with process(nodes[1][0], *nodes[1][1]) as other:
+            await_state(telemetry, "playing")
+            assert one.wait(PATIENCE_S) == 0
+            assert other.wait(PATIENCE_S) == 0
+    samples = read_json(summary)["samples"]
+    assert_accounted(samples)
+    assert samples["played"] > 1000
+
+
+def await_bound(context: Context, address: str) -> None:
+    data = subscribe(context, address)
+    data.setsockopt(zmq.RCVTIMEO, int(PATIENCE_S * 1000))
+    data.recv()
+
+
+def test_a_killed_sensing_node_comes_back_and_is_felt_again(
+    context: Context, tmp_path: Path
+) -> None:
+    address, telemetry_address = free_address(), free_address()
+    summary = tmp_path / "display.json"
+    telemetry = subscribe(context, telemetry_address)
+    arguments = display_arguments(address, telemetry_address, "--json", str(summary))
+    with process(MODULE, *arguments) as display:
+        with process("sensing_node.cli", *sensing_arguments(address, 60)) as sensing:
+            await_state(telemetry, "playing")
+            sensing.kill()
+            await_state(telemetry, "stale")
+        with process("sensing_node.cli", *sensing_arguments(address, 60)):
+            await_state(telemetry, "playing")
+            display.send_signal(signal.SIGTERM)
+            assert display.wait(PATIENCE_S) == 0
+    result = read_json(summary)
+    assert_accounted(result["samples"])
+    assert result["faults"] == []
+
+
+def test_a_killed_display_comes_back_while_the_sensing_node_goes_on(
+    context: Context,
+) -> None:
+    address = free_address()
+    with process("sensing_node.cli", *sensing_arguments(address, 60)) as sensing:
+        for _ in range(2):
+            telemetry_address = free_address()
+            telemetry = subscribe(context, telemetry_address)
+            with process(MODULE, *display_arguments(address, telemetry_address)) as display:
+                await_state(telemetry, "playing")
+                display.kill()
+        assert sensing.poll() is None
+
+
+def test_telemetry_has_every_tick_and_ends_with_a_final_status(
+    context: Context, tmp_path: Path
+) -> None:
+    address, telemetry_address = free_address(), free_address()
+    telemetry = subscribe(context, telemetry_address)
+    ticks, final = [], None
+    end_s = time.monotonic() + PATIENCE_S
+    with (
+        process(MODULE, *display_arguments(address, telemetry_address, "--once")) as display,
+        process("sensing_node.cli", *sensing_arguments(address, 3)),
+    ):
+        while final is None and time.monotonic() < end_s:
+            try:
+                topic, data = telemetry.recv_multipart()
+            except zmq.Again:
+                continue
+            if topic == TRACE:
+                ticks.append(read_trace(data))
+            elif (status := read_status(data)).final:
+                final = status
+        assert display.wait(PATIENCE_S) == 0
+    assert final is not None
+    now_ns = np.concatenate([trace.now_ns for trace in ticks])
+    assert (np.diff(now_ns) > 0).all()
+    # What was missed as a deadline is the only thing missing.
+    ticks_spanned = round((now_ns[-1] - now_ns[0]) / 1e6) + 1
+    assert ticks_spanned - len(now_ns) <= final.summary["loop"]["deadline_misses"] + 1
+    felt_n = np.concatenate([trace.felt_n for trace in ticks])
+    assert felt_n.min() >= 0
+    assert 0.4 < felt_n.max() < 0.6
+
+
+def test_a_peer_that_sends_garbage_neither_stops_nor_moves_it(
+    context: Context, tmp_path: Path
+) -> None:
+    address, telemetry_address = free_address(), free_address()
+    summary = tmp_path / "display.json"
+    # An XPUB is a PUB that hears who subscribes.
+    data, control = context.socket(zmq.XPUB), context.socket(zmq.ROUTER)
+    data.bind(address)
+    control.bind(control_address(address))
+    telemetry = subscribe(context, telemetry_address)
+    arguments = display_arguments(address, telemetry_address, "--json", str(summary))
+    with process(MODULE, *arguments) as display:
+        peer = b""
+        while not data.poll(0):
+            assert display.poll() is None
+            peer = answer_for(control, seconds=0.1) or peer
+        good = frame_now(0)
+        for garbage in (
+            *(secrets.token_bytes(size) for size in (0, 1, 10, 100, 10_000, 100_000)),
+            good[:-1],
+            good + b"\0",
+            msgpack.packb([2, *msgpack.unpackb(good)[1:]]),
+            frame_now(1, session=6),
+            frame_now(2, force_n=float("nan")),
+            frame_now(3, ahead_s=100.0),
+            # Above what the socket takes: it drops the connection and must make a new one.
+            secrets.token_bytes(300_000),
+        ):
+            data.send(garbage)
+            control.send_multipart([peer, garbage])
+        felt_n: list[float] = []
+        for number in range(800):
+            data.send(frame_now(100 + 5 * number, force_n=9e5))
+            answer_for(control, seconds=0.005)
+            while telemetry.poll(0):
+                topic, message = telemetry.recv_multipart()
+                if topic == TRACE:
+                    felt_n += read_trace(message).felt_n.tolist()
+        assert display.poll() is None
+        display.send_signal(signal.SIGTERM)
+        assert display.wait(PATIENCE_S) == 0
+    # Felt, and at its limit: 900 kN is a valid number.
+    assert 2.4 < max(felt_n) <= 2.5
+    rejected = read_json(summary)["rejected"]
+    assert {"not_msgpack", "truncated", "version", "session", "not_finite", "timestamp"} <= set(
+        rejected
+    )
+
+
+def answer_for(control: zmq.Socket, seconds: float) -> bytes:
+    """Answer hellos and clock requests as a sensing node on this very clock would.
+
+    Returns the last peer that asked.
+    """
+    end_s, peer = time.monotonic() + seconds, b""
+    while (left_ms := (end_s - time.monotonic()) * 1000) > 0:
+        if not control.poll(left_ms):
+            break
+        peer, message = control.recv_multipart()
+        now_ns = time.monotonic_ns()
+        match decode_control(message):
+            case Hello():
+                reply = encode_control(Welcome(7, 0, description()))
+            case ClockRequest(t1_ns=t1_ns):
+                reply = encode_control(ClockReply(7, t1_ns, now_ns, now_ns))
+            case _:
+                continue
+        control.send_multipart([peer, reply])
+    return peer
+
+
+def frame_now(first: int, session: int = 7, force_n: float = 0.3, ahead_s: float = 0.0) -> bytes:
+    t_ns = time.monotonic_ns() - 4_000_000 + round(ahead_s * 1e9)
+    return encode_frame(Frame(session, first, t_ns, 1_000_000, np.full((5, 1), force_n, "<f4")))
+
+
+def test_a_taken_telemetry_port_is_one_line(context: Context) -> None:
+    holder = context.socket(zmq.PUB)
+    address = free_address()
+    holder.bind(address)
+    result = run(MODULE, *display_arguments(free_address(), address))
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert address in result.stderr
+    assert "in use" in result.stderr
+
+
+@pytest.mark.parametrize("address", ["localhost:5555", "tcp://localhost", "tcp://h:70000", "x"])
+def test_a_wrong_address_is_one_line(address: str) -> None:
+    result = run(MODULE, str(RADIAL), "--connect", address, "--no-screen")
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert address in result.stderr
+
+
+@pytest.mark.parametrize("option", ["--connect", "--telemetry"])
+def test_beyond_loopback_it_starts_with_keys_or_where_it_is_told_to_do_without(
+    option: str,
+) -> None:
+    address = {"--connect": "tcp://192.0.2.1:5555", "--telemetry": "tcp://*:*"}[option]
+    arguments = (str(RADIAL), option, address, "--seconds", "0.2", "--no-screen")
+    refused, insecure = run(MODULE, *arguments), run(MODULE, *arguments, "--insecure")
+    assert (refused.returncode, insecure.returncode) == (2, 0)
+    assert refused.stderr.startswith(f"display-node: {address} reaches beyond this machine")
+    assert refused.stderr.count("\n") == 1
+    for word in ("telepulse keys new", "--key", "--insecure"):
+        assert word in refused.stderr
+    assert insecure.stderr == ""
+
+
+def test_help_reads_like_a_manual() -> None:
+    text = run(MODULE, "--help").stdout
+    for word in ("--connect", "--once", "compensation", "Exit status", "tcp://HOST:5555"):
+        assert word in text
+
+
+def test_without_a_terminal_the_screen_prints_a_line_a_second() -> None:
+    address = free_address()
+    arguments = (str(RADIAL), "--connect", address, "--once", "--seconds", "30")
+    with (
+        process(MODULE, *arguments) as display,
+        process("sensing_node.cli", *sensing_arguments(address, 8)),
+    ):
+        output, errors = display.communicate(timeout=PATIENCE_S + 10)
+    lines = [line for line in output.splitlines() if line.startswith("playing:")]
+    assert 1 <= len(lines) <= 9
+    for word in ("heart rate", "strain RMSE", "one-way delay p99", "deadline misses"):
+        # A line of an instant at which a busy machine held up the pulse has no heart rate.
+        assert any(word in line for line in lines)
+    assert "samples" in output
+    assert errors == ""

@@ -1,0 +1,50 @@
+"""A peer that fills our queue and goes must not take us with it; with heartbeats of ZeroMQ's own
+it would: libzmq 4.3.5 ends the process."""
+
+import subprocess
+import sys
+import time
+
+import zmq
+
+from protocol import sockets
+from protocol.sockets import Context
+from tests.support.nodes import free_address
+
+# It reads nothing for longer than two of the heartbeats that there were.
+NODE = """
+import sys, time, zmq
+from protocol import sockets
+context = zmq.Context()
+node = sockets.bind(context, zmq.ROUTER, sys.argv[1])
+print("bound", flush=True)
+sys.stdin.readline()
+print(sum(1 for _ in range(100) for _ in sockets.receive_all(node)))
+context.destroy(0)
+"""
+HEARTBEATS_S = 4.5
+FLOOD = 3 * sockets.HIGH_WATER_FRAMES
+
+
+def test_a_peer_that_goes_while_our_queue_is_full_of_its_messages(context: Context) -> None:
+    address = free_address()
+    node = subprocess.Popen(
+        [sys.executable, "-c", NODE, address],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    with node:
+        assert node.stdout is not None
+        node.stdout.readline()
+        for _ in range(3):
+            peer = sockets.connect(context, zmq.DEALER, address)
+            peer.setsockopt(zmq.SNDTIMEO, 20_000)
+            for _ in range(FLOOD):
+                peer.send(bytes(1_000))
+            time.sleep(0.3)
+            peer.close(0)
+        time.sleep(HEARTBEATS_S)
+        output, _ = node.communicate("read\n", timeout=20)
+    assert node.returncode == 0
+    assert int(output) >= sockets.HIGH_WATER_FRAMES

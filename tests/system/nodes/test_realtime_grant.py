@@ -1,0 +1,200 @@
+import json
+import os
+import signal
+from contextlib import closing
+from typing import Any
+
+import pytest
+import zmq
+
+from protocol.errors import RealtimeError
+from protocol.host.realtime_grant import hold
+from protocol.host.realtime_request import parse_realtime
+from protocol.host.scheduling import helpers
+from protocol.run_summary import Summary
+from tests.support.rights import needs_rights, with_rights, without_rights
+
+CHILD = "tests.support.realtime_child"
+HANGS = """
+import itertools
+from protocol.host.realtime_grant import hold
+from protocol.host.realtime_request import parse_realtime
+with hold(parse_realtime("fifo=1"), print):
+    print("held", flush=True)
+    sum(itertools.repeat(0))
+"""
+FIFO, OTHER = os.SCHED_FIFO, [os.SCHED_OTHER, 0]
+
+
+def told(wish: str, loop_s: float = 0, helper_s: float = 0, *, rights: bool = True) -> Any:
+    run = with_rights if rights else without_rights
+    child = run("-m", CHILD, wish, str(loop_s), str(helper_s))
+    assert child.stderr == ""
+    assert child.returncode == 0
+    return json.loads(child.stdout)
+
+
+@needs_rights
+def test_what_is_granted_is_what_the_kernel_says() -> None:
+    one = max(os.sched_getaffinity(0))
+    found = told(f"fifo=7,lock,cpu={one},slack")
+    assert found["refused"] == []
+    assert sorted(found["granted"]) == sorted(["fifo=7", "lock", f"cpu={one}", "slack"])
+    held = found["held"]
+    assert held["loop"] == [FIFO, 7]
+    # Network and sensors are helped, but cannot hold up a tick.
+    assert held["helpers"] == held["zeromq"] == [[FIFO, 6]]
+    assert held["cpus"] == [one]
+    assert held["helpers_cpus"] == found["before"]["cpus"]
+    assert held["locked_kib"] > 1_000
+
+
+@needs_rights
+def test_all_of_it_is_taken_back() -> None:
+    one = max(os.sched_getaffinity(0))
+    found = told(f"fifo=7,lock,cpu={one},slack")
+    before, after = found["before"], found["after"]
+    assert before["loop"] == OTHER
+    assert before["locked_kib"] == 0
+    assert after == before
+
+
+@needs_rights
+def test_threads_of_strangers_get_no_priority() -> None:
+    assert told("fifo=7")["held"]["others"] == [OTHER]
+
+
+def test_zeromqs_threads_are_found_before_they_had_the_time_to_name_themselves() -> None:
+    for _ in range(50):
+        before = helpers()
+        with zmq.Context() as context, closing(context.socket(zmq.PUB)):
+            # Its reaper, and what moves messages.
+            assert len(helpers() - before) == 2
+
+
+@needs_rights
+@pytest.mark.parametrize(("loop_s", "helper_s"), [(1.0, 0.0), (0.0, 0.6)], ids=["loop", "helper"])
+def test_who_runs_on_without_a_pause_loses_the_priority(loop_s: float, helper_s: float) -> None:
+    found = told("slack,fifo=7", loop_s, helper_s)
+    assert found["held"]["loop"] == [FIFO, 7]
+    later = found["later"]
+    assert later["loop"] == OTHER
+    assert later["helpers"] == later["zeromq"] == [OTHER]
+    assert found["granted"] == ["slack", "fifo=7 given up"]
+    assert set(found["said"]) == {"real-time: fifo is given up: 200 ms without a pause"}
+
+
+@needs_rights
+def test_a_priority_is_given_up_without_a_free_descriptor() -> None:
+    child = with_rights("-c", NO_DESCRIPTOR)
+    assert (child.returncode, child.stderr) == (0, "")
+    assert child.stdout == "given up\n[0, 0, 0]\n"
+
+
+@needs_rights
+def test_who_cannot_even_be_asked_to_give_it_up_is_ended_by_the_kernel() -> None:
+    # A library that does not come back: Python handles no signal meanwhile.
+    child = with_rights("-c", HANGS)
+    assert child.returncode == -signal.SIGKILL
+    assert child.stdout == "held\n"
+
+
+@needs_rights
+def test_a_loop_that_pauses_keeps_the_priority() -> None:
+    found = told("fifo=7", 0.05, 0.0)
+    assert found["later"]["loop"] == [FIFO, 7]
+    assert found["said"] == []
+
+
+def test_without_rights_it_is_said_what_is_missing_and_the_rest_holds() -> None:
+    found = told("fifo=7,lock,slack", rights=False)
+    assert found["granted"] == ["slack"]
+    lock, fifo = found["refused"]
+    assert lock.startswith("real-time: lock is not granted: RLIMIT_MEMLOCK is 0 KiB")
+    assert "memlock unlimited" in lock
+    assert fifo.startswith("real-time: fifo=7 is not granted: RLIMIT_RTPRIO is 0; ")
+    assert "rtprio 7" in fifo
+    assert "\n" not in lock + fifo
+    held = found["held"]
+    assert held["loop"] == OTHER
+    assert held["locked_kib"] == 0
+    assert held["slack_ns"] == 1
+    assert found["after"] == found["before"]
+
+
+def test_a_processor_that_is_not_there_is_refused() -> None:
+    there = os.sched_getaffinity(0)
+    last = max(there)
+    for wish in ("cpu=4000", f"cpu={last},cpu=4000"):
+        with hold(parse_realtime(wish), log=print) as held:
+            assert held.granted == {}
+            assert os.sched_getaffinity(0) == there
+        (refusal,) = held.refused
+        assert "this process may use" in str(refusal)
+
+
+def test_what_is_asked_for_strictly_and_refused_is_an_error() -> None:
+    there = os.sched_getaffinity(0)
+    with (
+        pytest.raises(RealtimeError, match="cpu=4000 is not granted"),
+        hold(parse_realtime("slack,cpu=4000,strict"), log=print),
+    ):
+        pytest.fail("it is not held")
+    assert os.sched_getaffinity(0) == there
+
+
+def test_a_summary_names_what_was_granted() -> None:
+    with hold(parse_realtime("slack,cpu=4000"), log=print) as held:
+        pass
+    assert held.noted(Summary()).loop.realtime == ["slack"]
+
+
+NO_DESCRIPTOR = """
+import os, resource, threading, time
+from protocol.host.realtime_grant import hold
+from protocol.host.realtime_request import parse_realtime
+
+def spin(seconds):
+    end_s = time.monotonic() + seconds
+    while time.monotonic() < end_s:
+        pass
+
+with hold(parse_realtime("fifo=7"), lambda line: print("given up")):
+    later = threading.Thread(target=time.sleep, args=(1,))
+    later.start()
+    none_free = os.dup(0)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (none_free, none_free))
+    os.close(none_free)
+    spin(0.5)
+    threads = [0, threading.get_native_id(), later.native_id]
+    print([os.sched_getscheduler(number) for number in threads])
+"""
+
+ELSEWHERE = """
+import os, sys
+for name in dir(os):
+    if name.lower().startswith("sched_"):
+        delattr(os, name)
+sys.modules["resource"] = None
+import display_node.cli, sensing_node.cli
+from display_node.doctor.host import describe, read_host
+from protocol.host.realtime_grant import hold
+from protocol.host.realtime_request import parse_realtime
+sys.platform = "win32"
+with hold(parse_realtime("fifo,lock,cpu=0,slack"), log=print) as held:
+    print(*held.granted)
+print(*(refusal.name for refusal in held.refused))
+print(*{refusal.reason for refusal in held.refused})
+print(dict(describe(read_host()))["may run on"])
+"""
+
+
+def test_elsewhere_than_on_linux_it_is_said_that_there_is_none() -> None:
+    child = with_rights("-c", ELSEWHERE)
+    assert child.stderr == ""
+    assert child.stdout.splitlines() == [
+        "",
+        "lock slack cpu=0 fifo=40",
+        "this system has no such thing",
+        "any",
+    ]

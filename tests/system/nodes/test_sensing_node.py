@@ -1,0 +1,312 @@
+import itertools
+import secrets
+import signal
+import socket
+import subprocess
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zmq
+
+from protocol.sockets import control_address
+from protocol.wire.messages import (
+    Bye,
+    ClockReply,
+    ClockRequest,
+    DisplayReport,
+    Hello,
+    decode_control,
+    decode_frame,
+    encode_control,
+)
+from telepulse.processes import HOST
+from tests.support.nodes import RADIAL, free_address, process, read_json, run
+from tests.support.sensing_client import PATIENCE_MS, Client
+
+MODULE = "sensing_node.cli"
+
+
+@pytest.fixture
+def address() -> str:
+    return free_address()
+
+
+@pytest.fixture
+def client(address: str) -> Iterator[Client]:
+    client = Client(address)
+    yield client
+    client.close()
+
+
+def end(node: "subprocess.Popen[str]", number: int = signal.SIGTERM) -> str:
+    """End a node by a signal, cleanly; what it printed."""
+    node.send_signal(number)
+    output, errors = node.communicate(timeout=PATIENCE_MS / 1000)
+    assert node.returncode == 0
+    assert errors == ""
+    return output
+
+
+def scene_file(folder: Path, source: str, **keys: str) -> Path:
+    path = folder / "scene.toml"
+    lines = [f'{key} = "{value}"' for key, value in keys.items()]
+    path.write_text("\n".join(["[sensing]", *lines, "[sensing.source]", source]), "utf-8")
+    return path
+
+
+def test_a_stream_from_hello_to_bye(address: str, client: Client, tmp_path: Path) -> None:
+    summary = tmp_path / "summary.json"
+    arguments = ("--bind", address, "--seconds", "1", "--json", str(summary))
+    with process(MODULE, str(RADIAL), *arguments) as node:
+        welcome = client.join()
+        stream = welcome.description
+        assert (stream.name, stream.period_ns, stream.batch) == ("radial pulse", 1_000_000, 5)
+        before_ns = time.monotonic_ns()
+        clock = client.ask(ClockRequest(12_345))
+        after_ns = time.monotonic_ns()
+        assert isinstance(clock, ClockReply)
+        assert (clock.session, clock.t1_ns) == (welcome.session, 12_345)
+        assert before_ns <= clock.t2_ns <= clock.t3_ns <= after_ns
+        bye = client.bye()
+        frames = client.frames_until(bye.samples_sent)
+        assert node.wait(PATIENCE_MS / 1000) == 0
+    assert bye == Bye(welcome.session, 1000)
+    assert {frame.session for frame in frames} == {welcome.session}
+    for frame, following in itertools.pairwise(frames):
+        assert following.first_sample == frame.first_sample + len(frame.values)
+        assert following.t_first_ns == frame.t_first_ns + len(frame.values) * stream.period_ns
+    assert all(frame.values.dtype == np.float32 for frame in frames)
+    force_n = np.concatenate([frame.values for frame in frames])
+    assert 0.1 < force_n.min() < force_n.max() < 0.7
+    result = read_json(summary)
+    assert result["samples"]["sent"] == 1000
+    assert result["rejected"] == {}
+
+
+@pytest.mark.parametrize(
+    ("rate", "batch", "seconds", "sent"),
+    [
+        ("1 kHz", "7 ms", "0.5", 500),
+        ("1 kHz", "1 s", "0.3", 300),
+        ("10 Hz", "5 ms", "0.5", 5),
+        ("100 kHz", "5 ms", "0.2", 20_000),
+    ],
+)
+def test_exactly_the_samples_of_the_asked_seconds_are_sent(
+    address: str, tmp_path: Path, rate: str, batch: str, seconds: str, sent: int
+) -> None:
+    scene = scene_file(tmp_path, f'kind = "synthetic"\nrate = "{rate}"', batch=batch)
+    summary = tmp_path / "summary.json"
+    arguments = ("--bind", address, "--seconds", seconds, "--json", str(summary))
+    assert run(MODULE, str(scene), *arguments).returncode == 0
+    assert read_json(summary)["samples"]["sent"] == sent
+
+
+def test_the_chains_delay_and_samples_beyond_the_adcs_range_are_told(
+    address: str, tmp_path: Path
+) -> None:
+    # 5 mV are 0.114 N at Fig. 4's sensitivity: below all of the pulse.
+    chain = "[sensing.conditioning]\nanti_alias = '40 Hz'\nadc_bits = 16\nadc_range = '5 mV'"
+    scene = scene_file(tmp_path, f'kind = "synthetic"\n{chain}')
+    summary = tmp_path / "summary.json"
+    arguments = ("--bind", address, "--seconds", "0.3", "--json", str(summary))
+    result = run(MODULE, str(scene), *arguments)
+    assert result.returncode == 0
+    assert read_json(summary)["faults"] == ["300 samples beyond the ADC's range"]
+    assert read_json(summary)["limited"]["adc"] == {"times": 1, "seconds": 0.3, "share": 1.0}
+    assert "ADC range 1 time, 0.3 s (100.0 % of the run)" in result.stdout
+    assert "300 samples beyond the ADC's range" in result.stdout
+    assert "delays the pulse by 10.5 ms" in result.stdout
+
+
+@pytest.mark.parametrize("length", [1003, 1000])
+def test_a_recording_played_once_is_sent_to_its_last_sample(
+    address: str, client: Client, tmp_path: Path, length: int
+) -> None:
+    # A triangle of 0.4 N: a column that only rises is refused as one of times.
+    wave_mn = np.abs(np.arange(length) % 400 - 200) * 2.0
+    np.save(tmp_path / "pulse.npy", wave_mn)
+    keys = 'kind = "recording"\npath = "pulse.npy"\nrate = "1 kHz"\nunit = "mN"\nrepeat = "once"'
+    with process(MODULE, str(scene_file(tmp_path, keys)), "--bind", address) as node:
+        client.join()
+        assert client.bye().samples_sent == length
+        frames = client.frames_until(length)
+        assert node.wait(PATIENCE_MS / 1000) == 0
+    force_n = np.concatenate([frame.values[:, 0] for frame in frames])
+    np.testing.assert_allclose(force_n, wave_mn[frames[0].first_sample :] * 1e-3, rtol=1e-6)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("batch", ["5 ms", "1 s"])
+def test_a_signal_ends_the_stream_with_all_that_was_due(
+    address: str, client: Client, tmp_path: Path, number: int, batch: str
+) -> None:
+    scene = scene_file(tmp_path, 'kind = "synthetic"', batch=batch)
+    with process(MODULE, str(scene), "--bind", address) as node:
+        client.join()
+        first, due = decode_frame(client.data.recv()), 0
+        while due < first.first_sample + len(first.values) + 10:
+            clock = client.ask(ClockRequest(0))
+            assert isinstance(clock, ClockReply)
+            due = first.first_sample + (clock.t2_ns - first.t_first_ns) // first.period_ns + 1
+        end(node, number)
+        bye = client.bye()
+        assert bye.samples_sent >= due
+        last = client.frames_until(bye.samples_sent)[-1]
+    assert last.first_sample + len(last.values) == bye.samples_sent
+
+
+def test_displays_may_leave_and_come_back(address: str, client: Client) -> None:
+    with process(MODULE, str(RADIAL), "--bind", address) as node:
+        session = client.join("anna's").session
+        with closing(Client(address)) as other:
+            assert other.join("bert's").session == session
+            first = decode_frame(other.data.recv())
+        with closing(Client(address)) as again:
+            welcome = again.join("bert's again")
+            frame = decode_frame(again.data.recv())
+            assert {first.session, welcome.session, frame.session} == {session}
+            assert frame.first_sample > first.first_sample
+            assert welcome.samples_sent > first.first_sample
+            report = DisplayReport(session, "anna's", 900, 20, 3, 1.0, 2.0, 40.0, 0.001)
+            client.control.send(encode_control(report))
+            client.ask(ClockRequest(0))
+            output = end(node)
+            assert client.bye() == again.bye()
+    for name in ("anna's", "bert's", "bert's again"):
+        assert f"{name} joined\n" in output
+    assert "anna's last reported 900 played, 20 late, 3 lost" in output
+
+
+HELLO = encode_control(Hello("raw"))
+GARBAGE: list[tuple[list[bytes], str]] = [
+    ([b""], "truncated"),
+    ([HELLO[:-1]], "truncated"),
+    ([b"\xc1" * 100], "not_msgpack"),
+    ([b"\x07"], "malformed"),
+    ([bytes(100_000)], "oversized"),
+    ([HELLO, b""], "malformed"),
+    ([HELLO] * 1000, "malformed"),
+    ([encode_control(ClockReply(1, 1, 1, 1))], "unexpected"),
+    ([encode_control(Bye(1, 1))], "session"),
+    ([encode_control(DisplayReport(1, "raw", 1, 0, 0, 0.0, 0.0, 0.0, 0.0))], "session"),
+]
+RANDOM_SIZES = (1, 10, 100, 1000, 60_000)
+
+
+def test_garbage_is_counted_and_harms_nothing(address: str, client: Client, tmp_path: Path) -> None:
+    summary = tmp_path / "summary.json"
+    arguments = ("--bind", address, "--json", str(summary))
+    with process(MODULE, str(RADIAL), *arguments) as node:
+        client.join()
+        for parts, _ in GARBAGE:
+            client.control.send_multipart(parts)
+        for size in RANDOM_SIZES:
+            client.control.send(secrets.token_bytes(size))
+        # Answered in order: now it has seen all of it.
+        assert isinstance(client.ask(ClockRequest(0)), ClockReply)
+        first = decode_frame(client.data.recv())
+        breaks_the_connection(address)
+        following = client.frames_until(first.first_sample + 300)
+        assert following[0].first_sample == first.first_sample + len(first.values)
+        end(node)
+    rejected: dict[str, int] = read_json(summary)["rejected"]
+    assert sum(rejected.values()) == len(GARBAGE) + len(RANDOM_SIZES)
+    for cause, count in Counter(cause for _, cause in GARBAGE).items():
+        assert rejected[cause] >= count
+
+
+def breaks_the_connection(address: str) -> None:
+    """Bytes that are not ZeroMQ's, and a message above what its socket takes."""
+    port = int(address.rpartition(":")[2])
+    for each in (port, port + 1):
+        with socket.create_connection((HOST, each)) as raw:
+            raw.sendall(b"GET / HTTP/1.1\r\n\r\n" + bytes(1000))
+    with closing(Client(address)) as huge:
+        huge.join()
+        monitor = huge.control.get_monitor_socket(zmq.EVENT_DISCONNECTED)
+        huge.control.send(bytes(2_000_000))
+        assert monitor.poll(PATIENCE_MS)
+        huge.control.disable_monitor()
+
+
+def test_a_display_may_have_any_name(address: str) -> None:
+    names = ["[/]", "[bold]", ":smile:", "☠"]
+    with process(MODULE, str(RADIAL), "--bind", address) as node:
+        for name in names:
+            with closing(Client(address)) as named:
+                named.join(name)
+                named.ask(ClockRequest(0))
+        output = end(node)
+    for name in names:
+        assert f"{ascii(name)[1:-1]} joined\n" in output
+
+
+@pytest.mark.parametrize("taken", ["data", "control"])
+def test_a_port_in_use_is_one_line(address: str, taken: str) -> None:
+    held = address if taken == "data" else control_address(address)
+    with socket.create_server((HOST, int(held.rpartition(":")[2]))):
+        result = run(MODULE, str(RADIAL), "--bind", address)
+    assert result.returncode == 2
+    assert result.stderr.startswith(f"sensing-node: cannot bind {held}: ")
+    assert "in use" in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("address", ["localhost:5555", "tcp://*:65535", "udp://h:1", "ipc://"])
+def test_a_wrong_address_is_one_line(address: str) -> None:
+    result = run(MODULE, str(RADIAL), "--bind", address)
+    assert result.returncode == 2
+    assert result.stderr.startswith(f"sensing-node: {address}: ")
+    assert result.stderr.count("\n") == 1
+
+
+def test_a_missing_scene_or_recording_is_one_line(tmp_path: Path) -> None:
+    missing = tmp_path / "none.toml"
+    keys = 'kind = "recording"\npath = "none.csv"\nrate = "1 kHz"\nunit = "N"'
+    for scene, said in [
+        (missing, f"sensing-node: {missing}: no such scene file\n"),
+        (scene_file(tmp_path, keys), f"sensing-node: {tmp_path}/none.csv: no such recording\n"),
+    ]:
+        result = run(MODULE, str(scene))
+        assert (result.returncode, result.stderr) == (2, said)
+        assert result.stdout == ""
+
+
+def test_beyond_loopback_it_starts_with_keys_or_where_it_is_told_to_do_without(
+    address: str,
+) -> None:
+    everywhere = address.replace(HOST, "*")
+    arguments = (str(RADIAL), "--bind", everywhere, "--seconds", "0.1", "--quiet")
+    refused, insecure = run(MODULE, *arguments), run(MODULE, *arguments, "--insecure")
+    assert (refused.returncode, insecure.returncode) == (2, 0)
+    assert refused.stderr.startswith(f"sensing-node: {everywhere} reaches beyond this machine")
+    assert refused.stderr.count("\n") == 1
+    for word in ("telepulse keys new", "--key", "--insecure"):
+        assert word in refused.stderr
+    assert (insecure.stderr, refused.stdout) == ("", "")
+
+
+def test_it_stays_until_a_display_has_the_whole_stream(address: str, client: Client) -> None:
+    with process(MODULE, str(RADIAL), "--bind", address, "--seconds", "0.5") as node:
+        client.join()
+        bye = decode_control(client.control.recv())
+        assert isinstance(bye, Bye)
+        # One that joins now, or comes back over another connection, is told as well.
+        with closing(Client(address)) as other:
+            other.join("other")
+            assert other.bye() == bye
+        assert node.poll() is None
+        client.control.send(encode_control(bye))
+        assert node.wait(PATIENCE_MS / 1000) == 0
+
+
+def test_it_does_not_stay_for_ever(address: str, client: Client) -> None:
+    with process(MODULE, str(RADIAL), "--bind", address, "--seconds", "0.5") as node:
+        client.join()
+        assert node.wait(PATIENCE_MS / 1000) == 0

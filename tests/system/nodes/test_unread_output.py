@@ -1,0 +1,128 @@
+"""Nodes whose output nobody reads, as processes: they serve, end when told to, and sum up."""
+
+import fcntl
+import os
+import signal
+import subprocess
+import sys
+import termios
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+import zmq
+
+from protocol import sockets
+from protocol.sockets import Context, control_address
+from protocol.wire.messages import Hello, Welcome, decode_control, encode_control
+from tests.support.live_display import await_state, subscribe
+from tests.support.nodes import RADIAL, ROOT, assert_accounted, free_address, process, read_json
+from tests.support.unread import KINDS, obeys_sigterm, process_into, unread
+from tests.support.waiting import until
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="/dev/full, /proc")
+ENDS_WITHIN_S = 20.0
+SENSING, DISPLAY, TELEPULSE = "sensing_node.cli", "display_node.cli", "telepulse"
+
+
+@contextmanager
+def started(kind: str, module: str, *arguments: str) -> Iterator["subprocess.Popen[bytes]"]:
+    with unread(kind) as number, process_into(number, module, *arguments) as child:
+        yield child
+
+
+def test_a_sensing_node_whose_output_is_not_read_serves_and_ends(
+    context: Context, tmp_path: Path
+) -> None:
+    with ExitStack() as stack:
+        nodes = []
+        for kind in KINDS:
+            address, json = free_address(), tmp_path / f"{kind}.json"
+            arguments = (str(RADIAL), "--bind", address, "--json", str(json))
+            node = stack.enter_context(started(kind, SENSING, *arguments))
+            display = sockets.connect(context, zmq.DEALER, control_address(address))
+            # Which it logs, too.
+            display.send(encode_control(Hello(kind)))
+            nodes.append((node, display, json))
+        for node, display, _ in nodes:
+            assert display.poll(ENDS_WITHIN_S * 1000), node.args
+            assert isinstance(decode_control(display.recv()), Welcome)
+            display.close(0)
+            node.send_signal(signal.SIGTERM)
+        for node, _, json in nodes:
+            assert node.wait(ENDS_WITHIN_S) == 0, node.args
+            assert read_json(json)["samples"]["sent"] is not None
+
+
+def test_a_display_whose_output_is_not_read_plays_and_ends(
+    context: Context, tmp_path: Path
+) -> None:
+    address = free_address()
+    with ExitStack() as stack:
+        stack.enter_context(process(SENSING, str(RADIAL), "--bind", address, "--quiet"))
+        nodes = []
+        for kind in ("terminal", "pipe"):
+            telemetry, json = free_address(), tmp_path / f"{kind}.json"
+            arguments = ("--connect", address, "--telemetry", telemetry, "--json", str(json))
+            # With processes beside it that print, too: the screen; recorder and metrics.
+            if kind == "pipe":
+                recording = str(tmp_path / "all.mcap")
+                arguments += ("--no-screen", "--record", recording, "--metrics", "0")
+            reader = subscribe(context, telemetry)
+            node = stack.enter_context(started(kind, DISPLAY, str(RADIAL), *arguments))
+            nodes.append((node, reader, json))
+        for node, reader, _ in nodes:
+            await_state(reader, "playing")
+            node.send_signal(signal.SIGTERM)
+        for node, _, json in nodes:
+            assert node.wait(ENDS_WITHIN_S) == 0, node.args
+            samples = read_json(json)["samples"]
+            assert_accounted(samples)
+            assert samples["played"] > 0
+
+
+def test_programs_beside_the_nodes_end_when_their_output_is_not_read(tmp_path: Path) -> None:
+    here, there, telemetry = (free_address() for _ in range(3))
+    with ExitStack() as stack:
+        programs = [
+            stack.enter_context(started("pipe", TELEPULSE, *arguments))
+            for arguments in (
+                ("relay", "--connect", here, "--bind", there),
+                ("link", "--connect", here, "--bind", free_address()),
+                ("view", telemetry),
+            )
+        ]
+        json = tmp_path / "demo.json"
+        demo = ("demo", "--seconds", "1", "--no-page", "--json", str(json))
+        shown = stack.enter_context(started("terminal", TELEPULSE, *demo))
+        for program in programs:
+            until(lambda program=program: obeys_sigterm(program))
+            program.send_signal(signal.SIGTERM)
+        for program in programs:
+            assert program.wait(ENDS_WITHIN_S) == 0, program.args
+        assert shown.wait(ENDS_WITHIN_S) == 0
+        assert_accounted(read_json(json)["samples"])
+
+
+def test_a_node_whose_terminal_closes_ends_as_at_ctrl_c(tmp_path: Path) -> None:
+    master, terminal = os.openpty()
+    json = tmp_path / "sum.json"
+    node = subprocess.Popen(
+        [sys.executable, "-m", SENSING, str(RADIAL), "--bind", free_address(), "--json", str(json)],
+        cwd=ROOT,
+        stdin=terminal,
+        stdout=terminal,
+        stderr=terminal,
+        start_new_session=True,
+        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+    )
+    try:
+        os.close(terminal)
+        until(lambda: obeys_sigterm(node))
+        os.close(master)
+        assert node.wait(ENDS_WITHIN_S) == 0
+        assert read_json(json)["samples"]["sent"] >= 0
+    finally:
+        node.kill()
+        node.wait()

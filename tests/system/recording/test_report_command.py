@@ -1,0 +1,168 @@
+import json
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from benchmarks.analysis import DELAY_TICKS, GAIN, record
+from display_node.telemetry.capture import CONTROL
+from protocol.limits import Limited, Limits
+from telepulse.recording.mcap_writer import McapWriter
+from telepulse.recording.reader import RecordingReader
+from telepulse.recording.report.chapters import build_recording_report
+from telepulse.recording.report.findings import RunFindings, read_findings
+from telepulse.recording.report.in_turn import in_turn
+from telepulse.telemetry.schema import TICK
+from tests.support.nodes import RADIAL, free_address, process, read_json, run
+from tests.system.recording.test_replay_command import recorded_display
+from tests.unit.telepulse.telemetry.test_transcript import WELCOME, Spoken
+
+MODULE = "telepulse"
+PATIENCE_S = 240.0
+PLOTS = (
+    *("force-first", "force-worst", "error", "heart-rate"),
+    *("delays", "delay-distribution", "loss", "clock", "loop"),
+)
+
+
+class Page(HTMLParser):
+    """The files that a page needs besides itself."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.needed: set[str] = set()
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.needed |= {value for name, value in attrs if name in ("src", "srcset", "href")}
+
+
+@pytest.mark.timeout(2 * PATIENCE_S)
+def test_the_figures_are_the_displays_own(tmp_path: Path) -> None:
+    address, path = free_address(), tmp_path / "a.mcap"
+    sensing = ("sensing_node.cli", str(RADIAL), "--bind", address, "--seconds", "4", "--quiet")
+    with recorded_display(path, address) as display, process(*sensing):
+        display.communicate(timeout=PATIENCE_S)
+        assert display.returncode == 0
+    own = read_json(path.with_suffix(".json"))
+    made = own.pop("provenance")
+    findings = read_findings(path)
+    found = findings.summary().to_dict()
+    assert findings.own is not None
+    assert findings.own_final
+    assert findings.own.to_dict() == own
+    assert findings.provenance[0]["version"] == made["version"]
+    for part in ("frames", "one_way_delay_ms", "clock"):
+        assert found[part] == own[part], part
+    assert found["loop"]["ticks"] == own["loop"]["ticks"]
+    # What was missed before the first tick leaves no trace.
+    assert found["loop"]["deadline_misses"] <= own["loop"]["deadline_misses"]
+    assert found["samples"]["sent"] == own["samples"]["sent"]
+    assert found["samples"]["lost"] == own["samples"]["lost"]
+    assert found["force_rmse_n"] == pytest.approx(own["force_rmse_n"], rel=0.01)
+    assert found["within_jnd"] == pytest.approx(own["within_jnd"], abs=0.01)
+    assert found["playout_delay_ms"]["mean"] == pytest.approx(
+        own["playout_delay_ms"]["mean"], abs=1
+    )
+
+
+@pytest.mark.timeout(2 * PATIENCE_S)
+def test_the_page_has_all_it_shows_beside_it(tmp_path: Path) -> None:
+    path, tables = tmp_path / "a.mcap", tmp_path / "tables.json"
+    record(path, 8)
+    arguments = ("report", str(path), "--json", str(tables))
+    result = run(MODULE, *arguments, timeout_s=PATIENCE_S)
+    assert (result.returncode, result.stderr) == (0, "")
+    folder = tmp_path / "a-report"
+    assert f"report: {folder / 'index.html'}" in result.stdout
+    needed = Page((folder / "index.html").read_text(encoding="utf-8")).needed
+    assert {f"{name}-light.png" for name in PLOTS} < needed
+    for name in needed:
+        assert (folder / name).stat().st_size > 1_000
+    chapters = json.loads(tables.read_text(encoding="utf-8"))["chapters"]
+    rows = {row[""]: row["from the recording"] for row in chapters[0]["tables"][0]["rows"]}
+    assert (rows["ticks"], rows["playout delay, mean"]) == ("8000", f"{DELAY_TICKS:.2f} ms")
+
+
+def test_it_finds_what_is_known_to_be_in_a_recording(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    record(path, 20, {1_000, *range(2_000, 2_100)})
+    findings = read_findings(path)
+    found = findings.summary()
+    assert (findings.ticks, found.loop.deadline_misses) == (20_000, 0)
+    assert found.samples.lost == 505
+    assert found.one_way_delay_ms.max == pytest.approx(1.0)
+    assert found.playout_delay_ms.mean == pytest.approx(DELAY_TICKS)
+    assert found.force_rmse_n.aligned == pytest.approx((GAIN - 1) * 0.3, rel=0.3)
+    assert found.within_jnd == 1.0
+    assert [round(felt or 0) for _, _, felt in findings.forces.heart] == pytest.approx(
+        [75] * 3, abs=4
+    )
+    # Nothing was sensed for half a second: no heart rate of the wrist then.
+    assert [wrist is None for _, wrist, _ in findings.forces.heart] == [False, True, False]
+    assert [name for _, _, name, _ in findings.events] == [
+        "begin",
+        "session",
+        "state",
+        "join",
+        "state",
+        "end",
+    ]
+
+
+def test_one_that_breaks_off_is_reported_as_far_as_it_goes(tmp_path: Path) -> None:
+    path, cut = tmp_path / "a.mcap", tmp_path / "cut.mcap"
+    record(path, 8)
+    cut.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
+    said = build_recording_report(cut).chapters[0]
+    assert any("The recording: breaks off after 5.2 s" in text for text in said.paragraphs)
+    assert "last status, for it never ended" in said.tables[0].note
+
+
+def test_one_that_never_played_is_reported(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    record(path, 1)
+    force = build_recording_report(path).chapters[1]
+    assert force.paragraphs == ("The pulse was never played at its full strength.",)
+    assert force.plots == ()
+
+
+def test_a_limit_that_was_reached_is_an_event_and_a_row(tmp_path: Path) -> None:
+    path, spoken = tmp_path / "a.mcap", Spoken()
+    writer = McapWriter(path)
+    limited = Limits(force=Limited(312, 4.1, 0.205))
+    for entry in [
+        *spoken.hear((CONTROL, WELCOME)),
+        *spoken.status("playing"),
+        *spoken.status("playing", limited=limited),
+        *spoken.status("playing", limited=limited, final=True),
+    ]:
+        writer.add(entry)
+    assert writer.close() is None
+    findings = read_findings(path)
+    assert findings.own is not None
+    assert findings.own.limited == limited
+    named = [(name, text) for _, _, name, text in findings.events]
+    assert named.count(("limited", "force limit reached")) == 1
+    rows = {row[0]: row[2] for row in build_recording_report(path).chapters[0].tables[0].rows}
+    assert rows["limited"] == "force limit 312 times, 4.1 s (20.5 % of the run)"
+
+
+def test_ticks_that_were_left_out_are_missed_ones(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    record(path, 2)
+    findings = RunFindings(path)
+    for number, told in enumerate(in_turn(RecordingReader(path))):
+        if told.topic != TICK or number % 100:
+            findings.take(told)
+    assert findings.ticks + findings.summary().loop.deadline_misses == 2_000
+    assert findings.ticks < 1_990
+
+
+def test_what_is_no_recording_is_one_line_and_no_report(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(b"force\n0.1\n")
+    result = run(MODULE, "report", str(path))
+    assert result.returncode == 2
+    assert result.stderr == f"telepulse: {path}: is not an MCAP file\n"
+    assert not (tmp_path / "x-report" / "index.html").exists()

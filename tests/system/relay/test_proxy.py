@@ -1,0 +1,121 @@
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+
+import pytest
+import zmq
+
+from protocol import sockets
+from protocol.sockets import Context, Socket
+from telepulse.relay.proxy import Proxy
+from tests.support.nodes import free_address
+
+PATIENCE_S = 20.0
+QUEUED = 3_000
+
+
+class Ends:
+    """A display and a sensing node with a control proxy between them."""
+
+    def __init__(self, context: Context) -> None:
+        inner, outer = free_address(), free_address()
+        self.inner, self.outer = inner, outer
+        self.display = sockets.connect(context, zmq.DEALER, outer)
+        self.sensing = sockets.unconnected(context, zmq.ROUTER)
+        for end in (self.display, self.sensing):
+            end.setsockopt(zmq.RCVTIMEO, int(PATIENCE_S * 1000))
+        upstream = sockets.unconnected(context, zmq.DEALER)
+        upstream.connect(inner)
+        self.proxy = Proxy(context, sockets.bind(context, zmq.ROUTER, outer), upstream)
+
+    def begin(self) -> None:
+        """Start both the sensing node and the proxy."""
+        self.sensing.bind(self.inner)
+        self.proxy.start()
+
+
+@pytest.fixture
+def ends(context: Context) -> Iterator[Ends]:
+    ends = Ends(context)
+    yield ends
+    ends.proxy.stop()
+
+
+def look_until(proxy: Proxy, met: Callable[[], bool]) -> None:
+    end_s = time.monotonic() + PATIENCE_S
+    while not met():
+        assert time.monotonic() < end_s
+        time.sleep(0.01)
+        proxy.look()
+
+
+def answer(sensing: Socket, text: bytes) -> bytes:
+    *envelope, question = sensing.recv_multipart()
+    sensing.send_multipart([*envelope, text])
+    return question
+
+
+def test_questions_and_answers_pass_and_are_counted_over_several_runs(ends: Ends) -> None:
+    ends.sensing.bind(ends.inner)
+    for turn in range(3):
+        ends.proxy.start()
+        ends.display.send(b"question")
+        assert answer(ends.sensing, b"answer") == b"question"
+        assert ends.display.recv() == b"answer"
+        # Each is an address and a text.
+        expected = 2 * (turn + 1)
+        look_until(ends.proxy, lambda e=expected: ends.proxy.heard == e)
+        ends.proxy.stop()
+        assert (ends.proxy.asked, ends.proxy.heard) == (expected, expected)
+    assert ends.proxy.heard_bytes == 3 * (5 + len(b"answer"))
+
+
+def test_what_comes_between_two_runs_waits(ends: Ends) -> None:
+    ends.begin()
+    ends.proxy.stop()
+    ends.display.send(b"question")
+    ends.proxy.start()
+    assert answer(ends.sensing, b"answer") == b"question"
+    assert ends.display.recv() == b"answer"
+
+
+def test_a_flood_that_finds_no_sensing_node_neither_holds_it_up_nor_garbles_what_follows(
+    ends: Ends, context: Context
+) -> None:
+    # ZeroMQ's proxy looks for room once in a burst of a thousand: the first of them has gone.
+    ends.proxy.start()
+    ends.display.send(b"question")
+    look_until(ends.proxy, lambda: ends.proxy.asked == 2)  # an address, a text
+    ends.proxy.stop()
+    another = sockets.connect(context, zmq.DEALER, ends.outer)
+    for _ in range(QUEUED // 2):
+        ends.display.send(b"question")
+        another.send(b"question")
+    time.sleep(0.3)
+    ends.proxy.start()
+    time.sleep(0.3)
+    stopping = threading.Thread(target=ends.proxy.stop)
+    stopping.start()
+    stopping.join(PATIENCE_S)
+    assert not stopping.is_alive()
+    assert ends.proxy.dropped >= 1
+    ends.begin()
+    received = [ends.sensing.recv_multipart()]
+    ends.sensing.setsockopt(zmq.RCVTIMEO, 500)
+    with suppress(zmq.Again):
+        while True:
+            received.append(ends.sensing.recv_multipart())
+    assert sockets.HIGH_WATER_FRAMES <= len(received) <= QUEUED
+    assert {tuple(parts[-1:]) for parts in received} == {(b"question",)}
+    assert {len(parts) for parts in received} == {3}
+    ends.display.send(b"last")
+    assert answer(ends.sensing, b"answer") == b"last"
+    assert ends.display.recv() == b"answer"
+
+
+def test_it_sleeps_while_nothing_passes(ends: Ends) -> None:
+    ends.begin()
+    began_s = time.process_time()
+    time.sleep(0.5)
+    assert time.process_time() - began_s < 0.1

@@ -1,0 +1,333 @@
+"""Relays between raw peers, in threads of the test."""
+
+import itertools
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import zmq
+
+from benchmarks.faults.hostile import port_of
+from protocol import sockets
+from protocol.run_summary import Summary
+from protocol.security.allow_list import allow, revoke
+from protocol.security.keys import ClientKeys, KeyPair, ServerKeys, new_pair, read_pair
+from protocol.sockets import Context, Socket, control_address
+from protocol.wire.messages import encode_frame
+from telepulse.relay.relay import Relay
+from tests.support.frames import frame
+from tests.support.middleman import Middleman
+from tests.support.nodes import free_address
+
+PATIENCE_S = 20.0
+
+
+class Running:
+    """A relay that runs in a thread; log: what it said; summary: once it has ended."""
+
+    def __init__(
+        self,
+        connect: str,
+        bind: str,
+        client_keys: ClientKeys | None = None,
+        server_keys: ServerKeys | None = None,
+    ) -> None:
+        self.log: list[str] = []
+        self.summary: Summary | None = None
+        self._relay = Relay(connect, bind, self.log.append, client_keys, server_keys)
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def end(self) -> Summary:
+        """Stop it; what it summed up."""
+        self._relay.stop()
+        self._thread.join(PATIENCE_S)
+        assert self.summary is not None
+        return self.summary
+
+    def _run(self) -> None:
+        self.summary = self._relay.run()
+
+
+@contextmanager
+def relaying(*arguments: str, **keys: object) -> Iterator[Running]:
+    """A relay that does not outlive the block."""
+    relay = Running(*arguments, **keys)  # type: ignore[arg-type]
+    try:
+        yield relay
+    finally:
+        relay.end()
+
+
+class Sensing:
+    """A sensing node's sockets."""
+
+    def __init__(self, context: Context, address: str) -> None:
+        self.data = sockets.bind(context, zmq.PUB, address)
+        self.control = sockets.bind(context, zmq.ROUTER, control_address(address))
+        self.control.setsockopt(zmq.RCVTIMEO, int(PATIENCE_S * 1000))
+
+    def asked(self) -> list[bytes]:
+        """The next question, with its envelope."""
+        return self.control.recv_multipart()
+
+    def close(self) -> None:
+        """Let go of the address."""
+        self.data.close(0)
+        self.control.close(0)
+
+
+class Raw:
+    """A display's sockets."""
+
+    def __init__(self, context: Context, address: str, keys: ClientKeys | None = None) -> None:
+        self.data = sockets.connect(context, zmq.SUB, address, keys)
+        self.data.subscribe(b"")
+        self.control = sockets.connect(context, zmq.DEALER, control_address(address), keys)
+        for socket in (self.data, self.control):
+            socket.setsockopt(zmq.RCVTIMEO, int(PATIENCE_S * 1000))
+
+
+def published(data: Socket, heard: Socket, texts: Iterator[bytes]) -> bytes:
+    """Return what arrives first of messages that are published one after the other."""
+    return eventually(lambda: data.send(next(texts)) or (heard.poll(20) and heard.recv()))
+
+
+def eventually(look: Callable[[], object]) -> bytes:
+    """The first true value that `look` has, within patience."""
+    end_s = time.monotonic() + PATIENCE_S
+    while time.monotonic() < end_s:
+        if value := look():
+            assert isinstance(value, bytes | bool)
+            return bytes(value)
+        time.sleep(0.01)
+    pytest.fail("not within patience")
+
+
+def numbered() -> Iterator[bytes]:
+    for number in range(1_000_000):
+        yield b"%d" % number
+
+
+def test_frames_questions_and_answers_pass_a_chain_of_three_each_envelope_an_address_longer(
+    context: Context,
+) -> None:
+    addresses = [free_address() for _ in range(4)]
+    sensing, display = Sensing(context, addresses[0]), Raw(context, addresses[3])
+    with (
+        relaying(addresses[0], addresses[1]),
+        relaying(addresses[1], addresses[2]),
+        relaying(addresses[2], addresses[3]) as last,
+    ):
+        display.control.send(b"question")
+        *envelope, question = sensing.asked()
+        assert (len(envelope), question) == (4, b"question")
+        sensing.control.send_multipart([*envelope, b"answer"])
+        assert display.control.recv() == b"answer"
+        first = int(published(sensing.data, display.data, numbered()))
+        for number in range(100):
+            sensing.data.send(b"%d" % (10_000 + number))
+        received = [display.data.recv()]
+        while received[-1] != b"10099":
+            received.append(display.data.recv())
+        assert received[-100:] == [b"%d" % (10_000 + number) for number in range(100)]
+        frames = last.end().frames.received
+        assert frames is not None
+        assert 101 <= frames <= 100 + 10_000 - first
+
+
+def test_nobody_asks_nothing_is_sent(context: Context) -> None:
+    inner, outer = free_address(), free_address()
+    data = sockets.bind(context, zmq.XPUB, inner)
+    with relaying(inner, outer) as relay:
+        assert not data.poll(300)
+        one, another = Raw(context, outer), Raw(context, outer)
+        # Asked for once, whoever wants it.
+        assert data.recv() == b"\1"
+        for display in (one, another):
+            published(data, display.data, numbered())
+        assert not data.poll(0)
+        one.data.unsubscribe(b"")
+        assert not data.poll(100)
+        another.data.unsubscribe(b"")
+        assert data.recv() == b"\0"
+        assert relay.end().frames.received
+
+
+def test_a_sensing_node_that_is_started_again_is_heard_again(context: Context) -> None:
+    inner, outer = free_address(), free_address()
+    sensing, display = Sensing(context, inner), Raw(context, outer)
+    with relaying(inner, outer):
+        for _ in range(2):
+            published(sensing.data, display.data, numbered())
+            display.control.send(b"question")
+            assert sensing.asked()[-1] == b"question"
+            sensing.close()
+            sensing = Sensing(context, eventually_free(inner))
+
+
+def eventually_free(address: str) -> str:
+    """The address, once what was bound to it has let go."""
+    time.sleep(0.1)
+    return address
+
+
+def test_a_relay_that_is_started_again_is_a_cut_that_has_ended(context: Context) -> None:
+    inner, outer = free_address(), free_address()
+    sensing, display = Sensing(context, inner), Raw(context, outer)
+    for text in (b"one", b"two"):
+        with relaying(inner, outer):
+            published(sensing.data, display.data, iter([text] * 10_000))
+            display.control.send(text)
+            assert sensing.asked()[-1] == text
+
+
+def test_what_is_asked_and_not_answered_makes_it_connect_anew(context: Context) -> None:
+    inner, outer = free_address(), free_address()
+    sensing, display = Sensing(context, inner), Raw(context, outer)
+    with relaying(inner, outer) as relay:
+        display.control.send(b"question")
+        first, *_ = sensing.asked()
+        # Its connection breaks for good: one message above the limit ends it.
+        sensing.control.send_multipart([first, b"", bytes(4 * 65_536 + 1)])
+        eventually(lambda: display.control.send(b"again") or asked_by_another(sensing, first))
+        assert any("silent" in line for line in relay.log)
+
+
+class DeadOnes:
+    """Alters nothing of a connection, until those that there are by then carry nothing more."""
+
+    def __init__(self) -> None:
+        self._seen: set[int] = set()
+        self._dead: set[int] = set()
+
+    def __call__(self, data: bytes) -> bytes:
+        # Each direction of a connection has a thread of its own.
+        self._seen.add(threading.get_ident())
+        return b"" if threading.get_ident() in self._dead else data
+
+    def cut(self) -> None:
+        self._dead |= self._seen
+
+
+def test_where_frames_alone_fall_silent_they_come_over_a_second_connection(
+    context: Context,
+) -> None:
+    inner, outer, public = free_address(), free_address(), free_address()
+    sensing, display = Sensing(context, inner), Raw(context, outer)
+    line, control, dead = (
+        middleman(public, inner),
+        middleman(*map(control_address, (public, inner))),
+        DeadOnes(),
+    )
+    line.down = dead
+    frames = (encode_frame(frame(5 * number)) for number in itertools.count())
+
+    def play() -> object:
+        """Send a frame, ask and answer; what was received of the frames."""
+        sensing.data.send(next(frames))
+        display.control.send(b"question")
+        *envelope, _ = sensing.asked()
+        sensing.control.send_multipart([*envelope, b"answer"])
+        assert display.control.recv() == b"answer"
+        return display.data.poll(5) and display.data.recv()
+
+    try:
+        with relaying(public, outer) as relay:
+            eventually(play)
+            # Frames come regularly, so that their length is known.
+            for _ in range(50):
+                play()
+            dead.cut()
+            while play():
+                pass
+            from_s = time.monotonic()
+            eventually(play)
+            silent_s = time.monotonic() - from_s
+            reconnections = relay.end().reconnections
+        # As long as a display takes, and far less than the 10 s without a known length.
+        assert silent_s < 5
+        assert reconnections.opened
+        assert reconnections.control == 0
+    finally:
+        line.close()
+        control.close()
+
+
+def middleman(listen: str, onto: str) -> Middleman:
+    return Middleman(port_of(listen), port_of(onto))
+
+
+def asked_by_another(sensing: Sensing, first: bytes) -> bool:
+    return bool(sensing.control.poll(50)) and sensing.asked()[0] != first
+
+
+def test_a_display_that_reads_nothing_costs_no_more_than_its_queue(context: Context) -> None:
+    inner, outer = free_address(), free_address()
+    sensing, reader = Sensing(context, inner), Raw(context, outer)
+    frame = bytes(50_000)
+    with relaying(inner, outer) as relay:
+        asleep = sockets.connect(context, zmq.SUB, outer)
+        asleep.setsockopt(zmq.RCVHWM, 1)
+        asleep.subscribe(b"")
+        published(sensing.data, reader.data, numbered())
+        time.sleep(0.3)
+        before_bytes, most_bytes = resident_bytes(), 0
+        for number in range(4_000):
+            sensing.data.send(frame)
+            reader.data.recv()
+            if number % 100 == 0:
+                most_bytes = max(most_bytes, resident_bytes())
+        # 200 MB were sent; 50 MB are a queue.
+        assert most_bytes - before_bytes < 2 * sockets.HIGH_WATER_FRAMES * len(frame)
+        frames = relay.end().frames.received
+        assert frames is not None
+        assert frames >= 4_000
+
+
+def resident_bytes() -> int:
+    return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * 4096
+
+
+def test_with_keys_it_lets_in_whom_it_allows_and_is_let_in_where_it_is_allowed(
+    context: Context, tmp_path: Path
+) -> None:
+    wrist, own, finger, stranger = (pair(tmp_path, n) for n in ("wrist", "own", "finger", "odd"))
+    allowed = tmp_path / "allowed"
+    allow(allowed, finger.public)
+    inner, outer = free_address(), free_address()
+    sensing = sockets.unconnected(context, zmq.ROUTER)
+    sensing.setsockopt(zmq.CURVE_SERVER, 1)
+    sensing.setsockopt(zmq.CURVE_SECRETKEY, wrist.secret)
+    sensing.setsockopt(zmq.RCVTIMEO, int(PATIENCE_S * 1000))
+    sensing.bind(control_address(inner))
+    upstream, downstream = ClientKeys(own, wrist.public), ServerKeys(own, allowed)
+    with relaying(inner, outer, client_keys=upstream, server_keys=downstream) as relay:
+        odd = Raw(context, outer, ClientKeys(stranger, own.public))
+        keyless = Raw(context, outer)
+        friend = Raw(context, outer, ClientKeys(finger, own.public))
+        for display, text in ((odd, b"odd"), (keyless, b"keyless"), (friend, b"friend")):
+            display.control.send(text)
+        *envelope, question = sensing.recv_multipart()
+        assert question == b"friend"
+        sensing.send_multipart([*envelope, b"answer"])
+        assert friend.control.recv() == b"answer"
+        revoke(allowed, "finger")
+        eventually(lambda: refused(relay, finger))
+        summary = relay.end()
+    assert summary.rejected["unknown_key"] >= 1
+    # Whichever side sees first that one of them has no key.
+    assert {"no_key", "handshake"} & set(summary.rejected)
+    assert sum(stranger.public.key.hex() in line for line in relay.log) == 1
+
+
+def refused(relay: Running, pair: KeyPair) -> bool:
+    return any(pair.public.key.hex() in line for line in relay.log)
+
+
+def pair(folder: Path, name: str) -> KeyPair:
+    secret, _ = new_pair(folder, name)
+    return read_pair(secret)

@@ -1,0 +1,162 @@
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.nodes import ROOT, read_json, run
+
+MODULE = "telepulse"
+PLOTS = {
+    "calibration",
+    "simulated-strain",
+    "force-tracking",
+    "strain-tracking",
+    "readings",
+    "pulse",
+    "spectrum",
+    "presets",
+}
+
+
+@dataclass(frozen=True)
+class Written:
+    output: str
+    folder: Path
+    table: dict[str, Any]
+
+    def rows(self, title: str) -> dict[str, dict[str, str]]:
+        """A table's rows by their first cell."""
+        for chapter in self.table["chapters"]:
+            for table in chapter["tables"]:
+                if table["title"] == title:
+                    return {next(iter(row.values())): row for row in table["rows"]}
+        raise LookupError(title)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
+    folder = tmp_path_factory.mktemp("paper")
+    out, json = folder / "new" / "report", folder / "tables.json"
+    result = run(MODULE, "paper", "--out", str(out), "--json", str(json))
+    assert result.returncode == 0, result.stderr
+    assert result.stderr == ""
+    return Written(result.stdout, out, read_json(json))
+
+
+def test_it_prints_its_tables_and_where_the_report_is(written: Written) -> None:
+    assert written.output.endswith(f"report: {written.folder / 'index.html'}\n")
+    for words in ("Paper and ours", "why they differ", "99.71 %", "0.020863 N"):
+        assert words in written.output
+
+
+def test_every_figure_is_there_in_both_themes(written: Written) -> None:
+    page = (written.folder / "index.html").read_text("utf-8")
+    shown = set(re.findall(r'(?:src|srcset)="([^"]+)"', page))
+    assert {f"{name}-{theme}.png" for name in PLOTS for theme in ("light", "dark")} <= shown
+    for name in shown:
+        assert (written.folder / name).read_bytes().startswith(b"\x89PNG"), name
+
+
+def test_the_page_says_that_no_reading_gives_all_three(written: Written) -> None:
+    page = (written.folder / "index.html").read_text("utf-8")
+    assert "No reading gives all three figures." in page
+    assert not re.search(r"\b(nan|inf|None)\b", page)
+
+
+def test_each_figure_of_the_paper_has_ours_and_why(written: Written) -> None:
+    rows = written.rows("Paper and ours")
+    assert len(rows) == 11
+    for words in ("Fig. 4", "Figs 13–14", "Fig. 15", "Fig. 16", "Figs 17–18", "Figs 19–20"):
+        assert any(name.startswith(words) for name in rows)
+    assert all(row["paper"] and row["ours"] and row["why they differ"] for row in rows.values())
+    simulated = rows["Figs 13–14, strain RMSE of the simulation"]
+    assert simulated["paper"] == "9.4249e-9"
+    # 9.4249e-9 at 0.888 N.
+    assert simulated["ours"].startswith("3.18")
+    assert "0.888 N" in simulated["why they differ"]
+    measured = rows["Figs 19–20, strain RMSE of the experiment"]["why they differ"]
+    assert "12.106 mN" in measured
+    assert "20.863 mN" in measured
+
+
+def test_the_layers_numbers(written: Written) -> None:
+    rows = written.rows("Strain and force")
+    computed = [row["computed"] for row in rows.values()]
+    assert computed[:4] == ["4.7746e-6", "1.974 mN", "12.106 mN", "9.961e-8"]
+    assert "0.58" in rows["Experiment's force RMSE as a strain"]["what follows"]
+
+
+def test_the_films_and_the_actuators_numbers(written: Written) -> None:
+    rows = written.rows("Film and actuator")
+    assert rows["Film's sensitivity"]["computed"] == "5305 mV/N (eq 21)"
+    assert "118" in rows["Film's sensitivity"]["what follows"]
+    assert "2.9 %" in rows["Radii r_pv of the films"]["what follows"]
+    assert rows["Film's thickness"]["computed"] == "5305 and 5305 mV under 1 N"
+    assert rows["Voltage for a pulse of 1 N through eq 22"]["computed"].startswith("246")
+
+
+def test_which_reading_can_have_given_which_figure(written: Written) -> None:
+    title = "The pulse's height at which a reading gives a printed figure, and whether it can be so"
+    rows = written.rows(title)
+    for name, row in rows.items():
+        cells = list(row.values())[1:]
+        if name == "mV by eq 21":
+            assert [cell.split("; ")[1].split(",")[0] for cell in cells] == [
+                "can be",
+                "no",
+                "can be",
+            ]
+        else:
+            assert all(cell.endswith("; no, does not follow") for cell in cells)
+
+
+def test_the_readings_errors(written: Written) -> None:
+    rows = written.rows("RMSE over peak to peak")
+    assert rows["mV by eq 21"]["does it follow?"] == "yes"
+    assert rows["doing nothing"]["simulation's gains"] == "0.233"
+    assert rows["N"]["experiment's gains"] == "0.325"
+
+
+def test_the_least_rates(written: Written) -> None:
+    rows = written.rows("How fast the loop must be sampled, error in mV by eq 21")
+    assert rows["simulation"]["backward difference"] == "2066 Hz"
+    assert rows["experiment"]["backward difference"] == "440 Hz"
+
+
+def test_a_folder_that_cannot_be_written_is_said_first(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    result = run(MODULE, "paper", "--out", str(tmp_path / "file" / "report"))
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert "cannot be written" in result.stderr
+    assert result.stdout == ""
+
+
+def test_a_json_file_that_cannot_be_written_is_said_first(tmp_path: Path) -> None:
+    missing = tmp_path / "nowhere" / "out.json"
+    result = run(MODULE, "paper", "--out", str(tmp_path / "report"), "--json", str(missing))
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert str(missing) in result.stderr
+    assert result.stdout == ""
+
+
+def test_without_the_extra_it_says_what_to_install(tmp_path: Path) -> None:
+    program = (
+        "import sys; sys.modules['matplotlib'] = None; import telepulse.cli.main as c; c.main()"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", program, "paper", "--out", str(tmp_path / "report")],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=110,
+        check=False,
+    )
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert "pip install 'telepulse[report]'" in result.stderr

@@ -1,0 +1,120 @@
+import math
+import os
+import sys
+from collections.abc import Iterator
+from functools import partial
+from urllib.parse import urlsplit
+
+import pytest
+from typer.testing import CliRunner
+
+from protocol.errors import SweepError
+from telepulse.cli.main import app
+from telepulse.reports.studies import sweep as sweep_module
+from telepulse.reports.studies.link_play import LinkCell, LinkEffort, play
+from telepulse.reports.studies.one_thread import THREADS
+from telepulse.reports.studies.playout_scores import PlayoutEffort, score_playout
+from telepulse.reports.studies.playout_traces import GAUSSIAN
+from telepulse.reports.studies.sweep import sweep
+from tests.support.nodes import free_address, process
+
+LONG_S = 60
+LITTLE = PlayoutEffort(seconds=3, scan=2, bisections=1, links=(GAUSSIAN,))
+play_little = partial(play, effort=LinkEffort(seconds=1, settle_seconds=1))
+CELLS = [
+    LinkCell("delay=20ms,jitter=3ms,loss=5%", "linear", delay_ms, seed)
+    for delay_ms in (0.0, None)
+    for seed in (1, 2)
+]
+
+
+def scheduler_at(address: str) -> tuple[str, ...]:
+    parts = urlsplit(address)
+    return ("scheduler", "--host", str(parts.hostname), "--port", str(parts.port), "--no-dashboard")
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[str]:
+    """The address of a Dask scheduler in a process of its own, with two workers in theirs."""
+    from distributed import Client
+
+    address = free_address()
+    worker = ("worker", address, "--no-nanny", "--nthreads", "1", "--no-dashboard")
+    with (
+        process("dask", *scheduler_at(address)),
+        process("dask", *worker),
+        process("dask", *worker),
+    ):
+        with Client(address, timeout=LONG_S, set_as_default=False) as client:
+            client.wait_for_workers(2, timeout=LONG_S)
+        yield address
+
+
+def test_results_come_in_the_order_of_the_cases_however_long_each_takes() -> None:
+    # The first case takes far longer than the second.
+    assert sweep(math.factorial, [60_000, 3, 2]) == [math.factorial(60_000), 6, 2]
+    assert sweep(math.sqrt, []) == []
+
+
+def test_every_worker_has_one_thread() -> None:
+    assert sweep(os.getenv, [THREADS] * 3) == ["1"] * 3
+
+
+def test_all_cores_and_a_cluster_find_what_one_process_finds(cluster: str) -> None:
+    alone = [play_little(cell) for cell in CELLS]
+    assert len({outcome.in_phase_n for outcome in alone}) == len(CELLS)
+    assert sweep(play_little, CELLS) == alone
+    assert sweep(play_little, CELLS, cluster) == alone
+
+
+def test_a_study_is_the_same_on_a_cluster(cluster: str) -> None:
+    assert score_playout(LITTLE, cluster) == score_playout(LITTLE)
+
+
+def test_a_case_that_fails_is_named(cluster: str) -> None:
+    with pytest.raises(SweepError, match=r"^-1: ValueError: math domain error$"):
+        sweep(math.sqrt, [4, -1, 9], cluster)
+    lost = LinkCell("delay=40parsec", "hold", 0.0)
+    with pytest.raises(SweepError, match=r"^hold at E = 0 ms over delay=40parsec, seed 1: Scene"):
+        sweep(play_little, [CELLS[0], lost])
+
+
+def test_a_worker_that_dies_is_said() -> None:
+    with pytest.raises(SweepError, match=r"^3: a worker died"):
+        sweep(os._exit, [3])
+
+
+def test_no_scheduler_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    address = free_address()
+    monkeypatch.setattr(sweep_module, "CONNECT_S", 0.3)
+    with pytest.raises(SweepError, match=f"^{address}: no Dask scheduler there: .*connect") as said:
+        sweep(math.sqrt, [4], address)
+    assert "\n" not in str(said.value)
+
+
+def test_a_scheduler_without_workers_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    address = free_address()
+    with process("dask", *scheduler_at(address)) as scheduler:
+        assert scheduler.stderr is not None
+        while "Scheduler at" not in scheduler.stderr.readline():
+            assert scheduler.poll() is None
+        monkeypatch.setattr(sweep_module, "CONNECT_S", 3)
+        with pytest.raises(SweepError, match="no worker has joined; start one: dask worker"):
+            sweep(math.sqrt, [4], address)
+
+
+def test_without_dask_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(SweepError, match=r"pip install 'telepulse\[cluster\]'"):
+        sweep(math.sqrt, [4], "tcp://127.0.0.1:8786")
+
+
+@pytest.mark.parametrize("study", ["playout", "prediction", "link"])
+def test_every_swept_study_takes_a_scheduler(study: str, tmp_path: os.PathLike[str]) -> None:
+    result = CliRunner().invoke(
+        app, ["study", study, "--out", str(tmp_path), "--scheduler", "nowhere"]
+    )
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert result.stderr.startswith("telepulse: nowhere: no Dask scheduler there: ")
+    assert result.stderr.count("\n") == 1

@@ -1,0 +1,210 @@
+"""Both nodes as real processes, with keys."""
+
+import re
+import time
+from pathlib import Path
+
+import pytest
+import zmq
+
+from protocol import sockets
+from protocol.security.allow_list import revoke
+from protocol.security.keys import ClientKeys
+from protocol.sockets import Context, control_address
+from protocol.wire.messages import Hello, encode_control
+from tests.support.keyring import Keyring
+from tests.support.live_display import await_state, await_status, subscribe
+from tests.support.nodes import RADIAL, assert_accounted, free_address, process, read_json
+
+SENSING, DISPLAY = "sensing_node.cli", "display_node.cli"
+PATIENCE_S = 20.0
+
+
+@pytest.fixture
+def keyring(tmp_path: Path) -> Keyring:
+    keyring = Keyring(tmp_path / "keys")
+    keyring.allow("finger")
+    return keyring
+
+
+def sensing(keyring: Keyring, address: str, seconds: float, json: Path) -> tuple[str, ...]:
+    keys = ("--key", keyring.path("wrist"))
+    return (
+        *(str(RADIAL), "--bind", address, "--seconds", str(seconds), "--json", str(json)),
+        *keys,
+    )
+
+
+def display(
+    keyring: Keyring, name: str, address: str, *more: str, peer: str = "wrist"
+) -> tuple[str, ...]:
+    keys = ("--key", keyring.path(name), "--peer", keyring.path(peer, "pub"))
+    return (str(RADIAL), "--connect", address, "--no-screen", *keys, *more)
+
+
+@pytest.mark.skipif(not zmq.has("ipc"), reason="no ipc here")
+def test_with_keys_over_ipc_a_display_plays_all_of_the_stream(
+    context: Context, keyring: Keyring, tmp_path: Path
+) -> None:
+    address = f"ipc://{tmp_path}/stream"
+    sensed, played, telemetry = tmp_path / "sensed.json", tmp_path / "played.json", free_address()
+    options = ("--once", "--json", str(played), "--telemetry", telemetry)
+    reader = subscribe(context, telemetry)
+    with process(DISPLAY, *display(keyring, "finger", address, *options)) as finger:
+        await_state(reader, "waiting")
+        with process(SENSING, *sensing(keyring, address, 2, sensed)) as wrist:
+            assert wrist.wait(PATIENCE_S) == 0
+            assert finger.wait(PATIENCE_S) == 0
+    samples = read_json(played)["samples"]
+    assert_accounted(samples)
+    assert samples["played"] > 500
+    assert read_json(played)["rejected"] == {}
+    # A display that asks again hangs up on its first request, maybe in the midst of a handshake.
+    assert set(read_json(sensed)["rejected"]) <= {"handshake"}
+
+
+class Intruder:
+    """Asks for the stream and for answers, and keeps what it gets."""
+
+    def __init__(self, context: Context, address: str, keys: ClientKeys | None) -> None:
+        self.control = sockets.connect(context, zmq.DEALER, control_address(address), keys)
+        self.data = sockets.connect(context, zmq.SUB, address, keys)
+        self.data.subscribe(b"")
+        self.heard: list[bytes] = []
+
+    def ask(self) -> None:
+        sockets.send(self.control, encode_control(Hello("who")))
+        for socket in (self.control, self.data):
+            self.heard += sockets.receive_each(socket)
+
+
+def test_who_is_not_allowed_gets_no_frame_and_no_answer(
+    context: Context, keyring: Keyring, tmp_path: Path
+) -> None:
+    address, json = free_address(), tmp_path / "sensed.json"
+    allowed = Intruder(context, address, keyring.client("finger"))
+    intruders = [
+        Intruder(context, address, keys)
+        for keys in (
+            keyring.client("stranger"),
+            keyring.client("finger", peer="stranger"),
+            None,
+        )
+    ]
+    with process(SENSING, *sensing(keyring, address, 3, json)) as node:
+        while node.poll() is None:
+            for one in (allowed, *intruders):
+                one.ask()
+            time.sleep(0.02)
+        output, errors = node.communicate()
+    assert len(allowed.heard) > 100
+    assert [one.heard for one in intruders] == [[], [], []]
+    rejected = read_json(json)["rejected"]
+    assert set(rejected) <= {"unknown_key", "not_authentic", "no_key", "handshake", "unexpected"}
+    # Data and control; who has a wrong key of the node tries again and again. Who has none may
+    # hang up before it is turned away.
+    assert rejected["unknown_key"] >= 2
+    assert rejected["not_authentic"] > 5
+    assert rejected.get("no_key", 0) + rejected.get("handshake", 0) >= 2
+    assert 3 <= len(re.findall("^refused ", output, re.MULTILINE)) <= 7
+    assert errors == ""
+
+
+def test_a_revoked_display_is_cut_off_and_told_while_the_other_goes_on(
+    context: Context, keyring: Keyring, tmp_path: Path
+) -> None:
+    address = free_address()
+    keyring.allow("thumb")
+    sensed = tmp_path / "sensed.json"
+    telemetry = {name: free_address() for name in ("finger", "thumb")}
+    readers = {name: subscribe(context, at) for name, at in telemetry.items()}
+    jsons = {name: tmp_path / f"{name}.json" for name in telemetry}
+    options = {
+        name: ("--telemetry", telemetry[name], "--json", str(jsons[name]), "--once")
+        for name in telemetry
+    }
+    with (
+        process(DISPLAY, *display(keyring, "finger", address, *options["finger"])) as stays,
+        process(DISPLAY, *display(keyring, "thumb", address, *options["thumb"])) as goes,
+        process(SENSING, *sensing(keyring, address, 8, sensed)) as node,
+    ):
+        for reader in readers.values():
+            await_state(reader, "playing")
+        revoke(keyring.allowed, "thumb")
+        revoked_s = time.monotonic()
+        await_status(readers["thumb"], lambda status: status.state == "stale")
+        cut_s = time.monotonic() - revoked_s
+        await_status(readers["thumb"], lambda status: "revoked" in status.summary["rejected"])
+        heard = await_state(readers["thumb"], "stale").summary["frames"]["received"]
+        assert node.wait(PATIENCE_S) == 0
+        assert stays.wait(PATIENCE_S) == 0
+        goes.terminate()
+        told, _ = goes.communicate(timeout=PATIENCE_S)
+        said, _ = node.communicate()
+    # The list is looked at each second; stale is what has been silent for a while.
+    assert cut_s < 10
+    assert read_json(jsons["thumb"])["frames"]["received"] == heard
+    assert told.count(" has revoked the key of thumb: ") == 1
+    assert "revoked: the other node allowed this node's key" in told
+    assert said.count("thumb is allowed no more") == 1
+    assert said.count("refused 127.0.0.1: key ") == 1
+    rejected = read_json(sensed)["rejected"]
+    assert "revoked_key" in rejected
+    assert set(rejected) <= {"revoked_key", "handshake"}
+    samples = read_json(jsons["finger"])["samples"]
+    assert_accounted(samples)
+    assert samples["played"] > samples["lost"]
+
+
+def test_a_display_that_does_not_get_in_says_why_once(keyring: Keyring, tmp_path: Path) -> None:
+    address = free_address()
+    jsons = [tmp_path / "wrong.json", tmp_path / "none.json"]
+    wrong = display(keyring, "finger", address, "--json", str(jsons[0]), peer="stranger")
+    none = (str(RADIAL), "--connect", address, "--no-screen", "--json", str(jsons[1]))
+    with (
+        process(SENSING, *sensing(keyring, address, 60, tmp_path / "sensed.json")),
+        process(DISPLAY, *wrong, "--seconds", "4") as one,
+        process(DISPLAY, *none, "--seconds", "4") as other,
+    ):
+        (said, _), (told, _) = (n.communicate(timeout=2 * PATIENCE_S) for n in (one, other))
+    assert said.count("breaks off: it is not stranger, whose public key --peer gives") == 1
+    assert told.count("lets in who has a key; give --key and --peer") == 1
+    assert read_json(jsons[0])["rejected"]["handshake"] >= 3
+    assert read_json(jsons[1])["rejected"]["no_key"] >= 3
+
+
+def test_telemetry_beyond_this_machine_is_for_allowed_readers_and_the_own_screen(
+    context: Context, keyring: Keyring
+) -> None:
+    address = free_address()
+    everywhere = address.replace("127.0.0.1", "*")
+    keys = ("--key", keyring.path("thumb"), "--peer", keyring.path("wrist", "pub"))
+    arguments = (str(RADIAL), "--connect", free_address(), *keys, "--telemetry", everywhere)
+    readers = {
+        name: sockets.connect(context, zmq.SUB, address, peer)
+        for name, peer in (
+            ("allowed", keyring.client("finger", peer="thumb")),
+            ("stranger", keyring.client("stranger", peer="thumb")),
+            ("no key", None),
+        )
+    }
+    for reader in readers.values():
+        reader.subscribe(b"")
+    with process(DISPLAY, *arguments, "--seconds", "60") as node:
+        assert readers["allowed"].poll(PATIENCE_S * 1000)
+        assert node.stdout is not None
+        output = ""
+        while not re.search(r"^waiting: .*heart rate", output, re.MULTILINE):
+            line = node.stdout.readline()
+            assert line, output
+            output += line
+        node.terminate()
+        rest, errors = node.communicate(timeout=PATIENCE_S)
+        output += rest
+    assert not readers["stranger"].poll(0)
+    assert not readers["no key"].poll(0)
+    # Each cause with its meaning takes a line or two of its own.
+    rejections = output[output.rindex("rejected ") :]
+    assert re.search(r"\d no_key|\d handshake", rejections)
+    assert re.search(r"\d unknown_key", rejections)
+    assert errors == ""

@@ -1,0 +1,53 @@
+"""The sketch of docs/firmware, compiled as C++ against a board that is not there."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pulse_sensors.binary_frames import FrameDecoder
+from tests.support.nodes import ROOT
+
+SKETCH = ROOT / "docs" / "firmware" / "telepulse_sensor" / "telepulse_sensor.ino"
+BOARD = """
+#pragma once
+#include <cstdint>
+#include <cstdio>
+#include <cstring>
+const uint8_t A0 = 14;
+uint32_t present_us = 0xFFFFFFFFu - 50000;
+int readings = 0;
+uint32_t micros() { return present_us += 37; }
+int analogRead(uint8_t pin) { return pin == A0 ? (readings++ * 8) % 1024 : -1; }
+struct {
+  void begin(long) {}
+  void write(const uint8_t *data, size_t n) { fwrite(data, 1, n, stdout); }
+} Serial;
+"""
+MAIN = '#include "{sketch}"\nint main() {{ setup(); while (readings < 400) loop(); }}\n'
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++")
+def test_what_the_sketch_sends_is_decoded(tmp_path: Path) -> None:
+    (tmp_path / "Arduino.h").write_text(BOARD, encoding="utf-8")
+    main, program = tmp_path / "main.cpp", tmp_path / "board"
+    main.write_text(MAIN.format(sketch=SKETCH), encoding="utf-8")
+    compiled = subprocess.run(
+        ["g++", "-Wall", "-Wextra", "-Werror", f"-I{tmp_path}", str(main), "-o", str(program)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert compiled.returncode == 0, compiled.stderr
+    sent = subprocess.run([str(program)], capture_output=True, check=True, timeout=20).stdout
+    decoder = FrameDecoder(1_000_000)
+    packets = decoder.feed(sent)
+    values = [value for packet in packets for value in packet.values]
+    assert values == [i * 8 % 1024 for i in range(400)]
+    assert [packet.missing for packet in packets] == [0] * 100
+    assert [packet.anew for packet in packets] == [True] + [False] * 99
+    times_ns = np.array([packet.device_ns for packet in packets if packet.device_ns is not None])
+    assert np.diff(times_ns) == pytest.approx(4_000_000, abs=40_000)
+    assert not decoder.rejected

@@ -1,0 +1,125 @@
+import itertools
+import threading
+from collections import Counter
+from contextlib import closing
+
+import pytest
+
+from protocol.config.scene import validate
+from protocol.errors import SourceError
+from pulse_sensors import sensor as module
+from pulse_sensors.force_scale import SensorTable
+from pulse_sensors.packet import Packet
+from pulse_sensors.sensor import Sensor
+from tests.support.waiting import until
+
+TABLE = validate({"rate": "1 kHz", "unit": "N"}, SensorTable, "scene")
+
+
+class Given:
+    """A port that gives what it is told: values to read, or errors to raise."""
+
+    name = "the port"
+
+    def __init__(self, *told: object, opens: int = 2) -> None:
+        self._told = list(told)
+        self._opens = opens
+        self.openings = 0
+        self.empty = threading.Event()
+
+    def open(self) -> None:
+        self.openings += 1
+        if self.openings > self._opens:
+            raise SourceError("not now")
+
+    def read(self) -> object:
+        if not self._told:
+            self.empty.wait(0.01)
+            self.empty.set()
+            return None
+        told = self._told.pop(0)
+        if isinstance(told, Exception):
+            raise told
+        return told
+
+    def close(self) -> None:
+        pass
+
+
+class AsIs:
+    """A decoder of values that need none."""
+
+    def __init__(self) -> None:
+        self.rejected: Counter[str] = Counter()
+        self.resets = 0
+
+    def feed(self, data: float) -> list[Packet]:
+        return [Packet((data,))]
+
+    def reset(self) -> None:
+        self.resets += 1
+
+
+@pytest.mark.parametrize("error", [OSError("pulled"), TypeError("driver"), RuntimeError("driver")])
+def test_whatever_a_driver_raises_the_device_has_gone_and_comes_back(
+    error: Exception, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "REOPEN_EVERY_S", 0.01)
+    news: list[str] = []
+    port, decoder = Given(0.1, error, 0.2), AsIs()
+    with closing(Sensor(port, decoder, TABLE, news.append)) as sensor:
+        readings = []
+
+        def both() -> bool:
+            readings.extend(sensor.poll())
+            return len(readings) == 2
+
+        until(both)
+        assert [reading.force_n for reading in readings] == [(0.1,), (0.2,)]
+    assert news == [f"the port has gone: {error}", "the port is back"]
+    assert (port.openings, decoder.resets) == (2, 1)
+
+
+def test_a_device_that_stays_away_is_tried_again_until_closed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(module, "REOPEN_EVERY_S", 0.001)
+    port = Given(OSError("pulled"), opens=1)
+    with closing(Sensor(port, AsIs(), TABLE)) as sensor:
+        until(lambda: port.openings > 5)
+        assert sensor.poll() == []
+        (never, gone) = sensor.faults()[::-1]
+        assert never == "no sample came from the port"
+        assert gone.startswith("the port was gone 1 time, for ")
+
+
+def test_what_nobody_fetches_is_counted_and_no_memory_grows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(module, "MAX_WAITING", 10)
+    port = Given(*range(1, 26))
+    with closing(Sensor(port, AsIs(), TABLE)) as sensor:
+        until(port.empty.is_set)
+        assert len(sensor.poll()) == 10
+        assert sensor.rejected == {"backlog": 15}
+        assert sensor.poll() == []
+
+
+def test_a_rate_that_lasts_and_is_not_the_scenes_is_reported_once() -> None:
+    news: list[str] = []
+    now_ns = itertools.count(0, 1_250_000)
+    port = Given(*range(1, 5_001))
+    with closing(Sensor(port, AsIs(), TABLE, news.append, clock=lambda: next(now_ns))) as sensor:
+
+        def all_fetched() -> bool:
+            sensor.poll()
+            return port.empty.is_set()
+
+        until(all_fetched)
+    assert news == ["warning: the port sends 800 Hz, the scene says 1000 Hz: check its rate"]
+
+
+def test_a_device_that_is_not_there_is_told_at_once() -> None:
+    port = Given(opens=0)
+    with pytest.raises(SourceError, match="not now"):
+        Sensor(port, AsIs(), TABLE)

@@ -1,0 +1,189 @@
+"""An emulated board, a sensing node and a display as real processes, over a real terminal."""
+
+import itertools
+import signal
+import subprocess
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from protocol.wire.messages import Frame, decode_frame
+from tests.support.nodes import RADIAL, assert_accounted, free_address, process, read_json, run
+from tests.support.sensing_client import Client
+from tests.support.waiting import until
+
+BOARD, SENSING, DISPLAY = "telepulse", "sensing_node.cli", "display_node.cli"
+KEYS = {"binary": 'framing = "binary"', "text": 'framing = "text"\ndevice_time = "us"'}
+
+
+@pytest.fixture
+def address() -> str:
+    return free_address()
+
+
+@pytest.fixture
+def client(address: str) -> Iterator[Client]:
+    with closing(Client(address)) as client:
+        yield client
+
+
+def scene_file(folder: Path, framing: str = "binary") -> Path:
+    path = folder / "bench.toml"
+    path.write_text(
+        f'[sensing.source]\nkind = "serial"\nport = "{folder}/board"\n{KEYS[framing]}\n'
+        'rate = "1 kHz"\nunit = "N"\n' + "[display" + RADIAL.read_text().partition("[display")[2],
+        encoding="utf-8",
+    )
+    return path
+
+
+def board(folder: Path, *options: str) -> tuple[str, ...]:
+    return (BOARD, "emulate", "sensor", "radial", "--link", str(folder / "board"), *options)
+
+
+def plugged_in(child: "subprocess.Popen[str]") -> None:
+    """Wait until the board has printed where it is."""
+    assert child.stdout is not None
+    assert child.stdout.readline() == "[sensing.source]\n"
+
+
+def frames(client: Client, count: int) -> list[Frame]:
+    return [decode_frame(client.data.recv()) for _ in range(count)]
+
+
+@pytest.mark.parametrize("framing", ["binary", "text"])
+def test_a_boards_pulse_reaches_a_display_and_every_sample_is_accounted_for(
+    tmp_path: Path, address: str, framing: str
+) -> None:
+    scene = str(scene_file(tmp_path, framing))
+    sensed, felt = tmp_path / "sensing.json", tmp_path / "display.json"
+    with process(*board(tmp_path, "--framing", framing)) as plugged:
+        plugged_in(plugged)
+        with (
+            process(DISPLAY, scene, "--connect", address, "--once", "--json", str(felt)) as display,
+            process(
+                SENSING, scene, "--bind", address, "--seconds", "4", "--json", str(sensed)
+            ) as sensing,
+        ):
+            assert sensing.wait(60) == 0
+            assert display.wait(60) == 0
+    sensing_summary, display_summary = read_json(sensed), read_json(felt)
+    samples = display_summary["samples"]
+    assert_accounted(samples)
+    assert samples["sent"] + samples["before_joining"] == sensing_summary["samples"]["sent"] > 2000
+    assert samples["lost"] == 0
+    assert sensing_summary["faults"] == display_summary["faults"] == []
+    assert set(sensing_summary["rejected"]) <= {"partial"}
+    assert display_summary["rejected"] == {}
+
+
+def test_usb_batches_do_not_show_in_the_times_on_the_wire(
+    tmp_path: Path, address: str, client: Client
+) -> None:
+    with process(*board(tmp_path, "--delivery-ms", "16")) as plugged:
+        plugged_in(plugged)
+        with process(SENSING, str(scene_file(tmp_path)), "--bind", address):
+            client.join()
+            frames(client, 200)
+            seen = frames(client, 800)
+    numbers = np.array([frame.first_sample for frame in seen])
+    times_ns = np.array([frame.t_first_ns - seen[0].t_first_ns for frame in seen])
+    assert np.all(np.diff(times_ns) > 0)
+    residual_ms = times_ns - np.polyval(np.polyfit(numbers, times_ns, 1), numbers)
+    # Deliveries are 4 to 16 ms apart; a loaded machine delivers later still.
+    assert residual_ms.std() < 1e6
+
+
+def test_a_pulled_cable_is_named_and_what_was_missed_counts_as_lost(
+    tmp_path: Path, address: str, client: Client
+) -> None:
+    summary = tmp_path / "sensing.json"
+    link = tmp_path / "board"
+    arguments = (SENSING, str(scene_file(tmp_path)), "--bind", address, "--json", str(summary))
+    with process(*board(tmp_path)) as plugged:
+        plugged_in(plugged)
+        with process(*arguments) as sensing:
+            client.join()
+            before = frames(client, 50)
+            plugged.send_signal(signal.SIGTERM)
+            plugged.wait(20)
+            until(lambda: not link.exists())
+            with process(*board(tmp_path, "--seed", "2")) as again:
+                plugged_in(again)
+                jumped = before[-1:]
+                while jumped[-1].first_sample - before[-1].first_sample < 1000:
+                    jumped += frames(client, 1)
+                sensing.send_signal(signal.SIGTERM)
+                output, _ = sensing.communicate(timeout=20)
+    assert f"{link} has gone: " in output
+    assert f"{link} is back" in output
+    went, missing, *_ = read_json(summary)["faults"]
+    assert went.startswith(f"{link} was gone 1 time, for ")
+    assert missing.endswith(f" samples missing from {link}")
+    gaps = [
+        later.first_sample - earlier.first_sample - len(earlier.values)
+        for earlier, later in itertools.pairwise(jumped)
+    ]
+    assert max(gaps) > 100
+    for (earlier, later), gap in zip(itertools.pairwise(jumped), gaps, strict=True):
+        passed_ns = later.t_first_ns - earlier.t_first_ns
+        samples = len(earlier.values) + gap
+        assert passed_ns == pytest.approx(samples * 1e6, rel=0.5, abs=300e6)
+
+
+def test_noise_on_the_line_is_counted_and_the_stream_goes_on(tmp_path: Path, address: str) -> None:
+    summary = tmp_path / "sensing.json"
+    with process(*board(tmp_path, "--noise", "0.002")) as plugged:
+        plugged_in(plugged)
+        scene = str(scene_file(tmp_path))
+        run(SENSING, scene, "--bind", address, "--seconds", "2", "--json", str(summary))
+    result = read_json(summary)
+    assert result["samples"]["sent"] > 1000
+    assert result["rejected"]["crc"] > 0
+    assert any("samples missing from" in fault for fault in result["faults"])
+
+
+def test_all_noise_makes_no_sample_and_says_so(tmp_path: Path, address: str) -> None:
+    summary = tmp_path / "sensing.json"
+    with process(*board(tmp_path, "--noise", "1")) as plugged:
+        plugged_in(plugged)
+        scene = str(scene_file(tmp_path))
+        result = run(SENSING, scene, "--bind", address, "--seconds", "1", "--json", str(summary))
+    assert result.returncode == 0
+    said = read_json(summary)
+    assert said["samples"]["sent"] == 0
+    assert sum(said["rejected"].values()) > 0
+    assert said["faults"] == [f"no sample came from {tmp_path}/board"]
+
+
+def test_the_board_prints_the_table_that_reads_it(tmp_path: Path) -> None:
+    result = run(*board(tmp_path, "--seconds", "0.2", "--samples", "int16"))
+    assert result.returncode == 0
+    assert result.stdout.splitlines()[:7] == [
+        "[sensing.source]",
+        'kind = "serial"',
+        f'port = "{tmp_path}/board"',
+        'framing = "binary"',
+        'rate = "1000 Hz"',
+        'unit = "counts"',
+        "newtons_per_count = 0.0001",
+    ]
+    assert not (tmp_path / "board").is_symlink()
+
+
+def test_a_link_where_something_else_is_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "board").write_text("mine", encoding="utf-8")
+    result = run(*board(tmp_path, "--seconds", "0.2"))
+    assert result.returncode == 2
+    assert result.stderr == f"telepulse: {tmp_path}/board: cannot be made: File exists\n"
+    assert (tmp_path / "board").read_text(encoding="utf-8") == "mine"
+
+
+def test_a_live_sensor_cannot_be_simulated(tmp_path: Path) -> None:
+    result = run("telepulse", "simulate", str(scene_file(tmp_path)))
+    assert result.returncode == 2
+    assert result.stderr.startswith('telepulse: [sensing] source: kind "serial" is a live sensor')
+    assert result.stderr.count("\n") == 1

@@ -1,0 +1,214 @@
+import os
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from serial import serial_for_url
+from serial.rfc2217 import PortManager
+
+from protocol.config.scene import validate
+from protocol.errors import SourceError
+from pulse_sensors.binary_frames import FrameEncoder
+from pulse_sensors.scene import open_sensor
+from pulse_sensors.sensor import Sensor
+from pulse_sensors.serial_port import SerialPort, SerialScene
+from telepulse.emulators.pty_port import PtyPort
+from telepulse.emulators.sensor_board import binary, timed_line
+from tests.support.lsl_listening import forces, heard
+from tests.support.waiting import PATIENCE_S, until
+
+
+def scene(port: object, **keys: object) -> SerialScene:
+    table = {"kind": "serial", "port": str(port), "framing": "text", "rate": "1 kHz", "unit": "N"}
+    return validate(table | keys, SerialScene, "scene")
+
+
+def opened(scene: SerialScene, log: Callable[[str], None] = print) -> Any:
+    return closing(open_sensor(scene, Path(), log))
+
+
+@contextmanager
+def server(serve: Callable[[socket.socket, threading.Event], None]) -> Iterator[str]:
+    """A TCP server for one client, which serves until the context is left."""
+    over = threading.Event()
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        listening.settimeout(PATIENCE_S)
+
+        def run() -> None:
+            with listening.accept()[0] as connection:
+                serve(connection, over)
+
+        thread = threading.Thread(target=run)
+        thread.start()
+        try:
+            yield f"127.0.0.1:{listening.getsockname()[1]}"
+        finally:
+            over.set()
+            thread.join(PATIENCE_S)
+
+
+def test_a_pseudo_terminal_is_read() -> None:
+    with closing(PtyPort(None)) as board, opened(scene(board.path)) as sensor:
+        board.write(b"\n0.1\n0.2\n0.3\n")
+        assert forces(heard(sensor, 3)) == [0.1, 0.2, 0.3]
+        assert (sensor.faults(), sensor.rejected) == ([], {})
+
+
+def test_a_socket_is_read_and_its_end_is_named() -> None:
+    enough = threading.Event()
+
+    def serve(connection: socket.socket, over: threading.Event) -> None:
+        while not enough.wait(0.01) and not over.is_set():
+            connection.sendall(b"0.25\n" * 10)
+
+    news: list[str] = []
+    with server(serve) as address, opened(scene(f"socket://{address}"), news.append) as sensor:
+        assert set(forces(heard(sensor, 100))) == {0.25}
+        enough.set()
+
+        def gone() -> bool:
+            sensor.poll()
+            return bool(news)
+
+        until(gone)
+        assert news[0].startswith(f"socket://{address} has gone: ")
+
+
+@pytest.mark.filterwarnings("ignore:set:DeprecationWarning")  # pyserial's own
+def test_rfc2217_is_read() -> None:
+    def serve(connection: socket.socket, over: threading.Event) -> None:
+        class Client:
+            """The writer of the port manager's own replies."""
+
+            def write(self, data: bytes) -> None:
+                connection.sendall(data)
+
+        with serial_for_url("loop://", timeout=0) as device:
+            manager = PortManager(device, Client())
+            connection.settimeout(0.02)
+            while not over.is_set():
+                try:
+                    list(manager.filter(connection.recv(1024)))
+                except TimeoutError:
+                    connection.sendall(b"".join(manager.escape(b"0.25\n" * 20)))
+                except OSError:
+                    return
+
+    with server(serve) as address, opened(scene(f"rfc2217://{address}")) as sensor:
+        assert set(forces(heard(sensor, 100))) == {0.25}
+
+
+def test_loop_is_read() -> None:
+    table = scene("loop://", framing="binary")
+    port = SerialPort(table)
+    with closing(Sensor(port, table.decoder(), table)) as sensor:
+        port._port.write(FrameEncoder("float32").frame([0.5, 0.25], 1))
+        assert forces(heard(sensor, 2)) == [0.5, 0.25]
+
+
+def test_a_pulled_cable_is_named_and_the_stream_goes_on(tmp_path: Path) -> None:
+    link, news = tmp_path / "board", []
+    board = PtyPort(link)
+    with opened(scene(link), news.append) as sensor:
+        board.write(b"\n0.1\n0.2\n")
+        heard(sensor, 2)
+        board.close()
+
+        def told() -> int:
+            sensor.poll()
+            return len(news)
+
+        until(lambda: told() == 1)
+        assert news[0].startswith(f"{link} has gone: ")
+        with closing(PtyPort(link)) as again:
+
+            def back() -> bool:
+                # A board goes on sending; what comes before the port is open nobody hears.
+                again.write(b"\n0.3\n")
+                return told() == 2
+
+            until(back)
+            assert news[1] == f"{link} is back"
+            again.write(b"\n0.3\n")
+            assert set(forces(heard(sensor, 1))) == {0.3}
+        fault = sensor.faults()[0]
+        assert fault.startswith(f"{link} was gone 1 time, for ")
+
+
+def test_a_port_that_does_not_exist_is_one_line_that_names_those_that_do(tmp_path: Path) -> None:
+    missing = tmp_path / "ttyACM0"
+    with pytest.raises(SourceError) as caught, opened(scene(missing)):
+        pass
+    text = str(caught.value)
+    assert text.startswith(f"{missing}: cannot be opened: No such file or directory; ports here: ")
+    assert "\n" not in text
+
+
+@pytest.mark.parametrize("port", ["socket://127.0.0.1:1", "guitar://x", "socket://nowhere", "/"])
+def test_a_port_that_cannot_be_opened_is_one_line(port: str) -> None:
+    with pytest.raises(SourceError, match=rf"^{port}: cannot be opened: ") as caught:
+        SerialPort(scene(port)).open()
+    assert "\n" not in str(caught.value)
+
+
+def test_a_port_is_not_shared(tmp_path: Path) -> None:
+    with (
+        closing(PtyPort(None)) as board,
+        opened(scene(board.path)),
+        pytest.raises(SourceError, match="cannot be opened"),
+    ):
+        SerialPort(scene(board.path)).open()
+
+
+def test_a_closed_sensor_lets_go_of_its_port() -> None:
+    with closing(PtyPort(None)) as board:
+        for _ in range(3):
+            before = len(os.listdir("/proc/self/fd"))
+            with opened(scene(board.path)):
+                pass
+            assert len(os.listdir("/proc/self/fd")) == before
+
+
+def test_garbage_is_counted_and_the_stream_goes_on() -> None:
+    with closing(PtyPort(None)) as board, opened(scene(board.path)) as sensor:
+        board.write(b"\n0.1\nx\n\xff\xfe\n0.2\n")
+        assert forces(heard(sensor, 2)) == [0.1, 0.2]
+        assert sensor.rejected == {"not_a_number": 2}
+        assert sensor.faults() == [f"2 samples missing from {board.path}"]
+
+
+@pytest.mark.parametrize("read_at", [9_600, 57_600, 74_880, 230_400])
+@pytest.mark.parametrize("framing", ["text", "binary"])
+def test_at_a_wrong_baud_rate_nothing_is_a_sample_and_noise_is_counted(
+    framing: str, read_at: int
+) -> None:
+    said = binary("float32") if framing == "binary" else timed_line
+    sent = b"".join(said([0.3 + 1e-3 * number], 1_000 * number) for number in range(400))
+    noise = misheard(sent, 115_200, read_at)
+    with closing(PtyPort(None)) as board, opened(scene(board.path, framing=framing)) as sensor:
+        found = []
+        for begin in range(0, len(noise), 256):
+            board.write(noise[begin : begin + 256])
+            time.sleep(1e-3)
+            found += sensor.poll()
+        until(lambda: sensor.poll() == [] and sensor.rejected.total() > 0)
+        assert found == []
+        assert sensor.faults() == [f"no sample came from {board.path}"]
+
+
+def misheard(data: bytes, sent_at: int, read_at: int) -> bytes:
+    """Return what a UART reads of bytes (8N1) that were sent at another rate."""
+    bits = [bit for byte in data for bit in (0, *((byte >> i) & 1 for i in range(8)), 1)]
+    step, at, heard_bytes = sent_at / read_at, 0.0, bytearray()
+    while at + 10 * step < len(bits):
+        if bits[int(at)]:
+            at += step / 16
+            continue
+        heard_bytes.append(sum(bits[int(at + (i + 1.5) * step)] << i for i in range(8)))
+        at += 9.5 * step
+    return bytes(heard_bytes)

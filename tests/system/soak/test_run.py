@@ -1,0 +1,120 @@
+"""Real nodes, one short episode, over the proxy on loopback."""
+
+import asyncio
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from io import StringIO
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+import soak.run
+from protocol.errors import OutputError
+from soak.evidence import verdict
+from soak.keyring import Keyring
+from soak.leftovers import MARK, left_behind
+from soak.network import loopback
+from soak.report import print_verdict, write_verdict
+from soak.run import Run
+from soak.schedule import MORTAL, SENSING, Episode, Fault
+from soak.stage import Stage
+from soak.verdict import judge_none
+from telepulse.scene import load_scene
+from tests.support.nodes import RADIAL, run
+
+EPISODE = Episode(
+    (Fault("kill sensing", SENSING, 0.0, 0.2), Fault("freeze display", MORTAL, 0.1, 0.3)), 2.0
+)
+
+OPTIONS = ("--realtime", "slack")
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make the run one episode, as soon as may be."""
+    monkeypatch.setattr(soak.run, "episodes", lambda seed: iter([EPISODE]))
+    monkeypatch.setattr(soak.run, "HEAD_START_S", 2.0)
+    monkeypatch.setenv(MARK, str(os.getpid()))
+
+
+@pytest.mark.usefixtures("short")
+def test_a_soak_finds_every_sample_and_leaves_nothing_behind(tmp_path: Path) -> None:
+    folder = tmp_path / "soak"
+    folder.mkdir()
+    scene = load_scene(RADIAL)
+    with loopback(seed=1) as network:
+        keys = Keyring(tmp_path / "keys").make()
+        stage = Stage(network, RADIAL, folder, longest_s=60.0, keys=keys, options=OPTIONS)
+        under_test = Run(stage, 1, 60.0, scene.display.tick_ns, print)
+        try:
+            asyncio.run(under_test.play())
+        finally:
+            stage.clear()
+        checks = {check.name: check for check in verdict(under_test, scene.display, 75.0)}
+    addresses = [stage.calm_address, *network.addresses]
+    assert left_behind(under_test.namespaces, addresses, str(folder)) == [f"the folder {folder}"]
+
+    # What a busy machine cannot change.
+    for name in ("bad ends", "clock steps", "faults latched", "account of calm display"):
+        assert checks[name].ok, checks[name]
+    # Nothing that was claimed is untrue, and something was claimed of each kind.
+    for role in ("calm display", "enduring", "mortal"):
+        for claim in ("state", "finger", "figures", "availability"):
+            assert checks[f"{claim} of {role}"].ok, checks[f"{claim} of {role}"]
+        assert checks[f"terminal of {role}: state and force"].ok is not None
+    assert checks["exit statuses and summaries"].ok
+    for role in ("enduring", "mortal"):
+        account = checks[f"account of {role}"]
+        assert account.ok, account
+        assert not account.found.startswith("0 samples")
+        assert checks[f"force of {role}"].ok
+    assert "felt again: freeze display + kill sensing" in checks
+    printed = [path.read_text("utf-8") for path in folder.glob("*.out")]
+    assert sum("real-time: slack" in text for text in printed) == len(stage.all_lives)
+    lives = [(life.role, life.ending) for life in stage.all_lives if life.role == "sensing"]
+    assert lives == [("sensing", "killed"), ("sensing", "stopped")]
+
+    text = StringIO()
+    failed = judge_none("zombies", ["one"])
+    print_verdict(under_test, [*checks.values(), failed], Console(file=text))
+    assert "2 faults of 2 kinds" in text.getvalue()
+    assert "FAILED" in text.getvalue()
+    result = tmp_path / "soak.json"
+    write_verdict(under_test, [*checks.values(), failed], 1.0, result)
+    table = json.loads(result.read_text(encoding="utf-8"))
+    assert table["passed"] is False
+    (episode,) = table["episodes"]
+    assert [fault["kind"] for fault in episode["faults"]] == ["kill sensing", "freeze display"]
+    assert episode["longest_gap_s"]["mortal"] > 0.2
+    assert len(table["processes"]) == 6
+    with pytest.raises(OutputError):
+        write_verdict(under_test, [], 1.0, tmp_path / "no" / "soak.json")
+
+
+@pytest.fixture
+def child() -> Iterator["subprocess.Popen[bytes]"]:
+    marked = os.environ | {MARK: str(os.getpid())}
+    child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, env=marked)
+    yield child
+    child.communicate()
+
+
+def test_what_is_left_behind_is_seen(child: "subprocess.Popen[bytes]", tmp_path: Path) -> None:
+    (process,) = left_behind(set(), [], str(tmp_path / "none"))
+    assert process.startswith("a process, ")
+    child.kill()
+    os.waitid(os.P_PID, child.pid, os.WEXITED | os.WNOWAIT)
+    (zombie,) = left_behind(set(), [], str(tmp_path / "none"))
+    assert zombie.startswith("a zombie, ")
+    child.wait()
+    assert left_behind(set(), [], str(tmp_path / "none")) == []
+
+
+def test_a_result_that_cannot_be_written_is_one_line_before_the_run(tmp_path: Path) -> None:
+    result = run("soak", "--json", str(tmp_path / "no" / "soak.json"))
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1

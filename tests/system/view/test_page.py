@@ -1,0 +1,266 @@
+"""The live page in a real browser, fed by real nodes."""
+
+import os
+import re
+import signal
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.browser import Page, Visit
+from tests.support.nodes import RADIAL, free_address, start
+from tests.support.waiting import until
+
+MODULE = "telepulse"
+# Where to put the pictures of the documentation: TELEPULSE_SCREENSHOTS=docs/images
+PICTURES = os.environ.get("TELEPULSE_SCREENSHOTS")
+# For them the nodes have a priority: the browser draws in software, on the same processors.
+REALTIME = ("--realtime", "fifo=40,slack") if PICTURES else ()
+CURVES = "Bokeh.documents[0].get_model_by_name('force').renderers[0].data_source.data"
+NEWEST = f"[...{CURVES}.finger_y].findLast(Number.isFinite)"
+DRAWN = f"JSON.stringify([...{CURVES}.finger_y])"
+STYLE = "getComputedStyle(document.querySelector('.drawn'))"
+COLOUR_OF_STATE = "getComputedStyle(document.getElementById('state')).color"
+SPAN = "-Bokeh.documents[0].get_model_by_name('force').x_range.start"
+# Of two colours, as WCAG 2 defines it.
+CONTRAST = """(selector) => {
+  const light = (colour) => {
+    const [r, g, b] = colour.match(/[\\d.]+/g).map((part) => {
+      const c = part / 255;
+      return c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4;
+    });
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+  };
+  let at = document.querySelector(selector);
+  const style = getComputedStyle(at);
+  while (getComputedStyle(at).backgroundColor === "rgba(0, 0, 0, 0)") at = at.parentElement;
+  const two = [light(style.color), light(getComputedStyle(at).backgroundColor)];
+  return (Math.max(...two) + 0.05) / (Math.min(...two) + 0.05);
+}"""
+
+
+class Bench:
+    """Both nodes, a link between them and the page, each a process that can be ended."""
+
+    def __init__(self) -> None:
+        self._sensing, self._display, self._telemetry = (free_address() for _ in range(3))
+        self._running: dict[str, Any] = {}
+        view = self._run("view", MODULE, "view", self._telemetry)
+        assert view.stdout is not None
+        self.url = view.stdout.readline().removeprefix("page: ").strip()
+        assert self.url, view.communicate()[1]
+        arguments = ("--bind", self._sensing, "--quiet", *REALTIME)
+        self._run("sensing", "sensing_node.cli", str(RADIAL), *arguments)
+        self.join()
+        self.play()
+
+    def _run(self, name: str, module: str, *arguments: str) -> Any:
+        self._running[name] = start(module, *arguments)
+        return self._running[name]
+
+    def join(self) -> None:
+        self._run("link", MODULE, "link", "--connect", self._sensing, "--bind", self._display)
+
+    def cut(self) -> None:
+        self.end("link")
+
+    def play(self) -> None:
+        arguments = ("--connect", self._display, "--telemetry", self._telemetry, "--quiet")
+        self._run("display", "display_node.cli", str(RADIAL), *arguments, *REALTIME)
+
+    @contextmanager
+    def still(self, name: str) -> Iterator[None]:
+        """Let a process stand still meanwhile."""
+        self._running[name].send_signal(signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            self._running[name].send_signal(signal.SIGCONT)
+
+    def end(self, name: str) -> tuple[str, str]:
+        child = self._running.pop(name)
+        child.kill() if name == "link" else child.terminate()
+        output: tuple[str, str] = child.communicate(timeout=20)
+        return output
+
+    def close(self) -> None:
+        errors = {name: self.end(name)[1] for name in list(self._running)}
+        assert "Traceback" not in errors["view"]
+
+
+@pytest.fixture(scope="module")
+def bench(browser: object) -> Iterator[Bench]:
+    bench = Bench()
+    yield bench
+    bench.close()
+
+
+def await_state(page: Page, state: str) -> None:
+    page.locator("#state", has_text=re.compile(f"^{state}$")).wait_for()
+
+
+def keep(page: Page, name: str) -> None:
+    if PICTURES:
+        page.screenshot(path=Path(PICTURES) / name)
+
+
+def test_the_page_moves_and_says_what_is_felt(bench: Bench, visit: Visit) -> None:
+    with visit(bench.url, viewport={"width": 1280, "height": 1000}) as page:
+        await_state(page, "playing")
+        assert page.title() == "telepulse: live"
+        assert page.locator("html").get_attribute("lang") == "en"
+        page.wait_for_function("document.getElementById('in_phase').textContent !== '–'")
+        page.wait_for_function("document.getElementById('heart').textContent !== '–'")
+        plot = page.locator("#plot-force")
+        before, newest, ticks = plot.screenshot(), page.evaluate(NEWEST), said(page, "misses-note")
+        page.wait_for_function(f"{NEWEST} !== {newest}")
+        page.wait_for_function(f"document.getElementById('misses-note').textContent !== '{ticks}'")
+        until(lambda: plot.screenshot() != before)
+        assert said(page, "stream") == "radial pulse"
+        assert said(page, "predictor") == "linear"
+        # On a busy machine a tick or two may be bounded.
+        assert re.fullmatch(r"never|0\.\d s", said(page, "limited"))
+        # 75 of the scene, where the loop is not held up.
+        assert 40 < float(said(page, "heart").removesuffix(" /min")) < 150
+        if PICTURES:
+            page.wait_for_timeout(10_000)
+        keep(page, "view.png")
+
+
+def said(page: Page, id: str) -> str:
+    text: str = page.locator(f"#{id}").inner_text()
+    return text
+
+
+def stands_still(page: Page, ms: int) -> bool:
+    """Return whether the picture is the same after a while."""
+    before = page.evaluate(DRAWN)
+    page.wait_for_timeout(ms)
+    return bool(page.evaluate(DRAWN) == before)
+
+
+def test_a_cut_link_is_an_alarm_that_goes_again(bench: Bench, visit: Visit) -> None:
+    with visit(bench.url) as page:
+        await_state(page, "playing")
+        assert page.locator("#alarms").get_attribute("aria-live") == "assertive"
+        bench.cut()
+        page.locator("#alarms", has_text="link cut").wait_for()
+        await_state(page, "stale")
+        page.wait_for_function("document.getElementById('heart').textContent === '–'")
+        keep(page, "view-cut.png")
+        bench.join()
+        await_state(page, "playing")
+        page.locator("#alarms li[data-name='link cut']").wait_for(state="detached")
+        assert page.locator("#events", has_text="state: playing").is_visible()
+
+
+def test_a_display_that_stands_still_is_grey_and_has_its_age(bench: Bench, visit: Visit) -> None:
+    with visit(bench.url) as page:
+        await_state(page, "playing")
+        bright = page.evaluate(COLOUR_OF_STATE)
+        with bench.still("display"):
+            page.locator("body.old").wait_for()
+            assert re.fullmatch(r"\d+\.\d s ago", said(page, "state-note"))
+            assert page.evaluate(COLOUR_OF_STATE) != bright
+            assert said(page, "heart") == "–"
+            keep(page, "view-still.png")
+        page.locator("body:not(.old)").wait_for()
+        await_state(page, "playing")
+        assert page.evaluate(COLOUR_OF_STATE) == bright
+
+
+def test_a_display_that_goes_and_comes_back(bench: Bench, visit: Visit) -> None:
+    with visit(bench.url) as page:
+        await_state(page, "playing")
+        bench.end("display")
+        await_state(page, "ended")
+        assert "last state" in said(page, "state-note")
+        assert page.evaluate(NEWEST) is not None
+        bench.play()
+        await_state(page, "playing")
+
+
+def test_everything_is_reached_by_keyboard(bench: Bench, visit: Visit) -> None:
+    with visit(bench.url) as page:
+        await_state(page, "playing")
+        page.keyboard.press("Tab")
+        assert page.evaluate("document.activeElement.id") == "pause"
+        assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
+        page.keyboard.press("Space")
+        pause = page.locator("#pause")
+        assert pause.get_attribute("aria-pressed") == "true"
+        # What is under way when it is pressed still comes.
+        until(lambda: stands_still(page, 500))
+        assert stands_still(page, 1_500)
+        page.keyboard.press("Enter")
+        assert pause.get_attribute("aria-pressed") == "false"
+        page.keyboard.press("Tab")
+        page.keyboard.press("ArrowRight")
+        assert page.evaluate("document.activeElement.value") == "30"
+        label = "document.activeElement.nextElementSibling"
+        assert page.evaluate(f"getComputedStyle({label}).outlineStyle") == "solid"
+        page.wait_for_function(f"{SPAN} === 30")
+        until(lambda: not stands_still(page, 500))
+
+
+def test_it_is_read_in_light_and_dark(bench: Bench, visit: Visit) -> None:
+    labels = {"light": "#55606b", "dark": "#a5b0bb"}
+    with visit(bench.url) as page:
+        await_state(page, "playing")
+        for scheme in ("light", "dark"):
+            page.emulate_media(color_scheme=scheme)
+            ground = page.evaluate("getComputedStyle(document.body).backgroundColor")
+            assert (max(map(int, re.findall(r"\d+", ground))) < 60) == (scheme == "dark")
+            for selector in ("#state", "#heart", "#heart-note", "#pause", ".plots h2"):
+                assert page.evaluate(CONTRAST, selector) > 4.5
+            variable = f"{STYLE}.getPropertyValue('--bk-axis-label-text-color')"
+            assert page.evaluate(variable) == labels[scheme]
+        if PICTURES:
+            page.wait_for_timeout(10_000)
+        keep(page, "view-dark.png")
+
+
+def test_a_phone_shows_it_without_scrolling_sideways(bench: Bench, visit: Visit) -> None:
+    with visit(bench.url, viewport={"width": 390, "height": 800}, has_touch=True) as page:
+        await_state(page, "playing")
+        for width in (320, 390):
+            page.set_viewport_size({"width": width, "height": 800})
+            # Plots are drawn anew after the window has its width.
+            page.wait_for_function(f"document.documentElement.scrollWidth <= {width}")
+            boxes = [plot.bounding_box() for plot in page.locator(".plots > figure").all()]
+            assert len(boxes) == 8
+            assert all(box["x"] >= 0 and box["x"] + box["width"] <= width for box in boxes)
+        keep(page, "view-phone.png")
+
+
+def test_pages_of_other_sites_cannot_read_it(bench: Bench) -> None:
+    host, _, port = bench.url.removeprefix("http://").partition(":")
+    with socket.create_connection((host, int(port)), timeout=20) as connection:
+        connection.sendall(
+            f"GET /ws HTTP/1.1\r\nHost: {host}:{port}\r\nOrigin: http://example.org\r\n"
+            "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+            "Sec-WebSocket-Key: MDEyMzQ1Njc4OWFiY2RlZg==\r\n\r\n".encode()
+        )
+        assert connection.recv(100).split()[1] == b"403"
+
+
+def test_the_last_state_stays_when_the_demo_has_ended(visit: Visit) -> None:
+    demo = start(MODULE, "demo", "--seconds", "100", "--no-ui", "--page")
+    try:
+        assert demo.stdout is not None
+        url = demo.stdout.readline().removeprefix("page: ").strip()
+        with visit(url) as page:
+            await_state(page, "playing")
+            demo.send_signal(signal.SIGINT)
+            output, errors = demo.communicate(timeout=40)
+            assert demo.returncode == 0, errors
+            assert "sent =" in output
+            await_state(page, "ended")
+            assert page.evaluate(NEWEST) is not None
+    finally:
+        demo.kill()
+        demo.communicate()

@@ -1,0 +1,178 @@
+import asyncio
+import re
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from http.client import HTTPConnection
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+import zmq
+
+from display_node.display import TickState
+from display_node.telemetry.capture import HEARD, CaptureWriter
+from display_node.telemetry.messages import STATUS, TRACE, TraceWriter
+from protocol.run_summary import Summary
+from protocol.sockets import Context
+from protocol.wire.status import pack_status
+from telepulse.view import admission, server
+from telepulse.view.server import PageServer
+from tests.support.nodes import free_address
+from tests.support.waiting import until
+
+
+@contextmanager
+def serving(telemetry: str, warn: Callable[[str], None] = print) -> Iterator[PageServer]:
+    """A page's server on a loop of its own."""
+    made: list[PageServer] = []
+
+    def serve() -> None:
+        loop = asyncio.new_event_loop()
+        asyncio.set_event_loop(loop)
+        made.append(PageServer(telemetry, "127.0.0.1", None, warn))
+        made[0].run()
+        loop.close()
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    until(lambda: made)
+    try:
+        yield made[0]
+    finally:
+        made[0].stop()
+        thread.join(20)
+
+
+@pytest.fixture
+def pull_session() -> Any:
+    return pytest.importorskip("bokeh.client").pull_session
+
+
+def test_several_may_look_and_who_leaves_is_forgotten(pull_session: Any) -> None:
+    with serving(free_address()) as page:
+        first, second = (pull_session(url=page.url) for _ in range(2))
+        assert page.viewers == 2
+        first.close()
+        until(lambda: page.viewers == 1)
+        second.close()
+        until(lambda: page.viewers == 0)
+
+
+PATIENCE_S = 20.0
+PATHS = ("/", "/autoload.js?bokeh-autoload-element=1", "/metadata", "/static/js/bokeh.min.js")
+
+
+def get(page: PageServer, path: str, **headers: str) -> tuple[int, str]:
+    """Status and body of a request, under the page's own name unless headers name another."""
+    connection = HTTPConnection("127.0.0.1", urlsplit(page.url).port, timeout=PATIENCE_S)
+    with closing(connection):
+        connection.request("GET", path, headers=headers)
+        answer = connection.getresponse()
+        return answer.status, answer.read().decode()
+
+
+def websocket(page: PageServer, token: str, **headers: str) -> tuple[str, socket.socket]:
+    """The status line of a request for the page's websocket, and its connection."""
+    own = urlsplit(page.url).netloc
+    lines = {
+        "Host": own,
+        "Upgrade": "websocket",
+        "Connection": "Upgrade",
+        "Sec-WebSocket-Key": "MDEyMzQ1Njc4OWFiY2RlZg==",
+        "Sec-WebSocket-Version": "13",
+        "Sec-WebSocket-Protocol": f"bokeh, {token}",
+    } | headers
+    connection = socket.create_connection(("127.0.0.1", urlsplit(page.url).port or 0), PATIENCE_S)
+    text = "".join(f"{name}: {value}\r\n" for name, value in lines.items())
+    connection.sendall(f"GET /ws HTTP/1.1\r\n{text}\r\n".encode())
+    return connection.recv(65_536).decode("utf-8", "replace").splitlines()[0], connection
+
+
+def token_of(page: PageServer) -> str:
+    """Open the page; what its websocket needs."""
+    status, body = get(page, "/")
+    assert status == 200, body
+    found = re.search(r'"token":\s*"([^"]+)"', body)
+    assert found is not None
+    return found[1]
+
+
+def test_another_site_is_served_neither_page_nor_pulse() -> None:
+    warned: list[str] = []
+    with serving(free_address(), warned.append) as page:
+        port = urlsplit(page.url).port
+        # The name of another site that was made to resolve to this machine.
+        evil = f"evil.example:{port}"
+        for headers in ({"Host": evil}, {"Host": evil, "Origin": f"http://{evil}"}):
+            for path in PATHS:
+                status, body = get(page, path, **headers)
+                assert (status, body.count("\n")) == (403, 1), (path, headers, body)
+        status, _ = get(page, "/", Origin="http://evil.example")
+        assert status == 403
+        token = token_of(page)
+        for headers in ({"Host": evil}, {"Host": evil, "Origin": f"http://{evil}"}):
+            line, connection = websocket(page, token, **headers)
+            connection.close()
+            assert " 403 " in line, headers
+        line, connection = websocket(page, token, Origin=page.url)
+        connection.close()
+        assert " 101 " in line
+    assert len(warned) == 1
+    assert "evil.example" in warned[0]
+
+
+def test_pages_are_few_and_those_that_do_not_read_are_closed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(server, "PING_EVERY_S", 0.5)
+    monkeypatch.setattr(admission, "OPENED_AT_ONCE", 100)
+    with serving(free_address()) as page:
+        held = [websocket(page, token_of(page)) for _ in range(admission.MAX_VIEWERS)]
+        assert all(" 101 " in line for line, _ in held)
+        status, body = get(page, "/")
+        assert (status, body.count("\n")) == (503, 1)
+        # None of them answers a ping.
+        until(lambda: page.viewers == 0)
+        assert get(page, "/")[0] == 200
+        for _, connection in held:
+            connection.close()
+
+
+def test_pages_that_are_opened_again_and_again_wait() -> None:
+    with serving(free_address()) as page:
+        statuses = [get(page, "/")[0] for _ in range(2 * admission.MAX_VIEWERS)]
+    assert statuses[: admission.OPENED_AT_ONCE] == [200] * admission.OPENED_AT_ONCE
+    assert statuses.count(503) >= admission.MAX_VIEWERS
+
+
+def test_telemetry_that_has_queued_is_as_old_as_it_is(pull_session: Any, context: Context) -> None:
+    """A page that could not read for 5 s showed what had queued as "playing"."""
+    address = free_address()
+    display = context.socket(zmq.XPUB)
+    display.bind(address)
+    with serving(address) as page:
+        for _ in range(4):
+            assert display.poll(20_000)
+            display.recv()
+        sent_ns = time.monotonic_ns() - 5 * 10**9
+        heard, trace = CaptureWriter(1), TraceWriter()
+        heard.wanted = True
+        trace.add(TickState(now_ns=sent_ns, felt_n=0.356, scored=True))
+        for message in heard.take(sent_ns, time.time_ns() - 5 * 10**9):
+            display.send_multipart((HEARD, message))
+        display.send_multipart((TRACE, trace.rest() or b""))
+        display.send_multipart((STATUS, pack_status("playing", "pulse", Summary(), final=False)))
+
+        def said() -> dict[str, Any]:
+            session = pull_session(url=page.url)
+            words: dict[str, Any] = session.document.roots[0].tags[0].data["said"][0]
+            session.close()
+            return words
+
+        until(lambda: said()["state"] == "playing")
+        words = said()
+        assert re.fullmatch(r"\d+\.\d s ago", words["note"]), words["note"]
+        assert 5.0 <= float(words["note"].split()[0]) < 30.0

@@ -1,0 +1,72 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.support.keyring import Keyring
+from tests.support.nodes import ROOT, free_address, process, run
+from tests.support.telemetry_speaker import speaking
+
+MODULE = "telepulse"
+TELEMETRY = "tcp://127.0.0.1:5600"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("nonsense",), "nonsense"),
+        ((TELEMETRY, "--host", "0.0.0.0"), "the one address"),
+        ((TELEMETRY, "--host", "wrist"), "IP address"),
+        ((TELEMETRY, "--host", "192.0.2.7"), "--insecure"),
+        ((TELEMETRY, "--host", "192.0.2.7", "--insecure"), "cannot serve the page on 192.0.2.7"),
+        (("tcp://192.0.2.7:5600",), "without keys"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(arguments: tuple[str, ...], words: str) -> None:
+    result = run(MODULE, "view", *arguments)
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1, result.stderr
+    assert words in result.stderr
+    assert result.stdout == ""
+
+
+def test_a_port_that_is_taken_is_said_where_it_was_asked_for() -> None:
+    with process(MODULE, "view", free_address()) as first:
+        assert first.stdout is not None
+        port = first.stdout.readline().rpartition(":")[2].strip()
+        taken = run(MODULE, "view", TELEMETRY, "--port", port)
+        assert taken.returncode == 2
+        assert f"127.0.0.1:{port}" in taken.stderr
+        assert taken.stderr.count("\n") == 1
+        # Without a wish, another port is found.
+        other = run(MODULE, "view", free_address(), "--seconds", "0.5")
+        assert other.returncode == 0
+        assert other.stdout.startswith("page: http://127.0.0.1:")
+        assert not other.stdout.endswith(f":{port}\n")
+
+
+def test_without_bokeh_it_says_what_to_install() -> None:
+    code = "import sys; sys.modules['bokeh'] = None; from telepulse.cli.main import main; main()"
+    result = subprocess.run(
+        [sys.executable, "-c", code, "view", TELEMETRY],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert result.returncode == 2
+    assert result.stderr == ("telepulse: Bokeh is missing; pip install 'telepulse[view]'\n")
+
+
+def test_protected_telemetry_is_opened_by_the_displays_own_key(tmp_path: Path) -> None:
+    keyring, address = Keyring(tmp_path), free_address()
+    keyring.allow("wrist")
+    with (
+        speaking(address, keyring.server()) as speaker,
+        process(MODULE, "view", address, "--key", keyring.path("wrist")) as page,
+    ):
+        # The page has asked for all that is heard, which only who is let in can.
+        speaker.begin()
+        assert page.poll() is None

@@ -1,0 +1,66 @@
+from typing import Any
+
+import pytest
+
+from display_node.drives import build_drive
+from display_node.drives.scene import Cia402Scene, TmclScene
+from display_node.scene import DisplayScene
+from protocol.config.scene import validate
+from protocol.errors import SceneError
+from tests.support.drive_benches import FORCE_LIMIT_N, LAYER
+
+SECOND_ORDER = {"kind": "second_order"}
+STEPPER = {"kind": "stepper"}
+SERIAL = {"kind": "tmcl", "port": "/dev/ttyACM0"}
+
+
+def display(drive: dict[str, Any], actuator: dict[str, Any] = STEPPER) -> DisplayScene:
+    table = {"controller": {"kp": 1}, "actuator": actuator, "drive": drive}
+    return validate(table, DisplayScene, where="[display]")
+
+
+def test_a_scene_names_its_drive() -> None:
+    tmcl = display({**SERIAL, "watchdog": "80 ms", "homing_speed": "2 mm/s"}).drive
+    assert isinstance(tmcl, TmclScene)
+    assert tmcl.watchdog_ns == 80_000_000
+    assert tmcl.homing_speed_m_per_s == pytest.approx(2e-3)
+    cia402 = display(
+        {"kind": "cia402", "interface": "socketcan", "channel": "can0", "bitrate": "500 kbit/s"}
+    ).drive
+    assert isinstance(cia402, Cia402Scene)
+    assert cia402.bitrate_bit_per_s == 500_000
+
+
+@pytest.mark.parametrize(
+    ("drive", "words"),
+    [
+        ({"kind": "dyadic"}, "unknown kind 'dyadic'"),
+        ({"kind": "tmcl"}, "either port"),
+        ({**SERIAL, "interface": "virtual", "channel": "x"}, "either port"),
+        ({"kind": "tmcl", "interface": "virtual"}, "both interface and channel"),
+        ({**SERIAL, "watchdog": "20 ms"}, "reply_timeout must be at most a quarter of watchdog"),
+        ({**SERIAL, "period": "20 ms"}, "period must be at most a quarter of watchdog"),
+        ({**SERIAL, "motor": 9}, "motor"),
+        ({"kind": "cia402", "interface": "virtual"}, "channel: missing"),
+        ({"kind": "cia402", "interface": "v", "channel": "c", "node": 127}, "node"),
+    ],
+)
+def test_what_cannot_be_is_said_in_one_line(drive: dict[str, Any], words: str) -> None:
+    with pytest.raises(SceneError) as error:
+        display(drive)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_drive_moves_a_stepper_and_nothing_else() -> None:
+    scene = display(SERIAL, SECOND_ORDER)
+    assert scene.drive is not None
+    with pytest.raises(SceneError, match="stepper"):
+        build_drive(scene.drive, scene.actuator, LAYER, FORCE_LIMIT_N)
+
+
+def test_microsteps_that_a_tmcl_module_does_not_have_are_refused() -> None:
+    scene = display(SERIAL, {**STEPPER, "microsteps": 10})
+    assert scene.drive is not None
+    with pytest.raises(SceneError, match="got 10"):
+        build_drive(scene.drive, scene.actuator, LAYER, FORCE_LIMIT_N)

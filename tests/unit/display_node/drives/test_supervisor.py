@@ -1,0 +1,147 @@
+"""Commands to a drive, whatever the loop, the host and the drive do."""
+
+import random
+
+import pytest
+
+from display_node.drives.axis import Axis, build_axis
+from display_node.drives.supervisor import Supervisor
+from display_node.drives.withdrawal import WithdrawalOutcome
+from tests.support.drive_benches import FORCE_LIMIT_N, LAYER, stepper, tmcl_scene
+
+MS = 1_000_000
+WATCHDOG_NS = 50 * MS
+
+
+def axis() -> Axis:
+    scene = tmcl_scene(port="x", touch="2 mm", watchdog="50 ms", reply_timeout="10 ms")
+    return build_axis(scene, stepper(), LAYER, FORCE_LIMIT_N)
+
+
+class Bench:
+    """A drive that does at once as it is sent; it reports its position every 2 ms."""
+
+    def __init__(self, verified: bool = True) -> None:
+        self.axis = axis()
+        self.supervisor = Supervisor(self.axis, WATCHDOG_NS)
+        self.supervisor.arm(0)
+        self.supervisor.verified = verified
+        self.tip_m = self.speed = 0.0
+        self.furthest_m = 0.0
+        self.now_ms = 0
+        self.frozen_m: float | None = None
+        self.speeds: list[float] = []
+
+    def run(self, ms: int, speed_m_per_s: float | None = None) -> Supervisor:
+        """Step once a millisecond, with a command unless it is None."""
+        supervisor, units = self.supervisor, self.axis.units
+        for _ in range(ms):
+            self.now_ms += 1
+            now_ns = self.now_ms * MS
+            self.tip_m += self.speed * 1e-3
+            self.furthest_m = max(self.furthest_m, self.tip_m)
+            if self.now_ms % 2:
+                place_m = self.tip_m if self.frozen_m is None else self.frozen_m
+                supervisor.report(place_m, now_ns)
+            if speed_m_per_s is not None:
+                supervisor.command(speed_m_per_s, now_ns)
+            supervisor.watch(now_ns)
+            velocity = supervisor.velocity(now_ns)
+            supervisor.sent(velocity, now_ns)
+            self.speed = units.speed_m_per_s(velocity)
+            self.speeds.append(self.speed)
+        return supervisor
+
+
+def test_before_it_is_armed_and_after_its_end_it_rests() -> None:
+    supervisor = Supervisor(axis(), WATCHDOG_NS)
+    supervisor.command(0.01, MS)
+    assert (supervisor.fault, supervisor.velocity(MS)) == ("not started", 0)
+    supervisor.arm(MS)
+    supervisor.end("closed")
+    supervisor.command(0.01, 2 * MS)
+    assert (supervisor.fault, supervisor.velocity(2 * MS)) == ("closed", 0)
+
+
+@pytest.mark.parametrize("stalled_ms", [51, 100, 400, 10_000])
+def test_a_host_that_stood_still_withdraws(stalled_ms: int) -> None:
+    bench = Bench()
+    bench.run(40, 10e-3)
+    # The drive's own watchdog has stopped the motor meanwhile.
+    bench.now_ms += stalled_ms
+    bench.speed = 0.0
+    supervisor = bench.run(200)
+    assert supervisor.fault == f"no command for {stalled_ms + 1} ms"
+    assert supervisor.outcome is WithdrawalOutcome.WITHDRAWN
+    assert bench.tip_m < -0.4e-3
+
+
+def test_a_loop_that_falls_silent_is_a_fault_and_a_pause_is_none() -> None:
+    bench = Bench()
+    bench.run(40, 10e-3)
+    assert bench.run(45).fault is None
+    assert "no command" in str(bench.run(10).fault)
+    again = Bench()
+    again.supervisor.pause()
+    assert again.run(500).fault is None
+
+
+def test_a_drive_that_falls_silent_is_a_fault() -> None:
+    supervisor = Supervisor(axis(), WATCHDOG_NS)
+    supervisor.arm(0)
+    for ms in range(1, 60):
+        supervisor.command(0.0, ms * MS)
+        supervisor.watch(ms * MS)
+    assert supervisor.fault == "no answer for 51 ms"
+
+
+def test_a_position_that_stands_still_is_a_following_error_and_is_not_gone_by() -> None:
+    bench = Bench()
+    bench.run(20, 5e-3)
+    bench.frozen_m = bench.tip_m
+    supervisor = bench.run(1_000, 20e-3)
+    assert "following error" in str(supervisor.fault)
+    # 150 µm, as long as positions may be late, and as long as it must last.
+    assert bench.furthest_m < bench.frozen_m + 1.2e-3
+    assert supervisor.outcome is WithdrawalOutcome.UNCONFIRMED
+    assert bench.tip_m < -0.5e-3
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_drive_that_follows_is_never_blamed(seed: int) -> None:
+    bench, rng = Bench(), random.Random(seed)
+    for _ in range(400):
+        supervisor = bench.run(rng.randrange(2, 30), rng.uniform(-20e-3, 20e-3))
+        assert supervisor.fault is None
+
+
+def test_wrong_positions_do_not_lead_beyond_the_travel() -> None:
+    bench = Bench()
+    bench.run(10, 5e-3)
+    bench.frozen_m = 0.0
+    bench.run(2_000, 60e-3)
+    assert bench.furthest_m <= bench.axis.furthest_m
+
+
+def test_before_its_direction_is_verified_a_fault_leaves_it_at_rest() -> None:
+    bench = Bench(verified=False)
+    bench.run(40, 10e-3)
+    bench.supervisor.fail("wrong way", bench.now_ms * MS)
+    bench.run(100)
+    assert bench.speeds[-100:] == [0.0] * 100
+    assert bench.supervisor.outcome is None
+
+
+def test_the_first_fault_stays() -> None:
+    bench = Bench()
+    bench.run(40, 10e-3)
+    bench.supervisor.fail("feedback lost", bench.now_ms * MS)
+    bench.now_ms += 500
+    assert bench.run(100).fault == "feedback lost"
+
+
+def test_the_limits_of_the_travel_are_reported() -> None:
+    bench = Bench()
+    assert not bench.run(10, 5e-3).status(0.0).held_back
+    assert bench.run(300, 60e-3).status(0.0).held_back
+    assert not bench.run(50, -5e-3).status(0.0).held_back

@@ -1,0 +1,316 @@
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from display_node.reception.receiver import MAX_ASKED, Receiver
+from protocol.wire.messages import (
+    Bye,
+    ClockReply,
+    ClockRequest,
+    Frame,
+    Hello,
+    Welcome,
+    encode_control,
+    encode_frame,
+)
+from protocol.wire.stream import Channel
+from tests.support.sender import AHEAD_NS, MS, Sender
+from tests.support.streams import description
+
+
+def joined(sender: Sender, paths: int = 1, channel: int = 0) -> Receiver:
+    """A receiver that knows the stream and its clock at 100 ms."""
+    receiver = Receiver("test", channel, late_target=0.01, paths=paths)
+    for now_ns in range(0, 101 * MS, MS):
+        for request in receiver.requests(now_ns):
+            answer = sender.answer(request, now_ns)
+            if answer is not None:
+                receiver.on_control(answer, now_ns)
+    return receiver
+
+
+def test_asks_for_the_stream_until_it_is_welcomed() -> None:
+    receiver = Receiver("test", 0, 0.01)
+    asked = [ns for ns in range(0, 2000 * MS, MS) if receiver.requests(ns)]
+    assert len(asked) == 8
+    sender = Sender()
+    receiver.on_control(encode_control(Welcome(7, 0, sender.stream)), 2000 * MS)
+    requests = [r for ns in range(2000 * MS, 2900 * MS, MS) for r in receiver.requests(ns)]
+    assert {type(r) for r in requests} == {ClockRequest}
+
+
+def test_frames_before_the_clock_is_known_are_counted() -> None:
+    sender = Sender()
+    receiver = Receiver("test", 0, 0.01)
+    receiver.on_control(encode_control(Welcome(7, 0, sender.stream)), 0)
+    receiver.on_frame(sender.frame(0, 0.3), 0)
+    assert receiver.rejected == {"before_clock": 1}
+
+
+def test_plays_nothing_before_enough_of_the_stream_has_come() -> None:
+    sender = Sender()
+    receiver = joined(sender)
+    ready = []
+    for ms in range(100, 400, 5):
+        receiver.on_frame(sender.frame(ms * MS, 0.3), ms * MS)
+        ready.append(receiver.ready)
+    assert not any(ready[:50])
+    assert ready[-1]
+
+
+def bad_frames(sender: Sender) -> dict[str, tuple[bytes, str]]:
+    good = sender.frame(200 * MS, 0.3)
+    fields = msgpack.unpackb(good)
+    t_ns = 200 * MS + AHEAD_NS
+
+    def frame(**changes: object) -> bytes:
+        values = np.full((5, 1), 0.3, "<f4")
+        base = Frame(sender.session, 100, t_ns, MS, values)
+        return encode_frame(base._replace(**changes))  # type: ignore[arg-type]
+
+    return {
+        "not msgpack": (b"\xc1\xc1\xc1", "not_msgpack"),
+        "truncated": (good[:-3], "truncated"),
+        "another version": (msgpack.packb([99, *fields[1:]]), "version"),
+        "another session": (frame(session=8), "session"),
+        "NaN": (frame(values=np.full((5, 1), np.nan, "<f4")), "not_finite"),
+        "oversized": (frame(values=np.zeros((20_000, 1), "<f4")), "oversized"),
+        "more channels": (frame(values=np.zeros((5, 2), "<f4")), "mismatch"),
+        "more samples than a batch": (frame(values=np.zeros((6, 1), "<f4")), "mismatch"),
+        "another sample format": (frame(values=np.zeros((5, 1), "<f8")), "mismatch"),
+        "another rate": (frame(period_ns=5 * MS), "mismatch"),
+        "from the future": (frame(t_first_ns=t_ns + 3_000 * MS), "timestamp"),
+        "from long ago": (frame(t_first_ns=t_ns - 3_600_000 * MS), "timestamp"),
+    }
+
+
+@pytest.mark.parametrize("name", list(bad_frames(Sender())))
+def test_a_bad_frame_is_refused_under_its_cause(name: str) -> None:
+    sender = Sender()
+    receiver = joined(sender)
+    data, cause = bad_frames(sender)[name]
+    assert receiver.on_frame(data, 200 * MS) is None
+    assert receiver.rejected == {cause: 1}
+    assert receiver.frames == (0, 0)
+
+
+def test_a_duplicate_is_refused_and_disorder_is_counted() -> None:
+    sender = Sender()
+    receiver = joined(sender)
+    frames = [sender.frame((200 + 5 * i) * MS, 0.3) for i in range(4)]
+    for i in (0, 2, 1, 1, 3):
+        receiver.on_frame(frames[i], 220 * MS)
+    assert receiver.rejected == {"duplicate": 1}
+    assert receiver.frames == (4, 1)
+
+
+def test_frames_tell_the_clock_of_its_skew() -> None:
+    certain_ns = []
+    for every_ms in (5, 10_000):
+        sender = Sender()
+        receiver = joined(sender)
+        for ms in range(101, 5_000):
+            for request in receiver.requests(ms * MS):
+                answer = sender.answer(request, ms * MS)
+                if answer is not None:
+                    receiver.on_control(answer, ms * MS)
+            if ms % every_ms == 0:
+                receiver.on_frame(sender.frame(ms * MS, 0.3), ms * MS)
+        certain_ns.append(receiver.clock.uncertainty_ns(60_000 * MS))
+    with_frames_ns, without_ns = certain_ns
+    assert with_frames_ns < 0.9 * without_ns
+
+
+def test_over_several_paths_further_copies_are_no_refusals() -> None:
+    receiver = joined(sender := Sender(), paths=3)
+    data = sender.frame(200 * MS, 0.3)
+    for _ in range(3):
+        receiver.on_frame(data, 220 * MS)
+    assert (receiver.frames, receiver.copies, receiver.rejected) == ((1, 0), 2, {})
+
+
+def test_over_a_new_connection_it_says_its_name_before_anything_else() -> None:
+    receiver = joined(sender := Sender())
+    receiver.on_frame(sender.frame(500 * MS, 0.3), 500 * MS)
+    receiver.introduce()
+    assert isinstance(receiver.requests(500 * MS)[0], Hello)
+    receiver.introduce()
+    said = [m for ms in range(501, 1000) for m in receiver.requests(ms * MS)]
+    assert sum(isinstance(m, Hello) for m in said) == 1
+
+
+def test_a_frame_of_an_unknown_session_makes_it_ask_once_not_at_every_frame() -> None:
+    sender = Sender()
+    receiver = joined(sender)
+    receiver.on_frame(sender.frame(200 * MS, 0.3), 200 * MS)
+    stranger = Sender(session=8)
+    hellos = 0
+    for ms in range(400, 600):
+        receiver.on_frame(stranger.frame(ms * MS, 0.3), ms * MS)
+        hellos += sum(isinstance(r, Hello) for r in receiver.requests(ms * MS))
+    assert hellos == 1
+    assert receiver.rejected == {"session": 200}
+
+
+def test_a_new_session_starts_afresh_and_keeps_the_old_account() -> None:
+    sender = Sender()
+    receiver = joined(sender)
+    for ms in range(100, 200, 5):
+        receiver.on_frame(sender.frame(ms * MS, 0.3), ms * MS)
+    receiver.buffer.advance(300 * MS + AHEAD_NS)
+    assert receiver.account().played == 100
+    again = Sender(session=8)
+    receiver.on_control(encode_control(Welcome(8, 0, again.stream)), 300 * MS)
+    assert not receiver.listening
+    assert receiver.account().played == 100
+    assert receiver.frames == (20, 0)
+    # The old session's clock says nothing about the new one's.
+    receiver.on_control(encode_control(ClockReply(7, 0, AHEAD_NS, AHEAD_NS)), 301 * MS)
+    assert receiver.rejected == {"session": 1}
+
+
+@pytest.mark.parametrize(
+    ("message", "cause"),
+    [
+        (encode_control(Hello("me")), "unexpected"),
+        (encode_control(Bye(99, 5)), "session"),
+        (encode_control(ClockReply(7, 500 * MS, 0, 0)), "unasked"),
+        (b"", "truncated"),
+        (b"\x93\x01", "truncated"),
+        (msgpack.packb([1, "welcome", 7, 0, {"name": "x"}]), "description"),
+        (msgpack.packb("hello"), "malformed"),
+    ],
+)
+def test_a_bad_control_message_is_refused_under_its_cause(message: bytes, cause: str) -> None:
+    receiver = joined(Sender())
+    receiver.on_control(message, 200 * MS)
+    assert receiver.rejected == {cause: 1}
+
+
+def replies(sender: Sender, receiver: Receiver, from_ms: int, to_ms: int) -> list[bytes]:
+    """What the sender says to what it is asked, at once, and not yet delivered."""
+    asked = [(ms, r) for ms in range(from_ms, to_ms) for r in receiver.requests(ms * MS)]
+    said = [sender.answer(request, ms * MS) for ms, request in asked]
+    return [data for data in said if data is not None]
+
+
+def test_a_clock_reply_counts_once() -> None:
+    receiver = joined(sender := Sender())
+    reply = replies(sender, receiver, 101, 140)[0]
+    for _ in range(5):
+        receiver.on_control(reply, 141 * MS)
+    assert receiver.rejected == {"unasked": 4}
+
+
+def test_a_clock_reply_that_nobody_asked_for_moves_nothing() -> None:
+    receiver = joined(Sender())
+    before_ns = receiver.clock.remote_ns(200 * MS)
+    for ms in range(141, 200):
+        t_ns = 3600_000 * MS + ms * MS
+        receiver.on_control(encode_control(ClockReply(7, ms * MS - 1, t_ns, t_ns)), ms * MS)
+    assert receiver.rejected == {"unasked": 59}
+    assert receiver.clock.remote_ns(200 * MS) == before_ns
+    assert receiver.clock_steps == 0
+
+
+def test_a_reply_whose_times_cannot_be_is_refused() -> None:
+    receiver = joined(sender := Sender())
+    t1_ns = next(r.t1_ns for r in receiver.requests(120 * MS) if isinstance(r, ClockRequest))
+    late_ns = t1_ns + AHEAD_NS + 1000 * MS
+    reply = ClockReply(sender.session, t1_ns, late_ns, late_ns - 1)
+    receiver.on_control(encode_control(reply), 121 * MS)
+    assert receiver.rejected == {"implausible": 1}
+
+
+def test_requests_that_are_never_answered_are_forgotten() -> None:
+    sender = Sender()
+    receiver = joined(sender)
+    kept = []
+    for ms in range(101, 20_000):
+        receiver.on_frame(sender.frame(ms * MS, 0.3), ms * MS) if ms % 5 == 0 else None
+        for request in receiver.requests(ms * MS):
+            data = sender.answer(request, ms * MS)
+            kept += [data] if data is not None else []
+    for data in kept:
+        receiver.on_control(data, 20_000 * MS)
+    assert receiver.rejected == {"unasked": len(kept) - MAX_ASKED}
+
+
+@pytest.mark.parametrize("step_ms", [-3_600_000, 3_600_000])
+def test_a_step_of_the_sensing_clock_costs_three_exchanges(step_ms: int) -> None:
+    sender = Sender()
+    receiver = joined(sender)
+    refused = 0
+    for ms in range(101, 3000):
+        stepped_ns = step_ms * MS if ms >= 1000 else 0
+        if ms % 5 == 0:
+            frame = sender.frame(ms * MS + stepped_ns, 0.3)
+            refused += receiver.on_frame(frame, ms * MS) is None
+        for request in receiver.requests(ms * MS):
+            reply = sender.answer(request, ms * MS + stepped_ns)
+            if reply is not None:
+                receiver.on_control(reply, ms * MS)
+    assert (receiver.clock_steps, receiver.sessions, receiver.beginnings) == (1, 1, 2)
+    assert receiver.ready
+    # 3 exchanges 20 ms apart.
+    assert 0 < refused <= 12
+    receiver.buffer.advance(3000 * MS + AHEAD_NS + step_ms * MS)
+    account = receiver.account()
+    assert account.sent == sender.sent - account.before_joining
+    assert account.played == account.sent - account.lost
+    assert account.before_joining == 0
+
+
+def test_a_small_step_is_followed_without_a_break() -> None:
+    sender = Sender()
+    receiver = joined(sender)
+    for ms in range(101, 1000):
+        for request in receiver.requests(ms * MS):
+            reply = sender.answer(request, ms * MS + (50 * MS if ms >= 500 else 0))
+            if reply is not None:
+                receiver.on_control(reply, ms * MS)
+    assert (receiver.clock_steps, receiver.beginnings) == (1, 1)
+    assert receiver.clock.remote_ns(0) == AHEAD_NS + 50 * MS
+
+
+def test_an_end_that_there_was_no_time_for_is_refused() -> None:
+    sender = Sender()
+    receiver = joined(sender)
+    receiver.on_frame(sender.frame(200 * MS, 0.3), 200 * MS)
+    receiver.on_control(encode_control(Bye(7, 10**11)), 210 * MS)
+    receiver.on_control(encode_control(Bye(7, 3)), 210 * MS)
+    assert receiver.rejected == {"implausible": 2}
+
+
+@pytest.mark.parametrize("order", ["bye first", "bye last"])
+def test_bye_is_said_back_once_all_of_the_stream_is_here(order: str) -> None:
+    receiver = joined(sender := Sender())
+    first, last = sender.frame(200 * MS, 0.3), sender.frame(205 * MS, 0.3)
+    bye = encode_control(Bye(7, sender.sent))
+    receiver.on_frame(first, 206 * MS)
+    arrivals = [(receiver.on_control, bye), (receiver.on_frame, last)]
+    said = []
+    for arrive, data in arrivals if order == "bye first" else reversed(arrivals):
+        said.append([m for m in receiver.requests(210 * MS) if isinstance(m, Bye)])
+        arrive(data, 210 * MS)
+    assert said == [[], []]
+    said = [m for ms in range(210, 500) for m in receiver.requests(ms * MS) if isinstance(m, Bye)]
+    assert said == [Bye(7, sender.sent)]
+
+
+def test_a_channel_the_stream_does_not_have_is_a_mismatch() -> None:
+    sender = Sender(stream=description(channels=(Channel("a"), Channel("b"))))
+    receiver = joined(sender, channel=2)
+    receiver.on_frame(sender.frame(110 * MS, 0.3), 110 * MS)
+    assert receiver.rejected == {"mismatch": 1}
+
+
+@given(st.lists(st.binary(max_size=200), max_size=20))
+def test_no_bytes_make_it_raise(messages: list[bytes]) -> None:
+    receiver = joined(Sender())
+    for data in messages:
+        receiver.on_frame(data, 200 * MS)
+        receiver.on_control(data, 200 * MS)
+    assert sum(receiver.rejected.values()) == 2 * len(messages)

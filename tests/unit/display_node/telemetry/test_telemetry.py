@@ -1,0 +1,222 @@
+import dataclasses
+import math
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from display_node.display import Display, TickState
+from display_node.drives.feedback import Feedback
+from display_node.scene import DisplayScene
+from display_node.telemetry.messages import (
+    TRACE_TICKS,
+    Trace,
+    TraceWriter,
+    read_status,
+    read_trace,
+    write_status,
+)
+from protocol.config.scene import load_section
+from protocol.errors import WireError
+from protocol.run_summary import SampleCounts, Summary
+from protocol.wire.messages import LARGEST_N, TIME_RANGE
+from protocol.wire.status import pack_status
+from tests.support.sender import MS, Sender, run
+
+RADIAL = Path(__file__).parents[4] / "scenes" / "radial.toml"
+int64 = st.integers(-(2**63), 2**63 - 1)
+times_ns = st.integers(TIME_RANGE.start, TIME_RANGE.stop - 1)
+forces_n = st.floats(-LARGEST_N, LARGEST_N)
+ticks = st.builds(
+    TickState,
+    now_ns=times_ns,
+    instant_ns=times_ns,
+    target_n=forces_n,
+    felt_n=forces_n | st.just(math.nan),
+    scored=st.booleans(),
+    predictor_error_n=forces_n | st.just(math.nan),
+    trusted=st.booleans(),
+)
+
+
+def traces(felt: list[TickState]) -> list[bytes]:
+    writer = TraceWriter()
+    return [message for tick in felt if (message := writer.add(tick)) is not None]
+
+
+@settings(deadline=None)
+@given(st.lists(ticks, min_size=TRACE_TICKS, max_size=3 * TRACE_TICKS))
+def test_every_tick_comes_through_a_trace(felt: list[TickState]) -> None:
+    felt.sort(key=lambda tick: tick.now_ns)
+    read = [read_trace(message) for message in traces(felt)]
+    assert len(read) == len(felt) // TRACE_TICKS
+    sent = felt[: len(read) * TRACE_TICKS]
+    for name in Trace._fields:
+        together = np.concatenate([getattr(trace, name) for trace in read])
+        np.testing.assert_array_equal(together, [getattr(tick, name) for tick in sent])
+        assert all(len(getattr(trace, name)) == TRACE_TICKS for trace in read)
+
+
+def trace_of(**changes: object) -> Trace:
+    """Read a trace of ticks that are all alike but for the changes to the last one."""
+    felt = [TickState(tick, tick, tick, 0.5, 0.4, True, 0.01) for tick in range(TRACE_TICKS)]
+    for name, value in changes.items():
+        setattr(felt[-1], name, value)
+    (message,) = traces(felt)
+    return read_trace(message)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300, -1e300])
+@pytest.mark.parametrize("name", ["felt_n", "predictor_error_n"])
+def test_a_figure_that_is_no_measurement_is_read_as_unknown(name: str, value: float) -> None:
+    column = getattr(trace_of(**{name: value}), name)
+    assert np.isfinite(column[:-1]).all()
+    assert math.isnan(column[-1])
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300])
+def test_a_target_that_is_no_force_is_refused(value: float) -> None:
+    with pytest.raises(WireError, match="target"):
+        trace_of(target_n=value)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"now_ns": 3}, {"now_ns": 2**62}, {"instant_ns": -(2**63)}], ids=str
+)
+def test_times_that_fall_or_are_out_of_range_are_refused(changes: dict[str, int]) -> None:
+    with pytest.raises(WireError, match="time"):
+        trace_of(**changes)
+
+
+@pytest.mark.parametrize("number", [2**53, 2**63])
+def test_a_summary_that_counts_beyond_all_measure_is_refused(number: int) -> None:
+    whole = Summary(samples=SampleCounts(sent=number))
+    with pytest.raises(WireError, match="out of range"):
+        read_status(pack_status("playing", "", whole, final=False))
+
+
+@pytest.mark.parametrize("figure", [math.nan, math.inf, -math.inf, 1e300])
+def test_a_summarys_figure_that_is_no_measurement_is_absent(figure: float) -> None:
+    whole = dataclasses.asdict(Summary(within_jnd=figure))
+    status = read_status(msgpack.packb(["playing", "", whole, False, None, None, None]))
+    assert status.summary["within_jnd"] is None
+
+
+def test_the_status_comes_through() -> None:
+    scene = load_section(RADIAL, "display", DisplayScene)
+    display = Display(scene, "test")
+    run(display, Sender(), 0, 1500)
+    summary = display.summary()
+    status = read_status(write_status(display, summary, final=False))
+    assert (status.state, status.stream, status.final) == ("playing", "test pulse", False)
+    assert status.summary == summary.to_dict()
+
+
+def test_the_status_comes_through_before_there_is_a_stream() -> None:
+    display = Display(load_section(RADIAL, "display", DisplayScene), "test")
+    status = read_status(write_status(display, display.summary(), final=True))
+    assert (status.state, status.stream, status.final) == ("waiting", "", True)
+
+
+good_trace = traces([TickState()] * TRACE_TICKS)[0]
+plain = st.recursive(
+    st.none() | st.booleans() | int64 | st.floats() | st.text(max_size=5) | st.binary(max_size=60),
+    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text(max_size=3), inner),
+    max_leaves=10,
+)
+
+
+@pytest.mark.parametrize("read", [read_trace, read_status])
+@settings(deadline=None)
+@given(
+    st.binary(max_size=100)
+    | plain.map(msgpack.packb)
+    | st.lists(plain, min_size=2, max_size=4).map(msgpack.packb)
+    | st.integers(0, len(good_trace)).map(lambda end: good_trace[:end])
+)
+def test_bytes_are_read_or_refused(read: Callable[[bytes], object], data: bytes) -> None:
+    with suppress(WireError):
+        assert isinstance(read(data), tuple)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        [b"\0" * 48, b"\0" * 16],
+        [b"\0" * 24, b"\0" * 32],
+        [b"\0" * 23, b"\0" * 16],
+        [b"\0" * 24],
+        ["a", "b"],
+        [None, None],
+        17,
+    ],
+)
+def test_what_is_no_trace_is_refused(value: object) -> None:
+    with pytest.raises(WireError):
+        read_trace(msgpack.packb(value))
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        "abcd",
+        {"a": 1, "b": 2, "c": 3, "d": 4},
+        [1, "stream", {}, True],
+        ["playing", None, {}, True],
+        ["playing", "stream", [], True],
+        ["playing", "stream", {}, 1],
+        ["playing", "stream", {}],
+        None,
+    ],
+)
+def test_what_is_no_status_is_refused(value: object) -> None:
+    with pytest.raises(WireError):
+        read_status(msgpack.packb(value))
+
+
+@pytest.mark.parametrize(
+    "summary",
+    [
+        {"samples": None},
+        {"samples": {"late": "many"}},
+        {"loop": []},
+        {"rejected": {"crc": "x"}},
+        {"faults": "none"},
+        {"clock": {"offset_ms": {}}},
+    ],
+)
+def test_a_status_with_what_is_no_summary_is_refused(summary: object) -> None:
+    with pytest.raises(WireError, match="a status' summary"):
+        read_status(msgpack.packb(["playing", "stream", summary, True, None, None, None]))
+
+
+def test_a_status_has_every_key_of_a_summary() -> None:
+    told = {"samples": {"late": 3}, "of a later version": 1}
+    status = read_status(msgpack.packb(["playing", "stream", told, True, None, None, None]))
+    assert status.summary == Summary(samples=SampleCounts(late=3)).to_dict()
+
+
+def test_a_film_that_falls_silent_is_a_fault_and_its_force_unknown() -> None:
+    """The emulator of the film is ended while a display plays."""
+    feedback = Feedback(0, 40 * MS)
+    display = Display(load_section(RADIAL, "display", DisplayScene), "test", feedback=feedback)
+    sender, writer, messages = Sender(), TraceWriter(), []
+    for ms in range(3_000):
+        if ms < 2_000:
+            feedback.hear(ms * MS, 0.3)
+        run(display, sender, ms, ms + 1)
+        messages.append(writer.add(display.felt))
+    felt_n = np.concatenate([read_trace(message).felt_n for message in messages if message])
+    assert np.isfinite(felt_n[:2_000]).all()
+    assert np.isnan(felt_n[2_100:]).all()
+    assert display.fidelity is not None
+    display.fidelity.finish()
+    status = read_status(write_status(display, display.summary(), final=False))
+    assert (status.state, status.summary["faults"]) == ("fault", ["feedback lost"])
+    assert status.summary["force_rmse_n"]["aligned"] is not None
+    assert status.summary["availability"]["faulted"] == pytest.approx(1 / 3, abs=0.02)

@@ -1,0 +1,282 @@
+import math
+from pathlib import Path
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from display_node.display import Display
+from display_node.scene import DisplayScene
+from display_node.telemetry.messages import TraceWriter, read_status, read_trace, write_status
+from protocol.config.scene import load_section, validate
+from protocol.errors import SceneError
+from protocol.tactile import ElasticLayer
+from protocol.wire.messages import (
+    Bye,
+    ClockReply,
+    ClockRequest,
+    Frame,
+    Welcome,
+    encode_control,
+    encode_frame,
+)
+from tests.support.sender import AHEAD_NS, MS, Sender, run
+from tests.support.streams import description
+
+SCENES = Path(__file__).parents[3] / "scenes"
+LIMIT_N = 2.5
+
+
+def display(name: str = "radial", **changes: object) -> Display:
+    scene = load_section(SCENES / f"{name}.toml", "display", DisplayScene)
+    return Display(scene.model_copy(update=changes), "test")
+
+
+def test_a_steady_force_is_felt_to_half_a_microstep() -> None:
+    felt = run(display(), Sender(), 0, 2000, force_n=0.4)
+    assert felt[0] == 0.0
+    assert felt[-1] == pytest.approx(0.4, abs=0.35e-3)
+
+
+def test_it_starts_with_a_ramp_and_not_with_a_jump() -> None:
+    felt = np.array(run(display(), Sender(), 0, 2000, force_n=0.5))
+    start = int(np.flatnonzero(felt > 0.01)[0])
+    full = int(np.flatnonzero(felt > 0.49)[0])
+    assert 250 <= full - start <= 350
+    assert np.abs(np.diff(felt)).max() < 3e-3
+
+
+def test_the_strain_is_matched_where_the_two_layers_differ() -> None:
+    thick = ElasticLayer(thickness_m=3e-3, young_modulus_pa=0.02e9)
+    under_test = display()
+    felt = run(under_test, Sender(stream=description(layer=thick)), 0, 2000, force_n=0.2)
+    local = ElasticLayer()
+    assert local.strain(felt[-1]) == pytest.approx(thick.strain(0.2), rel=2e-3)
+    assert under_test.force_ratio == pytest.approx((0.05 * 2) / (0.02 * 3))
+
+
+def test_a_cut_link_brings_the_actuator_to_rest_and_its_return_ramps() -> None:
+    under_test, sender = display(), Sender()
+    run(under_test, sender, 0, 1500)
+    assert under_test.state == "playing"
+    cut = run(under_test, None, 1500, 1700)
+    assert max(cut[150:]) < 1e-3
+    assert under_test.state == "stale"
+    sender.sent += 200
+    back = run(under_test, sender, 1700, 3000)
+    assert max(back[:100]) < 0.1
+    assert back[-1] == pytest.approx(0.3, abs=1e-3)
+    account = under_test.receiver.account()
+    assert account.lost == 200
+    assert account.sent == account.played + account.late + account.lost
+
+
+def test_a_restarted_sensing_node_is_followed_by_itself() -> None:
+    under_test = display()
+    run(under_test, Sender(session=7), 0, 1500)
+    felt = run(under_test, Sender(session=8), 1500, 4000, force_n=0.5)
+    assert felt[-1] == pytest.approx(0.5, abs=1e-3)
+    assert under_test.receiver.sessions == 2
+    assert set(under_test.summary().rejected) == {"session", "before_clock"}
+
+
+def test_the_end_of_the_stream_is_played_out_and_accounted_for() -> None:
+    under_test, sender = display(), Sender()
+    run(under_test, sender, 0, 1500)
+    sender.sent += 10
+    under_test.on_control(encode_control(Bye(7, sender.sent)), 1500 * MS)
+    assert not under_test.over
+    # TCP may still have to repeat the last ones.
+    run(under_test, None, 1500, 4900)
+    assert not under_test.over
+    run(under_test, None, 4900, 5100)
+    assert under_test.over
+    samples = under_test.summary().samples
+    assert samples.lost == 10
+    assert samples.sent is not None
+    assert samples.sent + (samples.before_joining or 0) == sender.sent
+
+
+def test_an_end_of_which_nothing_is_missing_is_not_waited_for() -> None:
+    under_test, sender = display(), Sender()
+    run(under_test, sender, 0, 1500)
+    under_test.on_control(encode_control(Bye(7, sender.sent)), 1500 * MS)
+    run(under_test, None, 1500, 2100)
+    assert under_test.over
+    assert under_test.summary().samples.lost == 0
+
+
+@pytest.mark.parametrize("force_n", [1e30, -1e30, 100.0, -100.0, 3.4e38])
+def test_no_force_a_peer_sends_passes_the_limit(force_n: float) -> None:
+    felt = run(display(), Sender(), 0, 3000, force_n=force_n)
+    assert min(felt) >= 0
+    assert max(felt) <= LIMIT_N
+
+
+def test_no_layer_a_peer_claims_passes_the_limit() -> None:
+    soft = ElasticLayer(young_modulus_pa=1e-3, thickness_m=1e-9)
+    felt = run(display(), Sender(stream=description(layer=soft)), 0, 3000)
+    assert max(felt) <= LIMIT_N
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.lists(st.floats(-1e6, 1e6), min_size=20, max_size=60))
+def test_no_sequence_of_forces_passes_the_limit_or_the_slew(forces: list[float]) -> None:
+    under_test, sender = display(), Sender()
+    run(under_test, sender, 0, 1000, force_n=1.0)
+    felt = [0.0]
+    for number, force_n in enumerate(forces):
+        felt = run(under_test, sender, 1000 + 10 * number, 1010 + 10 * number, force_n)
+        assert min(felt) >= 0
+        assert max(felt) <= LIMIT_N
+        # The target's 50 N/s over a tick, and what the loop makes up for its acceleration.
+        assert np.abs(np.diff(felt)).max() < 1.5 * 0.05
+
+
+def test_the_papers_actuator_faults_when_it_overshoots_its_limit() -> None:
+    scene = load_section(SCENES / "paper.toml", "display", DisplayScene)
+    ringing = scene.controller.model_copy(update={"kd": 0.0})
+    strict = scene.safety.model_copy(update={"force_limit_n": 0.3, "overforce": 1.0})
+    parts = {"controller": ringing, "safety": strict}
+    under_test = Display(scene.model_copy(update=parts), "test")
+    run(under_test, Sender(), 0, 2000)
+    assert under_test.state == "fault"
+    assert any("above" in fault for fault in under_test.summary().faults)
+
+
+def test_missed_ticks_are_coasted_and_a_long_stall_stops_the_drive() -> None:
+    under_test, sender = display(), Sender()
+    run(under_test, sender, 0, 1500)
+    felt_n = under_test.tick(1510 * MS, elapsed_ticks=10).felt_n
+    assert felt_n == pytest.approx(0.3, abs=5e-3)
+    felt_n = under_test.tick(6510 * MS, elapsed_ticks=5000).felt_n
+    assert felt_n <= LIMIT_N
+
+
+def test_a_compensation_time_is_the_delay_that_is_felt() -> None:
+    under_test = display(compensation_ns=40 * MS)
+    run(under_test, Sender(), 0, 2000)
+    delay_ms = under_test.summary().playout_delay_ms
+    assert delay_ms.mean == pytest.approx(40, abs=0.1)
+    assert under_test.summary().samples.late == 0
+
+
+def test_no_compensation_predicts_what_has_not_arrived() -> None:
+    under_test, sender = display(compensation_ns=0), Sender()
+    run(under_test, sender, 0, 1000)
+    for ms in range(1000, 2000):
+        under_test.tick(ms * MS)
+        if ms % 5 == 0:
+            t_ns = (ms - 4 + np.arange(5)) * MS
+            ramp = (0.3 + 0.1 * (t_ns - 1000 * MS) * 1e-9).astype("<f4")[:, np.newaxis]
+            frame = Frame(7, sender.sent, int(t_ns[0]) + AHEAD_NS, MS, ramp)
+            sender.sent += 5
+            under_test.on_frame(encode_frame(frame), ms * MS)
+    # Samples are up to 5 ms old, yet the force on a straight ramp is that of this instant.
+    assert under_test.felt.target_n == pytest.approx(0.3 + 0.1 * 0.999, abs=1e-4)
+    assert (under_test.summary().samples.late or 0) > 900
+
+
+def test_summary_reports_clock_and_delays() -> None:
+    under_test = display()
+    run(under_test, Sender(), 0, 4000)
+    summary = under_test.summary()
+    assert summary.clock.offset_ms == pytest.approx(5000)
+    assert summary.one_way_delay_ms.max == pytest.approx(0, abs=0.1)
+    assert summary.covered_delay_ms == pytest.approx(7, abs=0.5)
+    assert summary.force_rmse_n.aligned is not None
+    assert math.isclose(
+        summary.strain_rmse.aligned or 0,
+        summary.force_rmse_n.aligned * abs(ElasticLayer().strain_per_newton),
+    )
+
+
+def test_scene_errors_are_one_line() -> None:
+    scene = {
+        "compensation": "40 N",
+        "controller": {"kp": 1},
+        "actuator": {"kind": "second_order"},
+    }
+    with pytest.raises(SceneError, match=r"compensation: '40 N' is no time") as caught:
+        validate(scene, DisplayScene, "scene: [display]")
+    assert "\n" not in str(caught.value)
+
+
+EXTREMES = [0, 1, -1, 2**31, 2**40 - 1, 2**53, 2**62, -(2**62), 2**63 - 1, -(2**63)]
+extreme = st.sampled_from(EXTREMES) | st.integers(-(2**63), 2**63 - 1)
+position = extreme.filter(lambda number: number >= 0)
+hostile_message = st.one_of(
+    st.builds(ClockReply, st.just(7), extreme, extreme, extreme).map(encode_control),
+    st.builds(Bye, st.just(7), position).map(encode_control),
+    st.builds(Welcome, position, position, st.just(description())).map(encode_control),
+)
+hostile_frame = st.builds(
+    lambda first, t_ns, force_n: encode_frame(
+        Frame(7, first, t_ns, MS, np.full((5, 1), force_n, "<f4"))
+    ),
+    position,
+    extreme,
+    st.floats(allow_nan=False, allow_infinity=False, width=32),
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.integers(0, 300), st.lists(st.tuples(st.booleans(), hostile_message, hostile_frame)))
+def test_no_number_a_peer_sends_breaks_the_loop_or_its_telemetry(
+    good_ms: int, messages: list[tuple[bool, bytes, bytes]]
+) -> None:
+    under_test, writer = display(), TraceWriter()
+    run(under_test, Sender(), 0, good_ms)
+    for number, (is_frame, message, frame) in enumerate(messages):
+        now_ns = (good_ms + 20 * number) * MS
+        if is_frame:
+            under_test.on_frame(frame, now_ns)
+        else:
+            under_test.on_control(message, now_ns)
+        for tick in range(20):
+            felt = under_test.tick(now_ns + tick * MS)
+            assert 0 <= felt.felt_n <= LIMIT_N
+            under_test.requests(now_ns + tick * MS)
+            trace = writer.add(felt)
+            if trace is not None:
+                read_trace(trace)
+        read_status(write_status(under_test, under_test.summary(), final=False))
+
+
+@pytest.mark.parametrize("claimed_ns", EXTREMES)
+@pytest.mark.parametrize("drift", [0, 1000])
+def test_no_clock_a_peer_claims_breaks_the_loop_or_its_telemetry(
+    claimed_ns: int, drift: int
+) -> None:
+    under_test, writer = display(), TraceWriter()
+    under_test.on_control(encode_control(Welcome(7, 0, description())), 0)
+    for ms in range(3000):
+        now_ns = ms * MS
+        t_ns = min(max(claimed_ns + drift * now_ns, -(2**63)), 2**63 - 1)
+        for request in under_test.requests(now_ns):
+            if isinstance(request, ClockRequest):
+                under_test.on_control(_raw_clock_reply(now_ns, t_ns), now_ns)
+        if ms % 5 == 0:
+            frame = Frame(7, ms, t_ns, MS, np.full((5, 1), 0.3, "<f4"))
+            under_test.on_frame(encode_frame(frame), now_ns)
+        trace = writer.add(under_test.tick(now_ns))
+        if trace is not None:
+            read_trace(trace)
+    read_status(write_status(under_test, under_test.summary(), final=False))
+
+
+def test_sessions_that_claim_enormous_counts_do_not_break_the_telemetry() -> None:
+    under_test = display()
+    for session in range(50):
+        for message in (
+            ["welcome", session, 0, description().to_wire()],
+            ["bye", session, 2**63 - 1],
+        ):
+            under_test.on_control(msgpack.packb([1, *message]), session * MS)
+    read_status(write_status(under_test, under_test.summary(), final=False))
+
+
+def _raw_clock_reply(t1_ns: int, t_ns: int) -> bytes:
+    return bytes(msgpack.packb([1, "clock", 7, t1_ns, t_ns, t_ns]))

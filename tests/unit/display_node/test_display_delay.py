@@ -1,0 +1,112 @@
+"""What the perceived delay E is made of: the chain's group delay, the loop's horizon."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from display_node.display import Display
+from display_node.scene import DisplayScene
+from protocol.config.scene import load_section
+from protocol.wire.messages import Frame, encode_frame
+from tests.support.sender import AHEAD_NS, MS, Sender
+from tests.support.streams import description
+
+SCENES = Path(__file__).parents[3] / "scenes"
+GROUP_DELAY_MS = 12
+RUN_MS = 3000
+
+
+def display(name: str = "bench", **changes: object) -> Display:
+    scene = load_section(SCENES / f"{name}.toml", "display", DisplayScene)
+    return Display(scene.model_copy(update=changes), "test")
+
+
+def pulse_n(at_ms: float) -> float:
+    return 0.3 + 0.1 * math.sin(2 * math.pi * 2 * at_ms * 1e-3)
+
+
+def playing(under_test: Display, group_delay_ms: int = 0) -> list[tuple[float, float, float]]:
+    """Play a pulse that a slow chain has sensed; time, E and felt force of the last 1.5 s.
+
+    A sample holds the pulse of group_delay_ms before it; 5 samples arrive every 5 ms.
+    """
+    stream = description(group_delay_ns=group_delay_ms * MS, bytes_per_sample=8)
+    sender = Sender(stream=stream)
+    felt = []
+    for ms in range(RUN_MS):
+        now_ns = ms * MS
+        at = under_test.tick(now_ns)
+        if ms >= RUN_MS - 1500:
+            felt.append((float(ms), at.playout_delay_ns / MS, at.felt_n))
+        for request in under_test.requests(now_ns):
+            answer = sender.answer(request, now_ns)
+            if answer is not None:
+                under_test.on_control(answer, now_ns)
+        if ms % 5 == 0:
+            taken_ms = ms - 4 + np.arange(5)
+            values = np.array([[pulse_n(t_ms - group_delay_ms)] for t_ms in taken_ms.tolist()])
+            first_ns = (ms - 4) * MS + AHEAD_NS
+            under_test.on_frame(encode_frame(Frame(7, sender.sent, first_ns, MS, values)), now_ns)
+            sender.sent += 5
+    return felt
+
+
+@pytest.mark.parametrize("group_delay_ms", [0, GROUP_DELAY_MS])
+@pytest.mark.parametrize("compensation_ns", [40 * MS, None], ids=["40 ms", "auto"])
+def test_the_pulse_that_is_felt_is_e_old_however_slow_its_chain(
+    compensation_ns: int | None, group_delay_ms: int
+) -> None:
+    under_test = display(compensation_ns=compensation_ns)
+    felt = playing(under_test, group_delay_ms)
+    for at_ms, delay_ms, felt_n in felt:
+        # The pulse of now − E is in the sample that was taken at now − E + 12 ms.
+        assert felt_n == pytest.approx(pulse_n(at_ms - delay_ms), abs=0.7e-3)
+    if compensation_ns is not None:
+        assert felt[-1][1] == pytest.approx(40, abs=0.01)
+    # Its own account knows of the chain's delay as well.
+    assert under_test.fidelity is not None
+    under_test.fidelity.finish()
+    summary = under_test.summary()
+    assert summary.force_rmse_n.aligned == pytest.approx(0.2e-3, abs=0.2e-3)
+    assert summary.samples.late == 0
+
+
+def test_auto_covers_the_chains_delay_too() -> None:
+    prompt, slow = display(), display()
+    (*_, (_, prompt_ms, _)), (*_, (_, slow_ms, _)) = playing(prompt), playing(slow, GROUP_DELAY_MS)
+    assert slow_ms - prompt_ms == pytest.approx(GROUP_DELAY_MS, abs=0.01)
+    for under_test, delay_ms in ((prompt, prompt_ms), (slow, slow_ms)):
+        # Nothing is predicted: what is covered is all of E.
+        assert under_test.summary().covered_delay_ms == pytest.approx(delay_ms, abs=0.01)
+
+
+def test_what_no_sample_holds_yet_is_predicted_and_not_counted_as_covered() -> None:
+    under_test = display(compensation_ns=0)
+    felt = playing(under_test, GROUP_DELAY_MS)
+    summary = under_test.summary()
+    # The newest sample is 0 to 5 ms old, and the pulse in it 12 ms more.
+    assert summary.covered_delay_ms == pytest.approx(GROUP_DELAY_MS + 3, abs=0.6)
+    assert summary.playout_delay_ms.mean == pytest.approx(0, abs=0.01)
+    # A straight line 17 ms ahead is off by (ωt)² / 2 of a swing at most, here 2 %.
+    off_n = max(abs(felt_n - pulse_n(at_ms - delay_ms)) for at_ms, delay_ms, felt_n in felt)
+    assert 1e-3 < off_n < 0.03 * 0.1 * 2
+
+
+@pytest.mark.parametrize(("name", "horizon"), [("bench", 1), ("paper", 1), ("real_bench", 3)])
+def test_auto_reserves_the_loops_horizon(name: str, horizon: int) -> None:
+    under_test = display(name)
+    delay_ms = playing(under_test)[-1][1]
+    link_ns = under_test.receiver.delay.delay_ns
+    assert link_ns is not None
+    # The sample after the horizon's end lets the last tick be interpolated.
+    assert delay_ms == pytest.approx(link_ns / MS + horizon + 1, abs=0.01)
+    assert under_test.summary().samples.late == 0
+
+
+def test_a_horizon_that_is_known_needs_no_prediction() -> None:
+    felt_by = {}
+    for predictor in ("hold", "linear"):
+        felt_by[predictor] = playing(display("real_bench", predictor=predictor))
+    assert felt_by["hold"] == felt_by["linear"]

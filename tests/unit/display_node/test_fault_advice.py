@@ -1,0 +1,56 @@
+"""Each fault has an advice of its own, and an exit status that names it."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from display_node.fault_advice import (
+    FAULT_STATUS,
+    FILM_NOTE,
+    OTHERWISE,
+    SENSING_NOTE,
+    advise,
+    end_at_faults,
+    latched,
+)
+
+PACKAGE = Path(__file__).parents[3] / "display_node"
+
+
+def named_faults() -> set[str]:
+    """The texts of all faults that the display's code latches, numbers left out."""
+    sources = "\n".join(path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py"))
+    safety = re.findall(r'\.fault\(\s*f?"([^"{]+)', sources)
+    drive = re.findall(r'(?:DriveError\(|\.?_?fail\()\s*f?"([a-z][^":{]+)', sources)
+    return {*safety, *(f"drive: {kind}" for kind in drive)}
+
+
+def test_every_fault_in_the_code_has_an_advice() -> None:
+    faults = named_faults()
+    assert {"feedback lost", "drive: no answer", "drive: unplugged"} <= faults
+    assert {fault for fault in faults if advise(fault).startswith(OTHERWISE)} <= {
+        # These end a start, whose line says what to do, or follow a closing.
+        "drive: stopped",
+        "drive: not there",
+    }
+
+
+def test_a_fault_ends_with_its_status_and_a_line_for_each(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        end_at_faults("display-node", ["feedback lost", f"{FILM_NOTE}3 samples missing"])
+    assert ended.value.code == FAULT_STATUS == 3
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == (
+        "display-node: ended at the fault 'feedback lost': check the film's sensor and its cable;"
+        " then start the display again"
+    )
+
+
+def test_what_a_sensor_missed_is_no_latched_fault(capsys: pytest.CaptureFixture[str]) -> None:
+    notes = [f"{FILM_NOTE}3 samples missing", f"{SENSING_NOTE}2 samples beyond the ADC's range"]
+    assert latched(notes) == []
+    end_at_faults("display-node", notes)
+    assert capsys.readouterr().err == ""

@@ -1,0 +1,76 @@
+"""A display whose process stood still, in virtual time: the pulse comes back by a ramp.
+
+What the sensing node sent meanwhile has queued, and comes in at once, by and by, or not at all.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from display_node.display import Display
+from display_node.node import LEAST_READ
+from display_node.scene import DisplayScene
+from protocol.config.scene import load_section
+from tests.support.sender import MS, Sender, run
+
+RADIAL = Path(__file__).parents[3] / "scenes" / "radial.toml"
+BEGIN_MS, FORCE_N = 1_500, 0.3
+# The scene's: stale_after, fade and ramp.
+STALE_MS, FADE_MS, RAMP_MS = 60, 40, 300
+STALLS_MS = (50, 60, 70, 100, 250, 400, 1_000, 2_600, 5_000)
+ALL_AT_ONCE = 10_000
+
+
+def played_after(stall_ms: int, read_a_tick: int, cut_ms: int = 0) -> Iterator[tuple[float, float]]:
+    """Stall a display that plays; yield gain and felt force of each tick of the second after it.
+
+    read_a_tick: messages that are received before each tick. cut_ms: of a connection that was lost
+    by the stall with all that had queued, and is made anew after so long.
+    """
+    display, sender = Display(load_section(RADIAL, "display", DisplayScene), "test"), Sender()
+    run(display, sender, 0, BEGIN_MS, FORCE_N)
+    assert display.state == "playing"
+    over_ms = BEGIN_MS + stall_ms
+    stall = range(BEGIN_MS, over_ms)
+    queue = [sender.frame(ms * MS, FORCE_N) for ms in stall if ms % 5 == 0]
+    if cut_ms:
+        queue.clear()
+    for ms in range(over_ms, over_ms + 1_000):
+        if ms % 5 == 0 and ms >= over_ms + cut_ms:
+            queue.append(sender.frame(ms * MS, FORCE_N))
+        for frame in queue[:read_a_tick]:
+            display.on_frame(frame, ms * MS)
+        queue = queue[read_a_tick:]
+        felt_n = display.tick(ms * MS, stall_ms if ms == over_ms else 1).felt_n
+        yield display.safety.gain, felt_n
+        for request in display.requests(ms * MS):
+            answer = sender.answer(request, ms * MS)
+            if answer is not None:
+                display.on_control(answer, ms * MS)
+
+
+@pytest.mark.parametrize("stall_ms", STALLS_MS)
+@pytest.mark.parametrize(
+    ("read_a_tick", "cut_ms"), [(ALL_AT_ONCE, 0), (LEAST_READ + 1, 0), (ALL_AT_ONCE, 50)]
+)
+def test_a_stall_beyond_the_stale_limit_comes_back_by_a_ramp(
+    stall_ms: int, read_a_tick: int, cut_ms: int
+) -> None:
+    """At full strength at once after 5 s, where all that had queued came in before a tick."""
+    gains, felt_n = np.array(list(played_after(stall_ms, read_a_tick, cut_ms))).T
+    faded = min(1.0, max(0.0, (stall_ms - STALE_MS) / FADE_MS))
+    # It falls no slower and comes back no faster, whatever has queued.
+    assert gains[0] <= 1.0 - faded + 1.0 / RAMP_MS + 1e-9
+    assert np.diff(gains).max() <= 1.0 / RAMP_MS + 1e-9
+    if faded == 1.0:
+        assert np.flatnonzero(gains == 1.0)[0] >= RAMP_MS - 2
+        assert felt_n.min() < 0.4 * FORCE_N
+    assert gains[-1] == 1.0
+    assert felt_n[-1] == pytest.approx(FORCE_N, abs=5e-3)
+
+
+def test_a_stall_within_the_stale_limit_is_not_an_interruption() -> None:
+    gains = [gain for gain, _ in played_after(STALE_MS, ALL_AT_ONCE)]
+    assert gains == [1.0] * len(gains)

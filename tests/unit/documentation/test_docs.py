@@ -1,0 +1,89 @@
+import re
+from collections.abc import Iterator
+from typing import Any, get_args
+
+import pytest
+from pydantic import BaseModel
+
+from display_node.scene import DisplayScene
+from protocol.security.authenticator import REASONS
+from protocol.security.causes import MEANINGS
+from protocol.security.handshake_monitor import REFUSED_KEY, REVOKED
+from protocol.security.subscription_budget import SUBSCRIPTION
+from sensing_node.scene import SensingScene
+from telepulse.simulation.link_model import LinkScene
+from tests.support.nodes import ROOT
+
+PACKAGES = ("protocol", "pulse_sensors", "sensing_node", "display_node", "telepulse")
+
+
+def keys(schema: type[BaseModel]) -> Iterator[str]:
+    """Every key a section of a scene can have, its tables' too."""
+    for name, field in schema.model_fields.items():
+        yield field.alias or name
+        for inner in tables(field.annotation):
+            yield from keys(inner)
+
+
+def tables(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from tables(part)
+
+
+@pytest.mark.parametrize("schema", [SensingScene, DisplayScene, LinkScene])
+def test_every_key_of_a_scene_is_documented(schema: type[BaseModel]) -> None:
+    words = set(re.findall(r"\w+", (ROOT / "docs" / "scenes.md").read_text(encoding="utf-8")))
+    assert set(keys(schema)) - words == set()
+
+
+def test_every_cause_of_refusal_is_documented_and_no_other() -> None:
+    sources = [
+        path.read_text(encoding="utf-8") for p in PACKAGES for path in (ROOT / p).rglob("*.py")
+    ]
+    raised = set(re.findall(r'(?:WireError\(|cause = |rejected\[)"(\w+)"', "\n".join(sources)))
+    raised |= {
+        "truncated",
+        "not_msgpack",
+        "duplicate",
+        "overlap",
+        REFUSED_KEY,
+        REVOKED,
+        SUBSCRIPTION,
+        *REASONS,
+    }
+    table = (ROOT / "docs" / "wire.md").read_text(encoding="utf-8").split("counted as")[1]
+    documented = set(re.findall(r"`(\w+)`", table))
+    assert raised == documented
+    assert documented == MEANINGS.keys()
+
+
+def test_nothing_claims_that_the_finger_is_at_rest() -> None:
+    """Statements about the finger are measured: `drives/finger.py` makes the sentence."""
+    texts = [
+        *(ROOT / "docs").rglob("*.md"),
+        *(path for package in PACKAGES for path in (ROOT / package).rglob("*.py")),
+        *(ROOT / "telepulse").rglob("*.js"),
+        *(ROOT / "telepulse").rglob("*.html"),
+    ]
+    assert [path for path in texts if "finger is at rest" in path.read_text(encoding="utf-8")] == []
+
+
+def test_the_safety_case_rests_on_tests_that_there_are() -> None:
+    text = (ROOT / "docs" / "safety_case.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`(test_\w+\.py)::(test_\w+)`", text))
+    assert len(named) > 10
+    there = {
+        (path.name, test)
+        for path in (ROOT / "tests").rglob("test_*.py")
+        for test in re.findall(r"^def (test_\w+)", path.read_text(encoding="utf-8"), re.MULTILINE)
+    }
+    assert named - there == set()
+
+
+@pytest.mark.parametrize("name", ["README.md", "constraints.txt", "Dockerfile", "pyproject.toml"])
+def test_no_address_of_a_registry_is_written_down(name: str) -> None:
+    text = (ROOT / name).read_text(encoding="utf-8")
+    assert "index-url" not in text
+    assert not re.search(r"https?://", text)

@@ -1,0 +1,260 @@
+import importlib.util
+import io
+import math
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import signal
+
+from protocol.errors import SourceError
+from tests.support.recording_files import recording, refusal
+
+NUMBERS = [0.25, 1.5, 3.0, 2.0]
+
+
+def played(path: Path, **keys: object) -> list[float]:
+    """All samples of a recording."""
+    taken = recording(path, repeat="once", **keys).take(100)
+    assert taken.shape[1] == 1
+    return list(taken[:, 0])
+
+
+def csv_file(folder: Path, text: str, encoding: str = "utf-8") -> Path:
+    path = folder / "pulse.csv"
+    path.write_bytes(text.encode(encoding))
+    return path
+
+
+def npy_file(folder: Path, array: NDArray[Any], name: str = "pulse.npy") -> Path:
+    np.save(folder / name, array, allow_pickle=True)
+    return folder / name
+
+
+@pytest.mark.parametrize(
+    ("text", "column"),
+    [
+        ("0.25\n1.5\n3\n2\n", 0),
+        ("0.25\r\n1.5\r\n3\r\n2", 0),
+        ("force\n0.25\n1.5\n3\n2\n", 0),
+        ("force\n0.25\n1.5\n3\n2\n", "force"),
+        ("time, force\n0,0.25\n1,1.5\n2,3\n3,2\n", "force"),
+        ("time,force\n0,0.25\n1,1.5\n2,3\n3,2\n\n\n", 1),
+        ('"a, b","2024"\n0,"0.25"\n1,"1.5"\n2,3\n3,2\n', "2024"),
+        ("2016-11-24 13:58:58,0.25\n2016-11-24 13:58:59,1.5\nnoon,3\n,2e0\n", 1),
+    ],
+)
+def test_a_column_of_a_csv_file(tmp_path: Path, text: str, column: int | str) -> None:
+    assert played(csv_file(tmp_path, text), column=column) == NUMBERS
+
+
+def test_a_byte_order_mark_is_not_a_header(tmp_path: Path) -> None:
+    path = csv_file(tmp_path, "0.25\n1.5\n3\n2\n", "utf-8-sig")
+    assert played(path) == NUMBERS
+
+
+@pytest.mark.parametrize("dtype", ["f8", "f4", ">f8", "f2"])
+def test_a_numpy_array(tmp_path: Path, dtype: str) -> None:
+    assert played(npy_file(tmp_path, np.array(NUMBERS, dtype))) == NUMBERS
+
+
+def test_a_column_of_a_numpy_table_of_integers(tmp_path: Path) -> None:
+    path = npy_file(tmp_path, np.array([[1, 9], [2, 8], [3, 7]]))
+    assert played(path, column=0) == [1, 2, 3]
+    assert played(path, column=1) == [9, 8, 7]
+
+
+@pytest.mark.parametrize("column", ["force", 1])
+def test_an_array_of_a_numpy_archive(tmp_path: Path, column: int | str) -> None:
+    path = tmp_path / "pulse.npz"
+    np.savez(path, time=np.arange(4), force=np.array(NUMBERS))
+    assert played(path, column=column) == NUMBERS
+
+
+@pytest.mark.parametrize(
+    ("keys", "newtons_per_number"),
+    [
+        ({"unit": "N"}, 1.0),
+        ({"unit": "mN"}, 1e-3),
+        # Eq 21: F = 2 π r V / (g31 + g32), g31 = g32 = 0.15 V·m/N.
+        ({"unit": "V", "film_radius": "8 mm"}, 2 * math.pi * 8e-3 / 0.3),
+        ({"unit": "mV", "film_radius": "9 mm"}, 2 * math.pi * 9e-3 / 0.3 * 1e-3),
+    ],
+)
+def test_units_become_newtons_on_the_preload(
+    tmp_path: Path, keys: dict[str, str], newtons_per_number: float
+) -> None:
+    path = npy_file(tmp_path, np.array(NUMBERS))
+    plain = [newtons_per_number * number for number in NUMBERS]
+    assert played(path, **keys) == pytest.approx(plain)
+    on_preload = played(path, preload="200 mN", **keys)
+    assert on_preload == pytest.approx([force_n + 0.2 for force_n in plain])
+
+
+def test_raw_values_are_scaled_to_the_peak_to_peak_with_their_mean_on_the_preload(
+    tmp_path: Path,
+) -> None:
+    path = npy_file(tmp_path, np.array([100.0, 300.0, 150.0, 250.0]))
+    keys = {"unit": "raw", "peak_to_peak": "0.4 N", "preload": "0.5 N"}
+    assert played(path, **keys) == pytest.approx([0.3, 0.7, 0.4, 0.6])
+
+
+@pytest.mark.parametrize("counts", [[1] * 9, [9], [3, 6], [4, 4, 1], [2, 0, 7]])
+def test_a_loop_wraps_without_a_sample_too_many_or_too_few(
+    tmp_path: Path, counts: list[int]
+) -> None:
+    source = recording(npy_file(tmp_path, np.array(NUMBERS)))
+    taken = np.concatenate([source.take(count) for count in counts])
+    assert taken[:, 0].tolist() == [*NUMBERS, *NUMBERS, NUMBERS[0]]
+
+
+def test_played_once_it_ends_with_fewer_samples(tmp_path: Path) -> None:
+    source = recording(npy_file(tmp_path, np.array(NUMBERS)), repeat="once")
+    assert [len(source.take(3)) for _ in range(4)] == [3, 1, 0, 0]
+
+
+def test_the_period_is_that_of_the_rate(tmp_path: Path) -> None:
+    path = npy_file(tmp_path, np.array(NUMBERS))
+    assert recording(path).period_ns == 10_000_000
+    assert recording(path, rate="3 kHz").period_ns == 333_333
+
+
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    for name in ("none.csv", "none.npy", "none.npz"):
+        assert refusal(tmp_path / name) == "no such recording"
+
+
+@pytest.mark.parametrize("name", ["folder.csv", "folder.npy", "folder.npz"])
+def test_a_directory_is_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).mkdir()
+    assert refusal(tmp_path / name) == f"cannot be read: {os.strerror(21)}"
+
+
+@pytest.mark.parametrize("name", ["pulse.wav", "pulse"])
+def test_another_suffix_is_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("1\n2\n")
+    assert "is not .csv, .npy or .npz" in refusal(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("text", "column", "said"),
+    [
+        ("time,force\n0,1\n1,2\n", "pressure", "no column 'pressure'; it has time, force"),
+        ("0,1\n1,2\n", "force", "no column 'force'; it has 0, 1"),
+        ("time,force\n0,1\n1,2\n", 2, "no column 2; it has 2"),
+        ("time,force\n0,1\n1\n2,3\n", 1, "line 3: no column 1; it has 1"),
+        ("time,force\n0,1\n1,high\n2,3\n", "force", "line 3: 'high' is not a number"),
+        ("time,force\n\n0,1\n1,\n2,3\n", 1, "line 4: '' is not a number"),
+        (
+            "1\n2\nnan\n4\n",
+            0,
+            "1 value is NaN or beyond 1e+30, the first is sample 2; cut or fill them",
+        ),
+        (
+            "1\n-inf\nnan\n1e31\n",
+            0,
+            "3 values are NaN or beyond 1e+30, the first is sample 1; cut or fill them",
+        ),
+        ("", 0, "is empty, or its first line is"),
+        ("force\n", 0, "number of samples is 0; it must be 2 or more"),
+        ("force\n1\n", 0, "number of samples is 1; it must be 2 or more"),
+        ("9" * 200_000, 0, "cannot be read: field larger than field limit (131072)"),
+    ],
+)
+def test_a_csv_file_that_cannot_be_used_is_refused(
+    tmp_path: Path, text: str, column: int | str, said: str
+) -> None:
+    assert refusal(csv_file(tmp_path, text), column=column) == said
+
+
+def test_a_csv_file_that_is_not_text_is_refused(tmp_path: Path) -> None:
+    path = csv_file(tmp_path, "µ\n1\n2\n", "latin-1")
+    assert refusal(path).startswith("cannot be read: 'utf-8' codec can't decode")
+
+
+@pytest.mark.parametrize(
+    ("array", "column", "said"),
+    [
+        (np.zeros((4, 2)), 2, "no column 2; it has 2"),
+        (np.zeros((4, 2)), "force", "no column 'force'; it has 2"),
+        (np.zeros((4, 0)), 0, "no column 0; it has 0"),
+        (np.zeros(0), 0, "number of samples is 0; it must be 2 or more"),
+        (np.zeros(1), 0, "number of samples is 1; it must be 2 or more"),
+        (np.array(1.0), 0, "needs real numbers in one or two dimensions, has float64 in 0"),
+        (np.zeros((2, 2, 2)), 0, "needs real numbers in one or two dimensions, has float64 in 3"),
+        (np.zeros(4, complex), 0, "needs real numbers in one or two dimensions, has complex128"),
+        (np.array(["1", "2"]), 0, "needs real numbers in one or two dimensions, has <U1 in 1"),
+        (np.array([1, None]), 0, "cannot be read: Object arrays cannot be loaded"),
+        (np.array([1, 2, np.nan, 4]), 0, "1 value is NaN or beyond 1e+30, the first is sample 2"),
+    ],
+)
+def test_a_numpy_array_that_cannot_be_used_is_refused(
+    tmp_path: Path, array: NDArray[Any], column: int | str, said: str
+) -> None:
+    assert refusal(npy_file(tmp_path, array), column=column).startswith(said)
+
+
+@pytest.mark.parametrize("column", ["pressure", 2])
+def test_an_array_that_an_archive_does_not_have_is_refused(
+    tmp_path: Path, column: int | str
+) -> None:
+    path = tmp_path / "pulse.npz"
+    np.savez(path, time=np.arange(4), force=np.array(NUMBERS))
+    assert refusal(path, column=column) == f"no array {column!r}; it has time, force"
+
+
+@pytest.mark.parametrize("save", [np.save, np.savez, np.savez_compressed])
+def test_a_damaged_numpy_file_is_refused_or_read_but_never_a_crash(
+    tmp_path: Path, save: Callable[..., None]
+) -> None:
+    whole = io.BytesIO()
+    save(whole, np.array(NUMBERS))
+    data = whole.getvalue()
+    path = tmp_path / ("pulse.npy" if save is np.save else "pulse.npz")
+    for length in range(len(data)):
+        path.write_bytes(data[:length])
+        refusal(path)
+    for position in range(len(data)):
+        path.write_bytes(data[:position] + bytes([data[position] ^ 0x5A]) + data[position + 1 :])
+        with suppress(SourceError):
+            recording(path)
+
+
+def test_an_array_too_large_for_memory_is_refused(tmp_path: Path) -> None:
+    path = npy_file(tmp_path, np.zeros(8))
+    data = path.read_bytes()
+    shape, huge = b"(8,), }" + b" " * 16, b"(1000000000000000,), }"
+    path.write_bytes(data.replace(shape, huge.ljust(len(shape))))
+    assert refusal(path).startswith("cannot be read: Unable to allocate")
+
+
+def test_equal_values_cannot_be_scaled(tmp_path: Path) -> None:
+    path = npy_file(tmp_path, np.full(4, 7.0))
+    assert "all values are equal" in refusal(path, unit="raw", peak_to_peak="0.3 N")
+
+
+def heartpy_recording() -> Path:
+    """A photoplethysmogram of 24.83 s at 100 Hz that comes with heartpy's package."""
+    found = importlib.util.find_spec("heartpy")
+    assert found is not None
+    assert found.origin is not None
+    return Path(found.origin).parent / "data" / "data.csv"
+
+
+def test_a_real_recording_keeps_its_heart_rate_and_gets_its_height() -> None:
+    keys = {"unit": "raw", "peak_to_peak": "0.3 N", "preload": "0.4 N"}
+    source = recording(heartpy_recording(), **keys)
+    force_n = source.take(2483)[:, 0]
+    assert np.ptp(force_n) == pytest.approx(0.3)
+    assert force_n.mean() == pytest.approx(0.4)
+    # Its 24 systolic peaks rise above its dicrotic ones; about 59 beats a minute.
+    peaks = signal.find_peaks(force_n, height=force_n.mean() + 0.1, distance=30)[0]
+    assert len(peaks) == 24
+    beat_s = np.diff(peaks).mean() * source.period_ns * 1e-9
+    assert 57 < 60 / beat_s < 61
+    np.testing.assert_array_equal(source.take(2483)[:, 0], force_n)

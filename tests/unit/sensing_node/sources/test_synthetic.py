@@ -1,0 +1,169 @@
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy import signal
+
+from sensing_node.sources.synthetic import PRESETS
+from tests.support.streams import synthetic
+
+RESTLESS: dict[str, Any] = {
+    "heart_rate_variability": "10 %",
+    "respiration": "20 %",
+    "ectopic": "10 %",
+    "noise": "1 mN",
+    "hum": "5 mN",
+}
+LONGEST = 20_000
+RESTLESS_PULSE = synthetic(**RESTLESS).take(LONGEST)
+
+
+def pulse(seconds: float, rate_hz: int = 1000, **keys: object) -> NDArray[np.float64]:
+    taken = synthetic(rate=f"{rate_hz} Hz", **keys).take(round(seconds * rate_hz))
+    return taken.ravel()
+
+
+def beat_peaks(force_n: NDArray[np.float64], height: float) -> NDArray[np.intp]:
+    """Where the pulse peaks above a share of its peak to peak."""
+    limit_n = force_n.min() + height * np.ptp(force_n)
+    peaks: NDArray[np.intp] = signal.find_peaks(force_n, height=limit_n)[0]
+    return peaks
+
+
+@given(st.lists(st.integers(0, 2 * LONGEST // 10), min_size=1, max_size=10))
+def test_chunk_sizes_do_not_change_the_samples(counts: list[int]) -> None:
+    source = synthetic(**RESTLESS)
+    taken = [source.take(count) for count in counts]
+    assert [chunk.shape for chunk in taken] == [(count, 1) for count in counts]
+    together = np.concatenate(taken)[:LONGEST]
+    np.testing.assert_array_equal(together, RESTLESS_PULSE[: len(together)])
+
+
+def test_a_seed_names_one_pulse() -> None:
+    assert np.array_equal(pulse(2, seed=1, **RESTLESS), pulse(2, seed=1, **RESTLESS))
+    assert not np.array_equal(pulse(2, seed=1, **RESTLESS), pulse(2, seed=2, **RESTLESS))
+    assert not np.array_equal(pulse(2, seed=1, noise="1 mN"), pulse(2, seed=2, noise="1 mN"))
+
+
+def test_the_period_is_that_of_the_rate() -> None:
+    assert synthetic(rate="1 kHz").period_ns == 1_000_000
+    assert synthetic(rate="60 Hz").period_ns == 16_666_667
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("per_minute", [20, 75, 180])
+def test_beats_a_minute_are_the_heart_rate(preset: str, per_minute: int) -> None:
+    force_n = pulse(60, preset=preset, heart_rate=f"{per_minute} /min")
+    assert len(beat_peaks(force_n, 0.85)) == per_minute
+
+
+@pytest.mark.parametrize("variability", [0.05, 0.15])
+def test_beat_intervals_vary_as_asked_about_the_heart_rate(variability: float) -> None:
+    force_n = pulse(1800, preset="paper", heart_rate_variability=variability)
+    intervals_s = np.diff(beat_peaks(force_n, 0.85)) / 1000
+    assert intervals_s.std() / intervals_s.mean() == pytest.approx(variability, rel=0.06)
+    assert 1 / intervals_s.mean() == pytest.approx(1.25, rel=0.005)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize(("peak_to_peak_n", "preload_n"), [(0.3, 0.3), (2.0, 0.0), (0.1, 1.0)])
+@pytest.mark.parametrize("per_minute", [60, 75, 150])
+def test_height_and_mean_of_the_pulse_are_as_asked(
+    preset: str, peak_to_peak_n: float, preload_n: float, per_minute: int
+) -> None:
+    force_n = pulse(
+        60,
+        preset=preset,
+        peak_to_peak=f"{peak_to_peak_n} N",
+        preload=f"{preload_n} N",
+        heart_rate=f"{per_minute} /min",
+    )
+    assert np.ptp(force_n) == pytest.approx(peak_to_peak_n, rel=1e-3)
+    assert force_n.mean() == pytest.approx(preload_n, abs=1e-4 * peak_to_peak_n)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("per_minute", [18, 75, 240])
+def test_the_pulse_is_an_endless_sum_of_beats(preset: str, per_minute: int) -> None:
+    force_n = pulse(20, preset=preset, heart_rate=f"{per_minute} /min", preload="1 N")
+    t_s = np.arange(len(force_n)) / 1000
+    beat_s = 60 / per_minute
+    stretch = math.sqrt(beat_s / 0.8)
+    beats = np.zeros(len(t_s))
+    for wave in PRESETS[preset]:
+        for beat in range(-20, math.ceil(20 / beat_s) + 3):
+            z = (t_s - beat * beat_s - wave.centre_s * stretch) / (wave.width_s * stretch)
+            beats += wave.amplitude * np.exp(-0.5 * z**2)
+    # Scale and offset are another test's; a straight line takes both out.
+    slope, offset = np.polyfit(beats, force_n, 1)
+    np.testing.assert_allclose(force_n, slope * beats + offset, atol=1e-8)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_uneven_beats_join_without_a_step(preset: str) -> None:
+    keys = RESTLESS | {"noise": "0 N", "hum": "0 N", "preset": preset, "heart_rate": "120 /min"}
+    coarse_n, fine_n = pulse(60, 1000, **keys), pulse(60, 10_000, **keys)
+    np.testing.assert_allclose(fine_n[::10], coarse_n, atol=1e-8)
+    # Of a smooth curve, steps ten times closer are ten times smaller; a jump stays as it is.
+    assert np.abs(np.diff(fine_n)).max() < 0.11 * np.abs(np.diff(coarse_n)).max()
+
+
+@pytest.mark.parametrize("share", [0.05, 0.2, 0.5])
+def test_premature_beats_come_as_often_as_asked_and_a_pause_follows(share: float) -> None:
+    force_n = pulse(2400, 200, preset="wide", ectopic=share)
+    peaks = beat_peaks(force_n, 0.555)
+    heights = (force_n[peaks] - force_n.min()) / np.ptp(force_n)
+    intervals_s = np.diff(peaks) / 200
+    premature = np.flatnonzero(heights[1:-1] < 0.8) + 1
+    assert len(premature) / len(peaks) == pytest.approx(share, abs=0.012)
+    assert intervals_s[premature - 1].max() < 0.65 * 0.8
+    assert intervals_s[premature].min() > 1.25 * 0.8
+    others = np.setdiff1d(np.arange(len(intervals_s) - 1), [*premature, *(premature - 1)])
+    assert all(abs(intervals_s[others] - 0.8) < 0.05)
+
+
+@pytest.mark.parametrize("rate_hz", [0.2, 0.25])
+def test_respiration_is_a_wave_of_its_rate_and_size(rate_hz: float) -> None:
+    still_n = pulse(60)
+    breath_n = pulse(60, respiration="30 %", respiration_rate=f"{rate_hz} Hz") - still_n
+    spectrum = np.abs(np.fft.rfft(breath_n)) ** 2
+    assert np.fft.rfftfreq(len(breath_n), 1e-3)[spectrum.argmax()] == pytest.approx(rate_hz)
+    assert spectrum.max() > 0.999 * spectrum.sum()
+    assert breath_n.std() == pytest.approx(0.3 * still_n.std(), rel=1e-3)
+
+
+def test_noise_is_white_and_of_its_rms() -> None:
+    noise_n = pulse(60, noise="2 mN") - pulse(60)
+    assert noise_n.std() == pytest.approx(2e-3, rel=0.02)
+    assert abs(noise_n.mean()) < 5e-5
+    assert abs(np.corrcoef(noise_n[1:], noise_n[:-1])[0, 1]) < 0.02
+
+
+@pytest.mark.parametrize("rate_hz", [50, 60])
+def test_hum_is_a_sine_of_its_rate_and_size_and_leaves_the_rest_alone(rate_hz: int) -> None:
+    quiet = RESTLESS | {"hum": "0 N"}
+    hum_n = pulse(10, **quiet | {"hum": "20 mN", "hum_rate": f"{rate_hz} Hz"}) - pulse(10, **quiet)
+    t_s = np.arange(len(hum_n)) / 1000
+    np.testing.assert_allclose(hum_n, 0.02 * np.sin(2 * np.pi * rate_hz * t_s), atol=1e-12)
+
+
+def test_energy_shares_are_those_of_the_paper() -> None:
+    deviation_n = float(pulse(8, preset="paper").std())
+    force_n = pulse(
+        15,
+        preset="paper",
+        heart_rate="75 /min",
+        preload=f"{0.034 * deviation_n} N",
+        respiration=0.256,
+        respiration_rate="0.25 Hz",
+    )
+    frequency_hz, power = signal.welch(
+        force_n, fs=1000, window="hamming", nperseg=3333, nfft=4096, detrend=False
+    )
+    below = [20, 10, 5, 1, 0.4]
+    shares = [100 * power[frequency_hz < limit].sum() / power.sum() for limit in below]
+    assert shares == pytest.approx([99.7, 89.4, 57.4, 12.4, 4.8], abs=0.2)

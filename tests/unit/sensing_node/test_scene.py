@@ -1,0 +1,156 @@
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from protocol.config.scene import load_section, validate
+from protocol.errors import SceneError, SourceError
+from protocol.tactile import ElasticLayer
+from sensing_node.scene import SensingScene, build_source, describe_stream
+from sensing_node.sources.recorded import RecordedSource
+from sensing_node.sources.synthetic import SyntheticSource
+from tests.support.nodes import ROOT
+from tests.unit.sensing_node.sources.test_recording import heartpy_recording
+
+RECORDING = {"kind": "recording", "path": "pulse.csv", "rate": "100 Hz", "unit": "N"}
+
+
+def scene(**keys: Any) -> SensingScene:
+    return validate({"source": {"kind": "synthetic"}} | keys, SensingScene, "scene")
+
+
+def source(**keys: Any) -> dict[str, Any]:
+    return {"source": {"kind": "synthetic"} | keys}
+
+
+# What a bench's sensor board senses comes from its port.
+LIVE = ("tmcl_bench", "cia402_bench")
+SENSED = [path for path in sorted((ROOT / "scenes").glob("*.toml")) if path.stem not in LIVE]
+
+
+@pytest.mark.parametrize("path", SENSED, ids=lambda p: p.stem)
+def test_every_scene_that_we_ship_can_be_sensed(path: Path) -> None:
+    section = load_section(path, "sensing", SensingScene)
+    samples = build_source(section, path.parent)
+    assert len(samples.take(10)) == 10
+    assert describe_stream(section, samples).rate_hz == 1000
+
+
+def test_the_stream_is_described_as_the_scene_says() -> None:
+    section = scene(
+        **source(rate="500 Hz"),
+        stream="left wrist",
+        batch="10 ms",
+        samples="float64",
+        layer={"young_modulus": "2 MPa", "thickness": "3 mm", "poisson_ratio": 0.4},
+    )
+    stream = describe_stream(section, build_source(section, Path()))
+    assert stream.name == "left wrist"
+    assert stream.period_ns == 2_000_000
+    assert stream.batch == 5
+    assert stream.bytes_per_sample == 8
+    assert [(channel.name, channel.unit) for channel in stream.channels] == [("pulse", "N")]
+    assert stream.layer == ElasticLayer(2e6, 3e-3, 0.4, 1.0)
+
+
+def test_what_a_scene_leaves_out_is_the_papers_or_usual() -> None:
+    section = scene()
+    stream = describe_stream(section, build_source(section, Path()))
+    assert (stream.name, stream.batch, stream.bytes_per_sample) == ("pulse", 5, 4)
+    assert stream.layer == ElasticLayer(0.05e9, 2e-3, 0.5, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("rate", "batch", "samples"),
+    [
+        ("1 kHz", "100 us", 1),
+        ("10 Hz", "5 ms", 1),
+        ("1 kHz", "7.4 ms", 7),
+        ("4096 Hz", "1 s", 4096),
+        ("100 kHz", "5 ms", 500),
+    ],
+)
+def test_a_batch_is_rounded_to_whole_samples(rate: str, batch: str, samples: int) -> None:
+    section = scene(**source(rate=rate), batch=batch)
+    assert describe_stream(section, build_source(section, Path())).batch == samples
+
+
+def test_a_batch_of_too_many_samples_is_refused() -> None:
+    section = scene(**source(rate="4097 Hz"), batch="1 s")
+    with pytest.raises(SceneError, match=r"^\[sensing\] batch: 4097 samples a frame; at most 4096"):
+        describe_stream(section, build_source(section, Path()))
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "said"),
+    [
+        ({}, "source", "missing"),
+        ({"source": {}}, "source", "kind"),
+        ({"source": {"kind": "guitar"}}, "source", "recording"),
+        (source(colour="red"), "source.colour", "unknown key"),
+        (source() | {"bath": "5 ms"}, "bath", "unknown key"),
+        (source() | {"batch_ns": 5}, "batch_ns", "unknown key"),
+        (source(rate=1000), "source.rate", "1000 is no frequency"),
+        (source(rate="1 ms"), "source.rate", "'1 ms' is no frequency"),
+        (source(rate="5 Hz"), "source.rate", "greater than or equal to 10"),
+        (source(heart_rate="75 bpm"), "source.heart_rate", "'75 bpm' is no frequency"),
+        (source(peak_to_peak="30 g"), "source.peak_to_peak", "'30 g' is no force"),
+        (source(peak_to_peak="0 N"), "source.peak_to_peak", "greater than 0"),
+        (source(preset="square"), "source.preset", "'paper' or 'wide'"),
+        (source(ectopic=0.6), "source.ectopic", "less than or equal to 0.5"),
+        (source(respiration="much"), "source.respiration", "'much' is no ratio"),
+        (source() | {"batch": "5 N"}, "batch", "'5 N' is no time"),
+        (source() | {"batch": "0 ms"}, "batch", "greater than or equal to"),
+        (source() | {"samples": "int16"}, "samples", "'float32' or 'float64'"),
+        (source() | {"stream": ""}, "stream", "at least 1 character"),
+        (source() | {"layer": {"thickness": "2 N"}}, "layer.thickness", "'2 N' is no length"),
+        ({"source": RECORDING | {"unit": "V"}}, "source", 'unit "V" needs film_radius'),
+        ({"source": RECORDING | {"unit": "raw"}}, "source", 'unit "raw" needs peak_to_peak'),
+        ({"source": RECORDING | {"unit": "kg"}}, "source.unit", "'mN'"),
+        ({"source": RECORDING | {"repeat": "twice"}}, "source.repeat", "'loop' or 'once'"),
+        ({"source": RECORDING | {"column": -1}}, "source.column", "-1"),
+    ],
+)
+def test_a_wrong_scene_is_one_line_that_names_the_key(
+    table: dict[str, Any], key: str, said: str
+) -> None:
+    with pytest.raises(SceneError) as caught:
+        validate(table, SensingScene, "x.toml: [sensing]")
+    text = str(caught.value)
+    assert text.startswith(f"x.toml: [sensing] {key}: ")
+    assert said in text
+    assert "\n" not in text
+
+
+def test_the_kind_decides_the_source(tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "pulse.csv", [1.0, 2.0])
+    assert isinstance(build_source(scene(), tmp_path), SyntheticSource)
+    recording = validate({"source": RECORDING}, SensingScene, "scene")
+    assert isinstance(build_source(recording, tmp_path), RecordedSource)
+    with pytest.raises(SourceError):
+        build_source(recording, tmp_path / "elsewhere")
+
+
+def test_a_real_recording_becomes_a_stream_through_a_scene_file(tmp_path: Path) -> None:
+    path = tmp_path / "real.toml"
+    path.write_text(
+        f"""
+        [sensing]
+        stream = "photoplethysmogram"
+        batch = "50 ms"
+        [sensing.source]
+        kind = "recording"
+        path = '{heartpy_recording()}'
+        rate = "100 Hz"
+        unit = "raw"
+        peak_to_peak = "0.3 N"
+        preload = "0.4 N"
+        """,
+        encoding="utf-8",
+    )
+    section = load_section(path, "sensing", SensingScene)
+    samples = build_source(section, path.parent)
+    stream = describe_stream(section, samples)
+    assert (stream.name, stream.rate_hz, stream.batch) == ("photoplethysmogram", 100, 5)
+    assert np.ptp(samples.take(2483)) == pytest.approx(0.3)

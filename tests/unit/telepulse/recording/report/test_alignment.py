@@ -1,0 +1,63 @@
+import numpy as np
+import pytest
+
+from protocol.wire.messages import Frame
+from protocol.wire.stream import Channel
+from telepulse.recording.report.alignment import AlignedBlock, AlignedTick, Alignment
+from tests.support.streams import description
+
+MS = 1_000_000
+BATCH = 5
+
+
+def run(seconds: int, ratio: float, channel: int, group_delay_ns: int = 0) -> Alignment:
+    """A pulse on one of two channels, felt 1 mN too strong and 40 ms late."""
+    chance = np.random.default_rng(1)
+    alignment, blocks = Alignment(), []
+    stream = description(
+        channels=(Channel("a"), Channel("b")), bytes_per_sample=8, group_delay_ns=group_delay_ns
+    )
+    t_s = np.arange(seconds * 1000) * 1e-3
+    force_n = np.empty((len(t_s), 2))
+    force_n[:, 1 - channel] = 0.4 + 0.01 * chance.standard_normal(len(t_s))
+    force_n[:, channel] = 0.4 + 0.1 * np.sin(8 * t_s)
+    for first in range(0, len(t_s), BATCH):
+        values = force_n[first : first + BATCH]
+        if first == 1000 * seconds // 2:
+            alignment.told(channel, ratio)
+        alignment.sensed(Frame(1, first, first * MS + group_delay_ns, MS, values), stream)
+        for at in range(first, first + BATCH):
+            if at >= 40:
+                target_n = ratio * force_n[at - 40, channel]
+                tick = AlignedTick(t_s[at], at * MS, (at - 40) * MS, target_n, target_n + 1e-3)
+                blocks += alignment.felt(tick)
+    blocks += alignment.finish()
+    check(blocks, len(t_s) - 40)
+    return alignment
+
+
+def check(blocks: list[AlignedBlock], ticks: int) -> None:
+    assert sum(len(block.t_s) for block in blocks) == ticks
+    error_n = np.concatenate([block.felt_n - block.wrist_n for block in blocks])
+    np.testing.assert_allclose(error_n, 1e-3)
+
+
+@pytest.mark.parametrize("channel", [0, 1])
+@pytest.mark.parametrize("ratio", [1.0, 0.25])
+@pytest.mark.parametrize("seconds", [1, 4])
+def test_what_is_played_is_scored_whenever_it_was_told(
+    seconds: int, ratio: float, channel: int
+) -> None:
+    alignment = run(seconds, ratio, channel)
+    assert alignment.fidelity.force_rmse_n.aligned == pytest.approx(1e-3)
+
+
+def test_the_pulse_is_earlier_than_its_samples_by_the_group_delay() -> None:
+    alignment = run(3, 1.0, 0, group_delay_ns=7 * MS)
+    assert alignment.fidelity.force_rmse_n.aligned == pytest.approx(1e-3)
+
+
+def test_another_session_begins_anew() -> None:
+    alignment = run(1, 0.5, 1)
+    assert list(alignment.begin()) == []
+    assert alignment.ratio is None

@@ -1,0 +1,136 @@
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from protocol.config.scene import validate
+from protocol.limits import Limited
+from protocol.wire.messages import Frame
+from sensing_node.framer import Framer
+from sensing_node.scene import SensingScene, build_source, describe_stream
+from sensing_node.sources import PacedSource
+from telepulse.scene import Scene, load_scene
+from telepulse.simulation.reference_force import ReferenceForce
+from telepulse.simulation.virtual_time import simulate
+from tests.support.nodes import RADIAL, ROOT
+
+RESTLESS = {"kind": "synthetic", "heart_rate_variability": "5 %", "noise": "1 mN"}
+FILTERS = {"mains": "50 Hz", "anti_alias": "40 Hz", "adc_bits": 12}
+CHARGE = {"charge_amplifier": "0.1 Hz", "hold_down": "0.2 N"}
+
+
+def sensing(conditioning: dict[str, Any] | None = None, **source: object) -> SensingScene:
+    table = {"source": RESTLESS | source}
+    chain = {} if conditioning is None else {"conditioning": conditioning}
+    return validate(table | chain, SensingScene, "scene")
+
+
+def frames(scene: SensingScene) -> list[Frame]:
+    """Two seconds of the stream."""
+    source = build_source(scene, Path())
+    framer = Framer(describe_stream(scene, source), session=1)
+    block = PacedSource(source, 0).read(1_999_999_999)
+    assert block is not None
+    return framer.frames(block)
+
+
+def truth(scene: SensingScene, of: list[Frame]) -> np.ndarray[Any, Any]:
+    under_test = ReferenceForce(scene, Path())
+    return np.concatenate([under_test.of(frame).values for frame in of])
+
+
+def samples(scene: SensingScene) -> np.ndarray[Any, Any]:
+    return build_source(scene, Path()).take(2000)
+
+
+@pytest.mark.parametrize("conditioning", [None, {}, CHARGE])
+def test_where_frames_hold_the_truth_they_are_it(conditioning: dict[str, Any] | None) -> None:
+    scene = sensing(conditioning)
+    under_test = ReferenceForce(scene, Path())
+    assert all(under_test.of(frame) is frame for frame in frames(scene))
+
+
+@pytest.mark.parametrize("conditioning", [FILTERS, {"adc_bits": 8}, {"anti_alias": "40 Hz"}, None])
+def test_truth_is_the_pulse_before_the_chain_and_without_hum(
+    conditioning: dict[str, Any] | None,
+) -> None:
+    scene = sensing(conditioning, hum="10 mN")
+    sent = frames(scene)
+    np.testing.assert_allclose(truth(scene, sent), samples(sensing()), rtol=1e-12)
+    assert not np.allclose(np.concatenate([f.values for f in sent]), samples(sensing()), atol=1e-3)
+
+
+def test_the_static_force_is_lost_to_truth_too() -> None:
+    scene = sensing(CHARGE | FILTERS)
+    np.testing.assert_array_equal(truth(scene, frames(scene)), samples(sensing(CHARGE)))
+
+
+def test_a_true_frame_is_the_frame_but_for_its_values() -> None:
+    scene = sensing(FILTERS)
+    under_test = ReferenceForce(scene, Path())
+    for frame in frames(scene):
+        assert under_test.of(frame)[:4] == frame[:4]
+
+
+def test_missing_frames_do_not_shift_what_is_true() -> None:
+    scene = sensing(FILTERS)
+    sent = frames(scene)
+    heard = [*sent[30:50], *sent[51:]]
+    expected = samples(sensing())
+    np.testing.assert_allclose(
+        truth(scene, heard), np.concatenate([expected[150:250], expected[255:]]), rtol=1e-12
+    )
+
+
+def test_a_frame_from_before_has_no_truth_left() -> None:
+    scene = sensing(FILTERS)
+    under_test, sent = ReferenceForce(scene, Path()), frames(scene)
+    under_test.of(sent[3])
+    with pytest.raises(ValueError, match="sample 10 comes after 19"):
+        under_test.of(sent[2])
+
+
+def conditioned(keys: dict[str, Any], **source: object) -> Scene:
+    """The radial scene with a chain."""
+    scene = load_scene(RADIAL)
+    changed = {"source": scene.sensing.source.model_copy(update=source)}
+    chain = {"conditioning": sensing(keys).conditioning}
+    return dataclasses.replace(scene, sensing=scene.sensing.model_copy(update=changed | chain))
+
+
+def rmse_mn(scene: Scene) -> float:
+    """The aligned force RMSE of eight simulated seconds."""
+    aligned_n = simulate(scene, seconds=8, seed=1).force_rmse_n.aligned
+    assert aligned_n is not None
+    return aligned_n * 1e3
+
+
+def test_a_simulation_scores_what_the_adc_loses() -> None:
+    step_mn = 20e3 / 2**14 / 0.044
+    assert rmse_mn(conditioned({"adc_bits": 14})) == pytest.approx(step_mn / math.sqrt(12), rel=0.1)
+
+
+def test_a_simulation_scores_hum_and_what_the_notch_leaves_of_it() -> None:
+    hummed = rmse_mn(conditioned({}, hum_n=0.02))
+    # The display goes from sample to sample, and the stepper follows 50 Hz.
+    assert hummed == pytest.approx(20 / math.sqrt(2), rel=0.1)
+    assert rmse_mn(conditioned({"mains": "50 Hz"}, hum_n=0.02)) < 2
+
+
+def test_a_simulation_shifts_by_the_chains_delay() -> None:
+    assert rmse_mn(conditioned({"anti_alias": "20 Hz"})) < 1.5
+
+
+def test_a_simulation_tells_what_the_adc_could_not_hold() -> None:
+    summary = simulate(conditioned({"adc_bits": 16, "adc_range": "5 mV"}), seconds=2, seed=1)
+    assert summary.faults == ["sensing node: 2000 samples beyond the ADC's range"]
+    assert summary.limited.adc == Limited(1, 2.0, 1.0)
+
+
+def test_the_whole_chain_is_mostly_its_adc() -> None:
+    step_mn = 20e3 / 2**16 / 0.044
+    scene = load_scene(ROOT / "scenes" / "conditioned.toml")
+    assert rmse_mn(scene) == pytest.approx(step_mn / math.sqrt(12), rel=0.1)

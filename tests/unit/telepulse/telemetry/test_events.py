@@ -1,0 +1,104 @@
+"""Events, from the statuses of a display in virtual time."""
+
+import re
+from pathlib import Path
+
+from display_node.display import Display
+from display_node.scene import DisplayScene
+from protocol.config.scene import load_section
+from telepulse.telemetry.events import INTERRUPTED, StatusWatch
+from tests.support.sender import MS, Sender, run
+
+RADIAL = Path(__file__).parents[4] / "scenes" / "radial.toml"
+STATUS_TICKS = 200
+
+
+class Watched:
+    """A display whose statuses are watched, one each 200 ticks that run."""
+
+    def __init__(self) -> None:
+        self.display = Display(load_section(RADIAL, "display", DisplayScene), "test")
+        self.texts: list[str] = []
+        self.states: list[str] = []
+        self._sender = Sender()
+        self._watch = StatusWatch()
+        self._ms = 0
+
+    def play(self, ticks: int, cut: bool = False) -> None:
+        """Tick; cut: nothing arrives, and what is sent is lost."""
+        for _ in range(ticks):
+            if cut and self._ms % 5 == 0:
+                self._sender.sent += 5
+            run(self.display, None if cut else self._sender, self._ms, self._ms + 1)
+            self._ms += 1
+            self._publish()
+
+    def stall(self, ms: int) -> None:
+        """Stand still; what is sent meanwhile comes in at once, before the next tick."""
+        for at_ms in range(self._ms, self._ms + ms):
+            if at_ms % 5 == 0:
+                self.display.on_frame(self._sender.frame(at_ms * MS, 0.3), at_ms * MS)
+        self._ms += ms
+        self.display.tick(self._ms * MS, ms + 1)
+        self._ms += 1
+        self._publish()
+
+    def _publish(self) -> None:
+        if self.display.ticks % STATUS_TICKS:
+            return
+        self.states.append(self.display.state)
+        summary = self.display.summary().to_dict()
+        for event in self._watch.take(self.display.state, summary, self._ms * MS):
+            if event.name == INTERRUPTED:
+                self.texts.append(event.text)
+
+
+def test_interruptions_with_a_short_pulse_between_them_are_both_named() -> None:
+    """By their states alone, the second of 1 s was in no event: no status was "playing" before."""
+    watched = Watched()
+    watched.play(1_500)
+    watched.states.clear()
+    watched.play(230, cut=True)
+    while watched.display.state != "playing":
+        watched.play(1)
+    watched.play(20)
+    watched.play(1_000, cut=True)
+    assert "playing" not in watched.states
+    watched.play(1_500)
+    assert len(watched.texts) == 2
+    for text in watched.texts:
+        assert re.fullmatch(
+            r"after \d\.\d\d s without the whole pulse: from \d\.\d\d to \d\.\d\d s of the run",
+            text,
+        )
+
+
+def test_a_display_that_stood_still_names_its_interruption_once() -> None:
+    watched = Watched()
+    watched.play(1_500)
+    watched.stall(2_600)
+    watched.play(1_000)
+    (text,) = watched.texts
+    found = re.match(r"after (\d\.\d\d) s .* from (\d\.\d\d) to (\d\.\d\d) s of the run", text)
+    assert found is not None
+    without_s, began_s, ended_s = map(float, found.groups())
+    # The stall and the ramp.
+    assert 2.85 <= without_s <= 3.0
+    assert abs(ended_s - began_s - without_s) <= 0.02
+    assert abs(began_s - 1.5) <= 0.02
+
+
+def test_interruptions_between_two_statuses_are_one_event() -> None:
+    watch, display = StatusWatch(), Display(load_section(RADIAL, "display", DisplayScene), "test")
+    summary = display.summary().to_dict()
+    assert not [x for x in watch.take("playing", summary, 0) if x.name == INTERRUPTED]
+    known = {"count": 2, "seconds": 0.3, "longest_s": 0.2, "began_s": 1.0, "ended_s": 1.2}
+    (event,) = (
+        x
+        for x in watch.take("playing", summary | {"interruptions": known}, 200 * MS)
+        if x.name == INTERRUPTED
+    )
+    assert event.text == (
+        "after 0.30 s without the whole pulse, interrupted 2 times, the last from 1.00 to 1.20 s"
+        " of the run"
+    )

@@ -1,0 +1,289 @@
+import json
+import math
+from base64 import b64decode
+from collections import Counter
+from collections.abc import Iterable
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from display_node.display import TickState
+from display_node.fault_advice import FILM_NOTE, advise
+from display_node.telemetry.capture import CONTROL, HEARD, SUBSCRIBED, CaptureWriter
+from display_node.telemetry.messages import STATUS as STATUS_TOPIC
+from display_node.telemetry.messages import TRACE, TraceWriter
+from protocol.limits import Limited, Limits
+from protocol.run_summary import Clock, Compensation, Deadlines, Loop, SampleCounts, Summary
+from protocol.security.causes import MEANINGS
+from protocol.wire.messages import Hello, Welcome, encode_control, encode_frame
+from protocol.wire.status import PlaybackStatus, pack_status
+from telepulse.telemetry.schema import (
+    CLOCK,
+    EVENT,
+    FRAME,
+    REFUSED,
+    SCHEMAS,
+    STREAM,
+)
+from telepulse.telemetry.transcript import Entry, Transcript
+from tests.support.foxglove import assert_fits, assert_readable
+from tests.support.streams import description
+from tests.support.telemetry_speaker import SESSION, bye, clock_reply, numbered_frame
+
+WALL_NS = 1_700_000_000_000_000_000
+NOW_NS = 50_000_000_000
+PLAYING = PlaybackStatus(0, 1.0, -4.8e-6, "linear", 60_000_000)
+WELCOME = encode_control(Welcome(SESSION, 0, description()))
+
+
+class Spoken:
+    """A display's telemetry by hand, taken down by a transcript."""
+
+    def __init__(self, run: int = 1) -> None:
+        self.transcript = Transcript()
+        self.restart(run)
+
+    def restart(self, run: int, ahead_ns: int = WALL_NS) -> None:
+        self.ahead_ns = ahead_ns
+        self.heard = CaptureWriter(run)
+        self.heard.follow(SUBSCRIBED)
+
+    def hear(self, *messages: tuple[int, bytes], at_ns: int = NOW_NS) -> list[Entry]:
+        for path, data in messages:
+            self.heard.add(at_ns, path, data)
+        return [
+            entry
+            for part in self.heard.take(at_ns, at_ns + self.ahead_ns)
+            for entry in self.transcript.take(HEARD, part)
+        ]
+
+    def status(self, state: str, final: bool = False, **changes: object) -> list[Entry]:
+        summary = Summary(**changes)  # type: ignore[arg-type]
+        message = pack_status(state, "pulse", summary, final, playing=PLAYING)
+        self.heard.statuses += 1
+        return self.transcript.take(STATUS_TOPIC, message)
+
+    def ticks(self, *felt: TickState) -> list[Entry]:
+        writer = TraceWriter()
+        for tick in felt:
+            writer.add(tick)
+        message = writer.rest()
+        assert message is not None
+        self.heard.traces += 1
+        return self.transcript.take(TRACE, message)
+
+
+def told(entries: Iterable[Entry]) -> list[tuple[str, str]]:
+    return [(e.fields["name"], e.fields["message"]) for e in entries if e.topic == EVENT]
+
+
+def of(entries: Iterable[Entry], topic: str) -> list[Entry]:
+    return [entry for entry in entries if entry.topic == topic]
+
+
+def test_a_frame_is_there_with_its_exact_bytes_its_samples_and_when_it_came() -> None:
+    frame = numbered_frame(3)
+    entries = Spoken().hear((0, encode_frame(frame)))
+    (entry,) = of(entries, FRAME)
+    fields = entry.fields
+    assert entry.t_ns == NOW_NS + WALL_NS
+    assert fields["arrived_ns"] == NOW_NS
+    assert b64decode(fields["data"]) == encode_frame(frame)
+    assert np.array(fields["force_n"], "<f4").tobytes() == frame.values.tobytes()
+    assert fields["newest_n"] == frame.values[-1, 0]
+    assert (fields["first_sample"], fields["t_first_ns"]) == (frame.first_sample, frame.t_first_ns)
+
+
+def test_the_stream_its_clock_and_its_end_are_there() -> None:
+    entries = Spoken().hear(
+        (CONTROL, WELCOME), (CONTROL, clock_reply(NOW_NS - 400_000, 7_000_000)), (CONTROL, bye(25))
+    )
+    (stream,) = of(entries, STREAM)
+    assert stream.fields["session"] == SESSION
+    assert stream.fields["layer"]["thickness_m"] == description().layer.thickness_m
+    (clock,) = of(entries, CLOCK)
+    assert clock.fields["round_trip_ms"] == pytest.approx(0.4)
+    assert clock.fields["offset_ms"] == pytest.approx(6.8)
+    assert [name for name, _ in told(entries)] == ["begin", "session", "end of stream"]
+
+
+def test_what_is_no_message_is_kept_and_says_why() -> None:
+    garbage = ((0, b"\xff\xfe"), (0, b""), (CONTROL, encode_control(Hello("display"))))
+    refused = of(Spoken().hear(*garbage), REFUSED)
+    assert [b64decode(entry.fields["data"]) for entry in refused] == [data for _, data in garbage]
+    causes = [entry.fields["cause"] for entry in refused]
+    assert causes == ["not_msgpack", "truncated", "unexpected"]
+
+
+def test_ticks_have_unix_times_as_far_apart_as_they_were() -> None:
+    spoken = Spoken()
+    # The wall's clock is set back later: the recording goes on as it began.
+    spoken.hear()
+    spoken.ahead_ns -= 10**12
+    spoken.hear()
+    entries = spoken.ticks(
+        TickState(NOW_NS + 1, 5, 6, 0.25, 0.125, True), TickState(NOW_NS + 1_000_001)
+    )
+    assert [entry.t_ns for entry in entries] == [WALL_NS + NOW_NS + 1, WALL_NS + NOW_NS + 1_000_001]
+    assert entries[0].fields == {
+        "now_ns": NOW_NS + 1,
+        "instant_ns": 6,
+        "target_n": 0.25,
+        "felt_n": 0.125,
+        "scored": True,
+        "trusted": False,
+    }
+
+
+CUT = Limits(force=Limited(1, 0.004, 0.1), slew=Limited(0, 0.0, 0.0))
+
+
+def test_what_happens_is_told_once() -> None:
+    spoken = Spoken()
+    spoken.hear((CONTROL, WELCOME))
+    entries = [
+        *spoken.status("playing"),
+        *spoken.status("playing", rejected={"session": 3}, clock=Clock(steps=1)),
+        *spoken.status("fault", rejected={"session": 9}, clock=Clock(steps=1), faults=["it broke"]),
+        *spoken.status("fault", clock=Clock(steps=2), faults=["it broke"], limited=CUT, final=True),
+    ]
+    assert told(entries) == [
+        ("state", "playing"),
+        ("join", "the pulse is felt; samples sent before: 0"),
+        ("clock step", "a clock has jumped; jumps so far: 1"),
+        ("refused", f"3 session: {MEANINGS['session']}"),
+        ("state", "fault, was playing for 0.0 s"),
+        ("fault", f"it broke: {advise('it broke')}"),
+        ("clock step", "a clock has jumped; jumps so far: 2"),
+        ("limited", "force limit reached"),
+        ("end", "the display has ended"),
+    ]
+    assert spoken.transcript.ended
+
+
+def test_what_lasts_is_told_where_it_begins_and_where_it_is_over() -> None:
+    spoken = Spoken()
+    spoken.hear((CONTROL, WELCOME), (0, encode_frame(numbered_frame(0))))
+    late = Loop(1000, 60, late=True, last_5s=Deadlines(0.012, 61.0))
+    entries = []
+    # Statuses of 20 s, five times a second; frames come again after 12 s.
+    for number in range(1, 100):
+        at_ns = NOW_NS + number * 200_000_000
+        entries += spoken.ticks(TickState(at_ns))
+        if number >= 60:
+            entries += spoken.hear((0, encode_frame(numbered_frame(number))), at_ns=at_ns)
+        state = "stale" if 10 <= number <= 60 else "playing"
+        loop = late if 15 <= number < 40 else Loop(1000, 60, late=False)
+        # A count that grows is no new event each time.
+        faults = [f"{FILM_NOTE}{number} samples missing"]
+        entries += spoken.status(state, loop=loop, faults=faults)
+    assert told(entries) == [
+        ("state", "playing"),
+        ("join", "the pulse is felt; samples sent before: 0"),
+        ("film's sensor", "1 samples missing"),
+        ("link cut", "no frame for 1.2 s"),
+        ("state", "stale, was playing for 1.8 s"),
+        ("deadline misses", "1.2 % of the ticks of the last 5 s missed, longest gap 61 ms"),
+        ("deadline misses", "over after 5.0 s"),
+        ("link cut", "over after 12.0 s"),
+        ("state", "playing, was stale for 10.2 s"),
+    ]
+
+
+def test_a_revocation_is_told_once_until_it_is_undone() -> None:
+    spoken = Spoken()
+    spoken.hear((CONTROL, WELCOME))
+    entries = []
+    for state in ("playing", "stale", "stale", "playing", "playing"):
+        entries += spoken.status(state, rejected={"revoked": 2})
+    texts = [text for name, text in told(entries) if name == "revoked"]
+    assert texts == [MEANINGS["revoked"], "over after 0.0 s"]
+
+
+def test_what_the_display_published_and_did_not_come_is_counted() -> None:
+    spoken = Spoken()
+    spoken.hear((CONTROL, WELCOME))
+    spoken.ticks(TickState())
+    assert spoken.transcript.missed == {}
+    spoken.heard.traces += 4
+    spoken.heard.statuses += 1
+    for number in range(3):
+        spoken.heard.add(NOW_NS, 0, encode_frame(numbered_frame(number)))
+    list(spoken.heard.take(NOW_NS, NOW_NS))
+    entries = spoken.hear((0, encode_frame(numbered_frame(3))))
+    assert spoken.transcript.missed == {"traces": 4, "statuses": 1, "messages heard": 3}
+    assert told(entries) == [
+        ("missed", "the recorder missed 4 traces, 1 statuses, 3 messages heard")
+    ]
+    assert told(spoken.hear()) == []
+
+
+def test_what_came_before_the_recorder_is_not_missed_and_another_run_begins_anew() -> None:
+    spoken = Spoken()
+    spoken.heard.traces = 1000
+    assert spoken.ticks(TickState()) == []
+    assert told(spoken.hear()) == [("begin", "the recording")]
+    spoken.restart(2, ahead_ns=WALL_NS + 5)
+    entries = spoken.hear((0, encode_frame(numbered_frame(0))))
+    assert told(entries) == [("begin", "another run of the display")]
+    assert of(entries, FRAME)[0].t_ns == NOW_NS + WALL_NS + 5
+    assert spoken.transcript.missed == {}
+
+
+@pytest.mark.parametrize("topic", list(SCHEMAS))
+def test_foxglove_can_read_every_schema(topic: str) -> None:
+    name, schema = SCHEMAS[topic]
+    assert_readable(schema, name)
+
+
+def test_every_message_is_as_its_schema_says() -> None:
+    spoken, full = (
+        Spoken(),
+        Summary(samples=SampleCounts(5, 4, 1, 0, 2), compensation=Compensation(0.5)),
+    )
+    entries = [
+        *spoken.hear((CONTROL, WELCOME), (0, encode_frame(numbered_frame(0))), (0, b"?")),
+        *spoken.hear((CONTROL, clock_reply(1, 2))),
+        *spoken.ticks(TickState(1, 2, 3, 0.5, 0.5, True, 0.01, True), TickState(now_ns=2)),
+        *spoken.status("playing", samples=full.samples, rejected={"session": 1}, faults=["x"]),
+        *spoken.status("stale", compensation=full.compensation),
+    ]
+    seen = Counter(entry.topic for entry in entries)
+    assert set(seen) == set(SCHEMAS)
+    for topic, _, fields in entries:
+        as_read = json.loads(json.dumps(fields, allow_nan=False))
+        assert_fits(as_read, SCHEMAS[topic][1], topic)
+
+
+plain = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.binary(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=7), inner),
+    max_leaves=10,
+)
+summaries = st.dictionaries(st.sampled_from([*Summary().to_dict()]), plain)
+
+
+@settings(max_examples=60)
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from([HEARD, TRACE, STATUS_TOPIC, b"else"]),
+            st.binary(max_size=40)
+            | plain.map(msgpack.packb)
+            | st.tuples(
+                *(st.text(), st.text(), summaries, st.booleans()), st.none(), st.none(), plain
+            ).map(msgpack.packb),
+        ),
+        max_size=4,
+    )
+)
+def test_whatever_comes_is_taken_down_or_counted(messages: list[tuple[bytes, bytes]]) -> None:
+    spoken = Spoken()
+    spoken.hear()
+    for topic, data in messages:
+        for entry in spoken.transcript.take(topic, data):
+            assert 0 <= entry.t_ns < 2**63
+            assert math.isfinite(entry.t_ns)

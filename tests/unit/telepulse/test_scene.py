@@ -1,0 +1,50 @@
+from pathlib import Path
+
+import pytest
+
+from protocol.errors import SceneError
+from telepulse.scene import find_scene, load_scene
+from telepulse.simulation.link_model import LinkScene
+from tests.support.nodes import RADIAL
+
+
+def test_a_scene_is_found_by_its_name_and_by_its_path() -> None:
+    assert find_scene("radial").read_text() == RADIAL.read_text()
+    assert find_scene(str(RADIAL)) == RADIAL
+
+
+def test_an_unknown_name_lists_the_known_ones() -> None:
+    with pytest.raises(SceneError, match="radial"):
+        find_scene("radail")
+
+
+def test_a_scene_without_a_link_has_one_that_does_nothing() -> None:
+    assert load_scene(RADIAL).link == LinkScene()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('lead = "2 mm"', 'laed = "2 mm"', ["[display]", "actuator", "laed", "unknown key"]),
+        ('lead = "2 mm"', 'lead = "2 N"', ["[display]", "actuator", "lead", "length"]),
+        ('lead = "2 mm"', 'lead = "-2 mm"', ["[display]", "lead", "greater than 0"]),
+        ('rate = "1 kHz"', "rate = 1000", ["[sensing]", "rate", "frequency"]),
+        ('kind = "stepper"', 'kind = "steper"', ["[display]", "actuator", "stepper"]),
+        ("[display]", "[displya]", ["displya", "did you mean display?"]),
+        ("poisson_ratio = 0.5", "poisson_ratio = 0.6", ["poisson_ratio", "0.5"]),
+        ("kp = 390", "kp = -1", ["controller", "kp"]),
+    ],
+)
+def test_a_bad_scene_is_one_line_with_file_section_and_key(
+    old: str, new: str, words: list[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "bad.toml"
+    text = RADIAL.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(SceneError) as caught:
+        load_scene(path)
+    line = str(caught.value)
+    assert "\n" not in line
+    for word in (str(path), *words):
+        assert word in line
