@@ -17,10 +17,10 @@ from benchmarks.polled import polled
 from display_node.drives import Drive, build_drive
 from display_node.drives.scene import Cia402Scene, TmclScene
 from display_node.plant.stepper import StepCommand
-from telepulse.emulators.cia402_node import EmulatedNode
+from telepulse.emulators.cia402 import EmulatedCia402Node
 from telepulse.emulators.motor import EmulatedMotor
 from telepulse.emulators.pty_port import PtyPort
-from telepulse.emulators.tmcl_module import EmulatedModule, EmulatedSerialLine
+from telepulse.emulators.tmcl import EmulatedSerialLine, EmulatedTmclModule
 
 REPEATS = 5
 BAR_MS = 100.0
@@ -92,7 +92,7 @@ def tmcl_bench() -> Iterator[Bench]:
     port = PtyPort(None)
     scene = TmclScene.model_validate({"kind": "tmcl", "port": str(port.path), **HERE})
     turned = motor(0.0)
-    module = EmulatedModule(scene, turned)
+    module = EmulatedTmclModule(scene, turned)
     line = EmulatedSerialLine(module, port)
     bench = Bench(build_drive(scene, ACTUATOR, LAYER, FORCE_LIMIT_N), turned, module)
 
@@ -117,7 +117,7 @@ def cia402_bench() -> Iterator[Bench]:
     """A CiA 402 drive on a virtual bus."""
     scene = Cia402Scene.model_validate({"kind": "cia402", **CAN_BUS, **HERE})
     turned = motor(0.0)
-    node = EmulatedNode(scene, turned, can.Bus(**CAN_BUS))  # type: ignore[arg-type]
+    node = EmulatedCia402Node(scene, turned, can.Bus(**CAN_BUS))  # type: ignore[arg-type]
 
     def poll() -> None:
         time.sleep(1e-3)

@@ -29,12 +29,12 @@ from display_node.drives.tmcl.line import TmclLine
 from display_node.drives.tmcl.parameters import Command
 from display_node.plant.stepper import StepCommand, StepperScene
 from protocol.wire.stream import LayerTable
-from telepulse.commissioning.hardware import TMCL_BITS
-from telepulse.emulators.cia402_node import EmulatedNode
+from telepulse.commissioning.rig import TMCL_BITS
+from telepulse.emulators.cia402 import EmulatedCia402Node
 from telepulse.emulators.motor import EmulatedMotor
 from telepulse.emulators.pty_port import PtyPort
 from telepulse.emulators.slcan import SlcanBus
-from telepulse.emulators.tmcl_module import EmulatedCanLine, EmulatedModule, EmulatedSerialLine
+from telepulse.emulators.tmcl import EmulatedCanLine, EmulatedSerialLine, EmulatedTmclModule
 
 RUNS = 5
 CALLS = 500
@@ -126,7 +126,7 @@ def cia402_calls(
 ) -> Iterator[dict[str, Call]]:
     """Commands to an emulated CiA 402 drive on a bus, as the force loop gives them."""
     scene = Cia402Scene.model_validate({"kind": "cia402", **keys, **HERE})
-    emulated = EmulatedNode(scene, motor(scene.touch_m), far_end)
+    emulated = EmulatedCia402Node(scene, motor(scene.touch_m), far_end)
 
     def poll() -> None:
         time.sleep(0.001)
@@ -162,9 +162,9 @@ def tmcl_calls() -> Iterator[dict[str, Call]]:
         boxed_port = PtyPort(None)
         boxed = TmclScene.model_validate({**TMCL, "port": str(boxed_port.path)})
         for server in (
-            EmulatedSerialLine(EmulatedModule(on_pty, motor(0.0)), port),
-            EmulatedCanLine(EmulatedModule(on_can, motor(0.0)), on_can, can.Bus(**CAN_BUS)),  # type: ignore[arg-type]
-            EmulatedSerialLine(EmulatedModule(boxed, motor(boxed.touch_m)), boxed_port),
+            EmulatedSerialLine(EmulatedTmclModule(on_pty, motor(0.0)), port),
+            EmulatedCanLine(EmulatedTmclModule(on_can, motor(0.0)), on_can, can.Bus(**CAN_BUS)),  # type: ignore[arg-type]
+            EmulatedSerialLine(EmulatedTmclModule(boxed, motor(boxed.touch_m)), boxed_port),
         ):
             open_things.callback(server.close)
             open_things.enter_context(polled(lambda s=server: s.serve(0.005)))  # type: ignore[misc]

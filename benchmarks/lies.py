@@ -1,8 +1,9 @@
 """Drives and films that report what is not so: what is felt, and when it is named.
 
-Every lie of `telepulse.emulators.lies` on both kinds of drive, with a film and without, by the
-product's own code in virtual time. `python -m benchmarks.lies NAME` runs the lies of one name,
-`python -m benchmarks.lies NAME 3` those on a finger three times as stiff as the scene's.
+Every fault of `telepulse.emulators.fault_injection` on both kinds of drive, with a film and
+without, by the product's own code in virtual time. `python -m benchmarks.lies NAME` runs the
+faults of one name, `python -m benchmarks.lies NAME 3` those on a finger three times as stiff as
+the scene's.
 """
 
 import os
@@ -18,8 +19,8 @@ from display_node.telemetry.alerts import STIFFNESS, alerts
 from protocol.config.scene import load_section
 from protocol.errors import TelepulseError
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
-from telepulse.emulators.lies import Lie, LieKind, read_lie
-from telepulse.emulators.motor import Moment
+from telepulse.emulators.fault_injection import FaultKind, InjectedFault, parse_fault
+from telepulse.emulators.motor import MotorState
 from telepulse.scene import find_scene
 
 KINDS = ("tmcl", "cia402")
@@ -42,21 +43,25 @@ HOSTILE_N, HOSTILE_MS = 1_000.0, 300
 
 
 # A drive that turns the other way, or not at all, cannot be withdrawn by commands.
-DISOBEDIENT = (LieKind.REVERSED, LieKind.REVERSED_ENCODER, LieKind.NO_RETRACTION)
+DISOBEDIENT = (
+    FaultKind.REVERSED,
+    FaultKind.REVERSED_ENCODER,
+    FaultKind.NO_RETRACTION,
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
     """A lie on a bench. from_start: it is there before the drive homes."""
 
-    kind: LieKind
+    kind: FaultKind
     size: str | None = None
     from_start: bool = False
 
     @property
-    def lie(self) -> Lie:
+    def lie(self) -> InjectedFault:
         """The lie itself."""
-        return read_lie(self.kind, self.size)
+        return parse_fault(self.kind, self.size)
 
     @property
     def name(self) -> str:
@@ -76,26 +81,26 @@ class Case:
 
 
 CASES = (
-    Case(LieKind.REVERSED, from_start=True),
-    Case(LieKind.REVERSED_ENCODER, from_start=True),
-    Case(LieKind.REVERSED),
-    Case(LieKind.REVERSED_ENCODER),
-    *(Case(LieKind.GAIN, size) for size in ("0.3", "0.5", "2", "3")),
-    *(Case(LieKind.GAIN_ENCODER, size) for size in ("0.3", "3")),
-    Case(LieKind.NO_RETRACTION),
-    Case(LieKind.POSITION_FROZEN),
-    *(Case(LieKind.POSITION_JUMP, size) for size in ("0.5 mm", "-0.5 mm")),
-    *(Case(LieKind.POSITION_DRIFT, size) for size in ("1 mm/s", "-1 mm/s")),
-    *(Case(LieKind.POSITION_NOISE, size) for size in ("20 µm", "200 µm")),
-    *(Case(LieKind.DELAYED, size) for size in ("20 ms", "30 ms", "45 ms")),
-    *(Case(LieKind.LOST, size) for size in ("0.3", "1")),
-    Case(LieKind.DUPLICATED, "1"),
-    *(Case(LieKind.GARBAGE, size) for size in ("0.3", "1")),
-    Case(LieKind.FILM_ZERO),
-    Case(LieKind.FILM_FROZEN),
-    *(Case(LieKind.FILM_SCALED, size) for size in ("0.3", "0.5", "2", "3")),
-    Case(LieKind.FILM_NOISE, "0.2 N"),
-    *(Case(LieKind.FILM_LATE, size) for size in ("10 ms", "15 ms", "20 ms", "60 ms")),
+    Case(FaultKind.REVERSED, from_start=True),
+    Case(FaultKind.REVERSED_ENCODER, from_start=True),
+    Case(FaultKind.REVERSED),
+    Case(FaultKind.REVERSED_ENCODER),
+    *(Case(FaultKind.GAIN, size) for size in ("0.3", "0.5", "2", "3")),
+    *(Case(FaultKind.GAIN_ENCODER, size) for size in ("0.3", "3")),
+    Case(FaultKind.NO_RETRACTION),
+    Case(FaultKind.POSITION_FROZEN),
+    *(Case(FaultKind.POSITION_JUMP, size) for size in ("0.5 mm", "-0.5 mm")),
+    *(Case(FaultKind.POSITION_DRIFT, size) for size in ("1 mm/s", "-1 mm/s")),
+    *(Case(FaultKind.POSITION_NOISE, size) for size in ("20 µm", "200 µm")),
+    *(Case(FaultKind.DELAYED, size) for size in ("20 ms", "30 ms", "45 ms")),
+    *(Case(FaultKind.LOST, size) for size in ("0.3", "1")),
+    Case(FaultKind.DUPLICATED, "1"),
+    *(Case(FaultKind.GARBAGE, size) for size in ("0.3", "1")),
+    Case(FaultKind.FILM_ZERO),
+    Case(FaultKind.FILM_FROZEN),
+    *(Case(FaultKind.FILM_SCALED, size) for size in ("0.3", "0.5", "2", "3")),
+    Case(FaultKind.FILM_NOISE, "0.2 N"),
+    *(Case(FaultKind.FILM_LATE, size) for size in ("10 ms", "15 ms", "20 ms", "60 ms")),
 )
 
 
@@ -164,7 +169,7 @@ def lied(
 
     finger: its stiffness, as a factor of the scene's.
     """
-    felt: list[Moment] = []
+    felt: list[MotorState] = []
     with VirtualBench(bench_scene(kind), force_n, with_film, felt.append, finger) as bench:
         wanted: dict[int, float] = {}
         bench.on_tick = lambda now_ns, target_n: wanted.setdefault(now_ns // MS, target_n)
@@ -195,7 +200,7 @@ def lied(
         )
 
 
-def _run_on(bench: VirtualBench, felt: list[Moment]) -> None:
+def _run_on(bench: VirtualBench, felt: list[MotorState]) -> None:
     """Until the end, or a fault after which the tip has been off the finger for a while."""
     for _ in range(AFTER_MS // OFF_MS):
         bench.run(OFF_MS)
@@ -204,7 +209,11 @@ def _run_on(bench: VirtualBench, felt: list[Moment]) -> None:
 
 
 def _outcome(
-    felt: list[Moment], wanted: dict[int, float], began_ns: int, fault_ns: int | None, named: str
+    felt: list[MotorState],
+    wanted: dict[int, float],
+    began_ns: int,
+    fault_ns: int | None,
+    named: str,
 ) -> Outcome:
     pressing = [moment.time_ns for moment in felt if moment.force_n > TOUCH_N]
     last_ns, end_ns = max(pressing, default=0), felt[-1].time_ns

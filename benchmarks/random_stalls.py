@@ -20,7 +20,7 @@ from benchmarks.lies import KINDS, TOUCH_N, bench_scene, paper_pulse
 from benchmarks.measure import show
 from benchmarks.virtual_bench import MS, VirtualBench
 from benchmarks.virtual_time import VirtualThread
-from telepulse.emulators.motor import Moment
+from telepulse.emulators.motor import MotorState
 
 HOURS = 3.0
 # Of virtual time, by one seed.
@@ -83,7 +83,7 @@ class Ordeal:
         """Return whether nothing pressed in the judged last part of the episode."""
         return self.bench.world.now_ns - self._last_pressed_ns > JUDGED_MS * MS
 
-    def _watch(self, moment: Moment) -> None:
+    def _watch(self, moment: MotorState) -> None:
         if moment.force_n > TOUCH_N:
             self._last_pressed_ns = moment.time_ns
             self.tally.most_n = max(self.tally.most_n, moment.force_n)

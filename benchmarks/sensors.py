@@ -21,8 +21,8 @@ from pulse_sensors.reading import Readings
 from pulse_sensors.serial_port import SerialScene
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 from telepulse.emulators.sensor_board import (
+    BoardBehaviour,
     Encode,
-    Habits,
     SensorBoard,
     binary,
     line,
@@ -153,4 +153,6 @@ def _module(*words: object) -> list[str]:
 
 def _board(kind: Kind, start_ns: int, skew: float) -> SensorBoard:
     scene = SyntheticScene.model_validate({"kind": "synthetic"})
-    return SensorBoard(SyntheticSource(scene), kind.encode, Habits(kind.frame, skew), start_ns)
+    return SensorBoard(
+        SyntheticSource(scene), kind.encode, BoardBehaviour(kind.frame, skew), start_ns
+    )

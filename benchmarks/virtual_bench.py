@@ -27,10 +27,10 @@ from protocol.wire.stream import Channel, StreamDescription
 from pulse_sensors.sensor import Sensor
 from pulse_sensors.serial_port import SerialScene
 from sensing_node.control_server import ControlServer
-from telepulse.emulators.cia402_node import EmulatedNode
+from telepulse.emulators.cia402 import EmulatedCia402Node
 from telepulse.emulators.drive_run import EmulatedFilm
-from telepulse.emulators.motor import EmulatedMotor, Moment
-from telepulse.emulators.tmcl_module import Datagrams, EmulatedModule
+from telepulse.emulators.motor import EmulatedMotor, MotorState
+from telepulse.emulators.tmcl import DatagramSplitter, EmulatedTmclModule
 
 MS = 1_000_000
 # All that waits or looks at the clock: the product's, and the emulators'.
@@ -104,9 +104,9 @@ class FilmPort:
 class ModulePort:
     """The serial port to an emulated TMCL module, in place of pyserial's."""
 
-    def __init__(self, world: VirtualTime, module: EmulatedModule) -> None:
+    def __init__(self, world: VirtualTime, module: EmulatedTmclModule) -> None:
         self._world, self._module = world, module
-        self._datagrams = Datagrams()
+        self._datagrams = DatagramSplitter()
         self._replies = Pipe(world)
         self.timeout_s = 0.01
         self.unplugged = False
@@ -282,7 +282,7 @@ class VirtualBench:
     scene: DisplayScene
     force_n: Callable[[int], float]
     with_film: bool = True
-    watch: Callable[[Moment], None] | None = None
+    watch: Callable[[MotorState], None] | None = None
     finger: float = 1.0
     sending: bool = True
     world: VirtualTime = field(default_factory=VirtualTime)
@@ -317,7 +317,7 @@ class VirtualBench:
             self._connect_can(self.drive_scene)
         else:
             assert isinstance(self.drive_scene, TmclScene)
-            module = EmulatedModule(self.drive_scene, self.motor)
+            module = EmulatedTmclModule(self.drive_scene, self.motor)
             self.port = ModulePort(world, module)
             patches.enter_context(patch("serial.serial_for_url", lambda *_, **__: self.port))
             world.every(MS, self.port.poll)
@@ -399,7 +399,7 @@ class VirtualBench:
 
         self._patches.enter_context(patch("can.Notifier", notifier))
         self._patches.enter_context(patch("can.Bus", lambda **_: ours))
-        node = EmulatedNode(scene, self.motor, drives)
+        node = EmulatedCia402Node(scene, self.motor, drives)
         self.world.every(MS, node.poll)
 
     def _poll_motor(self) -> None:

@@ -13,8 +13,7 @@ import time
 from contextlib import suppress
 
 from protocol.sockets import control_address
-from telepulse.simulation.link_model import Direction, parse_link
-from telepulse.simulation.link_model.scene import LinkScene
+from telepulse.simulation.link_model import Direction, LinkScene, parse_link
 
 REPEAT_NS = 200_000_000
 CHUNK_BYTES = 16_384

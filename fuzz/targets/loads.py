@@ -6,7 +6,7 @@ import numpy as np
 
 from fuzz.scratch import scratch_folder
 from protocol.errors import SourceError
-from telepulse.commissioning.calibration.loads import read_loads
+from telepulse.commissioning.calibration import read_loads
 
 _FILE = scratch_folder() / "loads.csv"
 

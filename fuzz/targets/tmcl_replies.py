@@ -11,7 +11,7 @@ from display_node.drives.tmcl.line import TmclLine
 from display_node.drives.tmcl.parameters import Command, Parameter
 from protocol.config.scene import validate
 from protocol.errors import DriveError
-from telepulse.emulators.tmcl_module import DATAGRAM, checksum
+from telepulse.emulators.tmcl import DATAGRAM, checksum
 
 
 class _Port:

@@ -57,8 +57,8 @@ def bench(
     ok, look or fail; exit status 1 when one failed.
     """
     # What is identified brings scipy's import times; other commands do without.
-    from telepulse.commissioning import run
-    from telepulse.commissioning.report import report_bench
+    from telepulse.commissioning import bench_check as run
+    from telepulse.commissioning.bench_check import report_bench
     from telepulse.commissioning.scene_edit import as_toml, check_editable, write_scene
     from telepulse.commissioning.tuning import as_toml as gains_as_toml
 

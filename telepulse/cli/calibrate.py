@@ -14,7 +14,7 @@ from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.scene import SensorScene
 from sensing_node.scene import SensingScene
 from telepulse.cli.report_options import TablesOption, publish
-from telepulse.commissioning.calibration.loads import Loads, LoadUnit, ReadingUnit, read_loads
+from telepulse.commissioning.calibration import LoadReadings, LoadUnit, ReadingUnit, read_loads
 from telepulse.reports.document import Report
 from telepulse.scene import find_scene
 
@@ -53,8 +53,7 @@ def calibrate(
 
     From a file, or from a sensor under loads that you put on one by one.
     """
-    from telepulse.commissioning.calibration.line import fit_line
-    from telepulse.commissioning.calibration.report import report_calibration, scene_lines
+    from telepulse.commissioning.calibration import fit_line, report_calibration, scene_lines
 
     found: list[str] = []
 
@@ -73,8 +72,8 @@ def calibrate(
     plain_console().print("\nfor the sensor's table in a scene:\n\n" + found[0])
 
 
-def _from_scene(scene: str, at: Place, loads: str) -> Loads:
-    from telepulse.commissioning.calibration.loads import parse_loads, take_loads
+def _from_scene(scene: str, at: Place, loads: str) -> LoadReadings:
+    from telepulse.commissioning.calibration import parse_loads, take_loads
 
     path, loads_n = find_scene(scene), parse_loads(loads)
 

@@ -64,11 +64,11 @@ def sensor(
     # A board brings the sources' import times; other emulators do without.
     from sensing_node.scene import SensingScene
     from telepulse.emulators.pty_port import PtyPort
-    from telepulse.emulators.sensor_board import Habits, build_board, play, source_table
+    from telepulse.emulators.sensor_board import BoardBehaviour, build_board, play, source_table
 
     console = plain_console()
     stopped = threading.Event()
-    habits = Habits(
+    habits = BoardBehaviour(
         frame=frame if framing == "binary" else 1,
         skew=skew_ppm * 1e-6,
         begins_us=seed * 1_000_003,

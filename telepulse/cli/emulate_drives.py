@@ -16,10 +16,10 @@ from protocol.cli_options import StopAfterOption, one_line_errors, plain_console
 from protocol.config.scene import load_section
 from protocol.errors import SceneError
 from telepulse.emulators.drive_run import FILM_SILENT, MOTOR_FAULTS, DriveRun
-from telepulse.emulators.lies import Lie, LieKind, read_lie
+from telepulse.emulators.fault_injection import FaultKind, InjectedFault, parse_fault
 from telepulse.emulators.motor import EmulatedMotor
 from telepulse.emulators.pty_port import PtyPort
-from telepulse.emulators.tmcl_module import Answer, EmulatedModule
+from telepulse.emulators.tmcl import AnswerMode, EmulatedTmclModule
 from telepulse.scene import find_scene
 
 if TYPE_CHECKING:
@@ -30,11 +30,11 @@ POLL_S = 0.001
 SceneT = TypeVar("SceneT", bound=DriveScene)
 
 MOTOR_AND_FILM = (*MOTOR_FAULTS, FILM_SILENT)
-LIES = tuple(kind.value for kind in LieKind)
+LIES = tuple(kind.value for kind in FaultKind)
 TMCL_FAULTS = (*MOTOR_AND_FILM, "silent", "late", "wrong", "garbled", "unplugged")
 CIA402_FAULTS = (*MOTOR_AND_FILM, "silent", "unplugged")
 
-_ANSWERS: dict[str, Answer] = {
+_ANSWERS: dict[str, AnswerMode] = {
     "silent": "none",
     "late": "late",
     "wrong": "wrong",
@@ -117,12 +117,12 @@ def tmcl(
     the module's heartbeat, its limits and its faults.
     """
     # python-can brings its import time; other commands do without.
-    from telepulse.emulators.tmcl_module import EmulatedCanLine, EmulatedSerialLine
+    from telepulse.emulators.tmcl import EmulatedCanLine, EmulatedSerialLine
 
     with one_line_errors(PROGRAM), ExitStack() as open_things:
         lie = _lie(fault, size, TMCL_FAULTS)
         drive, motor = _load(scene, TmclScene)
-        module = EmulatedModule(drive, motor)
+        module = EmulatedTmclModule(drive, motor)
         line: EmulatedSerialLine | EmulatedCanLine
         if drive.port is not None:
             port = PtyPort(link)
@@ -172,14 +172,14 @@ def cia402(
     A physical model of the scene's [display.actuator] turns under a finger, with a home switch,
     software limits, heartbeat monitoring and faults. --fault silent: it receives and sends nothing.
     """
-    from telepulse.emulators.cia402_node import EmulatedNode
+    from telepulse.emulators.cia402 import EmulatedCia402Node
 
     with one_line_errors(PROGRAM), ExitStack() as open_things:
         lie = _lie(fault, size, CIA402_FAULTS)
         drive, motor = _load(scene, Cia402Scene)
         changes = {"interface": interface, "channel": channel or (str(link) if link else None)}
         drive = drive.model_copy(update={key: to for key, to in changes.items() if to})
-        node = EmulatedNode(drive, motor, _bus(drive, link))
+        node = EmulatedCia402Node(drive, motor, _bus(drive, link))
         cable = open_things.enter_context(ExitStack())
         cable.callback(node.close)
 
@@ -198,10 +198,10 @@ def cia402(
         run.run(poll, break_down, fault, lie, after_s, seconds)
 
 
-def _lie(fault: str | None, size: str | None, names: tuple[str, ...]) -> Lie | None:
+def _lie(fault: str | None, size: str | None, names: tuple[str, ...]) -> InjectedFault | None:
     """The lie that a fault's name stands for; None for any other fault. Raises SceneError."""
     if fault in LIES:
-        return read_lie(LieKind(fault), size)
+        return parse_fault(FaultKind(fault), size)
     if fault is not None and fault not in names:
         raise SceneError(f"--fault: no {fault!r}; there are {', '.join((*names, *LIES))}")
     if size is not None:

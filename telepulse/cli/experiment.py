@@ -92,9 +92,8 @@ def run(
     it; the reason is one line on stderr.
     """
     from display_node.drives.hardware import connected
-    from telepulse.experiment.keyboard import Keyboard
     from telepulse.experiment.log import read_log
-    from telepulse.experiment.person import Person
+    from telepulse.experiment.person import Keyboard, Person
     from telepulse.experiment.report import build_report
     from telepulse.experiment.run import (
         check_drive,
@@ -169,6 +168,6 @@ def report(
 @app.command()
 def plan(json: TablesOption = None) -> None:
     """Print how many trials it takes to show what, and what six can."""
-    from telepulse.experiment.plan import build_plan
+    from telepulse.experiment.psychometrics import build_plan
 
     publish(build_plan, None, json)

@@ -11,20 +11,21 @@ from display_node.plant.film import FilmTable
 from display_node.plant.second_order import SecondOrderScene
 from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
-from telepulse.commissioning.check import Check, doubted, graded
-from telepulse.commissioning.contact import Contact, fit_contact, through_film
-from telepulse.commissioning.identification import TOLD, Identified, identify
+from telepulse.commissioning.identification import TOLD, ActuatorInput, IdentifiedModel, identify
 from telepulse.commissioning.press import (
     GUARD,
-    Phase,
-    Pressed,
+    ContactFit,
+    PressPhase,
+    PressRecord,
     PressRecorder,
+    fit_contact,
     press_stepper,
     press_voltage,
+    through_film,
 )
-from telepulse.commissioning.response import Input
 from telepulse.commissioning.rig import Rig
 from telepulse.commissioning.scene_edit import Changes
+from telepulse.commissioning.sensor_check import Check, grade, with_warning
 
 LONGEST_LATENCY_S = 0.05
 # Twice: the latency is needed for the play, and the play for the latency.
@@ -41,14 +42,14 @@ LATENCY_LOOK_TICKS, LATENCY_LOOK_PLAY_TICKS = 1.0, 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Actuator:
+class ActuatorFindings:
     """The results for an actuator: commands and film of the staircase, the fit, the contact (of a
     stepper)."""
 
-    pressed: Pressed
-    told: Input
-    identified: Identified
-    contact: Contact | None
+    pressed: PressRecord
+    told: ActuatorInput
+    identified: IdentifiedModel
+    contact: ContactFit | None
     checks: tuple[Check, ...]
     changes: Changes
 
@@ -59,7 +60,7 @@ def check_actuator(
     force_n: float,
     film_age_s: float,
     least_latency_s: float = 0.0,
-) -> Actuator:
+) -> ActuatorFindings:
     """Press with at most force_n and identify. Raises BenchError.
 
     film_age_s: how much of the latency is the film's. The proposed scene gives the actuator the
@@ -72,14 +73,14 @@ def check_actuator(
 
 def _check_voltage(
     rig: Rig, scene: DisplayScene, actuator: SecondOrderScene, force_n: float
-) -> Actuator:
+) -> ActuatorFindings:
     pressed = press_voltage(_recorder(rig, scene, force_n), actuator, force_n)
     told = through_film(pressed.told(pressed.stairs, held=True), scene.film)
     found = identify(told, *pressed.film(pressed.stairs), LONGEST_LATENCY_S)
     values = dict(zip("mck", found.values, strict=False))
     keys = {key: f"{value:.4g}" for key, value in values.items()}
     changes = {"display.actuator": keys} if _fits(found) else {}
-    return Actuator(pressed, told, found, None, (_check_fit(found),), changes)
+    return ActuatorFindings(pressed, told, found, None, (_check_fit(found),), changes)
 
 
 def _recorder(rig: Rig, scene: DisplayScene, force_n: float) -> PressRecorder:
@@ -93,7 +94,7 @@ def _check_stepper(
     force_n: float,
     film_age_s: float,
     least_latency_s: float,
-) -> Actuator:
+) -> ActuatorFindings:
     pressed = press_stepper(_recorder(rig, scene, force_n), actuator, force_n)
     law, lag_s = actuator.contact(scene.layer.layer()), 0.0
     for _ in range(ROUNDS):
@@ -116,25 +117,27 @@ def _check_stepper(
         *check_contact(actuator, contact),
         latency.check,
     )
-    return Actuator(pressed, told, found, contact, checks, changes)
+    return ActuatorFindings(pressed, told, found, contact, checks, changes)
 
 
-def _stairs(pressed: Pressed, contact: Contact, law: ContactLaw, film: FilmTable) -> Input:
+def _stairs(
+    pressed: PressRecord, contact: ContactFit, law: ContactLaw, film: FilmTable
+) -> ActuatorInput:
     """The force that was commanded in the staircase, behind the film's filter."""
     begin_s = pressed.recorder.told_s[0]
-    way = pressed.told(Phase(begin_s, pressed.stairs.end_s), held=False)
+    way = pressed.told(PressPhase(begin_s, pressed.stairs.end_s), held=False)
     # Filtered from the press's beginning, so that the filter is settled when the stairs begin.
     seen = through_film(contact.pressed_n(law, way), film)
     first = round((pressed.stairs.begin_s - begin_s) / seen.tick_s)
-    return Input(seen.values[first:], seen.tick_s, held=False)
+    return ActuatorInput(seen.values[first:], seen.tick_s, held=False)
 
 
-def _fits(found: Identified) -> bool:
+def _fits(found: IdentifiedModel) -> bool:
     """Return whether the fit is worth a place in a scene."""
     return found.nrmse <= UNEXPLAINED_FAIL
 
 
-def _latency_s(actuator: StepperScene, found: Identified, contact: Contact) -> float:
+def _latency_s(actuator: StepperScene, found: IdentifiedModel, contact: ContactFit) -> float:
     """Return the time from a command to its motion, film's age included, as the scene's model has
     it: a rotor that the scene will have delays by its own 2 ζ/ω beside it."""
     if _rotor_told(found, contact):
@@ -145,17 +148,17 @@ def _latency_s(actuator: StepperScene, found: Identified, contact: Contact) -> f
     return found.delay_s - rotor_s
 
 
-def _rotor_told(found: Identified, contact: Contact) -> bool:
+def _rotor_told(found: IdentifiedModel, contact: ContactFit) -> bool:
     """Return whether the fitted resonance is the rotor's: play hides its way back."""
     return not {"m", "c"} & set(found.untold) and not _has_play(contact)
 
 
-def _has_play(contact: Contact) -> bool:
+def _has_play(contact: ContactFit) -> bool:
     return contact.play_m > 2 * contact.play_within
 
 
 def _changes(
-    actuator: StepperScene, found: Identified, contact: Contact, latency_s: float | None
+    actuator: StepperScene, found: IdentifiedModel, contact: ContactFit, latency_s: float | None
 ) -> Changes:
     """Return the keys that the press determines; latency_s: None where it does not."""
     keys = {"fingertip": f'"{contact.finger_n_per_m:.4g} N/m"'}
@@ -169,8 +172,8 @@ def _changes(
     return {"display.actuator": keys}
 
 
-def _check_fit(found: Identified) -> Check:
-    check = graded(
+def _check_fit(found: IdentifiedModel) -> Check:
+    check = grade(
         "eq 22",
         f"leaves {found.nrmse * 100:.1f} % of the force's change unexplained",
         found.nrmse,
@@ -184,8 +187,8 @@ def _check_fit(found: Identified) -> Check:
     return check
 
 
-def _check_way(found: Identified) -> Check:
-    check = graded(
+def _check_way(found: IdentifiedModel) -> Check:
+    check = grade(
         "way",
         f"a step goes {100 / found.model.k:.1f} % of the way it is told",
         abs(1 / found.model.k - 1),
@@ -194,19 +197,19 @@ def _check_way(found: Identified) -> Check:
         "commands or steps are lost on the way, or lead and microsteps are wrong",
     )
     untold = "the record does not determine it" if "k" in found.untold else ""
-    return doubted(check, _of_a_bad_fit(found) or untold)
+    return with_warning(check, _of_a_bad_fit(found) or untold)
 
 
-def _of_a_bad_fit(found: Identified) -> str:
+def _of_a_bad_fit(found: IdentifiedModel) -> str:
     if _fits(found):
         return ""
     return f"of no meaning: eq 22 leaves {found.nrmse * 100:.0f} % unexplained"
 
 
-def check_contact(actuator: StepperScene, contact: Contact) -> tuple[Check, ...]:
+def check_contact(actuator: StepperScene, contact: ContactFit) -> tuple[Check, ...]:
     """Judge finger and play, and whether the ramp determines them at all."""
     expected = actuator.fingertip_n_per_m
-    finger = graded(
+    finger = grade(
         "finger",
         f"{contact.finger_n_per_m:.4g} ± {contact.finger_within:.2g} N/m,"
         f" first touch at {contact.touch_m * 1e6:+.0f} µm",
@@ -216,7 +219,7 @@ def check_contact(actuator: StepperScene, contact: Contact) -> tuple[Check, ...]
         f"the scene says {expected:.4g} N/m",
     )
     off_m = abs(contact.play_m - actuator.backlash_m)
-    play = graded(
+    play = grade(
         "play",
         f"{contact.play_m * 1e6:.1f} ± {contact.play_within * 1e6:.1f} µm",
         off_m,
@@ -231,14 +234,14 @@ def check_contact(actuator: StepperScene, contact: Contact) -> tuple[Check, ...]
             Check(play.name, play.found, "fail", reason),
         )
     if contact.finger_within > TOLD * contact.finger_n_per_m:
-        finger = doubted(finger, "the ramp does not determine it: press with more force")
+        finger = with_warning(finger, "the ramp does not determine it: press with more force")
     if contact.play_m < -max(2 * contact.play_within, 2 * actuator.step_m):
         reason = "below 0: the way back presses more than the way in; look at film and zero"
         play = Check(play.name, play.found, "look", reason)
     return finger, play
 
 
-def _tolerance_ticks(contact: Contact) -> float:
+def _tolerance_ticks(contact: ContactFit) -> float:
     """Play keeps the tip where the rotor swung to; what is fitted to that is late or early."""
     return LATENCY_LOOK_PLAY_TICKS if _has_play(contact) else LATENCY_LOOK_TICKS
 
@@ -253,8 +256,8 @@ class LatencyCheck:
 
 def check_latency(
     actuator: StepperScene,
-    found: Identified,
-    contact: Contact,
+    found: IdentifiedModel,
+    contact: ContactFit,
     latency_s: float,
     *,
     least_latency_s: float,
@@ -273,7 +276,7 @@ def check_latency(
     """
     expected_s = actuator.latency_ns * 1e-9
     text = f"{latency_s * 1e3:.2f} ms from a command to its motion"
-    check = graded(
+    check = grade(
         "drive's latency",
         text,
         abs(latency_s - expected_s),

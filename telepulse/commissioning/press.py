@@ -3,6 +3,8 @@
 The steps go one way, so that no play is crossed between them, and come at times without a
 period, so that they excite all frequencies. The film watches every tick: beyond the guard the
 press ends at once.
+
+Contact under the actuator, from a slow ramp up and down: stiffness, touch and play.
 """
 
 import math
@@ -10,15 +12,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from display_node.plant.contact import ContactLaw
+from display_node.plant.film import FilmTable
 from display_node.plant.second_order import SecondOrderScene
 from display_node.plant.stepper import StepperScene
 from protocol.errors import BenchError
-from telepulse.commissioning.response import Input
+from telepulse.commissioning.identification import ActuatorInput, Array
 from telepulse.commissioning.rig import Rig
-
-Array = NDArray[np.float64]
 
 STILL_S = 1.0
 # How fast the slow ramp presses, by what the scene says of the finger.
@@ -89,7 +90,7 @@ class PressRecorder:
 
 
 @dataclass(frozen=True, slots=True)
-class Phase:
+class PressPhase:
     """A part of a press, by its times on the rig's clock."""
 
     begin_s: float
@@ -97,25 +98,25 @@ class Phase:
 
 
 @dataclass(frozen=True, slots=True)
-class Pressed:
+class PressRecord:
     """A press: still, slowly up, slowly down, the staircase; told and film as recorded.
 
     up and down are None for an actuator without a place of its own (a voltage's).
     """
 
     recorder: PressRecorder
-    still: Phase
-    up: Phase | None
-    down: Phase | None
-    stairs: Phase
+    still: PressPhase
+    up: PressPhase | None
+    down: PressPhase | None
+    stairs: PressPhase
 
-    def film(self, phase: Phase) -> tuple[Array, Array]:
+    def film(self, phase: PressPhase) -> tuple[Array, Array]:
         """Times from the phase's begin and readings in N, as they were said."""
         time_s, force_n = np.array(self.recorder.film_s), np.array(self.recorder.film_n)
         inside = (time_s >= phase.begin_s) & (time_s <= phase.end_s)
         return time_s[inside] - phase.begin_s, force_n[inside]
 
-    def told(self, phase: Phase, held: bool) -> Input:
+    def told(self, phase: PressPhase, held: bool) -> ActuatorInput:
         """What was told in a phase, once a tick: the output itself where it is a held voltage,
         else the way of the screw in m, which runs straight under a held speed."""
         told_s, output = np.array(self.recorder.told_s), np.array(self.recorder.output)
@@ -125,12 +126,12 @@ class Pressed:
         )
         if held:
             last = np.searchsorted(told_s, grid_s + tick_s / 2) - 1
-            return Input(output[np.maximum(last, 0)], tick_s, held=True)
+            return ActuatorInput(output[np.maximum(last, 0)], tick_s, held=True)
         way_m = np.concatenate([[0.0], np.cumsum(output[:-1] * np.diff(told_s))])
-        return Input(np.interp(grid_s, told_s, way_m), tick_s, held=False)
+        return ActuatorInput(np.interp(grid_s, told_s, way_m), tick_s, held=False)
 
 
-def press_stepper(recorder: PressRecorder, scene: StepperScene, force_n: float) -> Pressed:
+def press_stepper(recorder: PressRecorder, scene: StepperScene, force_n: float) -> PressRecord:
     """Press with at most about force_n; ends where it began. Raises BenchError.
 
     The scene says how fast the drive may be; its finger sets the slow ramp's speed.
@@ -144,10 +145,10 @@ def press_stepper(recorder: PressRecorder, scene: StepperScene, force_n: float) 
     step_m = _way(recorder, up, low_n) / STEPS
     stairs = _stairs(recorder, step_m, scene.max_acceleration_m_per_s2 / 2)
     _home(recorder, slow)
-    return Pressed(recorder, still, up, down, stairs)
+    return PressRecord(recorder, still, up, down, stairs)
 
 
-def press_voltage(recorder: PressRecorder, scene: SecondOrderScene, force_n: float) -> Pressed:
+def press_voltage(recorder: PressRecorder, scene: SecondOrderScene, force_n: float) -> PressRecord:
     """As press_stepper, with a staircase of voltages; the scene says how slow it must be."""
     still = _still(recorder)
     begin_s, rng = recorder.now_s, np.random.default_rng(SEED)
@@ -157,9 +158,9 @@ def press_voltage(recorder: PressRecorder, scene: SecondOrderScene, force_n: flo
         # Half of the force at most: the model may swing to twice of a step.
         volts = stiffness * force_n * step / (2 * STEPS)
         recorder.run([volts] * max(1, round(rng.uniform(*SLOW_DWELL) * period_s / tick_s)))
-    stairs = Phase(begin_s, recorder.now_s)
+    stairs = PressPhase(begin_s, recorder.now_s)
     recorder.run([0.0] * round(period_s / tick_s))
-    return Pressed(recorder, still, None, None, stairs)
+    return PressRecord(recorder, still, None, None, stairs)
 
 
 def profile(way_m: float, acceleration_m_per_s2: float, tick_s: float) -> list[float]:
@@ -169,7 +170,7 @@ def profile(way_m: float, acceleration_m_per_s2: float, tick_s: float) -> list[f
     return [way_m / (sum(shape) * tick_s) * part for part in shape]
 
 
-def _still(recorder: PressRecorder) -> Phase:
+def _still(recorder: PressRecorder) -> PressPhase:
     begin = len(recorder.told_s)
     # Before its zero is known the film may say anything.
     guard, recorder.most_n = recorder.most_n, math.inf
@@ -177,16 +178,16 @@ def _still(recorder: PressRecorder) -> Phase:
     if not recorder.film_n:
         raise BenchError("the film says nothing")
     recorder.zero_n, recorder.most_n = float(np.mean(recorder.film_n)), guard
-    return Phase(recorder.told_s[begin], recorder.now_s)
+    return PressPhase(recorder.told_s[begin], recorder.now_s)
 
 
-def _ramp(recorder: PressRecorder, speed_m_per_s: float, until_n: float) -> Phase:
+def _ramp(recorder: PressRecorder, speed_m_per_s: float, until_n: float) -> PressPhase:
     """Go slowly until the film is past a force."""
     begin_s = recorder.now_s
     for _ in range(round(SEARCH_M / abs(speed_m_per_s) / recorder.rig.tick_s)):
         recorder.run([speed_m_per_s])
         if (recorder.force_n - until_n) * speed_m_per_s >= 0:
-            return Phase(begin_s, recorder.now_s)
+            return PressPhase(begin_s, recorder.now_s)
     recorder.run([0.0])
     recorder.rig.retreat()
     where = "nothing was touched" if speed_m_per_s > 0 else "the film still feels something"
@@ -196,9 +197,9 @@ def _ramp(recorder: PressRecorder, speed_m_per_s: float, until_n: float) -> Phas
     )
 
 
-def _way(recorder: PressRecorder, up: Phase, from_n: float) -> float:
+def _way(recorder: PressRecorder, up: PressPhase, from_n: float) -> float:
     """How far the ramp went from a force to its end."""
-    pressed = Pressed(recorder, up, up, up, up)
+    pressed = PressRecord(recorder, up, up, up, up)
     at_s, force_n = pressed.film(up)
     way = pressed.told(up, held=False)
     below = np.flatnonzero(force_n - recorder.zero_n < from_n)
@@ -207,13 +208,13 @@ def _way(recorder: PressRecorder, up: Phase, from_n: float) -> float:
     return float(way.values[-1] - from_m)
 
 
-def _stairs(recorder: PressRecorder, step_m: float, acceleration: float) -> Phase:
+def _stairs(recorder: PressRecorder, step_m: float, acceleration: float) -> PressPhase:
     begin_s, rng, tick_s = recorder.now_s, np.random.default_rng(SEED), recorder.rig.tick_s
     for _ in range(STEPS):
         recorder.run([0.0] * round(rng.uniform(*DWELL_S) / tick_s))
         recorder.run(profile(step_m, acceleration, tick_s))
     recorder.run([0.0] * round(DWELL_S[1] / tick_s))
-    return Phase(begin_s, recorder.now_s)
+    return PressPhase(begin_s, recorder.now_s)
 
 
 def _home(recorder: PressRecorder, slow_m_per_s: float) -> None:
@@ -224,3 +225,98 @@ def _home(recorder: PressRecorder, slow_m_per_s: float) -> None:
     ticks = max(1, math.ceil(abs(way_m) / fast / tick_s))
     recorder.run([-way_m / (ticks * tick_s)] * ticks)
     recorder.run([0.0] * round(STILL_S / 4 / tick_s))
+
+
+# 95 % of a normal distribution lie within so many standard deviations.
+WITHIN = 1.96
+# Readings of so much time are taken together: a film's noise is not a place.
+TOGETHER_S = 0.01
+LEAST_PLACES = 8
+# Of the largest force: below, the film does not tell where the tip is.
+LOWEST_SHARE = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class ContactFit:
+    """The finger's stiffness in N/m, the place of first touch in m from where the press began,
+    and the play in m; each with its 95 % interval to either side.
+
+    play_m below 0: the way back presses more than the way in. unexplained: RMS of the places that
+    the fit leaves over, as a share of that of all places.
+    """
+
+    finger_n_per_m: float
+    finger_within: float
+    touch_m: float
+    touch_within: float
+    play_m: float
+    play_within: float
+    unexplained: float
+
+    def pressed_n(self, law: ContactLaw, way: ActuatorInput) -> ActuatorInput:
+        """The force that each place of the screw presses with, at rest, on its way in."""
+        tip_m = way.values - self.touch_m
+        force_n = np.array([law.force(x) for x in tip_m.tolist()])
+        return ActuatorInput(force_n, way.tick_s, held=False)
+
+
+def fit_contact(pressed: PressRecord, law: ContactLaw, film: FilmTable, lag_s: float) -> ContactFit:
+    """Fit x = touch − play · [going back] + rubber F^(2/3) + F / finger by linear least squares.
+
+    The rubber's part is the law's own. lag_s: from a command to the film's reading, without the
+    film's filter, which is made good here. Raises BenchError for a record that does not tell.
+    """
+    assert pressed.up is not None
+    assert pressed.down is not None
+    both = PressPhase(pressed.up.begin_s, pressed.down.end_s)
+    place_m, force_n, back = [], [], []
+    for phase in (pressed.up, pressed.down):
+        at_s, read_n = pressed.film(phase)
+        seen_m = through_film(pressed.told(both, held=False), film)
+        late_s = at_s + phase.begin_s - both.begin_s - lag_s
+        x_m = np.interp(late_s, seen_m.tick_s * np.arange(len(seen_m.values)), seen_m.values)
+        x_m, read_n = _together(at_s, x_m), _together(at_s, read_n) - pressed.recorder.zero_n
+        place_m.append(x_m)
+        force_n.append(read_n)
+        back.append(np.full(len(x_m), float(phase is pressed.down)))
+    x_m, f_n, down = (np.concatenate(parts) for parts in (place_m, force_n, back))
+    keep = f_n > LOWEST_SHARE * f_n.max()
+    if keep.sum() < LEAST_PLACES:
+        raise BenchError(f"only {keep.sum()} places of the ramp press; at least {LEAST_PLACES}")
+    x_m, f_n, down = x_m[keep], f_n[keep], down[keep]
+    rubber_m = np.array([law.position(f) - f * law.finger_m_per_n for f in f_n.tolist()])
+    columns = np.stack([np.ones_like(x_m), -down, f_n], axis=1)
+    found, *_ = np.linalg.lstsq(columns, x_m - rubber_m)
+    off_m = x_m - rubber_m - columns @ found
+    covariance = np.linalg.inv(columns.T @ columns) * (off_m @ off_m) / (len(x_m) - 3)
+    touch_m, play_m, softness = found.tolist()
+    within = WITHIN * np.sqrt(np.diag(covariance))
+    if softness <= 0:
+        raise BenchError("the tip presses harder than the scene's rubber alone can; look at layer")
+    return ContactFit(
+        finger_n_per_m=1 / softness,
+        finger_within=float(within[2] / softness**2),
+        touch_m=touch_m,
+        touch_within=float(within[0]),
+        play_m=play_m,
+        play_within=float(within[1]),
+        unexplained=float(np.std(off_m) / np.std(x_m)),
+    )
+
+
+def through_film(told: ActuatorInput, film: FilmTable) -> ActuatorInput:
+    """Return an input behind the film's filter; as it is where there is none."""
+    from scipy.signal import lfilter, lfilter_zi, ss2tf
+
+    low_pass = film.low_pass(told.tick_s)
+    if low_pass is None:
+        return told
+    (over,), under = ss2tf(low_pass.a, low_pass.b, low_pass.c, low_pass.d)
+    settled = lfilter_zi(over, under) * told.values[0]
+    return ActuatorInput(lfilter(over, under, told.values, zi=settled)[0], told.tick_s, told.held)
+
+
+def _together(at_s: Array, values: Array) -> Array:
+    """Means over stretches of TOGETHER_S."""
+    _, where = np.unique(np.floor(at_s / TOGETHER_S), return_inverse=True)
+    return np.asarray(np.bincount(where, values) / np.bincount(where))

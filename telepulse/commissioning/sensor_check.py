@@ -1,12 +1,44 @@
-"""A sensor that nothing presses on: its rate, its times, its noise and its zero. Pure."""
+"""A sensor that nothing presses on: its rate, its times, its noise and its zero. Pure.
+
+Verdict of a check: ok, look (it works, but not as it should) or fail, and why.
+"""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import BenchError
-from telepulse.commissioning.check import Check, doubted, graded
+
+Verdict = Literal["ok", "look", "fail"]
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One line of a bench check."""
+
+    name: str
+    found: str
+    verdict: Verdict = "ok"
+    reason: str = ""
+
+
+def with_warning(check: Check, reason: str) -> Check:
+    """Return the check, at best "look" for a reason; one that is not "ok" keeps its own."""
+    if not reason or check.verdict != "ok":
+        return check
+    return Check(check.name, check.found, "look", reason)
+
+
+def grade(name: str, found: str, value: float, look: float, fail: float, reason: str) -> Check:
+    """A check of a value that should be small: above `look` or `fail`, the reason is told."""
+    if not value <= fail:
+        return Check(name, found, "fail", reason)
+    if value > look:
+        return Check(name, found, "look", reason)
+    return Check(name, found)
+
 
 LEAST_SAMPLES = 200
 MAINS_HZ = (50.0, 60.0)
@@ -91,7 +123,7 @@ def judge_sensor(figures: SensorFigures, nominal_hz: float, live: bool = False) 
     times = f"{f.jitter_s * 1e6:.0f} µs RMS (arrival: {f.arrival_jitter_s * 1e6:.0f} µs)"
     noise = f"{f.noise_n * 1e3:.2f} mN RMS, {f.mains * 100:.0f} % of its power at"
     checks = [
-        graded(
+        grade(
             "rate",
             f"{f.rate_hz:.1f} Hz",
             off,
@@ -99,7 +131,7 @@ def judge_sensor(figures: SensorFigures, nominal_hz: float, live: bool = False) 
             RATE_FAIL,
             f"the scene says {nominal_hz:g} Hz: correct it, or look at what the board does",
         ),
-        graded(
+        grade(
             "jitter of sample times",
             times,
             f.jitter_s / period_s,
@@ -107,7 +139,7 @@ def judge_sensor(figures: SensorFigures, nominal_hz: float, live: bool = False) 
             JITTER_FAIL,
             "let the device send its own time with the samples",
         ),
-        graded(
+        grade(
             "missing samples",
             f"{f.lost * 100:.2f} %",
             f.lost,
@@ -115,7 +147,7 @@ def judge_sensor(figures: SensorFigures, nominal_hz: float, live: bool = False) 
             LOST_FAIL,
             "look at cable, baud rate and load",
         ),
-        graded(
+        grade(
             "noise",
             f"{noise} {f.mains_hz:g} Hz",
             f.noise_n,
@@ -123,7 +155,7 @@ def judge_sensor(figures: SensorFigures, nominal_hz: float, live: bool = False) 
             NOISE_FAIL_N,
             f"a pulse has about 0.3 N, and {NOISE_FAIL_N * 1e3:.0f} mN are just felt",
         ),
-        graded(
+        grade(
             "zero",
             f"{f.zero_n * 1e3:.1f} mN",
             abs(f.zero_n),
@@ -135,7 +167,7 @@ def judge_sensor(figures: SensorFigures, nominal_hz: float, live: bool = False) 
     if not f.noise_n:
         still = next(check for check in checks if check.name == "noise")
         reason = "the reading never changes: is the sensor connected, and is its unit right?"
-        checks[checks.index(still)] = doubted(still, reason if live else "")
+        checks[checks.index(still)] = with_warning(still, reason if live else "")
     if f.mains > MAINS_LOOK and f.noise_n > NOISE_LOOK_N:
         reason = "shield the film, or reject it with `mains` in [sensing.conditioning]"
         checks.append(Check("mains", f"{f.mains * 100:.0f} % of the noise", "look", reason))

@@ -13,8 +13,8 @@ from typing import TextIO
 from protocol.errors import OutputError
 from protocol.host.memory import freeze_objects
 from protocol.host.process import stop_on_signals
-from telepulse.emulators.lies import Lie
-from telepulse.emulators.motor import TICK_NS, EmulatedMotor, Fault, Moment
+from telepulse.emulators.fault_injection import InjectedFault
+from telepulse.emulators.motor import TICK_NS, EmulatedMotor, MotorFault, MotorState
 from telepulse.emulators.pty_port import PtyPort
 from telepulse.emulators.sensor_board import binary
 
@@ -49,7 +49,7 @@ TRACE_HEADER = "time_ns,tip_m,speed_m_per_s,force_n,trouble\n"
 FILM_SILENT = "film-silent"
 # From so much on a tip presses; where it is brought to first touch it may feel a little.
 PRESSING_N = 0.01
-MOTOR_FAULTS: dict[str, Fault] = {
+MOTOR_FAULTS: dict[str, MotorFault] = {
     "overtemperature": "overtemperature",
     "following-error": "following error",
 }
@@ -83,7 +83,7 @@ class DriveRun:
         poll: Callable[[], None],
         break_down: Callable[[str], None],
         trouble: str | None,
-        lie: Lie | None,
+        lie: InjectedFault | None,
         after_s: float | None,
         seconds: float | None,
     ) -> None:
@@ -126,7 +126,7 @@ class DriveRun:
         else:
             self._film.deliver()
 
-    def _write(self, moment: Moment) -> None:
+    def _write(self, moment: MotorState) -> None:
         time_ns, tip_m, speed_m_per_s, force_n = moment
         row = f"{time_ns},{tip_m:.9f},{speed_m_per_s:.9f},{force_n:.9f},{self._trouble}\n"
         self._file.write(row)

@@ -11,17 +11,17 @@ from typing import Literal, NamedTuple
 
 from display_node.plant.contact import ContactLaw
 from display_node.plant.stepper import StepCommand, Stepper, StepperScene
-from telepulse.emulators.lies import LieInjector
+from telepulse.emulators.fault_injection import FaultInjector
 
 TICK_NS = 1_000_000
 TICK_S = TICK_NS * 1e-9
 # The home switch closes this far before the end of the stroke, on the side away from the finger.
 SWITCH_M = 0.2e-3
 
-Fault = Literal["overtemperature", "following error", "stall"]
+MotorFault = Literal["overtemperature", "following error", "stall"]
 
 
-class Moment(NamedTuple):
+class MotorState(NamedTuple):
     """The motor's state at a time: the tip's place from first touch and its speed, both positive
     into the finger, and the force under it."""
 
@@ -65,11 +65,11 @@ class EmulatedMotor:
         self.rate_hz = 0.0
         self.tip_m = -self._touch_m
         self.force_n = 0.0
-        self.fault: Fault | None = None
+        self.fault: MotorFault | None = None
         self.tripped = False
         self.forces_n: deque[float] = deque(maxlen=10_000)
-        self.trace: Callable[[Moment], None] | None = None
-        self.lies = LieInjector(scene.step_m)
+        self.trace: Callable[[MotorState], None] | None = None
+        self.lies = FaultInjector(scene.step_m)
         self._place(SWITCH_M + touch_m / 2)
 
     @property
@@ -113,7 +113,7 @@ class EmulatedMotor:
         """The drive's own soft limits, in steps of its counter; infinite for none."""
         self._least_steps, self._most_steps = least_steps, most_steps
 
-    def fail(self, fault: Fault) -> None:
+    def fail(self, fault: MotorFault) -> None:
         """Something breaks: the motor comes to rest, and stays there until `reset`."""
         self.run(0.0)
         self.fault = fault
@@ -180,7 +180,7 @@ class EmulatedMotor:
         self.forces_n.append(lies.film_n(self.force_n))
         if self.trace is not None:
             speed_m_per_s = rate_hz * self._step_m
-            self.trace(Moment(self._now_ns, self.tip_m, speed_m_per_s, self.force_n))
+            self.trace(MotorState(self._now_ns, self.tip_m, speed_m_per_s, self.force_n))
         if self.force_n > self._thrust_n and not self.fault:
             self.fail("stall")
 

@@ -44,7 +44,7 @@ def line(force_n: Sequence[float], last_us: int) -> bytes:
 
 
 @dataclass(frozen=True, slots=True)
-class Habits:
+class BoardBehaviour:
     """How a board and its USB behave.
 
     skew: by how much its crystal is fast. begins_us: its micros() at the start. frame: samples a
@@ -64,7 +64,7 @@ class SensorBoard:
     """Plays a source in real time, as a board would sense and send it."""
 
     def __init__(
-        self, samples: SampleSource, encode: Encode, habits: Habits, start_ns: int
+        self, samples: SampleSource, encode: Encode, habits: BoardBehaviour, start_ns: int
     ) -> None:
         self._samples = samples
         self._encode = encode
@@ -119,7 +119,7 @@ LINES = {"text": timed_line, "untimed": line}
 
 
 def build_board(
-    scene: SensingScene, folder: Path, framing: str, samples: SampleFormat, habits: Habits
+    scene: SensingScene, folder: Path, framing: str, samples: SampleFormat, habits: BoardBehaviour
 ) -> SensorBoard:
     """A board that plays the scene's source from now on; framing: "text", "untimed", "binary".
 

@@ -19,7 +19,7 @@ from display_node.drives.feedback import Feedback
 from display_node.scoring.deadlines import GAP_NS
 from protocol.run_summary import AlignedErrors, Roughness
 from sensing_node.sources.synthetic import SyntheticScene
-from telepulse.experiment.session import Letter, Plan, Trial
+from telepulse.experiment.session import Letter, SessionPlan, Trial
 from telepulse.scene import Scene
 from telepulse.simulation.virtual_time import Simulation, Tick
 
@@ -98,7 +98,7 @@ class PlayedInterval(BaseModel):
 
 
 def draw_interval(
-    plan: Plan, seed: int, index: int, trial: Trial, letter: Letter, nth: int
+    plan: SessionPlan, seed: int, index: int, trial: Trial, letter: Letter, nth: int
 ) -> Interval:
     """The nth playing of a letter in a trial.
 
@@ -204,7 +204,7 @@ class IntervalPlayback:
         )
 
 
-def play_at_once(interval: Interval) -> PlayedInterval:
+def play_in_virtual_time(interval: Interval) -> PlayedInterval:
     """Play an interval on the scene's models in virtual time. Raises SceneError or SourceError."""
     playing, now_ns = IntervalPlayback(interval, 0), 0
     while playing.tick(now_ns):

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from telepulse.experiment.log import SessionResults, TrialOutcome, close, correct
 from telepulse.experiment.psychometrics import CHANCE, PAPER, Threshold, mean_of, proportion_correct
-from telepulse.experiment.results import ConditionOutcome, SessionResults, close, correct
 from telepulse.reports.document import Plot
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def psychometric(results: SessionResults, threshold: Threshold | None) -> Plot:
     )
 
 
-def ratings(results: SessionResults, groups: Sequence[tuple[str, list[ConditionOutcome]]]) -> Plot:
+def ratings(results: SessionResults, groups: Sequence[tuple[str, list[TrialOutcome]]]) -> Plot:
     """Every rating by condition, and their means."""
 
     def draw(figure: "Figure") -> None:

@@ -7,6 +7,8 @@ deviation 1. X is called what it is nearer to: the differencing strategy of Macm
 Proportions with exact intervals, mean ratings, and how many trials show what.
 
 A simulated observer: feels force errors with a threshold of its own, and noise. Pure.
+
+How many trials it takes, as tables.
 """
 
 import math
@@ -20,6 +22,8 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import ndtr
 from scipy.stats import binom, binomtest
+
+from telepulse.reports.document import Chapter, Report, Table
 
 CHANCE = 0.5
 LEVEL = 0.05
@@ -107,7 +111,7 @@ class IntervalErrors(NamedTuple):
     x: float
 
 
-def says_a(errors: IntervalErrors, threshold: float | Floats) -> Floats:
+def probability_of_a(errors: IntervalErrors, threshold: float | Floats) -> Floats:
     """Probability that X is called A.
 
     |x − a| < |x − b| where a − b and x − (a + b)/2 have the same sign; with noise of deviation 1
@@ -120,7 +124,7 @@ def says_a(errors: IntervalErrors, threshold: float | Floats) -> Floats:
 
 def proportion_correct(d_prime: float) -> float:
     """Share of right answers of ABX where A and B are d' apart."""
-    return float(says_a(IntervalErrors(d_prime, 0.0, d_prime), 1.0))
+    return float(probability_of_a(IntervalErrors(d_prime, 0.0, d_prime), 1.0))
 
 
 def d_prime(share: float) -> float:
@@ -151,7 +155,7 @@ def fit_threshold(trials: Sequence[tuple[IntervalErrors, bool]]) -> Threshold | 
     tried = largest * np.logspace(-DECADES, DECADES, STEPS)
     likelihood = np.zeros(STEPS)
     for errors, said_a in trials:
-        chance = says_a(errors, tried)
+        chance = probability_of_a(errors, tried)
         likelihood += np.log(np.maximum(chance if said_a else 1 - chance, 1e-300))
     best = int(np.argmax(likelihood))
     within = np.flatnonzero(likelihood > likelihood[best] - LOG_LIKELIHOOD_DROP)
@@ -186,3 +190,56 @@ class SimulatedObserver:
 
     def _feel(self, error: float) -> float:
         return error / self._threshold + self._random.gauss(0, 1)
+
+
+SHARES = (0.55, 0.6, 2 / 3, 0.75, 0.8, 0.9, 0.95)
+COUNTS = (6, 10, 16, 20, 32, 50, 100)
+POWERS = (0.8, 0.9)
+
+
+def build_plan() -> Report:
+    """The tables, from exact binomial sums."""
+    return Report("How many trials", (Chapter("Trials", (), (_needed(), _counts())),))
+
+
+def percent(share: float) -> str:
+    """As the tables have it."""
+    return f"{100 * share:.3g} %"
+
+
+def _needed() -> Table:
+    rows = tuple(
+        (
+            percent(share),
+            f"{d_prime(share):.2f}",
+            *(_or_more(trials_needed(share, wanted)) for wanted in POWERS),
+        )
+        for share in SHARES
+    )
+    return Table(
+        "Trials that a subject needs to pass for more than guessing, p ≤ 5 %",
+        ("right", "d'", "4 times of 5", "9 times of 10"),
+        rows,
+        "ABX, one-sided exact binomial test; from these numbers on it is never less often.",
+    )
+
+
+def _or_more(trials: int | None) -> str:
+    return "more than 5000" if trials is None else str(trials)
+
+
+def _counts() -> Table:
+    rows = tuple(
+        (
+            str(trials),
+            f"{hits_needed(trials)}" if hits_needed(trials) <= trials else "none",
+            *(percent(power(trials, share)) for share in (PAPER.share, 0.75, 0.9)),
+        )
+        for trials in COUNTS
+    )
+    return Table(
+        "What a number of trials can show",
+        ("trials", "right for p ≤ 5 %", "passes at 2/3", "at 3/4", "at 9/10"),
+        rows,
+        "How often somebody who is right so often passes. The paper had six.",
+    )

@@ -8,8 +8,14 @@ import numpy as np
 
 from protocol.config.quantities import count_text
 from telepulse.experiment import plots
-from telepulse.experiment.log import Log
-from telepulse.experiment.plan import percent
+from telepulse.experiment.log import (
+    SessionLog,
+    SessionResults,
+    TrialOutcome,
+    close,
+    correct,
+    gather,
+)
 from telepulse.experiment.psychometrics import (
     LEVEL,
     PAPER,
@@ -19,16 +25,16 @@ from telepulse.experiment.psychometrics import (
     fit_threshold,
     hits_needed,
     mean_of,
+    percent,
     power,
 )
-from telepulse.experiment.results import ConditionOutcome, SessionResults, close, correct, gather
 from telepulse.reports.document import Chapter, Report, Table, provenance_table
 
 NONE = "–"
 POOLED, DIRECT = "all of them", "no link (catch)"
 
 
-def build_report(logs: Sequence[Log], with_spoilt: bool = False) -> Report:
+def build_report(logs: Sequence[SessionLog], with_spoilt: bool = False) -> Report:
     """Report one subject or several; with_spoilt: count spoilt trials with the others.
 
     Raises LogError.
@@ -55,7 +61,7 @@ def build_report(logs: Sequence[Log], with_spoilt: bool = False) -> Report:
     )
 
 
-def _provenance(logs: Sequence[Log]) -> list[Chapter]:
+def _provenance(logs: Sequence[SessionLog]) -> list[Chapter]:
     """Return what produced each session, where its log has it."""
     made = [(log.path.stem, log.header.provenance) for log in logs if log.header.provenance]
     tables = tuple(provenance_table(name, provenance) for name, provenance in made)
@@ -106,7 +112,7 @@ def _spoilt_table(results: SessionResults) -> list[Table]:
     return [Table("Spoilt trials", ("subject", "trial", "condition", "why"), rows)]
 
 
-def threshold_of(outcomes: Sequence[ConditionOutcome]) -> Threshold | None:
+def threshold_of(outcomes: Sequence[TrialOutcome]) -> Threshold | None:
     """The threshold that makes ABX answers likeliest, as a share of the pulse."""
     return fit_threshold(
         [

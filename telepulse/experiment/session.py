@@ -46,7 +46,7 @@ class Condition(Section):
     predictor: PredictorName | None = None
 
 
-class Session(Section):
+class SessionTable(Section):
     """One subject's sitting.
 
     trials: of each condition. catch: further ones without a link at all. interval: how long the
@@ -83,23 +83,23 @@ class Session(Section):
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class SessionPlan:
     """A session file, read: as it is written, and what it means.
 
     tables: the file's and its scene's, by name, for the log. direct: the scene without a link;
     impaired: by the condition's name.
     """
 
-    session: Session
+    session: SessionTable
     tables: dict[str, Any]
     direct: Scene
     impaired: dict[str, Scene]
 
 
-def load_plan(path: Path) -> Plan:
+def load_plan(path: Path) -> SessionPlan:
     """Read a session file and its scene. Raises SceneError."""
     written = load_toml(path, "session file")
-    session = validate(written, Session, where=f"{path}:")
+    session = validate(written, SessionTable, where=f"{path}:")
     # By name, or by a path from the session's own folder.
     scene_path = path.parent / find_scene(session.scene)
     scene = load_scene(scene_path)
@@ -113,7 +113,7 @@ def load_plan(path: Path) -> Plan:
         )
         for condition in session.conditions
     }
-    return Plan(session, redact({"session": written, "scene": document}), direct, impaired)
+    return SessionPlan(session, redact({"session": written, "scene": document}), direct, impaired)
 
 
 def _display(table: dict[str, Any], condition: Condition, where: str) -> DisplayScene:
@@ -145,7 +145,7 @@ class Trial(BaseModel):
         return self.condition is not None and (self.x if letter == "X" else letter) != self.direct
 
 
-def draw_trials(session: Session, seed: int) -> tuple[Trial, ...]:
+def draw_trials(session: SessionTable, seed: int) -> tuple[Trial, ...]:
     """All trials in their order: as many of each condition as asked for, shuffled.
 
     What is A and what is X is drawn for each trial alone, not balanced over them: only then is a
@@ -158,7 +158,7 @@ def draw_trials(session: Session, seed: int) -> tuple[Trial, ...]:
     return tuple(_draw(session, name, random) for name in names)
 
 
-def _draw(session: Session, condition: str | None, random: Random) -> Trial:
+def _draw(session: SessionTable, condition: str | None, random: Random) -> Trial:
     pulse_seed = random.getrandbits(31)
     if session.kind == "rating":
         return Trial(condition=condition, direct="A", x="B", pulse_seed=pulse_seed)

@@ -4,9 +4,9 @@ Needs root and /dev/net/tun; everything it makes vanishes with the process that 
 """
 
 from telepulse.netem.emulated_link import EmulatedLink, emulate
+from telepulse.netem.forwarder import PacketFilter
 from telepulse.netem.namespace import EmulatorError, Namespace, unavailable
 from telepulse.netem.nodes import NodesOutcome, run_nodes
-from telepulse.netem.packet_filter import PacketFilter
 
 __all__ = [
     "EmulatedLink",

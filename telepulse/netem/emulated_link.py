@@ -8,9 +8,8 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from typing import IO
 
-from telepulse.netem.forwarder import DROP, Carried
+from telepulse.netem.forwarder import DROP, ForwarderCounts, PacketFilter, write_filters
 from telepulse.netem.namespace import EmulatorError, Namespace
-from telepulse.netem.packet_filter import PacketFilter, write_filters
 from telepulse.simulation.link_model import LinkScene
 
 # Nobody but the two namespaces ever sees these addresses; one network for each link.
@@ -29,7 +28,7 @@ class EmulatedLink:
     display: Namespace
     began_ns: int
     orders: IO[str]
-    carried: Carried | None = None
+    carried: ForwarderCounts | None = None
 
     def change(self, scene: LinkScene, number: int = 0) -> None:
         """Change one of the links from now on; what is under way arrives."""
@@ -61,7 +60,7 @@ def emulate(*scenes: LinkScene, seed: int = 1) -> Iterator[EmulatedLink]:
             link = EmulatedLink(sensing, display, _hear(relay)["began_ns"], relay.stdin)
             yield link
             _end(relay)
-            link.carried = Carried(**_hear(relay))
+            link.carried = ForwarderCounts(**_hear(relay))
         finally:
             relay.kill()
             relay.communicate()

@@ -5,6 +5,8 @@ A process of its own, so that nobody's garbage collector delays packets. It prin
 begins, and what it has carried when its standard input is closed, as by its parent's end. Until
 then a line there, the number of a link and what it is like from now on, changes that link; where
 "drop" and packet filters follow the number, those replace the link's filters.
+
+Packets that an emulated link drops by their TCP header, as a firewall would.
 """
 
 import heapq
@@ -12,18 +14,57 @@ import itertools
 import json
 import os
 import select
+import struct
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal
 
 from protocol.histogram import Histogram
 from protocol.host.memory import freeze_objects
 from telepulse.netem.namespace import MTU_BYTES
-from telepulse.netem.packet_filter import PacketFilter, read_filters
 from telepulse.simulation.link_model import Direction, parse_link
+
+TCP = 6
+SYN = 0x02
+
+
+@dataclass(frozen=True, slots=True)
+class PacketFilter:
+    """A rule that drops TCP packets of one link.
+
+    port: the sensing node's; None: any. towards: the node that does not receive them, None: both.
+    syn_only: requests to connect and their answers alone; established connections go on.
+    """
+
+    port: int | None = None
+    towards: Literal["sensing", "display"] | None = None
+    syn_only: bool = False
+
+    def drops(self, packet: bytes, towards: str) -> bool:
+        """Return whether an IPv4 packet on its way towards a node is dropped."""
+        if self.towards not in (None, towards):
+            return False
+        header = 4 * (packet[0] & 0x0F)
+        if packet[9] != TCP or len(packet) < header + 14:
+            return False
+        source, destination = struct.unpack_from("!HH", packet, header)
+        if self.port not in (None, destination if towards == "sensing" else source):
+            return False
+        return not self.syn_only or bool(packet[header + 13] & SYN)
+
+
+def write_filters(filters: Iterable[PacketFilter]) -> str:
+    """Return filters as one line of text."""
+    return json.dumps([asdict(one) for one in filters])
+
+
+def read_filters(text: str) -> tuple[PacketFilter, ...]:
+    """Return the filters in a line that `write_filters` wrote."""
+    return tuple(PacketFilter(**fields) for fields in json.loads(text))
+
 
 IDLE_NS = 1_000_000_000
 MAX_PACKETS = 64
@@ -34,7 +75,7 @@ DROP = "drop "
 
 
 @dataclass(frozen=True, slots=True)
-class Carried:
+class ForwarderCounts:
     """The account of a relay: packets written, packets lost, and how late packets were written
     against the model, in µs."""
 
@@ -85,12 +126,12 @@ class Forwarder:
         """Drop from now on what these filters name of the packets of this device."""
         self._filters[tun] = towards, filters
 
-    def carried(self) -> Carried:
+    def carried(self) -> ForwarderCounts:
         """Return the account so far."""
         lost = self._lost + sum(direction.lost for direction, _ in self._ways.values())
         late_us = self._late_us
         quantiles_us = late_us.quantile(0.5), late_us.quantile(0.99)
-        return Carried(self._packets, lost, *quantiles_us, late_us.maximum)
+        return ForwarderCounts(self._packets, lost, *quantiles_us, late_us.maximum)
 
     def _receive(self, tun: int) -> None:
         direction, other = self._ways[tun]

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from protocol.run_summary import Summary
 from telepulse.netem.emulated_link import emulate
-from telepulse.netem.forwarder import Carried
+from telepulse.netem.forwarder import ForwarderCounts
 from telepulse.netem.namespace import Namespace
 from telepulse.processes import await_end, read_summary
 from telepulse.simulation.link_model import LinkScene
@@ -29,7 +29,7 @@ class NodesOutcome:
 
     sensing: Summary
     display: Summary
-    carried: Carried | None
+    carried: ForwarderCounts | None
 
 
 def run_nodes(

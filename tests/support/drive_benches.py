@@ -17,11 +17,11 @@ from display_node.drives.scene import Cia402Scene, TmclScene
 from display_node.drives.tmcl.drive import TmclDrive
 from display_node.plant.stepper import StepCommand, StepperScene
 from protocol.wire.stream import LayerTable
-from telepulse.emulators.cia402_node import ALL_MODES, EmulatedNode
+from telepulse.emulators.cia402 import ALL_MODES, EmulatedCia402Node
 from telepulse.emulators.motor import EmulatedMotor
 from telepulse.emulators.pty_port import PtyPort
 from telepulse.emulators.slcan import SlcanBus
-from telepulse.emulators.tmcl_module import EmulatedCanLine, EmulatedModule, EmulatedSerialLine
+from telepulse.emulators.tmcl import EmulatedCanLine, EmulatedSerialLine, EmulatedTmclModule
 
 LAYER = LayerTable().layer()
 FORCE_LIMIT_N = 2.5
@@ -95,20 +95,20 @@ def tmcl_bench(
         at_port = {"interface": "slcan", "channel": str(port.path)}
         scene = tmcl_scene(**at_port, options={"sleep_after_open": 0.0}, **keys)
         motor = emulated_motor(scene, actuator)
-        module = EmulatedModule(scene, motor)
+        module = EmulatedTmclModule(scene, motor)
         line: EmulatedCanLine | EmulatedSerialLine = EmulatedCanLine(module, scene, SlcanBus(port))
     elif on_can:
         channel = uuid.uuid4().hex
         scene = tmcl_scene(interface="virtual", channel=channel, **keys)
         bus = can.Bus(interface="virtual", channel=channel)
         motor = emulated_motor(scene, actuator)
-        module = EmulatedModule(scene, motor)
+        module = EmulatedTmclModule(scene, motor)
         line = EmulatedCanLine(module, scene, bus)
     else:
         port = PtyPort(None)
         scene = tmcl_scene(port=str(port.path), **keys)
         motor = emulated_motor(scene, actuator)
-        module = EmulatedModule(scene, motor)
+        module = EmulatedTmclModule(scene, motor)
         line = EmulatedSerialLine(module, port)
     plugged = True
 
@@ -162,7 +162,7 @@ def cia402_bench(
     scene = cia402_scene(**keys)
     motor = emulated_motor(scene, actuator)
     bus = far_end(scene)
-    node = EmulatedNode(scene, motor, bus, modes)
+    node = EmulatedCia402Node(scene, motor, bus, modes)
 
     def poll() -> None:
         time.sleep(0.001)

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from telepulse.experiment.interval import PlayedInterval
-from telepulse.experiment.session import Plan, load_plan
+from telepulse.experiment.session import SessionPlan, load_plan
 
 BAD = "delay=40ms,jitter=5ms,loss=1%"
 
@@ -24,7 +24,7 @@ def write(
     return path
 
 
-def plan(folder: Path, *conditions: str, **keys: object) -> Plan:
+def plan(folder: Path, *conditions: str, **keys: object) -> SessionPlan:
     return load_plan(write(folder / "session.toml", *conditions, **keys))  # type: ignore[arg-type]
 
 

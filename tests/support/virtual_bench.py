@@ -20,7 +20,7 @@ from protocol.config.scene import load_section
 from pulse_sensors.packet import Packet
 from pulse_sensors.reading import Reading, Readings
 from telepulse.emulators.drive_run import FRAME
-from telepulse.emulators.motor import EmulatedMotor, Moment
+from telepulse.emulators.motor import EmulatedMotor, MotorState
 from tests.support.sender import MS, Sender
 
 SCENES = Path(__file__).parents[2] / "scenes"
@@ -161,7 +161,7 @@ class VirtualBench:
         self.scene = scene = scene.model_copy(update=self.changes)
         assert scene.feedback is not None
         motor, axis = at_touch(scene)
-        self.moments: list[Moment] = []
+        self.moments: list[MotorState] = []
         motor.trace = self.moments.append
         # The film's delivery is part of the latency that a bench shows.
         assert isinstance(scene.actuator, StepperScene)

@@ -6,7 +6,7 @@ The whole table: `make bench ARGS=lies`.
 import pytest
 
 from benchmarks.lies import Case, hostile_stream, lied, paper_pulse
-from telepulse.emulators.lies import LieKind
+from telepulse.emulators.fault_injection import FaultKind
 
 PULSE = paper_pulse()
 
@@ -14,17 +14,23 @@ PULSE = paper_pulse()
 @pytest.mark.parametrize(
     ("kind", "case", "with_film", "hostile", "named"),
     [
-        ("tmcl", Case(LieKind.REVERSED, from_start=True), True, False, "not started: the film"),
-        ("cia402", Case(LieKind.REVERSED_ENCODER), False, False, "following error"),
-        ("tmcl", Case(LieKind.GAIN_ENCODER, "3"), False, True, "following error"),
-        ("cia402", Case(LieKind.POSITION_FROZEN), False, True, "following error"),
-        ("tmcl", Case(LieKind.POSITION_JUMP, "-0.5 mm"), False, False, "following error"),
-        ("tmcl", Case(LieKind.DELAYED, "45 ms"), True, False, "drive: "),
-        ("cia402", Case(LieKind.LOST, "1"), True, False, "no answer"),
-        ("cia402", Case(LieKind.GARBAGE, "1"), True, False, "garbled"),
-        ("cia402", Case(LieKind.GARBAGE, "1"), False, False, "feedback lost"),
-        ("tmcl", Case(LieKind.FILM_ZERO), True, True, "the film reads"),
-        ("cia402", Case(LieKind.NO_RETRACTION), True, False, "following error"),
+        (
+            "tmcl",
+            Case(FaultKind.REVERSED, from_start=True),
+            True,
+            False,
+            "not started: the film",
+        ),
+        ("cia402", Case(FaultKind.REVERSED_ENCODER), False, False, "following error"),
+        ("tmcl", Case(FaultKind.GAIN_ENCODER, "3"), False, True, "following error"),
+        ("cia402", Case(FaultKind.POSITION_FROZEN), False, True, "following error"),
+        ("tmcl", Case(FaultKind.POSITION_JUMP, "-0.5 mm"), False, False, "following error"),
+        ("tmcl", Case(FaultKind.DELAYED, "45 ms"), True, False, "drive: "),
+        ("cia402", Case(FaultKind.LOST, "1"), True, False, "no answer"),
+        ("cia402", Case(FaultKind.GARBAGE, "1"), True, False, "garbled"),
+        ("cia402", Case(FaultKind.GARBAGE, "1"), False, False, "feedback lost"),
+        ("tmcl", Case(FaultKind.FILM_ZERO), True, True, "the film reads"),
+        ("cia402", Case(FaultKind.NO_RETRACTION), True, False, "following error"),
     ],
     ids=lambda value: value.name if isinstance(value, Case) else "",
 )
@@ -40,14 +46,14 @@ def test_a_lie_is_named_before_it_presses_beyond_the_bars(
 def test_answers_that_come_twice_change_nothing_that_is_felt(from_start: bool) -> None:
     honest = lied(None, "tmcl", True, hostile_stream)
     outcome = lied(
-        Case(LieKind.DUPLICATED, "1", from_start=from_start), "tmcl", True, hostile_stream
+        Case(FaultKind.DUPLICATED, "1", from_start=from_start), "tmcl", True, hostile_stream
     )
     assert outcome.named == ""
     assert outcome.missed(honest.error_n) == []
 
 
 def test_a_late_film_is_named_before_a_stiff_finger_is_pressed_by_a_loop_that_swings() -> None:
-    case = Case(LieKind.FILM_LATE, "20 ms")
+    case = Case(FaultKind.FILM_LATE, "20 ms")
     outcome = lied(case, "tmcl", True, hostile_stream, finger=3.0)
     assert "feedback late" in outcome.named
     assert outcome.missed(honest_error_n=0.0) == []
@@ -55,8 +61,8 @@ def test_a_late_film_is_named_before_a_stiff_finger_is_pressed_by_a_loop_that_sw
 
 def test_half_a_film_half_a_motor_and_half_a_finger_look_the_same() -> None:
     """Only their product can be learnt, and it is shown."""
-    film = lied(Case(LieKind.FILM_SCALED, "0.5"), "tmcl", True, PULSE)
-    motor = lied(Case(LieKind.GAIN, "0.5"), "tmcl", True, PULSE)
+    film = lied(Case(FaultKind.FILM_SCALED, "0.5"), "tmcl", True, PULSE)
+    motor = lied(Case(FaultKind.GAIN, "0.5"), "tmcl", True, PULSE)
     finger = lied(None, "tmcl", True, PULSE, finger=0.5)
     for outcome in (film, motor, finger):
         assert outcome.stiffness == pytest.approx(0.5, abs=0.05)
@@ -66,7 +72,7 @@ def test_half_a_film_half_a_motor_and_half_a_finger_look_the_same() -> None:
 
 
 def test_a_stiffness_that_no_finger_has_is_an_alert() -> None:
-    outcome = lied(Case(LieKind.FILM_SCALED, "5"), "tmcl", True, PULSE)
+    outcome = lied(Case(FaultKind.FILM_SCALED, "5"), "tmcl", True, PULSE)
     assert "implausible for a finger: the film reads too much" in outcome.warned
     for finger in (0.3, 3.0):
         honest = lied(None, "tmcl", True, PULSE, finger=finger)

@@ -5,7 +5,7 @@ import pytest
 from benchmarks.lies import KINDS, TOUCH_N, bench_scene, paper_pulse
 from benchmarks.random_stalls import MOST_LOOKS, Ordeal
 from benchmarks.virtual_bench import MS, VirtualBench
-from telepulse.emulators.motor import Moment
+from telepulse.emulators.motor import MotorState
 
 # Hours of it: `make bench ARGS=random_stalls`.
 SECONDS = 30.0
@@ -29,7 +29,7 @@ def test_a_loop_that_stands_still_anywhere_in_a_tick_leaves_the_withdrawal_to_th
     """While it holds the lock that both use, too."""
     pressed_ns = 0
 
-    def watch(moment: Moment) -> None:
+    def watch(moment: MotorState) -> None:
         nonlocal pressed_ns
         if moment.force_n > TOUCH_N:
             pressed_ns = moment.time_ns

@@ -3,30 +3,29 @@ import pytest
 from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
 from telepulse.commissioning.actuator_check import (
-    Actuator,
+    ActuatorFindings,
     check_actuator,
     check_contact,
     check_latency,
 )
-from telepulse.commissioning.contact import Contact
-from telepulse.commissioning.identification import Identified
-from telepulse.commissioning.response import Model
+from telepulse.commissioning.identification import IdentifiedModel, SecondOrderModel
+from telepulse.commissioning.press import ContactFit
 from telepulse.commissioning.rig import ModelRig
 from telepulse.scene import find_scene, load_scene
 from tests.unit.telepulse.commissioning.test_press import bench
 
 
-def checked(really: DisplayScene, taken_for: DisplayScene | None = None) -> Actuator:
+def checked(really: DisplayScene, taken_for: DisplayScene | None = None) -> ActuatorFindings:
     """A bench that is really so, checked with a scene that may say something else."""
     scene = taken_for or really
     return check_actuator(ModelRig(really), scene, 0.3, scene.film.latency_ns * 1e-9)
 
 
-def verdicts(actuator: Actuator) -> dict[str, str]:
+def verdicts(actuator: ActuatorFindings) -> dict[str, str]:
     return {check.name: check.verdict for check in actuator.checks if check.verdict != "ok"}
 
 
-def number(actuator: Actuator, key: str) -> float:
+def number(actuator: ActuatorFindings, key: str) -> float:
     return float(actuator.changes["display.actuator"][key].strip('"').split()[0])
 
 
@@ -89,7 +88,7 @@ def test_a_drive_that_loses_steps_is_named() -> None:
     assert isinstance(scene.actuator, StepperScene)
 
 
-SHARP = Model(2.6e-6, 1.1e-3, 1.0)
+SHARP = SecondOrderModel(2.6e-6, 1.1e-3, 1.0)
 LINE_S = 0.78e-3
 
 
@@ -98,8 +97,8 @@ def judged(
 ) -> tuple[str, bool]:
     """The verdict on a latency found over a line at a tick of 2 ms, and whether it is doubtful."""
     _, actuator = bench(latency_ns=400_000)
-    found = Identified(SHARP, (0.0,) * 4, 0.0, nrmse, untold, delay_s)
-    contact = Contact(1000.0, 2.0, 0.0, 1e-6, 0.0, 1e-6, 0.01)
+    found = IdentifiedModel(SHARP, (0.0,) * 4, 0.0, nrmse, untold, delay_s)
+    contact = ContactFit(1000.0, 2.0, 0.0, 1e-6, 0.0, 1e-6, 0.01)
     judged = check_latency(actuator, found, contact, latency_s, least_latency_s=LINE_S, tick_s=2e-3)
     assert (judged.check.reason == "") is (judged.check.verdict == "ok")
     return judged.check.verdict, judged.doubtful
@@ -123,15 +122,15 @@ def test_a_latency_of_a_bad_fit_is_not_ok() -> None:
 @pytest.mark.parametrize(
     ("contact", "verdicts"),
     [
-        (Contact(1000.0, 2.0, 0.0, 1e-6, 0.0, 1e-6, 0.01), ["ok", "ok"]),
-        (Contact(1000.0, 700.0, 0.0, 1e-6, 0.0, 1e-6, 0.01), ["look", "ok"]),
-        (Contact(1000.0, 2.0, 0.0, 1e-6, -60e-6, 1e-6, 0.01), ["ok", "look"]),
-        (Contact(1000.0, 2.0, 0.0, 1e-6, 0.0, 1e-6, 0.5), ["fail", "fail"]),
+        (ContactFit(1000.0, 2.0, 0.0, 1e-6, 0.0, 1e-6, 0.01), ["ok", "ok"]),
+        (ContactFit(1000.0, 700.0, 0.0, 1e-6, 0.0, 1e-6, 0.01), ["look", "ok"]),
+        (ContactFit(1000.0, 2.0, 0.0, 1e-6, -60e-6, 1e-6, 0.01), ["ok", "look"]),
+        (ContactFit(1000.0, 2.0, 0.0, 1e-6, 0.0, 1e-6, 0.5), ["fail", "fail"]),
     ],
     ids=["plausible", "not determined", "play below 0", "not explained"],
 )
 def test_a_contact_that_the_ramp_does_not_tell_is_not_ok(
-    contact: Contact, verdicts: list[str]
+    contact: ContactFit, verdicts: list[str]
 ) -> None:
     _, actuator = bench()
     assert [check.verdict for check in check_contact(actuator, contact)] == verdicts

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from protocol.errors import SceneError
 from pulse_sensors.serial_port import SerialScene
 from telepulse.cli.main import app
-from telepulse.commissioning.calibration.loads import is_moving, parse_loads
+from telepulse.commissioning.calibration import is_moving, parse_loads
 
 FIG_4 = "load,reading\n0,0\n0.5,22\n1,44\n2,88\n2.5,110\n"
 
@@ -118,8 +118,8 @@ def test_a_reading_that_drifts_is_moving_and_noise_is_not() -> None:
 def test_a_live_sensor_is_calibrated_load_by_load(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("telepulse.commissioning.calibration.loads.AVERAGE_S", 0.3)
-    monkeypatch.setattr("telepulse.commissioning.calibration.loads.SETTLE_S", 0.2)
+    monkeypatch.setattr("telepulse.commissioning.calibration.AVERAGE_S", 0.3)
+    monkeypatch.setattr("telepulse.commissioning.calibration.SETTLE_S", 0.2)
     board, port = pty.openpty()
     scene = tmp_path / "board.toml"
     source = f'kind = "serial"\nport = "{os.ttyname(port)}"\nframing = "text"\nrate = "100 Hz"'

@@ -13,8 +13,8 @@ from display_node.scene import DisplayScene
 from protocol.errors import BenchError, DriveError
 from pulse_sensors.reading import Reading
 from telepulse.commissioning.actuator_check import check_actuator
-from telepulse.commissioning.hardware import HardwareRig, check_answers, listen
 from telepulse.commissioning.press import PressRecorder, press_stepper
+from telepulse.commissioning.rig import HardwareRig, check_answers, listen
 from telepulse.commissioning.sensor_check import judge_sensor, measure
 from tests.unit.telepulse.commissioning.test_press import bench
 

@@ -8,27 +8,35 @@ from scipy.signal import lfilter
 from display_node.plant.second_order import SecondOrder, SecondOrderScene
 from display_node.plant.transmission import Rotor
 from protocol.errors import BenchError
-from telepulse.commissioning.identification import Identified, identify
-from telepulse.commissioning.response import Input, Model, respond, step_response
+from telepulse.commissioning.identification import (
+    ActuatorInput,
+    IdentifiedModel,
+    SecondOrderModel,
+    identify,
+    respond,
+    step_response,
+)
 
-TABLE_4 = Model(0.65, 0.61, 4.23)
+TABLE_4 = SecondOrderModel(0.65, 0.61, 4.23)
 # A rotor that rings at 100 Hz with ζ = 0.2.
-STIFF = Model(1 / (200 * math.pi) ** 2, 0.4 / (200 * math.pi), 1.0)
+STIFF = SecondOrderModel(1 / (200 * math.pi) ** 2, 0.4 / (200 * math.pi), 1.0)
 TRIALS = 40
 
 
-def stairs(count: int, dwell: tuple[int, int], seed: int, held: bool, tick_s: float) -> Input:
+def stairs(
+    count: int, dwell: tuple[int, int], seed: int, held: bool, tick_s: float
+) -> ActuatorInput:
     rng, values, at = np.random.default_rng(seed), np.zeros(count), dwell[0]
     while at < count:
         rise = np.ones(count - at) if held else np.minimum(np.arange(count - at) / 5, 1.0)
         values[at:] += rise
         at += int(rng.integers(*dwell))
-    return Input(values, tick_s, held)
+    return ActuatorInput(values, tick_s, held)
 
 
 def trial(
-    model: Model, told: Input, noise: float, seed: int, colour: float = 0.0
-) -> tuple[Identified, NDArray[np.bool_]]:
+    model: SecondOrderModel, told: ActuatorInput, noise: float, seed: int, colour: float = 0.0
+) -> tuple[IdentifiedModel, NDArray[np.bool_]]:
     """What is found, and which of m, c, k and latency lie within their intervals."""
     at_s = np.arange(len(told.values)) * told.tick_s
     white = np.random.default_rng(seed).standard_normal(len(at_s))
@@ -44,7 +52,7 @@ def test_the_response_to_a_held_input_is_the_actuators_own() -> None:
     actuator, forces_n = SecondOrder(SecondOrderScene(kind="second_order"), 0.01), [0.0]
     for value in volts[:-1].tolist():
         forces_n.append(actuator.step(value))
-    told = Input(volts, 0.01, held=True)
+    told = ActuatorInput(volts, 0.01, held=True)
     assert respond(TABLE_4, told, np.arange(500) * 0.01) == pytest.approx(forces_n, abs=1e-12)
 
 
@@ -54,14 +62,14 @@ def test_the_response_to_a_straight_input_is_the_rotors_own() -> None:
     rotor, turned = Rotor(100.0, 0.2, 1e-3), [0.0]
     for before, after in zip(places[:-1].tolist(), places[1:].tolist(), strict=True):
         turned.append(rotor.step(before, after))
-    told = Input(places, 1e-3, held=False)
+    told = ActuatorInput(places, 1e-3, held=False)
     assert respond(STIFF, told, np.arange(300) * 1e-3) == pytest.approx(turned, abs=1e-9)
 
 
 def test_between_the_ticks_it_is_what_finer_ticks_give() -> None:
     coarse = stairs(400, (60, 90), 1, held=True, tick_s=1e-3)
-    fine = Input(np.repeat(coarse.values, 10), 1e-4, held=True)
-    late = Model(STIFF.m, STIFF.c, STIFF.k, latency_s=4.3e-3)
+    fine = ActuatorInput(np.repeat(coarse.values, 10), 1e-4, held=True)
+    late = SecondOrderModel(STIFF.m, STIFF.c, STIFF.k, latency_s=4.3e-3)
     at_s = np.linspace(0.01, 0.39, 777)
     assert respond(late, coarse, at_s) == pytest.approx(respond(late, fine, at_s), abs=2e-3)
 
@@ -76,9 +84,14 @@ def test_between_the_ticks_it_is_what_finer_ticks_give() -> None:
     ids=["table 4", "stiff", "stiff, noise through a filter"],
 )
 def test_true_values_lie_within_the_stated_intervals(
-    model: Model, held: bool, dwell: tuple[int, int], tick_s: float, colour: float, least: float
+    model: SecondOrderModel,
+    held: bool,
+    dwell: tuple[int, int],
+    tick_s: float,
+    colour: float,
+    least: float,
 ) -> None:
-    late = Model(model.m, model.c, model.k, latency_s=4.3 * tick_s)
+    late = SecondOrderModel(model.m, model.c, model.k, latency_s=4.3 * tick_s)
     inside = [
         trial(late, stairs(1000, dwell, seed, held, tick_s), 0.05, seed, colour)[1]
         for seed in range(TRIALS)
@@ -88,11 +101,13 @@ def test_true_values_lie_within_the_stated_intervals(
 
 @pytest.mark.parametrize("late_ticks", [0.0, 0.4, 7.9])
 @pytest.mark.parametrize("model", [TABLE_4, STIFF], ids=["table 4", "stiff"])
-def test_the_latency_is_found_within_a_fifth_of_a_tick(model: Model, late_ticks: float) -> None:
+def test_the_latency_is_found_within_a_fifth_of_a_tick(
+    model: SecondOrderModel, late_ticks: float
+) -> None:
     slow = model is TABLE_4
     tick_s = 0.01 if slow else 1e-3
     told = stairs(1000, (50, 200) if slow else (60, 150), 1, held=slow, tick_s=tick_s)
-    late = Model(model.m, model.c, model.k, latency_s=late_ticks * tick_s)
+    late = SecondOrderModel(model.m, model.c, model.k, latency_s=late_ticks * tick_s)
     found, _ = trial(late, told, 2e-3, seed=1)
     assert found.model.latency_s / tick_s == pytest.approx(late_ticks, abs=0.2)
     assert found.untold == ()
@@ -100,7 +115,7 @@ def test_the_latency_is_found_within_a_fifth_of_a_tick(model: Model, late_ticks:
 
 
 def test_what_the_record_does_not_tell_is_said() -> None:
-    quick = Model(1e-9, 2e-5, 1.0, latency_s=3e-3)
+    quick = SecondOrderModel(1e-9, 2e-5, 1.0, latency_s=3e-3)
     found, _ = trial(quick, stairs(1000, (60, 150), 1, held=False, tick_s=1e-3), 0.02, seed=1)
     assert "m" in found.untold
     assert found.delay_s == pytest.approx(3e-3, abs=2e-4)
@@ -114,7 +129,7 @@ def test_a_record_in_which_nothing_moves_is_refused() -> None:
     with pytest.raises(BenchError, match="the film does not change"):
         identify(told, at_s, np.zeros(400), 0.02)
     with pytest.raises(BenchError, match="the command does not change"):
-        identify(Input(np.zeros(400), 1e-3, held=False), at_s, at_s, 0.02)
+        identify(ActuatorInput(np.zeros(400), 1e-3, held=False), at_s, at_s, 0.02)
     with pytest.raises(BenchError, match="at least 50"):
         identify(told, at_s[:49], at_s[:49], 0.02)
     with pytest.raises(BenchError, match="turn the drive's direction round"):
@@ -123,10 +138,10 @@ def test_a_record_in_which_nothing_moves_is_refused() -> None:
 
 def test_a_step_response_is_the_textbooks() -> None:
     damping = 0.2
-    ring = step_response(Model(STIFF.m, STIFF.c, STIFF.k, latency_s=0.005))
+    ring = step_response(SecondOrderModel(STIFF.m, STIFF.c, STIFF.k, latency_s=0.005))
     overshoot = math.exp(-math.pi * damping / math.sqrt(1 - damping**2))
     assert ring.overshoot == pytest.approx(overshoot, abs=0.002)
     assert 0.025 < ring.settling_s < 0.005 + 4.5 / (damping * 200 * math.pi)
-    slow = step_response(Model(1e-8, 0.01, 1.0))
+    slow = step_response(SecondOrderModel(1e-8, 0.01, 1.0))
     assert slow.overshoot == 0.0
     assert slow.rise_s == pytest.approx(0.01 * math.log(9), rel=0.02)

@@ -18,7 +18,7 @@ from display_node.drives.homing import (
 )
 from display_node.drives.tmcl.drive import TmclDrive
 from protocol.errors import DriveError
-from telepulse.emulators.lies import Lie, LieKind
+from telepulse.emulators.fault_injection import FaultKind, InjectedFault
 from tests.support.drive_benches import Bench, cia402_bench, tmcl_bench
 from tests.unit.display_node.drives.test_supervisor import axis
 
@@ -30,7 +30,7 @@ MakeBench = Callable[..., AbstractContextManager[Bench]]
 def test_a_reversed_motor_is_refused_before_it_presses(make: MakeBench, film: bool) -> None:
     """The wires of the shaft are swapped from the start; its drive counts as commanded."""
     with make(touch="2 mm") as bench:
-        bench.motor.lies.begin(Lie(LieKind.REVERSED), time.monotonic_ns())
+        bench.motor.lies.begin(InjectedFault(FaultKind.REVERSED), time.monotonic_ns())
         peak_n = 0.0
 
         def force_n() -> float | None:

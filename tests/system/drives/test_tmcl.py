@@ -15,7 +15,7 @@ from display_node.drives.tmcl.line import TmclLine
 from display_node.drives.tmcl.parameters import Command, Parameter
 from display_node.drives.withdrawal import WithdrawalOutcome
 from protocol.errors import DriveError
-from telepulse.emulators.tmcl_module import DATAGRAM, EmulatedModule, checksum
+from telepulse.emulators.tmcl import DATAGRAM, EmulatedTmclModule, checksum
 from tests.support.drive_benches import (
     FORCE_LIMIT_N,
     LAYER,
@@ -190,7 +190,7 @@ def test_a_reply_with_a_wrong_byte_anywhere_is_no_answer(offset: int) -> None:
 def test_a_module_behind_a_network_port_is_reached_by_url() -> None:
     scene_there = tmcl_scene(port="x")
     motor = emulated_motor(scene_there, stepper())
-    module = EmulatedModule(scene_there, motor)
+    module = EmulatedTmclModule(scene_there, motor)
     server = socket.create_server(("127.0.0.1", 0))
 
     def serve() -> None:

@@ -13,9 +13,8 @@ import pytest
 
 from benchmarks.whole_bench import NICE
 from telepulse.experiment.interval import IntervalPlayback, PlayedInterval, draw_interval
-from telepulse.experiment.keyboard import Keyboard
 from telepulse.experiment.log import read_log
-from telepulse.experiment.person import Person
+from telepulse.experiment.person import Keyboard, Person
 from telepulse.experiment.session import Letter, Trial
 from telepulse.scene import find_scene
 from tests.support.experiment_sessions import condition, plan, write

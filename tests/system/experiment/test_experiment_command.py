@@ -15,10 +15,9 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from telepulse.cli.main import app
-from telepulse.experiment.log import Log, read_log
-from telepulse.experiment.psychometrics import says_a
+from telepulse.experiment.log import SessionLog, correct, gather, read_log
+from telepulse.experiment.psychometrics import probability_of_a
 from telepulse.experiment.report import build_report, threshold_of
-from telepulse.experiment.results import correct, gather
 from telepulse.experiment.run import open_log
 from telepulse.experiment.session import load_plan
 from tests.support.experiment_sessions import condition, write
@@ -35,7 +34,7 @@ def experiment(*arguments: object) -> Result:
     return CliRunner().invoke(app, ["experiment", *map(str, arguments)])
 
 
-def observed(session: Path, threshold: str, log: Path, *options: str) -> Log:
+def observed(session: Path, threshold: str, log: Path, *options: str) -> SessionLog:
     """The log of a simulated observer."""
     result = experiment("run", session, "--log", log, "--observer", threshold, *options)
     assert result.exit_code == 0, result.output
@@ -66,7 +65,7 @@ def test_an_observer_is_right_as_often_as_its_threshold_says(tmp_path: Path) -> 
         found = correct(plain)
         shares.append(found.share)
         level = float(threshold.split()[0]) / 100
-        calls_a = [float(says_a(o.errors, level)) for o in plain]
+        calls_a = [float(probability_of_a(o.errors, level)) for o in plain]
         expected = [p if o.trial.x == "A" else 1 - p for p, o in zip(calls_a, plain, strict=True)]
         low, high = found.interval
         assert low <= sum(expected) / len(expected) <= high

@@ -11,7 +11,7 @@ from protocol.config.scene import validate
 from pulse_sensors.packet import Packet
 from pulse_sensors.reading import Reading, Readings
 from pulse_sensors.serial_port import SerialScene
-from telepulse.emulators.sensor_board import Habits, SensorBoard, binary, line, timed_line
+from telepulse.emulators.sensor_board import BoardBehaviour, SensorBoard, binary, line, timed_line
 from tests.support.streams import synthetic
 
 START_NS = 10**15
@@ -55,7 +55,7 @@ def hear(kind: str, seconds: float, lost: range = range(0), **habits: float) -> 
     """Listen to a board; of its deliveries, those in `lost` never come."""
     encode = {"binary": binary("float32"), "text": timed_line, "untimed": line}[kind]
     frame = 4 if kind == "binary" else 1
-    given = Habits(frame, **habits)  # type: ignore[arg-type]
+    given = BoardBehaviour(frame, **habits)  # type: ignore[arg-type]
     board = SensorBoard(synthetic(), encode, given, START_NS)
     scene = validate(SCENES[kind], SerialScene, "scene")
     heard = Heard(board, Readings(scene), Counter(), [], [])

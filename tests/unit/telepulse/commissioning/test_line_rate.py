@@ -1,7 +1,7 @@
 import pytest
 
 from display_node.drives.scene import Cia402Scene, TmclScene
-from telepulse.commissioning.hardware import can_frame_bits, check_line, exchange_s
+from telepulse.commissioning.rig import can_frame_bits, check_line, exchange_s
 
 
 def serial(baud: int, **keys: str) -> TmclScene:

@@ -14,8 +14,8 @@ from telepulse.experiment.psychometrics import (
     hits_needed,
     mean_of,
     power,
+    probability_of_a,
     proportion_correct,
-    says_a,
     trials_needed,
 )
 
@@ -37,7 +37,7 @@ def test_the_interval_holds_the_true_share_at_least_95_times_of_100(of: int) -> 
 
 def test_the_interval_holds_what_a_simulated_observer_does() -> None:
     errors, threshold, of = IntervalErrors(0.12, 0.0, 0.12), 0.08, 40
-    share, held, sessions = float(says_a(errors, threshold)), 0, 400
+    share, held, sessions = float(probability_of_a(errors, threshold)), 0, 400
     intervals = [Proportion(hits, of).interval for hits in range(of + 1)]
     for seed in range(sessions):
         observer = SimulatedObserver(threshold, seed)

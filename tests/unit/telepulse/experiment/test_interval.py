@@ -5,7 +5,7 @@ from telepulse.experiment.interval import (
     Interval,
     IntervalPlayback,
     draw_interval,
-    play_at_once,
+    play_in_virtual_time,
 )
 from telepulse.experiment.session import Trial, draw_trials
 from tests.support.experiment_sessions import condition, plan
@@ -42,7 +42,7 @@ def test_neither_begin_nor_length_tells_the_link(tmp_path: Path) -> None:
         over_ns = interval.foreperiod_ns + interval.felt_ns
         assert 0 < pressed_ns[-1] - over_ns < 80_000_000
         assert felt[-1][1] < 0.002
-        assert abs(play_at_once(interval).felt_s - 0.4) < 0.01
+        assert abs(play_in_virtual_time(interval).felt_s - 0.4) < 0.01
 
 
 def test_x_has_the_same_beats_and_other_chances(tmp_path: Path) -> None:
@@ -52,7 +52,7 @@ def test_x_has_the_same_beats_and_other_chances(tmp_path: Path) -> None:
     assert found["A"].scene != found["X"].scene
     assert len({interval.link_seed for interval in found.values()}) == 3
     assert len({interval.foreperiod_ns for interval in found.values()}) == 3
-    b, x = play_at_once(found["B"]), play_at_once(found["X"])
+    b, x = play_in_virtual_time(found["B"]), play_in_virtual_time(found["X"])
     assert b.on_link
     assert x.on_link
     assert b.aligned_n != x.aligned_n
@@ -74,7 +74,7 @@ def test_a_direct_interval_is_as_good_as_the_loop_and_one_over_a_bad_link_is_not
     tmp_path: Path,
 ) -> None:
     found = intervals(tmp_path, interval="1 s")
-    direct, impaired = play_at_once(found["A"]), play_at_once(found["B"])
+    direct, impaired = play_in_virtual_time(found["A"]), play_in_virtual_time(found["B"])
     assert not direct.on_link
     assert direct.aligned_n is not None
     assert impaired.aligned_n is not None

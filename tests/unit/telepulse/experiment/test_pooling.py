@@ -10,23 +10,22 @@ from typer.testing import CliRunner
 
 from telepulse.cli.main import app
 from telepulse.experiment.interval import Interval, IntervalPlayback, PlayedInterval, draw_interval
-from telepulse.experiment.log import Answered, Header, Log, LogError, now
+from telepulse.experiment.log import AnsweredTrial, LogError, SessionHeader, SessionLog, gather, now
 from telepulse.experiment.report import build_report
-from telepulse.experiment.results import gather
-from telepulse.experiment.session import Plan, draw_trials
+from telepulse.experiment.session import SessionPlan, draw_trials
 from tests.support.experiment_sessions import condition, plan, played, write
 
 CLEAN = [played("A", False, 1e-3), played("B", True, 50e-3), played("X", True, 50e-3)]
 
 
 def log(
-    found: Plan,
+    found: SessionPlan,
     name: str,
     intervals: list[list[PlayedInterval]],
     threshold: float | None = None,
     felt_on: Literal["drive", "models"] = "drive",
-) -> Log:
-    header = Header(
+) -> SessionLog:
+    header = SessionHeader(
         version="0.1.0",
         time=now(),
         tables=found.tables,
@@ -36,10 +35,10 @@ def log(
         felt_on=felt_on,
     )
     answered = tuple(
-        Answered(time=now(), index=index, answer="A", response_s=None, played=tuple(felt))
+        AnsweredTrial(time=now(), index=index, answer="A", response_s=None, played=tuple(felt))
         for index, felt in enumerate(intervals)
     )
-    return Log(Path(f"{name}.jsonl"), header, found.session, answered, 0)
+    return SessionLog(Path(f"{name}.jsonl"), header, found.session, answered, 0)
 
 
 def test_people_and_simulated_observers_are_reported_apart(tmp_path: Path) -> None:
@@ -107,7 +106,7 @@ def test_a_stream_that_its_own_link_leaves_stale_is_named_and_counted(tmp_path: 
     whole = plan(tmp_path, condition("plain", "delay=5ms", "auto"), interval="0.5 s")
     cut = plan(tmp_path, condition("plain", "delay=5ms,cut.from=2s,cut.for=3s", "auto"))
 
-    def felt(found: Plan, stall_ms: int = 0) -> PlayedInterval:
+    def felt(found: SessionPlan, stall_ms: int = 0) -> PlayedInterval:
         trial = draw_trials(found.session, 1)[0]
         letter: Literal["A", "B"] = "B" if trial.direct == "A" else "A"
         drawn: Interval = replace(

@@ -6,9 +6,15 @@ from display_node.drives.scene import TmclScene
 from display_node.plant.stepper import StepperScene
 from protocol.errors import SceneError
 from protocol.wire.stream import LayerTable
-from telepulse.emulators.lies import SIZES, Lie, LieInjector, LieKind, read_lie
+from telepulse.emulators.fault_injection import (
+    SIZES,
+    FaultInjector,
+    FaultKind,
+    InjectedFault,
+    parse_fault,
+)
 from telepulse.emulators.motor import TICK_NS, EmulatedMotor
-from telepulse.emulators.tmcl_module import EmulatedModule
+from telepulse.emulators.tmcl import EmulatedTmclModule
 
 MS = TICK_NS
 TOUCH_M = 2e-3
@@ -17,7 +23,7 @@ RATE_HZ = 4_000.0
 RAN_MS = 100
 
 
-def moved(lie: Lie | None, rate_hz: float = RATE_HZ) -> EmulatedMotor:
+def moved(lie: InjectedFault | None, rate_hz: float = RATE_HZ) -> EmulatedMotor:
     """A motor that ran at a rate for 0.1 s, lied about from the start."""
     motor = EmulatedMotor(SCENE, SCENE.contact(LayerTable().layer()), TOUCH_M, now_ns=0)
     if lie is not None:
@@ -37,18 +43,18 @@ WAY_M = HONEST.tip_m + TOUCH_M / 2
 @pytest.mark.parametrize(
     ("kind", "size", "turned", "reported"),
     [
-        (LieKind.REVERSED, 0.0, -1, 1),
-        (LieKind.REVERSED_ENCODER, 0.0, -1, -1),
-        (LieKind.GAIN, 2.0, 2, 1),
-        (LieKind.GAIN, 0.3, 0.3, 1),
-        (LieKind.GAIN_ENCODER, 2.0, 2, 2),
-        (LieKind.POSITION_FROZEN, 0.0, 1, 0),
+        (FaultKind.REVERSED, 0.0, -1, 1),
+        (FaultKind.REVERSED_ENCODER, 0.0, -1, -1),
+        (FaultKind.GAIN, 2.0, 2, 1),
+        (FaultKind.GAIN, 0.3, 0.3, 1),
+        (FaultKind.GAIN_ENCODER, 2.0, 2, 2),
+        (FaultKind.POSITION_FROZEN, 0.0, 1, 0),
     ],
 )
 def test_what_the_shaft_turns_beside_what_the_bus_reports(
-    kind: LieKind, size: float, turned: float, reported: float
+    kind: FaultKind, size: float, turned: float, reported: float
 ) -> None:
-    motor = moved(Lie(kind, size))
+    motor = moved(InjectedFault(kind, size))
     assert motor.tip_m + TOUCH_M / 2 == pytest.approx(turned * WAY_M, abs=3e-6)
     assert motor.position_steps == pytest.approx(reported * HONEST.position_steps, abs=2)
 
@@ -56,19 +62,19 @@ def test_what_the_shaft_turns_beside_what_the_bus_reports(
 @pytest.mark.parametrize(
     ("kind", "size", "off_m"),
     [
-        (LieKind.POSITION_JUMP, 0.5e-3, 0.5e-3),
-        (LieKind.POSITION_DRIFT, -2e-3, -2e-3 * RAN_MS * 1e-3),
+        (FaultKind.POSITION_JUMP, 0.5e-3, 0.5e-3),
+        (FaultKind.POSITION_DRIFT, -2e-3, -2e-3 * RAN_MS * 1e-3),
     ],
 )
-def test_a_reported_position_that_is_off(kind: LieKind, size: float, off_m: float) -> None:
-    motor = moved(Lie(kind, size))
+def test_a_reported_position_that_is_off(kind: FaultKind, size: float, off_m: float) -> None:
+    motor = moved(InjectedFault(kind, size))
     assert motor.tip_m == HONEST.tip_m
     off_steps = motor.position_steps - HONEST.position_steps
     assert off_steps * SCENE.step_m == pytest.approx(off_m, abs=SCENE.step_m)
 
 
 def test_a_retraction_that_is_ignored() -> None:
-    motor = moved(Lie(LieKind.NO_RETRACTION), -RATE_HZ)
+    motor = moved(InjectedFault(FaultKind.NO_RETRACTION), -RATE_HZ)
     assert motor.rate_hz == 0.0
     motor.run(RATE_HZ)
     motor.advance((RAN_MS + 10) * MS)
@@ -76,7 +82,7 @@ def test_a_retraction_that_is_ignored() -> None:
 
 
 def test_a_reversed_motor_runs_away_from_its_home_switch() -> None:
-    motor = moved(Lie(LieKind.REVERSED), 0.0)
+    motor = moved(InjectedFault(FaultKind.REVERSED), 0.0)
     motor.home(RATE_HZ, RATE_HZ / 4)
     motor.advance(1_000 * MS)
     assert motor.homing
@@ -86,34 +92,36 @@ def test_a_reversed_motor_runs_away_from_its_home_switch() -> None:
 @pytest.mark.parametrize(
     ("kind", "size", "wanted_n"),
     [
-        (LieKind.FILM_ZERO, 0.0, (0.0, 0.0)),
-        (LieKind.FILM_FROZEN, 0.0, (0.4, 0.4)),
-        (LieKind.FILM_SCALED, 0.5, (0.2, 0.4)),
+        (FaultKind.FILM_ZERO, 0.0, (0.0, 0.0)),
+        (FaultKind.FILM_FROZEN, 0.0, (0.4, 0.4)),
+        (FaultKind.FILM_SCALED, 0.5, (0.2, 0.4)),
     ],
 )
-def test_what_the_film_sends(kind: LieKind, size: float, wanted_n: tuple[float, float]) -> None:
-    lies = LieInjector(SCENE.step_m)
-    lies.begin(Lie(kind, size), 0)
+def test_what_the_film_sends(kind: FaultKind, size: float, wanted_n: tuple[float, float]) -> None:
+    lies = FaultInjector(SCENE.step_m)
+    lies.begin(InjectedFault(kind, size), 0)
     assert (lies.film_n(0.4), lies.film_n(0.8)) == wanted_n
 
 
 @pytest.mark.parametrize(
     ("kind", "size", "sent"),
     [
-        (LieKind.DELAYED, 0.03, {30: 1}),
-        (LieKind.LOST, 1.0, {}),
-        (LieKind.DUPLICATED, 1.0, {0: 2}),
-        (LieKind.GARBAGE, 1.0, {0: 1}),
-        (LieKind.POSITION_FROZEN, 0.0, {0: 1}),
+        (FaultKind.DELAYED, 0.03, {30: 1}),
+        (FaultKind.LOST, 1.0, {}),
+        (FaultKind.DUPLICATED, 1.0, {0: 2}),
+        (FaultKind.GARBAGE, 1.0, {0: 1}),
+        (FaultKind.POSITION_FROZEN, 0.0, {0: 1}),
     ],
 )
-def test_when_an_answer_is_sent(kind: LieKind, size: float, sent: dict[int, int]) -> None:
-    lies, answer = LieInjector(SCENE.step_m), bytes(range(9))
-    lies.begin(Lie(kind, size), 0)
+def test_when_an_answer_is_sent(kind: FaultKind, size: float, sent: dict[int, int]) -> None:
+    lies, answer = FaultInjector(SCENE.step_m), bytes(range(9))
+    lies.begin(InjectedFault(kind, size), 0)
     lies.answer(answer, 0, header=2)
     found = {ms: lies.due(ms * MS) for ms in range(40)}
     assert {ms: len(answers) for ms, answers in found.items() if answers} == sent
-    for (spoilt,) in [answers for answers in found.values() if kind is LieKind.GARBAGE and answers]:
+    for (spoilt,) in [
+        answers for answers in found.values() if kind is FaultKind.GARBAGE and answers
+    ]:
         assert spoilt[:2] == answer[:2]
         assert spoilt != answer
 
@@ -121,31 +129,31 @@ def test_when_an_answer_is_sent(kind: LieKind, size: float, sent: dict[int, int]
 def test_lies_begin_when_they_are_begun() -> None:
     motor = moved(None)
     at = motor.position_steps
-    motor.lies.begin(Lie(LieKind.POSITION_FROZEN), RAN_MS * MS)
+    motor.lies.begin(InjectedFault(FaultKind.POSITION_FROZEN), RAN_MS * MS)
     scene = TmclScene.model_validate({"kind": "tmcl", "port": "x"})
-    module = EmulatedModule(scene, motor)
+    module = EmulatedTmclModule(scene, motor)
     asked = bytes.fromhex("01 06 01 00 00 00 00 00 08")
     replies = {module.reply(asked, (RAN_MS + ms) * MS) for ms in (0, 50, 100)}
     assert [int.from_bytes(reply[4:8], "big") for reply in replies] == [at]
 
 
-@pytest.mark.parametrize("kind", LieKind)
-def test_every_kind_is_read_with_its_usual_size_and_bounds(kind: LieKind) -> None:
-    lie = read_lie(kind, None)
+@pytest.mark.parametrize("kind", FaultKind)
+def test_every_kind_is_read_with_its_usual_size_and_bounds(kind: FaultKind) -> None:
+    lie = parse_fault(kind, None)
     assert lie.kind is kind
     if kind not in SIZES:
         with pytest.raises(SceneError, match="has none"):
-            read_lie(kind, "1")
+            parse_fault(kind, "1")
         return
-    least, most = (read_lie(kind, text) for text in (SIZES[kind].least, SIZES[kind].most))
+    least, most = (parse_fault(kind, text) for text in (SIZES[kind].least, SIZES[kind].most))
     assert least.size <= lie.size <= most.size
     number, *unit = SIZES[kind].most.split()
     with pytest.raises(SceneError, match=f"{kind.value} takes"):
-        read_lie(kind, " ".join((f"{float(number) * 1.1:g}", *unit)))
+        parse_fault(kind, " ".join((f"{float(number) * 1.1:g}", *unit)))
     with pytest.raises(SceneError, match="--size: "):
-        read_lie(kind, "3 bananas")
+        parse_fault(kind, "3 bananas")
 
 
 def test_a_size_is_in_its_unit() -> None:
-    assert read_lie(LieKind.DELAYED, "45 ms") == Lie(LieKind.DELAYED, 0.045)
-    assert read_lie(LieKind.LOST, "20 %") == Lie(LieKind.LOST, 0.2)
+    assert parse_fault(FaultKind.DELAYED, "45 ms") == InjectedFault(FaultKind.DELAYED, 0.045)
+    assert parse_fault(FaultKind.LOST, "20 %") == InjectedFault(FaultKind.LOST, 0.2)

@@ -13,7 +13,7 @@ from protocol.config.quantities import parse_quantity, parse_ratio
 from protocol.errors import SceneError
 
 
-class Size(NamedTuple):
+class SizeRange(NamedTuple):
     """How large a lie may be: the dimension of its quantity, bounds and default, as text."""
 
     dimension: str
@@ -22,7 +22,7 @@ class Size(NamedTuple):
     usual: str
 
 
-class LieKind(Enum):
+class FaultKind(Enum):
     """What is false. "-encoder": the reported position is the shaft's, not the commanded one."""
 
     REVERSED = "reversed"
@@ -46,30 +46,30 @@ class LieKind(Enum):
 
 
 _RATIO = "ratio"
-SIZES: dict[LieKind, Size] = {
-    LieKind.GAIN: Size(_RATIO, "0.3", "3", "2"),
-    LieKind.GAIN_ENCODER: Size(_RATIO, "0.3", "3", "2"),
-    LieKind.POSITION_JUMP: Size("length", "-10 mm", "10 mm", "0.5 mm"),
-    LieKind.POSITION_DRIFT: Size("speed", "-10 mm/s", "10 mm/s", "1 mm/s"),
-    LieKind.POSITION_NOISE: Size("length", "0 mm", "10 mm", "50 µm"),
-    LieKind.DELAYED: Size("time", "0 ms", "1 s", "30 ms"),
-    LieKind.LOST: Size(_RATIO, "0", "1", "0.3"),
-    LieKind.DUPLICATED: Size(_RATIO, "0", "1", "1"),
-    LieKind.GARBAGE: Size(_RATIO, "0", "1", "0.3"),
-    LieKind.FILM_SCALED: Size(_RATIO, "-10", "10", "0.5"),
-    LieKind.FILM_NOISE: Size("force", "0 N", "10 N", "0.2 N"),
-    LieKind.FILM_LATE: Size("time", "0 ms", "1 s", "60 ms"),
+SIZES: dict[FaultKind, SizeRange] = {
+    FaultKind.GAIN: SizeRange(_RATIO, "0.3", "3", "2"),
+    FaultKind.GAIN_ENCODER: SizeRange(_RATIO, "0.3", "3", "2"),
+    FaultKind.POSITION_JUMP: SizeRange("length", "-10 mm", "10 mm", "0.5 mm"),
+    FaultKind.POSITION_DRIFT: SizeRange("speed", "-10 mm/s", "10 mm/s", "1 mm/s"),
+    FaultKind.POSITION_NOISE: SizeRange("length", "0 mm", "10 mm", "50 µm"),
+    FaultKind.DELAYED: SizeRange("time", "0 ms", "1 s", "30 ms"),
+    FaultKind.LOST: SizeRange(_RATIO, "0", "1", "0.3"),
+    FaultKind.DUPLICATED: SizeRange(_RATIO, "0", "1", "1"),
+    FaultKind.GARBAGE: SizeRange(_RATIO, "0", "1", "0.3"),
+    FaultKind.FILM_SCALED: SizeRange(_RATIO, "-10", "10", "0.5"),
+    FaultKind.FILM_NOISE: SizeRange("force", "0 N", "10 N", "0.2 N"),
+    FaultKind.FILM_LATE: SizeRange("time", "0 ms", "1 s", "60 ms"),
 }
-_REVERSED = (LieKind.REVERSED, LieKind.REVERSED_ENCODER)
-_ENCODER = (LieKind.REVERSED_ENCODER, LieKind.GAIN_ENCODER)
-_GAIN = (LieKind.GAIN, LieKind.GAIN_ENCODER)
+_REVERSED = (FaultKind.REVERSED, FaultKind.REVERSED_ENCODER)
+_ENCODER = (FaultKind.REVERSED_ENCODER, FaultKind.GAIN_ENCODER)
+_GAIN = (FaultKind.GAIN, FaultKind.GAIN_ENCODER)
 
 
 @dataclass(frozen=True, slots=True)
-class Lie:
+class InjectedFault:
     """One lie. size: in the SI unit of its kind's dimension; a share or factor without one."""
 
-    kind: LieKind
+    kind: FaultKind
     size: float = 0.0
 
     @property
@@ -85,7 +85,7 @@ class Lie:
         return self.kind in _ENCODER
 
 
-def read_lie(kind: LieKind, size: str | None) -> Lie:
+def parse_fault(kind: FaultKind, size: str | None) -> InjectedFault:
     """Make a lie of its kind and size as a person writes them ("30 ms").
 
     Raises SceneError where the kind has no size, or for a size that does not fit.
@@ -94,7 +94,7 @@ def read_lie(kind: LieKind, size: str | None) -> Lie:
     if allowed is None:
         if size is not None:
             raise SceneError(f"--size: {kind.value} has none")
-        return Lie(kind)
+        return InjectedFault(kind)
     try:
         value, least, most = (
             _number(text, allowed.dimension)
@@ -106,14 +106,14 @@ def read_lie(kind: LieKind, size: str | None) -> Lie:
         raise SceneError(
             f"--size: {kind.value} takes {allowed.least} to {allowed.most}, not {size}"
         )
-    return Lie(kind, value)
+    return InjectedFault(kind, value)
 
 
 def _number(text: str, dimension: str) -> float:
     return parse_ratio(text) if dimension == _RATIO else parse_quantity(text, dimension)
 
 
-class LieInjector:
+class FaultInjector:
     """Applies one lie between a motor, its bus and the film, from `begin` on.
 
     step_m: travel of one step. lie: the one that is applied; None before `begin`.
@@ -126,9 +126,9 @@ class LieInjector:
         self._frozen_steps: int | None = None
         self._frozen_n: float | None = None
         self._answers: deque[tuple[int, bytes]] = deque()
-        self.lie: Lie | None = None
+        self.lie: InjectedFault | None = None
 
-    def begin(self, lie: Lie, now_ns: int) -> None:
+    def begin(self, lie: InjectedFault, now_ns: int) -> None:
         """Apply a lie from now on."""
         self.lie, self._begun_ns = lie, now_ns
         self._frozen_steps = self._frozen_n = None
@@ -145,7 +145,7 @@ class LieInjector:
 
     def obeyed_hz(self, rate_hz: float) -> float:
         """Return the step rate that is obeyed for a commanded one, positive into the finger."""
-        if self.lie is not None and self.lie.kind is LieKind.NO_RETRACTION:
+        if self.lie is not None and self.lie.kind is FaultKind.NO_RETRACTION:
             return max(0.0, rate_hz)
         return rate_hz
 
@@ -155,15 +155,15 @@ class LieInjector:
             return steps
         size_steps = self.lie.size / self._step_m
         match self.lie.kind:
-            case LieKind.POSITION_FROZEN:
+            case FaultKind.POSITION_FROZEN:
                 if self._frozen_steps is None:
                     self._frozen_steps = steps
                 return self._frozen_steps
-            case LieKind.POSITION_JUMP:
+            case FaultKind.POSITION_JUMP:
                 return steps + round(size_steps)
-            case LieKind.POSITION_DRIFT:
+            case FaultKind.POSITION_DRIFT:
                 return steps + round(size_steps * (now_ns - self._begun_ns) * 1e-9)
-            case LieKind.POSITION_NOISE:
+            case FaultKind.POSITION_NOISE:
                 return steps + round(self._chance.gauss(0.0, size_steps))
         return steps
 
@@ -172,22 +172,22 @@ class LieInjector:
         if self.lie is None:
             return force_n
         match self.lie.kind:
-            case LieKind.FILM_ZERO:
+            case FaultKind.FILM_ZERO:
                 return 0.0
-            case LieKind.FILM_FROZEN:
+            case FaultKind.FILM_FROZEN:
                 if self._frozen_n is None:
                     self._frozen_n = force_n
                 return self._frozen_n
-            case LieKind.FILM_SCALED:
+            case FaultKind.FILM_SCALED:
                 return self.lie.size * force_n
-            case LieKind.FILM_NOISE:
+            case FaultKind.FILM_NOISE:
                 return force_n + self._chance.gauss(0.0, self.lie.size)
         return force_n
 
     @property
     def film_late_ns(self) -> int:
         """How much later than usual the film's samples are sent."""
-        if self.lie is None or self.lie.kind is not LieKind.FILM_LATE:
+        if self.lie is None or self.lie.kind is not FaultKind.FILM_LATE:
             return 0
         return round(self.lie.size * 1e9)
 
@@ -196,17 +196,17 @@ class LieInjector:
 
         header: bytes at the beginning that garbage spares, such as an identifier.
         """
-        lie = self.lie or Lie(LieKind.DELAYED, 0.0)
-        if lie.kind is LieKind.DELAYED:
+        lie = self.lie or InjectedFault(FaultKind.DELAYED, 0.0)
+        if lie.kind is FaultKind.DELAYED:
             self._answers.append((now_ns + round(lie.size * 1e9), data))
             return
         hit = self._chance.random() < lie.size
-        if lie.kind is LieKind.LOST and hit:
+        if lie.kind is FaultKind.LOST and hit:
             return
-        if lie.kind is LieKind.GARBAGE and hit:
+        if lie.kind is FaultKind.GARBAGE and hit:
             data = data[:header] + self._chance.randbytes(len(data) - header)
         self._answers.append((now_ns, data))
-        if lie.kind is LieKind.DUPLICATED and hit:
+        if lie.kind is FaultKind.DUPLICATED and hit:
             self._answers.append((now_ns, data))
 
     def due(self, now_ns: int) -> list[bytes]:

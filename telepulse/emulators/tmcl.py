@@ -33,7 +33,7 @@ PAUSE_NS = 5_000_000
 # Axis parameters: the state of each limit switch, 1 for closed.
 RIGHT_SWITCH_STATE, LEFT_SWITCH_STATE = 10, 11
 
-Answer = Literal["right", "wrong", "garbled", "late", "none"]
+AnswerMode = Literal["right", "wrong", "garbled", "late", "none"]
 
 
 def checksum(data: bytes) -> int:
@@ -41,7 +41,7 @@ def checksum(data: bytes) -> int:
     return sum(data) & 0xFF
 
 
-class Datagrams:
+class DatagramSplitter:
     """Cuts the bytes of a serial line into requests."""
 
     def __init__(self) -> None:
@@ -59,7 +59,7 @@ class Datagrams:
         return [requests[i : i + DATAGRAM.size] for i in range(0, whole, DATAGRAM.size)]
 
 
-class EmulatedModule:
+class EmulatedTmclModule:
     """Answers requests and moves the motor.
 
     answers: how requests are answered, for trying what a driver makes of it; late_s: how late,
@@ -81,7 +81,7 @@ class EmulatedModule:
         }
         self._global = {int(Global.SERIAL_HEARTBEAT): 0, int(Global.CAN_HEARTBEAT): 0}
         self._errors = ErrorFlag(0)
-        self.answers: Answer = "right"
+        self.answers: AnswerMode = "right"
         self.late_s = 0.03
 
     def reply(self, request: bytes, now_ns: int) -> bytes:
@@ -209,10 +209,10 @@ class EmulatedModule:
 class EmulatedSerialLine:
     """Datagrams of 9 bytes on a pseudo-terminal."""
 
-    def __init__(self, module: EmulatedModule, port: PtyPort) -> None:
+    def __init__(self, module: EmulatedTmclModule, port: PtyPort) -> None:
         self._module = module
         self._port = port
-        self._datagrams = Datagrams()
+        self._datagrams = DatagramSplitter()
 
     def serve(self, wait_s: float) -> None:
         """Answer what has come, waiting so long for it at most."""
@@ -231,7 +231,7 @@ class EmulatedSerialLine:
 class EmulatedCanLine:
     """Frames of 7 bytes to the module's identifier, answered from the host's."""
 
-    def __init__(self, module: EmulatedModule, scene: TmclScene, bus: can.BusABC) -> None:
+    def __init__(self, module: EmulatedTmclModule, scene: TmclScene, bus: can.BusABC) -> None:
         self._module = module
         self._address = bytes([scene.module])
         self._bus = bus
@@ -253,7 +253,7 @@ class EmulatedCanLine:
         self._bus.shutdown()
 
 
-def _answer(module: EmulatedModule, request: bytes) -> None:
+def _answer(module: EmulatedTmclModule, request: bytes) -> None:
     """Leave the reply to a request in the module's lies, which send it."""
     reply = module.reply(request, time.monotonic_ns())
     if module.answers == "late":

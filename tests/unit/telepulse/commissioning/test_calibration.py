@@ -3,7 +3,7 @@ import pytest
 
 from protocol.calibration import FIG_4_VOLTS_PER_NEWTON
 from protocol.errors import BenchError
-from telepulse.commissioning.calibration.line import fit_line
+from telepulse.commissioning.calibration import fit_line
 
 UP_N = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5])
 UP_AND_DOWN_N = np.concatenate([UP_N, UP_N[-2::-1]])

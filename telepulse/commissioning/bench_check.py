@@ -1,6 +1,8 @@
 """`telepulse bench`: which checks a scene asks for, on its models or on the bench itself.
 
 A scene's sensors while nothing presses, as models: what the live ones say is in `hardware`.
+
+What a bench check found, as tables and plots.
 """
 
 import math
@@ -12,6 +14,7 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,20 +30,24 @@ from pulse_sensors.scene import open_sensor
 from pulse_sensors.sensor import Sensor
 from sensing_node.scene import SensingScene, build_source
 from sensing_node.sources.synthetic import SyntheticScene
-from telepulse.commissioning.actuator_check import Actuator, check_actuator
-from telepulse.commissioning.check import Check, graded
-from telepulse.commissioning.hardware import (
+from telepulse.commissioning.actuator_check import ActuatorFindings, check_actuator
+from telepulse.commissioning.identification import NAMES, respond, step_response
+from telepulse.commissioning.press import PressRecord
+from telepulse.commissioning.rig import (
     HardwareRig,
+    ModelRig,
     check_answers,
     check_line,
     exchange_s,
     listen,
 )
-from telepulse.commissioning.press import Pressed
-from telepulse.commissioning.rig import ModelRig
 from telepulse.commissioning.scene_edit import Changes, set_keys
-from telepulse.commissioning.sensor_check import SensorRecord, judge_sensor, measure
-from telepulse.commissioning.tuning import MOST_SENSITIVITY, Design, design, judge
+from telepulse.commissioning.sensor_check import Check, SensorRecord, grade, judge_sensor, measure
+from telepulse.commissioning.tuning import MOST_SENSITIVITY, Design, design, judge, report_design
+from telepulse.reports.document import Chapter, Plot, Report, Table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def still_source(scene: SensingScene, folder: Path, seconds: float) -> SensorRecord:
@@ -60,7 +67,7 @@ def still_source(scene: SensingScene, folder: Path, seconds: float) -> SensorRec
     return SensorRecord(times_ns, source.take(count)[:, 0], times_ns, np.ones(count, np.int64))
 
 
-def still_film(pressed: Pressed) -> SensorRecord:
+def still_film(pressed: PressRecord) -> SensorRecord:
     """What the film said before anything moved, a sample a batch."""
     at_s, force_n = pressed.film(pressed.still)
     times_ns = np.round(at_s * 1e9).astype(np.int64)
@@ -86,7 +93,7 @@ class BenchFindings:
 
     checks: list[tuple[str, Check]] = field(default_factory=list)
     still: dict[str, SensorRecord] = field(default_factory=dict)
-    actuator: Actuator | None = None
+    actuator: ActuatorFindings | None = None
     changes: Changes = field(default_factory=dict)
     designs: tuple[Design, Design] | None = None
     modelled: bool = False
@@ -199,7 +206,7 @@ def _check_age(age_s: float) -> Check:
         reason = "younger than 0: the device's times are ahead of this machine's clock"
         return Check("age of a reading", found, "fail", reason)
     reason = "let the device send smaller batches; on USB look at the adapter's latency timer"
-    return graded("age of a reading", found, age_s, LATE_FILM_AGE_S, MOST_FILM_AGE_S, reason)
+    return grade("age of a reading", found, age_s, LATE_FILM_AGE_S, MOST_FILM_AGE_S, reason)
 
 
 def check_loop(findings: BenchFindings, path: Path) -> None:
@@ -238,8 +245,91 @@ def _check_still(
     return figures.age_s
 
 
-def _keep(findings: BenchFindings, actuator: Actuator) -> None:
+def _keep(findings: BenchFindings, actuator: ActuatorFindings) -> None:
     findings.actuator = actuator
     findings.add("actuator", *actuator.checks)
     for table, keys in actuator.changes.items():
         findings.changes.setdefault(table, {}).update(keys)
+
+
+_UNITS = {"m": (1.0, ""), "c": (1.0, ""), "k": (1.0, ""), "latency": (1e3, " ms")}
+
+
+def report_bench(name: str, findings: BenchFindings) -> Report:
+    """The report of a bench check."""
+    rows = tuple(
+        (part, check.name, check.found, check.verdict, check.reason)
+        for part, check in findings.checks
+    )
+    modelled = ": its models, as it names no [display.drive]" if findings.modelled else ""
+    checks = Table(f"bench of {name}{modelled}", ("part", "check", "found", "verdict", "why"), rows)
+    still = tuple(_still_plot(part, heard) for part, heard in findings.still.items())
+    chapters = [Chapter("Checks", tables=(checks,), plots=still)]
+    if findings.actuator is not None:
+        chapters.append(_actuator_chapter(findings.actuator))
+    if findings.designs is not None:
+        chapters += report_design(f"{name}, as identified", *findings.designs).chapters
+    return Report(f"Bench of {name}", tuple(chapters))
+
+
+def _actuator_chapter(actuator: ActuatorFindings) -> Chapter:
+    found = actuator.identified
+    rows = []
+    for name, value, within in zip(NAMES, found.values, found.within, strict=True):
+        scale, unit = _UNITS[name]
+        told = "not told by the record" if name in found.untold else ""
+        rows.append((name, f"{value * scale:.4g}{unit}", f"{within * scale:.2g}{unit}", told))
+    rows.append(("delay of slow changes, latency + c/k", f"{found.delay_s * 1e3:.3g} ms", "", ""))
+    if "m" not in found.untold:
+        answer = step_response(found.model)
+        rows += [
+            ("resonance", f"{found.model.resonance_hz:.4g} Hz", "", ""),
+            ("damping ζ", f"{found.model.damping:.3g}", "", ""),
+            ("rise, 10 to 90 %", f"{answer.rise_s * 1e3:.3g} ms", "", ""),
+            ("overshoot", f"{answer.overshoot * 100:.0f} %", "", ""),
+            ("settling to 2 %", f"{answer.settling_s * 1e3:.3g} ms", "", ""),
+        ]
+    table = Table(
+        "actuator, g(s) = 1 / (m s² + c s + k) (eq 22)",
+        ("", "identified", "± (95 %)", ""),
+        tuple(rows),
+        note=_INPUT[actuator.contact is None],
+    )
+    return Chapter("ActuatorFindings", tables=(table,), plots=(_stairs_plot(actuator),))
+
+
+_INPUT = {
+    True: "from the voltage to the force; the film's filter is taken out",
+    False: "from the force that the commanded place presses with at rest, by the contact found"
+    " here, to the force felt: c in s, m in s²; the film's filter is taken out",
+}
+
+
+def _stairs_plot(actuator: ActuatorFindings) -> Plot:
+    def draw(figure: "Figure") -> None:
+        at_s, force_n = actuator.pressed.film(actuator.pressed.stairs)
+        fitted_n = respond(actuator.identified.model, actuator.told, at_s)
+        fitted_n += actuator.identified.zero_n
+        force, left = figure.subplots(2, sharex=True, height_ratios=(3, 1))
+        force.plot(at_s, force_n, label="film")
+        force.plot(at_s, fitted_n, "--", label="eq 22, fitted")
+        force.set(ylabel="force in N")
+        force.legend(loc="upper left")
+        left.plot(at_s, 1e3 * (force_n - fitted_n))
+        left.set(xlabel="time in s", ylabel="left over, mN")
+
+    return Plot("stairs", "The staircase: what the film said, and the fitted model.", draw)
+
+
+def _still_plot(part: str, heard: SensorRecord) -> Plot:
+    def draw(figure: "Figure") -> None:
+        from scipy.signal import welch
+
+        rate_hz = 1e9 / float(np.diff(heard.taken_ns).mean())
+        count = min(len(heard.force_n), 1024)
+        frequency_hz, density = welch(heard.force_n, rate_hz, nperseg=count)
+        axes = figure.subplots()
+        axes.semilogy(frequency_hz[1:], 1e3 * np.sqrt(np.maximum(density[1:], 1e-24)))
+        axes.set(xlabel="frequency in Hz", ylabel="noise in mN/√Hz")
+
+    return Plot(f"noise-{part}", f"Noise of the {part}'s sensor while nothing presses.", draw)

@@ -2,7 +2,7 @@ import struct
 
 import pytest
 
-from telepulse.netem.packet_filter import PacketFilter, read_filters, write_filters
+from telepulse.netem.forwarder import PacketFilter, read_filters, write_filters
 
 SYN, ACK = 0x02, 0x10
 DATA, CONTROL, DISPLAY = 5555, 5556, 40_000

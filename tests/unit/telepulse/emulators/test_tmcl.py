@@ -10,13 +10,13 @@ from display_node.drives.tmcl.parameters import Command, Parameter, Search
 from display_node.plant.stepper import StepperScene
 from protocol.wire.stream import LayerTable
 from telepulse.emulators.motor import EmulatedMotor
-from telepulse.emulators.tmcl_module import (
+from telepulse.emulators.tmcl import (
     INVALID_COMMAND,
     INVALID_VALUE,
     WRONG_CHECKSUM,
     WRONG_TYPE,
-    Datagrams,
-    EmulatedModule,
+    DatagramSplitter,
+    EmulatedTmclModule,
 )
 
 ACTUATOR = StepperScene.model_validate({"kind": "stepper"})
@@ -28,9 +28,9 @@ ROTATE_BACK = bytes.fromhex("01 01 00 00 ff ff fc 18 14")
 
 
 @pytest.fixture
-def module() -> EmulatedModule:
+def module() -> EmulatedTmclModule:
     scene = TmclScene.model_validate({"kind": "tmcl", "port": "x"})
-    return EmulatedModule(scene, EmulatedMotor(ACTUATOR, LAW, 2e-3, now_ns=0))
+    return EmulatedTmclModule(scene, EmulatedMotor(ACTUATOR, LAW, 2e-3, now_ns=0))
 
 
 def request(command: int, kind: int = 0, motor: int = 0, value: int = 0) -> bytes:
@@ -44,7 +44,7 @@ def test_the_makers_codec_writes_the_same_bytes() -> None:
     assert request(Command.ROTATE_RIGHT, value=-1000) == ROTATE_BACK
 
 
-def test_golden_replies(module: EmulatedModule) -> None:
+def test_golden_replies(module: EmulatedTmclModule) -> None:
     assert module.reply(GET_POSITION, 0) == AT_ZERO
     assert module.reply(ROTATE_1000, 0).hex(" ") == "02 01 64 01 00 00 03 e8 53"
     # After 100 ms at 1000 microsteps a second.
@@ -66,17 +66,17 @@ def test_golden_replies(module: EmulatedModule) -> None:
         (request(Command.ROTATE_RIGHT, value=1000)[:-1] + b"\0", WRONG_CHECKSUM),
     ],
 )
-def test_what_it_cannot_do_it_refuses(module: EmulatedModule, data: bytes, status: int) -> None:
+def test_what_it_cannot_do_it_refuses(module: EmulatedTmclModule, data: bytes, status: int) -> None:
     reply = TMCLReply.from_buffer(module.reply(data, 0))
     assert reply.status == status
     assert reply.is_checksum_correct()
 
 
-def test_it_does_not_hear_what_is_for_another_module(module: EmulatedModule) -> None:
+def test_it_does_not_hear_what_is_for_another_module(module: EmulatedTmclModule) -> None:
     assert module.reply(b"\2" + GET_POSITION[1:-1] + b"\x09", 0) == b""
 
 
-def test_a_search_on_the_side_that_has_no_switch_is_refused(module: EmulatedModule) -> None:
+def test_a_search_on_the_side_that_has_no_switch_is_refused(module: EmulatedTmclModule) -> None:
     module.reply(request(Command.SET_AXIS, Parameter.SEARCH_MODE, value=65), 0)
     reply = module.reply(request(Command.REFERENCE_SEARCH, Search.START), 0)
     assert TMCLReply.from_buffer(reply).status == INVALID_VALUE
@@ -85,9 +85,9 @@ def test_a_search_on_the_side_that_has_no_switch_is_refused(module: EmulatedModu
 @pytest.mark.parametrize("offset", range(10))
 @pytest.mark.parametrize("noise", [b"\0", b"\xff\x01", b"\x01\x06\x01", bytes(8)])
 def test_after_noise_anywhere_and_a_pause_it_answers_again(
-    module: EmulatedModule, offset: int, noise: bytes
+    module: EmulatedTmclModule, offset: int, noise: bytes
 ) -> None:
-    datagrams = Datagrams()
+    datagrams = DatagramSplitter()
     spoilt = GET_POSITION[:offset] + noise + GET_POSITION[offset:]
     for data in datagrams.feed(spoilt, 1_000_000_000):
         module.reply(data, 1_000_000_000)
@@ -99,7 +99,7 @@ def test_after_noise_anywhere_and_a_pause_it_answers_again(
 def test_no_bytes_break_it_and_none_that_are_no_request_move_it(data: bytes, cut: int) -> None:
     scene = TmclScene.model_validate({"kind": "tmcl", "port": "x"})
     motor = EmulatedMotor(ACTUATOR, LAW, 2e-3, now_ns=0)
-    module, datagrams, valid = EmulatedModule(scene, motor), Datagrams(), 0
+    module, datagrams, valid = EmulatedTmclModule(scene, motor), DatagramSplitter(), 0
     for start in range(0, len(data), cut):
         for whole in datagrams.feed(data[start : start + cut], 0):
             reply = module.reply(whole, 0)
@@ -112,7 +112,7 @@ MS = 1_000_000
 RIGHT_LIMIT_STATE, LEFT_LIMIT_STATE = 10, 11
 
 
-def asked(module: EmulatedModule, now_ns: int, command: int, kind: int, value: int = 0) -> int:
+def asked(module: EmulatedTmclModule, now_ns: int, command: int, kind: int, value: int = 0) -> int:
     reply = TMCLReply.from_buffer(module.reply(request(command, kind, value=value), now_ns))
     assert reply.is_valid()
     number: int = reply.value
@@ -123,7 +123,7 @@ def asked(module: EmulatedModule, now_ns: int, command: int, kind: int, value: i
 def test_limit_switch_states_report_the_home_switch_on_its_side(inverted: bool) -> None:
     scene = TmclScene.model_validate({"kind": "tmcl", "port": "x", "inverted": inverted})
     motor = EmulatedMotor(ACTUATOR, LAW, 2e-3, now_ns=0)
-    module = EmulatedModule(scene, motor)
+    module = EmulatedTmclModule(scene, motor)
     sides = (RIGHT_LIMIT_STATE, LEFT_LIMIT_STATE)
     assert [asked(module, 0, Command.GET_AXIS, side) for side in sides] == [0, 0]
     away = Command.ROTATE_RIGHT if inverted else Command.ROTATE_LEFT
@@ -133,7 +133,7 @@ def test_limit_switch_states_report_the_home_switch_on_its_side(inverted: bool) 
     assert states == [int(inverted), int(not inverted)]
 
 
-def test_after_a_missed_heartbeat_it_obeys_the_next_command(module: EmulatedModule) -> None:
+def test_after_a_missed_heartbeat_it_obeys_the_next_command(module: EmulatedTmclModule) -> None:
     asked(module, 0, Command.SET_GLOBAL, 68, 50)
     asked(module, 0, Command.ROTATE_RIGHT, 0, 1_000)
     assert asked(module, 40 * MS, Command.GET_AXIS, Parameter.ACTUAL_SPEED) == 1_000

@@ -15,11 +15,11 @@ from display_node.drives.cia402.states import (
 from display_node.drives.scene import Cia402Scene
 from display_node.plant.stepper import StepperScene
 from protocol.wire.stream import LayerTable
-from telepulse.emulators.cia402_drive import (
+from telepulse.emulators.cia402 import (
     HEARTBEAT_ERROR,
     NEGATIVE_LIMIT,
     POSITIVE_LIMIT,
-    EmulatedDrive,
+    EmulatedCia402Drive,
 )
 from telepulse.emulators.motor import EmulatedMotor
 
@@ -27,14 +27,14 @@ MS = 1_000_000
 ACTUATOR = StepperScene.model_validate({"kind": "stepper"})
 
 
-def drive_and_motor(**keys: object) -> tuple[EmulatedDrive, EmulatedMotor]:
+def drive_and_motor(**keys: object) -> tuple[EmulatedCia402Drive, EmulatedMotor]:
     table = {"kind": "cia402", "interface": "virtual", "channel": "x", **keys}
     scene = Cia402Scene.model_validate(table)
     motor = EmulatedMotor(ACTUATOR, ACTUATOR.contact(LayerTable().layer()), scene.touch_m, 0)
-    return EmulatedDrive(scene, motor, (Mode.CYCLIC_VELOCITY,)), motor
+    return EmulatedCia402Drive(scene, motor, (Mode.CYCLIC_VELOCITY,)), motor
 
 
-def enabled(**keys: object) -> tuple[EmulatedDrive, EmulatedMotor]:
+def enabled(**keys: object) -> tuple[EmulatedCia402Drive, EmulatedMotor]:
     drive, motor = drive_and_motor(**keys)
     drive.select(Mode.CYCLIC_VELOCITY)
     for word in (Control.SHUTDOWN, Control.SWITCH_ON, Control.ENABLE):

@@ -2,8 +2,7 @@
 
 import pytest
 
-from telepulse.simulation.link_model import Direction, parse_link
-from telepulse.simulation.link_model.messages import TcpStream
+from telepulse.simulation.link_model import Direction, TcpStream, parse_link
 
 MS = 1_000_000
 STEP = 10
