@@ -22,7 +22,7 @@ from display_node.drives import build_drive
 from display_node.drives.axis import build_axis
 from display_node.drives.cia402.drive import Cia402Drive
 from display_node.drives.cia402.node import Cia402Node
-from display_node.drives.cia402.states import Control
+from display_node.drives.cia402.state_machine import Control
 from display_node.drives.drive import Drive
 from display_node.drives.scene import Cia402Scene, TmclScene
 from display_node.drives.tmcl.line import TmclLine

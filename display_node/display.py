@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 from display_node.control.force_loop import scenes_force_loop
 from display_node.control.safety import Safety
-from display_node.drives.feedback import Feedback
-from display_node.drives.finger import FingerState, describe_finger
+from display_node.drives.withdrawal import FingerState, describe_finger
+from display_node.plant.feedback import Feedback
 from display_node.plant.filters import DelayLine
 from display_node.prediction.concealment import Concealment
 from display_node.prediction.trust import auto_delay_ns

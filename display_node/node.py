@@ -10,8 +10,8 @@ from dataclasses import replace
 import zmq
 
 from display_node.display import Display
-from display_node.drives.finger import describe_finger
 from display_node.drives.hardware import Hardware
+from display_node.drives.withdrawal import describe_finger
 from display_node.fault_advice import FILM_NOTE, advise
 from display_node.reception.connection import Connection
 from display_node.scene import DisplayScene

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
-from display_node.drives.finger import TOUCH_N
+from display_node.drives.withdrawal import TOUCH_N
 from display_node.fault_advice import FAULT_STATUS, latched
 from soak.claims import LineClaim, StatusClaim, pressed_n
 from soak.verdict import Check

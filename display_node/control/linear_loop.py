@@ -15,8 +15,7 @@ from display_node.control.controller import ControllerScene
 from display_node.control.observer import DESIGN_FORCE_N, observer_gains
 from display_node.plant.film import FilmTable
 from display_node.plant.second_order import SecondOrder, SecondOrderScene
-from display_node.plant.stepper import StepperScene
-from display_node.plant.transmission import Rotor
+from display_node.plant.stepper import Rotor, StepperScene
 from protocol.tactile import ElasticLayer
 
 Array = NDArray[np.float64]

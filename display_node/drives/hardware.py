@@ -6,13 +6,11 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from display_node.control.film_plausibility import FilmPlausibility, RisingForce
 from display_node.display import Display, TickState
 from display_node.drives import Drive, build_drive
-from display_node.drives.feedback import Feedback
-from display_node.drives.finger import FingerState
-from display_node.drives.withdrawal import WithdrawalOutcome
+from display_node.drives.withdrawal import FingerState, WithdrawalOutcome
 from display_node.fault_advice import advised
+from display_node.plant.feedback import Feedback, FilmPlausibility, RisingForce
 from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
 from protocol.errors import SceneError, SourceError

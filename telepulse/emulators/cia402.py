@@ -14,7 +14,7 @@ import can
 import canopen
 
 from display_node.drives.cia402.node import HEARTBEAT, RPDO1, SYNC
-from display_node.drives.cia402.states import (
+from display_node.drives.cia402.state_machine import (
     HERE,
     HOMING_ATTAINED,
     HOMING_ERROR,

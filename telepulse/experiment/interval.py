@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict
 
 from display_node.control.safety import Safety
 from display_node.display import Display
-from display_node.drives.feedback import Feedback
+from display_node.plant.feedback import Feedback
 from display_node.scoring.deadlines import GAP_NS
 from protocol.run_summary import AlignedErrors, Roughness
 from sensing_node.sources.synthetic import SyntheticScene

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from display_node.display import Display, TickState
-from display_node.drives.feedback import Feedback
 from display_node.fault_advice import SENSING_NOTE
+from display_node.plant.feedback import Feedback
 from display_node.scoring.tracking_error import TrackingError
 from protocol.run_summary import Summary
 from protocol.wire.messages import Bye, Control, encode_control, encode_frame

@@ -13,7 +13,7 @@ from functools import partial
 
 from display_node.drives.axis import Axis
 from display_node.drives.cia402.node import POLL_S, Cia402Node
-from display_node.drives.cia402.states import (
+from display_node.drives.cia402.state_machine import (
     HERE,
     HOMING_ATTAINED,
     HOMING_ERROR,
@@ -31,9 +31,8 @@ from display_node.drives.homing import (
     approach_touch,
     undone_where_wrong,
 )
-from display_node.drives.passable_lock import PassableLock
 from display_node.drives.scene import Cia402Scene
-from display_node.drives.supervisor import Supervisor
+from display_node.drives.supervisor import PassableLock, Supervisor
 from display_node.plant.stepper import AT_REST, StepCommand
 from protocol.errors import DriveError
 

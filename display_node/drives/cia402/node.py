@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 from display_node.drives.axis import Axis
 from display_node.drives.can_bus import BusErrors, open_bus
-from display_node.drives.cia402.states import Control, Mode, State, state_of
-from display_node.drives.passable_lock import PassableLock
+from display_node.drives.cia402.state_machine import Control, Mode, State, state_of
 from display_node.drives.scene import Cia402Scene
+from display_node.drives.supervisor import PassableLock
 from protocol.errors import DriveError
 
 if TYPE_CHECKING:

@@ -15,9 +15,8 @@ from itertools import cycle
 from display_node.drives.axis import Axis
 from display_node.drives.drive import DriveStatus, no_film
 from display_node.drives.homing import TouchGuard, approach_touch, undone_where_wrong
-from display_node.drives.passable_lock import PassableLock
 from display_node.drives.scene import TmclScene
-from display_node.drives.supervisor import Supervisor
+from display_node.drives.supervisor import PassableLock, Supervisor
 from display_node.drives.tmcl.module import PASSING, TmclModule
 from display_node.drives.tmcl.parameters import Parameter
 from display_node.plant.stepper import AT_REST, StepCommand

@@ -6,7 +6,7 @@ import numpy as np
 
 from display_node.plant.filters import LowPass
 from display_node.plant.second_order import SecondOrder
-from display_node.plant.transmission import Rotor
+from display_node.plant.stepper import Rotor
 from protocol.tactile import ElasticLayer, matching_force_ratio
 from telepulse.reports.paper import numbers
 from telepulse.reports.paper.stability import StabilityOutcome, StabilityVerdict

@@ -5,8 +5,8 @@ from collections import Counter, deque
 
 import pytest
 
-from display_node.drives.commanded_position import CommandedPosition
 from display_node.drives.drive import DriveStatus
+from display_node.drives.following_error import CommandedPosition
 from display_node.drives.withdrawal import WithdrawalOutcome
 from display_node.plant.stepper import StepCommand, Stepper, StepperScene, StepRate
 from display_node.scene import DisplayScene

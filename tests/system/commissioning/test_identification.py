@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from display_node.plant.second_order import SecondOrder, SecondOrderScene
-from display_node.plant.transmission import Rotor
+from display_node.plant.stepper import Rotor
 from protocol.errors import BenchError
 from telepulse.commissioning.identification import (
     ActuatorInput,

@@ -8,7 +8,7 @@ import pytest
 from display_node.drives.axis import build_axis
 from display_node.drives.cia402.drive import Cia402Drive
 from display_node.drives.cia402.node import SPEED_TPDO, STATE_TPDO, TPDO1, TPDO2, Cia402Node
-from display_node.drives.cia402.states import Control, Mode, State, state_of, towards_enabled
+from display_node.drives.cia402.state_machine import Control, Mode, State, state_of, towards_enabled
 from display_node.drives.withdrawal import WithdrawalOutcome
 from display_node.plant.stepper import StepCommand
 from protocol.errors import DriveError

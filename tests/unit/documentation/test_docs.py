@@ -60,7 +60,7 @@ def test_every_cause_of_refusal_is_documented_and_no_other() -> None:
 
 
 def test_nothing_claims_that_the_finger_is_at_rest() -> None:
-    """Statements about the finger are measured: `drives/finger.py` makes the sentence."""
+    """Statements about the finger are measured: `drives/withdrawal.py` makes the sentence."""
     texts = [
         *(ROOT / "docs").rglob("*.md"),
         *(path for package in PACKAGES for path in (ROOT / package).rglob("*.py")),

@@ -6,8 +6,7 @@ import pytest
 from numpy.typing import NDArray
 
 from display_node.control.feed_forward import Gap, ScrewPath
-from display_node.plant.stepper import StepperScene
-from display_node.plant.transmission import Backlash, Rotor
+from display_node.plant.stepper import Backlash, Rotor, StepperScene
 from protocol.tactile import ElasticLayer
 
 Positions = NDArray[np.float64]

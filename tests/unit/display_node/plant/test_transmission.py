@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
-from display_node.plant.transmission import Backlash, Rotor
+from display_node.plant.stepper import Backlash, Rotor
 
 RESONANCE_HZ = 100.0
 W = 2 * math.pi * RESONANCE_HZ

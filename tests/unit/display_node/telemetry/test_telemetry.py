@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from display_node.display import Display, TickState
-from display_node.drives.feedback import Feedback
+from display_node.plant.feedback import Feedback
 from display_node.scene import DisplayScene
 from display_node.telemetry.messages import (
     TRACE_TICKS,

@@ -2,7 +2,7 @@
 
 import pytest
 
-from display_node.drives.cia402.states import (
+from display_node.drives.cia402.state_machine import (
     HERE,
     HOMING_ATTAINED,
     HOMING_ERROR,

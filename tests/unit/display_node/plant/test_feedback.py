@@ -1,10 +1,20 @@
-"""A film that cannot be right where the tip stands."""
+"""
+
+A film that cannot be right where the tip stands.
+"""
 
 import math
 
 import pytest
 
-from display_node.control.film_plausibility import SOFTEST, WITHIN_NS, FilmPlausibility, RisingForce
+from display_node.plant.feedback import (
+    KEEP,
+    SOFTEST,
+    WITHIN_NS,
+    Feedback,
+    FilmPlausibility,
+    RisingForce,
+)
 from tests.support.drive_benches import LAYER, stepper
 
 MS = 1_000_000
@@ -104,3 +114,79 @@ def test_a_film_off_the_finger_may_read_the_same_for_ever() -> None:
     for at_ms in range(0, 2_000, 5):
         film.report(-0.3e-3 + 0.3e-3 * math.sin(at_ms / 50), at_ms * MS)
         assert film.contradiction(0.0, at_ms * MS) is None
+
+
+MS = 1_000_000
+
+
+def heard(latency_ms: float = 4, stale_after_ms: float = 20) -> Feedback:
+    """Samples of 0 … 9 N at 0 … 9 ms."""
+    feedback = Feedback(round(latency_ms * MS), round(stale_after_ms * MS))
+    for number in range(10):
+        feedback.hear(number * MS, float(number))
+    return feedback
+
+
+@pytest.mark.parametrize(
+    ("now_ms", "force_n"), [(4, 0), (4.5, 0.5), (9, 5), (12.75, 8.75), (13, 9), (14, 9), (29, 9)]
+)
+def test_it_gives_the_force_of_then(now_ms: float, force_n: float) -> None:
+    assert heard().read(round(now_ms * MS)) == pytest.approx(force_n, abs=1e-9)
+
+
+def test_batches_are_read_as_regularly_as_they_were_taken() -> None:
+    feedback, read = Feedback(10 * MS, 50 * MS), []
+    for now_ms in range(100):
+        if now_ms % 8 == 7:
+            for taken_ms in range(now_ms - 7, now_ms + 1):
+                feedback.hear(taken_ms * MS, float(taken_ms))
+        read.append(feedback.read(now_ms * MS))
+    assert read[20:] == [float(now_ms - 10) for now_ms in range(20, 100)]
+
+
+def test_before_the_first_sample_and_after_too_long_a_silence_it_says_nothing() -> None:
+    assert math.isnan(Feedback(0, MS).read(0))
+    feedback = heard()
+    assert feedback.read(29 * MS) == 9.0
+    assert math.isnan(feedback.read(29 * MS + 1))
+    assert not feedback.alive(29 * MS + 1)
+    feedback.hear(30 * MS, 3.0)
+    assert feedback.read(35 * MS) == 3.0
+
+
+def test_samples_that_are_not_newer_are_counted_and_left_out() -> None:
+    feedback = heard()
+    feedback.hear(9 * MS, 99.0)
+    feedback.hear(2 * MS, 99.0)
+    assert (feedback.samples, feedback.out_of_order) == (10, 2)
+    assert feedback.read(13 * MS) == 9.0
+
+
+def test_a_flood_is_bounded_and_the_newest_is_kept() -> None:
+    feedback = Feedback(MS, 20 * MS)
+    for number in range(3 * KEEP):
+        feedback.hear(number * 1000, float(number))
+    assert feedback.read(3 * KEEP * 1000 + MS) == 3 * KEEP - 1
+
+
+def late_after_ms(ages_ms: list[float], latency_ms: int = 8, stall_ms: int = 0) -> int | None:
+    """When readings of these ages, every 2 ms and after a stall of the loop, are a fault."""
+    feedback = Feedback(latency_ms * MS, 40 * MS)
+    for tick, age_ms in enumerate(ages_ms):
+        now_ms = 1_000 + 2 * tick + (stall_ms if tick else 0)
+        feedback.hear(round((now_ms - age_ms) * MS), 0.3)
+        feedback.read(now_ms * MS)
+        if feedback.late is not None:
+            assert feedback.late == "feedback late: readings are 19 ms old or older, not 8 ms"
+            return 2 * tick
+    return None
+
+
+def test_readings_that_are_all_older_than_assumed_are_a_fault() -> None:
+    assert late_after_ms([21, 19] * 100) == 100
+    # As old as assumed, delivered every 16 ms, or late for less than 100 ms.
+    assert late_after_ms([13.0] * 200) is None
+    assert late_after_ms([float(2 * (tick % 8)) for tick in range(200)], latency_ms=4) is None
+    assert late_after_ms(([19.0] * 49 + [9.0]) * 4) is None
+    # Nor is a loop that stood still: it has seen few readings.
+    assert late_after_ms([19.0] * 19, stall_ms=500) is None
