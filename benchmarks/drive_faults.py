@@ -16,7 +16,6 @@ from benchmarks.measure import show
 from benchmarks.polled import polled
 from display_node.drives import Drive, build_drive
 from display_node.drives.scene import Cia402Scene, TmclScene
-from display_node.plant.stepper import StepCommand
 from telepulse.emulators.cia402 import EmulatedCia402Node
 from telepulse.emulators.motor import EmulatedMotor
 from telepulse.emulators.pty_port import PtyPort
@@ -25,7 +24,7 @@ from telepulse.emulators.tmcl import EmulatedSerialLine, EmulatedTmclModule
 REPEATS = 5
 BAR_MS = 100.0
 HERE = {"homing": "none", "touch": "0 m"}
-PRESS = StepCommand(5e-3 / ACTUATOR.step_m, 1)
+PRESS_M_PER_S = 5e-3
 PERIOD_S = 2e-3
 BEFORE_S = 0.06
 AFTER_S = 0.25
@@ -82,7 +81,7 @@ def press(bench: Bench, seconds: float) -> None:
     """Command a speed for so long, as a force loop would that sees no fault."""
     end_s = time.monotonic() + seconds
     while time.monotonic() < end_s:
-        bench.drive.command(PRESS)
+        bench.drive.command(PRESS_M_PER_S)
         time.sleep(PERIOD_S)
 
 

@@ -27,7 +27,7 @@ from display_node.drives.drive import Drive
 from display_node.drives.scene import Cia402Scene, TmclScene
 from display_node.drives.tmcl.line import TmclLine
 from display_node.drives.tmcl.parameters import Command
-from display_node.plant.stepper import StepCommand, StepperScene
+from display_node.plant.stepper import StepperScene
 from protocol.wire.stream import LayerTable
 from telepulse.commissioning.rig import TMCL_BITS
 from telepulse.emulators.cia402 import EmulatedCia402Node
@@ -47,7 +47,8 @@ CAN_BUS = {"interface": "virtual", "channel": "benchmark"}
 # At home where it is, and that is first touch: a drive that is started at once.
 HERE = {"homing": "none", "touch": "0 m", "watchdog": "1 s"}
 TMCL = {"kind": "tmcl", "reply_timeout": "200 ms", **HERE}
-SLOWLY = StepCommand(1.0, 1)
+# One step a second.
+SLOW_M_PER_S = StepperScene(kind="stepper").step_m
 
 Call = Callable[[], object]
 
@@ -193,7 +194,7 @@ class Commands:
             self._drive.start()
 
     def __call__(self) -> None:
-        self._drive.command(SLOWLY)
+        self._drive.command(SLOW_M_PER_S)
 
 
 def written(drive: Cia402Drive) -> None:

@@ -198,9 +198,9 @@ def _stepper(
     )
 
     def drive(output: float) -> float:
-        command = vco.command(output)
+        rate_hz = vco.rate_hz(output)
         if observer is not None:
-            observer.move(command)
-        return stepper.step(command)
+            observer.move(rate_hz)
+        return stepper.step(rate_hz)
 
     return speed, stepper, drive

@@ -16,7 +16,7 @@ from pydantic import Field
 from display_node.plant.contact import ContactLaw
 from display_node.plant.film import FilmTable
 from display_node.plant.filters import DelayLine
-from display_node.plant.stepper import StepCommand, Stepper
+from display_node.plant.stepper import Stepper
 from protocol.config.quantities import Metres, Ratio
 from protocol.config.scene import Section
 
@@ -141,9 +141,9 @@ class Observer:
         if self._low_pass is not None:
             self._low_pass.advance(self._heard_n)
 
-    def move(self, command: StepCommand) -> None:
-        """The actuator runs one tick as commanded."""
-        tip_m = self._twin.move(command)
+    def move(self, rate_hz: float) -> None:
+        """Run the twin for one tick at a signed step rate in Hz."""
+        tip_m = self._twin.move(rate_hz)
         self._heard_m = tip_m if self._late is None else self._late.step(tip_m)
         self.force_n = self._law.force(tip_m + self._offset_m)
 

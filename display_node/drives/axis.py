@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 
 from display_node.drives.scene import Cia402Scene, DriveScene
-from display_node.plant.stepper import StepCommand, StepperScene
+from display_node.plant.stepper import StepperScene
 from protocol.tactile import ElasticLayer
 
 
@@ -67,10 +67,6 @@ class Units:
     per_step_rate: float
     direction: int
     home_m: float
-
-    def signed(self, command: StepCommand) -> float:
-        """A command's speed in m/s."""
-        return command.rate_hz * command.direction * self.step_m
 
     def velocity(self, speed_m_per_s: float) -> int:
         """A speed as the drive writes it, within 32 bits."""

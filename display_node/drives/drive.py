@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from display_node.drives.withdrawal import WithdrawalOutcome
-from display_node.plant.stepper import StepCommand
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +35,7 @@ def no_film() -> None:
 
 
 class Drive(Protocol):
-    """A stepper's drive that takes step rates.
+    """A stepper's drive that takes speeds.
 
     counts: what went wrong on the way to it and was made good, by name.
     """
@@ -50,8 +49,8 @@ class Drive(Protocol):
         Raises DriveError.
         """
 
-    def command(self, command: StepCommand) -> None:
-        """Run at this step rate from now on, within the soft limits.
+    def command(self, speed_m_per_s: float) -> None:
+        """Run at this speed, positive into the finger, from now on, within the soft limits.
 
         Never waits for the drive; the latest command wins. Commands before `start` or after a
         fault are passed over. From the first one on they must keep coming: after the scene's

@@ -76,7 +76,6 @@ class Hardware:
             scene.film.latency_ns,
         )
         self._film_fault: str | None = None
-        self._step_rate = actuator.step_rate()
         self._drive = drive
         self._sensor = sensor
         # The drive's, when it was read last.
@@ -141,7 +140,7 @@ class Hardware:
             self._drive.withdraw(safety.faults[0])
             self._name_withdrawal(display)
         else:
-            self._move(display.output)
+            self._drive.command(display.output)
         return felt
 
     def finger(self, now_ns: int) -> FingerState:
@@ -197,10 +196,6 @@ class Hardware:
         outcome = self._status.withdrawal
         if outcome in (WithdrawalOutcome.UNCONFIRMED, WithdrawalOutcome.WRONG_WAY):
             display.safety.fault(f"withdrawal: {outcome.value}")
-
-    def _move(self, speed_m_per_s: float) -> None:
-        """Go on at a speed until the next tick."""
-        self._drive.command(self._step_rate.command(speed_m_per_s))
 
     @property
     def measures_force(self) -> bool:

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 from display_node.drives.axis import Axis
 from display_node.drives.drive import Drive
-from display_node.plant.stepper import AT_REST, StepCommand
 from protocol.errors import DriveError
 
 PERIOD_S = 2e-3
@@ -46,14 +45,15 @@ def move_to(
         age_s = (time.monotonic_ns() - status.heard_ns) * 1e-9
         left_m = position_m - status.position_m - sent_m_per_s * age_s
         if abs(left_m) <= step_m:
-            drive.command(AT_REST)
             sent_m_per_s = 0.0
+            drive.command(0.0)
             if not status.moving:
                 return
         else:
-            rate_hz = min(speed_m_per_s, max(abs(left_m) / TIME_CONSTANT_S, 10 * step_m)) / step_m
-            drive.command(StepCommand(rate_hz, 1 if left_m > 0 else -1))
-            sent_m_per_s = math.copysign(rate_hz * step_m, left_m)
+            slowest = 10 * step_m
+            size = min(speed_m_per_s, max(abs(left_m) / TIME_CONSTANT_S, slowest))
+            sent_m_per_s = math.copysign(size, left_m)
+            drive.command(sent_m_per_s)
         if time.monotonic() > deadline_s:
             text = f"{left_m * 1e3:.3f} mm before first touch, and no nearer"
             raise DriveError("not there", text)

@@ -9,7 +9,7 @@ Between the commanded microstep and the tip: the rotor's own resonance, and play
 """
 
 import math
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -86,30 +86,27 @@ class Backlash:
         return self._driven_m
 
 
-class StepCommand(NamedTuple):
-    """What a stepper drive is told: steps a second (never negative), and which way (±1, 0)."""
-
-    rate_hz: float
-    direction: int
-
-
-AT_REST = StepCommand(0.0, 0)
-
-
 class StepRate:
-    """The paper's VCO and direction logic: a control output becomes step rate and direction."""
+    """The paper's VCO and direction logic: a speed becomes a signed step rate.
+
+    The rate's magnitude is the VCO's frequency in steps a second; its sign is the direction line.
+
+    Parameters
+    ----------
+    hz_per_unit
+        Steps for each unit of the controller's output, in 1/m for a speed in m/s.
+    max_rate_hz
+        Greatest magnitude of the rate.
+    """
 
     def __init__(self, hz_per_unit: float, max_rate_hz: float) -> None:
         self._hz_per_unit = hz_per_unit
         self._max_rate_hz = max_rate_hz
 
-    def command(self, output: float) -> StepCommand:
-        """Rate by the magnitude, direction by the sign; at rest without an output."""
-        size = abs(output)
-        if not size:
-            return AT_REST
-        rate_hz = min(size * self._hz_per_unit, self._max_rate_hz)
-        return StepCommand(rate_hz, 1 if output > 0 else -1)
+    def rate_hz(self, output: float) -> float:
+        """Return the step rate for a controller's output, positive into the finger."""
+        limit_hz = self._max_rate_hz
+        return max(-limit_hz, min(output * self._hz_per_unit, limit_hz))
 
 
 class StepperScene(Section):
@@ -193,9 +190,9 @@ class Stepper:
         """Commanded travel from first touch, between microsteps too."""
         return self._phase * self._step_m
 
-    def step(self, command: StepCommand) -> float:
-        """Run one tick at a commanded rate and direction; the force in N at its end."""
-        position_m, forces_n = self.move(command), self._forces_n
+    def step(self, rate_hz: float) -> float:
+        """Run one tick at a signed step rate in Hz; return the force in N at its end."""
+        position_m, forces_n = self.move(rate_hz), self._forces_n
         force_n = forces_n.get(position_m)
         if force_n is None:
             force_n = self._law.force(position_m)
@@ -204,9 +201,9 @@ class Stepper:
         self.force_n = force_n
         return force_n
 
-    def move(self, command: StepCommand) -> float:
-        """Run one tick without the contact; the tip's position from first touch at its end."""
-        rate_hz = min(command.rate_hz, self._max_rate_hz) * command.direction
+    def move(self, rate_hz: float) -> float:
+        """Run one tick without the contact; return the tip's position in m at its end."""
+        rate_hz = max(-self._max_rate_hz, min(rate_hz, self._max_rate_hz))
         if self._late is not None:
             rate_hz = self._late.step(rate_hz)
         limit_hz = self._max_change_hz

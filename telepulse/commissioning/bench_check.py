@@ -167,7 +167,6 @@ def _check_drive(
     drive = build_drive(table, actuator, scene.layer.layer(), scene.safety.force_limit_n)
     if film is None or not isinstance(actuator, StepperScene):
         raise SceneError("[display.feedback] is missing: a drive is checked by what it presses")
-    vco = actuator.step_rate()
     findings.add("drive", check_line(table, tick_s))
     with findings.part("film"), closing(open_sensor(film, folder, print)) as sensor:
         with findings.part("drive"), closing(drive):
@@ -175,9 +174,9 @@ def _check_drive(
                 drive.start(partial(_newest_n, sensor))
             age_s = _check_still(findings, "film", listen(sensor, seconds), film.rate_hz, live=True)
             findings.add("film", _check_age(age_s))
-            findings.add("drive", check_answers(drive, vco))
+            findings.add("drive", check_answers(drive))
             # A command that is superseded before it was sent is way that is not made.
-            rig = HardwareRig(drive, sensor, vco, max(tick_s, UNHURRIED * exchange_s(table)))
+            rig = HardwareRig(drive, sensor, max(tick_s, UNHURRIED * exchange_s(table)))
             try:
                 found = check_actuator(
                     rig, scene, force_n, 0.0, least_latency_s=exchange_s(table) / 2

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 from display_node.plant.contact import ContactLaw
-from display_node.plant.stepper import StepCommand, Stepper, StepperScene
+from display_node.plant.stepper import Stepper, StepperScene
 from telepulse.emulators.fault_injection import FaultInjector
 
 TICK_NS = 1_000_000
@@ -168,7 +168,7 @@ class EmulatedMotor:
             target_hz = 0.0
         before_m = self._stepper.screw_m
         lies = self.lies
-        travel_m = self._stepper.move(_command(lies.motion * target_hz))
+        travel_m = self._stepper.move(lies.motion * target_hz)
         turned = (self._stepper.screw_m - before_m) / self._step_m
         self._counted += turned if lies.by_encoder else turned / lies.motion
         rate_hz = turned / TICK_S
@@ -202,12 +202,8 @@ class EmulatedMotor:
     def _place(self, travel_m: float) -> None:
         """Place the tip where it stands at the beginning."""
         while self._stepper.screw_m < travel_m:
-            self._stepper.move(_command(2e-3 / self._step_m))
-        self._stepper.move(_command(0.0))
+            self._stepper.move(2e-3 / self._step_m)
+        self._stepper.move(0.0)
         self._counted = self._stepper.screw_m / self._step_m
         self.tip_m = self._stepper.tip_m - self._touch_m
         self.zero()
-
-
-def _command(rate_hz: float) -> StepCommand:
-    return StepCommand(abs(rate_hz), (rate_hz > 0) - (rate_hz < 0))

@@ -15,7 +15,7 @@ from display_node.drives.cia402.drive import Cia402Drive
 from display_node.drives.drive import Drive
 from display_node.drives.scene import Cia402Scene, TmclScene
 from display_node.drives.tmcl.drive import TmclDrive
-from display_node.plant.stepper import StepCommand, StepperScene
+from display_node.plant.stepper import StepperScene
 from protocol.wire.stream import LayerTable
 from telepulse.emulators.cia402 import ALL_MODES, EmulatedCia402Node
 from telepulse.emulators.motor import EmulatedMotor
@@ -62,10 +62,10 @@ class Bench:
 
     def keep(self, rate_hz: float, until: Callable[[], bool]) -> None:
         """Command a signed step rate over and over until something holds."""
-        command = StepCommand(abs(rate_hz), 1 if rate_hz > 0 else -1 if rate_hz < 0 else 0)
+        speed_m_per_s = rate_hz * self.actuator.step_m
 
         def step() -> bool:
-            self.drive.command(command)
+            self.drive.command(speed_m_per_s)
             return until()
 
         wait(step)

@@ -14,7 +14,7 @@ from display_node.drives.axis import Axis, build_axis
 from display_node.drives.drive import DriveStatus, no_film
 from display_node.drives.hardware import Hardware
 from display_node.drives.supervisor import Supervisor
-from display_node.plant.stepper import StepCommand, StepperScene
+from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
 from pulse_sensors.packet import Packet
@@ -61,9 +61,9 @@ class VirtualDrive:
     def start(self, force_n: Callable[[], float | None] = no_film) -> None:
         """Do nothing: it stands at first touch already."""
 
-    def command(self, command: StepCommand) -> None:
+    def command(self, speed_m_per_s: float) -> None:
         if self.supervisor.fault is None:
-            self.supervisor.command(self._axis.units.signed(command), self.now_ns)
+            self.supervisor.command(speed_m_per_s, self.now_ns)
             self._send()
 
     def run_thread(self, now_ns: int) -> None:

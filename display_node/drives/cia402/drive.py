@@ -33,7 +33,6 @@ from display_node.drives.homing import (
 )
 from display_node.drives.scene import Cia402Scene
 from display_node.drives.supervisor import PassableLock, Supervisor
-from display_node.plant.stepper import AT_REST, StepCommand
 from protocol.errors import DriveError
 
 ENABLE_WITHIN_S = 2.0
@@ -82,7 +81,7 @@ class Cia402Drive:
             self._pause(node)
         self._supervisor.verified = True
 
-    def command(self, command: StepCommand) -> None:
+    def command(self, speed_m_per_s: float) -> None:
         """See `Drive.command`."""
         node, supervisor = self._node, self._supervisor
         if node is None or supervisor.fault is not None:
@@ -90,7 +89,7 @@ class Cia402Drive:
         with self._lock:
             now_ns = time.monotonic_ns()
             self._judge(node, now_ns)
-            supervisor.command(self._axis.units.signed(command), now_ns)
+            supervisor.command(speed_m_per_s, now_ns)
             self._send(node, now_ns)
 
     def press(self, force_n: float, taken_ns: int) -> None:
@@ -124,7 +123,7 @@ class Cia402Drive:
             return
         deadline_s = time.monotonic() + REST_WITHIN_S
         while self.status().fault is None and time.monotonic() < deadline_s:
-            self.command(AT_REST)
+            self.command(0.0)
             if not node.speed_m_per_s:
                 break
             time.sleep(POLL_S)

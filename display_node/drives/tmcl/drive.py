@@ -19,7 +19,6 @@ from display_node.drives.scene import TmclScene
 from display_node.drives.supervisor import PassableLock, Supervisor
 from display_node.drives.tmcl.module import PASSING, TmclModule
 from display_node.drives.tmcl.parameters import Parameter
-from display_node.plant.stepper import AT_REST, StepCommand
 from protocol.errors import DriveError
 
 # What is asked in turn, one a slot: so often at least, more often where the line has time.
@@ -76,7 +75,7 @@ class TmclDrive:
             self._supervisor.verified = True
             self._supervisor.pause()
 
-    def command(self, command: StepCommand) -> None:
+    def command(self, speed_m_per_s: float) -> None:
         """See `Drive.command`."""
         supervisor = self._supervisor
         if supervisor.fault is not None:
@@ -84,7 +83,7 @@ class TmclDrive:
         with self._lock:
             if supervisor.commanded_ns > self._taken_ns:
                 self.counts["superseded"] += 1
-            supervisor.command(self._axis.units.signed(command), time.monotonic_ns())
+            supervisor.command(speed_m_per_s, time.monotonic_ns())
         self._woken.set()
 
     def press(self, force_n: float, taken_ns: int) -> None:
@@ -155,7 +154,7 @@ class TmclDrive:
         asked_ns, module.switch_wanted = time.monotonic_ns(), True
         deadline_s = time.monotonic() + REST_WITHIN_S
         while module.switch_ns < asked_ns and time.monotonic() < deadline_s:
-            self.command(AT_REST)
+            self.command(0.0)
             time.sleep(REST_POLL_S)
         module.switch_wanted = False
         if module.switch_ns < asked_ns:

@@ -8,7 +8,7 @@ import pytest
 from display_node.drives.drive import DriveStatus
 from display_node.drives.following_error import CommandedPosition
 from display_node.drives.withdrawal import WithdrawalOutcome
-from display_node.plant.stepper import StepCommand, Stepper, StepperScene, StepRate
+from display_node.plant.stepper import Stepper, StepperScene
 from display_node.scene import DisplayScene
 from protocol.errors import BenchError, DriveError
 from pulse_sensors.reading import Reading
@@ -29,8 +29,8 @@ class Bench:
     def __init__(self, scene: DisplayScene, actuator: StepperScene, late_ms: int) -> None:
         law = actuator.contact(scene.layer.layer())
         self._stepper = Stepper(actuator, law, 2.5, 1e-3)
-        self._told = StepCommand(0.0, 0)
-        self._queue: deque[tuple[int, StepCommand]] = deque()
+        self._told_m_per_s = 0.0
+        self._queue: deque[tuple[int, float]] = deque()
         self._now_ns = time.monotonic_ns()
         self._late_ns = late_ms * MS
         self._samples: list[tuple[int, float]] = []
@@ -44,34 +44,34 @@ class Bench:
         while self._now_ns + MS <= time.monotonic_ns():
             self._now_ns += MS
             while self._queue and self._queue[0][0] <= self._now_ns - MS // 2:
-                self._told = self._queue.popleft()[1]
-            self._samples.append((self._now_ns, self._stepper.step(self._told)))
+                self._told_m_per_s = self._queue.popleft()[1]
+            self._samples.append((self._now_ns, self._stepper.step(self._told_m_per_s / STEP_M)))
 
     def start(self) -> None:
         """Do nothing."""
 
-    def command(self, command: StepCommand) -> None:
+    def command(self, speed_m_per_s: float) -> None:
         # Told at one of its own instants, so that the way it says is the way it goes.
         self._advance()
-        self._way.record(command.rate_hz * command.direction * STEP_M, self._now_ns)
-        self._queue.append((self._now_ns + self._late_ns, command))
+        self._way.record(speed_m_per_s, self._now_ns)
+        self._queue.append((self._now_ns + self._late_ns, speed_m_per_s))
 
     def way_m(self, now_ns: int) -> float:
         return self._way.way_m(now_ns)
 
     def status(self) -> DriveStatus:
         self._advance()
-        speed = self._told.rate_hz * self._told.direction * STEP_M
+        speed = self._told_m_per_s
         place_m = self._stepper.screw_m
         if self._outcome is WithdrawalOutcome.UNDER_WAY and place_m <= 0:
-            self._outcome, self._told = WithdrawalOutcome.WITHDRAWN, StepCommand(0.0, 0)
+            self._outcome, self._told_m_per_s = WithdrawalOutcome.WITHDRAWN, 0.0
         return DriveStatus(place_m, speed, self.fault, speed != 0, self._now_ns, self._outcome)
 
     def withdraw(self, reason: str) -> None:
         self.withdrawals += 1
         self._outcome = WithdrawalOutcome.UNDER_WAY
         self._queue.clear()
-        self._told = StepCommand(0.02 / STEP_M, -1)
+        self._told_m_per_s = -0.02
 
     def close(self) -> None:
         """Do nothing."""
@@ -90,14 +90,10 @@ def scene() -> DisplayScene:
     return bench()[0]
 
 
-def vco(actuator: StepperScene) -> StepRate:
-    return StepRate(1 / actuator.step_m, actuator.max_speed_m_per_s / actuator.step_m)
-
-
 def test_a_real_bench_is_identified(scene: DisplayScene) -> None:
     _, actuator = bench(fingertip_n_per_m=1300.0)
     drive = Bench(scene, actuator, late_ms=6)
-    rig = HardwareRig(drive, drive, vco(actuator), TICK_S)  # type: ignore[arg-type]
+    rig = HardwareRig(drive, drive, TICK_S)  # type: ignore[arg-type]
     # A loaded machine may not look at the film for long.
     patient = scene.safety.model_copy(update={"feedback_within_ns": 10**10})
     found = check_actuator(rig, scene.model_copy(update={"safety": patient}), 0.3, 0.0)
@@ -111,7 +107,7 @@ def test_a_real_bench_is_identified(scene: DisplayScene) -> None:
 def test_a_press_that_is_given_up_goes_back_off_the_finger(scene: DisplayScene, why: str) -> None:
     _, actuator = bench()
     drive = Bench(scene, actuator, late_ms=0)
-    rig = HardwareRig(drive, drive, vco(actuator), TICK_S)  # type: ignore[arg-type]
+    rig = HardwareRig(drive, drive, TICK_S)  # type: ignore[arg-type]
     pressed_n = []
 
     def poll() -> list[Reading]:
@@ -130,18 +126,18 @@ def test_a_press_that_is_given_up_goes_back_off_the_finger(scene: DisplayScene, 
 def test_a_drive_that_fails_ends_the_press(scene: DisplayScene) -> None:
     _, actuator = bench()
     drive = Bench(scene, actuator, late_ms=0)
-    rig = HardwareRig(drive, drive, vco(actuator), TICK_S)  # type: ignore[arg-type]
+    rig = HardwareRig(drive, drive, TICK_S)  # type: ignore[arg-type]
     rig.tick(0.0)
     drive.fault = "overtemperature"
     with pytest.raises(DriveError, match="the drive stopped: overtemperature"):
         rig.tick(0.0)
     with pytest.raises(DriveError, match="overtemperature"):
-        check_answers(drive, vco(actuator))
+        check_answers(drive)
 
 
 def test_the_drives_answer_is_timed(scene: DisplayScene) -> None:
     _, actuator = bench()
-    late = check_answers(Bench(scene, actuator, late_ms=150), vco(actuator))
+    late = check_answers(Bench(scene, actuator, late_ms=150))
     assert late.verdict == "fail"
     assert "p99" in late.found
 

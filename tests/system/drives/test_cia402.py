@@ -10,7 +10,6 @@ from display_node.drives.cia402.drive import Cia402Drive
 from display_node.drives.cia402.node import SPEED_TPDO, STATE_TPDO, TPDO1, TPDO2, Cia402Node
 from display_node.drives.cia402.state_machine import Control, Mode, State, state_of, towards_enabled
 from display_node.drives.withdrawal import WithdrawalOutcome
-from display_node.plant.stepper import StepCommand
 from protocol.errors import DriveError
 from tests.support.drive_benches import (
     FORCE_LIMIT_N,
@@ -189,4 +188,4 @@ def test_a_closed_bus_is_a_fault_and_no_crash() -> None:
         bench.drive._node._network.bus.shutdown()  # type: ignore[attr-defined]
         bench.keep(RATE_HZ, lambda: bench.drive.status().fault is not None)
         assert "unplugged" in str(bench.drive.status().fault)
-        bench.drive.command(StepCommand(RATE_HZ, 1))
+        bench.drive.command(RATE_HZ * bench.actuator.step_m)

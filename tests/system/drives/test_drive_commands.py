@@ -15,13 +15,14 @@ import serial
 
 from display_node.drives import build_drive
 from display_node.drives.drive import Drive
-from display_node.plant.stepper import StepCommand
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
 from pulse_sensors.binary_frames import FrameDecoder
 from tests.support.nodes import ROOT, process, start
 
 LONGEST_S = 30.0
+# Of the scene's drive, 2 mm of lead in 3200 microsteps.
+STEP_M = 2e-3 / 3200
 SCENE = """
     [display.controller]
     error = "position"
@@ -43,7 +44,6 @@ PRESS_ON = """
     from pathlib import Path
     from display_node.drives import build_drive
     from display_node.scene import DisplayScene
-    from display_node.plant.stepper import StepCommand
     from protocol.config.scene import load_section
 
     scene = load_section(Path(sys.argv[1]), "display", DisplayScene)
@@ -51,7 +51,7 @@ PRESS_ON = """
     drive.start()
     print("started", flush=True)
     while True:
-        drive.command(StepCommand(400.0, 1))
+        drive.command(400.0 * scene.actuator.step_m)
         time.sleep(0.002)
 """
 
@@ -87,7 +87,7 @@ def keep(drive: Drive, rate_hz: float, until: Callable[[], bool]) -> None:
     deadline_s = time.monotonic() + LONGEST_S
     while not until():
         assert time.monotonic() < deadline_s, drive.status()
-        drive.command(StepCommand(abs(rate_hz), 1 if rate_hz > 0 else -1))
+        drive.command(rate_hz * STEP_M)
         time.sleep(0.002)
 
 

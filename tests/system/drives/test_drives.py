@@ -7,7 +7,6 @@ from functools import partial
 import pytest
 
 from display_node.drives.withdrawal import WithdrawalOutcome
-from display_node.plant.stepper import StepCommand
 from tests.support.drive_benches import Bench, cia402_bench, slcan_bench, stepper, tmcl_bench, wait
 
 MakeBench = Callable[..., AbstractContextManager[Bench]]
@@ -62,7 +61,7 @@ def test_it_homes_comes_to_first_touch_and_runs_at_the_commanded_rate(
 def test_it_does_not_move_before_start_nor_after_close(make: MakeBench) -> None:
     with make() as bench:
         stood_m = bench.motor.tip_m
-        bench.drive.command(StepCommand(RATE_HZ, 1))
+        bench.drive.command(RATE_HZ * bench.actuator.step_m)
         assert bench.drive.status().fault == "not started"
         assert bench.motor.tip_m == stood_m
         bench.drive.start()
@@ -70,7 +69,7 @@ def test_it_does_not_move_before_start_nor_after_close(make: MakeBench) -> None:
         bench.drive.close()
         wait(lambda: bench.at_rest)
         stood_m = bench.motor.tip_m
-        bench.drive.command(StepCommand(RATE_HZ, 1))
+        bench.drive.command(RATE_HZ * bench.actuator.step_m)
         assert bench.drive.status().fault == "closed"
         assert bench.motor.tip_m == stood_m
 
@@ -133,7 +132,7 @@ def test_without_commands_for_the_watchdogs_time_the_tip_leaves(make_any: MakeBe
         wait(lambda: bench.drive.status().withdrawal is WithdrawalOutcome.WITHDRAWN)
         wait(lambda: bench.at_rest)
         assert bench.motor.tip_m < -0.2e-3
-        bench.drive.command(StepCommand(RATE_HZ, 1))
+        bench.drive.command(RATE_HZ * bench.actuator.step_m)
         assert bench.at_rest
 
 
@@ -147,6 +146,6 @@ def test_a_withdrawn_tip_stays_off_the_finger(make: MakeBench) -> None:
         away_m = bench.motor.tip_m
         assert away_m < -0.2e-3
         for _ in range(100):
-            bench.drive.command(StepCommand(RATE_HZ, 1))
+            bench.drive.command(RATE_HZ * bench.actuator.step_m)
         assert bench.drive.status().fault == "stopped"
         assert bench.motor.tip_m == away_m

@@ -63,9 +63,9 @@ class Bench:
     def tick(self, speed_m_per_s: float, film_says: float | None = None) -> None:
         self.reading_n = self._film.read(self.felt_n)
         self.observer.correct(self.reading_n if film_says is None else film_says)
-        command = self._drive.command(speed_m_per_s)
-        self.observer.move(command)
-        self.felt_n = self.law.force(self._stepper.move(command) + self.displaced_m)
+        rate_hz = self._drive.rate_hz(speed_m_per_s)
+        self.observer.move(rate_hz)
+        self.felt_n = self.law.force(self._stepper.move(rate_hz) + self.displaced_m)
 
     def swing(self, ticks: int) -> None:
         """Press and let go a little, five times a second."""

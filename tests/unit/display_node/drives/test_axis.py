@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from display_node.drives.axis import LARGEST, SoftLimits, Units, build_axis
-from display_node.plant.stepper import StepCommand, StepperScene
+from display_node.plant.stepper import StepperScene
 from telepulse.emulators.motor import TICK_NS, EmulatedMotor
 from tests.support.drive_benches import FORCE_LIMIT_N, LAYER, stepper, tmcl_scene
 
@@ -15,7 +15,6 @@ UNITS = Units(step_m=1e-6, per_step=4.0, per_step_rate=0.5, direction=-1, home_m
 
 
 def test_a_rate_goes_to_the_drive_in_its_units_and_direction() -> None:
-    assert UNITS.signed(StepCommand(3000.0, 1)) == pytest.approx(3e-3)
     assert UNITS.velocity(3e-3) == -1500
     assert UNITS.speed_m_per_s(-1500) == pytest.approx(3e-3)
 
