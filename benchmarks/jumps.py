@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.measure import show
-from display_node.control.force_loop import scenes_force_loop
 from display_node.control.safety import Safety
 from display_node.scene import DisplayScene
 from telepulse.scene import find_scene, load_scene
@@ -36,7 +35,7 @@ def main() -> None:
 
 def felt(scene: DisplayScene, jumps: int) -> NDArray[np.float64]:
     """The force in N after each tick of the loop of a scene, behind its safety."""
-    loop = scenes_force_loop(scene)
+    loop = scene.force_loop()
     safety = Safety(scene.safety, scene.tick_ns)
     chance = random.Random(3)
     felt_n = []

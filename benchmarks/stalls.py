@@ -10,7 +10,6 @@ from collections.abc import Callable
 from unittest.mock import patch
 
 from benchmarks.measure import show
-from display_node.control.force_loop import scenes_force_loop
 from display_node.control.safety import Safety
 from display_node.control.stall_guard import StallGuard
 from display_node.scene import DisplayScene
@@ -74,7 +73,7 @@ def main() -> None:
 def pressed(scene: DisplayScene, host: Host, seconds: float = SECONDS) -> tuple[float, float]:
     """The highest force felt, and the RMS of what is felt less what is wanted, both in N."""
     tick_s = scene.tick_ns * 1e-9
-    loop = scenes_force_loop(scene)
+    loop = scene.force_loop()
     safety = Safety(scene.safety, scene.tick_ns)
     chance = random.Random(7)
     now_s, most_n, squares, ticks = 0.0, 0.0, 0.0, 0

@@ -17,7 +17,6 @@ import numpy as np
 from benchmarks.virtual_time import VirtualEvent, VirtualThread, VirtualTime
 from display_node.display import Display
 from display_node.drives import Drive, build_drive
-from display_node.drives.hardware import Hardware
 from display_node.drives.scene import Cia402Scene, DriveScene, TmclScene
 from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
@@ -370,7 +369,7 @@ class VirtualBench:
             raise raised[0]
 
     def _connect(self) -> None:
-        """Start the bench as `hardware.connected` does, its film on a virtual port."""
+        """Start the bench as `display_node.node.connected` does, its film on a virtual port."""
         scene, actuator = self.scene, self.scene.actuator
         assert scene.drive is not None
         force_limit_n = scene.safety.force_limit_n
@@ -379,13 +378,14 @@ class VirtualBench:
         if isinstance(scene.feedback, SerialScene):
             clock = self.world.monotonic_ns
             sensor = Sensor(self.film, scene.feedback.decoder(), scene.feedback, clock=clock)
-        self.hardware = Hardware(scene, self.drive, sensor)
+        self.hardware = scene.hardware(self.drive, sensor)
         try:
             self.hardware.start()
         except BaseException:
             self.hardware.close()
             raise
-        self.display = Display(scene, "virtual", score=False, feedback=self.hardware.feedback)
+        self.display = Display(scene, "virtual", score=False)
+        self.display.use(self.hardware)
 
     def _connect_can(self, scene: Cia402Scene) -> None:
         ours, drives = CanEnd(at_drive=False), CanEnd(at_drive=True)
@@ -441,7 +441,7 @@ class VirtualBench:
             display.on_control(data, max(arrived_ns, woke_ns))
 
     def _tick(self, now_ns: int, elapsed_ticks: int) -> None:
-        felt = self.hardware.tick(self.display, now_ns, elapsed_ticks)
+        felt = self.display.tick(now_ns, elapsed_ticks)
         self.on_tick(now_ns, felt.target_n)
         if self.faults and self.fault_ns is None:
             self.fault_ns = self.world.now_ns

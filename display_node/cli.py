@@ -10,9 +10,8 @@ import typer
 from rich.console import Console
 
 from display_node.doctor import run_doctor
-from display_node.drives.hardware import connected
 from display_node.fault_advice import end_at_faults
-from display_node.node import DisplayNode
+from display_node.node import DisplayNode, connected
 from display_node.reception.discovery import discovered
 from display_node.scene import DisplayScene
 from display_node.telemetry.recorder_process import start_recorder
@@ -165,7 +164,9 @@ def display(
             closing(
                 DisplayNode(section, connect, telemetry, console.print, keys, readers, told)
             ) as node,
-            start_recorder(node, record, own, quiet) as recording,
+            start_recorder(
+                node.telemetry_address, node.await_recorder, record, own, quiet
+            ) as recording,
         ):
             freeze_objects()
             # The last: what can fail without the drive has failed before it moves.

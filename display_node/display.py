@@ -6,8 +6,8 @@ The live node and the virtual-time simulation drive this same class; time is an 
 import math
 from dataclasses import dataclass, replace
 
-from display_node.control.force_loop import scenes_force_loop
 from display_node.control.safety import Safety
+from display_node.drives.hardware import Hardware
 from display_node.drives.withdrawal import FingerState, describe_finger
 from display_node.plant.feedback import Feedback
 from display_node.plant.filters import DelayLine
@@ -67,12 +67,13 @@ class Display:
         feedback: Feedback | None = None,
     ) -> None:
         self._scene = scene
+        self._hardware: Hardware | None = None
         self.feedback = feedback
         self._name = name
         self._layer = scene.layer.layer()
         self._tick_ns = scene.tick_ns
-        self._stand_in = Concealment(scene)
-        self._loop = scenes_force_loop(scene)
+        self._stand_in = self._concealment()
+        self._loop = scene.force_loop()
         lead_ticks = self._loop.lead_ns / scene.tick_ns
         self._target = DelayLine(lead_ticks) if lead_ticks else None
         self._playout = PlayoutClock()
@@ -88,6 +89,10 @@ class Display:
         self.safety = Safety(scene.safety, scene.tick_ns)
         self.felt = TickState()
         self.ticks = 0
+
+    def use(self, hardware: Hardware) -> None:
+        """Play on a real bench, started, in place of the scene's models; before the first tick."""
+        self._hardware, self.feedback = hardware, hardware.feedback
 
     @property
     def state(self) -> str:
@@ -153,7 +158,7 @@ class Display:
             self._group_delay_ns = description.group_delay_ns
             self._lead_ns = description.group_delay_ns + self._loop.lead_ns
             self._playout = PlayoutClock()
-            self._stand_in = Concealment(self._scene)
+            self._stand_in = self._concealment()
             self._reach_ns = self._lead_ns + self._loop.horizon * self._tick_ns
             # What "auto" adds for the loop itself: the sample after its horizon's end.
             self._reserve_ns = self._reach_ns + description.period_ns
@@ -167,9 +172,18 @@ class Display:
         return wanted
 
     def tick(self, now_ns: int, elapsed_ticks: int = 1) -> TickState:
-        """Advance the force loop to `now_ns`, `elapsed_ticks` ticks after the last one."""
+        """Advance the force loop to `now_ns`, `elapsed_ticks` ticks after the last one.
+
+        On a real bench its drive is commanded: the controller's output, or after a fault the
+        withdrawal.
+        """
+        hardware, safety, felt, loop = self._hardware, self.safety, self.felt, self._loop
+        if hardware is not None:
+            fault = hardware.read() or hardware.overrun(elapsed_ticks)
+            if fault is not None and not safety.faults:
+                safety.fault(fault)
+            loop.shift(hardware.deviation_m(now_ns, loop.output, elapsed_ticks))
         reference_n, alive = self._reference(now_ns)
-        safety, felt, loop = self.safety, self.felt, self._loop
         if elapsed_ticks > 1:
             loop.coast(elapsed_ticks - 1)
             safety.skip(elapsed_ticks)
@@ -197,11 +211,16 @@ class Display:
             # A real film's reading is as old as this.
             before_ns = self._scene.film.latency_ns if self.feedback is not None else 0
             self.fidelity.felt(felt.sensing_now_ns - before_ns, felt.instant_ns - before_ns, felt_n)
+        if hardware is not None:
+            fault = hardware.command(loop.output, safety.faults)
+            if fault is not None:
+                safety.fault(fault)
         return felt
 
-    def shift(self, way_m: float) -> None:
-        """Account for a way in m that was commanded beyond `output`; call it before a tick."""
-        self._loop.shift(way_m)
+    def _concealment(self) -> Concealment:
+        scene = self._scene
+        auto = scene.compensation_ns is None
+        return Concealment(scene.predictor, scene.channel, scene.tick_ns, auto)
 
     def _reference(self, now_ns: int) -> tuple[list[float], bool]:
         """The force wanted now and until the loop's horizon, and whether the stream is alive."""

@@ -4,15 +4,18 @@ import secrets
 import time
 import uuid
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import replace
+from pathlib import Path
 
 import zmq
 
 from display_node.display import Display
+from display_node.drives import build_drive
 from display_node.drives.hardware import Hardware
 from display_node.drives.withdrawal import describe_finger
-from display_node.fault_advice import FILM_NOTE, advise
+from display_node.fault_advice import FILM_NOTE, advise, advised
 from display_node.reception.connection import Connection
 from display_node.scene import DisplayScene
 from display_node.scoring.deadlines import GAP_NS, DeadlineWatch
@@ -20,16 +23,53 @@ from display_node.telemetry.capture import CONTROL
 from display_node.telemetry.messages import write_status
 from display_node.telemetry.publisher import Publisher
 from protocol import sockets
+from protocol.errors import SceneError
 from protocol.histogram import Histogram
 from protocol.run_summary import Lateness, Summary, TickTime
 from protocol.security.authenticator import Authenticator
 from protocol.security.keys import ClientKeys, ServerKeys
 from protocol.wire.messages import encode_control
+from pulse_sensors.scene import open_sensor
 
 # Of each connection, however late it is: a host that is always late still receives all of a stream.
 LEAST_READ = 16
 # After the end of a stream, silence is no reason to connect anew soon.
 ENDED_NS = 1_000_000_000
+
+
+@contextmanager
+def connected(
+    scene: DisplayScene, folder: Path, log: Callable[[str], None], without_film: bool = False
+) -> Iterator[Hardware | None]:
+    """Start the bench of a scene, within a `with`; None for a scene that names no drive.
+
+    Parameters
+    ----------
+    folder
+        Of the scene's file.
+    without_film
+        Whether a drive may press a finger with no film under it.
+
+    Raises SceneError, SourceError and DriveError.
+    """
+    if scene.drive is None:
+        yield None
+        return
+    if scene.feedback is None and not without_film:
+        raise SceneError(
+            "[display.feedback] is missing: without a film nothing measures the force, and a drive"
+            " that turns further than it counts is not noticed; add the film, or give"
+            " --without-film where no person's finger is pressed"
+        )
+    layer, force_limit_n = scene.layer.layer(), scene.safety.force_limit_n
+    drive = build_drive(scene.drive, scene.actuator, layer, force_limit_n)
+    sensor = open_sensor(scene.feedback, folder, log) if scene.feedback is not None else None
+    with closing(scene.hardware(drive, sensor)) as hardware:
+        log("the drive looks for its home: keep the finger away")
+        with advised():
+            hardware.start()
+        log("the drive is at first touch")
+        yield hardware
 
 
 class DisplayNode:
@@ -80,7 +120,7 @@ class DisplayNode:
     def use(self, hardware: Hardware) -> None:
         """Play on a real bench, started, in place of the scene's models. Call it before `run`."""
         self._hardware = hardware
-        self._display.feedback = hardware.feedback
+        self._display.use(hardware)
 
     def stop(self) -> None:
         """End the loop after the present tick."""
@@ -150,10 +190,7 @@ class DisplayNode:
             connection.subscribe(frame_ns, round_trip_ns, time.monotonic_ns())
 
     def _tick(self, now_ns: int, elapsed_ticks: int) -> None:
-        if self._hardware is None:
-            felt = self._display.tick(now_ns, elapsed_ticks)
-        else:
-            felt = self._hardware.tick(self._display, now_ns, elapsed_ticks)
+        felt = self._display.tick(now_ns, elapsed_ticks)
         if len(self._display.safety.faults) > self._named_faults:
             self._name_faults()
         if self._connection.tend(now_ns):

@@ -5,16 +5,22 @@ from typing import Annotated
 from pydantic import BeforeValidator, Field, model_validator
 
 from display_node.control.controller import ControllerScene
+from display_node.control.force_loop import ForceLoop, build_force_loop
 from display_node.control.safety import SafetyScene
+from display_node.drives import Drive
+from display_node.drives.hardware import Hardware
 from display_node.drives.scene import DriveTable
+from display_node.plant.feedback import Feedback, RisingForce
 from display_node.plant.film import FilmTable
 from display_node.plant.second_order import SecondOrderScene
 from display_node.plant.stepper import StepperScene
 from display_node.prediction import PredictorName
 from protocol.config.quantities import Nanoseconds, Ratio, parse_quantity
 from protocol.config.scene import Section
+from protocol.errors import SceneError
 from protocol.wire.stream import LayerTable
 from pulse_sensors.scene import SensorScene
+from pulse_sensors.sensor import Sensor
 
 MAX_COMPENSATION_NS = 10_000_000_000
 
@@ -60,3 +66,37 @@ class DisplayScene(Section):
         if self.feedback is not None and self.drive is None:
             raise ValueError("feedback is read beside a real drive: name it in [display.drive]")
         return self
+
+    def force_loop(self, actual: SecondOrderScene | StepperScene | None = None) -> ForceLoop:
+        """Build the force loop, as `build_force_loop` does."""
+        return build_force_loop(
+            self.controller,
+            self.actuator,
+            self.layer.layer(),
+            self.film,
+            self.safety.force_limit_n,
+            self.tick_ns * 1e-9,
+            actual,
+            slew_limit_n_per_s=self.safety.slew_limit_n_per_s,
+            overforce=self.safety.overforce,
+        )
+
+    def hardware(self, drive: Drive, sensor: Sensor | None) -> Hardware:
+        """Join the real drive and the film's sensor, which may be missing, to a bench.
+
+        Raises SceneError for a scene that names no drive, or whose actuator is no stepper.
+        """
+        if self.drive is None or not isinstance(self.actuator, StepperScene):
+            raise SceneError('[display] drive: it needs an actuator of kind "stepper"')
+        safety, latency_ns = self.safety, self.film.latency_ns
+        overforce_n = safety.force_limit_n * safety.overforce
+        return Hardware(
+            drive,
+            sensor,
+            self.actuator,
+            self.layer.layer(),
+            Feedback(latency_ns, safety.feedback_within_ns),
+            RisingForce(overforce_n, safety.slew_limit_n_per_s, latency_ns),
+            self.tick_ns,
+            self.drive.watchdog_ns,
+        )

@@ -13,7 +13,6 @@ from display_node.control.observer import Observer
 from display_node.plant.film import FeedbackFilm, FilmTable
 from display_node.plant.second_order import SecondOrder, SecondOrderScene
 from display_node.plant.stepper import Stepper, StepperScene
-from display_node.scene import DisplayScene
 from protocol.errors import SceneError
 from protocol.limits import LimitCounter
 from protocol.tactile import ElasticLayer
@@ -98,23 +97,6 @@ class ForceLoop:
         tick."""
         if isinstance(self._controller, StepperController):
             self._controller.shift(way_m)
-
-
-def scenes_force_loop(
-    scene: DisplayScene, actual: SecondOrderScene | StepperScene | None = None
-) -> ForceLoop:
-    """The force loop of a display's scene, as `build_force_loop` makes it."""
-    return build_force_loop(
-        scene.controller,
-        scene.actuator,
-        scene.layer.layer(),
-        scene.film,
-        scene.safety.force_limit_n,
-        scene.tick_ns * 1e-9,
-        actual,
-        slew_limit_n_per_s=scene.safety.slew_limit_n_per_s,
-        overforce=scene.safety.overforce,
-    )
 
 
 def build_force_loop(

@@ -2,55 +2,20 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
-from pathlib import Path
 
-from display_node.display import Display, TickState
-from display_node.drives import Drive, build_drive
+from display_node.drives import Drive
 from display_node.drives.withdrawal import FingerState, WithdrawalOutcome
-from display_node.fault_advice import advised
 from display_node.plant.feedback import Feedback, FilmPlausibility, RisingForce
 from display_node.plant.stepper import StepperScene
-from display_node.scene import DisplayScene
-from protocol.errors import SceneError, SourceError
+from protocol.errors import SourceError
 from protocol.limits import LimitCounter
-from pulse_sensors.scene import open_sensor
+from protocol.tactile import ElasticLayer
 from pulse_sensors.sensor import Sensor
 
 FIRST_SAMPLE_WITHIN_S = 5.0
 POLL_S = 0.01
 # The longest withdrawal: a stroke that nothing confirms, at the slow speed.
 WITHDRAWN_WITHIN_S = 1.5
-
-
-@contextmanager
-def connected(
-    scene: DisplayScene, folder: Path, log: Callable[[str], None], without_film: bool = False
-) -> Iterator["Hardware | None"]:
-    """The bench of a scene, started, within a `with`; None for a scene that names no drive.
-
-    `folder` is the scene file's. without_film: a drive may press a finger with no film under it.
-    Raises SceneError, SourceError and DriveError.
-    """
-    if scene.drive is None:
-        yield None
-        return
-    if scene.feedback is None and not without_film:
-        raise SceneError(
-            "[display.feedback] is missing: without a film nothing measures the force, and a drive"
-            " that turns further than it counts is not noticed; add the film, or give"
-            " --without-film where no person's finger is pressed"
-        )
-    layer, force_limit_n = scene.layer.layer(), scene.safety.force_limit_n
-    drive = build_drive(scene.drive, scene.actuator, layer, force_limit_n)
-    sensor = open_sensor(scene.feedback, folder, log) if scene.feedback is not None else None
-    with closing(Hardware(scene, drive, sensor)) as hardware:
-        log("the drive looks for its home: keep the finger away")
-        with advised():
-            hardware.start()
-        log("the drive is at first touch")
-        yield hardware
 
 
 class Hardware:
@@ -61,20 +26,31 @@ class Hardware:
     of its travel.
     """
 
-    def __init__(self, scene: DisplayScene, drive: Drive, sensor: Sensor | None) -> None:
-        """drive and sensor are closed by `close`. Raises SceneError for a scene that names no
-        drive, or one of no stepper."""
-        actuator = scene.actuator
-        if scene.drive is None or not isinstance(actuator, StepperScene):
-            raise SceneError('[display] drive: it needs an actuator of kind "stepper"')
-        self._contact = actuator.contact(scene.layer.layer())
-        self._plausibility = FilmPlausibility(actuator, scene.layer.layer())
-        safety = scene.safety
-        self._rising = RisingForce(
-            safety.force_limit_n * safety.overforce,
-            safety.slew_limit_n_per_s,
-            scene.film.latency_ns,
-        )
+    def __init__(
+        self,
+        drive: Drive,
+        sensor: Sensor | None,
+        actuator: StepperScene,
+        layer: ElasticLayer,
+        feedback: Feedback,
+        rising: RisingForce,
+        tick_ns: int,
+        watchdog_ns: int,
+    ) -> None:
+        """Take over drive and sensor, which `close` closes; `DisplayScene.hardware` has the parts.
+
+        Parameters
+        ----------
+        feedback
+            Takes the film's samples, and is read by the display.
+        rising
+            Check of the film's slope, or of the model's where there is no sensor.
+        watchdog_ns
+            Time in ns without a command after which the drive comes to rest by itself.
+        """
+        self._contact = actuator.contact(layer)
+        self._plausibility = FilmPlausibility(actuator, layer)
+        self._rising = rising
         self._film_fault: str | None = None
         self._drive = drive
         self._sensor = sensor
@@ -85,9 +61,9 @@ class Hardware:
         self._began_ns = time.monotonic_ns()
         # Where the drive's commands had led to at the last tick.
         self._way_m: float | None = None
-        self._tick_ns = scene.tick_ns
-        self._watchdog_ns = scene.drive.watchdog_ns
-        self.feedback = Feedback(scene.film.latency_ns, scene.safety.feedback_within_ns)
+        self._tick_ns = tick_ns
+        self._watchdog_ns = watchdog_ns
+        self.feedback = feedback
 
     def start(self) -> None:
         """Wait for the film's first sample, then bring the drive to first touch; blocks.
@@ -117,31 +93,39 @@ class Hardware:
                 return self._film_fault or contradiction
         return None if status.fault is None else f"drive: {status.fault}"
 
-    def tick(self, display: Display, now_ns: int, elapsed_ticks: int) -> TickState:
-        """Tick a display on this bench, and command the drive: the controller's output, or after a
-        fault the withdrawal."""
-        safety = display.safety
-        fault = self.read()
-        if fault is not None and not safety.faults:
-            safety.fault(fault)
+    def overrun(self, elapsed_ticks: int) -> str | None:
+        """Return the fault of a tick so long after the last that the drive has come to rest."""
         silent_ns = elapsed_ticks * self._tick_ns
-        if silent_ns > self._watchdog_ns and not safety.faults:
-            # The drive has come to rest by itself, somewhere.
-            safety.fault(f"loop overrun: no command for {silent_ns * 1e-6:.0f} ms")
-        way_m = self._drive.way_m(now_ns)
-        if self._way_m is not None:
-            # Told late or not at all, a change of speed leaves the tip elsewhere than was meant.
-            display.shift(way_m - self._way_m - display.output * silent_ns * 1e-9)
-        self._way_m = way_m
-        felt = display.tick(now_ns, elapsed_ticks)
+        if silent_ns <= self._watchdog_ns:
+            return None
+        return f"loop overrun: no command for {silent_ns * 1e-6:.0f} ms"
+
+    def deviation_m(self, now_ns: int, speed_m_per_s: float, elapsed_ticks: int) -> float:
+        """Return by how much the drive went further since the last tick than `speed_m_per_s` leads.
+
+        A change of speed that is sent late or not at all leaves the tip elsewhere than was meant.
+        """
+        before_m, self._way_m = self._way_m, self._drive.way_m(now_ns)
+        if before_m is None:
+            return 0.0
+        return self._way_m - before_m - speed_m_per_s * (elapsed_ticks * self._tick_ns) * 1e-9
+
+    def command(self, speed_m_per_s: float, faults: list[str]) -> str | None:
+        """Command a speed until the next tick, or after a fault the withdrawal.
+
+        Returns
+        -------
+        The fault of a withdrawal that failed.
+        """
         # A drive at fault takes no command: what it did with the last one is of the past.
-        self.at_end.add(self._status.held_back and not safety.faults)
-        if safety.faults:
-            self._drive.withdraw(safety.faults[0])
-            self._name_withdrawal(display)
-        else:
-            self._drive.command(display.output)
-        return felt
+        self.at_end.add(self._status.held_back and not faults)
+        if not faults:
+            self._drive.command(speed_m_per_s)
+            return None
+        self._drive.withdraw(faults[0])
+        outcome = self._status.withdrawal
+        failed = outcome in (WithdrawalOutcome.UNCONFIRMED, WithdrawalOutcome.WRONG_WAY)
+        return f"withdrawal: {outcome.value}" if outcome is not None and failed else None
 
     def finger(self, now_ns: int) -> FingerState:
         """Return what is measured at the finger now."""
@@ -191,11 +175,6 @@ class Hardware:
             return None
         self._drive.press(newest[1], newest[0])
         return newest
-
-    def _name_withdrawal(self, display: Display) -> None:
-        outcome = self._status.withdrawal
-        if outcome in (WithdrawalOutcome.UNCONFIRMED, WithdrawalOutcome.WRONG_WAY):
-            display.safety.fault(f"withdrawal: {outcome.value}")
 
     @property
     def measures_force(self) -> bool:

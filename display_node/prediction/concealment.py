@@ -8,9 +8,8 @@ taken off again and given back by and by, as an offset that decays. Pure.
 
 import math
 
-from display_node.prediction import UNLEARNT, build_predictor
+from display_node.prediction import UNLEARNT, PredictorName, build_predictor
 from display_node.prediction.trust import PulseSize, Trust
-from display_node.scene import DisplayScene
 from protocol.wire.messages import Frame
 
 # The decay's time constant over the horizon that the old prediction had to span: the further it
@@ -80,14 +79,14 @@ class Concealment:
     Forces are at the wrist, in N; times are the sensing clock's but for now_ns.
     """
 
-    def __init__(self, scene: DisplayScene) -> None:
-        self._channel = scene.channel
-        self._tick_ns = scene.tick_ns
-        self._predictor = build_predictor(scene.predictor, scene.tick_ns)
-        self._smoothing = Blend(scene.tick_ns)
+    def __init__(self, predictor: PredictorName, channel: int, tick_ns: int, auto: bool) -> None:
+        """auto: the perceived delay follows the link, so trust may take the delay off it."""
+        self._channel = channel
+        self._tick_ns = tick_ns
+        self._predictor = build_predictor(predictor, tick_ns)
+        self._smoothing = Blend(tick_ns)
         self._size = PulseSize()
-        may_trust = scene.compensation_ns is None and scene.predictor not in UNLEARNT
-        self._trust = Trust() if may_trust else None
+        self._trust = Trust() if auto and predictor not in UNLEARNT else None
 
     @property
     def trusted(self) -> bool | None:

@@ -4,11 +4,10 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from display_node.node import DisplayNode
 from protocol.cli_options import USAGE_ERROR
 from protocol.errors import OutputError
 
@@ -27,14 +26,19 @@ class RecorderProcess:
 
 @contextmanager
 def start_recorder(
-    node: DisplayNode, path: Path | None, key: Path | None, quiet: bool
+    address: str,
+    await_recorder: Callable[[float], bool],
+    path: Path | None,
+    key: Path | None,
+    quiet: bool,
 ) -> Iterator[RecorderProcess]:
     """Record a display's telemetry to `path` (None: not at all) within a `with`.
 
     The recorder listens when the `with` begins, so that its first tick is recorded; the outcome
     is known when the `with` has ended. A display that fails before its first tick leaves no file.
 
-    key: opens the telemetry, where it is protected.
+    address: of the telemetry. await_recorder: waits so many seconds until a recorder listens, and
+    returns whether one does. key: opens the telemetry, where it is protected.
 
     Raises SystemExit with the recorder's status where that cannot begin, and OutputError where it
     does not start.
@@ -43,7 +47,7 @@ def start_recorder(
     if path is None:
         yield recording
         return
-    process = _start(node, path, key, quiet)
+    process = _start(address, await_recorder, path, key, quiet)
     try:
         yield recording
     except BaseException:
@@ -54,14 +58,18 @@ def start_recorder(
 
 
 def _start(
-    node: DisplayNode, path: Path, key: Path | None, quiet: bool
+    address: str,
+    await_recorder: Callable[[float], bool],
+    path: Path,
+    key: Path | None,
+    quiet: bool,
 ) -> "subprocess.Popen[bytes]":
     """Start the recorder and wait until it listens."""
     # By its name: what runs both nodes stands above them.
     process = subprocess.Popen(
         [
             *(sys.executable, "-m", "telepulse", "record"),
-            *(node.telemetry_address, str(path), "--until-silent", str(SILENT_AFTER_S)),
+            *(address, str(path), "--until-silent", str(SILENT_AFTER_S)),
             *("--display-pid", str(os.getpid())),
             *(("--key", str(key)) if key else ("--insecure",)),
             *(("--quiet",) if quiet else ()),
@@ -70,7 +78,7 @@ def _start(
         start_new_session=True,
     )
     until_s = time.monotonic() + STARTS_WITHIN_S
-    while not node.await_recorder(LOOK_EVERY_S):
+    while not await_recorder(LOOK_EVERY_S):
         if process.poll() is not None:
             raise SystemExit(process.returncode or USAGE_ERROR)
         if time.monotonic() > until_s:

@@ -91,7 +91,7 @@ def run(
     Exit status: 0 when it has ended or was stopped by q, 2 when it cannot be run or a fault ends
     it; the reason is one line on stderr.
     """
-    from display_node.drives.hardware import connected
+    from display_node.node import connected
     from telepulse.experiment.log import read_log
     from telepulse.experiment.person import Keyboard, Person
     from telepulse.experiment.report import build_report

@@ -15,13 +15,13 @@ from pydantic import BaseModel, ConfigDict
 
 from display_node.control.safety import Safety
 from display_node.display import Display
-from display_node.plant.feedback import Feedback
+from display_node.drives.hardware import Hardware
 from display_node.scoring.deadlines import GAP_NS
 from protocol.run_summary import AlignedErrors, Roughness
 from sensing_node.sources.synthetic import SyntheticScene
 from telepulse.experiment.session import Letter, SessionPlan, Trial
 from telepulse.scene import Scene
-from telepulse.simulation.virtual_time import Simulation, Tick
+from telepulse.simulation.virtual_time import Simulation
 
 # Longer than a beat: the pulse begins to be felt anywhere in one.
 FOREPERIOD_NS = 1_000_000_000
@@ -137,19 +137,12 @@ class GatedSafety(Safety):
 class IntervalPlayback:
     """An interval that is being felt. Pure: whoever ticks it has the clock, and the bench."""
 
-    def __init__(
-        self,
-        interval: Interval,
-        begin_ns: int,
-        feedback: Feedback | None = None,
-        tick: Tick = Display.tick,
-    ) -> None:
+    def __init__(self, interval: Interval, begin_ns: int, hardware: Hardware | None = None) -> None:
         """Raises SceneError or SourceError."""
         scene = interval.scene.display
         self._interval = interval
-        self._simulation = Simulation(interval.scene, interval.link_seed, begin_ns, feedback)
+        self._simulation = Simulation(interval.scene, interval.link_seed, begin_ns, hardware)
         self._curtain = self._simulation.display.safety = GatedSafety(scene.safety, scene.tick_ns)
-        self._tick = tick
         self._tick_ns = scene.tick_ns
         self._open_ns = begin_ns + interval.foreperiod_ns
         self._close_ns = self._open_ns + interval.felt_ns
@@ -170,7 +163,7 @@ class IntervalPlayback:
         self._all_ticks += elapsed_ticks
         self._longest_ticks = max(self._longest_ticks, elapsed_ticks)
         self._curtain.opened = self._open_ns <= now_ns < self._close_ns
-        felt = self._simulation.tick(now_ns, elapsed_ticks, self._tick)
+        felt = self._simulation.tick(now_ns, elapsed_ticks)
         if felt.scored:
             self._ticks += elapsed_ticks
             self._least_n = min(self._least_n, felt.target_n)

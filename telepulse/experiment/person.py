@@ -192,7 +192,7 @@ class Person:
     def use(self, hardware: Hardware) -> None:
         """Play on a real bench, started, in place of the scene's models."""
         self._hardware = hardware
-        self._display.feedback = hardware.feedback
+        self._display.use(hardware)
 
     def stop(self) -> None:
         """End the session, an interval that is being felt at once."""
@@ -242,10 +242,9 @@ class Person:
             while listen(LOOK_S):
                 pass
         else:
-            hardware = self._hardware
 
             def rest(now_ns: int, elapsed_ticks: int) -> bool:
-                hardware.tick(self._display, now_ns, elapsed_ticks)
+                self._display.tick(now_ns, elapsed_ticks)
                 self._check()
                 return listen(0.0)
 
@@ -255,12 +254,8 @@ class Person:
     def _feel(self, interval: Interval) -> PlayedInterval | None:
         """Let an interval be felt, to its end; None when the session is to end."""
         hardware = self._hardware
-        if hardware is None:
-            playing = IntervalPlayback(interval, time.monotonic_ns())
-        else:
-            playing = IntervalPlayback(
-                interval, time.monotonic_ns(), hardware.feedback, hardware.tick
-            )
+        playing = IntervalPlayback(interval, time.monotonic_ns(), hardware)
+        if hardware is not None:
             _catch_up(hardware)
         self._display = playing.display
 

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from display_node.display import Display, TickState
+from display_node.drives.hardware import Hardware
 from display_node.fault_advice import SENSING_NOTE
-from display_node.plant.feedback import Feedback
 from display_node.scoring.tracking_error import TrackingError
 from protocol.run_summary import Summary
 from protocol.wire.messages import Bye, Control, encode_control, encode_frame
@@ -34,18 +34,17 @@ DRAIN_LIMIT_NS = 15_000_000_000
 
 Event = Callable[[bytes, int], None]
 """An action on some bytes, given a time."""
-Tick = Callable[[Display, int, int], TickState]
-"""A display's tick at a time, so many ticks after its last: `Display.tick`, or its bench's."""
 
 
 class Simulation:
     """One run of a scene in virtual time; the same scene and seed give the same summary.
 
-    begin_ns: the display's clock when the link begins. feedback: the real film of its bench.
+    begin_ns: the display's clock when the link begins. hardware: the real bench that is
+    played on.
     """
 
     def __init__(
-        self, scene: Scene, seed: int, begin_ns: int = 0, feedback: Feedback | None = None
+        self, scene: Scene, seed: int, begin_ns: int = 0, hardware: Hardware | None = None
     ) -> None:
         """Raises SceneError or SourceError."""
         self._scene = scene
@@ -56,13 +55,15 @@ class Simulation:
         self._stream_ns = begin_ns + STREAM_BEGINS_NS
         self._scored_from_ns = self._stream_ns
         # What a real film says is as old as this.
-        self._felt_before_ns = scene.display.film.latency_ns if feedback is not None else 0
+        self._felt_before_ns = scene.display.film.latency_ns if hardware is not None else 0
         self._paced = PacedSource(self._source, self._stream_ns + SENSING_CLOCK_AHEAD_NS)
         self._session = seed + 1
         self._framer = Framer(self._description, self._session)
         self._check = SampleCheck(self._description.period_ns)
         self._desk = ControlServer(self._description, self._session)
-        self.display = Display(scene.display, "simulated display", False, feedback)
+        self.display = Display(scene.display, "simulated display", score=False)
+        if hardware is not None:
+            self.display.use(hardware)
         self._fidelity = TrackingError(scene.display.layer.layer().strain_per_newton)
         self._down = MessageLink(scene.link, seed, begin_ns)
         self._up = MessageLink(scene.link, seed + 1, begin_ns)
@@ -100,13 +101,13 @@ class Simulation:
         self._plan_batch(last_ns)
         return last_ns
 
-    def tick(self, now_ns: int, elapsed_ticks: int = 1, tick: Tick = Display.tick) -> TickState:
+    def tick(self, now_ns: int, elapsed_ticks: int = 1) -> TickState:
         """Let happen what is due, and tick the display."""
         self._now_ns, events = now_ns, self._events
         while events and events[0][0] <= now_ns:
             at_ns, _, happen, data = heapq.heappop(events)
             happen(data, at_ns)
-        felt = tick(self.display, now_ns, elapsed_ticks)
+        felt = self.display.tick(now_ns, elapsed_ticks)
         if felt.scored and now_ns >= self._scored_from_ns:
             before_ns = self._felt_before_ns
             true_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS - before_ns

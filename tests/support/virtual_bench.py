@@ -12,7 +12,6 @@ from pathlib import Path
 from display_node.display import Display, TickState
 from display_node.drives.axis import Axis, build_axis
 from display_node.drives.drive import DriveStatus, no_film
-from display_node.drives.hardware import Hardware
 from display_node.drives.supervisor import Supervisor
 from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
@@ -221,15 +220,16 @@ class VirtualBench:
         self._start_display()
 
     def _start_display(self) -> None:
-        self.hardware = Hardware(self.scene, self.drive, self.film)  # type: ignore[arg-type]
-        self.display = Display(self.scene, "virtual", feedback=self.hardware.feedback)
+        self.hardware = self.scene.hardware(self.drive, self.film)  # type: ignore[arg-type]
+        self.display = Display(self.scene, "virtual")
+        self.display.use(self.hardware)
 
     def _tick(self, now_ns: int) -> None:
         self.drive.now_ns = self.film.now_ns = now_ns
         elapsed = max(1, (self.now_ms - self._ticked_ms) // TICK_MS)
         self._ticked_ms = self.now_ms
         self.drive.told_ns = now_ns + self.command_late_ns(self.now_ms)
-        felt: TickState = self.hardware.tick(self.display, now_ns, elapsed)
+        felt: TickState = self.display.tick(now_ns, elapsed)
         self.felt.append((now_ns, felt.target_n, felt.felt_n))
         for request in self.display.requests(now_ns):
             answer = self.sender.answer(request, now_ns) if self.sending else None

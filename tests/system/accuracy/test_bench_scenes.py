@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from display_node.control.force_loop import ForceLoop, scenes_force_loop
+from display_node.control.force_loop import ForceLoop
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
 from tests.support.streams import synthetic
@@ -23,7 +23,7 @@ def scenes_loop(name: str, **actually: object) -> ForceLoop:
 
 
 def built(scene: DisplayScene, **actually: object) -> ForceLoop:
-    return scenes_force_loop(scene, scene.actuator.model_copy(update=actually))
+    return scene.force_loop(scene.actuator.model_copy(update=actually))
 
 
 def off_n(

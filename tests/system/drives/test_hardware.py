@@ -13,9 +13,8 @@ import pytest
 
 from display_node.drives import hardware
 from display_node.drives.drive import DriveStatus
-from display_node.drives.hardware import Hardware, connected
 from display_node.drives.withdrawal import WithdrawalOutcome
-from display_node.node import DisplayNode
+from display_node.node import DisplayNode, connected
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
 from protocol.errors import DriveError, SceneError, SourceError
@@ -336,7 +335,7 @@ def scene() -> DisplayScene:
 
 def test_it_starts_with_the_films_first_sample(scene: DisplayScene) -> None:
     bench = Quiet(lambda ms: 0.3)
-    started = Hardware(scene, bench.drive, bench)  # type: ignore[arg-type]
+    started = scene.hardware(bench.drive, bench)  # type: ignore[arg-type]
     started.start()
     # The first sample is there before the drive moves.
     assert bench.looks == 4
@@ -350,13 +349,13 @@ def test_without_a_first_sample_it_does_not_start(
     bench = Quiet(lambda ms: 0.3)
     bench.looks = -10_000
     with pytest.raises(SourceError, match=r"no sample within 0\.05 s"):
-        Hardware(scene, bench.drive, bench).start()  # type: ignore[arg-type]
+        scene.hardware(bench.drive, bench).start()  # type: ignore[arg-type]
 
 
 def test_without_a_sensor_the_drive_says_where_it_presses(scene: DisplayScene) -> None:
     bench = VirtualBench(lambda ms: 0.5)
     bench.run(2_000)
-    told = Hardware(scene, bench.drive, sensor=None)
+    told = scene.hardware(bench.drive, sensor=None)
     told.read()
     told.read()
     read_n = told.feedback.read(bench.now_ms * MS)
@@ -370,7 +369,7 @@ def test_without_a_sensor_the_drive_says_where_it_presses(scene: DisplayScene) -
 def test_a_scene_without_a_drive_is_refused(scene: DisplayScene) -> None:
     bench = VirtualBench(lambda ms: 0.3)
     with pytest.raises(SceneError, match="drive"):
-        Hardware(scene.model_copy(update={"drive": None}), bench.drive, None)
+        scene.model_copy(update={"drive": None}).hardware(bench.drive, None)
 
 
 def test_a_drive_without_a_film_is_refused_unless_that_is_wanted(scene: DisplayScene) -> None:

@@ -60,7 +60,7 @@ def test_one_interval_after_the_other_is_pressed_by_the_motor(tmp_path: Path) ->
     for letter in letters:
         interval = draw_interval(found, 1, 0, trial, letter, 1)
         begin_ns, hardware = bench.now_ms * MS, bench.hardware
-        playing, on = IntervalPlayback(interval, begin_ns, hardware.feedback, hardware.tick), True
+        playing, on = IntervalPlayback(interval, begin_ns, hardware), True
         while on:
             bench.now_ms += TICK_MS
             now_ns = bench.now_ms * MS

@@ -3,17 +3,13 @@ import pytest
 
 from display_node.prediction import PredictorName
 from display_node.prediction.concealment import Concealment
-from display_node.scene import DisplayScene
 from protocol.wire.messages import Frame
-from telepulse.scene import load_scene
-from tests.support.nodes import RADIAL
 
 MS = 1_000_000
 
 
-def scene(predictor: PredictorName, compensation_ns: int | None = None) -> DisplayScene:
-    changes = {"predictor": predictor, "compensation_ns": compensation_ns}
-    return load_scene(RADIAL).display.model_copy(update=changes)
+def concealment(predictor: PredictorName, auto: bool = True) -> Concealment:
+    return Concealment(predictor, 0, MS, auto)
 
 
 def frame(first: int, values: list[float]) -> Frame:
@@ -22,26 +18,26 @@ def frame(first: int, values: list[float]) -> Frame:
 
 
 @pytest.mark.parametrize(
-    ("predictor", "compensation_ns", "trusted"),
-    [("linear", None, None), ("hold", None, None), ("stack", 0, None), ("stack", None, False)],
+    ("predictor", "auto", "trusted"),
+    [("linear", True, None), ("hold", True, None), ("stack", False, None), ("stack", True, False)],
 )
 def test_it_can_be_trusted_only_where_it_knows_its_error_and_has_a_say(
-    predictor: PredictorName, compensation_ns: int | None, trusted: bool | None
+    predictor: PredictorName, auto: bool, trusted: bool | None
 ) -> None:
-    stand_in = Concealment(scene(predictor, compensation_ns))
+    stand_in = concealment(predictor, auto)
     stand_in.judge(5 * MS, 5 * MS)
     assert stand_in.trusted is trusted
 
 
 def test_what_was_received_is_left_as_it_is() -> None:
-    stand_in = Concealment(scene("linear"))
+    stand_in = concealment("linear")
     stand_in.observe(frame(0, [0.1, 0.2, 0.3]))
     path_n = [0.1, 0.2]
     assert stand_in.complete(path_n, 2, 0, 2 * MS) is path_n
 
 
 def test_what_is_missing_is_predicted_and_comes_in_without_a_jump() -> None:
-    stand_in = Concealment(scene("hold"))
+    stand_in = concealment("hold")
     stand_in.observe(frame(0, [0.3, 0.3]))
     assert stand_in.complete([0.3], 3, 1 * MS, 1 * MS) == pytest.approx([0.3] * 3)
     assert stand_in.complete([], 3, 5 * MS, 1 * MS) == pytest.approx([0.3] * 3)
