@@ -2,11 +2,10 @@
 
 import math
 import os
-import subprocess
-import sys
 import tempfile
 from collections.abc import Container, Iterator
 from pathlib import Path
+from subprocess import DEVNULL
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from benchmarks.measure import show
 from display_node.display import TickState
 from display_node.telemetry.capture import CONTROL, HEARD, SUBSCRIBED, CaptureWriter
 from display_node.telemetry.messages import TRACE, TraceWriter
+from protocol.host.child_process import ChildProcess
 from protocol.run_summary import Summary
 from protocol.tactile import ElasticLayer
 from protocol.wire.messages import ClockReply, Frame, Welcome, encode_control, encode_frame
@@ -127,8 +127,7 @@ def felt(tick: int, force_n: Samples) -> TickState:
 
 def run(*arguments: str) -> tuple[float, float]:
     """Run a command of telepulse; its time on a core in s, and the most memory it had in MB."""
-    command = [sys.executable, "-m", "telepulse", *arguments]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    process = ChildProcess("command", "-m", "telepulse", *arguments, stdout=DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:

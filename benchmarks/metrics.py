@@ -6,19 +6,19 @@ Runs take turns, so that all of them meet the same machine.
 
 import re
 import statistics
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from subprocess import PIPE
 from tempfile import TemporaryDirectory
 from urllib.request import urlopen
 
 from benchmarks.measure import median_quantile, show
+from protocol.host.child_process import ChildProcess
 from protocol.run_summary import Loop
-from telepulse.processes import await_end, free_addresses, read_summary
+from telepulse.processes import NodeProcess, free_addresses
 from telepulse.scene import find_scene
 
 SECONDS = 8.0
@@ -34,16 +34,14 @@ def main() -> None:
     scene = str(find_scene("radial"))
     (address,) = free_addresses(1)
     runs: dict[str, list[tuple[Loop, float]]] = {name: [] for name in CASES}
-    command = [sys.executable, "-m", "sensing_node.cli", scene, "--bind", address, "--quiet"]
-    sensing = subprocess.Popen(command)
-    try:
-        with TemporaryDirectory(prefix="telepulse-") as folder:
-            for _ in range(ROUNDS):
-                for name, found in runs.items():
-                    found.append(_play(scene, address, CASES[name], Path(folder, "d.json")))
-    finally:
-        sensing.kill()
-        sensing.wait()
+    command = ("-m", "sensing_node.cli", scene, "--bind", address, "--quiet")
+    with (
+        ChildProcess("sensing node", *command),
+        TemporaryDirectory(prefix="telepulse-") as folder,
+    ):
+        for _ in range(ROUNDS):
+            for name, found in runs.items():
+                found.append(_play(scene, address, CASES[name], Path(folder, "d.json")))
     bare = _missed(runs["none served"])
     show(
         f"A display at 1 kHz whose metrics are scraped: medians of {ROUNDS} rounds of"
@@ -75,29 +73,20 @@ def _missed(found: list[tuple[Loop, float]]) -> float:
 
 def _play(scene: str, address: str, threads: int, summary: Path) -> tuple[Loop, float]:
     """Return the loop's figures of a display's run, and the rate of scrapes in Hz."""
-    node = subprocess.Popen(
-        [
-            *(sys.executable, "-m", "display_node.cli", scene, "--connect", address),
-            *("--no-screen", "--seconds", str(SECONDS), "--json", str(summary)),
-            *(("--metrics", "0") if threads else ()),
-        ],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
+    with NodeProcess(
+        *("display node", "display_node.cli", scene, "--connect", address, "--no-screen"),
+        *("--seconds", str(SECONDS), *(("--metrics", "0") if threads else ())),
+        summary=summary,
+        stdout=PIPE,
+        stderr=PIPE,
+    ) as node:
         if not threads:
-            await_end(node, "display node", SECONDS + ENDS_WITHIN_S)
-            return read_summary(summary).loop, 0.0
-        assert node.stdout is not None
-        found = re.search(r"http://\S+", node.stdout.readline())
+            return node.await_summary(SECONDS + ENDS_WITHIN_S).loop, 0.0
+        found = re.search(r"http://\S+", node.read_line(ENDS_WITHIN_S))
         assert found is not None
         with _scraping(found[0], threads) as scrapes:
-            await_end(node, "display node", SECONDS + ENDS_WITHIN_S)
-            rate = scrapes() / SECONDS
-    finally:
-        node.kill()
-    return read_summary(summary).loop, rate
+            loop = node.await_summary(SECONDS + ENDS_WITHIN_S).loop
+            return loop, scrapes() / SECONDS
 
 
 @contextmanager

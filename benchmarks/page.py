@@ -7,17 +7,17 @@ import re
 import socket
 import statistics
 import struct
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from http.client import HTTPConnection
+from subprocess import DEVNULL, PIPE
 from typing import Any
 from urllib.parse import urlsplit
 
 from benchmarks.measure import show
+from protocol.host.child_process import ChildProcess
 from telepulse.processes import free_addresses
 from telepulse.scene import find_scene
 
@@ -130,17 +130,9 @@ def page() -> Iterator[int]:
             ("display_node.cli", scene, "--connect", data, "--telemetry", telemetry, "--no-screen"),
             ("telepulse", "view", telemetry),
         ):
-            node = stack.enter_context(
-                subprocess.Popen(
-                    [sys.executable, "-m", *command],
-                    stdout=subprocess.PIPE,
-                    stderr=subprocess.DEVNULL,
-                    text=True,
-                )
-            )
-            stack.callback(node.kill)
-        assert node.stdout is not None
-        yield urlsplit(node.stdout.readline().split()[-1]).port or 0
+            process = ChildProcess(command[0], "-m", *command, stdout=PIPE, stderr=DEVNULL)
+            stack.enter_context(process)
+        yield urlsplit(process.read_line(PATIENCE_S).split()[-1]).port or 0
 
 
 def main() -> None:

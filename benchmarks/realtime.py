@@ -6,18 +6,18 @@ Runs take turns, so that all of them meet the same machine. What is not granted 
 """
 
 import os
-import subprocess
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
+from subprocess import PIPE
 from tempfile import TemporaryDirectory
 
 from benchmarks.measure import median_quantile, show
 from display_node.doctor.jitter import busy_processes
+from protocol.host.child_process import ChildProcess
 from protocol.host.realtime_grant import GIVEN_UP
 from protocol.run_summary import Loop
-from telepulse.processes import await_end, free_addresses, read_summary
+from telepulse.processes import NodeProcess, free_addresses
 from telepulse.scene import find_scene
 
 SECONDS = 6.0
@@ -81,30 +81,19 @@ def row(name: str, beside: str, found: Sequence[Loop], bare: Sequence[Loop]) -> 
 @contextmanager
 def _sensing(scene: str, address: str) -> Iterator[None]:
     """A sensing node that streams until the end."""
-    node = subprocess.Popen(
-        [sys.executable, "-m", "sensing_node.cli", scene, "--bind", address, "--quiet"]
-    )
-    try:
+    command = ("-m", "sensing_node.cli", scene, "--bind", address, "--quiet")
+    with ChildProcess("sensing node", *command):
         yield
-    finally:
-        node.kill()
-        node.wait()
 
 
 def _play(scene: str, address: str, wish: str, summary: Path) -> Loop:
     """Return the loop's figures of a display's run; `wish`: bare, or a key of WISHES."""
     options = [] if wish == BARE else ["--realtime", WISHES[wish]]
-    node = subprocess.Popen(
-        [
-            *(sys.executable, "-m", "display_node.cli", scene, "--connect", address, "--quiet"),
-            *("--no-screen", "--seconds", str(SECONDS), "--json", str(summary), *options),
-        ],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        await_end(node, "display node", SECONDS + ENDS_WITHIN_S)
-    finally:
-        node.kill()
-    return read_summary(summary).loop
+    with NodeProcess(
+        *("display node", "display_node.cli", scene, "--connect", address, "--quiet"),
+        *("--no-screen", "--seconds", str(SECONDS), *options),
+        summary=summary,
+        stdout=PIPE,
+        stderr=PIPE,
+    ) as node:
+        return node.await_summary(SECONDS + ENDS_WITHIN_S).loop

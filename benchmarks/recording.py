@@ -2,8 +2,6 @@
 
 import math
 import os
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -20,6 +18,7 @@ from display_node.display import TickState
 from display_node.telemetry.messages import TRACE_TICKS
 from display_node.telemetry.publisher import Publisher
 from protocol import sockets
+from protocol.host.child_process import ChildProcess
 from protocol.run_summary import Summary
 from protocol.wire.messages import Frame, encode_frame
 
@@ -107,14 +106,16 @@ def screen(address: str) -> Iterator[bool]:
     code = "import sys; from display_node.telemetry.terminal import watch;"
     code += " from rich.console import Console;"
     code += " watch(sys.argv[1], Console(), draw=False)"
-    with subprocess.Popen([sys.executable, "-c", code, address]):
+    with ChildProcess("screen", "-c", code, address) as process:
         time.sleep(2)
         yield False
+        process.wait()
 
 
 @contextmanager
 def recorder(address: str, path: Path) -> Iterator[bool]:
     """The recorder."""
-    command = (sys.executable, "-m", "telepulse", "record", address, str(path), "--quiet")
-    with subprocess.Popen(command):
+    command = ("-m", "telepulse", "record", address, str(path), "--quiet")
+    with ChildProcess("recorder", *command) as process:
         yield True
+        process.wait()

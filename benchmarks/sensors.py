@@ -5,18 +5,18 @@ is CPU time: of decoding alone, and of a whole sensing node that reads an emulat
 """
 
 import os
-import subprocess
-import sys
 import tempfile
 import time
 from itertools import accumulate
 from pathlib import Path
+from subprocess import DEVNULL
 from typing import NamedTuple
 
 import numpy as np
 
 from benchmarks.measure import show, time_call
 from protocol.config.scene import validate
+from protocol.host.child_process import ChildProcess
 from pulse_sensors.reading import Readings
 from pulse_sensors.serial_port import SerialScene
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
@@ -118,17 +118,13 @@ def node_us(framing: str | None) -> float:
             scene.write_text('[sensing.source]\nkind = "synthetic"\n', encoding="utf-8")
             return _difference_us(scene)
         scene.write_text(source_table(link, 1000, framing, "float32"), encoding="utf-8")
-        board = subprocess.Popen(
-            _module("telepulse", "emulate", "sensor", "--link", link, "--framing", framing),
-            stdout=subprocess.DEVNULL,
-        )
-        try:
+        command = ("-m", "telepulse", "emulate", "sensor", "--link", str(link))
+        with ChildProcess("board", *command, "--framing", framing, stdout=DEVNULL) as board:
             while not link.exists():
                 time.sleep(0.05)
-            return _difference_us(scene)
-        finally:
-            board.terminate()
-            board.wait()
+            difference_us = _difference_us(scene)
+            board.stop()
+        return difference_us
 
 
 def _difference_us(scene: Path) -> float:
@@ -138,17 +134,13 @@ def _difference_us(scene: Path) -> float:
 
 def _cpu_s(scene: Path, seconds: int) -> float:
     (address,) = free_addresses(1)
-    arguments = (scene, "--bind", address, "--seconds", seconds, "--quiet")
-    child = subprocess.Popen(_module("sensing_node.cli", *arguments))
+    arguments = (str(scene), "--bind", address, "--seconds", str(seconds), "--quiet")
+    child = ChildProcess("sensing node", "-m", "sensing_node.cli", *arguments)
     _, status, used = os.wait4(child.pid, 0)
     child.returncode = os.waitstatus_to_exitcode(status)
     if child.returncode:
         raise SystemExit(f"the sensing node ended with status {child.returncode}")
     return used.ru_utime + used.ru_stime
-
-
-def _module(*words: object) -> list[str]:
-    return [sys.executable, "-m", *map(str, words)]
 
 
 def _board(kind: Kind, start_ns: int, skew: float) -> SensorBoard:

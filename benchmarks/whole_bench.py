@@ -6,8 +6,6 @@ Each is a process of its own; the drive writes down what its motor does.
 import json
 import os
 import re
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -20,6 +18,7 @@ import zmq
 from numpy.typing import NDArray
 
 from display_node.telemetry.messages import STATUS, read_status
+from protocol.host.child_process import ChildProcess
 from telepulse.processes import free_addresses
 from telepulse.scene import find_scene
 
@@ -63,7 +62,7 @@ class WholeBench:
     drive_options: tuple[str, ...] = ()
     patience_ms: int = 0
     output: int | None = None
-    processes: dict[str, "subprocess.Popen[bytes]"] = field(default_factory=dict)
+    processes: dict[str, ChildProcess] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._address, self.telemetry = free_addresses(2)
@@ -156,9 +155,9 @@ class WholeBench:
             self.processes[name].wait()
         with (self.folder / "log").open("ab") as log:
             output = log if self.output is None or name != "display" else self.output
-            self.processes[name] = process = subprocess.Popen(
-                [sys.executable, "-m", module, *map(str, words)], stdout=output, stderr=output
-            )
+            arguments = map(str, words)
+            process = ChildProcess(name, "-m", module, *arguments, stdout=output, stderr=output)
+            self.processes[name] = process
         # What else this machine does must not look like a fault, where that may be had.
         with suppress(PermissionError):
             os.setpriority(os.PRIO_PROCESS, process.pid, NICE)

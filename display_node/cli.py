@@ -1,8 +1,7 @@
 """Command line of the display node."""
 
 import subprocess
-import sys
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -26,6 +25,7 @@ from protocol.cli_options import (
 from protocol.config.scene import load_section
 from protocol.discovery.options import DiscoverOption, NamedOption
 from protocol.errors import DiscoveryError, ProtectionError, SceneError
+from protocol.host.child_process import ChildProcess
 from protocol.host.memory import freeze_objects
 from protocol.host.process import allow_connections, interrupt_on_signals, stop_on_signals
 from protocol.host.realtime_grant import check_strict
@@ -210,16 +210,16 @@ def _run(
     console.print(f"waiting for {', '.join(connect)}; telemetry on {node.telemetry_address}")
     watcher = None
     if screen:
-        command = [sys.executable, "-m", "display_node.telemetry.terminal", node.telemetry_address]
-        watcher = subprocess.Popen([*command, *([str(key)] if key else [])])
+        arguments = [node.telemetry_address, *([str(key)] if key else [])]
+        watcher = ChildProcess(
+            "screen", "-m", "display_node.telemetry.terminal", *arguments, own_session=False
+        )
     # After these processes are started, which would have some of the measures as well.
     with granted_for(PROGRAM, asked, console) as held:
         summary = held.noted(node.run(seconds, once))
     if watcher is not None:
-        try:
+        with watcher, suppress(subprocess.TimeoutExpired):
             watcher.wait(SCREEN_ENDS_WITHIN_S)
-        except subprocess.TimeoutExpired:
-            watcher.kill()
     return summary
 
 

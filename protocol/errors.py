@@ -9,7 +9,8 @@ TelepulseError
  +-- SourceError     (OSError)     a sensor or recording cannot be read
  +-- DriveError      (OSError)     a drive cannot be reached, or does not do as it is told
  +-- OutputError     (OSError)     a result cannot be written
- +-- BesideError     (OSError)     a process beside a node cannot begin
+ +-- SidecarError    (OSError)     a process beside a node cannot begin
+ +-- ProcessError    (RuntimeError) a process that was started fails, or does not end
  +-- DiscoveryError  (OSError)     the local network cannot be asked, or has no one answer
  +-- BenchError      (RuntimeError) a bench or a calibration cannot be measured
  +-- RealtimeError   (RuntimeError) a real-time measure is none, or is not granted
@@ -93,6 +94,13 @@ class SidecarError(TelepulseError, OSError):
     """A process beside a node cannot begin.
 
     Example scenarios: the port of its page is taken, its library is not installed.
+    """
+
+
+class ProcessError(TelepulseError, RuntimeError):
+    """A process that was started fails, or does not end.
+
+    Example scenarios: a node whose port is taken, a relay that was killed.
     """
 
 

@@ -11,6 +11,7 @@ import zmq
 
 from benchmarks.whole_bench import BenchFailedError, WholeBench, playing
 from display_node.telemetry.messages import STATUS, read_status
+from protocol.host.child_process import ChildProcess
 from soak.bench_truth import FingerClaim, Round
 from soak.schedule import BENCH_WATCHDOG_S, Trouble, troubles
 
@@ -70,7 +71,7 @@ def _make(trouble: Trouble, bench: WholeBench) -> None:
 def _listen(
     socket: "zmq.Socket[bytes]",
     seconds: float,
-    until_ended: "subprocess.Popen[bytes] | None" = None,
+    until_ended: ChildProcess | None = None,
 ) -> list[FingerClaim]:
     """Return the statuses of a while, or of less where a process ends meanwhile."""
     found, until_s = list[FingerClaim](), time.monotonic() + seconds

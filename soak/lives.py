@@ -4,14 +4,14 @@ import asyncio
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
-from contextlib import suppress
+from collections.abc import Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
+from protocol.host.child_process import ChildProcess
 from soak.accounts import Mark
 from soak.claims import StatusClaim
 from soak.core_time import CoreTime
@@ -46,7 +46,7 @@ class Life:
     """
 
     role: str
-    process: "subprocess.Popen[bytes]"
+    process: ChildProcess
     output: Path
     errors: Path
     result: Path
@@ -164,17 +164,19 @@ def begin(
     output, errors, result = (
         folder / f"{role}-{number}.{kind}".replace(" ", "-") for kind in ("out", "err", "json")
     )
-    command = [sys.executable, "-m", module, *arguments, "--json", str(result)]
+    command = ("-m", module, *arguments, "--json", str(result))
     with output.open("wb") as out, errors.open("wb") as err:
-        process = launch(namespace, command, out.fileno(), err.fileno())
+        process = launch(namespace, role, command, out, err)
     return Life(role, process, output, errors, result, time.monotonic_ns(), _UP[module])
 
 
 def launch(
-    namespace: Namespace | None, command: list[str], out: int, err: int
-) -> "subprocess.Popen[bytes]":
-    """A process of ours; Ctrl-C is for us, who end it."""
-    if namespace is None:
-        return subprocess.Popen(command, stdout=out, stderr=err, start_new_session=True)
-    with namespace.entered():
-        return subprocess.Popen(command, stdout=out, stderr=err, start_new_session=True)
+    namespace: Namespace | None,
+    name: str,
+    command: Sequence[str],
+    out: IO[bytes],
+    err: IO[bytes],
+) -> ChildProcess:
+    """Start a process of ours in a namespace, or in this one."""
+    with nullcontext() if namespace is None else namespace.entered():
+        return ChildProcess(name, *command, stdout=out, stderr=err)

@@ -1,14 +1,14 @@
 """What lies between the tormented nodes: emulated links between namespaces where there is root, a
 proxy on loopback elsewhere. Either way each link can be made worse while it is used."""
 
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from subprocess import PIPE
 from typing import IO
 
-from telepulse.netem import EmulatedLink, EmulatorError, Namespace, emulate
+from protocol.host.child_process import ChildProcess
+from telepulse.netem import EmulatedLink, Namespace, emulate
 from telepulse.processes import free_addresses
 from telepulse.simulation.link_model import LinkScene, parse_link
 
@@ -16,6 +16,7 @@ CALM = "delay=10ms,jitter=1ms"
 LINKS = 4
 """Two of them lead to the enduring display, one to the mortal one, one to the guest."""
 PORT = 5555
+STARTS_WITHIN_S = 30.0
 
 
 @dataclass(slots=True)
@@ -62,22 +63,11 @@ def namespaces(seed: int) -> Iterator[Network]:
 def loopback(seed: int) -> Iterator[Network]:
     """Links through a proxy on this machine."""
     near, *addresses = free_addresses(1 + LINKS)
-    proxy = subprocess.Popen(
-        [sys.executable, "-m", "soak.proxy", str(seed), near, *addresses],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-    try:
+    command = ("-m", "soak.proxy", str(seed), near, *addresses)
+    with ChildProcess("proxy on loopback", *command, stdin=PIPE, stdout=PIPE) as proxy:
         assert proxy.stdin is not None
-        assert proxy.stdout is not None
-        if not proxy.stdout.readline():
-            raise EmulatorError("the proxy on loopback did not start")
+        proxy.read_line(STARTS_WITHIN_S)
         yield Network("a proxy on loopback", near, near, addresses, None, None, _orders=proxy.stdin)
-    finally:
-        # Its end is the end of its input.
-        proxy.communicate()
 
 
 def _calm() -> LinkScene:

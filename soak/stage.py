@@ -1,15 +1,15 @@
 """Who plays in a soak: a tormented sensing node with its displays, and a calm pair beside them."""
 
-import subprocess
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from protocol.errors import ProcessError
+from protocol.host.child_process import ChildProcess
 from soak.keyring import Keyring
 from soak.lives import Life, begin, launch
 from soak.network import Network
 from soak.schedule import ENDURING, GUEST, MORTAL, SENSING
-from telepulse.processes import NodeError, free_addresses
+from telepulse.processes import free_addresses
 
 CALM_SENSING, CALM_DISPLAY = "calm sensing", "calm display"
 TORMENTED = (ENDURING, MORTAL, GUEST)
@@ -34,7 +34,7 @@ class Stage:
     lives: dict[str, Life] = field(default_factory=dict)
     all_lives: list[Life] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
-    pests: "list[subprocess.Popen[bytes]]" = field(default_factory=list)
+    pests: list[ChildProcess] = field(default_factory=list)
     calm_address: str = field(default_factory=lambda: free_addresses(1)[0])
 
     def telemetry(self, role: str) -> str:
@@ -66,23 +66,22 @@ class Stage:
         return life
 
     def refuse_dead(self) -> None:
-        """Raises NodeError for a node that did not come up."""
+        """Raises ProcessError for a node that did not come up."""
         for life in self.lives.values():
             if not life.running:
-                raise NodeError(str(life.complaint()))
+                raise ProcessError(str(life.complaint()))
 
-    def pester(self, module: str, *arguments: str) -> "subprocess.Popen[bytes]":
+    def pester(self, module: str, *arguments: str) -> ChildProcess:
         """Start something beside the sensing node that its displays should not meet."""
-        command = [sys.executable, "-m", f"soak.{module}", *arguments]
+        command = ("-m", f"soak.{module}", *arguments)
         with (self.folder / f"{module}.err").open("ab") as errors:
-            number = errors.fileno()
-            self.pests.append(launch(self.network.sensing, command, number, number))
+            self.pests.append(launch(self.network.sensing, module, command, errors, errors))
         return self.pests[-1]
 
-    def relieve(self, pest: "subprocess.Popen[bytes]") -> None:
+    def relieve(self, pest: ChildProcess) -> None:
         """End such a thing."""
         if pest.poll() is not None:
-            self.complaints.append(f"{pest.args!r} ended by itself")
+            self.complaints.append(f"{pest.name} ended by itself")
         pest.kill()
         pest.wait()
 

@@ -1,11 +1,11 @@
 """Terminals of displays: the lines of `display_node.telemetry.terminal`, as they are read."""
 
 import asyncio
-import sys
 import time
 from contextlib import suppress
 from dataclasses import dataclass, field
 
+from protocol.host.child_process import python_command
 from soak.claims import LineClaim, read_line
 
 # A display that is stopped ends its terminal; another one is opened for the next.
@@ -39,7 +39,7 @@ class Terminals:
     async def _show(self, role: str, address: str) -> None:
         while True:
             process = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-m", "display_node.telemetry.terminal", address),
+                *python_command("-m", "display_node.telemetry.terminal", address),
                 stdout=asyncio.subprocess.PIPE,
                 start_new_session=True,
             )

@@ -1,19 +1,19 @@
-"""A node that runs as a process of its own: how it ended, and what it summed up.
+"""The one way to run a node, or another command of ours, as a process of its own.
 
-Free addresses on this machine, for nodes that are started together.
+It builds on `protocol.host.child_process`, which both nodes use for the processes beside them.
 """
 
 import itertools
 import json
 import random
-import subprocess
 from contextlib import ExitStack
 from pathlib import Path
 from socket import AF_INET, SOCK_STREAM, socket
+from typing import Any
 
 from pydantic import TypeAdapter
 
-from protocol.errors import TelepulseError
+from protocol.host.child_process import ChildProcess
 from protocol.run_summary import Summary
 
 HOST = "127.0.0.1"
@@ -25,7 +25,7 @@ _ports = itertools.cycle(random.SystemRandom().sample(PORTS, len(PORTS)))
 
 
 def free_addresses(count: int) -> list[str]:
-    """Different loopback addresses whose port and the next one nobody holds."""
+    """Return different loopback addresses whose port and the next one are free."""
     addresses: list[str] = []
     with ExitStack() as held:
         while len(addresses) < count:
@@ -43,26 +43,41 @@ def free_addresses(count: int) -> list[str]:
 _SUMMARY = TypeAdapter(Summary)
 
 
-class NodeError(TelepulseError, RuntimeError):
-    """A node's process failed, or did not end."""
+class NodeProcess(ChildProcess):
+    """A node's process, which writes its closing summary to a file.
 
-
-def await_end(
-    process: subprocess.Popen[str], name: str, seconds: float, *, may_end_with: int = 0
-) -> None:
-    """Wait for a process to end well within `seconds`. Raises NodeError with its last line.
-
-    may_end_with: a further exit status that is no failure of the process.
+    Parameters
+    ----------
+    name
+        Its name in errors.
+    module
+        The node's command line: "sensing_node.cli" or "display_node.cli".
+    arguments
+        Of that command.
+    summary
+        The file of its summary (`--json`).
+    options
+        Of `ChildProcess`: its streams, environment and current folder.
     """
-    try:
-        _, errors = process.communicate(timeout=seconds)
-    except subprocess.TimeoutExpired:
-        raise NodeError(f"the {name} did not end within {seconds:.0f} s") from None
-    if process.returncode not in (0, may_end_with):
-        last = errors.strip().splitlines()[-1:] or ["it said nothing"]
-        raise NodeError(f"the {name} ended with status {process.returncode}: {last[0]}")
 
+    def __init__(
+        self,
+        name: str,
+        module: str,
+        *arguments: str,
+        summary: Path,
+        **options: Any,
+    ) -> None:
+        super().__init__(name, "-m", module, *arguments, "--json", str(summary), **options)
+        self._summary = summary
 
-def read_summary(path: Path) -> Summary:
-    """The summary that a node wrote with --json."""
-    return _SUMMARY.validate_python(json.loads(path.read_text(encoding="utf-8")))
+    def await_summary(self, within_s: float, may_end_with: int = 0) -> Summary:
+        """Wait for the node to end and return its summary.
+
+        Raises
+        ------
+        ProcessError
+            When it does not end in time, or fails; see `await_end`.
+        """
+        self.await_end(within_s, may_end_with)
+        return _SUMMARY.validate_python(json.loads(self._summary.read_text(encoding="utf-8")))

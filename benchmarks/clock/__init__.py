@@ -4,17 +4,17 @@ of Lab Streaming Layer.
 The second part needs root, for the link emulator, and pylsl. It takes four minutes.
 """
 
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from subprocess import PIPE
 
 import numpy as np
 
 from benchmarks.clock import virtual
 from benchmarks.measure import show
 from protocol.clock.offset_regression import Floats
+from protocol.host.child_process import ChildProcess
 from telepulse.netem import Namespace, emulate, unavailable
 from telepulse.simulation.link_model import parse_link
 
@@ -71,20 +71,15 @@ def run(seed: int) -> dict[str, Floats]:
 
 
 @contextmanager
-def started(namespace: Namespace, *command: str) -> Iterator[subprocess.Popen[str]]:
+def started(namespace: Namespace, *command: str) -> Iterator[ChildProcess]:
     """One of `benchmarks.clock.ends` in a namespace; it does not outlive the `with`."""
-    program = (sys.executable, "-m", "benchmarks.clock.ends", *command)
-    process = namespace.start(*program, stdout=subprocess.PIPE)
-    try:
+    with namespace.entered():
+        process = ChildProcess("end", "-m", "benchmarks.clock.ends", *command, stdout=PIPE)
+    with process:
         yield process
-    finally:
-        process.kill()
-        process.wait()
-        if process.stdout is not None:
-            process.stdout.close()
 
 
-def figures(process: subprocess.Popen[str]) -> Floats:
+def figures(process: ChildProcess) -> Floats:
     """What a listener has printed."""
     lines = process.communicate(timeout=SECONDS + STARTUP_S)[0].splitlines()
     table: Floats = np.array([[float(word) for word in line.split()] for line in lines])

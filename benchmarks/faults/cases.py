@@ -3,13 +3,12 @@
 import json
 import os
 import random
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from subprocess import PIPE
 
 import zmq
 
@@ -24,6 +23,7 @@ from benchmarks.faults.hostile import (
 from benchmarks.faults.stage import Node, staged, unaccounted
 from benchmarks.faults.stepped import STEP_VARIABLE
 from benchmarks.faults.witness import witness_of
+from protocol.host.child_process import ChildProcess
 from protocol.sockets import control_address
 from telepulse.netem import emulate
 from telepulse.processes import free_addresses
@@ -203,13 +203,9 @@ def one_of_twenty_never_reads(folder: Path, times: int, rng: random.Random) -> F
     """Play a display beside eighteen listeners in one process and one that never reads."""
     with staged(folder) as stage:
         sensing, display, finger = stage.play()
-        crowd_of = (sys.executable, "-m", "benchmarks.faults.crowd")
-        command = (*crowd_of, stage.connect[0], str(LISTENERS))
-        crowd = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        stage.stack.callback(crowd.communicate)
-        stage.stack.callback(crowd.kill)
-        assert crowd.stdout is not None
-        crowd.stdout.readline()
+        command = ("-m", "benchmarks.faults.crowd", stage.connect[0], str(LISTENERS))
+        crowd = stage.stack.enter_context(ChildProcess("crowd", *command, stdout=PIPE))
+        crowd.read_line(STREAM_ENDS_WITHIN_S)
         time.sleep(1.0)
         began_ns = time.monotonic_ns()
         for _ in range(times):

@@ -6,12 +6,11 @@ display asks for the clock as fast as it can. Both have all that an allowed peer
 
 import argparse
 import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from subprocess import DEVNULL, PIPE
 from tempfile import TemporaryDirectory
 
 import zmq
@@ -23,7 +22,7 @@ from protocol import sockets
 from protocol.run_summary import Summary
 from protocol.sockets import control_address
 from protocol.wire.messages import ClockRequest, encode_control
-from telepulse.processes import await_end, free_addresses, read_summary
+from telepulse.processes import NodeProcess, free_addresses
 from telepulse.scene import find_scene
 
 FLOODED_S = 8.0
@@ -97,24 +96,23 @@ def run(
     """
     (address,) = free_addresses(1)
     telemetry, scene = f"ipc://{folder}/telemetry", str(find_scene("radial"))
-    jsons = folder / "sensing.json", folder / "display.json"
     module = "sensing_node.cli" if hostile is None else "benchmarks.faults.flood"
     environment = {**os.environ, HOSTILE: hostile or ""}
-    sensing_command = (module, scene, "--bind", address, "--json", str(jsons[0]))
+    sensing_command = (module, scene, "--bind", address)
     display_command = ("display_node.cli", scene, "--connect", address, "--no-screen")
-    display_command += ("--telemetry", telemetry, "--json", str(jsons[1]))
+    display_command += ("--telemetry", telemetry)
     display_command += () if realtime is None else ("--realtime", realtime)
-    nodes = [
-        subprocess.Popen(
-            [sys.executable, "-m", *command],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
+    display, sensing = nodes = [
+        NodeProcess(
+            f"{name} node",
+            *command,
+            summary=folder / f"{name}.json",
+            stdout=DEVNULL,
+            stderr=PIPE,
             env=environment,
         )
-        for command in (display_command, sensing_command)
+        for name, command in (("display", display_command), ("sensing", sensing_command))
     ]
-    display, sensing = nodes
     first, *others = sorted(os.sched_getaffinity(0))
     # Every other process here, this one too, shares the rest.
     pin(display.pid, first)
@@ -126,18 +124,18 @@ def run(
             if finger.felt_from_ns(0, wait_s) is None and hostile is None:
                 raise RuntimeError("the pulse was not felt")
             flood(address)
-        for node, name in ((display, "display node"), (sensing, "sensing node")):
-            node.terminate()
-            await_end(node, name, PATIENCE_S)
+        display.terminate()
+        summary = display.await_summary(PATIENCE_S)
+        sensing.terminate()
+        sensed = sensing.await_summary(PATIENCE_S)
     finally:
         os.sched_setaffinity(0, {first, *others})
         for node in nodes:
             node.kill()
             node.communicate()
     missed, own_missed = own.own_misses(finger, TICK_NS)
-    summary = read_summary(jsons[1])
     ticks = max(1, (summary.loop.ticks or 0) + missed)
-    return FloodRun(read_summary(jsons[0]), summary, missed / ticks, own_missed / ticks)
+    return FloodRun(sensed, summary, missed / ticks, own_missed / ticks)
 
 
 def main() -> None:

@@ -2,19 +2,19 @@
 
 import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from subprocess import PIPE
 
 from benchmarks.faults.finger import Finger, finger_of
 from benchmarks.faults.stepped import STEP
+from protocol.errors import ProcessError
 from protocol.run_summary import Summary
 from telepulse.netem import EmulatedLink
-from telepulse.processes import await_end, free_addresses, read_summary
+from telepulse.processes import NodeProcess, free_addresses
 from telepulse.scene import find_scene
 
 PORT = 5555
@@ -29,19 +29,18 @@ class StageError(RuntimeError):
 
 @dataclass
 class Node:
-    """A node's process; summary: where it writes its own. listening_ns: when it said that it is
-    there, on the monotonic clock."""
+    """A node's process. listening_ns: when it printed its first line, on the monotonic clock."""
 
     name: str
-    process: "subprocess.Popen[str]"
-    summary: Path
+    process: NodeProcess
     listening_ns: int = 0
 
     def await_listening(self) -> None:
         """Wait for its first line. Raises StageError."""
-        assert self.process.stdout is not None
-        if not self.process.stdout.readline():
-            raise StageError(f"the {self.name} ended before it began")
+        try:
+            self.process.read_line(STARTS_WITHIN_S)
+        except ProcessError as error:
+            raise StageError(str(error)) from None
         self.listening_ns = time.monotonic_ns()
 
     def kill(self) -> None:
@@ -62,15 +61,14 @@ class Node:
         self.process.send_signal(STEP)
 
     def end(self) -> Summary:
-        """Ask a sensing node to end; its account. Raises NodeError."""
+        """Ask a sensing node to end; its account. Raises ProcessError."""
         self.process.terminate()
         return self.account()
 
     def account(self) -> Summary:
         """Its account, once it has ended, as a display does by itself at the end of the stream.
-        Raises NodeError."""
-        await_end(self.process, self.name, ENDS_WITHIN_S)
-        return read_summary(self.summary)
+        Raises ProcessError."""
+        return self.process.await_summary(ENDS_WITHIN_S)
 
     def rss_bytes(self) -> int:
         """Memory that it holds."""
@@ -138,20 +136,16 @@ class Stage:
     def _start(self, name: str, module: str, stepped: bool, *arguments: str) -> Node:
         self._nodes += 1
         summary = self.folder / f"{self._nodes}.json"
-        modules = ("benchmarks.faults.stepped", module) if stepped else (module,)
-        command = (sys.executable, "-m", *modules, str(self.scene), *arguments)
-        command += ("--insecure", "--json", str(summary))
-        if self.link is None:
-            process = subprocess.Popen(
-                command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        command = ["benchmarks.faults.stepped"] * stepped + [module, str(self.scene), *arguments]
+        with ExitStack() as entered:
+            if self.link is not None:
+                sensing = module.startswith("sensing")
+                namespace = self.link.sensing if sensing else self.link.display
+                entered.enter_context(namespace.entered())
+            process = NodeProcess(
+                name, *command, "--insecure", summary=summary, stdout=PIPE, stderr=PIPE
             )
-        else:
-            sensing = module.startswith("sensing")
-            namespace = self.link.sensing if sensing else self.link.display
-            process = namespace.start(*command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-        self.stack.callback(process.communicate)
-        self.stack.callback(process.kill)
-        node = Node(name, process, summary)
+        node = Node(name, self.stack.enter_context(process))
         node.await_listening()
         return node
 

@@ -1,8 +1,6 @@
 """How late ticks begin: the loop's own wait at a scene's tick, with measures and without."""
 
 import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -10,6 +8,7 @@ from dataclasses import dataclass, field
 
 from protocol import sockets
 from protocol.histogram import Histogram
+from protocol.host.child_process import ChildProcess
 from protocol.host.realtime_grant import hold
 from protocol.host.realtime_request import RealtimeRequest
 
@@ -76,9 +75,8 @@ def run_in_turns(
 @contextmanager
 def busy_processes(count: int) -> Iterator[None]:
     """As many processes that compute without a pause."""
-    command = [sys.executable, "-S", "-c", BUSY, str(os.getpid())]
-    with ExitStack() as until_the_end:
+    with ExitStack() as stack:
         for _ in range(count):
-            process = until_the_end.enter_context(subprocess.Popen(command))
-            until_the_end.callback(process.kill)
+            arguments = ("-S", "-c", BUSY, str(os.getpid()))
+            stack.enter_context(ChildProcess("busy process", *arguments))
         yield

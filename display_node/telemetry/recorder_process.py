@@ -10,6 +10,7 @@ from pathlib import Path
 
 from protocol.cli_options import USAGE_ERROR
 from protocol.errors import OutputError
+from protocol.host.child_process import ChildProcess
 
 STARTS_WITHIN_S = 30.0
 ENDS_WITHIN_S = 10.0
@@ -63,19 +64,15 @@ def _start(
     path: Path,
     key: Path | None,
     quiet: bool,
-) -> "subprocess.Popen[bytes]":
+) -> ChildProcess:
     """Start the recorder and wait until it listens."""
     # By its name: what runs both nodes stands above them.
-    process = subprocess.Popen(
-        [
-            *(sys.executable, "-m", "telepulse", "record"),
-            *(address, str(path), "--until-silent", str(SILENT_AFTER_S)),
-            *("--display-pid", str(os.getpid())),
-            *(("--key", str(key)) if key else ("--insecure",)),
-            *(("--quiet",) if quiet else ()),
-        ],
-        # Ctrl-C is the display's: its last word ends the recorder.
-        start_new_session=True,
+    process = ChildProcess(
+        *("recorder", "-m", "telepulse", "record"),
+        *(address, str(path), "--until-silent", str(SILENT_AFTER_S)),
+        *("--display-pid", str(os.getpid())),
+        *(("--key", str(key)) if key else ("--insecure",)),
+        *(("--quiet",) if quiet else ()),
     )
     until_s = time.monotonic() + STARTS_WITHIN_S
     while not await_recorder(LOOK_EVERY_S):
@@ -88,7 +85,7 @@ def _start(
     return process
 
 
-def _end(process: "subprocess.Popen[bytes]", path: Path) -> bool:
+def _end(process: ChildProcess, path: Path) -> bool:
     """Wait for the recorder to end. Return whether it recorded all, which it has named itself."""
     try:
         return process.wait(ENDS_WITHIN_S) == 0

@@ -7,14 +7,15 @@ ends with the node, kill -9 included.
 
 import json
 import os
-import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import IO, Any
+from subprocess import PIPE
+from typing import Any
 
-from protocol.errors import SidecarError, TelepulseError
+from protocol.errors import ProcessError, SidecarError, TelepulseError
+from protocol.host.child_process import ChildProcess
 
 STARTS_WITHIN_S = 30.0
 ENDS_WITHIN_S = 5.0
@@ -40,14 +41,7 @@ class Sidecar:
         """
         self._what, self._log, self._warn = what, log, warn
         self._ending = False
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", module, *arguments],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            encoding="utf-8",
-            # Ctrl-C is the node's, which ends this one.
-            start_new_session=True,
-        )
+        self._process = ChildProcess(what, "-m", module, *arguments, stdin=PIPE, stdout=PIPE)
         try:
             self.said = self._hear()
         except BaseException:
@@ -60,44 +54,35 @@ class Sidecar:
     def tell(self, **words: Any) -> None:
         """Tell it something; where it has ended meanwhile, that is said already."""
         with suppress(OSError):
-            stdin = _there(self._process.stdin)
-            stdin.write(json.dumps(words) + "\n")
-            stdin.flush()
+            self._process.write_line(json.dumps(words))
 
     def end(self) -> None:
         """End it, and wait until it has."""
         self._ending = True
-        with suppress(OSError):
-            _there(self._process.stdin).close()
+        self._process.close_input()
         self._watcher.join(ENDS_WITHIN_S)
         self._close()
 
     def _hear(self) -> str:
-        late = threading.Timer(STARTS_WITHIN_S, self._process.kill)
-        late.start()
-        line = _there(self._process.stdout).readline()
-        late.cancel()
         try:
-            words = json.loads(line)
-        except ValueError:
+            words = json.loads(self._process.read_line(STARTS_WITHIN_S))
+        except (ProcessError, ValueError):
             raise SidecarError(f"{self._what} cannot be started") from None
         if "ready" not in words:
             raise SidecarError(words["error"])
         return str(words["ready"])
 
     def _watch(self) -> None:
-        for line in _there(self._process.stdout):
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
             self._log(_said(line))
         status = self._process.wait()
         if not self._ending:
             self._warn(f"{self._what} has ended with status {status}; the node goes on without")
 
     def _close(self) -> None:
-        self._process.kill()
-        self._process.wait()
-        for pipe in (self._process.stdin, self._process.stdout):
-            with suppress(OSError):
-                _there(pipe).close()
+        with self._process:
+            self._process.kill()
 
 
 @contextmanager
@@ -153,8 +138,3 @@ def _said(line: str) -> str:
         return str(json.loads(line)["says"])
     except (ValueError, TypeError, KeyError):
         return line.rstrip()
-
-
-def _there(pipe: IO[str] | None) -> IO[str]:
-    assert pipe is not None
-    return pipe

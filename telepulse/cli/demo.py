@@ -4,12 +4,12 @@ On one host the truth of both ends is known: the demo listens to the sensing nod
 to the display's telemetry, and scores what was felt against what was really sensed.
 """
 
-import subprocess
-import sys
 import tempfile
 import time
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from subprocess import PIPE
 
 import zmq
 from rich.console import Console
@@ -20,17 +20,19 @@ from display_node.telemetry.messages import Trace
 from display_node.telemetry.terminal import watch
 from protocol import sockets
 from protocol.errors import OutputError, TelepulseError
+from protocol.host.child_process import ChildProcess
 from protocol.host.process import stop_on_signals
 from protocol.run_summary import Summary
 from protocol.tactile import matching_force_ratio
 from protocol.wire.messages import decode_frame
 from sensing_node.scene import open_source
 from telepulse.cli.view import MISSING, bokeh_is_there
-from telepulse.processes import NodeError, await_end, free_addresses, read_summary
+from telepulse.processes import NodeProcess, free_addresses
 from telepulse.scene import Scene, load_scene
 from telepulse.simulation.link_model import LinkScene
 from telepulse.simulation.reference_force import ReferenceForce
 
+STARTS_WITHIN_S = 30.0
 ENDS_WITHIN_S = 10.0
 # The display is listening before the pulse begins.
 HEAD_START_S = 0.7
@@ -51,7 +53,7 @@ def run_demo(
     """Run both nodes for `seconds` of pulse; `link` overrides the scene's.
 
     page: serve the live page too; None: where it can be, with `draw`. Raises SceneError,
-    SourceError, NodeError, DemoError, or OutputError where the page is wanted and cannot be.
+    SourceError, ProcessError, DemoError, or OutputError where the page is required and cannot be.
     """
     scene = load_scene(path)
     link = scene.link if link is None else link
@@ -62,71 +64,77 @@ def run_demo(
     impaired = link != LinkScene()
     sensing_address, link_address, telemetry_address = free_addresses(3)
     display_address = link_address if impaired else sensing_address
-    with tempfile.TemporaryDirectory(prefix="telepulse-") as folder, _Processes() as processes:
+    with tempfile.TemporaryDirectory(prefix="telepulse-") as folder, ExitStack() as stack:
         # Before anything else, so that nobody misses the beginning.
         served = None
         if page or (page is None and draw):
-            served = _open_page(processes, telemetry_address, path, bool(page), console)
-        sensing_json, display_json = Path(folder, "sensing.json"), Path(folder, "display.json")
-        display = processes.start(
-            "display_node.cli",
-            *(str(path), "--connect", display_address, "--telemetry", telemetry_address),
-            *("--once", "--seconds", str(seconds + ENDS_WITHIN_S), "--quiet"),
-            *("--json", str(display_json)),
+            served = _open_page(stack, telemetry_address, bool(page), console)
+        display = NodeProcess(
+            *("display node", "display_node.cli", str(path), "--connect", display_address),
+            *("--telemetry", telemetry_address, "--once", "--quiet"),
+            *("--seconds", str(seconds + ENDS_WITHIN_S)),
+            summary=Path(folder, "display.json"),
+            stdout=PIPE,
+            stderr=PIPE,
         )
+        stack.callback(display.stop)
         relay = None
         if impaired:
-            relay = processes.start(
-                "telepulse",
-                *("link", "--connect", sensing_address, "--bind", display_address),
+            relay = ChildProcess(
+                *("link between the nodes", "-m", "telepulse", "link"),
+                *("--connect", sensing_address, "--bind", display_address),
                 *("--link", link.text(), "--seconds", str(seconds + ENDS_WITHIN_S)),
+                stdout=PIPE,
+                stderr=PIPE,
             )
+            stack.callback(relay.stop)
         time.sleep(HEAD_START_S)
-        sensing = processes.start(
-            "sensing_node.cli",
-            *(str(path), "--bind", sensing_address, "--seconds", str(seconds), "--quiet"),
-            *("--json", str(sensing_json)),
+        sensing = NodeProcess(
+            *("sensing node", "sensing_node.cli", str(path), "--bind", sensing_address),
+            *("--seconds", str(seconds), "--quiet"),
+            summary=Path(folder, "sensing.json"),
+            stdout=PIPE,
+            stderr=PIPE,
         )
+        stack.callback(sensing.stop)
         # Ctrl-C ends the pulse; what was sent of it is played and summed up all the same.
         stop_on_signals(sensing.terminate)
-        with _Scorer(scene, truth, sensing_address) as referee:
+        with _Scorer(scene, truth, sensing_address) as scorer:
 
             def meanwhile() -> bool:
-                referee.listen()
+                scorer.listen()
                 return display.poll() is None and not sensing.poll()
 
-            watch(telemetry_address, console, referee.felt, draw, meanwhile)
+            watch(telemetry_address, console, scorer.felt, draw, meanwhile)
         if served is not None and served.poll() is not None:
             console.print("the live page ended before the demo did")
         if relay is not None and relay.poll():
-            await_end(relay, "link between the nodes", ENDS_WITHIN_S)
-        await_end(sensing, "sensing node", ENDS_WITHIN_S)
-        await_end(display, "display node", ENDS_WITHIN_S, may_end_with=FAULT_STATUS)
-        return _compose(read_summary(sensing_json), read_summary(display_json), referee.fidelity)
+            relay.await_end(ENDS_WITHIN_S)
+        sensed = sensing.await_summary(ENDS_WITHIN_S)
+        played = display.await_summary(ENDS_WITHIN_S, may_end_with=FAULT_STATUS)
+        return _compose(sensed, played, scorer.fidelity)
 
 
 def _open_page(
-    processes: "_Processes", telemetry: str, path: Path, wanted: bool, console: Console
-) -> "subprocess.Popen[str] | None":
-    """Start the page's process and say where it is, or why there is none.
+    stack: ExitStack, telemetry: str, required: bool, console: Console
+) -> ChildProcess | None:
+    """Start the live page until `stack` closes; print its address, or why there is none.
 
-    wanted: raise OutputError or NodeError instead.
+    required: raise OutputError or ProcessError instead.
     """
     try:
         if not bokeh_is_there():
             raise OutputError(MISSING)
-        page = processes.start("telepulse", "view", telemetry)
-        assert page.stdout is not None
-        address = page.stdout.readline().strip()
-        if not address:
-            await_end(page, "live page", ENDS_WITHIN_S)
-            raise NodeError("the live page said nothing")
+        page = ChildProcess(
+            *("live page", "-m", "telepulse", "view", telemetry), stdout=PIPE, stderr=PIPE
+        )
+        stack.callback(page.stop)
+        console.print(page.read_line(STARTS_WITHIN_S))
     except TelepulseError as error:
-        if wanted:
+        if required:
             raise
         console.print(f"no live page: {error}")
         return None
-    console.print(address)
     return page
 
 
@@ -166,38 +174,6 @@ class _Scorer:
         ):
             if scored:
                 self.fidelity.felt(now_ns, instant_ns, force_n)
-
-
-class _Processes:
-    """Child processes that do not outlive the demo, however it ends."""
-
-    def __init__(self) -> None:
-        self._children: list[subprocess.Popen[str]] = []
-
-    def __enter__(self) -> "_Processes":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for child in self._children:
-            child.terminate()
-        for child in self._children:
-            try:
-                child.communicate(timeout=5)
-            except subprocess.TimeoutExpired:
-                child.kill()
-                child.communicate()
-
-    def start(self, module: str, *arguments: str) -> subprocess.Popen[str]:
-        """Run a module of ours as a process of its own."""
-        child = subprocess.Popen(
-            [sys.executable, "-m", module, *arguments],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
-        self._children.append(child)
-        return child
 
 
 def _compose(sensing: Summary, display: Summary, fidelity: TrackingError) -> Summary:

@@ -1,19 +1,21 @@
 """Two namespaces and the links between them, as one thing to use in a `with`."""
 
 import json
-import subprocess
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from subprocess import PIPE
 from typing import IO
 
+from protocol.errors import ProcessError
+from protocol.host.child_process import ChildProcess
 from telepulse.netem.forwarder import DROP, ForwarderCounts, PacketFilter, write_filters
 from telepulse.netem.namespace import EmulatorError, Namespace
 from telepulse.simulation.link_model import LinkScene
 
 # Nobody but the two namespaces ever sees these addresses; one network for each link.
 SENSING_ADDRESS, DISPLAY_ADDRESS = "10.77.{}.1", "10.77.{}.2"
+ANSWERS_WITHIN_S = 30.0
 
 
 @dataclass(slots=True)
@@ -55,48 +57,29 @@ def emulate(*scenes: LinkScene, seed: int = 1) -> Iterator[EmulatedLink]:
         closing(Namespace([DISPLAY_ADDRESS.format(number) for number in numbers])) as display,
     ):
         relay = _start_relay(sensing.tuns, display.tuns, scenes, seed)
-        try:
+        with relay:
             assert relay.stdin is not None
-            link = EmulatedLink(sensing, display, _hear(relay)["began_ns"], relay.stdin)
+            link = EmulatedLink(sensing, display, _receive(relay)["began_ns"], relay.stdin)
             yield link
-            _end(relay)
-            link.carried = ForwarderCounts(**_hear(relay))
-        finally:
-            relay.kill()
-            relay.communicate()
+            relay.close_input()
+            link.carried = ForwarderCounts(**_receive(relay))
 
 
 def _start_relay(
     near: Sequence[int], far: Sequence[int], scenes: Sequence[LinkScene], seed: int
-) -> subprocess.Popen[str]:
+) -> ChildProcess:
     tuns = (*near, *far)
-    texts = (scene.text() for scene in scenes)
-    return subprocess.Popen(
-        [sys.executable, "-m", "telepulse.netem", str(seed), *map(str, tuns), *texts],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        pass_fds=tuns,
-        # Ctrl-C is for the caller, who ends the relay.
-        start_new_session=True,
+    arguments = (str(seed), *map(str, tuns), *(scene.text() for scene in scenes))
+    command = ("-m", "telepulse.netem", *arguments)
+    return ChildProcess(
+        "relay of the emulated link", *command, stdin=PIPE, stdout=PIPE, stderr=PIPE, pass_fds=tuns
     )
 
 
-def _hear(relay: subprocess.Popen[str]) -> dict[str, int]:
-    """The next line that the relay says. Raises EmulatorError."""
-    assert relay.stdout is not None
-    line = relay.stdout.readline()
-    if not line:
-        _, errors = relay.communicate()
-        last = errors.strip().splitlines()[-1:] or ["it said nothing"]
-        raise EmulatorError(f"the relay of the emulated link ended: {last[0]}")
-    table: dict[str, int] = json.loads(line)
+def _receive(relay: ChildProcess) -> dict[str, int]:
+    """Return the next table that the relay prints. Raises EmulatorError."""
+    try:
+        table: dict[str, int] = json.loads(relay.read_line(ANSWERS_WITHIN_S))
+    except ProcessError as error:
+        raise EmulatorError(str(error)) from None
     return table
-
-
-def _end(relay: subprocess.Popen[str]) -> None:
-    assert relay.stdin is not None
-    relay.stdin.close()
-    # So that communicate, later, does not flush what is closed.
-    relay.stdin = None

@@ -10,10 +10,8 @@ import fcntl
 import os
 import socket
 import struct
-import subprocess
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from typing import IO
 
 from protocol.errors import TelepulseError
 
@@ -129,16 +127,6 @@ class Namespace:
         with _and_home_again():
             _check(_libc.setns(self._namespace, _CLONE_NEWNET))
             yield
-
-    def start(
-        self,
-        *command: str,
-        stdout: IO[str] | int | None = None,
-        stderr: IO[str] | int | None = None,
-    ) -> subprocess.Popen[str]:
-        """Start a program in the namespace; it is the caller's to end."""
-        with self.entered():
-            return subprocess.Popen(command, stdout=stdout, stderr=stderr, text=True)
 
 
 @contextmanager

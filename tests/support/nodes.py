@@ -2,12 +2,13 @@
 
 import json
 import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from subprocess import PIPE
 from typing import Any
 
+from protocol.host.child_process import ChildProcess, python_command
 from telepulse.processes import free_addresses
 
 ROOT = Path(__file__).parents[2]
@@ -19,19 +20,13 @@ def free_address() -> str:
     return free_addresses(1)[0]
 
 
-def start(module: str, *arguments: str) -> subprocess.Popen[str]:
+def start(module: str, *arguments: str) -> ChildProcess:
     """Run a module of ours as a process; its output is piped."""
-    return subprocess.Popen(
-        [sys.executable, "-m", module, *arguments],
-        cwd=ROOT,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    return ChildProcess(module, "-m", module, *arguments, cwd=ROOT, stdout=PIPE, stderr=PIPE)
 
 
 @contextmanager
-def process(module: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+def process(module: str, *arguments: str) -> Iterator[ChildProcess]:
     """A process that does not outlive the test; pytest shows what it said if the test fails."""
     child = start(module, *arguments)
     try:
@@ -46,7 +41,7 @@ def process(module: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
 def run(module: str, *arguments: str, timeout_s: float = 60) -> "subprocess.CompletedProcess[str]":
     """Run a module of ours to its end."""
     return subprocess.run(
-        [sys.executable, "-m", module, *arguments],
+        python_command("-m", module, *arguments),
         cwd=ROOT,
         capture_output=True,
         text=True,

@@ -2,11 +2,12 @@
 
 import os
 import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+from protocol.host.child_process import ChildProcess
 from tests.support.nodes import ROOT
 
 KINDS = ("terminal", "pipe", "closed", "full")
@@ -48,19 +49,14 @@ def fill(number: int) -> int:
 
 
 @contextmanager
-def process_into(number: int, module: str, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
+def process_into(number: int, module: str, *arguments: str) -> Iterator[ChildProcess]:
     """Run a module of ours with both its outputs going to a descriptor."""
-    command = [sys.executable, "-m", module, *arguments]
-    child = subprocess.Popen(command, cwd=ROOT, stdout=number, stderr=number)
-    try:
+    command = ("-m", module, *arguments)
+    with ChildProcess(module, *command, cwd=ROOT, stdout=number, stderr=number) as child:
         yield child
-    finally:
-        if child.poll() is None:
-            child.kill()
-        child.wait()
 
 
-def obeys_sigterm(child: "subprocess.Popen[bytes]") -> bool:
+def obeys_sigterm(child: "subprocess.Popen[Any]") -> bool:
     """Return whether the process has installed its handler; fail where it has ended."""
     assert child.poll() is None, child.args
     for line in Path(f"/proc/{child.pid}/status").read_text(encoding="ascii").splitlines():

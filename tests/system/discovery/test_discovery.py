@@ -15,10 +15,11 @@ import pytest
 
 from protocol.discovery.announcement import SERVICE, announced, to_txt
 from protocol.discovery.browser import Browser
+from protocol.host.child_process import ChildProcess
 from telepulse.netem import Namespace, emulate, unavailable
 from telepulse.simulation.link_model import parse_link
 from tests.support.keyring import Keyring
-from tests.support.nodes import RADIAL, ROOT, assert_accounted, read_json
+from tests.support.nodes import RADIAL, ROOT, assert_accounted, read_json, start
 from tests.support.tcp import needs_emulator
 from tests.support.waiting import PATIENCE_S, until
 
@@ -37,21 +38,11 @@ class Place:
         return self._namespace.entered() if self._namespace else nullcontext()
 
     @contextmanager
-    def process(self, module: str, *arguments: str) -> Iterator["subprocess.Popen[str]"]:
+    def process(self, module: str, *arguments: str) -> Iterator[ChildProcess]:
         with self.entered():
-            child = subprocess.Popen(
-                [sys.executable, "-m", module, *arguments],
-                cwd=ROOT,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-            )
-        try:
+            child = start(module, *arguments)
+        with child:
             yield child
-        finally:
-            if child.poll() is None:
-                child.kill()
-            child.communicate()
 
     def run(self, module: str, *arguments: str) -> tuple[int, str, str]:
         with self.process(module, *arguments) as child:
@@ -84,7 +75,7 @@ def place() -> Iterator[Place]:
         yield Place(namespace)
 
 
-def await_line(node: "subprocess.Popen[str]", word: str) -> str:
+def await_line(node: ChildProcess, word: str) -> str:
     assert node.stdout is not None
     patience = threading.Timer(3 * PATIENCE_S, node.kill)
     patience.start()

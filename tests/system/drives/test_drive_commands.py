@@ -1,13 +1,12 @@
 """`telepulse emulate tmcl` and `cia402` as processes, moved by drivers in others."""
 
 import signal
-import sys
 import textwrap
 import time
 import uuid
 from collections.abc import Callable
 from pathlib import Path
-from subprocess import PIPE, Popen
+from subprocess import PIPE
 
 import can
 import pytest
@@ -17,6 +16,7 @@ from display_node.drives import build_drive
 from display_node.drives.drive import Drive
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
+from protocol.host.child_process import ChildProcess
 from pulse_sensors.binary_frames import FrameDecoder
 from tests.support.nodes import ROOT, process, start
 
@@ -91,7 +91,7 @@ def keep(drive: Drive, rate_hz: float, until: Callable[[], bool]) -> None:
         time.sleep(0.002)
 
 
-def first_line(child: Popen[str]) -> str:
+def first_line(child: ChildProcess) -> str:
     assert child.stdout is not None
     return child.stdout.readline()
 
@@ -134,13 +134,8 @@ def test_a_killed_driver_leaves_the_finger_in_peace(tmcl_scene: Path, tmp_path: 
     arguments = ("--link", str(tmp_path / "drive"), "--film-link", str(film))
     with process("telepulse", "emulate", "tmcl", str(tmcl_scene), *arguments) as child:
         first_line(child)
-        driver = Popen(
-            [sys.executable, "-c", textwrap.dedent(PRESS_ON), str(tmcl_scene)],
-            cwd=ROOT,
-            stdout=PIPE,
-            text=True,
-        )
-        try:
+        press_on = ("-c", textwrap.dedent(PRESS_ON), str(tmcl_scene))
+        with ChildProcess("driver", *press_on, cwd=ROOT, stdout=PIPE) as driver:
             assert first_line(driver) == "started\n"
             decoder = FrameDecoder(1_000_000)
             with serial.Serial(str(film), timeout=0.05) as port:
@@ -149,9 +144,6 @@ def test_a_killed_driver_leaves_the_finger_in_peace(tmcl_scene: Path, tmp_path: 
                 driver.wait(LONGEST_S)
                 # 300 samples of the film's own clock at one force, well below the limit.
                 wait_for(decoder, port, lambda forces_n: len(set(forces_n[-300:])) == 1, 300)
-        finally:
-            driver.kill()
-            driver.communicate()
 
 
 def wait_for(

@@ -2,16 +2,16 @@
 
 import os
 import re
-import subprocess
-import sys
 from contextlib import suppress
 from pathlib import Path
+from subprocess import PIPE
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from benchmarks.whole_bench import NICE
+from protocol.host.child_process import ChildProcess
 from telepulse.experiment.interval import IntervalPlayback, PlayedInterval, draw_interval
 from telepulse.experiment.log import read_log
 from telepulse.experiment.person import Keyboard, Person
@@ -92,7 +92,7 @@ def test_a_person_has_the_loop_judged_once_before_the_drive_moves(
     assert judged.call_count == 1
 
 
-def hurry(child: "subprocess.Popen[str]") -> None:
+def hurry(child: ChildProcess) -> None:
     """Raise a process's priority where that may be had, so that other load does not look like a
     fault."""
     with suppress(PermissionError):
@@ -103,14 +103,8 @@ def run_once(session: Path, log: Path) -> str:
     """Run the session, and return why it did not come to its end; nothing when it did."""
     resume = ("--resume",) if log.exists() else ()
     words = ("experiment", "run", str(session), "--log", str(log), "--yes", *resume)
-    with subprocess.Popen(
-        [sys.executable, "-m", "telepulse", *words],
-        cwd=ROOT,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as child:
+    command = ("-m", "telepulse", *words)
+    with ChildProcess("session", *command, cwd=ROOT, stdin=PIPE, stdout=PIPE, stderr=PIPE) as child:
         hurry(child)
         _, error = child.communicate("ax3", timeout=60)
     return error if child.returncode else ""

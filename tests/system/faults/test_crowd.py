@@ -4,12 +4,12 @@ Eighteen are in one process and move no actuator: twenty real-time loops would t
 """
 
 import json
-import subprocess
-import sys
 from pathlib import Path
+from subprocess import PIPE
 
 from benchmarks.faults.hostile import deaf_subscriber, port_of
 from benchmarks.faults.stage import staged, unaccounted
+from protocol.host.child_process import ChildProcess
 from tests.support.felt_force import PATIENCE_S, assert_limits_kept
 
 LISTENERS = 18
@@ -20,13 +20,12 @@ def test_one_of_twenty_that_misbehaves_costs_the_others_nothing(tmp_path: Path) 
     with staged(tmp_path) as stage:
         sensing, display, finger = stage.play()
         (address,) = stage.connect
-        command = (sys.executable, "-m", "benchmarks.faults.crowd", address, str(LISTENERS))
+        command = ("-m", "benchmarks.faults.crowd", address, str(LISTENERS))
         with (
             deaf_subscriber(port_of(address)),
-            subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as crowd,
+            ChildProcess("crowd", *command, stdout=PIPE) as crowd,
         ):
-            assert crowd.stdout is not None
-            assert crowd.stdout.readline() == "listening\n"
+            assert crowd.read_line(PATIENCE_S) == "listening"
             stage.await_played(finger, PLAYED)
             sent, account = sensing.end(), display.account()
             output, _ = crowd.communicate(timeout=PATIENCE_S)

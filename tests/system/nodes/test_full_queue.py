@@ -1,13 +1,13 @@
 """A peer that fills our queue and goes must not take us with it; with heartbeats of ZeroMQ's own
 it would: libzmq 4.3.5 ends the process."""
 
-import subprocess
-import sys
 import time
+from subprocess import PIPE
 
 import zmq
 
 from protocol import sockets
+from protocol.host.child_process import ChildProcess
 from protocol.sockets import Context
 from tests.support.nodes import free_address
 
@@ -28,15 +28,8 @@ FLOOD = 3 * sockets.HIGH_WATER_FRAMES
 
 def test_a_peer_that_goes_while_our_queue_is_full_of_its_messages(context: Context) -> None:
     address = free_address()
-    node = subprocess.Popen(
-        [sys.executable, "-c", NODE, address],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    with node:
-        assert node.stdout is not None
-        node.stdout.readline()
+    with ChildProcess("node", "-c", NODE, address, stdin=PIPE, stdout=PIPE) as node:
+        node.read_line(20)
         for _ in range(3):
             peer = sockets.connect(context, zmq.DEALER, address)
             peer.setsockopt(zmq.SNDTIMEO, 20_000)

@@ -1,0 +1,116 @@
+"""What nodes and commands start beside themselves, in a folder with modules of our names."""
+
+import json
+import os
+from contextlib import ExitStack
+from pathlib import Path
+from subprocess import PIPE
+
+import pytest
+
+from protocol.errors import ProcessError
+from protocol.host.child_process import ChildProcess
+from telepulse.netem import emulate, unavailable
+from telepulse.simulation.link_model import parse_link
+from tests.support.nodes import RADIAL, ROOT, assert_accounted, free_address, read_json
+
+PATIENCE_S = 60.0
+NAMES = ("protocol", "telepulse", "sensors", "pulse_sensors", "sensing_node", "display_node")
+
+
+@pytest.fixture
+def hostile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return the current folder, whose modules leave a trace where they are imported."""
+    folder = tmp_path / "hostile"
+    folder.mkdir()
+    for name in NAMES:
+        text = f"open(r'{folder}/imported', 'a').write('{name}')\nraise SystemExit('{name}.py')\n"
+        (folder / f"{name}.py").write_text(text, encoding="utf-8")
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    return folder
+
+
+def assert_clean(folder: Path) -> None:
+    assert not (folder / "imported").exists(), (folder / "imported").read_text()
+
+
+def test_the_demo_with_link_and_page_imports_nothing_of_the_current_folder(
+    hostile: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "demo.json"
+    options = ("--seconds", "2", "--link", "delay=5ms", "--json", str(out))
+    command = ("-m", "telepulse", "demo", str(RADIAL), *options)
+    with ChildProcess("demo", *command, stdout=PIPE, stderr=PIPE) as demo:
+        demo.await_end(PATIENCE_S)
+    assert_clean(hostile)
+    assert_accounted(read_json(out)["samples"])
+
+
+def test_the_processes_beside_a_display_import_nothing_of_the_current_folder(
+    hostile: Path, tmp_path: Path
+) -> None:
+    """Metrics, recorder and screen of a display; the metrics of a sensing node."""
+    address, recording = free_address(), tmp_path / "a.mcap"
+    shared = ("--metrics", "0")
+    play = ("--connect", address, "--once", "--record", str(recording), *shared)
+    sense = ("--bind", address, "--seconds", "2", *shared)
+    with ExitStack() as stack:
+        display, sensing = (
+            stack.enter_context(
+                ChildProcess(module, "-m", module, str(RADIAL), *more, stdout=PIPE, stderr=PIPE)
+            )
+            for module, more in (("display_node.cli", play), ("sensing_node.cli", sense))
+        )
+        sensing.await_end(PATIENCE_S)
+        display.await_end(PATIENCE_S)
+    assert_clean(hostile)
+    assert recording.stat().st_size > 0
+
+
+@pytest.mark.skipif(unavailable() is not None, reason=str(unavailable()))
+def test_the_relay_of_an_emulated_link_imports_nothing_of_the_current_folder(hostile: Path) -> None:
+    with emulate(parse_link("delay=1ms")) as link:
+        pass
+    assert link.carried is not None
+    assert_clean(hostile)
+
+
+def test_a_line_that_does_not_come_ends_the_wait() -> None:
+    with (
+        ChildProcess("sleeper", "-c", "import time; time.sleep(60)", stdout=PIPE) as child,
+        pytest.raises(ProcessError, match=r"sleeper printed nothing for 0\.3 s"),
+    ):
+        child.read_line(0.3)
+    assert child.poll() is not None
+
+
+def test_a_process_that_fails_is_refused_with_its_last_error_line() -> None:
+    code = "import sys; print('first', file=sys.stderr); sys.exit('the last')"
+    with (
+        ChildProcess("program", "-c", code, stderr=PIPE) as child,
+        pytest.raises(ProcessError, match=r"^the program ended with status 1: the last$"),
+    ):
+        child.await_end(PATIENCE_S)
+    with (
+        ChildProcess("program", "-c", code, stdout=PIPE, stderr=PIPE) as child,
+        pytest.raises(ProcessError, match=r"^the program ended: the last$"),
+    ):
+        child.read_line(PATIENCE_S)
+
+
+def test_a_process_that_ignores_sigterm_is_killed() -> None:
+    code = "import signal, time; signal.signal(15, signal.SIG_IGN); print(1, flush=True)"
+    with ChildProcess("program", "-c", f"{code}; time.sleep(60)", stdout=PIPE) as child:
+        child.read_line(PATIENCE_S)
+        assert child.stop(within_s=0.2) == -9
+
+
+def test_lines_pass_both_ways_until_the_input_is_closed() -> None:
+    code = "import sys, json\nfor line in sys.stdin: print(json.dumps(line), flush=True)"
+    with ChildProcess("echo", "-c", code, stdin=PIPE, stdout=PIPE) as child:
+        child.write_line("one")
+        assert json.loads(child.read_line(PATIENCE_S)) == "one\n"
+        child.close_input()
+        child.await_end(PATIENCE_S)
+    assert os.waitstatus_to_exitcode(0) == child.returncode
