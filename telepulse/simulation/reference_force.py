@@ -1,4 +1,4 @@
-"""The pulse at the wrist before the sensing chain: what a felt force is scored against."""
+"""The pulse at the wrist before the sensing chain: the reference of a felt force."""
 
 from pathlib import Path
 
@@ -8,11 +8,11 @@ from sensing_node.sources.synthetic import SyntheticScene
 
 
 class ReferenceForce:
-    """Knows what the frames of one session should hold, from a second copy of their source.
+    """The true values of the frames of one session, from a second copy of their source.
 
-    Truth is what an ideal film would give, at the samples' own times: without mains hum, notch,
-    anti-alias filter and ADC. A film cannot give the static force, so that a charge amplifier
-    and its hold-down force are part of the truth too.
+    The truth is the output of an ideal film at the samples' own times: without mains hum, notch,
+    anti-alias filter and ADC. No film measures a static force, so a charge amplifier and its
+    hold-down force are part of the truth.
     """
 
     def __init__(self, scene: SensingScene, folder: Path) -> None:
@@ -22,7 +22,7 @@ class ReferenceForce:
         self._taken = 0
 
     def of(self, frame: Frame) -> Frame:
-        """The frame with the true values; itself when nothing stands between it and the wrist.
+        """Return the frame with the true values; the frame itself where the chain is ideal.
 
         Frames come in order; some may be missing. Raises ValueError for one that comes late.
         """

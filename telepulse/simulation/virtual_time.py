@@ -1,7 +1,7 @@
 """Both nodes and the link between them in virtual time: the same modules, no sockets, no sleep.
 
-source → frames → wire bytes → link → display, one event after the other. Ticked as a clock goes,
-it is as well a display in real time, on whose bench somebody feels what the link does.
+source → frames → wire bytes → link → display, one event after the other. Ticked by a real clock,
+a simulation is a display in real time whose link is the model's.
 """
 
 import heapq
@@ -26,7 +26,7 @@ from telepulse.scene import Scene
 from telepulse.simulation.link_model import MessageLink
 from telepulse.simulation.reference_force import ReferenceForce
 
-# The sensing clock of a simulation runs this far ahead, so that a mix-up of clocks shows.
+# The sensing clock of a simulation runs this far ahead: a confusion of the clocks shows.
 SENSING_CLOCK_AHEAD_NS = 3_600_000_000_000
 STREAM_BEGINS_NS = 500_000_000
 SENDER = (b"simulated display",)
@@ -39,32 +39,42 @@ Event = Callable[[bytes, int], None]
 class Simulation:
     """One run of a scene in virtual time; the same scene and seed give the same summary.
 
-    begin_ns: the display's clock when the link begins. hardware: the real bench that is
-    played on.
+    Parameters
+    ----------
+    begin_ns : int
+        The display's clock at the beginning of the link.
+    hardware : Hardware, optional
+        The real bench to play on.
+
+    Raises
+    ------
+    SceneError
+        For a force loop that is not stable.
+    SourceError
+        For a source that cannot be built.
     """
 
     def __init__(
         self, scene: Scene, seed: int, begin_ns: int = 0, hardware: Hardware | None = None
     ) -> None:
-        """Raises SceneError or SourceError."""
         self._scene = scene
         self._source = build_source(scene.sensing, scene.path.parent)
-        self._truth = ReferenceForce(scene.sensing, scene.path.parent)
+        self._reference = ReferenceForce(scene.sensing, scene.path.parent)
         self._description = describe_stream(scene.sensing, self._source)
         self._now_ns = begin_ns
         self._stream_ns = begin_ns + STREAM_BEGINS_NS
         self._scored_from_ns = self._stream_ns
-        # What a real film says is as old as this.
-        self._felt_before_ns = scene.display.film.latency_ns if hardware is not None else 0
+        # Age of a real film's reading.
+        self._film_age_ns = scene.display.film.latency_ns if hardware is not None else 0
         self._paced = PacedSource(self._source, self._stream_ns + SENSING_CLOCK_AHEAD_NS)
         self._session = seed + 1
         self._framer = Framer(self._description, self._session)
         self._check = SampleCheck(self._description.period_ns)
-        self._desk = ControlServer(self._description, self._session)
+        self._control_server = ControlServer(self._description, self._session)
         self.display = Display(scene.display, "simulated display", score=False)
         if hardware is not None:
             self.display.use(hardware)
-        self._fidelity = TrackingError(scene.display.layer.layer().strain_per_newton)
+        self._tracking_error = TrackingError(scene.display.layer.layer().strain_per_newton)
         self._down = MessageLink(scene.link, seed, begin_ns)
         self._up = MessageLink(scene.link, seed + 1, begin_ns)
         self._events: list[tuple[int, int, Event, bytes]] = []
@@ -78,86 +88,86 @@ class Simulation:
     ) -> Summary:
         """Simulate `seconds` of stream and its playing to the end.
 
-        What is felt before the stream is `settle_seconds` old is not scored. watch sees every
-        tick that is, until the stream ends.
+        Ticks before the stream is `settle_seconds` old are not scored. `watch` receives every
+        scored tick until the stream ends.
         """
         began_s, tick_ns = time.perf_counter(), self._scene.display.tick_ns
         begin_ns, last_ns = self._now_ns, self.begin(seconds, settle_seconds)
         while not self.display.over and self._now_ns < last_ns + DRAIN_LIMIT_NS:
-            felt, now_ns = self.tick(self._now_ns + tick_ns), self._now_ns
-            heard = felt.scored and self._scored_from_ns <= now_ns <= last_ns
-            if watch is not None and heard:
-                watch(felt)
+            state, now_ns = self.tick(self._now_ns + tick_ns), self._now_ns
+            scored = state.scored and self._scored_from_ns <= now_ns <= last_ns
+            if watch is not None and scored:
+                watch(state)
         speed = (self._now_ns - begin_ns) / 1e9 / (time.perf_counter() - began_s)
         return replace(self.end(), speed=speed)
 
     def begin(self, seconds: float, settle_seconds: float = 0.0) -> int:
-        """Begin `seconds` of stream, scored from when it is `settle_seconds` old.
+        """Begin `seconds` of stream; return the time in ns at which its last sample is due.
 
-        Returns the time in ns at which its last sample is due.
+        The stream is scored once it is `settle_seconds` old.
         """
         self._scored_from_ns = self._stream_ns + round(settle_seconds * 1e9)
         last_ns = self._stream_ns + round(seconds * 1e9) - 1
-        self._plan_batch(last_ns)
+        self._schedule_batch(last_ns)
         return last_ns
 
     def tick(self, now_ns: int, elapsed_ticks: int = 1) -> TickState:
-        """Let happen what is due, and tick the display."""
+        """Process the events that are due, and tick the display."""
         self._now_ns, events = now_ns, self._events
         while events and events[0][0] <= now_ns:
-            at_ns, _, happen, data = heapq.heappop(events)
-            happen(data, at_ns)
-        felt = self.display.tick(now_ns, elapsed_ticks)
-        if felt.scored and now_ns >= self._scored_from_ns:
-            before_ns = self._felt_before_ns
-            true_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS - before_ns
-            self._fidelity.felt(true_now_ns, felt.instant_ns - before_ns, felt.felt_n)
+            at_ns, _, event, data = heapq.heappop(events)
+            event(data, at_ns)
+        state = self.display.tick(now_ns, elapsed_ticks)
+        if state.scored and now_ns >= self._scored_from_ns:
+            age_ns = self._film_age_ns
+            true_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS - age_ns
+            self._tracking_error.felt(true_now_ns, state.instant_ns - age_ns, state.felt_n)
         for message in self.display.requests(now_ns):
             self._post(self._up, now_ns, self._answer, message)
-        return felt
+        return state
 
     def end(self) -> Summary:
-        """Score what is left."""
-        self._fidelity.finish()
+        """Score the remaining ticks, and return the summary."""
+        self._tracking_error.finish()
         display = self.display.summary()
         notes = faults_of(self._source) + self._check.faults()
         faults = display.faults + [f"{SENSING_NOTE}{note}" for note in notes]
         limited = replace(display.limited, adc=limits_of(self._source).adc)
         clock = display.clock
         if clock.offset_ms is not None:
-            # What the simulation has put between the clocks is known; what is left is the error.
+            # The simulation's own offset between the clocks is known; the rest is the error.
             offset_ms = clock.offset_ms - SENSING_CLOCK_AHEAD_NS * 1e-6
             clock = replace(clock, offset_ms=offset_ms)
         summary = replace(display, clock=clock, limited=limited, faults=faults)
-        return self._fidelity.scored(summary)
+        return self._tracking_error.scored(summary)
 
     @property
     def newest_ns(self) -> int | None:
-        """Time of the newest sample that the display has; None before any."""
+        """Time of the display's newest sample; None before any."""
         return self.display.receiver.buffer.newest_ns
 
     @property
     def lost_frames(self) -> int:
-        """Data frames that the link has lost."""
+        """Count of data frames that the link has lost."""
         return self._down.lost_data
 
-    def _plan_batch(self, last_ns: int) -> None:
-        """Sense the next batch when it is due, the last one short; then send a bye."""
+    def _schedule_batch(self, last_ns: int) -> None:
+        """Schedule the next batch, the last one short; after the last, a bye."""
 
         def sense(_: bytes, now_ns: int) -> None:
             block = self._paced.read(now_ns + SENSING_CLOCK_AHEAD_NS)
             if block is None:
-                return self._plan_batch(last_ns)
+                return self._schedule_batch(last_ns)
             self._check.add(block.values)
             for frame in self._framer.frames(block):
                 ratio = self.display.force_ratio
-                true_frame = self._truth.of(frame)
-                self._fidelity.sensed(true_frame, self._scene.display.channel, ratio)
+                true_frame = self._reference.of(frame)
+                self._tracking_error.sensed(true_frame, self._scene.display.channel, ratio)
                 data = encode_frame(frame)
                 arrival_ns = self._down.data_arrival_ns(now_ns, len(data))
                 if arrival_ns is not None:
-                    self._plan(arrival_ns, self.display.on_frame, data)
-            self._plan_batch(last_ns)
+                    self._schedule(arrival_ns, self.display.on_frame, data)
+            self._schedule_batch(last_ns)
 
         ahead_ns = SENSING_CLOCK_AHEAD_NS
         if self._paced.exhausted or self._paced.due_ns(1) - ahead_ns > last_ns:
@@ -165,20 +175,20 @@ class Simulation:
             self._post(self._down, last_ns, self.display.on_control, bye)
             return
         due_ns = min(self._paced.due_ns(self._description.batch) - ahead_ns, last_ns)
-        self._plan(due_ns, sense, b"")
+        self._schedule(due_ns, sense, b"")
 
     def _answer(self, data: bytes, now_ns: int) -> None:
         sensing_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS
-        reply = self._desk.answer(SENDER, data, sensing_now_ns, self._framer.samples_sent)
+        reply = self._control_server.answer(SENDER, data, sensing_now_ns, self._framer.samples_sent)
         if reply is not None:
             self._post(self._down, now_ns, self.display.on_control, reply)
 
     def _post(self, link: MessageLink, now_ns: int, deliver: Event, message: Control) -> None:
         data = encode_control(message)
-        self._plan(link.control_arrival_ns(now_ns, len(data)), deliver, data)
+        self._schedule(link.control_arrival_ns(now_ns, len(data)), deliver, data)
 
-    def _plan(self, at_ns: int, happen: Event, data: bytes) -> None:
-        heapq.heappush(self._events, (at_ns, next(self._order), happen, data))
+    def _schedule(self, at_ns: int, event: Event, data: bytes) -> None:
+        heapq.heappush(self._events, (at_ns, next(self._order), event, data))
 
 
 def simulate(scene: Scene, seconds: float, seed: int) -> Summary:

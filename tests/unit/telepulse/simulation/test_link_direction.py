@@ -146,8 +146,8 @@ def test_an_outage_ends_when_both_the_cut_and_a_burst_have_ended() -> None:
     burst, cut = "burst_loss.share=50%,burst_loss.length=50ms", "cut.from=0s,cut.for=100ms"
     outlasted = 0
     for seed in range(20):
-        burst_end_ns = Direction(parse_link(burst), seed).outage_until(99 * MS) or 0
-        end_ns = Direction(parse_link(f"{burst},{cut}"), seed).outage_until(99 * MS)
+        burst_end_ns = Direction(parse_link(burst), seed).outage_end_ns(99 * MS) or 0
+        end_ns = Direction(parse_link(f"{burst},{cut}"), seed).outage_end_ns(99 * MS)
         assert end_ns == max(100 * MS, burst_end_ns)
         outlasted += burst_end_ns > 100 * MS
     assert 0 < outlasted < 20
