@@ -42,12 +42,12 @@ def ends(context: Context) -> Iterator[Ends]:
     ends.proxy.stop()
 
 
-def look_until(proxy: Proxy, met: Callable[[], bool]) -> None:
+def count_until(proxy: Proxy, met: Callable[[], bool]) -> None:
     end_s = time.monotonic() + PATIENCE_S
     while not met():
         assert time.monotonic() < end_s
         time.sleep(0.01)
-        proxy.look()
+        proxy.update_counts()
 
 
 def answer(sensing: Socket, text: bytes) -> bytes:
@@ -65,10 +65,10 @@ def test_questions_and_answers_pass_and_are_counted_over_several_runs(ends: Ends
         assert ends.display.recv() == b"answer"
         # Each is an address and a text.
         expected = 2 * (turn + 1)
-        look_until(ends.proxy, lambda e=expected: ends.proxy.heard == e)
+        count_until(ends.proxy, lambda e=expected: ends.proxy.received == e)
         ends.proxy.stop()
-        assert (ends.proxy.asked, ends.proxy.heard) == (expected, expected)
-    assert ends.proxy.heard_bytes == 3 * (5 + len(b"answer"))
+        assert (ends.proxy.requests, ends.proxy.received) == (expected, expected)
+    assert ends.proxy.received_bytes == 3 * (5 + len(b"answer"))
 
 
 def test_what_comes_between_two_runs_waits(ends: Ends) -> None:
@@ -86,7 +86,7 @@ def test_a_flood_that_finds_no_sensing_node_neither_holds_it_up_nor_garbles_what
     # ZeroMQ's proxy looks for room once in a burst of a thousand: the first of them has gone.
     ends.proxy.start()
     ends.display.send(b"question")
-    look_until(ends.proxy, lambda: ends.proxy.asked == 2)  # an address, a text
+    count_until(ends.proxy, lambda: ends.proxy.requests == 2)  # an address, a text
     ends.proxy.stop()
     another = sockets.connect(context, zmq.DEALER, ends.outer)
     for _ in range(QUEUED // 2):
