@@ -11,15 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.measure import show
-from display_node.display import TickState
-from display_node.telemetry.capture import CONTROL, HEARD, SUBSCRIBED, CaptureWriter
-from display_node.telemetry.messages import TRACE, TraceWriter
 from protocol.host.child_process import ChildProcess
 from protocol.run_summary import Summary
 from protocol.tactile import ElasticLayer
 from protocol.wire.messages import ClockReply, Frame, Welcome, encode_control, encode_frame
 from protocol.wire.status import STATUS, PlaybackStatus, pack_status
 from protocol.wire.stream import Channel, StreamDescription
+from protocol.wire.telemetry import (
+    CONTROL,
+    HEARD,
+    SUBSCRIBED,
+    TRACE,
+    CaptureWriter,
+    TickState,
+    TraceWriter,
+)
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 from telepulse.recording.mcap_writer import McapWriter
 from telepulse.telemetry.transcript import Transcript

@@ -14,13 +14,12 @@ import zmq
 from numpy.typing import NDArray
 
 from benchmarks.measure import show
-from display_node.display import TickState
-from display_node.telemetry.messages import TRACE_TICKS
 from display_node.telemetry.publisher import Publisher
 from protocol import sockets
 from protocol.host.child_process import ChildProcess
 from protocol.run_summary import Summary
 from protocol.wire.messages import Frame, encode_frame
+from protocol.wire.telemetry import TRACE_TICKS, TickState
 
 TICK_NS = 1_000_000
 TICKS_A_FRAME = 5

@@ -17,8 +17,8 @@ import numpy as np
 import zmq
 from numpy.typing import NDArray
 
-from display_node.telemetry.messages import STATUS, read_status
 from protocol.host.child_process import ChildProcess
+from protocol.wire.status import STATUS, read_status
 from telepulse.processes import free_addresses
 from telepulse.scene import find_scene
 

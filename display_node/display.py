@@ -4,7 +4,7 @@ The live node and the virtual-time simulation drive this same class; time is an 
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from display_node.control.safety import Safety
 from display_node.drives.hardware import Hardware
@@ -22,34 +22,10 @@ from protocol.limits import Limits
 from protocol.run_summary import Loop, Summary, TickTime
 from protocol.tactile import matching_force_ratio
 from protocol.wire.messages import Control, DisplayReport
-from protocol.wire.status import PlaybackStatus
+from protocol.wire.status import PlaybackStatus, pack_status
+from protocol.wire.telemetry import TickState
 
 REPORT_EVERY_NS = 1_000_000_000
-
-
-@dataclass(slots=True)
-class TickState:
-    """State at the beginning of the last tick.
-
-    instant_ns is on the sensing clock; felt_n: NaN where a real film gives no reading; `scored`:
-    the pulse was being felt at its full strength;
-    predictor_error_n: RMSE that the predictor expects of what it stood in with, NaN where it
-    did not or cannot tell; trusted: it is trusted with all of the delay.
-    """
-
-    now_ns: int = 0
-    sensing_now_ns: int = 0
-    instant_ns: int = 0
-    target_n: float = 0.0
-    felt_n: float = 0.0
-    scored: bool = False
-    predictor_error_n: float = math.nan
-    trusted: bool = False
-
-    @property
-    def playout_delay_ns(self) -> int:
-        """The perceived delay E of this tick."""
-        return self.sensing_now_ns - self.instant_ns
 
 
 class Display:
@@ -128,6 +104,12 @@ class Display:
         return PlaybackStatus(
             scene.channel, ratio, strain_per_newton, scene.predictor, stale_after_ns
         )
+
+    def pack_status(self, summary: Summary, final: bool) -> bytes:
+        """Encode this display's status with a summary."""
+        receiver, playing = self.receiver, self.playing
+        stream = receiver.description.name if receiver.description else ""
+        return pack_status(self.state, stream, summary, final, receiver.session, playing=playing)
 
     @property
     def over(self) -> bool:

@@ -19,8 +19,6 @@ from display_node.fault_advice import FILM_NOTE, advise, advised
 from display_node.reception.connection import Connection
 from display_node.scene import DisplayScene
 from display_node.scoring.deadlines import GAP_NS, DeadlineWatch
-from display_node.telemetry.capture import CONTROL
-from display_node.telemetry.messages import write_status
 from display_node.telemetry.publisher import Publisher
 from protocol import sockets
 from protocol.errors import SceneError
@@ -29,6 +27,7 @@ from protocol.run_summary import Lateness, Summary, TickTime
 from protocol.security.authenticator import Authenticator
 from protocol.security.keys import ClientKeys, ServerKeys
 from protocol.wire.messages import encode_control
+from protocol.wire.telemetry import CONTROL
 from pulse_sensors.scene import open_sensor
 
 # Of each connection, however late it is: a host that is always late still receives all of a stream.
@@ -248,7 +247,7 @@ class DisplayNode:
         return replace(summary, frames=replace(summary.frames, first=first))
 
     def _status(self, final: bool) -> bytes:
-        return write_status(self._display, self._summary(), final)
+        return self._display.pack_status(self._summary(), final)
 
     def _finish(self) -> Summary:
         if self._hardware is not None:

@@ -10,15 +10,21 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from display_node.display import TickState
-from display_node.telemetry.capture import CONTROL, HEARD, SUBSCRIBED, CaptureWriter
-from display_node.telemetry.messages import STATUS, TRACE, TraceWriter
 from display_node.telemetry.terminal import TerminalView
 from protocol.run_summary import Clock, SampleCounts, Summary
 from protocol.tactile import ElasticLayer
 from protocol.wire.messages import ClockReply, Frame, Welcome, encode_control, encode_frame
-from protocol.wire.status import PlaybackStatus, pack_status
+from protocol.wire.status import STATUS, PlaybackStatus, pack_status
 from protocol.wire.stream import Channel, StreamDescription
+from protocol.wire.telemetry import (
+    CONTROL,
+    HEARD,
+    SUBSCRIBED,
+    TRACE,
+    CaptureWriter,
+    TickState,
+    TraceWriter,
+)
 from telepulse.lsl_outlet.forwarder import Forwarder
 from telepulse.metrics.families import NodeState as ToldStatus
 from telepulse.metrics.families import families

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.telemetry.messages import Trace
+from protocol.wire.telemetry import Trace
 
 # Ticks further apart are not one touch: a tick or a trace is late now and then.
 GAP_NS = 50_000_000

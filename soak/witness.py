@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from display_node.telemetry.messages import Trace
+from protocol.wire.telemetry import Trace
 
 # Ticks further apart are of two blocks.
 GAP_NS = 50_000_000

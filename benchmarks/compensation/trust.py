@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.measure import show
-from display_node.display import TickState
 from display_node.scoring.tracking_error import JND
+from protocol.wire.telemetry import TickState
 from sensing_node.sources.recorded import RecordingScene
 from sensing_node.sources.synthetic import NOMINAL_BEAT_S
 from telepulse.reports.studies.prediction_sets import (

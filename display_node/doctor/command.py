@@ -14,17 +14,20 @@ from rich.table import Table
 from rich.text import Text
 
 from display_node.display import Display
-from display_node.doctor.host import Host, describe, read_host, stolen
-from display_node.doctor.jitter import Ticks, Work, busy_processes, run_in_turns
-from display_node.doctor.verdict import (
+from display_node.doctor.host import (
     BARE,
     IDLE,
     LOADED,
     TOGETHER,
+    Host,
     HostFindings,
     HostVerdict,
+    describe,
     judge,
+    read_host,
+    stolen,
 )
+from display_node.doctor.jitter import Ticks, Work, busy_processes, run_in_turns
 from display_node.scene import DisplayScene
 from protocol import sockets
 from protocol.config.scene import load_section

@@ -15,9 +15,8 @@ from collections.abc import Callable, Iterator, Sequence
 
 import zmq
 
-from display_node.reception.data_path import DataPath
 from display_node.reception.endpoint import ANSWER_NS, FLOODED_NS, Endpoint
-from display_node.reception.failover import FOLLOWS_WITHIN_NS
+from display_node.reception.failover import FOLLOWS_WITHIN_NS, DataPath
 from protocol import sockets
 from protocol.run_summary import Reconnections
 from protocol.security.handshake_monitor import HandshakeMonitor

@@ -1,8 +1,10 @@
-"""One reading of a link: the path's base, and how far above it delays reach. Pure.
+"""Delay estimation: the smallest delay that keeps late samples below a target share. Pure.
 
-A quantile of delays of which old ones count less and less. Pure.
+Delay is the time from a frame's first sample to its arrival. Estimates read one link in two ways
+(`DelayTracker`), each as a base plus a quantile above it (`ExponentialQuantile`).
 """
 
+import math
 from collections import deque
 
 BIN_NS = 1_000_000
@@ -62,6 +64,8 @@ class ExponentialQuantile:
 BASE_NS = 2_000_000_000
 # A silence is no evidence on the path: it ages the base by no more than this.
 SILENCE_NS = 200_000_000
+# A time-warp of at most one part in 50: 2 %.
+WARP_PARTS = 50
 # The display cannot follow faster (its time-warp is 2 %), so there is nothing to gain.
 RELEASE_PER_NS = 0.02
 # What the playout jumps over anyway is not worth waiting for either.
@@ -186,3 +190,78 @@ def released(delay_ns: int | None, wanted_ns: int, elapsed_ns: int) -> int:
     if delay_ns is None or wanted_ns >= delay_ns or delay_ns - wanted_ns > JUMP_NS:
         return wanted_ns
     return max(wanted_ns, delay_ns - round(RELEASE_PER_NS * elapsed_ns))
+
+
+# Every delay from a clock that is still poorly known to the longest compensation.
+LOWEST_NS = -1_000_000_000
+HIGHEST_NS = 9_999_000_000
+# A share of 1 % needs some events of its own to be seen in.
+FORGET_NS = 60_000_000_000
+LATE_TARGET = 0.01
+SETTLED_NS = 250_000_000
+# Delays this far above the estimate are an outage's backlog, unless they go on for so long.
+OUTAGE_NS = 500_000_000
+OUTAGE_ENDS_NS = 1_000_000_000
+
+
+class DelayEstimator:
+    """The smallest delay that keeps late samples below a target share.
+
+    Two trackers read the link (see `DelayTracker`): to one, a burst of long delays is jitter that
+    has to be covered; to the other, a longer path that can be followed. Following is done where it
+    takes less delay on average and the playout, whose time is warped by `warp` at most (infinity:
+    it jumps), is not too slow for it. What was queued while the link was cut says nothing of its
+    jitter and is left out. Pure: delays and times come in.
+    """
+
+    def __init__(self, late_target: float = LATE_TARGET, warp: float = 1 / WARP_PARTS) -> None:
+        self._late_target = late_target
+        self._covering = DelayTracker(late_target, follows=False, warp=warp)
+        self._following = DelayTracker(late_target, follows=True, warp=warp)
+        self._outage = LongerPath(OUTAGE_ENDS_NS)
+        self._first_ns: int | None = None
+        self._last_ns = 0
+        self.delay_ns: int | None = None
+
+    @property
+    def settled(self) -> bool:
+        """Whether enough has been seen to start playing."""
+        return self._first_ns is not None and self._last_ns - self._first_ns >= SETTLED_NS
+
+    def observe(self, delay_ns: int, now_ns: int) -> None:
+        """A frame needed `delay_ns` from its first sample's instant to its arrival.
+
+        It is below 0 while the clock offset is not well known; counted within −1 s and 10 s.
+        """
+        if self._first_ns is None:
+            self._first_ns = self._last_ns = now_ns
+        delay_ns = min(max(delay_ns, LOWEST_NS), HIGHEST_NS)
+        if self._is_backlog(delay_ns, now_ns):
+            return
+        elapsed_ns = now_ns - self._last_ns
+        self._last_ns = now_ns
+        # The bound keeps a silence of hours from underflowing; nothing is left of the old then.
+        kept = math.exp(-min(elapsed_ns / FORGET_NS, 100.0))
+        covering_ns = self._covering.observe(delay_ns, now_ns, elapsed_ns, kept)
+        following_ns = self._following.observe(delay_ns, now_ns, elapsed_ns, kept)
+        wanted_ns = following_ns if self._follows() else covering_ns
+        self.delay_ns = min(released(self.delay_ns, wanted_ns, elapsed_ns), HIGHEST_NS)
+
+    def _follows(self) -> bool:
+        """Whether to follow. Preferred where it hardly matters: it is first to be right."""
+        covering, following = self._covering, self._following
+        dearer_ns = following.mean_ns - covering.mean_ns
+        later = following.late_share - covering.late_share
+        return dearer_ns < BIN_NS and later < self._late_target
+
+    def _is_backlog(self, delay_ns: int, now_ns: int) -> bool:
+        """Whether a frame was held up by an outage; a longer path shows itself by lasting."""
+        if self.delay_ns is None:
+            return False
+        # Once a backlog has begun, all of it is left out, down to the first frame on time.
+        spared_ns = 0 if self._outage.suspected else OUTAGE_NS
+        base_ns = self._outage.base_ns(delay_ns, self.delay_ns + spared_ns, now_ns)
+        if base_ns is not None:
+            self._covering.lift(base_ns)
+            self._following.lift(base_ns)
+        return self._outage.suspected

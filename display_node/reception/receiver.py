@@ -6,9 +6,8 @@ used is counted under its cause. No sockets here.
 
 from collections import Counter, deque
 
-from display_node.reception.delay_estimator import JUMP_NS
+from display_node.reception.delay_estimator import JUMP_NS, DelayEstimator
 from display_node.reception.jitter_buffer import JitterBuffer, SampleAccount
-from display_node.reception.playout_clock import DelayEstimator
 from protocol.clock.estimator import READY_AFTER, ClockEstimator, ClockExchange
 from protocol.errors import WireError
 from protocol.histogram import Histogram

@@ -5,13 +5,19 @@ from collections.abc import Callable
 
 import zmq
 
-from display_node.display import TickState
-from display_node.telemetry.capture import HEARD, CaptureWriter
-from display_node.telemetry.messages import STATUS, STATUS_TRACES, TRACE, TraceWriter
 from protocol import sockets
 from protocol.provenance import PROVENANCE
 from protocol.security.authenticator import Authenticator
 from protocol.security.subscription_budget import SubscriptionBudget
+from protocol.wire.status import STATUS
+from protocol.wire.telemetry import (
+    HEARD,
+    STATUS_TRACES,
+    TRACE,
+    CaptureWriter,
+    TickState,
+    TraceWriter,
+)
 
 LOOK_EVERY_S = 0.01
 ASKED = b"\1" + PROVENANCE

@@ -24,17 +24,9 @@ from rich.table import Table
 from rich.text import Text
 
 from display_node.scoring.heart_rate import heart_rate_per_min
+from display_node.telemetry.age import TelemetryAge
 from display_node.telemetry.alerts import Alert, alerts
 from display_node.telemetry.braille_plot import braille_plot, limits
-from display_node.telemetry.messages import (
-    STATUS,
-    TRACE,
-    Status,
-    TelemetryAge,
-    Trace,
-    read_status,
-    read_trace,
-)
 from protocol import sockets
 from protocol.availability import interruptions_text
 from protocol.errors import WireError
@@ -42,6 +34,8 @@ from protocol.histogram import bound
 from protocol.host.standard_output import unblocked_output
 from protocol.limits import limit_texts
 from protocol.security.keys import ClientKeys, read_pair
+from protocol.wire.status import STATUS, Status, read_status
+from protocol.wire.telemetry import TRACE, Trace, read_trace
 
 FRAMES_PER_S = 8
 LINE_EVERY_S = 1.0

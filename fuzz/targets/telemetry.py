@@ -3,19 +3,20 @@
 import msgpack
 import numpy as np
 
-from display_node.display import TickState
-from display_node.telemetry.capture import HEARD, CaptureWriter, read_capture
-from display_node.telemetry.messages import (
-    STATUS,
-    TRACE,
-    TRACE_TICKS,
-    TraceWriter,
-    read_status,
-    read_trace,
-)
 from fuzz.refusals import refusals
 from fuzz.telemetry_readers import TelemetryReaders, preamble
 from protocol.run_summary import Summary
+from protocol.wire.status import STATUS, read_status
+from protocol.wire.telemetry import (
+    HEARD,
+    TRACE,
+    TRACE_TICKS,
+    CaptureWriter,
+    TickState,
+    TraceWriter,
+    read_capture,
+    read_trace,
+)
 
 MSGPACK = True
 

@@ -16,7 +16,6 @@ from rich.console import Console
 
 from display_node.fault_advice import FAULT_STATUS, SENSING_NOTE
 from display_node.scoring.tracking_error import TrackingError
-from display_node.telemetry.messages import Trace
 from display_node.telemetry.terminal import watch
 from protocol import sockets
 from protocol.errors import OutputError, TelepulseError
@@ -25,6 +24,7 @@ from protocol.host.process import stop_on_signals
 from protocol.run_summary import Summary
 from protocol.tactile import matching_force_ratio
 from protocol.wire.messages import decode_frame
+from protocol.wire.telemetry import Trace
 from sensing_node.scene import open_source
 from telepulse.cli.view import MISSING, bokeh_is_there
 from telepulse.processes import NodeProcess, free_addresses

@@ -11,12 +11,13 @@ from pathlib import Path
 
 import zmq
 
-from display_node.telemetry.messages import TRACE, TelemetryAge, read_trace
+from display_node.telemetry.age import TelemetryAge
 from display_node.telemetry.terminal import TerminalView
 from protocol import sockets
 from protocol.errors import AddressError, SidecarError, WireError
 from protocol.security.keys import ClientKeys, read_pair
 from protocol.wire.status import STATUS, read_status
+from protocol.wire.telemetry import TRACE, read_trace
 from telepulse.metrics.http import MetricsHTTPServer
 
 LOOPBACK = "127.0.0.1"

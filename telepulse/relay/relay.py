@@ -7,9 +7,8 @@ from collections.abc import Callable
 import zmq
 
 from display_node.reception.connection import CUT_NS, Lookup
-from display_node.reception.data_path import DataPath
 from display_node.reception.endpoint import ANSWER_NS, PATIENCE_NS
-from display_node.reception.failover import PATIENCE_FRAMES
+from display_node.reception.failover import PATIENCE_FRAMES, DataPath
 from protocol import sockets
 from protocol.config.quantities import count_text
 from protocol.errors import WireError

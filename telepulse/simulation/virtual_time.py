@@ -10,12 +10,13 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from display_node.display import Display, TickState
+from display_node.display import Display
 from display_node.drives.hardware import Hardware
 from display_node.fault_advice import SENSING_NOTE
 from display_node.scoring.tracking_error import TrackingError
 from protocol.run_summary import Summary
 from protocol.wire.messages import Bye, Control, encode_control, encode_frame
+from protocol.wire.telemetry import TickState
 from sensing_node.conditioning import faults_of, limits_of
 from sensing_node.control_server import ControlServer
 from sensing_node.framer import Framer

@@ -4,12 +4,12 @@ from collections.abc import Callable, Iterator
 
 import zmq
 
-from display_node.telemetry.capture import HEARD
-from display_node.telemetry.messages import STATUS, TRACE
 from protocol import sockets
 from protocol.provenance import PROVENANCE
 from protocol.security.handshake_monitor import HandshakeMonitor
 from protocol.security.keys import ClientKeys
+from protocol.wire.status import STATUS
+from protocol.wire.telemetry import HEARD, TRACE
 from telepulse.telemetry.transcript import Entry, Transcript
 
 # ZeroMQ tries no more once it was refused; the key may be allowed later.

@@ -7,10 +7,10 @@ from base64 import b64decode
 from collections import deque
 from typing import Any
 
-from display_node.reception.playout_clock import LATE_TARGET
+from display_node.reception.delay_estimator import LATE_TARGET
 from display_node.reception.receiver import MAX_ASKED, Receiver
-from display_node.telemetry.capture import CONTROL
 from protocol.wire.messages import ClockReply, Frame, encode_control
+from protocol.wire.telemetry import CONTROL
 from telepulse.telemetry.schema import CLOCK, FRAME, REFUSED, STREAM
 
 # More than one: a frame that came twice is a copy then, never refused.

@@ -12,15 +12,6 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from display_node.telemetry.capture import (
-    CONTROL,
-    HEARD,
-    CapturedMessage,
-    CapturedMessages,
-    read_capture,
-)
-from display_node.telemetry.messages import STATUS as STATUS_TOPIC
-from display_node.telemetry.messages import TRACE, Trace, read_status, read_trace
 from protocol.config.quantities import count_text
 from protocol.errors import WireError
 from protocol.provenance import PROVENANCE, read_provenance
@@ -31,6 +22,18 @@ from protocol.wire.messages import (
     Welcome,
     decode_control,
     decode_frame,
+)
+from protocol.wire.status import STATUS as STATUS_TOPIC
+from protocol.wire.status import read_status
+from protocol.wire.telemetry import (
+    CONTROL,
+    HEARD,
+    TRACE,
+    CapturedMessage,
+    CapturedMessages,
+    Trace,
+    read_capture,
+    read_trace,
 )
 from telepulse.telemetry.events import Event, StatusWatch
 from telepulse.telemetry.schema import CLOCK, EVENT, FRAME, LEVELS, REFUSED, STATUS, STREAM, TICK

@@ -15,7 +15,7 @@ from bokeh.server.util import bind_sockets
 from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop, PeriodicCallback
 
-from display_node.telemetry.messages import TelemetryAge
+from display_node.telemetry.age import TelemetryAge
 from protocol.errors import AddressError
 from protocol.security.keys import ClientKeys
 from protocol.sockets import beyond_loopback

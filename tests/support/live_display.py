@@ -6,8 +6,8 @@ from collections.abc import Callable
 import pytest
 import zmq
 
-from display_node.telemetry.messages import STATUS, Status, read_status
 from protocol.sockets import Context
+from protocol.wire.status import STATUS, Status, read_status
 from tests.support.nodes import RADIAL
 
 MODULE = "display_node.cli"

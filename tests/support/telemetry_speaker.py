@@ -9,8 +9,6 @@ from typing import TypeVar
 import numpy as np
 import zmq
 
-from display_node.display import TickState
-from display_node.telemetry.capture import CONTROL
 from display_node.telemetry.publisher import Publisher
 from protocol import sockets
 from protocol.run_summary import Summary
@@ -18,6 +16,7 @@ from protocol.security.authenticator import Authenticator
 from protocol.security.keys import ServerKeys
 from protocol.wire.messages import Bye, ClockReply, Frame, Welcome, encode_control, encode_frame
 from protocol.wire.status import pack_status
+from protocol.wire.telemetry import CONTROL, TickState
 from tests.support.streams import description
 
 SESSION = 7

@@ -9,13 +9,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from display_node.display import Display, TickState
+from display_node.display import Display
 from display_node.drives.axis import Axis, build_axis
 from display_node.drives.drive import DriveStatus, no_film
 from display_node.drives.supervisor import Supervisor
 from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
+from protocol.wire.telemetry import TickState
 from pulse_sensors.packet import Packet
 from pulse_sensors.reading import Reading, Readings
 from telepulse.emulators.drive_run import FRAME

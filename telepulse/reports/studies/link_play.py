@@ -7,10 +7,10 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.display import TickState
 from display_node.prediction import PredictorName
 from display_node.scoring.tracking_error import JND
 from protocol.tactile import matching_force_ratio
+from protocol.wire.telemetry import TickState
 from sensing_node.scene import build_source
 from telepulse.scene import Scene, find_scene, load_scene
 from telepulse.simulation.link_model import parse_link

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import telepulse.simulation.virtual_time
-from display_node.display import TickState
 from display_node.prediction import PredictorName
 from protocol.run_summary import Summary
+from protocol.wire.telemetry import TickState
 from sensing_node.sources.recorded import RecordingScene
 from telepulse.reports.studies.prediction_sets import Floats, drawn, fibrillating, make_rhythm
 from telepulse.scene import Scene, load_scene

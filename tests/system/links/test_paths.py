@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import zmq
 
-from display_node.telemetry.messages import TRACE, read_trace
+from protocol.wire.telemetry import TRACE, read_trace
 from telepulse.netem import NodesOutcome, run_nodes
 from telepulse.simulation.link_model import parse_link
 from tests.support.nodes import RADIAL

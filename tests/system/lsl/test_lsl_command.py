@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from display_node.telemetry.capture import CONTROL
+from protocol.wire.telemetry import CONTROL
 from tests.support.lsl_loopback import lsl_on_loopback
 from tests.support.nodes import free_address, process, run
 from tests.support.telemetry_speaker import (

@@ -7,8 +7,8 @@ import zmq
 
 from display_node.reception import endpoint as line
 from display_node.reception.connection import Connection, Lookup
-from display_node.reception.data_path import DataPath
 from display_node.reception.endpoint import Endpoint
+from display_node.reception.failover import DataPath
 from protocol.errors import AddressError
 from protocol.run_summary import Reconnections
 from protocol.security.handshake_monitor import HandshakeMonitor

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import zmq
 
-from display_node.telemetry.messages import TRACE, read_status, read_trace
 from protocol.sockets import Context, control_address
 from protocol.wire.messages import (
     ClockReply,
@@ -20,6 +19,8 @@ from protocol.wire.messages import (
     encode_control,
     encode_frame,
 )
+from protocol.wire.status import read_status
+from protocol.wire.telemetry import TRACE, read_trace
 from tests.support.live_display import (
     MODULE,
     PATIENCE_S,

@@ -3,18 +3,22 @@ import time
 import pytest
 import zmq
 
-from display_node.display import TickState
-from display_node.telemetry.capture import (
-    CONTROL,
-    HEARD,
-    CapturedMessage,
-    CapturedMessages,
-    read_capture,
-)
-from display_node.telemetry.messages import STATUS, STATUS_TRACES, TRACE, TRACE_TICKS, read_trace
 from display_node.telemetry.publisher import Publisher
 from protocol import sockets
 from protocol.sockets import Context
+from protocol.wire.status import STATUS
+from protocol.wire.telemetry import (
+    CONTROL,
+    HEARD,
+    STATUS_TRACES,
+    TRACE,
+    TRACE_TICKS,
+    CapturedMessage,
+    CapturedMessages,
+    TickState,
+    read_capture,
+    read_trace,
+)
 from tests.support.live_display import PATIENCE_S, subscribe
 from tests.support.nodes import free_address
 

@@ -11,9 +11,7 @@ import pytest
 import zmq
 from rich.console import Console
 
-from display_node.display import TickState
 from display_node.telemetry import terminal as screen_module
-from display_node.telemetry.messages import STATUS, TRACE, Status, Trace, TraceWriter
 from display_node.telemetry.terminal import TerminalView, watch
 from protocol.limits import Limited, Limits
 from protocol.run_summary import (
@@ -28,7 +26,8 @@ from protocol.run_summary import (
 )
 from protocol.security.causes import MEANINGS
 from protocol.sockets import Context
-from protocol.wire.status import pack_status
+from protocol.wire.status import STATUS, Status, pack_status
+from protocol.wire.telemetry import TRACE, TickState, Trace, TraceWriter
 from tests.support.nodes import free_address
 
 BEAT_S = 0.8

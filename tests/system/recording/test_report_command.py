@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks.analysis import DELAY_TICKS, GAIN, record
-from display_node.telemetry.capture import CONTROL
 from protocol.limits import Limited, Limits
+from protocol.wire.telemetry import CONTROL
 from telepulse.recording.mcap_writer import McapWriter
 from telepulse.recording.reader import RecordingReader
 from telepulse.recording.report.chapters import build_recording_report

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from display_node.reception.playout_clock import DelayEstimator
+from display_node.reception.delay_estimator import DelayEstimator
 from telepulse.reports.studies.playout_optimum import best_constant_ms, best_moving
 from telepulse.reports.studies.playout_play import play
 from telepulse.reports.studies.playout_report import BARS, CONSTANT

@@ -12,12 +12,10 @@ from urllib.parse import urlsplit
 import pytest
 import zmq
 
-from display_node.display import TickState
-from display_node.telemetry.capture import HEARD, CaptureWriter
-from display_node.telemetry.messages import STATUS, TRACE, TraceWriter
 from protocol.run_summary import Summary
 from protocol.sockets import Context
-from protocol.wire.status import pack_status
+from protocol.wire.status import STATUS, pack_status
+from protocol.wire.telemetry import HEARD, TRACE, CaptureWriter, TickState, TraceWriter
 from telepulse.view import admission, server
 from telepulse.view.server import PageServer
 from tests.support.nodes import free_address

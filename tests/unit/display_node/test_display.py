@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from display_node.display import Display
 from display_node.scene import DisplayScene
-from display_node.telemetry.messages import TraceWriter, read_status, read_trace, write_status
 from protocol.config.scene import load_section, validate
 from protocol.errors import SceneError
 from protocol.tactile import ElasticLayer
@@ -22,6 +21,8 @@ from protocol.wire.messages import (
     encode_control,
     encode_frame,
 )
+from protocol.wire.status import read_status
+from protocol.wire.telemetry import TraceWriter, read_trace
 from tests.support.sender import AHEAD_NS, MS, Sender, run
 from tests.support.streams import description
 
@@ -242,7 +243,7 @@ def test_no_number_a_peer_sends_breaks_the_loop_or_its_telemetry(
             trace = writer.add(felt)
             if trace is not None:
                 read_trace(trace)
-        read_status(write_status(under_test, under_test.summary(), final=False))
+        read_status(under_test.pack_status(under_test.summary(), final=False))
 
 
 @pytest.mark.parametrize("claimed_ns", EXTREMES)
@@ -264,7 +265,7 @@ def test_no_clock_a_peer_claims_breaks_the_loop_or_its_telemetry(
         trace = writer.add(under_test.tick(now_ns))
         if trace is not None:
             read_trace(trace)
-    read_status(write_status(under_test, under_test.summary(), final=False))
+    read_status(under_test.pack_status(under_test.summary(), final=False))
 
 
 def test_sessions_that_claim_enormous_counts_do_not_break_the_telemetry() -> None:
@@ -275,7 +276,7 @@ def test_sessions_that_claim_enormous_counts_do_not_break_the_telemetry() -> Non
             ["bye", session, 2**63 - 1],
         ):
             under_test.on_control(msgpack.packb([1, *message]), session * MS)
-    read_status(write_status(under_test, under_test.summary(), final=False))
+    read_status(under_test.pack_status(under_test.summary(), final=False))
 
 
 def _raw_clock_reply(t1_ns: int, t_ns: int) -> bytes:

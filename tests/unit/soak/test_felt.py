@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from display_node.telemetry.messages import Trace
+from protocol.wire.telemetry import Trace
 from soak.felt import FeltLog, felt_again_ns, longest_gap_ns
 
 MS = 1_000_000

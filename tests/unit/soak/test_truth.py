@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from display_node.telemetry.messages import Status, Trace
 from protocol.availability import Interruptions
 from protocol.run_summary import Availability, Loop, SampleCounts, Summary
+from protocol.wire.status import Status
+from protocol.wire.telemetry import Trace
 from soak.claims import StatusClaim, no_figures, read_line
 from soak.truth import judge_ends, judge_events, judge_lines, judge_stalls, judge_statuses
 from soak.witness import Witness

@@ -1,11 +1,114 @@
+""" """
+
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from display_node.doctor import host as module
-from display_node.doctor.host import Host, describe, preemption_of, read_host, stolen
+from display_node.doctor.host import (
+    BARE,
+    IDLE,
+    LOADED,
+    TOGETHER,
+    Host,
+    HostFindings,
+    HostVerdict,
+    describe,
+    judge,
+    preemption_of,
+    read_host,
+    stolen,
+)
+from display_node.doctor.jitter import Ticks
+from protocol.histogram import Histogram
 from protocol.host.realtime_request import spans
+
+GOOD_HOST = Host("Linux 6.18", "PREEMPT_RT", clocksource="tsc", curve=True)
+
+
+def ticks(begun: int, missed: int, latest_us: float = 80.0) -> Ticks:
+    late_us = Histogram(2.0, 5_000)
+    for _ in range(begun - 1):
+        late_us.add(40.0)
+    late_us.add(latest_us)
+    return Ticks(late_us, missed)
+
+
+def findings(bare: Ticks, together: Ticks | None = None, **changes: object) -> HostFindings:
+    found = {(BARE, IDLE): ticks(1000, 0), (BARE, LOADED): bare}
+    if together is not None:
+        found[TOGETHER, LOADED] = together
+    option = None if together is None else "slack,fifo=40"
+    return replace(
+        HostFindings(1_000_000, found, option, [], 0.0),
+        **changes,  # type: ignore[arg-type]
+    )
+
+
+def verdict(found: HostFindings, host: Host = GOOD_HOST) -> HostVerdict:
+    return judge(host, found)
+
+
+@pytest.mark.parametrize(
+    ("missed", "status"), [(0, "ok"), (1, "ok"), (2, "look"), (10, "look"), (12, "fail")]
+)
+def test_the_share_of_ticks_missed_decides(missed: int, status: str) -> None:
+    assert verdict(findings(ticks(1000 - missed, missed))).status == status
+
+
+def test_a_gap_longer_than_a_drives_watchdog_fails_whatever_the_share() -> None:
+    assert verdict(findings(ticks(100_000, 0, latest_us=50_000))).status == "ok"
+    found = verdict(findings(ticks(100_000, 0, latest_us=50_001)))
+    assert found.status == "fail"
+    assert found.reason.endswith("longer than the watchdog of a drive (50 ms)")
+
+
+def test_what_is_granted_counts_and_is_told_beside_bare() -> None:
+    found = verdict(findings(ticks(900, 100), ticks(1000, 0, latest_us=350.0)))
+    assert found.status == "ok"
+    assert found.reason == (
+        "beside a load, with --realtime slack,fifo=40, 0 of 1000 ticks were missed"
+        " (bare 100 of 1000), the latest began 0.4 ms late"
+    )
+    bare = verdict(findings(ticks(900, 100)))
+    assert bare.status == "fail"
+    assert "with no measure, 100 of 1000" in bare.reason
+
+
+def test_no_tick_at_all_is_a_failure() -> None:
+    assert verdict(findings(Ticks())).status == "fail"
+
+
+def test_a_good_host_gets_no_advice() -> None:
+    assert verdict(findings(ticks(1000, 0))).advice == []
+
+
+@pytest.mark.parametrize(
+    ("host", "said"),
+    [
+        ({"quota": 0.5}, "0.5 processors' time"),
+        ({"governors": ["powersave"]}, "frequency-set -g performance"),
+        ({"idle_us": 200}, "200 µs to wake"),
+        ({"clocksource": "hpet"}, "hpet, not tsc"),
+        ({"curve": False}, "cannot encrypt"),
+    ],
+)
+def test_what_slows_a_host_is_advised_on(host: dict[str, object], said: str) -> None:
+    (line,) = verdict(findings(ticks(1000, 0)), replace(GOOD_HOST, **host)).advice  # type: ignore[arg-type]
+    assert said in line
+
+
+def test_what_is_well_is_not_advised_on() -> None:
+    host = replace(GOOD_HOST, quota=4.0, governors=["performance"], idle_us=2)
+    assert verdict(findings(ticks(1000, 0)), host).advice == []
+
+
+def test_the_weightiest_advice_is_the_first() -> None:
+    found = findings(ticks(1000, 0), refusals=["fifo: no"], stolen=0.031)
+    advice = verdict(found, replace(GOOD_HOST, quota=1.0)).advice
+    assert [line.split()[0] for line in advice] == ["the", "the", "fifo:"]
+    assert "3.1% of the time" in advice[0]
 
 
 @pytest.mark.parametrize(

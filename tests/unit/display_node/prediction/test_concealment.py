@@ -1,9 +1,103 @@
+""" """
+
+import math
+
 import numpy as np
 import pytest
 
 from display_node.prediction import PredictorName
-from display_node.prediction.concealment import Concealment
+from display_node.prediction.concealment import Blend, Concealment
 from protocol.wire.messages import Frame
+
+MS = 1_000_000
+T0_NS = 1_700_000_000_000_000_000
+
+
+def straight(at_ms: float, slope: float = 0.01, offset: float = 0.0) -> list[float]:
+    return [offset + slope * (at_ms + step) for step in range(4)]
+
+
+def joined(smoothing: Blend, at_ms: float, path: list[float], newest_ms: float) -> list[float]:
+    return smoothing.join(path, T0_NS + round(at_ms * MS), T0_NS + round(newest_ms * MS))
+
+
+def test_a_prediction_that_stays_is_left_alone() -> None:
+    smoothing = Blend(MS)
+    for at_ms in range(40, 80):
+        path = straight(at_ms)
+        assert joined(smoothing, at_ms, path, 0) == pytest.approx(path, abs=1e-12)
+
+
+def test_new_data_makes_no_jump_and_is_believed_by_and_by() -> None:
+    smoothing = Blend(MS)
+    for at_ms in range(40, 45):
+        before = joined(smoothing, at_ms, straight(at_ms), 0)
+    # What was predicted was 0.1 too low, 44 ms ahead: time constant 0.2 × 44 ms.
+    felt = [joined(smoothing, ms, straight(ms, offset=0.1), 5)[0] for ms in range(45, 145)]
+    assert felt[0] == pytest.approx(before[1])
+    missing = [0.1 + 0.01 * ms - value for ms, value in zip(range(45, 145), felt, strict=True)]
+    for ticks in (1, 10, 50):
+        assert missing[ticks] == pytest.approx(0.1 * math.exp(-ticks / (0.2 * 44)))
+
+
+def test_what_a_path_says_of_the_next_ticks_is_what_they_then_say() -> None:
+    smoothing = Blend(MS)
+    joined(smoothing, 44, straight(44), 0)
+    path = joined(smoothing, 45, straight(45, offset=0.1), 5)
+    for tick in range(1, 4):
+        at_ms = 45 + tick
+        now = joined(smoothing, at_ms, straight(at_ms, offset=0.1), 5)
+        assert now[0] == pytest.approx(path[tick])
+
+
+@pytest.mark.parametrize("warp", [0.98, 1.02])
+def test_a_warped_playout_is_no_jump(warp: float) -> None:
+    smoothing = Blend(MS)
+    for tick in range(100):
+        path = straight(40 + warp * tick)
+        assert joined(smoothing, 40 + warp * tick, path, 0) == pytest.approx(path, abs=1e-12)
+
+
+def test_when_the_samples_are_there_again_it_ends_and_gives_them_as_they_are() -> None:
+    smoothing = Blend(MS)
+    for at_ms in range(10):
+        joined(smoothing, at_ms, straight(at_ms), 0)
+    assert smoothing.busy
+    steps, before = [], 0.09
+    for at_ms in range(10, 110):
+        if not smoothing.busy:
+            break
+        path = straight(at_ms, offset=0.1)
+        # A frame of 5 samples each 5 ms, all of them on time again.
+        felt = joined(smoothing, at_ms, path, 20 + at_ms // 5 * 5)
+        steps.append(felt[0] - before)
+        before = felt[0]
+    assert not smoothing.busy
+    assert felt == path
+    assert len(steps) > 5
+    # It gives way over several ticks: the jump was 0.1 on a slope of 0.01 a tick.
+    assert max(steps) < 0.01 + 0.05
+
+
+@pytest.mark.parametrize("at_ms", [20, 1000, -1000])
+def test_over_missed_ticks_and_jumps_nothing_is_joined(at_ms: int) -> None:
+    smoothing = Blend(MS)
+    for before_ms in range(10):
+        joined(smoothing, before_ms, straight(before_ms), 0)
+    path = straight(at_ms, offset=1.0)
+    assert joined(smoothing, at_ms, path, 5) == path
+
+
+def test_a_prediction_without_bounds_leaves_nothing_behind() -> None:
+    smoothing = Blend(MS)
+    joined(smoothing, 40, straight(40), 0)
+    joined(smoothing, 41, [math.inf] * 4, 1)
+    joined(smoothing, 42, [math.nan] * 4, 2)
+    for at_ms in range(43, 60):
+        path = straight(at_ms)
+        felt = joined(smoothing, at_ms, path, 3)
+    assert felt == pytest.approx(path)
+
 
 MS = 1_000_000
 

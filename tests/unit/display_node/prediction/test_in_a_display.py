@@ -9,8 +9,8 @@ import pytest
 from display_node.display import Display
 from display_node.prediction import PredictorName
 from display_node.scene import DisplayScene
-from display_node.telemetry.messages import TRACE_TICKS, TraceWriter, read_trace
 from protocol.config.scene import load_section
+from protocol.wire.telemetry import TRACE_TICKS, TraceWriter, read_trace
 from telepulse.scene import load_scene
 from telepulse.simulation.link_model import parse_link
 from telepulse.simulation.virtual_time import simulate

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from display_node.reception.delay_estimator import BIN_NS
-from display_node.reception.playout_clock import DelayEstimator, PlayoutClock
+from display_node.reception.delay_estimator import BIN_NS, DelayEstimator
+from display_node.reception.playout_clock import PlayoutClock
 
 MS = 1_000_000
 SECOND_NS = 1_000 * MS

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from display_node.reception.delay_estimator import LongerPath
-from display_node.reception.playout_clock import DelayEstimator
+from display_node.reception.delay_estimator import DelayEstimator, LongerPath
 
 MS = 1_000_000
 SECOND_NS = 1_000 * MS

@@ -10,22 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from display_node.display import Display, TickState
+from display_node.display import Display
 from display_node.plant.feedback import Feedback
 from display_node.scene import DisplayScene
-from display_node.telemetry.messages import (
-    TRACE_TICKS,
-    Trace,
-    TraceWriter,
-    read_status,
-    read_trace,
-    write_status,
-)
 from protocol.config.scene import load_section
 from protocol.errors import WireError
 from protocol.run_summary import SampleCounts, Summary
 from protocol.wire.messages import LARGEST_N, TIME_RANGE
-from protocol.wire.status import pack_status
+from protocol.wire.status import pack_status, read_status
+from protocol.wire.telemetry import TRACE_TICKS, TickState, Trace, TraceWriter, read_trace
 from tests.support.sender import MS, Sender, run
 
 RADIAL = Path(__file__).parents[4] / "scenes" / "radial.toml"
@@ -112,14 +105,14 @@ def test_the_status_comes_through() -> None:
     display = Display(scene, "test")
     run(display, Sender(), 0, 1500)
     summary = display.summary()
-    status = read_status(write_status(display, summary, final=False))
+    status = read_status(display.pack_status(summary, final=False))
     assert (status.state, status.stream, status.final) == ("playing", "test pulse", False)
     assert status.summary == summary.to_dict()
 
 
 def test_the_status_comes_through_before_there_is_a_stream() -> None:
     display = Display(load_section(RADIAL, "display", DisplayScene), "test")
-    status = read_status(write_status(display, display.summary(), final=True))
+    status = read_status(display.pack_status(display.summary(), final=True))
     assert (status.state, status.stream, status.final) == ("waiting", "", True)
 
 
@@ -216,7 +209,7 @@ def test_a_film_that_falls_silent_is_a_fault_and_its_force_unknown() -> None:
     assert np.isnan(felt_n[2_100:]).all()
     assert display.fidelity is not None
     display.fidelity.finish()
-    status = read_status(write_status(display, display.summary(), final=False))
+    status = read_status(display.pack_status(display.summary(), final=False))
     assert (status.state, status.summary["faults"]) == ("fault", ["feedback lost"])
     assert status.summary["force_rmse_n"]["aligned"] is not None
     assert status.summary["availability"]["faulted"] == pytest.approx(1 / 3, abs=0.02)

@@ -12,8 +12,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from display_node.display import TickState
-from display_node.telemetry.messages import TRACE
 from fuzz.telemetry_readers import (
     AHEAD_NS,
     MS,
@@ -43,6 +41,7 @@ from protocol.run_summary import (
 from protocol.security.causes import MEANINGS
 from protocol.wire.messages import Frame
 from protocol.wire.status import PlaybackStatus
+from protocol.wire.telemetry import TRACE, TickState
 
 MOST_MORE_BYTES = 1 << 30
 AWKWARD = [math.nan, math.inf, -math.inf, 1e300, -1e300, 5e-324, 1e15, 1e6, -1e6, 0.0, 0.3]

@@ -10,16 +10,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from display_node.display import TickState
 from display_node.fault_advice import FILM_NOTE, advise
-from display_node.telemetry.capture import CONTROL, HEARD, SUBSCRIBED, CaptureWriter
-from display_node.telemetry.messages import STATUS as STATUS_TOPIC
-from display_node.telemetry.messages import TRACE, TraceWriter
 from protocol.limits import Limited, Limits
 from protocol.run_summary import Clock, Compensation, Deadlines, Loop, SampleCounts, Summary
 from protocol.security.causes import MEANINGS
 from protocol.wire.messages import Hello, Welcome, encode_control, encode_frame
+from protocol.wire.status import STATUS as STATUS_TOPIC
 from protocol.wire.status import PlaybackStatus, pack_status
+from protocol.wire.telemetry import (
+    CONTROL,
+    HEARD,
+    SUBSCRIBED,
+    TRACE,
+    CaptureWriter,
+    TickState,
+    TraceWriter,
+)
 from telepulse.telemetry.schema import (
     CLOCK,
     EVENT,

@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from display_node.telemetry.capture import (
+from protocol.errors import WireError
+from protocol.wire.messages import MAX_FRAME_BYTES
+from protocol.wire.telemetry import (
     CONTROL,
     MAX_KEPT_BYTES,
     SUBSCRIBED,
@@ -17,8 +19,6 @@ from display_node.telemetry.capture import (
     CaptureWriter,
     read_capture,
 )
-from protocol.errors import WireError
-from protocol.wire.messages import MAX_FRAME_BYTES
 
 MAX_SOCKET_BYTES = 4 * MAX_FRAME_BYTES
 

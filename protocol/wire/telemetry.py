@@ -1,18 +1,122 @@
-"""Record of all that the display receives, for a recorder: every message as it came, and when.
+"""Telemetry: formats of what a display publishes, for another process to show or record.
 
-Published as telemetry under a topic of its own, "heard", beside every trace and only while
-somebody has asked for it. Each message says how much was published before it, so that a reader
-knows what it has missed.
+Three topics, each a multipart message [topic, msgpack]:
+
+- "trace": every tick since the last trace;
+- "status": the running summary (`protocol.wire.status`); a last status has final = true;
+- "heard": all that the display receives, each message as it came and when, published only while a
+  recorder asks for it. Each states how much was published before, so that gaps show.
 """
 
+import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import msgpack
+import numpy as np
+from numpy.typing import NDArray
 
-from display_node.telemetry.messages import unpack
 from protocol.errors import WireError
-from protocol.wire.messages import MAX_FRAME_BYTES, TIME_RANGE
+from protocol.wire.messages import LARGEST_N, MAX_FRAME_BYTES, TIME_RANGE
+from protocol.wire.status import unpack
+
+TRACE = b"trace"
+TRACE_TICKS = 20
+# A status follows each tenth trace.
+STATUS_TRACES = 10
+
+
+@dataclass(slots=True)
+class TickState:
+    """State at the beginning of the last tick.
+
+    instant_ns is on the sensing clock; felt_n: NaN where a real film gives no reading; `scored`:
+    the pulse was being felt at its full strength;
+    predictor_error_n: RMSE that the predictor expects of what it stood in with, NaN where it
+    did not or cannot tell; trusted: it is trusted with all of the delay.
+    """
+
+    now_ns: int = 0
+    sensing_now_ns: int = 0
+    instant_ns: int = 0
+    target_n: float = 0.0
+    felt_n: float = 0.0
+    scored: bool = False
+    predictor_error_n: float = math.nan
+    trusted: bool = False
+
+    @property
+    def playout_delay_ns(self) -> int:
+        """The perceived delay E of this tick."""
+        return self.sensing_now_ns - self.instant_ns
+
+
+class Trace(NamedTuple):
+    """Consecutive ticks: arrays of equal length, one value a tick.
+
+    now_ns on the display's clock, never falling; instant_ns on the sensing clock; target force in
+    N; felt_n: felt force in N, NaN where it is unknown (no reading of the film); scored: whether
+    the pulse was being felt at its full strength; predictor_error_n: RMSE that the predictor
+    expects, NaN where it did not stand in or cannot tell; trusted: whether it is trusted with all
+    of the delay. No number is infinite or beyond `LARGEST_N`.
+    """
+
+    now_ns: NDArray[np.int64]
+    instant_ns: NDArray[np.int64]
+    target_n: NDArray[np.float64]
+    felt_n: NDArray[np.float64]
+    scored: NDArray[np.bool_]
+    predictor_error_n: NDArray[np.float64] = np.empty(0)
+    trusted: NDArray[np.bool_] = np.empty(0, bool)
+
+
+class TraceWriter:
+    """Collects ticks and gives them out as messages."""
+
+    def __init__(self) -> None:
+        self._ints: list[int] = []
+        self._forces: list[float] = []
+
+    def add(self, felt: TickState) -> bytes | None:
+        """A tick; a trace message when one is full."""
+        ints = self._ints
+        ints += (felt.now_ns, felt.instant_ns, felt.scored, felt.trusted)
+        self._forces += (felt.target_n, felt.felt_n, felt.predictor_error_n)
+        return self.rest() if len(ints) >= 4 * TRACE_TICKS else None
+
+    def rest(self) -> bytes | None:
+        """The ticks since the last message as one, if there are any."""
+        if not self._ints:
+            return None
+        message = [np.array(self._ints, "<i8").tobytes(), np.array(self._forces, "<f8").tobytes()]
+        self._ints, self._forces = [], []
+        return bytes(msgpack.packb(message))
+
+
+def read_trace(data: bytes) -> Trace:
+    """Decode a trace message.
+
+    A felt force or a predictor's error that is infinite or beyond `LARGEST_N` is no measurement
+    and becomes NaN. Raises WireError, also for times that fall or are out of range.
+    """
+    try:
+        ints, forces = unpack(data)
+        now_ns, instant_ns, scored, trusted = np.frombuffer(ints, "<i8").reshape(-1, 4).T
+        target_n, felt_n, error_n = np.frombuffer(forces, "<f8").reshape(len(now_ns), 3).T
+    except (ValueError, TypeError) as error:
+        raise WireError("malformed", f"not a trace: {error}") from None
+    times_ns = np.concatenate([now_ns, instant_ns])
+    if np.any((times_ns < TIME_RANGE.start) | (times_ns >= TIME_RANGE.stop)):
+        raise WireError("malformed", "a trace's time is out of range")
+    if np.any(now_ns[1:] < now_ns[:-1]):
+        raise WireError("malformed", "a trace's times fall")
+    if not np.all(np.abs(target_n) <= LARGEST_N):
+        raise WireError("malformed", f"a trace's target is not within {LARGEST_N:.0e} N")
+    flags = scored.astype(bool), trusted.astype(bool)
+    known_n, error_n = (np.where(np.abs(x) <= LARGEST_N, x, np.nan) for x in (felt_n, error_n))
+    return Trace(now_ns, instant_ns, target_n, known_n, flags[0], error_n, flags[1])
+
 
 HEARD = b"heard"
 CONTROL = -1
