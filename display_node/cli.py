@@ -18,6 +18,7 @@ from protocol.cli_options import (
     JsonOption,
     QuietOption,
     StopAfterOption,
+    VersionOption,
     one_line_errors,
     plain_console,
     sum_up,
@@ -51,7 +52,7 @@ PROGRAM = "display-node"
 SCREEN_ENDS_WITHIN_S = 5
 NOT_WHOLE = 1
 HERE = "tcp://127.0.0.1:5555"
-app = typer.Typer(add_completion=False, rich_markup_mode="markdown")
+app = typer.Typer(rich_markup_mode="markdown")
 
 
 @app.command()
@@ -108,6 +109,7 @@ def display(
             " are with and without it. SCENE may be left out.",
         ),
     ] = False,
+    version: VersionOption = False,
 ) -> None:
     """Feel a remote pulse: play a sensing node's stream on the local actuator.
 

@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
 
@@ -24,6 +25,20 @@ StopAfterOption = Annotated[
 DurationOption = Annotated[float, typer.Option(min=1, max=LONGEST_S, help="Seconds of pulse.")]
 JsonOption = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Write the closing summary here as JSON.")
+]
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"telepulse {version('telepulse')}")
+        raise typer.Exit
+
+
+VersionOption = Annotated[
+    bool,
+    typer.Option(
+        "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
+    ),
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
 

@@ -10,6 +10,7 @@ from protocol.cli_options import (
     JsonOption,
     QuietOption,
     StopAfterOption,
+    VersionOption,
     one_line_errors,
     plain_console,
     sum_up,
@@ -32,7 +33,7 @@ from sensing_node.scene import SensingScene, describe_stream, open_source
 
 PROGRAM = "sensing-node"
 TELEMETRY = "tcp://127.0.0.1:*"
-app = typer.Typer(add_completion=False, rich_markup_mode="markdown")
+app = typer.Typer(rich_markup_mode="markdown")
 
 
 @app.command()
@@ -54,6 +55,7 @@ def sense(
     realtime: RealtimeOption = None,
     metrics: MetricsOption = None,
     announce: AnnounceOption = False,
+    version: VersionOption = False,
 ) -> None:
     """Stream the pulse of a source to every display that asks for it.
 

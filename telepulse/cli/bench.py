@@ -15,11 +15,10 @@ from protocol.errors import SceneError
 from protocol.host.result_files import check_writable
 from protocol.provenance import collect
 from sensing_node.scene import SensingScene
-from telepulse.cli.report_options import TablesOption, publish
+from telepulse.cli.options import PROGRAM, TablesOption, publish
 from telepulse.reports.document import Report
 from telepulse.scene import DEFAULT_SCENE, find_scene
 
-PROGRAM = "telepulse"
 WARNING = (
     "The drive will move and press with up to {force}. Keep fingers away: put a dummy of rubber"
     " in the finger's place."

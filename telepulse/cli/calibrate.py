@@ -13,12 +13,10 @@ from protocol.errors import SceneError
 from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.scene import SensorScene
 from sensing_node.scene import SensingScene
-from telepulse.cli.report_options import TablesOption, publish
+from telepulse.cli.options import TablesOption, publish
 from telepulse.commissioning.calibration import LoadReadings, LoadUnit, ReadingUnit, read_loads
 from telepulse.reports.document import Report
 from telepulse.scene import find_scene
-
-PROGRAM = "telepulse"
 
 
 class Place(Enum):

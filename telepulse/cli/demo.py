@@ -10,26 +10,37 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from subprocess import PIPE
+from typing import Annotated
 
+import typer
 import zmq
 from rich.console import Console
 
-from display_node.fault_advice import FAULT_STATUS, SENSING_NOTE
+from display_node.fault_advice import FAULT_STATUS, SENSING_NOTE, end_at_faults
 from display_node.scoring.tracking_error import TrackingError
 from display_node.telemetry.terminal import watch
 from protocol import sockets
+from protocol.cli_options import (
+    DurationOption,
+    JsonOption,
+    one_line_errors,
+    plain_console,
+    sum_up,
+)
 from protocol.errors import OutputError, TelepulseError
 from protocol.host.child_process import ChildProcess
 from protocol.host.process import stop_on_signals
+from protocol.host.result_files import check_writable
 from protocol.run_summary import Summary
 from protocol.tactile import matching_force_ratio
 from protocol.wire.messages import decode_frame
 from protocol.wire.telemetry import Trace
 from sensing_node.scene import open_source
+from telepulse.cli.options import PROGRAM, LinkOption, SceneArgument
 from telepulse.cli.view import MISSING, bokeh_is_there
 from telepulse.processes import NodeProcess, free_addresses
-from telepulse.scene import Scene, load_scene
-from telepulse.simulation.link_model import LinkScene
+from telepulse.scene import DEFAULT_SCENE, Scene, find_scene, load_scene, scene_provenance
+from telepulse.simulation.link_model import LinkScene, parse_link
 from telepulse.simulation.reference_force import ReferenceForce
 
 STARTS_WITHIN_S = 30.0
@@ -42,21 +53,55 @@ class DemoError(TelepulseError, RuntimeError):
     """The accounts of the two nodes do not agree."""
 
 
+def demo(
+    scene: SceneArgument = DEFAULT_SCENE,
+    seconds: DurationOption = 15.0,
+    link: LinkOption = None,
+    json: JsonOption = None,
+    ui: Annotated[
+        bool, typer.Option(help="Show the live state: a panel, or a line a second.")
+    ] = True,
+    page: Annotated[
+        bool | None,
+        typer.Option(
+            "--page/--no-page",
+            help="Serve the live page for a browser, whose address is the first line; as --ui"
+            " unless given.",
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
+    """Run both nodes on this machine over TCP, watch them live, and sum up.
+
+    A sensing node and a display node start as two processes. With --link, a third stands
+    between them and delays, jitters and loses frames. At the end, every sample sent is
+    accounted for: sent = played + late + lost.
+
+    Exit status: 0 at the end of the pulse, 2 when something given cannot be used, 3 when the
+    display latched a fault; the reason is a line on stderr.
+    """
+    console = plain_console()
+    with one_line_errors(PROGRAM):
+        check_writable(json)
+        path = find_scene(scene)
+        loaded = load_scene(path)
+        if link:
+            loaded = replace(loaded, link=parse_link(link))
+        provenance = scene_provenance(loaded)
+        summary = run_demo(loaded, seconds, ui, page, console)
+    sum_up(PROGRAM, summary, f"demo of {path.stem}, {seconds:g} s", console, json, provenance)
+    end_at_faults(PROGRAM, summary.faults)
+
+
 def run_demo(
-    path: Path,
-    seconds: float,
-    link: LinkScene | None,
-    draw: bool,
-    page: bool | None,
-    console: Console,
+    scene: Scene, seconds: float, draw: bool, page: bool | None, console: Console
 ) -> Summary:
-    """Run both nodes for `seconds` of pulse; `link` overrides the scene's.
+    """Run both nodes for `seconds` of pulse, over the scene's link.
 
     page: serve the live page too; None: where it can be, with `draw`. Raises SceneError,
     SourceError, ProcessError, DemoError, or OutputError where the page is required and cannot be.
     """
-    scene = load_scene(path)
-    link = scene.link if link is None else link
+    path, link = scene.path, scene.link
     truth = ReferenceForce(scene.sensing, scene.path.parent)
     # The display, which may move a drive, is started before the sensing node.
     with open_source(scene.sensing, scene.path.parent, console.print):

@@ -8,10 +8,9 @@ import typer
 from protocol.cli_options import one_line_errors, plain_console
 from protocol.discovery.announcement import Announcement
 from protocol.host.result_files import check_writable
-from telepulse.cli.report_options import TablesOption
+from telepulse.cli.options import PROGRAM, TablesOption
 from telepulse.reports.document import Chapter, Report, Table, write_json
 
-PROGRAM = "telepulse"
 COLUMNS = ("name", "stream", "address", "key", "node")
 
 

@@ -15,9 +15,9 @@ from protocol.host.memory import freeze_objects
 from protocol.host.process import stop_on_signals
 from pulse_sensors.binary_frames import MAX_SAMPLES, SampleFormat
 from telepulse.cli import emulate_drives as drive_commands
+from telepulse.cli.options import PROGRAM
 from telepulse.scene import DEFAULT_SCENE, find_scene
 
-PROGRAM = "telepulse"
 FOREVER_S = 1e9
 app = typer.Typer(no_args_is_help=True, help="Hardware that is not there, speaking its real bytes.")
 app.command()(drive_commands.tmcl)

@@ -16,10 +16,9 @@ from protocol.host.realtime_grant import check_strict
 from protocol.host.realtime_options import RealtimeOption, granted_for
 from protocol.host.realtime_request import parse_realtime
 from protocol.host.standard_output import unblocked_output
-from telepulse.cli.report_options import FolderOption, TablesOption, publish
+from telepulse.cli.options import PROGRAM, FolderOption, TablesOption, publish
 from telepulse.reports.document import Report
 
-PROGRAM = "telepulse"
 app = typer.Typer(
     no_args_is_help=True,
     help="Can a finger tell the link from direct playback? Blinded trials, and what they show.",

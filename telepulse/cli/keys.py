@@ -9,8 +9,8 @@ from protocol.cli_options import one_line_errors, plain_console
 from protocol.security.allow_list import allow, read_allowed, revoke
 from protocol.security.keys import new_pair, read_public
 from protocol.security.protection import ALLOWED
+from telepulse.cli.options import PROGRAM
 
-PROGRAM = "telepulse"
 app = typer.Typer(
     no_args_is_help=True,
     help="Keys that nodes on two machines know each other by. One for each node: its secret key"

@@ -7,7 +7,7 @@ import typer
 from protocol.cli_options import QuietOption, StopAfterOption, one_line_errors, plain_console
 from protocol.host.process import stop_on_signals
 from protocol.security.protection import InsecureOption, KeyOption, PeerOption, telemetry_keys
-from telepulse.cli.recordings import NOT_WHOLE, PROGRAM, SilenceOption, warn
+from telepulse.cli.options import NOT_WHOLE, PROGRAM, SilenceOption, warn
 
 
 def lsl(

@@ -25,9 +25,8 @@ from protocol.security.protection import (
     server_keys,
 )
 from protocol.sockets import control_address
+from telepulse.cli.options import PROGRAM
 from telepulse.relay.relay import Relay
-
-PROGRAM = "telepulse"
 
 
 def relay(

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from telepulse.cli.report_options import FolderOption, TablesOption, publish
+from telepulse.cli.options import FolderOption, TablesOption, publish
 
 SchedulerOption = Annotated[
     str | None,

@@ -12,7 +12,7 @@ from protocol.cli_options import QuietOption, StopAfterOption, one_line_errors, 
 from protocol.errors import AddressError, OutputError, ProtectionError
 from protocol.host.process import stop_on_signals
 from protocol.security.protection import InsecureOption, KeyOption, PeerOption, telemetry_keys
-from telepulse.cli.recordings import PROGRAM, warn
+from telepulse.cli.options import PROGRAM, warn
 
 # The display's loop goes first.
 NICENESS = 10

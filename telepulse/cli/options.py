@@ -1,6 +1,8 @@
-"""Common parts of the commands that make a report: check, build, write, print."""
+"""Options and steps that several commands of telepulse share."""
 
+import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -19,6 +21,26 @@ from telepulse.reports.document import (
 )
 
 PROGRAM = "telepulse"
+# Exit status of a recorder or an outlet that lacks something.
+NOT_WHOLE = 1
+
+SceneArgument = Annotated[
+    str, typer.Argument(help="A scene file, or the name of one that comes with telepulse.")
+]
+FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="A recording.")]
+LinkOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="'delay=40ms,jitter=10ms,loss=1%'",
+        help="What the link between the nodes does; overrides the scene's [link]. Its keys, such"
+        " as burst_loss, rate, cut.from and transport, are in docs/scenes.md.",
+    ),
+]
+SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the link's chances.")]
+SilenceOption = Annotated[
+    float | None,
+    typer.Option(min=0.1, metavar="SECONDS", help="End too when nothing came for so long."),
+]
 FolderOption = Annotated[Path, typer.Option(metavar="FOLDER", help="Write the report here.")]
 TablesOption = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Write the tables here as JSON.")
@@ -47,3 +69,9 @@ def publish(build: Callable[[], Report], out: Path | None, json: Path | None) ->
         print_tables(report, console)
     if page is not None:
         console.print(f"report: {page}")
+
+
+def warn(text: str) -> None:
+    """Print a line on standard error."""
+    with suppress(OSError):  # its reader may have ended
+        print(f"{PROGRAM}: {text}", file=sys.stderr)

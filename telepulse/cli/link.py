@@ -1,0 +1,53 @@
+"""`telepulse link`."""
+
+import threading
+from typing import Annotated
+
+import typer
+
+from protocol.cli_options import StopAfterOption, one_line_errors
+from protocol.host.memory import freeze_objects
+from protocol.host.process import allow_connections, stop_on_signals
+from protocol.security.protection import (
+    AllowOption,
+    InsecureOption,
+    KeyOption,
+    PeerOption,
+    client_keys,
+    server_keys,
+)
+from telepulse.cli.options import PROGRAM, LinkOption, SeedOption
+from telepulse.netem.link_proxy import LinkProxy
+from telepulse.simulation.link_model import LinkScene, parse_link
+
+
+def link(
+    connect: Annotated[str, typer.Option(help="Address of the sensing node.")],
+    bind: Annotated[str, typer.Option(help="Address for displays to connect to.")],
+    link: LinkOption = None,
+    seconds: StopAfterOption = None,
+    seed: SeedOption = 1,
+    key: KeyOption = None,
+    peer: PeerOption = None,
+    allow: AllowOption = None,
+    insecure: InsecureOption = False,
+) -> None:
+    """Stand between two nodes and make the link between them worse.
+
+    Delays, jitters and loses data frames on their way to the displays; control messages are
+    delayed both ways and never lost.
+    """
+    with one_line_errors(PROGRAM):
+        allow_connections()
+        # Without --peer the sensing node is on this machine, and has no keys.
+        upstream = client_keys([connect], key if peer else None, peer, insecure)
+        downstream = server_keys(bind, key, allow, insecure)
+        model = parse_link(link) if link else LinkScene()
+        proxy = LinkProxy(model, connect, bind, seed, upstream, downstream)
+    stop_on_signals(proxy.stop)
+    if seconds is not None:
+        timer = threading.Timer(seconds, proxy.stop)
+        timer.daemon = True
+        timer.start()
+    freeze_objects()
+    proxy.run()

@@ -1,0 +1,16 @@
+"""`telepulse paper`."""
+
+from pathlib import Path
+
+from telepulse.cli.options import FolderOption, TablesOption, publish
+
+
+def paper(out: FolderOption = Path("out/paper"), json: TablesOption = None) -> None:
+    """Compute the paper's figures and numbers again: its, ours, and why they differ.
+
+    Prints the tables and writes a page with all plots, in seconds.
+    """
+    # The report brings the import times of scipy's signals; other commands do without.
+    from telepulse.reports.paper.report import build_report
+
+    publish(build_report, out, json)

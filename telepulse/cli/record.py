@@ -1,0 +1,49 @@
+"""`telepulse record`; `display-node --record` runs this module as its recorder."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from protocol.cli_options import QuietOption, StopAfterOption, one_line_errors, plain_console
+from protocol.host.process import stop_on_signals
+from protocol.host.standard_output import unblocked_output
+from protocol.security.protection import InsecureOption, KeyOption, PeerOption, telemetry_keys
+from telepulse.cli.options import NOT_WHOLE, PROGRAM, SilenceOption, warn
+
+
+def record(
+    address: Annotated[str, typer.Argument(help="A display's telemetry: tcp://HOST:PORT.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="It must not be there yet.")],
+    seconds: StopAfterOption = None,
+    until_silent: SilenceOption = None,
+    quiet: QuietOption = False,
+    key: KeyOption = None,
+    peer: PeerOption = None,
+    insecure: InsecureOption = False,
+    display_pid: Annotated[int | None, typer.Option(hidden=True)] = None,
+) -> None:
+    """Record all that a display hears and does into an MCAP file, which Foxglove opens.
+
+    Every frame as it came, every tick, the statuses, the stream's description, clock replies and
+    what happened. Ends with the display. Killed, it loses at most its last second; a full disk is
+    waited for. `display-node --record FILE` starts this beside the display.
+
+    With --key alone, the key is the display's own.
+
+    Exit status: 0 when all was written, 1 when something is missing, which is said, 2 when it
+    cannot begin.
+    """
+    from telepulse.recording.recorder import McapRecorder
+
+    console = plain_console(quiet)
+    with one_line_errors(PROGRAM):
+        keys = telemetry_keys(address, key, peer, insecure)
+        recorder = McapRecorder(address, file, console.print, warn, keys)
+    stop_on_signals(recorder.stop)
+    if not recorder.run(seconds, until_silent, display_pid):
+        raise SystemExit(NOT_WHOLE)
+
+
+if __name__ == "__main__":
+    typer.run(unblocked_output()(record))
