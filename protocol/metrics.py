@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from protocol.host.sidecar import Sidecar, start_sidecar
+from protocol.host.sidecar import Sidecar, sidecar_module, start_sidecar
 from protocol.sockets import beyond_loopback
 
 MetricsOption = Annotated[
@@ -45,8 +45,7 @@ def start_metrics(program: str, where: str | None, console: Console) -> Iterator
     if where is None:
         yield MetricsSidecar(None)
         return
-    # By its name: what reads both nodes' telemetry stands above them.
-    arguments = ("the server of metrics", "telepulse.metrics", program, where)
+    arguments = ("the server of metrics", sidecar_module("metrics"), program, where)
     with start_sidecar(program, *arguments, log=console.print) as companion:
         console.print(f"metrics on {companion.said}")
         if beyond_loopback(companion.said.replace("http", "tcp", 1).removesuffix("/metrics")):

@@ -11,6 +11,7 @@ from pathlib import Path
 from protocol.cli_options import USAGE_ERROR
 from protocol.errors import OutputError
 from protocol.host.child_process import ChildProcess
+from protocol.host.sidecar import sidecar_module
 
 STARTS_WITHIN_S = 30.0
 ENDS_WITHIN_S = 10.0
@@ -66,10 +67,9 @@ def _start(
     quiet: bool,
 ) -> ChildProcess:
     """Start the recorder and wait until it listens."""
-    # By its name: what runs both nodes stands above them.
     process = ChildProcess(
-        *("recorder", "-m", "telepulse", "record"),
-        *(address, str(path), "--until-silent", str(SILENT_AFTER_S)),
+        *("recorder", "-m", sidecar_module("recorder"), address, str(path)),
+        *("--until-silent", str(SILENT_AFTER_S)),
         *("--display-pid", str(os.getpid())),
         *(("--key", str(key)) if key else ("--insecure",)),
         *(("--quiet",) if quiet else ()),

@@ -11,12 +11,15 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from importlib.metadata import entry_points
 from subprocess import PIPE
 from typing import Any
 
 from protocol.errors import ProcessError, SidecarError, TelepulseError
 from protocol.host.child_process import ChildProcess
 
+# The group of entry points (pyproject.toml) by which a node finds what it starts beside itself.
+SIDECARS = "telepulse.sidecars"
 STARTS_WITHIN_S = 30.0
 ENDS_WITHIN_S = 5.0
 # The loop comes first.
@@ -83,6 +86,24 @@ class Sidecar:
     def _close(self) -> None:
         with self._process:
             self._process.kill()
+
+
+def sidecar_module(name: str) -> str:
+    """Return the module to run for a sidecar that a package above the nodes provides.
+
+    Parameters
+    ----------
+    name
+        Of an entry point in the group `SIDECARS`, such as "metrics".
+
+    Raises
+    ------
+    SidecarError
+        When no installed package provides it.
+    """
+    for entry in entry_points(group=SIDECARS, name=name):
+        return entry.module
+    raise SidecarError(f"no installed package provides {name!r}; pip install telepulse, again")
 
 
 @contextmanager

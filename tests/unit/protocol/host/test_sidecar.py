@@ -1,0 +1,53 @@
+import ast
+import importlib.util
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from protocol.errors import SidecarError
+from protocol.host.sidecar import sidecar_module
+
+ROOT = Path(__file__).parents[4]
+BELOW = ("protocol", "pulse_sensors", "sensing_node", "display_node")
+
+
+@pytest.mark.parametrize("name", ["metrics", "recorder"])
+def test_what_a_node_starts_beside_itself_is_an_installed_module(name: str) -> None:
+    assert importlib.util.find_spec(sidecar_module(name)) is not None
+
+
+def test_what_is_not_installed_is_refused_in_one_line() -> None:
+    with pytest.raises(SidecarError, match=r"^no installed package provides 'oracle'; pip .*$"):
+        sidecar_module("oracle")
+
+
+@pytest.mark.parametrize("package", BELOW)
+def test_nothing_of_telepulse_is_named_below_it(package: str) -> None:
+    named = [
+        f"{path.relative_to(ROOT)}: {text}"
+        for path in (ROOT / package).rglob("*.py")
+        for text in strings(path)
+        if is_module(text)
+    ]
+    assert named == []
+
+
+def test_a_module_of_telepulse_is_noticed() -> None:
+    assert is_module("telepulse.metrics")
+    assert is_module("telepulse.cli.record")
+    assert not is_module("telepulse.sidecars")
+
+
+def strings(path: Path) -> Iterator[str]:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value
+
+
+def is_module(text: str) -> bool:
+    parts = text.split(".")
+    if parts[0] != "telepulse" or len(parts) == 1 or not all(map(str.isidentifier, parts)):
+        return False
+    path = ROOT.joinpath(*parts)
+    return path.is_dir() or path.with_suffix(".py").exists()
