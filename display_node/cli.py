@@ -15,23 +15,25 @@ from display_node.reception.discovery import discovered
 from display_node.scene import DisplayScene
 from display_node.telemetry.recorder_process import start_recorder
 from protocol.cli_options import (
+    DiscoverOption,
     JsonOption,
+    NamedOption,
     QuietOption,
+    RealtimeOption,
     StopAfterOption,
     VersionOption,
+    hold_measures,
     one_line_errors,
     plain_console,
     sum_up,
+    with_measures,
 )
 from protocol.config.scene import load_section
-from protocol.discovery.options import DiscoverOption, NamedOption
 from protocol.errors import DiscoveryError, ProtectionError, SceneError
 from protocol.host.child_process import ChildProcess
-from protocol.host.memory import freeze_objects
+from protocol.host.measures import freeze_objects
 from protocol.host.process import allow_connections, interrupt_on_signals, stop_on_signals
-from protocol.host.realtime_grant import check_strict
-from protocol.host.realtime_options import RealtimeOption, granted_for
-from protocol.host.realtime_request import RealtimeRequest, parse_realtime
+from protocol.host.realtime import RealtimeRequest, check_strict, parse_realtime
 from protocol.host.result_files import check_writable
 from protocol.host.standard_output import unblocked_output
 from protocol.metrics import MetricsOption, start_metrics
@@ -217,8 +219,8 @@ def _run(
             "screen", "-m", "display_node.telemetry.terminal", *arguments, own_session=False
         )
     # After these processes are started, which would have some of the measures as well.
-    with granted_for(PROGRAM, asked, console) as held:
-        summary = held.noted(node.run(seconds, once))
+    with hold_measures(PROGRAM, asked, console) as grant:
+        summary = with_measures(node.run(seconds, once), grant)
     if watcher is not None:
         with watcher, suppress(subprocess.TimeoutExpired):
             watcher.wait(SCREEN_ENDS_WITHIN_S)

@@ -1,8 +1,9 @@
-"""Common parts of the command lines: options, one way to fail, one way to sum up."""
+"""Common parts of the nodes' command lines: options, errors, closing summary."""
 
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
@@ -11,6 +12,7 @@ import typer
 from rich.console import Console
 
 from protocol.errors import TelepulseError
+from protocol.host.realtime import RealtimeGrant, RealtimeRequest, hold
 from protocol.provenance import Provenance
 from protocol.run_summary import Summary, print_summary, write_json
 
@@ -41,6 +43,34 @@ VersionOption = Annotated[
     ),
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
+RealtimeOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="fifo=40,lock,cpu=1,slack",
+        help="Real-time measures that keep the loop on time, or some of them; the node reports"
+        " what is not granted and runs without it. With 'strict' it does not start then.",
+    ),
+]
+AnnounceOption = Annotated[
+    bool,
+    typer.Option(
+        "--announce",
+        help="Announce this node on the local network, for display-node --discover: its stream's"
+        " and this machine's name, its ports and its key's fingerprint.",
+    ),
+]
+DiscoverOption = Annotated[
+    bool,
+    typer.Option(
+        "--discover",
+        help="Find the sensing node on the local network, instead of --connect; --peer still gives"
+        " its public key.",
+    ),
+]
+NamedOption = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Choose this one of several that --discover finds."),
+]
 
 
 @contextmanager
@@ -54,7 +84,7 @@ def one_line_errors(program: str) -> Iterator[None]:
 
 
 def plain_console(quiet: bool = False) -> Console:
-    """A console that prints what it is given: text from peers is no markup, lines are not cut."""
+    """Return a console that prints text as it is: without markup, as peers send text, uncut."""
     return Console(quiet=quiet, markup=False, emoji=False, soft_wrap=True)
 
 
@@ -66,8 +96,30 @@ def sum_up(
     json: Path | None,
     provenance: Provenance,
 ) -> None:
-    """Print the closing summary, and write it where asked, with what produced it."""
+    """Print the closing summary; write it to the file `json`, if any, with its provenance."""
     print_summary(summary, title, console)
     if json is not None:
         with one_line_errors(program):
             write_json(summary, json, provenance)
+
+
+@contextmanager
+def hold_measures(
+    program: str, request: RealtimeRequest, console: Console
+) -> Iterator[RealtimeGrant]:
+    """Take the measures as `hold` does; print those granted, and on stderr those refused."""
+
+    def warn(line: str) -> None:
+        print(f"{program}: {line}", file=sys.stderr)
+
+    with one_line_errors(program), hold(request, warn) as grant:
+        if grant.granted:
+            console.print(str(grant))
+        for refusal in grant.refused:
+            warn(str(refusal))
+        yield grant
+
+
+def with_measures(summary: Summary, grant: RealtimeGrant) -> Summary:
+    """Return a loop's summary with the names of the measures that were granted."""
+    return replace(summary, loop=replace(summary.loop, realtime=list(grant.granted)))

@@ -1,26 +1,30 @@
-"""The errors a user can meet; `TelepulseError` catches them all.
+"""Errors that a user can meet, and causes that refused messages and peers are counted under.
+
+`TelepulseError` catches all errors:
 
 TelepulseError
- +-- SceneError      (ValueError)  a scene file or a quantity in it cannot be used
- +-- WireError       (ValueError)  bytes from a peer are not a valid message
- +-- AddressError    (OSError)     a socket cannot be bound or connected
- +-- KeyFileError    (ValueError)  a key file or an allow-list cannot be used
- +-- ProtectionError (ValueError)  a link beyond this machine would be open, or its keys do not fit
- +-- SourceError     (OSError)     a sensor or recording cannot be read
- +-- DriveError      (OSError)     a drive cannot be reached, or does not do as it is told
- +-- OutputError     (OSError)     a result cannot be written
- +-- SidecarError    (OSError)     a process beside a node cannot begin
- +-- ProcessError    (RuntimeError) a process that was started fails, or does not end
- +-- DiscoveryError  (OSError)     the local network cannot be asked, or has no one answer
- +-- BenchError      (RuntimeError) a bench or a calibration cannot be measured
- +-- RealtimeError   (RuntimeError) a real-time measure is none, or is not granted
- +-- ProcessLimitError (OSError)  this process may have too few files or too little memory
- +-- SweepError      (RuntimeError) a case of a study fails, or no cluster computes it
+ +-- SceneError        (ValueError)    a scene file or a quantity in it cannot be used
+ +-- WireError         (ValueError)    bytes from a peer are not a valid message
+ +-- AddressError      (OSError)       a socket cannot be bound or connected
+ +-- KeyFileError      (ValueError)    a key file or an allow-list cannot be used
+ +-- ProtectionError   (ValueError)    a link beyond this machine has no keys, or they do not fit
+ +-- SourceError       (OSError)       a sensor or recording cannot be read
+ +-- DriveError        (OSError)       a drive cannot be reached, or does not follow its commands
+ +-- OutputError       (OSError)       a result cannot be written
+ +-- SidecarError      (OSError)       a process beside a node cannot start
+ +-- ProcessError      (RuntimeError)  a process that was started fails, or does not end
+ +-- DiscoveryError    (OSError)       nodes cannot be announced or found on the local network
+ +-- BenchError        (RuntimeError)  a bench or a calibration cannot be measured
+ +-- RealtimeError     (RuntimeError)  a real-time measure is unknown or is not granted
+ +-- ProcessLimitError (OSError)       this process may have too few files or too little memory
+ +-- SweepError        (RuntimeError)  a case of a study fails, or no cluster computes it
 """
+
+from collections.abc import Mapping
 
 
 class TelepulseError(Exception):
-    """Root of all errors this project raises on purpose."""
+    """Base of all errors that this project raises on purpose."""
 
 
 class SceneError(TelepulseError, ValueError):
@@ -58,7 +62,7 @@ class KeyFileError(TelepulseError, ValueError):
 
 
 class ProtectionError(TelepulseError, ValueError):
-    """A link cannot be protected as it must be.
+    """A link cannot be protected as required.
 
     Example scenarios: an address beyond this machine without keys, a key without a peer.
     """
@@ -72,7 +76,7 @@ class SourceError(TelepulseError, OSError):
 
 
 class DriveError(TelepulseError, OSError):
-    """A drive cannot be reached, refuses, or has failed; `kind` is the short name of what.
+    """A drive cannot be reached, refuses, or has failed; `kind` is the fault's short name.
 
     Example scenarios: no such port, no answer, a wrong checksum, over-temperature, the home
     switch was not found.
@@ -91,7 +95,7 @@ class OutputError(TelepulseError, OSError):
 
 
 class SidecarError(TelepulseError, OSError):
-    """A process beside a node cannot begin.
+    """A process beside a node cannot start.
 
     Example scenarios: the port of its page is taken, its library is not installed.
     """
@@ -115,21 +119,21 @@ class DiscoveryError(TelepulseError, OSError):
 class BenchError(TelepulseError, RuntimeError):
     """A bench cannot be measured, or a calibration fitted.
 
-    Example scenarios: the film does not move when the drive does, it says more force than
+    Example scenarios: the film does not move when the drive does, it reports more force than
     allowed, all reference loads are the same.
     """
 
 
 class RealtimeError(TelepulseError, RuntimeError):
-    """Real-time measures cannot be had as they are asked for.
+    """Real-time measures cannot be taken as requested.
 
-    Example scenarios: no measure has that name, a priority above 98, all of it was asked for
-    strictly and this user may not have SCHED_FIFO.
+    Example scenarios: no measure has that name, a priority above 98, a strict request by a user
+    who may not have SCHED_FIFO.
     """
 
 
 class ProcessLimitError(TelepulseError, OSError):
-    """The system lets this process have less than a node needs.
+    """The system's limits give this process less than a node needs.
 
     Example scenarios: `ulimit -n 14`, `ulimit -v 300000`.
     """
@@ -140,3 +144,72 @@ class SweepError(TelepulseError, RuntimeError):
 
     Example scenarios: a case raises, a worker dies, no Dask scheduler at the address.
     """
+
+
+# Cause → meaning, in one line.
+CAUSE_MEANINGS = {
+    # Messages between the nodes.
+    "oversized": "messages above 64 KiB; no node of this project sends them",
+    "truncated": "messages that end too early; the peer is no node, or bytes were lost",
+    "not_msgpack": "bytes that are no message; the peer is no node, or bytes were altered",
+    "version": "messages of another protocol version: run the same version on both nodes",
+    "malformed": "messages with fields that do not fit; the peer is no node, or of another version",
+    "not_finite": "samples that are NaN or infinite: check the sensor",
+    "description": "a stream description that cannot be: check the sensing node's scene",
+    "before_welcome": "frames that came before the stream's description; usual while joining",
+    "session": "messages of an earlier session; usual after a sensing node was started anew",
+    "before_clock": "frames that came before the clock offset was known; usual while joining",
+    "mismatch": "frames that do not match the stream's description",
+    "timestamp": "frames whose time is far from the present or does not fit their number:"
+    " a clock was set, or the stream is forged",
+    "duplicate": "samples that had arrived already",
+    "overlap": "samples that had arrived already, in a frame cut differently",
+    "too_old": "samples older than the buffer keeps",
+    "overflow": "samples too far ahead of what is played",
+    "implausible": "clock replies before their request, or an end there was no time for",
+    "unasked": "clock replies to no request of this node",
+    "unexpected": "messages that only the other kind of node sends: check the address",
+    "flood": "messages dropped because a peer sent far more than it should:"
+    " it is broken or hostile",
+    "held_back": "times when a sensing node left messages unread for 5 ms:"
+    " displays send far more than they should",
+    "too_many_displays": "displays beyond the 1 000 that a sensing node serves: use a relay",
+    "subscription": "subscriptions to topics that are not published here; the connection was cut",
+    "too_many_connections": "connections beyond what this node has files for, which were cut:"
+    " a peer connects again and again; or raise the limit by ulimit -n",
+    # Connections, where keys are used.
+    "no_key": "connections without a key to a node with one, or the reverse:"
+    " give both --key and --peer",
+    "unknown_key": "peers whose key is not on this node's allow-list: telepulse keys allow adds it",
+    "revoked_key": "connections with a key that was allowed before and has been revoked",
+    "list_unreadable": "connections refused while this node's changed allow-list cannot be read:"
+    " its log names the reason",
+    "revoked": "the other node allowed this node's key before and has revoked it;"
+    " to undo that, there: telepulse keys allow",
+    "not_authentic": "bytes not encrypted for this node: the peer has a wrong public key of it"
+    " (--peer), or they were altered on the way",
+    "replayed": "encrypted messages that came twice or out of order: they are repeated on the way",
+    "handshake": "connections that ended before they were authenticated:"
+    " no node, a wrong --peer, or a network that breaks off",
+    "refused_key": "connections refused because the other node's allow-list lacks this node's key",
+    # Live sensors.
+    "partial": "the rest of a line or frame that began before this node listened",
+    "framing": "bytes that are no frame: check baud rate and format",
+    "crc": "frames with a wrong checksum: check the sensor's cable",
+    "format": "frames of an unknown format: check the sensor's firmware",
+    "not_a_number": "lines without a number in the scene's column",
+    "device_time": "lines whose device time does not follow the last",
+    "counter": "sample counters that jump: the sensor lost samples or restarted",
+    "not_decoded": "CAN messages that the database does not describe",
+    "bus_error": "errors on the CAN bus: check cable, termination and bit rate",
+    "behind": "samples whose time had long passed",
+    "backlog": "reads dropped because the node did not fetch them in time",
+}
+
+
+def explain_causes(rejected: Mapping[str, int]) -> list[str]:
+    """Return a line for each cause: its count, its name and its meaning."""
+    return [
+        f"{count} {cause}" + (f": {CAUSE_MEANINGS[cause]}" if cause in CAUSE_MEANINGS else "")
+        for cause, count in sorted(rejected.items())
+    ]

@@ -24,30 +24,32 @@ MetricsOption = Annotated[
 class MetricsSidecar:
     """What serves a node's figures, once it is told where they are published."""
 
-    def __init__(self, companion: Sidecar | None) -> None:
+    def __init__(self, sidecar: Sidecar | None) -> None:
         """None: nothing is served."""
-        self._companion = companion
+        self._sidecar = sidecar
 
     def __bool__(self) -> bool:
-        return self._companion is not None
+        return self._sidecar is not None
 
     def follow(self, telemetry_address: str, key: Path | None = None) -> None:
         """Serve what is published there; key: the node's own, where that needs one."""
-        if self._companion is not None:
+        if self._sidecar is not None:
             own = None if key is None else str(key)
-            self._companion.tell(address=telemetry_address, key=own)
+            self._sidecar.send(address=telemetry_address, key=own)
 
 
 @contextmanager
 def start_metrics(program: str, where: str | None, console: Console) -> Iterator[MetricsSidecar]:
     """Metrics served at `where` (None: not at all) within a `with`; enter it before anything
-    moves. Raises BesideError where the port is taken or the library is missing."""
+    moves. Raises SidecarError where the port is taken or the library is missing."""
     if where is None:
         yield MetricsSidecar(None)
         return
     arguments = ("the server of metrics", sidecar_module("metrics"), program, where)
-    with start_sidecar(program, *arguments, log=console.print) as companion:
-        console.print(f"metrics on {companion.said}")
-        if beyond_loopback(companion.said.replace("http", "tcp", 1).removesuffix("/metrics")):
+    with start_sidecar(program, *arguments, log=console.print) as sidecar:
+        console.print(f"metrics on {sidecar.ready_message}")
+        if beyond_loopback(
+            sidecar.ready_message.replace("http", "tcp", 1).removesuffix("/metrics")
+        ):
             console.print("who reaches that port reads them: HTTP has neither keys nor encryption")
-        yield MetricsSidecar(companion)
+        yield MetricsSidecar(sidecar)

@@ -21,11 +21,11 @@ from protocol.availability import (
     part_text,
 )
 from protocol.config.quantities import count_text
+from protocol.errors import explain_causes
 from protocol.histogram import bound
 from protocol.host.result_files import write_whole
 from protocol.limits import Limits, limit_texts
 from protocol.provenance import Provenance
-from protocol.security.causes import explain
 
 # Stands in a row's text for a value that there is none of; no fault's text has it.
 _ABSENT = "\0"
@@ -321,7 +321,7 @@ def _rows(s: Summary) -> list[tuple[str, str]]:
         ),
         ("real-time", ", ".join(s.loop.realtime) or _ABSENT),
         ("speed", f"{_f(s.speed, 0)} times real time"),
-        ("rejected", "\n".join(explain(s.rejected)) or "nothing"),
+        ("rejected", "\n".join(explain_causes(s.rejected)) or "nothing"),
         ("hardware", _counts(s.hardware) or _ABSENT),
         ("faults", "; ".join(s.faults) or "none"),
         ("finger", s.finger or _ABSENT),

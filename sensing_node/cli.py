@@ -7,21 +7,23 @@ from typing import Annotated
 import typer
 
 from protocol.cli_options import (
+    AnnounceOption,
     JsonOption,
     QuietOption,
+    RealtimeOption,
     StopAfterOption,
     VersionOption,
+    hold_measures,
     one_line_errors,
     plain_console,
     sum_up,
+    with_measures,
 )
 from protocol.config.scene import load_section
-from protocol.discovery.options import AnnounceOption, start_announcer
-from protocol.host.memory import freeze_objects
+from protocol.discovery.announcer import start_announcer
+from protocol.host.measures import freeze_objects
 from protocol.host.process import allow_connections, stop_on_signals
-from protocol.host.realtime_grant import check_strict
-from protocol.host.realtime_options import RealtimeOption, granted_for
-from protocol.host.realtime_request import parse_realtime
+from protocol.host.realtime import check_strict, parse_realtime
 from protocol.host.result_files import check_writable
 from protocol.host.standard_output import unblocked_output
 from protocol.metrics import MetricsOption, start_metrics
@@ -91,7 +93,7 @@ def sense(
             section = load_section(scene, "sensing", SensingScene)
             provenance = collect(scene, {"sensing": section})
             served = until_the_end.enter_context(start_metrics(PROGRAM, metrics, console))
-            announcing = until_the_end.enter_context(
+            announce_node = until_the_end.enter_context(
                 start_announcer(PROGRAM, announce, bind, section.stream, keys, console)
             )
             source = until_the_end.enter_context(open_source(section, scene.parent, console.print))
@@ -102,7 +104,7 @@ def sense(
                 telemetry_address=TELEMETRY if served else None,
             )
             served.follow(node.telemetry_address)
-            announcing.begin()
+            announce_node()
         stop_on_signals(node.stop)
         console.print(
             f"streaming {description.name!r}: {description.rate_hz:g} Hz in frames of"
@@ -112,8 +114,8 @@ def sense(
             delay_ms = description.group_delay_ns * 1e-6
             console.print(f"the conditioning chain delays the pulse by {delay_ms:.1f} ms")
         freeze_objects()
-        with granted_for(PROGRAM, asked, console) as held:
-            summary = held.noted(node.run(seconds))
+        with hold_measures(PROGRAM, asked, console) as grant:
+            summary = with_measures(node.run(seconds), grant)
     sum_up(PROGRAM, summary, "sensing node", console, json, provenance)
 
 

@@ -7,7 +7,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from protocol.errors import WireError
-from protocol.security.token_bucket import TokenBucket
+from protocol.security.budgets import TokenBucket
 from protocol.wire.messages import (
     Bye,
     ClockReply,

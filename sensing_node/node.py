@@ -10,8 +10,8 @@ from protocol import sockets
 from protocol.config.quantities import count_text
 from protocol.run_summary import SampleCounts, Summary
 from protocol.security.authenticator import Authenticator
+from protocol.security.budgets import SubscriptionBudget
 from protocol.security.keys import ServerKeys
-from protocol.security.subscription_budget import SubscriptionBudget
 from protocol.wire.messages import Bye, encode_control, encode_frame
 from protocol.wire.status import pack_status
 from protocol.wire.stream import StreamDescription
@@ -100,7 +100,7 @@ class SensingNode:
                     self._check.add(block.values)
                     for frame in self._framer.frames(block):
                         sockets.send(self._data, encode_frame(frame))
-                self._subscribers.tend()
+                self._subscribers.poll()
                 if due_ns >= next_check_ns:
                     next_check_ns = due_ns + SILENCE_CHECK_NS
                     self._forget_silent()
@@ -132,7 +132,7 @@ class SensingNode:
 
     def _answer_all(self, until_ns: int) -> None:
         """Answer what waits; what is left then waits until the next batch was sent."""
-        self._gate.tend(time.monotonic_ns())
+        self._gate.poll(time.monotonic_ns())
         if self._questions.held_for_ns(self._clock()):
             return
         for number, (*envelope, data) in enumerate(sockets.receive_all(self._control)):

@@ -6,7 +6,7 @@ import zmq
 
 from protocol import sockets
 from protocol.security.authenticator import Authenticator
-from protocol.security.subscription_budget import SubscriptionBudget
+from protocol.security.budgets import SubscriptionBudget
 from protocol.wire.status import STATUS
 
 STATUS_EVERY_NS = 1_000_000_000
@@ -27,8 +27,8 @@ class Telemetry:
 
     def due(self, now_ns: int) -> bool:
         """Whether it is time for a status; call it often."""
-        self._gate.tend(now_ns)
-        self._readers.tend()
+        self._gate.poll(now_ns)
+        self._readers.poll()
         if now_ns < self._next_ns:
             return False
         self._next_ns = now_ns + STATUS_EVERY_NS

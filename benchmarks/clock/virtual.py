@@ -117,7 +117,7 @@ def trial(there: str, back: str, seed: int, skew_ppm: float, with_frames: bool) 
         now_ns = exchange.t4_ns
         while coming and coming[0][0] < now_ns:
             arrived_ns, sent_ns = coming.popleft()
-            estimator.hear(sent_ns, arrived_ns)
+            estimator.add_one_way(sent_ns, arrived_ns)
         while marks_s and now_ns > marks_s[0] * S:
             errors_ms.append(error_ns(estimator, marks_s.pop(0) * S, skew_ppm) * 1e-6)
         began_s = time.perf_counter()

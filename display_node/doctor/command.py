@@ -32,9 +32,8 @@ from display_node.scene import DisplayScene
 from protocol import sockets
 from protocol.config.scene import load_section
 from protocol.histogram import bound
-from protocol.host.memory import freeze_objects
-from protocol.host.realtime_grant import RealtimeGrant, hold
-from protocol.host.realtime_request import RealtimeRequest, parse_realtime
+from protocol.host.measures import freeze_objects
+from protocol.host.realtime import RealtimeGrant, RealtimeRequest, hold, parse_realtime
 from protocol.host.result_files import write_whole
 
 SECONDS = 30.0

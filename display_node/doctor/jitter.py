@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 from protocol import sockets
 from protocol.histogram import Histogram
 from protocol.host.child_process import ChildProcess
-from protocol.host.realtime_grant import hold
-from protocol.host.realtime_request import RealtimeRequest
+from protocol.host.realtime import RealtimeRequest, hold
 
 # It ends with who started it, however that ends.
 BUSY = """

@@ -19,8 +19,8 @@ from display_node.reception.endpoint import ANSWER_NS, FLOODED_NS, Endpoint
 from display_node.reception.failover import FOLLOWS_WITHIN_NS, DataPath
 from protocol import sockets
 from protocol.run_summary import Reconnections
-from protocol.security.handshake_monitor import HandshakeMonitor
 from protocol.security.keys import ClientKeys
+from protocol.security.socket_monitor import HandshakeMonitor
 
 LOOK_UP_AGAIN_S = 2.0
 
@@ -160,7 +160,7 @@ class Connection:
 
         Returns whether control has a new connection, over which nobody knows this display yet.
         """
-        answered = self._refusals.tend(now_ns)
+        answered = self._refusals.poll(now_ns)
         for line in self._lines if answered else ():
             line.take_answer(answered)
         self._close_floods(now_ns)

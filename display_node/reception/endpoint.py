@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 
 from protocol import sockets
-from protocol.security.token_bucket import TokenBucket
+from protocol.security.budgets import TokenBucket
 
 PATIENCE_NS = 2_000_000_000
 # How long to wait for the answer to a request to connect. The network may be slower than it was:

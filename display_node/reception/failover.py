@@ -16,8 +16,8 @@ import zmq
 
 from display_node.reception.endpoint import Endpoint
 from protocol import sockets
+from protocol.security.budgets import TokenBucket
 from protocol.security.keys import ClientKeys
-from protocol.security.token_bucket import TokenBucket
 
 # TCP repeats what was lost 0.2 s and a round trip later, and if that is lost as well, after twice
 # as long, and so on. A silence for longer than the first of these is a cut: a new connection is

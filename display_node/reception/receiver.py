@@ -207,7 +207,7 @@ class Receiver:
             raise WireError("timestamp", "a frame's time is not near the present")
         self.buffer.put(frame)
         self._heard_ns = now_ns
-        self.clock.hear(last_ns, now_ns)
+        self.clock.add_one_way(last_ns, now_ns)
         self.delay.observe(sensing_now_ns - frame.t_first_ns, now_ns)
         self.ready = self.ready or self.delay.settled
         self.one_way_delay_ms.add((sensing_now_ns - last_ns) * 1e-6)

@@ -5,9 +5,16 @@ from typing import Any, NamedTuple
 
 from display_node.fault_advice import FILM_NOTE, SENSING_NOTE, advise, latched
 from display_node.scoring.deadlines import deadline_alarm
-from protocol.security.causes import MEANINGS, explain
-from protocol.security.handshake_monitor import BREAKS, REFUSED_KEY, REVOKED
-from protocol.security.socket_monitor import HANDSHAKE, NO_KEY, NOT_AUTHENTIC, REPLAYED
+from protocol.errors import CAUSE_MEANINGS, explain_causes
+from protocol.security.socket_monitor import (
+    BREAKS,
+    HANDSHAKE,
+    NO_KEY,
+    NOT_AUTHENTIC,
+    REFUSED_KEY,
+    REPLAYED,
+    REVOKED,
+)
 
 # Without telemetry for so long a display is taken for silent.
 SILENT_AFTER_NS = 2_000_000_000
@@ -51,9 +58,9 @@ def alerts(
         if notes:
             found.append(Alert(prefix.removesuffix(": "), "; ".join(notes)))
     if summary.get("rejected", {}).get(REVOKED) and state != "playing":
-        found.append(Alert("revoked", MEANINGS[REVOKED]))
+        found.append(Alert("revoked", CAUSE_MEANINGS[REVOKED]))
     if refusals := _refused_connections(state, summary):
-        found.append(Alert(NOT_CONNECTED, "; ".join(explain(refusals))))
+        found.append(Alert(NOT_CONNECTED, "; ".join(explain_causes(refusals))))
     if state == "stale":
         found.append(Alert("stale", f"no samples to play{finger}"))
     stiffness = summary.get("finger_stiffness")

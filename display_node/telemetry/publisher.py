@@ -8,7 +8,7 @@ import zmq
 from protocol import sockets
 from protocol.provenance import PROVENANCE
 from protocol.security.authenticator import Authenticator
-from protocol.security.subscription_budget import SubscriptionBudget
+from protocol.security.budgets import SubscriptionBudget
 from protocol.wire.status import STATUS
 from protocol.wire.telemetry import (
     HEARD,
@@ -90,8 +90,8 @@ class Publisher:
 
     def _follow_readers(self) -> None:
         if self._gate is not None:
-            self._gate.tend(time.monotonic_ns())
-        for subscription in self._subscribers.said():
+            self._gate.poll(time.monotonic_ns())
+        for subscription in self._subscribers.receive():
             self.heard.follow(subscription)
             if subscription == ASKED and self._provenance:
                 sockets.send(self._socket, PROVENANCE, self._provenance)

@@ -4,8 +4,13 @@ from fuzz.refusals import check_line
 from fuzz.scratch import scratch_folder
 from protocol.errors import KeyFileError
 from protocol.security.allow_list import read_allowed
-from protocol.security.keys import PUBLIC, SECRET, read_pair, read_public
-from protocol.security.zap import DOMAIN, KEY_BYTES, VERSION, read_request, reply
+from protocol.security.authenticator import (
+    ZAP_DOMAIN,
+    ZAP_VERSION,
+    decode_zap_request,
+    encode_zap_reply,
+)
+from protocol.security.keys import KEY_BYTES, PUBLIC, SECRET, read_pair, read_public
 
 _FILE = scratch_folder() / "wrist.key"
 _FILE.touch(mode=0o600)
@@ -15,7 +20,7 @@ def seeds() -> list[bytes]:
     """A secret key, a public one, a list of two, and a request; its parts end in a line's end."""
     lines = [f"{kind} wrist {'1' * 64}\n".encode() for kind in (SECRET, PUBLIC)]
     other = f"# them\n\n{PUBLIC} finger {'a' * 64}\n".encode()
-    request = [VERSION, b"1", DOMAIN, b"127.0.0.1", b"", b"CURVE", b"k" * KEY_BYTES]
+    request = [ZAP_VERSION, b"1", ZAP_DOMAIN, b"127.0.0.1", b"", b"CURVE", b"k" * KEY_BYTES]
     return [*lines, lines[1] + other, b"\n".join(request)]
 
 
@@ -30,10 +35,10 @@ def try_one(data: bytes) -> None:
         else:
             assert all(len(key) == KEY_BYTES for key in keys)
     request = data.split(b"\n")
-    knock = read_request(request)
-    if knock is not None:
-        knock.address.encode()
-    assert len(reply(request, None)) == len(reply(request, "wrist")) == 6
+    peer = decode_zap_request(request)
+    if peer is not None:
+        peer.address.encode()
+    assert len(encode_zap_reply(request, None)) == len(encode_zap_reply(request, "wrist")) == 6
 
 
 def _read_pair() -> list[bytes]:

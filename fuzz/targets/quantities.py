@@ -5,7 +5,7 @@ from contextlib import suppress
 
 from protocol.config.quantities import UNITS, in_unit_of, parse_quantity, parse_ratio
 from protocol.errors import RealtimeError, SceneError
-from protocol.host.realtime_request import parse_realtime
+from protocol.host.realtime import parse_realtime
 from telepulse.simulation.link_model import parse_link
 
 LINKS = (

@@ -1,8 +1,8 @@
-"""A device's clock against the host's, from the device's timestamps and when they arrived.
+"""A device's clock against the host's, from the device's timestamps and their arrivals.
 
-Nothing can be asked of such a device, and what it sends comes late, in batches, never early. So
-arrival minus device time has a lower edge; the clock is a line along it. What the line cannot
-tell from the clock's offset is the least delay on the way, which stays in the times it gives.
+Such a device answers no requests. Its samples arrive late and in batches, never early, so arrival
+minus device time has a lower edge, and the clock is a line along that edge. The least delay on the
+way cannot be told from an offset of the clock; it remains in the times that are returned.
 """
 
 from collections import deque
@@ -17,19 +17,22 @@ READY_AFTER = 2
 # Resonators of boards without a crystal are off by up to 0.5 %.
 USUAL_SKEW = 2e-3
 LEAST_NOISE_NS = 20_000.0
-# Times a device cannot be early: less is noise, more, often in a row, another clock.
+# Arrivals before their timestamp: less is noise; more, several times in a row, is another clock.
 STEP_MARGIN_NS = 20_000_000
 STEP_AFTER = 3
-# So late for so many blocks is no delay on a cable.
+# No cable delays so much for so many blocks.
 LATE_NS = 500_000_000
 LATE_BLOCKS = 4
 ROUNDS = 3
 
 
 class DeviceClock:
-    """Follows a device's clock. Pure: times come in, in the order of arrival; all ns.
+    """Estimator of a device's clock. Pure: all times are arguments, in integer ns.
 
-    steps: how often the device's clock has jumped or begun anew; the estimate then starts afresh.
+    Attributes
+    ----------
+    steps : int
+        Number of steps or restarts of the device's clock; each starts the estimate again.
     """
 
     def __init__(self) -> None:
@@ -46,23 +49,23 @@ class DeviceClock:
 
     @property
     def ready(self) -> bool:
-        """Half a second has been seen: times are good to the usual spread of the delays."""
+        """True after half a second, when times are good to the usual spread of the delays."""
         return len(self._edge) >= READY_AFTER
 
     @property
     def skew_ppm(self) -> float:
-        """How much faster the device's clock runs than the host's, in parts per million."""
+        """Device over host clock rate, less 1, in parts per million."""
         return (1 / (1 + self._skew) - 1) * 1e6
 
     def host_ns(self, device_ns: int) -> int:
-        """The host's clock at a time of the device's; before any observation, that time itself."""
+        """Return the host's clock at a device time; before any observation, that time itself."""
         return device_ns + self._offset_ns + round(self._skew * (device_ns - self._reference_ns))
 
     def observe(self, device_ns: int, arrival_ns: int) -> None:
-        """What was stamped `device_ns` arrived at `arrival_ns`.
+        """Add a timestamp of the device and its arrival; call this in the order of arrival.
 
-        What arrived before it was stamped is set aside, until enough in a row say that the
-        device's clock has jumped; a time before the last one says so at once.
+        An arrival before its timestamp is set aside; after several in a row the device's clock has
+        stepped. A timestamp before the last one shows a step at once.
         """
         if self._last_device_ns is None:
             self._anchor(device_ns, arrival_ns)
@@ -86,7 +89,7 @@ class DeviceClock:
         self._anchor(device_ns, arrival_ns)
 
     def _anchor(self, device_ns: int, arrival_ns: int) -> None:
-        """Begin with one observation."""
+        """Start from one observation."""
         self._base_device_ns = self._reference_ns = self._last_device_ns = device_ns
         self._base_offset_ns = self._offset_ns = arrival_ns - device_ns
         self._skew = 0.0
@@ -105,14 +108,14 @@ class DeviceClock:
         self._late_blocks = self._late_blocks + 1 if self.ready and late_ns > LATE_NS else 0
         if self._late_blocks >= LATE_BLOCKS:
             self._step(device_ns, arrival_ns)
-        # Kept as differences, which are exact as floats whatever the clocks' own numbers are.
+        # Differences are exact as floats, whatever the clocks show.
         since_ns = float(device_ns - self._base_device_ns)
         drift_ns = float(arrival_ns - device_ns - self._base_offset_ns)
         self._edge.append((since_ns, drift_ns))
         self._fit()
 
     def _fit(self) -> None:
-        """A line along the blocks' earliest arrivals; the later a block, the less it counts."""
+        """Fit a line along the blocks' earliest arrivals, with low weights for late blocks."""
         since_ns, drift_ns = np.array(self._edge).T
         weight = np.ones((len(since_ns), 1))
         noise_ns = np.array([LEAST_NOISE_NS])

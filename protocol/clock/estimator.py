@@ -1,47 +1,62 @@
 """Clock offset and skew between two hosts, from four-timestamp exchanges.
 
-Offset is remote minus local. Which exchanges tell most depends on the jitter: with exponential
-delays the shortest, with Gaussian ones all alike. So exchanges are taken in blocks, each block's
-offset is computed from few and from many of its shortest delays (`exchanges.py`), a line is drawn
-through the blocks for each of these levels, and the level is used whose blocks scatter least about
-their line and which does not contradict the shortest delays. Messages that come one way
-add what they say of the skew, where it agrees (`skew.py`).
+Offset is remote minus local clock. The estimate follows in five steps:
+
+1. Exchanges are grouped into blocks of 16 (`block_offset`). Which exchanges carry most
+   information depends on the jitter: with exponential delays the shortest, with Gaussian ones all
+   alike. So a block has one offset for each of five levels, from its 1, 2, 4, 8 or 16 shortest
+   delays of each direction.
+2. For each level a line is fitted through the blocks' offsets (`offset_regression.py`). Blocks
+   with unusual round trips get a low weight.
+3. One-way messages add an estimate of the skew, where it agrees (`skew.py`).
+4. The level is used whose line has the smallest error. A level that contradicts the one of the
+   shortest delays has a bias, which counts as an error.
+5. The result is bounded: no delay is negative, so half the shortest round trip bounds the offset.
+
+A step of a clock is detected within an exchange or a block, and the estimate starts again.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.clock.exchanges import BLOCK, LEVELS, BlockOffset, ClockExchange, block_offset
 from protocol.clock.offset_regression import Floats, OffsetRegression, fit_lines
 from protocol.clock.skew import MAX_SKEW, OneWaySkew
 
-__all__ = ["ClockEstimator", "ClockExchange"]
+# Exchanges of a block.
+BLOCK = 16
+# Numbers of shortest delays of each direction from which a block's offset is computed.
+LEVELS = (1, 2, 4, 8, BLOCK)
+_COUNTS = np.array(LEVELS)
+# Sign with which a skew changes the delays to the remote clock, and back.
+_SKEW_SIGNS = np.array([[1.0], [-1.0]])
 
 KEEP_BLOCKS = 256
 READY_AFTER = 3
-# Nothing is timed better than this.
+# No time is measured better than this.
 LEAST_NOISE_NS = 2_000.0
-# Clocks of computers run alike to about this; what a few seconds seem to say beyond it is jitter.
+# Standard deviation of computers' skews; more, seen within a few seconds, is jitter.
 USUAL_SKEW = 200e-6
-# So many exchanges, or blocks, in a row have to contradict the estimate.
+# Exchanges, or blocks, in a row that must contradict the estimate.
 STEP_AFTER = 3
-# A smaller step is none: it leaves the memory in time.
+# A smaller step leaves the memory in time by itself.
 STEP_LEAST_NS = 1_000_000
 STEP_NOISES = 8.0
-# Before so many blocks are known, none contradicts them.
+# With fewer blocks than these, none is compared with the line.
 STEADY_BLOCKS = 8
-# Blocks are compared with the better ones of them: at these shares, in order.
+# Quantiles of the blocks' round trips and noises that serve as references.
 SHORT, RATHER_SHORT = 0.1, 0.3
-# Exponential delays on one way alone put the shortest of a block off by this share of what they
-# put the mean off.
+# Exponential delays in one direction alone give the shortest of a block this share of the mean's
+# bias.
 UNSEEN_SHARE = 1 / (BLOCK - 1)
-# Chosen for 95 of 100 (docs/decisions/0015-the-clock-weighs-delays-by-their-scatter.md).
+# Weights of errors and biases, chosen for a coverage of 95 %
+# (docs/decisions/0015-the-clock-weighs-delays-by-their-scatter.md).
 ERRORS, BIASES = 2.0, 1.5
-# In standard errors: a skew of 500 ppm is not unheard of.
-SKEW_DOUBT = 3.0
-# Two skews agree within so many standard errors; what is beyond counts so many times as error.
+# In standard errors: a skew of 500 ppm occurs.
+SKEW_ERRORS = 3.0
+# Two skews agree within AGREE standard errors; the rest counts DISAGREE times as an error.
 AGREE, DISAGREE = 2.0, 2.0
 
 Blocks = NDArray[np.void]
@@ -55,12 +70,110 @@ _MEMORY = np.dtype(
 )
 
 
-class ClockEstimator:
-    """Follows a remote clock. Pure: local times come in with the exchanges and the questions.
+class ClockExchange(NamedTuple):
+    """The four timestamps of a request and its reply, in ns.
 
-    steps: how often one of the clocks has jumped; the estimate then starts afresh.
-    asymmetry_bound_ns: half the shortest round trip; one way that always takes longer than the
-    other, which no exchange can tell, puts the offset off by no more.
+    Attributes
+    ----------
+    t1_ns : int
+        The request leaves, local clock.
+    t2_ns : int
+        The request arrives, remote clock.
+    t3_ns : int
+        The reply leaves, remote clock.
+    t4_ns : int
+        The reply arrives, local clock.
+    """
+
+    t1_ns: int
+    t2_ns: int
+    t3_ns: int
+    t4_ns: int
+
+    @property
+    def offset_ns(self) -> int:
+        """Remote minus local clock, if both directions took equally long."""
+        return (self.t2_ns - self.t1_ns + self.t3_ns - self.t4_ns) // 2
+
+    @property
+    def round_trip_ns(self) -> int:
+        """Time on the network, both directions."""
+        return (self.t4_ns - self.t1_ns) - (self.t3_ns - self.t2_ns)
+
+
+class BlockOffset(NamedTuple):
+    """Offset and round trip of a block of exchanges, for each of `LEVELS`.
+
+    Attributes
+    ----------
+    t_ns : float
+        Middle of the block, local clock.
+    offset_ns, round_trip_ns : ndarray, shape (levels,)
+        From the means of the shortest delays of each direction.
+    noise_ns : float
+        Standard error of the mean of all offsets, estimated from the shortest round trips.
+    """
+
+    t_ns: float
+    offset_ns: Floats
+    round_trip_ns: Floats
+    noise_ns: float
+
+
+def block_offset(
+    exchanges: list[ClockExchange], origin: ClockExchange, skew: float, skew_error: float
+) -> BlockOffset:
+    """Combine 1 to `BLOCK` exchanges into a block.
+
+    Parameters
+    ----------
+    exchanges : list of ClockExchange
+        The block's exchanges.
+    origin : ClockExchange
+        Times count from its t4, offsets from its offset.
+    skew : float
+        Present estimate of remote over local clock, less 1. It is removed from the delays, so that
+        they can be ordered.
+    skew_error : float
+        Possible error of `skew`. Round trips are lengthened by what it may have shortened them.
+    """
+    count = len(exchanges)
+    # Differences of integers first: they are exact as floats, whatever the clocks show.
+    origin_ns, zero_ns = origin.t4_ns, origin.offset_ns
+    rows = [
+        (t1_ns + t4_ns - 2 * origin_ns, t2_ns - t1_ns - zero_ns, t4_ns - t3_ns + zero_ns)
+        for t1_ns, t2_ns, t3_ns, t4_ns in exchanges
+    ]
+    table = np.array(rows, dtype=float).T
+    t_ns = table[0] / 2
+    middle_ns = float(t_ns.sum()) / count
+    delays_ns = table[1:] - skew * (t_ns - middle_ns) * _SKEW_SIGNS
+    if count > 1:
+        shortest = (delays_ns[0] + delays_ns[1]).argsort()[: max(3, count // 4)]
+        offsets_ns = (delays_ns[0] - delays_ns[1])[shortest] / 2
+        apart_ns = offsets_ns - offsets_ns.sum() / len(offsets_ns)
+        noise_ns = math.sqrt(float(apart_ns @ apart_ns) / (len(offsets_ns) - 1) / count)
+    else:
+        noise_ns = float(delays_ns.sum()) / 2
+    counts = np.minimum(_COUNTS, count)
+    delays_ns.sort(axis=1)
+    there_ns, back_ns = delays_ns.cumsum(axis=1)[:, counts - 1] / counts
+    hidden_ns = skew_error * float(t_ns.max() - t_ns.min())
+    # Below 0 only where a clock has stepped within the block.
+    round_trip_ns = np.maximum(there_ns + back_ns + hidden_ns, 0)
+    return BlockOffset(middle_ns, (there_ns - back_ns) / 2, round_trip_ns, noise_ns)
+
+
+class ClockEstimator:
+    """Estimator of a remote clock. Pure: all times are arguments, in integer ns.
+
+    Attributes
+    ----------
+    steps : int
+        Number of steps of a clock that were detected; each starts the estimate again.
+    asymmetry_bound_ns : int
+        Half the shortest round trip. If one direction always takes longer than the other, which no
+        exchange can show, the offset is wrong by no more than this.
     """
 
     def __init__(self) -> None:
@@ -70,34 +183,37 @@ class ClockEstimator:
 
     @property
     def ready(self) -> bool:
-        """Enough exchanges have come to use the estimate."""
+        """True once there are enough exchanges to use the estimate."""
         return self._taken >= READY_AFTER
 
     @property
     def skew_ppm(self) -> float:
-        """How much faster the remote clock runs, in parts per million."""
+        """Remote over local clock rate, less 1, in parts per million."""
         return self._skew * 1e6
 
     def offset_ns(self, local_ns: int) -> int:
-        """Remote minus local clock at a local time."""
+        """Return remote minus local clock at a local time."""
         return self._offset_ns + round(self._skew * (local_ns - self._reference_ns))
 
     def remote_ns(self, local_ns: int) -> int:
-        """The remote clock at a local time."""
+        """Return the remote clock at a local time."""
         return local_ns + self.offset_ns(local_ns)
 
     def uncertainty_ns(self, local_ns: int) -> int:
-        """How far off `offset_ns` may be, about 95 times of 100 where the ways are alike but for
-        chance, and seldom for a minute after one of them has changed; grows while no
-        exchanges come."""
+        """Return a bound on the error of `offset_ns` at a local time.
+
+        It holds for 95 % of the times where both directions have equal delays but for chance, and
+        for fewer during about a minute after one of them has changed. It grows while no exchanges
+        come.
+        """
         since_ns = max(0, local_ns - self._reference_ns)
         return self._uncertainty_ns + round(ERRORS * self._skew_error * since_ns)
 
     def add(self, exchange: ClockExchange) -> bool:
-        """Take an exchange; False when it is refused because it cannot be (negative times).
+        """Add an exchange; return False for one that is impossible (negative durations).
 
-        One that contradicts the estimate is set aside, until enough of them in a row say that
-        a clock has stepped: then the estimate starts afresh with them.
+        An exchange that contradicts the estimate is set aside. After three in a row a clock has
+        stepped: the estimate starts again with them.
         """
         if exchange.round_trip_ns < 0 or exchange.t3_ns < exchange.t2_ns:
             return False
@@ -114,15 +230,15 @@ class ClockEstimator:
                 self._take(each)
         return True
 
-    def hear(self, sent_ns: int, arrived_ns: int) -> None:
-        """A message that was sent at a time of the remote clock has come, at a local time."""
+    def add_one_way(self, sent_ns: int, arrived_ns: int) -> None:
+        """Add a message by the remote time at which it was sent and its local arrival."""
         if self.ready:
-            self._one_way.hear(sent_ns, arrived_ns, self._skew)
+            self._one_way.add(sent_ns, arrived_ns, self._skew)
 
     def _begin(self) -> None:
         self._taken = 0
         self._one_way = OneWaySkew()
-        # Whole blocks, at the beginning of self._blocks; self._block is the next one.
+        # Complete blocks at the beginning of self._blocks; self._block is the next one.
         self._known = 0
         self._block: list[ClockExchange] = []
         self._against: list[ClockExchange] = []
@@ -132,7 +248,7 @@ class ClockEstimator:
         self.asymmetry_bound_ns = 0
 
     def _contradicts(self, exchange: ClockExchange) -> bool:
-        """The exchange and the estimate are further apart than both can be wrong."""
+        """Return whether an exchange differs from the estimate by more than both errors."""
         error_ns = abs(exchange.offset_ns - self.offset_ns(exchange.t4_ns))
         allowed_ns = exchange.round_trip_ns // 2 + self.uncertainty_ns(exchange.t4_ns)
         return error_ns > allowed_ns + self.asymmetry_bound_ns + STEP_LEAST_NS
@@ -143,23 +259,22 @@ class ClockEstimator:
         self._taken += 1
         self._block.append(exchange)
         whole = len(self._block) == BLOCK
-        # The first block counts from its first exchange on.
+        # The first block is used from its first exchange on.
         if not whole and self._known:
             return
-        block = block_offset(self._block, self._origin, self._skew, SKEW_DOUBT * self._skew_error)
+        block = block_offset(self._block, self._origin, self._skew, SKEW_ERRORS * self._skew_error)
         if self._known >= STEADY_BLOCKS:
-            self._look_for_a_step(block)
+            self._detect_step(block)
         if self._known == KEEP_BLOCKS:
-            self._forget_before(1)
+            self._drop_before(1)
         self._blocks[self._known] = block
-        self._draw(self._blocks[: self._known + 1], exchange.t4_ns)
+        self._fit(self._blocks[: self._known + 1], exchange.t4_ns)
         if whole:
             self._known += 1
             self._block = []
 
-    def _look_for_a_step(self, block: BlockOffset) -> None:
-        """Keep the last blocks alone when they all are further off the line than chance and a
-        change of the round trip explain."""
+    def _detect_step(self, block: BlockOffset) -> None:
+        """Keep only the last blocks when chance and a changed round trip do not explain them."""
         level = self._level
         since_ns = self._reference_ns - self._origin.t4_ns - block.t_ns
         line_ns = self._offset_ns - self._origin.offset_ns - self._skew * since_ns
@@ -168,19 +283,19 @@ class ClockEstimator:
         contradicts = abs(block.offset_ns[level] - line_ns) > allowed_ns
         self._against_blocks = self._against_blocks + 1 if contradicts else 0
         if self._against_blocks == STEP_AFTER:
-            # The first of them may lie on both sides of the step.
-            self._forget_before(self._known - STEP_AFTER + 2)
+            # The first of them may span the step.
+            self._drop_before(self._known - STEP_AFTER + 2)
             self._against_blocks = 0
             self._one_way = OneWaySkew()
             self.steps += 1
 
-    def _forget_before(self, first: int) -> None:
+    def _drop_before(self, first: int) -> None:
         kept = self._known - first
         self._blocks[:kept] = self._blocks[first : self._known]
         self._known = kept
 
-    def _draw(self, blocks: Blocks, now_ns: int) -> None:
-        """Draw a line for each level through the blocks, and use one."""
+    def _fit(self, blocks: Blocks, now_ns: int) -> None:
+        """Fit a line for each level, and select one."""
         round_trip_ns = blocks["round_trip_ns"]
         last = len(blocks) - 1
         short, rather_short = int(SHORT * last), int(RATHER_SHORT * last)
@@ -188,17 +303,17 @@ class ClockEstimator:
         self._short_ns = ordered_ns[short]
         self._noise_ns = LEAST_NOISE_NS + float(np.sort(blocks["noise_ns"])[rather_short])
         usual_ns = ordered_ns[rather_short] - self._short_ns + 2 * self._noise_ns
-        # Round trips of another length, be they longer or shorter, are of another route.
+        # Both longer and shorter round trips are those of another route.
         weight = 1 / (1 + ((round_trip_ns - self._short_ns) / (3 * usual_ns)) ** 2)
         lines = fit_lines(blocks["t_ns"], blocks["offset_ns"], weight, self._noise_ns, USUAL_SKEW)
-        self._use(_joined(lines, self._one_way), len(blocks), now_ns)
+        self._select(_with_one_way_skew(lines, self._one_way), len(blocks), now_ns)
         self._bound(blocks)
 
-    def _use(self, lines: OffsetRegression, blocks: int, now_ns: int) -> None:
-        """Take the line that is best now."""
+    def _select(self, lines: OffsetRegression, blocks: int, now_ns: int) -> None:
+        """Select the level with the smallest error now."""
         since_ns = float(now_ns - self._origin.t4_ns)
         offset_ns = lines.at(since_ns)
-        # Few blocks say little of how much they scatter.
+        # The scatter of few blocks is itself uncertain.
         error_ns = lines.error_at(since_ns) * (1 + 4 / blocks)
         bias_ns = _bias_ns(offset_ns, error_ns)
         level = int(np.argmin(error_ns + bias_ns))
@@ -209,8 +324,7 @@ class ClockEstimator:
         self._uncertainty_ns = math.ceil(ERRORS * error_ns[level] + BIASES * bias_ns[level])
 
     def _bound(self, blocks: Blocks) -> None:
-        """Whatever the line says: no delay is below 0, so the shortest round trip bounds the
-        offset."""
+        """Bound the offset by the shortest round trip, since no delay is negative."""
         shortest = blocks[int(np.argmin(blocks["round_trip_ns"][:, 0]))]
         self.asymmetry_bound_ns = math.ceil(shortest["round_trip_ns"][0] / 2)
         since_ns = self._reference_ns - self._origin.t4_ns - float(shortest["t_ns"])
@@ -218,15 +332,15 @@ class ClockEstimator:
         middle_ns += self._origin.offset_ns
         bound_ns = self.asymmetry_bound_ns + round(ERRORS * self._skew_error * abs(since_ns))
         self._offset_ns = min(max(self._offset_ns, middle_ns - bound_ns), middle_ns + bound_ns)
-        # One block may have met one stall, and then says nothing of its own error.
+        # A single block may have met a stall, which its own scatter does not show.
         certain_ns = bound_ns if len(blocks) == 1 else 0
         self._uncertainty_ns = min(max(self._uncertainty_ns, certain_ns), 2 * bound_ns)
 
 
-def _joined(lines: OffsetRegression, one_way: OneWaySkew) -> OffsetRegression:
-    """The lines with the skew that the exchanges and the messages of one way say together.
+def _with_one_way_skew(lines: OffsetRegression, one_way: OneWaySkew) -> OffsetRegression:
+    """Return the lines with the weighted mean of their skew and that of one-way messages.
 
-    Where they disagree, the one way has become longer or shorter, and counts little.
+    Where the two disagree, the one-way delay has drifted, and gets a low weight.
     """
     if math.isinf(one_way.error):
         return lines
@@ -241,9 +355,9 @@ def _joined(lines: OffsetRegression, one_way: OneWaySkew) -> OffsetRegression:
 
 
 def _bias_ns(offset_ns: Floats, error_ns: Floats) -> Floats:
-    """By how much each level is off where delays vary more on one way than on the other.
+    """Return the bias of each level where delays vary more in one direction than in the other.
 
-    Then the levels differ from that of the shortest delays beyond their errors.
+    It shows as a difference from the level of the shortest delays beyond both errors.
     """
     apart_ns = np.abs(offset_ns - offset_ns[0]) - 2 * np.hypot(error_ns, error_ns[0])
     bias_ns: Floats = np.maximum(apart_ns, 0) + UNSEEN_SHARE * max(float(apart_ns[-1]), 0)

@@ -1,7 +1,7 @@
-"""The skew of two clocks from messages that go one way, by how the level of their delay drifts.
+"""Skew of two clocks from one-way messages, by the drift of their apparent delay.
 
-One way tells nothing of the offset, and a way that becomes longer looks like skew; but a stream's
-frames come more often than exchanges, and cost nothing. `protocol/clock/estimator.py` weighs both.
+One direction gives no offset, and a delay that grows looks like skew. But a stream's frames come
+more often than exchanges, at no cost. `ClockEstimator` weighs both.
 """
 
 import math
@@ -13,39 +13,51 @@ from protocol.clock.offset_regression import Floats, fit_lines
 BLOCK = 64
 KEEP_BLOCKS = 256
 STEADY_BLOCKS = 8
-# Messages closer together wait for each other, and say little more than one of them.
+# Messages closer together delay each other, and add little to one of them.
 APART_NS = 4_000_000
-# A block's delay is the mean of so many of its shortest ones, by turns.
+# Numbers of shortest delays whose mean is a block's delay.
 LEVELS = np.array([4, 8, 16, 32, BLOCK])
 LEAST_NOISE_NS = 2_000.0
-# Beyond this it is no clock.
+# No clock is worse.
 MAX_SKEW = 0.01
-# The shorter half of all blocks tells how much they scatter.
+# Quantiles of the blocks' delays: reference, and scatter above it.
 SHORT, HALF = 0.1, 0.5
-# Neighbouring blocks meet the same spells, and are not as many as they seem.
-ALIKE = 1.3
+# Factor on errors: neighbouring blocks are correlated, so fewer than their number count.
+CORRELATION = 1.3
 
 
 class OneWaySkew:
-    """Pure: times come in with the messages.
+    """Estimator of skew from one-way messages. Pure: all times are arguments, in integer ns.
 
-    skew: remote over local clock, less 1; error: its standard error, infinite at first.
+    Attributes
+    ----------
+    skew : float
+        Remote over local clock rate, less 1.
+    error : float
+        Its standard error, infinite at first.
     """
 
     def __init__(self) -> None:
         self.skew, self.error = 0.0, math.inf
         self._first: tuple[int, int] | None = None
         self._last_sent_ns = 0
-        # Since the first message: arrivals, and how much less a delay is than the first one.
+        # Since the first message: arrival, and by how much the delay is less than the first one.
         self._block: list[tuple[int, int]] = []
         self._t_ns = np.zeros(KEEP_BLOCKS)
         self._lead_ns = np.zeros((KEEP_BLOCKS, len(LEVELS)))
         self._known = 0
 
-    def hear(self, sent_ns: int, arrived_ns: int, skew: float) -> None:
-        """What was sent at a time of the remote clock has arrived at one of the local clock's.
+    def add(self, sent_ns: int, arrived_ns: int, skew: float) -> None:
+        """Add a message.
 
-        skew: of the clocks, as far as known, so that the order of delays is not that of times.
+        Parameters
+        ----------
+        sent_ns : int
+            When it was sent, remote clock.
+        arrived_ns : int
+            When it arrived, local clock.
+        skew : float
+            Present estimate, removed from the delays so that they can be ordered.
         """
         if self._first is None:
             self._first = sent_ns, arrived_ns
@@ -72,7 +84,7 @@ class OneWaySkew:
         self._block = []
 
     def _fit(self, skew: float) -> None:
-        """A line for each level; blocks of unusual delays weigh little."""
+        """Fit a line for each level, with low weights for unusual delays; select the best."""
         t_ns, lead_ns = self._t_ns[: self._known], self._lead_ns[: self._known]
         late_ns = skew * (t_ns - t_ns[-1])[:, None] - lead_ns
         ordered_ns = np.sort(late_ns, axis=0)
@@ -80,13 +92,13 @@ class OneWaySkew:
         scatter_ns = LEAST_NOISE_NS + ordered_ns[int(HALF * self._known)] - short_ns
         weight = 1 / (1 + ((late_ns - short_ns) / (6 * scatter_ns)) ** 2)
         lines = fit_lines(t_ns, lead_ns, weight, scatter_ns, MAX_SKEW)
-        error = ALIKE * lines.skew_error * (1 + 4 / self._known)
-        error += _apart(lines.skew, error)
+        error = CORRELATION * lines.skew_error * (1 + 4 / self._known)
+        error += _bias(lines.skew, error)
         level = int(np.argmin(error))
         self.skew, self.error = float(lines.skew[level]), float(error[level])
 
 
-def _apart(skew: Floats, error: Floats) -> Floats:
-    """By how much levels contradict that of the shortest delays: then load changed, not clocks."""
-    apart: Floats = np.maximum(np.abs(skew - skew[0]) - 2 * np.hypot(error, error[0]), 0)
-    return apart
+def _bias(skew: Floats, error: Floats) -> Floats:
+    """Return each level's contradiction to the shortest delays, which shows a change of load."""
+    bias: Floats = np.maximum(np.abs(skew - skew[0]) - 2 * np.hypot(error, error[0]), 0)
+    return bias

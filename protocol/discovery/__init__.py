@@ -1,5 +1,5 @@
-"""Sensing nodes make themselves known on the local network, and are found there, by DNS-SD.
+"""Discovery of sensing nodes on the local network by DNS-SD over multicast DNS (RFC 6762, 6763).
 
-Names and addresses are all that is believed of it, and of them only where to knock: who opens is a
-matter of keys.
+Anybody there can announce anything: an announcement gives addresses to try, and the keys alone
+decide which node answers.
 """

@@ -1,11 +1,7 @@
-"""What a sensing node announces of itself, and how it is read. Pure: bytes in, words out.
+"""Announcement of a sensing node as a DNS-SD service (RFC 6763): encoding, decoding, selection.
 
-A DNS-SD service (RFC 6763): its instance's name, its port, its host's addresses and a TXT record.
-Anybody on the network can read it, and anybody can send one.
-
-Which of the announced nodes a display connects to. Pure.
-
-Which of a node's addresses to use. Pure.
+The service has an instance name, a port, its host's addresses and a TXT record. Anybody on the
+network can read one, and anybody can send one. Pure: no I/O.
 """
 
 import hashlib
@@ -13,26 +9,39 @@ import ipaddress
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from ipaddress import IPv4Interface
+from typing import Self
 
 from protocol.errors import DiscoveryError, WireError
 from protocol.wire.messages import VERSION
 from protocol.wire.stream import MAX_NAME
 
 SERVICE = "_telepulse._tcp.local."
-# RFC 6763: of an instance's name, and of a string in a TXT record.
+# RFC 6763: an instance's name, and a string in a TXT record.
 MAX_LABEL_BYTES, MAX_STRING_BYTES = 63, 255
 MAX_PORT = 65_534
 MAX_ADDRESSES = 16
 FINGERPRINT_BYTES, NODE_BYTES = 16, 8
+ALL_INTERFACES = ("*", "0.0.0.0")
 
 
 @dataclass(frozen=True, slots=True)
 class Announcement:
-    """A sensing node: where it streams and whom it lets in.
+    """A sensing node as it is announced.
 
-    name: of the announcement, one of a kind on its network. node: the same after a restart.
-    addresses: IPv4, of its host. port: of data; control is one higher. fingerprint: of the public
-    key that it answers with; None: it does without keys.
+    Attributes
+    ----------
+    name : str
+        Instance name, unique on its network.
+    stream : str
+        Name of its stream.
+    node : str
+        Identity that stays the same after a restart, in hexadecimal digits.
+    addresses : tuple of str
+        IPv4 addresses of its host.
+    port : int
+        Port of data; control is one higher.
+    fingerprint : str or None
+        Fingerprint of its public key; None without keys.
     """
 
     name: str
@@ -42,24 +51,25 @@ class Announcement:
     port: int
     fingerprint: str | None
 
-
-def announced(stream: str, host: str, port: int, key: bytes | None) -> Announcement:
-    """What a node of these tells, without its addresses; key: its public one."""
-    known = None if key is None else fingerprint(key)
-    ending = f" on {host}"
-    name = _cut(stream, MAX_LABEL_BYTES - len(ending.encode())) + ending
-    node = hashlib.blake2b(f"{known or host}:{port}".encode(), digest_size=NODE_BYTES).hexdigest()
-    stream = _cut(stream, MAX_STRING_BYTES - len("stream="))
-    return Announcement(_cut(name, MAX_LABEL_BYTES), stream, node, (), port, known)
+    @classmethod
+    def of_node(cls, stream: str, host: str, port: int, key: bytes | None) -> Self:
+        """Return the announcement of a node with a public key, without its addresses."""
+        known = None if key is None else fingerprint(key)
+        ending = f" on {host}"
+        name = _cut(stream, MAX_LABEL_BYTES - len(ending.encode())) + ending
+        identity = f"{known or host}:{port}".encode()
+        node = hashlib.blake2b(identity, digest_size=NODE_BYTES).hexdigest()
+        stream = _cut(stream, MAX_STRING_BYTES - len("stream="))
+        return cls(_cut(name, MAX_LABEL_BYTES), stream, node, (), port, known)
 
 
 def fingerprint(key: bytes) -> str:
-    """A public key in short: the beginning of its SHA-256, in hexadecimal digits."""
+    """Return a public key's fingerprint: the beginning of its SHA-256 in hexadecimal digits."""
     return hashlib.sha256(key).hexdigest()[: 2 * FINGERPRINT_BYTES]
 
 
 def to_txt(announcement: Announcement) -> dict[str, str]:
-    """The TXT record of an announcement."""
+    """Return the TXT record of an announcement."""
     txt = {"v": str(VERSION), "id": announcement.node, "stream": announcement.stream}
     txt["control"] = str(announcement.port + 1)
     if announcement.fingerprint is not None:
@@ -73,25 +83,30 @@ def read_announcement(
     port: int | None,
     txt: Mapping[bytes, bytes | None],
 ) -> Announcement:
-    """The announcement of an instance of the service. Raises WireError: "version" where the node
-    speaks another one, else "malformed"."""
+    """Decode the announcement of an instance of the service.
+
+    Raises
+    ------
+    WireError
+        With the cause "version" for a node of another version, else "malformed".
+    """
     name = instance.removesuffix("." + SERVICE)
     if name == instance or not name or not name.isprintable() or len(name) > MAX_LABEL_BYTES:
-        raise WireError("malformed", "its name is no node's")
-    if _word(txt, b"v") != str(VERSION):
-        raise WireError("version", f"it speaks another version than {VERSION}")
-    if port is None or not 0 < port <= MAX_PORT or _word(txt, b"control") != str(port + 1):
-        raise WireError("malformed", "its ports are none of a node")
-    stream = _word(txt, b"stream")
+        raise WireError("malformed", "its name is not that of a node")
+    if _text(txt, b"v") != str(VERSION):
+        raise WireError("version", f"it has another version than {VERSION}")
+    if port is None or not 0 < port <= MAX_PORT or _text(txt, b"control") != str(port + 1):
+        raise WireError("malformed", "its ports are not those of a node")
+    stream = _text(txt, b"stream")
     if not 0 < len(stream) <= MAX_NAME:
         raise WireError("malformed", "its stream has no name")
     node = _hex(txt, b"id", NODE_BYTES)
     known = _hex(txt, b"key", FINGERPRINT_BYTES) if txt.get(b"key") is not None else None
-    return Announcement(name, stream, node, _numbers(addresses), port, known)
+    return Announcement(name, stream, node, _usable(addresses), port, known)
 
 
-def _numbers(addresses: Sequence[bytes]) -> tuple[str, ...]:
-    """IPv4 addresses that a node can have. Raises WireError."""
+def _usable(addresses: Sequence[bytes]) -> tuple[str, ...]:
+    """Return the IPv4 addresses that a node can have. Raises WireError."""
     if len(addresses) > MAX_ADDRESSES:
         raise WireError("malformed", f"it has more than {MAX_ADDRESSES} addresses")
     numbers = [ipaddress.IPv4Address(address) for address in addresses if len(address) == 4]
@@ -101,21 +116,21 @@ def _numbers(addresses: Sequence[bytes]) -> tuple[str, ...]:
     return tuple(map(str, usable))
 
 
-def _word(txt: Mapping[bytes, bytes | None], key: bytes) -> str:
+def _text(txt: Mapping[bytes, bytes | None], key: bytes) -> str:
     try:
-        word = (txt.get(key) or b"").decode()
+        text = (txt.get(key) or b"").decode()
     except UnicodeDecodeError:
-        word = "\0"
-    if not word.isprintable():
+        text = "\0"
+    if not text.isprintable():
         raise WireError("malformed", f"its {key.decode()} is no text")
-    return word
+    return text
 
 
 def _hex(txt: Mapping[bytes, bytes | None], key: bytes, length_bytes: int) -> str:
-    word = _word(txt, key)
-    if len(word) != 2 * length_bytes or set(word) - set("0123456789abcdef"):
-        raise WireError("malformed", f"its {key.decode()} is none")
-    return word
+    digits = _text(txt, key)
+    if len(digits) != 2 * length_bytes or set(digits) - set("0123456789abcdef"):
+        raise WireError("malformed", f"its {key.decode()} is not {length_bytes} bytes in hex")
+    return digits
 
 
 def _cut(text: str, size_bytes: int) -> str:
@@ -125,7 +140,7 @@ def _cut(text: str, size_bytes: int) -> str:
 def matching(
     found: Iterable[Announcement], name: str | None, fingerprint: str | None
 ) -> list[Announcement]:
-    """Those of that name (None: of any) that answer with that key (None: with any, or none)."""
+    """Return the announcements with that name and that key; None matches any."""
     return [
         one
         for one in found
@@ -135,7 +150,7 @@ def matching(
 
 
 def only_match(candidates: Sequence[Announcement]) -> Announcement:
-    """The only one. Raises DiscoveryError where there are several, or it has just gone."""
+    """Return the only candidate. Raises DiscoveryError where there are several or none."""
     if not candidates:
         raise DiscoveryError("the sensing node that was found has just gone")
     several = sorted(candidates, key=lambda one: one.name)
@@ -147,37 +162,46 @@ def only_match(candidates: Sequence[Announcement]) -> Announcement:
     return several[0]
 
 
-EVERYWHERE = ("*", "0.0.0.0")
-
-
 def announced_addresses(
-    host: str, own: Iterable[IPv4Interface], names: dict[str, list[str]]
+    host: str, own: Iterable[IPv4Interface], interfaces: dict[str, list[str]]
 ) -> list[str]:
-    """The addresses to announce of a node that is bound to `host`.
+    """Return the addresses to announce for a node that is bound to `host`.
 
-    own: this machine's addresses; names: those of each interface, by its name. Raises
-    DiscoveryError where there are none.
+    Parameters
+    ----------
+    host : str
+        Address or interface that the node is bound to, or "*".
+    own : iterable of IPv4Interface
+        This machine's addresses.
+    interfaces : dict
+        Addresses of each interface, by its name.
+
+    Raises
+    ------
+    DiscoveryError
+        When there are none.
     """
-    addresses = [str(one.ip) for one in own]
-    if host in EVERYWHERE:
+    own = list(own)
+    if host in ALL_INTERFACES:
         found = [str(one.ip) for one in own if not one.ip.is_loopback]
-    elif host in names:
-        found = names[host]
+    elif host in interfaces:
+        found = interfaces[host]
     else:
-        found = [address for address in addresses if address == host]
+        found = [str(one.ip) for one in own if str(one.ip) == host]
     if not found:
         reason = (
-            "this machine is on no network" if host in EVERYWHERE else "is no IPv4 address here"
+            "this machine is on no network" if host in ALL_INTERFACES else "is no IPv4 address here"
         )
         raise DiscoveryError(f"--announce: {host}: {reason}; there is nothing to announce")
     return found
 
 
 def reachable(announcement: Announcement, own: Sequence[IPv4Interface]) -> list[str]:
-    """Its addresses on networks that this machine is on: only from there is it announced.
+    """Return the announced addresses that are on networks of this machine.
 
-    Of a node on this very machine, one; else none that this machine has itself, for two may have
-    the same address on networks of their own (container bridges).
+    For a node on this very machine, one address is returned. Otherwise addresses that this machine
+    has itself are left out: two machines may have the same address on networks of their own
+    (container bridges).
     """
     ours = {str(one.ip) for one in own}
     if ours.issuperset(announcement.addresses):

@@ -1,45 +1,88 @@
-"""`python -m protocol.discovery.announcer`: announces the sensing node that it is beside."""
+"""Announcement of a sensing node by a process beside it."""
 
 import json
+import socket
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
-from protocol.discovery.announcement import SERVICE, announced, announced_addresses, to_txt
-from protocol.host.sidecar import receive, run_as_sidecar, say
+from rich.console import Console
+
+from protocol.discovery.announcement import (
+    SERVICE,
+    Announcement,
+    announced_addresses,
+    to_txt,
+)
+from protocol.errors import DiscoveryError
+from protocol.host.sidecar import receive, report, run_as_sidecar, start_sidecar
+from protocol.security.keys import ServerKeys
+from protocol.sockets import control_address
+
+
+@contextmanager
+def start_announcer(
+    program: str, wanted: bool, address: str, stream: str, keys: ServerKeys | None, console: Console
+) -> Iterator[Callable[[], None]]:
+    """Prepare the announcement of the node bound to `address`, within a `with`.
+
+    Yields a function that begins it, to be called once the node's sockets are bound; it does
+    nothing unless `wanted`. Raises DiscoveryError where there is nothing to announce, SidecarError.
+    """
+    if not wanted:
+        yield lambda: None
+        return
+    control_address(address)
+    if not address.startswith("tcp://"):
+        raise DiscoveryError(f"--announce: {address} is on this machine alone; bind tcp://*:5555")
+    bound_to, _, port = address.removeprefix("tcp://").rpartition(":")
+    node = {
+        "bound_to": "127.0.0.1" if bound_to == "localhost" else bound_to,
+        "port": int(port),
+        "stream": stream,
+        "host": socket.gethostname().partition(".")[0],
+        "key": None if keys is None else keys.own.public.key.hex(),
+    }
+    module = "protocol.discovery.announcer"
+    log = console.print
+    with start_sidecar(program, "the announcer", module, json.dumps(node), log=log) as sidecar:
+        yield lambda: sidecar.send(begin=True)
 
 
 def main() -> None:
-    """Announce once told to, until the node ends; then take it back."""
-    words = json.loads(sys.argv[1])
+    """Announce the node once it says so, until it ends; then withdraw the announcement."""
+    node = json.loads(sys.argv[1])
     with run_as_sidecar() as ready:
-        from protocol.discovery import multicast
+        from protocol.discovery import browser
 
-        addresses = announced_addresses(words["bound_to"], *multicast.own_addresses())
-        network = multicast.speaking_on(addresses)
+        addresses = announced_addresses(node["bound_to"], *browser.own_addresses())
+        network = browser.open_multicast(addresses)
         ready(", ".join(addresses))
     if receive() is None:
         network.close()
         return
-    key = None if words["key"] is None else bytes.fromhex(words["key"])
-    node = announced(words["stream"], words["host"], words["port"], key)
-    info = multicast.ServiceInfo(
+    key = None if node["key"] is None else bytes.fromhex(node["key"])
+    announcement = Announcement.of_node(node["stream"], node["host"], node["port"], key)
+    info = browser.ServiceInfo(
         SERVICE,
-        f"{node.name}.{SERVICE}",
-        port=node.port,
-        properties=to_txt(node),
-        server=f"telepulse-{node.node}.local.",
+        f"{announcement.name}.{SERVICE}",
+        port=announcement.port,
+        properties=to_txt(announcement),
+        server=f"telepulse-{announcement.node}.local.",
         parsed_addresses=addresses,
     )
     try:
-        # Where the name is taken, it gets a number.
+        # A name that is taken gets a number.
         network.register_service(info, allow_name_change=True)
-    except multicast.ZeroconfError as error:
-        say(f"cannot be announced: {type(error).__name__} {error}")
+    except browser.ZeroconfError as error:
+        report(f"cannot be announced: {type(error).__name__} {error}")
         raise SystemExit(1) from None
     name = info.name.removesuffix("." + SERVICE)
-    say(f"announced as {name!r} at {', '.join(addresses)}")
+    report(f"announced as {name!r} at {', '.join(addresses)}")
     receive()
     network.unregister_all_services()
     network.close()
 
 
-main()
+if __name__ == "__main__":
+    main()

@@ -1,41 +1,62 @@
-"""A look around the local network: which sensing nodes announce themselves."""
+"""Search of the local network for sensing nodes that announce themselves, by zeroconf."""
 
+import socket
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
+from ipaddress import IPv4Interface
 
 from protocol.discovery.announcement import SERVICE, Announcement, reachable, read_announcement
-from protocol.discovery.multicast import (
-    ServiceBrowser,
-    ServiceInfo,
-    ServiceStateChange,
-    Zeroconf,
-    ZeroconfError,
-    own_addresses,
-    speaking_on,
-)
-from protocol.errors import WireError
+from protocol.errors import DiscoveryError, WireError
 
-# More than one network has; whoever sends more names is not looked at.
+try:
+    import ifaddr
+    from zeroconf import Error as ZeroconfError
+    from zeroconf import IPVersion, ServiceBrowser, ServiceInfo, ServiceStateChange, Zeroconf
+except ImportError as error:
+    raise DiscoveryError(
+        f"discovery needs zeroconf, which cannot be loaded ({error});"
+        " pip install 'telepulse[discover]'"
+    ) from None
+
+__all__ = ["Browser", "ServiceInfo", "ZeroconfError", "open_multicast", "own_addresses"]
+
+MULTICAST_GROUP = ("224.0.0.251", 5353)
+# More than one network has; further names are counted only.
 MAX_NAMES = 256
-# Of a name without the rest, which comes with it where a node speaks.
-ASK_FOR_MS = 500
-# Refusals that are said; the rest is counted.
+# Wait for a name's other records; a node sends them together with it.
+REQUEST_WITHIN_MS = 500
+# Refusals that are logged; further ones are counted only.
 MAX_NAMED, MAX_SHOWN = 20, 80
 UNREACHABLE, TOO_MANY = "unreachable", "too_many"
 
 
 class Browser:
-    """Looks until closed, by threads of its own. refused: announcements that are none, by cause."""
+    """Search by threads of its own, from construction until the end of a `with`.
+
+    Parameters
+    ----------
+    log : callable
+        Receives a line for each announcement that is refused first.
+
+    Attributes
+    ----------
+    refused : Counter
+        Announcements that are not valid, by cause.
+
+    Raises
+    ------
+    DiscoveryError
+        When no network here carries multicast.
+    """
 
     def __init__(self, log: Callable[[str], None]) -> None:
-        """log is told once of each that is refused. Raises DiscoveryError."""
         self._log = log
         self._own, _ = own_addresses()
         self._found: dict[str, Announcement] = {}
         self._seen: set[str] = set()
         self.refused: Counter[str] = Counter()
-        self._network = speaking_on([str(one.ip) for one in self._own])
+        self._network = open_multicast([str(one.ip) for one in self._own])
         self._browser = ServiceBrowser(self._network, SERVICE, handlers=[self._on_change])
 
     def __enter__(self) -> "Browser":
@@ -47,7 +68,7 @@ class Browser:
 
     @property
     def found(self) -> list[Announcement]:
-        """Those that are announced now and can be reached, with the addresses to reach them by."""
+        """Nodes announced now that can be reached, with only the addresses to reach them by."""
         return list(self._found.values())
 
     def _on_change(
@@ -67,23 +88,59 @@ class Browser:
             self._refuse(error.cause, name, str(error))
 
     def _read(self, zeroconf: Zeroconf, name: str) -> Announcement:
-        """Raises WireError."""
         try:
             info = ServiceInfo(SERVICE, name)
-            there = info.request(zeroconf, ASK_FOR_MS)
+            answered = info.request(zeroconf, REQUEST_WITHIN_MS)
         except ZeroconfError as error:
             raise WireError("malformed", ascii(str(error))) from None
-        if not there:
-            raise WireError("malformed", "its host does not say where it is")
-        read = read_announcement(name, info.addresses, info.port, info.properties)
-        addresses = reachable(read, self._own)
+        if not answered:
+            raise WireError("malformed", "its host does not send its address")
+        announcement = read_announcement(name, info.addresses, info.port, info.properties)
+        addresses = reachable(announcement, self._own)
         if not addresses:
             raise WireError(UNREACHABLE, "none of its addresses is on a network of this machine")
-        return replace(read, addresses=tuple(addresses))
+        return replace(announcement, addresses=tuple(addresses))
 
     def _refuse(self, cause: str, name: str, reason: str) -> None:
         self.refused[cause] += 1
         if self.refused.total() <= MAX_NAMED:
-            # In letters that every terminal has: a peer chose it.
+            # A peer chose the name: only characters that every terminal shows.
             shown = ascii(name.removesuffix("." + SERVICE))[1:-1][:MAX_SHOWN]
             self._log(f"not a sensing node: {shown}: {reason}")
+
+
+def own_addresses() -> tuple[list[IPv4Interface], dict[str, list[str]]]:
+    """Return this machine's IPv4 addresses with their networks, and those of each interface."""
+    own: list[IPv4Interface] = []
+    names: dict[str, list[str]] = {}
+    for adapter in ifaddr.get_adapters():
+        for address in adapter.ips:
+            if address.is_IPv4:
+                own.append(IPv4Interface(f"{address.ip}/{address.network_prefix}"))
+                names.setdefault(adapter.name, []).append(str(address.ip))
+    return own, names
+
+
+def open_multicast(addresses: list[str]) -> Zeroconf:
+    """Open multicast DNS on the networks of these addresses. Raises DiscoveryError."""
+    able = [address for address in addresses if _carries_multicast(address)]
+    if not able:
+        raise DiscoveryError(
+            f"no network here carries multicast ({', '.join(addresses) or 'there is none'}), which"
+            " discovery needs; give the sensing node's address: --connect tcp://HOST:5555"
+        )
+    try:
+        return Zeroconf(interfaces=able, ip_version=IPVersion.V4Only)
+    except OSError as error:
+        raise DiscoveryError(f"multicast DNS cannot be opened here: {error.strerror}") from None
+
+
+def _carries_multicast(address: str) -> bool:
+    """Return whether the kernel has a route to the group from there; nothing is sent."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(address))
+            probe.connect(MULTICAST_GROUP)
+        except OSError:
+            return False
+    return True

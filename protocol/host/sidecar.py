@@ -1,8 +1,8 @@
-"""A process beside a node, for what would hold up its loop: it is ready before the node moves, is
-told what it needs, and ends with the node however that ends.
+"""A process beside a node for work that would hold up its loop.
 
-The two talk in lines of JSON: it says once that it is ready, or why it cannot; its standard input
-ends with the node, kill -9 included.
+It is ready before the node moves, receives messages from it, and ends with it however that ends.
+The two exchange lines of JSON over pipes: the sidecar sends once that it is ready, or why it cannot
+start; its standard input closes when the node ends, `kill -9` included.
 """
 
 import json
@@ -27,61 +27,80 @@ NICENESS = 10
 
 
 class Sidecar:
-    """A process that runs beside the node. said: what it told when it was ready."""
+    """A process that runs beside the node, ready once this is constructed.
+
+    Parameters
+    ----------
+    name : str
+        Its name in messages, such as "the announcer".
+    module : str
+        Module that it runs, which calls `run_as_sidecar`.
+    *arguments : str
+        Its command-line arguments.
+    log : callable
+        Receives the texts that it reports later.
+    warn : callable
+        Receives a line when it ends before the node does.
+
+    Attributes
+    ----------
+    ready_message : str
+        Text that it sent when it was ready.
+
+    Raises
+    ------
+    SidecarError
+        With its reason, when it cannot start.
+    """
 
     def __init__(
         self,
-        what: str,
+        name: str,
         module: str,
         *arguments: str,
         log: Callable[[str], None],
         warn: Callable[[str], None],
     ) -> None:
-        """what: its name for people. log is told what it says later, warn when it ends before the
-        node does.
-
-        Returns once it is ready. Raises BesideError with its reason where it cannot begin.
-        """
-        self._what, self._log, self._warn = what, log, warn
+        self._name, self._log, self._warn = name, log, warn
         self._ending = False
-        self._process = ChildProcess(what, "-m", module, *arguments, stdin=PIPE, stdout=PIPE)
+        self._process = ChildProcess(name, "-m", module, *arguments, stdin=PIPE, stdout=PIPE)
         try:
-            self.said = self._hear()
+            self.ready_message = self._wait_until_ready()
         except BaseException:
             self._close()
             raise
-        # It waits in the kernel, and wakes when something is said.
-        self._watcher = threading.Thread(target=self._watch, daemon=True)
-        self._watcher.start()
+        # It waits in the kernel, and wakes when a line comes.
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
 
-    def tell(self, **words: Any) -> None:
-        """Tell it something; where it has ended meanwhile, that is said already."""
+    def send(self, **message: Any) -> None:
+        """Send a message; nothing is sent to a process that has ended, which `warn` reports."""
         with suppress(OSError):
-            self._process.write_line(json.dumps(words))
+            self._process.write_line(json.dumps(message))
 
     def end(self) -> None:
-        """End it, and wait until it has."""
+        """End the process, and wait until it has ended."""
         self._ending = True
         self._process.close_input()
-        self._watcher.join(ENDS_WITHIN_S)
+        self._reader.join(ENDS_WITHIN_S)
         self._close()
 
-    def _hear(self) -> str:
+    def _wait_until_ready(self) -> str:
         try:
-            words = json.loads(self._process.read_line(STARTS_WITHIN_S))
+            message = json.loads(self._process.read_line(STARTS_WITHIN_S))
         except (ProcessError, ValueError):
-            raise SidecarError(f"{self._what} cannot be started") from None
-        if "ready" not in words:
-            raise SidecarError(words["error"])
-        return str(words["ready"])
+            raise SidecarError(f"{self._name} cannot be started") from None
+        if "ready" not in message:
+            raise SidecarError(message["error"])
+        return str(message["ready"])
 
-    def _watch(self) -> None:
+    def _read(self) -> None:
         assert self._process.stdout is not None
         for line in self._process.stdout:
-            self._log(_said(line))
+            self._log(_reported(line))
         status = self._process.wait()
         if not self._ending:
-            self._warn(f"{self._what} has ended with status {status}; the node goes on without")
+            self._warn(f"{self._name} has ended with status {status}; the node goes on without")
 
     def _close(self) -> None:
         with self._process:
@@ -108,27 +127,31 @@ def sidecar_module(name: str) -> str:
 
 @contextmanager
 def start_sidecar(
-    program: str, what: str, module: str, *arguments: str, log: Callable[[str], None]
+    program: str, name: str, module: str, *arguments: str, log: Callable[[str], None]
 ) -> Iterator[Sidecar]:
-    """A companion of the node `program` within a `with`; log is told what it says. Raises
-    BesideError."""
+    """Run a sidecar of the node `program` within a `with`; warnings go to stderr.
+
+    The parameters are those of `Sidecar`. Raises SidecarError.
+    """
 
     def warn(text: str) -> None:
         print(f"{program}: {text}", file=sys.stderr)
 
-    companion = Sidecar(what, module, *arguments, log=log, warn=warn)
+    sidecar = Sidecar(name, module, *arguments, log=log, warn=warn)
     try:
-        yield companion
+        yield sidecar
     finally:
-        companion.end()
+        sidecar.end()
+
+
+# Below: called by the process itself.
 
 
 @contextmanager
 def run_as_sidecar() -> Iterator[Callable[[str], None]]:
-    """Yield a callback that reports readiness; a TelepulseError is reported and ends the process.
-    Called by the process itself.
+    """Yield a callback that reports readiness; report a TelepulseError, and exit with status 1.
 
-    It gives way to the node's loop.
+    The process gives way to the node's loop (`nice`).
     """
     if hasattr(os, "nice"):
         os.nice(NICENESS)
@@ -139,23 +162,22 @@ def run_as_sidecar() -> Iterator[Callable[[str], None]]:
         raise SystemExit(1) from None
 
 
-def say(text: str) -> None:
-    """Have the node print something for people. Called by the process itself."""
+def report(text: str) -> None:
+    """Send a text for the node to print."""
     with suppress(OSError):  # the node may have gone
-        print(json.dumps({"says": text}), flush=True)
+        print(json.dumps({"report": text}), flush=True)
 
 
 def receive() -> dict[str, Any] | None:
-    """Return the node's next message; None when the node has ended. Called by the process
-    itself."""
+    """Return the node's next message; None when the node has ended."""
     line = sys.stdin.readline()
-    words: dict[str, Any] | None = json.loads(line) if line.endswith("\n") else None
-    return words
+    message: dict[str, Any] | None = json.loads(line) if line.endswith("\n") else None
+    return message
 
 
-def _said(line: str) -> str:
-    """Return what a sidecar's line is to say; one that a library of it printed is said as it is."""
+def _reported(line: str) -> str:
+    """Return the text that a line reports; a line that a library printed is returned as it is."""
     try:
-        return str(json.loads(line)["says"])
+        return str(json.loads(line)["report"])
     except (ValueError, TypeError, KeyError):
         return line.rstrip()

@@ -1,4 +1,4 @@
-"""The allow-list: the public keys that a node lets in, a line each, as they stand in .pub files."""
+"""The allow-list: public keys that may connect to a node, one line each as in a .pub file."""
 
 import os
 import stat
@@ -10,23 +10,23 @@ from protocol.security.keys import READ_BY_ALL, PublicKey, create, parse_public,
 
 MAX_ALLOWED = 10_000
 _MAX_BYTES = 200 * MAX_ALLOWED
-LOOK_EVERY_NS = 1_000_000_000
+POLL_EVERY_NS = 1_000_000_000
 # A list that cannot be read may be one that revokes a key.
 UNREADABLE_AT_MOST_NS = 10_000_000_000
 
 
 class AllowList:
-    """The allow-list of a running node: read again after each change, until that succeeds.
+    """Allow-list of a running node, read again after each change until that succeeds.
 
-    While a changed list cannot be read, nobody new is let in; after 10 s of that nobody stays.
-    Time comes in. The caller cuts the connections of the keys that `tend` returns.
+    While a changed list cannot be read, no new peer may connect; after 10 s none may stay. The
+    caller cuts the connections of the keys that `poll` returns.
 
     Parameters
     ----------
-    path
+    path : Path
         The list's file.
-    log
-        Receives a line for each change that concerns a peer, and for a list that cannot be read.
+    log : callable
+        Receives a line for each key that is revoked, and for a list that cannot be read.
 
     Raises
     ------
@@ -39,32 +39,32 @@ class AllowList:
         self._stamp = _stamp(path)
         self._allowed = self._read()
         self._once_allowed = set(self._allowed)
-        self._look_ns = 0
+        self._poll_ns = 0
         self._unreadable_since_ns: int | None = None
         self._reason = ""
 
     @property
     def allowed(self) -> Mapping[bytes, PublicKey]:
-        """The keys that may stay, with their names."""
+        """Keys that may connect, with their names."""
         return self._allowed
 
     @property
     def readable(self) -> bool:
-        """True while the list on the disk is the one that was read."""
+        """True while the file's present content is the one that was read."""
         return self._unreadable_since_ns is None
 
     def once_allowed(self, key: bytes) -> bool:
         """Return whether the key was on the list at some time of this run."""
         return key in self._once_allowed
 
-    def tend(self, now_ns: int) -> list[bytes]:
-        """Read the list when it has changed; return the keys that may stay no longer.
+    def poll(self, now_ns: int) -> list[bytes]:
+        """Read the list when it has changed, and return the keys that were revoked.
 
         Call it often: it looks at the file once a second.
         """
-        if now_ns < self._look_ns:
+        if now_ns < self._poll_ns:
             return []
-        self._look_ns = now_ns + LOOK_EVERY_NS
+        self._poll_ns = now_ns + POLL_EVERY_NS
         stamp = _stamp(self._path)
         if self.readable and stamp == self._stamp:
             return []
@@ -72,7 +72,7 @@ class AllowList:
             allowed = self._read()
         except KeyFileError as error:
             return self._fail(str(error), now_ns)
-        # Of before the reading: a list that was written meanwhile is read again.
+        # Taken before the reading: a list that is written meanwhile is read again.
         self._stamp = stamp
         if not self.readable:
             self._unreadable_since_ns, self._reason = None, ""
@@ -86,12 +86,12 @@ class AllowList:
         if reason != self._reason:
             self._reason = reason
             self._log(
-                f"{reason}; until it can be read nobody new is let in, and after {limit_s} s"
-                " nobody stays"
+                f"{reason}; until it can be read no new peer may connect, and after {limit_s} s"
+                " none may stay"
             )
         if now_ns - self._unreadable_since_ns < UNREADABLE_AT_MOST_NS or not self._allowed:
             return []
-        self._log(f"{self._path} could not be read for {limit_s} s: nobody stays")
+        self._log(f"{self._path} could not be read for {limit_s} s: all peers are cut off")
         gone, self._allowed = list(self._allowed), {}
         return gone
 
@@ -106,27 +106,27 @@ class AllowList:
     def _read(self) -> dict[bytes, PublicKey]:
         allowed = read_allowed(self._path)
         if not allowed:
-            self._log(f"{self._path} allows nobody; telepulse keys allow FILE.pub lets in")
+            self._log(f"{self._path} allows nobody; telepulse keys allow FILE.pub adds a key")
         return allowed
 
 
 def read_allowed(path: Path) -> dict[bytes, PublicKey]:
-    """Read the allowed keys and their names; none where there is no file. Raises KeyFileError.
+    """Read the allowed keys and their names; none where there is no file.
 
-    Empty lines and lines that begin with # say nothing.
+    Empty lines and lines that begin with # are skipped. Raises KeyFileError.
     """
     return {public.key: public for _, public in _read(path) if public is not None}
 
 
 def allow(path: Path, public: PublicKey) -> None:
-    """Add a key. Raises KeyFileError, also where its name or itself is there already."""
+    """Add a key. Raises KeyFileError, also when the key or its name is on the list already."""
     lines = _read(path)
     for known in (known for _, known in lines if known is not None):
         if known == public:
             raise KeyFileError(f"{public.name} is allowed already in {path}")
         if known.name == public.name:
             raise KeyFileError(
-                f"{path} allows another key of the name {public.name}; take that out first:"
+                f"{path} allows another key of the name {public.name}; remove that first:"
                 f" telepulse keys revoke {public.name}"
             )
         if known.key == public.key:
@@ -135,7 +135,7 @@ def allow(path: Path, public: PublicKey) -> None:
 
 
 def revoke(path: Path, name: str) -> None:
-    """Take out the key of a name. Raises KeyFileError where there is none."""
+    """Remove the key of a name. Raises KeyFileError when the name is not on the list."""
     lines = _read(path)
     kept = [line for line, known in lines if known is None or known.name != name]
     if len(kept) == len(lines):
@@ -163,7 +163,7 @@ def _read(path: Path) -> list[tuple[str, PublicKey | None]]:
             except ValueError as error:
                 raise KeyFileError(f"{path}, line {number}: {error}") from None
             if public.key in keys:
-                # Else revoking one of its names would leave the key allowed.
+                # Otherwise revoking one of its names would leave the key allowed.
                 raise KeyFileError(f"{path}, line {number}: this key stands there already")
             keys.add(public.key)
         lines.append((line, public))
@@ -171,7 +171,7 @@ def _read(path: Path) -> list[tuple[str, PublicKey | None]]:
 
 
 def _replace(path: Path, lines: list[str]) -> None:
-    """Write the list anew: a node that reads it meets the old one or the new one, whole."""
+    """Replace the list in one step: a node reads either the old one or the whole new one."""
     new = path.with_name(path.name + ".new")
     if new.exists():
         raise KeyFileError(
@@ -186,7 +186,7 @@ def _replace(path: Path, lines: list[str]) -> None:
 
 
 def _stamp(path: Path) -> tuple[int, int, int, int] | None:
-    """Return what changes when the file or its mode does; None where it cannot be looked at."""
+    """Return a value that changes with the file or its mode; None where there is no access."""
     try:
         status = os.stat(path)
     except OSError:

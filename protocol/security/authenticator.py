@@ -1,33 +1,38 @@
-"""Admission of peers: answers ZeroMQ's questions about keys by the allow-list, and cuts others off.
+"""Authentication of peers by the allow-list, and cutting off of those that may not stay.
 
-ZeroMQ asks once, when a connection is made, and cannot drop one later. So the gate knows the
-descriptor of each connection: when a key is taken off the list, the connections from wherever it
-was seen are cut, and whoever else was there connects anew.
+libzmq authenticates a CURVE connection by ZAP (RFC 27): it sends a request with the peer's key to a
+socket of this process, once, when the connection is made. It cannot drop the connection later.
+So the authenticator records the addresses of each key. When a key is revoked, all connections
+from its addresses are cut; those whose key is still allowed reconnect by themselves.
 
-A stranger, whom the list does not let in, connects all the same: the gate bounds that, too.
+Strangers can open TCP connections without any key: the authenticator bounds those, too.
+`zmq.auth` does not suffice for this (docs/decisions/0031-zmq-auth-is-not-enough.md).
 """
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import zmq
 
 from protocol import sockets
 from protocol.host.process import connections_that_fit
-from protocol.security import zap
 from protocol.security.allow_list import AllowList
-from protocol.security.connection_budget import ConnectionBudget
-from protocol.security.connection_table import ConnectionTable
-from protocol.security.keys import ServerKeys
+from protocol.security.budgets import ConnectionBudget
+from protocol.security.connection_table import ConnectionTable, network_address
+from protocol.security.keys import KEY_BYTES, ServerKeys
 from protocol.security.socket_monitor import HANDSHAKE, NO_KEY, NOT_AUTHENTIC, REPLAYED
 
-# So many refused peers are named in the log, and so many addresses remembered of a key.
+ZAP_ENDPOINT = "inproc://zeromq.zap.01"
+ZAP_DOMAIN = b"telepulse"
+ZAP_VERSION = b"1.0"
+# Refused peers that are named in the log, and addresses that are stored of a key.
 MAX_NAMED = 1_000
 MAX_ADDRESSES = 100
 EVERYWHERE = "everywhere"
-TOO_MANY = "too_many_connections"
-# So many requests are answered a call, each after a key exchange: some 0.3 ms of a loop.
+# Requests answered in a call, each after a key exchange: some 0.3 ms of a loop.
 MAX_ANSWERS = 16
+TOO_MANY = "too_many_connections"
 UNKNOWN_KEY, REVOKED_KEY, LIST_UNREADABLE = "unknown_key", "revoked_key", "list_unreadable"
 REASONS = {
     NO_KEY: "it has no key",
@@ -36,18 +41,64 @@ REASONS = {
     HANDSHAKE: "it made no ZeroMQ connection",
     UNKNOWN_KEY: "key {} is not allowed",
     REVOKED_KEY: "key {} is allowed no more",
-    LIST_UNREADABLE: "the allow-list cannot be read, so that nobody new is let in",
-    TOO_MANY: "more connections than this node has files for; it keeps those that came before",
+    LIST_UNREADABLE: "the allow-list cannot be read, so that no new peer may connect",
+    TOO_MANY: "more connections than this node has files for; it keeps the earlier ones",
 }
 
 
+class ZapRequest(NamedTuple):
+    """Address ("" over ipc) and public key of a peer that connects."""
+
+    address: str
+    key: bytes
+
+
+def decode_zap_request(parts: Sequence[bytes]) -> ZapRequest | None:
+    """Decode a ZAP request; return None unless it is a CURVE request of our domain."""
+    if len(parts) != 7:
+        return None
+    version, _, domain, address, _, mechanism, key = parts
+    if (version, domain, mechanism) != (ZAP_VERSION, ZAP_DOMAIN, b"CURVE") or len(key) != KEY_BYTES:
+        return None
+    return ZapRequest(network_address(address.decode("ascii", "replace")), key)
+
+
+def encode_zap_reply(request: Sequence[bytes], user: str | None) -> list[bytes]:
+    """Encode the reply to a ZAP request: `user` is allowed, None is refused."""
+    number = request[1] if len(request) > 1 else b""
+    if user is None:
+        return [ZAP_VERSION, number, b"400", b"not allowed", b"", b""]
+    return [ZAP_VERSION, number, b"200", b"", user.encode("ascii"), b""]
+
+
 class Authenticator:
-    """Admission to all sockets that one context binds. One for each context, before they bind.
+    """Authentication for all sockets that a context binds; make one before they bind.
 
-    With keys the allow-list decides; without, everybody may come. In either case the connections
-    are bounded, so that one who connects again and again costs the others nothing.
+    With keys, the allow-list decides. Without, every peer may connect. In both cases the number
+    of connections is bounded, so that one peer that connects repeatedly costs the others nothing.
 
-    sockets: to wait for, beside those it guards; rejected: what was refused, by cause.
+    Parameters
+    ----------
+    context : zmq.Context
+        The sockets' context.
+    keys : ServerKeys or None
+        This node's key and allow-list; None without keys.
+    log : callable
+        Receives a line for each refused peer and each change of the list.
+    most : int, optional
+        Connections in all; by default as many as this process has files for.
+
+    Attributes
+    ----------
+    sockets : list of zmq.Socket
+        Sockets to wait for, beside the protected ones.
+    rejected : Counter
+        Refusals by cause.
+
+    Raises
+    ------
+    KeyFileError
+        When the allow-list cannot be used.
     """
 
     def __init__(
@@ -57,89 +108,83 @@ class Authenticator:
         log: Callable[[str], None],
         most: int | None = None,
     ) -> None:
-        """keys: None where the link does without. most: connections, together; None: for which
-        this process has files.
-
-        Raises KeyFileError when the allow-list cannot be used.
-        """
         self._context = context
         self._log = log
         self.sockets: list[sockets.Socket] = []
         self.rejected: Counter[str] = Counter()
-        self._doors: list[ConnectionTable] = []
+        self._tables: list[ConnectionTable] = []
         self._budget = ConnectionBudget(connections_that_fit() if most is None else most)
         self._named: set[tuple[str, str, bytes]] = set()
-        # By key: where it was let in from.
-        self._seen: dict[bytes, set[str]] = {}
-        self._to_show_out: set[str] = set()
+        # By key: the addresses from which it was accepted.
+        self._addresses: dict[bytes, set[str]] = {}
+        self._to_cut: set[str] = set()
         self._keys = keys
         if keys is not None:
             self._list = AllowList(keys.allowed, log)
             self._zap = context.socket(zmq.ROUTER)
-            self._zap.bind(zap.ENDPOINT)
+            self._zap.bind(ZAP_ENDPOINT)
             self.sockets.append(self._zap)
 
-    def guard(self, socket: sockets.Socket) -> None:
-        """Admit to `socket` the keys of the allow-list alone; call it before `socket` is bound."""
+    def protect(self, socket: sockets.Socket) -> None:
+        """Let only keys of the allow-list connect to `socket`; call this before it is bound."""
         if self._keys is not None:
             socket.setsockopt(zmq.CURVE_SERVER, 1)
             socket.setsockopt(zmq.CURVE_SECRETKEY, self._keys.own.secret)
-            socket.setsockopt(zmq.ZAP_DOMAIN, zap.DOMAIN)
-            # Without somebody who answers, nobody gets in.
+            socket.setsockopt(zmq.ZAP_DOMAIN, ZAP_DOMAIN)
+            # Without a ZAP handler, refuse all.
             socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)
-        door = ConnectionTable(self._context, socket)
-        self._doors.append(door)
-        self.sockets.append(door.socket)
+        table = ConnectionTable(self._context, socket)
+        self._tables.append(table)
+        self.sockets.append(table.socket)
 
-    def tend(self, now_ns: int) -> None:
-        """Answer who knocks, count who is refused, look at the list; call it often.
+    def poll(self, now_ns: int) -> None:
+        """Answer requests, count refusals, read a changed list, cut connections; call it often.
 
-        What it does in a call is bounded, however many knock.
+        The work of one call is bounded, however many peers connect.
         """
-        for door in self._doors:
-            for cause, address in door.failures():
-                # Without keys nobody is refused; who hangs up early is no concern of anybody.
+        for table in self._tables:
+            for cause, address in table.failures():
+                # Without keys none is refused, and a peer that hangs up early is no failure.
                 if self._keys is not None:
                     self._refuse(cause, address)
-        for address in self._budget.enforce(self._doors, now_ns):
+        for address in self._budget.enforce(self._tables, now_ns):
             self._refuse(TOO_MANY, address)
         if self._keys is not None:
-            self._tend_keys(self._keys, now_ns)
+            self._cut_revoked(now_ns)
+            for envelope, empty, *request in sockets.receive_all(self._zap, MAX_ANSWERS):
+                user = self._user_of(self._keys, request)
+                sockets.send(self._zap, envelope, empty, *encode_zap_reply(request, user))
 
-    def _tend_keys(self, keys: ServerKeys, now_ns: int) -> None:
-        for key in self._list.tend(now_ns):
-            addresses = self._seen.pop(key, set())
-            self._to_show_out |= addresses if len(addresses) < MAX_ADDRESSES else {EVERYWHERE}
-        if self._to_show_out:
-            everywhere = EVERYWHERE in self._to_show_out
-            for door in self._doors:
-                door.cut(None if everywhere else self._to_show_out)
-            # Of a connection that was let in, a door that is behind may not know yet.
-            if not any(door.behind for door in self._doors):
-                self._to_show_out.clear()
-        for envelope, empty, *request in sockets.receive_all(self._zap, MAX_ANSWERS):
-            user = self._judge(keys, request)
-            sockets.send(self._zap, envelope, empty, *zap.reply(request, user))
+    def _cut_revoked(self, now_ns: int) -> None:
+        for key in self._list.poll(now_ns):
+            addresses = self._addresses.pop(key, set())
+            self._to_cut |= addresses if len(addresses) < MAX_ADDRESSES else {EVERYWHERE}
+        if self._to_cut:
+            for table in self._tables:
+                table.cut(None if EVERYWHERE in self._to_cut else self._to_cut)
+            # A table that is behind may not list a connection yet that was accepted before.
+            if not any(table.behind for table in self._tables):
+                self._to_cut.clear()
 
-    def _judge(self, keys: ServerKeys, request: list[bytes]) -> str | None:
-        """The name of a peer that is let in."""
-        knock = zap.read_request(request)
-        if knock is None:
+    def _user_of(self, keys: ServerKeys, parts: list[bytes]) -> str | None:
+        """Return the name of the peer that may connect; count the refusal of any other."""
+        request = decode_zap_request(parts)
+        if request is None:
             self._refuse(HANDSHAKE, "")
             return None
-        # Who has the node's own secret key is the node.
+        # A peer with the node's own secret key is the node itself.
         own = keys.own.public
-        public = own if knock.key == own.key else self._list.allowed.get(knock.key)
+        public = own if request.key == own.key else self._list.allowed.get(request.key)
         if public is not own and not self._list.readable:
-            self._refuse(LIST_UNREADABLE, knock.address, knock.key)
+            self._refuse(LIST_UNREADABLE, request.address, request.key)
             return None
         if public is None:
-            cause = REVOKED_KEY if self._list.once_allowed(knock.key) else UNKNOWN_KEY
-            self._refuse(cause, knock.address, knock.key)
+            cause = REVOKED_KEY if self._list.once_allowed(request.key) else UNKNOWN_KEY
+            self._refuse(cause, request.address, request.key)
             return None
-        seen = self._seen.setdefault(knock.key, set())
-        if len(seen) < MAX_ADDRESSES:
-            seen.add(knock.address)
+        addresses = self._addresses.setdefault(request.key, set())
+        if len(addresses) < MAX_ADDRESSES:
+            addresses.add(request.address)
         return public.name
 
     def _refuse(self, cause: str, address: str, key: bytes = b"") -> None:
@@ -147,7 +192,7 @@ class Authenticator:
         if (cause, address, key) in self._named or len(self._named) > MAX_NAMED:
             return
         if not (address or key) and any(cause == named for named, *_ in self._named):
-            return  # perhaps one that is named already: it left before its address was asked for
+            return  # perhaps a peer that is named already and left before its address was read
         self._named.add((cause, address, key))
         if len(self._named) > MAX_NAMED:
             self._log("more peers are refused than are named here; the summary counts them")

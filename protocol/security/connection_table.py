@@ -1,17 +1,20 @@
-"""The connections that others make to a bound socket: which fail, and how one is cut.
+"""Connections of peers to a bound socket: which are open, which fail, and cutting one.
 
-ZeroMQ tells of them by descriptor, and has no call that ends one; its own descriptor does. Nor has
-it one that takes no more of them for a while; a filter on the listening socket does.
+ZeroMQ reports connections by file descriptor, and has no call that ends one: shutting down its
+descriptor does. Nor has it a call that pauses accepting: a packet filter on the listening socket
+does (docs/decisions/0031-zmq-auth-is-not-enough.md).
 """
 
 import ctypes
+import ipaddress
 import itertools
 import os
 import socket as plain
 import struct
 import sys
 from collections import Counter
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 
 import zmq
 
@@ -26,51 +29,57 @@ _EVENTS = (
     | zmq.EVENT_DISCONNECTED
     | zmq.EVENT_LISTENING
 )
-# So many are read a call: some 0.2 ms of a loop.
+# Events that are read in a call: some 0.2 ms of a loop.
 MAX_EVENTS = 16
-_ANSWERED = "answered"
-_turns = itertools.count()
-# A connection that is closed so leaves nothing behind that its peer could still read.
+_REFUSED_BY_KEY = "refused by key"
+_order = itertools.count()
+# Closing discards what is queued, so that the peer cannot read it.
 _NO_LINGER = struct.pack("hh" if os.name == "nt" else "ii", 1, 0)
-# From <asm-generic/socket.h>; a filter of one instruction, BPF_RET, by which no packet passes.
+# From <asm-generic/socket.h>; a filter of one instruction, BPF_RET 0, which drops every packet.
 _SO_ATTACH_FILTER, _SO_DETACH_FILTER = 26, 27
 _DROP_ALL = ctypes.create_string_buffer(struct.pack("HBBI", 0x06, 0, 0, 0))
 
 
 class ConnectionTable:
-    """The open connections of one bound socket, by descriptor, with the address of each.
+    """Open connections of one bound socket, by descriptor, with the address of each.
 
-    ZeroMQ does not say which connection has become one, nor of each that does not: the longest
-    open is taken for it. So the count is right, though not always at once.
+    ZeroMQ does not report which pending connection has succeeded, and not always which has failed:
+    the oldest pending one is assumed. So the counts are right, though not always at once.
 
-    socket: to wait for. behind: whether more has happened than was read of it. by_address: how many
-    connections are open, by where they come from; those that were cut are not among them.
+    Attributes
+    ----------
+    socket : zmq.Socket
+        Readable when events wait.
+    behind : bool
+        True while more events may wait than the last call has read.
+    by_address : Counter
+        Open connections by address, without those that were cut.
     """
 
     def __init__(self, context: Context, bound: Socket) -> None:
-        """Before `bound` is bound."""
-        self._watch = SocketMonitor(context, bound, _EVENTS)
-        self.socket = self._watch.socket
+        """Watch `bound`; call this before it is bound."""
+        self._monitor = SocketMonitor(context, bound, _EVENTS)
+        self.socket = self._monitor.socket
         self.behind = False
         self.by_address: Counter[str] = Counter()
         self._listening: list[int] = []
-        self._shut = False
+        self._paused = False
         self._open: dict[int, str] = {}
         self._cut: set[int] = set()
-        # With the turn in which each came, over all doors.
-        self._fresh: dict[int, int] = {}
-        # Of a failure whose end may be told next.
-        self._failed: str | None = None
+        # Descriptor → place in the order of arrival over all tables.
+        self._pending: dict[int, int] = {}
+        # Cause of a failure whose disconnection may be the next event.
+        self._failure: str | None = None
 
     def failures(self) -> list[tuple[str, str]]:
-        """Cause and address of each connection that failed since the last call.
+        """Return cause and address of each connection that failed since the last call.
 
-        Those that were refused for their key are not among them: who refused them knows.
+        Connections that were refused for their key are left out: the authenticator counts those.
         """
         failures: list[tuple[str, str]] = []
-        kept = self._failed
+        earlier = self._failure
         read = 0
-        for event, value, _ in self._watch.events(MAX_EVENTS):
+        for event, value, _ in self._monitor.events(MAX_EVENTS):
             read += 1
             if event == zmq.EVENT_LISTENING:
                 self._listening.append(value)
@@ -78,93 +87,89 @@ class ConnectionTable:
             if event == zmq.EVENT_DISCONNECTED:
                 failures += self._end(value)
             else:
-                failures += self._fail("")
+                failures += self._report("")
             if event == zmq.EVENT_ACCEPTED:
                 self._forget(value)
                 self._open[value] = address = _address_of(value)
                 self.by_address[address] += 1
-                self._fresh.pop(value, None)
-                self._fresh[value] = next(_turns)
+                self._pending.pop(value, None)
+                self._pending[value] = next(_order)
             elif event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
                 self._settle()
             elif event == zmq.EVENT_HANDSHAKE_FAILED_AUTH:
-                self._failed = _ANSWERED
+                self._failure = _REFUSED_BY_KEY
             elif event != zmq.EVENT_DISCONNECTED:
-                self._failed = cause_of(value)
-            kept = None
+                self._failure = cause_of(value)
+            earlier = None
         self.behind = read == MAX_EVENTS
-        # ZeroMQ keeps a connection whose message could not be opened: its end does not come.
-        return failures + (self._fail("") if kept is not None else [])
+        # ZeroMQ keeps a connection whose message could not be opened: no disconnection follows.
+        return failures + (self._report("") if earlier is not None else [])
 
     @property
     def connections(self) -> int:
-        """The number of connections that are open and were not cut."""
+        """Number of connections that are open and were not cut."""
         return len(self._open) - len(self._cut)
 
     def pending(self) -> list[tuple[int, int, str]]:
-        """Return turn, descriptor and address of each that is not yet one of ZeroMQ's."""
+        """Return order, descriptor and address of each connection without a ZeroMQ handshake."""
         return [
-            (turn, number, self._open[number])
-            for number, turn in self._fresh.items()
-            if number in self._open and number not in self._cut
+            (order, descriptor, self._open[descriptor])
+            for descriptor, order in self._pending.items()
+            if descriptor in self._open and descriptor not in self._cut
         ]
 
     @property
     def most_pending(self) -> int:
-        """A bound on how many are no ZeroMQ connection yet, which costs nothing to ask for."""
-        return len(self._fresh)
+        """Upper bound of the number of pending connections, at no cost."""
+        return len(self._pending)
 
     def newest_from(self, address: str, most: int) -> list[int]:
-        """Return the descriptors of the newest connections from an address, `most` at most."""
+        """Return the descriptors of up to `most` newest connections from an address."""
         of_it = (n for n in reversed(self._open) if self._open[n] == address and n not in self._cut)
         return list(itertools.islice(of_it, most))
 
     def cut(self, addresses: set[str] | None) -> None:
-        """Cut the connections from `addresses`, or all."""
+        """Cut the connections from `addresses`; None: all connections."""
         for descriptor, address in self._open.items():
             if addresses is None or address in addresses:
                 cut(descriptor, address)
 
     def cut_one(self, descriptor: int) -> None:
-        """Cut one connection; it counts no longer, though ZeroMQ has still to close it."""
+        """Cut one connection. It counts no longer, though ZeroMQ closes it later."""
         address = self._open[descriptor]
         cut(descriptor, address)
         self._cut.add(descriptor)
         self.by_address[address] -= 1
 
-    def shut(self, shut: bool) -> None:
-        """Take no further connections, or take them again; those that are open stay. Linux, TCP.
+    def pause(self, paused: bool) -> None:
+        """Pause or resume accepting connections (TCP on Linux); open connections stay.
 
-        The kernel drops requests to connect, which their senders repeat.
+        Meanwhile the kernel drops requests to connect, which their senders repeat.
         """
-        if shut == self._shut or sys.platform != "linux":
+        if paused == self._paused or sys.platform != "linux":
             return
-        self._shut = shut
+        self._paused = paused
         option, value = (
             (_SO_ATTACH_FILTER, struct.pack("HP", 1, ctypes.addressof(_DROP_ALL)))
-            if shut
+            if paused
             else (_SO_DETACH_FILTER, struct.pack("i", 0))
         )
-        for number in self._listening:
-            with suppress(OSError):
-                listening = plain.socket(fileno=number)
-                try:
-                    listening.setsockopt(plain.SOL_SOCKET, option, value)
-                finally:
-                    listening.detach()
+        for descriptor in self._listening:
+            with suppress(OSError), _socket_of(descriptor) as listening:
+                listening.setsockopt(plain.SOL_SOCKET, option, value)
 
     def _end(self, descriptor: int) -> list[tuple[str, str]]:
-        """A connection has ended; the failure, if that is why."""
+        """Remove a connection that has ended; return the failure, if that is why."""
         address = self._forget(descriptor)
-        if self._failed is None:
-            if descriptor not in self._fresh:
+        if self._failure is None:
+            if descriptor not in self._pending:
                 return []
-            self._failed = HANDSHAKE
+            self._failure = HANDSHAKE
         self._settle(descriptor)
-        return self._fail(address)
+        return self._report(address)
 
     def _forget(self, descriptor: int) -> str:
-        """Drop a connection from the table; return its address."""
+        """Remove a connection from the table; return its address."""
         address = self._open.pop(descriptor, None)
         if address is None:
             return ""
@@ -175,43 +180,57 @@ class ConnectionTable:
             del self.by_address[address]
         return address
 
-    def _fail(self, address: str) -> list[tuple[str, str]]:
-        """The failure that was told last, if one waits for its address."""
-        cause, self._failed = self._failed, None
-        return [] if cause in (None, _ANSWERED) else [(cause, address)]
+    def _report(self, address: str) -> list[tuple[str, str]]:
+        """Return and clear the failure that waits for its address, if any."""
+        cause, self._failure = self._failure, None
+        return [] if cause in (None, _REFUSED_BY_KEY) else [(cause, address)]
 
     def _settle(self, descriptor: int | None = None) -> None:
-        """A fresh connection is no longer; which, if not known, the oldest."""
-        if descriptor not in self._fresh:
-            descriptor = next(iter(self._fresh), None)
+        """End the pending state of a connection; of the oldest, if it is not known which."""
+        if descriptor not in self._pending:
+            descriptor = next(iter(self._pending), None)
         if descriptor is not None:
-            del self._fresh[descriptor]
+            del self._pending[descriptor]
+
+
+def network_address(address: str) -> str:
+    """Return an IP address as it is, and "" for anything else.
+
+    Over ipc, ZeroMQ gives a user and a process in place of an address.
+    """
+    try:
+        ipaddress.ip_address(address)
+    except ValueError:
+        return ""
+    return address
+
+
+def cut(descriptor: int, address: str) -> None:
+    """End the connection of a descriptor that ZeroMQ owns; ZeroMQ notices, and closes it.
+
+    Nothing is done unless the peer's address is still `address` ("" over ipc): the number may have
+    been given to another connection.
+    """
+    with suppress(OSError), _socket_of(descriptor) as connection:
+        if _address_of(descriptor) == address:
+            connection.setsockopt(plain.SOL_SOCKET, plain.SO_LINGER, _NO_LINGER)
+            connection.shutdown(plain.SHUT_RDWR)
 
 
 def _address_of(descriptor: int) -> str:
-    """Whence a connection comes; empty over ipc, and for one that has ended meanwhile."""
-    with suppress(OSError):
-        connection = plain.socket(fileno=descriptor)
-        try:
-            name = connection.getpeername()
-        finally:
-            connection.detach()
+    """Return the peer's IP address; "" over ipc, and for a connection that has ended."""
+    with suppress(OSError), _socket_of(descriptor) as connection:
+        name = connection.getpeername()
         if isinstance(name, tuple):
             return str(name[0])
     return ""
 
 
-def cut(descriptor: int, address: str) -> None:
-    """End a connection of ZeroMQ's own; ZeroMQ notices, and closes it.
-
-    address: whence it comes, empty over ipc.
-    """
-    with suppress(OSError):
-        connection = plain.socket(fileno=descriptor)
-        try:
-            # The number may stand for something else by now.
-            if _address_of(descriptor) == address:
-                connection.setsockopt(plain.SOL_SOCKET, plain.SO_LINGER, _NO_LINGER)
-                connection.shutdown(plain.SHUT_RDWR)
-        finally:
-            connection.detach()
+@contextmanager
+def _socket_of(descriptor: int) -> Iterator[plain.socket]:
+    """Use ZeroMQ's descriptor as a socket within a `with`, and leave it open. Raises OSError."""
+    borrowed = plain.socket(fileno=descriptor)
+    try:
+        yield borrowed
+    finally:
+        borrowed.detach()

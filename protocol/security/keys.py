@@ -1,8 +1,9 @@
-"""Key files: who a node is, and whom it knows.
+"""Key files: the identity of a node, and of its peers.
 
-A secret key is a file of one line that only its owner may read; the public key that belongs to it
-is a file of one line to mail or paste. The keys are CurveZMQ's (RFC 26): 32 bytes each, the public
-one computed from the secret one.
+A secret key is a file of one line that only its owner may read; its public key is a
+file of one line to mail or paste. The keys are CurveZMQ's (RFC 26): 32 bytes each, the public one
+computed from the secret one. `zmq.auth` has key files too, without a name, a mode or a check that
+the halves match (docs/decisions/0031-zmq-auth-is-not-enough.md).
 """
 
 import os
@@ -18,8 +19,9 @@ from zmq.utils import z85
 from protocol.errors import KeyFileError
 
 SECRET, PUBLIC = "telepulse-secret-key", "telepulse-public-key"
+KEY_BYTES = 32
 OWNER_ONLY, READ_BY_ALL, FOLDER = 0o600, 0o644, 0o700
-# Far more than a line; a wrong file is not read to its end.
+# Far more than one line needs; a wrong file is not read to its end.
 MAX_KEY_FILE_BYTES = 4096
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 _HEX = re.compile(r"[0-9A-Fa-f]{64}")
@@ -27,33 +29,33 @@ _HEX = re.compile(r"[0-9A-Fa-f]{64}")
 
 @dataclass(frozen=True, slots=True)
 class PublicKey:
-    """key: 32 bytes that a peer is known by; name: whose they are."""
+    """Public key of 32 bytes, with the name of its owner."""
 
     name: str
     key: bytes
 
     @property
     def line(self) -> str:
-        """As it stands in a file, without the line's end."""
+        """The key as a line of a file, without the line's end."""
         return f"{PUBLIC} {self.name} {self.key.hex()}"
 
 
 @dataclass(frozen=True, slots=True)
 class KeyPair:
-    """secret: the 32 bytes that prove who a node is."""
+    """Key pair of a node; `secret`, 32 bytes, proves its identity."""
 
     name: str
     secret: bytes = field(repr=False)
 
     @property
     def public(self) -> PublicKey:
-        """What others may know."""
+        """Public half of the pair."""
         return PublicKey(self.name, z85.decode(zmq.curve_public(z85.encode(self.secret))))
 
 
 @dataclass(frozen=True, slots=True)
 class ServerKeys:
-    """What a node that binds needs: its own key, and the file that lists whom it lets in."""
+    """Keys of a node that binds: its own pair, and its allow-list's file."""
 
     own: KeyPair
     allowed: Path
@@ -61,14 +63,20 @@ class ServerKeys:
 
 @dataclass(frozen=True, slots=True)
 class ClientKeys:
-    """What a node that connects needs: its own key, and that of the node it means to meet."""
+    """Keys of a node that connects: its own pair, and the public key of the other node."""
 
     own: KeyPair
     peer: PublicKey
 
+    def protect(self, socket: "zmq.Socket[bytes]") -> None:
+        """Encrypt for the peer alone; call this before `socket` connects."""
+        socket.setsockopt(zmq.CURVE_SECRETKEY, self.own.secret)
+        socket.setsockopt(zmq.CURVE_PUBLICKEY, self.own.public.key)
+        socket.setsockopt(zmq.CURVE_SERVERKEY, self.peer.key)
+
 
 def check_name(name: str) -> str:
-    """`name`, when a key may be called so. Raises KeyFileError."""
+    """Return `name` if it is valid for a key. Raises KeyFileError."""
     if not _NAME.fullmatch(name):
         raise KeyFileError(
             f"{name!r}: not a name; use up to 64 letters, digits, dots, dashes and underscores,"
@@ -78,7 +86,7 @@ def check_name(name: str) -> str:
 
 
 def new_pair(folder: Path, name: str) -> tuple[Path, Path]:
-    """Make a key pair: `folder`/`name`.key and .pub. Raises KeyFileError, also where one exists."""
+    """Create `folder`/`name`.key and .pub. Raises KeyFileError, also when one exists."""
     check_name(name)
     _, secret = zmq.curve_keypair()
     pair = KeyPair(name, z85.decode(secret))
@@ -99,7 +107,7 @@ def new_pair(folder: Path, name: str) -> tuple[Path, Path]:
 def create(path: Path, text: str, mode: int) -> None:
     """Write a new file that has its `mode` from the first byte on. Raises KeyFileError.
 
-    What cannot be written to its end is not left behind.
+    A file that cannot be written to its end is removed.
     """
     try:
         number = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
@@ -117,7 +125,7 @@ def create(path: Path, text: str, mode: int) -> None:
 
 
 def read_pair(path: Path) -> KeyPair:
-    """The key pair of a secret key file. Raises KeyFileError, also when others may read it."""
+    """Read a secret key file. Raises KeyFileError, also when others may read it."""
     text, mode = read_text(path)
     kind, name, key = _parse(path, text)
     if kind == PUBLIC:
@@ -128,7 +136,7 @@ def read_pair(path: Path) -> KeyPair:
 
 
 def read_public(path: Path) -> PublicKey:
-    """The key of a public key file. Raises KeyFileError."""
+    """Read a public key file. Raises KeyFileError."""
     kind, name, key = _parse(path, read_text(path)[0])
     if kind == SECRET:
         raise KeyFileError(
@@ -139,11 +147,11 @@ def read_public(path: Path) -> PublicKey:
 
 
 def read_text(path: Path, limit_bytes: int = MAX_KEY_FILE_BYTES) -> tuple[str, int]:
-    """A small file's text and mode. Raises KeyFileError."""
+    """Return the text and mode of a small file. Raises KeyFileError."""
     try:
         if not path.is_file():
             reason = "it is not a file" if path.exists() else "there is no such file"
-            raise KeyFileError(f"{path}: {reason}; keys are made by: telepulse keys new NAME")
+            raise KeyFileError(f"{path}: {reason}; make keys by: telepulse keys new NAME")
         with path.open("rb") as file:
             mode = os.fstat(file.fileno()).st_mode
             data = file.read(limit_bytes + 1)
@@ -155,7 +163,7 @@ def read_text(path: Path, limit_bytes: int = MAX_KEY_FILE_BYTES) -> tuple[str, i
 
 
 def parse_public(line: str) -> PublicKey:
-    """A public key from its line. Raises ValueError, without the line: it may be a secret."""
+    """Parse a public key's line. Raises ValueError, without the line: it may hold a secret."""
     kind, name, key = _words(line)
     if kind != PUBLIC:
         raise ValueError("a secret key, which never leaves its machine")

@@ -1,4 +1,4 @@
-"""Command-line options of a protected link, and what they come to: keys, or a refusal to start."""
+"""Command-line options of a protected link, and the keys that they name."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,7 +16,7 @@ ALLOWED = "allowed"
 KeyOption = Annotated[
     Path | None,
     typer.Option(
-        metavar="FILE.key", help="This node's secret key; made by: telepulse keys new NAME."
+        metavar="FILE.key", help="This node's secret key; make one by: telepulse keys new NAME."
     ),
 ]
 PeerOption = Annotated[
@@ -26,27 +26,27 @@ AllowOption = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="The public keys that are let in; else the file 'allowed' beside the key.",
+        help="Public keys that may connect; by default the file 'allowed' beside the key.",
     ),
 ]
 InsecureOption = Annotated[
-    bool, typer.Option("--insecure", help="Do without keys beyond this machine, too.")
+    bool, typer.Option("--insecure", help="Allow links beyond this machine without keys.")
 ]
 
 
 def server_keys(
     address: str, key: Path | None, allow: Path | None, insecure: bool
 ) -> ServerKeys | None:
-    """Keys for what is bound to `address`; None where it does without.
+    """Return the keys for sockets bound to `address`; None for a link without keys.
 
-    Raises ProtectionError where it may not do without; KeyFileError.
+    Raises ProtectionError where keys are required or the options do not fit; KeyFileError.
     """
     if key is None:
         if allow is not None:
             raise ProtectionError(f"--allow {allow} needs this node's own key: --key FILE.key")
-        _check_closed(address, insecure, "--key keys/NAME.key")
+        _require_keys(address, insecure, "--key keys/NAME.key")
         return None
-    _check_one(insecure)
+    _refuse_insecure(insecure)
     if allow is not None and not allow.exists():
         raise ProtectionError(f"--allow {allow}: there is no such file")
     allowed = allow or key.with_name(ALLOWED)
@@ -57,17 +57,18 @@ def server_keys(
 def client_keys(
     addresses: Sequence[str], key: Path | None, peer: Path | None, insecure: bool
 ) -> ClientKeys | None:
-    """Keys for what connects to `addresses`; None where it does without.
+    """Return the keys for sockets that connect to `addresses`; None for a link without keys.
 
-    Raises ProtectionError where it may not do without; AddressError; KeyFileError.
+    Raises ProtectionError where keys are required or the options do not fit; AddressError;
+    KeyFileError.
     """
     for address in addresses:
         control_address(address)
     if key is None and peer is None:
         for address in addresses:
-            _check_closed(address, insecure, "--key keys/NAME.key --peer keys/PEER.pub")
+            _require_keys(address, insecure, "--key keys/NAME.key --peer keys/PEER.pub")
         return None
-    _check_one(insecure)
+    _refuse_insecure(insecure)
     if key is None:
         raise ProtectionError(f"--peer {peer} needs this node's own key: --key FILE.key")
     if peer is None:
@@ -78,9 +79,9 @@ def client_keys(
 def telemetry_keys(
     address: str, key: Path | None, peer: Path | None, insecure: bool
 ) -> ClientKeys | None:
-    """Keys for a display's telemetry; a key without a peer is the display's own.
+    """Return the keys for reading a display's telemetry.
 
-    Raises as `client_keys` does.
+    A key without a peer is the display's own. Raises as `client_keys` does.
     """
     if key is not None and peer is None:
         pair = read_pair(key)
@@ -88,7 +89,7 @@ def telemetry_keys(
     return client_keys([address], key, peer, insecure)
 
 
-def _check_closed(address: str, insecure: bool, options: str) -> None:
+def _require_keys(address: str, insecure: bool, options: str) -> None:
     if beyond_loopback(address) and not insecure:
         raise ProtectionError(
             f"{address} reaches beyond this machine without keys; make them by"
@@ -96,6 +97,6 @@ def _check_closed(address: str, insecure: bool, options: str) -> None:
         )
 
 
-def _check_one(insecure: bool) -> None:
+def _refuse_insecure(insecure: bool) -> None:
     if insecure:
         raise ProtectionError("--insecure does without keys, and --key is given: choose one")

@@ -1,44 +1,59 @@
-"""Events of a socket's connections, as ZeroMQ's monitor reports them."""
+"""Connection events of a ZeroMQ socket, and why a connection to another node fails."""
 
 import itertools
 import struct
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator
 
 import zmq
 
+from protocol.security.keys import ClientKeys
 from protocol.sockets import Context, Socket, receive_all
 
 NO_KEY, NOT_AUTHENTIC, REPLAYED, HANDSHAKE = "no_key", "not_authentic", "replayed", "handshake"
+REFUSED_KEY, REVOKED = "refused_key", "revoked"
 _CAUSES: dict[int, str] = {
     zmq.PROTOCOL_ERROR_ZMTP_MECHANISM_MISMATCH: NO_KEY,
     zmq.PROTOCOL_ERROR_ZMTP_CRYPTOGRAPHIC: NOT_AUTHENTIC,
     zmq.PROTOCOL_ERROR_ZMTP_INVALID_SEQUENCE: REPLAYED,
 }
 FAILURES = zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
+# Event and value. `zmq.utils.monitor` makes enumerations of both, a descriptor too: 40 µs for a new
+# one (docs/decisions/0031-zmq-auth-is-not-enough.md).
 _EVENT = struct.Struct("=HI")
 MAX_EVENTS = 200
 _numbers = itertools.count()
+POLL_EVERY_NS = 10_000_000
+# A node that ends breaks off, too; repeated breaks have another reason.
+BREAKS = 3
+_HANDSHAKE_EVENTS = (
+    zmq.EVENT_CONNECTED | zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_HANDSHAKE_FAILED_AUTH | FAILURES
+)
 
 
 class SocketMonitor:
-    """Hears of chosen events on one socket, from before it binds or connects.
+    """Monitor of chosen events on one socket, from before it binds or connects.
 
-    socket: to wait for.
+    Attributes
+    ----------
+    socket : zmq.Socket
+        Readable when events wait.
     """
 
     def __init__(self, context: Context, watched: Socket, events: int) -> None:
-        endpoint = f"inproc://watch-{next(_numbers)}"
+        endpoint = f"inproc://monitor-{next(_numbers)}"
         watched.monitor(endpoint, events)
         self.socket = context.socket(zmq.PAIR)
         self.socket.setsockopt(zmq.LINGER, 0)
-        # ZeroMQ's thread waits for a reader at its high-water mark, and with it every connection.
+        # At its high-water mark ZeroMQ's thread waits for a reader, and with it all connections.
+        # `Socket.get_monitor_socket` leaves the default mark of 1000.
         self.socket.setsockopt(zmq.RCVHWM, 0)
         self.socket.connect(endpoint)
 
     def events(self, most: int = MAX_EVENTS) -> Iterator[tuple[int, int, str]]:
-        """Yield event, its value and the address it happened at, for `most` of those that wait.
+        """Yield event, value and endpoint of up to `most` waiting events.
 
-        Bounded, as whoever connects as fast as he can would keep a loop here for good.
+        Bounded: a peer that connects as fast as it can would otherwise keep a loop here for good.
         """
         for head, endpoint in receive_all(self.socket, most):
             event, value = _EVENT.unpack(head)
@@ -46,8 +61,101 @@ class SocketMonitor:
 
 
 def cause_of(value: int) -> str:
-    """The cause that one of `FAILURES` is counted under, by its value.
+    """Return the cause that one of `FAILURES` is counted under, by the event's value.
 
-    ZeroMQ tells of a message that cannot be opened as of a handshake that fails.
+    ZeroMQ reports a message that cannot be opened as a handshake that fails.
     """
     return _CAUSES.get(value, HANDSHAKE)
+
+
+class HandshakeMonitor:
+    """Monitor of connecting sockets: counts failed handshakes and reports each reason once.
+
+    ZeroMQ itself retries for ever without a report.
+
+    Parameters
+    ----------
+    context : zmq.Context
+        The sockets' context.
+    keys : ClientKeys or None
+        Keys of the connections; None without.
+    log : callable
+        Receives one line for each reason and host.
+
+    Attributes
+    ----------
+    rejected : Counter
+        Failed handshakes by cause.
+    """
+
+    def __init__(
+        self, context: Context, keys: ClientKeys | None, log: Callable[[str], None]
+    ) -> None:
+        self._context = context
+        self._keys = keys
+        self._log = log
+        self._monitors: list[tuple[Socket, SocketMonitor]] = []
+        self._breaks: Counter[str] = Counter()
+        # Hosts that have accepted our key: one that refuses it later has revoked it.
+        self._accepted_by: set[str] = set()
+        self._reported: set[tuple[str, str]] = set()
+        self._poll_ns = 0
+        self.rejected: Counter[str] = Counter()
+
+    def watch(self, socket: Socket) -> None:
+        """Monitor a socket; call this before it connects."""
+        self._monitors.append((socket, SocketMonitor(self._context, socket, _HANDSHAKE_EVENTS)))
+
+    def poll(self, now_ns: int) -> list[Socket]:
+        """Read the waiting events; call it often.
+
+        Returns the sockets whose request to connect a host has answered, whatever comes of it.
+        """
+        if now_ns < self._poll_ns:
+            return []
+        self._poll_ns = now_ns + POLL_EVERY_NS
+        answered = []
+        for socket, monitor in self._monitors:
+            for event, value, endpoint in monitor.events():
+                if event == zmq.EVENT_CONNECTED:
+                    answered.append(socket)
+                else:
+                    self._count(event, value, endpoint)
+        return answered
+
+    def _count(self, event: int, value: int, endpoint: str) -> None:
+        # Without the port: data and control of a node fail for one reason.
+        host = endpoint.rpartition(":")[0]
+        if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
+            self._breaks[host] = 0
+            self._accepted_by.add(host)
+            # A second revocation is reported again.
+            self._reported.discard((REVOKED, host))
+            return
+        if event != zmq.EVENT_HANDSHAKE_FAILED_AUTH:
+            cause = cause_of(value)
+        else:
+            cause = REVOKED if host in self._accepted_by else REFUSED_KEY
+        self.rejected[cause] += 1
+        if cause == HANDSHAKE:
+            self._breaks[host] += 1
+            if self._breaks[host] < BREAKS:
+                return
+        if (cause, host) not in self._reported:
+            self._reported.add((cause, host))
+            self._log(f"{endpoint} {self._reason(cause)}")
+
+    def _reason(self, cause: str) -> str:
+        if self._keys is None:
+            return {
+                NO_KEY: "requires a key; give --key and --peer",
+            }.get(cause, "is no node, or breaks off as soon as it is connected")
+        own, peer = self._keys.own.name, self._keys.peer.name
+        return {
+            REFUSED_KEY: f"does not allow the key of {own}; there: telepulse keys allow {own}.pub",
+            REVOKED: f"has revoked the key of {own}: this node was connected and is allowed no"
+            f" more; to undo that, there: telepulse keys allow {own}.pub",
+            NO_KEY: "has no keys; start it with --key, or this node with --insecure",
+            NOT_AUTHENTIC: f"sends messages that {peer} has not encrypted, or that were altered",
+            REPLAYED: "sends messages twice or in another order",
+        }.get(cause, f"breaks off: it is not {peer}, whose public key --peer gives")

@@ -11,7 +11,7 @@ import typer
 from protocol.cli_options import StopAfterOption, one_line_errors, plain_console
 from protocol.config.quantities import count_text
 from protocol.config.scene import load_section
-from protocol.host.memory import freeze_objects
+from protocol.host.measures import freeze_objects
 from protocol.host.process import stop_on_signals
 from pulse_sensors.binary_frames import MAX_SAMPLES, SampleFormat
 from telepulse.cli import emulate_drives as drive_commands

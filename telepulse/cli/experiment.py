@@ -7,14 +7,18 @@ from typing import Annotated
 
 import typer
 
-from protocol.cli_options import BENCH_IS_CLEAR, one_line_errors, plain_console
+from protocol.cli_options import (
+    BENCH_IS_CLEAR,
+    RealtimeOption,
+    hold_measures,
+    one_line_errors,
+    plain_console,
+)
 from protocol.config.quantities import parse_ratio
 from protocol.errors import OutputError
-from protocol.host.memory import freeze_objects
+from protocol.host.measures import freeze_objects
 from protocol.host.process import stop_on_signals
-from protocol.host.realtime_grant import check_strict
-from protocol.host.realtime_options import RealtimeOption, granted_for
-from protocol.host.realtime_request import parse_realtime
+from protocol.host.realtime import check_strict, parse_realtime
 from protocol.host.standard_output import unblocked_output
 from telepulse.cli.options import PROGRAM, FolderOption, TablesOption, publish
 from telepulse.reports.document import Report
@@ -130,7 +134,7 @@ def run(
             if hardware is not None:
                 person.use(hardware)
             stop_on_signals(person.stop)
-            stack.enter_context(granted_for(PROGRAM, asked, console))
+            stack.enter_context(hold_measures(PROGRAM, asked, console))
             subject = person.answer
         finished = run_session(plan, file, header, done, subject)
     if not finished:

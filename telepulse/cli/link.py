@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from protocol.cli_options import StopAfterOption, one_line_errors
-from protocol.host.memory import freeze_objects
+from protocol.host.measures import freeze_objects
 from protocol.host.process import allow_connections, stop_on_signals
 from protocol.security.protection import (
     AllowOption,

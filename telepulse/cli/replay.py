@@ -12,7 +12,7 @@ from protocol.cli_options import (
     plain_console,
     sum_up,
 )
-from protocol.host.memory import freeze_objects
+from protocol.host.measures import freeze_objects
 from protocol.host.process import allow_connections, stop_on_signals
 from protocol.host.result_files import check_writable
 from protocol.provenance import collect

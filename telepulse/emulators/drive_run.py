@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TextIO
 
 from protocol.errors import OutputError
-from protocol.host.memory import freeze_objects
+from protocol.host.measures import freeze_objects
 from protocol.host.process import stop_on_signals
 from telepulse.emulators.fault_injection import InjectedFault
 from telepulse.emulators.motor import TICK_NS, EmulatedMotor, MotorFault, MotorState

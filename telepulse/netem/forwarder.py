@@ -23,7 +23,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from protocol.histogram import Histogram
-from protocol.host.memory import freeze_objects
+from protocol.host.measures import freeze_objects
 from telepulse.netem.namespace import MTU_BYTES
 from telepulse.simulation.link_model import Direction, parse_link
 

@@ -10,8 +10,8 @@ import zmq
 
 from protocol import sockets
 from protocol.security.authenticator import Authenticator
+from protocol.security.budgets import SubscriptionBudget
 from protocol.security.keys import ClientKeys, ServerKeys
-from protocol.security.subscription_budget import SubscriptionBudget
 from telepulse.simulation.link_model import LinkScene, MessageLink
 
 IDLE_NS = 50_000_000
@@ -62,7 +62,7 @@ class LinkProxy:
         readable = [self._data_in, self._control_in, self._control_out, *self._gate.sockets]
         try:
             while not self._stopping:
-                self._gate.tend(time.monotonic_ns())
+                self._gate.poll(time.monotonic_ns())
                 self._receive()
                 wait_ns = self._deliver()
                 sockets.wait_readable(readable, wait_ns)
@@ -70,7 +70,7 @@ class LinkProxy:
             self._context.destroy(linger=sockets.LINGER_MS)
 
     def _receive(self) -> None:
-        self._subscribers.tend()
+        self._subscribers.poll()
         for parts in sockets.receive_all(self._data_in):
             due_ns = self._down.data_arrival_ns(time.monotonic_ns(), _size_bytes(parts))
             if due_ns is not None:

@@ -14,9 +14,9 @@ from protocol.config.quantities import count_text
 from protocol.errors import WireError
 from protocol.run_summary import FrameCounts, Reconnections, Summary
 from protocol.security.authenticator import Authenticator
-from protocol.security.handshake_monitor import HandshakeMonitor
+from protocol.security.budgets import SubscriptionBudget
 from protocol.security.keys import ClientKeys, ServerKeys
-from protocol.security.subscription_budget import SubscriptionBudget
+from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.wire.messages import decode_frame
 from telepulse.relay.proxy import Proxy
 
@@ -60,7 +60,7 @@ class FrameForwarder:
 
         Call it whenever one of `sockets` is readable.
         """
-        for event in self._subscribers.said():
+        for event in self._subscribers.receive():
             self._subscribe(event == _SUBSCRIBED, now_ns)
         frame = None
         for frame in self._path.messages():
@@ -222,10 +222,10 @@ class Relay:
     def _poll(self, now_ns: int) -> None:
         """Connect once the sensing node's address is known, and again where it is silent."""
         self._frames.poll(now_ns)
-        answered = self._handshakes.tend(now_ns)
+        answered = self._handshakes.poll(now_ns)
         for line in self._path.lines if answered else ():
             line.take_answer(answered)
-        self._authenticator.tend(now_ns)
+        self._authenticator.poll(now_ns)
         # `running` is read first: the result of a look-up that ends in between is taken next time.
         looking, found = self._lookup.running, self._lookup.take()
         if found is not None:

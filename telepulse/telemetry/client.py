@@ -6,8 +6,8 @@ import zmq
 
 from protocol import sockets
 from protocol.provenance import PROVENANCE
-from protocol.security.handshake_monitor import HandshakeMonitor
 from protocol.security.keys import ClientKeys
+from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.wire.status import STATUS
 from protocol.wire.telemetry import HEARD, TRACE
 from telepulse.telemetry.transcript import Entry, Transcript
@@ -50,7 +50,7 @@ class TelemetryReader:
 
     def tend(self, now_ns: int) -> None:
         """Hear of refusals, and connect again some time after one; call it often."""
-        self._refusals.tend(now_ns)
+        self._refusals.poll(now_ns)
         refused = self._refusals.rejected.total()
         if refused > self._refused and self._again_ns is None:
             self._again_ns = now_ns + AGAIN_AFTER_NS

@@ -4,9 +4,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from display_node.telemetry.alerts import NOT_CONNECTED, Alert, alerts
+from protocol.errors import explain_causes
 from protocol.limits import NAMES
-from protocol.security.causes import explain
-from protocol.security.handshake_monitor import REVOKED
+from protocol.security.socket_monitor import REVOKED
 
 # As long as a display waits before it takes a sensing node for silent.
 CUT_AFTER_NS = 1_000_000_000
@@ -112,7 +112,7 @@ class StatusWatch:
                 yield Event("WARNING", "limited", f"{name} reached")
         for cause in sorted(summary["rejected"].keys() - self._refused - {REVOKED}):
             self._refused.add(cause)
-            yield Event("WARNING", "refused", *explain({cause: summary["rejected"][cause]}))
+            yield Event("WARNING", "refused", *explain_causes({cause: summary["rejected"][cause]}))
         hardware = summary.get("hardware", {})
         for name in sorted(hardware.keys() - self._frequent):
             more = hardware[name] - self._hardware.get(name, 0)

@@ -10,7 +10,7 @@ from tornado.httputil import HTTPServerRequest
 from tornado.routing import Router
 from tornado.web import Application, RequestHandler
 
-from protocol.security.token_bucket import TokenBucket
+from protocol.security.budgets import TokenBucket
 from telepulse.http_site import Site
 
 # One thread draws for all: a picture takes it some 10 to 20 ms, five times a second at most, and a

@@ -3,8 +3,8 @@
 import numpy as np
 
 from display_node.telemetry.alerts import SILENT_AFTER_NS, Alert, alerts
+from protocol.errors import explain_causes
 from protocol.limits import limit_texts
-from protocol.security.causes import explain
 from telepulse.telemetry.events import CUT, CUT_AFTER_NS
 from telepulse.view.live import LiveState
 
@@ -34,7 +34,7 @@ def _counted(live: LiveState) -> list[Alert]:
     if len(recent):
         refused = int(np.ptp(recent[:, REFUSED]))
         if refused:
-            causes = "; ".join(explain(live.summary["rejected"]))
+            causes = "; ".join(explain_causes(live.summary["rejected"]))
             found.append(Alert("refused", f"{refused} in the last 5 s; of the whole run {causes}"))
         if np.ptp(recent[:, LIMITED]) > 0:
             found.append(Alert("limited", "; ".join(limit_texts(live.summary["limited"]))))

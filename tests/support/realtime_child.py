@@ -13,8 +13,7 @@ from typing import Any
 
 import zmq
 
-from protocol.host.realtime_grant import hold
-from protocol.host.realtime_request import parse_realtime
+from protocol.host.realtime import hold, parse_realtime
 
 
 def state() -> dict[str, Any]:

@@ -37,7 +37,7 @@ class Speaker:
         socket.setsockopt(zmq.SNDBUF, 8_192)
         self.gate = None if keys is None else Authenticator(context, keys, print)
         if self.gate is not None:
-            self.gate.guard(socket)
+            self.gate.protect(socket)
         socket.bind(address)
         self.publisher = Publisher(socket, run=1, gate=self.gate)
         self.frames = self.ticks = 0

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.discovery.announcement import SERVICE, announced, to_txt
+from protocol.discovery.announcement import SERVICE, Announcement, to_txt
 from protocol.discovery.browser import Browser
 from protocol.host.child_process import ChildProcess
 from telepulse.netem import Namespace, emulate, unavailable
@@ -110,7 +110,7 @@ def test_an_announced_node_is_found_until_it_ends_however_it_ends(place: Place) 
 def test_who_is_no_node_is_refused_in_a_line_and_several_are_a_choice(
     place: Place, tmp_path: Path
 ) -> None:
-    left, right = (announced("pulse", host, 5555, None) for host in ("left", "right"))
+    left, right = (Announcement.of_node("pulse", host, 5555, None) for host in ("left", "right"))
     with (
         place.service("left\u202e", 80, {"v": "1", "stream": "x"}),
         place.service("older", 81, {"v": "0"}),
@@ -147,7 +147,7 @@ def test_an_announcement_does_not_make_a_node_of_who_has_not_its_key(
     ring, result = Keyring(tmp_path / "keys"), tmp_path / "display.json"
     ring.allow("finger")
     # It tells the fingerprint of wrist, at the address of who has another key, and lets us in.
-    spoofed = announced("pulse", "spoofed", 5555, ring.pair("wrist").public.key)
+    spoofed = Announcement.of_node("pulse", "spoofed", 5555, ring.pair("wrist").public.key)
     keys = ("--key", ring.path("finger"), "--peer", ring.path("wrist", "pub"))
     impostor = ("--bind", BIND, "--key", ring.path("impostor"), "--quiet")
     with (

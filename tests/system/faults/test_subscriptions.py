@@ -12,7 +12,7 @@ from benchmarks.faults.hostile import port_of, subscribing
 from benchmarks.faults.stage import staged, unaccounted
 from benchmarks.faults.witness import witness_of
 from protocol import sockets
-from protocol.security.subscription_budget import FOREIGN_BYTES, SUBSCRIPTION, SubscriptionBudget
+from protocol.security.budgets import FOREIGN_BYTES, SUBSCRIPTION, SubscriptionBudget
 from protocol.sockets import Context
 from telepulse.processes import free_addresses
 from tests.support.felt_force import assert_limits_kept
@@ -61,7 +61,7 @@ def test_endless_subscriptions_cost_a_relay_little_and_go_no_further(tmp_path: P
         node.terminate()
         output, _ = node.communicate(timeout=20)
     assert sent.rejected == {}
-    assert output.count("asks for what is not published here") == 1
+    assert output.count("it subscribes to topics not published here") == 1
 
 
 def rss_bytes(process_id: int) -> int:
@@ -86,7 +86,7 @@ def test_who_asks_for_a_little_else_stays_and_who_goes_on_is_cut_named_once_and_
     with reader(context, address) as modest, reader(context, address) as greedy:
 
         def heard(one: sockets.Socket) -> int:
-            said.extend(subscribers.said())
+            said.extend(subscribers.receive())
             sockets.send(data, b"trace")
             return one.poll(5) and len(one.recv())
 

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from display_node.cli import app as display_node
 from protocol.errors import AddressError, SceneError, TelepulseError
-from protocol.host.realtime_request import parse_realtime
+from protocol.host.realtime import parse_realtime
 from protocol.sockets import beyond_loopback, control_address
 from sensing_node.cli import app as sensing_node
 from telepulse.cli.main import app as telepulse

@@ -7,18 +7,17 @@ from typing import Any
 import pytest
 import zmq
 
+from protocol.cli_options import with_measures
 from protocol.errors import RealtimeError
-from protocol.host.realtime_grant import hold
-from protocol.host.realtime_request import parse_realtime
-from protocol.host.scheduling import helpers
+from protocol.host.measures import helper_threads
+from protocol.host.realtime import hold, parse_realtime
 from protocol.run_summary import Summary
 from tests.support.rights import needs_rights, with_rights, without_rights
 
 CHILD = "tests.support.realtime_child"
 HANGS = """
 import itertools
-from protocol.host.realtime_grant import hold
-from protocol.host.realtime_request import parse_realtime
+from protocol.host.realtime import hold, parse_realtime
 with hold(parse_realtime("fifo=1"), print):
     print("held", flush=True)
     sum(itertools.repeat(0))
@@ -66,10 +65,10 @@ def test_threads_of_strangers_get_no_priority() -> None:
 
 def test_zeromqs_threads_are_found_before_they_had_the_time_to_name_themselves() -> None:
     for _ in range(50):
-        before = helpers()
+        before = helper_threads()
         with zmq.Context() as context, closing(context.socket(zmq.PUB)):
             # Its reaper, and what moves messages.
-            assert len(helpers() - before) == 2
+            assert len(helper_threads() - before) == 2
 
 
 @needs_rights
@@ -146,13 +145,12 @@ def test_what_is_asked_for_strictly_and_refused_is_an_error() -> None:
 def test_a_summary_names_what_was_granted() -> None:
     with hold(parse_realtime("slack,cpu=4000"), log=print) as held:
         pass
-    assert held.noted(Summary()).loop.realtime == ["slack"]
+    assert with_measures(Summary(), held).loop.realtime == ["slack"]
 
 
 NO_DESCRIPTOR = """
 import os, resource, threading, time
-from protocol.host.realtime_grant import hold
-from protocol.host.realtime_request import parse_realtime
+from protocol.host.realtime import hold, parse_realtime
 
 def spin(seconds):
     end_s = time.monotonic() + seconds
@@ -178,8 +176,7 @@ for name in dir(os):
 sys.modules["resource"] = None
 import display_node.cli, sensing_node.cli
 from display_node.doctor.host import describe, read_host
-from protocol.host.realtime_grant import hold
-from protocol.host.realtime_request import parse_realtime
+from protocol.host.realtime import hold, parse_realtime
 sys.platform = "win32"
 with hold(parse_realtime("fifo,lock,cpu=0,slack"), log=print) as held:
     print(*held.granted)

@@ -13,6 +13,7 @@ from rich.console import Console
 
 from display_node.telemetry import terminal as screen_module
 from display_node.telemetry.terminal import TerminalView, watch
+from protocol.errors import CAUSE_MEANINGS
 from protocol.limits import Limited, Limits
 from protocol.run_summary import (
     AlignedErrors,
@@ -24,7 +25,6 @@ from protocol.run_summary import (
     SampleCounts,
     Summary,
 )
-from protocol.security.causes import MEANINGS
 from protocol.sockets import Context
 from protocol.wire.status import STATUS, Status, pack_status
 from protocol.wire.telemetry import TRACE, TickState, Trace, TraceWriter
@@ -134,7 +134,7 @@ def test_a_display_that_does_not_get_in_shows_why(
     summary = status().summary | {"rejected": rejected}
     screen.status = status()._replace(state=state, summary=summary)
     ((cause, count),) = rejected.items()
-    assert (f"not connected: {count} {cause}: {MEANINGS[cause]}" in screen.line()) == named
+    assert (f"not connected: {count} {cause}: {CAUSE_MEANINGS[cause]}" in screen.line()) == named
 
 
 def test_the_plot_is_a_line_without_holes() -> None:

@@ -56,7 +56,7 @@ class Hall:
         return self._listeners[-1]
 
     def tend(self) -> None:
-        self.gate.tend(time.monotonic_ns())
+        self.gate.poll(time.monotonic_ns())
         sockets.send(self.data, b"%d" % self.sent)
         self.sent += 1
         for listener in self._listeners:
@@ -217,7 +217,7 @@ def test_nobody_stays_while_the_list_cannot_be_read(context: Context, keyring: K
     keyring.allowed.write_text("nonsense\n")
     hall.tend_until(lambda: hall.said)
     # In place of 10 s of waiting.
-    hall.gate.tend(time.monotonic_ns() + UNREADABLE_AT_MOST_NS)
+    hall.gate.poll(time.monotonic_ns() + UNREADABLE_AT_MOST_NS)
     hall.tend_until(lambda: hall.gate.rejected["list_unreadable"])
     heard, back = len(listener.heard), hall.sent
     hall.tend_until(lambda: own.heard[-1] > back)

@@ -11,7 +11,7 @@ import zmq
 
 from protocol import sockets
 from protocol.security.authenticator import TOO_MANY, Authenticator
-from protocol.security.connection_budget import BEHIND_NS
+from protocol.security.budgets import BEHIND_NS
 from protocol.security.connection_table import MAX_EVENTS, ConnectionTable
 from protocol.sockets import Context, Socket
 from tests.support.waiting import PATIENCE_S
@@ -46,7 +46,7 @@ class Guarded:
         end_s = time.monotonic() + PATIENCE_S
         while not done():
             assert time.monotonic() < end_s, (self.lines, self.gate.rejected)
-            self.gate.tend(time.monotonic_ns())
+            self.gate.poll(time.monotonic_ns())
             sockets.send(self.data, b"frame")
             time.sleep(0.001)
 
@@ -125,18 +125,18 @@ def test_one_address_does_not_take_all_connections(guarded: Guarded) -> None:
 def test_a_call_reads_little_however_much_has_happened(guarded: Guarded) -> None:
     for _ in range(5 * MAX_EVENTS):
         guarded.stranger(HERE).close()
-    (door,) = guarded.gate._doors
+    (door,) = guarded.gate._tables
     assert isinstance(door, ConnectionTable)
     guarded.tend_until(lambda: door.behind)
     assert door.connections <= MAX_EVENTS
 
 
 def test_a_door_that_stays_behind_is_shut_until_all_is_read(guarded: Guarded) -> None:
-    (door,) = guarded.gate._doors
+    (door,) = guarded.gate._tables
     for _ in range(5 * MAX_EVENTS):
         guarded.stranger(HERE).close()
     guarded.tend_until(lambda: door.behind)
-    guarded.gate.tend(time.monotonic_ns() + BEHIND_NS)
+    guarded.gate.poll(time.monotonic_ns() + BEHIND_NS)
     assert door.behind
     late = plain.socket()
     late.settimeout(0.1)

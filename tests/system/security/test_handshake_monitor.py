@@ -8,8 +8,8 @@ import zmq
 from protocol import sockets
 from protocol.security.allow_list import revoke
 from protocol.security.authenticator import Authenticator
-from protocol.security.handshake_monitor import HandshakeMonitor
 from protocol.security.keys import ClientKeys
+from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.sockets import Context
 from tests.support.keyring import Keyring
 from tests.support.nodes import free_address
@@ -35,9 +35,9 @@ class Visitor:
         while not done():
             assert time.monotonic() < end_s, (self.said, self.refusals.rejected)
             if gate is not None:
-                gate.tend(time.monotonic_ns())
+                gate.poll(time.monotonic_ns())
             self._now_ns += 1_000_000_000
-            self.refusals.tend(self._now_ns)
+            self.refusals.poll(self._now_ns)
             time.sleep(0.002)
 
 
@@ -51,7 +51,7 @@ def keyring(tmp_path: Path) -> Keyring:
     [
         ("finger", "wrist", "refused_key", "does not allow the key of finger; there: telepulse"),
         ("finger", "other", "handshake", "breaks off: it is not other, whose public key"),
-        ("", "", "no_key", "lets in who has a key; give --key and --peer"),
+        ("", "", "no_key", "requires a key; give --key and --peer"),
     ],
 )
 def test_who_is_refused_is_told_why_once(

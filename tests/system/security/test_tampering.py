@@ -145,7 +145,7 @@ def test_what_is_replayed_or_reflected_to_who_connects_is_not_believed(
         listener = subscribed(context, address, keyring)
 
         def heard() -> bool:
-            gate.tend(time.monotonic_ns())
+            gate.poll(time.monotonic_ns())
             sockets.send(data, b"secret")
             return bool(listener.poll(0))
 
@@ -171,7 +171,7 @@ def test_a_message_altered_on_its_way_to_who_binds_is_refused_though_zeromq_ends
     heard: list[bytes] = []
 
     def tend() -> None:
-        gate.tend(time.monotonic_ns())
+        gate.poll(time.monotonic_ns())
         sockets.send(guest, bytes(MESSAGE_BYTES))
         heard.extend(message for _, message in sockets.receive_all(desk))
 
@@ -222,7 +222,7 @@ def test_what_a_node_says_reflected_to_it_gets_no_frame(context: Context, tmp_pa
     heard, end_s = b"", time.monotonic() + QUIET_S
     with socket.create_connection(("127.0.0.1", port(address)), timeout=0.02) as mirror:
         while time.monotonic() < end_s:
-            gate.tend(time.monotonic_ns())
+            gate.poll(time.monotonic_ns())
             sockets.send(data, b"secret" * 100)
             with contextlib.suppress(TimeoutError):
                 back = mirror.recv(1 << 16)
@@ -230,7 +230,7 @@ def test_what_a_node_says_reflected_to_it_gets_no_frame(context: Context, tmp_pa
                 heard += back
     # A greeting that says nothing of the stream.
     assert 0 < len(heard) < 100
-    until(lambda: gate.tend(time.monotonic_ns()) or gate.rejected["handshake"] == 1)
+    until(lambda: gate.poll(time.monotonic_ns()) or gate.rejected["handshake"] == 1)
 
 
 def subscribed(context: Context, address: str, keyring: Keyring) -> sockets.Socket:

@@ -6,10 +6,10 @@ import pytest
 from pydantic import BaseModel
 
 from display_node.scene import DisplayScene
+from protocol.errors import CAUSE_MEANINGS
 from protocol.security.authenticator import REASONS
-from protocol.security.causes import MEANINGS
-from protocol.security.handshake_monitor import REFUSED_KEY, REVOKED
-from protocol.security.subscription_budget import SUBSCRIPTION
+from protocol.security.budgets import SUBSCRIPTION
+from protocol.security.socket_monitor import REFUSED_KEY, REVOKED
 from sensing_node.scene import SensingScene
 from telepulse.simulation.link_model import LinkScene
 from tests.support.nodes import ROOT
@@ -56,7 +56,7 @@ def test_every_cause_of_refusal_is_documented_and_no_other() -> None:
     table = (ROOT / "docs" / "wire.md").read_text(encoding="utf-8").split("counted as")[1]
     documented = set(re.findall(r"`(\w+)`", table))
     assert raised == documented
-    assert documented == MEANINGS.keys()
+    assert documented == CAUSE_MEANINGS.keys()
 
 
 def test_nothing_claims_that_the_finger_is_at_rest() -> None:

@@ -56,7 +56,7 @@ def trials(link: str) -> tuple[list[float], list[float], list[float], float]:
             now_ns = exchange.t4_ns
             while coming and coming[0][0] < now_ns:
                 arrived_ns, sent_ns = coming.popleft()
-                estimator.hear(sent_ns, arrived_ns)
+                estimator.add_one_way(sent_ns, arrived_ns)
             estimator.add(exchange)
             error_ns = abs(estimator.remote_ns(now_ns) - shown_ns(now_ns, skew_ppm))
             errors_ns.append((now_ns, error_ns))

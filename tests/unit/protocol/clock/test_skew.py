@@ -25,7 +25,7 @@ def shown_ns(local_ns: int, skew_ppm: float) -> int:
 def heard(messages: list[tuple[int, int]], skew_ppm: float) -> OneWaySkew:
     slope = OneWaySkew()
     for sent_ns, arrived_ns in messages:
-        slope.hear(shown_ns(sent_ns, skew_ppm), arrived_ns, slope.skew)
+        slope.add(shown_ns(sent_ns, skew_ppm), arrived_ns, slope.skew)
     return slope
 
 
@@ -75,7 +75,7 @@ def followed(frame_skew_ppm: float | None, late_ns: int = 0) -> ClockEstimator:
             estimator.add(ClockExchange(sent_ns, remote_ns, remote_ns, local_ns))
         if frame_skew_ppm is not None:
             later_ns = late_ns if sent_ns > 30 * S else 0
-            estimator.hear(shown_ns(sent_ns, frame_skew_ppm), arrived_ns + later_ns)
+            estimator.add_one_way(shown_ns(sent_ns, frame_skew_ppm), arrived_ns + later_ns)
     return estimator
 
 

@@ -11,7 +11,6 @@ from protocol.discovery.announcement import (
     MAX_STRING_BYTES,
     SERVICE,
     Announcement,
-    announced,
     announced_addresses,
     fingerprint,
     matching,
@@ -35,7 +34,7 @@ names = st.text(st.characters(categories=["L", "N", "P", "Zs"]), min_size=1, max
 
 @given(stream=names.filter(str.isprintable), host=st.from_regex(r"[a-z0-9-]{1,60}", fullmatch=True))
 def test_what_is_announced_is_read_as_it_was_meant(stream: str, host: str) -> None:
-    node = announced(stream, host, 5555, KEY)
+    node = Announcement.of_node(stream, host, 5555, KEY)
     assert len(node.name.encode()) <= MAX_LABEL_BYTES
     assert all(len(f"{k}={w}".encode()) <= MAX_STRING_BYTES for k, w in to_txt(node).items())
     read = read_announcement(f"{node.name}.{SERVICE}", [ADDRESS], 5555, wire(node))
@@ -46,11 +45,11 @@ def test_what_is_announced_is_read_as_it_was_meant(stream: str, host: str) -> No
 
 
 def test_a_node_is_the_same_after_a_restart_and_another_on_another_port() -> None:
-    ids = [announced("pulse", "ward", port, None).node for port in (5555, 5555, 5655)]
+    ids = [Announcement.of_node("pulse", "ward", port, None).node for port in (5555, 5555, 5655)]
     assert ids[0] == ids[1] != ids[2]
 
 
-GOOD = announced("radial pulse", "ward-3", 5555, KEY)
+GOOD = Announcement.of_node("radial pulse", "ward-3", 5555, KEY)
 
 
 @pytest.mark.parametrize(
@@ -164,8 +163,8 @@ def test_what_is_bound_is_what_is_told_of() -> None:
 
 
 def test_one_is_chosen_by_its_name_and_by_the_key_that_is_asked_for() -> None:
-    left, right = (announced("pulse", host, 5555, KEY) for host in ("left", "right"))
-    spoofed = announced("pulse", "other", 5555, None)
+    left, right = (Announcement.of_node("pulse", host, 5555, KEY) for host in ("left", "right"))
+    spoofed = Announcement.of_node("pulse", "other", 5555, None)
     found = [right, left, spoofed]
     assert matching(found, None, None) == found
     assert matching(found, None, fingerprint(KEY)) == [right, left]

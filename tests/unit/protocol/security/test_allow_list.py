@@ -136,7 +136,7 @@ class Watched:
     def run(self, seconds: int) -> list[bytes]:
         gone = []
         for _ in range(seconds):
-            gone += self.list.tend(self.now_s * 1_000_000_000)
+            gone += self.list.poll(self.now_s * 1_000_000_000)
             self.now_s += 1
         return gone
 
@@ -166,7 +166,7 @@ def test_a_list_is_read_until_it_can_be(path: Path, watched: Watched) -> None:
     assert watched.run(1) == [WRIST.key]
     assert watched.list.readable
     assert len(watched.lines) == 3
-    assert "until it can be read nobody new is let in" in watched.lines[0]
+    assert "until it can be read no new peer may connect" in watched.lines[0]
     assert watched.lines[1:] == [f"{path} is read again", "wrist is allowed no more"]
 
 
@@ -191,7 +191,7 @@ def test_after_ten_seconds_without_a_list_nobody_stays(path: Path, watched: Watc
     assert set(watched.run(1)) == {WRIST.key, FINGER.key}
     assert watched.run(20) == []
     assert watched.list.allowed == {}
-    assert watched.lines[1:] == [f"{path} could not be read for 10 s: nobody stays"]
+    assert watched.lines[1:] == [f"{path} could not be read for 10 s: all peers are cut off"]
     path.write_text(text)
     assert watched.run(1) == []
     assert len(watched.list.allowed) == 2

@@ -145,7 +145,7 @@ def test_a_line_that_mail_has_changed_is_a_key_still(tmp_path: Path, end: str) -
 
 def test_no_file_or_none_that_can_be_read_is_one_line(tmp_path: Path) -> None:
     for path, said in (
-        (tmp_path / "none.key", "no such file; keys are made by: telepulse keys new NAME"),
+        (tmp_path / "none.key", "no such file; make keys by: telepulse keys new NAME"),
         (tmp_path, "not a file"),
     ):
         for read in (read_pair, read_public):

@@ -26,6 +26,7 @@ from fuzz.telemetry_readers import (
     trace_message,
 )
 from protocol.availability import Availability
+from protocol.errors import CAUSE_MEANINGS
 from protocol.run_summary import (
     AlignedErrors,
     Clock,
@@ -38,7 +39,6 @@ from protocol.run_summary import (
     SampleCounts,
     Summary,
 )
-from protocol.security.causes import MEANINGS
 from protocol.wire.messages import Frame
 from protocol.wire.status import PlaybackStatus
 from protocol.wire.telemetry import TRACE, TickState
@@ -80,7 +80,9 @@ summaries = st.fixed_dictionaries(
             lambda ticks, misses, late, last: Loop(ticks, misses, late=late, last_5s=last),
             *(counts, counts, st.none() | st.booleans(), st.builds(Deadlines, awkward, awkward)),
         ),
-        "rejected": st.dictionaries(words | st.sampled_from(sorted(MEANINGS)), counts, max_size=2),
+        "rejected": st.dictionaries(
+            words | st.sampled_from(sorted(CAUSE_MEANINGS)), counts, max_size=2
+        ),
         "finger": st.none() | words,
         "faults": st.lists(words, max_size=2),
     },

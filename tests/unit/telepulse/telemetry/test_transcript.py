@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from display_node.fault_advice import FILM_NOTE, advise
+from protocol.errors import CAUSE_MEANINGS
 from protocol.limits import Limited, Limits
 from protocol.run_summary import Clock, Compensation, Deadlines, Loop, SampleCounts, Summary
-from protocol.security.causes import MEANINGS
 from protocol.wire.messages import Hello, Welcome, encode_control, encode_frame
 from protocol.wire.status import STATUS as STATUS_TOPIC
 from protocol.wire.status import PlaybackStatus, pack_status
@@ -160,7 +160,7 @@ def test_what_happens_is_told_once() -> None:
         ("state", "playing"),
         ("join", "the pulse is felt; samples sent before: 0"),
         ("clock step", "a clock has jumped; jumps so far: 1"),
-        ("refused", f"3 session: {MEANINGS['session']}"),
+        ("refused", f"3 session: {CAUSE_MEANINGS['session']}"),
         ("state", "fault, was playing for 0.0 s"),
         ("fault", f"it broke: {advise('it broke')}"),
         ("clock step", "a clock has jumped; jumps so far: 2"),
@@ -206,7 +206,7 @@ def test_a_revocation_is_told_once_until_it_is_undone() -> None:
     for state in ("playing", "stale", "stale", "playing", "playing"):
         entries += spoken.status(state, rejected={"revoked": 2})
     texts = [text for name, text in told(entries) if name == "revoked"]
-    assert texts == [MEANINGS["revoked"], "over after 0.0 s"]
+    assert texts == [CAUSE_MEANINGS["revoked"], "over after 0.0 s"]
 
 
 def test_what_the_display_published_and_did_not_come_is_counted() -> None:

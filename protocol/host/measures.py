@@ -1,11 +1,11 @@
-"""Measures for when the loop runs and where, each of which holds as long as a `with` lasts.
+"""Real-time measures of Linux: priority, processor, timer slack, locked memory.
 
-They yield what was done, and raise NotGrantedError.
-
-What this process may do, and how it is told that it may not.
+Each is a context manager that yields what was done, and undoes it at its end. NotGrantedError says
+why a measure is not granted and what to do about it.
 """
 
 import ctypes
+import gc
 import os
 import signal
 import threading
@@ -16,60 +16,61 @@ from pathlib import Path
 from types import FrameType
 
 from protocol.errors import RealtimeError
-from protocol.host.realtime_request import spans
 
-# From <linux/capability.h>.
+# From <linux/capability.h>, <linux/prctl.h> and <sys/mman.h>.
 CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23
+PR_SET_TIMERSLACK, PR_GET_TIMERSLACK = 29, 30
+MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT = 1, 2, 4
 LIMITS_FILE = "/etc/security/limits.d/telepulse.conf"
+LEAST_SLACK_NS = 1
+# Time for which a thread with a priority may run without a pause; a tick takes 1/1000 of it.
+LONGEST_RUN_US = 200_000
+# Time after which the kernel ends a process that does not give its priority up.
+LONGEST_RUN_AT_ALL_US = 2_000_000
+THREADS_START_WITHIN_S = 1.0
 
 
 class NotGrantedError(RealtimeError):
-    """A measure is not granted. reason: why; advice: what to do about it."""
+    """A measure is not granted.
 
-    def __init__(self, reason: str, advice: str) -> None:
+    Attributes
+    ----------
+    reason : str
+        Why not.
+    advice : str
+        What to do about it.
+    """
+
+    def _init__(self, reason: str, advice: str) -> None:
         super().__init__(reason)
         self.reason = reason
         self.advice = advice
 
 
-def capable(number: int) -> bool:
-    """Whether this process has a capability of Linux."""
-    for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
-        if line.startswith("CapEff:"):
-            return bool(int(line.split()[1], 16) >> number & 1)
-    return False
-
-
-def raise_limit(item: str, value: str, unit_key: str, docker: str) -> str:
-    """How to raise a resource limit: at a login, in a systemd unit, in a container."""
-    return (
-        f'put "USER - {item} {value}" into {LIMITS_FILE} and log in anew'
-        f" (systemd: {unit_key}; docker run {docker})"
-    )
-
-
-# From <linux/prctl.h>.
-PR_SET_TIMERSLACK, PR_GET_TIMERSLACK = 29, 30
-LEAST_SLACK_NS = 1
-# So long may a thread with a priority run without a pause; a tick takes thousandths of it.
-LONGEST_RUN_US = 200_000
-# And so long until the kernel ends a process that cannot be asked any more to give it up.
-LONGEST_RUN_AT_ALL_US = 2_000_000
-BEGIN_WITHIN_S = 1.0
-
-
 @contextmanager
-def first_in_first_out(priority: int, on_overrun: Callable[[], None]) -> Iterator[str]:
-    """The calling thread runs before all others when it has to, and so do its helpers, after it.
+def schedule_fifo(priority: int, on_overrun: Callable[[], None]) -> Iterator[str]:
+    """Run the calling thread under SCHED_FIFO, and its helper threads one step below.
 
-    A thread that runs on for 0.2 s without a pause would keep the machine from everyone else: then
-    the priority is given up for good, and `on_overrun` called. The main thread's alone, as it
-    handles a signal. Threads that are started meanwhile have the priority as well: who holds
-    Python's lock must not be kept from running while the loop waits for it.
+    A thread that runs for 0.2 s without a pause would block the machine: then the priority is given
+    up for good and `on_overrun` is called. Only for the main thread, since a signal is handled.
+    Threads that are started meanwhile inherit the priority: a thread that holds Python's lock must
+    be able to run while the loop waits for that lock.
+
+    Parameters
+    ----------
+    priority : int
+        1 to 98.
+    on_overrun : callable
+        Called when the priority is given up.
+
+    Raises
+    ------
+    NotGrantedError
+        When the system refuses.
     """
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
-        threads = helpers()
+        threads = helper_threads()
     except OSError as error:
         raise NotGrantedError(
             f"/proc/self/task cannot be listed: {error.strerror}",
@@ -88,7 +89,7 @@ def first_in_first_out(priority: int, on_overrun: Callable[[], None]) -> Iterato
         on_overrun()
 
     try:
-        # A step below: what floods the network must not delay a tick.
+        # A step below: a flood of frames must not delay a tick.
         _schedule(threads, os.SCHED_FIFO, os.sched_param(max(1, priority - 1)))
         with _watched(overrun):
             beside = f", {len(threads)} threads that help it a step below" if threads else ""
@@ -98,8 +99,8 @@ def first_in_first_out(priority: int, on_overrun: Callable[[], None]) -> Iterato
 
 
 @contextmanager
-def pinned(cpus: frozenset[int]) -> Iterator[str]:
-    """The calling thread runs on these processors alone; its helpers may run on any."""
+def pin(cpus: frozenset[int]) -> Iterator[str]:
+    """Run the calling thread on these processors alone; its helpers may run on any."""
     before = os.sched_getaffinity(0)
     advice = f"this process may use {spans(frozenset(before))}"
     try:
@@ -108,7 +109,7 @@ def pinned(cpus: frozenset[int]) -> Iterator[str]:
         raise NotGrantedError(f"sched_setaffinity: {error.strerror}", advice) from None
     try:
         if os.sched_getaffinity(0) != cpus:
-            # The kernel leaves out those that are not there, and says nothing.
+            # The kernel leaves out processors that do not exist, without an error.
             raise NotGrantedError("not all of these processors are there", advice)
         yield f"on processor {spans(cpus)} alone"
     finally:
@@ -116,8 +117,8 @@ def pinned(cpus: frozenset[int]) -> Iterator[str]:
 
 
 @contextmanager
-def prompt() -> Iterator[str]:
-    """The calling thread's timers go off when they are due, not up to 50 µs later."""
+def reduce_timer_slack() -> Iterator[str]:
+    """Fire the calling thread's timers when they are due, not up to 50 µs later."""
     libc = ctypes.CDLL(None, use_errno=True)
     before_ns = libc.prctl(PR_GET_TIMERSLACK, 0, 0, 0, 0)
     if libc.prctl(PR_SET_TIMERSLACK, LEAST_SLACK_NS, 0, 0, 0):
@@ -129,14 +130,48 @@ def prompt() -> Iterator[str]:
         libc.prctl(PR_SET_TIMERSLACK, before_ns, 0, 0, 0)
 
 
-def helpers() -> set[int]:
-    """The other threads of this process that the loop depends on: ZeroMQ's and Python's.
+@contextmanager
+def lock_memory() -> Iterator[str]:
+    """Keep all memory in use in RAM: neither swapped, nor dropped and read from its file again."""
+    import resource  # not on every system
 
-    Not numpy's: they spin while they wait, which must not have a priority.
+    limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
+    if limit != resource.RLIM_INFINITY and not _capable(CAP_IPC_LOCK):
+        # It would be granted below the limit, and allocations beyond it would fail later.
+        raise NotGrantedError(
+            f"RLIMIT_MEMLOCK is {limit >> 10} KiB, which a node may outgrow",
+            _raise_limit("memlock", "unlimited", "LimitMEMLOCK=infinity", "--ulimit memlock=-1"),
+        )
+    libc = ctypes.CDLL(None, use_errno=True)
+    # On fault: otherwise pages that are never used are read in too, which takes four times the
+    # memory, and starting a thread takes milliseconds to fill its stack.
+    if libc.mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT):
+        reason = f"mlockall: {os.strerror(ctypes.get_errno())}"
+        raise NotGrantedError(reason, "Linux 4.4 and later have it")
+    try:
+        yield "memory in use stays in RAM"
+    finally:
+        libc.munlockall()
+
+
+def freeze_objects() -> None:
+    """Exclude all objects that exist from garbage collection (`gc.freeze`).
+
+    Call it once before a loop, and before a drive moves: it takes some 20 ms. A full collection
+    in the middle of a stream would take as long, which delays 20 samples.
+    """
+    gc.collect()
+    gc.freeze()
+
+
+def helper_threads() -> set[int]:
+    """Return the threads of this process that the loop depends on: ZeroMQ's and Python's.
+
+    numpy's are left out: they spin while they wait, which must not have a priority.
     """
     tasks = _tasks()
-    deadline_s = time.monotonic() + BEGIN_WITHIN_S
-    # ZeroMQ's have no name of their own until they have run up to their first wait.
+    deadline_s = time.monotonic() + THREADS_START_WITHIN_S
+    # ZeroMQ's threads set their names before their first wait.
     while not all(map(_has_waited, tasks)) and time.monotonic() < deadline_s:
         time.sleep(0.001)
     found = {thread.native_id for thread in threading.enumerate()}
@@ -150,8 +185,8 @@ def helpers() -> set[int]:
 def _started() -> set[int]:
     """Return the threads of this process, as far as they can be listed.
 
-    Python's own are known without /proc, whose listing takes a file descriptor: where none is left,
-    a priority must be given up all the same.
+    Listing /proc takes a file descriptor. Where none is left, Python's own list must suffice for
+    giving a priority up.
     """
     started = {thread.native_id or 0 for thread in threading.enumerate()} | {0}
     with suppress(OSError):
@@ -182,7 +217,7 @@ def _has_waited(task: Path) -> bool:
     return "\nvoluntary_ctxt_switches:\t0\n" not in status
 
 
-# In quotes, as other systems have no such type.
+# Quoted, as other systems have no such type.
 def _schedule(threads: set[int], policy: int, parameter: "os.sched_param") -> None:
     for thread in threads:
         with suppress(ProcessLookupError):
@@ -202,7 +237,7 @@ def _watched(overrun: Callable[[int, FrameType | None], None]) -> Iterator[None]
     try:
         yield
     finally:
-        # The hard limit can be raised again with rights alone that few have, and binds nobody.
+        # The hard limit stays: raising it takes rights that few users have.
         resource.setrlimit(resource.RLIMIT_RTTIME, (hard if soft < 0 else min(soft, hard), hard))
         signal.signal(signal.SIGXCPU, before)
 
@@ -211,10 +246,10 @@ def _no_priority(priority: int, error: OSError) -> NotGrantedError:
     import resource  # not on every system
 
     limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
-    if 0 <= limit < priority and not capable(CAP_SYS_NICE):
+    if 0 <= limit < priority and not _capable(CAP_SYS_NICE):
         return NotGrantedError(
             f"RLIMIT_RTPRIO is {limit}",
-            raise_limit(
+            _raise_limit(
                 "rtprio", str(priority), f"LimitRTPRIO={priority}", f"--ulimit rtprio={priority}"
             ),
         )
@@ -222,4 +257,28 @@ def _no_priority(priority: int, error: OSError) -> NotGrantedError:
         f"sched_setscheduler: {error.strerror}",
         "the limits allow it, so the control group does not: write 950000 into its"
         " cpu.rt_runtime_us and its parents', or docker run --cpu-rt-runtime=950000",
+    )
+
+
+def spans(cpus: frozenset[int]) -> str:
+    """Return processors as text: `0-1`, and `0-1, 3` where one is missing."""
+    starts = sorted(cpu for cpu in cpus if cpu - 1 not in cpus)
+    ends = sorted(cpu for cpu in cpus if cpu + 1 not in cpus)
+    pairs = zip(starts, ends, strict=True)
+    return ", ".join(f"{a}" if a == b else f"{a}-{b}" for a, b in pairs)
+
+
+def _capable(number: int) -> bool:
+    """Return whether this process has a capability of Linux."""
+    for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+        if line.startswith("CapEff:"):
+            return bool(int(line.split()[1], 16) >> number & 1)
+    return False
+
+
+def _raise_limit(item: str, value: str, unit_key: str, docker: str) -> str:
+    """Return advice on raising a resource limit: at a login, in a systemd unit, in a container."""
+    return (
+        f'put "USER - {item} {value}" into {LIMITS_FILE} and log in anew'
+        f" (systemd: {unit_key}; docker run {docker})"
     )

@@ -3,7 +3,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.errors import RealtimeError
-from protocol.host.realtime_request import RealtimeRequest, parse_realtime, spans
+from protocol.host.measures import spans
+from protocol.host.realtime import RealtimeRequest, parse_realtime
 
 
 @pytest.mark.parametrize(

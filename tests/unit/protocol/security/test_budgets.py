@@ -1,7 +1,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.security.token_bucket import TokenBucket
+from protocol.security.budgets import TokenBucket
 
 SECOND_NS = 1_000_000_000
 

@@ -1,0 +1,185 @@
+"""Budgets against peers that demand too much: events per second, connections, subscriptions."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+
+import zmq
+
+from protocol import sockets
+from protocol.security.connection_table import ConnectionTable, cut, network_address
+
+# A socket accepts no connections while its events cannot be read for so long.
+BEHIND_NS = 100_000_000
+MAX_CUTS = 32
+SUBSCRIPTION = "subscription"
+# Room for topics that a program of another version may subscribe to.
+FOREIGN_BYTES = 1_000
+MAX_NAMED = 100
+
+
+class TokenBucket:
+    """Bound on how often something may happen: a rate, and a burst above it. Pure.
+
+    Parameters
+    ----------
+    rate_per_s : float
+        Tokens that come back in a second, at least 0.
+    burst : float
+        Most tokens, and tokens at the beginning.
+    """
+
+    def __init__(self, rate_per_s: float, burst: float) -> None:
+        self._rate_per_ns = rate_per_s * 1e-9
+        self._burst = self._tokens = burst
+        self._now_ns: int | None = None
+
+    def change_rate(self, rate_per_s: float) -> None:
+        """Change the rate at which tokens come back, without adding or removing any."""
+        self._rate_per_ns = rate_per_s * 1e-9
+
+    def take(self, now_ns: int, count: float = 1) -> bool:
+        """Take `count` tokens and return True; take none and return False where fewer are left."""
+        if self._now_ns is not None and now_ns > self._now_ns:
+            elapsed_ns = now_ns - self._now_ns
+            self._tokens = min(self._burst, self._tokens + elapsed_ns * self._rate_per_ns)
+        self._now_ns = now_ns
+        if count > self._tokens:
+            return False
+        self._tokens -= count
+        return True
+
+
+class ConnectionBudget:
+    """Bound on the open connections of several sockets together.
+
+    A stranger who connects again and again must use up neither the process's file descriptors
+    nor its memory nor its loop's time, and earlier connections must stay. So of pending
+    connections, the oldest from the address with most of them are cut; of established ones, the
+    newest from the address with most. One address alone never keeps the others out.
+
+    Parameters
+    ----------
+    most : int
+        Connections that may be open. Half of them may be pending (no ZeroMQ handshake yet),
+        three quarters may come from one address.
+    """
+
+    def __init__(self, most: int) -> None:
+        self.most = most
+        self._most_pending = most // 2
+        self._most_from_one = most * 3 // 4
+        self._behind_since_ns: dict[ConnectionTable, int] = {}
+
+    def enforce(self, tables: Sequence[ConnectionTable], now_ns: int) -> list[str]:
+        """Cut the connections beyond the budget; return the address of each."""
+        for table in tables:
+            if not table.behind:
+                self._behind_since_ns.pop(table, None)
+                table.pause(False)
+            elif now_ns - self._behind_since_ns.setdefault(table, now_ns) >= BEHIND_NS:
+                table.pause(True)
+        return [*self._cut_pending(tables), *self._cut_established(tables)]
+
+    def _cut_pending(self, tables: Sequence[ConnectionTable]) -> list[str]:
+        if sum(table.most_pending for table in tables) <= self._most_pending:
+            return []
+        pending = [(*one, table) for table in tables for one in table.pending()]
+        beyond = len(pending) - self._most_pending
+        if beyond <= 0:
+            return []
+        (most_of, _), *_ = Counter(address for _, _, address, _ in pending).most_common(1)
+        oldest = sorted((one for one in pending if one[2] == most_of), key=lambda one: one[0])
+        oldest = oldest[: min(beyond, MAX_CUTS)]
+        for _, descriptor, _, table in oldest:
+            table.cut_one(descriptor)
+        return [most_of] * len(oldest)
+
+    def _cut_established(self, tables: Sequence[ConnectionTable]) -> list[str]:
+        total = sum(table.connections for table in tables)
+        if total <= self._most_from_one:
+            return []
+        by_address = sum((table.by_address for table in tables), Counter[str]())
+        (most_of, count), *_ = by_address.most_common(1)
+        beyond = min(max(total - self.most, count - self._most_from_one), MAX_CUTS)
+        addresses: list[str] = []
+        for table in sorted(tables, key=lambda table: -table.by_address[most_of]):
+            for descriptor in table.newest_from(most_of, beyond - len(addresses)):
+                table.cut_one(descriptor)
+                addresses.append(most_of)
+        return addresses
+
+
+class SubscriptionBudget:
+    """Bound on subscriptions to topics that an XPUB socket of `sockets.bind` does not publish.
+
+    ZeroMQ stores each subscription of each peer, about 50 bytes for each letter, and has no
+    option that bounds them. `sockets.bind` makes it read one short subscription of a connection
+    at a time; here each connection has a budget of bytes, beyond which it is cut.
+
+    Parameters
+    ----------
+    socket : zmq.Socket
+        The bound XPUB socket.
+    topics : sequence of bytes
+        Topics that are published; b"" stands for every topic, subscribed to as a whole.
+    log : callable
+        Receives a line for each address that is refused first.
+
+    Attributes
+    ----------
+    rejected : Counter
+        Subscriptions beyond the budget, by cause.
+    """
+
+    def __init__(
+        self, socket: sockets.Socket, topics: Sequence[bytes], log: Callable[[str], None]
+    ) -> None:
+        self._socket = socket
+        self._topics = topics
+        self._log = log
+        self._named: set[str] = set()
+        # By descriptor: address, and bytes of the budget that are used up.
+        self._spent: dict[int, tuple[str, int]] = {}
+        self.rejected: Counter[str] = Counter()
+
+    def receive(self) -> Iterator[bytes]:
+        """Yield waiting subscriptions to and cancellations of published topics. Call it often.
+
+        Each is XPUB's message: b"\\x01" or b"\\x00", then the topic. Others are charged.
+        """
+        for _ in range(sockets.MAX_MESSAGES):
+            if not sockets.has_message(self._socket):
+                return
+            frame = self._socket.recv(zmq.NOBLOCK, copy=False)
+            message = frame.bytes
+            if message[:1] in (b"\0", b"\1") and self._publishes(message[1:]):
+                yield message
+            else:
+                self._charge(frame, len(message))
+
+    def poll(self) -> None:
+        """Charge the waiting subscriptions, for a caller that does not use them."""
+        for _ in self.receive():
+            pass
+
+    def _publishes(self, topic: bytes) -> bool:
+        return any(published.startswith(topic) for published in self._topics)
+
+    def _charge(self, frame: zmq.Frame, size_bytes: int) -> None:
+        try:
+            descriptor = int(frame.get(zmq.SRCFD))
+            address = str(frame.get("Peer-Address"))
+        except zmq.ZMQError:  # ZeroMQ's own notice that a peer has gone
+            return
+        owner, spent_bytes = self._spent.get(descriptor, (address, 0))
+        spent_bytes = size_bytes + (spent_bytes if owner == address else 0)
+        self._spent[descriptor] = (address, spent_bytes)
+        if spent_bytes > FOREIGN_BYTES:
+            self._refuse(descriptor, network_address(address))
+
+    def _refuse(self, descriptor: int, address: str) -> None:
+        self.rejected[SUBSCRIPTION] += 1
+        cut(descriptor, address)
+        if address not in self._named and len(self._named) < MAX_NAMED:
+            self._named.add(address)
+            self._log(f"refused {address or 'a peer'}: it subscribes to topics not published here")
