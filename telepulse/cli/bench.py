@@ -26,7 +26,7 @@ WARNING = (
 
 
 class Side(Enum):
-    """The end of the system that stands here."""
+    """The end of the system that is on this machine."""
 
     SENSING = "sensing"
     DISPLAY = "display"
@@ -35,10 +35,10 @@ class Side(Enum):
 
 def bench(
     scene: Annotated[str, typer.Argument(help="A scene file, or the name of one.")] = DEFAULT_SCENE,
-    only: Annotated[Side, typer.Option(help="Which end stands here.")] = Side.BOTH,
+    only: Annotated[Side, typer.Option(help="The end that is on this machine.")] = Side.BOTH,
     force: Annotated[str, typer.Option(help="Press with no more than this.")] = "0.3 N",
     seconds: Annotated[
-        float, typer.Option(min=1, max=3600, help="How long a sensor is listened to.")
+        float, typer.Option(min=1, max=3600, help="How long each sensor is recorded.")
     ] = 5.0,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask before the drive moves.")] = False,
     out: Annotated[
@@ -46,22 +46,21 @@ def bench(
     ] = None,
     write: Annotated[
         Path | None,
-        typer.Option(metavar="SCENE.toml", help="Write the scene here, with what was found."),
+        typer.Option(metavar="SCENE.toml", help="Write the scene here, with the found keys."),
     ] = None,
     json: TablesOption = None,
 ) -> None:
     """Check sensors and drive before a finger is on them, and identify the actuator.
 
     Without [display.drive] the scene's models are checked, in virtual time. Every check ends in
-    ok, look or fail; exit status 1 when one failed.
+    ok, warn or fail; exit status 1 when one failed.
     """
-    # What is identified brings scipy's import times; other commands do without.
-    from telepulse.commissioning import bench_check as run
-    from telepulse.commissioning.bench_check import report_bench
+    # Imported here: scipy takes long to import, and other commands do without.
+    from telepulse.commissioning import bench_check
     from telepulse.commissioning.scene_edit import as_toml, check_editable, write_scene
     from telepulse.commissioning.tuning import as_toml as gains_as_toml
 
-    console, findings = plain_console(), run.BenchFindings()
+    console, findings = plain_console(), bench_check.BenchFindings()
 
     def check() -> Report:
         check_writable(write)
@@ -77,19 +76,19 @@ def bench(
         used = {name: section for name, section in sections.items() if section is not None}
         provenance = collect(path, used)
         if sensing is not None:
-            run.check_wrist(findings, sensing, path.parent, seconds)
+            bench_check.check_wrist(findings, sensing, path.parent, seconds)
         if display is not None:
             if display.drive is not None and not yes:
                 _ask(force)
-            run.check_display(findings, display, path.parent, force_n, seconds)
-            run.check_loop(findings, path)
-        return replace(report_bench(path.stem, findings), provenance=provenance)
+            bench_check.check_display(findings, display, path.parent, force_n, seconds)
+            bench_check.check_loop(findings, path)
+        return replace(bench_check.report_bench(path.stem, findings), provenance=provenance)
 
     publish(check, out, json)
     if findings.changes:
-        console.print("\nfound, as the scene would say it:\n\n" + as_toml(findings.changes))
+        console.print("\nfound, as keys of the scene:\n\n" + as_toml(findings.changes))
         if write is None:
-            console.print("\n--write SCENE.toml writes a copy of the scene that says so")
+            console.print("\n--write SCENE.toml writes a copy of the scene with them")
     if findings.designs is not None and findings.designs[0].worst.unfit is not None:
         console.print("\ngains for it:\n\n" + gains_as_toml(findings.designs[1].controller))
     if write is not None and findings.changes:

@@ -1,4 +1,4 @@
-"""The actuator pressed and identified: what a scene should say of it, and what it says."""
+"""Press and identification of an actuator: the values for its scene, judged against the scene's."""
 
 import copy
 import math
@@ -11,7 +11,12 @@ from display_node.plant.film import FilmTable
 from display_node.plant.second_order import SecondOrderScene
 from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
-from telepulse.commissioning.identification import TOLD, ActuatorInput, IdentifiedModel, identify
+from telepulse.commissioning.identification import (
+    MAX_HALF_WIDTH,
+    ActuatorInput,
+    IdentifiedModel,
+    identify,
+)
 from telepulse.commissioning.press import (
     GUARD,
     ContactFit,
@@ -27,27 +32,37 @@ from telepulse.commissioning.rig import Rig
 from telepulse.commissioning.scene_edit import Changes
 from telepulse.commissioning.sensor_check import Check, grade, with_warning
 
-LONGEST_LATENCY_S = 0.05
-# Twice: the latency is needed for the play, and the play for the latency.
+MAX_LATENCY_S = 0.05
+# The fit of the play needs the latency, and the fit of the latency the play.
 ROUNDS = 2
-# RMS of what eq 22 does not explain, over the whole change.
-UNEXPLAINED_LOOK, UNEXPLAINED_FAIL = 0.1, 0.3
-FINGER_LOOK = 0.2
-WAY_LOOK, WAY_FAIL = 0.05, 0.5
-# A sensor's stamps may be early by some of a tick: nothing tells when its first byte was sent.
+# RMS that eq 22 does not explain, over the whole change.
+UNEXPLAINED_WARN, UNEXPLAINED_FAIL = 0.1, 0.3
+FINGER_WARN = 0.2
+TRAVEL_WARN, TRAVEL_FAIL = 0.05, 0.5
+# A sensor's stamps may be early by part of a tick: the time of its first byte is unknown.
 EARLY_TICKS = 0.25
-# Below it a fit has ended at its bound of 0.
+# A fit below this has ended at its bound of 0.
 TINY_LATENCY_S = 1e-6
-LATENCY_LOOK_TICKS, LATENCY_LOOK_PLAY_TICKS = 1.0, 2.0
+# Play keeps the tip where the rotor swung to, so that a latency fitted to it is less certain.
+LATENCY_WARN_TICKS, LATENCY_WARN_PLAY_TICKS = 1.0, 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class ActuatorFindings:
-    """The results for an actuator: commands and film of the staircase, the fit, the contact (of a
-    stepper)."""
+    """The results for an actuator.
+
+    Attributes
+    ----------
+    command : ActuatorInput
+        Commands of the staircase, behind the film's filter.
+    contact : ContactFit or None
+        The contact under a stepper.
+    changes : Changes
+        Keys of the scene that the press determines.
+    """
 
     pressed: PressRecord
-    told: ActuatorInput
+    command: ActuatorInput
     identified: IdentifiedModel
     contact: ContactFit | None
     checks: tuple[Check, ...]
@@ -61,86 +76,93 @@ def check_actuator(
     film_age_s: float,
     least_latency_s: float = 0.0,
 ) -> ActuatorFindings:
-    """Press with at most force_n and identify. Raises BenchError.
+    """Press with at most force_n and identify the actuator.
 
-    film_age_s: how much of the latency is the film's. The proposed scene gives the actuator the
-    rest. least_latency_s: how long a command takes on its line alone.
+    Parameters
+    ----------
+    film_age_s : float
+        The film's share of the latency; the rest is the actuator's.
+    least_latency_s : float
+        Time that a command takes on its line alone.
+
+    Raises
+    ------
+    BenchError
+        For a press that was stopped, or a record that determines nothing.
     """
+    recorder = PressRecorder(rig, GUARD * force_n, scene.safety.feedback_within_ns * 1e-9)
     if isinstance(scene.actuator, SecondOrderScene):
-        return _check_voltage(rig, scene, scene.actuator, force_n)
-    return _check_stepper(rig, scene, scene.actuator, force_n, film_age_s, least_latency_s)
+        return _check_voltage(recorder, scene, scene.actuator, force_n)
+    return _check_stepper(recorder, scene, scene.actuator, force_n, film_age_s, least_latency_s)
 
 
 def _check_voltage(
-    rig: Rig, scene: DisplayScene, actuator: SecondOrderScene, force_n: float
+    recorder: PressRecorder, scene: DisplayScene, actuator: SecondOrderScene, force_n: float
 ) -> ActuatorFindings:
-    pressed = press_voltage(_recorder(rig, scene, force_n), actuator, force_n)
-    told = through_film(pressed.told(pressed.stairs, held=True), scene.film)
-    found = identify(told, *pressed.film(pressed.stairs), LONGEST_LATENCY_S)
-    values = dict(zip("mck", found.values, strict=False))
-    keys = {key: f"{value:.4g}" for key, value in values.items()}
+    pressed = press_voltage(recorder, actuator, force_n)
+    command = through_film(pressed.command(pressed.stairs, held=True), scene.film)
+    found = identify(command, *pressed.film(pressed.stairs), MAX_LATENCY_S)
+    keys = {key: f"{value:.4g}" for key, value in zip("mck", found.values, strict=False)}
     changes = {"display.actuator": keys} if _fits(found) else {}
-    return ActuatorFindings(pressed, told, found, None, (_check_fit(found),), changes)
-
-
-def _recorder(rig: Rig, scene: DisplayScene, force_n: float) -> PressRecorder:
-    return PressRecorder(rig, GUARD * force_n, scene.safety.feedback_within_ns * 1e-9)
+    return ActuatorFindings(pressed, command, found, None, (_check_fit(found),), changes)
 
 
 def _check_stepper(
-    rig: Rig,
+    recorder: PressRecorder,
     scene: DisplayScene,
     actuator: StepperScene,
     force_n: float,
     film_age_s: float,
     least_latency_s: float,
 ) -> ActuatorFindings:
-    pressed = press_stepper(_recorder(rig, scene, force_n), actuator, force_n)
+    pressed = press_stepper(recorder, actuator, force_n)
     law, lag_s = actuator.contact(scene.layer.layer()), 0.0
     for _ in range(ROUNDS):
         contact = fit_contact(pressed, law, scene.film, lag_s)
         fitted = copy.copy(law)
         fitted.finger_m_per_n = 1 / contact.finger_n_per_m
-        told = _stairs(pressed, contact, fitted, scene.film)
-        found = identify(told, *pressed.film(pressed.stairs), LONGEST_LATENCY_S)
+        command = _stairs_command(pressed, contact, fitted, scene.film)
+        found = identify(command, *pressed.film(pressed.stairs), MAX_LATENCY_S)
         lag_s = found.delay_s
     latency_s = _latency_s(actuator, found, contact) - film_age_s
-    latency = check_latency(
-        actuator, found, contact, latency_s, least_latency_s=least_latency_s, tick_s=rig.tick_s
+    latency, plausible = check_latency(
+        actuator,
+        found,
+        contact,
+        latency_s,
+        least_latency_s=least_latency_s,
+        tick_s=recorder.rig.tick_s,
     )
-    # A latency that cannot be is no figure for a scene.
-    told_s = None if latency.doubtful else latency_s
-    changes = _changes(actuator, found, contact, told_s) if _fits(found) else {}
-    checks = (
-        _check_fit(found),
-        _check_way(found),
-        *check_contact(actuator, contact),
-        latency.check,
-    )
-    return ActuatorFindings(pressed, told, found, contact, checks, changes)
+    changes = {}
+    if _fits(found):
+        changes = _changes(actuator, found, contact, latency_s if plausible else None)
+    checks = (_check_fit(found), _check_travel(found), *check_contact(actuator, contact), latency)
+    return ActuatorFindings(pressed, command, found, contact, checks, changes)
 
 
-def _stairs(
+def _stairs_command(
     pressed: PressRecord, contact: ContactFit, law: ContactLaw, film: FilmTable
 ) -> ActuatorInput:
-    """The force that was commanded in the staircase, behind the film's filter."""
-    begin_s = pressed.recorder.told_s[0]
-    way = pressed.told(PressPhase(begin_s, pressed.stairs.end_s), held=False)
-    # Filtered from the press's beginning, so that the filter is settled when the stairs begin.
-    seen = through_film(contact.pressed_n(law, way), film)
+    """Return the commanded force of the staircase, behind the film's filter."""
+    begin_s = pressed.recorder.commanded_s[0]
+    travel = pressed.command(PressPhase(begin_s, pressed.stairs.end_s), held=False)
+    # Filtered from the begin of the press, so that the filter is settled when the stairs begin.
+    seen = through_film(contact.pressed_n(law, travel), film)
     first = round((pressed.stairs.begin_s - begin_s) / seen.tick_s)
     return ActuatorInput(seen.values[first:], seen.tick_s, held=False)
 
 
 def _fits(found: IdentifiedModel) -> bool:
-    """Return whether the fit is worth a place in a scene."""
+    """Return whether the fit is good enough for a scene."""
     return found.nrmse <= UNEXPLAINED_FAIL
 
 
 def _latency_s(actuator: StepperScene, found: IdentifiedModel, contact: ContactFit) -> float:
-    """Return the time from a command to its motion, film's age included, as the scene's model has
-    it: a rotor that the scene will have delays by its own 2 ζ/ω beside it."""
-    if _rotor_told(found, contact):
+    """Return the latency of the scene's model, from a command to its motion and the film's age.
+
+    A rotor in the scene delays by its own 2 ζ/ω beside the latency.
+    """
+    if _rotor_determined(found, contact):
         return found.model.latency_s
     if actuator.rotor_resonance_hz is None:
         return found.delay_s
@@ -148,23 +170,18 @@ def _latency_s(actuator: StepperScene, found: IdentifiedModel, contact: ContactF
     return found.delay_s - rotor_s
 
 
-def _rotor_told(found: IdentifiedModel, contact: ContactFit) -> bool:
+def _rotor_determined(found: IdentifiedModel, contact: ContactFit) -> bool:
     """Return whether the fitted resonance is the rotor's: play hides its way back."""
-    return not {"m", "c"} & set(found.untold) and not _has_play(contact)
-
-
-def _has_play(contact: ContactFit) -> bool:
-    return contact.play_m > 2 * contact.play_within
+    return not {"m", "c"} & set(found.undetermined) and not contact.has_play
 
 
 def _changes(
     actuator: StepperScene, found: IdentifiedModel, contact: ContactFit, latency_s: float | None
 ) -> Changes:
-    """Return the keys that the press determines; latency_s: None where it does not."""
     keys = {"fingertip": f'"{contact.finger_n_per_m:.4g} N/m"'}
-    if _has_play(contact) and contact.play_m > actuator.step_m:
+    if contact.has_play and contact.play_m > actuator.step_m:
         keys["backlash"] = f'"{contact.play_m * 1e6:.3g} µm"'
-    if _rotor_told(found, contact):
+    if _rotor_determined(found, contact):
         keys["rotor_resonance"] = f'"{found.model.resonance_hz:.4g} Hz"'
         keys["rotor_damping"] = f"{found.model.damping:.3g}"
     if latency_s is not None:
@@ -177,55 +194,55 @@ def _check_fit(found: IdentifiedModel) -> Check:
         "eq 22",
         f"leaves {found.nrmse * 100:.1f} % of the force's change unexplained",
         found.nrmse,
-        UNEXPLAINED_LOOK,
+        UNEXPLAINED_WARN,
         UNEXPLAINED_FAIL,
         "the actuator is not of second order, or loses steps: look at the plot",
     )
-    if check.verdict == "ok" and found.untold:
-        names = ", ".join(found.untold)
-        return Check(check.name, f"{check.found}; {names}: not told by the record")
+    if check.verdict == "ok" and found.undetermined:
+        names = ", ".join(found.undetermined)
+        return Check(check.name, f"{check.found}; {names}: not determined by the record")
     return check
 
 
-def _check_way(found: IdentifiedModel) -> Check:
+def _check_travel(found: IdentifiedModel) -> Check:
     check = grade(
-        "way",
-        f"a step goes {100 / found.model.k:.1f} % of the way it is told",
+        "travel",
+        f"a step moves by {100 / found.model.k:.1f} % of the commanded travel",
         abs(1 / found.model.k - 1),
-        WAY_LOOK,
-        WAY_FAIL,
-        "commands or steps are lost on the way, or lead and microsteps are wrong",
+        TRAVEL_WARN,
+        TRAVEL_FAIL,
+        "commands or steps are lost, or lead and microsteps are wrong",
     )
-    untold = "the record does not determine it" if "k" in found.untold else ""
-    return with_warning(check, _of_a_bad_fit(found) or untold)
+    undetermined = "the record does not determine it" if "k" in found.undetermined else ""
+    return with_warning(check, _bad_fit(found) or undetermined)
 
 
-def _of_a_bad_fit(found: IdentifiedModel) -> str:
+def _bad_fit(found: IdentifiedModel) -> str:
     if _fits(found):
         return ""
-    return f"of no meaning: eq 22 leaves {found.nrmse * 100:.0f} % unexplained"
+    return f"not valid: eq 22 leaves {found.nrmse * 100:.0f} % unexplained"
 
 
-def check_contact(actuator: StepperScene, contact: ContactFit) -> tuple[Check, ...]:
+def check_contact(actuator: StepperScene, contact: ContactFit) -> tuple[Check, Check]:
     """Judge finger and play, and whether the ramp determines them at all."""
     expected = actuator.fingertip_n_per_m
     finger = grade(
         "finger",
-        f"{contact.finger_n_per_m:.4g} ± {contact.finger_within:.2g} N/m,"
+        f"{contact.finger_n_per_m:.4g} ± {contact.finger_half_width:.2g} N/m,"
         f" first touch at {contact.touch_m * 1e6:+.0f} µm",
         abs(contact.finger_n_per_m / expected - 1),
-        FINGER_LOOK,
+        FINGER_WARN,
         np.inf,
-        f"the scene says {expected:.4g} N/m",
+        f"the scene has {expected:.4g} N/m",
     )
-    off_m = abs(contact.play_m - actuator.backlash_m)
+    tolerance_m = max(2 * contact.play_half_width, 2 * actuator.step_m)
     play = grade(
         "play",
-        f"{contact.play_m * 1e6:.1f} ± {contact.play_within * 1e6:.1f} µm",
-        off_m,
-        max(2 * contact.play_within, 2 * actuator.step_m),
+        f"{contact.play_m * 1e6:.1f} ± {contact.play_half_width * 1e6:.1f} µm",
+        abs(contact.play_m - actuator.backlash_m),
+        tolerance_m,
         np.inf,
-        f"the scene says {actuator.backlash_m * 1e6:g} µm",
+        f"the scene has {actuator.backlash_m * 1e6:g} µm",
     )
     if contact.unexplained > UNEXPLAINED_FAIL:
         reason = f"the ramp is not a finger's: {contact.unexplained * 100:.0f} % unexplained"
@@ -233,25 +250,12 @@ def check_contact(actuator: StepperScene, contact: ContactFit) -> tuple[Check, .
             Check(finger.name, finger.found, "fail", reason),
             Check(play.name, play.found, "fail", reason),
         )
-    if contact.finger_within > TOLD * contact.finger_n_per_m:
+    if contact.finger_half_width > MAX_HALF_WIDTH * contact.finger_n_per_m:
         finger = with_warning(finger, "the ramp does not determine it: press with more force")
-    if contact.play_m < -max(2 * contact.play_within, 2 * actuator.step_m):
+    if contact.play_m < -tolerance_m:
         reason = "below 0: the way back presses more than the way in; look at film and zero"
-        play = Check(play.name, play.found, "look", reason)
+        play = Check(play.name, play.found, "warn", reason)
     return finger, play
-
-
-def _tolerance_ticks(contact: ContactFit) -> float:
-    """Play keeps the tip where the rotor swung to; what is fitted to that is late or early."""
-    return LATENCY_LOOK_PLAY_TICKS if _has_play(contact) else LATENCY_LOOK_TICKS
-
-
-@dataclass(frozen=True, slots=True)
-class LatencyCheck:
-    """The check of the latency; doubtful: it is no latency that a drive can have."""
-
-    check: Check
-    doubtful: bool
 
 
 def check_latency(
@@ -262,42 +266,43 @@ def check_latency(
     *,
     least_latency_s: float,
     tick_s: float,
-) -> LatencyCheck:
-    """Judge a latency from a command to its motion: against the scene, and whether it can be.
+) -> tuple[Check, bool]:
+    """Judge a latency from a command to its motion.
 
     Parameters
     ----------
     latency_s : float
-        As it was identified, without the film's share.
+        The identified latency, without the film's share.
     least_latency_s : float
-        How long a command takes on its line alone; 0 for a model.
+        Time that a command takes on its line alone; 0 for a model.
     tick_s : float
-        Of the press. A latency is found to a quarter of a tick.
+        Tick of the press. A latency is found to a quarter of a tick.
+
+    Returns
+    -------
+    Check
+        The latency against the scene's.
+    bool
+        False for a value that no drive can have, which is no value for a scene.
     """
     expected_s = actuator.latency_ns * 1e-9
-    text = f"{latency_s * 1e3:.2f} ms from a command to its motion"
-    check = grade(
-        "drive's latency",
-        text,
-        abs(latency_s - expected_s),
-        tick_s * _tolerance_ticks(contact),
-        np.inf,
-        f"the scene says {expected_s * 1e3:g} ms",
-    )
-    early_s, bound_s = -EARLY_TICKS * tick_s, LONGEST_LATENCY_S - tick_s
+    name, text = "drive's latency", f"{latency_s * 1e3:.2f} ms from a command to its motion"
     if latency_s < -tick_s or math.isnan(latency_s):
         reason = "the motion comes before its command: look at the film's time stamps"
-        return LatencyCheck(Check(check.name, text, "fail", reason), True)
-    if found.delay_s >= bound_s:
-        reason = f"at the longest that is searched, {LONGEST_LATENCY_S * 1e3:g} ms"
-        return LatencyCheck(Check(check.name, text, "fail", reason), True)
-    reason = _of_a_bad_fit(found)
+        return Check(name, text, "fail", reason), False
+    if found.delay_s >= MAX_LATENCY_S - tick_s:
+        reason = f"at the longest that is searched, {MAX_LATENCY_S * 1e3:g} ms"
+        return Check(name, text, "fail", reason), False
+    early_s, reason = -EARLY_TICKS * tick_s, _bad_fit(found)
     if latency_s < early_s:
         reason = reason or "the motion comes before its command: the film's time stamps are early"
     elif latency_s < least_latency_s + early_s or latency_s < TINY_LATENCY_S < least_latency_s:
         reason = reason or f"its line alone takes {least_latency_s * 1e3:.2f} ms"
-    elif "latency" in found.untold and _rotor_told(found, contact):
+    elif "latency" in found.undetermined and _rotor_determined(found, contact):
         reason = reason or "the record does not determine it"
-    if not reason:
-        return LatencyCheck(check, False)
-    return LatencyCheck(Check(check.name, text, "look", reason), True)
+    if reason:
+        return Check(name, text, "warn", reason), False
+    ticks = LATENCY_WARN_PLAY_TICKS if contact.has_play else LATENCY_WARN_TICKS
+    off_s = abs(latency_s - expected_s)
+    reason = f"the scene has {expected_s * 1e3:g} ms"
+    return grade(name, text, off_s, tick_s * ticks, np.inf, reason), True

@@ -1,9 +1,4 @@
-"""`telepulse bench`: which checks a scene asks for, on its models or on the bench itself.
-
-A scene's sensors while nothing presses, as models: what the live ones say is in `hardware`.
-
-What a bench check found, as tables and plots.
-"""
+"""`telepulse bench`: the checks of a scene on its models or on the real bench, and their report."""
 
 import math
 import sys
@@ -49,46 +44,30 @@ from telepulse.reports.document import Chapter, Plot, Report, Table
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
-def still_source(scene: SensingScene, folder: Path, seconds: float) -> SensorRecord:
-    """A synthetic source without its pulse, heard through the scene's conditioning.
-
-    Raises BenchError for a recording: there is no sensor to check.
-    """
-    if not isinstance(scene.source, SyntheticScene):
-        raise BenchError("a recording cannot be still")
-    still = {"peak_to_peak_n": 0.0, "preload_n": 0.0}
-    changes: dict[str, object] = {"source": scene.source.model_copy(update=still)}
-    if scene.conditioning is not None:
-        changes["conditioning"] = scene.conditioning.model_copy(update={"hold_down_n": 0.0})
-    source = build_source(scene.model_copy(update=changes), folder)
-    count = round(seconds * 1e9 / source.period_ns)
-    times_ns = np.arange(count) * source.period_ns
-    return SensorRecord(times_ns, source.take(count)[:, 0], times_ns, np.ones(count, np.int64))
-
-
-def still_film(pressed: PressRecord) -> SensorRecord:
-    """What the film said before anything moved, a sample a batch."""
-    at_s, force_n = pressed.film(pressed.still)
-    times_ns = np.round(at_s * 1e9).astype(np.int64)
-    return SensorRecord(times_ns, force_n, times_ns, np.ones(len(at_s), np.int64))
-
-
-# A design keeps Ms at the limit itself; this much above is not worth a look.
+# A design keeps Ms at the limit itself; a rounding above it is no reason for a warning.
 ROUNDING = 1.01
-# A press commands the drive once in so many exchanges on its line: answers take their turn.
-UNHURRIED = 2.5
-# The loop makes good what it knows of, but no scene's `latency` may be longer than the most.
-LATE_FILM_AGE_S, MOST_FILM_AGE_S = 0.02, 0.05
+# A press commands the drive once in this many exchanges on its line, so that answers keep up.
+EXCHANGES_PER_TICK = 2.5
+# The loop compensates a known age, but no scene's `latency` may be longer than the second.
+FILM_AGE_WARN_S, FILM_AGE_FAIL_S = 0.02, 0.05
 
 
 @dataclass(slots=True)
 class BenchFindings:
-    """The results of the checks, each named by the part of the bench that was checked.
+    """The results of the checks.
 
-    still: what the sensors said while nothing pressed; design: the scene's own gains and the
-    proposed ones on what was identified. modelled: the scene names no drive, and it was its models
-    that were checked.
+    Attributes
+    ----------
+    checks : list of (str, Check)
+        Each check with the part of the bench that it is of.
+    still : dict of str to SensorRecord
+        Sensor records while nothing pressed, by part.
+    changes : Changes
+        Keys of the scene that were found.
+    designs : tuple of Design or None
+        The scene's own gains and the proposed ones, on the identified actuator.
+    modelled : bool
+        True where the scene names no drive, so that its models were checked.
     """
 
     checks: list[tuple[str, Check]] = field(default_factory=list)
@@ -105,7 +84,7 @@ class BenchFindings:
 
     @property
     def note(self) -> str:
-        """Eq 22 as it was identified, for the written scene; "" where the keys have it."""
+        """Comment for the written scene: eq 22 as identified; "" where its keys have it."""
         if self.actuator is None or self.actuator.contact is None:
             return ""
         m, c, k, _ = self.actuator.identified.values
@@ -115,9 +94,23 @@ class BenchFindings:
         """Keep checks of a part."""
         self.checks += [(part, check) for check in checks]
 
+    def add_actuator(self, actuator: ActuatorFindings) -> None:
+        """Keep the checks and the changes of an identified actuator."""
+        self.actuator = actuator
+        self.add("actuator", *actuator.checks)
+        for table, keys in actuator.changes.items():
+            self.changes.setdefault(table, {}).update(keys)
+
+    def add_still(self, part: str, record: SensorRecord, nominal_hz: float, live: bool) -> float:
+        """Keep the checks of a sensor; return the age of its newest sample at worst, in s."""
+        self.still[part] = record
+        figures = measure(record)
+        self.add(part, *judge_sensor(figures, nominal_hz, live))
+        return figures.age_s
+
     @contextmanager
     def part(self, part: str) -> Iterator[None]:
-        """Add whatever ends a part's checks early as a check that failed."""
+        """Add an error that ends a part's checks early as a failed check."""
         try:
             yield
         except (BenchError, DriveError, SourceError) as error:
@@ -127,21 +120,40 @@ class BenchFindings:
 def check_wrist(findings: BenchFindings, scene: SensingScene, folder: Path, seconds: float) -> None:
     """Check the sensing node's sensor, on which nothing presses."""
     with findings.part("wrist"):
+        live = isinstance(scene.source, SensorTable)
         if isinstance(scene.source, SensorTable):
             unloaded = scene.source.model_copy(update={"preload_n": 0.0})
             with closing(open_sensor(unloaded, folder, print)) as sensor:
-                heard = listen(sensor, seconds)
+                record = listen(sensor, seconds)
         else:
-            heard = still_source(scene, folder, seconds)
-        live = isinstance(scene.source, SensorTable)
-        _check_still(findings, "wrist", heard, scene.source.rate_hz, live)
+            record = _still_source(scene, folder, seconds)
+        findings.add_still("wrist", record, scene.source.rate_hz, live)
+
+
+def _still_source(scene: SensingScene, folder: Path, seconds: float) -> SensorRecord:
+    """Return the record of a synthetic source without its pulse, behind the conditioning.
+
+    Raises BenchError for a recording: there is no sensor to check.
+    """
+    if not isinstance(scene.source, SyntheticScene):
+        raise BenchError("a recording cannot be still")
+    still = {"peak_to_peak_n": 0.0, "preload_n": 0.0}
+    changes: dict[str, object] = {"source": scene.source.model_copy(update=still)}
+    if scene.conditioning is not None:
+        changes["conditioning"] = scene.conditioning.model_copy(update={"hold_down_n": 0.0})
+    source = build_source(scene.model_copy(update=changes), folder)
+    count = round(seconds * 1e9 / source.period_ns)
+    times_ns = np.arange(count) * source.period_ns
+    return SensorRecord(times_ns, source.take(count)[:, 0], times_ns, np.ones(count, np.int64))
 
 
 def check_display(
     findings: BenchFindings, scene: DisplayScene, folder: Path, force_n: float, seconds: float
 ) -> None:
-    """Check film and actuator: as the scene models them in virtual time, or the drive that the
-    scene names and the film under its finger. The drive moves, and ends at rest."""
+    """Check film and actuator: the scene's models in virtual time, or its drive and its film.
+
+    A drive moves, and ends at rest.
+    """
     if scene.drive is not None:
         _check_drive(findings, scene, scene.drive, folder, force_n, seconds)
         return
@@ -149,10 +161,16 @@ def check_display(
     with findings.part("actuator"):
         film_age_s = scene.film.latency_ns * 1e-9
         actuator = check_actuator(ModelRig(scene), scene, force_n, film_age_s)
-        _check_still(
-            findings, "film", still_film(actuator.pressed), 1e9 / scene.tick_ns, live=False
-        )
-        _keep(findings, actuator)
+        record = _still_film(actuator.pressed)
+        findings.add_still("film", record, 1e9 / scene.tick_ns, live=False)
+        findings.add_actuator(actuator)
+
+
+def _still_film(pressed: PressRecord) -> SensorRecord:
+    """Return the record of a modelled film before anything moved, a sample a batch."""
+    at_s, force_n = pressed.film(pressed.still)
+    times_ns = np.round(at_s * 1e9).astype(np.int64)
+    return SensorRecord(times_ns, force_n, times_ns, np.ones(len(at_s), np.int64))
 
 
 def _check_drive(
@@ -168,101 +186,82 @@ def _check_drive(
     if film is None or not isinstance(actuator, StepperScene):
         raise SceneError("[display.feedback] is missing: a drive is checked by what it presses")
     findings.add("drive", check_line(table, tick_s))
+    line_s = exchange_s(table)
     with findings.part("film"), closing(open_sensor(film, folder, print)) as sensor:
         with findings.part("drive"), closing(drive):
             with advised():
                 drive.start(partial(_newest_n, sensor))
-            age_s = _check_still(findings, "film", listen(sensor, seconds), film.rate_hz, live=True)
+            record = listen(sensor, seconds)
+            age_s = findings.add_still("film", record, film.rate_hz, live=True)
             findings.add("film", _check_age(age_s))
             findings.add("drive", check_answers(drive))
-            # A command that is superseded before it was sent is way that is not made.
-            rig = HardwareRig(drive, sensor, max(tick_s, UNHURRIED * exchange_s(table)))
+            # A command superseded before it was sent is travel that is not made.
+            rig = HardwareRig(drive, sensor, max(tick_s, EXCHANGES_PER_TICK * line_s))
             try:
-                found = check_actuator(
-                    rig, scene, force_n, 0.0, least_latency_s=exchange_s(table) / 2
-                )
+                found = check_actuator(rig, scene, force_n, 0.0, least_latency_s=line_s / 2)
             except KeyboardInterrupt:
-                rig.retreat()
+                rig.withdraw()
                 raise
             # Read at this age, a sample is there when the loop asks for it.
-            latency_s = min(math.ceil(age_s / tick_s) * tick_s, MOST_FILM_AGE_S)
+            latency_s = min(math.ceil(age_s / tick_s) * tick_s, FILM_AGE_FAIL_S)
             findings.changes["display.film"] = {"latency": f'"{latency_s * 1e3:g} ms"'}
-            _keep(findings, found)
-        # Commands that a newer one superseded are what a line slower than the loop makes.
+            findings.add_actuator(found)
+        # A line slower than the loop makes superseded commands; they are no fault.
         for name, count in sorted((drive.counts - Counter(superseded=sys.maxsize)).items()):
-            findings.add("drive", Check(name, f"{count} times", "look", "on the way to the drive"))
+            findings.add("drive", Check(name, f"{count} times", "warn", "on the way to the drive"))
 
 
 def _newest_n(sensor: Sensor) -> float | None:
-    """The newest reading in N since the last call; None where none came."""
+    """Return the newest reading in N since the last call; None where none came."""
     readings = sensor.poll()
     return readings[-1].force_n[-1] if readings else None
 
 
 def _check_age(age_s: float) -> Check:
-    found = f"the newest sample is up to {age_s * 1e3:.1f} ms old (99 %)"
+    name, found = "age of a reading", f"the newest sample is up to {age_s * 1e3:.1f} ms old (99 %)"
     if age_s < 0:
         reason = "younger than 0: the device's times are ahead of this machine's clock"
-        return Check("age of a reading", found, "fail", reason)
+        return Check(name, found, "fail", reason)
     reason = "let the device send smaller batches; on USB look at the adapter's latency timer"
-    return grade("age of a reading", found, age_s, LATE_FILM_AGE_S, MOST_FILM_AGE_S, reason)
+    return grade(name, found, age_s, FILM_AGE_WARN_S, FILM_AGE_FAIL_S, reason)
 
 
 def check_loop(findings: BenchFindings, path: Path) -> None:
-    """Margins of the force loop, with the scene's gains, on what was identified, if it was."""
+    """Check the margins of the scene's gains on the identified actuator, where there is one."""
     if findings.actuator is None:
         return
     text = set_keys(path.read_text(encoding="utf-8"), findings.changes)
     try:
         found = validate(tomllib.loads(text)["display"], DisplayScene, f"{path}: [display]")
     except SceneError as error:
-        # What was found is no value of a scene: the other checks stand all the same.
+        # A value that was found is outside a scene's bounds; the other checks are valid.
         findings.add("loop", Check("margins", "", "fail", str(error)))
         return
     present, proposed = judge(found, found.controller), design(found)
     findings.designs = present, proposed
     worst = present.worst
     shown = f"Ms {worst.peak_sensitivity:.2f}, delay margin {worst.delay_s * 1e3:.3g} ms"
+    check = Check("margins", shown)
     if worst.unfit is not None:
-        findings.add(
-            "loop", Check("margins", shown, "fail", f"{worst.unfit}: take the gains below")
-        )
+        check = Check("margins", shown, "fail", f"{worst.unfit}: take the gains below")
     elif worst.peak_sensitivity > MOST_SENSITIVITY * ROUNDING:
         reason = f"a design keeps Ms below {MOST_SENSITIVITY}: see the design below"
-        findings.add("loop", Check("margins", shown, "look", reason))
-    else:
-        findings.add("loop", Check("margins", shown))
-
-
-def _check_still(
-    findings: BenchFindings, part: str, heard: SensorRecord, nominal_hz: float, live: bool
-) -> float:
-    """Check what a sensor said; how old its newest sample is at worst, in s."""
-    findings.still[part] = heard
-    figures = measure(heard)
-    findings.add(part, *judge_sensor(figures, nominal_hz, live))
-    return figures.age_s
-
-
-def _keep(findings: BenchFindings, actuator: ActuatorFindings) -> None:
-    findings.actuator = actuator
-    findings.add("actuator", *actuator.checks)
-    for table, keys in actuator.changes.items():
-        findings.changes.setdefault(table, {}).update(keys)
+        check = Check("margins", shown, "warn", reason)
+    findings.add("loop", check)
 
 
 _UNITS = {"m": (1.0, ""), "c": (1.0, ""), "k": (1.0, ""), "latency": (1e3, " ms")}
 
 
 def report_bench(name: str, findings: BenchFindings) -> Report:
-    """The report of a bench check."""
+    """Return the report of a bench check."""
     rows = tuple(
         (part, check.name, check.found, check.verdict, check.reason)
         for part, check in findings.checks
     )
     modelled = ": its models, as it names no [display.drive]" if findings.modelled else ""
     checks = Table(f"bench of {name}{modelled}", ("part", "check", "found", "verdict", "why"), rows)
-    still = tuple(_still_plot(part, heard) for part, heard in findings.still.items())
+    still = tuple(_noise_plot(part, record) for part, record in findings.still.items())
     chapters = [Chapter("Checks", tables=(checks,), plots=still)]
     if findings.actuator is not None:
         chapters.append(_actuator_chapter(findings.actuator))
@@ -274,12 +273,12 @@ def report_bench(name: str, findings: BenchFindings) -> Report:
 def _actuator_chapter(actuator: ActuatorFindings) -> Chapter:
     found = actuator.identified
     rows = []
-    for name, value, within in zip(NAMES, found.values, found.within, strict=True):
+    for name, value, half_width in zip(NAMES, found.values, found.half_widths, strict=True):
         scale, unit = _UNITS[name]
-        told = "not told by the record" if name in found.untold else ""
-        rows.append((name, f"{value * scale:.4g}{unit}", f"{within * scale:.2g}{unit}", told))
+        remark = "not determined by the record" if name in found.undetermined else ""
+        rows.append((name, f"{value * scale:.4g}{unit}", f"{half_width * scale:.2g}{unit}", remark))
     rows.append(("delay of slow changes, latency + c/k", f"{found.delay_s * 1e3:.3g} ms", "", ""))
-    if "m" not in found.untold:
+    if "m" not in found.undetermined:
         answer = step_response(found.model)
         rows += [
             ("resonance", f"{found.model.resonance_hz:.4g} Hz", "", ""),
@@ -288,45 +287,44 @@ def _actuator_chapter(actuator: ActuatorFindings) -> Chapter:
             ("overshoot", f"{answer.overshoot * 100:.0f} %", "", ""),
             ("settling to 2 %", f"{answer.settling_s * 1e3:.3g} ms", "", ""),
         ]
+    note = (
+        "from the voltage to the force; the film's filter is compensated"
+        if actuator.contact is None
+        else "from the force that the commanded place presses with at rest, by the contact found"
+        " here, to the felt force: c in s, m in s²; the film's filter is compensated"
+    )
     table = Table(
         "actuator, g(s) = 1 / (m s² + c s + k) (eq 22)",
         ("", "identified", "± (95 %)", ""),
         tuple(rows),
-        note=_INPUT[actuator.contact is None],
+        note=note,
     )
-    return Chapter("ActuatorFindings", tables=(table,), plots=(_stairs_plot(actuator),))
-
-
-_INPUT = {
-    True: "from the voltage to the force; the film's filter is taken out",
-    False: "from the force that the commanded place presses with at rest, by the contact found"
-    " here, to the force felt: c in s, m in s²; the film's filter is taken out",
-}
+    return Chapter("Actuator", tables=(table,), plots=(_stairs_plot(actuator),))
 
 
 def _stairs_plot(actuator: ActuatorFindings) -> Plot:
     def draw(figure: "Figure") -> None:
         at_s, force_n = actuator.pressed.film(actuator.pressed.stairs)
-        fitted_n = respond(actuator.identified.model, actuator.told, at_s)
+        fitted_n = respond(actuator.identified.model, actuator.command, at_s)
         fitted_n += actuator.identified.zero_n
-        force, left = figure.subplots(2, sharex=True, height_ratios=(3, 1))
+        force, residual = figure.subplots(2, sharex=True, height_ratios=(3, 1))
         force.plot(at_s, force_n, label="film")
         force.plot(at_s, fitted_n, "--", label="eq 22, fitted")
         force.set(ylabel="force in N")
         force.legend(loc="upper left")
-        left.plot(at_s, 1e3 * (force_n - fitted_n))
-        left.set(xlabel="time in s", ylabel="left over, mN")
+        residual.plot(at_s, 1e3 * (force_n - fitted_n))
+        residual.set(xlabel="time in s", ylabel="residual in mN")
 
-    return Plot("stairs", "The staircase: what the film said, and the fitted model.", draw)
+    return Plot("stairs", "The staircase: readings of the film, and the fitted model.", draw)
 
 
-def _still_plot(part: str, heard: SensorRecord) -> Plot:
+def _noise_plot(part: str, record: SensorRecord) -> Plot:
     def draw(figure: "Figure") -> None:
         from scipy.signal import welch
 
-        rate_hz = 1e9 / float(np.diff(heard.taken_ns).mean())
-        count = min(len(heard.force_n), 1024)
-        frequency_hz, density = welch(heard.force_n, rate_hz, nperseg=count)
+        rate_hz = 1e9 / float(np.diff(record.taken_ns).mean())
+        count = min(len(record.force_n), 1024)
+        frequency_hz, density = welch(record.force_n, rate_hz, nperseg=count)
         axes = figure.subplots()
         axes.semilogy(frequency_hz[1:], 1e3 * np.sqrt(np.maximum(density[1:], 1e-24)))
         axes.set(xlabel="frequency in Hz", ylabel="noise in mN/√Hz")

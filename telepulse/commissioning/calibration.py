@@ -1,137 +1,35 @@
-"""A straight line through reference loads by least squares, and what is left over. Pure.
+"""Calibration of a film: readings under reference loads, and the straight line through them.
 
-A calibration as tables, a plot, and the lines for a scene.
-
-Readings of a live sensor under loads that a person puts on, one after the other.
-
-A table of reference loads and readings, from a CSV file.
+The loads come from a CSV file, or are put on a live sensor one after the other.
 """
 
+import csv
+import re
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from protocol.calibration import FIG_4_VOLTS_PER_NEWTON
-from protocol.errors import BenchError
+from protocol.errors import BenchError, SceneError, SourceError
 from protocol.tactile import Film
+from pulse_sensors.scene import SensorScene, open_sensor
+from pulse_sensors.sensor import Sensor
+from telepulse.commissioning.rig import listen
 from telepulse.reports.document import Chapter, Plot, Report, Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-import csv
-import re
-import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Literal
-
-from protocol.errors import SceneError, SourceError
-from pulse_sensors.scene import SensorScene, open_sensor
-from pulse_sensors.sensor import Sensor
-from telepulse.commissioning.rig import listen
 
 Array = NDArray[np.float64]
-LEAST_LOADS = 3
-
-
-@dataclass(frozen=True, slots=True)
-class CalibrationLine:
-    """reading = slope · load + offset; readings in their own unit, loads in N.
-
-    slope_error, offset_error: standard errors. residual_n: what each reading is off the line,
-    as a force, in the order of the loads. hysteresis_n: the largest difference of the means of
-    rising and falling loads, at loads that came both ways. repeatability_n: standard deviation
-    of readings at the same load, reached the same way. Both None where no load tells.
-    """
-
-    slope: float
-    offset: float
-    slope_error: float
-    offset_error: float
-    r_squared: float
-    residual_n: Array
-    hysteresis_n: float | None
-    repeatability_n: float | None
-
-    @property
-    def rms_n(self) -> float:
-        """RMS of what is off the line, for the two degrees of freedom that the line takes."""
-        return float(np.sqrt(np.sum(self.residual_n**2) / (len(self.residual_n) - 2)))
-
-    @property
-    def largest_n(self) -> float:
-        """The reading that is furthest off the line."""
-        return float(np.max(np.abs(self.residual_n)))
-
-
-def fit_line(load_n: Array, reading: Array) -> CalibrationLine:
-    """The line through loads, in the order in which they were put on, shape (n,) each.
-
-    Raises BenchError for fewer than 3 loads, for equal loads, and for readings that do not
-    change with them.
-    """
-    count = len(load_n)
-    if count < LEAST_LOADS:
-        raise BenchError(f"{count} loads; at least {LEAST_LOADS} are needed for a line")
-    if not np.ptp(load_n):
-        raise BenchError(f"all loads are {load_n[0]:g} N; different ones are needed for a line")
-    around_n = load_n - load_n.mean()
-    power = float(around_n @ around_n)
-    slope = float(around_n @ reading) / power
-    offset = float(reading.mean() - slope * load_n.mean())
-    if not np.ptp(reading) or not slope:
-        raise BenchError("the readings do not change with the loads")
-    off = reading - slope * load_n - offset
-    spread = float(np.sqrt(off @ off / (count - 2)))
-    return CalibrationLine(
-        slope=slope,
-        offset=offset,
-        slope_error=spread / power**0.5,
-        offset_error=spread * float(np.sqrt(1 / count + load_n.mean() ** 2 / power)),
-        r_squared=1 - float(off @ off) / float(np.sum((reading - reading.mean()) ** 2)),
-        residual_n=off / slope,
-        hysteresis_n=_hysteresis_n(load_n, off / slope),
-        repeatability_n=_repeatability_n(load_n, off / slope),
-    )
-
-
-def _ways(load_n: Array) -> NDArray[np.bool_]:
-    """Whether each load was reached from below. The first one was, from none; a load put on
-    again goes on the way it came."""
-    rising, ways = True, []
-    for before, after in zip([0.0, *load_n[:-1].tolist()], load_n.tolist(), strict=True):
-        if after != before:
-            rising = after > before
-        ways.append(rising)
-    return np.array(ways)
-
-
-def _hysteresis_n(load_n: Array, off_n: Array) -> float | None:
-    rising = _ways(load_n)
-    gaps_n = [
-        abs(float(off_n[same & rising].mean() - off_n[same & ~rising].mean()))
-        for same in (load_n == load for load in np.unique(load_n))
-        if (same & rising).any() and (same & ~rising).any()
-    ]
-    return max(gaps_n, default=None)
-
-
-def _repeatability_n(load_n: Array, off_n: Array) -> float | None:
-    """Pooled over all loads."""
-    groups = np.unique(np.stack([load_n, _ways(load_n)]), axis=1, return_inverse=True)[1].ravel()
-    count = np.bincount(groups)
-    freedom = int(np.sum(count - 1))
-    if not freedom:
-        return None
-    means_n = np.bincount(groups, off_n) / count
-    return float(np.sqrt(np.sum((off_n - means_n[groups]) ** 2) / freedom))
-
-
-STANDARD_GRAVITY = 9.80665
 LoadUnit = Literal["N", "mN", "g", "kg"]
 ReadingUnit = Literal["V", "mV", "counts"]
+
+STANDARD_GRAVITY = 9.80665
 # Weights press with their mass times standard gravity; volts are kept in volts.
 LOADS: dict[str, float] = {
     "N": 1.0,
@@ -142,9 +40,15 @@ LOADS: dict[str, float] = {
 READINGS: dict[str, float] = {"V": 1.0, "mV": 1e-3, "counts": 1.0}
 LOAD_NAMES = ("load", "force", "weight", "mass")
 READING_NAMES = ("reading", "voltage", "volts", "output", "counts")
-# Beyond it no unit's factor leaves a number that is finite.
-LARGEST = 1e30
 _HEADER = re.compile(r"\s*([A-Za-z]+)(?:[\s_]*[\[(]?([A-Za-z]+)[\])]?)?\s*")
+# A number above this may become infinite by its unit's factor.
+LARGEST = 1e30
+LEAST_LOADS = 3
+AVERAGE_S = 2.0
+SETTLE_S = 0.5
+TRIES = 3
+# The film under the finger in Table 1.
+RADIUS_M = 9e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,8 +66,8 @@ def read_loads(
     """Read a CSV file of two columns or more.
 
     A header names load and reading, and may name their units: `load (g), reading_mV`. Without
-    one the first two columns are taken. Units that neither it nor the arguments name are N and
-    mV. Raises SourceError with the line's number.
+    one, the first two columns are taken. A unit given as an argument overrides the header's;
+    without either, loads are in N and readings in mV. Raises SourceError with the line's number.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -192,7 +96,7 @@ def read_loads(
 def _read_header(
     path: Path, number: int, row: list[str]
 ) -> tuple[tuple[int, int], tuple[str, str]]:
-    """Columns of load and reading, and their units where it names them."""
+    """Return the columns of load and reading, and their units where the header names them."""
     columns, units = [], []
     for what, names, known in (
         ("load", LOAD_NAMES, LOADS),
@@ -234,13 +138,8 @@ def _is_number(cell: str) -> bool:
         return False
 
 
-AVERAGE_S = 2.0
-SETTLE_S = 0.5
-TRIES = 3
-
-
 def parse_loads(text: str) -> list[float]:
-    """Loads such as "0, 0.5, 1 N" or "0, 20, 50 g" in N. Raises SceneError."""
+    """Return loads such as "0, 0.5, 1 N" or "0, 20, 50 g" in N. Raises SceneError."""
     *others, last = (part.strip() for part in text.split(","))
     number, _, unit = last.rpartition(" ")
     if unit not in LOADS:
@@ -255,21 +154,21 @@ def parse_loads(text: str) -> list[float]:
 def take_loads(
     scene: SensorScene, folder: Path, loads_n: list[float], ask: Callable[[float], None]
 ) -> LoadReadings:
-    """Average the sensor under each load, after `ask` has said that it is on.
+    """Average the sensor under each load; `ask` returns once that load is on.
 
-    Raises SourceError when the sensor is not there, and BenchError when it says nothing or its
-    reading goes on moving.
+    Raises SourceError when the sensor is not there, and BenchError when it sends nothing or its
+    reading does not settle.
     """
     if scene.unit not in READINGS:
         raise SceneError(f'the sensor\'s unit is "{scene.unit}": it is calibrated already')
-    # Read as if its unit were newtons, a sensor gives what it sends.
+    # With the unit N, the sensor's own numbers come through unscaled.
     raw = scene.model_copy(update={"unit": "N", "preload_n": 0.0})
     sensor = open_sensor(raw, folder, print)
     try:
         readings = []
         for load_n in loads_n:
             ask(load_n)
-            readings.append(_still_reading(sensor, load_n))
+            readings.append(_settled_reading(sensor, load_n))
     finally:
         sensor.close()
     return LoadReadings(
@@ -280,55 +179,128 @@ def take_loads(
 
 
 def is_moving(reading: Array) -> bool:
-    """Whether a reading's two halves differ by more than its noise does about them."""
+    """Return whether a reading's two halves differ by more than the noise within them."""
     first, second = np.array_split(reading, 2)
     noise = np.sqrt((first.var() + second.var()) / 2)
     return bool(abs(second.mean() - first.mean()) > noise)
 
 
-def _still_reading(sensor: Sensor, load_n: float) -> float:
+def _settled_reading(sensor: Sensor, load_n: float) -> float:
     for _ in range(TRIES):
         time.sleep(SETTLE_S)
-        heard = listen(sensor, AVERAGE_S).force_n
-        if not is_moving(heard):
-            return float(heard.mean())
+        reading = listen(sensor, AVERAGE_S).force_n
+        if not is_moving(reading):
+            return float(reading.mean())
     raise BenchError(
         f"at {load_n:g} N the reading is still moving after {TRIES} tries: let the load rest; a"
         " charge amplifier cannot hold a static load, calibrate without it"
     )
 
 
-# Table 1's film under the finger.
-RADIUS_M = 9e-3
+@dataclass(frozen=True, slots=True)
+class CalibrationLine:
+    """Least squares line: reading = slope · load + offset, in the readings' unit and N.
+
+    Attributes
+    ----------
+    slope_error, offset_error : float
+        Standard errors.
+    residual_n : NDArray, shape (n,)
+        Residual of each reading, as a force, in the order of the loads.
+    hysteresis_n : float or None
+        Largest difference between the means of rising and falling loads. None where no load came
+        both ways.
+    repeatability_n : float or None
+        Standard deviation of readings at the same load, reached the same way. None where no load
+        came twice the same way.
+    """
+
+    slope: float
+    offset: float
+    slope_error: float
+    offset_error: float
+    r_squared: float
+    residual_n: Array
+    hysteresis_n: float | None
+    repeatability_n: float | None
+
+    @property
+    def rms_n(self) -> float:
+        """RMS residual, for the two degrees of freedom that the line takes."""
+        return float(np.sqrt(np.sum(self.residual_n**2) / (len(self.residual_n) - 2)))
+
+    @property
+    def largest_n(self) -> float:
+        """Largest residual."""
+        return float(np.max(np.abs(self.residual_n)))
 
 
-def report_calibration(name: str, loads: LoadReadings, line: CalibrationLine) -> Report:
-    """The report of a calibration."""
-    scale, unit = _shown(loads)
-    fitted = line.slope * loads.load_n + line.offset
-    rows = tuple(
-        (f"{load:.4g} N", f"{reading * scale:.5g}", f"{fit * scale:.5g}", f"{off * 1e3:+.2f} mN")
-        for load, reading, fit, off in zip(
-            loads.load_n, loads.reading, fitted, line.residual_n, strict=True
-        )
+def fit_line(load_n: Array, reading: Array) -> CalibrationLine:
+    """Fit the line through loads in the order in which they were put on, shape (n,) each.
+
+    Raises BenchError for fewer than 3 loads, for equal loads, and for readings that do not
+    change with them.
+    """
+    count = len(load_n)
+    if count < LEAST_LOADS:
+        raise BenchError(f"{count} loads; at least {LEAST_LOADS} are needed for a line")
+    if not np.ptp(load_n):
+        raise BenchError(f"all loads are {load_n[0]:g} N; different ones are needed for a line")
+    around_n = load_n - load_n.mean()
+    power = float(around_n @ around_n)
+    slope = float(around_n @ reading) / power
+    offset = float(reading.mean() - slope * load_n.mean())
+    if not np.ptp(reading) or not slope:
+        raise BenchError("the readings do not change with the loads")
+    off = reading - slope * load_n - offset
+    spread = float(np.sqrt(off @ off / (count - 2)))
+    return CalibrationLine(
+        slope=slope,
+        offset=offset,
+        slope_error=spread / power**0.5,
+        offset_error=spread * float(np.sqrt(1 / count + load_n.mean() ** 2 / power)),
+        r_squared=1 - float(off @ off) / float(np.sum((reading - reading.mean()) ** 2)),
+        residual_n=off / slope,
+        hysteresis_n=_hysteresis_n(load_n, off / slope),
+        repeatability_n=_repeatability_n(load_n, off / slope),
     )
-    table = Table(f"loads of {name}", ("load", f"reading, {unit}", "line", "residual"), rows)
-    return Report(
-        f"Calibration of {name}",
-        (
-            Chapter(
-                "CalibrationLine",
-                tables=(table, _line_table(loads, line)),
-                plots=(_plot(loads, line),),
-            ),
-        ),
-    )
+
+
+def _rising(load_n: Array) -> NDArray[np.bool_]:
+    """Return whether each load was reached from below; a load put on again keeps its way."""
+    rising, result = True, []
+    for before, after in zip([0.0, *load_n[:-1].tolist()], load_n.tolist(), strict=True):
+        if after != before:
+            rising = after > before
+        result.append(rising)
+    return np.array(result)
+
+
+def _hysteresis_n(load_n: Array, off_n: Array) -> float | None:
+    rising = _rising(load_n)
+    gaps_n = [
+        abs(float(off_n[same & rising].mean() - off_n[same & ~rising].mean()))
+        for same in (load_n == load for load in np.unique(load_n))
+        if (same & rising).any() and (same & ~rising).any()
+    ]
+    return max(gaps_n, default=None)
+
+
+def _repeatability_n(load_n: Array, off_n: Array) -> float | None:
+    """Return the standard deviation pooled over all loads."""
+    groups = np.unique(np.stack([load_n, _rising(load_n)]), axis=1, return_inverse=True)[1].ravel()
+    count = np.bincount(groups)
+    freedom = int(np.sum(count - 1))
+    if not freedom:
+        return None
+    means_n = np.bincount(groups, off_n) / count
+    return float(np.sqrt(np.sum((off_n - means_n[groups]) ** 2) / freedom))
 
 
 def scene_lines(loads: LoadReadings, line: CalibrationLine) -> str:
-    """The line as the table of a live sensor says it.
+    """Return the keys of the line for a live sensor's table.
 
-    Raises BenchError for volts that fall under load: no scene has a negative sensitivity.
+    Raises BenchError for volts that fall under load: a scene's sensitivity is positive.
     """
     if loads.unit == "counts":
         return f"newtons_per_count = {1 / line.slope:.6g}\nzero = {line.offset:.6g}"
@@ -337,38 +309,54 @@ def scene_lines(loads: LoadReadings, line: CalibrationLine) -> str:
     return f'sensitivity = "{line.slope * 1e3:.5g} mV/N"\noffset = "{line.offset * 1e3:.5g} mV"'
 
 
+def report_calibration(name: str, loads: LoadReadings, line: CalibrationLine) -> Report:
+    """Return the report of a calibration."""
+    scale, unit = _display_unit(loads)
+    fitted = line.slope * loads.load_n + line.offset
+    rows = tuple(
+        (f"{load:.4g} N", f"{reading * scale:.5g}", f"{fit * scale:.5g}", f"{off * 1e3:+.2f} mN")
+        for load, reading, fit, off in zip(
+            loads.load_n, loads.reading, fitted, line.residual_n, strict=True
+        )
+    )
+    table = Table(f"loads of {name}", ("load", f"reading, {unit}", "line", "residual"), rows)
+    chapter = Chapter(
+        "Line", tables=(table, _line_table(loads, line)), plots=(_line_plot(loads, line),)
+    )
+    return Report(f"Calibration of {name}", (chapter,))
+
+
 def _line_table(loads: LoadReadings, line: CalibrationLine) -> Table:
-    scale, unit = _shown(loads)
-    none = "no load came twice so"
-    rows = [
+    scale, unit = _display_unit(loads)
+
+    def milli(value_n: float | None) -> str:
+        return "no load came twice so" if value_n is None else f"{value_n * 1e3:.2f} mN"
+
+    rows = (
         ("slope", f"{line.slope * scale:.5g} ± {line.slope_error * scale:.2g} {unit}/N"),
         ("offset", f"{line.offset * scale:.4g} ± {line.offset_error * scale:.2g} {unit}"),
         ("R²", f"{line.r_squared:.6f}"),
-        ("off the line, RMS", f"{line.rms_n * 1e3:.2f} mN"),
-        ("off the line, largest", f"{line.largest_n * 1e3:.2f} mN"),
-        ("hysteresis", none if line.hysteresis_n is None else f"{line.hysteresis_n * 1e3:.2f} mN"),
-        (
-            "repeatability",
-            none if line.repeatability_n is None else f"{line.repeatability_n * 1e3:.2f} mN",
-        ),
-    ]
+        ("off the line, RMS", milli(line.rms_n)),
+        ("off the line, largest", milli(line.largest_n)),
+        ("hysteresis", milli(line.hysteresis_n)),
+        ("repeatability", milli(line.repeatability_n)),
+    )
     note = "±: standard errors"
     if loads.unit == "V":
-        eq_21 = Film(RADIUS_M).volts_per_newton
         note += (
             f"; Fig. 4 has {FIG_4_VOLTS_PER_NEWTON * 1e3:.0f} mV/N, eq 21 gives a 9 mm film"
-            f" {eq_21 * 1e3:.0f} mV/N without an amplifier"
+            f" {Film(RADIUS_M).volts_per_newton * 1e3:.0f} mV/N without an amplifier"
         )
-    return Table("line", ("", ""), tuple(rows), note=note)
+    return Table("line", ("", ""), rows, note=note)
 
 
-def _shown(loads: LoadReadings) -> tuple[float, str]:
+def _display_unit(loads: LoadReadings) -> tuple[float, str]:
     return (1e3, "mV") if loads.unit == "V" else (1.0, "counts")
 
 
-def _plot(loads: LoadReadings, line: CalibrationLine) -> Plot:
+def _line_plot(loads: LoadReadings, line: CalibrationLine) -> Plot:
     def draw(figure: "Figure") -> None:
-        scale, unit = _shown(loads)
+        scale, unit = _display_unit(loads)
         ends_n = np.array([loads.load_n.min(), loads.load_n.max()])
         reading, off = figure.subplots(2, sharex=True, height_ratios=(3, 1))
         reading.plot(ends_n, (line.slope * ends_n + line.offset) * scale, label="line")

@@ -1,9 +1,4 @@
-"""A bench that can be pressed with, tick by tick: here the scene's models, in virtual time.
-
-The bench itself: its drive and the sensor of its film, in real time.
-
-How many commands a second a drive's line can carry, by its bits.
-"""
+"""The bench that is pressed with, tick by tick: the scene's models, or its drive and film."""
 
 import time
 from typing import NamedTuple, Protocol
@@ -17,16 +12,29 @@ from display_node.drives.scene import Cia402Scene, TmclScene
 from display_node.drives.withdrawal import WithdrawalOutcome
 from display_node.plant.film import FeedbackFilm
 from display_node.plant.second_order import SecondOrder, SecondOrderScene
-from display_node.plant.stepper import Stepper, StepperScene
+from display_node.plant.stepper import Stepper
 from display_node.scene import DisplayScene
 from protocol.errors import BenchError, DriveError
 from pulse_sensors.reading import Reading
 from pulse_sensors.sensor import Sensor
 from telepulse.commissioning.sensor_check import Check, SensorRecord, grade
 
+# A TMCL datagram has 9 bytes, each with a start and a stop bit; every request has its reply.
+TMCL_BITS = 9 * 10
+TMCL_CAN_BYTES = 7
+# One cycle: RPDO (control word, target velocity), SYNC, TPDOs (status, mode and position; speed
+# and error code).
+CIA402_BYTES = (6, 0, 7, 6)
+POLL_S = 2e-4
+ANSWER_SPEED_M_PER_S = 1e-3
+ANSWERS = 20
+ANSWER_WITHIN_S = 0.2
+# A loop whose drive reports later than this sees its motion by the film alone.
+ANSWER_WARN_S, ANSWER_FAIL_S = 0.03, 0.1
+
 
 class FilmSample(NamedTuple):
-    """One reading of the film under the finger, and when it was taken."""
+    """One reading of the film under the finger, and its time."""
 
     time_s: float
     force_n: float
@@ -35,19 +43,19 @@ class FilmSample(NamedTuple):
 class Rig(Protocol):
     """An actuator with a film under it.
 
-    It is told a speed in m/s, positive into the finger; the paper's second-order model a
+    Its output is a speed in m/s, positive into the finger; for the paper's second-order model a
     voltage in V.
     """
 
     @property
     def tick_s(self) -> float:
-        """How long a tick is."""
+        """Length of a tick."""
 
     def tick(self, output: float) -> tuple[float, list[FilmSample]]:
-        """Hold an output for one tick: when it was told, and what the film said until its end."""
+        """Hold an output for one tick; return its time in s and the readings until its end."""
 
-    def retreat(self) -> None:
-        """Go back the way it came, to where it began, and rest there."""
+    def withdraw(self) -> None:
+        """Go back to where the rig began, and rest there."""
 
 
 class ModelRig:
@@ -57,11 +65,13 @@ class ModelRig:
         self.tick_s = scene.tick_ns * 1e-9
         self._film = FeedbackFilm(scene.film, self.tick_s)
         self._actuator: Stepper | SecondOrder
-        if isinstance(scene.actuator, SecondOrderScene):
-            self._actuator = SecondOrder(scene.actuator, self.tick_s)
+        actuator = scene.actuator
+        if isinstance(actuator, SecondOrderScene):
+            self._actuator = SecondOrder(actuator, self.tick_s)
         else:
-            self._actuator = _stepper(scene, scene.actuator, self.tick_s)
-            self._vco = scene.actuator.step_rate()
+            law = actuator.contact(scene.layer.layer())
+            self._actuator = Stepper(actuator, law, scene.safety.force_limit_n, self.tick_s)
+            self._vco = actuator.step_rate()
         self._ticks = 0
 
     def tick(self, output: float) -> tuple[float, list[FilmSample]]:
@@ -70,85 +80,34 @@ class ModelRig:
             self._actuator.step(output)
         else:
             self._actuator.step(self._vco.rate_hz(output))
-        told_s = self._ticks * self.tick_s
+        commanded_s = self._ticks * self.tick_s
         self._ticks += 1
         reading_n = self._film.read(self._actuator.force_n)
-        return told_s, [FilmSample(self._ticks * self.tick_s, reading_n)]
+        return commanded_s, [FilmSample(self._ticks * self.tick_s, reading_n)]
 
-    def retreat(self) -> None:
-        """See `Rig.retreat`; nothing is pressed by a model."""
-
-
-def _stepper(scene: DisplayScene, actuator: StepperScene, tick_s: float) -> Stepper:
-    law = actuator.contact(scene.layer.layer())
-    return Stepper(actuator, law, scene.safety.force_limit_n, tick_s)
-
-
-# A TMCL datagram has 9 bytes, each with a start and a stop bit; every request has its reply.
-TMCL_BITS = 9 * 10
-TMCL_CAN_BYTES = 7
-# One cycle: RPDO (control word, target velocity), SYNC, TPDOs (status, mode and position; speed
-# and error code).
-CIA402_BYTES = (6, 0, 7, 6)
-
-
-def can_frame_bits(data_bytes: int) -> int:
-    """Bits of a CAN frame with an 11-bit identifier at worst: 47 of its own with the pause after
-    it, its data, and a stuffed bit after every 4 of those that are stuffed (ISO 11898-1)."""
-    return 47 + 8 * data_bytes + (34 + 8 * data_bytes - 1) // 4
-
-
-def exchange_s(scene: TmclScene | Cia402Scene) -> float:
-    """How long one command and what answers it keep the line busy."""
-    if isinstance(scene, Cia402Scene):
-        return sum(map(can_frame_bits, CIA402_BYTES)) / scene.bitrate_bit_per_s
-    if scene.port is None:
-        return 2 * can_frame_bits(TMCL_CAN_BYTES) / scene.bitrate_bit_per_s
-    return 2 * TMCL_BITS / scene.baud
-
-
-def check_line(scene: TmclScene | Cia402Scene, tick_s: float) -> Check:
-    """Whether the line can carry a command a tick, or at least one a `period`."""
-    busy_s = exchange_s(scene)
-    found = f"{busy_s * 1e3:.2f} ms each: at most {1 / busy_s:.0f} commands a second"
-    if busy_s > scene.period_ns * 1e-9:
-        period = f"{scene.period_ns * 1e-6:g} ms"
-        reason = f"the drive's period is {period}: a faster line, or a longer period"
-        return Check("line", found, "fail", reason)
-    if busy_s > tick_s:
-        reason = f"slower than the loop's {1 / tick_s:.0f} Hz: between them the newest command wins"
-        return Check("line", found, "look", reason)
-    return Check("line", found)
-
-
-POLL_S = 2e-4
-ANSWER_SPEED_M_PER_S = 1e-3
-ANSWERS = 20
-ANSWER_WITHIN_S = 0.2
-# A drive that says so late what it does is no use to a loop that hears of it by the film alone.
-ANSWER_LOOK_S, ANSWER_FAIL_S = 0.03, 0.1
+    def withdraw(self) -> None:
+        """See `Rig.withdraw`; a model presses nothing."""
 
 
 class HardwareRig:
-    """See `Rig`. Drive and sensor are open already; whoever opened them closes them.
-
-    Raises DriveError when the drive has failed.
-    """
+    """The real bench; the caller opens and closes drive and sensor."""
 
     def __init__(self, drive: Drive, film: Sensor, tick_s: float) -> None:
         self.tick_s = tick_s
         self._drive = drive
         self._film = film
         self._began_ns = self._due_ns = time.monotonic_ns()
-        self._began_m = drive.way_m(self._began_ns)
         film.poll()
 
     def tick(self, output: float) -> tuple[float, list[FilmSample]]:
-        """See `Rig.tick`; a tick that comes late is held for longer, and recorded so."""
-        told_ns = time.monotonic_ns()
+        """See `Rig.tick`; an output is held, and recorded, for longer where a tick is late.
+
+        Raises DriveError when the drive has failed.
+        """
+        commanded_ns = time.monotonic_ns()
         self._drive.command(output)
-        # Never faster than a tick: what was missed is not made up for.
-        self._due_ns = max(self._due_ns + round(self.tick_s * 1e9), told_ns)
+        # Missed ticks are not made up for.
+        self._due_ns = max(self._due_ns + round(self.tick_s * 1e9), commanded_ns)
         time.sleep(max(0.0, (self._due_ns - time.monotonic_ns()) * 1e-9))
         fault = self._drive.status().fault
         if fault is not None:
@@ -158,10 +117,10 @@ class HardwareRig:
             for reading in self._film.poll()
             for taken_ns, force_n in zip(reading.times_ns, reading.force_n, strict=True)
         ]
-        return (told_ns - self._began_ns) * 1e-9, samples
+        return (commanded_ns - self._began_ns) * 1e-9, samples
 
-    def retreat(self) -> None:
-        """See `Rig.retreat`: off the finger, which ends the drive's following of commands."""
+    def withdraw(self) -> None:
+        """See `Rig.withdraw`; afterwards the drive follows no further commands."""
         drive = self._drive
         drive.withdraw("stopped")
         end_s = time.monotonic() + WITHDRAWN_WITHIN_S
@@ -170,7 +129,7 @@ class HardwareRig:
 
 
 def listen(sensor: Sensor, seconds: float) -> SensorRecord:
-    """Read a sensor for so long. Raises BenchError when no sample comes."""
+    """Record a sensor for `seconds`. Raises BenchError when no sample comes."""
     sensor.poll()
     end_s = time.monotonic() + seconds
     arrivals_ns: list[int] = []
@@ -186,14 +145,45 @@ def listen(sensor: Sensor, seconds: float) -> SensorRecord:
         taken_ns=np.array([t for reading in readings for t in reading.times_ns], np.int64),
         force_n=np.array([f for reading in readings for f in reading.force_n]),
         arrival_ns=np.array(arrivals_ns, np.int64),
-        arrived=np.array([len(reading.force_n) for reading in readings], np.int64),
+        batch_sizes=np.array([len(reading.force_n) for reading in readings], np.int64),
         missing=sum(reading.missing for reading in readings),
     )
 
 
+def can_frame_bits(data_bytes: int) -> int:
+    """Return the most bits of a CAN frame with an 11-bit identifier (ISO 11898-1).
+
+    47 bits of frame and the pause after it, the data, and a stuffed bit after every 4 bits of the
+    stuffed part.
+    """
+    return 47 + 8 * data_bytes + (34 + 8 * data_bytes - 1) // 4
+
+
+def exchange_s(scene: TmclScene | Cia402Scene) -> float:
+    """Return the time in s for which one command and its answer occupy the line."""
+    if isinstance(scene, Cia402Scene):
+        return sum(map(can_frame_bits, CIA402_BYTES)) / scene.bitrate_bit_per_s
+    if scene.port is None:
+        return 2 * can_frame_bits(TMCL_CAN_BYTES) / scene.bitrate_bit_per_s
+    return 2 * TMCL_BITS / scene.baud
+
+
+def check_line(scene: TmclScene | Cia402Scene, tick_s: float) -> Check:
+    """Check that the line can carry a command a tick, or at least one a `period`."""
+    busy_s = exchange_s(scene)
+    found = f"{busy_s * 1e3:.2f} ms each: at most {1 / busy_s:.0f} commands a second"
+    if busy_s > scene.period_ns * 1e-9:
+        period = f"{scene.period_ns * 1e-6:g} ms"
+        reason = f"the drive's period is {period}: a faster line, or a longer period"
+        return Check("line", found, "fail", reason)
+    if busy_s > tick_s:
+        reason = f"slower than the loop's {1 / tick_s:.0f} Hz: only the newest command is sent"
+        return Check("line", found, "warn", reason)
+    return Check("line", found)
+
+
 def check_answers(drive: Drive) -> Check:
-    """Check the time from a command to the drive's own report of that speed: off the finger and
-    back."""
+    """Check the time from a command to the drive's report of that speed, away and back."""
     waits_s = []
     for _ in range(ANSWERS // 4):
         for speed_m_per_s in (-ANSWER_SPEED_M_PER_S, 0.0, ANSWER_SPEED_M_PER_S, 0.0):
@@ -203,15 +193,14 @@ def check_answers(drive: Drive) -> Check:
         "drive's answer",
         f"speed reported {p50_s * 1e3:.1f} ms after its command (p50), {p99_s * 1e3:.1f} ms (p99)",
         float(p99_s),
-        ANSWER_LOOK_S,
+        ANSWER_WARN_S,
         ANSWER_FAIL_S,
-        "look at the line's rate, its errors and this machine's load",
+        "check the line's rate, its errors and this machine's load",
     )
 
 
 def _answer_s(drive: Drive, speed_m_per_s: float) -> float:
-    """Return the time in s until the drive reports the commanded speed; the limit where it does
-    not."""
+    """Return the time in s until the drive reports the commanded speed, at most the limit."""
     began_s = time.monotonic()
     while (waited_s := time.monotonic() - began_s) < ANSWER_WITHIN_S:
         drive.command(speed_m_per_s)

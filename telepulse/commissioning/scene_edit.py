@@ -8,14 +8,14 @@ from protocol.errors import SceneError
 from protocol.host.result_files import write_whole
 
 Changes = dict[str, dict[str, str]]
+"""Keys and their TOML values by table, such as {"display.film": {"latency": '"4 ms"'}}."""
 
 
 def set_keys(text: str, changes: Changes) -> str:
-    """The text with keys of tables set, such as {"display.film": {"latency": '"4 ms"'}}.
+    """Return the text of a scene with keys set.
 
-    Values are TOML. A key that is there is changed in its place; a new one goes to the end of
-    its table, a new table to the end of the text. Raises SceneError where a table is not
-    written as a [header] of its own.
+    A key that is there is changed in its place; a new one goes to the end of its table, a new
+    table to the end of the text. Raises SceneError where a table has no [header] of its own.
     """
     lines = text.splitlines()
     for table, keys in changes.items():
@@ -33,11 +33,11 @@ def set_keys(text: str, changes: Changes) -> str:
 
 
 def check_editable(path: Path) -> None:
-    """Check before a press that what it may find can be set in a scene. Raises SceneError."""
-    found = {"latency": '"1 ms"'}
+    """Check before a press that its results can be set in the scene. Raises SceneError."""
+    latency = {"latency": '"1 ms"'}
     try:
         set_keys(
-            path.read_text(encoding="utf-8"), {"display.actuator": found, "display.film": found}
+            path.read_text(encoding="utf-8"), {"display.actuator": latency, "display.film": latency}
         )
     except (tomllib.TOMLDecodeError, AttributeError):
         raise _not_editable(path) from None
@@ -55,20 +55,20 @@ def write_scene(source: Path, target: Path, changes: Changes, note: str = "") ->
     write_whole(target, edited + (note and note + "\n"))
 
 
-def _not_editable(path: Path) -> SceneError:
-    return SceneError(
-        f"{path}: a table of its own is needed for each of [display.actuator] and [display.film]:"
-        " what a press finds cannot be set otherwise but by hand"
-    )
-
-
 def as_toml(changes: Changes) -> str:
-    """The changes as they are written in a scene."""
+    """Return the changes as a scene has them."""
     tables = (
         "\n".join([f"[{table}]", *(f"{key} = {value}" for key, value in keys.items())])
         for table, keys in changes.items()
     )
     return "\n\n".join(tables)
+
+
+def _not_editable(path: Path) -> SceneError:
+    return SceneError(
+        f"{path}: [display.actuator] and [display.film] must each be a table of its own:"
+        " otherwise the results of a press can only be set by hand"
+    )
 
 
 def _set(lines: list[str], table: str, key: str, value: str) -> None:

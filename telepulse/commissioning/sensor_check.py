@@ -1,7 +1,4 @@
-"""A sensor that nothing presses on: its rate, its times, its noise and its zero. Pure.
-
-Verdict of a check: ok, look (it works, but not as it should) or fail, and why.
-"""
+"""Checks of a bench, and those of a sensor that nothing presses: rate, times, noise, zero. Pure."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -11,12 +8,24 @@ from numpy.typing import NDArray
 
 from protocol.errors import BenchError
 
-Verdict = Literal["ok", "look", "fail"]
+Verdict = Literal["ok", "warn", "fail"]
+LEAST_SAMPLES = 200
+MAINS_HZ = (50.0, 60.0)
+HARMONICS = 3
+# A display assumes the scene's rate, and follows the deviation of a crystal.
+RATE_WARN, RATE_FAIL = 0.005, 0.02
+LOST_WARN, LOST_FAIL = 0.0, 0.01
+# Shares of a period. No filter can be designed for samples that are a whole period off.
+JITTER_WARN, JITTER_FAIL = 0.25, 1.0
+# A pulse has 0.3 N; a tenth of it is just felt (the summary's within_jnd).
+NOISE_WARN_N, NOISE_FAIL_N = 5e-3, 30e-3
+ZERO_WARN_N = 50e-3
+MAINS_WARN = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One line of a bench check."""
+    """One line of a bench check: the finding, its verdict, and the reason where it is not ok."""
 
     name: str
     found: str
@@ -25,54 +34,56 @@ class Check:
 
 
 def with_warning(check: Check, reason: str) -> Check:
-    """Return the check, at best "look" for a reason; one that is not "ok" keeps its own."""
+    """Return an "ok" check as "warn" for the reason; any other check, or no reason, unchanged."""
     if not reason or check.verdict != "ok":
         return check
-    return Check(check.name, check.found, "look", reason)
+    return Check(check.name, check.found, "warn", reason)
 
 
-def grade(name: str, found: str, value: float, look: float, fail: float, reason: str) -> Check:
-    """A check of a value that should be small: above `look` or `fail`, the reason is told."""
+def grade(name: str, found: str, value: float, warn: float, fail: float, reason: str) -> Check:
+    """Return the check of a value that should be small, by its bounds `warn` and `fail`."""
     if not value <= fail:
         return Check(name, found, "fail", reason)
-    if value > look:
-        return Check(name, found, "look", reason)
+    if value > warn:
+        return Check(name, found, "warn", reason)
     return Check(name, found)
-
-
-LEAST_SAMPLES = 200
-MAINS_HZ = (50.0, 60.0)
-HARMONICS = 3
-# Displays take a stream's rate as the scene names it, and follow what a crystal is off by.
-RATE_LOOK, RATE_FAIL = 0.005, 0.02
-LOST_LOOK, LOST_FAIL = 0.0, 0.01
-# Of a period: an even row of samples, or one that no filter can be designed for.
-JITTER_LOOK, JITTER_FAIL = 0.25, 1.0
-# A pulse has 0.3 N; a tenth of it is just felt (the summary's within_jnd).
-NOISE_LOOK_N, NOISE_FAIL_N = 5e-3, 30e-3
-ZERO_LOOK_N = 50e-3
-MAINS_LOOK = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class SensorRecord:
-    """The samples of a sensor on which nothing pressed: force in N with the time each was taken,
-    the times at which batches arrived with the count of samples in each, and samples lost."""
+    """Samples of a sensor that nothing pressed.
+
+    Attributes
+    ----------
+    taken_ns, force_n : NDArray, shape (n,)
+        Time and force of each sample.
+    arrival_ns, batch_sizes : NDArray, shape (m,)
+        Time of arrival and number of samples of each batch.
+    missing : int
+        Samples that the sensor counted and that did not arrive.
+    """
 
     taken_ns: NDArray[np.int64]
     force_n: NDArray[np.float64]
     arrival_ns: NDArray[np.int64]
-    arrived: NDArray[np.int64]
+    batch_sizes: NDArray[np.int64]
     missing: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class SensorFigures:
-    """The figures of such samples.
+    """Figures of a sensor record.
 
-    jitter_s: RMS of what sample times are off an even row by; arrival_jitter_s: the same of when
-    they could be read; age_s: how old the newest sample is when the next batch comes, at 99 % of
-    all batches. mains: share of the noise's power in 50 or 60 Hz and two harmonics of it.
+    Attributes
+    ----------
+    jitter_s, arrival_jitter_s : float
+        RMS deviation of the sample times, and of the arrivals, from an even row.
+    age_s : float
+        Age of the newest sample just before the next batch, at 99 % of all batches.
+    lost : float
+        Share of samples that are missing.
+    mains_hz, mains : float
+        50 or 60 Hz, and the share of the noise's power in it and two harmonics.
     """
 
     rate_hz: float
@@ -86,29 +97,29 @@ class SensorFigures:
     mains: float
 
 
-def measure(heard: SensorRecord) -> SensorFigures:
-    """The figures of a record. Raises BenchError for one that is too short."""
-    count = len(heard.force_n)
+def measure(record: SensorRecord) -> SensorFigures:
+    """Return the figures of a record. Raises BenchError for one that is too short."""
+    count = len(record.force_n)
     if count < LEAST_SAMPLES:
         raise BenchError(f"{count} samples came; at least {LEAST_SAMPLES} are needed")
-    taken_s = (heard.taken_ns - heard.taken_ns[0]) * 1e-9
-    period_s, off_s = _line(np.arange(count), taken_s)
+    taken_s = (record.taken_ns - record.taken_ns[0]) * 1e-9
+    period_s, deviation_s = _fit_line(np.arange(count), taken_s)
     if not period_s > 0:
         raise BenchError("the samples' times do not advance: look at the device's clock")
-    last = np.cumsum(heard.arrived) - 1
-    arrival_s = (heard.arrival_ns - heard.taken_ns[0]) * 1e-9
-    _, arrival_off_s = _line(last, arrival_s)
-    # Just before a batch comes, the newest sample is the last of the batch before it.
+    last = np.cumsum(record.batch_sizes) - 1
+    arrival_s = (record.arrival_ns - record.taken_ns[0]) * 1e-9
+    _, arrival_deviation_s = _fit_line(last, arrival_s)
+    # Just before a batch comes, the newest sample is the last one of the batch before it.
     ages_s = arrival_s[1:] - taken_s[last[:-1]] if len(last) > 1 else arrival_s - taken_s[last]
-    _, noise_n = _line(taken_s, heard.force_n)
+    _, noise_n = _fit_line(taken_s, record.force_n)
     mains_hz, mains = _mains(noise_n, period_s)
     return SensorFigures(
         rate_hz=1 / period_s,
-        jitter_s=float(np.std(off_s)),
-        arrival_jitter_s=float(np.std(arrival_off_s)),
+        jitter_s=float(np.std(deviation_s)),
+        arrival_jitter_s=float(np.std(arrival_deviation_s)),
         age_s=float(np.quantile(ages_s, 0.99)),
-        lost=heard.missing / (heard.missing + count),
-        zero_n=float(np.mean(heard.force_n)),
+        lost=record.missing / (record.missing + count),
+        zero_n=float(np.mean(record.force_n)),
         noise_n=float(np.std(noise_n)),
         mains_hz=mains_hz,
         mains=mains,
@@ -116,26 +127,33 @@ def measure(heard: SensorRecord) -> SensorFigures:
 
 
 def judge_sensor(figures: SensorFigures, nominal_hz: float, live: bool = False) -> list[Check]:
-    """Judge the figures; nominal_hz: the rate that the scene names; live: of a real sensor, which
-    always has noise."""
+    """Judge the figures against the scene's rate; live: of a real sensor, which has noise."""
     f, period_s = figures, 1 / nominal_hz
-    off = abs(f.rate_hz / nominal_hz - 1)
-    times = f"{f.jitter_s * 1e6:.0f} µs RMS (arrival: {f.arrival_jitter_s * 1e6:.0f} µs)"
-    noise = f"{f.noise_n * 1e3:.2f} mN RMS, {f.mains * 100:.0f} % of its power at"
+    noise = grade(
+        "noise",
+        f"{f.noise_n * 1e3:.2f} mN RMS, {f.mains * 100:.0f} % of its power at {f.mains_hz:g} Hz",
+        f.noise_n,
+        NOISE_WARN_N,
+        NOISE_FAIL_N,
+        f"a pulse has about 0.3 N, and {NOISE_FAIL_N * 1e3:.0f} mN are just felt",
+    )
+    if live and not f.noise_n:
+        reason = "the reading never changes: is the sensor connected, and is its unit right?"
+        noise = with_warning(noise, reason)
     checks = [
         grade(
             "rate",
             f"{f.rate_hz:.1f} Hz",
-            off,
-            RATE_LOOK,
+            abs(f.rate_hz / nominal_hz - 1),
+            RATE_WARN,
             RATE_FAIL,
-            f"the scene says {nominal_hz:g} Hz: correct it, or look at what the board does",
+            f"the scene has {nominal_hz:g} Hz: correct it, or check the board",
         ),
         grade(
             "jitter of sample times",
-            times,
+            f"{f.jitter_s * 1e6:.0f} µs RMS (arrival: {f.arrival_jitter_s * 1e6:.0f} µs)",
             f.jitter_s / period_s,
-            JITTER_LOOK,
+            JITTER_WARN,
             JITTER_FAIL,
             "let the device send its own time with the samples",
         ),
@@ -143,59 +161,46 @@ def judge_sensor(figures: SensorFigures, nominal_hz: float, live: bool = False) 
             "missing samples",
             f"{f.lost * 100:.2f} %",
             f.lost,
-            LOST_LOOK,
+            LOST_WARN,
             LOST_FAIL,
-            "look at cable, baud rate and load",
+            "check cable, baud rate and load",
         ),
-        grade(
-            "noise",
-            f"{noise} {f.mains_hz:g} Hz",
-            f.noise_n,
-            NOISE_LOOK_N,
-            NOISE_FAIL_N,
-            f"a pulse has about 0.3 N, and {NOISE_FAIL_N * 1e3:.0f} mN are just felt",
-        ),
+        noise,
         grade(
             "zero",
             f"{f.zero_n * 1e3:.1f} mN",
             abs(f.zero_n),
-            ZERO_LOOK_N,
+            ZERO_WARN_N,
             np.inf,
             "nothing should press now; `telepulse calibrate` finds the zero",
         ),
     ]
-    if not f.noise_n:
-        still = next(check for check in checks if check.name == "noise")
-        reason = "the reading never changes: is the sensor connected, and is its unit right?"
-        checks[checks.index(still)] = with_warning(still, reason if live else "")
-    if f.mains > MAINS_LOOK and f.noise_n > NOISE_LOOK_N:
+    if f.mains > MAINS_WARN and f.noise_n > NOISE_WARN_N:
         reason = "shield the film, or reject it with `mains` in [sensing.conditioning]"
-        checks.append(Check("mains", f"{f.mains * 100:.0f} % of the noise", "look", reason))
+        checks.append(Check("mains", f"{f.mains * 100:.0f} % of the noise", "warn", reason))
     return checks
 
 
-def _line(
+def _fit_line(
     x: NDArray[np.float64] | NDArray[np.int64], y: NDArray[np.float64]
 ) -> tuple[float, NDArray[np.float64]]:
-    """Slope of the least squares line, and what is off it."""
+    """Return slope and residuals of the least squares line."""
     x = x - x.mean()
     slope = float(x @ y / (x @ x)) if len(x) > 1 else 0.0
     return slope, y - y.mean() - slope * x
 
 
 def _mains(noise_n: NDArray[np.float64], period_s: float) -> tuple[float, float]:
-    """The mains frequency with the larger share of the power, and that share."""
-    window = np.hanning(len(noise_n))
-    power = np.abs(np.fft.rfft(noise_n * window)) ** 2
+    """Return the mains frequency with the larger share of the power, and that share."""
+    power = np.abs(np.fft.rfft(noise_n * np.hanning(len(noise_n)))) ** 2
     frequency_hz = np.fft.rfftfreq(len(noise_n), period_s)
     total = float(power.sum())
-    # A grid wanders by some tenths of a Hz; a window's line is two bins wide to either side.
+    # A grid's frequency varies by some 0.1 Hz; a windowed line is two bins wide on either side.
     near_hz = 0.3 + 2 * frequency_hz[1]
+    orders = np.arange(1, HARMONICS + 1)
     shares = []
     for mains_hz in MAINS_HZ:
-        lines = mains_hz * np.arange(1, HARMONICS + 1)
-        near = (np.abs(frequency_hz[:, None] - lines) <= near_hz * np.arange(1, HARMONICS + 1)).any(
-            1
-        )
+        off_hz = np.abs(frequency_hz[:, None] - mains_hz * orders)
+        near = (off_hz <= near_hz * orders).any(axis=1)
         shares.append(float(power[near].sum()) / total if total else 0.0)
     return MAINS_HZ[int(np.argmax(shares))], max(shares)

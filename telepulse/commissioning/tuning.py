@@ -1,9 +1,9 @@
-"""Gains of a force loop by design, with their margins.
+"""Design of a force loop's gains, with their margins.
 
-A stepper: the observer's gains are a stationary Kalman filter's (a Riccati equation); kp makes
-what is felt of a wandering finger and a noisy film least, by a bounded search, as long as the
-loop keeps the margins below. The paper's actuator: PID gains by placing the three poles of the
-continuous loop, as fast as the same margins allow.
+For a stepper, the observer's gains are those of a stationary Kalman filter (a Riccati equation).
+kp minimises the felt force of a wandering finger and a noisy film, by a bounded search within the
+margins below. For the paper's actuator, the PID gains place the three poles of the continuous
+loop, as fast as the same margins allow.
 """
 
 import math
@@ -25,7 +25,7 @@ from telepulse.reports.document import Chapter, Report, Table
 # at least 3.5 and a phase margin of at least 42°), and the drive may answer 5 ticks late.
 MOST_SENSITIVITY = 1.4
 LEAST_DELAY_TICKS = 5
-# How a finger wanders under the tip in 1 s where the scene does not say.
+# Wander of a finger under the tip in 1 s, where the scene names none.
 WANDER_M = 2e-5
 KP_RANGE = (1.0, 2_000.0)
 BISECTIONS = 20
@@ -34,8 +34,11 @@ PLACED_DAMPING = 0.8
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """A controller, how stable its loop is from light touch to the force limit, and what is
-    felt of wander and noise, RMS in N (None where the model has no finger)."""
+    """A controller and the figures of its loop.
+
+    worst: the worst margins from light touch to the force limit. felt_n: RMS felt force of wander
+    and noise in N; None where the model has no finger.
+    """
 
     controller: ControllerScene
     worst: Margins
@@ -61,7 +64,7 @@ _ROWS: dict[str, Callable[[Design], str]] = {
 
 
 def judge(scene: DisplayScene, controller: ControllerScene) -> Design:
-    """Margins of a controller in a scene, the worst over the range of forces."""
+    """Return a controller's margins in a scene, the worst over the range of forces."""
     limit_n = scene.safety.force_limit_n
     every = [margins(_loop(scene, controller, share * limit_n)) for share in FORCE_SHARES]
     worst = Margins(
@@ -78,14 +81,14 @@ def judge(scene: DisplayScene, controller: ControllerScene) -> Design:
 
 
 def design(scene: DisplayScene) -> Design:
-    """The designed controller for a scene's actuator and film."""
+    """Return the designed controller for a scene's actuator and film."""
     if isinstance(scene.actuator, StepperScene):
         return _design_stepper(scene, scene.actuator)
     return _design_second_order(scene, scene.actuator)
 
 
 def report_design(name: str, present: Design, proposed: Design) -> Report:
-    """The margins of the scene's controller and of the proposed one, as a table."""
+    """Return the margins of the scene's controller and of the proposed one."""
     rows = tuple(
         (label, *(of(design) for design in (present, proposed))) for label, of in _ROWS.items()
     )
@@ -99,7 +102,7 @@ def report_design(name: str, present: Design, proposed: Design) -> Report:
 
 
 def refuse(path: Path, present: Design) -> None:
-    """Raises SceneError when no node would run a scene's own loop."""
+    """Refuse a scene whose own loop no node would run. Raises SceneError."""
     if present.worst.unfit is not None:
         raise SceneError(
             f"{path}: [display] controller: the force loop {present.worst.unfit}: take the"
@@ -108,7 +111,7 @@ def refuse(path: Path, present: Design) -> None:
 
 
 def as_toml(controller: ControllerScene) -> str:
-    """The controller's table as it is written in a scene."""
+    """Return the controller's table as a scene has it."""
     lines = ["[display.controller]", f'error = "{controller.error}"']
     if controller.feed_forward:
         lines.append("feed_forward = true")
@@ -138,7 +141,7 @@ def _design_stepper(scene: DisplayScene, actuator: StepperScene) -> Design:
         kp = _two_digits(math.exp(log_kp))
         changes = fixed | {"kp": kp, "dead_band": 0.0}
         if observer is None:
-            # Without it, a reference between two microsteps turns the motor round at every tick.
+            # Without one, a reference between two microsteps reverses the motor at every tick.
             changes["dead_band"] = float(f"{1.01 * actuator.step_m / 2:.2g}")
         return scene.controller.model_copy(update=changes)
 
@@ -180,7 +183,7 @@ def _most_robust(
     low: float,
     high: float,
 ) -> float:
-    """The largest argument in low … high, by bisection, whose loop keeps the margins."""
+    """Return the largest argument in low … high whose loop keeps the margins, by bisection."""
     if _keeps_margins(scene, controller(high)):
         return high
     for _ in range(BISECTIONS):
@@ -219,6 +222,6 @@ def _loop(scene: DisplayScene, controller: ControllerScene, force_n: float) -> L
 
 
 def _two_digits(value: float) -> float:
-    """The next number of two digits towards 0: rounding must not cost margin."""
+    """Return the next number of two digits towards 0: rounding must not cost margin."""
     unit = 10.0 ** (math.floor(math.log10(value)) - 1)
     return float(f"{math.floor(value / unit * (1 + 1e-9)) * unit:.2g}")

@@ -35,15 +35,17 @@ def stairs(
 
 
 def trial(
-    model: SecondOrderModel, told: ActuatorInput, noise: float, seed: int, colour: float = 0.0
+    model: SecondOrderModel, command: ActuatorInput, noise: float, seed: int, colour: float = 0.0
 ) -> tuple[IdentifiedModel, NDArray[np.bool_]]:
     """What is found, and which of m, c, k and latency lie within their intervals."""
-    at_s = np.arange(len(told.values)) * told.tick_s
+    at_s = np.arange(len(command.values)) * command.tick_s
     white = np.random.default_rng(seed).standard_normal(len(at_s))
     off = lfilter([math.sqrt(1 - colour**2)], [1, -colour], white)
-    found = identify(told, at_s, respond(model, told, at_s) + 0.1 + noise * off, 20 * told.tick_s)
+    found = identify(
+        command, at_s, respond(model, command, at_s) + 0.1 + noise * off, 20 * command.tick_s
+    )
     true = np.array([model.m, model.c, model.k, model.latency_s])
-    return found, np.abs(np.array(found.values) - true) <= np.array(found.within)
+    return found, np.abs(np.array(found.values) - true) <= np.array(found.half_widths)
 
 
 def test_the_response_to_a_held_input_is_the_actuators_own() -> None:
@@ -52,8 +54,8 @@ def test_the_response_to_a_held_input_is_the_actuators_own() -> None:
     actuator, forces_n = SecondOrder(SecondOrderScene(kind="second_order"), 0.01), [0.0]
     for value in volts[:-1].tolist():
         forces_n.append(actuator.step(value))
-    told = ActuatorInput(volts, 0.01, held=True)
-    assert respond(TABLE_4, told, np.arange(500) * 0.01) == pytest.approx(forces_n, abs=1e-12)
+    command = ActuatorInput(volts, 0.01, held=True)
+    assert respond(TABLE_4, command, np.arange(500) * 0.01) == pytest.approx(forces_n, abs=1e-12)
 
 
 def test_the_response_to_a_straight_input_is_the_rotors_own() -> None:
@@ -62,8 +64,8 @@ def test_the_response_to_a_straight_input_is_the_rotors_own() -> None:
     rotor, turned = Rotor(100.0, 0.2, 1e-3), [0.0]
     for before, after in zip(places[:-1].tolist(), places[1:].tolist(), strict=True):
         turned.append(rotor.step(before, after))
-    told = ActuatorInput(places, 1e-3, held=False)
-    assert respond(STIFF, told, np.arange(300) * 1e-3) == pytest.approx(turned, abs=1e-9)
+    command = ActuatorInput(places, 1e-3, held=False)
+    assert respond(STIFF, command, np.arange(300) * 1e-3) == pytest.approx(turned, abs=1e-9)
 
 
 def test_between_the_ticks_it_is_what_finer_ticks_give() -> None:
@@ -106,34 +108,34 @@ def test_the_latency_is_found_within_a_fifth_of_a_tick(
 ) -> None:
     slow = model is TABLE_4
     tick_s = 0.01 if slow else 1e-3
-    told = stairs(1000, (50, 200) if slow else (60, 150), 1, held=slow, tick_s=tick_s)
+    command = stairs(1000, (50, 200) if slow else (60, 150), 1, held=slow, tick_s=tick_s)
     late = SecondOrderModel(model.m, model.c, model.k, latency_s=late_ticks * tick_s)
-    found, _ = trial(late, told, 2e-3, seed=1)
+    found, _ = trial(late, command, 2e-3, seed=1)
     assert found.model.latency_s / tick_s == pytest.approx(late_ticks, abs=0.2)
-    assert found.untold == ()
+    assert found.undetermined == ()
     assert found.zero_n == pytest.approx(0.1, abs=0.01)
 
 
 def test_what_the_record_does_not_tell_is_said() -> None:
     quick = SecondOrderModel(1e-9, 2e-5, 1.0, latency_s=3e-3)
     found, _ = trial(quick, stairs(1000, (60, 150), 1, held=False, tick_s=1e-3), 0.02, seed=1)
-    assert "m" in found.untold
+    assert "m" in found.undetermined
     assert found.delay_s == pytest.approx(3e-3, abs=2e-4)
     drowned, _ = trial(STIFF, stairs(300, (60, 150), 1, held=False, tick_s=1e-3), 5.0, seed=1)
     assert drowned.nrmse > 0.5
-    assert drowned.untold
+    assert drowned.undetermined
 
 
 def test_a_record_in_which_nothing_moves_is_refused() -> None:
-    told, at_s = stairs(400, (60, 90), 1, held=False, tick_s=1e-3), np.arange(400) * 1e-3
+    command, at_s = stairs(400, (60, 90), 1, held=False, tick_s=1e-3), np.arange(400) * 1e-3
     with pytest.raises(BenchError, match="the film does not change"):
-        identify(told, at_s, np.zeros(400), 0.02)
+        identify(command, at_s, np.zeros(400), 0.02)
     with pytest.raises(BenchError, match="the command does not change"):
         identify(ActuatorInput(np.zeros(400), 1e-3, held=False), at_s, at_s, 0.02)
     with pytest.raises(BenchError, match="at least 50"):
-        identify(told, at_s[:49], at_s[:49], 0.02)
+        identify(command, at_s[:49], at_s[:49], 0.02)
     with pytest.raises(BenchError, match="turn the drive's direction round"):
-        identify(told, at_s, -respond(STIFF, told, at_s), 0.02)
+        identify(command, at_s, -respond(STIFF, command, at_s), 0.02)
 
 
 def test_a_step_response_is_the_textbooks() -> None:

@@ -24,29 +24,31 @@ def bench(name: str = "bench", **actuator: float) -> tuple[DisplayScene, Stepper
 class Broken:
     """A rig that goes wrong at a tick."""
 
-    def __init__(self, rig: ModelRig, at: int, says_n: float | None) -> None:
+    def __init__(self, rig: ModelRig, at: int, reads_n: float | None) -> None:
         self.tick_s = rig.tick_s
         self._rig = rig
         self._at = at
-        self._says_n = says_n
+        self._reads_n = reads_n
         self.ticks = 0
         self.stopped_at = -1
 
     def tick(self, output: float) -> tuple[float, list[FilmSample]]:
         self.ticks += 1
-        told_s, samples = self._rig.tick(output)
+        commanded_s, samples = self._rig.tick(output)
         if self.ticks < self._at:
-            return told_s, samples
-        return told_s, [] if self._says_n is None else [FilmSample(told_s, self._says_n)]
+            return commanded_s, samples
+        return commanded_s, [] if self._reads_n is None else [
+            FilmSample(commanded_s, self._reads_n)
+        ]
 
-    def retreat(self) -> None:
+    def withdraw(self) -> None:
         self.stopped_at = self.ticks
 
 
-def test_a_profile_makes_its_way_within_its_acceleration() -> None:
-    for way_m in (1e-6, 25e-6, -3e-4):
-        speeds = profile(way_m, 10.0, 1e-3)
-        assert sum(speeds) * 1e-3 == pytest.approx(way_m)
+def test_a_profile_makes_its_travel_within_its_acceleration() -> None:
+    for travel_m in (1e-6, 25e-6, -3e-4):
+        speeds = profile(travel_m, 10.0, 1e-3)
+        assert sum(speeds) * 1e-3 == pytest.approx(travel_m)
         assert np.max(np.abs(np.diff([0.0, *speeds, 0.0]))) <= 10.0 * 1e-3 * 1.0001
 
 
@@ -59,19 +61,19 @@ def test_a_press_keeps_to_its_force_and_ends_where_it_began() -> None:
     assert sum(recorder.output) * 1e-3 == pytest.approx(0.0, abs=1e-7)
 
 
-@pytest.mark.parametrize("says_n", [0.5, -0.5, math.nan])
-def test_it_stops_at_once_when_the_film_says_too_much(says_n: float) -> None:
+@pytest.mark.parametrize("reads_n", [0.5, -0.5, math.nan])
+def test_it_stops_at_once_when_the_film_reads_too_much(reads_n: float) -> None:
     display, actuator = bench()
-    rig = Broken(ModelRig(display), at=1500, says_n=says_n)
-    with pytest.raises(BenchError, match=r"the film says .* above 0.45 N"):
+    rig = Broken(ModelRig(display), at=1500, reads_n=reads_n)
+    with pytest.raises(BenchError, match=r"the film reads .* above 0.45 N"):
         press_stepper(PressRecorder(rig, GUARD * 0.3, SILENT_S), actuator, 0.3)
     assert rig.stopped_at == rig.ticks == 1500
 
 
 def test_it_stops_when_the_film_falls_silent() -> None:
     display, actuator = bench()
-    rig = Broken(ModelRig(display), at=1500, says_n=None)
-    with pytest.raises(BenchError, match="said nothing for 60 ms"):
+    rig = Broken(ModelRig(display), at=1500, reads_n=None)
+    with pytest.raises(BenchError, match="no reading of the film for 60 ms"):
         press_stepper(PressRecorder(rig, GUARD * 0.3, SILENT_S), actuator, 0.3)
     assert rig.stopped_at == rig.ticks
     assert 1555 <= rig.ticks <= 1565
@@ -86,7 +88,7 @@ def test_a_finger_that_is_not_there_is_not_searched_for_ever() -> None:
     assert rig.stopped_at == rig.ticks
 
 
-def test_a_stop_much_harder_than_the_scene_says_is_not_pressed_hard() -> None:
+def test_a_stop_much_harder_than_the_scenes_finger_is_not_pressed_hard() -> None:
     display, actuator = bench()
     hard = actuator.model_copy(update={"fingertip_n_per_m": 50_000.0})
     recorder = PressRecorder(
@@ -96,10 +98,10 @@ def test_a_stop_much_harder_than_the_scene_says_is_not_pressed_hard() -> None:
     assert max(recorder.film_n) < GUARD * 0.3
 
 
-def test_samples_and_outputs_are_kept_as_told() -> None:
+def test_samples_and_outputs_are_kept_as_commanded() -> None:
     display, _ = bench()
     recorder = PressRecorder(ModelRig(display), 1.0, SILENT_S)
     recorder.run([0.0, 0.01, 0.02])
     assert recorder.output == [0.0, 0.01, 0.02]
-    assert recorder.told_s == pytest.approx([0.0, 1e-3, 2e-3])
+    assert recorder.commanded_s == pytest.approx([0.0, 1e-3, 2e-3])
     assert [round(time_s, 6) for time_s, _ in zip(recorder.film_s, count())] == [1e-3, 2e-3, 3e-3]
