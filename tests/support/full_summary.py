@@ -1,0 +1,28 @@
+"""A summary whose every figure is there, each with a value of its own."""
+
+import dataclasses
+from itertools import count
+from typing import Any, get_type_hints
+
+from pydantic import TypeAdapter
+
+from protocol.run_summary import Summary
+
+
+def full_summary() -> Summary:
+    """Return a summary without a null, each number in it another."""
+    return TypeAdapter(Summary).validate_python(_values(Summary, count(101)))
+
+
+def _values(kind: Any, numbers: "count[int]") -> Any:
+    if dataclasses.is_dataclass(kind):
+        hints = get_type_hints(kind)
+        return {name: _values(hint, numbers) for name, hint in hints.items() if name != "beyond"}
+    return {
+        int | None: lambda: next(numbers),
+        float | None: lambda: next(numbers) * 0.01,
+        bool | None: lambda: True,
+        str | None: lambda: f"text {next(numbers)}",
+        list[str]: lambda: [f"word {next(numbers)}"],
+        dict[str, int]: lambda: {f"name {next(numbers)}": next(numbers)},
+    }[kind]()
