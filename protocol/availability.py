@@ -1,12 +1,7 @@
-"""Shares of a display's run by its state. Pure.
+"""Shares of a display's run by its state, and interruptions of the pulse. Pure.
 
-The whole time of the run is counted, also ticks that the loop missed. So a share of a part of the
-time, such as the time within the JND, can be printed with the part that it is of.
-
-Interruptions of the pulse: how often and how long it was not felt at its full strength. Pure.
-
-Statuses come five times a second, and a state between two of them is in none. So the display counts
-interruptions itself, tick by tick.
+The shares are of the whole time, with the ticks that the loop missed. Statuses come five times a
+second, and a state between two of them is in none: the display counts tick by tick.
 """
 
 from collections import Counter
@@ -15,19 +10,30 @@ from dataclasses import dataclass
 from typing import Any
 
 from protocol.config.quantities import count_text
+from protocol.figures import SECONDS, SHARE, Surface, absent, described_fields, figure
+
+_LAST = "Of the last interruption, in s of the run"
+_IN_EVENTS = "An instant, not an amount: it is in the events."
 
 
 @dataclass(frozen=True, slots=True)
 class Interruptions:
-    """Times from one tick at full strength to the next one, with others between; those that are
-    over. count; seconds: all of them together; longest_s; began_s, ended_s: of the last one, in s
-    of the run."""
+    """Interruptions that are over: from one tick at full strength to the next, others between."""
 
-    count: int | None = None
-    seconds: float | None = None
-    longest_s: float | None = None
-    began_s: float | None = None
-    ended_s: float | None = None
+    count: int | None = figure(
+        "Interruptions of the pulse that are over: from one tick at full strength "
+        "to the next, with others between",
+        metric="interruptions",
+        counter=True,
+    )
+    seconds: float | None = figure(
+        "Time of all interruptions", unit=SECONDS, metric="interrupted_seconds"
+    )
+    longest_s: float | None = figure(
+        "Longest interruption", unit=SECONDS, metric="longest_interruption_seconds"
+    )
+    began_s: float | None = figure(f"{_LAST}: its begin", unit=SECONDS, absent=absent(_IN_EVENTS))
+    ended_s: float | None = figure(f"{_LAST}: its end", unit=SECONDS, absent=absent(_IN_EVENTS))
 
 
 class InterruptionCounter:
@@ -67,13 +73,7 @@ class InterruptionCounter:
 
 
 def interruptions_text(known: Mapping[str, Any]) -> str | None:
-    """Return the interruptions of a run in one phrase; None where there was none.
-
-    Parameters
-    ----------
-    known : mapping
-        `Interruptions` as a summary's JSON has it.
-    """
+    """Return the interruptions of a run, as JSON has them, in one phrase; None without any."""
     count, seconds, longest_s = (known.get(key) for key in ("count", "seconds", "longest_s"))
     if not count or seconds is None or longest_s is None:
         return None
@@ -81,16 +81,6 @@ def interruptions_text(known: Mapping[str, Any]) -> str | None:
     return f"{times}, {seconds:.2f} s in all, the longest {longest_s:.2f} s"
 
 
-# Key of `Availability` → what people read; these shares add up to 1.
-NAMES = {
-    "felt": "felt",
-    "starting": "starting",
-    "stale": "stale",
-    "faulted": "faulted",
-    "waiting": "waiting",
-    "ended": "ended",
-    "missed": "missed ticks",
-}
 # A display's state → the key that it is counted under.
 _KEYS = {
     "playing": "felt",
@@ -102,29 +92,52 @@ _KEYS = {
 }
 
 
+def _state(meaning: str, key: str, text: str = "") -> Any:
+    return figure(
+        meaning,
+        text or key,
+        SHARE,
+        metric="availability_ratio",
+        labels={"state": key},
+        help="Share of the run by state.",
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Availability:
-    """Length of the run in s, and shares of it from 0 to 1.
+    """Length of the run, and shares of it. Those by state, and `missed`, add up to 1."""
 
-    felt: the pulse was felt at its full strength. starting: it was ramped up. stale: no samples
-    to play. faulted: a fault had latched. waiting: no stream, or its clock not known yet. ended:
-    after the end of the stream. missed: ticks that did not run. These add up to 1.
+    seconds: float | None = figure(
+        "Time of the run, missed ticks included", unit=SECONDS, metric="run_seconds"
+    )
+    felt: float | None = _state("The pulse was felt at its full strength", "felt")
+    starting: float | None = _state("The pulse was ramped up", "starting")
+    stale: float | None = _state("No samples to play", "stale")
+    faulted: float | None = _state("A fault had latched", "faulted")
+    waiting: float | None = _state("No stream, or its clock was not known yet", "waiting")
+    ended: float | None = _state("After the end of the stream", "ended")
+    missed: float | None = _state("Ticks that did not run", "missed", "missed ticks")
+    played: float | None = figure(
+        "Samples or their prediction were played, at full strength or in a ramp",
+        "",
+        SHARE,
+        metric="played_ratio",
+    )
+    judged: float | None = figure(
+        "The force felt could be compared with the pulse",
+        "",
+        SHARE,
+        absent=absent("The page has that of its window.", Surface.PAGE),
+        metric="judged_ratio",
+    )
 
-    played: samples or their prediction were played, at full strength or in a ramp; what
-    `compensation` is a share of. judged: the force felt could be compared with the pulse; what
-    `within_jnd` is a share of.
-    """
 
-    seconds: float | None = None
-    felt: float | None = None
-    starting: float | None = None
-    stale: float | None = None
-    faulted: float | None = None
-    waiting: float | None = None
-    ended: float | None = None
-    missed: float | None = None
-    played: float | None = None
-    judged: float | None = None
+# Key of each share by state → its name for people.
+NAMES = {
+    name: each.text
+    for name, (_, each) in described_fields(Availability).items()
+    if each.metric == "availability_ratio"
+}
 
 
 class AvailabilityCounter:
@@ -155,13 +168,17 @@ class AvailabilityCounter:
 
 
 def availability_text(shares: Mapping[str, Any]) -> str | None:
-    """Return the shares that are not 0 in one phrase whose figures add up to 100.0 %; None while
-    they are not known.
+    """Return the shares that are not 0 in one phrase whose figures add up to 100.0 %.
 
     Parameters
     ----------
     shares : mapping
         `Availability` as a summary's JSON has it.
+
+    Returns
+    -------
+    str or None
+        None before the first tick.
     """
     known = {NAMES[key]: share for key in NAMES if (share := shares.get(key))}
     if shares.get("seconds") is None or not known:
@@ -177,8 +194,3 @@ def availability_text(shares: Mapping[str, Any]) -> str | None:
 
 def _tenths(tenths: int) -> str:
     return f"{tenths / 10:.1f} %" if tenths else "< 0.1 %"
-
-
-def part_text(share: float | None) -> str:
-    """Return the part of the time that another share is of: "the 16.7 %", "the time"."""
-    return "the time" if share is None else f"the {100 * share:.1f} % of the run"

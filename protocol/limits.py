@@ -1,7 +1,6 @@
 """Counts of how often and for how long a quantity is held at one of its limits.
 
-Both nodes count where they bound a quantity; the summary and all that shows it take the figures
-and the sentence from here.
+Both nodes count where they bound a quantity.
 """
 
 from collections.abc import Mapping
@@ -12,45 +11,54 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.config.quantities import count_text
-
-# Key of `Limits` → the limit's name for people.
-NAMES = {
-    "force": "force limit",
-    "negative": "force below 0 N",
-    "slew": "slew limit",
-    "travel": "end of travel",
-    "film": "film's ADC range",
-    "adc": "ADC range",
-}
+from protocol.figures import SECONDS, SHARE, Surface, absent, described_fields, figure, table
 
 
 @dataclass(frozen=True, slots=True)
 class Limited:
-    """Times a limit was reached, seconds it held in all, and their share of the run.
+    """Figures of one limit; None where the limit does not apply."""
 
-    None where the limit does not apply.
-    """
+    times: int | None = figure("How often the limit was reached", metric="limited", counter=True)
+    seconds: float | None = figure(
+        "Time at the limit", unit=SECONDS, metric="limited_seconds", counter=True
+    )
+    share: float | None = figure(
+        "Share of the ticks run, or of the samples taken, at the limit",
+        unit=SHARE,
+        absent=absent("Follows from time at the limit and time of the run.", Surface.METRICS),
+    )
 
-    times: int | None = None
-    seconds: float | None = None
-    share: float | None = None
+
+def _limit(name: str, key: str) -> Any:
+    return table(Limited, name, labels={"limit": key})
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
     """Figures of each limit.
 
-    force, negative, slew: bounds on the force to be felt (`safety`), slew at full strength alone.
-    travel: the end of the actuator's travel towards the finger. film: range of the feedback
-    film's ADC. adc: range of the sensing node's ADC.
+    Attributes
+    ----------
+    force, negative, slew : Limited
+        Bounds on the force to be felt (`safety`): the force limit; a force below 0 N by more than
+        1 mN, which cannot be played; the slew limit at full strength, ramps and fades left out.
+    travel : Limited
+        The end of the actuator's travel towards the finger; on a real bench also the braking
+        before it.
+    film, adc : Limited
+        Ranges of the modelled feedback film's ADC and of the sensing node's ADC.
     """
 
-    force: Limited = Limited()
-    negative: Limited = Limited()
-    slew: Limited = Limited()
-    travel: Limited = Limited()
-    film: Limited = Limited()
-    adc: Limited = Limited()
+    force: Limited = _limit("force limit", "force")
+    negative: Limited = _limit("force below 0 N", "negative")
+    slew: Limited = _limit("slew limit", "slew")
+    travel: Limited = _limit("end of travel", "travel")
+    film: Limited = _limit("film's ADC range", "film")
+    adc: Limited = _limit("ADC range", "adc")
+
+
+# Key of `Limits` → the limit's name for people.
+NAMES = {key: row.name for key, (_, row) in described_fields(Limits).items()}
 
 
 class LimitCounter:
@@ -103,6 +111,13 @@ def limit_texts(limits: Mapping[str, Mapping[str, Any]]) -> list[str]:
     reached = [(NAMES[key], limits[key]) for key in NAMES if limits.get(key, {}).get("times")]
     reached.sort(key=lambda named: -(named[1].get("seconds") or 0.0))
     return [_text(name, limited) for name, limited in reached]
+
+
+def longest_limit_text(limits: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the time at the limit that held longest; empty while no limit is known to apply."""
+    known = [limit for limit in limits.values() if limit.get("times") is not None]
+    seconds = [limit["seconds"] for limit in known if limit["times"]]
+    return f"{max(seconds):.1f} s" if seconds else "never" if known else ""
 
 
 def _text(name: str, limited: Mapping[str, Any]) -> str:

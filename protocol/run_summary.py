@@ -1,10 +1,9 @@
-"""The summary every command and node ends with: the same keys everywhere, null where a thing
+"""The summary that every command and node ends with: the same keys everywhere, null where a thing
 does not apply."""
 
 import dataclasses
 import json
-import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,193 +17,537 @@ from protocol.availability import (
     Interruptions,
     availability_text,
     interruptions_text,
-    part_text,
 )
 from protocol.config.quantities import count_text
 from protocol.errors import explain_causes
-from protocol.histogram import bound
+from protocol.figures import (
+    COUNT,
+    MICROSECONDS,
+    MILLISECONDS,
+    NEWTONS,
+    PPM,
+    RATIO,
+    SHARE,
+    STRAIN,
+    Registry,
+    Surface,
+    absent,
+    figure,
+    table,
+    texts,
+)
 from protocol.host.result_files import write_whole
-from protocol.limits import Limits, limit_texts
+from protocol.limits import Limits, limit_texts, longest_limit_text
 from protocol.provenance import Provenance
 
-# Stands in a row's text for a value that there is none of; no fault's text has it.
-_ABSENT = "\0"
 # No figure is larger: clocks at most 292 years apart are 1e13 ms.
 LARGEST = 1e15
+
+# Reasons of figures that a surface leaves out.
+AT_THE_END = absent(
+    "Part of the account at the end, which a live view does not need.",
+    Surface.TERMINAL,
+    Surface.PAGE,
+)
+IN_ALERTS = absent("Live views show it as an alert.", Surface.TERMINAL, Surface.PAGE)
+BY_THE_PAGE = absent("The page computes it over the window that it shows.", Surface.PAGE)
+NOT_RECORDED = absent("Of the process, which a recording does not compare.", Surface.REPORT)
+
+
+def _bounds() -> Any:
+    """Return the field with the names of those quantiles that are lower bounds."""
+    return figure(
+        "Quantiles that are lower bounds: they are beyond what is counted",
+        factory=list,
+        absent=absent('Stands as "> " before the quantile.'),
+    )
+
+
+def _quantile(name: str, of: str, share: str) -> Any:
+    """Return the field of a quantile; share: as Prometheus labels it."""
+    return figure(f"{of}, {name}", f"{name} {{}}", labels={"quantile": share})
 
 
 @dataclass(frozen=True, slots=True)
 class SampleCounts:
-    """sent = played + late + lost. Played: in the buffer when its instant was played; late:
-    arrived after that; lost: never arrived. `before_joining`: sent before a display listened."""
+    """sent = played + late + lost. A lost sample that comes after all counts as late."""
 
-    sent: int | None = None
-    played: int | None = None
-    late: int | None = None
-    lost: int | None = None
-    before_joining: int | None = None
+    sent: int | None = figure(
+        "Samples sent; at a display since it joined: sent = played + late + lost",
+        "{} sent",
+        metric="samples_sent",
+        counter=True,
+    )
+    played: int | None = figure(
+        "Samples in the buffer when their instant was played",
+        "{} played",
+        joint=" = ",
+        lead=True,
+        metric="samples",
+        counter=True,
+        labels={"outcome": "played"},
+        help="Samples that have arrived.",
+    )
+    late: int | None = figure(
+        "Samples that arrived after their instant was played",
+        "{} late",
+        joint=" + ",
+        metric="samples",
+        counter=True,
+        labels={"outcome": "late"},
+    )
+    # Falls when a sample comes after all, so it is a gauge; so is the next one, which a frame out
+    # of order may move.
+    lost: int | None = figure(
+        "Samples that have not arrived", "{} lost", joint=" + ", metric="samples_lost"
+    )
+    before_joining: int | None = figure(
+        "Samples sent before the display joined",
+        "after {}",
+        row="joined",
+        noun=("sample", "samples"),
+        metric="samples_before_joining",
+        absent=AT_THE_END | absent("A recording may begin later.", Surface.REPORT),
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class OneWayDelay:
-    """Time on the network of a frame's last sample, in ms. Here and below, beyond: the quantiles
-    that are beyond what is counted, of which the figure is a lower bound."""
+    """Time on the network of a frame's last sample."""
 
-    p50: float | None = None
-    p99: float | None = None
-    max: float | None = None
-    beyond: list[str] = field(default_factory=list)
+    p50: float | None = _quantile("p50", "Time on the network of a frame's last sample", "0.5")
+    p99: float | None = _quantile("p99", "Time on the network of a frame's last sample", "0.99")
+    max: float | None = figure(
+        "Longest one-way delay", "max {}", metric="one_way_delay_max_seconds"
+    )
+    beyond: list[str] = _bounds()
 
 
 @dataclass(frozen=True, slots=True)
 class PlayoutDelay:
-    """Perceived delay E from the wrist's instant to its playing, in ms."""
+    """Perceived delay E from the wrist's instant to its playing."""
 
-    mean: float | None = None
-    p99: float | None = None
-    beyond: list[str] = field(default_factory=list)
+    mean: float | None = figure(
+        "Perceived delay E, from the wrist's instant to its playing, mean",
+        "mean {}",
+        metric="playout_delay_mean_seconds",
+    )
+    p99: float | None = _quantile(
+        "p99", "Perceived delay E, from the wrist's instant to its playing", "0.99"
+    )
+    beyond: list[str] = _bounds()
 
 
 @dataclass(frozen=True, slots=True)
 class Compensation:
-    """Shares of the time played (`Availability.played`): `predicted`, no sample was there yet of
-    what was felt; `trusted`, the predictor was trusted with all of the delay (none where it has no
-    say)."""
+    """Shares of the time played (`Availability.played`)."""
 
-    predicted: float | None = None
-    trusted: float | None = None
+    predicted: float | None = figure(
+        "Share of the time played in which no sample was there yet of what was felt",
+        row="concealed",
+        unit=SHARE,
+        of="played",
+        metric="predicted_ratio",
+    )
+    trusted: float | None = figure(
+        "Share of the time played in which the predictor was trusted with all of "
+        "the delay; null where it has no say (a fixed E, `hold`, `linear`)",
+        row="prediction trusted",
+        unit=SHARE,
+        of="played",
+        metric="trusted_ratio",
+        absent=absent("Ticks are recorded with it one by one.", Surface.REPORT),
+    )
+
+
+def _offset_text(offset_ms: float) -> str:
+    """Return an offset in ms; in s for clocks of two hosts, which may be days apart."""
+    return f"{offset_ms:.3f} ms" if abs(offset_ms) < 1e4 else f"{offset_ms * 1e-3:.3f} s"
 
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """The sensing clock against the display's. Uncertainty: of the offset, where the ways there
-    and back differ by chance alone; asymmetry: what it may be off besides, if one always takes
-    longer. Steps: how often either clock has jumped."""
+    """The sensing clock against the display's."""
 
-    offset_ms: float | None = None
-    skew_ppm: float | None = None
-    uncertainty_ms: float | None = None
-    asymmetry_ms: float | None = None
-    steps: int | None = None
+    offset_ms: float | None = figure(
+        "Sensing clock minus display clock",
+        "offset {}",
+        MILLISECONDS,
+        show=_offset_text,
+        metric="clock_offset_seconds",
+    )
+    skew_ppm: float | None = figure(
+        "How much faster the sensing clock runs", "skew {}", PPM, metric="clock_skew_ratio"
+    )
+    uncertainty_ms: float | None = figure(
+        "Bound of the offset's error about 95 times of 100, where the two "
+        "directions differ by chance alone",
+        "uncertainty {}",
+        MILLISECONDS,
+        ".3f",
+        metric="clock_uncertainty_seconds",
+    )
+    asymmetry_ms: float | None = figure(
+        "Half the shortest round trip: bound of the offset's further error where "
+        "one direction always takes longer",
+        "asymmetry at most {}",
+        MILLISECONDS,
+        metric="clock_asymmetry_seconds",
+        absent=absent(
+            "A bound, not a measured figure: for who analyses.",
+            Surface.SUMMARY,
+            Surface.TERMINAL,
+            Surface.PAGE,
+        ),
+    )
+    steps: int | None = figure(
+        "How often a clock has jumped",
+        noun=("step", "steps"),
+        zero=False,
+        metric="clock_steps",
+        counter=True,
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class AlignedErrors:
-    """RMSE against the pulse as it was when sampled (aligned) and at that very instant."""
+    """RMSE of what is felt against what should be felt."""
 
-    aligned: float | None = None
-    in_phase: float | None = None
+    aligned: float | None = figure(
+        "RMSE of what is felt against the pulse when it was sampled",
+        "aligned {}",
+        labels={"against": "aligned"},
+        help="Felt against what should be felt.",
+    )
+    in_phase: float | None = figure(
+        "RMSE of what is felt against the pulse at that very instant",
+        "in phase {}",
+        labels={"against": "in_phase"},
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class Roughness:
-    """The part above 25 Hz, where touch is keenest: RMS in N of the force felt and of what was
-    sensed at the same instants, and the ratio of their energies."""
+    """The part above 25 Hz, where touch is keenest."""
 
-    felt_n: float | None = None
-    sensed_n: float | None = None
-    energy_ratio: float | None = None
+    felt_n: float | None = figure(
+        "RMS above 25 Hz of the force felt",
+        "felt {}",
+        NEWTONS,
+        metric="roughness_newtons",
+        labels={"force": "felt"},
+        help="RMS of force above 25 Hz.",
+    )
+    sensed_n: float | None = figure(
+        "RMS above 25 Hz of the force sensed at the same instants",
+        "sensed {}",
+        NEWTONS,
+        metric="roughness_newtons",
+        labels={"force": "sensed"},
+    )
+    energy_ratio: float | None = figure(
+        "Energy above 25 Hz of the force felt over that of the force sensed",
+        "energy ratio {}",
+        RATIO,
+        metric="roughness_energy_ratio",
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class TickTime:
-    """Cost of a tick in µs."""
+    """Cost of a tick."""
 
-    p50: float | None = None
-    p99: float | None = None
-    beyond: list[str] = field(default_factory=list)
+    p50: float | None = _quantile("p50", "Cost of a tick", "0.5")
+    p99: float | None = _quantile("p99", "Cost of a tick", "0.99")
+    beyond: list[str] = _bounds()
 
 
 @dataclass(frozen=True, slots=True)
 class Lateness:
-    """The lateness of ticks at their beginning, in µs."""
+    """Lateness of ticks at their beginning."""
 
-    p50: float | None = None
-    p99: float | None = None
-    p999: float | None = None
-    max: float | None = None
-    beyond: list[str] = field(default_factory=list)
+    p50: float | None = _quantile("p50", "Lateness of a tick's begin", "0.5")
+    p99: float | None = _quantile("p99", "Lateness of a tick's begin", "0.99")
+    p999: float | None = _quantile("p99.9", "Lateness of a tick's begin", "0.999")
+    max: float | None = figure(
+        "Latest begin of a tick", "max {}", metric="tick_lateness_max_seconds"
+    )
+    beyond: list[str] = _bounds()
 
 
 @dataclass(frozen=True, slots=True)
 class Deadlines:
-    """Share of the ticks of 5 s that were missed, and the longest time between two ticks in ms."""
+    """Missed ticks and longest gap within 5 s."""
 
-    missed: float | None = None
-    gap_ms: float | None = None
+    missed: float | None = figure(
+        "Share of the ticks that were missed",
+        "{} of the ticks missed",
+        SHARE,
+        ".2f",
+        metric="deadline_missed_ratio",
+    )
+    gap_ms: float | None = figure(
+        "Longest time between two ticks",
+        "longest gap {}",
+        MILLISECONDS,
+        ".0f",
+        metric="tick_gap_seconds",
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class Loop:
-    """The node's loop. late: the deadline alarm is on, because more than 1 % of the ticks of the
-    last 5 s were missed or a gap was longer than the drive's watchdog. last_5s: at the time of the
-    summary; worst_5s: of the whole run. realtime: measures that were asked for and granted."""
+    """The node's loop."""
 
-    ticks: int | None = None
-    deadline_misses: int | None = None
-    tick_us: TickTime = field(default_factory=TickTime)
-    late_us: Lateness = field(default_factory=Lateness)
-    late: bool | None = None
-    last_5s: Deadlines = Deadlines()
-    worst_5s: Deadlines = Deadlines()
-    realtime: list[str] = field(default_factory=list)
+    ticks: int | None = figure(
+        "Ticks of the loop", noun=("tick", "ticks"), metric="ticks", counter=True
+    )
+    deadline_misses: int | None = figure(
+        "Ticks that began a period late or more",
+        noun=("deadline miss", "deadline misses"),
+        lead=True,
+        metric="deadline_misses",
+        counter=True,
+    )
+    tick_us: TickTime = table(
+        TickTime, "tick cost", MICROSECONDS, "tick_seconds", absent=AT_THE_END | NOT_RECORDED
+    )
+    late_us: Lateness = table(
+        Lateness, "tick lateness", MICROSECONDS, "tick_lateness_seconds", absent=AT_THE_END
+    )
+    late: bool | None = figure(
+        "The deadline alarm is on: more than 1 % of the ticks of the last 5 s were "
+        "missed, or a gap was longer than the drive's watchdog (50 ms without a "
+        "drive)",
+        metric="deadline_alarm",
+        absent=absent(
+            "An alarm for now: live views show it as an alert, the rest shows the worst 5 s.",
+            *(surface for surface in Surface if surface != Surface.METRICS),
+        ),
+    )
+    last_5s: Deadlines = table(
+        Deadlines,
+        "last 5 s",
+        labels={"over": "5s"},
+        absent=absent(
+            "Live views show it as an alert where it is much; an ended run has its worst 5 s.",
+            *(surface for surface in Surface if surface != Surface.METRICS),
+        ),
+    )
+    worst_5s: Deadlines = table(
+        Deadlines, "worst 5 s", labels={"over": "worst_5s"}, absent=AT_THE_END
+    )
+    realtime: list[str] = figure(
+        "Real-time measures that were asked for and granted",
+        row="real-time measures",
+        show=texts,
+        absent=AT_THE_END | NOT_RECORDED | absent("Words.", Surface.METRICS),
+        factory=list,
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class FrameCounts:
-    """Frames taken, how many of them came after a later one, and copies over further paths.
+    """Frames of the stream as they came."""
 
-    first: where there are several addresses, how many came first over each of them.
-    """
-
-    received: int | None = None
-    reordered: int | None = None
-    copies: int | None = None
-    first: dict[str, int] = field(default_factory=dict)
+    received: int | None = figure("Frames taken", "{} received", metric="frames", counter=True)
+    reordered: int | None = figure(
+        "Frames that came after a later one",
+        "{} out of order",
+        metric="frames_reordered",
+        counter=True,
+    )
+    copies: int | None = figure(
+        "Copies of frames over further paths",
+        "{} copies over further paths",
+        zero=False,
+        metric="frame_copies",
+        counter=True,
+    )
+    first: dict[str, int] = figure(
+        "With several addresses: how many frames came first over each of them",
+        show=lambda first: texts((f"{count} first over {name}" for name, count in first.items())),
+        metric="frames_first",
+        counter=True,
+        label="path",
+        factory=dict,
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class Reconnections:
-    """Connections made while one was silent. opened: second ones beside it, for frames; kept: how
-    many of them delivered first and took its place; control: those for control messages."""
+    """Connections made while one was silent."""
 
-    opened: int | None = None
-    kept: int | None = None
-    control: int | None = None
+    opened: int | None = figure(
+        "Connections for frames opened beside a silent one",
+        "{} opened beside a silent connection",
+        zero=False,
+        metric="reconnections",
+        counter=True,
+        labels={"kind": "second"},
+        help="Connections made while one was silent.",
+    )
+    kept: int | None = figure(
+        "Of those, how many delivered first and took the silent one's place",
+        "{} of them kept",
+        zero=False,
+        metric="reconnections",
+        counter=True,
+        labels={"kind": "kept"},
+    )
+    control: int | None = figure(
+        "Connections for control messages made anew",
+        "{} for control",
+        zero=False,
+        metric="reconnections",
+        counter=True,
+        labels={"kind": "control"},
+    )
+
+
+def _hardware_text(counts: dict[str, int]) -> str | None:
+    return texts(f"{count} {name}" for name, count in sorted(counts.items()))
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """See docs/telemetry.md for each key."""
+    """The figures of a run; `protocol.figures` says how people and programs read them."""
 
-    samples: SampleCounts = SampleCounts()
-    frames: FrameCounts = field(default_factory=FrameCounts)
-    reconnections: Reconnections = Reconnections()
-    one_way_delay_ms: OneWayDelay = field(default_factory=OneWayDelay)
-    playout_delay_ms: PlayoutDelay = field(default_factory=PlayoutDelay)
-    covered_delay_ms: float | None = None
-    compensation: Compensation = Compensation()
-    clock: Clock = Clock()
-    force_rmse_n: AlignedErrors = AlignedErrors()
-    strain_rmse: AlignedErrors = AlignedErrors()
-    within_jnd: float | None = None
-    availability: Availability = field(default_factory=Availability)
-    interruptions: Interruptions = field(default_factory=Interruptions)
-    roughness: Roughness = Roughness()
-    limited: Limits = field(default_factory=Limits)
-    loop: Loop = field(default_factory=Loop)
-    speed: float | None = None
-    rejected: dict[str, int] = field(default_factory=dict)
-    hardware: dict[str, int] = field(default_factory=dict)
-    faults: list[str] = field(default_factory=list)
-    finger: str | None = None
-    finger_stiffness: float | None = None
+    samples: SampleCounts = table(
+        SampleCounts, "samples", absent=absent("The page has the share that is lost.", Surface.PAGE)
+    )
+    frames: FrameCounts = table(FrameCounts, "frames", absent=AT_THE_END)
+    reconnections: Reconnections = table(
+        Reconnections, "reconnections", absent=AT_THE_END | NOT_RECORDED
+    )
+    one_way_delay_ms: OneWayDelay = table(
+        OneWayDelay, "one-way delay", MILLISECONDS, "one_way_delay_seconds"
+    )
+    playout_delay_ms: PlayoutDelay = table(
+        PlayoutDelay, "playout delay", MILLISECONDS, "playout_delay_seconds"
+    )
+    covered_delay_ms: float | None = figure(
+        "Mean of the larger of perceived delay and the newest sample's age, plus "
+        "the sensing chain's group delay",
+        "{} from the wrist to the force at the finger",
+        MILLISECONDS,
+        row="covered delay",
+        metric="covered_delay_mean_seconds",
+        absent=AT_THE_END | absent("A recording has no age of samples.", Surface.REPORT),
+    )
+    compensation: Compensation = table(Compensation)
+    clock: Clock = table(
+        Clock, "clock", absent=absent("The view is of what is felt.", Surface.TERMINAL)
+    )
+    force_rmse_n: AlignedErrors = table(
+        AlignedErrors, "force RMSE", NEWTONS, "force_rmse_newtons", absent=BY_THE_PAGE
+    )
+    strain_rmse: AlignedErrors = table(
+        AlignedErrors, "strain RMSE", STRAIN, "strain_rmse_ratio", absent=BY_THE_PAGE
+    )
+    within_jnd: float | None = figure(
+        "Share of the time judged in which the aligned force error is below 10 % of"
+        " the pulse's peak to peak",
+        row="within JND",
+        unit=SHARE,
+        of="judged",
+        metric="within_jnd_ratio",
+        absent=BY_THE_PAGE,
+    )
+    availability: Availability = table(
+        Availability,
+        "availability",
+        show=availability_text,
+        headline=lambda shares: SHARE.text(shares.get("felt")),
+    )
+    interruptions: Interruptions = table(
+        Interruptions,
+        "interruptions",
+        show=interruptions_text,
+        headline=lambda known: COUNT.text(known.get("count")),
+    )
+    roughness: Roughness = table(
+        Roughness,
+        "above 25 Hz",
+        absent=absent("It needs the whole run; the plots show its course.", Surface.PAGE),
+    )
+    limited: Limits = table(
+        Limits,
+        "at a limit",
+        show=lambda limits: texts(limit_texts(limits), "; "),
+        headline=longest_limit_text,
+    )
+    loop: Loop = table(Loop, "loop")
+    speed: float | None = figure(
+        "Speed of a simulation",
+        "{} times real time",
+        RATIO,
+        ".0f",
+        row="speed",
+        absent=absent(
+            "Of a simulation, which nothing reads while it runs.",
+            *(surface for surface in Surface if surface != Surface.SUMMARY),
+        ),
+    )
+    rejected: dict[str, int] = figure(
+        "Messages and peers refused, by cause",
+        row="rejected",
+        show=lambda rejected: "\n".join(explain_causes(rejected)) or "nothing",
+        headline=lambda rejected: count_text(sum(rejected.values()), "message"),
+        metric="rejected",
+        counter=True,
+        label="cause",
+        absent=absent("Live, each cause is an alert.", Surface.TERMINAL)
+        | absent("Each cause is an event.", Surface.REPORT),
+        factory=dict,
+    )
+    hardware: dict[str, int] = figure(
+        "On a real bench: what went wrong on the way to drive and film and was made good",
+        row="hardware",
+        show=_hardware_text,
+        metric="hardware_events",
+        counter=True,
+        label="event",
+        absent=AT_THE_END | absent("What is frequent is an event.", Surface.REPORT),
+        factory=dict,
+    )
+    faults: list[str] = figure(
+        "What safety latched, what a real film's sensor missed, and what is "
+        "implausible about the source",
+        row="faults",
+        show=lambda faults: "; ".join(faults) or "none",
+        metric="fault",
+        label="name",
+        absent=IN_ALERTS | absent("Each fault is an event.", Surface.REPORT),
+        factory=list,
+    )
+    finger: str | None = figure(
+        "What is measured at the finger, in one sentence; without a drive, by the model",
+        row="finger",
+        show=lambda finger: finger or None,
+        metric="finger",
+        label="name",
+        absent=absent("Stands beside the state, which it is of.", Surface.TERMINAL, Surface.PAGE)
+        | absent("Of the last moment; the plots show the course.", Surface.REPORT),
+    )
+    finger_stiffness: float | None = figure(
+        "Finger's stiffness as the observer learns it, over the scene's "
+        "`fingertip`; null until it is learnt",
+        "{} times the scene's fingertip",
+        RATIO,
+        row="finger's stiffness",
+        metric="finger_stiffness_ratio",
+        absent=IN_ALERTS | absent("Each doubtful one is an event.", Surface.REPORT),
+    )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain types for JSON and msgpack; what is no figure (NaN, infinite, beyond
-        `LARGEST`) becomes None."""
-        table: dict[str, Any] = _measured(dataclasses.asdict(self))
-        return table
+        """Return plain types for JSON and msgpack; NaN and what is beyond `LARGEST` become None."""
+        plain: dict[str, Any] = _measured(dataclasses.asdict(self))
+        return plain
+
+
+# Every figure of a summary, and its rows.
+REGISTRY = Registry(Summary)
 
 
 def write_json(summary: Summary, path: Path, provenance: Provenance | None = None) -> None:
@@ -215,154 +558,13 @@ def write_json(summary: Summary, path: Path, provenance: Provenance | None = Non
 
 def print_summary(summary: Summary, title: str, console: Console) -> None:
     """Print the summary for people, one line a row; a row without a value is left out."""
-    table = Table(
+    lines = Table(
         title=escape(title), show_header=False, title_justify="left", box=None, pad_edge=False
     )
-    for name, text in _rows(summary):
-        if _ABSENT not in text:
-            # As Text, for a fault may name a [section], which is markup to rich.
-            table.add_row(name, Text(text))
-    console.print(table)
-
-
-def _rows(s: Summary) -> list[tuple[str, str]]:
-    return [
-        (
-            "samples",
-            f"{_n(s.samples.sent)} sent"
-            if s.samples.played is None
-            else f"{_n(s.samples.sent)} sent = {_n(s.samples.played)} played"
-            f" + {_n(s.samples.late)} late + {_n(s.samples.lost)} lost",
-        ),
-        (
-            "before joining",
-            f"{_count(s.samples.before_joining, 'sample')} sent before a display listened",
-        ),
-        (
-            "frames",
-            f"{_n(s.frames.received)} received, {_n(s.frames.reordered)} out of order"
-            + (f", {s.frames.copies} copies over further paths" if s.frames.copies else "")
-            + "".join(f", {count} first over {name}" for name, count in s.frames.first.items()),
-        ),
-        (
-            "reconnections",
-            f"{_n(s.reconnections.opened)} opened beside a silent connection for frames,"
-            f" {_n(s.reconnections.kept)} of them kept; {_n(s.reconnections.control)} for control"
-            if any(dataclasses.astuple(s.reconnections))
-            else _ABSENT,
-        ),
-        (
-            "one-way delay",
-            f"{_quantile(s.one_way_delay_ms, 'p50')} ms, {_quantile(s.one_way_delay_ms, 'p99')} ms,"
-            f" max {_f(s.one_way_delay_ms.max)} ms",
-        ),
-        (
-            "playout delay",
-            f"mean {_f(s.playout_delay_ms.mean)} ms, {_quantile(s.playout_delay_ms, 'p99')} ms",
-        ),
-        ("covered delay", f"{_f(s.covered_delay_ms)} ms from the wrist to the force at the finger"),
-        (
-            "predicted",
-            f"{_f(_percent(s.compensation.predicted))} % of"
-            f" {part_text(s.availability.played)} that was played",
-        ),
-        (
-            "predictor",
-            f"trusted with all of the delay {_f(_percent(s.compensation.trusted))} % of"
-            f" {part_text(s.availability.played)} that was played",
-        ),
-        (
-            "clock",
-            f"offset {_f(s.clock.offset_ms, 3)} ± {_f(s.clock.uncertainty_ms, 3)} ms,"
-            f" skew {_f(s.clock.skew_ppm, 1)} ppm"
-            + (f", steps {s.clock.steps}" if s.clock.steps else ""),
-        ),
-        (
-            "force RMSE",
-            f"aligned {_f(_milli(s.force_rmse_n.aligned), 3)} mN,"
-            f" in phase {_f(_milli(s.force_rmse_n.in_phase), 3)} mN",
-        ),
-        (
-            "strain RMSE",
-            f"aligned {_e(s.strain_rmse.aligned)}, in phase {_e(s.strain_rmse.in_phase)}",
-        ),
-        ("availability", availability_text(dataclasses.asdict(s.availability)) or _ABSENT),
-        ("interrupted", interruptions_text(dataclasses.asdict(s.interruptions)) or _ABSENT),
-        (
-            "within JND",
-            f"{_f(_percent(s.within_jnd))} % of"
-            f" {part_text(s.availability.judged)} that could be judged",
-        ),
-        (
-            "above 25 Hz",
-            f"{_f(_milli(s.roughness.felt_n), 3)} mN felt, {_f(_milli(s.roughness.sensed_n), 3)} mN"
-            f" sensed: energy {_f(s.roughness.energy_ratio, 2)} times",
-        ),
-        ("limited", "; ".join(limit_texts(dataclasses.asdict(s.limited))) or _ABSENT),
-        (
-            "loop",
-            f"{_count(s.loop.ticks, 'tick')},"
-            f" {_count(s.loop.deadline_misses, 'deadline miss', 'deadline misses')}",
-        ),
-        (
-            "worst 5 s",
-            f"{_f(_percent(s.loop.worst_5s.missed), 2)} % of the ticks missed,"
-            f" longest gap {_f(s.loop.worst_5s.gap_ms, 0)} ms",
-        ),
-        (
-            "tick",
-            f"{_quantile(s.loop.tick_us, 'p50', 0)} µs, {_quantile(s.loop.tick_us, 'p99', 0)} µs",
-        ),
-        (
-            "tick began",
-            f"{_quantile(s.loop.late_us, 'p50', 0)} µs late,"
-            f" {_quantile(s.loop.late_us, 'p99', 0)} µs,"
-            f" {_quantile(s.loop.late_us, 'p999', 0)} µs, max {_f(s.loop.late_us.max, 0)} µs",
-        ),
-        ("real-time", ", ".join(s.loop.realtime) or _ABSENT),
-        ("speed", f"{_f(s.speed, 0)} times real time"),
-        ("rejected", "\n".join(explain_causes(s.rejected)) or "nothing"),
-        ("hardware", _counts(s.hardware) or _ABSENT),
-        ("faults", "; ".join(s.faults) or "none"),
-        ("finger", s.finger or _ABSENT),
-        ("finger's stiffness", f"{_f(s.finger_stiffness, 2)} times the scene's fingertip"),
-    ]
-
-
-def _counts(counts: dict[str, int]) -> str:
-    return ", ".join(f"{count} {name}" for name, count in sorted(counts.items()))
-
-
-def _n(value: int | None) -> str:
-    return _ABSENT if value is None else str(value)
-
-
-def _count(value: int | None, singular: str, plural: str | None = None) -> str:
-    return _ABSENT if value is None else count_text(value, singular, plural)
-
-
-def _quantile(
-    table: OneWayDelay | PlayoutDelay | TickTime | Lateness, key: str, digits: int = 1
-) -> str:
-    """Return a quantile with its name, as "p99 > 5000" where it is beyond what is counted."""
-    name = "p99.9" if key == "p999" else key
-    return f"{name} {bound(key, table.beyond)}{_f(getattr(table, key), digits)}"
-
-
-def _f(value: float | None, digits: int = 1) -> str:
-    return _ABSENT if value is None or math.isnan(value) else f"{value:.{digits}f}"
-
-
-def _e(value: float | None) -> str:
-    return _ABSENT if value is None or math.isnan(value) else f"{value:.3e}"
-
-
-def _milli(value: float | None) -> float | None:
-    return None if value is None else value * 1e3
-
-
-def _percent(value: float | None) -> float | None:
-    return None if value is None else value * 100
+    for row in REGISTRY.rows(summary.to_dict(), Surface.SUMMARY):
+        # As Text, for a fault may name a [section], which is markup to rich.
+        lines.add_row(row.name, Text(row.text))
+    console.print(lines)
 
 
 def _measured(value: Any) -> Any:

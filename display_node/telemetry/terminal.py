@@ -11,9 +11,9 @@ import signal
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import zmq
@@ -28,11 +28,10 @@ from display_node.telemetry.age import TelemetryAge
 from display_node.telemetry.alerts import Alert, alerts
 from display_node.telemetry.braille_plot import braille_plot, limits
 from protocol import sockets
-from protocol.availability import interruptions_text
 from protocol.errors import WireError
-from protocol.histogram import bound
+from protocol.figures import Surface
 from protocol.host.standard_output import unblocked_output
-from protocol.limits import limit_texts
+from protocol.run_summary import REGISTRY
 from protocol.security.keys import ClientKeys, read_pair
 from protocol.wire.status import STATUS, Status, read_status
 from protocol.wire.telemetry import TRACE, Trace, read_trace
@@ -133,11 +132,8 @@ class TerminalView:
         tables = []
         for rows in (self._now_rows(now_ns), self._run_rows()):
             table = Table(show_header=False, box=None, pad_edge=False)
-            half = (len(rows) + 1) // 2
-            for left, right in zip(rows[:half], [*rows[half:], ("", "")], strict=False):
-                texts = [(left[0], ""), (left[1], value_style), ("  ", "")]
-                texts += [(right[0], ""), (right[1], value_style)]
-                table.add_row(*(Text(text, style) for text, style in texts))
+            for name, value in rows:
+                table.add_row(Text(name), Text(value, value_style))
             tables.append(table)
         stream = _printable(self.status.stream)
         title = Text(f"telepulse · {stream or 'no stream'} · {self._state(now_ns)}")
@@ -179,25 +175,9 @@ class TerminalView:
     def _run_rows(self) -> list[tuple[str, str]]:
         """Return the figures of the whole run so far."""
         assert self.status is not None
-        s = self.status.summary
-        return [
-            ("strain RMSE", _exponent(s["strain_rmse"]["aligned"])),
-            ("force RMSE", _show(s["force_rmse_n"]["aligned"], "mN", 3, 1e3)),
-            ("one-way delay p50", _quantile(s["one_way_delay_ms"], "p50", "ms")),
-            ("one-way delay p99", _quantile(s["one_way_delay_ms"], "p99", "ms")),
-            ("playout delay", _show(s["playout_delay_ms"]["mean"], "ms")),
-            ("felt", _show(s["availability"]["felt"], "% of the time", 1, 100)),
-            ("stale", _show(s["availability"]["stale"], "% of the time", 1, 100)),
-            ("interrupted", interruptions_text(s["interruptions"]) or "–"),
-            ("predicted", _show(s["compensation"]["predicted"], "% of the time played", 1, 100)),
-            ("energy above 25 Hz", _show(s["roughness"]["energy_ratio"], "of the sensed", 2)),
-            ("samples late", _count(s["samples"]["late"])),
-            ("samples lost", _count(s["samples"]["lost"])),
-            ("samples played", _count(s["samples"]["played"])),
-            ("deadline misses", _count(s["loop"]["deadline_misses"])),
-            *([("limited", limited[0])] if (limited := limit_texts(s["limited"])) else []),
-            *([("telemetry not readable", str(self.unreadable))] if self.unreadable else []),
-        ]
+        rows = REGISTRY.rows(self.status.summary, Surface.TERMINAL)
+        unreadable = [("telemetry not readable", str(self.unreadable))] if self.unreadable else []
+        return [*((row.name, row.text) for row in rows), *unreadable]
 
     def _plot(self, current: bool) -> list[RenderableType]:
         ticks = list(self._ticks)[-(round(PLOT_S * 1e9) // APART_NS) :]
@@ -219,21 +199,9 @@ def _show(value: float | None, unit: str, digits: int = 1, scale: float = 1.0) -
     return "unknown" if math.isnan(value) else f"{value * scale:.{digits}f} {unit}"
 
 
-def _quantile(table: Mapping[str, Any], key: str, unit: str) -> str:
-    return f"{bound(key, table['beyond'])}{_show(table[key], unit)}"
-
-
 def _printable(text: str) -> str:
     """Return text from a status, which cannot draw on the screen."""
     return "".join(character if character.isprintable() else "?" for character in text)
-
-
-def _count(value: Any) -> str:
-    return "–" if value is None else str(value)
-
-
-def _exponent(value: float | None) -> str:
-    return "–" if value is None else f"{value:.2e}"
 
 
 def watch(

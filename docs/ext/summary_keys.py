@@ -1,36 +1,61 @@
-"""The keys of the summary, from the dataclasses it is made of."""
+"""Reference of the summary's figures, from their registry."""
 
-import dataclasses
-from collections.abc import Iterator
-from typing import Any, get_type_hints
+from typing import Any
 
-from protocol.run_summary import Summary
+from protocol.figures import Surface
+from protocol.run_summary import REGISTRY
+
+_KINDS = {
+    int | None: "whole number",
+    float | None: "number",
+    bool | None: "true or false",
+    str | None: "text",
+    list[str]: "list of texts",
+    dict[str, int]: "map of name to count",
+}
 
 
 def write() -> str:
-    """A table of every key, inner ones behind a dot, with its type."""
-    rows = (f"| `{key}` | {kind} |" for key, kind in keys(Summary))
-    return "\n".join(["| key | what it is |", "|---|---|", *rows])
+    """Return the tables of all figures, and of those that a surface leaves out."""
+    rows = (
+        f"| `{figure.key}` | {_kind(figure.type, figure.unit)} | {figure.meaning} |"
+        f" {figure.row} | {_metric(figure)} |"
+        for figure in REGISTRY.figures
+    )
+    return "\n".join(
+        [
+            "| key | value | meaning | row | metric |",
+            "|---|---|---|---|---|",
+            *rows,
+            "",
+            "## Figures that a surface leaves out",
+            "",
+            "| surface | figures | reason |",
+            "|---|---|---|",
+            *_left_out(),
+        ]
+    )
 
 
-def keys(table: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Each key of a dataclass and of those inside it, and what its value is."""
-    hints = get_type_hints(table)
-    for field in dataclasses.fields(table):
-        hint, key = hints[field.name], prefix + field.name
-        if dataclasses.is_dataclass(hint):
-            yield from keys(hint, f"{key}.")
-        else:
-            yield key, _kind(hint)
+def _kind(kind: Any, unit: Any) -> str:
+    return f"{_KINDS[kind]}, {unit.name}" if unit is not None and unit.name else _KINDS[kind]
 
 
-def _kind(hint: Any) -> str:
-    names = {
-        int | None: "whole number or null",
-        float | None: "number or null",
-        bool | None: "true, false or null",
-        str | None: "text or null",
-        list[str]: "list of texts",
-        dict[str, int]: "map of name to count",
-    }
-    return names[hint]
+def _metric(figure: Any) -> str:
+    if Surface.METRICS in figure.absent:
+        return ""
+    names = [f'{name}="{value}"' for name, value in figure.labels.items()]
+    labels = ",".join([*names, *([figure.label] if figure.label else [])])
+    name = f"telepulse_{figure.metric}{'_total' if figure.counter else ''}"
+    return f"`{name}{{{labels}}}`" if labels else f"`{name}`"
+
+
+def _left_out() -> list[str]:
+    keys: dict[tuple[str, str], list[str]] = {}
+    for figure in REGISTRY.figures:
+        for surface, reason in figure.absent.items():
+            keys.setdefault((surface.value, reason), []).append(f"`{figure.key}`")
+    return [
+        f"| {surface} | {', '.join(found)} | {reason} |"
+        for (surface, reason), found in sorted(keys.items())
+    ]

@@ -1,7 +1,7 @@
 """A node's last status as Prometheus's metrics. Pure: time comes in."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
@@ -13,8 +13,9 @@ from prometheus_client.metrics_core import (
     StateSetMetricFamily,
 )
 
+from protocol.figures import COUNT, Figure, Surface
+from protocol.run_summary import REGISTRY
 from protocol.wire.status import Status
-from telepulse.metrics.figures import FIGURES, MetricFigure
 
 PREFIX = "telepulse_"
 # As long as a node may be held up and still be there.
@@ -53,9 +54,6 @@ def families(
         yield _gauge("heart_rate_hertz", "Of the pulse that is felt.", told.heart_rate_per_min / 60)
     if told.status.displays is not None:
         yield _gauge("displays", "Displays that listen.", told.status.displays)
-    yield _texts("fault", "Faults and what sensors missed, 1 each.", told.status.summary["faults"])
-    if finger := told.status.summary["finger"]:
-        yield _texts("finger", "What is measured at the finger, 1.", [finger])
     yield from _figures(told.status.summary)
 
 
@@ -75,39 +73,33 @@ def _state(state: str) -> Metric:
     return StateSetMetricFamily(PREFIX + "state", "What the node does, in one word.", known)
 
 
-def _texts(name: str, text: str, values: list[str]) -> Metric:
-    """Return texts as labels. Their numbers, each a label of its own, stay in the summary."""
-    family = GaugeMetricFamily(PREFIX + name, text, labels=["name"])
-    for name in sorted({_NUMBER.sub("#", value) for value in values}):
-        family.add_metric([name], 1)
-    return family
-
-
 def _figures(summary: Mapping[str, Any]) -> Iterator[Metric]:
-    """The figures that there are, those of one name together."""
+    """Yield the figures that have a value; those of one name together, under the first's help."""
     found: dict[str, Metric] = {}
-    for figure in FIGURES:
-        samples = list(_samples(figure, summary))
-        if not samples and figure.name not in found:
-            continue
-        name = PREFIX + figure.name
-        if figure.name not in found:
-            text = figure.help or next(f.help for f in FIGURES if f.name == figure.name)
-            found[figure.name] = Metric(name, text, figure.kind.value)
-        for labels, value in samples:
-            suffix = "_total" if figure.kind is figure.kind.COUNTER else ""
-            found[figure.name].add_sample(name + suffix, labels, value)
+    help_texts: dict[str, str] = {}
+    for figure in REGISTRY.on(Surface.METRICS):
+        help_text = help_texts.setdefault(figure.metric, figure.help or figure.meaning)
+        for labels, value in _samples(figure, summary):
+            name = PREFIX + figure.metric
+            metric = found.setdefault(name, Metric(name, help_text, figure.kind))
+            metric.add_sample(name + ("_total" if figure.counter else ""), labels, value)
     yield from found.values()
 
 
-def _samples(
-    figure: MetricFigure, summary: Mapping[str, Any]
-) -> Iterator[tuple[dict[str, str], float]]:
-    value: Any = summary
-    for key in figure.key.split("."):
-        value = value[key]
-    if figure.label:
+def _samples(figure: Figure, summary: Mapping[str, Any]) -> Iterator[tuple[dict[str, str], float]]:
+    value = figure.value(summary)
+    if isinstance(value, dict):
         for name, count in value.items():
             yield {figure.label: name}, count
+    elif isinstance(value, str):
+        yield from _texts(figure.label, [value] if value else [])
+    elif isinstance(value, list):
+        yield from _texts(figure.label, value)
     elif value is not None:
-        yield dict(figure.labels), value * figure.scale
+        yield dict(figure.labels), value * (figure.unit or COUNT).base
+
+
+def _texts(label: str, values: Iterable[str]) -> Iterator[tuple[dict[str, str], float]]:
+    """Yield texts as labels. Their numbers, each a label of its own, stay in the summary."""
+    for text in sorted({_NUMBER.sub("#", value) for value in values}):
+        yield {label: text}, 1

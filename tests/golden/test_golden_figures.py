@@ -1,6 +1,6 @@
 """The summary's JSON keys, the metrics and the schemas of recordings are those that others read.
 
-`python -m tests.golden.test_golden_figures` writes the golden copy anew, after a change that is meant.
+`python -m tests.golden.test_golden_figures` writes the golden copy anew, after a deliberate change.
 """
 
 import json

@@ -1,18 +1,14 @@
 """The report of a recording: its chapters in their order."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import asdict
+from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING
 
-from protocol.availability import NAMES as AVAILABILITY
-from protocol.availability import part_text
 from protocol.config.quantities import count_text
-from protocol.histogram import bound
-from protocol.limits import limit_texts
-from protocol.run_summary import Lateness, OneWayDelay, PlayoutDelay, Summary
+from protocol.figures import Surface
+from protocol.run_summary import REGISTRY, Summary
 from telepulse.recording.report.findings import RunFindings, read_findings
 from telepulse.reports.document import Chapter, Report, Table, provenance_table
 
@@ -61,8 +57,11 @@ def _whole(findings: RunFindings) -> Chapter:
 
 
 def _summary(findings: RunFindings) -> Table:
-    recorded, own = findings.summary(), findings.own or Summary()
-    rows = [(name, show(recorded), show(own)) for name, show in _ROWS]
+    recorded, own = (
+        REGISTRY.cells(summary.to_dict(), Surface.REPORT)
+        for summary in (findings.summary(), findings.own or Summary())
+    )
+    rows = [(name, recorded[name] or NONE, own[name] or NONE) for name in recorded]
     for place, name in enumerate(("wrist", "finger")):
         rates = [rate for _, *both in findings.forces.heart if (rate := both[place]) is not None]
         shown = f"{median(rates):.1f} /min" if rates else NONE
@@ -77,59 +76,6 @@ def _summary(findings: RunFindings) -> Table:
         " it began: what came in between counts as late there. Ticks missed before the first one"
         " and a loss after the last frame are not seen.",
     )
-
-
-def _number(value: float | None, unit: str, digits: int = 1, scale: float = 1.0) -> str:
-    return NONE if value is None else f"{value * scale:.{digits}f} {unit}".rstrip()
-
-
-def _quantile(
-    table: OneWayDelay | PlayoutDelay | Lateness, key: str, unit: str, digits: int
-) -> str:
-    return f"{bound(key, table.beyond)}{_number(getattr(table, key), unit, digits)}"
-
-
-def _share_of_run(key: str) -> Callable[[Summary], str]:
-    return lambda s: _number(getattr(s.availability, key), "% of the run", 1, 100)
-
-
-_Row = tuple[str, Callable[[Summary], str]]
-_ROWS: tuple[_Row, ...] = (
-    ("frames received", lambda s: _number(s.frames.received, "", 0)),
-    ("frames out of order", lambda s: _number(s.frames.reordered, "", 0)),
-    ("samples sent", lambda s: _number(s.samples.sent, "", 0)),
-    ("samples played", lambda s: _number(s.samples.played, "", 0)),
-    ("samples late", lambda s: _number(s.samples.late, "", 0)),
-    ("samples lost", lambda s: _number(s.samples.lost, "", 0)),
-    ("one-way delay, p50", lambda s: _quantile(s.one_way_delay_ms, "p50", "ms", 2)),
-    ("one-way delay, p99", lambda s: _quantile(s.one_way_delay_ms, "p99", "ms", 2)),
-    ("one-way delay, max", lambda s: _number(s.one_way_delay_ms.max, "ms", 2)),
-    ("playout delay, mean", lambda s: _number(s.playout_delay_ms.mean, "ms", 2)),
-    ("playout delay, p99", lambda s: _quantile(s.playout_delay_ms, "p99", "ms", 2)),
-    *((f"time: {text}", _share_of_run(key)) for key, text in AVAILABILITY.items()),
-    (
-        "predicted",
-        lambda s: _number(
-            s.compensation.predicted, f"% of {part_text(s.availability.played)} played", 1, 100
-        ),
-    ),
-    ("force RMSE, aligned", lambda s: _number(s.force_rmse_n.aligned, "mN", 3, 1e3)),
-    ("force RMSE, in phase", lambda s: _number(s.force_rmse_n.in_phase, "mN", 3, 1e3)),
-    (
-        "within JND",
-        lambda s: _number(s.within_jnd, f"% of {part_text(s.availability.judged)} judged", 2, 100),
-    ),
-    ("above 25 Hz, felt", lambda s: _number(s.roughness.felt_n, "mN", 3, 1e3)),
-    ("above 25 Hz, sensed", lambda s: _number(s.roughness.sensed_n, "mN", 3, 1e3)),
-    ("limited", lambda s: "; ".join(limit_texts(asdict(s.limited))) or NONE),
-    ("clock offset", lambda s: _number(s.clock.offset_ms, "ms", 3)),
-    ("clock skew", lambda s: _number(s.clock.skew_ppm, "ppm", 1)),
-    ("clock steps", lambda s: _number(s.clock.steps, "", 0)),
-    ("ticks", lambda s: _number(s.loop.ticks, "", 0)),
-    ("ticks missed", lambda s: _number(s.loop.deadline_misses, "", 0)),
-    ("ticks began late, p99", lambda s: _quantile(s.loop.late_us, "p99", "µs", 0)),
-    ("ticks began late, max", lambda s: _number(s.loop.late_us.max, "µs", 0)),
-)
 
 
 def _force(findings: RunFindings) -> Chapter:

@@ -7,7 +7,6 @@ import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 from urllib.error import HTTPError, URLError
 from urllib.parse import urlsplit
 from urllib.request import Request, urlopen
@@ -18,7 +17,8 @@ from hypothesis import strategies as st
 from prometheus_client.parser import text_string_to_metric_families
 
 from protocol.errors import AddressError
-from telepulse.metrics.figures import FIGURES, MetricKind
+from protocol.figures import COUNT, Surface
+from protocol.run_summary import REGISTRY
 from telepulse.metrics.server import parse_address
 from tests.support.keyring import Keyring
 from tests.support.nodes import RADIAL, free_address, process, read_json, run
@@ -70,13 +70,6 @@ def display(address: str, *more: str) -> tuple[str, ...]:
     return (*("--connect", address, "--no-screen"), *more)
 
 
-def at(summary: dict[str, Any], key: str) -> Any:
-    value: Any = summary
-    for part in key.split("."):
-        value = value[part]
-    return value
-
-
 def test_both_nodes_serve_what_they_sum_up(tmp_path: Path) -> None:
     address, jsons = free_address(), [tmp_path / "display.json", tmp_path / "sensing.json"]
     with served(DISPLAY, *display(address, "--json", str(jsons[0]))) as finger:
@@ -108,16 +101,17 @@ def test_both_nodes_serve_what_they_sum_up(tmp_path: Path) -> None:
     assert sent is not None
     assert 0 < sent <= sensed
     summary, compared = read_json(jsons[0]), 0
-    for figure in FIGURES:
+    for figure in REGISTRY.on(Surface.METRICS):
         # The loop and the clock went on, and what is felt is scored to its end.
         if figure.key.partition(".")[0] in ("samples", "frames", "one_way_delay_ms", "rejected"):
-            value = at(summary, figure.key)
+            value = figure.value(summary)
             if figure.label or value is None:
                 assert not value
                 continue
-            suffix = "_total" if figure.kind is MetricKind.COUNTER else ""
-            name, labels = "telepulse_" + figure.name + suffix, tuple(figure.labels.items())
-            assert last[name, labels] == pytest.approx(value * figure.scale), figure.key
+            suffix = "_total" if figure.counter else ""
+            name, labels = f"telepulse_{figure.metric}{suffix}", tuple(figure.labels.items())
+            base = (figure.unit or COUNT).base
+            assert last[name, labels] == pytest.approx(value * base), figure.key
             compared += 1
     assert compared > 9
 

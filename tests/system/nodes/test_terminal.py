@@ -66,9 +66,9 @@ def test_the_panel_shows_what_a_person_watches() -> None:
     screen.add_trace(trace_of_a_pulse(6))
     screen.status = status()
     text = printed(screen)
-    for word in ("my pulse", "playing", "75 /min", "1.50e-09", "1.2 ms", "4.5 ms", "12.5 ms"):
+    for word in ("my pulse", "playing", "75 /min", "1.500e-09", "1.25 ms", "4.50 ms", "12.50 ms"):
         assert word in text
-    for word in ("37.5 %", "1.44 of the sensed"):
+    for word in ("37.5 %", "energy ratio 1.44"):
         assert word in text
     for count in ("7", "3", "42"):
         assert count in text
@@ -107,11 +107,11 @@ def test_a_revoked_display_is_named_until_it_plays_again() -> None:
 def test_a_limit_is_shown_where_it_was_reached() -> None:
     screen = TerminalView()
     screen.status = status()
-    assert "limited" not in printed(screen)
+    assert "at a limit" not in printed(screen)
     limits = Limits(force=Limited(312, 4.1, 0.205), travel=Limited(1, 0.5, 0.025))
     summary = Summary(limited=limits).to_dict()
     screen.status = screen.status._replace(summary=summary)
-    assert "limited force limit 312 times, 4.1 s (20.5 % of the run)" in screen.line()
+    assert "at a limit force limit 312 times, 4.1 s (20.5 % of the run)" in screen.line()
     assert "force limit 312 times, 4.1 s (20.5 % of the run)" in printed(screen)
 
 
@@ -325,8 +325,8 @@ def test_the_state_of_a_killed_display_is_not_made_current_by_the_next(context: 
 def test_what_takes_long_to_import_is_there_before_the_first_line() -> None:
     """It took up to some seconds within a line, which showed a state that was over."""
     code = (
-        "import sys; from rich.console import Console; from display_node import screen;"
-        f" screen.watch({free_address()!r}, Console(),"
+        "import sys; from rich.console import Console; from display_node.telemetry import terminal;"
+        f" terminal.watch({free_address()!r}, Console(),"
         " meanwhile=lambda: print('scipy.signal' in sys.modules))"
     )
     command = [sys.executable, "-c", code]

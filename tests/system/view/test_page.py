@@ -116,14 +116,14 @@ def test_the_page_moves_and_says_what_is_felt(bench: Bench, visit: Visit) -> Non
         page.wait_for_function("document.getElementById('in_phase').textContent !== '–'")
         page.wait_for_function("document.getElementById('heart').textContent !== '–'")
         plot = page.locator("#plot-force")
-        before, newest, ticks = plot.screenshot(), page.evaluate(NEWEST), said(page, "misses-note")
+        before, newest, ticks = plot.screenshot(), page.evaluate(NEWEST), said(page, "loop-note")
         page.wait_for_function(f"{NEWEST} !== {newest}")
-        page.wait_for_function(f"document.getElementById('misses-note').textContent !== '{ticks}'")
+        page.wait_for_function(f"document.getElementById('loop-note').textContent !== '{ticks}'")
         until(lambda: plot.screenshot() != before)
         assert said(page, "stream") == "radial pulse"
         assert said(page, "predictor") == "linear"
         # On a busy machine a tick or two may be bounded.
-        assert re.fullmatch(r"never|0\.\d s", said(page, "limited"))
+        assert re.fullmatch(r"never|0\.\d s", said(page, "at-a-limit"))
         # 75 of the scene, where the loop is not held up.
         assert 40 < float(said(page, "heart").removesuffix(" /min")) < 150
         if PICTURES:

@@ -68,36 +68,6 @@ FULL = Summary(
     finger="withdrawn",
     finger_stiffness=1.9,
 )
-KEYS = {
-    "samples": {"sent", "played", "late", "lost", "before_joining"},
-    "frames": {"received", "reordered", "copies", "first"},
-    "reconnections": {"opened", "kept", "control"},
-    "one_way_delay_ms": {"p50", "p99", "max", "beyond"},
-    "playout_delay_ms": {"mean", "p99", "beyond"},
-    "covered_delay_ms": None,
-    "compensation": {"predicted", "trusted"},
-    "clock": {"offset_ms", "skew_ppm", "uncertainty_ms", "asymmetry_ms", "steps"},
-    "force_rmse_n": {"aligned", "in_phase"},
-    "strain_rmse": {"aligned", "in_phase"},
-    "within_jnd": None,
-    "availability": {
-        *("seconds", "felt", "starting", "stale", "faulted", "waiting", "ended", "missed"),
-        *("played", "judged"),
-    },
-    "interruptions": {"count", "seconds", "longest_s", "began_s", "ended_s"},
-    "limited": {"force", "negative", "slew", "travel", "film", "adc"},
-    "roughness": {"felt_n", "sensed_n", "energy_ratio"},
-    "loop": {
-        *("ticks", "deadline_misses", "tick_us", "late_us"),
-        *("late", "last_5s", "worst_5s", "realtime"),
-    },
-    "speed": None,
-    "rejected": set(),
-    "hardware": set(),
-    "faults": None,
-    "finger": None,
-    "finger_stiffness": None,
-}
 
 
 def printed(summary: Summary, title: str = "display-node") -> str:
@@ -110,19 +80,6 @@ def rows(text: str) -> dict[str, str]:
     """The printed rows by their names, which end where two spaces are."""
     parts = (line.partition("  ") for line in text.splitlines()[1:])
     return {name: value.strip() for name, _, value in parts}
-
-
-@pytest.mark.parametrize("summary", [Summary(), FULL], ids=["empty", "full"])
-def test_the_keys_are_the_same_everywhere(summary: Summary) -> None:
-    table = summary.to_dict()
-    assert set(table) == set(KEYS)
-    if summary is FULL:
-        assert set(table.pop("rejected")) == {"truncated", "duplicate"}
-        assert table.pop("hardware") == {"film crc": 3}
-    for key, value in table.items():
-        assert (set(value) if isinstance(value, dict) else None) == KEYS[key]
-    assert set(table["loop"]["tick_us"]) == {"p50", "p99", "beyond"}
-    assert set(table["loop"]["late_us"]) == {"p50", "p99", "p999", "max", "beyond"}
 
 
 def leaves(value: Any) -> list[Any]:
@@ -206,32 +163,30 @@ def test_a_file_that_can_be_written_is_let_be(tmp_path: Path) -> None:
 def test_people_read_the_same() -> None:
     assert rows(printed(FULL)) == {
         "samples": "1000 sent = 950 played + 30 late + 20 lost",
-        "before joining": "7 samples sent before a display listened",
+        "joined": "after 7 samples",
         "frames": "196 received, 3 out of order, 392 copies over further paths,"
         " 190 first over tcp://one:5555",
-        "reconnections": "3 opened beside a silent connection for frames, 2 of them kept;"
-        " 1 for control",
-        "one-way delay": "p50 20.1 ms, p99 35.5 ms, max 41.0 ms",
-        "playout delay": "mean 42.0 ms, p99 45.0 ms",
-        "covered delay": "44.5 ms from the wrist to the force at the finger",
-        "predicted": "25.0 % of the 17.2 % of the run that was played",
-        "predictor": "trusted with all of the delay 12.5 % of the 17.2 % of the run that was"
-        " played",
-        "clock": "offset -12.346 ± 0.125 ms, skew 50.2 ppm, steps 1",
+        "reconnections": "3 opened beside a silent connection, 2 of them kept, 1 for control",
+        "one-way delay": "p50 20.12 ms, p99 35.50 ms, max 41.00 ms",
+        "playout delay": "mean 42.00 ms, p99 45.00 ms",
+        "covered delay": "44.50 ms from the wrist to the force at the finger",
+        "concealed": "25.0 % of the time played (17.2 % of the run)",
+        "prediction trusted": "12.5 % of the time played (17.2 % of the run)",
+        "clock": "offset -12.346 ms, skew 50.2 ppm, uncertainty 0.125 ms, 1 step",
         "force RMSE": "aligned 0.250 mN, in phase 30.100 mN",
         "strain RMSE": "aligned 9.425e-09, in phase 5.780e-08",
         "availability": "felt 16.7 %, starting 0.5 %, stale 80.5 %, faulted 2.2 %, waiting 0.1 %"
         " of 60.5 s",
-        "interrupted": "3 times, 4.25 s in all, the longest 2.60 s",
-        "within JND": "87.5 % of the 16.7 % of the run that could be judged",
-        "above 25 Hz": "0.600 mN felt, 0.500 mN sensed: energy 1.44 times",
-        "limited": "force limit 312 times, 4.1 s (20.5 % of the run);"
+        "interruptions": "3 times, 4.25 s in all, the longest 2.60 s",
+        "within JND": "87.5 % of the time judged (16.7 % of the run)",
+        "above 25 Hz": "felt 0.600 mN, sensed 0.500 mN, energy ratio 1.44",
+        "at a limit": "force limit 312 times, 4.1 s (20.5 % of the run);"
         " slew limit 1 time, 20 ms (< 0.1 % of the run)",
         "loop": "5000 ticks, 2 deadline misses",
         "worst 5 s": "1.25 % of the ticks missed, longest gap 63 ms",
-        "tick": "p50 85 µs, p99 140 µs",
-        "tick began": "p50 40 µs late, p99 96 µs, p99.9 234 µs, max 448 µs",
-        "real-time": "slack, fifo=40",
+        "tick cost": "p50 85 µs, p99 140 µs",
+        "tick lateness": "p50 40 µs, p99 96 µs, p99.9 234 µs, max 448 µs",
+        "real-time measures": "slack, fifo=40",
         "speed": "312 times real time",
         "rejected": "400 duplicate: samples that had arrived already",
         "": "2 truncated: messages that end too early; the peer is no node, or bytes were lost",
@@ -243,19 +198,24 @@ def test_people_read_the_same() -> None:
     assert printed(FULL).splitlines()[0].strip() == "display-node"
 
 
+def test_clocks_of_two_hosts_are_shown_in_seconds() -> None:
+    shown = rows(printed(Summary(clock=Clock(offset_ms=-5e6))))
+    assert shown["clock"] == "offset -5000.000 s"
+
+
 def test_a_quantile_beyond_what_is_counted_is_a_lower_bound() -> None:
     late_us = Lateness(60.0, 900.0, 5_000.0, 52_344.0, beyond=["p999"])
     shown = rows(printed(Summary(loop=Loop(1, 1, TickTime(1.0, 2.0), late_us))))
-    assert shown["tick began"] == "p50 60 µs late, p99 900 µs, p99.9 > 5000 µs, max 52344 µs"
+    assert shown["tick lateness"] == "p50 60 µs, p99 900 µs, p99.9 > 5000 µs, max 52344 µs"
     delay = OneWayDelay(20.0, 2_000.0, 2_500.0, beyond=["p99"])
     shown = rows(printed(Summary(one_way_delay_ms=delay)))
-    assert shown["one-way delay"] == "p50 20.0 ms, p99 > 2000.0 ms, max 2500.0 ms"
+    assert shown["one-way delay"] == "p50 20.00 ms, p99 > 2000.00 ms, max 2500.00 ms"
 
 
 def test_one_is_not_many() -> None:
     shown = rows(printed(Summary(samples=SampleCounts(1, before_joining=1), loop=Loop(1, 1))))
     assert shown["loop"] == "1 tick, 1 deadline miss"
-    assert shown["before joining"] == "1 sample sent before a display listened"
+    assert shown["joined"] == "after 1 sample"
 
 
 def test_a_row_without_a_value_is_left_out() -> None:
@@ -264,14 +224,17 @@ def test_a_row_without_a_value_is_left_out() -> None:
         samples=SampleCounts(sent=5),
         speed=math.nan,
         within_jnd=1.0,
-        force_rmse_n=AlignedErrors(aligned=0.001),
+        force_rmse_n=AlignedErrors(in_phase=0.001),
         strain_rmse=AlignedErrors(in_phase=math.nan),
     )
-    shown = rows(printed(partly))
-    assert set(shown) == {"samples", "within JND", "rejected", "faults"}
-    assert shown["samples"] == "5 sent"
-    # The summary of a node that did not say of how much of its run.
-    assert shown["within JND"] == "100.0 % of the time that could be judged"
+    assert rows(printed(partly)) == {
+        "samples": "5 sent",
+        "force RMSE": "in phase 1.000 mN",
+        # The summary of a node that did not send of how much of its run.
+        "within JND": "100.0 % of the time judged",
+        "rejected": "nothing",
+        "faults": "none",
+    }
 
 
 @pytest.mark.parametrize("fault", ["2–3 mm off", "no [actuator]", "[/red] is no end", "[bold]"])

@@ -1,8 +1,6 @@
 """Metrics read back by Prometheus's own parser."""
 
-import dataclasses
 from collections.abc import Iterator
-from typing import Any
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -22,7 +20,6 @@ from protocol.run_summary import (
 )
 from protocol.wire.status import Status
 from telepulse.metrics.families import SILENT_AFTER_NS, NodeState, families
-from telepulse.metrics.figures import FIGURES, NOT_FIGURES
 
 SECOND_NS = 1_000_000_000
 Scraped = dict[tuple[str, tuple[tuple[str, str], ...]], float]
@@ -52,20 +49,6 @@ def scraped(metrics: Iterator[Metric]) -> Scraped:
 def told(summary: Summary, state: str = "playing", stream: str = "my pulse") -> NodeState:
     status = Status(state, stream, summary.to_dict(), False, session=0xABC)
     return NodeState(status, sent_ns=SECOND_NS, heart_rate_per_min=75.0)
-
-
-def leaves(table: dict[str, Any], before: str = "") -> Iterator[str]:
-    for key, value in table.items():
-        if isinstance(value, dict) and value:
-            yield from leaves(value, f"{before}{key}.")
-        else:
-            yield before + key
-
-
-def test_every_key_of_a_summary_is_a_metric_or_said_to_be_none() -> None:
-    exported = {figure.key for figure in FIGURES}
-    assert exported | NOT_FIGURES == set(leaves(dataclasses.asdict(Summary())))
-    assert not exported & NOT_FIGURES
 
 
 def test_figures_come_in_base_units_and_counts_as_counters() -> None:

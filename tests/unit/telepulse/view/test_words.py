@@ -25,16 +25,15 @@ def test_figures_have_their_units() -> None:
     assert values["heart"] == "75 /min"
     assert values["within"] == "100.0 %"
     assert values["loss"] == "0.00 %"
-    assert values["offset"] == "5000.000 s"
-    assert values["skew"] == "+3.0 ppm"
+    assert values["clock"] == "offset 5000.000 s"
+    assert said["clock"].note.startswith("skew 3.0 ppm")
     assert values["predictor"] == "ensemble"
-    assert values["misses"] == "0"
-    assert said["misses"].note == "of 1000 ticks of the run"
+    assert said["loop"] == ("0 deadline misses", "1000 ticks")
     assert said["in_phase"].note.startswith("RMS of the last 5 s, ")
     assert said["in_phase"].note.endswith("of the pulse's height")
     assert said["within"].note == "of the 100.0 % of the last 5 s that could be judged"
     assert said["heart"].note == "of the force felt, last 6 s"
-    assert said["refused"] == ("0 messages", "in the run")
+    assert said["rejected"] == ("0 messages", "nothing")
 
 
 def test_a_share_stands_beside_the_part_that_it_is_of() -> None:
@@ -43,8 +42,8 @@ def test_a_share_stands_beside_the_part_that_it_is_of() -> None:
     compensation = {"predicted": 0.012, "trusted": None}
     told.status("stale", availability=asdict(whole), compensation=compensation)
     said = figures(told.live, picture(told.live, SECOND_NS))
-    assert said["felt"] == ("16.0 %", "felt 16.0 %, starting 1.0 %, stale 83.0 % of 60.0 s")
-    assert said["predictor"].note == "stood in 1.2 % of the 17.0 % of the run that was played"
+    assert said["availability"] == ("16.0 %", "felt 16.0 %, starting 1.0 %, stale 83.0 % of 60.0 s")
+    assert said["concealed"] == ("1.2 %", "of the time played (17.0 % of the run)")
 
 
 def test_what_is_not_current_has_its_age_and_no_heart_rate() -> None:
@@ -64,10 +63,10 @@ def test_what_is_not_current_has_its_age_and_no_heart_rate() -> None:
 def test_how_long_the_pulse_was_held_at_a_limit_is_a_figure() -> None:
     told = Told(LiveState())
     told.status("playing", limited=asdict(Limits(force=Limited(0, 0.0, 0.0))))
-    assert figures(told.live, picture(told.live, SECOND_NS))["limited"].value == "never"
+    assert figures(told.live, picture(told.live, SECOND_NS))["at-a-limit"].value == "never"
     limits = Limits(force=Limited(312, 4.1, 0.205), slew=Limited(2, 0.2, 0.01))
     told.status("playing", limited=asdict(limits))
-    assert figures(told.live, picture(told.live, SECOND_NS))["limited"] == (
+    assert figures(told.live, picture(told.live, SECOND_NS))["at-a-limit"] == (
         "4.1 s",
         "force limit 312 times, 4.1 s (20.5 % of the run); slew limit 2 times, 0.2 s"
         " (1.0 % of the run)",

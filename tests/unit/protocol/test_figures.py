@@ -1,0 +1,141 @@
+"""Each figure of a summary is on every surface, or left out for a reason."""
+
+import copy
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+from pydantic import TypeAdapter
+from rich.console import Console
+
+from display_node.telemetry.terminal import TerminalView
+from docs.ext import summary_keys
+from protocol.figures import MILLISECONDS, Figure, Registry, Surface, absent, figure, table
+from protocol.run_summary import REGISTRY, Clock, Summary, print_summary
+from protocol.wire.status import Status
+from telepulse.metrics.families import NodeState, families
+from telepulse.view import text as page
+from telepulse.view.live import LiveState
+from telepulse.view.picture import picture
+from tests.support.full_summary import full_summary
+
+Json = dict[str, Any]
+
+
+def printed(summary: Json) -> str:
+    console = Console(file=io.StringIO(), width=1_000, record=True)
+    print_summary(TypeAdapter(Summary).validate_python(summary), "", console)
+    return console.export_text()
+
+
+def line(summary: Json) -> str:
+    view = TerminalView()
+    view.status = Status("playing", "", summary, False)
+    return view.line()
+
+
+def on_the_page(summary: Json) -> str:
+    live = LiveState()
+    live.summary = summary
+    return str(page.figures(live, picture(live, 1)))
+
+
+def reported(summary: Json) -> str:
+    return str(REGISTRY.cells(summary, Surface.REPORT))
+
+
+def scraped(summary: Json) -> str:
+    node = NodeState(Status("playing", "", summary, False), 0)
+    return str([metric.samples for metric in families("display-node", node, 0)])
+
+
+SURFACES: dict[Surface, Callable[[Json], str]] = {
+    Surface.SUMMARY: printed,
+    Surface.TERMINAL: line,
+    Surface.PAGE: on_the_page,
+    Surface.REPORT: reported,
+    Surface.METRICS: scraped,
+}
+
+
+def changed(summary: Json, figure: Figure) -> Json:
+    """Return a copy of a summary in which one figure has another value."""
+    other = copy.deepcopy(summary)
+    *tables, name = figure.key.split(".")
+    inner = other
+    for each in tables:
+        inner = inner[each]
+    value = inner[name]
+    if isinstance(value, bool):
+        inner[name] = not value
+    elif isinstance(value, dict):
+        inner[name] = {"another name": 12}
+    elif isinstance(value, list):
+        inner[name] = ["another word"]
+    else:
+        inner[name] = "another text" if isinstance(value, str) else value + 7
+    return other
+
+
+@pytest.mark.parametrize("surface", Surface)
+def test_a_figure_is_on_a_surface_or_absent_for_a_reason(surface: Surface) -> None:
+    show, summary = SURFACES[surface], full_summary().to_dict()
+    before = show(summary)
+    for each in REGISTRY.figures:
+        if surface in each.absent:
+            assert each.absent[surface].endswith("."), each.key
+        else:
+            assert show(changed(summary, each)) != before, each.key
+
+
+def test_every_key_of_the_json_is_a_figure_in_the_reference() -> None:
+    def keys(value: Any, before: str = "") -> list[str]:
+        if isinstance(value, dict) and value:
+            return [key for name in value for key in keys(value[name], f"{before}.{name}")]
+        return [before.removeprefix(".")]
+
+    assert sorted(keys(Summary().to_dict())) == sorted(each.key for each in REGISTRY.figures)
+    reference = summary_keys.write()
+    assert all(f"| `{each.key}` |" in reference for each in REGISTRY.figures)
+    assert all(reason in reference for each in REGISTRY.figures for reason in each.absent.values())
+
+
+@dataclass(frozen=True, slots=True)
+class LongerClock(Clock):
+    drift_ms: float | None = figure("Drift", "drift {}", MILLISECONDS, metric="clock_drift")
+
+
+@dataclass(frozen=True, slots=True)
+class LongerSummary(Summary):
+    clock: Clock = table(LongerClock, "clock")  # noqa: RUF009
+    heat: float | None = figure("Heat", "{} K", row="heat", metric="heat_kelvins")
+
+
+def test_a_new_figure_is_one_field() -> None:
+    hints = LongerSummary.__annotations__
+    hints["clock"] = LongerClock
+    registry = Registry(LongerSummary)
+    summary = LongerSummary(clock=LongerClock(offset_ms=1.0, drift_ms=2.5), heat=7.0).to_dict()
+    for surface in set(Surface) - {Surface.METRICS}:
+        rows = {row.name: row for row in registry.rows(summary, surface)}
+        assert rows["clock"].text == "offset 1.000 ms, drift 2.50 ms"
+        assert (rows["clock"].large, rows["clock"].note) == ("offset 1.000 ms", "drift 2.50 ms")
+        assert rows["heat"].text == "7.0 K"
+        assert registry.cells(summary, surface)["clock, drift"] == "2.50 ms"
+    assert {"clock_drift", "heat_kelvins"} <= {each.metric for each in registry.figures}
+
+
+def test_a_field_without_a_figure_is_refused() -> None:
+    @dataclass(frozen=True, slots=True)
+    class Bare(Summary):
+        secret: float | None = None
+
+    with pytest.raises(TypeError, match=r"Bare\.secret has no Figure"):
+        Registry(Bare)
+
+
+def test_a_figure_is_absent_from_the_surfaces_named_or_from_all() -> None:
+    assert absent("No.", Surface.PAGE) == {Surface.PAGE: "No."}
+    assert absent("No.").keys() == set(Surface)
