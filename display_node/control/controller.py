@@ -1,11 +1,12 @@
-"""The controller: from the reference's next samples and the film's reading to an output.
+"""Controllers: from the reference's next samples and the film's reading to an output.
 
-The output is a speed for a stepper and a voltage for the paper's second-order actuator.
+The output is a signed speed in m/s for a stepper and a voltage in V for the paper's second-order
+actuator.
 """
 
 import math
 from collections.abc import Callable
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -14,8 +15,10 @@ from display_node.control.observer import Observer, ObserverScene
 from display_node.control.pid import Pid
 from display_node.control.stall_guard import StallGuard
 from display_node.plant.contact import ContactLaw
+from display_node.plant.film import FilmTable
 from display_node.plant.filters import DelayLine
-from display_node.plant.second_order import SecondOrder
+from display_node.plant.second_order import SecondOrder, SecondOrderScene
+from display_node.plant.stepper import Stepper, StepperScene
 from protocol.config.quantities import Hertz
 from protocol.config.scene import Section
 
@@ -23,12 +26,12 @@ from protocol.config.scene import Section
 class ControllerScene(Section):
     """The `controller` table.
 
-    error: what the PID sees. "force" in N; "millivolts" of the film by eq 21, the reading of
-    the paper's gains that follows a pulse; "position" in m through the inverse contact law,
-    which makes the loop's gain the same at every force. feed_forward: drive the reference's
-    own motion without waiting for an error (stepper only). observer: see what is felt through
-    a model of actuator and film (stepper only, error "position"). derivative_filter: corner of
-    the derivative's low-pass. dead_band: an error within ±this is none, in the error's unit.
+    error: of the PID. "force" in N; "millivolts" of the film by eq 21, the reading of the paper's
+    gains that follows a pulse; "position" in m through the inverse contact law, which makes the
+    loop's gain the same at every force. feed_forward: drive the reference's own motion without
+    waiting for an error (stepper only). observer: estimate the felt force by a model of actuator
+    and film (stepper only, error "position"). derivative_filter: corner of the derivative's
+    low-pass. dead_band: an error within ±this counts as none, in the error's unit.
     """
 
     kp: Annotated[float, Field(ge=0, le=1e12)]
@@ -47,43 +50,80 @@ class ControllerScene(Section):
         return self
 
     def pid(self, tick_s: float, limit: float) -> Pid:
-        """The PID with these gains."""
+        """Return the PID with these gains, whose output is within ±limit."""
         return Pid(
             self.kp, self.ki, self.kd, self.derivative_filter_hz, tick_s, limit, self.dead_band
         )
 
 
 class StepperController:
-    """Speed in m/s of a stepper, once a tick.
+    """The speed of a stepper, once a tick.
 
-    latency_ticks: from a command to the reading that tells of it; play_m: the screw's.
+    Parameters
+    ----------
+    scene
+        Gains, and the parts that the controller has.
+    actuator
+        The actuator as the scene describes it.
+    law
+        Contact law of its tip, whose finger an observer may learn.
+    film
+        The film under the finger.
+    force_limit_n
+        Greatest force of the twin, in N.
+    tick_s
+        Tick in s.
+    slew_limit_n_per_s
+        Greatest slope of the force that is commanded.
+    observer_gains
+        Fixed gains of an observer whose twin is linear, for the loop's linear model.
+
+    Attributes
+    ----------
+    horizon
+        How many ticks after the present one the reference must reach.
     """
+
+    STATE: ClassVar = ("_pid", "_observer")
 
     def __init__(
         self,
         scene: ControllerScene,
-        pid: Pid,
+        actuator: StepperScene,
         law: ContactLaw,
-        millivolts_per_newton: float,
-        path: ScrewPath | None,
-        observer: Observer | None,
+        film: FilmTable,
+        force_limit_n: float,
         tick_s: float,
         slew_limit_n_per_s: float = math.inf,
-        latency_ticks: float = 0.0,
-        play_m: float = 0.0,
+        observer_gains: tuple[float, list[float]] | None = None,
     ) -> None:
-        self._pid = pid
-        self._guard = StallGuard(law, tick_s, play_m)
+        latency_ticks = actuator.ticks_to_reading(film.latency_ns, tick_s)
+        self._pid = scene.pid(tick_s, actuator.max_speed_m_per_s)
+        self._step_rate = actuator.step_rate()
+        self._guard = StallGuard(law, tick_s, actuator.backlash_m / 2)
         self._missed_ticks = 0
         self._position = law.position
         self._slew_limit_n_per_s = slew_limit_n_per_s
         self._stiffness = law.stiffness
-        self._path = path
-        self._observer = observer
+        self._path = ScrewPath(actuator, law, tick_s) if scene.feed_forward else None
+        self._observer: Observer | None = None
+        if scene.observer is not None:
+            at_once = actuator.model_copy(update={"latency_ns": 0})
+            linear = observer_gains is not None
+            self._observer = Observer(
+                scene.observer,
+                Stepper(at_once, law, force_limit_n, tick_s, linear),
+                law,
+                film,
+                actuator.step_m,
+                tick_s,
+                latency_ticks,
+                observer_gains,
+            )
         self._last_reading_n = 0.0
         self._late = DelayLine(latency_ticks) if latency_ticks else None
         self._wanted_n = 0.0
-        self.horizon = path.horizon if path is not None else 1
+        self.horizon = self._path.horizon if self._path is not None else 1
         self._error: Callable[[float, float], tuple[float, float]]
         if scene.error == "position":
             self._error = lambda wanted_n, reading_n: (
@@ -91,17 +131,21 @@ class StepperController:
                 self._guard.held_s,
             )
         else:
-            unit = millivolts_per_newton if scene.error == "millivolts" else 1.0
+            unit = film.millivolts_per_newton if scene.error == "millivolts" else 1.0
             self._error = lambda wanted_n, reading_n: (
                 unit * (wanted_n - reading_n),
                 unit * law.stiffness(reading_n) * self._guard.held_s,
             )
 
     def output(self, reference_n: list[float], reading_n: float) -> float:
-        """Speed for this tick.
+        """Return the speed for this tick in m/s, positive into the finger.
 
-        reference_n: the force wanted now and in each of the next `horizon` ticks; reading_n:
-        what the feedback film says now, NaN when it says nothing that can be true.
+        Parameters
+        ----------
+        reference_n
+            Reference force now and in each of the next `horizon` ticks, in N.
+        reading_n
+            The film's reading in N; NaN where it is none or cannot be true.
         """
         path, observer, guard = self._path, self._observer, self._guard
         guard.tick(self._missed_ticks, reference_n[0])
@@ -113,21 +157,24 @@ class StepperController:
         else:
             if reading_n == reading_n:
                 self._last_reading_n = reading_n
-            # A reading is to be compared with what was wanted when its command was given.
+            # A reading is compared with the reference of the time when its command was given.
             self._wanted_n = reference_n[1]
             wanted_n = self._wanted_n if self._late is None else self._late.step(self._wanted_n)
             error, response = self._error(wanted_n, self._last_reading_n)
         if path is not None and path.further_m:
             error += response / guard.held_s * path.further_m
-        # Making up for a lag, too, the force changes no faster than its limit allows; where more is
-        # felt than wanted, the finger is stiffer. A reading may say more than was ever wanted.
+        # While a lag is made up for, too, the force keeps its slew limit. Where more is felt than
+        # wanted, the finger is stiffer; a reading may be above all that was ever wanted.
         stiffest_n = max(reference_n[0], min(reading_n, guard.peak_n))
         fastest = self._slew_limit_n_per_s / (self._stiffness(stiffest_n) or 1e-9)
         pressing = fastest
-        if guard.wary:
+        if guard.limiting:
             screw_m = observer.screw_m if observer else self._position(self._last_reading_n)
             pressing = min(fastest, guard.fastest(screw_m))
-        return self._pid.step(error, response, feed, -fastest, pressing)
+        speed_m_per_s = self._pid.step(error, response, feed, -fastest, pressing)
+        if observer is not None:
+            observer.move(self._step_rate.rate_hz(speed_m_per_s))
+        return speed_m_per_s
 
     @property
     def finger_stiffness(self) -> float | None:
@@ -135,37 +182,39 @@ class StepperController:
         return None if self._observer is None else self._observer.finger_stiffness
 
     def skip(self, speed_m_per_s: float) -> None:
-        """A tick was missed, in which the drive went on at a speed."""
+        """Account for a missed tick, in which the drive went on at a speed."""
         self._missed_ticks += 1
         if self._path is not None:
             self._path.skip(speed_m_per_s)
         if self._observer is not None:
             self._observer.skip()
+            self._observer.move(self._step_rate.rate_hz(speed_m_per_s))
         elif self._late is not None:
             self._late.step(self._wanted_n)
 
-    def shift(self, way_m: float) -> None:
-        """The screw has gone so much further than the last output says."""
+    def shift(self, travel_m: float) -> None:
+        """Add a travel of the screw in m that the last output did not include."""
         if self._path is not None:
-            self._path.shift(way_m)
+            self._path.shift(travel_m)
         if self._observer is not None:
-            self._observer.shift(way_m)
+            self._observer.shift(travel_m)
 
 
 class VoltageController:
-    """Voltage of the paper's actuator, once a tick; `twin` models what it does."""
+    """The voltage of the paper's actuator, once a tick, with a twin of that actuator."""
 
+    STATE: ClassVar = ("_pid", "_twin")
     horizon = 1
 
     def __init__(
-        self, scene: ControllerScene, pid: Pid, millivolts_per_newton: float, twin: SecondOrder
+        self, scene: ControllerScene, actuator: SecondOrderScene, film: FilmTable, tick_s: float
     ) -> None:
-        self._pid = pid
-        self._twin = twin
-        self._unit = millivolts_per_newton if scene.error == "millivolts" else 1.0
+        self._pid = scene.pid(tick_s, actuator.voltage_limit)
+        self._twin = SecondOrder(actuator, tick_s)
+        self._unit = film.millivolts_per_newton if scene.error == "millivolts" else 1.0
 
     def output(self, reference_n: list[float], reading_n: float) -> float:
-        """Voltage for this tick; see `StepperController.output`."""
+        """Return the voltage for this tick in V; see `StepperController.output`."""
         twin, unit = self._twin, self._unit
         # Without a reading the twin's own force takes its place.
         if reading_n == reading_n:
@@ -177,5 +226,5 @@ class VoltageController:
         return volts
 
     def skip(self, volts: float) -> None:
-        """A tick was missed, in which the voltage was held."""
+        """Account for a missed tick, in which the voltage was held."""
         self._twin.step(volts)

@@ -1,4 +1,4 @@
-"""How stable a force loop is: poles, margins, and what it makes of noise.
+"""Stability of a force loop: poles, margins, and its response to noise.
 
 The classical margins are taken where the output enters the drive: a step too long or too
 short, or a drive that answers late, acts there.
@@ -32,10 +32,20 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Margins:
-    """Stability of a loop. Infinite where nothing of that kind can destabilise it.
+    """Stability of a loop. A margin is infinite where nothing of that kind destabilises it.
 
-    pole_radius: below 1 is stable. gain: by which factor the gain may grow; phase in degrees;
-    delay in s; peak_sensitivity Ms: 1 over the Nyquist curve's distance from −1.
+    Attributes
+    ----------
+    pole_radius
+        Largest magnitude of a pole; below 1 is stable.
+    gain
+        Factor by which the gain may grow.
+    phase_deg
+        Phase margin in degrees.
+    delay_s
+        Further delay in s that the loop bears.
+    peak_sensitivity
+        Ms: 1 over the Nyquist curve's distance from −1.
     """
 
     pole_radius: float
@@ -46,12 +56,12 @@ class Margins:
 
     @property
     def stable(self) -> bool:
-        """Whether every pole lies inside the unit circle."""
+        """True where every pole lies inside the unit circle."""
         return self.pole_radius < 1 + ROUNDING
 
     @property
     def unfit(self) -> str | None:
-        """Why no finger should be put on this loop; None when it may."""
+        """Reason to put no finger on this loop; None where it may."""
         if not self.stable:
             return f"is not stable (largest pole {self.pole_radius:.4g}, must be below 1)"
         if self.peak_sensitivity > FRAGILE:
@@ -61,7 +71,7 @@ class Margins:
 
 
 def margins(loop: LinearLoop, frequencies: int = FREQUENCIES) -> Margins:
-    """Margins of a loop, from its response at so many frequencies up to half the tick rate."""
+    """Return a loop's margins, by its response at so many frequencies up to half the tick rate."""
     nyquist = math.pi / loop.tick_s
     w = np.geomspace(nyquist * 1e-5, nyquist, frequencies)
     response = _cut_response(loop, w)
@@ -91,22 +101,27 @@ def margins(loop: LinearLoop, frequencies: int = FREQUENCIES) -> Margins:
 
 
 def felt_noise(loop: LinearLoop, wander: float, noise: float) -> float:
-    """RMS of what is felt of a wandering finger and a noisy film, in the loop's own unit.
+    """Return the RMS of the tip's motion by a wandering finger and a noisy film.
 
-    wander: RMS change of the finger's place in 1 s; noise: RMS of a reading's error, white.
+    Parameters
+    ----------
+    loop
+        The loop, whose unit all three have: m or N.
+    wander
+        RMS change of the finger's place in 1 s.
+    noise
+        RMS of a reading's error, white.
     """
-    at_rest = np.zeros(loop.states)
-    heard = _energy(loop, loop.step(at_rest, 0.0, noise=1.0)[:-1])
-    at_rest[: loop.plant.states] = loop.plant.displaced
-    moved = _energy(loop, at_rest)
-    return math.sqrt(noise**2 * heard + wander**2 * loop.tick_s * moved)
+    by_noise = _energy(loop, loop.closed_noise)
+    by_wander = _energy(loop, loop.displaced)
+    return math.sqrt(noise**2 * by_noise + wander**2 * loop.tick_s * by_wander)
 
 
 def _energy(loop: LinearLoop, state: Array) -> float:
-    """Sum of squares of the tip's way from a state, left alone."""
-    closed, total = loop.closed(), 0.0
+    """Return the sum of squares of the tip's motion from a state, without inputs."""
+    closed, total = loop.closed, 0.0
     for _ in range(round(RESPONSE_S / loop.tick_s)):
-        total += loop.plant.tip(state[: loop.plant.states]) ** 2
+        total += float(loop.tip @ state) ** 2
         state = closed @ state
     return total
 
@@ -119,8 +134,7 @@ def refuse_unstable(
     force_limit_n: float,
     tick_s: float,
 ) -> None:
-    """Raises SceneError for a loop that is not stable, or next to it, at some force up to the
-    limit."""
+    """Raise SceneError for a loop that is not stable enough at some force up to the limit."""
     for share in FORCE_SHARES:
         force_n = share * force_limit_n
         found = margins(linear_loop(controller, actuator, layer, film, tick_s, force_n), COARSE)
@@ -133,16 +147,16 @@ def refuse_unstable(
 
 
 def _cut_response(loop: LinearLoop, w: Array) -> NDArray[np.complex128]:
-    """Frequency response of the cut loop, negative feedback counted positive; complex."""
-    a, b, c = loop.cut()
+    """Return the cut loop's frequency response, negative feedback counted positive; complex."""
     z = np.exp(1j * w * loop.tick_s)
-    systems = z[:, None, None] * np.eye(loop.states) - a
-    response: NDArray[np.complex128] = -(c @ np.linalg.solve(systems, b[None] + 0j))[:, 0, 0]
+    systems = z[:, None, None] * np.eye(len(loop.a)) - loop.a
+    solved = np.linalg.solve(systems, loop.b[None, :, None] + 0j)
+    response: NDArray[np.complex128] = -(loop.c @ solved[:, :, 0].T)
     return response
 
 
 def _between(values: Array, at: int, at_values: Array, level: float) -> float:
-    """`values` where `at_values` crosses `level` between entries `at` and the next."""
+    """Return `values` where `at_values` crosses `level` between entries `at` and the next."""
     span = at_values[at + 1] - at_values[at]
     share = (level - at_values[at]) / span if span else 0.0
     return float(values[at] + share * (values[at + 1] - values[at]))

@@ -1,14 +1,14 @@
-"""The observer: how hard the finger is pressed now, from a film that is slow, noisy and coarse.
+"""Observer of the present force, from a film that is slow, noisy and coarse.
 
-A twin of the actuator makes every commanded step and says where the tip is; a model of the
-film's filter says what the film should read then. What it reads instead tells what the twin
-cannot know: where the finger is and how soft. So the film's lag is undone by its model, its
-noise weighs as much as an extended Kalman filter grants it, and a finger softer or stiffer
-than the scene says is learnt within a few beats.
+A twin of the actuator makes every commanded step and gives the tip's position; a model of the
+film's filter gives the reading to expect. The difference to the actual reading shows where the
+finger is and how soft. So the film's lag is undone by its model, an extended Kalman filter weighs
+its noise, and a finger softer or stiffer than the scene's is learnt within a few beats
+(decision 8).
 """
 
 import math
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -22,24 +22,24 @@ from protocol.config.scene import Section
 
 # The force at which the gains are designed: a pulse's usual mean.
 DESIGN_FORCE_N = 0.3
-# A finger further off than this is another finger.
+# A finger further away than this is another finger.
 MAX_OFFSET_M = 1e-3
-# What is known of finger and place before the first reading, RMS; never known less later.
+# Uncertainty of the finger's place and compliance before the first reading, RMS; the greatest.
 FIRST_OFFSET_M = 1e-4
 FIRST_SOFTNESS = 0.3
 SOFTNESS_RANGE = (0.2, 5.0)
 # The compliance is learnt where its error is down to this share of the first guess's.
 LEARNT = 0.5
 LEAST_FORCE_N = 0.01
-# A reading further off than so many standard deviations is trusted no more than this one.
+# An innovation beyond so many standard deviations counts as this many.
 OUTLIER = 8.0
 
 
 class ObserverScene(Section):
     """The `observer` table.
 
-    wander: by how much the finger moves under the tip in 1 s, RMS; softening: by which share
-    its compliance changes in 1 s, RMS (0: it is what the scene says).
+    wander: the finger's motion under the tip in 1 s, RMS. softening: the share by which its
+    compliance changes in 1 s, RMS (0: it is the scene's).
     """
 
     wander_m: Annotated[Metres, Field(gt=0, le=0.1)]
@@ -49,13 +49,27 @@ class ObserverScene(Section):
 def observer_gains(
     film: FilmTable, wander_n: float, least_noise_n: float, tick_s: float
 ) -> tuple[float, list[float]]:
-    """Stationary Kalman gains for the offset, as a force, and for the film filter's states:
-    what the observer settles to on a finger whose compliance it knows.
+    """Return the gains that the observer settles to on a finger of known compliance.
 
-    wander_n: RMS change of the offset in 1 s; least_noise_n: RMS of what a reading is off by
-    at least (a microstep). Gains are per newton of innovation, for the next tick's state.
-    Solves the discrete algebraic Riccati equation of x = (offset, filter states), the offset
-    a random walk.
+    Solves the discrete algebraic Riccati equation of x = (offset, filter states), the offset a
+    random walk.
+
+    Parameters
+    ----------
+    film
+        The film, with its filter and noise.
+    wander_n
+        RMS change of the offset in 1 s, as a force in N.
+    least_noise_n
+        RMS of a reading's least error in N (a microstep).
+    tick_s
+        Tick in s.
+
+    Returns
+    -------
+    tuple
+        Stationary Kalman gains per newton of innovation, for the next tick's offset (as a force)
+        and filter states.
     """
     from scipy.linalg import solve_discrete_are
 
@@ -74,14 +88,37 @@ def observer_gains(
 
 
 class Observer:
-    """Follows the actuator by its commands, and the finger by what the film says.
+    """A Kalman filter of the finger under an actuator that is known by its commands.
 
-    The states of its Kalman filter: offset of the finger in m, its compliance in m/N (which is
-    the contact law's own), and those of the film's filter.
+    Its states: offset of the finger in m, its compliance in m/N (which is the contact law's own),
+    and those of the film's filter.
 
-    twin: the actuator as if commands were obeyed at once; latency_ticks: from a command to the
-    reading that tells of it, the filter's own lag apart.
+    Parameters
+    ----------
+    scene
+        How the finger moves and changes.
+    twin
+        The actuator without latency.
+    law
+        Contact law; its `finger_m_per_n` is learnt.
+    film
+        The film.
+    step_m
+        Microstep in m.
+    tick_s
+        Tick in s.
+    latency_ticks
+        Ticks from a command to the reading that shows it, besides the filter's lag.
+    gains
+        Fixed gains as of `observer_gains`, in place of the filter's own.
+
+    Attributes
+    ----------
+    force_n
+        Estimated force at the last tick's end, in N.
     """
+
+    STATE: ClassVar = ("_twin", "_late", "_low_pass", "_offset_m", "_delayed_tip_m", "force_n")
 
     def __init__(
         self,
@@ -92,23 +129,25 @@ class Observer:
         step_m: float,
         tick_s: float,
         latency_ticks: float = 0.0,
+        gains: tuple[float, list[float]] | None = None,
     ) -> None:
         self._twin = twin
         self._law = law
+        self._gains = gains
         self._late = DelayLine(latency_ticks) if latency_ticks else None
-        self._heard_m = 0.0
+        self._delayed_tip_m = 0.0
         self._low_pass = low_pass = film.low_pass(tick_s)
-        self._softness_m_per_n = softness = law.finger_m_per_n
+        self._scene_m_per_n = compliance = law.finger_m_per_n
         states = 2 + (film.filter_order if low_pass is not None else 0)
         self._a, self._c, self._through = np.eye(states), np.zeros(states), 1.0
         if low_pass is not None:
             self._a[2:, 2:], self._c[2:] = low_pass.a, low_pass.c[0]
             self._through = float(low_pass.d[0, 0])
-        first = [FIRST_OFFSET_M, FIRST_SOFTNESS * softness if scene.softening else 0.0]
+        first = [FIRST_OFFSET_M, FIRST_SOFTNESS * compliance if scene.softening else 0.0]
         self._first = np.array(first) ** 2
         self._spread = np.zeros((states, states))
         self._spread[0, 0], self._spread[1, 1] = self._first
-        self._growth = np.array([scene.wander_m, scene.softening * softness]) ** 2 * tick_s
+        self._growth = np.array([scene.wander_m, scene.softening * compliance]) ** 2 * tick_s
         step_n = step_m * law.stiffness(DESIGN_FORCE_N)
         self._noise = film.noise_with_adc_n**2 + step_n**2 / 12
         self._offset_m = 0.0
@@ -116,7 +155,7 @@ class Observer:
 
     @property
     def screw_m(self) -> float:
-        """Commanded travel of the screw from where the tip touches the finger."""
+        """Commanded travel of the screw in m from where the tip touches the finger."""
         return self._twin.screw_m + self._offset_m
 
     @property
@@ -124,45 +163,49 @@ class Observer:
         """Learnt stiffness of the finger, as a factor of the scene's; None while it is a guess."""
         if self._spread[1, 1] >= (LEARNT * self._first[1] ** 0.5) ** 2:
             return None
-        return self._softness_m_per_n / self._law.finger_m_per_n
+        return self._scene_m_per_n / self._law.finger_m_per_n
 
     def correct(self, reading_n: float) -> None:
-        """Take the film's reading at this tick; one that is no number is passed over."""
-        force_n, low_pass = self._heard_n, self._low_pass
+        """Take the film's reading at this tick in N; one that is no number is ignored."""
+        force_n, low_pass = self._delayed_force_n, self._low_pass
         expected_n = force_n if low_pass is None else low_pass.output(force_n)
         error_n = reading_n - expected_n
         if low_pass is not None:
             low_pass.advance(force_n)
-        if math.isfinite(error_n):
-            self._believe(self._weigh(error_n, force_n))
+        if not math.isfinite(error_n):
+            return
+        if self._gains is None:
+            self._update(self._changes(error_n, force_n))
+        else:
+            offset_gain, filter_gains = self._gains
+            self._update([offset_gain * error_n, 0.0, *(gain * error_n for gain in filter_gains)])
 
     def skip(self) -> None:
-        """A tick without a reading: the film's filter goes on all the same."""
+        """Advance the film's filter over a tick without a reading."""
         if self._low_pass is not None:
-            self._low_pass.advance(self._heard_n)
+            self._low_pass.advance(self._delayed_force_n)
 
     def move(self, rate_hz: float) -> None:
         """Run the twin for one tick at a signed step rate in Hz."""
         tip_m = self._twin.move(rate_hz)
-        self._heard_m = tip_m if self._late is None else self._late.step(tip_m)
+        self._delayed_tip_m = tip_m if self._late is None else self._late.step(tip_m)
         self.force_n = self._law.force(tip_m + self._offset_m)
 
-    def shift(self, way_m: float) -> None:
-        """The actuator has gone so much further than the last command says."""
-        self._twin.shift(way_m)
+    def shift(self, travel_m: float) -> None:
+        """Add a travel of the screw in m that the last command did not include."""
+        self._twin.shift(travel_m)
         if self._late is not None:
-            self._late.shift(way_m)
+            self._late.shift(travel_m)
 
     @property
-    def _heard_n(self) -> float:
-        """The force that the film should tell of now: the tip's of then, the finger's of now."""
+    def _delayed_force_n(self) -> float:
+        """The force that the film should read now: of the delayed tip, on the present finger."""
         if self._late is None:
             return self.force_n
-        return self._law.force(self._heard_m + self._offset_m)
+        return self._law.force(self._delayed_tip_m + self._offset_m)
 
-    def _weigh(self, error_n: float, force_n: float) -> list[float]:
-        """One step of the Kalman filter: what the reading's error says of each state, round the
-        force that it should have been."""
+    def _changes(self, error_n: float, force_n: float) -> list[float]:
+        """Return one Kalman step's changes of the states, linear round the expected force."""
         a, c, spread = self._a, self._c, self._spread
         force_n = max(force_n, LEAST_FORCE_N)
         stiffness = self._law.stiffness(force_n)
@@ -172,9 +215,9 @@ class Observer:
         if self._low_pass is not None:
             into = self._low_pass.b[:, 0]
             a[2:, 0], a[2:, 1] = into * slopes[0], into * slopes[1]
-        heard = spread @ c
-        variance = float(c @ heard) + self._noise
-        spread = a @ (spread - np.outer(heard, heard) / variance) @ a.T
+        covariance = spread @ c
+        variance = float(c @ covariance) + self._noise
+        spread = a @ (spread - np.outer(covariance, covariance) / variance) @ a.T
         self._spread = spread = (spread + spread.T) / 2
         # Unobserved, the spread grows, but never beyond what it was at first.
         for state in (0, 1):
@@ -182,16 +225,16 @@ class Observer:
                 spread[state, state] += self._growth[state]
         bound_n = OUTLIER * math.sqrt(variance)
         error_n = min(max(error_n, -bound_n), bound_n)
-        shares: list[float] = (a @ heard * (error_n / variance)).tolist()
-        return shares
+        changes: list[float] = (a @ covariance * (error_n / variance)).tolist()
+        return changes
 
-    def _believe(self, changes: list[float]) -> None:
-        """Take over what the filter says of offset, compliance and the film's filter."""
+    def _update(self, changes: list[float]) -> None:
+        """Add changes to offset, compliance and the film's filter, within their bounds."""
         offset_m = self._offset_m + changes[0]
         self._offset_m = min(max(offset_m, -MAX_OFFSET_M), MAX_OFFSET_M)
-        law, softness = self._law, self._softness_m_per_n
+        law, nominal = self._law, self._scene_m_per_n
         least, most = SOFTNESS_RANGE
         learnt = law.finger_m_per_n + changes[1]
-        law.finger_m_per_n = min(max(learnt, least * softness), most * softness)
+        law.finger_m_per_n = min(max(learnt, least * nominal), most * nominal)
         if self._low_pass is not None:
-            self._low_pass.correct(changes[2:], 1.0)
+            self._low_pass.correct(changes[2:])

@@ -1,19 +1,32 @@
-"""PID: filtered derivative, anti-windup, and stable at any tick.
+"""PID with a filtered derivative and anti-windup, stable at any tick.
 
-Backward Euler throughout, solved together with the actuator's own next step: the error it acts
-on is the one at the tick's end, which the actuator's model gives as a straight line in the
-output. The paper's gains, which diverge at 1 kHz with a backward-difference derivative, are
-stable so at every rate.
+Backward Euler throughout, solved together with the actuator's own next step: the law acts on the
+error at the tick's end, which the actuator's model gives as a straight line in the output. So the
+paper's gains, which diverge at 1 kHz with a backward-difference derivative, are stable at every
+rate (decision 7).
 """
 
 import math
 
 
 class Pid:
-    """PID with the derivative's low-pass at `derivative_filter_hz`; output within ±limit.
+    """PID whose output is within ±limit.
 
-    dead_band: an error within ±this counts as none. The integral stands still while the output
-    is at its bound and the error would push it further (anti-windup by conditional integration).
+    The integral is held while the output is at its bound and the error would push it further
+    (anti-windup by conditional integration).
+
+    Parameters
+    ----------
+    kp, ki, kd
+        Gains: output for each unit of the error, of its integral over s, of its slope per s.
+    derivative_filter_hz
+        Corner of the derivative's low-pass in Hz.
+    tick_s
+        Tick in s.
+    limit
+        Greatest magnitude of the output.
+    dead_band
+        An error within ±this counts as none.
     """
 
     def __init__(
@@ -36,6 +49,9 @@ class Pid:
         self._integral = 0.0
         self._derivative = 0.0
         self._last_error: float | None = None
+        # What nothing feeds is no state: it would be a pole at 1.
+        derivative = ("_derivative", "_last_error") if kd else ()
+        self.STATE: tuple[str, ...] = (*derivative, "_integral") if ki else derivative
 
     def step(
         self,
@@ -45,12 +61,19 @@ class Pid:
         least: float = -math.inf,
         most: float = math.inf,
     ) -> float:
-        """One tick: the output, held until its end.
+        """Return the output to hold for a tick.
 
-        error: what it will be at the tick's end if the output is 0; response: how much of it
-        an output of 1 takes away by then (0: not known, the law is then explicit); feed: added
-        to the output before the bound; least, most: bounds for this tick, besides the limit. An
-        error that is no finite number gives −limit: retract.
+        Parameters
+        ----------
+        error
+            Error at the tick's end if the output is 0. No finite number gives −limit: retract.
+        response
+            Part of the error that an output of 1 takes away by then; 0 where it is not known,
+            which makes the law explicit.
+        feed
+            Feed-forward, added to the output before the bounds.
+        least, most
+            Bounds of this tick's output, besides the limit.
         """
         if not math.isfinite(error):
             return -self._limit

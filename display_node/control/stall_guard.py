@@ -54,7 +54,7 @@ class StallGuard:
         self.held_s = self._tick_s * self._squares / self._holds
 
     @property
-    def wary(self) -> bool:
+    def limiting(self) -> bool:
         """True while the host has stalled lately."""
         return self._longest_s >= 2 * self._tick_s
 

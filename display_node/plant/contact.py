@@ -1,14 +1,27 @@
-"""The contact between tip, rubber and fingertip: force for a position, and back."""
+"""Contact between tip, rubber and fingertip: force for a position, and back."""
 
 import math
 
 
 class ContactLaw:
-    """A spherical tip on a rubber layer (Hertz) in series with a springy fingertip.
+    """A spherical tip on a rubber layer (Hertz) in series with an elastic fingertip.
 
-    x = (F/C)^(2/3) + F/k with C = (4/3) E* √R. fingertip_n_per_m may be infinite: a rigid stop.
-    Positions are in m from first touch, positive into the finger; forces in N, never pulling.
-    finger_m_per_n: 1/k, which an observer may learn.
+    x = (F/C)^(2/3) + F/k with C = (4/3) E* √R. Positions are in m from first touch, positive into
+    the finger; forces are in N and never pull.
+
+    Parameters
+    ----------
+    tip_radius_m
+        R in m.
+    reduced_modulus_pa
+        E* = E / (1 − ν²) of the rubber, in Pa.
+    fingertip_n_per_m
+        k in N/m; infinite for a rigid stop.
+
+    Attributes
+    ----------
+    finger_m_per_n
+        Compliance 1/k, which an observer may learn.
     """
 
     def __init__(
@@ -19,20 +32,20 @@ class ContactLaw:
         self.finger_m_per_n = 1 / fingertip_n_per_m
 
     def position(self, force_n: float) -> float:
-        """Tip position in m that presses with `force_n`; 0 for no force."""
+        """Return the tip position in m for a force; 0 for none."""
         if force_n <= 0:
             return 0.0
         root = math.cbrt(force_n)
         return self._rubber * root * root + force_n * self.finger_m_per_n
 
     def stiffness(self, force_n: float) -> float:
-        """dF/dx in N/m where the tip presses with `force_n`; 0 where it does not touch."""
+        """Return dF/dx in N/m at a force; 0 without contact."""
         if force_n <= 0:
             return 0.0
         return 1 / (2 / 3 * self._rubber / math.cbrt(force_n) + self.finger_m_per_n)
 
     def force(self, position_m: float) -> float:
-        """Force in N at a tip position; 0 where the tip does not touch."""
+        """Return the force in N at a tip position; 0 without contact."""
         if position_m <= 0:
             return 0.0
         rubber, finger = self._rubber, self.finger_m_per_n
@@ -49,3 +62,23 @@ class ContactLaw:
                 if step <= 1e-13 * u:
                     break
         return u * u * u
+
+
+class LinearContact(ContactLaw):
+    """A contact of one stiffness in N/m that also pulls, for a loop's linear model."""
+
+    def __init__(self, stiffness_n_per_m: float) -> None:
+        self._stiffness_n_per_m = stiffness_n_per_m
+        self.finger_m_per_n = 0.0
+
+    def position(self, force_n: float) -> float:
+        """Return the tip position in m for a force."""
+        return force_n / self._stiffness_n_per_m
+
+    def stiffness(self, force_n: float) -> float:
+        """Return dF/dx in N/m."""
+        return self._stiffness_n_per_m
+
+    def force(self, position_m: float) -> float:
+        """Return the force in N at a tip position."""
+        return position_m * self._stiffness_n_per_m

@@ -1,11 +1,11 @@
-"""The feedback film under the finger: what it makes of the felt force, and how it is read.
+"""Model of the feedback film under the finger, from the felt force to a reading.
 
 Force → volts → noise → low-pass → ADC → newtons. Each part is there when the scene names it.
 """
 
 import math
 from collections.abc import Iterator
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -25,8 +25,8 @@ class FilmTable(Section):
 
     sensitivity: of the film with its amplifier, as Fig. 4's 44 mV/N; without, eq 21 gives it
     from the radius. filter: corner of the low-pass of `filter_order` poles behind the film.
-    noise: RMS, before the filter. adc_bits: resolution over ±adc_range. latency: how old a
-    reading is when it is read.
+    noise: RMS, before the filter. adc_bits: resolution over ±adc_range. latency: age of a
+    reading when it is read.
     """
 
     radius_m: Annotated[Metres, Field(gt=0)] = 9e-3
@@ -52,23 +52,28 @@ class FilmTable(Section):
 
     @property
     def noise_with_adc_n(self) -> float:
-        """RMS of what a reading is off by: noise and the ADC's rounding."""
+        """RMS error of a reading in N: noise and the ADC's rounding."""
         if self.adc_bits is None:
             return self.noise_n
         step_n = Adc(self.adc_bits, self.adc_range_v).step_volts / self.volts_per_newton
         return math.hypot(self.noise_n, step_n / math.sqrt(12))
 
     def low_pass(self, tick_s: float) -> LowPass | None:
-        """A filter like the one behind the film; None when there is none."""
+        """Return a filter like the one behind the film; None where there is none."""
         return LowPass(self.filter_hz, self.filter_order, tick_s) if self.filter_hz else None
 
 
 class FeedbackFilm:
-    """Reads the felt force as a film does. The same seed gives the same noise.
+    """A film that reads the felt force. The same seed gives the same noise.
 
-    at_range: how often and for how many ticks the ADC's range has bounded the reading; None
-    without an ADC.
+    Attributes
+    ----------
+    at_range
+        How often and for how many ticks the ADC's range has bounded the reading; None without
+        an ADC.
     """
+
+    STATE: ClassVar = ("_late", "_low_pass")
 
     def __init__(self, table: FilmTable, tick_s: float, seed: int = 1) -> None:
         self._low_pass = table.low_pass(tick_s)
@@ -79,9 +84,9 @@ class FeedbackFilm:
         self.at_range = None if self._adc is None else LimitCounter()
 
     def read(self, force_n: float) -> float:
-        """This tick's reading in N, when the finger feels `force_n`. Call it once a tick.
+        """Return this tick's reading in N for the felt force in N. Call it once a tick.
 
-        A force that is no number is handed through, for safety to see.
+        A force that is no number is returned unchanged, so that safety detects it.
         """
         if not math.isfinite(force_n):
             return force_n

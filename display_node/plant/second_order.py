@@ -3,7 +3,7 @@
 Integrated by the exact zero-order hold, a matrix exponential computed once.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -26,10 +26,15 @@ class SecondOrderScene(Section):
 
 
 class SecondOrder:
-    """Steps eq 22 from tick to tick under a held voltage.
+    """Eq 22 from tick to tick, under a voltage that is held for each.
 
-    matrix, shape (2, 3): force and its rate after a tick, from those before it and the voltage.
+    Attributes
+    ----------
+    force_n
+        Force in N at the last tick's end.
     """
+
+    STATE: ClassVar = ("force_n", "_rate")
 
     def __init__(self, scene: SecondOrderScene, tick_s: float) -> None:
         from scipy.linalg import expm
@@ -37,8 +42,7 @@ class SecondOrder:
         m, c, k = scene.m, scene.c, scene.k
         system = np.array([[0, 1, 0], [-k / m, -c / m, 1 / m], [0, 0, 0]])
         held = expm(system * tick_s)
-        self.matrix = held[:2]
-        rows: list[list[float]] = self.matrix.tolist()
+        rows: list[list[float]] = held[:2].tolist()
         (self._a11, self._a12, self._b1), (self._a21, self._a22, self._b2) = rows
         self._rate = 0.0
         self.force_n = 0.0
@@ -48,12 +52,16 @@ class SecondOrder:
         """Force in N at a tick's end for each volt held during it."""
         return self._b1
 
+    def place(self, force_n: float) -> None:
+        """Start from a force in N whose rate is 0."""
+        self.force_n, self._rate = force_n, 0.0
+
     def drift(self) -> float:
-        """By how much the force changes in the next tick under no voltage, in N."""
+        """Return the force's change in N in the next tick under no voltage."""
         return (self._a11 - 1) * self.force_n + self._a12 * self._rate
 
     def step(self, volts: float) -> float:
-        """Hold `volts` for one tick; the force in N at its end."""
+        """Hold a voltage in V for one tick and return the force in N at its end."""
         force_n, rate = self.force_n, self._rate
         self.force_n = self._a11 * force_n + self._a12 * rate + self._b1 * volts
         self._rate = self._a21 * force_n + self._a22 * rate + self._b2 * volts

@@ -1,15 +1,12 @@
 """A physical stepper: microsteps on a lead screw, pressing through rubber on a fingertip.
 
-Defaults: the paper's Tables 2A and 2B (1.8° motor, 0.1 m stroke, 0.4 m/s, 100 N). The rotor's
-resonance and the screw's backlash are modelled when the scene names them.
-
-Step rate (the paper's VCO) and direction logic: a control output becomes steps.
-
-Between the commanded microstep and the tip: the rotor's own resonance, and play.
+From the controller's output to the tip: step rate (the paper's VCO) and direction logic, screw,
+rotor, backlash. Defaults: the paper's Tables 2A and 2B (1.8° motor, 0.1 m stroke, 0.4 m/s, 100 N).
 """
 
 import math
-from typing import Annotated, Literal
+from collections.abc import Callable
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
@@ -33,12 +30,25 @@ from protocol.tactile import ElasticLayer
 class Rotor:
     """A stepper's rotor, held to the commanded position by a springy magnetic field.
 
-    Second order: resonance in Hz, damping ratio ζ. Exact for a position commanded straight
-    from tick to tick. Not modelled: the spring's softening near a lost step.
+    Second order. Exact for a position commanded straight from tick to tick. Not modelled: the
+    spring's softening near a lost step.
 
-    matrix, shape (2, 4): position and speed after a tick, from those before it, the command's
-    beginning and its travel.
+    Parameters
+    ----------
+    resonance_hz
+        Resonance in Hz.
+    damping
+        Damping ratio ζ.
+    tick_s
+        Tick in s.
+
+    Attributes
+    ----------
+    position_m
+        Position in screw travel at the last tick's end.
     """
+
+    STATE: ClassVar = ("position_m", "_speed_m_per_s")
 
     def __init__(self, resonance_hz: float, damping: float, tick_s: float) -> None:
         import numpy as np
@@ -52,12 +62,11 @@ class Rotor:
         # The command's slope is its travel over the tick.
         moved[:, 3] /= tick_s
         self._position, self._speed = moved[0].tolist(), moved[1].tolist()
-        self.matrix = moved[:2]
         self.position_m = 0.0
         self._speed_m_per_s = 0.0
 
     def step(self, from_m: float, to_m: float) -> float:
-        """The rotor's position in screw travel after a tick that commands from_m to to_m."""
+        """Return the rotor's position after a tick that commands from_m to to_m."""
         x, v, travel = self.position_m, self._speed_m_per_s, to_m - from_m
         a, b, c, d = self._position
         self.position_m = a * x + b * v + c * from_m + d * travel
@@ -67,7 +76,7 @@ class Rotor:
 
 
 class Backlash:
-    """Backlash: what it drives stays where it is until one flank of the gap meets it.
+    """A gap of width_m in m: the driven side moves only when one flank of the gap meets it.
 
     The worst case, in which nothing presses the nut to one flank of the thread.
     """
@@ -77,7 +86,7 @@ class Backlash:
         self._driven_m = 0.0
 
     def step(self, driving_m: float) -> float:
-        """Where the driven side is when the driving side has come to driving_m."""
+        """Return the driven side's position for the driving side's."""
         half_m = self._half_m
         if driving_m > self._driven_m + half_m:
             self._driven_m = driving_m - half_m
@@ -112,8 +121,8 @@ class StepRate:
 class StepperScene(Section):
     """The `actuator` table of kind "stepper".
 
-    rotor_resonance and its damping ratio ζ: without, the rotor is where the microstep says;
-    backlash: the screw's play; latency: from a command to its motion.
+    rotor_resonance and its damping ratio ζ: without them the rotor is at the commanded microstep.
+    backlash: of the screw. latency: from a command to its motion.
     """
 
     kind: Literal["stepper"]
@@ -141,41 +150,77 @@ class StepperScene(Section):
         return StepRate(1 / self.step_m, self.max_speed_m_per_s / self.step_m)
 
     def ticks_to_reading(self, film_latency_ns: int, tick_s: float) -> float:
-        """Ticks from a command to the reading that tells of it, by a film that is so late."""
+        """Return the ticks from a command to the reading that shows it, for a film's latency."""
         return (self.latency_ns + film_latency_ns) * 1e-9 / tick_s
 
     def contact(self, layer: ElasticLayer) -> ContactLaw:
-        """The contact law of this tip on the local layer; the tip itself is rigid."""
+        """Return the contact law of this tip on the local layer; the tip itself is rigid."""
         reduced_pa = layer.young_modulus_pa / (1 - layer.poisson_ratio**2)
         return ContactLaw(self.tip_radius_m, reduced_pa, self.fingertip_n_per_m)
 
 
 class Stepper:
-    """Counts microsteps and says how hard the tip presses; at rest not above force_limit_n.
+    """A stepper that counts microsteps and presses with its tip.
 
-    A soft stop holds the screw there. A rotor that rings swings past it, and backlash may keep
-    the tip where it swung to: safety's fault on the felt force is the bound of that. Not
-    modelled here: lost steps below the thrust limit, the screw's own springiness. at_end: how
-    often and for how many ticks the soft stop has held the screw.
+    A soft stop holds the screw where the tip would press with the force limit. A rotor that rings
+    swings past it, and backlash may keep the tip where it swung to: safety's fault on the felt
+    force is the bound of that. Not modelled: lost steps below the thrust limit, the screw's own
+    springiness.
+
+    Parameters
+    ----------
+    scene
+        The actuator.
+    law
+        Contact of its tip.
+    force_limit_n
+        Force in N at the soft stop.
+    tick_s
+        Tick in s.
+    linear
+        Leave out microsteps, soft stop and backlash, for a loop's linear model.
+
+    Attributes
+    ----------
+    tip_m
+        Tip position in m from first touch, positive into the finger.
+    force_n
+        Force in N at the last tick's end.
+    at_end
+        How often and for how many ticks the soft stop has held the screw.
     """
 
+    STATE: ClassVar = ("_phase", "_late", "_rotor", "tip_m")
+
     def __init__(
-        self, scene: StepperScene, law: ContactLaw, force_limit_n: float, tick_s: float
+        self,
+        scene: StepperScene,
+        law: ContactLaw,
+        force_limit_n: float,
+        tick_s: float,
+        linear: bool = False,
     ) -> None:
         self._law = law
         self._step_m = scene.step_m
         self._tick_s = tick_s
         self._max_rate_hz = scene.max_speed_m_per_s / scene.step_m
         self._max_change_hz = scene.max_acceleration_m_per_s2 / scene.step_m * tick_s
-        # A soft stop where the tip would press with the limit, whatever is commanded. The play
-        # is on top of it, and below the home position, or it could not be taken up there.
-        furthest_m = min(scene.stroke_m, law.position(min(scene.thrust_n, force_limit_n)))
-        self._first_step = -math.ceil(scene.backlash_m / scene.step_m)
-        self._last_step = math.floor((furthest_m + scene.backlash_m / 2) / scene.step_m)
+        self._whole: Callable[[float], float] = round
+        self._play: Backlash | None = None
+        self._first_step, self._last_step = -math.inf, math.inf
+        if linear:
+            self._whole = float
+            self._max_rate_hz = self._max_change_hz = math.inf
+        else:
+            # The backlash is on top of the soft stop, and below the home position, or it could
+            # not be taken up there.
+            furthest_m = min(scene.stroke_m, law.position(min(scene.thrust_n, force_limit_n)))
+            self._first_step = -math.ceil(scene.backlash_m / scene.step_m)
+            self._last_step = math.floor((furthest_m + scene.backlash_m / 2) / scene.step_m)
+            self._play = Backlash(scene.backlash_m) if scene.backlash_m else None
         self._rotor: Rotor | None = None
         if scene.rotor_resonance_hz is not None:
             self._rotor = Rotor(scene.rotor_resonance_hz, scene.rotor_damping, tick_s)
-        self._play = Backlash(scene.backlash_m) if scene.backlash_m else None
         self._late = DelayLine(scene.latency_ns * 1e-9 / tick_s) if scene.latency_ns else None
         # On whole microsteps the tip comes to the same places again and again.
         self._forces_n: dict[float, float] = {}
@@ -187,7 +232,7 @@ class Stepper:
 
     @property
     def screw_m(self) -> float:
-        """Commanded travel from first touch, between microsteps too."""
+        """Commanded travel in m from first touch, between microsteps too."""
         return self._phase * self._step_m
 
     def step(self, rate_hz: float) -> float:
@@ -217,14 +262,21 @@ class Stepper:
             phase = float(min(max(phase, self._first_step), self._last_step))
             rate_hz = 0.0
         self._phase, self._rate_hz = phase, rate_hz
-        position_m = round(phase) * self._step_m
+        whole = self._whole
+        position_m = whole(phase) * self._step_m
         if self._rotor is not None:
-            position_m = self._rotor.step(round(before) * self._step_m, position_m)
+            position_m = self._rotor.step(whole(before) * self._step_m, position_m)
         if self._play is not None:
             position_m = self._play.step(position_m)
         self.tip_m = position_m
         return position_m
 
-    def shift(self, way_m: float) -> None:
-        """The screw has gone so much further than the last command says."""
-        self._phase += way_m / self._step_m
+    def place(self, position_m: float) -> None:
+        """Put screw, rotor and tip at rest at a position, in m from first touch."""
+        self._phase, self.tip_m = position_m / self._step_m, position_m
+        if self._rotor is not None:
+            self._rotor.position_m = position_m
+
+    def shift(self, travel_m: float) -> None:
+        """Add a travel of the screw in m that the last command did not include."""
+        self._phase += travel_m / self._step_m

@@ -3,23 +3,18 @@ import math
 import pytest
 
 from display_node.control.controller import ControllerScene, StepperController
-from display_node.control.feed_forward import ScrewPath
 from display_node.plant.contact import ContactLaw
+from display_node.plant.film import FilmTable
 from display_node.plant.stepper import StepperScene
-from protocol.tactile import Film
 
 TICK_S = 1e-3
-FILM = Film(9e-3)
 LAW = ContactLaw(5e-3, 0.05e9 / 0.75, 1e3)
-STEPPER = StepperScene.model_validate({"kind": "stepper"})
-ENDLESS = 1e15
+STEPPER = StepperScene.model_validate({"kind": "stepper", "max_speed": "1e15 m/s"})
 
 
 def controller(**table: object) -> StepperController:
     scene = ControllerScene.model_validate({"kp": 0} | table)
-    path = ScrewPath(STEPPER, LAW, TICK_S) if scene.feed_forward else None
-    pid = scene.pid(TICK_S, ENDLESS)
-    return StepperController(scene, pid, LAW, 1e3 * FILM.volts_per_newton, path, None, TICK_S)
+    return StepperController(scene, STEPPER, LAW, FilmTable(), 2.5, TICK_S)
 
 
 MILLIVOLTS_PER_NEWTON = 1e3 * 0.3 / (2 * math.pi * 9e-3)

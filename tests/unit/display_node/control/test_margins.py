@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from display_node.control.linear_loop import Law, LinearLoop, LinearPlant
+from display_node.control.linear_loop import LinearLoop
 from display_node.control.margins import FORCE_SHARES, felt_noise, margins, refuse_unstable
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
@@ -32,13 +32,8 @@ def looped(z_domain: control.TransferFunction) -> LinearLoop:
     """A textbook loop: negative feedback of 1 round a transfer function of z."""
     system = control.ss(z_domain)
     a, b, c = system.A, system.B[:, 0], system.C[0]
-    plant = LinearPlant(
-        displaced=np.zeros(len(a)),
-        read=lambda state: float(c @ state),
-        tip=lambda state: float(c @ state),
-        move=lambda state, push: a @ state + b * push,
-    )
-    return LinearLoop(plant, Law(0, lambda state, reading: (-reading, state)), TICK_S)
+    nothing = np.zeros(len(a))
+    return LinearLoop(TICK_S, a, b, -c, nothing, -1.0, c, displaced=nothing)
 
 
 def tf(num: list[float], den: list[float]) -> control.TransferFunction:
@@ -127,17 +122,16 @@ def test_the_shipped_loop_becomes_unstable_where_its_gain_margin_says(case: Case
 @every_case
 def test_it_becomes_unstable_where_its_delay_margin_says(case: Case) -> None:
     loop = case.linear()
-    a, b, c = loop.cut()
     ticks = margins(loop).delay_s / TICK_S
 
     def pole_radius(delay: int) -> float:
-        n = len(a)
+        n = len(loop.a)
         late = np.zeros((n + delay, n + delay))
-        late[:n, :n], late[:n, -1:], late[n, :n] = a, b, c
+        late[:n, :n], late[:n, -1], late[n, :n] = loop.a, loop.b, loop.c
         late[n + 1 :, n:-1] = np.eye(delay - 1)
         poles = np.linalg.eigvals(late)
         # Without what an observer counts by itself, which is at 1.
-        poles = poles[np.argsort(np.abs(poles - 1))][loop.law.counts :]
+        poles = poles[np.argsort(np.abs(poles - 1))][loop.counts :]
         return float(np.abs(poles).max())
 
     assert pole_radius(math.floor(ticks)) < 1 < pole_radius(math.ceil(ticks))
@@ -149,19 +143,14 @@ def test_felt_noise_is_what_a_long_run_of_noise_makes(
     name: str, wander: float, noise: float
 ) -> None:
     loop = CASES[name].linear()
-    ticks, plant = 50_000, loop.plant
-    columns = np.eye(loop.states)
-    closed = np.array([loop.step(column, 0.0)[:-1] for column in columns]).T
-    heard = loop.step(np.zeros(loop.states), 0.0, noise=1.0)[:-1]
-    moved = np.concatenate([plant.displaced, np.zeros(loop.law.states)])
-    tip = np.array([plant.tip(column[: plant.states]) for column in columns])
+    ticks, closed = 50_000, loop.closed
     rng = np.random.default_rng(7)
     readings_off = noise * rng.standard_normal(ticks)
     finger_moves = wander * math.sqrt(TICK_S) * rng.standard_normal(ticks)
-    state, squares = np.zeros(loop.states), 0.0
+    state, squares = np.zeros(len(closed)), 0.0
     for off, way in zip(readings_off.tolist(), finger_moves.tolist(), strict=True):
-        state = closed @ state + off * heard + way * moved
-        squares += float(tip @ state) ** 2
+        state = closed @ state + off * loop.closed_noise + way * loop.displaced
+        squares += float(loop.tip @ state) ** 2
     assert felt_noise(loop, wander, noise) == pytest.approx(math.sqrt(squares / ticks), rel=0.05)
 
 

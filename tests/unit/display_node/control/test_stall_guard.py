@@ -52,7 +52,7 @@ def test_a_speed_held_for_as_long_as_a_stall_of_late_stays_below_the_headroom(
         guard.tick(0, peak_n)
     screw_m = law.position(share * peak_n)
     remembered_s = (ticks + 1) * TICK_S * math.exp(-later_ticks * TICK_S / WORST_S)
-    assert guard.wary == (remembered_s >= 2 * TICK_S)
+    assert guard.limiting == (remembered_s >= 2 * TICK_S)
     reached_n = law.force(screw_m + guard.fastest(screw_m) * remembered_s)
     assert reached_n == pytest.approx(HEADROOM * peak_n, rel=1e-6)
 
