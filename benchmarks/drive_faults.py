@@ -138,7 +138,7 @@ def answer(how: str) -> Callable[[Bench], None]:
     """The module's replies are of this kind from now on."""
 
     def happens(bench: Bench) -> None:
-        bench.emulator.answers = how
+        bench.emulator.answer_mode = how
 
     return happens
 

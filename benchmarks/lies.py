@@ -174,7 +174,7 @@ def lied(
         wanted: dict[int, float] = {}
         bench.on_tick = lambda now_ns, target_n: wanted.setdefault(now_ns // MS, target_n)
         if case is not None and case.from_start:
-            bench.motor.lies.begin(case.lie, bench.world.now_ns)
+            bench.motor.injector.begin(case.lie, bench.world.now_ns)
             began_ns = bench.world.now_ns
             try:
                 bench.start()
@@ -188,7 +188,7 @@ def lied(
             assert not bench.faults, bench.faults
             began_ns = bench.world.now_ns
             if case is not None:
-                bench.motor.lies.begin(case.lie, began_ns)
+                bench.motor.injector.begin(case.lie, began_ns)
         _run_on(bench, felt)
         outcome = _outcome(felt, wanted, began_ns, bench.fault_ns, "; ".join(bench.faults))
         summary = bench.display.summary()

@@ -139,7 +139,7 @@ class ModulePort:
 
     def poll(self) -> None:
         """Send the replies that are due."""
-        for reply in self._module.lies.due(self._world.now_ns):
+        for reply in self._module.injector.due_answers(self._world.now_ns):
             self._world.at(
                 self._world.now_ns + LINE_NS, lambda data=reply: self._replies.write(data)
             )
@@ -151,7 +151,7 @@ class ModulePort:
         for request in self._datagrams.feed(data, now_ns):
             reply = self._module.reply(request, now_ns)
             if reply:
-                self._module.lies.answer(reply, now_ns)
+                self._module.injector.queue_answer(reply, now_ns)
         self.poll()
 
 
@@ -270,7 +270,7 @@ class Wrist:
 class VirtualBench:
     """A bench on which a pulse is felt, from `started` on.
 
-    Between two runs change what happens: `sending`, `film.silent`, `motor.lies`, `world.stall`.
+    Between two runs change what happens: `sending`, `film.silent`, `motor.injector`, `world.stall`.
 
     scene: with a drive. force_n: the pulse, by ms. with_film: the scene's film is read; without,
     the drive's position stands for it. watch: is given every millisecond of the motor. on_tick: is

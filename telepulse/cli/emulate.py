@@ -68,7 +68,7 @@ def sensor(
 
     console = plain_console()
     stopped = threading.Event()
-    habits = BoardBehaviour(
+    behaviour = BoardBehaviour(
         frame=frame if framing == "binary" else 1,
         skew=skew_ppm * 1e-6,
         begins_us=seed * 1_000_003,
@@ -79,7 +79,7 @@ def sensor(
     with one_line_errors(PROGRAM):
         path = find_scene(scene)
         section = load_section(path, "sensing", SensingScene)
-        board = build_board(section, path.parent, framing, samples, habits)
+        board = build_board(section, path.parent, framing, samples, behaviour)
         port = PtyPort(link)
     stop_on_signals(stopped.set)
     with closing(port):

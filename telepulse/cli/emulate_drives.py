@@ -20,21 +20,22 @@ from telepulse.emulators.drive_run import FILM_SILENT, MOTOR_FAULTS, DriveRun
 from telepulse.emulators.fault_injection import FaultKind, InjectedFault, parse_fault
 from telepulse.emulators.motor import EmulatedMotor
 from telepulse.emulators.pty_port import PtyPort
-from telepulse.emulators.tmcl import AnswerMode, EmulatedTmclModule
 from telepulse.scene import find_scene
 
 if TYPE_CHECKING:
     import can
 
+    from telepulse.emulators.tmcl import AnswerMode
+
 POLL_S = 0.001
 SceneT = TypeVar("SceneT", bound=DriveScene)
 
 MOTOR_AND_FILM = (*MOTOR_FAULTS, FILM_SILENT)
-LIES = tuple(kind.value for kind in FaultKind)
+UNREPORTED = tuple(kind.value for kind in FaultKind)
 TMCL_FAULTS = (*MOTOR_AND_FILM, "silent", "late", "wrong", "garbled", "unplugged")
 CIA402_FAULTS = (*MOTOR_AND_FILM, "silent", "unplugged")
 
-_ANSWERS: dict[str, AnswerMode] = {
+_ANSWERS: dict[str, "AnswerMode"] = {
     "silent": "none",
     "late": "late",
     "wrong": "wrong",
@@ -66,8 +67,8 @@ def _fault_option(names: tuple[str, ...]) -> Any:
     return typer.Option(
         "--fault",
         metavar="NAME",
-        help=f"What goes wrong, at --fault-after: {', '.join(names)}; or a lie, which the drive"
-        f" does not report: {', '.join(LIES)}.",
+        help=f"Fault that begins at --fault-after: {', '.join(names)}; or one that the drive does"
+        f" not report: {', '.join(UNREPORTED)}.",
     )
 
 
@@ -75,27 +76,30 @@ SizeOption = Annotated[
     str | None,
     typer.Option(
         "--size",
-        help="Size of a lie that has one, with its unit: --fault delayed --size '45 ms',"
+        help="Size of a fault that has one, with its unit: --fault delayed --size '45 ms',"
         " --fault gain --size 0.3.",
     ),
 ]
 AfterOption = Annotated[
     float,
     typer.Option(
-        "--fault-after", min=0, metavar="SECONDS", help="When, from the first press on the finger."
+        "--fault-after",
+        min=0,
+        metavar="SECONDS",
+        help="Begin of the fault, from the first press on the finger.",
     ),
 ]
 FromStartOption = Annotated[
     bool,
     typer.Option(
-        "--fault-from-start", help="The fault is there from the start, in place of --fault-after."
+        "--fault-from-start", help="Begin the fault at the start, in place of --fault-after."
     ),
 ]
 TraceOption = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="Write a CSV line every ms: place, speed, force under the finger, what is wrong.",
+        help="Write a CSV line every ms: place, speed, force under the finger, fault.",
     ),
 ]
 
@@ -117,10 +121,10 @@ def tmcl(
     the module's heartbeat, its limits and its faults.
     """
     # python-can brings its import time; other commands do without.
-    from telepulse.emulators.tmcl import EmulatedCanLine, EmulatedSerialLine
+    from telepulse.emulators.tmcl import EmulatedCanLine, EmulatedSerialLine, EmulatedTmclModule
 
     with one_line_errors(PROGRAM), ExitStack() as open_things:
-        lie = _lie(fault, size, TMCL_FAULTS)
+        injected = _injected_fault(fault, size, TMCL_FAULTS)
         drive, motor = _load(scene, TmclScene)
         module = EmulatedTmclModule(drive, motor)
         line: EmulatedSerialLine | EmulatedCanLine
@@ -134,10 +138,10 @@ def tmcl(
         cable.callback(line.close)
         serve: Callable[[float], None] = line.serve
 
-        def break_down(trouble: str) -> None:
+        def begin_fault(name: str) -> None:
             nonlocal serve
-            if trouble in _ANSWERS:
-                module.answers = _ANSWERS[trouble]
+            if name in _ANSWERS:
+                module.answer_mode = _ANSWERS[name]
             else:
                 serve = time.sleep
                 cable.close()
@@ -149,7 +153,7 @@ def tmcl(
         run = DriveRun(motor, film_link, trace, open_things)
         _say(f"TMCL module on {place}", film_link)
         after_s = None if fault_from_start else fault_after
-        run.run(poll, break_down, fault, lie, after_s, seconds)
+        run.run(poll, begin_fault, fault, injected, after_s, seconds)
 
 
 def cia402(
@@ -175,7 +179,7 @@ def cia402(
     from telepulse.emulators.cia402 import EmulatedCia402Node
 
     with one_line_errors(PROGRAM), ExitStack() as open_things:
-        lie = _lie(fault, size, CIA402_FAULTS)
+        injected = _injected_fault(fault, size, CIA402_FAULTS)
         drive, motor = _load(scene, Cia402Scene)
         changes = {"interface": interface, "channel": channel or (str(link) if link else None)}
         drive = drive.model_copy(update={key: to for key, to in changes.items() if to})
@@ -183,9 +187,9 @@ def cia402(
         cable = open_things.enter_context(ExitStack())
         cable.callback(node.close)
 
-        def break_down(trouble: str) -> None:
+        def begin_fault(name: str) -> None:
             node.silent = True
-            if trouble == "unplugged":
+            if name == "unplugged":
                 cable.close()
 
         def poll() -> None:
@@ -195,22 +199,24 @@ def cia402(
         run = DriveRun(motor, film_link, trace, open_things)
         _say(f"CiA 402 node {drive.node} on CAN {drive.interface} {drive.channel}", film_link)
         after_s = None if fault_from_start else fault_after
-        run.run(poll, break_down, fault, lie, after_s, seconds)
+        run.run(poll, begin_fault, fault, injected, after_s, seconds)
 
 
-def _lie(fault: str | None, size: str | None, names: tuple[str, ...]) -> InjectedFault | None:
-    """The lie that a fault's name stands for; None for any other fault. Raises SceneError."""
-    if fault in LIES:
+def _injected_fault(
+    fault: str | None, size: str | None, names: tuple[str, ...]
+) -> InjectedFault | None:
+    """Return the fault of a name that nothing reports; None for any other. Raises SceneError."""
+    if fault in UNREPORTED:
         return parse_fault(FaultKind(fault), size)
     if fault is not None and fault not in names:
-        raise SceneError(f"--fault: no {fault!r}; there are {', '.join((*names, *LIES))}")
+        raise SceneError(f"--fault: no {fault!r}; there are {', '.join((*names, *UNREPORTED))}")
     if size is not None:
         raise SceneError(f"--size: {fault or 'no --fault'} has none")
     return None
 
 
 def _load(name: str, kind: type[SceneT]) -> tuple[SceneT, EmulatedMotor]:
-    """The scene's drive, and a motor as its actuator says."""
+    """Return the scene's drive, and a motor of its actuator."""
     path = find_scene(name)
     display = load_section(path, "display", DisplayScene)
     if not isinstance(display.drive, kind):
@@ -225,7 +231,7 @@ def _load(name: str, kind: type[SceneT]) -> tuple[SceneT, EmulatedMotor]:
 
 
 def _bus(drive: DriveScene, link: Path | None) -> "can.BusABC":
-    """The scene's bus; where that is reached by an slcan adapter, the bus behind one of ours."""
+    """Return the scene's bus; for an slcan adapter, the bus behind an emulated one."""
     if drive.interface == "slcan":
         from telepulse.emulators.slcan import SlcanBus
 

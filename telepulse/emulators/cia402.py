@@ -1,6 +1,7 @@
-"""An emulated CiA 402 drive on any CAN bus, as a `canopen` LocalNode around `EmulatedCia402Drive`.
+"""An emulated CiA 402 drive on any CAN bus, as a `canopen` LocalNode around a pure state machine.
 
-An emulated CiA 402 drive, without the bus: controlwords in, statuswords out. Pure.
+Modelled are velocity modes, two homing methods, heartbeat, limits and the PDOs of our driver. Not
+modelled: position and torque modes, other homing methods, arbitration and errors of the bus.
 """
 
 import math
@@ -28,7 +29,7 @@ from display_node.drives.scene import Cia402Scene
 from telepulse.emulators.fault_injection import FaultInjector
 from telepulse.emulators.motor import EmulatedMotor
 
-# Where each controlword leads from a state.
+# State after a controlword.
 _TRANSITIONS: dict[tuple[State, int], State] = {
     (State.SWITCH_ON_DISABLED, Control.SHUTDOWN): State.READY,
     (State.READY, Control.SWITCH_ON): State.SWITCHED_ON,
@@ -47,11 +48,19 @@ NEGATIVE_LIMIT, POSITIVE_LIMIT = 1, 2
 
 
 class EmulatedCia402Drive:
-    """The state machine around a motor.
+    """The state machine around a motor: controlwords in, statuswords out. Pure.
 
-    error_code: what is wrong, 0 for nothing. modes: the supported ones; a mode that is not
-    among them is never shown as taken. abort_option: what happens without a heartbeat: 3 is a
-    quick stop, 0 nothing, anything else a fault.
+    Parameters
+    ----------
+    modes : tuple of Mode
+        The supported velocity modes. Any other mode but homing is ignored.
+
+    Attributes
+    ----------
+    error_code : int
+        0 without an error.
+    abort_option : int
+        Reaction to a missing heartbeat: 3 is a quick stop, 0 nothing, any other value a fault.
     """
 
     def __init__(self, scene: Cia402Scene, motor: EmulatedMotor, modes: tuple[Mode, ...]) -> None:
@@ -95,7 +104,7 @@ class EmulatedCia402Drive:
         return home if self._motor.at_switch else 0
 
     def select(self, mode: int) -> None:
-        """Take a mode of operation, if the drive has it."""
+        """Switch to a mode of operation, if the drive has it."""
         if mode in self._modes or mode == Mode.HOMING:
             self.mode = mode
             self._homed = 0
@@ -105,14 +114,14 @@ class EmulatedCia402Drive:
         self._method, self._search, self._leave = method, search, leave
 
     def limit(self, least: int, most: int) -> None:
-        """Software position limits in the drive's units; both 0: none."""
+        """Set software position limits in the drive's units; equal ones: none."""
         ends = sorted(self._direction * end / self._scene.position_scale for end in (least, most))
         self._motor.limit(*(ends if least != most else (-math.inf, math.inf)))
 
     def advance(self, now_ns: int) -> None:
-        """Come to the present: what the motor and the missing heartbeat do by themselves.
+        """Advance to the present, with the effects of a motor fault and a missing heartbeat.
 
-        A missing heartbeat is one event (CiA 301): it is monitored again from the next one on.
+        A missing heartbeat is one event (CiA 301); monitoring starts again with the next one.
         """
         self._motor.advance(now_ns)
         missed = self._motor.tripped and not self._missed_heartbeat
@@ -129,7 +138,7 @@ class EmulatedCia402Drive:
             self.state = State.SWITCH_ON_DISABLED
 
     def control(self, word: int, velocity: int) -> None:
-        """A controlword with a target velocity in the drive's units."""
+        """Apply a controlword with a target velocity in the drive's units."""
         before, self._control = self._control, word
         if self.state is State.FAULT:
             if word & ~before & Control.RESET_FAULT:
@@ -183,22 +192,22 @@ _IDENTIFIER = struct.Struct(">H")
 
 
 class _FaultyNetwork(canopen.Network):
-    """A network whose frames pass the lies of a motor on their way to the bus."""
+    """A network whose frames pass a fault injector on their way to the bus."""
 
-    def __init__(self, bus: can.BusABC, lies: FaultInjector) -> None:
+    def __init__(self, bus: can.BusABC, injector: FaultInjector) -> None:
         super().__init__(bus)
-        self._lies = lies
+        self._injector = injector
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        """Send a frame when the lies let it pass."""
-        self._lies.answer(
+        """Send a frame, as far as the injected fault lets it pass."""
+        self._injector.queue_answer(
             _IDENTIFIER.pack(can_id) + bytes(data), time.monotonic_ns(), header=_IDENTIFIER.size
         )
         self.send_due()
 
     def send_due(self) -> None:
-        """Send what was delayed until now."""
-        for frame in self._lies.due(time.monotonic_ns()):
+        """Send the frames that were delayed until now."""
+        for frame in self._injector.due_answers(time.monotonic_ns()):
             (can_id,) = _IDENTIFIER.unpack_from(frame)
             super().send_message(can_id, frame[_IDENTIFIER.size :])
 
@@ -206,7 +215,7 @@ class _FaultyNetwork(canopen.Network):
 class EmulatedCia402Node:
     """Answers SDOs, takes RPDOs, and sends TPDOs when `poll` is called.
 
-    silent: it hears everything and says nothing, as one whose transmitter is gone.
+    silent: the node receives everything and sends nothing, as one with a broken transmitter.
     """
 
     def __init__(
@@ -222,12 +231,12 @@ class EmulatedCia402Node:
         self._supported = sum(mode.supported_bit for mode in (*modes, Mode.HOMING))
         self._lock = RLock()
         self._waiting: tuple[int, int] | None = None
-        # Its PDOs are as the host wrote them: the node's own state is there a little before.
+        # True once the PDOs are as the host wrote them, a little after the node's own state.
         self._operational = False
-        self._watched_id = 0
-        self._said = (0, 0)
+        self._heartbeat_id = 0
+        self._last_sent = (0, 0)
         self._sent_s = 0.0
-        self._network = _FaultyNetwork(bus, motor.lies)
+        self._network = _FaultyNetwork(bus, motor.injector)
         self._network.NOTIFIER_CYCLE = NOTIFIER_CYCLE_S
         sheet = str(files("display_node.drives.cia402") / "cia402.eds")
         self._node = canopen.LocalNode(scene.node, sheet)
@@ -242,15 +251,15 @@ class EmulatedCia402Node:
         self._node.nmt.state = "PRE-OPERATIONAL"
 
     def poll(self) -> None:
-        """Come to the present, and send what is due. Call it every few milliseconds."""
+        """Advance to the present and send due frames; call it every few milliseconds."""
         with self._lock:
             self._advance()
             drive, now_s = self.drive, time.monotonic()
-            said = (drive.statusword, drive.error_code)
-            due = now_s - self._sent_s >= TPDO_S or said != self._said
+            state = (drive.statusword, drive.error_code)
+            due = now_s - self._sent_s >= TPDO_S or state != self._last_sent
             if due and self._operational and not self.silent:
                 self._sent_s = now_s
-                self._send_tpdos(said)
+                self._send_tpdos(state)
             self._network.send_due()
 
     def close(self) -> None:
@@ -260,10 +269,10 @@ class EmulatedCia402Node:
     def _advance(self) -> None:
         self.drive.advance(time.monotonic_ns())
 
-    def _send_tpdos(self, said: tuple[int, int]) -> None:
-        if said[1] and said[1] != self._said[1]:
-            self._node.emcy.send(said[1])
-        self._said = said
+    def _send_tpdos(self, state: tuple[int, int]) -> None:
+        if state[1] and state[1] != self._last_sent[1]:
+            self._node.emcy.send(state[1])
+        self._last_sent = state
         for number in (1, 2):
             pdo = self._node.tpdo[number]
             for variable in pdo:
@@ -301,30 +310,30 @@ class EmulatedCia402Node:
                 case 0x6007, _:
                     self.drive.abort_option = value
                 case 0x1016, 1:
-                    self._watch(value)
+                    self._monitor(value)
 
-    def _watch(self, entry: int) -> None:
+    def _monitor(self, entry: int) -> None:
         """Monitor a heartbeat, from the first one that comes."""
-        self._network.subscribe(HEARTBEAT + (entry >> 16 & 0x7F), self._on_heartbeat)
-        self._watched_id = HEARTBEAT + (entry >> 16 & 0x7F)
-        self._watch_ns = (entry & 0xFFFF) * 1_000_000
-        self.motor.watch(0)
+        self._heartbeat_id = HEARTBEAT + (entry >> 16 & 0x7F)
+        self._network.subscribe(self._heartbeat_id, self._on_heartbeat)
+        self._heartbeat_ns = (entry & 0xFFFF) * 1_000_000
+        self.motor.set_watchdog(0)
 
     def _on_heartbeat(self, can_id: int, _: bytearray, __: float) -> None:
         with self._lock:
             self._advance()
-            if can_id == self._watched_id and self._watch_ns:
-                self.motor.watch(self._watch_ns)
+            if can_id == self._heartbeat_id and self._heartbeat_ns:
+                self.motor.set_watchdog(self._heartbeat_ns)
 
     def _on_nmt(self, _: int, __: bytearray, ___: float) -> None:
-        """The PDOs are as they were written when the node becomes operational."""
+        """Read the PDOs' configuration when the node becomes operational."""
         with self._lock:
             self._operational = self._node.nmt.state == "OPERATIONAL"
             if not self._operational:
                 return
             for pdo in (self._node.rpdo[1], self._node.tpdo[1], self._node.tpdo[2]):
                 pdo.read()
-                # A bus may bring us what we send ourselves.
+                # A bus may also deliver our own frames.
                 self._network.unsubscribe(pdo.cob_id, pdo.on_message)
 
     def _on_rpdo(self, _: int, data: bytearray, __: float) -> None:
@@ -332,9 +341,9 @@ class EmulatedCia402Node:
         if not self._operational or len(data) != len(pdo.data):
             return
         pdo.data = data
-        told = (int(pdo[0x6040].raw), int(pdo[0x60FF].raw))
+        command = (int(pdo[0x6040].raw), int(pdo[0x60FF].raw))
         with self._lock:
-            self._waiting = told
+            self._waiting = command
         if pdo.trans_type > LAST_SYNC_TYPE:
             self._on_sync(SYNC, bytearray(), 0.0)
 
@@ -352,6 +361,6 @@ class EmulatedCia402Node:
         self.drive.limit(stored(0x607D, 1), stored(0x607D, 2))
 
     def _stored(self, index: int, subindex: int = 0) -> int:
-        """Return what was written to an object; 0 where nothing was."""
+        """Return the value written to an object; 0 before any."""
         written = self._node.data_store.get(index, {}).get(subindex, b"")
         return int.from_bytes(written, "little", signed=True)

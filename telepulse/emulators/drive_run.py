@@ -1,7 +1,4 @@
-"""An emulated drive while it runs: its motor, the film under its finger, the record of both.
-
-The film under an emulated drive's finger, as a sensor board on a port of its own.
-"""
+"""The run of an emulated drive: its motor, the film under its finger, one fault, and a trace."""
 
 import math
 import time
@@ -19,35 +16,9 @@ from telepulse.emulators.pty_port import PtyPort
 from telepulse.emulators.sensor_board import binary
 
 FRAME = 4
-
-
-class EmulatedFilm:
-    """Sends the force under the finger, in float32 newtons at 1 kHz, four samples a frame."""
-
-    def __init__(self, motor: EmulatedMotor, port: PtyPort) -> None:
-        """Raises SourceError without the cobs package."""
-        self._motor = motor
-        self._port = port
-        self._encode = binary("float32")
-        self._sent = 0
-
-    def deliver(self) -> None:
-        """Send what the motor has gone through since the last call."""
-        forces_n = self._motor.forces_n
-        late = self._motor.lies.film_late_ns // TICK_NS
-        while len(forces_n) >= FRAME + late:
-            values = [forces_n.popleft() for _ in range(FRAME)]
-            self._sent += FRAME
-            self._port.write(self._encode(values, (self._sent - 1) * 1_000))
-
-    def close(self) -> None:
-        """Unplug."""
-        self._port.close()
-
-
 TRACE_HEADER = "time_ns,tip_m,speed_m_per_s,force_n,trouble\n"
 FILM_SILENT = "film-silent"
-# From so much on a tip presses; where it is brought to first touch it may feel a little.
+# From this force on the tip presses; at first touch the film may read a little.
 PRESSING_N = 0.01
 MOTOR_FAULTS: dict[str, MotorFault] = {
     "overtemperature": "overtemperature",
@@ -55,42 +26,74 @@ MOTOR_FAULTS: dict[str, MotorFault] = {
 }
 
 
+class EmulatedFilm:
+    """Sends the force under the finger, in float32 newtons at 1 kHz, four samples a frame.
+
+    Raises SourceError without the cobs package.
+    """
+
+    def __init__(self, motor: EmulatedMotor, port: PtyPort) -> None:
+        self._motor = motor
+        self._port = port
+        self._encode = binary("float32")
+        self._sent = 0
+
+    def deliver(self) -> None:
+        """Send the motor's forces since the last call."""
+        forces_n = self._motor.forces_n
+        held_back = self._motor.injector.film_delay_ns // TICK_NS
+        while len(forces_n) >= FRAME + held_back:
+            values = [forces_n.popleft() for _ in range(FRAME)]
+            self._sent += FRAME
+            self._port.write(self._encode(values, (self._sent - 1) * 1_000))
+
+
 class DriveRun:
-    """Loop that polls an emulated drive, begins one fault, and records the motor's every
-    millisecond."""
+    """Polls an emulated drive, begins one fault, and records the motor every millisecond.
+
+    Files and ports are closed by `resources`. Raises OutputError.
+    """
 
     def __init__(
         self,
         motor: EmulatedMotor,
         film_link: Path | None,
         trace: Path | None,
-        open_things: ExitStack,
+        resources: ExitStack,
     ) -> None:
-        """open_things closes what is opened here. Raises OutputError."""
         self._motor = motor
         self._film: EmulatedFilm | None = None
-        self._trouble = ""
+        self._active_fault = ""
         if film_link is not None:
-            self._film = EmulatedFilm(motor, PtyPort(film_link))
-            open_things.callback(self._film.close)
+            port = PtyPort(film_link)
+            resources.callback(port.close)
+            self._film = EmulatedFilm(motor, port)
         if trace is not None:
-            self._file = open_things.enter_context(_opened(trace))
+            self._file = resources.enter_context(_opened(trace))
             self._file.write(TRACE_HEADER)
             motor.trace = self._write
 
     def run(
         self,
         poll: Callable[[], None],
-        break_down: Callable[[str], None],
-        trouble: str | None,
-        lie: InjectedFault | None,
+        begin_fault: Callable[[str], None],
+        fault: str | None,
+        injected: InjectedFault | None,
         after_s: float | None,
         seconds: float | None,
     ) -> None:
-        """Poll until stopped or `seconds` are over.
+        """Poll until stopped, or for `seconds`.
 
-        trouble: what goes wrong; what is not the motor's, the film's or the `lie` is
-        `break_down`'s. after_s: when, from when the tip presses first; None: from the start.
+        Parameters
+        ----------
+        begin_fault : callable
+            Begins a fault of the drive's line, which is neither the motor's nor the film's.
+        fault : str or None
+            Name of the fault.
+        injected : InjectedFault or None
+            The fault, where it is one that nothing reports.
+        after_s : float or None
+            Begin of the fault, from the first press of the tip; None: from the start.
         """
         stopping = False
 
@@ -106,29 +109,25 @@ class DriveRun:
             if self._motor.force_n > PRESSING_N:
                 pressed_s = min(pressed_s, now_s)
             due = after_s is None or now_s - pressed_s >= after_s
-            if trouble and not self._trouble and due:
-                self._trouble = trouble
-                if lie is not None:
-                    self._motor.lies.begin(lie, time.monotonic_ns())
-                elif trouble in MOTOR_FAULTS:
-                    self._motor.fail(MOTOR_FAULTS[trouble])
-                elif trouble != FILM_SILENT:
-                    break_down(trouble)
+            if fault and not self._active_fault and due:
+                self._active_fault = fault
+                if injected is not None:
+                    self._motor.injector.begin(injected, time.monotonic_ns())
+                elif fault in MOTOR_FAULTS:
+                    self._motor.fail(MOTOR_FAULTS[fault])
+                elif fault != FILM_SILENT:
+                    begin_fault(fault)
             poll()
-            self._deliver()
+            if self._film is None or self._active_fault == FILM_SILENT:
+                self._motor.forces_n.clear()
+            else:
+                self._film.deliver()
             if seconds is not None and now_s - began_s >= seconds:
                 return
 
-    def _deliver(self) -> None:
-        if self._film is None or self._trouble == FILM_SILENT:
-            # Nobody reads it.
-            self._motor.forces_n.clear()
-        else:
-            self._film.deliver()
-
-    def _write(self, moment: MotorState) -> None:
-        time_ns, tip_m, speed_m_per_s, force_n = moment
-        row = f"{time_ns},{tip_m:.9f},{speed_m_per_s:.9f},{force_n:.9f},{self._trouble}\n"
+    def _write(self, state: MotorState) -> None:
+        time_ns, tip_m, speed_m_per_s, force_n = state
+        row = f"{time_ns},{tip_m:.9f},{speed_m_per_s:.9f},{force_n:.9f},{self._active_fault}\n"
         self._file.write(row)
 
 

@@ -1,6 +1,7 @@
-"""Lies of an emulated drive: what is false between its motor, its bus and the film. Pure.
+"""Faults injected between an emulated drive's motor, its bus and the film. Pure.
 
-A lie is a fault that nothing reports: the drive goes on answering. Supervision has to find it.
+Nothing reports such a fault: the drive goes on answering, and supervision has to find it. Not
+modelled: two faults at once, faults that come and go.
 """
 
 import random
@@ -14,16 +15,16 @@ from protocol.errors import SceneError
 
 
 class SizeRange(NamedTuple):
-    """How large a lie may be: the dimension of its quantity, bounds and default, as text."""
+    """Size that a fault may have: dimension, bounds and default, as text."""
 
     dimension: str
     least: str
     most: str
-    usual: str
+    default: str
 
 
 class FaultKind(Enum):
-    """What is false. "-encoder": the reported position is the shaft's, not the commanded one."""
+    """The wrong quantity. "-encoder": the reported position is the shaft's, not the command's."""
 
     REVERSED = "reversed"
     REVERSED_ENCODER = "reversed-encoder"
@@ -60,33 +61,18 @@ SIZES: dict[FaultKind, SizeRange] = {
     FaultKind.FILM_NOISE: SizeRange("force", "0 N", "10 N", "0.2 N"),
     FaultKind.FILM_LATE: SizeRange("time", "0 ms", "1 s", "60 ms"),
 }
-_REVERSED = (FaultKind.REVERSED, FaultKind.REVERSED_ENCODER)
-_ENCODER = (FaultKind.REVERSED_ENCODER, FaultKind.GAIN_ENCODER)
-_GAIN = (FaultKind.GAIN, FaultKind.GAIN_ENCODER)
 
 
 @dataclass(frozen=True, slots=True)
 class InjectedFault:
-    """One lie. size: in the SI unit of its kind's dimension; a share or factor without one."""
+    """One fault. size: in the SI unit of its kind's dimension; a share or factor without one."""
 
     kind: FaultKind
     size: float = 0.0
 
-    @property
-    def motion(self) -> float:
-        """Steps that the shaft turns for each step commanded."""
-        if self.kind in _REVERSED:
-            return -1.0
-        return self.size if self.kind in _GAIN else 1.0
-
-    @property
-    def by_encoder(self) -> bool:
-        """Whether the drive counts what the shaft does instead of what it commands."""
-        return self.kind in _ENCODER
-
 
 def parse_fault(kind: FaultKind, size: str | None) -> InjectedFault:
-    """Make a lie of its kind and size as a person writes them ("30 ms").
+    """Return the fault of a kind and a size such as "30 ms"; None: its default size.
 
     Raises SceneError where the kind has no size, or for a size that does not fit.
     """
@@ -97,8 +83,10 @@ def parse_fault(kind: FaultKind, size: str | None) -> InjectedFault:
         return InjectedFault(kind)
     try:
         value, least, most = (
-            _number(text, allowed.dimension)
-            for text in (size or allowed.usual, allowed.least, allowed.most)
+            parse_ratio(text)
+            if allowed.dimension == _RATIO
+            else parse_quantity(text, allowed.dimension)
+            for text in (size or allowed.default, allowed.least, allowed.most)
         )
     except ValueError as error:
         raise SceneError(f"--size: {error}") from None
@@ -109,52 +97,50 @@ def parse_fault(kind: FaultKind, size: str | None) -> InjectedFault:
     return InjectedFault(kind, value)
 
 
-def _number(text: str, dimension: str) -> float:
-    return parse_ratio(text) if dimension == _RATIO else parse_quantity(text, dimension)
-
-
 class FaultInjector:
-    """Applies one lie between a motor, its bus and the film, from `begin` on.
+    """Applies one fault between a motor, its bus and the film, from `begin` on.
 
-    step_m: travel of one step. lie: the one that is applied; None before `begin`.
+    Parameters
+    ----------
+    step_m : float
+        Travel of one step.
     """
 
     def __init__(self, step_m: float, seed: int = 1) -> None:
         self._step_m = step_m
-        self._chance = random.Random(seed)
+        self._random = random.Random(seed)
         self._begun_ns = 0
         self._frozen_steps: int | None = None
         self._frozen_n: float | None = None
         self._answers: deque[tuple[int, bytes]] = deque()
-        self.lie: InjectedFault | None = None
+        self._kind: FaultKind | None = None
+        self._size = 0.0
 
-    def begin(self, lie: InjectedFault, now_ns: int) -> None:
-        """Apply a lie from now on."""
-        self.lie, self._begun_ns = lie, now_ns
+    def begin(self, fault: InjectedFault, now_ns: int) -> None:
+        """Apply a fault from now on."""
+        self._kind, self._size, self._begun_ns = fault.kind, fault.size, now_ns
         self._frozen_steps = self._frozen_n = None
 
     @property
-    def motion(self) -> float:
-        """Steps that the shaft turns for each step commanded."""
-        return self.lie.motion if self.lie is not None else 1.0
+    def motion_ratio(self) -> float:
+        """Steps that the shaft turns for each commanded step."""
+        if self._kind in (FaultKind.REVERSED, FaultKind.REVERSED_ENCODER):
+            return -1.0
+        return self._size if self._kind in (FaultKind.GAIN, FaultKind.GAIN_ENCODER) else 1.0
 
     @property
-    def by_encoder(self) -> bool:
-        """Whether the drive counts what the shaft does instead of what it commands."""
-        return self.lie is not None and self.lie.by_encoder
+    def counts_shaft(self) -> bool:
+        """True where the drive counts the shaft's steps instead of the commanded ones."""
+        return self._kind in (FaultKind.REVERSED_ENCODER, FaultKind.GAIN_ENCODER)
 
-    def obeyed_hz(self, rate_hz: float) -> float:
-        """Return the step rate that is obeyed for a commanded one, positive into the finger."""
-        if self.lie is not None and self.lie.kind is FaultKind.NO_RETRACTION:
-            return max(0.0, rate_hz)
-        return rate_hz
+    def executed_hz(self, rate_hz: float) -> float:
+        """Return the step rate executed for a commanded one, positive into the finger."""
+        return max(0.0, rate_hz) if self._kind is FaultKind.NO_RETRACTION else rate_hz
 
     def position_steps(self, steps: int, now_ns: int) -> int:
         """Return the position that the bus reports for the counter's."""
-        if self.lie is None:
-            return steps
-        size_steps = self.lie.size / self._step_m
-        match self.lie.kind:
+        size_steps = self._size / self._step_m
+        match self._kind:
             case FaultKind.POSITION_FROZEN:
                 if self._frozen_steps is None:
                     self._frozen_steps = steps
@@ -164,14 +150,12 @@ class FaultInjector:
             case FaultKind.POSITION_DRIFT:
                 return steps + round(size_steps * (now_ns - self._begun_ns) * 1e-9)
             case FaultKind.POSITION_NOISE:
-                return steps + round(self._chance.gauss(0.0, size_steps))
+                return steps + round(self._random.gauss(0.0, size_steps))
         return steps
 
     def film_n(self, force_n: float) -> float:
-        """Return the force that the film's sensor sends for the one under the finger, in N."""
-        if self.lie is None:
-            return force_n
-        match self.lie.kind:
+        """Return the force that the film's sensor sends for the force under the finger, in N."""
+        match self._kind:
             case FaultKind.FILM_ZERO:
                 return 0.0
             case FaultKind.FILM_FROZEN:
@@ -179,39 +163,36 @@ class FaultInjector:
                     self._frozen_n = force_n
                 return self._frozen_n
             case FaultKind.FILM_SCALED:
-                return self.lie.size * force_n
+                return self._size * force_n
             case FaultKind.FILM_NOISE:
-                return force_n + self._chance.gauss(0.0, self.lie.size)
+                return force_n + self._random.gauss(0.0, self._size)
         return force_n
 
     @property
-    def film_late_ns(self) -> int:
-        """How much later than usual the film's samples are sent."""
-        if self.lie is None or self.lie.kind is not FaultKind.FILM_LATE:
-            return 0
-        return round(self.lie.size * 1e9)
+    def film_delay_ns(self) -> int:
+        """Additional delay of the film's samples."""
+        return round(self._size * 1e9) if self._kind is FaultKind.FILM_LATE else 0
 
-    def answer(self, data: bytes, now_ns: int, header: int = 0) -> None:
-        """Take an answer of the drive, to be sent when it is due.
+    def queue_answer(self, data: bytes, now_ns: int, header: int = 0) -> None:
+        """Queue an answer of the drive, to be sent when it is due.
 
-        header: bytes at the beginning that garbage spares, such as an identifier.
+        header: length of the beginning that garbage leaves as it is, such as an identifier.
         """
-        lie = self.lie or InjectedFault(FaultKind.DELAYED, 0.0)
-        if lie.kind is FaultKind.DELAYED:
-            self._answers.append((now_ns + round(lie.size * 1e9), data))
+        if self._kind is None or self._kind is FaultKind.DELAYED:
+            self._answers.append((now_ns + round(self._size * 1e9), data))
             return
-        hit = self._chance.random() < lie.size
-        if lie.kind is FaultKind.LOST and hit:
+        hit = self._random.random() < self._size
+        if self._kind is FaultKind.LOST and hit:
             return
-        if lie.kind is FaultKind.GARBAGE and hit:
-            data = data[:header] + self._chance.randbytes(len(data) - header)
+        if self._kind is FaultKind.GARBAGE and hit:
+            data = data[:header] + self._random.randbytes(len(data) - header)
         self._answers.append((now_ns, data))
-        if lie.kind is FaultKind.DUPLICATED and hit:
+        if self._kind is FaultKind.DUPLICATED and hit:
             self._answers.append((now_ns, data))
 
-    def due(self, now_ns: int) -> list[bytes]:
+    def due_answers(self, now_ns: int) -> list[bytes]:
         """Return the answers that are to be sent by now, in their order."""
-        sent = []
+        due = []
         while self._answers and self._answers[0][0] <= now_ns:
-            sent.append(self._answers.popleft()[1])
-        return sent
+            due.append(self._answers.popleft()[1])
+        return due

@@ -1,7 +1,7 @@
-"""The motor inside an emulated drive: the physical stepper, its switch, its watchdog, its faults.
+"""The motor of an emulated drive: the physical stepper, its home switch, watchdog and faults. Pure.
 
-Pure: time is an argument. It advances in whole milliseconds; what it is told on the way counts
-from when it was told.
+Time is an argument. The motor advances in whole milliseconds; a command in between counts from
+its own time. Not modelled: electrical dynamics, torque over speed, temperature, single lost steps.
 """
 
 import math
@@ -22,8 +22,10 @@ MotorFault = Literal["overtemperature", "following error", "stall"]
 
 
 class MotorState(NamedTuple):
-    """The motor's state at a time: the tip's place from first touch and its speed, both positive
-    into the finger, and the force under it."""
+    """The motor's state at a time; place and speed are positive into the finger.
+
+    tip_m: from first touch. force_n: under the tip.
+    """
 
     time_ns: int
     tip_m: float
@@ -34,18 +36,30 @@ class MotorState(NamedTuple):
 class EmulatedMotor:
     """A stepper over a finger that begins `touch_m` below its home switch.
 
-    When it is switched on, the tip stands half way between the two, and there the drive's own
-    counter is 0 until it has homed.
+    At the start, the tip is half way between the two, and the drive's counter is 0 there until it
+    has homed.
 
-    position_steps: of the counter as the bus reports it, rate_hz: of the shaft, both signed,
-    positive towards the finger. tip_m: from first touch. rested_ns: when it came to rest last.
-    forces_n: of the film, one a millisecond, as far as nobody took them. trace: is given every
-    millisecond. lies: what is false about it.
+    Attributes
+    ----------
+    rate_hz : float
+        Step rate of the shaft, positive towards the finger.
+    tip_m : float
+        Place of the tip, from first touch.
+    rested_ns : int
+        Time at which the motor came to rest last.
+    tripped : bool
+        True after the watchdog has stopped the motor.
+    forces_n : deque of float
+        Forces that the film sends, one a millisecond, until a reader takes them.
+    trace : callable or None
+        Called with the state every millisecond.
+    injector : FaultInjector
+        Faults between motor, bus and film that nothing reports.
     """
 
     def __init__(self, scene: StepperScene, law: ContactLaw, touch_m: float, now_ns: int) -> None:
-        # The stepper's own soft stop is the drive's business here: it has the whole stroke. And
-        # commands take their own time on the way: the scene's latency is not added to it.
+        # The emulated drive limits its own travel, so the stepper has the whole stroke. Commands
+        # take their own time to arrive, so the scene's latency is not added.
         free = scene.model_copy(update={"thrust_n": math.inf, "latency_ns": 0})
         self._stepper = Stepper(free, law, math.inf, TICK_S)
         self._law = law
@@ -55,10 +69,10 @@ class EmulatedMotor:
         self._target_hz = 0.0
         self._homing: Literal["seek", "leave", "rest"] | None = None
         self._search_hz = self._leave_hz = 0.0
-        self._watch_ns = 0
-        self._fed_ns = self._now_ns = self._told_ns = self.rested_ns = now_ns
-        # Steps times ns by which the next tick goes further than its last command says.
-        self._owed = 0.0
+        self._watchdog_ns = 0
+        self._fed_ns = self._now_ns = self._command_ns = self.rested_ns = now_ns
+        # Steps times ns by which the next tick moves further than its last command alone would.
+        self._carry = 0.0
         self._counted = 0.0
         self._zero_steps = 0
         self._least_steps, self._most_steps = -math.inf, math.inf
@@ -69,18 +83,20 @@ class EmulatedMotor:
         self.tripped = False
         self.forces_n: deque[float] = deque(maxlen=10_000)
         self.trace: Callable[[MotorState], None] | None = None
-        self.lies = FaultInjector(scene.step_m)
+        self.injector = FaultInjector(scene.step_m)
         self._place(SWITCH_M + touch_m / 2)
 
     @property
     def position_steps(self) -> int:
-        """The drive's counter, as the bus reports it."""
-        return self.lies.position_steps(self._counter, self._now_ns)
+        """The drive's counter as the bus reports it, positive towards the finger."""
+        return self.injector.position_steps(self._counter, self._now_ns)
 
     @property
     def counter_hz(self) -> float:
-        """The step rate as the drive counts it, signed."""
-        return self.rate_hz if self.lies.by_encoder else self.rate_hz / self.lies.motion
+        """The signed step rate as the drive counts it."""
+        if self.injector.counts_shaft:
+            return self.rate_hz
+        return self.rate_hz / self.injector.motion_ratio
 
     @property
     def homing(self) -> bool:
@@ -90,102 +106,95 @@ class EmulatedMotor:
     @property
     def at_switch(self) -> bool:
         """True while the home switch is closed."""
-        return self._steps * self._step_m <= SWITCH_M
+        return round(self._stepper.screw_m / self._step_m) * self._step_m <= SWITCH_M
 
     def run(self, rate_hz: float) -> None:
         """Go to this signed step rate, as fast as the acceleration allows."""
         self._homing = None
-        obeyed_hz = 0.0 if self.fault else self.lies.obeyed_hz(rate_hz)
-        before_hz, self._target_hz = self._target_hz, obeyed_hz
-        self._owed += (before_hz - self._target_hz) * max(0, self._told_ns - self._now_ns)
+        before_hz = self._target_hz
+        self._target_hz = 0.0 if self.fault else self.injector.executed_hz(rate_hz)
+        self._carry += (before_hz - self._target_hz) * max(0, self._command_ns - self._now_ns)
 
     def home(self, search_hz: float, leave_hz: float) -> None:
-        """Look for the home switch; the counter's zero is where it opens again."""
+        """Search the home switch; the counter's zero is where it opens again."""
         if not self.fault:
             self._homing = "seek"
             self._search_hz, self._leave_hz = search_hz, leave_hz
 
     def zero(self) -> None:
-        """The counter is 0 here."""
+        """Set the counter to 0 here."""
         self._zero_steps = round(self._counted)
 
     def limit(self, least_steps: float, most_steps: float) -> None:
-        """The drive's own soft limits, in steps of its counter; infinite for none."""
+        """Set the drive's own soft limits, in steps of its counter; infinite for none."""
         self._least_steps, self._most_steps = least_steps, most_steps
 
     def fail(self, fault: MotorFault) -> None:
-        """Something breaks: the motor comes to rest, and stays there until `reset`."""
+        """Come to rest with a fault, until `reset`."""
         self.run(0.0)
         self.fault = fault
 
     def reset(self) -> None:
-        """Forget the fault."""
+        """Clear the fault."""
         self.fault = None
         self.tripped = False
 
-    def watch(self, period_ns: int) -> None:
-        """Come to rest where nobody has fed the watchdog for this long; 0: never."""
-        self._watch_ns = period_ns
-        self._fed_ns = self._now_ns
-        self.tripped = False
+    def set_watchdog(self, period_ns: int) -> None:
+        """Come to rest when the watchdog is not fed for this long; 0: never."""
+        self._watchdog_ns = period_ns
+        self.feed()
 
     def feed(self) -> None:
-        """Somebody is there."""
+        """Feed the watchdog."""
         self._fed_ns = self._now_ns
         self.tripped = False
 
     def advance(self, now_ns: int) -> None:
-        """Come to the present."""
+        """Advance to the present."""
         while self._now_ns + TICK_NS <= now_ns:
             self._now_ns += TICK_NS
             self._tick()
-        self._told_ns = max(now_ns, self._now_ns)
-
-    @property
-    def _steps(self) -> int:
-        return round(self._stepper.screw_m / self._step_m)
+        self._command_ns = max(now_ns, self._now_ns)
 
     @property
     def _counter(self) -> int:
         return round(self._counted) - self._zero_steps
 
-    @property
-    def _ends_away(self) -> bool:
-        limited = not self._homing and self._counter <= self._least_steps
-        return limited or self.at_switch
-
-    @property
-    def _ends_below(self) -> bool:
-        return not self._homing and self._counter >= self._most_steps
-
     def _tick(self) -> None:
-        if self._watch_ns and self._now_ns - self._fed_ns > self._watch_ns and not self.tripped:
+        silent_ns = self._now_ns - self._fed_ns
+        if self._watchdog_ns and silent_ns > self._watchdog_ns and not self.tripped:
             self.run(0.0)
             self.tripped = True
-        target_hz = self._seek() if self._homing else self._target_hz + self._owed / TICK_NS
-        self._owed = 0.0
-        if (target_hz < 0 and self._ends_away) or (target_hz > 0 and self._ends_below):
+        target_hz = self._seek() if self._homing else self._target_hz + self._carry / TICK_NS
+        self._carry = 0.0
+        if self._at_limit(target_hz):
             target_hz = 0.0
-        before_m = self._stepper.screw_m
-        lies = self.lies
-        travel_m = self._stepper.move(lies.motion * target_hz)
+        before_m, injector = self._stepper.screw_m, self.injector
+        travel_m = self._stepper.move(injector.motion_ratio * target_hz)
         turned = (self._stepper.screw_m - before_m) / self._step_m
-        self._counted += turned if lies.by_encoder else turned / lies.motion
+        self._counted += turned if injector.counts_shaft else turned / injector.motion_ratio
         rate_hz = turned / TICK_S
         if self.rate_hz and not rate_hz:
             self.rested_ns = self._now_ns
         self.rate_hz = rate_hz
         self.tip_m = travel_m - self._touch_m
         self.force_n = self._law.force(self.tip_m)
-        self.forces_n.append(lies.film_n(self.force_n))
+        self.forces_n.append(injector.film_n(self.force_n))
         if self.trace is not None:
             speed_m_per_s = rate_hz * self._step_m
             self.trace(MotorState(self._now_ns, self.tip_m, speed_m_per_s, self.force_n))
         if self.force_n > self._thrust_n and not self.fault:
             self.fail("stall")
 
+    def _at_limit(self, target_hz: float) -> bool:
+        """Return whether the switch or a soft limit stops motion at this rate."""
+        limited = not self._homing
+        if target_hz < 0:
+            return (limited and self._counter <= self._least_steps) or self.at_switch
+        return target_hz > 0 and limited and self._counter >= self._most_steps
+
     def _seek(self) -> float:
-        """The search's step rate: to the switch, off it again, and to rest."""
+        """Return the search's step rate: to the switch, off it again, and to rest."""
         if self._homing == "seek":
             if not self.at_switch:
                 return -self._search_hz
@@ -200,7 +209,7 @@ class EmulatedMotor:
         return 0.0
 
     def _place(self, travel_m: float) -> None:
-        """Place the tip where it stands at the beginning."""
+        """Move the tip to its place at the start."""
         while self._stepper.screw_m < travel_m:
             self._stepper.move(2e-3 / self._step_m)
         self._stepper.move(0.0)

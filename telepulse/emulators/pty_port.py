@@ -1,4 +1,4 @@
-"""A pseudo-terminal that stands for a serial port: what is written here, another program reads."""
+"""A pseudo-terminal in place of a serial port: another program reads what is written here."""
 
 import os
 import tty
@@ -8,15 +8,15 @@ from protocol.errors import OutputError
 
 
 class PtyPort:
-    """One end of a pseudo-terminal; `path` is the other's, or a link to it.
+    """One end of a pseudo-terminal; `path` is the other end's, or a link to it.
 
-    What nobody reads is dropped once the kernel's buffer is full, as by a board on USB.
+    Unread bytes are dropped once the kernel's buffer is full, as by a board on USB. A link of an
+    earlier run is replaced. Raises OutputError where the link cannot be made.
     """
 
     def __init__(self, link: Path | None) -> None:
-        """`link` is made, in place of one that an earlier run left. Raises OutputError."""
         self._ours, self._theirs = os.openpty()
-        # Kept open: a reader that comes and goes would otherwise end the terminal.
+        # Kept open: the terminal would otherwise end with the first reader that closes it.
         tty.setraw(self._theirs)
         os.set_blocking(self._ours, False)
         self._link = link
@@ -33,7 +33,7 @@ class PtyPort:
             raise OutputError(f"{link}: cannot be made: {error.strerror}") from None
 
     def write(self, data: bytes) -> None:
-        """Send bytes; what does not fit is dropped, and counted."""
+        """Send bytes; those that do not fit are dropped and counted."""
         try:
             written = os.write(self._ours, data)
         except BlockingIOError:
@@ -41,14 +41,14 @@ class PtyPort:
         self.dropped += len(data) - written
 
     def read(self) -> bytes:
-        """What the other program has written; nothing when there is nothing."""
+        """Return the bytes that the other program has written, if any."""
         try:
             return os.read(self._ours, 4096)
         except BlockingIOError:
             return b""
 
     def fileno(self) -> int:
-        """For `select`."""
+        """Return the descriptor for `select`."""
         return self._ours
 
     def close(self) -> None:

@@ -1,9 +1,8 @@
-"""The CAN bus behind an emulated slcan adapter, on which an emulated node is the only one.
+"""An emulated CAN adapter of the slcan kind, and the CAN bus behind it with one emulated node.
 
-An emulated CAN adapter of the slcan kind: the host's lines in, answers and frames out. Pure.
-
-The lines are those of the LAWICEL CANUSB manual, which other adapters took over: letters for what
-to do, hexadecimal digits for identifier and data, a carriage return at the end.
+The lines are those of the LAWICEL CANUSB manual, which other adapters adopted: a letter for the
+command, hexadecimal digits for identifier and data, a carriage return at the end. Not modelled:
+bit rates, arbitration, bus errors, time stamps, acceptance filters.
 """
 
 import select
@@ -22,9 +21,9 @@ LONGEST = 1 + 8 + 1 + 16
 
 
 class SlcanAdapter:
-    """Opened and closed by the host; frames pass only while it is open.
+    """The adapter's lines: the host's in, answers and frames out. Pure.
 
-    refused: lines that were answered by a bell.
+    Frames pass only while the host has opened the adapter. refused: lines answered by a bell.
     """
 
     def __init__(self) -> None:
@@ -33,14 +32,14 @@ class SlcanAdapter:
         self.refused = 0
 
     def feed(self, data: bytes) -> tuple[bytes, list[can.Message]]:
-        """What to answer to these bytes, and the frames for the bus."""
+        """Return the answers to these bytes, and the frames for the bus."""
         *lines, rest = (self._line + data).split(b"\r")
-        # Noise without an end is forgotten but for what makes its line too long.
+        # Of noise without an end, only enough is kept to make its line too long.
         self._line = rest[: LONGEST + 1]
         answers, frames = b"", []
         for line in lines:
             try:
-                answer, frame = self._carry_out(line)
+                answer, frame = self._execute(line)
             except ValueError:
                 self.refused += 1
                 answer, frame = REFUSED, None
@@ -49,7 +48,7 @@ class SlcanAdapter:
         return answers, frames
 
     def encode(self, frame: can.Message) -> bytes:
-        """A frame from the bus, as the host is told of it; nothing while closed."""
+        """Return the host's line for a frame from the bus; nothing while closed."""
         if not self.is_open:
             return b""
         letter, digits = ("T", 8) if frame.is_extended_id else ("t", 3)
@@ -57,8 +56,8 @@ class SlcanAdapter:
         data = "" if frame.is_remote_frame else frame.data.hex().upper()
         return f"{letter}{frame.arbitration_id:0{digits}X}{frame.dlc}{data}\r".encode()
 
-    def _carry_out(self, line: bytes) -> tuple[bytes, can.Message | None]:
-        """Raises ValueError for a line that is none."""
+    def _execute(self, line: bytes) -> tuple[bytes, can.Message | None]:
+        """Execute a line. Raises ValueError for an unknown one."""
         if len(line) > LONGEST:
             raise ValueError("too long")
         text = line.decode("ascii")
@@ -82,7 +81,7 @@ class SlcanAdapter:
 
 
 def _frame(text: str) -> can.Message:
-    """Raises ValueError."""
+    """Decode a frame. Raises ValueError."""
     extended, remote = text[0] in "TR", text[0] in "rR"
     digits = 8 if extended else 3
     length = int(text[1 + digits : 2 + digits])
@@ -100,10 +99,12 @@ def _frame(text: str) -> can.Message:
 
 
 class SlcanBus(can.BusABC):
-    """A bus for a node: what the host sends through the adapter's serial port comes here."""
+    """A bus for a node, on the other side of the adapter's serial port.
+
+    The port is closed with the bus.
+    """
 
     def __init__(self, port: PtyPort) -> None:
-        """The port is closed with the bus."""
         super().__init__(channel=str(port.path))
         self.channel_info = f"slcan {port.path}"
         self._port = port
@@ -111,7 +112,7 @@ class SlcanBus(can.BusABC):
         self._waiting: deque[can.Message] = deque()
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Tell the host of a frame; one that it does not fetch is dropped, as by an adapter."""
+        """Send the host a frame; without a reader it is dropped, as by an adapter."""
         self._port.write(self._adapter.encode(msg))
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
@@ -122,7 +123,7 @@ class SlcanBus(can.BusABC):
         return (self._waiting.popleft() if self._waiting else None), False
 
     def fileno(self) -> int:
-        """For `select`."""
+        """Return the descriptor for `select`."""
         return self._port.fileno()
 
     def shutdown(self) -> None:
@@ -132,4 +133,4 @@ class SlcanBus(can.BusABC):
             self._port.close()
 
     def _apply_filters(self, filters: Any) -> None:
-        """Frames are filtered as they are received."""
+        """Do nothing: python-can filters received frames itself."""

@@ -1,15 +1,15 @@
-"""An emulated TMCL module: requests in, replies out, as its firmware would. Pure.
+"""An emulated TMCL stepper module, on a pseudo-terminal or a CAN bus.
 
-Lines to an emulated TMCL module: a pseudo-terminal, or a CAN bus.
+The module itself is pure: it gives the replies that the firmware would. Modelled are the commands,
+parameters and flags that our driver uses. Not modelled: TMCL programs, positioning, currents, the
+other motors of a module, and the time that a real line takes for a datagram.
 """
 
 import math
 import select
 import struct
 import time
-from typing import Literal
-
-import can
+from typing import TYPE_CHECKING, Literal
 
 from display_node.drives.scene import TmclScene
 from display_node.drives.tmcl.parameters import (
@@ -24,11 +24,14 @@ from display_node.drives.tmcl.parameters import (
 from telepulse.emulators.motor import EmulatedMotor
 from telepulse.emulators.pty_port import PtyPort
 
+if TYPE_CHECKING:
+    import can
+
 DATAGRAM = struct.Struct(">BBBBiB")
 WRONG_CHECKSUM, INVALID_COMMAND, WRONG_TYPE, INVALID_VALUE = 1, 2, 3, 4
-# The low 16 bits are version 1.0, the high ones the module's number; there is no 9999.
+# The low 16 bits are version 1.0, the high ones the module's number; no module has 9999.
 VERSION = 9999 << 16 | 1 << 8
-# A pause this long in the middle of a datagram, and the next byte begins a new one.
+# After a pause this long in the middle of a datagram, the next byte begins a new one.
 PAUSE_NS = 5_000_000
 # Axis parameters: the state of each limit switch, 1 for closed.
 RIGHT_SWITCH_STATE, LEFT_SWITCH_STATE = 10, 11
@@ -37,22 +40,22 @@ AnswerMode = Literal["right", "wrong", "garbled", "late", "none"]
 
 
 def checksum(data: bytes) -> int:
-    """The last byte of a datagram: the sum of those before it."""
+    """Return the last byte of a datagram: the sum of those before it."""
     return sum(data) & 0xFF
 
 
 class DatagramSplitter:
-    """Cuts the bytes of a serial line into requests."""
+    """Splits the bytes of a serial line into requests."""
 
     def __init__(self) -> None:
         self._bytes = b""
-        self._heard_ns = 0
+        self._received_ns = 0
 
     def feed(self, data: bytes, now_ns: int) -> list[bytes]:
-        """The whole requests among these bytes and what was left before them."""
-        if now_ns - self._heard_ns > PAUSE_NS:
+        """Return the whole requests in these bytes and those left from before."""
+        if now_ns - self._received_ns > PAUSE_NS:
             self._bytes = b""
-        self._heard_ns = now_ns
+        self._received_ns = now_ns
         self._bytes += data
         whole = len(self._bytes) // DATAGRAM.size * DATAGRAM.size
         requests, self._bytes = self._bytes[:whole], self._bytes[whole:]
@@ -62,14 +65,20 @@ class DatagramSplitter:
 class EmulatedTmclModule:
     """Answers requests and moves the motor.
 
-    answers: how requests are answered, for trying what a driver makes of it; late_s: how late,
-    where that is late. lies: the motor's.
+    Attributes
+    ----------
+    answer_mode : AnswerMode
+        How requests are answered: "right", or a fault for the driver to find.
+    late_s : float
+        Delay of an answer where they are late.
+    injector : FaultInjector
+        The motor's.
     """
 
     def __init__(self, scene: TmclScene, motor: EmulatedMotor) -> None:
         self._scene = scene
         self._motor = motor
-        self.lies = motor.lies
+        self.injector = motor.injector
         self._direction = -1 if scene.inverted else 1
         self._axis: dict[int, int] = {
             Parameter.SEARCH_MODE: 1,
@@ -81,31 +90,31 @@ class EmulatedTmclModule:
         }
         self._global = {int(Global.SERIAL_HEARTBEAT): 0, int(Global.CAN_HEARTBEAT): 0}
         self._errors = ErrorFlag(0)
-        self.answers: AnswerMode = "right"
+        self.answer_mode: AnswerMode = "right"
         self.late_s = 0.03
 
     def reply(self, request: bytes, now_ns: int) -> bytes:
-        """The 9 bytes of reply to 9 bytes of request; none to what is for another module."""
+        """Return the 9 bytes of reply to 9 bytes of request; none to another module's."""
         address, command, kind, motor, value, check = DATAGRAM.unpack(request)
         self._motor.advance(now_ns)
-        if address != self._scene.module or self.answers == "none":
+        if address != self._scene.module or self.answer_mode == "none":
             return b""
         if checksum(request[:-1]) != check:
             status = WRONG_CHECKSUM
         else:
             self._motor.feed()
-            status, value = self._carry_out(command, kind, motor, value)
+            status, value = self._execute(command, kind, motor, value)
         return self._datagram(status, command, value)
 
     def _datagram(self, status: int, command: int, value: int) -> bytes:
-        if self.answers == "wrong":
+        if self.answer_mode == "wrong":
             command ^= 0x40
         body = DATAGRAM.pack(self._scene.host, self._scene.module, status, command, value, 0)[:-1]
-        check = checksum(body) + (self.answers == "garbled")
+        check = checksum(body) + (self.answer_mode == "garbled")
         return body + bytes([check & 0xFF])
 
-    def _carry_out(self, command: int, kind: int, motor: int, value: int) -> tuple[int, int]:
-        """Status and value of the reply."""
+    def _execute(self, command: int, kind: int, motor: int, value: int) -> tuple[int, int]:
+        """Execute a command; return status and value of the reply."""
         for_motor = command not in (
             Command.SET_GLOBAL,
             Command.GET_GLOBAL,
@@ -176,14 +185,14 @@ class EmulatedTmclModule:
             self._global[kind] = value
             on_serial = self._scene.port is not None
             if kind == (Global.SERIAL_HEARTBEAT if on_serial else Global.CAN_HEARTBEAT):
-                self._motor.watch(value * 1_000_000)
+                self._motor.set_watchdog(value * 1_000_000)
         return SUCCESS, self._global[kind]
 
     def _search(self, kind: int) -> tuple[int, int]:
         match kind:
             case Search.START:
                 if self._axis[Parameter.SEARCH_MODE] & 64 != (64 if self._scene.inverted else 0):
-                    # The switch on the other side: there is none.
+                    # The other side has no switch.
                     return INVALID_VALUE, 0
                 speeds = (self._axis[Parameter.SEARCH_SPEED], self._axis[Parameter.SWITCH_SPEED])
                 search_hz, leave_hz = (abs(self._rate_hz(speed)) for speed in speeds)
@@ -197,7 +206,7 @@ class EmulatedTmclModule:
         return SUCCESS, 0
 
     def _rate_hz(self, velocity: int) -> float:
-        """The motor's rate for the module's number; positive into the finger."""
+        """Return the motor's rate for the module's number; positive into the finger."""
         rate_hz = velocity / self._scene.velocity_scale
         fastest_hz = self._axis[Parameter.MAX_SPEED] / self._scene.velocity_scale
         return self._direction * math.copysign(min(abs(rate_hz), fastest_hz), rate_hz)
@@ -215,12 +224,12 @@ class EmulatedSerialLine:
         self._datagrams = DatagramSplitter()
 
     def serve(self, wait_s: float) -> None:
-        """Answer what has come, waiting so long for it at most."""
+        """Answer the requests that come within `wait_s`."""
         readable, _, _ = select.select([self._port], [], [], wait_s)
         if readable:
             for request in self._datagrams.feed(self._port.read(), time.monotonic_ns()):
                 _answer(self._module, request)
-        for reply in self._module.lies.due(time.monotonic_ns()):
+        for reply in self._module.injector.due_answers(time.monotonic_ns()):
             self._port.write(reply)
 
     def close(self) -> None:
@@ -231,20 +240,22 @@ class EmulatedSerialLine:
 class EmulatedCanLine:
     """Frames of 7 bytes to the module's identifier, answered from the host's."""
 
-    def __init__(self, module: EmulatedTmclModule, scene: TmclScene, bus: can.BusABC) -> None:
+    def __init__(self, module: EmulatedTmclModule, scene: TmclScene, bus: "can.BusABC") -> None:
         self._module = module
         self._address = bytes([scene.module])
         self._bus = bus
         bus.set_filters([{"can_id": scene.module, "can_mask": 0x7FF, "extended": False}])
 
     def serve(self, wait_s: float) -> None:
-        """Answer the next request, waiting so long for it at most."""
+        """Answer the next request, if one comes within `wait_s`."""
+        import can
+
         frame = self._bus.recv(wait_s)
-        # A bus that brings us what we send ourselves does so from the host's identifier.
+        # A bus that also delivers our own frames does so with the host's identifier.
         if frame is not None and len(frame.data) >= 7:
             request = self._address + bytes(frame.data[:7])
             _answer(self._module, request + bytes([checksum(request)]))
-        for reply in self._module.lies.due(time.monotonic_ns()):
+        for reply in self._module.injector.due_answers(time.monotonic_ns()):
             data, identifier = reply[1:8], reply[0]
             self._bus.send(can.Message(arbitration_id=identifier, is_extended_id=False, data=data))
 
@@ -254,9 +265,9 @@ class EmulatedCanLine:
 
 
 def _answer(module: EmulatedTmclModule, request: bytes) -> None:
-    """Leave the reply to a request in the module's lies, which send it."""
+    """Queue the reply to a request at the module's fault injector."""
     reply = module.reply(request, time.monotonic_ns())
-    if module.answers == "late":
+    if module.answer_mode == "late":
         time.sleep(module.late_s)
     if reply:
-        module.lies.answer(reply, time.monotonic_ns())
+        module.injector.queue_answer(reply, time.monotonic_ns())

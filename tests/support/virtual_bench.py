@@ -212,9 +212,9 @@ class VirtualBench:
         """Start the display anew after a fault, which brings the drive to first touch."""
         motor = self.drive.motor
         motor.reset()
-        motor.watch(0)
+        motor.set_watchdog(0)
         self.now_ms = to_touch(motor, self.now_ms * MS) // MS
-        motor.watch(self.scene.drive.watchdog_ns if self.scene.drive else 0)
+        motor.set_watchdog(self.scene.drive.watchdog_ns if self.scene.drive else 0)
         self.drive.now_ns = self.now_ms * MS
         self.drive.arm()
         self.film.silent, self._ticked_ms = False, self.now_ms
@@ -248,7 +248,7 @@ def at_touch(scene: DisplayScene) -> tuple[EmulatedMotor, Axis]:
     to_touch(motor, now_ns)
     motor.advance(0)
     motor.forces_n.clear()
-    motor.watch(drive.watchdog_ns)
+    motor.set_watchdog(drive.watchdog_ns)
     return motor, build_axis(drive, actuator, layer, scene.safety.force_limit_n)
 
 

@@ -204,7 +204,7 @@ def test_a_long_overrun_is_a_fault_whatever_the_drive_says(
 ) -> None:
     bench = VirtualBench(pulse_n)
     bench.run(2_000)
-    bench.drive.motor.watch(0)
+    bench.drive.motor.set_watchdog(0)
     bench.loop_first = True
     bench.stall(300)
     began_ms = bench.now_ms

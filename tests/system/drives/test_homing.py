@@ -30,7 +30,7 @@ MakeBench = Callable[..., AbstractContextManager[Bench]]
 def test_a_reversed_motor_is_refused_before_it_presses(make: MakeBench, film: bool) -> None:
     """The wires of the shaft are swapped from the start; its drive counts as commanded."""
     with make(touch="2 mm") as bench:
-        bench.motor.lies.begin(InjectedFault(FaultKind.REVERSED), time.monotonic_ns())
+        bench.motor.injector.begin(InjectedFault(FaultKind.REVERSED), time.monotonic_ns())
         peak_n = 0.0
 
         def force_n() -> float | None:

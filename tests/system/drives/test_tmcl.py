@@ -48,11 +48,11 @@ def test_answers_that_are_none_stop_the_motor_and_are_counted(
         bench.drive.start()
         bench.keep(RATE_HZ, lambda: bench.motor.rate_hz > 0)
         bench.emulator.late_s = 0.15
-        bench.emulator.answers = answers
+        bench.emulator.answer_mode = answers
         bench.keep(RATE_HZ, lambda: bench.drive.status().fault is not None)
         assert bench.drive.counts[named] > 0
         # None of what a module says late or wrongly is taken for an answer to something else.
-        bench.emulator.answers = "right"
+        bench.emulator.answer_mode = "right"
         wait(lambda: bench.drive.status().withdrawal is not WithdrawalOutcome.UNDER_WAY)
         wait(lambda: bench.at_rest)
         assert bench.motor.tip_m < 0
@@ -64,9 +64,9 @@ def test_a_few_missing_answers_are_counted_and_nothing_else() -> None:
     with tmcl_bench() as bench:
         bench.drive.start()
         bench.keep(RATE_HZ, lambda: bench.motor.rate_hz > 0)
-        bench.emulator.answers = "garbled"
+        bench.emulator.answer_mode = "garbled"
         bench.keep(RATE_HZ, lambda: bench.drive.counts["garbled"] >= 2)
-        bench.emulator.answers = "right"
+        bench.emulator.answer_mode = "right"
         missed = bench.drive.counts["garbled"]
         bench.keep(-RATE_HZ, lambda: bench.motor.rate_hz < 0)
         assert bench.drive.status().fault is None
@@ -75,7 +75,7 @@ def test_a_few_missing_answers_are_counted_and_nothing_else() -> None:
 
 def test_a_module_that_was_not_ready_yet_is_asked_again() -> None:
     with tmcl_bench(reply_timeout="20 ms") as bench:
-        bench.emulator.answers = "none"
+        bench.emulator.answer_mode = "none"
         ready = threading.Timer(0.2, setattr, (bench.emulator, "answers", "right"))
         ready.start()
         bench.drive.start()

@@ -71,7 +71,7 @@ def test_whenever_the_commands_end_the_watchdog_stops_the_tip_before_the_end_of_
     actuator = stepper()
     axis = build_axis(scene, actuator, LAYER, FORCE_LIMIT_N)
     motor = at_first_touch(actuator)
-    motor.watch(WATCHDOG_NS)
+    motor.set_watchdog(WATCHDOG_NS)
     tips_m = [motor.tip_m]
     for tick in range(1, killed_after_ms + 200):
         if tick <= killed_after_ms:

@@ -113,7 +113,7 @@ def test_here_is_home_and_another_method_is_an_error() -> None:
 def test_at_rest_within_100_ms_of_the_last_heartbeat(option: int, state: State) -> None:
     drive, motor = enabled()
     drive.abort_option = option
-    motor.watch(50 * MS)
+    motor.set_watchdog(50 * MS)
     drive.control(Control.ENABLE, 20_000)
     for ms in range(1, 101):
         drive.advance(ms * MS)
@@ -148,7 +148,7 @@ def test_digital_inputs_report_the_home_switch_on_its_side(inverted: bool, limit
 
 def test_after_a_missed_heartbeat_it_moves_only_when_reset_and_enabled_again() -> None:
     drive, motor = enabled()
-    motor.watch(50 * MS)
+    motor.set_watchdog(50 * MS)
     drive.control(Control.ENABLE, 1_000)
     drive.advance(100 * MS)
     assert (drive.state, drive.error_code) == (State.FAULT, HEARTBEAT_ERROR)
@@ -169,7 +169,7 @@ def test_after_a_missed_heartbeat_it_moves_only_when_reset_and_enabled_again() -
 def test_a_quick_stop_on_a_missed_heartbeat_is_left_by_the_enable_sequence_alone() -> None:
     drive, motor = enabled()
     drive.abort_option = 3
-    motor.watch(50 * MS)
+    motor.set_watchdog(50 * MS)
     drive.control(Control.ENABLE, 1_000)
     for ms in range(1, 101):
         drive.advance(ms * MS)

@@ -1,4 +1,4 @@
-"""Lies of the emulated drives, in virtual time: what is felt beside what is reported."""
+"""Injected faults of the emulated drives, in virtual time: the truth beside what is reported."""
 
 import pytest
 
@@ -23,11 +23,11 @@ RATE_HZ = 4_000.0
 RAN_MS = 100
 
 
-def moved(lie: InjectedFault | None, rate_hz: float = RATE_HZ) -> EmulatedMotor:
-    """A motor that ran at a rate for 0.1 s, lied about from the start."""
+def moved(fault: InjectedFault | None, rate_hz: float = RATE_HZ) -> EmulatedMotor:
+    """A motor that ran at a rate for 0.1 s, with a fault from the start."""
     motor = EmulatedMotor(SCENE, SCENE.contact(LayerTable().layer()), TOUCH_M, now_ns=0)
-    if lie is not None:
-        motor.lies.begin(lie, 0)
+    if fault is not None:
+        motor.injector.begin(fault, 0)
         # A position freezes at its first report.
         _ = motor.position_steps
     motor.run(rate_hz)
@@ -36,8 +36,8 @@ def moved(lie: InjectedFault | None, rate_hz: float = RATE_HZ) -> EmulatedMotor:
     return motor
 
 
-HONEST = moved(None)
-WAY_M = HONEST.tip_m + TOUCH_M / 2
+TRUE = moved(None)
+TRAVEL_M = TRUE.tip_m + TOUCH_M / 2
 
 
 @pytest.mark.parametrize(
@@ -55,8 +55,8 @@ def test_what_the_shaft_turns_beside_what_the_bus_reports(
     kind: FaultKind, size: float, turned: float, reported: float
 ) -> None:
     motor = moved(InjectedFault(kind, size))
-    assert motor.tip_m + TOUCH_M / 2 == pytest.approx(turned * WAY_M, abs=3e-6)
-    assert motor.position_steps == pytest.approx(reported * HONEST.position_steps, abs=2)
+    assert motor.tip_m + TOUCH_M / 2 == pytest.approx(turned * TRAVEL_M, abs=3e-6)
+    assert motor.position_steps == pytest.approx(reported * TRUE.position_steps, abs=2)
 
 
 @pytest.mark.parametrize(
@@ -68,8 +68,8 @@ def test_what_the_shaft_turns_beside_what_the_bus_reports(
 )
 def test_a_reported_position_that_is_off(kind: FaultKind, size: float, off_m: float) -> None:
     motor = moved(InjectedFault(kind, size))
-    assert motor.tip_m == HONEST.tip_m
-    off_steps = motor.position_steps - HONEST.position_steps
+    assert motor.tip_m == TRUE.tip_m
+    off_steps = motor.position_steps - TRUE.position_steps
     assert off_steps * SCENE.step_m == pytest.approx(off_m, abs=SCENE.step_m)
 
 
@@ -98,9 +98,9 @@ def test_a_reversed_motor_runs_away_from_its_home_switch() -> None:
     ],
 )
 def test_what_the_film_sends(kind: FaultKind, size: float, wanted_n: tuple[float, float]) -> None:
-    lies = FaultInjector(SCENE.step_m)
-    lies.begin(InjectedFault(kind, size), 0)
-    assert (lies.film_n(0.4), lies.film_n(0.8)) == wanted_n
+    injector = FaultInjector(SCENE.step_m)
+    injector.begin(InjectedFault(kind, size), 0)
+    assert (injector.film_n(0.4), injector.film_n(0.8)) == wanted_n
 
 
 @pytest.mark.parametrize(
@@ -114,10 +114,10 @@ def test_what_the_film_sends(kind: FaultKind, size: float, wanted_n: tuple[float
     ],
 )
 def test_when_an_answer_is_sent(kind: FaultKind, size: float, sent: dict[int, int]) -> None:
-    lies, answer = FaultInjector(SCENE.step_m), bytes(range(9))
-    lies.begin(InjectedFault(kind, size), 0)
-    lies.answer(answer, 0, header=2)
-    found = {ms: lies.due(ms * MS) for ms in range(40)}
+    injector, answer = FaultInjector(SCENE.step_m), bytes(range(9))
+    injector.begin(InjectedFault(kind, size), 0)
+    injector.queue_answer(answer, 0, header=2)
+    found = {ms: injector.due_answers(ms * MS) for ms in range(40)}
     assert {ms: len(answers) for ms, answers in found.items() if answers} == sent
     for (spoilt,) in [
         answers for answers in found.values() if kind is FaultKind.GARBAGE and answers
@@ -126,10 +126,10 @@ def test_when_an_answer_is_sent(kind: FaultKind, size: float, sent: dict[int, in
         assert spoilt != answer
 
 
-def test_lies_begin_when_they_are_begun() -> None:
+def test_a_fault_begins_when_it_is_begun() -> None:
     motor = moved(None)
     at = motor.position_steps
-    motor.lies.begin(InjectedFault(FaultKind.POSITION_FROZEN), RAN_MS * MS)
+    motor.injector.begin(InjectedFault(FaultKind.POSITION_FROZEN), RAN_MS * MS)
     scene = TmclScene.model_validate({"kind": "tmcl", "port": "x"})
     module = EmulatedTmclModule(scene, motor)
     asked = bytes.fromhex("01 06 01 00 00 00 00 00 08")
@@ -138,15 +138,15 @@ def test_lies_begin_when_they_are_begun() -> None:
 
 
 @pytest.mark.parametrize("kind", FaultKind)
-def test_every_kind_is_read_with_its_usual_size_and_bounds(kind: FaultKind) -> None:
-    lie = parse_fault(kind, None)
-    assert lie.kind is kind
+def test_every_kind_is_read_with_its_default_size_and_bounds(kind: FaultKind) -> None:
+    fault = parse_fault(kind, None)
+    assert fault.kind is kind
     if kind not in SIZES:
         with pytest.raises(SceneError, match="has none"):
             parse_fault(kind, "1")
         return
     least, most = (parse_fault(kind, text) for text in (SIZES[kind].least, SIZES[kind].most))
-    assert least.size <= lie.size <= most.size
+    assert least.size <= fault.size <= most.size
     number, *unit = SIZES[kind].most.split()
     with pytest.raises(SceneError, match=f"{kind.value} takes"):
         parse_fault(kind, " ".join((f"{float(number) * 1.1:g}", *unit)))

@@ -28,7 +28,7 @@ def test_it_keeps_the_limits_of_speed_and_acceleration() -> None:
     assert max(rates) == pytest.approx(SCENE.max_speed_m_per_s)
 
 
-def test_it_advances_in_whole_milliseconds_however_it_is_asked() -> None:
+def test_it_advances_in_whole_milliseconds_however_often_it_is_called() -> None:
     at_once, often = motor(), motor()
     for one in (at_once, often):
         one.run(1000.0)
@@ -39,9 +39,9 @@ def test_it_advances_in_whole_milliseconds_however_it_is_asked() -> None:
     assert list(often.forces_n) == list(at_once.forces_n)
 
 
-def test_from_full_speed_a_fallen_silent_host_is_at_rest_within_100_ms() -> None:
+def test_from_full_speed_with_a_silent_host_it_is_at_rest_within_100_ms() -> None:
     moved = motor()
-    moved.watch(50 * MS)
+    moved.set_watchdog(50 * MS)
     for ms in range(1, 31):
         moved.run(-FASTEST_HZ if ms < 2 else FASTEST_HZ / 40)
         moved.feed()
@@ -111,19 +111,19 @@ def test_it_presses_as_the_law_of_contact_says_and_stalls_beyond_its_thrust() ->
     assert moved.tip_m == pytest.approx(stood_m, abs=20 * SCENE.step_m)
 
 
-def test_a_command_counts_from_when_it_was_told() -> None:
+def test_a_command_counts_from_its_own_time() -> None:
     """Steps are counted exactly, although time passes in whole milliseconds."""
     moved = motor(max_acceleration="1e9 m/s^2")
-    for told_ns in (0, 300_000, 1_900_000):
-        moved.advance(told_ns)
-        moved.run(10_000.0 if told_ns != 300_000 else 90_000.0)
+    for at_ns in (0, 300_000, 1_900_000):
+        moved.advance(at_ns)
+        moved.run(10_000.0 if at_ns != 300_000 else 90_000.0)
     moved.advance(5 * MS)
     assert moved.position_steps == 3 + 1.6 * 90 + 3.1 * 10
 
 
-def test_a_trip_of_the_watchdog_owes_nothing() -> None:
+def test_a_trip_of_the_watchdog_carries_no_steps_over() -> None:
     moved = motor()
-    moved.watch(50 * MS)
+    moved.set_watchdog(50 * MS)
     moved.advance(700_000)
     moved.run(1000.0)
     moved.advance(100 * MS)
@@ -133,7 +133,7 @@ def test_a_trip_of_the_watchdog_owes_nothing() -> None:
     assert moved.position_steps == pytest.approx(49.3, abs=1)
 
 
-def test_the_scenes_latency_is_not_added_to_the_ways_own() -> None:
+def test_the_scenes_latency_is_not_added_to_the_lines_own() -> None:
     late, prompt = motor(latency="10 ms"), motor()
     for one in (late, prompt):
         one.run(1000.0)
