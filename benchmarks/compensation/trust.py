@@ -16,7 +16,7 @@ from display_node.scoring.tracking_error import JND
 from protocol.wire.telemetry import TickState
 from sensing_node.sources.recorded import RecordingScene
 from sensing_node.sources.synthetic import NOMINAL_BEAT_S
-from telepulse.reports.studies.prediction_sets import (
+from telepulse.reports.studies.prediction_pulses import (
     RATE_HZ,
     Beats,
     Floats,

@@ -24,9 +24,9 @@ def integrators(out: FolderOption = Path("out/integrators"), json: TablesOption 
     Takes about half a minute. python-control takes part where it is installed.
     """
     # The study brings matplotlib's and scipy's import times; other commands do without.
+    from telepulse.reports.studies.integrator_report import report_integrators
     from telepulse.reports.studies.integrator_scores import IntegratorEffort, score_integrators
-    from telepulse.reports.studies.integrators_report import report_integrators
-    from telepulse.reports.studies.one_thread import in_one_thread
+    from telepulse.reports.studies.sweep import in_one_thread
 
     effort = IntegratorEffort()
     publish(lambda: report_integrators(in_one_thread(score_integrators, effort), effort), out, json)
@@ -84,8 +84,8 @@ def link(
     installed.
     """
     from telepulse.reports.studies import link_scores
-    from telepulse.reports.studies.link_play import LinkEffort
     from telepulse.reports.studies.link_report import report_links
+    from telepulse.reports.studies.link_scores import LinkEffort
 
     effort = LinkEffort()
     publish(lambda: report_links(link_scores.score_links(effort, scheduler), effort), out, json)

@@ -70,7 +70,7 @@ class Report:
     provenance: Provenance | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Titles, paragraphs and tables as plain types for JSON."""
+        """Return titles, paragraphs and tables as plain types for JSON."""
         made = {} if self.provenance is None else {"provenance": self.provenance.to_dict()}
         return made | {
             "title": self.title,
@@ -133,8 +133,15 @@ THEMES = (
 )
 
 
+def text_colour() -> str:
+    """Return the text colour of the theme that is being drawn."""
+    from matplotlib import rcParams
+
+    return str(rcParams["text.color"])
+
+
 def check_can_report(folder: Path) -> None:
-    """Say before the work what would fail after it. Raises OutputError."""
+    """Refuse a report that could not be written, before the work. Raises OutputError."""
     try:
         import jinja2  # noqa: F401
         import matplotlib  # noqa: F401
@@ -152,7 +159,7 @@ def check_can_report(folder: Path) -> None:
 
 
 def write_report(report: Report, folder: Path) -> Path:
-    """Write the page and its pictures into `folder`; the page's path. Raises OutputError."""
+    """Write the page and its pictures into `folder`, and return its path. Raises OutputError."""
     check_can_report(folder)
     written = report
     from jinja2 import Environment, PackageLoader, StrictUndefined

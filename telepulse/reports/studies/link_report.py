@@ -4,9 +4,16 @@ from typing import TYPE_CHECKING
 
 from display_node.prediction import PredictorName
 from telepulse.reports.document import Chapter, Plot, Report, Table
-from telepulse.reports.studies.link_play import AUTO, LinkEffort, LinkOutcome
-from telepulse.reports.studies.link_policies import DELAYS_MS, PROTOTYPE
-from telepulse.reports.studies.link_scores import PREDICTORS, TCP, LinkScores
+from telepulse.reports.studies.link_scores import (
+    AUTO,
+    DELAYS_MS,
+    PREDICTORS,
+    PROTOTYPE,
+    TCP,
+    LinkEffort,
+    LinkOutcome,
+    LinkScores,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

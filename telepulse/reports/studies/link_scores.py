@@ -1,15 +1,256 @@
-"""Every link at every perceived delay with every predictor, and what a predictor costs."""
+"""Every link at every perceived delay with every predictor, and what a predictor costs.
 
+One way to play one link: so much buffered, the rest predicted, both nodes in virtual time.
+
+Three ways to treat late samples over TCP: predict from the newest, throw them away, hold.
+
+fresh: at time t the pulse of t − E is played; what has not arrived is predicted from the newest
+sample that has. classic: a jitter buffer hands over every sample one fixed delay after it was
+taken, with 1 % of them late and thrown away; what E asks for before that is predicted from what
+was handed over. hold: as fresh, but the newest value stays.
+"""
+
+import math
 import time
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import partial
 
-from display_node.prediction import PredictorName
-from telepulse.reports.studies.link_play import LinkCell, LinkEffort, LinkOutcome, play, pooled
-from telepulse.reports.studies.link_policies import Policies, play_policies
-from telepulse.reports.studies.one_thread import in_one_thread
-from telepulse.reports.studies.prediction_sets import pulses
-from telepulse.reports.studies.sweep import sweep
+import numpy as np
+from numpy.typing import NDArray
+
+from display_node.prediction import Predictor, PredictorName, build_predictor
+from display_node.scoring.tracking_error import JND
+from protocol.tactile import matching_force_ratio
+from protocol.wire.telemetry import TickState
+from sensing_node.scene import build_source
+from telepulse.reports.studies.prediction_pulses import RATE_HZ, SCORED_FROM_S, Pulse, pulses
+from telepulse.reports.studies.sweep import in_one_thread, sweep
+from telepulse.scene import Scene, find_scene, load_scene
+from telepulse.simulation.link_model import MessageLink, parse_link
+from telepulse.simulation.virtual_time import Simulation
+
+SCENE = "radial"
+AUTO = "auto"
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class LinkEffort:
+    """How long is played: `settle_seconds` to learn in, then `seconds` that count."""
+
+    seconds: float = 15.0
+    settle_seconds: float = 20.0
+    seeds: tuple[int, ...] = (1, 2)
+
+
+@dataclass(frozen=True, slots=True)
+class LinkCell:
+    """A link as `parse_link` reads it, a predictor, a perceived delay E and a seed.
+
+    delay_ms: None where the display chooses E. The seed is the link's and the pulse's.
+    """
+
+    link: str
+    predictor: PredictorName
+    delay_ms: float | None
+    seed: int = 1
+
+    def __str__(self) -> str:
+        delay = AUTO if self.delay_ms is None else f"{self.delay_ms:g} ms"
+        return f"{self.predictor} at E = {delay} over {self.link}, seed {self.seed}"
+
+
+@dataclass(frozen=True, slots=True)
+class LinkOutcome:
+    """What came of it. deviation_n and peak_to_peak_n: the pulse's own, as felt.
+
+    delay_ms: mean perceived delay E, so much is buffered. horizon_ms: by how much the newest
+    sample was older than what was played, so much is predicted, on average; longest_ms: at most.
+    predicted: share of ticks without a sample. felt: share of the time in which the pulse was
+    felt, and not faded out for want of samples. roughness: energy of what is felt above 25 Hz
+    over the pulse's. late, lost: shares of the samples.
+    """
+
+    in_phase_n: float
+    aligned_n: float
+    deviation_n: float
+    peak_to_peak_n: float
+    delay_ms: float
+    horizon_ms: float
+    longest_ms: float
+    predicted: float
+    felt: float
+    roughness: float
+    late: float
+    lost: float
+
+    @property
+    def in_phase(self) -> float:
+        """NRMSE against the pulse at that very instant."""
+        return self.in_phase_n / self.deviation_n
+
+    @property
+    def aligned(self) -> float:
+        """NRMSE against the pulse of E ago."""
+        return self.aligned_n / self.deviation_n
+
+    @property
+    def in_phase_jnd(self) -> float:
+        """The error in phase over the least difference in force that is felt."""
+        return self.in_phase_n / (JND * self.peak_to_peak_n)
+
+
+def play(cell: LinkCell, effort: LinkEffort) -> LinkOutcome:
+    """Play a cell. Raises SceneError."""
+    scene = _scene(cell)
+    simulation = Simulation(scene, cell.seed)
+    delays_ns, horizons_ns = [], []
+
+    def watch(felt: TickState) -> None:
+        newest_ns = simulation.newest_ns
+        if newest_ns is not None:
+            delays_ns.append(felt.playout_delay_ns)
+            horizons_ns.append(max(0, felt.instant_ns - newest_ns))
+
+    summary = simulation.run(effort.settle_seconds + effort.seconds, effort.settle_seconds, watch)
+    samples, errors = summary.samples, summary.force_rmse_n
+    horizon_ns, pulse_n = np.array(horizons_ns), _pulse_n(scene, effort)
+    return LinkOutcome(
+        in_phase_n=errors.in_phase or math.nan,
+        aligned_n=errors.aligned or math.nan,
+        deviation_n=float(pulse_n.std()),
+        peak_to_peak_n=float(np.ptp(pulse_n)),
+        delay_ms=float(np.mean(delays_ns)) * 1e-6,
+        horizon_ms=float(horizon_ns.mean()) * 1e-6,
+        longest_ms=float(horizon_ns.max()) * 1e-6,
+        predicted=float(np.mean(horizon_ns > 0)),
+        felt=len(delays_ns) * scene.display.tick_ns * 1e-9 / effort.seconds,
+        roughness=summary.roughness.energy_ratio or math.nan,
+        late=(samples.late or 0) / (samples.sent or 1),
+        lost=(samples.lost or 0) / (samples.sent or 1),
+    )
+
+
+def pooled(outcomes: Iterable[LinkOutcome]) -> LinkOutcome:
+    """One outcome of several seeds: forces by their root mean square, the rest by its mean."""
+    several = list(outcomes)
+    values = {}
+    for field in fields(LinkOutcome):
+        column = np.array([getattr(outcome, field.name) for outcome in several])
+        is_force = field.name.endswith("_n")
+        values[field.name] = float(np.sqrt(np.mean(column**2)) if is_force else column.mean())
+    longest_ms = max(outcome.longest_ms for outcome in several)
+    return replace(LinkOutcome(**values), longest_ms=longest_ms)
+
+
+def _scene(cell: LinkCell) -> Scene:
+    scene = load_scene(find_scene(SCENE))
+    source = scene.sensing.source.model_copy(update={"seed": cell.seed})
+    delay_ns = None if cell.delay_ms is None else round(cell.delay_ms * 1e6)
+    display = {"predictor": cell.predictor, "compensation_ns": delay_ns}
+    return replace(
+        scene,
+        sensing=scene.sensing.model_copy(update={"source": source}),
+        display=scene.display.model_copy(update=display),
+        link=parse_link(cell.link),
+    )
+
+
+def _pulse_n(scene: Scene, effort: LinkEffort) -> Floats:
+    """What should be felt while it is scored."""
+    source = build_source(scene.sensing, scene.path.parent)
+    rate_hz = 1e9 / source.period_ns
+    source.take(round(effort.settle_seconds * rate_hz))
+    wrist_n = source.take(round(effort.seconds * rate_hz))[:, scene.display.channel]
+    ratio = matching_force_ratio(scene.sensing.layer.layer(), scene.display.layer.layer())
+    return np.asarray(ratio * wrist_n, dtype=np.float64)
+
+
+DELAYS_MS = (0, 40, 80)
+FRAME = 5
+# What a frame of five samples takes on the wire, about.
+FRAME_BYTES = 60
+LATE_TARGET = 0.01
+TICK_NS = 1_000_000_000 // RATE_HZ
+FRESH, CLASSIC, HOLD = "fresh", "classic buffer", "hold"
+# What the project's issue on the link quotes of a prototype, at each of the delays.
+PROTOTYPE = {
+    FRESH: (0.108, 0.043, 0.039),
+    CLASSIC: (0.264, 0.251, 0.229),
+    HOLD: (0.770, 0.310, 0.261),
+}
+
+Nrmse = tuple[float, ...]
+Milliseconds = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Policies:
+    """NRMSE of each policy at each of `DELAYS_MS`; the classic buffer's delay."""
+
+    errors: dict[str, Nrmse]
+    classic_delay_ms: int
+
+
+def play_policies(pulse: Pulse, link: str, seed: int = 1) -> Policies:
+    """Play a pulse over a link in each way; scored as in `telepulse study prediction`."""
+    arrived = arrivals_ms(len(pulse.sensed) // FRAME, link, seed)
+    taken = np.arange(len(arrived)) * FRAME + FRAME - 1
+    classic_ms = round(float(np.quantile(arrived - taken, 1 - LATE_TARGET, method="higher")))
+    handed_over = [
+        sent + classic_ms if arrival - sent <= classic_ms else None
+        for sent, arrival in zip(taken.tolist(), arrived.tolist(), strict=True)
+    ]
+    return Policies(
+        {
+            FRESH: _play(pulse, arrived.tolist(), build_predictor("stack", TICK_NS)),
+            CLASSIC: _play(pulse, handed_over, build_predictor("stack", TICK_NS)),
+            HOLD: _play(pulse, arrived.tolist(), build_predictor("hold", TICK_NS)),
+        },
+        classic_ms,
+    )
+
+
+def arrivals_ms(frames: int, link: str, seed: int) -> Milliseconds:
+    """The tick at which each frame can be read; one that none was lost over."""
+    way = MessageLink(parse_link(link), seed)
+    arrived_ns = []
+    for frame in range(frames):
+        arrival_ns = way.data_arrival_ns((frame * FRAME + FRAME - 1) * TICK_NS, FRAME_BYTES)
+        if arrival_ns is None:
+            raise ValueError(f"{link}: frames are lost, so that there is no delay of theirs")
+        arrived_ns.append(arrival_ns)
+    return np.array([-(-arrival_ns // TICK_NS) for arrival_ns in arrived_ns])
+
+
+def _play(pulse: Pulse, known_at: Sequence[int | None], predictor: Predictor) -> Nrmse:
+    """NRMSE at each delay when frame i is known from tick known_at[i] on, in order; or never."""
+    scored_from, ticks = round(SCORED_FROM_S * RATE_HZ), len(known_at) * FRAME
+    frames = [(at, frame) for frame, at in enumerate(known_at) if at is not None]
+    known = np.zeros(ticks, dtype=bool)
+    squares, newest, coming = np.zeros(len(DELAYS_MS)), -1, 0
+    for now in range(ticks):
+        while coming < len(frames) and frames[coming][0] <= now:
+            first = frames[coming][1] * FRAME
+            newest, coming = first + FRAME - 1, coming + 1
+            known[first : newest + 1] = True
+            times_ns = [sample * TICK_NS for sample in range(first, newest + 1)]
+            predictor.observe(times_ns, pulse.sensed[first : newest + 1].tolist())
+        predictor.work()
+        if now < scored_from:
+            continue
+        for row, delay_ms in enumerate(DELAYS_MS):
+            instant = now - delay_ms
+            played = (
+                float(pulse.sensed[instant])
+                if known[instant]
+                else predictor.predict(max(instant, newest) * TICK_NS)
+            )
+            squares[row] += (played - pulse.true[instant]) ** 2
+    return tuple(np.sqrt(squares / (ticks - scored_from)).tolist())
+
 
 PREDICTORS: tuple[PredictorName, ...] = ("hold", "linear", "stack")
 # The issue's prototype played an arterial recording; heartpy's first is what we have.

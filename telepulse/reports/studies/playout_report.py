@@ -5,15 +5,7 @@ from operator import attrgetter
 from typing import TYPE_CHECKING
 
 from telepulse.reports.document import Chapter, Plot, Report, Table
-from telepulse.reports.studies.playout_play import PlayedTrace
-from telepulse.reports.studies.playout_scores import (
-    OURS,
-    RULES,
-    LinkScore,
-    PlayoutEffort,
-    PlayoutScores,
-)
-from telepulse.reports.studies.playout_traces import (
+from telepulse.reports.studies.playout_links import (
     BURSTS,
     DENSE,
     FAST,
@@ -24,6 +16,14 @@ from telepulse.reports.studies.playout_traces import (
     SLOW,
     SPIKES,
     TCP,
+)
+from telepulse.reports.studies.playout_rules import PlayedTrace
+from telepulse.reports.studies.playout_scores import (
+    OURS,
+    RULES,
+    LinkScore,
+    PlayoutEffort,
+    PlayoutScores,
 )
 
 if TYPE_CHECKING:

@@ -7,16 +7,26 @@ from functools import partial
 from typing import NamedTuple
 
 from display_node.reception.delay_estimator import LATE_TARGET, DelayEstimator
-from telepulse.reports.studies.playout_optimum import best_constant_ms, best_moving, cheapest
-from telepulse.reports.studies.playout_peers import (
+from telepulse.reports.studies.playout_links import (
+    FRAME_NS,
+    LINKS,
+    SECONDS,
+    best_constant_ms,
+    best_moving,
+    cheapest,
+    make_trace,
+)
+from telepulse.reports.studies.playout_rules import (
+    DelayRule,
     FixedDelay,
+    MakeRule,
     MoonPercentile,
     NetEqLike,
+    PlayedTrace,
     Ramjee1,
     Ramjee4,
+    play,
 )
-from telepulse.reports.studies.playout_play import DelayRule, MakeRule, PlayedTrace, play
-from telepulse.reports.studies.playout_traces import FRAME_NS, LINKS, SECONDS, make_trace
 from telepulse.reports.studies.sweep import sweep
 
 MS = 1e6

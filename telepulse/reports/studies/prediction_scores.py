@@ -9,8 +9,7 @@ import numpy as np
 
 from display_node.prediction import Predictor, PredictorName, build_predictor
 from display_node.prediction.ensemble import Ensemble
-from telepulse.reports.studies.one_thread import in_one_thread
-from telepulse.reports.studies.prediction_sets import (
+from telepulse.reports.studies.prediction_pulses import (
     RATE_HZ,
     SCORED_FROM_S,
     Floats,
@@ -18,7 +17,7 @@ from telepulse.reports.studies.prediction_sets import (
     pulses,
     silent_pulses,
 )
-from telepulse.reports.studies.sweep import sweep
+from telepulse.reports.studies.sweep import in_one_thread, sweep
 
 HORIZONS_MS = (20, 50, 100, 200)
 TICK_NS = 1_000_000

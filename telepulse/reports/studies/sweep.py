@@ -1,18 +1,51 @@
-"""One function over many cases: on all cores of this machine, or on a Dask cluster."""
+"""One function over many cases: on all cores of this machine, or on a Dask cluster.
+
+A process for measurements that threads of a linear-algebra library would disturb.
+"""
 
 import asyncio
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import CancelledError, Executor, Future
+from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, contextmanager
+from multiprocessing import get_context
 from typing import TypeVar
 
 from protocol.errors import SweepError
-from telepulse.reports.studies.one_thread import one_thread_pool
+
+Argument = TypeVar("Argument")
+Result = TypeVar("Result")
+# Read once by OpenBLAS and its like, when they are loaded: hence processes of their own.
+THREADS = "OMP_NUM_THREADS"
+
+
+def in_one_thread(function: Callable[[Argument], Result], argument: Argument) -> Result:
+    """Call a function of a module in a fresh process whose linear algebra has one thread.
+
+    Matrices of a few rows gain nothing from threads, and on a busy machine the threads wait for
+    each other far longer than they work. What the function raises is raised here.
+    """
+    with one_thread_pool(1) as pool:
+        return pool.submit(function, argument).result()
+
+
+@contextmanager
+def one_thread_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
+    """Fresh processes whose linear algebra has one thread each."""
+    before = os.environ.get(THREADS)
+    os.environ[THREADS] = "1"
+    try:
+        # A fork of a process with threads, which matplotlib and numpy may have, is not safe.
+        with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+            yield pool
+    finally:
+        del os.environ[THREADS]
+        if before is not None:
+            os.environ[THREADS] = before
+
 
 Case = TypeVar("Case")
-Result = TypeVar("Result")
 CONNECT_S = 10
 MISSING = "a sweep on a cluster needs Dask: pip install 'telepulse[cluster]'"
 

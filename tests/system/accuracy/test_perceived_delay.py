@@ -13,7 +13,7 @@ from display_node.prediction import PredictorName
 from protocol.run_summary import Summary
 from protocol.wire.telemetry import TickState
 from sensing_node.sources.recorded import RecordingScene
-from telepulse.reports.studies.prediction_sets import Floats, drawn, fibrillating, make_rhythm
+from telepulse.reports.studies.prediction_pulses import Floats, drawn, fibrillating, make_rhythm
 from telepulse.scene import Scene, load_scene
 from telepulse.simulation.link_model import MessageLink, parse_link
 from telepulse.simulation.virtual_time import Simulation

@@ -3,14 +3,14 @@ import sys
 import pytest
 
 from telepulse.reports.document import Report
+from telepulse.reports.studies.integrator_report import NOT_INSTALLED, report_integrators
 from telepulse.reports.studies.integrator_scores import (
     CONTROL,
     DEFAULT,
     IntegratorEffort,
     score_integrators,
 )
-from telepulse.reports.studies.integrators_report import NOT_INSTALLED, report_integrators
-from telepulse.reports.studies.one_thread import in_one_thread
+from telepulse.reports.studies.sweep import in_one_thread
 
 LITTLE = IntegratorEffort(
     seconds=0.3, rounds=1, substeps=(1, 2), solvers=(("RK45", 1e-6),), rotor_seconds=0.2

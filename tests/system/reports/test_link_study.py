@@ -9,12 +9,26 @@ from typer.testing import CliRunner
 from display_node.control.safety import SafetyScene
 from telepulse.cli.main import app
 from telepulse.reports.document import THEMES
-from telepulse.reports.studies import link_policies, link_scores
-from telepulse.reports.studies.link_play import LinkCell, LinkEffort, LinkOutcome, play, pooled
-from telepulse.reports.studies.link_policies import CLASSIC, FRESH, HOLD, arrivals_ms, play_policies
+from telepulse.reports.studies import link_scores
+from telepulse.reports.studies import link_scores as link_policies
 from telepulse.reports.studies.link_report import advice, least_in_phase, report_links
-from telepulse.reports.studies.link_scores import PREDICTORS, Link, LinkScores, score_links
-from telepulse.reports.studies.prediction_sets import Pulse, synthetic_pulses
+from telepulse.reports.studies.link_scores import (
+    CLASSIC,
+    FRESH,
+    HOLD,
+    PREDICTORS,
+    Link,
+    LinkCell,
+    LinkEffort,
+    LinkOutcome,
+    LinkScores,
+    arrivals_ms,
+    play,
+    play_policies,
+    pooled,
+    score_links,
+)
+from telepulse.reports.studies.prediction_pulses import Pulse, synthetic_pulses
 
 LITTLE = LinkEffort(seconds=4, settle_seconds=2, seeds=(1,))
 FAR = "delay=40ms,jitter=1ms"

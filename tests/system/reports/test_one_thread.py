@@ -3,7 +3,7 @@ import os
 import pytest
 
 from protocol.errors import SceneError
-from telepulse.reports.studies.one_thread import THREADS, in_one_thread
+from telepulse.reports.studies.sweep import THREADS, in_one_thread
 from telepulse.scene import find_scene
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from tests.golden.__main__ import paper_numbers, read_paper_numbers
 from tests.support.nodes import ROOT, read_json, run
 
 MODULE = "telepulse"
@@ -47,6 +48,10 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
     return Written(result.stdout, out, read_json(json))
 
 
+def test_every_number_is_the_same_as_before(written: Written) -> None:
+    assert paper_numbers(written.table) == read_paper_numbers()
+
+
 def test_it_prints_its_tables_and_where_the_report_is(written: Written) -> None:
     assert written.output.endswith(f"report: {written.folder / 'index.html'}\n")
     for words in ("Paper and ours", "why they differ", "99.71 %", "0.020863 N"):
@@ -61,9 +66,9 @@ def test_every_figure_is_there_in_both_themes(written: Written) -> None:
         assert (written.folder / name).read_bytes().startswith(b"\x89PNG"), name
 
 
-def test_the_page_says_that_no_reading_gives_all_three(written: Written) -> None:
+def test_the_page_says_that_no_unit_gives_all_three(written: Written) -> None:
     page = (written.folder / "index.html").read_text("utf-8")
-    assert "No reading gives all three figures." in page
+    assert "No unit gives all three figures." in page
     assert not re.search(r"\b(nan|inf|None)\b", page)
 
 
@@ -100,15 +105,17 @@ def test_the_films_and_the_actuators_numbers(written: Written) -> None:
 
 
 def test_which_reading_can_have_given_which_figure(written: Written) -> None:
-    title = "The pulse's height at which a reading gives a printed figure, and whether it can be so"
+    title = (
+        "The pulse's height at which a unit gives a printed figure, and whether that is possible"
+    )
     rows = written.rows(title)
     for name, row in rows.items():
         cells = list(row.values())[1:]
         if name == "mV by eq 21":
             assert [cell.split("; ")[1].split(",")[0] for cell in cells] == [
-                "can be",
+                "possible",
                 "no",
-                "can be",
+                "possible",
             ]
         else:
             assert all(cell.endswith("; no, does not follow") for cell in cells)

@@ -5,10 +5,14 @@ import math
 import pytest
 
 from display_node.reception.delay_estimator import DelayEstimator
-from telepulse.reports.studies.playout_optimum import best_constant_ms, best_moving
-from telepulse.reports.studies.playout_play import play
+from telepulse.reports.studies.playout_links import (
+    BURSTS,
+    best_constant_ms,
+    best_moving,
+    make_trace,
+)
 from telepulse.reports.studies.playout_report import BARS, CONSTANT
-from telepulse.reports.studies.playout_traces import BURSTS, make_trace
+from telepulse.reports.studies.playout_rules import play
 
 # A third of the study's; bursts come every 12 s, and need all of it.
 SECONDS, BURSTS_SECONDS = 100.0, 300.0

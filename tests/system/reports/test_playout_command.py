@@ -7,6 +7,7 @@ from typer.testing import CliRunner
 from telepulse.cli.main import app
 from telepulse.reports.document import THEMES, Report
 from telepulse.reports.studies import playout_scores
+from telepulse.reports.studies.playout_links import GAUSSIAN, TCP
 from telepulse.reports.studies.playout_report import BARS, bars, report_playout
 from telepulse.reports.studies.playout_scores import (
     OURS,
@@ -17,7 +18,6 @@ from telepulse.reports.studies.playout_scores import (
     score_playout,
     score_rule,
 )
-from telepulse.reports.studies.playout_traces import GAUSSIAN, TCP
 
 LITTLE = PlayoutEffort(seconds=20, scan=3, bisections=3, links=(GAUSSIAN, TCP), curves=(TCP,))
 

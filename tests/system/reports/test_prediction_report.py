@@ -9,8 +9,16 @@ from typer.testing import CliRunner
 from telepulse.cli.main import app
 from telepulse.reports.document import THEMES
 from telepulse.reports.studies import prediction_scores
-from telepulse.reports.studies.prediction_bars import BARS, MEDIAN, Bar, BarVerdict, judge
-from telepulse.reports.studies.prediction_report import missing_sets, report_prediction
+from telepulse.reports.studies.prediction_pulses import RECORDED, SILENT, Pulse
+from telepulse.reports.studies.prediction_report import (
+    BARS,
+    MEDIAN,
+    Bar,
+    BarVerdict,
+    judge,
+    missing_sets,
+    report_prediction,
+)
 from telepulse.reports.studies.prediction_scores import (
     HORIZONS_MS,
     Cost,
@@ -19,7 +27,6 @@ from telepulse.reports.studies.prediction_scores import (
     cost,
     score,
 )
-from telepulse.reports.studies.prediction_sets import RECORDED, SILENT, Pulse
 
 NAMES = (
     "hold",

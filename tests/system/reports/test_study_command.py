@@ -6,7 +6,7 @@ from typer.testing import CliRunner
 
 from telepulse.cli.main import app
 from telepulse.reports.document import THEMES
-from telepulse.reports.studies import one_thread
+from telepulse.reports.studies import sweep as one_thread
 from telepulse.reports.studies.integrator_scores import DEFAULT, IntegratorEffort
 
 LITTLE = IntegratorEffort(seconds=0.1, rounds=1, substeps=(1,), solvers=(), rotor_seconds=0.02)

@@ -11,11 +11,10 @@ from typer.testing import CliRunner
 from protocol.errors import SweepError
 from telepulse.cli.main import app
 from telepulse.reports.studies import sweep as sweep_module
-from telepulse.reports.studies.link_play import LinkCell, LinkEffort, play
-from telepulse.reports.studies.one_thread import THREADS
+from telepulse.reports.studies.link_scores import LinkCell, LinkEffort, play
+from telepulse.reports.studies.playout_links import GAUSSIAN
 from telepulse.reports.studies.playout_scores import PlayoutEffort, score_playout
-from telepulse.reports.studies.playout_traces import GAUSSIAN
-from telepulse.reports.studies.sweep import sweep
+from telepulse.reports.studies.sweep import THREADS, sweep
 from tests.support.nodes import free_address, process
 
 LONG_S = 60

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from sensing_node.sources.synthetic import SyntheticScene
-from telepulse.reports.studies.integrator_loop import (
+from telepulse.reports.studies.integrator_scores import (
     DERIVATIVE_FILTER_HZ,
     KD,
     KI,

@@ -8,23 +8,25 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from telepulse.reports.studies.integrator_loop import decimal_plant, decimals, hold_open
-from telepulse.reports.studies.integrator_scores import largest_error
+from telepulse.reports.studies.integrator_scores import (
+    decimal_plant,
+    decimals,
+    hold_open,
+    largest_error,
+)
 from telepulse.reports.studies.integrators import (
     Plant,
+    Solver,
     Step,
+    control_steps,
     exact_hold,
     explicit_euler,
     held_matrix,
+    lsim_steps,
+    lsim_whole,
     rk4,
     semi_implicit_euler,
     shipped,
-)
-from telepulse.reports.studies.library_integrators import (
-    Solver,
-    control_steps,
-    lsim_steps,
-    lsim_whole,
     solve_ivp_steps,
 )
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from telepulse.reports.studies.playout_optimum import best_constant_ms, best_moving, cheapest
+from telepulse.reports.studies.playout_links import best_constant_ms, best_moving, cheapest
 
 FRAME_MS = 5.0
 LEVEL_MS = 0.5

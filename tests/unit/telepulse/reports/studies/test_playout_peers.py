@@ -4,14 +4,14 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from telepulse.reports.studies.playout_peers import (
+from telepulse.reports.studies.playout_rules import (
+    DelayRule,
     FixedDelay,
     MoonPercentile,
     NetEqLike,
     Ramjee1,
     Ramjee4,
 )
-from telepulse.reports.studies.playout_play import DelayRule
 
 MS = 1_000_000
 

@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from telepulse.reports.studies.playout_peers import FixedDelay
-from telepulse.reports.studies.playout_play import felt_delays_ns, play
-from telepulse.reports.studies.playout_traces import DelayTrace, in_order
+from telepulse.reports.studies.playout_links import DelayTrace, in_order
+from telepulse.reports.studies.playout_rules import FixedDelay, felt_delays_ns, play
 
 MS = 1_000_000
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from telepulse.reports.studies.playout_traces import (
+from telepulse.reports.studies.playout_links import (
     BURSTS,
     FAST,
     FRAME_NS,

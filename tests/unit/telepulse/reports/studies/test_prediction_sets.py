@@ -3,7 +3,7 @@ import sys
 import numpy as np
 import pytest
 
-from telepulse.reports.studies.prediction_sets import (
+from telepulse.reports.studies.prediction_pulses import (
     NOISE,
     RATE_HZ,
     RECORDED,
@@ -32,7 +32,7 @@ def test_there_are_twelve_sets_of_unit_deviation_and_1_percent_noise() -> None:
 
 
 def test_without_heartpy_there_are_no_recordings(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("telepulse.reports.studies.prediction_sets.find_spec", lambda _: None)
+    monkeypatch.setattr("telepulse.reports.studies.prediction_pulses.find_spec", lambda _: None)
     assert recorded_pulses(10.0) == {}
     assert "heartpy" not in sys.modules
     assert len(RECORDED) == 4

@@ -1,7 +1,6 @@
 """The study of integrators as a report: speed against error, the frontier, harder plants."""
 
 from telepulse.reports.document import Chapter, Plot, Report, Table
-from telepulse.reports.studies.integrator_loop import loop_radius
 from telepulse.reports.studies.integrator_scores import (
     CHECK_SUBSTEPS,
     CONTROL,
@@ -13,6 +12,7 @@ from telepulse.reports.studies.integrator_scores import (
     IntegratorEffort,
     IntegratorScores,
     LoopScores,
+    loop_radius,
     table_4,
 )
 from telepulse.reports.studies.work_precision import ROUNDING, beaten_by, draw, verdict

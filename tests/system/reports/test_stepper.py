@@ -1,22 +1,20 @@
 import pytest
 
 from display_node.plant.film import FilmTable
-from telepulse.reports.paper import numbers
-from telepulse.reports.paper import stepper as bench
-from telepulse.reports.paper.stepper import StepperTrial
-from telepulse.reports.paper.stepper_chapter import chapter
+from telepulse.reports.paper import published, stepper
+from telepulse.reports.paper.stepper import BenchResult, chapter
 from telepulse.scene import Scene
 
 CLEAN_BAR_N = 0.3e-3
 REAL_BAR_N = 4e-3
 
 
-def rmse_n(trials: list[StepperTrial]) -> dict[str, float]:
-    return {t.name: t.force_rmse_n for t in trials if t.force_rmse_n is not None}
+def rmse_n(results: list[BenchResult]) -> dict[str, float]:
+    return {t.name: t.force_rmse_n for t in results if t.force_rmse_n is not None}
 
 
 def test_the_shipped_benches_are_those_of_the_bars() -> None:
-    clean, real = bench.clean_bench().display, bench.real_bench().display
+    clean, real = stepper.clean_bench().display, stepper.real_bench().display
     for display in (clean, real):
         assert display.actuator.kind == "stepper"
         assert (display.actuator.microsteps, display.actuator.lead_m) == (16, 2e-3)
@@ -30,19 +28,19 @@ def test_the_shipped_benches_are_those_of_the_bars() -> None:
 
 @pytest.fixture(scope="module")
 def clean() -> Scene:
-    return bench.clean_bench()
+    return stepper.clean_bench()
 
 
 def test_the_clean_bench_is_at_the_microsteps_floor(clean: Scene) -> None:
-    floor_n = bench.floor_n(clean)
+    floor_n = stepper.floor_n(clean)
     assert floor_n == pytest.approx(0.18e-3, abs=0.01e-3)
-    shipped = bench.controllers(clean)[-1].force_rmse_n
+    shipped = stepper.controllers(clean)[-1].force_rmse_n
     assert shipped is not None
     assert floor_n <= shipped <= CLEAN_BAR_N
 
 
 def test_the_real_bench_is_followed_by_seeing_it_through_its_model() -> None:
-    found = bench.controllers(bench.real_bench())
+    found = stepper.controllers(stepper.real_bench())
     papers, proportional, blind, observed, shipped = found
     assert papers.force_rmse_n is None
     assert "not stable" in papers.refused
@@ -53,16 +51,16 @@ def test_the_real_bench_is_followed_by_seeing_it_through_its_model() -> None:
 
 
 def test_no_mistake_about_the_real_bench_costs_the_bar() -> None:
-    found = rmse_n(bench.mistakes())
+    found = rmse_n(stepper.mistakes())
     assert len(found) == 11
-    assert max(found.values()) <= REAL_BAR_N < numbers.EXPERIMENT_FORCE_RMSE_N
+    assert max(found.values()) <= REAL_BAR_N < published.EXPERIMENT_FORCE_RMSE_N
     # What is learnt costs nothing; what is not, shows.
     assert found["fingertip half as stiff"] < 1.5 * found["nothing"]
     assert found["no backlash"] > 1.5 * found["nothing"]
 
 
 def test_a_finer_lead_and_a_better_film_tell() -> None:
-    found = rmse_n(bench.other_benches())
+    found = rmse_n(stepper.other_benches())
     leads = [found[f"clean, lead {lead} mm"] for lead in (1, 2, 6)]
     assert leads == sorted(leads)
     assert leads[2] == pytest.approx(6 * leads[0], rel=0.3)
@@ -70,7 +68,7 @@ def test_a_finer_lead_and_a_better_film_tell() -> None:
 
 
 def test_the_observer_undoes_the_films_lag() -> None:
-    parts = {reading.name: (reading, observed) for reading, observed in bench.parts()}
+    parts = {reading.name: (reading, observed) for reading, observed in stepper.parts()}
     reading, observed = parts["film's filter, 40 Hz"]
     assert reading.force_rmse_n is not None
     assert observed.force_rmse_n is not None
@@ -80,7 +78,7 @@ def test_the_observer_undoes_the_films_lag() -> None:
 
 def test_the_chapter_shows_what_was_refused_and_why() -> None:
     tables = {table.title: table for table in chapter().tables}
-    knowing = tables["Force RMSE by what the controller knows"]
+    knowing = tables["Force RMSE by what the controller models"]
     assert knowing.rows[0][2] == "refused"
     assert "not stable" in knowing.note
     assert len(tables) == 5

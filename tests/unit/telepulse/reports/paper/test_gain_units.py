@@ -2,19 +2,22 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from telepulse.reports.paper import readings
-from telepulse.reports.paper.numbers import EXPERIMENT, LAYER, SIMULATION, Gains
-from telepulse.reports.paper.pulse import beats, deviation_n
-from telepulse.reports.paper.readings import (
+from telepulse.reports.paper import contradictions, gain_units
+from telepulse.reports.paper.gain_units import UnitErrors
+from telepulse.reports.paper.published import (
+    ERROR_UNITS,
+    EXPERIMENT,
     FILM_MV,
+    LAYER,
     MEASURED_FORCE,
     MEASURED_STRAIN,
     PRINTED,
-    READINGS,
     SIMULATED_STRAIN,
-    ReadingOutcome,
-    UnitReading,
+    SIMULATION,
+    ErrorUnit,
+    Gains,
 )
+from telepulse.reports.paper.pulse_spectrum import beats, deviation_n
 
 ERRORS = {
     "strain": (0.238, 0.238),
@@ -26,11 +29,11 @@ ERRORS = {
 
 
 @pytest.fixture(scope="module")
-def outcomes() -> dict[str, ReadingOutcome]:
-    return {outcome.reading.name: outcome for outcome in readings.measure()}
+def outcomes() -> dict[str, UnitErrors]:
+    return {outcome.unit.name: outcome for outcome in gain_units.unit_errors()}
 
 
-def test_each_reading_has_its_error(outcomes: dict[str, ReadingOutcome]) -> None:
+def test_each_reading_has_its_error(outcomes: dict[str, UnitErrors]) -> None:
     assert set(outcomes) == set(ERRORS)
     for name, (simulation, experiment) in ERRORS.items():
         outcome = outcomes[name]
@@ -42,20 +45,18 @@ def test_doing_nothing_over_whole_beats() -> None:
     assert deviation_n("paper") == pytest.approx(0.233, abs=0.0005)
 
 
-@pytest.mark.parametrize("reading", READINGS, ids=lambda reading: str(reading.name))
+@pytest.mark.parametrize("unit", ERROR_UNITS, ids=lambda unit: str(unit.name))
 @pytest.mark.parametrize("gains", [SIMULATION, EXPERIMENT], ids=["simulation", "experiment"])
-def test_the_response_is_that_of_scipys_lsim(reading: UnitReading, gains: Gains) -> None:
+def test_the_response_is_that_of_scipys_lsim(unit: ErrorUnit, gains: Gains) -> None:
     wanted_n = beats("paper", 5000.0, 0.8)
     t_s = np.arange(len(wanted_n)) / 5000.0
-    felt_n = lsim(readings.closed_loop(reading, gains), wanted_n, t_s)[1]
-    np.testing.assert_allclose(
-        readings.follow(reading, gains, wanted_n, 5000.0), felt_n, atol=1e-12
-    )
+    felt_n = lsim(gain_units.closed_loop(unit, gains), wanted_n, t_s)[1]
+    np.testing.assert_allclose(gain_units.follow(unit, gains, wanted_n, 5000.0), felt_n, atol=1e-12)
 
 
 def test_the_error_is_a_mean_over_time() -> None:
     # The square of a line from 0 to 1 has the mean 1/3.
-    assert readings.rmse(np.linspace(0, 1, 1001)) == pytest.approx(3**-0.5, rel=1e-5)
+    assert gain_units.rmse(np.linspace(0, 1, 1001)) == pytest.approx(3**-0.5, rel=1e-5)
 
 
 def test_the_printed_errors_as_forces() -> None:
@@ -68,7 +69,7 @@ def test_the_printed_errors_as_forces() -> None:
 
 
 def test_eq_21_in_millivolts_gives_each_printed_error_at_another_height(
-    outcomes: dict[str, ReadingOutcome],
+    outcomes: dict[str, UnitErrors],
 ) -> None:
     heights_n = [outcomes["mV by eq 21"].peak_to_peak_n(printed) for printed in PRINTED]
     assert heights_n == pytest.approx([0.888, 3.20, 1.86], rel=0.004)
@@ -77,7 +78,7 @@ def test_eq_21_in_millivolts_gives_each_printed_error_at_another_height(
 
 
 def test_no_reading_gives_two_of_the_printed_errors_at_one_height(
-    outcomes: dict[str, ReadingOutcome],
+    outcomes: dict[str, UnitErrors],
 ) -> None:
     for outcome in outcomes.values():
         simulated_n, force_n, strain_n = (outcome.peak_to_peak_n(p) for p in PRINTED)
@@ -85,26 +86,26 @@ def test_no_reading_gives_two_of_the_printed_errors_at_one_height(
         assert strain_n > 1.5 * simulated_n
 
 
-def test_the_figure_of_a_height_is_the_printed_one(outcomes: dict[str, ReadingOutcome]) -> None:
+def test_the_figure_of_a_height_is_the_printed_one(outcomes: dict[str, UnitErrors]) -> None:
     height_n = outcomes["mV by eq 21"].peak_to_peak_n(SIMULATED_STRAIN)
-    wanted_n = height_n * beats("paper", readings.RATE_HZ, 6.0)
-    error = LAYER.strain(readings.follow(FILM_MV, SIMULATION, wanted_n) - wanted_n)
-    assert readings.rmse(error) == pytest.approx(9.4249e-9, rel=1e-9)
+    wanted_n = height_n * beats("paper", gain_units.RATE_HZ, 6.0)
+    error = LAYER.strain(gain_units.follow(FILM_MV, SIMULATION, wanted_n) - wanted_n)
+    assert gain_units.rmse(error) == pytest.approx(9.4249e-9, rel=1e-9)
 
 
-def test_starting_on_the_pulse_is_easier(outcomes: dict[str, ReadingOutcome]) -> None:
-    settled = readings.rmse_without_the_start(FILM_MV, SIMULATION)
+def test_starting_on_the_pulse_is_easier(outcomes: dict[str, UnitErrors]) -> None:
+    settled = gain_units.rmse_without_the_start(FILM_MV, SIMULATION)
     assert 0.9 < settled / outcomes["mV by eq 21"].simulation < 0.97
 
 
 def test_the_fastest_poles() -> None:
-    assert readings.poles(FILM_MV, SIMULATION)[0] == pytest.approx(-4056, abs=0.5)
-    pair = readings.poles(FILM_MV, EXPERIMENT)[:2]
+    assert gain_units.poles(FILM_MV, SIMULATION)[0] == pytest.approx(-4056, abs=0.5)
+    pair = gain_units.poles(FILM_MV, EXPERIMENT)[:2]
     assert pair[0] == pair[1].conjugate()
 
 
 def test_the_actuator_by_its_own_numbers() -> None:
-    assert readings.natural_frequency_hz() == pytest.approx(0.41, abs=0.005)
-    volts = readings.volts_for_one_newton()
+    assert contradictions.natural_frequency_hz() == pytest.approx(0.41, abs=0.005)
+    volts = contradictions.volts_for_one_newton()
     assert volts == pytest.approx(2460, abs=5)
     assert 10 / volts == pytest.approx(4e-3, abs=1e-4)

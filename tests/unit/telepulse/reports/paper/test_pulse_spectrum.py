@@ -1,9 +1,17 @@
 import numpy as np
 import pytest
 
-from telepulse.reports.paper.numbers import ENERGY_BELOW_HZ
-from telepulse.reports.paper.pulse import beats, beats_with_slow_parts, deviation_n, raw_mean_n
-from telepulse.reports.paper.spectrum import RATE_HZ, SECONDS, Spectrum, welch
+from telepulse.reports.paper.published import ENERGY_BELOW_HZ
+from telepulse.reports.paper.pulse_spectrum import (
+    RATE_HZ,
+    SECONDS,
+    Spectrum,
+    beats,
+    beats_with_slow_parts,
+    deviation_n,
+    raw_mean_n,
+    welch,
+)
 
 
 @pytest.fixture(scope="module")

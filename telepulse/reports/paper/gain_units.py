@@ -1,0 +1,323 @@
+"""Table 5's gains have no units: five units of the error, each in a loop closed over eq 22.
+
+The loops are in continuous time with a pure derivative, so that only the unit makes a difference.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+from scipy.signal import lfilter, residue
+
+from telepulse.reports.document import Chapter, Plot, Table, text_colour
+from telepulse.reports.paper import published
+from telepulse.reports.paper.published import (
+    ERROR_UNITS,
+    FILM_MV,
+    MEASURED_FORCE,
+    MEASURED_STRAIN,
+    PRINTED,
+    SIMULATED_STRAIN,
+    ErrorUnit,
+    Gains,
+    PrintedRmse,
+    scientific,
+)
+from telepulse.reports.paper.pulse_spectrum import beats, deviation_n
+from telepulse.reports.paper.tick_rates import least_rate_hz, spectral_radius
+from telepulse.scene import find_scene, load_scene
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# Fine enough for the fastest pole, at −4056 /s.
+RATE_HZ = 50_000.0
+# A loop follows the pulse when its error is below this share of the error of doing nothing.
+FOLLOWING = 0.5
+MATLAB_FILTER_RAD_PER_S = 100.0
+AMPLITUDES_N = np.array([2e-3, 10.0])
+Floats = NDArray[np.float64]
+
+
+def closed_loop(unit: ErrorUnit, gains: Gains) -> tuple[Floats, Floats]:
+    """Return numerator and denominator in s from wanted to felt force: the PID over eq 22."""
+    plant = published.ACTUATOR
+    opened = unit.per_newton * np.array([gains.kd, gains.kp, gains.ki])
+    own = np.array([plant.m, plant.c, plant.k, 0.0])
+    return opened, np.polyadd(own, opened)
+
+
+def poles(unit: ErrorUnit, gains: Gains) -> NDArray[np.complex128]:
+    """Return the poles of the closed loop in 1/s, the fastest first."""
+    found = np.roots(closed_loop(unit, gains)[1]).astype(np.complex128)
+    return found[np.argsort(-np.abs(found))]
+
+
+def follow(unit: ErrorUnit, gains: Gains, wanted_n: Floats, rate_hz: float = RATE_HZ) -> Floats:
+    """Return the felt force in N from rest, shape as `wanted_n`, straight between its samples.
+
+    Exact at the samples: each of the loop's partial fractions has its own first-order response
+    to straight lines. scipy's lsim gives the same and takes a hundred times as long.
+    """
+    step_s = 1 / rate_hz
+    felt_n = np.zeros(len(wanted_n), np.complex128)
+    weights, own_rates, _ = residue(*closed_loop(unit, gains))
+    for weight, own_rate in zip(weights, own_rates, strict=True):
+        held = expm(step_s * np.array([[own_rate, 1, 0], [0, 0, 1], [0, 0, 0]]))
+        kept, level, slope = held[0, 0], weight * held[0, 1], weight * held[0, 2] / step_s
+        at_rest = np.array([-slope * wanted_n[0]])
+        felt_n += lfilter([slope, level - slope], [1, -kept], wanted_n, zi=at_rest)[0]
+    return felt_n.real
+
+
+def rmse(error: Floats) -> float:
+    """Return the root of the mean square over time (eqs 23-25), integrated by trapezoids."""
+    return math.sqrt(float(np.trapezoid(error**2)) / (len(error) - 1))
+
+
+@dataclass(frozen=True, slots=True)
+class UnitErrors:
+    """RMSE over peak to peak of the paper's pulse in its first 6 s, for one unit of the error."""
+
+    unit: ErrorUnit
+    simulation: float
+    experiment: float
+
+    def under(self, gains: Gains) -> float:
+        """Return the RMSE over peak to peak with these gains of Table 5."""
+        return self.simulation if gains == published.SIMULATION else self.experiment
+
+    def peak_to_peak_n(self, printed: PrintedRmse) -> float:
+        """Return the pulse's height in N at which this unit gives the printed figure."""
+        return printed.force_n / self.under(printed.gains)
+
+
+@cache
+def unit_errors() -> tuple[UnitErrors, ...]:
+    """Return the errors of every unit."""
+    wanted_n = beats("paper", RATE_HZ, published.FIRST_S)
+
+    def error(unit: ErrorUnit, gains: Gains) -> float:
+        return rmse(follow(unit, gains, wanted_n) - wanted_n)
+
+    return tuple(
+        UnitErrors(unit, error(unit, published.SIMULATION), error(unit, published.EXPERIMENT))
+        for unit in ERROR_UNITS
+    )
+
+
+def film_millivolts() -> UnitErrors:
+    """Return the errors of the one unit with which the loop follows a pulse."""
+    return next(errors for errors in unit_errors() if errors.unit == FILM_MV)
+
+
+def rmse_without_the_start(unit: ErrorUnit, gains: Gains) -> float:
+    """Return the RMSE over peak to peak of a loop that starts on the pulse instead of at rest."""
+    wanted_n = beats("paper", RATE_HZ, published.FIRST_S)
+    moved_n = wanted_n - wanted_n[0]
+    return rmse(follow(unit, gains, moved_n) - moved_n)
+
+
+def chapter() -> Chapter:
+    """Compute what each unit makes of the printed errors, and how fast its loop must run."""
+    settled = rmse_without_the_start(FILM_MV, published.SIMULATION)
+    method = (
+        "Table 5 gives gains without units. The controller may have seen its error as strain, in"
+        " newtons, in volts of the film by eq 21, in millivolts by Fig. 4 or in millivolts by eq"
+        f" 21: an error of 1 N has a size from {scientific(published.STRAIN.per_newton, 1)} to"
+        f" {FILM_MV.per_newton:.0f}. Here each loop is closed over eq 22 in continuous time with a"
+        " pure derivative. The reference is the paper's pulse without its mean, straight between"
+        f" samples at {RATE_HZ / 1000:g} kHz, for the first {published.FIRST_S:g} s from rest; the"
+        " error is a mean over time by trapezoids."
+    )
+    start = (
+        "Where the loop follows, the start matters: the pulse does not begin at zero, and"
+        f" catching up is part of the first {published.FIRST_S:g} s. Begun on the pulse, the"
+        f" simulation's error is {settled:.5f} of the height instead of"
+        f" {film_millivolts().simulation:.5f}."
+    )
+    return Chapter(
+        "Five units for the gains",
+        (method, *_why_none(), start),
+        (_errors_table(), _heights_table(), _rates_table()),
+        (_plot(),),
+    )
+
+
+def _why_none() -> tuple[str, ...]:
+    shares = [errors.simulation / errors.experiment for errors in unit_errors()]
+    force_over_strain = MEASURED_FORCE.force_n / MEASURED_STRAIN.force_n
+    film_mv = film_millivolts()
+    simulated_n = film_mv.peak_to_peak_n(SIMULATED_STRAIN)
+    return (
+        "No unit gives all three figures. Every error is proportional to the pulse's height,"
+        " which is not printed, so every unit gives any one of them at some height. But the"
+        " experiment's force and strain are two views of one error, in a fixed ratio by Table 3,"
+        f" and the printed pair is off that ratio by a factor of {force_over_strain:.2f}: with"
+        " any unit the two heights differ by that factor. Leaving one of the pair out"
+        " does not help: the printed error of the simulation is"
+        f" {SIMULATED_STRAIN.force_n / MEASURED_STRAIN.force_n:.3f} of the experiment's by the"
+        f" strain and {SIMULATED_STRAIN.force_n / MEASURED_FORCE.force_n:.3f} by the force, while"
+        f" the five units put it between {min(shares):.2f} and {max(shares):.2f}.",
+        "Taken one at a time: a printed error is possible if the loop follows the pulse, as"
+        " Figs 13–14 and 17–20 show, at a height inside the film's calibration. Only with"
+        " millivolts by eq 21 does it follow; with the other four, more than half the error of"
+        f" doing nothing is left. {SIMULATED_STRAIN.text} is such an error, of a pulse"
+        f" of {simulated_n:.3f} N; the experiment's gains would then leave"
+        f" {1e3 * simulated_n * film_mv.experiment:.1f} mN, not"
+        f" {1e3 * MEASURED_FORCE.force_n:.1f}. {MEASURED_STRAIN.text} is possible for a pulse of"
+        f" {film_mv.peak_to_peak_n(MEASURED_STRAIN):.2f} N. {MEASURED_FORCE.text} would need"
+        f" {film_mv.peak_to_peak_n(MEASURED_FORCE):.2f} N, more than the film was calibrated to:"
+        " no unit explains it. An experiment's error also contains what eq 22 leaves out:"
+        " steps, noise, friction and the delay of the computer.",
+    )
+
+
+def _errors_table() -> Table:
+    doing_nothing = deviation_n("paper")
+    first_s = rmse(beats("paper", RATE_HZ, published.FIRST_S))
+    rows = [
+        (
+            errors.unit.name,
+            _size(errors.unit.per_newton),
+            f"{errors.simulation:.3g}",
+            f"{errors.experiment:.3g}",
+            _follows_text(errors, doing_nothing),
+        )
+        for errors in unit_errors()
+    ]
+    nothing = (
+        "doing nothing",
+        "–",
+        *2 * (f"{doing_nothing:.3f}",),
+        f"over whole beats; {first_s:.3f} over the first {published.FIRST_S:g} s, which end"
+        " within a beat",
+    )
+    return Table(
+        "RMSE over peak to peak",
+        ("error as", "seen of 1 N", "simulation's gains", "experiment's gains", "does it follow?"),
+        (*rows, nothing),
+        "Following means less than half the error of doing nothing. Strain is too small a signal"
+        " to move the actuator; newtons, volts and the millivolts of Fig. 4 move it, but with a"
+        " resonance among the pulse's own frequencies.",
+    )
+
+
+def _size(per_newton: float) -> str:
+    return f"{per_newton:.4g}" if per_newton >= 1 else scientific(per_newton, 4)
+
+
+def _follows_text(errors: UnitErrors, doing_nothing: float) -> str:
+    if max(errors.simulation, errors.experiment) < FOLLOWING * doing_nothing:
+        return "yes"
+    if errors.simulation < doing_nothing:
+        return "no; simulation's gains are a little better than nothing"
+    return "no"
+
+
+def _heights_table() -> Table:
+    return Table(
+        "The pulse's height at which a unit gives a printed figure, and whether that is possible",
+        (
+            "error as",
+            f"{SIMULATED_STRAIN.text} ({1e3 * SIMULATED_STRAIN.force_n:.3f} mN, simulation)",
+            f"{MEASURED_FORCE.text} (experiment)",
+            f"{MEASURED_STRAIN.text} ({1e3 * MEASURED_STRAIN.force_n:.3f} mN, experiment)",
+        ),
+        tuple(
+            (errors.unit.name, *(_height(errors, printed) for printed in PRINTED))
+            for errors in unit_errors()
+        ),
+        "A row would need one height in all three columns.",
+    )
+
+
+def _height(errors: UnitErrors, printed: PrintedRmse) -> str:
+    height_n = errors.peak_to_peak_n(printed)
+    if errors.under(printed.gains) >= FOLLOWING * deviation_n("paper"):
+        return f"{1e3 * height_n:.1f} mN; no, does not follow"
+    if height_n > published.CALIBRATION_FORCE_N:
+        return f"{height_n:.3g} N; no, beyond Fig. 4's {published.CALIBRATION_FORCE_N} N"
+    return f"{height_n:.3g} N; possible"
+
+
+def _rates_table() -> Table:
+    display = load_scene(find_scene("paper")).display
+    filter_hz, rate_hz = display.controller.derivative_filter_hz, 1e9 / display.tick_ns
+    return Table(
+        "How fast the loop must be sampled, error in mV by eq 21",
+        (
+            "gains of the",
+            "fastest poles, continuous",
+            "backward difference",
+            f"filter N = {MATLAB_FILTER_RAD_PER_S:g} /s",
+            f"filter of {filter_hz:g} Hz, as ours",
+            "backward difference, one more sample of delay",
+        ),
+        tuple(_rate_row(name, gains, filter_hz) for name, gains in published.GAINS.items()),
+        "The lowest rate at which the sampled loop's largest pole is inside the unit circle: eq 22"
+        " by the exact zero-order hold, integral and derivative (and its filter) by backward"
+        f" Euler. At {rate_hz / 1000:g} kHz the simulation's gains are unstable (largest pole"
+        f" {spectral_radius(rate_hz, published.SIMULATION):.2f}), so Figs 13–14 cannot be run on"
+        " a loop of that rate. The experiment's are stable with a pure difference, but not with"
+        " one more sample of delay (largest pole"
+        f" {spectral_radius(rate_hz, published.EXPERIMENT, delay_ticks=1):.4f}).",
+    )
+
+
+def _rate_row(name: str, gains: Gains, filter_hz: float) -> tuple[str, ...]:
+    fastest = poles(FILM_MV, gains)[0]
+    imaginary = f" ± {abs(fastest.imag):.0f}i" if fastest.imag else ""
+    return (
+        name,
+        f"−{abs(fastest.real):.0f}{imaginary} /s",
+        f"{least_rate_hz(gains):.0f} Hz",
+        f"{least_rate_hz(gains, MATLAB_FILTER_RAD_PER_S):.0f} Hz",
+        f"{least_rate_hz(gains, 2 * math.pi * filter_hz):.0f} Hz",
+        f"{least_rate_hz(gains, delay_ticks=1):.0f} Hz",
+    )
+
+
+def _plot() -> Plot:
+    """RMSE over peak to peak against the pulse's height, with the printed figures' lines."""
+
+    def draw(figure: "Figure") -> None:
+        panels = figure.subplots(1, 2, sharey=True)
+        for axes, (name, gains) in zip(panels, published.GAINS.items(), strict=True):
+            nothing = deviation_n("paper")
+            axes.axhline(nothing, ls=":", color=text_colour(), zorder=3, label="doing nothing")
+            for errors in unit_errors():
+                ratio = errors.under(gains)
+                axes.plot(AMPLITUDES_N, [ratio, ratio], label=errors.unit.name)
+            for printed in PRINTED:
+                if printed.gains == gains:
+                    line_n = printed.force_n / AMPLITUDES_N
+                    axes.plot(AMPLITUDES_N, line_n, "--", color=text_colour(), linewidth=1.2)
+                    right = printed == MEASURED_FORCE
+                    level = 0.03
+                    axes.annotate(
+                        printed.text,
+                        (printed.force_n / level, level),
+                        xytext=(6 if right else -6, 0),
+                        textcoords="offset points",
+                        ha="left" if right else "right",
+                        va="bottom" if right else "top",
+                        fontsize="small",
+                    )
+            axes.set(xscale="log", yscale="log", xlim=AMPLITUDES_N, ylim=(1e-3, 1))
+            axes.set(xlabel="pulse, N peak to peak", title=f"gains of the {name}")
+        panels[0].set_ylabel("RMSE over peak to peak")
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=3)
+
+    return Plot(
+        "readings",
+        "Each unit's error (level lines) and each printed figure (falling lines). Where they"
+        " cross, that unit gives that figure; the right panel's two figures are of one run,"
+        " yet no unit meets both at one height.",
+        draw,
+    )

@@ -1,0 +1,288 @@
+"""Hard cases for the shipped force loop: how one is run, and how its result is judged.
+
+The verdict is computed from the felt force, from the fault that Safety reports or from the error
+that refuses the case. No case carries the verdict that is expected of it.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from display_node.control.controller import ControllerScene
+from display_node.control.force_loop import ForceLoop, build_force_loop
+from display_node.control.safety import Safety, SafetyScene
+from display_node.plant.film import FilmTable
+from display_node.plant.second_order import SecondOrderScene
+from display_node.plant.stepper import StepperScene
+from protocol.calibration import Adc
+from protocol.errors import SceneError
+from protocol.tactile import ElasticLayer
+from telepulse.reports.paper import published
+from telepulse.reports.paper.published import Gains
+from telepulse.scene import find_scene, load_scene
+
+Array = NDArray[np.float64]
+SceneTable = Mapping[str, object]
+TICK_S = 1e-3
+IDEAL_FILM = FilmTable()
+# A pulse's usual mean.
+HELD_N = 0.3
+# The shortest ramp, so that it does not hide what the loop itself does.
+SAFETY = SafetyScene.model_validate({"ramp": "1 ms"})
+# Felt force beyond this, pressing or pulling, is out of bounds: the fault level of Safety.
+BOUND_N = SAFETY.force_limit_n * SAFETY.overforce
+# Eq 22 has no microsteps: this share of the wanted force stands for one.
+SETTLED_SHARE = 0.01
+NOISE_DEVIATIONS = 4.0
+AT_REST_N = 1e-3
+
+
+class CaseVerdict(StrEnum):
+    """Verdict on a hard case. The last two are defects, the last one the worst."""
+
+    STABLE = "stable"
+    REFUSED = "refused"
+    CYCLES = "limit cycle"
+    FAILS = "fails with a named reason"
+    WRONG = "silently wrong"
+
+
+@dataclass(frozen=True, slots=True)
+class CaseResult:
+    """A row of the report: what was run, the verdict, and the figure that proves it."""
+
+    case: str
+    run: str
+    verdict: CaseVerdict
+    figure: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class LoopSetup:
+    """The parts of a force loop."""
+
+    controller: ControllerScene
+    actuator: SecondOrderScene | StepperScene
+    film: FilmTable = IDEAL_FILM
+    layer: ElasticLayer = published.LAYER
+    tick_s: float = TICK_S
+
+    def loop(self) -> ForceLoop:
+        """Build the loop as a display does. Raises SceneError."""
+        return build_force_loop(
+            self.controller,
+            self.actuator,
+            self.layer,
+            self.film,
+            SAFETY.force_limit_n,
+            self.tick_s,
+            slew_limit_n_per_s=SAFETY.slew_limit_n_per_s,
+        )
+
+    def settled_range_n(self, force_n: float, microsteps: float = 1.0) -> tuple[float, float]:
+        """Return the least and greatest force in N at which the loop has settled on `force_n`.
+
+        `microsteps` and the dead band to either side, plus the error of the film's reading; on
+        eq 22, 1 %.
+        """
+        if isinstance(self.actuator, SecondOrderScene):
+            return (1 - SETTLED_SHARE) * force_n, (1 + SETTLED_SHARE) * force_n
+        law, film = self.actuator.contact(self.layer), self.film
+        x_m, step_m = law.position(force_n), microsteps * self.actuator.step_m
+        per_m = law.stiffness(force_n) if self.controller.error == "force" else 1.0
+        step_m += self.controller.dead_band / per_m
+        off_n = NOISE_DEVIATIONS * film.noise_n
+        if film.adc_bits is not None:
+            off_n += Adc(film.adc_bits, film.adc_range_v).step_volts / film.volts_per_newton
+        rounding_m = 1e-9 * (x_m + step_m)
+        low_n = law.force(x_m - step_m - rounding_m)
+        return low_n - off_n, law.force(x_m + step_m + rounding_m) + off_n
+
+
+def make_setup(
+    controller: SceneTable,
+    actuator: SceneTable,
+    film: SceneTable | None = None,
+    layer: ElasticLayer = published.LAYER,
+) -> LoopSetup:
+    """Make a setup from tables as a scene has them."""
+    kind = StepperScene if actuator["kind"] == "stepper" else SecondOrderScene
+    return LoopSetup(
+        ControllerScene.model_validate(controller),
+        kind.model_validate(actuator),
+        FilmTable.model_validate(film or {}),
+        layer,
+    )
+
+
+def scene_setup(name: str) -> LoopSetup:
+    """Return the display's parts of a shipped scene."""
+    display = load_scene(find_scene(name)).display
+    layer, tick_s = display.layer.layer(), display.tick_ns * 1e-9
+    return LoopSetup(display.controller, display.actuator, display.film, layer, tick_s)
+
+
+def paper_setup(gains: Gains, filter_hz: float = 200.0, tick_s: float = TICK_S) -> LoopSetup:
+    """Return the paper's loop as the display runs it: error in mV by eq 21, on eq 22."""
+    controller = {
+        "kp": gains.kp,
+        "ki": gains.ki,
+        "kd": gains.kd,
+        "error": "millivolts",
+        "derivative_filter": f"{filter_hz} Hz",
+    }
+    scene = ControllerScene.model_validate(controller)
+    return LoopSetup(scene, published.ACTUATOR, tick_s=tick_s)
+
+
+def common_setups() -> dict[str, LoopSetup]:
+    """Return the loops that most cases share, by name."""
+    return {
+        "the experiment's gains on eq 22": paper_setup(published.EXPERIMENT),
+        "scenes/bench.toml": scene_setup("bench"),
+        "scenes/real_bench.toml": scene_setup("real_bench"),
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class CaseRun:
+    """Felt force in N at each tick's end, and the faults that Safety reported."""
+
+    felt_n: Array
+    faults: tuple[str, ...]
+
+
+def constant_reference(_: int) -> float:
+    """Return the reference of most cases in N, at any tick."""
+    return HELD_N
+
+
+def unchanged_reading(_: int, reading_n: float) -> float:
+    """Return the film's reading in N as it is."""
+    return reading_n
+
+
+def run_loop(
+    setup: LoopSetup,
+    ticks: int,
+    reference: Callable[[int], float] = constant_reference,
+    reading: Callable[[int, float], float] = unchanged_reading,
+    with_safety: bool = True,
+) -> CaseRun:
+    """Run a loop from rest as the display does, tick by tick.
+
+    Parameters
+    ----------
+    setup, ticks
+        The loop, and for how many ticks it runs.
+    reference
+        The wanted force in N at a tick.
+    reading
+        The reading in N that the controller gets, from the tick and the film's own reading.
+    with_safety
+        Whether Safety bounds the reference and watches the reading.
+
+    Raises
+    ------
+    SceneError
+        The loop is refused.
+    """
+    loop, safety = setup.loop(), Safety(SAFETY, round(setup.tick_s * 1e9))
+    reach, felt_n = range(loop.horizon + 1), []
+    for tick in range(ticks):
+        wanted_n = [reference(tick + ahead) for ahead in reach]
+        reading_n = reading(tick, loop.read_film())
+        if with_safety:
+            safety.watch(reading_n)
+            wanted_n = safety.bound(wanted_n, alive=True)
+        felt_n.append(loop.tick(wanted_n, reading_n))
+    return CaseRun(np.array(felt_n), tuple(safety.faults))
+
+
+@dataclass(frozen=True, slots=True)
+class HardCase:
+    """A case to run and to judge by the felt force.
+
+    target_n is the force wanted in the end, microsteps the distance from it at which a stepper
+    may settle, and disturbed_at the tick of the disturbance. A stable case is reported with
+    `explanation`; every other verdict has its own reason.
+    """
+
+    case: str
+    name: str
+    setup: LoopSetup
+    explanation: str = ""
+    reference: Callable[[int], float] = constant_reference
+    reading: Callable[[int, float], float] = unchanged_reading
+    with_safety: bool = True
+    ticks: int = 2000
+    target_n: float = HELD_N
+    microsteps: float = 1.0
+    disturbed_at: int = 0
+
+
+def evaluate(
+    case: HardCase,
+    refine: Callable[[CaseResult, CaseRun], CaseResult] = lambda result, _: result,
+) -> CaseResult:
+    """Run a case and judge it; `refine` may change the result of a case that did run."""
+    try:
+        run = run_loop(case.setup, case.ticks, case.reference, case.reading, case.with_safety)
+    except SceneError as error:
+        return CaseResult(case.case, case.name, CaseVerdict.REFUSED, "–", refusal_reason(error))
+    except Exception as error:  # an error without a usable message is a finding, not our crash
+        reason = f"{type(error).__name__}: {error}"
+        return CaseResult(case.case, case.name, CaseVerdict.FAILS, "–", reason)
+    verdict, reason = judge(case, run)
+    return refine(CaseResult(case.case, case.name, verdict, _figure(case, run), reason), run)
+
+
+def judge(case: HardCase, run: CaseRun) -> tuple[CaseVerdict, str]:
+    """Return the verdict on a run, and its reason."""
+    felt_n = run.felt_n
+    end_n = felt_n[-len(felt_n) // 4 :]
+    broken = CaseVerdict.FAILS if run.faults else CaseVerdict.WRONG
+    fault = f", in spite of the fault: {run.faults[0]}" if run.faults else ""
+    if not np.isfinite(felt_n).all():
+        return broken, f"the felt force is not a number{fault}"
+    if np.abs(felt_n).max() > BOUND_N:
+        return broken, f"felt beyond {BOUND_N:g} N{fault}"
+    if run.faults:
+        # The drive needs a tick to get the command and one to turn, at most at the slew limit.
+        slack_n = 2 * SAFETY.slew_limit_n_per_s * case.setup.tick_s
+        if felt_n[case.disturbed_at :].max() > felt_n[max(case.disturbed_at - 1, 0)] + slack_n:
+            return broken, f"presses harder{fault}"
+        if np.abs(end_n).max() > AT_REST_N:
+            return broken, f"does not come to rest{fault}"
+        return CaseVerdict.REFUSED, f"at rest for good after the fault: {run.faults[0]}"
+    low_n, high_n = case.setup.settled_range_n(case.target_n, case.microsteps)
+    if end_n.min() < low_n or end_n.max() > high_n:
+        return CaseVerdict.WRONG, f"does not settle on {case.target_n:g} N"
+    return CaseVerdict.STABLE, case.explanation
+
+
+def _figure(case: HardCase, run: CaseRun) -> str:
+    """Return the distance from the target in the end, and the extremes since the disturbance."""
+    off_n = np.abs(run.felt_n[-len(run.felt_n) // 4 :] - case.target_n).max()
+    since_n = run.felt_n[case.disturbed_at :]
+    text = f"{force_text(float(off_n))} off, at most {force_text(float(since_n.max()))}"
+    if case.disturbed_at or since_n.min() < 0:
+        text += f", at least {force_text(float(since_n.min()))}"
+    return text
+
+
+def refusal_reason(error: Exception) -> str:
+    """Return the reason in an error's line, without the scene's key and the advice."""
+    return str(error).removeprefix("[display] controller: ").split(": lower its")[0]
+
+
+def force_text(force_n: float) -> str:
+    """Return a force as text, in mN below 1 N."""
+    if not math.isfinite(force_n):
+        return "not a number"
+    return f"{1e3 * force_n:.3g} mN" if abs(force_n) < 0.9995 else f"{force_n:.3g} N"
