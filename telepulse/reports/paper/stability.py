@@ -63,6 +63,6 @@ def _summary(results: tuple[CaseResult, ...]) -> str:
     counts = ", ".join(f"{count[verdict]} {verdict}" for verdict in CaseVerdict if count[verdict])
     defects = [result for result in results if result.verdict in DEFECTS]
     if not defects:
-        return f"Of the other {len(results)} rows: {counts}. None fails or is silently wrong."
+        return f"Of the other {len(results)} rows: {counts}. No case fails or is silently wrong."
     names = "; ".join(f"{result.run} ({result.verdict})" for result in defects)
     return f"Of the other {len(results)} rows: {counts}. Defects: {names}."

@@ -42,7 +42,7 @@ class Written:
 def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
     folder = tmp_path_factory.mktemp("paper")
     out, json = folder / "new" / "report", folder / "tables.json"
-    result = run(MODULE, "paper", "--out", str(out), "--json", str(json))
+    result = run(MODULE, "paper", "--out", str(out), "--json", str(json), timeout_s=110)
     assert result.returncode == 0, result.stderr
     assert result.stderr == ""
     return Written(result.stdout, out, read_json(json))

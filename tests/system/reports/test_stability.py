@@ -282,7 +282,7 @@ def test_a_run_is_judged_by_its_bounds_and_its_end(
 )
 def test_a_fault_must_bring_the_finger_to_rest(after_n: list[float], verdict: CaseVerdict) -> None:
     felt_n = [HELD_N] * 50 + after_n + after_n[-1:] * 200
-    assert judged(felt_n, "a fault", disturbed_at=50) == verdict
+    assert judged(felt_n, "a fault", since=50) == verdict
 
 
 def test_on_eq_22_a_hundredth_is_settled() -> None:
