@@ -1,4 +1,8 @@
-"""The study of integrators as a report: speed against error, the frontier, harder plants."""
+"""The study of integrators as a report: cost a step against error, the frontier, harder plants."""
+
+import itertools
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from telepulse.reports.document import Chapter, Plot, Report, Table
 from telepulse.reports.studies.integrator_scores import (
@@ -6,33 +10,40 @@ from telepulse.reports.studies.integrator_scores import (
     CONTROL,
     DIGITS,
     MORE_DIGITS,
+    PAPER_PLANT,
     ROTOR_HZ,
     ROTOR_TICKS_S,
     TICK_S,
     IntegratorEffort,
+    IntegratorPoint,
     IntegratorScores,
     LoopScores,
     loop_radius,
-    table_4,
 )
-from telepulse.reports.studies.work_precision import ROUNDING, beaten_by, draw, verdict
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# Errors below this are rounding and count as equal.
+ROUNDING = 1e-14
+# Markers and lines, so that families that lie on each other can still be distinguished.
+STYLES = ("o-", "s-", "x--", "^-", "v-", "P-", "<-", ">-")
 NOT_INSTALLED = "not installed: pip install 'telepulse[bench]'"
-# Further from the truth than this many times the pulse, a trajectory has left it for good.
+# A trajectory further from the reference than this many times the pulse has diverged.
 GROWN = 10.0
 
 
 def report_integrators(scores: IntegratorScores, effort: IntegratorEffort) -> Report:
-    """The report on scores that took this effort."""
+    """Return the report on scores that took this effort."""
     return Report(
-        "Integrators: speed against error on the paper's loop",
+        "Integration methods on the paper's loop: cost a step against error",
         (_loop_chapter(scores, effort), _rotor_chapter(scores, effort)),
     )
 
 
 def _loop_chapter(scores: IntegratorScores, effort: IntegratorEffort) -> Chapter:
     points, default = scores.loop.points, scores.loop.points[0]
-    radius = loop_radius(table_4(), TICK_S)
+    radius = loop_radius(PAPER_PLANT, TICK_S)
     return Chapter(
         "The paper's loop",
         (
@@ -43,12 +54,12 @@ def _loop_chapter(scores: IntegratorScores, effort: IntegratorEffort) -> Chapter
             " it. Integral, derivative and filter are discretised by backward Euler, which leaves"
             f" the closed loop a spectral radius of {radius:.6f}:"
             f" {'stable' if radius < 1 else 'unstable'}.",
-            "The pulse is counted from its first sample, so that the loop begins at rest: a step at"
-            " the start would be all that errors show. Every integrator steps the actuator inside"
-            " the closed loop, with the same controller. Error: largest difference in force from"
-            " the reference, over the pulse's peak to peak. Cost: processor time of the actuator's"
-            " step alone, without the controller and in one thread, on the voltages of the loop's"
-            f" first beat; median of {effort.rounds} rounds taken in turns.",
+            "The pulse is counted from its first sample, so that the loop begins at rest: otherwise"
+            " the errors would show only the step at the start. Every integrator steps the"
+            " actuator inside the closed loop, with the same controller. Error: largest difference"
+            " in force from the reference, over the pulse's peak to peak. Cost: processor time of"
+            " the actuator's step alone, without the controller and in one thread, on the voltages"
+            f" of the loop's first beat; median of {effort.rounds} rounds taken in turns.",
             "Where all voltages are known beforehand, one call of lsim for the whole run costs"
             f" {scores.loop.whole_us:.2g} µs a tick; a loop cannot be closed that way.",
         ),
@@ -58,7 +69,7 @@ def _loop_chapter(scores: IntegratorScores, effort: IntegratorEffort) -> Chapter
                 "work-precision",
                 "Largest error against cost of a step. The star is the default; libraries are"
                 " hollow; in the shaded band, errors are rounding and count as equal.",
-                lambda figure: draw(figure, points, default),
+                lambda figure: _draw(figure, points, default),
             ),
         ),
     )
@@ -79,7 +90,7 @@ def _points_table(scores: IntegratorScores) -> Table:
     if not scores.has_control:
         rows.append((f"{CONTROL}: {NOT_INSTALLED}", "", "", "", ""))
     return Table(
-        "Speed against error",
+        "Cost a step against error",
         ("integrator", "error", "µs a step", "× default", "frontier"),
         tuple(rows),
         f"{verdict(default, points)} × n: n sub-steps a tick. On the frontier: no other row"
@@ -90,7 +101,7 @@ def _points_table(scores: IntegratorScores) -> Table:
 
 def _reference_table(scores: LoopScores) -> Table:
     return Table(
-        "How sure the reference is",
+        "Error of the reference",
         ("the whole loop in exact zero-order hold and decimals", "difference"),
         (
             (f"{DIGITS} digits, against {MORE_DIGITS} digits", f"{scores.digits_error:.1e}"),
@@ -110,8 +121,8 @@ def _rotor_chapter(scores: IntegratorScores, effort: IntegratorEffort) -> Chapte
         (
             f"Eq 22 as a rotor that resonates at {ROTOR_HZ:g} Hz. A voltage of k times the pulse"
             f" is held over each tick for {effort.rotor_seconds:g} s, without a controller, so that"
-            " what grows is the integrator's doing. (The paper's gains on the paper's plant have a"
-            f" spectral radius of {loop_radius(table_4(), last_s):.2g} at a tick of"
+            " any growth comes from the integrator. (The paper's gains on the paper's plant have a"
+            f" spectral radius of {loop_radius(PAPER_PLANT, last_s):.2g} at a tick of"
             f" {last_s * 1e3:g} ms, with any integrator.)",
         ),
         tuple(
@@ -128,3 +139,59 @@ def _rotor_chapter(scores: IntegratorScores, effort: IntegratorEffort) -> Chapte
 
 def _error_or_grows(error: float) -> str:
     return "grows" if error > GROWN else f"{error:.1e}"
+
+
+def beaten_by(point: IntegratorPoint, points: Sequence[IntegratorPoint]) -> list[IntegratorPoint]:
+    """Return the points at least as accurate and as fast, and better in one of the two.
+
+    Where there are none, the point is on the frontier.
+    """
+
+    def error(of: IntegratorPoint) -> float:
+        return max(of.error, ROUNDING)
+
+    return [
+        other
+        for other in points
+        if error(other) <= error(point)
+        and other.cost_us <= point.cost_us
+        and (error(other) < error(point) or other.cost_us < point.cost_us)
+    ]
+
+
+def verdict(default: IntegratorPoint, points: Sequence[IntegratorPoint]) -> str:
+    """Return a sentence on whether the default is on the frontier of these points."""
+    better = beaten_by(default, points)
+    if better:
+        names = "; ".join(other.name for other in better)
+        return f"The default, {default.name}, is not on the frontier; it is beaten by: {names}."
+    return (
+        f"The default, {default.name}, is on the frontier: of the other"
+        f" {len(points) - 1} rows, none is both as accurate and as fast."
+    )
+
+
+def _draw(figure: "Figure", points: Sequence[IntegratorPoint], default: IntegratorPoint) -> None:
+    """Draw error against cost, a line a family; the default is a star, libraries are hollow."""
+    from matplotlib import rcParams
+
+    axes = figure.add_subplot()
+    axes.axhspan(1e-17, ROUNDING, color=rcParams["grid.color"], alpha=0.5, linewidth=0)
+    families = dict.fromkeys(point.family for point in points if point != default)
+    axes.plot(default.cost_us, default.error, "*", markersize=16, label=default.family)
+    for style, family in zip(itertools.cycle(STYLES), families, strict=False):
+        line = [point for point in points if point.family == family]
+        axes.plot(
+            [point.cost_us for point in line],
+            [point.error for point in line],
+            style,
+            fillstyle="none" if line[0].library else "full",
+            label=family,
+        )
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_ylim(bottom=1e-17)
+    axes.set_xlabel("cost of a step (µs)")
+    axes.set_ylabel("largest error / peak to peak")
+    axes.text(0.99, 0.01, "rounding", transform=axes.transAxes, ha="right", va="bottom")
+    figure.legend(loc="outside lower center", ncols=3, fontsize="small")

@@ -1,12 +1,11 @@
 """Errors and costs of the integrators: on the paper's loop, and on a rotor with a resonance.
 
-The loop that the study of integrators closes: the paper's pulse, a discrete PID, a stepper.
-
-The PID is written out here, apart from the display's, so that every integrator meets the same
-one and so that it also runs in decimals.
+The paper's loop is its pulse, a discrete PID and the actuator of eq 22. The PID is written out
+here, apart from the display's, so that it also runs in decimals.
 """
 
 import math
+import statistics
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -16,12 +15,11 @@ from typing import Generic
 
 import numpy as np
 
-from display_node.plant.second_order import SecondOrderScene
 from protocol.config.scene import load_section
 from protocol.errors import SceneError
-from protocol.tactile import Film
 from sensing_node.scene import SensingScene
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
+from telepulse.reports.paper.published import ACTUATOR, EXPERIMENT, FILM_MV
 from telepulse.reports.studies.integrators import (
     Number,
     Plant,
@@ -38,21 +36,31 @@ from telepulse.reports.studies.integrators import (
     shipped,
     solve_ivp_steps,
 )
-from telepulse.reports.studies.work_precision import Point, costs_us
 from telepulse.scene import find_scene
 
-# Table 5, the experiment's gains, read as acting on an error in mV by eq 21 at the display's
-# film; the derivative's filter is not the paper's but that of our scene.
-KP, KI, KD = 15.0, 0.15, 0.03
+# The filter of our scene; the paper gives none.
 DERIVATIVE_FILTER_HZ = 200.0
-MILLIVOLTS_PER_NEWTON = 1e3 * Film(9e-3).volts_per_newton
+LEAST_RUN_S = 2e-3
+LSIM = "scipy lsim"
+CONTROL = "python-control forced_response"
+DEFAULT = "exact zero-order hold (shipped)"
+TICK_S = 1e-3
+BEAT_S = 0.8
+DIGITS, MORE_DIGITS = 40, 60
+CHECK_SUBSTEPS = 16
+ROTOR_HZ = 100.0
+ROTOR_DAMPING = (0.001, 0.2)
+ROTOR_TICKS_S = (1e-4, 1e-3, 1e-2)
 
-Memory = tuple[Number, Number, Number]
-"""What the PID keeps: its integral in V, its filtered derivative in V, the last error in N."""
+
+PAPER_PLANT = Plant(ACTUATOR.m, ACTUATOR.c, ACTUATOR.k)
+"""Table 4 and eq 22."""
+PidState = tuple[Number, Number, Number]
+"""The PID's integral in V, its filtered derivative in V, and the last error in N."""
 
 
 def pulse_from_rest(scene: SyntheticScene, seconds: float, tick_s: float) -> list[float]:
-    """A synthetic pulse once a tick, in N above its first sample, so that it begins at rest."""
+    """Return a synthetic pulse once a tick, in N above its first sample, which is at rest."""
     source = SyntheticSource(scene.model_copy(update={"rate_hz": 1 / tick_s}))
     force_n = source.take(round(seconds / tick_s))[:, 0]
     risen_n: list[float] = (force_n - force_n[0]).tolist()
@@ -70,21 +78,24 @@ class DiscretePid(Generic[Number]):
 
 
 def paper_pid(tick_s: float) -> DiscretePid[float]:
-    """The experiment's gains; integral, derivative and its filter by backward Euler."""
-    filter_s = 1 / (2 * math.pi * DERIVATIVE_FILTER_HZ)
+    """Return the experiment's gains of Table 5, discretised by backward Euler.
+
+    They act on an error in mV by eq 21; the derivative is filtered.
+    """
+    filter_s, per_newton = 1 / (2 * math.pi * DERIVATIVE_FILTER_HZ), FILM_MV.per_newton
     return DiscretePid(
-        KP * MILLIVOLTS_PER_NEWTON,
-        KI * MILLIVOLTS_PER_NEWTON * tick_s,
-        KD * MILLIVOLTS_PER_NEWTON / (filter_s + tick_s),
+        EXPERIMENT.kp * per_newton,
+        EXPERIMENT.ki * per_newton * tick_s,
+        EXPERIMENT.kd * per_newton / (filter_s + tick_s),
         filter_s / (filter_s + tick_s),
     )
 
 
 def pid_step(
-    pid: DiscretePid[Number], memory: Memory[Number], error_n: Number
-) -> tuple[Number, Memory[Number]]:
-    """One tick of the PID: the voltage, and what it keeps."""
-    integral, derivative, last_n = memory
+    pid: DiscretePid[Number], state: PidState[Number], error_n: Number
+) -> tuple[Number, PidState[Number]]:
+    """Advance the PID by one tick, and return the voltage and its new state."""
+    integral, derivative, last_n = state
     integral = integral + pid.integral * error_n
     derivative = pid.keep * derivative + pid.derivative * (error_n - last_n)
     volts = pid.proportional * error_n + integral + derivative
@@ -94,68 +105,96 @@ def pid_step(
 def close_loop(
     step: Step[Number], pid: DiscretePid[Number], reference_n: Sequence[Number]
 ) -> tuple[list[Number], list[Number]]:
-    """Follow a reference from rest: the force in N after each tick, the voltage held in it."""
+    """Follow a reference from rest; return the force in N after, and the voltage in each tick."""
     force_n = reference_n[0] * 0
-    memory = (force_n, force_n, force_n)
+    state = (force_n, force_n, force_n)
     forces_n, voltages = [], []
     for wanted_n in reference_n:
-        volts, memory = pid_step(pid, memory, wanted_n - force_n)
+        volts, state = pid_step(pid, state, wanted_n - force_n)
         force_n = step(volts)
         forces_n.append(force_n)
         voltages.append(volts)
     return forces_n, voltages
 
 
-def hold_open(step: Step[Number], voltages: Iterable[Number]) -> list[Number]:
-    """Without a controller: the force in N after each tick of given voltages."""
+def open_loop(step: Step[Number], voltages: Iterable[Number]) -> list[Number]:
+    """Return the force in N after each tick of given voltages, without a controller."""
     return [step(volts) for volts in voltages]
 
 
 def decimals(numbers: Iterable[float]) -> list[Decimal]:
-    """Floats as decimals, digit for digit."""
+    """Convert floats to decimals, digit for digit."""
     return [Decimal(number) for number in numbers]
 
 
 def decimal_plant(plant: Plant[float]) -> Plant[Decimal]:
-    """A plant as decimals, digit for digit."""
+    """Convert a plant to decimals, digit for digit."""
     return Plant(*decimals((plant.m, plant.c, plant.k)))
 
 
 def decimal_pid(pid: DiscretePid[float]) -> DiscretePid[Decimal]:
-    """A PID as decimals, digit for digit."""
+    """Convert a PID to decimals, digit for digit."""
     return DiscretePid(*decimals((pid.proportional, pid.integral, pid.derivative, pid.keep)))
 
 
 def loop_radius(plant: Plant[float], tick_s: float) -> float:
-    """Spectral radius of the closed loop's map from tick to tick; below 1 it is stable."""
+    """Return the spectral radius of the closed loop over a tick; below 1 it is stable."""
     with localcontext(prec=40):
         held = held_matrix(decimal_plant(plant), Decimal(tick_s))
     (a11, a12, b1), (a21, a22, b2) = ([float(x) for x in row] for row in held[:2])
     pid, columns = paper_pid(tick_s), []
-    # The map is linear: its columns are what becomes of the unit states.
-    for force, rate, *memory in np.eye(5).tolist():
-        volts, kept = pid_step(pid, (memory[0], memory[1], memory[2]), -force)
+    # The map is linear: its columns are the images of the unit states.
+    for force, rate, *state in np.eye(5).tolist():
+        volts, kept = pid_step(pid, (state[0], state[1], state[2]), -force)
         columns.append(
             [a11 * force + a12 * rate + b1 * volts, a21 * force + a22 * rate + b2 * volts, *kept]
         )
     return float(np.abs(np.linalg.eigvals(np.array(columns).T)).max())
 
 
-LSIM = "scipy lsim"
-CONTROL = "python-control forced_response"
-DEFAULT = "exact zero-order hold (shipped)"
-TICK_S = 1e-3
-BEAT_S = 0.8
-DIGITS, MORE_DIGITS = 40, 60
-CHECK_SUBSTEPS = 16
-ROTOR_HZ = 100.0
-ROTOR_DAMPING = (0.001, 0.2)
-ROTOR_TICKS_S = (1e-4, 1e-3, 1e-2)
+@dataclass(frozen=True, slots=True)
+class IntegratorPoint:
+    """An integrator at one setting: its error over the pulse's peak to peak, its µs a step.
+
+    Points of one family are one line of the plot.
+    """
+
+    family: str
+    name: str
+    error: float
+    cost_us: float
+    library: bool = False
+
+
+def costs_us(
+    makes: Sequence[Callable[[], Step[float]]], voltages: Sequence[float], rounds: int
+) -> list[float]:
+    """Return the median cost of a step of each stepper in µs of processor time.
+
+    The steppers take turns with the same voltages, so that a busy moment of the machine affects
+    all alike. Making a stepper is not in its cost.
+    """
+    costs: list[list[float]] = [[] for _ in makes]
+    for _ in range(rounds):
+        for make, taken in zip(makes, costs, strict=True):
+            taken.append(_cost_us(make(), voltages))
+    return [statistics.median(taken) for taken in costs]
+
+
+def _cost_us(step: Step[float], voltages: Sequence[float]) -> float:
+    # The processor's time: other work on the machine is not in it.
+    runs, elapsed_s, began_s = 0, 0.0, time.process_time()
+    while elapsed_s < LEAST_RUN_S:
+        for volts in voltages:
+            step(volts)
+        runs += 1
+        elapsed_s = time.process_time() - began_s
+    return elapsed_s / runs / len(voltages) * 1e6
 
 
 @dataclass(frozen=True, slots=True)
 class IntegratorEffort:
-    """How much to compute. The defaults are the study's; tests do with less."""
+    """Amount of computing. The defaults are the study's; tests use less."""
 
     seconds: float = 6.0
     rounds: int = 9
@@ -182,14 +221,14 @@ class Method:
 
 @dataclass(frozen=True, slots=True)
 class LoopScores:
-    """What the paper's loop gave: a point a method, and how sure the reference is.
+    """Results on the paper's loop: a point a method, and the error of the reference.
 
-    Errors are over the pulse's peak to peak. digits_error: the reference against the same in
-    more digits; method_error: against RK4 in as many digits. whole_us: µs a tick of one lsim
-    call for all the voltages, with no loop.
+    Errors are over the pulse's peak to peak. digits_error compares the reference with the same
+    in more digits, method_error with RK4 in as many digits. whole_us is the cost in µs a tick of
+    one lsim call for all the voltages, without a loop.
     """
 
-    points: list[Point]
+    points: list[IntegratorPoint]
     digits_error: float
     method_error: float
     whole_us: float
@@ -197,7 +236,7 @@ class LoopScores:
 
 @dataclass(frozen=True, slots=True)
 class IntegratorScores:
-    """The loop's scores, and a rotor's errors by its damping: a row a method, a column a tick."""
+    """The loop's scores, and the rotors' errors by damping, method and tick."""
 
     loop: LoopScores
     rotors: dict[float, dict[str, list[float]]]
@@ -213,13 +252,7 @@ def score_integrators(effort: IntegratorEffort) -> IntegratorScores:
         for damping in ROTOR_DAMPING
     }
     tested = methods(effort.substeps, effort.solvers)
-    return IntegratorScores(score_loop(table_4(), scene, effort, tested), rotors, has_control())
-
-
-def table_4() -> Plant[float]:
-    """The paper's actuator."""
-    scene = SecondOrderScene(kind="second_order")
-    return Plant(scene.m, scene.c, scene.k)
+    return IntegratorScores(score_loop(PAPER_PLANT, scene, effort, tested), rotors, has_control())
 
 
 def _pulse_scene() -> SyntheticScene:
@@ -231,7 +264,7 @@ def _pulse_scene() -> SyntheticScene:
 
 
 def has_control() -> bool:
-    """Whether python-control can be imported."""
+    """Return whether python-control can be imported."""
     try:
         import control  # noqa: F401
     except ImportError:
@@ -240,9 +273,10 @@ def has_control() -> bool:
 
 
 def methods(substeps: Sequence[int], solvers: Sequence[tuple[Solver, float]]) -> list[Method]:
-    """The default first, then the others; python-control's only where it is installed.
+    """Return the default first, then the others; python-control's only where it is installed.
 
-    substeps: of the written-out methods, a tick; solvers: solve_ivp's methods and their rtol.
+    `substeps` are those of the written-out methods in a tick, `solvers` the methods of solve_ivp
+    and their rtol.
     """
     found = [Method(DEFAULT, DEFAULT, shipped)]
     found += [_fixed("RK4", rk4, count) for count in substeps]
@@ -282,14 +316,14 @@ def score_loop(
     truth_n, voltages = _true_loop(exact_hold, plant, pulse_n, DIGITS)
     more_n, _ = _true_loop(exact_hold, plant, pulse_n, MORE_DIGITS)
     other_n, _ = _true_loop(_fine_rk4, plant, pulse_n, DIGITS)
-    played = [float(volts) for volts in voltages[: round(BEAT_S / TICK_S)]]
+    beat_voltages = [float(volts) for volts in voltages[: round(BEAT_S / TICK_S)]]
     makes = [partial(method.make, plant, TICK_S) for method in tested]
-    costs = costs_us(makes, played, effort.rounds)
+    costs = costs_us(makes, beat_voltages, effort.rounds)
     points = []
     for method, make, cost_us in zip(tested, makes, costs, strict=True):
         forces_n, _ = close_loop(make(), paper_pid(TICK_S), pulse_n)
         error = largest_error(decimals(forces_n), truth_n) / peak_to_peak_n
-        points.append(Point(method.family, method.name, error, cost_us, method.library))
+        points.append(IntegratorPoint(method.family, method.name, error, cost_us, method.library))
     return LoopScores(
         points,
         largest_error(more_n, truth_n) / peak_to_peak_n,
@@ -301,7 +335,7 @@ def score_loop(
 def score_rotor(
     method: Method, damping: float, scene: SyntheticScene, effort: IntegratorEffort
 ) -> list[float]:
-    """Errors over peak to peak, a tick each, of a resonant rotor told to follow the pulse.
+    """Return the errors over peak to peak, one a tick, of a resonant rotor driven by the pulse.
 
     m = 1, 100 Hz, the voltage k times the pulse: a controller would add a stability of its own.
     """
@@ -313,14 +347,14 @@ def score_rotor(
         voltages = [plant.k * force_n for force_n in pulse_n]
         with localcontext(prec=DIGITS):
             true_step = exact_hold(decimal_plant(plant), Decimal(tick_s))
-            truth_n = hold_open(true_step, decimals(voltages))
-        forces_n = hold_open(method.make(plant, tick_s), voltages)
+            truth_n = open_loop(true_step, decimals(voltages))
+        forces_n = open_loop(method.make(plant, tick_s), voltages)
         errors.append(largest_error(decimals(forces_n), truth_n) / scene.peak_to_peak_n)
     return errors
 
 
 def largest_error(forces_n: Sequence[Decimal], truth_n: Sequence[Decimal]) -> float:
-    """The largest difference in N; infinite where a trajectory left the range of floats."""
+    """Return the largest difference in N; infinite where a trajectory overflowed."""
     if not all(force_n.is_finite() for force_n in forces_n):
         return math.inf
     return float(max(abs(a - b) for a, b in zip(forces_n, truth_n, strict=True)))

@@ -1,12 +1,9 @@
-"""Ways to step the paper's actuator, eq 22, from tick to tick under a held voltage.
+"""Integration methods for the paper's actuator, eq 22, under a voltage held over each tick.
 
-m f'' + c f' + k f = u, at rest at first. Each function gives a stepper: a voltage in V in, the
-force in N at the tick's end out. Those written out here work in floats and in decimals alike,
-so that the same code also runs in as many digits as a reference needs.
-
-What libraries offer to step eq 22, each called once a tick as a loop needs it.
-
-A stepper keeps (force, rate) and hands it to the library with the held voltage.
+m f'' + c f' + k f = u, at rest at first. Each function returns a stepper: it takes a voltage in V
+and returns the force in N at the tick's end. Those written out here work in floats and in decimals
+alike, so that a reference can have as many digits as it needs. Those of libraries call the library
+once a tick with their (force, rate), as a closed loop must.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,7 +23,7 @@ Matrix = list[list[Decimal]]
 
 @dataclass(frozen=True, slots=True)
 class Plant(Generic[Number]):
-    """The numbers of eq 22."""
+    """The parameters of eq 22: m in kg, c in N·s/m, k in N/m, as printed."""
 
     m: Number
     c: Number
@@ -34,7 +31,7 @@ class Plant(Generic[Number]):
 
 
 def explicit_euler(plant: Plant[Number], tick_s: Number, substeps: int) -> Step[Number]:
-    """Force and rate both from the slopes at the sub-step's beginning; order 1."""
+    """Step force and rate by the slopes at the sub-step's beginning; order 1."""
     m, c, k = plant.m, plant.c, plant.k
     h = tick_s / substeps
     force = rate = tick_s * 0
@@ -49,7 +46,7 @@ def explicit_euler(plant: Plant[Number], tick_s: Number, substeps: int) -> Step[
 
 
 def semi_implicit_euler(plant: Plant[Number], tick_s: Number, substeps: int) -> Step[Number]:
-    """The rate first, then the force with the new rate; order 1, keeps an oscillation's energy."""
+    """Step the rate, then the force by the new rate; order 1, keeps an oscillation's energy."""
     m, c, k = plant.m, plant.c, plant.k
     h = tick_s / substeps
     force = rate = tick_s * 0
@@ -65,7 +62,7 @@ def semi_implicit_euler(plant: Plant[Number], tick_s: Number, substeps: int) -> 
 
 
 def rk4(plant: Plant[Number], tick_s: Number, substeps: int) -> Step[Number]:
-    """The classical Runge-Kutta method; order 4."""
+    """Step by the classical Runge-Kutta method; order 4."""
     m, c, k = plant.m, plant.c, plant.k
     h = tick_s / substeps
     half, sixth = h / 2, h / 6
@@ -89,13 +86,13 @@ def rk4(plant: Plant[Number], tick_s: Number, substeps: int) -> Step[Number]:
 
 
 def shipped(plant: Plant[float], tick_s: float) -> Step[float]:
-    """What the display node runs: `SecondOrder`, the exact zero-order hold in floats."""
+    """Step as the display node does: `SecondOrder`, the exact zero-order hold in floats."""
     scene = SecondOrderScene(kind="second_order", m=plant.m, c=plant.c, k=plant.k)
     return SecondOrder(scene, tick_s).step
 
 
 def exact_hold(plant: Plant[Decimal], tick_s: Decimal) -> Step[Decimal]:
-    """The exact zero-order hold in the decimal context's digits."""
+    """Step by the exact zero-order hold in the decimal context's digits."""
     (a11, a12, b1), (a21, a22, b2) = held_matrix(plant, tick_s)[:2]
     force = rate = Decimal(0)
 
@@ -111,9 +108,9 @@ def exact_hold(plant: Plant[Decimal], tick_s: Decimal) -> Step[Decimal]:
 
 
 def held_matrix(plant: Plant[Decimal], tick_s: Decimal) -> Matrix:
-    """The 3 × 3 map of (force, rate, held voltage) over a tick, in the decimal context's digits.
+    """Return the 3 × 3 map of (force, rate, held voltage) over a tick, in the context's digits.
 
-    The exponential of eq 22's matrix: a Taylor series of a small enough part, squared up.
+    The exponential of eq 22's matrix, by scaling and squaring of a Taylor series.
     """
     zero = Decimal(0)
     system = [
@@ -150,7 +147,7 @@ Matrices = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], 
 
 
 def solve_ivp_steps(plant: Plant[float], tick_s: float, method: Solver, rtol: float) -> Step[float]:
-    """A call of scipy's solve_ivp each tick; its absolute tolerance is `rtol` too."""
+    """Call scipy's solve_ivp each tick; its absolute tolerance is `rtol` too."""
     from scipy.integrate import solve_ivp
 
     m, c, k = plant.m, plant.c, plant.k
@@ -170,7 +167,7 @@ def solve_ivp_steps(plant: Plant[float], tick_s: float, method: Solver, rtol: fl
 
 
 def lsim_steps(plant: Plant[float], tick_s: float) -> Step[float]:
-    """A call of scipy's lsim each tick."""
+    """Call scipy's lsim each tick."""
     from scipy.signal import lsim
 
     system = _state_space(plant)
@@ -186,7 +183,7 @@ def lsim_steps(plant: Plant[float], tick_s: float) -> Step[float]:
 
 
 def control_steps(plant: Plant[float], tick_s: float) -> Step[float]:
-    """A call of python-control's forced_response each tick. Raises ImportError without it."""
+    """Call python-control's forced_response each tick. Raises ImportError without it."""
     import control
 
     system = control.ss(*_state_space(plant))
@@ -202,7 +199,7 @@ def control_steps(plant: Plant[float], tick_s: float) -> Step[float]:
 
 
 def lsim_whole(plant: Plant[float], tick_s: float, voltages: Sequence[float]) -> list[float]:
-    """One lsim call for a whole row of voltages known beforehand: the force after each tick."""
+    """Return the force after each tick of voltages known beforehand, by one call of lsim."""
     from scipy.signal import lsim
 
     held = [*voltages, voltages[-1]]
@@ -212,7 +209,7 @@ def lsim_whole(plant: Plant[float], tick_s: float, voltages: Sequence[float]) ->
 
 
 def _state_space(plant: Plant[float]) -> Matrices:
-    """A, B, C, D of eq 22 with the state (force, rate)."""
+    """Return A, B, C, D of eq 22 with the state (force, rate)."""
     m, c, k = plant.m, plant.c, plant.k
     return (
         np.array([[0, 1], [-k / m, -c / m]]),

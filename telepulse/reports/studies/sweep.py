@@ -1,6 +1,7 @@
 """One function over many cases: on all cores of this machine, or on a Dask cluster.
 
-A process for measurements that threads of a linear-algebra library would disturb.
+Every process has one thread of linear algebra. Matrices of a few rows gain nothing from threads,
+and on a busy machine the threads wait for each other far longer than they work.
 """
 
 import asyncio
@@ -14,25 +15,22 @@ from typing import TypeVar
 
 from protocol.errors import SweepError
 
-Argument = TypeVar("Argument")
+Case = TypeVar("Case")
 Result = TypeVar("Result")
-# Read once by OpenBLAS and its like, when they are loaded: hence processes of their own.
+CONNECT_S = 10
+# OpenBLAS and its like read it once, when they are loaded: hence processes of their own.
 THREADS = "OMP_NUM_THREADS"
+MISSING = "a sweep on a cluster needs Dask: pip install 'telepulse[cluster]'"
 
 
-def in_one_thread(function: Callable[[Argument], Result], argument: Argument) -> Result:
-    """Call a function of a module in a fresh process whose linear algebra has one thread.
-
-    Matrices of a few rows gain nothing from threads, and on a busy machine the threads wait for
-    each other far longer than they work. What the function raises is raised here.
-    """
-    with one_thread_pool(1) as pool:
-        return pool.submit(function, argument).result()
+def in_one_thread(function: Callable[[Case], Result], case: Case) -> Result:
+    """Call a function of a module in a fresh process, and return or raise what it does."""
+    with _one_thread_pool(1) as pool:
+        return pool.submit(function, case).result()
 
 
 @contextmanager
-def one_thread_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
-    """Fresh processes whose linear algebra has one thread each."""
+def _one_thread_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
     before = os.environ.get(THREADS)
     os.environ[THREADS] = "1"
     try:
@@ -45,20 +43,25 @@ def one_thread_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
             os.environ[THREADS] = before
 
 
-Case = TypeVar("Case")
-CONNECT_S = 10
-MISSING = "a sweep on a cluster needs Dask: pip install 'telepulse[cluster]'"
-
-
 def sweep(
     function: Callable[[Case], Result], cases: Sequence[Case], scheduler: str | None = None
 ) -> list[Result]:
-    """What a function makes of each case, in the order of the cases.
+    """Return the function's result for each case, in the order of the cases.
 
-    The function is pure and belongs to a module, where other processes find it. scheduler:
-    address of a Dask scheduler such as `tcp://HOST:8786`, whose workers have this telepulse
-    installed; without one, every core of this machine works. The results are the same. Raises
-    SweepError, which names a case that fails by its `str`; what has not begun then never does.
+    Parameters
+    ----------
+    function
+        A pure function of a module, where other processes can import it.
+    cases
+        Its arguments. An error names the case by its `str`.
+    scheduler
+        Address of a Dask scheduler such as `tcp://HOST:8786`, whose workers have this telepulse
+        installed. Without one, every core of this machine works; the results are the same.
+
+    Raises
+    ------
+    SweepError
+        A case failed; cases that have not begun are not run. Or the cluster cannot be used.
     """
     if not cases:
         return []
@@ -84,19 +87,19 @@ def _result(job: Future[Result], case: object) -> Result:
 
 def _workers(cases: int, scheduler: str | None) -> AbstractContextManager[Executor]:
     if scheduler is None:
-        return one_thread_pool(min(cases, os.cpu_count() or 1))
+        return _one_thread_pool(min(cases, os.cpu_count() or 1))
     return _cluster(scheduler)
 
 
 @contextmanager
 def _cluster(scheduler: str) -> Iterator[Executor]:
-    """The workers of a cluster; Dask itself gives the linear algebra of each one thread."""
+    """Yield the workers of a cluster; Dask itself gives each one thread of linear algebra."""
     try:
         from distributed import Client
     except ImportError:
         raise SweepError(MISSING) from None
     try:
-        asyncio.run(_reach(scheduler))
+        asyncio.run(_check_reachable(scheduler))
     except (OSError, ValueError) as error:
         raise SweepError(f"{scheduler}: no Dask scheduler there: {error}") from None
     with Client(scheduler, timeout=CONNECT_S, set_as_default=False) as client:
@@ -109,8 +112,8 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
         yield client.get_executor(pure=False)
 
 
-async def _reach(scheduler: str) -> None:
-    """Connect once. A Dask client that cannot goes on trying while it is thrown away."""
+async def _check_reachable(scheduler: str) -> None:
+    """Connect once: a Dask client that cannot connect keeps trying while it is discarded."""
     from distributed import Security, connect
 
     arguments = Security().get_connection_args("client")

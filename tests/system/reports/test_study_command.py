@@ -6,7 +6,7 @@ from typer.testing import CliRunner
 
 from telepulse.cli.main import app
 from telepulse.reports.document import THEMES
-from telepulse.reports.studies import sweep as one_thread
+from telepulse.reports.studies import sweep
 from telepulse.reports.studies.integrator_scores import DEFAULT, IntegratorEffort
 
 LITTLE = IntegratorEffort(seconds=0.1, rounds=1, substeps=(1,), solvers=(), rotor_seconds=0.02)
@@ -15,8 +15,8 @@ LITTLE = IntegratorEffort(seconds=0.1, rounds=1, substeps=(1,), solvers=(), roto
 def test_the_command_prints_its_tables_and_writes_page_pictures_and_json(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    alone = one_thread.in_one_thread
-    monkeypatch.setattr(one_thread, "in_one_thread", lambda work, _: alone(work, LITTLE))
+    alone = sweep.in_one_thread
+    monkeypatch.setattr(sweep, "in_one_thread", lambda work, _: alone(work, LITTLE))
     out, table = tmp_path / "new" / "folder", tmp_path / "tables.json"
     result = CliRunner().invoke(
         app, ["study", "integrators", "--out", str(out), "--json", str(table)]
@@ -40,7 +40,7 @@ def test_the_command_prints_its_tables_and_writes_page_pictures_and_json(
 def test_what_cannot_be_written_is_one_line_before_the_work(
     option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(one_thread, "in_one_thread", lambda *_: pytest.fail("it went to work"))
+    monkeypatch.setattr(sweep, "in_one_thread", lambda *_: pytest.fail("it went to work"))
     file = tmp_path / "file"
     file.touch()
     result = CliRunner().invoke(

@@ -8,13 +8,14 @@ from urllib.parse import urlsplit
 import pytest
 from typer.testing import CliRunner
 
-from protocol.errors import SweepError
+from protocol.errors import SceneError, SweepError
 from telepulse.cli.main import app
 from telepulse.reports.studies import sweep as sweep_module
 from telepulse.reports.studies.link_scores import LinkCell, LinkEffort, play
 from telepulse.reports.studies.playout_links import GAUSSIAN
 from telepulse.reports.studies.playout_scores import PlayoutEffort, score_playout
-from telepulse.reports.studies.sweep import THREADS, sweep
+from telepulse.reports.studies.sweep import THREADS, in_one_thread, sweep
+from telepulse.scene import find_scene
 from tests.support.nodes import free_address, process
 
 LONG_S = 60
@@ -53,6 +54,22 @@ def test_results_come_in_the_order_of_the_cases_however_long_each_takes() -> Non
     # The first case takes far longer than the second.
     assert sweep(math.factorial, [60_000, 3, 2]) == [math.factorial(60_000), 6, 2]
     assert sweep(math.sqrt, []) == []
+
+
+def test_a_function_runs_elsewhere_with_one_thread_and_the_environment_stays(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for before in (None, "3"):
+        monkeypatch.delenv(THREADS, raising=False)
+        if before is not None:
+            monkeypatch.setenv(THREADS, before)
+        assert in_one_thread(os.getenv, THREADS) == "1"
+        assert os.environ.get(THREADS) == before
+
+
+def test_an_error_of_one_thread_is_raised_here() -> None:
+    with pytest.raises(SceneError, match="no such scene"):
+        in_one_thread(find_scene, "nowhere")
 
 
 def test_every_worker_has_one_thread() -> None:

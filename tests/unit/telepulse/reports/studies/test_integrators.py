@@ -11,8 +11,8 @@ from scipy.linalg import expm
 from telepulse.reports.studies.integrator_scores import (
     decimal_plant,
     decimals,
-    hold_open,
     largest_error,
+    open_loop,
 )
 from telepulse.reports.studies.integrators import (
     Plant,
@@ -43,18 +43,18 @@ def rotor(damping: float) -> Plant[float]:
 def truth(plant: Plant[float], digits: int = 40) -> list[Decimal]:
     with localcontext(prec=digits):
         step = exact_hold(decimal_plant(plant), Decimal(TICK_S))
-        return hold_open(step, decimals(VOLTAGES))
+        return open_loop(step, decimals(VOLTAGES))
 
 
 def error(step: Step[float], plant: Plant[float]) -> float:
-    return largest_error(decimals(hold_open(step, VOLTAGES)), truth(plant))
+    return largest_error(decimals(open_loop(step, VOLTAGES)), truth(plant))
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.2, 0.99])
 def test_the_reference_is_the_step_response_of_theory(damping: float) -> None:
     plant = decimal_plant(rotor(damping))
     with localcontext(prec=40):
-        forces = hold_open(exact_hold(plant, Decimal(TICK_S)), [plant.k] * 50)
+        forces = open_loop(exact_hold(plant, Decimal(TICK_S)), [plant.k] * 50)
     t_s = TICK_S * np.arange(1, 51)
     decay, swing = damping * OMEGA, OMEGA * math.sqrt(1 - damping**2)
     expected = 1 - np.exp(-decay * t_s) * (
@@ -126,5 +126,5 @@ def test_solve_ivp_keeps_its_tolerance(solver: Solver) -> None:
 def test_a_trajectory_beyond_floats_is_infinitely_wrong() -> None:
     plant = rotor(0.2)
     step = explicit_euler(plant, 1.0, 1)
-    forces = decimals(hold_open(step, [1.0] * 200))
+    forces = decimals(open_loop(step, [1.0] * 200))
     assert largest_error(forces, [Decimal(0)] * 200) == math.inf

@@ -5,7 +5,100 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from telepulse.reports.studies.playout_links import best_constant_ms, best_moving, cheapest
+from telepulse.reports.studies.playout_links import (
+    BURSTS,
+    FAST,
+    FRAME_NS,
+    GAUSSIAN,
+    LINKS,
+    RANDOM,
+    ROUTE,
+    SLOW,
+    SPIKES,
+    TCP,
+    DelayTrace,
+    best_constant_ms,
+    best_moving,
+    cheapest,
+    in_order,
+    make_trace,
+)
+
+MS = 1e6
+
+
+def delays_ms(name: str, seconds: float = 120) -> np.ndarray:
+    return make_trace(name, seconds).delay_ns / MS
+
+
+@pytest.mark.parametrize("name", LINKS)
+def test_frames_come_every_5_ms_and_none_overtakes_another(name: str) -> None:
+    trace = make_trace(name, 60)
+    assert len(trace.sent_ns) == 12_000
+    assert set(np.diff(trace.sent_ns)) == {FRAME_NS}
+    assert trace.delay_ns.min() > 0
+    assert np.diff(trace.arrived_ns).min() >= 0
+
+
+@pytest.mark.parametrize("name", LINKS)
+def test_a_trace_is_the_same_every_time(name: str) -> None:
+    assert (make_trace(name, 5).delay_ns == make_trace(name, 5).delay_ns).all()
+
+
+def test_who_waits_for_a_frame_arrives_with_it() -> None:
+    trace: DelayTrace = in_order("", np.array([20.0, 40.0, 20.0, 20.0, 20.0, 20.0]))
+    assert (trace.delay_ns / MS).tolist() == [20, 40, 35, 30, 25, 20]
+
+
+def test_the_quiet_path_is_20_ms_with_a_deviation_of_3() -> None:
+    # One in nine waits for a slower one before it: later than drawn, and nearer to the others.
+    delay_ms = delays_ms(GAUSSIAN)
+    assert delay_ms.mean() == pytest.approx(20.2, abs=0.2)
+    assert delay_ms.std() == pytest.approx(2.77, abs=0.05)
+
+
+def test_a_spike_of_100_ms_holds_up_100_ms_of_frames_every_20_s() -> None:
+    held = delays_ms(SPIKES) > 40
+    starts = np.flatnonzero(np.diff(held.astype(int)) == 1) + 1
+    assert np.diff(starts).tolist() == [4000] * 5
+    # Less the jitter of the first and last.
+    assert held.sum() == pytest.approx(6 * (100 - 20) / 5, abs=10)
+
+
+def test_the_route_is_60_ms_longer_from_the_middle_on() -> None:
+    before_ms, after_ms = np.split(delays_ms(ROUTE), 2)
+    assert after_ms.mean() - before_ms.mean() == pytest.approx(60, abs=0.2)
+
+
+@pytest.mark.parametrize(("name", "ppm"), [(FAST, 200), (SLOW, -200)])
+def test_the_clock_drifts_by_200_us_a_second(name: str, ppm: float) -> None:
+    early_ms, late_ms = np.split(delays_ms(name), 2)
+    assert (late_ms.mean() - early_ms.mean()) / 60 == pytest.approx(ppm * 1e-3, abs=2e-3)
+
+
+def test_bursts_are_there_a_sixth_of_the_time() -> None:
+    in_burst = delays_ms(BURSTS, 3000) > 36
+    assert in_burst.mean() == pytest.approx(2 / 12, abs=0.02)
+
+
+def test_random_spikes_come_every_2_s_and_have_a_heavy_tail() -> None:
+    delay_ms = delays_ms(RANDOM, 3000)
+    # The first of those that are held up: a rise from one frame to the next, never by jitter.
+    rises_ms = np.diff(delay_ms)
+    high = [(rises_ms > limit).sum() / 3000 for limit in (30, 120)]
+    assert high[0] == pytest.approx(0.5 * (10 / 30) ** 1.5, rel=0.15)
+    assert high[1] == pytest.approx(0.5 * (10 / 120) ** 1.5, rel=0.4)
+    assert delay_ms.max() < 540
+
+
+def test_a_lost_segment_is_here_after_a_round_trip_and_three_frames() -> None:
+    delay_ms = delays_ms(TCP, 600)
+    stalls_ms = delay_ms[1:][np.diff(delay_ms) > 30]
+    # A stall within a stall does not show as a rise.
+    assert 0.7 < len(stalls_ms) / (0.005 * 120_000) < 1
+    assert np.median(stalls_ms) == pytest.approx(75, abs=1)
+    assert delay_ms.max() == pytest.approx(220, abs=10)
+
 
 FRAME_MS = 5.0
 LEVEL_MS = 0.5

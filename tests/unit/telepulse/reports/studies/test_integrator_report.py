@@ -2,13 +2,14 @@ import math
 
 import pytest
 
+from telepulse.reports.studies.integrator_report import ROUNDING, beaten_by, verdict
+from telepulse.reports.studies.integrator_scores import IntegratorPoint, costs_us
 from telepulse.reports.studies.integrators import Step
-from telepulse.reports.studies.work_precision import ROUNDING, Point, beaten_by, costs_us, verdict
 
-FAST = Point("fast", "fast", 1e-3, 0.1)
-MIDDLE = Point("middle", "middle × 2", 1e-6, 1.0)
-EXACT = Point("exact", "exact", 1e-16, 10.0)
-WORSE = Point("worse", "worse", 1e-5, 2.0)
+FAST = IntegratorPoint("fast", "fast", 1e-3, 0.1)
+MIDDLE = IntegratorPoint("middle", "middle × 2", 1e-6, 1.0)
+EXACT = IntegratorPoint("exact", "exact", 1e-16, 10.0)
+WORSE = IntegratorPoint("worse", "worse", 1e-5, 2.0)
 
 
 def test_the_frontier_is_what_no_other_point_beats() -> None:
@@ -18,24 +19,24 @@ def test_the_frontier_is_what_no_other_point_beats() -> None:
 
 
 def test_errors_at_rounding_are_equal_so_that_only_speed_counts() -> None:
-    slower = Point("slower", "slower", ROUNDING * 1e-3, 11.0)
+    slower = IntegratorPoint("slower", "slower", ROUNDING * 1e-3, 11.0)
     assert beaten_by(slower, [EXACT, slower]) == [EXACT]
     assert beaten_by(EXACT, [EXACT, slower]) == []
 
 
 def test_at_equal_cost_the_more_accurate_wins() -> None:
-    coarser = Point("coarser", "coarser", 1e-5, MIDDLE.cost_us)
+    coarser = IntegratorPoint("coarser", "coarser", 1e-5, MIDDLE.cost_us)
     assert beaten_by(coarser, [coarser, MIDDLE]) == [MIDDLE]
     assert beaten_by(MIDDLE, [coarser, MIDDLE]) == []
 
 
 def test_points_that_are_equal_do_not_beat_each_other() -> None:
-    twin = Point("twin", "twin", MIDDLE.error, MIDDLE.cost_us)
+    twin = IntegratorPoint("twin", "twin", MIDDLE.error, MIDDLE.cost_us)
     assert beaten_by(MIDDLE, [MIDDLE, twin]) == []
 
 
 def test_a_diverged_point_is_on_the_frontier_only_if_it_is_the_fastest() -> None:
-    diverged = Point("diverged", "diverged", math.inf, 0.5)
+    diverged = IntegratorPoint("diverged", "diverged", math.inf, 0.5)
     assert beaten_by(diverged, [diverged, FAST]) == [FAST]
     assert beaten_by(diverged, [diverged, MIDDLE]) == []
 
