@@ -28,7 +28,7 @@ from protocol.wire.telemetry import (
 )
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 from telepulse.recording.mcap_writer import McapWriter
-from telepulse.telemetry.transcript import Transcript
+from telepulse.telemetry.decoder import TelemetryDecoder
 
 SECONDS = 3_600
 TICK_NS = 1_000_000
@@ -71,9 +71,9 @@ def record(path: Path, seconds: int, lost: Container[int] = ()) -> None:
     """
     pulse = SyntheticSource(SyntheticScene.model_validate({"kind": "synthetic"}))
     force_n = pulse.take(seconds * 1000)[:, 0].astype("<f4")
-    writer, transcript = McapWriter(path), Transcript()
+    writer, decoder = McapWriter(path), TelemetryDecoder()
     for number, (topic, message) in enumerate(telemetry(force_n, lost)):
-        for entry in transcript.take(topic, message):
+        for entry in decoder.decode(topic, message):
             writer.add(entry)
         if number % MESSAGES_A_CHUNK == 0:
             writer.flush()

@@ -30,13 +30,11 @@ from telepulse.metrics.families import NodeState as ToldStatus
 from telepulse.metrics.families import families
 from telepulse.recording.mcap_writer import as_json
 from telepulse.recording.report.findings import RunFindings
-from telepulse.recording.report.in_turn import TimedMessage
-from telepulse.telemetry.transcript import Transcript
-from telepulse.view.alarms import alarms
+from telepulse.telemetry.decoder import TelemetryDecoder
 from telepulse.view.live import LiveState
 from telepulse.view.picture import picture
 from telepulse.view.plots import padded
-from telepulse.view.text import figures, state
+from telepulse.view.text import alarms, figures, state
 
 MS = 1_000_000
 SECOND_NS = 1000 * MS
@@ -55,7 +53,7 @@ class TelemetryReaders:
     metrics."""
 
     def __init__(self) -> None:
-        self.screen, self.live, self.transcript = TerminalView(), LiveState(), Transcript()
+        self.screen, self.live, self.decoder = TerminalView(), LiveState(), TelemetryDecoder()
         self.outlets = KeptOutlets()
         self.forwarder = Forwarder(self.outlets, str)
         self.findings = RunFindings(Path("telemetry"))
@@ -63,12 +61,12 @@ class TelemetryReaders:
     def take(self, topic: bytes, data: bytes) -> None:
         """Hand a telemetry message to every reader."""
         self.screen.take((topic, data), 0)
-        entries = self.transcript.take(topic, data)
+        entries = self.decoder.decode(topic, data)
         for entry in entries:
             self.live.take(entry)
             # A recording holds what every reader of JSON can read.
             fields = json.loads(as_json(entry.fields), parse_constant=_refuse_constant)
-            self.findings.take(TimedMessage(entry.topic, entry.t_ns, fields))
+            self.findings.take(entry._replace(fields=fields))
         self.forwarder.take(entries)
 
     def draw(self) -> None:

@@ -116,7 +116,7 @@ def limit_texts(limits: Mapping[str, Mapping[str, Any]]) -> list[str]:
 def longest_limit_text(limits: Mapping[str, Mapping[str, Any]]) -> str:
     """Return the time at the limit that held longest; empty while no limit is known to apply."""
     known = [limit for limit in limits.values() if limit.get("times") is not None]
-    seconds = [limit["seconds"] for limit in known if limit["times"]]
+    seconds = [limit.get("seconds") or 0.0 for limit in known if limit["times"]]
     return f"{max(seconds):.1f} s" if seconds else "never" if known else ""
 
 

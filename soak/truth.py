@@ -10,7 +10,7 @@ from display_node.fault_advice import FAULT_STATUS, latched
 from soak.claims import LineClaim, StatusClaim, pressed_n
 from soak.verdict import Check
 from soak.witness import Witness
-from telepulse.telemetry.events import INTERRUPTED, StatusWatch
+from telepulse.telemetry.events import INTERRUPTED, EventDetector
 
 # A status follows the tick that it is of: its force is that tick's but for rounding to 1 mN.
 ROUNDING_N = 0.6e-3
@@ -288,7 +288,7 @@ def _event_lies(
 
     Where a trace did not arrive between the two, what was felt is not known.
     """
-    watch, before = StatusWatch(), None
+    watch, before = EventDetector(), None
     for claim in life:
         events = watch.take(claim.state, claim.summary, claim.tick_ns)
         named = [event.text for event in events if event.name == INTERRUPTED]

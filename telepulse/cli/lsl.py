@@ -27,7 +27,7 @@ def lsl(
 
     Exit status: 0, 1 when telemetry was missed, which is said, 2 when it cannot begin.
     """
-    from telepulse.lsl_outlet.run import LslOutlet
+    from telepulse.lsl_outlet.outlet import LslOutlet
 
     console = plain_console(quiet)
     with one_line_errors(PROGRAM):

@@ -13,16 +13,16 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from protocol.wire.messages import Frame
-from telepulse.lsl_outlet.outlets import Outlets
-from telepulse.telemetry.listener import Listener
+from telepulse.lsl_outlet.streams import LslStreams
+from telepulse.telemetry.decoder import Entry
+from telepulse.telemetry.passive_receiver import PassiveReceiver
 from telepulse.telemetry.schema import EVENT, FRAME, TICK
-from telepulse.telemetry.transcript import Entry
 
 # Longer than a link that reorders keeps a frame; later ones are missing.
 HOLD_NS = 500_000_000
 
 
-class InOrder:
+class FrameReorderer:
     """Holds a frame back while one before it is missing and may still come.
 
     lost: samples that did not come in time.
@@ -94,14 +94,14 @@ class Forwarder:
     passed: samples of the wrist, ticks and events that LSL was given.
     """
 
-    def __init__(self, outlets: Outlets, log: Callable[[str], None]) -> None:
+    def __init__(self, outlets: LslStreams, log: Callable[[str], None]) -> None:
         """log is told of each stream that begins."""
         self._outlets = outlets
         self._log = log
         self._time = LslTime(outlets.local_clock)
-        self._listener = Listener()
+        self._receiver = PassiveReceiver()
         self._session: int | None = None
-        self._in_order = InOrder()
+        self._in_order = FrameReorderer()
         self._lost = 0
         self.passed: Counter[str] = Counter()
 
@@ -119,24 +119,24 @@ class Forwarder:
             if entry.topic == EVENT:
                 self._take_event(entry)
             elif entry.topic != TICK:
-                frame = self._listener.take(entry.topic, entry.fields)
+                frame = self._receiver.take(entry.topic, entry.fields)
                 if frame is not None:
                     self._take_frame(frame, entry)
-                elif entry.topic == FRAME and not self._listener.receiver.clock.ready:
+                elif entry.topic == FRAME and not self._receiver.clock.ready:
                     self.passed["frames too early"] += 1
 
     def finish(self) -> None:
         """Pass on what waits for its turn."""
         for frame in self._in_order.rest():
             self._push(frame)
-        self._lost, self._in_order = self.lost, InOrder()
+        self._lost, self._in_order = self.lost, FrameReorderer()
 
     def _take_frame(self, frame: Frame, entry: Entry) -> None:
         if frame.session != self._session:
             self._begin(frame.session)
         arrived_ns = entry.fields["arrived_ns"]
         # From the sensing clock to the display's, and to Unix time.
-        ahead_ns = self._listener.receiver.clock.offset_ns(arrived_ns) + arrived_ns - entry.t_ns
+        ahead_ns = self._receiver.clock.offset_ns(arrived_ns) + arrived_ns - entry.t_ns
         in_unix_time = frame._replace(t_first_ns=frame.t_first_ns - ahead_ns)
         for each in self._in_order.take(in_unix_time, arrived_ns):
             self._push(each)
@@ -144,7 +144,7 @@ class Forwarder:
     def _begin(self, session: int) -> None:
         self.finish()
         self._session = session
-        description = self._listener.receiver.description
+        description = self._receiver.description
         assert description is not None
         word = "begins" if self._outlets.describe(description) else "goes on"
         self._log(f"{description.name!a} {word}: session {session}")
@@ -161,7 +161,7 @@ class Forwarder:
             (entry.fields["target_n"], entry.fields.get("felt_n", math.nan)) for entry in ticks
         ]
         self._outlets.push_finger(forces_n, [self._time.at(entry.t_ns) for entry in ticks])
-        self._listener.play(ticks[-1].fields["instant_ns"])
+        self._receiver.play(ticks[-1].fields["instant_ns"])
         self.passed["ticks"] += len(ticks)
 
     def _take_event(self, entry: Entry) -> None:
@@ -170,6 +170,6 @@ class Forwarder:
             # A display that was started anew counts its time anew.
             self.finish()
             self._time.begin()
-            self._listener, self._session = Listener(), None
+            self._receiver, self._session = PassiveReceiver(), None
         self._outlets.push_event(f"{name}: {entry.fields['message']}", self._time.at(entry.t_ns))
         self.passed["events"] += 1

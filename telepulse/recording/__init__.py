@@ -1,1 +1,1 @@
-"""Recordings: all that a display heard and did, in an MCAP file; played again, exported."""
+"""Recordings of a display: all that it received and did, in an MCAP file; export and report."""

@@ -1,8 +1,8 @@
-"""A recording as an EDF+ file, for the viewers and tools of physiology.
+"""Export of a recording as an EDF+ file, for the viewers and tools of physiology.
 
 EDF (Kemp et al. 1992, https://www.edfplus.info) holds evenly spaced numbers of 16 bits. So the
-recording's longest session is drawn on an even grid of the sensing clock, and what that takes away
-is said: the step of the numbers in the log, losses and events as annotations.
+recording's longest session is resampled on an even grid of the sensing clock. The log names the
+step of the numbers; losses and events become annotations.
 """
 
 import math
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from display_node.scoring.tracking_error import MAX_GAP_NS, interpolate
 from protocol.config.quantities import count_text
 from protocol.errors import OutputError, SourceError
-from telepulse.recording.session import RecordedSession, felt_in, longest_session
+from telepulse.recording.session import RecordedSession, felt_force, longest_session
 
 SECOND_NS = 1_000_000_000
 # The lowest number stands for no value: nothing else is so low.
@@ -35,7 +35,7 @@ def export_edf(path: Path, file: Path, log: Callable[[str], None]) -> None:
         raise OutputError(f"{file}: is there already; name another by --out")
     session = longest_session(path, log)
     t_ns, numbers, values = _samples(session)
-    felt = felt_in(path, session.number)
+    felt = felt_force(path, session.number)
     rate_hz = _rate_hz(session, path)
     seconds = math.ceil((t_ns[-1] - t_ns[0] + session.description.period_ns) / SECOND_NS)
     grid_ns = t_ns[0] + np.arange(seconds * rate_hz, dtype=np.int64) * SECOND_NS // rate_hz
@@ -92,7 +92,7 @@ def _edfio() -> Any:
 
 
 def _samples(session: RecordedSession) -> tuple[Ints, Ints, Floats]:
-    """Times, numbers and values of all samples, in order of time."""
+    """Return times, numbers and values of all samples, in order of time."""
     times, numbers, values = [], [], []
     for frame in session.frames():
         at = np.arange(len(frame.values), dtype=np.int64)
@@ -103,7 +103,7 @@ def _samples(session: RecordedSession) -> tuple[Ints, Ints, Floats]:
 
 
 def _rate_hz(session: RecordedSession, path: Path) -> int:
-    """The grid's rate: the stream's own, to a whole number. Raises SourceError."""
+    """Return the grid's rate, the stream's own in whole Hz. Raises SourceError."""
     if session.description.period_ns > MAX_GAP_NS:
         slowest_hz = math.ceil(SECOND_NS / MAX_GAP_NS)
         raise SourceError(
@@ -114,9 +114,9 @@ def _rate_hz(session: RecordedSession, path: Path) -> int:
 
 
 def _resampled(grid_ns: Ints, t_ns: Ints, force_n: Floats) -> Floats:
-    """A line through the values; NaN where they are too far apart for one, and outside."""
+    """Interpolate linearly; NaN outside, and between values that are too far apart."""
     on_grid_n = interpolate(grid_ns, t_ns, force_n)
-    # The last one before a hole is known, all the same.
+    # The last value before a hole is kept.
     at = np.minimum(np.searchsorted(t_ns, grid_ns), len(t_ns) - 1)
     return np.where(t_ns[at] == grid_ns, force_n[at], on_grid_n)
 
@@ -136,7 +136,7 @@ def _signal(edfio: Any, label: str, force_n: Floats, rate_hz: int) -> Any:
 
 
 def _range(force_mn: Floats) -> tuple[float, float]:
-    """A range around the values that the header's eight characters can hold."""
+    """Return a range around the values that the header's eight characters can hold."""
     if not len(force_mn):
         return -1.0, 1.0
     low, high = float(force_mn.min()), float(force_mn.max())
@@ -165,5 +165,5 @@ def _losses(edfio: Any, t_ns: Ints, numbers: Ints, period_ns: int) -> list[Any]:
 
 
 def _utc(unix_ns: int) -> datetime:
-    """To the microsecond."""
+    """Return a Unix time to the microsecond."""
     return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=unix_ns // 1000)

@@ -1,4 +1,4 @@
-"""A recording as tables, or as a whole MCAP file again."""
+"""Export of a recording as tables in CSV or Parquet, or as a whole MCAP file again."""
 
 import csv
 import json
@@ -7,6 +7,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 from protocol.config.quantities import count_text
 from protocol.errors import OutputError, SourceError
@@ -15,10 +16,8 @@ from telepulse.recording.mcap_writer import McapWriter
 from telepulse.recording.reader import RecordedMessage, RecordingReader
 from telepulse.recording.tables import (
     TABLES,
-    ParquetTable,
     Row,
     TableColumn,
-    check_parquet,
     columns,
     rows,
 )
@@ -29,12 +28,12 @@ PROVENANCE = "provenance.json"
 
 
 class CsvTable:
-    """A table as CSV: numbers as they are, nothing where there is no value."""
+    """Writer of a table as CSV: numbers in full, empty without a value."""
 
     suffix = ".csv"
 
     def __init__(self, path: Path, columns: list[TableColumn]) -> None:
-        """Raises OSError."""
+        """Create the file. Raises OSError."""
         self._file = path.open("w", newline="", encoding="utf-8")
         writer = csv.writer(self._file)
         writer.writerow([column.name for column in columns])
@@ -42,7 +41,83 @@ class CsvTable:
         self.close = self._file.close
 
 
-Kind = type[CsvTable] | type[ParquetTable]
+ROWS_A_GROUP = 50_000
+MISSING = "needs pyarrow, which cannot be loaded ({}); pip install 'telepulse[analysis]'"
+
+
+class ParquetTable:
+    """Writer of a table as Parquet, with units and descriptions; its memory is bounded."""
+
+    suffix = ".parquet"
+
+    def __init__(self, path: Path, columns: list[TableColumn]) -> None:
+        """Create the file. Raises OSError; OutputError without pyarrow."""
+        check_parquet()
+        import pyarrow
+        from pyarrow import parquet
+
+        kinds = {
+            "integer": pyarrow.int64(),
+            "number": pyarrow.float64(),
+            "float32": pyarrow.float32(),
+            "boolean": pyarrow.bool_(),
+            "string": pyarrow.string(),
+        }
+        self._pyarrow: Any = pyarrow
+        self._schema = pyarrow.schema(
+            [
+                pyarrow.field(
+                    column.name,
+                    kinds[column.kind],
+                    metadata={"unit": column.unit, "description": column.description},
+                )
+                for column in columns
+            ],
+            metadata={"creator": "telepulse"},
+        )
+        self._writer = parquet.ParquetWriter(path, self._schema, compression="zstd")
+        self._rows: list[Row] = []
+
+    def add(self, row: Row) -> None:
+        """Add a row. Raises OSError; ValueError for one of another width."""
+        if len(row) != len(self._schema):
+            raise ValueError(f"{len(row)} values in a table of {len(self._schema)} columns")
+        self._rows.append(row)
+        if len(self._rows) >= ROWS_A_GROUP:
+            self._flush()
+
+    def describe(self, described: dict[str, Any]) -> None:
+        """Add what produced the recording to the file's metadata, each key as JSON."""
+        texts = {f"telepulse.{key}": json.dumps(value) for key, value in described.items()}
+        self._writer.add_key_value_metadata(texts)
+
+    def close(self) -> None:
+        """Write the remaining rows and the end. Raises OSError."""
+        try:
+            self._flush()
+        finally:
+            self._writer.close()
+
+    def _flush(self) -> None:
+        if not self._rows:
+            return
+        arrays = [
+            self._pyarrow.array(values, field.type)
+            for values, field in zip(zip(*self._rows, strict=True), self._schema, strict=True)
+        ]
+        self._rows.clear()
+        self._writer.write_batch(self._pyarrow.record_batch(arrays, schema=self._schema))
+
+
+def check_parquet() -> None:
+    """Raise OutputError where pyarrow is missing, before any work."""
+    try:
+        import pyarrow.parquet  # noqa: F401
+    except ImportError as error:
+        raise OutputError(f"an export to parquet {MISSING.format(error)}") from None
+
+
+TableWriter = type[CsvTable] | type[ParquetTable]
 
 
 def export_csv(path: Path, folder: Path, log: Callable[[str], None]) -> None:
@@ -51,13 +126,15 @@ def export_csv(path: Path, folder: Path, log: Callable[[str], None]) -> None:
 
 
 def export_parquet(path: Path, folder: Path, log: Callable[[str], None]) -> None:
-    """Write a recording's tables with typed columns into a new folder. Raises SourceError or
-    OutputError, the latter also without pyarrow."""
+    """Write a recording's tables with typed columns into a new folder.
+
+    Raises SourceError or OutputError, the latter also without pyarrow.
+    """
     check_parquet()
     _export_tables(path, folder, log, ParquetTable)
 
 
-def _export_tables(path: Path, folder: Path, log: Callable[[str], None], kind: Kind) -> None:
+def _export_tables(path: Path, folder: Path, log: Callable[[str], None], kind: TableWriter) -> None:
     reader, tables = RecordingReader(path), _Tables(folder, kind)
     try:
         with tables:
@@ -73,14 +150,14 @@ def _export_tables(path: Path, folder: Path, log: Callable[[str], None], kind: K
         raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from None
     except (LookupError, ValueError, TypeError, ArithmeticError) as error:
         raise SourceError(f"{path}: a message is not telepulse's: {error!r:.80}") from None
-    say_gaps(path, reader, log)
+    log_gaps(path, reader, log)
     log(f"{folder}: " + ", ".join(f"{tables.rows[t]} {name}" for t, name in TABLES.items()))
 
 
 class _Tables(ExitStack):
-    """A file a topic, in a folder that is made for the first message. rows: in each of them."""
+    """Files of a folder, one a topic, created for the first message; rows: count in each."""
 
-    def __init__(self, folder: Path, kind: Kind) -> None:
+    def __init__(self, folder: Path, kind: TableWriter) -> None:
         super().__init__()
         self._folder = folder
         self._kind = kind
@@ -89,7 +166,7 @@ class _Tables(ExitStack):
         self.rows: Counter[str] = Counter()
 
     def add(self, message: RecordedMessage) -> None:
-        """Write a message's rows. Raises OSError; KeyError, ValueError, TypeError of its fields."""
+        """Write a message's rows. Raises OSError; LookupError, ValueError, TypeError for fields."""
         if message.topic not in self._files:
             self._files[message.topic] = self._open(message)
         file = self._files[message.topic]
@@ -98,8 +175,10 @@ class _Tables(ExitStack):
             self.rows[message.topic] += 1
 
     def describe(self, path: Path, reader: RecordingReader) -> None:
-        """Write beside the tables what produced the recording, what of it could not be read, and
-        what each column holds and on which clock. Raises OutputError."""
+        """Write provenance, gaps and the columns' descriptions beside the tables.
+
+        Raises OutputError.
+        """
         if not self._files:
             return
         described = {
@@ -108,7 +187,7 @@ class _Tables(ExitStack):
             "gaps": reader.gaps(),
             "runs": [dict(run) for run in reader.provenance],
             "columns": {
-                name: {c.name: {"unit": c.unit, "description": c.says} for c in found}
+                name: {c.name: {"unit": c.unit, "description": c.description} for c in found}
                 for name, found in self._columns.items()
             },
         }
@@ -145,11 +224,11 @@ def export_mcap(path: Path, copy: Path, log: Callable[[str], None]) -> None:
     reason = writer.close()
     if reason is not None or writer.dropped:
         raise OutputError(f"{copy}: cannot be written: {reason or 'the disk was full'}")
-    say_gaps(path, reader, log)
+    log_gaps(path, reader, log)
     log(f"{copy}: {count_text(sum(writer.written.values()), 'message')}")
 
 
-def say_gaps(path: Path, reader: RecordingReader, log: Callable[[str], None]) -> None:
+def log_gaps(path: Path, reader: RecordingReader, log: Callable[[str], None]) -> None:
     """Report what of a recording could not be read."""
     for line in reader.gaps():
         log(f"{path}: {line}")

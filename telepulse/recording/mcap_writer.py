@@ -1,7 +1,4 @@
-"""Entries into an MCAP file, in chunks that are each on the disk within half a second.
-
-The file under a recording: whole pieces go to the disk, or stay here until it takes them.
-"""
+"""Writer of an MCAP recording, and the file beneath, which retries while the disk is full."""
 
 import json
 import math
@@ -13,8 +10,8 @@ from typing import IO, Any, NamedTuple, cast
 
 from protocol.errors import OutputError
 from protocol.wire.messages import VERSION
+from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import SCHEMAS
-from telepulse.telemetry.transcript import Entry
 
 _BINARY = getattr(os, "O_BINARY", 0)
 
@@ -24,15 +21,19 @@ class _Piece(NamedTuple):
     messages: int
 
 
-class Journal:
-    """Takes a recording's bytes and keeps what the disk refuses, in order, to try it again.
+class RetryingFile:
+    """File of whole pieces that keeps what the disk refuses, in order, and retries it.
 
-    A piece that fits in part is taken off the disk again: what stands there is always a row of
-    whole pieces. waiting_bytes, waiting: bytes and messages that are not on the disk.
+    A piece that is written in part is truncated again, so the file always ends with a whole piece.
+
+    Attributes
+    ----------
+    waiting_bytes, waiting : int
+        Bytes and messages that are not on the disk.
     """
 
     def __init__(self, path: Path) -> None:
-        """Raises OutputError: where it cannot be made, and where a file is there already."""
+        """Create the file. Raises OutputError, also where one is there already."""
         try:
             self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY, 0o666)
         except FileExistsError:
@@ -42,26 +43,29 @@ class Journal:
         self._path = path
         self._unsealed = bytearray()
         self._pieces: deque[_Piece] = deque()
-        self._given_bytes = self._on_disk_bytes = 0
+        self._size_bytes = self._on_disk_bytes = 0
         self.waiting_bytes = self.waiting = 0
 
     def write(self, data: bytes) -> int:
-        """Take bytes; they are a part of the next piece."""
+        """Add bytes to the next piece."""
         self._unsealed += data
-        self._given_bytes += len(data)
+        self._size_bytes += len(data)
         return len(data)
 
     def tell(self) -> int:
-        """Where in the file the next byte will be."""
-        return self._given_bytes
+        """Return the position of the next byte in the file."""
+        return self._size_bytes
 
     def flush(self) -> None:
-        """Nothing: `commit` says when."""
+        """Do nothing: only `commit` writes."""
 
     def commit(self, messages: int) -> str | None:
-        """Make a piece of what was taken, with so many messages, and put on the disk what fits.
+        """End the piece, which holds `messages` messages, and write what the disk accepts.
 
-        Returns why something waits, None when nothing does.
+        Returns
+        -------
+        str or None
+            Why something waits; None when nothing does.
         """
         if self._unsealed:
             self._pieces.append(_Piece(bytes(self._unsealed), messages))
@@ -80,17 +84,17 @@ class Journal:
         return None
 
     def close(self) -> None:
-        """Close the file; what waits is given up."""
+        """Close the file and drop what waits."""
         os.close(self._file)
 
     def _append(self, data: bytes) -> None:
-        """All of a piece, or none of it. Raises OSError."""
+        """Write all of a piece, or none of it. Raises OSError."""
         left = memoryview(data)
         try:
             os.lseek(self._file, self._on_disk_bytes, os.SEEK_SET)
             while left:
                 left = left[os.write(self._file, left) :]
-            # Into the disk itself: it outlives a loss of power, and what fails late fails here.
+            # So the piece outlives a loss of power, and a late failure shows here.
             os.fsync(self._file)
         except OSError:
             with suppress(OSError):
@@ -107,14 +111,18 @@ MAX_RUNS = 100
 
 
 class McapWriter:
-    """One recording. Nothing here raises for a disk that is full: it is retried and counted.
+    """Writer of one recording. A full disk raises nothing: it is retried, and drops are counted.
 
-    written: messages by topic that were taken. dropped: messages that found no room, on the disk
-    or in memory.
+    Attributes
+    ----------
+    written : Counter
+        Messages accepted, by topic.
+    dropped : int
+        Messages that fitted neither on the disk nor in memory.
     """
 
     def __init__(self, path: Path) -> None:
-        """Raises OutputError."""
+        """Create the file. Raises OutputError."""
         try:
             from mcap.writer import Writer
         except ImportError as error:
@@ -122,8 +130,8 @@ class McapWriter:
                 f"recording needs mcap, which cannot be loaded ({error});"
                 " pip install 'telepulse[record]'"
             ) from None
-        self._journal = Journal(path)
-        self._writer: Any = Writer(cast(IO[Any], self._journal))
+        self._file = RetryingFile(path)
+        self._writer: Any = Writer(cast(IO[Any], self._file))
         self._writer.start(profile=PROFILE, library=f"telepulse, wire protocol {VERSION}")
         self._channels = {topic: self._register(topic) for topic in SCHEMAS}
         self._in_chunk = 0
@@ -131,12 +139,12 @@ class McapWriter:
         self.dropped = self._runs = 0
 
     def add(self, entry: Entry) -> None:
-        """Take a message into the present chunk."""
+        """Add a message to the present chunk."""
         self.put(entry.topic, entry.t_ns, as_json(entry.fields))
 
     def put(self, topic: str, t_ns: int, data: bytes) -> None:
-        """Take a message that is JSON already into the present chunk."""
-        if self._journal.waiting_bytes > MAX_WAITING_BYTES:
+        """Add a message that is JSON already to the present chunk."""
+        if self._file.waiting_bytes > MAX_WAITING_BYTES:
             self.dropped += 1
             return
         self._writer.add_message(
@@ -152,30 +160,30 @@ class McapWriter:
     def describe(self, provenance: dict[str, str]) -> None:
         """Add what produced the recording, as a metadata record.
 
-        Of more than `MAX_RUNS` nothing is added: whoever sends them is no display.
+        Records beyond `MAX_RUNS` are dropped: no display sends that many.
         """
         self._runs += 1
-        if self._runs > MAX_RUNS or self._journal.waiting_bytes > MAX_WAITING_BYTES:
+        if self._runs > MAX_RUNS or self._file.waiting_bytes > MAX_WAITING_BYTES:
             self.dropped += 1
             return
         self._writer.add_metadata(PROVENANCE, provenance)
 
     def flush(self) -> str | None:
-        """End the chunk and put it on the disk. Returns why it waits, if it does."""
+        """End the chunk and write it; return why it waits, if it does."""
         self._writer.flush()
         return self._commit()
 
     def close(self) -> str | None:
-        """End the recording. Returns why some of it, counted as dropped, could not be written."""
+        """End the recording; return why some of it, counted as dropped, could not be written."""
         self._writer.finish()
         reason = self._commit()
-        self.dropped += self._journal.waiting
-        self._journal.close()
+        self.dropped += self._file.waiting
+        self._file.close()
         return reason
 
     def _commit(self) -> str | None:
         messages, self._in_chunk = self._in_chunk, 0
-        return self._journal.commit(messages)
+        return self._file.commit(messages)
 
     def _register(self, topic: str) -> int:
         name, schema = SCHEMAS[topic]
@@ -185,6 +193,7 @@ class McapWriter:
 
 
 def as_json(fields: dict[str, Any]) -> bytes:
+    """Return fields as JSON; what is NaN or infinite is left out."""
     try:
         return _encode(fields).encode()
     except ValueError:

@@ -1,22 +1,25 @@
-"""Reads a recording, also one whose end is missing because its recorder was killed."""
+"""Reader of a recording, also of one whose end is missing because its recorder was killed."""
 
 import json
 import os
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 from protocol.config.quantities import count_text
 from protocol.errors import SourceError
 from telepulse.recording.mcap_writer import PROVENANCE
-from telepulse.telemetry.schema import FRAME, SCHEMAS
+from telepulse.telemetry.decoder import Entry
+from telepulse.telemetry.schema import CLOCK, FRAME, REFUSED, SCHEMAS, STREAM, TICK
 
 MAX_RECORD_BYTES = 1 << 28
+_MAGIC = b"\x89MCAP0\r\n"
 OURS = SCHEMAS[FRAME][0]
 
 
 class RecordedMessage(NamedTuple):
-    """A message as it stands in the file; t_ns in Unix time, `data` is JSON."""
+    """A message as it stands in the file: topic, Unix time, and its fields as JSON."""
 
     topic: str
     t_ns: int
@@ -24,7 +27,7 @@ class RecordedMessage(NamedTuple):
 
     @property
     def fields(self) -> dict[str, Any]:
-        """The message's fields. Raises ValueError where its data is no table."""
+        """Fields of the message. Raises ValueError where its data is no table."""
         try:
             fields = json.loads(self.data)
         except RecursionError:
@@ -35,16 +38,26 @@ class RecordedMessage(NamedTuple):
 
 
 class RecordingReader:
-    """The messages of a recording, in the order in which they were written.
+    """Reader of a recording's messages, in the order in which they were written.
 
-    whole: the recording was ended as it should be; known once all was read. damaged: chunks
-    whose bytes are not what was written; what is in them is left out. cut_bytes: at its end, which
-    cannot be read. begin_ns, end_ns: Unix time of its first and last message. provenance: of each
-    run of the display, as text by key.
+    The attributes are complete once all messages were read.
+
+    Attributes
+    ----------
+    whole : bool
+        The recording has its end.
+    damaged : int
+        Chunks with a wrong checksum, which are left out.
+    cut_bytes : int
+        Bytes at the end of the file that cannot be read.
+    begin_ns, end_ns : int
+        Unix time of the first and last message.
+    provenance : list of dict
+        Of each run of the display, as text by key.
     """
 
     def __init__(self, path: Path) -> None:
-        """Raises SourceError when mcap is not installed."""
+        """Open nothing yet. Raises SourceError without the mcap package."""
         try:
             from mcap import stream_reader
         except ImportError as error:
@@ -54,9 +67,9 @@ class RecordingReader:
             ) from None
         self._mcap: Any = stream_reader
         self._path = path
-        self._forget()
+        self._reset()
 
-    def _forget(self) -> None:
+    def _reset(self) -> None:
         self.whole = False
         self.damaged = self.cut_bytes = 0
         self.begin_ns: int | None = None
@@ -78,8 +91,8 @@ class RecordingReader:
         return lines
 
     def __iter__(self) -> Iterator[RecordedMessage]:
-        """Raises SourceError when the file is no recording, or holds nothing."""
-        self._forget()
+        """Read from the beginning. Raises SourceError for a file that is no recording."""
+        self._reset()
         try:
             with self._path.open("rb") as file:
                 yield from self._messages(file)
@@ -127,9 +140,9 @@ class RecordingReader:
         file.seek(0)
 
     def _records(self, file: IO[bytes]) -> Iterator[Any]:
-        """The records of the data section, those of chunks too, up to where the file breaks off."""
+        """Yield the records of the data section, those in chunks too, as far as the file goes."""
         records = self._mcap.StreamReader(
-            _Left(file), emit_chunks=True, record_size_limit=MAX_RECORD_BYTES
+            _BoundedFile(file), emit_chunks=True, record_size_limit=MAX_RECORD_BYTES
         ).records
         size_bytes = os.fstat(file.fileno()).st_size
         while True:
@@ -157,9 +170,8 @@ class RecordingReader:
             yield from inner
 
 
-class _Left:
-    """A file of which no more is read than there is: reading makes room for all that is asked,
-    and damaged lengths ask for gigabytes."""
+class _BoundedFile:
+    """File that reads no more than it holds: damaged lengths would allocate gigabytes."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file = file
@@ -169,4 +181,32 @@ class _Left:
         return self._file.read(min(count, max(0, self._size - self._file.tell())))
 
 
-_MAGIC = b"\x89MCAP0\r\n"
+# Time at which the display received a message, on its clock.
+_RECEIVED = {FRAME: "arrived_ns", STREAM: "arrived_ns", REFUSED: "arrived_ns", CLOCK: "t4_ns"}
+# Received messages without a tick after them.
+MAX_WAITING = 10_000
+
+
+def in_tick_order(messages: Iterable[RecordedMessage]) -> Iterator[Entry]:
+    """Yield each received message before the first tick that was due after it arrived.
+
+    A recording has ticks by twenties, after what was received meanwhile.
+
+    Raises
+    ------
+    KeyError, ValueError
+        A message is not one of a telepulse recording.
+    """
+    waiting: deque[tuple[int, Entry]] = deque()
+    for message in messages:
+        entry = Entry(message.topic, message.t_ns, message.fields)
+        if entry.topic in _RECEIVED:
+            waiting.append((entry.fields[_RECEIVED[entry.topic]], entry))
+            if len(waiting) > MAX_WAITING:
+                yield waiting.popleft()[1]
+            continue
+        if entry.topic == TICK:
+            while waiting and waiting[0][0] <= entry.fields["now_ns"]:
+                yield waiting.popleft()[1]
+        yield entry
+    yield from (entry for _, entry in waiting)

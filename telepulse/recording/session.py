@@ -1,7 +1,4 @@
-"""One session out of a recording: its description and its frames.
-
-Ticks and events of one session of a recording, on the sensing clock.
-"""
+"""One session of a recording: its description, frames, felt force and events."""
 
 import math
 from base64 import b64decode
@@ -17,15 +14,18 @@ from protocol.errors import SourceError, WireError
 from protocol.wire.messages import Frame, Welcome, decode_control, decode_frame
 from protocol.wire.stream import StreamDescription
 from telepulse.recording.reader import RecordedMessage, RecordingReader
-from telepulse.telemetry.listener import Listener
+from telepulse.telemetry.passive_receiver import PassiveReceiver
 from telepulse.telemetry.schema import EVENT, FRAME, STREAM, TICK
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedForce:
-    """Force felt at instants of the sensing clock, in order; events with theirs.
+    """Force felt in a session, and its events, both in order of the sensing clock.
 
-    sensing_minus_unix_ns: brings Unix time to the sensing clock, as at the session's first tick.
+    Attributes
+    ----------
+    sensing_minus_unix_ns : int
+        Sensing clock minus Unix time, as at the session's first tick.
     """
 
     t_ns: NDArray[np.int64]
@@ -34,19 +34,18 @@ class RecordedForce:
     sensing_minus_unix_ns: int
 
     def unix_ns(self, sensing_ns: int) -> int:
-        """Unix time of an instant of the sensing clock."""
+        """Return the Unix time of an instant of the sensing clock."""
         return sensing_ns - self.sensing_minus_unix_ns
 
 
-def felt_in(path: Path, session: int) -> RecordedForce:
-    """Follow the clock through a recording. Raises SourceError."""
-    listener, apart_ns = Listener(), 0
+def felt_force(path: Path, session: int) -> RecordedForce:
+    """Return force felt and events of a session, by the display's clock. Raises SourceError."""
+    receiver, apart_ns = PassiveReceiver(), 0
     t_ns: list[int] = []
     force_n: list[float] = []
     events: list[tuple[int, str]] = []
     # Before the clock is known.
     early: list[tuple[int, str]] = []
-    receiver = listener.receiver
     try:
         for message in RecordingReader(path):
             fields = message.fields
@@ -60,9 +59,9 @@ def felt_in(path: Path, session: int) -> RecordedForce:
                 unix_minus_display_ns = message.t_ns - fields["now_ns"]
                 t_ns.append(sensing_ns)
                 force_n.append(float(fields.get("felt_n", math.nan)))
-                listener.play(fields["instant_ns"])
+                receiver.play(fields["instant_ns"])
             elif message.topic != EVENT:
-                listener.take(message.topic, fields)
+                receiver.take(message.topic, fields)
             elif receiver.session == session:
                 text = f"{fields['name']}: {fields['message']}"
                 if t_ns:
@@ -81,9 +80,14 @@ def felt_in(path: Path, session: int) -> RecordedForce:
 
 @dataclass
 class RecordedSession:
-    """The frames of one session, as bytes by the number of their first sample.
+    """Frames of one session, as bytes by the number of their first sample.
 
-    cut: how the recording breaks off, "" where it is whole. provenance: of the recording's runs.
+    Attributes
+    ----------
+    cut : str
+        How the recording breaks off; empty where it is whole.
+    provenance : list of dict
+        Of the recording's runs.
     """
 
     number: int
@@ -109,9 +113,9 @@ class RecordedSession:
 
 
 def longest_session(path: Path, log: Callable[[str], None]) -> RecordedSession:
-    """The session with most samples; `log` is told what else there is and what is missing.
+    """Return the session with most samples; log what else there is and what is missing.
 
-    Raises SourceError when there is none.
+    Raises SourceError without any.
     """
     reader = RecordingReader(path)
     sessions: dict[int, RecordedSession] = {}
@@ -136,7 +140,7 @@ def longest_session(path: Path, log: Callable[[str], None]) -> RecordedSession:
 
 
 def _take(message: RecordedMessage, sessions: dict[int, RecordedSession]) -> bool:
-    """Add a frame or a description; False for a frame that cannot be used."""
+    """Add a frame or a description; return False for a frame that cannot be used."""
     if message.topic == STREAM:
         welcome = decode_control(b64decode(message.fields["data"]))
         if isinstance(welcome, Welcome):

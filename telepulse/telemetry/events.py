@@ -1,4 +1,4 @@
-"""Events in words: from one status of a display to the next, and from its frames. Pure."""
+"""Events of a display, from one status to the next and from its frames. Pure."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
@@ -8,17 +8,17 @@ from protocol.errors import explain_causes
 from protocol.limits import NAMES
 from protocol.security.socket_monitor import REVOKED
 
-# As long as a display waits before it takes a sensing node for silent.
+# As long as a display waits for a sensing node.
 CUT_AFTER_NS = 1_000_000_000
 CUT, FAULT, INTERRUPTED = "link cut", "fault", "felt again"
 # Counts of the bench are an event from so many within one status on; "superseded" ones are usual.
 MANY, USUAL = 20, "drive superseded"
-# By the events of the state, and of each cause of refusal.
-TOLD_OTHERWISE = {"stale", NOT_CONNECTED}
+# Alerts that the events of the state and of each cause of refusal cover.
+OTHER_EVENTS = {"stale", NOT_CONNECTED}
 
 
 class Event(NamedTuple):
-    """Something that happened; level is INFO, WARNING or ERROR, name its short word."""
+    """An event; level: INFO, WARNING or ERROR; name: its kind, in a word or two."""
 
     level: str
     name: str
@@ -28,10 +28,10 @@ class Event(NamedTuple):
 _LEVELS = {"stale": "WARNING", "fault": "ERROR"}
 
 
-class StatusWatch:
-    """The changes at a display, whose statuses come five times a second.
+class EventDetector:
+    """Detector of changes between a display's statuses, which come five times a second.
 
-    What lasts gives two events: where it begins, and where it is over, with how long it lasted.
+    A condition that lasts gives two events: one when it begins, one with its length when it ends.
     """
 
     def __init__(self) -> None:
@@ -60,12 +60,12 @@ class StatusWatch:
         self._ended = True
 
     def arrive(self, now_ns: int) -> Iterator[Event]:
-        """Take the arrival of a frame; yield the end of a cut."""
+        """Note the arrival of a frame; yield the end of a cut."""
         self._frame_ns = now_ns
         yield from self._over(CUT, now_ns)
 
     def take(self, state: str, summary: Mapping[str, Any], now_ns: int) -> Iterator[Event]:
-        """Take a status of the time `now_ns`, on the display's clock; yield what is new in it."""
+        """Yield the events since the last status; now_ns: of this one, on the display's clock."""
         if state != self._state:
             seconds = (now_ns - self._state_ns) * 1e-9
             before = f", was {self._state} for {seconds:.1f} s" if self._state else ""
@@ -75,7 +75,7 @@ class StatusWatch:
             self._joined = True
             before_joining = summary["samples"].get("before_joining") or 0
             yield Event("INFO", "join", f"the pulse is felt; samples sent before: {before_joining}")
-        wrong = [alert for alert in alerts(state, summary) if alert.name not in TOLD_OTHERWISE]
+        wrong = [alert for alert in alerts(state, summary) if alert.name not in OTHER_EVENTS]
         yield from self._lasting([*wrong, *self._cut(now_ns)], now_ns)
         yield from self._interrupted(summary.get("interruptions", {}))
         yield from self._counted(summary)
@@ -97,10 +97,10 @@ class StatusWatch:
         yield Event("WARNING", INTERRUPTED, text)
 
     def _counted(self, summary: Mapping[str, Any]) -> Iterator[Event]:
-        """Yield each clock step, each limit and cause of refusal at its first count, and what goes
-        wrong at the bench and is made good where that is frequent.
+        """Yield each clock step, limit and cause of refusal at its first count, and frequent
+        troubles of the bench.
 
-        How often and for how long is in the statuses.
+        The statuses hold how often and for how long.
         """
         steps = summary["clock"].get("steps") or 0
         if steps > self._steps:

@@ -41,7 +41,7 @@ def _of(kind: Any) -> Schema:
 
 FRAME, TICK, STATUS = "/frame", "/tick", "/status"
 STREAM, CLOCK, REFUSED, EVENT = "/stream", "/clock", "/refused", "/event"
-NAMES = {
+TOPIC_NAMES = {
     FRAME: ("frame", "frames"),
     TICK: ("tick", "ticks"),
     STATUS: ("status", "statuses"),

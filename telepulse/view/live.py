@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from display_node.reception.receiver import FUTURE_NS, OLDEST_NS
+from telepulse.telemetry.decoder import Entry, Fields
 from telepulse.telemetry.schema import EVENT, FRAME, STATUS, STREAM, TICK
-from telepulse.telemetry.transcript import Entry, Fields
 
 Times = NDArray[np.int64]
 Floats = NDArray[np.float64]

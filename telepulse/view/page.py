@@ -11,10 +11,10 @@ from bokeh.models import ColumnDataSource, CustomJS
 from jinja2 import Template
 
 from telepulse.view import text as words
-from telepulse.view.alarms import alarms
 from telepulse.view.live import LiveState
 from telepulse.view.picture import picture
 from telepulse.view.plots import PLOTS, Plots
+from telepulse.view.text import alarms
 
 REDRAW_MS = 200
 WINDOWS_S = (5, 10, 30, 60)
@@ -22,7 +22,7 @@ WINDOW_S = 10
 SECOND_NS = 1_000_000_000
 
 
-class Viewer:
+class LivePage:
     """One viewer's page: draws what is known of the display, five times a second.
 
     silent_ns: tells for how long nothing came from the display.

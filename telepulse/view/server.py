@@ -1,32 +1,116 @@
 """The page's shell: one socket to the display, one web server, in a process of their own.
 
 Needs the extra `view` (Bokeh), which the caller has checked (`bokeh_is_there`).
+
+Admission to the page: requests under this server's own name, and few enough to draw for all.
 """
 
 import logging
 import time
 from collections.abc import Callable
+from http import HTTPStatus
+from typing import Any
 from urllib.parse import urlsplit
 
 from bokeh.document import Document
 from bokeh.server.server import BaseServer
 from bokeh.server.tornado import BokehTornado
 from bokeh.server.util import bind_sockets
+from tornado import httputil
 from tornado.httpserver import HTTPServer
+from tornado.httputil import HTTPServerRequest
 from tornado.ioloop import IOLoop, PeriodicCallback
+from tornado.routing import Router
+from tornado.web import Application, RequestHandler
 
 from display_node.telemetry.age import TelemetryAge
 from protocol.errors import AddressError
+from protocol.security.budgets import TokenBucket
 from protocol.security.keys import ClientKeys
 from protocol.sockets import beyond_loopback
 from telepulse.http_site import Site
 from telepulse.processes import free_addresses
-from telepulse.telemetry.client import TelemetryReader
+from telepulse.telemetry.client import TelemetryClient
+from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import EVENT, STATUS, TICK
-from telepulse.telemetry.transcript import Entry
-from telepulse.view.admission import Admission, AdmittingRouter
 from telepulse.view.live import LiveState
-from telepulse.view.page import Viewer
+from telepulse.view.page import LivePage
+
+# One thread draws for all: a picture takes it some 10 to 20 ms, five times a second at most, and a
+# new page half a second.
+MAX_VIEWERS = 8
+OPENED_PER_S, OPENED_AT_ONCE = 0.5, 4
+# What opens a page; images and scripts of one that is open are always served.
+OPENING = ("", "/", "/autoload.js")
+
+
+class Admission:
+    """Decides of each request whether it is served.
+
+    viewers: counts the pages that are open. warn: is given a reason, once for each kind.
+    """
+
+    def __init__(self, site: Site, viewers: Callable[[], int], warn: Callable[[str], None]) -> None:
+        self._site, self._viewers, self._warn = site, viewers, warn
+        self._opened = TokenBucket(OPENED_PER_S, OPENED_AT_ONCE)
+        self._warned: set[HTTPStatus] = set()
+
+    def refusal(self, request: HTTPServerRequest) -> tuple[HTTPStatus, str] | None:
+        """Return the status and the one line that refuse a request; None where it is served.
+
+        Call it once for each request: those that open a page are counted.
+        """
+        refusal = self._judge(request)
+        if refusal is not None and refusal[0] not in self._warned:
+            self._warned.add(refusal[0])
+            self._warn(f"refused a request from {request.remote_ip}: {refusal[1]}")
+        return refusal
+
+    def _judge(self, request: HTTPServerRequest) -> tuple[HTTPStatus, str] | None:
+        reason = self._site.refusal(request.host, request.headers.get("Origin"))
+        if reason is not None:
+            return HTTPStatus.FORBIDDEN, reason
+        if request.path not in OPENING:
+            return None
+        if self._viewers() >= MAX_VIEWERS:
+            reason = f"{MAX_VIEWERS} pages are open already, which is the most; close one"
+            return HTTPStatus.SERVICE_UNAVAILABLE, reason
+        if not self._opened.take(time.monotonic_ns()):
+            reason = "too many pages were opened at once; try again in a few seconds"
+            return HTTPStatus.SERVICE_UNAVAILABLE, reason
+        return None
+
+
+class AdmittingRouter(Router):
+    """Answers what is refused, and passes everything else on to the pages' own routes."""
+
+    def __init__(self, pages: Application, admission: Admission) -> None:
+        self._pages, self._admission = pages, admission
+        # Refusals are not logged one by one: a flood would fill the terminal.
+        self._refusing = Application([], log_function=lambda handler: None)
+
+    def find_handler(
+        self, request: HTTPServerRequest, **_: Any
+    ) -> httputil.HTTPMessageDelegate | None:
+        """Return what handles a request."""
+        refusal = self._admission.refusal(request)
+        if refusal is None:
+            return self._pages.find_handler(request)
+        arguments = {"refusal": refusal}
+        return self._refusing.get_handler_delegate(request, _Refused, target_kwargs=arguments)
+
+
+class _Refused(RequestHandler):
+    """Answers a refused request in one line."""
+
+    def initialize(self, refusal: tuple[HTTPStatus, str]) -> None:
+        self._code, self._line = refusal
+
+    def prepare(self) -> None:
+        self.set_status(self._code)
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        self.finish(self._line + "\n")
+
 
 PORT = 5006
 LISTEN_EVERY_MS = 50
@@ -59,8 +143,8 @@ class PageServer:
         self._began_ns = time.monotonic_ns()
         self._local = not beyond_loopback(address)
         self._age = TelemetryAge(self._local)
-        self._reader = TelemetryReader(address, keys, warn)
-        self._reader.listen()
+        self._client = TelemetryClient(address, keys, warn)
+        self._client.subscribe()
         self._stopping = False
         self._end_ns: int | None = None
         # Whoever closes the page while it is drawn is no reason to warn.
@@ -90,7 +174,7 @@ class PageServer:
             self._listening.stop()
             self._server.stop()
             self._server.unlisten()
-            self._reader.close()
+            self._client.close()
 
     def _serve(self, host: str, port: int | None) -> BaseServer:
         free = (urlsplit(address).port or 0 for address in free_addresses(TRIES))
@@ -121,7 +205,7 @@ class PageServer:
 
     def _open(self, document: Document) -> None:
         """Somebody opens the page."""
-        Viewer(document, self._live, self._silent_ns)
+        LivePage(document, self._live, self._silent_ns)
 
     def _silent_ns(self) -> int:
         """Return the age of the display's last status; before it, how long there was none."""
@@ -131,9 +215,9 @@ class PageServer:
 
     def _listen(self) -> None:
         now_ns = time.monotonic_ns()
-        for entries in self._reader.messages():
+        for entries in self._client.messages():
             self._take(entries, now_ns)
-        self._reader.tend(now_ns)
+        self._client.poll(now_ns)
         over = self._end_ns is not None and now_ns >= self._end_ns
         if self._stopping or over:
             self._listening.stop()

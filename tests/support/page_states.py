@@ -6,8 +6,8 @@ from typing import Any
 
 from protocol.run_summary import AlignedErrors, Clock, Loop, SampleCounts, Summary
 from protocol.tactile import ElasticLayer
+from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import EVENT, FRAME, LEVELS, STATUS, STREAM, TICK
-from telepulse.telemetry.transcript import Entry
 from telepulse.view.live import LiveState
 
 MS = 1_000_000

@@ -38,22 +38,22 @@ def _whole(findings: RunFindings) -> Chapter:
         microseconds=(findings.begin_ns or 0) // 1000
     )
     streams = ", ".join(f"“{name}”" for name in dict.fromkeys(findings.streams)) or "no stream"
-    said = [
+    paragraphs = [
         f"{streams}, {begin:%Y-%m-%d %H:%M:%S} UTC, {findings.seconds:.1f} s,"
         f" {count_text(len(findings.streams), 'session')} of the sensing node."
     ]
-    said += [f"The recording: {line}." for line in findings.gaps]
+    paragraphs += [f"The recording: {line}." for line in findings.gaps]
     if findings.runs > 1:
-        said.append(
+        paragraphs.append(
             f"The display was started {findings.runs} times; its own figures are of the last run."
         )
     own_ticks = None if findings.own is None else findings.own.loop.ticks
     if findings.runs == 1 and own_ticks is not None and own_ticks > findings.ticks:
-        said.append(
+        paragraphs.append(
             f"The display's own figures count {count_text(own_ticks - findings.ticks, 'tick')} more"
             " than were recorded: from before the recording, or missed by the recorder."
         )
-    return Chapter("In short", tuple(said), (_summary(findings),))
+    return Chapter("In short", tuple(paragraphs), (_summary(findings),))
 
 
 def _summary(findings: RunFindings) -> Table:
@@ -66,7 +66,7 @@ def _summary(findings: RunFindings) -> Table:
         rates = [rate for _, *both in findings.forces.heart if (rate := both[place]) is not None]
         shown = f"{median(rates):.1f} /min" if rates else NONE
         rows.append((f"heart rate at the {name}, median", shown, NONE))
-    last = "its last word" if findings.own_final else "its last status, for it never ended"
+    last = "its final status" if findings.own_final else "its last status, since it never ended"
     return Table(
         "the run",
         ("", "from the recording", "the display's own"),
@@ -79,42 +79,42 @@ def _summary(findings: RunFindings) -> Table:
 
 
 def _force(findings: RunFindings) -> Chapter:
-    from telepulse.recording.report import figures
+    from telepulse.recording.report import plots
 
     forces = findings.forces
     alignment = forces.alignment
     if alignment.ratio is None or not forces.first:
         return Chapter("Force", ("The pulse was never played at its full strength.",))
-    plots: list[Plot] = [
-        figures.stretch("force-first", "The first seconds at full strength.", forces.first),
-        figures.stretch("force-worst", "Around the largest difference.", forces.worst),
-        figures.error(forces),
+    drawn: list[Plot] = [
+        plots.stretch("force-first", "The first seconds at full strength.", forces.first),
+        plots.stretch("force-worst", "Around the largest difference.", forces.worst),
+        plots.error(forces),
     ]
     if forces.heart:
-        plots.append(figures.heart(forces))
+        drawn.append(plots.heart(forces))
     found = (
-        f"The finger is to feel {alignment.ratio:.4g} times the force of channel"
-        f" {alignment.channel}; the wrist's force is shown times that, at the instants that were"
-        " played."
+        f"The force at the finger should be {alignment.ratio:.4g} times that of channel"
+        f" {alignment.channel}. The wrist's force is shown times that ratio, at the instants that"
+        " were played."
     )
-    return Chapter("Force", (found,), plots=tuple(plots))
+    return Chapter("Force", (found,), plots=tuple(drawn))
 
 
 def _delays(findings: RunFindings) -> Chapter:
-    from telepulse.recording.report import figures
+    from telepulse.recording.report import plots
 
-    plots = (
-        figures.delays(findings),
-        figures.delay_distribution(findings),
-        figures.loss(findings),
+    drawn = (
+        plots.delays(findings),
+        plots.delay_distribution(findings),
+        plots.loss(findings),
     )
-    return Chapter("Delay and loss", plots=plots)
+    return Chapter("Delay and loss", plots=drawn)
 
 
 def _clock_and_loop(findings: RunFindings) -> Chapter:
-    from telepulse.recording.report import figures
+    from telepulse.recording.report import plots
 
-    return Chapter("Clock and loop", plots=(figures.clock(findings), figures.loop(findings)))
+    return Chapter("Clock and loop", plots=(plots.clock(findings), plots.loop(findings)))
 
 
 def _events(findings: RunFindings) -> Chapter:

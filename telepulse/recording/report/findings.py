@@ -1,4 +1,4 @@
-"""Findings about a recorded run, gathered in one pass. Pure, but for reading the file."""
+"""Findings about a recorded run, gathered in one pass."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -14,17 +14,16 @@ from protocol.errors import SourceError
 from protocol.histogram import Histogram
 from protocol.run_summary import Loop, PlayoutDelay, Summary
 from protocol.wire.messages import Frame
-from telepulse.recording.reader import RecordingReader
-from telepulse.recording.report.alignment import AlignedTick
-from telepulse.recording.report.forces import Forces
-from telepulse.recording.report.in_turn import TimedMessage, in_turn
+from telepulse.recording.reader import RecordingReader, in_tick_order
+from telepulse.recording.report.forces import AlignedTick, ForceHistory
 from telepulse.recording.report.trend import Trend
-from telepulse.telemetry.listener import Listener
+from telepulse.telemetry.decoder import Entry
+from telepulse.telemetry.passive_receiver import PassiveReceiver
 from telepulse.telemetry.schema import EVENT, STATUS, STREAM, TICK
 
 MAX_EVENTS = 500
 TICKS_A_BATCH = 1_000
-# Of what is counted.
+# Bins of counts.
 COUNT_WIDTH_S = 1.0
 _SUMMARY = TypeAdapter(Summary)
 
@@ -47,11 +46,20 @@ class Trends:
 
 
 class RunFindings:
-    """The findings about a recording; complete after `finish`.
+    """Findings about a recording, complete after `finish`.
 
-    whole, damaged, gaps, provenance: as the reader says. own: the display's last word of itself,
-    None where there is none. forces: at wrist and finger. events: time in s, level, name, text;
-    more_events: how many further ones there were.
+    Attributes
+    ----------
+    whole, damaged, gaps, provenance
+        As of `RecordingReader`.
+    own : Summary or None
+        The display's own summary of its last status.
+    own_final : bool
+        Whether that was its final status.
+    forces : ForceHistory
+        Forces at wrist and finger.
+    events : list
+        Time in s, level, name, text; further ones are counted in `more_events`.
     """
 
     def __init__(self, path: Path) -> None:
@@ -68,17 +76,17 @@ class RunFindings:
         self.own: Summary | None = None
         self.own_final = False
         self.trends = Trends()
-        self.forces = Forces()
+        self.forces = ForceHistory()
         self.events: list[tuple[float, int, str, str]] = []
         self.more_events = 0
         self.playout_ms = Histogram(0.5, 8_000)
-        self._listener = Listener()
+        self._receiver = PassiveReceiver()
         self._session: int | None = None
         self._offset_ms = 0.0
         self._steps: tuple[int | None, int | None] = (None, None)
         self._misses = self._scored = self._played = 0
         self._tick_ns = 0
-        # Until the display has told.
+        # Until the display's first status.
         self._stale_after_ns = SafetyScene().stale_after_ns
         self._last_now_ns: int | None = None
         self._batch: dict[str, list[tuple[float, float]]] = {}
@@ -86,7 +94,7 @@ class RunFindings:
     @property
     def one_way_delay_ms(self) -> Histogram:
         """One-way delays of all frames, as the display counts them."""
-        return self._listener.receiver.one_way_delay_ms
+        return self._receiver.one_way_delay_ms
 
     @property
     def seconds(self) -> float:
@@ -94,9 +102,9 @@ class RunFindings:
         return 0.0 if self.begin_ns is None else (self.end_ns - self.begin_ns) * 1e-9
 
     def summary(self) -> Summary:
-        """The same keys as a display's own summary, where the recording tells them."""
+        """Return the figures of a display's summary that follow from the recording."""
         summary = replace(
-            self._listener.receiver.summary(self._last_now_ns or 0),
+            self._receiver.summary(self._last_now_ns or 0),
             playout_delay_ms=PlayoutDelay(
                 self.playout_ms.mean,
                 self.playout_ms.quantile(0.99),
@@ -105,10 +113,10 @@ class RunFindings:
             availability=self._availability(),
             loop=Loop(self.ticks, self._misses),
         )
-        return self.forces.alignment.fidelity.scored(summary)
+        return self.forces.alignment.errors.scored(summary)
 
     def _availability(self) -> Availability:
-        """Return what ticks tell of it: of the rest, only the display's own count."""
+        """Return the shares that follow from the ticks; the others need the display's own count."""
         ticks = self.ticks + self._misses
         if not ticks:
             return Availability()
@@ -117,53 +125,53 @@ class RunFindings:
         seconds = ticks * self._tick_ns * 1e-9
         return Availability(seconds, felt, missed=missed, played=played)
 
-    def take(self, told: TimedMessage) -> None:
-        """A message of the recording, in its turn."""
+    def take(self, entry: Entry) -> None:
+        """Process a message of the recording, in the order of `in_tick_order`."""
         if self.begin_ns is None:
-            self.begin_ns = told.t_ns
-        self.end_ns = max(self.end_ns, told.t_ns)
-        t_s = (told.t_ns - self.begin_ns) * 1e-9
-        if told.topic == TICK:
-            self._tick(t_s, told.fields)
-        elif told.topic == STATUS:
-            self._status(t_s, told.fields)
-        elif told.topic == EVENT:
-            self._event(t_s, told.fields)
+            self.begin_ns = entry.t_ns
+        self.end_ns = max(self.end_ns, entry.t_ns)
+        t_s = (entry.t_ns - self.begin_ns) * 1e-9
+        if entry.topic == TICK:
+            self._tick(t_s, entry.fields)
+        elif entry.topic == STATUS:
+            self._status(t_s, entry.fields)
+        elif entry.topic == EVENT:
+            self._event(t_s, entry.fields)
         else:
-            self._heard(t_s, told)
+            self._received(t_s, entry)
 
     def finish(self) -> None:
-        """The recording ends."""
+        """End the recording."""
         self.forces.finish()
         for name in list(self._batch):
             self._flush(name)
 
-    def _heard(self, t_s: float, told: TimedMessage) -> None:
-        receiver = self._listener.receiver
-        frame = self._listener.take(told.topic, told.fields)
-        if told.topic == STREAM and receiver.session != self._session:
+    def _received(self, t_s: float, entry: Entry) -> None:
+        receiver = self._receiver
+        frame = self._receiver.take(entry.topic, entry.fields)
+        if entry.topic == STREAM and receiver.session != self._session:
             self._session = receiver.session
             assert receiver.description is not None
             self.streams.append(receiver.description.name)
             self.forces.begin()
         if frame is not None:
-            self._frame(t_s, frame, told.fields["arrived_ns"])
-        if "round_trip_ms" in told.fields:
-            self._add("round_trip_ms", t_s, told.fields["round_trip_ms"])
+            self._frame(t_s, frame, entry.fields["arrived_ns"])
+        if "round_trip_ms" in entry.fields:
+            self._add("round_trip_ms", t_s, entry.fields["round_trip_ms"])
 
     def _frame(self, t_s: float, frame: Frame, arrived_ns: int) -> None:
-        receiver = self._listener.receiver
+        receiver = self._receiver
         assert receiver.description is not None
         last_ns = frame.t_first_ns + (len(frame.values) - 1) * frame.period_ns
         self._add("one_way_ms", t_s, (receiver.clock.remote_ns(arrived_ns) - last_ns) * 1e-6)
-        self.forces.sensed(frame, receiver.description)
+        self.forces.alignment.add_frame(frame, receiver.description)
 
     def _tick(self, t_s: float, fields: dict[str, Any]) -> None:
         now_ns, instant_ns = fields["now_ns"], fields["instant_ns"]
         self.ticks += 1
         self._count_misses(now_ns)
-        receiver = self._listener.receiver
-        self._listener.play(instant_ns)
+        receiver = self._receiver
+        self._receiver.play(instant_ns)
         if not receiver.ready:
             return
         sensing_now_ns, target_n = receiver.clock.remote_ns(now_ns), float(fields["target_n"])
@@ -178,11 +186,11 @@ class RunFindings:
             tick = AlignedTick(
                 t_s, sensing_now_ns, instant_ns, target_n, float(fields.get("felt_n", math.nan))
             )
-            self.forces.felt(tick)
+            self.forces.add_tick(tick)
 
     def _alive(self, sensing_now_ns: int, instant_ns: int) -> bool:
         """Return whether the stream was not stale, as the display judges that."""
-        receiver = self._listener.receiver
+        receiver = self._receiver
         newest_ns, delay_ns = receiver.buffer.newest_ns, receiver.delay.delay_ns
         if newest_ns is None or delay_ns is None:
             return False
@@ -190,7 +198,7 @@ class RunFindings:
         return instant_ns <= due_ns or sensing_now_ns - delay_ns <= due_ns
 
     def _count_misses(self, now_ns: int) -> None:
-        """Ticks are due at multiples of their period; those left out were missed."""
+        """Count missed ticks: those due at multiples of the period that are not there."""
         last_ns, self._last_now_ns = self._last_now_ns, now_ns
         if last_ns is None or now_ns <= last_ns:
             return
@@ -199,23 +207,23 @@ class RunFindings:
         self._misses += round(apart_ns / self._tick_ns) - 1
 
     def _status(self, t_s: float, fields: dict[str, Any]) -> None:
-        told, playing = _SUMMARY.validate_python(fields["summary"]), fields.get("playing")
+        new, playing = _SUMMARY.validate_python(fields["summary"]), fields.get("playing")
         if playing is not None:
             self._stale_after_ns = int(playing["stale_after_ns"])
-            self.forces.told(int(playing["channel"]), float(playing["force_ratio"]))
-        last, self.own, self.own_final = self.own or Summary(), told, fields["final"]
+            self.forces.alignment.set_playback(
+                int(playing["channel"]), float(playing["force_ratio"])
+            )
+        last, self.own, self.own_final = self.own or Summary(), new, fields["final"]
         for name in ("late", "lost"):
-            more = (getattr(told.samples, name) or 0) - (getattr(last.samples, name) or 0)
+            more = (getattr(new.samples, name) or 0) - (getattr(last.samples, name) or 0)
             self._add(name, t_s, more)
-        self._add(
-            "misses", t_s, (told.loop.deadline_misses or 0) - (last.loop.deadline_misses or 0)
-        )
-        self._add("late_p99_us", t_s, told.loop.late_us.p99)
-        self._add("late_max_us", t_s, told.loop.late_us.max)
-        clock = told.clock
+        self._add("misses", t_s, (new.loop.deadline_misses or 0) - (last.loop.deadline_misses or 0))
+        self._add("late_p99_us", t_s, new.loop.late_us.p99)
+        self._add("late_max_us", t_s, new.loop.late_us.max)
+        clock = new.clock
         if clock.offset_ms is not None:
             if (self._session, clock.steps) != self._steps:
-                # Clocks that have nothing to do with those of before.
+                # Another session or a clock step: offsets before do not compare.
                 self._steps, self._offset_ms = (self._session, clock.steps), clock.offset_ms
             self._add("offset_ms", t_s, clock.offset_ms - self._offset_ms)
             self._add("uncertainty_ms", t_s, clock.uncertainty_ms)
@@ -246,8 +254,8 @@ def read_findings(path: Path) -> RunFindings:
     """Read a recording to its end, whole or not. Raises SourceError."""
     reader, findings = RecordingReader(path), RunFindings(path)
     try:
-        for told in in_turn(reader):
-            findings.take(told)
+        for entry in in_tick_order(reader):
+            findings.take(entry)
         findings.finish()
     except (LookupError, ValueError, TypeError, ArithmeticError) as error:
         raise SourceError(f"{path}: a message is not telepulse's: {error!r:.80}") from None

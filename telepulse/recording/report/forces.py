@@ -1,36 +1,145 @@
 """Force at the wrist and at the finger over a whole recording: errors, stretches, heart rates."""
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from display_node.scoring.heart_rate import heart_rate_per_min
-from display_node.scoring.tracking_error import JND
+from display_node.scoring.tracking_error import JND, TrackingError, interpolate
 from protocol.wire.messages import Frame
 from protocol.wire.stream import StreamDescription
-from telepulse.recording.report.alignment import AlignedBlock, AlignedTick, Alignment
 from telepulse.recording.report.trend import Trend
 
-# Of ticks, for heart rates: enough points a beat, and beats enough.
+# Ticks wait for the samples around their instants, as in the display.
+BLOCK = PATIENCE = 2_048
+MAX_FRAMES = 20_000
+# Heart rates use every tenth tick: enough points a beat.
 THIN = 10
 HEART_WINDOW_S = 6.0
-# Longer holes than this have no heart rate.
+# A window with a longer hole has no heart rate.
 MAX_HOLE_S = 0.25
 # Blocks in the first stretch.
 STRETCH_BLOCKS = 3
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 
-class Forces:
-    """Forces of a recording, from frames and ticks as an `Alignment` takes them, which it holds.
+class AlignedTick(NamedTuple):
+    """A tick at full strength; t_s: from the recording's begin, sensing_now_ns: sensing clock."""
 
-    first, worst: the first stretch at full strength, and the one around the largest error.
-    heart: time in s, beats a minute at the wrist and at the finger.
+    t_s: float
+    sensing_now_ns: int
+    instant_ns: int
+    target_n: float
+    felt_n: float
+
+
+class AlignedBlock(NamedTuple):
+    """Consecutive ticks; wrist_n: force that should be felt, NaN where nothing was sensed."""
+
+    t_s: Floats
+    wrist_n: Floats
+    felt_n: Floats
+
+
+class ForceAlignment:
+    """Alignment of felt force with the pulse at the wrist, session by session, in blocks.
+
+    Attributes
+    ----------
+    errors : TrackingError
+        The display's own measure of errors.
+    ratio : float or None
+        Wanted force at the finger per force at the wrist; None before the first status.
     """
 
     def __init__(self) -> None:
-        self.alignment = Alignment()
+        self.errors = TrackingError(0.0)
+        self.ratio: float | None = None
+        self.channel = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        self._ticks: list[AlignedTick] = []
+        self._t_ns: list[Ints] = []
+        self._values: list[Floats] = []
+
+    def begin(self) -> Iterator[AlignedBlock]:
+        """Begin another session; yield what is left of the last one."""
+        yield from self.finish()
+        self.ratio = None
+        self._begin()
+
+    def set_playback(self, channel: int, ratio: float) -> None:
+        """Set what the display plays, at its first status; score what came before."""
+        if self.ratio is not None:
+            return
+        self.channel, self.ratio = channel, ratio
+        for t_ns, values in zip(self._t_ns, self._values, strict=True):
+            self.errors.truth(t_ns, values[:, channel] * ratio)
+        for tick in self._ticks:
+            self.errors.felt(tick.sensing_now_ns, tick.instant_ns, tick.felt_n)
+
+    def add_frame(self, frame: Frame, description: StreamDescription) -> None:
+        """Add a frame's samples."""
+        at = np.arange(len(frame.values), dtype=np.int64) * frame.period_ns
+        t_ns = frame.t_first_ns - description.group_delay_ns + at
+        values = frame.values.astype(np.float64)
+        self._t_ns.append(t_ns)
+        self._values.append(values)
+        if self.ratio is not None:
+            self.errors.truth(t_ns, values[:, self.channel] * self.ratio)
+        if len(self._t_ns) > MAX_FRAMES:
+            del self._t_ns[: MAX_FRAMES // 2], self._values[: MAX_FRAMES // 2]
+
+    def add_tick(self, tick: AlignedTick) -> Iterator[AlignedBlock]:
+        """Add a tick; yield the block that became complete, if any."""
+        self._ticks.append(tick)
+        if self.ratio is not None:
+            self.errors.felt(tick.sensing_now_ns, tick.instant_ns, tick.felt_n)
+        if len(self._ticks) >= PATIENCE + BLOCK:
+            yield from self._release(BLOCK)
+
+    def finish(self) -> Iterator[AlignedBlock]:
+        """Yield the remaining blocks."""
+        while self._ticks:
+            yield from self._release(min(BLOCK, len(self._ticks)))
+        self.errors.finish()
+
+    def _release(self, count: int) -> Iterator[AlignedBlock]:
+        ticks, self._ticks = self._ticks[:count], self._ticks[count:]
+        if self.ratio is None or not self._t_ns:
+            return
+        t_ns, values = self._gathered()
+        instant_ns = np.array([tick.instant_ns for tick in ticks], np.int64)
+        wrist_n = self.ratio * interpolate(instant_ns, t_ns, values[:, self.channel])
+        felt_n = np.array([tick.felt_n for tick in ticks])
+        yield AlignedBlock(np.array([tick.t_s for tick in ticks]), wrist_n, felt_n)
+        keep = max(0, int(np.searchsorted(t_ns, instant_ns[-1])) - 1)
+        self._t_ns, self._values = [t_ns[keep:]], [values[keep:]]
+
+    def _gathered(self) -> tuple[Ints, Floats]:
+        """Return the samples that are kept, in order of time."""
+        t_ns, values = np.concatenate(self._t_ns), np.concatenate(self._values)
+        order = np.argsort(t_ns, kind="stable")
+        return t_ns[order], values[order]
+
+
+class ForceHistory:
+    """Forces of a recording: errors over time, two stretches, heart rates.
+
+    Attributes
+    ----------
+    first, worst : list of AlignedBlock
+        The first stretch at full strength, and the one around the largest error.
+    heart : list
+        Time in s, heart rates per minute at the wrist and at the finger.
+    """
+
+    def __init__(self) -> None:
+        self.alignment = ForceAlignment()
         self.error_n, self.jnd_n = Trend(), Trend()
         self.first: list[AlignedBlock] = []
         self.worst: list[AlignedBlock] = []
@@ -44,20 +153,12 @@ class Forces:
         """Begin another session."""
         self._take(self.alignment.begin())
 
-    def told(self, channel: int, ratio: float) -> None:
-        """Set the channel that the display plays, and its force ratio."""
-        self.alignment.told(channel, ratio)
-
-    def sensed(self, frame: Frame, description: StreamDescription) -> None:
-        """A frame has come."""
-        self.alignment.sensed(frame, description)
-
-    def felt(self, tick: AlignedTick) -> None:
-        """A tick was."""
-        self._take(self.alignment.felt(tick))
+    def add_tick(self, tick: AlignedTick) -> None:
+        """Add a tick at full strength."""
+        self._take(self.alignment.add_tick(tick))
 
     def finish(self) -> None:
-        """The recording ends."""
+        """Process the remaining ticks."""
         self._take(self.alignment.finish())
 
     def _take(self, blocks: Iterator[AlignedBlock]) -> None:
@@ -69,10 +170,10 @@ class Forces:
             self.error_n.add(block.t_s, error_n)
             jnd_n = JND * float(np.ptp(known_n))
             self.jnd_n.add(block.t_s, np.full(len(block.t_s), jnd_n))
-            self._look_at(block, float(np.nanmax(np.abs(error_n))))
-            self._listen_to(block)
+            self._keep_stretches(block, float(np.nanmax(np.abs(error_n))))
+            self._add_heart_rates(block)
 
-    def _look_at(self, block: AlignedBlock, largest_n: float) -> None:
+    def _keep_stretches(self, block: AlignedBlock, largest_n: float) -> None:
         """Keep the first blocks, and the one with the largest error between its neighbours."""
         if len(self.first) < STRETCH_BLOCKS:
             self.first.append(block)
@@ -83,8 +184,8 @@ class Forces:
             self._worst_n, self.worst = largest_n, [*self._before, block]
         self._before = [block]
 
-    def _listen_to(self, block: AlignedBlock) -> None:
-        """Heart rates of each window of some seconds that is in one piece."""
+    def _add_heart_rates(self, block: AlignedBlock) -> None:
+        """Add the heart rates of each window without a hole."""
         self._beats.append(AlignedBlock(*(values[::THIN] for values in block)))
         t_s, wrist_n, felt_n = (np.concatenate(parts) for parts in zip(*self._beats, strict=True))
         if t_s[-1] - t_s[0] < HEART_WINDOW_S:

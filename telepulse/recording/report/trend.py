@@ -1,4 +1,4 @@
-"""A value over a time of any length, in fixed memory. Pure."""
+"""Course of a value over a time of any length, in fixed memory. Pure."""
 
 from typing import NamedTuple
 
@@ -11,8 +11,7 @@ Floats = NDArray[np.float64]
 
 
 class Points(NamedTuple):
-    """What stands in the bins that hold something: their middles in s, and of the values in each
-    the least, the greatest, the mean and the sum."""
+    """Bins that hold values: their middles in s, and least, greatest, mean and sum of each."""
 
     t_s: Floats
     low: Floats
@@ -22,17 +21,16 @@ class Points(NamedTuple):
 
 
 class Trend:
-    """Least, greatest and sum of the values in equal bins of time, which double their width when
-    the time is longer than they reach."""
+    """Statistics of values in equal bins of time, which double their width as time goes on."""
 
     def __init__(self, width_s: float = NARROWEST_S) -> None:
-        """width_s: of a bin at first."""
+        """Begin with bins of a width."""
         self.width_s = width_s
         self._low, self._high = np.full(BINS, np.inf), np.full(BINS, -np.inf)
         self._total, self._count = np.zeros(BINS), np.zeros(BINS)
 
     def add(self, t_s: Floats, values: Floats) -> None:
-        """Values and their times from the beginning; what is no number is left out."""
+        """Add values at times from the begin; what is NaN or infinite is left out."""
         known = np.isfinite(values)
         t_s, values = np.maximum(t_s[known], 0), values[known]
         if not len(values):
@@ -46,7 +44,7 @@ class Trend:
         np.add.at(self._count, at, 1)
 
     def points(self) -> Points:
-        """What was added."""
+        """Return the bins that hold values."""
         held = np.flatnonzero(self._count)
         mean: Floats = self._total[held] / self._count[held]
         t_s: Floats = np.asarray((held + 0.5) * self.width_s, float)

@@ -8,8 +8,8 @@ from urllib.request import urlopen
 import pytest
 from prometheus_client import CollectorRegistry, make_wsgi_app
 
-from telepulse.metrics import http
-from telepulse.metrics.http import MAX_REQUESTS, MetricsHTTPServer
+from telepulse.metrics import server as http
+from telepulse.metrics.server import MAX_REQUESTS, MetricsHTTPServer
 from tests.support.waiting import PATIENCE_S, until
 
 

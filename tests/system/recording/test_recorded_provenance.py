@@ -15,7 +15,7 @@ from telepulse.recording.export import export_csv, export_mcap, export_parquet
 from telepulse.recording.mcap_writer import MAX_RUNS, McapWriter
 from telepulse.recording.reader import RecordingReader
 from telepulse.recording.report.chapters import build_recording_report
-from telepulse.telemetry.transcript import Transcript
+from telepulse.telemetry.decoder import TelemetryDecoder
 from tests.support.nodes import RADIAL
 
 
@@ -25,10 +25,10 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("recording")
     plain, path = folder / "plain.mcap", folder / "a.mcap"
     record(plain, 3)
-    transcript, writer = Transcript(), McapWriter(path)
-    assert transcript.take(PROVENANCE, collect(RADIAL).to_bytes()) == []
-    assert transcript.provenance is not None
-    writer.describe(transcript.provenance)
+    decoder, writer = TelemetryDecoder(), McapWriter(path)
+    assert decoder.decode(PROVENANCE, collect(RADIAL).to_bytes()) == []
+    assert decoder.provenance is not None
+    writer.describe(decoder.provenance)
     for message in RecordingReader(plain):
         writer.put(*message)
         if writer.written.total() % 500 == 0:

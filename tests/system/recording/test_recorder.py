@@ -119,7 +119,7 @@ def test_what_a_slow_recorder_misses_is_counted_and_shown(tmp_path: Path) -> Non
     assert numbers == sorted(set(numbers))
     missed = speaker.frames - len(numbers)
     assert missed > 0
-    assert f"{missed} messages heard" in errors
+    assert f"{missed} captured messages" in errors
     assert "missed" in events_of(path)
 
 

@@ -8,14 +8,13 @@ from benchmarks.analysis import DELAY_TICKS, GAIN, record
 from protocol.limits import Limited, Limits
 from protocol.wire.telemetry import CONTROL
 from telepulse.recording.mcap_writer import McapWriter
-from telepulse.recording.reader import RecordingReader
+from telepulse.recording.reader import RecordingReader, in_tick_order
 from telepulse.recording.report.chapters import build_recording_report
 from telepulse.recording.report.findings import RunFindings, read_findings
-from telepulse.recording.report.in_turn import in_turn
 from telepulse.telemetry.schema import TICK
 from tests.support.nodes import RADIAL, free_address, process, read_json, run
 from tests.system.recording.test_replay_command import recorded_display
-from tests.unit.telepulse.telemetry.test_transcript import WELCOME, Spoken
+from tests.unit.telepulse.telemetry.test_decoder import WELCOME, Spoken
 
 MODULE = "telepulse"
 PATIENCE_S = 240.0
@@ -155,7 +154,7 @@ def test_ticks_that_were_left_out_are_missed_ones(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     record(path, 2)
     findings = RunFindings(path)
-    for number, told in enumerate(in_turn(RecordingReader(path))):
+    for number, told in enumerate(in_tick_order(RecordingReader(path))):
         if told.topic != TICK or number % 100:
             findings.take(told)
     assert findings.ticks + findings.summary().loop.deadline_misses == 2_000

@@ -16,7 +16,8 @@ from protocol.run_summary import Summary
 from protocol.sockets import Context
 from protocol.wire.status import STATUS, pack_status
 from protocol.wire.telemetry import HEARD, TRACE, CaptureWriter, TickState, TraceWriter
-from telepulse.view import admission, server
+from telepulse.view import server
+from telepulse.view import server as admission
 from telepulse.view.server import PageServer
 from tests.support.nodes import free_address
 from tests.support.waiting import until

@@ -1,10 +1,10 @@
 from collections.abc import Iterable
 
-from telepulse.lsl_outlet.forwarder import HOLD_NS, InOrder
+from telepulse.lsl_outlet.forwarder import HOLD_NS, FrameReorderer
 from tests.support.telemetry_speaker import BATCH, MS, numbered_frame
 
 
-def taken(in_order: InOrder, numbers: Iterable[int], now_ns: int = 0) -> list[int]:
+def taken(in_order: FrameReorderer, numbers: Iterable[int], now_ns: int = 0) -> list[int]:
     return [
         frame.first_sample // BATCH
         for number in numbers
@@ -13,7 +13,7 @@ def taken(in_order: InOrder, numbers: Iterable[int], now_ns: int = 0) -> list[in
 
 
 def test_frames_that_overtook_others_wait_for_them() -> None:
-    in_order = InOrder()
+    in_order = FrameReorderer()
     assert taken(in_order, [7]) == [7]
     assert taken(in_order, [10, 9]) == []
     assert taken(in_order, [8]) == [8, 9, 10]
@@ -21,7 +21,7 @@ def test_frames_that_overtook_others_wait_for_them() -> None:
 
 
 def test_what_does_not_come_in_time_is_lost_and_what_comes_then_is_left_out() -> None:
-    in_order = InOrder()
+    in_order = FrameReorderer()
     assert taken(in_order, [0, 2]) == [0]
     assert taken(in_order, [3], HOLD_NS - MS) == []
     assert taken(in_order, [4], HOLD_NS) == [2, 3, 4]

@@ -8,8 +8,8 @@ import pytest
 from telepulse.recording import mcap_writer
 from telepulse.recording.mcap_writer import McapWriter
 from telepulse.recording.reader import RecordingReader
+from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import FRAME, TICK
-from telepulse.telemetry.transcript import Entry
 
 
 def test_memory_is_bounded_while_the_disk_is_full_and_what_finds_no_room_is_counted(

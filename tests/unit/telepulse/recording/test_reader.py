@@ -11,8 +11,8 @@ from telepulse.recording.export import export_mcap
 from telepulse.recording.mcap_writer import McapWriter
 from telepulse.recording.reader import RecordedMessage, RecordingReader
 from telepulse.recording.session import longest_session
+from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import EVENT, FRAME, SCHEMAS, TICK
-from telepulse.telemetry.transcript import Entry
 
 TICKS_A_CHUNK = 4
 

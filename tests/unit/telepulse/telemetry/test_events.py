@@ -6,7 +6,7 @@ from pathlib import Path
 from display_node.display import Display
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
-from telepulse.telemetry.events import INTERRUPTED, StatusWatch
+from telepulse.telemetry.events import INTERRUPTED, EventDetector
 from tests.support.sender import MS, Sender, run
 
 RADIAL = Path(__file__).parents[4] / "scenes" / "radial.toml"
@@ -21,7 +21,7 @@ class Watched:
         self.texts: list[str] = []
         self.states: list[str] = []
         self._sender = Sender()
-        self._watch = StatusWatch()
+        self._watch = EventDetector()
         self._ms = 0
 
     def play(self, ticks: int, cut: bool = False) -> None:
@@ -89,7 +89,7 @@ def test_a_display_that_stood_still_names_its_interruption_once() -> None:
 
 
 def test_interruptions_between_two_statuses_are_one_event() -> None:
-    watch, display = StatusWatch(), Display(load_section(RADIAL, "display", DisplayScene), "test")
+    watch, display = EventDetector(), Display(load_section(RADIAL, "display", DisplayScene), "test")
     summary = display.summary().to_dict()
     assert not [x for x in watch.take("playing", summary, 0) if x.name == INTERRUPTED]
     known = {"count": 2, "seconds": 0.3, "longest_s": 0.2, "began_s": 1.0, "ended_s": 1.2}

@@ -2,8 +2,8 @@ import pytest
 
 from protocol.limits import Limited, Limits
 from protocol.run_summary import Clock, Deadlines, Loop, SampleCounts
-from telepulse.view.alarms import alarms
 from telepulse.view.live import LiveState
+from telepulse.view.text import alarms
 from tests.support.page_states import AHEAD_NS, MS, SECOND_NS, Told
 
 LATE = Loop(3000, 411, late=True, last_5s=Deadlines(0.0822, 412.0))

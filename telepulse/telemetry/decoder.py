@@ -1,9 +1,7 @@
-"""A display's telemetry as the messages of a recording. Pure: bytes in, fields out.
+"""Decoder of a display's telemetry into the messages of a recording. Pure: bytes in, fields out.
 
-Each message has the Unix time at which the display heard or did it: its own clock, brought to
-Unix time once at the beginning of a run, so that distances in time stay what they were.
-
-What the display heard from its sensing node, as fields of a recording's messages.
+Each message carries the Unix time at which the display received or did it: the display's own clock,
+mapped to Unix time once when a run begins, so that distances in time stay exact.
 """
 
 import math
@@ -35,15 +33,15 @@ from protocol.wire.telemetry import (
     read_capture,
     read_trace,
 )
-from telepulse.telemetry.events import Event, StatusWatch
+from telepulse.telemetry.events import Event, EventDetector
 from telepulse.telemetry.schema import CLOCK, EVENT, FRAME, LEVELS, REFUSED, STATUS, STREAM, TICK
 
 Fields = dict[str, Any]
 Decoded = Frame | Welcome | ClockReply | Bye
 
 
-def decode(message: CapturedMessage) -> Decoded:
-    """What a message says. Raises WireError."""
+def decode_captured(message: CapturedMessage) -> Decoded:
+    """Return the content of a message that a display captured. Raises WireError."""
     if message.path != CONTROL:
         return decode_frame(message.data)
     control = decode_control(message.data)
@@ -53,7 +51,7 @@ def decode(message: CapturedMessage) -> Decoded:
 
 
 def frame_fields(message: CapturedMessage, frame: Frame) -> Fields:
-    """A frame as it came: when, over which path, its exact bytes, and its samples in N."""
+    """Return a frame as it arrived: when, over which path, its exact bytes, its samples in N."""
     values = frame.values
     return {
         "arrived_ns": message.arrived_ns,
@@ -66,23 +64,23 @@ def frame_fields(message: CapturedMessage, frame: Frame) -> Fields:
         "bytes_per_sample": values.itemsize,
         "force_n": values.ravel().tolist(),
         "newest_n": float(values[-1, 0]),
-        "data": _text(message.data),
+        "data": _base64(message.data),
     }
 
 
 def stream_fields(message: CapturedMessage, welcome: Welcome) -> Fields:
-    """The stream's description."""
+    """Return the stream's description."""
     return {
         "arrived_ns": message.arrived_ns,
         "session": welcome.session,
         "samples_sent": welcome.samples_sent,
         **welcome.description.to_wire(),
-        "data": _text(message.data),
+        "data": _base64(message.data),
     }
 
 
 def clock_fields(message: CapturedMessage, reply: ClockReply) -> Fields:
-    """A clock exchange: t1 and t4 on the display's clock, t2 and t3 on the sensing node's."""
+    """Return a clock exchange: t1, t4 on the display's clock, t2, t3 on the sensing node's."""
     t4_ns = message.arrived_ns
     ahead_ns = (reply.t2_ns - reply.t1_ns + reply.t3_ns - t4_ns) / 2
     round_trip_ns = t4_ns - reply.t1_ns - (reply.t3_ns - reply.t2_ns)
@@ -98,16 +96,16 @@ def clock_fields(message: CapturedMessage, reply: ClockReply) -> Fields:
 
 
 def refused_fields(message: CapturedMessage, error: WireError) -> Fields:
-    """A message that is none, and why."""
+    """Return a message that was refused, and the cause."""
     return {
         "arrived_ns": message.arrived_ns,
         "path": message.path,
         "cause": error.cause,
-        "data": _text(message.data),
+        "data": _base64(message.data),
     }
 
 
-def _text(data: bytes) -> str:
+def _base64(data: bytes) -> str:
     return b64encode(data).decode("ascii")
 
 
@@ -116,55 +114,63 @@ SECOND_NS = 1_000_000_000
 
 
 class Entry(NamedTuple):
-    """One message of a recording: its topic, when it was, and its fields."""
+    """One message of a recording: its topic, its Unix time, and its fields."""
 
     topic: str
     t_ns: int
     fields: Fields
 
 
-class Transcript:
-    """The content of a display's telemetry, and a count of what of it never came.
+class TelemetryDecoder:
+    """Decoder that follows one display, from run to run.
 
-    missed: how many messages of each kind the display published that did not reach us. ended:
-    the display has said its last word. provenance: of the display's run, None until it came.
+    Attributes
+    ----------
+    missed : Counter
+        Messages of each kind that the display published and that did not arrive.
+    ended : bool
+        The display has sent its last status.
+    provenance : dict or None
+        Of the display's run; None until it arrived.
     """
 
     def __init__(self) -> None:
         self._run: int | None = None
         self._unix_offset_ns = self._now_ns = 0
-        self._traces = self._statuses = self._heard = 0
+        self._traces = self._statuses = self._captures = 0
         self._session: int | None = None
-        self._watch = StatusWatch()
+        self._events = EventDetector()
         self.missed: Counter[str] = Counter()
         self.ended = False
         self.provenance: dict[str, str] | None = None
 
     @property
-    def known(self) -> bool:
-        """True once anything came from a display."""
+    def started(self) -> bool:
+        """Whether a run of the display has begun here."""
         return self._run is not None
 
-    def take(self, topic: bytes, data: bytes) -> list[Entry]:
-        """Return what a telemetry message adds to the recording; nothing until the display is
-        known."""
+    def decode(self, topic: bytes, data: bytes) -> list[Entry]:
+        """Return the entries of a telemetry message; traces and statuses count from a run's begin.
+
+        A message that cannot be read is counted in `missed`.
+        """
         try:
             if topic == PROVENANCE:
                 self.provenance = read_provenance(data)
             if topic == HEARD:
-                return list(self._take_heard(read_capture(data)))
+                return list(self._captured(read_capture(data)))
             if topic == TRACE:
                 self._traces += 1
-                return list(self._ticks(read_trace(data))) if self.known else []
+                return list(self._ticks(read_trace(data))) if self.started else []
             if topic == STATUS_TOPIC:
                 self._statuses += 1
-                return list(self._status(data)) if self.known else []
+                return list(self._status(data)) if self.started else []
         except WireError:
             self.missed["unreadable messages"] += 1
         return []
 
     def event(self, event: Event) -> Entry:
-        """Something that happened at the last instant the display told of."""
+        """Return an event as an entry, at the latest instant of the telemetry."""
         t_ns = self._unix_ns(self._now_ns)
         sec, nsec = divmod(t_ns, SECOND_NS)
         fields = {
@@ -180,32 +186,36 @@ class Transcript:
     def _unix_ns(self, now_ns: int) -> int:
         return min(max(0, now_ns + self._unix_offset_ns), LATEST_NS)
 
-    def _take_heard(self, heard: CapturedMessages) -> Iterator[Entry]:
-        if heard.run != self._run:
-            word = "another run of the display" if self.known else "the recording"
-            self._begin(heard)
+    def _captured(self, captured: CapturedMessages) -> Iterator[Entry]:
+        if captured.run != self._run:
+            word = "another run of the display" if self.started else "the recording"
+            self._begin(captured)
             yield self.event(Event("INFO", "begin", word))
-        self._now_ns = heard.now_ns
-        yield from self._account(heard)
-        for message in heard.messages:
+        self._now_ns = captured.now_ns
+        yield from self._account(captured)
+        for message in captured.messages:
             self._now_ns = message.arrived_ns
             yield from self._message(message)
 
-    def _begin(self, heard: CapturedMessages) -> None:
-        self._run = heard.run
-        self._unix_offset_ns, self._now_ns = heard.wall_ns - heard.now_ns, heard.now_ns
-        self._traces, self._statuses, self._heard = heard.traces, heard.statuses, heard.before
-        self._watch = StatusWatch()
+    def _begin(self, captured: CapturedMessages) -> None:
+        self._run = captured.run
+        self._unix_offset_ns, self._now_ns = captured.wall_ns - captured.now_ns, captured.now_ns
+        self._traces, self._statuses, self._captures = (
+            captured.traces,
+            captured.statuses,
+            captured.before,
+        )
+        self._events = EventDetector()
 
-    def _account(self, heard: CapturedMessages) -> Iterator[Entry]:
-        """Count what was published since the last time and did not come."""
+    def _account(self, captured: CapturedMessages) -> Iterator[Entry]:
+        """Count what was published since the last time and did not arrive."""
         gaps = {
-            "traces": heard.traces - self._traces,
-            "statuses": heard.statuses - self._statuses,
-            "messages heard": heard.before - self._heard,
+            "traces": captured.traces - self._traces,
+            "statuses": captured.statuses - self._statuses,
+            "captured messages": captured.before - self._captures,
         }
-        self._traces, self._statuses = heard.traces, heard.statuses
-        self._heard = heard.before + len(heard.messages)
+        self._traces, self._statuses = captured.traces, captured.statuses
+        self._captures = captured.before + len(captured.messages)
         lost = {name: count for name, count in gaps.items() if count > 0}
         if lost:
             self.missed.update(lost)
@@ -215,7 +225,7 @@ class Transcript:
     def _message(self, message: CapturedMessage) -> Iterator[Entry]:
         t_ns = self._unix_ns(message.arrived_ns)
         try:
-            decoded = decode(message)
+            decoded = decode_captured(message)
         except WireError as error:
             yield Entry(REFUSED, t_ns, refused_fields(message, error))
             return
@@ -223,7 +233,7 @@ class Transcript:
             case Frame():
                 yield Entry(FRAME, t_ns, frame_fields(message, decoded))
                 if decoded.session == self._session:
-                    for event in self._watch.arrive(message.arrived_ns):
+                    for event in self._events.arrive(message.arrived_ns):
                         yield self.event(event)
             case ClockReply():
                 yield Entry(CLOCK, t_ns, clock_fields(message, decoded))
@@ -231,11 +241,11 @@ class Transcript:
                 yield Entry(STREAM, t_ns, stream_fields(message, decoded))
                 if session != self._session:
                     self._session = session
-                    self._watch.begin_session()
+                    self._events.begin_session()
                     text = f"{description.name!a}, session {session}"
                     yield self.event(Event("INFO", "session", text))
             case Bye(samples_sent=count):
-                self._watch.end_stream()
+                self._events.end_stream()
                 yield self.event(
                     Event("INFO", "end of stream", f"{count_text(count, 'sample')} sent")
                 )
@@ -257,7 +267,7 @@ class Transcript:
         if status.playing is not None:
             fields["playing"] = status.playing._asdict()
         yield Entry(STATUS, self._unix_ns(self._now_ns), fields)
-        for event in self._watch.take(status.state, status.summary, self._now_ns):
+        for event in self._events.take(status.state, status.summary, self._now_ns):
             yield self.event(event)
         if status.final:
             self.ended = True

@@ -1,9 +1,8 @@
 import json
 from collections.abc import Iterable
 
-from telepulse.recording.reader import RecordedMessage
-from telepulse.recording.report import in_turn as module
-from telepulse.recording.report.in_turn import in_turn
+from telepulse.recording import reader as module
+from telepulse.recording.reader import RecordedMessage, in_tick_order
 from telepulse.telemetry.schema import CLOCK, EVENT, FRAME, TICK
 
 
@@ -12,7 +11,7 @@ def message(topic: str, **fields: int) -> RecordedMessage:
 
 
 def told(messages: Iterable[RecordedMessage]) -> list[tuple[str, int]]:
-    return [(each.topic, next(iter(each.fields.values()), 0)) for each in in_turn(messages)]
+    return [(each.topic, next(iter(each.fields.values()), 0)) for each in in_tick_order(messages)]
 
 
 def test_what_was_heard_stands_before_the_first_tick_that_was_due_after_it() -> None:
@@ -36,7 +35,7 @@ def test_what_was_heard_stands_before_the_first_tick_that_was_due_after_it() -> 
 
 def test_without_ticks_little_waits() -> None:
     heard = (message(FRAME, arrived_ns=number) for number in range(module.MAX_WAITING + 500))
-    turns = in_turn(heard)
+    turns = in_tick_order(heard)
     assert next(turns).fields["arrived_ns"] == 0
     assert next(heard).fields["arrived_ns"] == module.MAX_WAITING + 1
     assert len(list(turns)) == module.MAX_WAITING + 498

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from protocol.config.quantities import count_text
 from protocol.security.keys import ClientKeys
 from telepulse.lsl_outlet.forwarder import Forwarder
-from telepulse.lsl_outlet.outlets import Outlets
-from telepulse.telemetry.client import TelemetryReader
+from telepulse.lsl_outlet.streams import LslStreams
+from telepulse.telemetry.client import TelemetryClient
 
 LOOK_EVERY_NS = 100_000_000
 
@@ -26,10 +26,10 @@ class LslOutlet:
         """log is told how it goes, warn of what is missing. Raises SourceError or AddressError."""
         self._address, self._log, self._warn = address, log, warn
         self._stopping = False
-        self._outlets = Outlets(address)
+        self._outlets = LslStreams(address)
         self._forwarder = Forwarder(self._outlets, log)
-        self._reader = TelemetryReader(address, keys, warn)
-        self._reader.listen()
+        self._client = TelemetryClient(address, keys, warn)
+        self._client.subscribe()
 
     def stop(self) -> None:
         """End after the present message."""
@@ -43,27 +43,27 @@ class LslOutlet:
         start_ns = heard_ns = now_ns = time.monotonic_ns()
         end_ns = start_ns + (math.inf if seconds is None else seconds * 1e9)
         patience_ns = math.inf if silence_s is None else silence_s * 1e9
-        reader = self._reader
+        client = self._client
         try:
-            while not (self._stopping or reader.transcript.ended) and now_ns < end_ns:
+            while not (self._stopping or client.decoder.ended) and now_ns < end_ns:
                 now_ns = time.monotonic_ns()
-                for entries in reader.messages():
+                for entries in client.messages():
                     heard_ns = now_ns
                     self._forwarder.take(entries)
                 if now_ns - heard_ns > patience_ns:
                     self._warn(f"{self._address}: ended, nothing came for {silence_s:g} s")
                     break
-                reader.tend(now_ns)
-                reader.wait(LOOK_EVERY_NS)
+                client.poll(now_ns)
+                client.wait(LOOK_EVERY_NS)
             return self._end()
         finally:
             self._outlets.close()
-            reader.close()
+            client.close()
 
     def _end(self) -> bool:
         self._forwarder.finish()
-        passed, transcript = self._forwarder.passed, self._reader.transcript
-        if not transcript.known:
+        passed, decoder = self._forwarder.passed, self._client.decoder
+        if not decoder.started:
             self._warn(f"{self._address}: nothing was heard from it")
             return False
         given = ", ".join(
@@ -79,7 +79,7 @@ class LslOutlet:
             f"{self._address}: {given};"
             f" {count_text(self._forwarder.lost, 'sample')} missing{before}"
         )
-        if transcript.missed:
-            counts = ", ".join(f"{n} {name}" for name, n in sorted(transcript.missed.items()))
+        if decoder.missed:
+            counts = ", ".join(f"{n} {name}" for name, n in sorted(decoder.missed.items()))
             self._warn(f"{self._address}: of the telemetry {counts} were missed")
-        return not transcript.missed
+        return not decoder.missed

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from protocol.errors import OutputError
-from telepulse.recording.mcap_writer import Journal
+from telepulse.recording.mcap_writer import RetryingFile
 
 
 class Disk:
@@ -38,7 +38,7 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
 
 
 def test_pieces_are_on_the_disk_once_they_are_committed(tmp_path: Path, disk: Disk) -> None:
-    journal = Journal(tmp_path / "a")
+    journal = RetryingFile(tmp_path / "a")
     journal.write(b"01234")
     journal.write(b"56789")
     assert journal.tell() == 10
@@ -54,7 +54,7 @@ def test_only_whole_pieces_stand_there_and_the_rest_follows_in_order(
     trouble: str, tmp_path: Path, disk: Disk
 ) -> None:
     path = tmp_path / "a"
-    journal = Journal(path)
+    journal = RetryingFile(path)
     journal.write(b"first")
     assert journal.commit(1) is None
     disk.room_bytes, disk.keeps = (4, True) if trouble == "full" else (10**9, False)
@@ -80,7 +80,7 @@ def test_a_file_that_cannot_be_made_is_one_line_and_no_file_is_overwritten(
 ) -> None:
     (tmp_path / "there").write_bytes(b"precious")
     with pytest.raises(OutputError) as caught:
-        Journal(tmp_path / name)
+        RetryingFile(tmp_path / name)
     assert str(tmp_path / name) in str(caught.value)
     assert "\n" not in str(caught.value)
     assert (tmp_path / "there").read_bytes() == b"precious"

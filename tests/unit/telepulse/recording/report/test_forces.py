@@ -3,17 +3,17 @@ import pytest
 
 from protocol.wire.messages import Frame
 from protocol.wire.stream import Channel
-from telepulse.recording.report.alignment import AlignedBlock, AlignedTick, Alignment
+from telepulse.recording.report.forces import AlignedBlock, AlignedTick, ForceAlignment
 from tests.support.streams import description
 
 MS = 1_000_000
 BATCH = 5
 
 
-def run(seconds: int, ratio: float, channel: int, group_delay_ns: int = 0) -> Alignment:
+def run(seconds: int, ratio: float, channel: int, group_delay_ns: int = 0) -> ForceAlignment:
     """A pulse on one of two channels, felt 1 mN too strong and 40 ms late."""
     chance = np.random.default_rng(1)
-    alignment, blocks = Alignment(), []
+    alignment, blocks = ForceAlignment(), []
     stream = description(
         channels=(Channel("a"), Channel("b")), bytes_per_sample=8, group_delay_ns=group_delay_ns
     )
@@ -24,13 +24,13 @@ def run(seconds: int, ratio: float, channel: int, group_delay_ns: int = 0) -> Al
     for first in range(0, len(t_s), BATCH):
         values = force_n[first : first + BATCH]
         if first == 1000 * seconds // 2:
-            alignment.told(channel, ratio)
-        alignment.sensed(Frame(1, first, first * MS + group_delay_ns, MS, values), stream)
+            alignment.set_playback(channel, ratio)
+        alignment.add_frame(Frame(1, first, first * MS + group_delay_ns, MS, values), stream)
         for at in range(first, first + BATCH):
             if at >= 40:
                 target_n = ratio * force_n[at - 40, channel]
                 tick = AlignedTick(t_s[at], at * MS, (at - 40) * MS, target_n, target_n + 1e-3)
-                blocks += alignment.felt(tick)
+                blocks += alignment.add_tick(tick)
     blocks += alignment.finish()
     check(blocks, len(t_s) - 40)
     return alignment
@@ -49,12 +49,12 @@ def test_what_is_played_is_scored_whenever_it_was_told(
     seconds: int, ratio: float, channel: int
 ) -> None:
     alignment = run(seconds, ratio, channel)
-    assert alignment.fidelity.force_rmse_n.aligned == pytest.approx(1e-3)
+    assert alignment.errors.force_rmse_n.aligned == pytest.approx(1e-3)
 
 
 def test_the_pulse_is_earlier_than_its_samples_by_the_group_delay() -> None:
     alignment = run(3, 1.0, 0, group_delay_ns=7 * MS)
-    assert alignment.fidelity.force_rmse_n.aligned == pytest.approx(1e-3)
+    assert alignment.errors.force_rmse_n.aligned == pytest.approx(1e-3)
 
 
 def test_another_session_begins_anew() -> None:

@@ -26,6 +26,7 @@ from protocol.wire.telemetry import (
     TickState,
     TraceWriter,
 )
+from telepulse.telemetry.decoder import Entry, TelemetryDecoder
 from telepulse.telemetry.schema import (
     CLOCK,
     EVENT,
@@ -34,7 +35,6 @@ from telepulse.telemetry.schema import (
     SCHEMAS,
     STREAM,
 )
-from telepulse.telemetry.transcript import Entry, Transcript
 from tests.support.foxglove import assert_fits, assert_readable
 from tests.support.streams import description
 from tests.support.telemetry_speaker import SESSION, bye, clock_reply, numbered_frame
@@ -46,10 +46,10 @@ WELCOME = encode_control(Welcome(SESSION, 0, description()))
 
 
 class Spoken:
-    """A display's telemetry by hand, taken down by a transcript."""
+    """A display's telemetry by hand, taken down by a decoder."""
 
     def __init__(self, run: int = 1) -> None:
-        self.transcript = Transcript()
+        self.decoder = TelemetryDecoder()
         self.restart(run)
 
     def restart(self, run: int, ahead_ns: int = WALL_NS) -> None:
@@ -63,14 +63,14 @@ class Spoken:
         return [
             entry
             for part in self.heard.take(at_ns, at_ns + self.ahead_ns)
-            for entry in self.transcript.take(HEARD, part)
+            for entry in self.decoder.decode(HEARD, part)
         ]
 
     def status(self, state: str, final: bool = False, **changes: object) -> list[Entry]:
         summary = Summary(**changes)  # type: ignore[arg-type]
         message = pack_status(state, "pulse", summary, final, playing=PLAYING)
         self.heard.statuses += 1
-        return self.transcript.take(STATUS_TOPIC, message)
+        return self.decoder.decode(STATUS_TOPIC, message)
 
     def ticks(self, *felt: TickState) -> list[Entry]:
         writer = TraceWriter()
@@ -79,7 +79,7 @@ class Spoken:
         message = writer.rest()
         assert message is not None
         self.heard.traces += 1
-        return self.transcript.take(TRACE, message)
+        return self.decoder.decode(TRACE, message)
 
 
 def told(entries: Iterable[Entry]) -> list[tuple[str, str]]:
@@ -167,7 +167,7 @@ def test_what_happens_is_told_once() -> None:
         ("limited", "force limit reached"),
         ("end", "the display has ended"),
     ]
-    assert spoken.transcript.ended
+    assert spoken.decoder.ended
 
 
 def test_what_lasts_is_told_where_it_begins_and_where_it_is_over() -> None:
@@ -213,16 +213,16 @@ def test_what_the_display_published_and_did_not_come_is_counted() -> None:
     spoken = Spoken()
     spoken.hear((CONTROL, WELCOME))
     spoken.ticks(TickState())
-    assert spoken.transcript.missed == {}
+    assert spoken.decoder.missed == {}
     spoken.heard.traces += 4
     spoken.heard.statuses += 1
     for number in range(3):
         spoken.heard.add(NOW_NS, 0, encode_frame(numbered_frame(number)))
     list(spoken.heard.take(NOW_NS, NOW_NS))
     entries = spoken.hear((0, encode_frame(numbered_frame(3))))
-    assert spoken.transcript.missed == {"traces": 4, "statuses": 1, "messages heard": 3}
+    assert spoken.decoder.missed == {"traces": 4, "statuses": 1, "captured messages": 3}
     assert told(entries) == [
-        ("missed", "the recorder missed 4 traces, 1 statuses, 3 messages heard")
+        ("missed", "the recorder missed 4 traces, 1 statuses, 3 captured messages")
     ]
     assert told(spoken.hear()) == []
 
@@ -236,7 +236,7 @@ def test_what_came_before_the_recorder_is_not_missed_and_another_run_begins_anew
     entries = spoken.hear((0, encode_frame(numbered_frame(0))))
     assert told(entries) == [("begin", "another run of the display")]
     assert of(entries, FRAME)[0].t_ns == NOW_NS + WALL_NS + 5
-    assert spoken.transcript.missed == {}
+    assert spoken.decoder.missed == {}
 
 
 @pytest.mark.parametrize("topic", list(SCHEMAS))
@@ -290,6 +290,6 @@ def test_whatever_comes_is_taken_down_or_counted(messages: list[tuple[bytes, byt
     spoken = Spoken()
     spoken.hear()
     for topic, data in messages:
-        for entry in spoken.transcript.take(topic, data):
+        for entry in spoken.decoder.decode(topic, data):
             assert 0 <= entry.t_ns < 2**63
             assert math.isfinite(entry.t_ns)

@@ -17,7 +17,7 @@ FORCE, MARKERS = "Force", "Markers"
 FINGER_CHANNELS = ("target", "felt")
 
 
-class Outlets:
+class LslStreams:
     """The outlets of one display. A stream that stays as it was keeps its outlet."""
 
     def __init__(self, address: str) -> None:

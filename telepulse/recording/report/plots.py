@@ -7,9 +7,8 @@ from numpy.typing import NDArray
 
 from display_node.scoring.tracking_error import JND
 from protocol.histogram import Histogram
-from telepulse.recording.report.alignment import AlignedBlock
 from telepulse.recording.report.findings import RunFindings
-from telepulse.recording.report.forces import Forces
+from telepulse.recording.report.forces import AlignedBlock, ForceHistory
 from telepulse.recording.report.trend import Trend
 from telepulse.reports.document import Plot
 
@@ -25,7 +24,7 @@ Floats = NDArray[np.float64]
 
 
 def stretch(name: str, caption: str, blocks: list[AlignedBlock]) -> Plot:
-    """Force at wrist and finger over some seconds, and their difference in its JND band."""
+    """Plot force at wrist and finger over some seconds, and their difference in its JND band."""
     t_s, wrist_n, felt_n = _broken(*map(np.concatenate, zip(*blocks, strict=True)))
     jnd_mn = 1e3 * JND * float(np.nanmax(wrist_n) - np.nanmin(wrist_n))
 
@@ -43,8 +42,8 @@ def stretch(name: str, caption: str, blocks: list[AlignedBlock]) -> Plot:
     return Plot(name, caption, draw)
 
 
-def error(forces: Forces) -> Plot:
-    """The difference over the whole time."""
+def error(forces: ForceHistory) -> Plot:
+    """Plot the difference over the whole time."""
 
     def draw(figure: "Figure") -> None:
         axes = figure.subplots()
@@ -96,7 +95,7 @@ def delay_distribution(findings: RunFindings) -> Plot:
 
 
 def loss(findings: RunFindings) -> Plot:
-    """Samples late and lost, by the display's own count."""
+    """Plot samples late and lost, by the display's own count."""
     trends = findings.trends
 
     def draw(figure: "Figure") -> None:
@@ -109,13 +108,13 @@ def loss(findings: RunFindings) -> Plot:
 
 
 def clock(findings: RunFindings) -> Plot:
-    """Offset with its uncertainty, skew, round trips."""
+    """Plot offset with its uncertainty, skew, round trips."""
     trends = findings.trends
 
     def draw(figure: "Figure") -> None:
         offset, skew, trip = figure.subplots(3, 1, sharex=True)
-        points, doubt = trends.offset_ms.points(), trends.uncertainty_ms.points()
-        low, high = points.mean - doubt.mean, points.mean + doubt.mean
+        points, uncertainty = trends.offset_ms.points(), trends.uncertainty_ms.points()
+        low, high = points.mean - uncertainty.mean, points.mean + uncertainty.mean
         offset.fill_between(points.t_s, low, high, alpha=FAINT, lw=0)
         offset.plot(points.t_s, points.mean)
         offset.set_ylabel("offset, ms")
@@ -134,7 +133,7 @@ def clock(findings: RunFindings) -> Plot:
 
 
 def loop(findings: RunFindings) -> Plot:
-    """Ticks missed, and how late ticks began."""
+    """Plot ticks missed, and how late ticks began."""
     trends = findings.trends
 
     def draw(figure: "Figure") -> None:
@@ -153,8 +152,8 @@ def loop(findings: RunFindings) -> Plot:
     return Plot("loop", "The display's real-time loop, by its own count.", draw)
 
 
-def heart(forces: Forces) -> Plot:
-    """Heart rate at both ends."""
+def heart(forces: ForceHistory) -> Plot:
+    """Plot the heart rate at both ends."""
 
     def draw(figure: "Figure") -> None:
         axes = figure.subplots()
