@@ -6,7 +6,6 @@ settled and each half second at the shift that suits it best: a delay that moves
 the path. The display's own figure, of the whole run, stands beside it.
 """
 
-import re
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,8 +16,9 @@ from numpy.typing import NDArray
 
 from benchmarks.measure import show
 from benchmarks.whole_bench import KINDS, BenchFailedError, playing
+from protocol.config.scene_file import find_scene, load_document, to_toml
 from sensing_node.scene import build_source
-from telepulse.scene import find_scene, load_scene
+from telepulse.scene import load_scene
 from telepulse.simulation.virtual_time import Simulation
 
 Forces = NDArray[np.float64]
@@ -121,14 +121,12 @@ def best_square(window_n: Forces, pulse_n: Forces) -> float:
 
 def model_force_n(folder: Path) -> Forces:
     """Return what the scene's models make of the same pulse, drive and sensors left out."""
-    text = find_scene("tmcl_bench").read_text("utf-8")
-    source = find_scene(SOURCE).read_text("utf-8")
-    table = re.search(r"\[sensing\.source\].*?\n\n", source, re.DOTALL)
-    assert table is not None
-    text = re.sub(r"\[sensing\.source\].*?\n\n", table[0], text, flags=re.DOTALL)
-    text = re.sub(r"\[display\.(drive|feedback)\][^[]*", "", text)
+    tables = load_document(find_scene("tmcl_bench"))
+    tables["sensing"]["source"] = load_document(find_scene(SOURCE))["sensing"]["source"]
+    for live in ("drive", "feedback"):
+        del tables["display"][live]
     path = folder / "model.toml"
-    path.write_text(text, "utf-8")
+    path.write_text(to_toml(tables), "utf-8")
     scene = load_scene(path)
     felt_n: list[float] = []
     Simulation(scene, seed=1).run(SECONDS, watch=lambda felt: felt_n.append(felt.felt_n))

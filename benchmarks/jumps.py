@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from benchmarks.measure import show
 from display_node.control.safety import Safety
 from display_node.scene import DisplayScene
-from telepulse.scene import find_scene, load_scene
+from protocol.config.scene_file import find_scene
+from telepulse.scene import load_scene
 
 SCENES = ("radial", "tmcl_bench", "real_bench")
 ASKED_N = (0.0, 1e30, -1e30, 1.0, 0.3)

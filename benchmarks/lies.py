@@ -17,11 +17,11 @@ from benchmarks.virtual_bench import MS, VirtualBench
 from display_node.scene import DisplayScene
 from display_node.telemetry.alerts import STIFFNESS, alerts
 from protocol.config.scene import load_section
+from protocol.config.scene_file import find_scene
 from protocol.errors import TelepulseError
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 from telepulse.emulators.fault_injection import FaultKind, InjectedFault, parse_fault
 from telepulse.emulators.motor import MotorState
-from telepulse.scene import find_scene
 
 KINDS = ("tmcl", "cia402")
 LIMIT_N = 2.5

@@ -16,10 +16,10 @@ from tempfile import TemporaryDirectory
 from urllib.request import urlopen
 
 from benchmarks.measure import median_quantile, show
+from protocol.config.scene_file import find_scene
 from protocol.host.child_process import ChildProcess
 from protocol.run_summary import Loop
 from telepulse.processes import NodeProcess, free_addresses
-from telepulse.scene import find_scene
 
 SECONDS = 8.0
 ROUNDS = 5

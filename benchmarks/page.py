@@ -17,9 +17,9 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from benchmarks.measure import show
+from protocol.config.scene_file import find_scene
 from protocol.host.child_process import ChildProcess
 from telepulse.processes import free_addresses
-from telepulse.scene import find_scene
 
 OTHERS = 20
 ALONE_S, OPENED_S, AFTER_S = 5.0, 15.0, 10.0

@@ -10,10 +10,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.measure import median_quantile, show
+from protocol.config.scene_file import find_scene
 from protocol.histogram import bound
 from protocol.run_summary import Summary
 from telepulse.netem import run_nodes, unavailable
-from telepulse.scene import find_scene, load_scene
+from telepulse.scene import load_scene
 from telepulse.simulation.link_model import parse_link
 from telepulse.simulation.virtual_time import simulate
 

@@ -14,11 +14,11 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.measure import median_quantile, show
 from display_node.doctor.jitter import busy_processes
+from protocol.config.scene_file import find_scene
 from protocol.host.child_process import ChildProcess
 from protocol.host.realtime import GIVEN_UP
 from protocol.run_summary import Loop
 from telepulse.processes import NodeProcess, free_addresses
-from telepulse.scene import find_scene
 
 SECONDS = 6.0
 ROUNDS = 3

@@ -5,7 +5,8 @@ from dataclasses import replace
 
 from benchmarks.measure import show
 from protocol.config.scene import Section
-from telepulse.scene import Scene, find_scene, load_scene
+from protocol.config.scene_file import find_scene
+from telepulse.scene import Scene, load_scene
 from telepulse.simulation.link_model import parse_link
 from telepulse.simulation.virtual_time import simulate
 

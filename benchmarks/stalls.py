@@ -13,7 +13,8 @@ from benchmarks.measure import show
 from display_node.control.safety import Safety
 from display_node.control.stall_guard import StallGuard
 from display_node.scene import DisplayScene
-from telepulse.scene import find_scene, load_scene
+from protocol.config.scene_file import find_scene
+from telepulse.scene import load_scene
 
 PEAK_N = 0.53
 BEAT_S, EVERY_S = 0.12, 0.5

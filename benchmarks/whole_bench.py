@@ -17,10 +17,10 @@ import numpy as np
 import zmq
 from numpy.typing import NDArray
 
+from protocol.config.scene_file import find_scene, load_document, to_toml
 from protocol.host.child_process import ChildProcess
 from protocol.wire.status import STATUS, read_status
 from telepulse.processes import free_addresses
-from telepulse.scene import find_scene
 
 KINDS = ("tmcl", "cia402")
 PORTS = "/tmp/telepulse-"
@@ -67,7 +67,7 @@ class WholeBench:
     def __post_init__(self) -> None:
         self._address, self.telemetry = free_addresses(2)
         self.scene = self.folder / "scene.toml"
-        text = find_scene(f"{self.kind}_bench").read_text(encoding="utf-8")
+        text = to_toml(load_document(find_scene(f"{self.kind}_bench")))
         # Ports of its own, so that it disturbs no other bench.
         last = 10 + int(re.findall(r"\d+$", self._address)[0]) % 200
         text = text.replace(PORTS, f"{self.folder}/").replace(CHANNEL, f"239.74.163.{last}")

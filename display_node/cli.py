@@ -29,6 +29,7 @@ from protocol.cli_options import (
     with_measures,
 )
 from protocol.config.scene import load_section
+from protocol.config.scene_file import find_scene
 from protocol.errors import DiscoveryError, ProtectionError, SceneError
 from protocol.host.child_process import ChildProcess
 from protocol.host.measures import freeze_objects
@@ -60,8 +61,11 @@ app = typer.Typer(rich_markup_mode="markdown")
 @app.command()
 def display(
     scene: Annotated[
-        Path | None,
-        typer.Argument(help="Scene file; its [display] section is used.", show_default=False),
+        str | None,
+        typer.Argument(
+            help="Scene file, or the name of one; its [display] section is used.",
+            show_default=False,
+        ),
     ] = None,
     connect: Annotated[
         list[str],
@@ -143,7 +147,7 @@ def display(
         allow_connections()
         check_writable(json)
         if doctor:
-            run_doctor(scene, seconds, console, json)
+            run_doctor(None if scene is None else find_scene(scene), seconds, console, json)
             return
         if scene is None:
             raise SceneError("no scene file: display-node SCENE.toml plays it")
@@ -157,9 +161,10 @@ def display(
             connect = discovered(named, peer, seconds, console.print)
         keys = client_keys(connect, key, peer, insecure)
         readers = _telemetry_keys(telemetry, key, allow, insecure)
-        section = load_section(scene, "display", DisplayScene)
+        path = find_scene(scene)
+        section = load_section(path, "display", DisplayScene)
         own = key if readers else None
-        provenance = collect(scene, {"display": section})
+        provenance = collect(path, {"display": section})
         told = provenance.to_bytes()
         # A drive on its way home comes to rest, whatever ends this process.
         interrupt_on_signals()
@@ -174,7 +179,7 @@ def display(
         ):
             freeze_objects()
             # The last: what can fail without the drive has failed before it moves.
-            with connected(section, scene.parent, console.print, without_film) as hardware:
+            with connected(section, path.parent, console.print, without_film) as hardware:
                 served.follow(node.telemetry_address, own)
                 if hardware is not None:
                     node.use(hardware)

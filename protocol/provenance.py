@@ -25,7 +25,7 @@ from typing import Any
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from protocol.config.scene import load_document
+from protocol.config.scene_file import load_document, read_chain
 from protocol.errors import WireError
 
 REDACTED = "(redacted)"
@@ -104,7 +104,7 @@ class Provenance:
     start_utc : str
         When the command began, ISO 8601.
     scene : dict
-        The scene file as written: its path and its tables.
+        The scene as written: its path, the files that it extends and all their tables, merged.
     effective : dict
         The sections that are used, with all defaults, by name; units are in the names.
     seeds : dict
@@ -152,7 +152,7 @@ def collect(
     scene, sections: the scene's file, and its sections as validated, by name. Raises SceneError
     where the file cannot be read.
     """
-    written = {} if scene is None else {"path": str(scene), "tables": load_document(scene)}
+    written = {} if scene is None else _scene(scene)
     effective = {name: part.model_dump(mode="json") for name, part in (sections or {}).items()}
     found = dict(seeds or {})
     source = effective.get("sensing", {}).get("source", {})
@@ -170,6 +170,12 @@ def collect(
         effective=redact(effective),
         seeds=found,
     )
+
+
+def _scene(path: Path) -> dict[str, Any]:
+    parents = [str(file) for file, _ in read_chain(path)[1:]]
+    inherited = {"extends": parents} if parents else {}
+    return {"path": str(path), **inherited, "tables": load_document(path)}
 
 
 def read_provenance(data: bytes) -> dict[str, str]:

@@ -1,7 +1,6 @@
 """Command line of the sensing node."""
 
 from contextlib import ExitStack
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -20,6 +19,7 @@ from protocol.cli_options import (
     with_measures,
 )
 from protocol.config.scene import load_section
+from protocol.config.scene_file import find_scene
 from protocol.discovery.announcer import start_announcer
 from protocol.host.measures import freeze_objects
 from protocol.host.process import allow_connections, stop_on_signals
@@ -40,7 +40,9 @@ app = typer.Typer(rich_markup_mode="markdown")
 
 @app.command()
 def sense(
-    scene: Annotated[Path, typer.Argument(help="Scene file; its [sensing] section is used.")],
+    scene: Annotated[
+        str, typer.Argument(help="Scene file, or the name of one; its [sensing] section is used.")
+    ],
     bind: Annotated[
         str,
         typer.Option(
@@ -90,13 +92,14 @@ def sense(
             check_strict(asked)
             control = control_address(bind)
             keys = server_keys(bind, key, allow, insecure)
-            section = load_section(scene, "sensing", SensingScene)
-            provenance = collect(scene, {"sensing": section})
+            path = find_scene(scene)
+            section = load_section(path, "sensing", SensingScene)
+            provenance = collect(path, {"sensing": section})
             served = until_the_end.enter_context(start_metrics(PROGRAM, metrics, console))
             announce_node = until_the_end.enter_context(
                 start_announcer(PROGRAM, announce, bind, section.stream, keys, console)
             )
-            source = until_the_end.enter_context(open_source(section, scene.parent, console.print))
+            source = until_the_end.enter_context(open_source(section, path.parent, console.print))
             description = describe_stream(section, source)
             node = SensingNode(
                 *(source, description, bind, console.print),

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from protocol.cli_options import JsonOption, one_line_errors, plain_console
+from protocol.config.scene_file import find_scene
 from protocol.host.result_files import check_writable
 from soak.bench import play_rounds
 from soak.bench_truth import judge_bench
@@ -21,7 +22,7 @@ from soak.run import Run
 from soak.stage import Stage
 from soak.verdict import judge_none
 from telepulse.netem import unavailable
-from telepulse.scene import DEFAULT_SCENE, find_scene, load_scene
+from telepulse.scene import DEFAULT_SCENE, load_scene
 
 PROGRAM = "soak"
 # A soak is over this long after its time, whatever its nodes do.

@@ -15,10 +15,10 @@ from benchmarks.clock.scaled import now_ns, scaled_ns
 from display_node.reception.receiver import Receiver
 from protocol import sockets
 from protocol.config.scene import load_section
+from protocol.config.scene_file import find_scene
 from protocol.wire.messages import encode_control
 from sensing_node.node import SensingNode
 from sensing_node.scene import SensingScene, describe_stream, open_source
-from telepulse.scene import find_scene
 
 EVERY_NS = 100_000_000
 TICK_NS = 1_000_000

@@ -7,8 +7,9 @@ from unittest.mock import patch
 from benchmarks.compensation.trust import show_trust
 from benchmarks.measure import show
 from display_node.prediction import PredictorName
+from protocol.config.scene_file import find_scene
 from protocol.run_summary import Summary
-from telepulse.scene import find_scene, load_scene
+from telepulse.scene import load_scene
 from telepulse.simulation.link_model import parse_link
 from telepulse.simulation.virtual_time import Simulation
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from benchmarks.measure import show
 from display_node.scoring.tracking_error import JND
+from protocol.config.scene_file import find_scene
 from protocol.wire.telemetry import TickState
 from sensing_node.sources.recorded import RecordingScene
 from sensing_node.sources.synthetic import NOMINAL_BEAT_S
@@ -28,7 +29,7 @@ from telepulse.reports.studies.prediction_pulses import (
     with_ectopics,
 )
 from telepulse.reports.studies.sweep import sweep
-from telepulse.scene import Scene, find_scene, load_scene
+from telepulse.scene import Scene, load_scene
 from telepulse.simulation.link_model import parse_link
 from telepulse.simulation.virtual_time import STREAM_BEGINS_NS, Simulation
 

@@ -19,8 +19,8 @@ from tempfile import TemporaryDirectory
 from benchmarks.faults.finger import Finger
 from benchmarks.faults.stage import PORT, Node, staged
 from benchmarks.measure import show
+from protocol.config.scene_file import find_scene
 from telepulse.netem import EmulatedLink, PacketFilter, emulate
-from telepulse.scene import find_scene
 from telepulse.simulation.link_model import LinkScene, parse_link
 
 WHOLE_TEXT = "20±3 ms"

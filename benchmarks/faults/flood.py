@@ -19,11 +19,11 @@ from benchmarks.faults.finger import finger_of
 from benchmarks.faults.own_time import own_time_of, pin
 from benchmarks.measure import median_quantile, show
 from protocol import sockets
+from protocol.config.scene_file import find_scene
 from protocol.run_summary import Summary
 from protocol.sockets import control_address
 from protocol.wire.messages import ClockRequest, encode_control
 from telepulse.processes import NodeProcess, free_addresses
-from telepulse.scene import find_scene
 
 FLOODED_S = 8.0
 PATIENCE_S = 30.0

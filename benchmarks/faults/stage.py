@@ -11,11 +11,11 @@ from subprocess import PIPE
 
 from benchmarks.faults.finger import Finger, finger_of
 from benchmarks.faults.stepped import STEP
+from protocol.config.scene_file import find_scene
 from protocol.errors import ProcessError
 from protocol.run_summary import Summary
 from telepulse.netem import EmulatedLink
 from telepulse.processes import NodeProcess, free_addresses
-from telepulse.scene import find_scene
 
 PORT = 5555
 STARTS_WITHIN_S = 30.0

@@ -2,15 +2,16 @@
 
 from fuzz.refusals import check_line
 from fuzz.scratch import scratch_folder
+from protocol.config.scene_file import find_scene, scene_names
 from protocol.errors import SceneError
-from telepulse.scene import SCENE_FOLDERS, load_scene
+from telepulse.scene import load_scene
 
 _FILE = scratch_folder() / "scene.toml"
 
 
 def seeds() -> list[bytes]:
     """The scenes that we ship."""
-    return [path.read_bytes() for folder in SCENE_FOLDERS for path in sorted(folder.glob("*.toml"))]
+    return [find_scene(name).read_bytes() for name in scene_names()]
 
 
 def try_one(data: bytes) -> None:

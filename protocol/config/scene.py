@@ -1,14 +1,10 @@
-"""The scene file: TOML with a section a node, each read by its own schema.
+"""The sections of a scene, each read by its own schema.
 
-A node reads its section and no other; what is wrong is said in one line that names the file,
-the section and the key.
+A node reads its section and no other. An error is one line that names the file, the section and
+the key.
 """
 
-import difflib
-import json
 import re
-import tomllib
-from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,11 +12,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from protocol.config.quantities import in_unit_of, shown
+from protocol.config.scene_file import load_document, place, read_chain, suggest
 from protocol.errors import SceneError
 
-SECTIONS = ("sensing", "display", "link")
-_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
-_KEY_SHOWN = 80
 _UNIT_SUFFIX = re.compile(
     r"_(ns|hz|bit_per_s|m|n|n_per_s|pa|m_per_s|m_per_s2|n_per_m|v|v_per_n|rad)$"
 )
@@ -56,46 +50,21 @@ class Section(BaseModel):
 SectionT = TypeVar("SectionT", bound=Section)
 
 
-def load_document(path: Path) -> dict[str, Any]:
-    """Read a scene file into its raw tables. Raises SceneError."""
-    document = load_toml(path, "scene file")
-    for key in document:
-        if key not in (*SECTIONS, "title"):
-            raise SceneError(f"{path}: {_place([key])}: unknown key{_suggestion(key, SECTIONS)}")
-    return document
-
-
-def load_toml(path: Path, what: str) -> dict[str, Any]:
-    """Read a TOML file; `what` it should be is said where there is none. Raises SceneError."""
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise SceneError(f"{path}: no such {what}") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise SceneError(f"{path}: cannot be read: {error}") from None
-    except (ValueError, RecursionError) as error:
-        # Beside TOMLDecodeError: a number of thousands of digits, thousands of brackets.
-        raise SceneError(f"{path}: not TOML: {error}") from None
-    for keys in _too_large(document):
-        raise SceneError(f"{path}: {_place(keys)}: an integer of more than 64 bits")
-    return document
-
-
-def _too_large(value: Any, *keys: int | str) -> Iterator[list[int | str]]:
-    """Where integers are that TOML does not have; Python reads them, and may not print them."""
-    if isinstance(value, dict | list):
-        for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
-            yield from _too_large(inner, *keys, key)
-    elif isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
-        yield list(keys)
-
-
 def load_section(path: Path, name: str, schema: type[SectionT]) -> SectionT:
-    """Read and validate section `name` of the scene at `path`. Raises SceneError."""
+    """Read and validate section `name` of the scene at `path`, with what it inherits.
+
+    Raises SceneError, which names the file of the chain that has the key.
+    """
+    chain = read_chain(path)
     document = load_document(path)
     if name not in document:
         raise SceneError(f"{path}: section [{name}] is missing")
-    return validate(document[name], schema, where=f"{path}: [{name}]")
+    try:
+        return schema.model_validate(document[name])
+    except ValidationError as error:
+        keys, text = _first_error(error, document[name])
+        owner = next((file for file, tables in chain if _has(tables, [name, *keys])), path)
+        raise SceneError(f"{owner}: [{name}] {text}") from None
 
 
 def validate(table: object, schema: type[SectionT], where: str) -> SectionT:
@@ -103,18 +72,27 @@ def validate(table: object, schema: type[SectionT], where: str) -> SectionT:
     try:
         return schema.model_validate(table)
     except ValidationError as error:
-        raise SceneError(f"{where} {_first_line(error, table)}") from None
+        raise SceneError(f"{where} {_first_error(error, table)[1]}") from None
 
 
-def _first_line(error: ValidationError, table: Any) -> str:
-    """The first of pydantic's errors in one line, with how many more there are."""
+def _has(table: Any, keys: list[int | str]) -> bool:
+    for key in keys:
+        inside = isinstance(table, dict) and key in table
+        if not inside and not (isinstance(table, list) and isinstance(key, int)):
+            return False
+        table = table[key]
+    return True
+
+
+def _first_error(error: ValidationError, table: Any) -> tuple[list[int | str], str]:
+    """Return the first of pydantic's errors: its keys, and a line with how many more there are."""
     first = error.errors(include_url=False)[0]
     context = first.get("ctx", {})
     keys, written = _find(first, table)
     match first["type"]:
         case "unknown_key":
             keys.append(context["key"])
-            text = "unknown key" + _suggestion(context["key"], context["known"])
+            text = "unknown key" + suggest(context["key"], context["known"])
         case "missing":
             text = "missing; it must be given"
         case "model_type" | "model_attributes_type":
@@ -127,9 +105,9 @@ def _first_line(error: ValidationError, table: Any) -> str:
             text = str(context["error"])
         case _:
             text = f"{_demand(first, written)}, got {shown(written)}"
-    place = f"{_place(keys)}: " if keys else ""
+    at = f"{place(keys)}: " if keys else ""
     more = error.error_count() - 1
-    return place + text + (f" (and {more} more)" if more else "")
+    return keys, at + text + (f" (and {more} more)" if more else "")
 
 
 def _find(error: ErrorDetails, table: Any) -> tuple[list[int | str], Any]:
@@ -155,13 +133,3 @@ def _demand(error: ErrorDetails, written: object) -> str:
         if isinstance(limit, int | float):
             text = text.replace(str(limit), in_unit_of(limit, written))
     return text
-
-
-def _place(keys: list[int | str]) -> str:
-    parts = (str(key)[:_KEY_SHOWN] for key in keys)
-    return ".".join(part if _BARE_KEY.fullmatch(part) else json.dumps(part) for part in parts)
-
-
-def _suggestion(key: str, known: Iterable[str]) -> str:
-    close = difflib.get_close_matches(key, known, n=1)
-    return f"; did you mean {close[0]}?" if close else f"; known: {', '.join(known)}"

@@ -55,6 +55,17 @@ def write_whole(path: Path, text: str) -> None:
         raise OutputError(f"{path}: cannot be written: {_reason(error)}") from None
 
 
+def create_file(path: Path, text: str) -> None:
+    """Write a new text file. Raises OutputError, also where there is a file of that name."""
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise OutputError(f"{path}: is there already; name another file") from None
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {_reason(error)}") from None
+
+
 def _is_special(path: Path) -> bool:
     """Return whether there is a pipe or a device. Raises OSError for a folder."""
     try:

@@ -11,13 +11,14 @@ from display_node.scene import DisplayScene
 from protocol.cli_options import BENCH_IS_CLEAR, one_line_errors, plain_console
 from protocol.config.quantities import parse_quantity
 from protocol.config.scene import load_section
+from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError
 from protocol.host.result_files import check_writable
 from protocol.provenance import collect
 from sensing_node.scene import SensingScene
 from telepulse.cli.options import PROGRAM, TablesOption, publish
 from telepulse.reports.document import Report
-from telepulse.scene import DEFAULT_SCENE, find_scene
+from telepulse.scene import DEFAULT_SCENE
 
 WARNING = (
     "The drive will move and press with up to {force}. Keep fingers away: put a dummy of rubber"

@@ -9,6 +9,7 @@ import typer
 from display_node.scene import DisplayScene
 from protocol.cli_options import plain_console
 from protocol.config.scene import load_section
+from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError
 from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.scene import SensorScene
@@ -16,7 +17,6 @@ from sensing_node.scene import SensingScene
 from telepulse.cli.options import TablesOption, publish
 from telepulse.commissioning.calibration import LoadReadings, LoadUnit, ReadingUnit, read_loads
 from telepulse.reports.document import Report
-from telepulse.scene import find_scene
 
 
 class Place(Enum):

@@ -27,6 +27,7 @@ from protocol.cli_options import (
     plain_console,
     sum_up,
 )
+from protocol.config.scene_file import find_scene
 from protocol.errors import OutputError, TelepulseError
 from protocol.host.child_process import ChildProcess
 from protocol.host.process import stop_on_signals
@@ -39,7 +40,7 @@ from sensing_node.scene import open_source
 from telepulse.cli.options import PROGRAM, LinkOption, SceneArgument
 from telepulse.cli.view import MISSING, bokeh_is_there
 from telepulse.processes import NodeProcess, free_addresses
-from telepulse.scene import DEFAULT_SCENE, Scene, find_scene, load_scene, scene_provenance
+from telepulse.scene import DEFAULT_SCENE, Scene, load_scene, scene_provenance
 from telepulse.simulation.link_model import LinkScene, parse_link
 from telepulse.simulation.reference_force import ReferenceForce
 

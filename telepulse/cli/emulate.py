@@ -11,12 +11,13 @@ import typer
 from protocol.cli_options import StopAfterOption, one_line_errors, plain_console
 from protocol.config.quantities import count_text
 from protocol.config.scene import load_section
+from protocol.config.scene_file import find_scene
 from protocol.host.measures import freeze_objects
 from protocol.host.process import stop_on_signals
 from pulse_sensors.binary_frames import MAX_SAMPLES, SampleFormat
 from telepulse.cli import emulate_drives as drive_commands
 from telepulse.cli.options import PROGRAM
-from telepulse.scene import DEFAULT_SCENE, find_scene
+from telepulse.scene import DEFAULT_SCENE
 
 FOREVER_S = 1e9
 app = typer.Typer(no_args_is_help=True, help="Hardware that is not there, speaking its real bytes.")

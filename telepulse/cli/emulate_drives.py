@@ -14,13 +14,13 @@ from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
 from protocol.cli_options import StopAfterOption, one_line_errors, plain_console
 from protocol.config.scene import load_section
+from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError
 from telepulse.cli.options import PROGRAM
 from telepulse.emulators.drive_run import FILM_SILENT, MOTOR_FAULTS, DriveRun
 from telepulse.emulators.fault_injection import FaultKind, InjectedFault, parse_fault
 from telepulse.emulators.motor import EmulatedMotor
 from telepulse.emulators.pty_port import PtyPort
-from telepulse.scene import find_scene
 
 if TYPE_CHECKING:
     import can

@@ -15,10 +15,10 @@ from protocol.cli_options import (
     plain_console,
 )
 from protocol.config.quantities import parse_ratio
-from protocol.errors import OutputError
 from protocol.host.measures import freeze_objects
 from protocol.host.process import stop_on_signals
 from protocol.host.realtime import check_strict, parse_realtime
+from protocol.host.result_files import create_file
 from protocol.host.standard_output import unblocked_output
 from telepulse.cli.options import PROGRAM, FolderOption, TablesOption, publish
 from telepulse.reports.document import Report
@@ -45,13 +45,7 @@ def new(path: SessionArgument) -> None:
     """Write an example of a session file, to be changed; nothing is overwritten."""
     text = files("telepulse.experiment").joinpath("example.toml").read_text(encoding="utf-8")
     with one_line_errors(PROGRAM):
-        try:
-            with path.open("x", encoding="utf-8") as file:
-                file.write(text)
-        except FileExistsError:
-            raise OutputError(f"{path}: is there already; name another file") from None
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
+        create_file(path, text)
     plain_console().print(f"{path}: change it, then: telepulse experiment run {path} --log LOG")
 
 

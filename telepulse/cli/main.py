@@ -6,7 +6,7 @@ import typer
 
 from protocol.cli_options import VersionOption
 from protocol.host.standard_output import unblocked_output
-from telepulse.cli import emulate, experiment, keys, study
+from telepulse.cli import emulate, experiment, keys, scenes, study
 from telepulse.cli.bench import bench
 from telepulse.cli.calibrate import calibrate
 from telepulse.cli.demo import demo
@@ -35,7 +35,7 @@ COMMANDS: tuple[Callable[..., None], ...] = (
     export,
     report,
 )
-GROUPS = (study, emulate, experiment, keys)
+GROUPS = (scenes, study, emulate, experiment, keys)
 
 app = typer.Typer(rich_markup_mode="markdown", no_args_is_help=True)
 for live in LIVE:

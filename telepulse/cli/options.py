@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from protocol.cli_options import one_line_errors, plain_console
+from protocol.config.scene_file import scene_names
 from protocol.host.result_files import check_writable
 from protocol.provenance import collect
 from telepulse.reports.document import (
@@ -25,7 +26,11 @@ PROGRAM = "telepulse"
 NOT_WHOLE = 1
 
 SceneArgument = Annotated[
-    str, typer.Argument(help="A scene file, or the name of one that comes with telepulse.")
+    str,
+    typer.Argument(
+        help="A scene file, or the name of one that comes with telepulse.",
+        autocompletion=scene_names,
+    ),
 ]
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="A recording.")]
 LinkOption = Annotated[

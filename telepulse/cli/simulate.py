@@ -10,9 +10,10 @@ from protocol.cli_options import (
     plain_console,
     sum_up,
 )
+from protocol.config.scene_file import find_scene
 from protocol.host.result_files import check_writable
 from telepulse.cli.options import PROGRAM, LinkOption, SceneArgument, SeedOption
-from telepulse.scene import DEFAULT_SCENE, find_scene, load_scene, scene_provenance
+from telepulse.scene import DEFAULT_SCENE, load_scene, scene_provenance
 from telepulse.simulation import virtual_time
 from telepulse.simulation.link_model import parse_link
 

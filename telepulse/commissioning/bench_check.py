@@ -19,6 +19,7 @@ from display_node.fault_advice import advised
 from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
 from protocol.config.scene import validate
+from protocol.config.scene_file import load_document, merge
 from protocol.errors import BenchError, DriveError, SceneError, SourceError
 from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.scene import open_sensor
@@ -36,7 +37,7 @@ from telepulse.commissioning.rig import (
     exchange_s,
     listen,
 )
-from telepulse.commissioning.scene_edit import Changes, set_keys
+from telepulse.commissioning.scene_edit import Changes, as_toml
 from telepulse.commissioning.sensor_check import Check, SensorRecord, grade, judge_sensor, measure
 from telepulse.commissioning.tuning import MOST_SENSITIVITY, Design, design, judge, report_design
 from telepulse.reports.document import Chapter, Plot, Report, Table
@@ -230,9 +231,9 @@ def check_loop(findings: BenchFindings, path: Path) -> None:
     """Check the margins of the scene's gains on the identified actuator, where there is one."""
     if findings.actuator is None:
         return
-    text = set_keys(path.read_text(encoding="utf-8"), findings.changes)
+    changed = merge(load_document(path), tomllib.loads(as_toml(findings.changes)))
     try:
-        found = validate(tomllib.loads(text)["display"], DisplayScene, f"{path}: [display]")
+        found = validate(changed["display"], DisplayScene, f"{path}: [display]")
     except SceneError as error:
         # A value that was found is outside a scene's bounds; the other checks are valid.
         findings.add("loop", Check("margins", "", "fail", str(error)))

@@ -4,6 +4,7 @@ import re
 import tomllib
 from pathlib import Path
 
+from protocol.config.scene_file import EXTENDS, load_toml, scene_names
 from protocol.errors import SceneError
 from protocol.host.result_files import write_whole
 
@@ -46,8 +47,12 @@ def check_editable(path: Path) -> None:
 def write_scene(source: Path, target: Path, changes: Changes, note: str = "") -> None:
     """Write a copy of a scene with keys set, and a comment at its end.
 
-    Raises SceneError or OutputError.
+    Raises SceneError, also where the copy would extend another file than the scene, or OutputError.
     """
+    parent = load_toml(source, "scene file").get(EXTENDS)
+    moves = target.parent.resolve() != source.parent.resolve()
+    if moves and parent is not None and parent not in scene_names():
+        raise SceneError(f"{target}: {source} extends a file by its path: write it beside that one")
     try:
         edited = set_keys(source.read_text(encoding="utf-8"), changes)
     except tomllib.TOMLDecodeError:

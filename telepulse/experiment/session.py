@@ -13,10 +13,11 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_valida
 from display_node.prediction import PredictorName
 from display_node.scene import DisplayScene
 from protocol.config.quantities import Nanoseconds
-from protocol.config.scene import Section, load_document, load_toml, validate
+from protocol.config.scene import Section, validate
+from protocol.config.scene_file import find_scene, load_document, load_toml
 from protocol.provenance import redact
 from protocol.wire.stream import Name
-from telepulse.scene import Scene, find_scene, load_scene
+from telepulse.scene import Scene, load_scene
 from telepulse.simulation.link_model import LinkScene, parse_link
 
 # By then a display has joined and plays: so long over no link, and so many times the link's delay

@@ -5,17 +5,16 @@ import sys
 import threading
 
 from protocol.host.sidecar import receive, run_as_sidecar
-from telepulse.metrics.server import parse_address
 
 
 def main() -> None:
     """Serve until the node ends."""
     program, where = sys.argv[1:]
     with run_as_sidecar() as ready:
-        address = parse_address(where)
-        from telepulse.metrics.server import Server
+        # Here, as a library that is missing is to be reported, too.
+        from telepulse.metrics.server import Server, parse_address
 
-        server = Server(program, *address)
+        server = Server(program, *parse_address(where))
         ready(server.url)
     node = receive()
     if node is not None:

@@ -12,8 +12,8 @@ import display_node.cli
 import sensing_node.cli
 import telepulse.cli.main
 from fuzz.__main__ import fuzz
+from protocol.config.scene_file import find_scene
 from soak.__main__ import soak
-from telepulse.scene import find_scene
 from tests.support.doc_pages import OTHERS
 from tests.support.nodes import ROOT
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from protocol.config.scene_file import find_scene
 from sensing_node.sources.synthetic import SyntheticScene
 from telepulse.reports.document import Chapter, Plot, Table
 from telepulse.reports.paper import experiment, gain_units, published
@@ -19,7 +20,7 @@ from telepulse.reports.paper.published import (
     scientific,
 )
 from telepulse.reports.paper.pulse_spectrum import SLOW_RESPIRATION_HZ, beats, spectra
-from telepulse.scene import find_scene, load_scene
+from telepulse.scene import load_scene
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.signal import lfilter, residue
 
+from protocol.config.scene_file import find_scene
 from telepulse.reports.document import Chapter, Plot, Table, text_colour
 from telepulse.reports.paper import published
 from telepulse.reports.paper.published import (
@@ -29,7 +30,7 @@ from telepulse.reports.paper.published import (
 )
 from telepulse.reports.paper.pulse_spectrum import beats, deviation_n
 from telepulse.reports.paper.tick_rates import least_rate_hz, spectral_radius
-from telepulse.scene import find_scene, load_scene
+from telepulse.scene import load_scene
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

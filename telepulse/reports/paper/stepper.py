@@ -12,13 +12,14 @@ import numpy as np
 from display_node.plant.film import FilmTable
 from display_node.plant.stepper import StepperScene
 from protocol.config.scene import Section, SectionT
+from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError
 from sensing_node.scene import build_source
 from telepulse.commissioning.tuning import judge
 from telepulse.reports.document import Chapter, Plot, Table
 from telepulse.reports.paper import experiment, published
 from telepulse.reports.paper.experiment import TrackingRun
-from telepulse.scene import Scene, find_scene, load_scene
+from telepulse.scene import Scene, load_scene
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

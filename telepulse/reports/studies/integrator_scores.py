@@ -16,6 +16,7 @@ from typing import Generic
 import numpy as np
 
 from protocol.config.scene import load_section
+from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError
 from sensing_node.scene import SensingScene
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
@@ -36,7 +37,6 @@ from telepulse.reports.studies.integrators import (
     shipped,
     solve_ivp_steps,
 )
-from telepulse.scene import find_scene
 
 # The filter of our scene; the paper gives none.
 DERIVATIVE_FILTER_HZ = 200.0

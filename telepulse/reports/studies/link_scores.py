@@ -21,12 +21,13 @@ from numpy.typing import NDArray
 
 from display_node.prediction import Predictor, PredictorName, build_predictor
 from display_node.scoring.tracking_error import JND
+from protocol.config.scene_file import find_scene
 from protocol.tactile import matching_force_ratio
 from protocol.wire.telemetry import TickState
 from sensing_node.scene import build_source
 from telepulse.reports.studies.prediction_pulses import RATE_HZ, SCORED_FROM_S, Pulse, pulses
 from telepulse.reports.studies.sweep import in_one_thread, sweep
-from telepulse.scene import Scene, find_scene, load_scene
+from telepulse.scene import Scene, load_scene
 from telepulse.simulation.link_model import MessageLink, parse_link
 from telepulse.simulation.virtual_time import Simulation
 

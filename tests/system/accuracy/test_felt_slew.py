@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from benchmarks.jumps import felt
-from telepulse.scene import find_scene, load_scene
+from protocol.config.scene_file import find_scene
+from telepulse.scene import load_scene
 
 # A microstep more or less, and what the loop makes good.
 MARGIN = 1.02

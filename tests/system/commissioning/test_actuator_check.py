@@ -2,6 +2,7 @@ import pytest
 
 from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
+from protocol.config.scene_file import find_scene
 from telepulse.commissioning.actuator_check import (
     ActuatorFindings,
     check_actuator,
@@ -11,7 +12,7 @@ from telepulse.commissioning.actuator_check import (
 from telepulse.commissioning.identification import IdentifiedModel, SecondOrderModel
 from telepulse.commissioning.press import ContactFit
 from telepulse.commissioning.rig import ModelRig
-from telepulse.scene import find_scene, load_scene
+from telepulse.scene import load_scene
 from tests.unit.telepulse.commissioning.test_press import bench
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from protocol.config.scene_file import find_scene
 from telepulse.cli.main import app
 from telepulse.commissioning.tuning import (
     LEAST_DELAY_TICKS,
@@ -12,7 +13,7 @@ from telepulse.commissioning.tuning import (
     design,
     judge,
 )
-from telepulse.scene import find_scene, load_scene
+from telepulse.scene import load_scene
 from tests.support.nodes import ROOT
 
 SCENES = ("radial", "wan", "bench", "real_bench", "conditioned")

@@ -14,6 +14,7 @@ import yaml
 
 from display_node.scene import DisplayScene
 from protocol.config.scene import validate
+from protocol.config.scene_file import find_scene, load_document
 from sensing_node.scene import SensingScene
 from telepulse.simulation.link_model import LinkScene
 from tests.support.doc_pages import PYTHON, Block, blocks
@@ -87,7 +88,7 @@ def test_a_block_is_what_it_looks_like(block: Block) -> None:
 def check_scene(table: dict[str, Any], where: str) -> None:
     """A table of a scene is one when it is put into a scene that ships."""
     base = "real_bench" if "observer" in str(table) else "radial"
-    scene = tomllib.loads((ROOT / "scenes" / f"{base}.toml").read_text(encoding="utf-8"))
+    scene = load_document(find_scene(base))
     for section, schema in SECTIONS.items():
         if section in table:
             validate(merged(scene.get(section, {}), table[section]), schema, where)

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from benchmarks.whole_bench import NICE
+from protocol.config.scene_file import find_scene, load_document, to_toml
 from protocol.host.child_process import ChildProcess
 from telepulse.experiment.interval import IntervalPlayback, PlayedInterval, draw_interval
 from telepulse.experiment.log import read_log
 from telepulse.experiment.person import Keyboard, Person
 from telepulse.experiment.session import Letter, Trial
-from telepulse.scene import find_scene
 from tests.support.experiment_sessions import condition, plan, write
 from tests.support.nodes import ROOT, process
 from tests.support.virtual_bench import MS, TICK_MS, VirtualBench
@@ -34,7 +34,7 @@ preload = "0.3 N"
 
 def bench_scene(folder: Path) -> Path:
     """The emulated bench's, patient, with a pulse that can be had again."""
-    text = find_scene("tmcl_bench").read_text(encoding="utf-8")
+    text = to_toml(load_document(find_scene("tmcl_bench")))
     text = text.replace("/tmp/telepulse-", f"{folder}/")
     text = re.sub(r"(?s)(?<=\[sensing.source\]\n).*?(?=\n\[display\])", PULSE, text)
     patient = '[display.drive]\nwatchdog = "400 ms"\nreply_timeout = "100 ms"\n'

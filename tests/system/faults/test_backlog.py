@@ -8,10 +8,10 @@ import zmq
 from benchmarks.faults.hostile import deaf_subscriber, port_of, queued_bytes
 from benchmarks.faults.stage import staged, unaccounted
 from benchmarks.faults.witness import witness_of
+from protocol.config.scene_file import find_scene
 from protocol.tactile import ElasticLayer
 from protocol.wire.stream import Channel, StreamDescription
 from sensing_node.send_queue import MOST_BYTES, limits
-from telepulse.scene import find_scene
 from tests.support.felt_force import PATIENCE_S, assert_back_within_a_second, assert_limits_kept
 
 MS = 1_000_000

@@ -9,11 +9,11 @@ import zmq
 from display_node.reception.receiver import Receiver
 from protocol import sockets
 from protocol.config.scene import load_section
+from protocol.config.scene_file import find_scene
 from protocol.wire.messages import encode_control
 from sensing_node.node import SensingNode
 from sensing_node.scene import SensingScene, describe_stream, open_source
 from telepulse.netem import emulate
-from telepulse.scene import find_scene
 from telepulse.simulation.link_model import parse_link
 from tests.support.tcp import needs_emulator
 

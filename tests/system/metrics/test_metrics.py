@@ -21,7 +21,7 @@ from protocol.figures import COUNT, Surface
 from protocol.run_summary import REGISTRY
 from telepulse.metrics.server import parse_address
 from tests.support.keyring import Keyring
-from tests.support.nodes import RADIAL, free_address, process, read_json, run
+from tests.support.nodes import RADIAL, ROOT, free_address, process, read_json, run
 from tests.support.waiting import PATIENCE_S, until
 
 DISPLAY, SENSING = "display_node.cli", "sensing_node.cli"
@@ -187,7 +187,7 @@ def test_without_the_library_it_says_which_extra_brings_it(tmp_path: Path) -> No
     shadow = tmp_path / "prometheus_client.py"
     shadow.write_text("raise ImportError('not here')\n", encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONPATH", f"{tmp_path}")
+        patch.setenv("PYTHONPATH", f"{tmp_path}:{ROOT}")
         result = run(SENSING, str(RADIAL), "--metrics", "0")
     assert result.returncode == 2
     assert result.stderr.count("\n") == 1

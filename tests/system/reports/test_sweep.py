@@ -8,6 +8,7 @@ from urllib.parse import urlsplit
 import pytest
 from typer.testing import CliRunner
 
+from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError, SweepError
 from telepulse.cli.main import app
 from telepulse.reports.studies import sweep as sweep_module
@@ -15,7 +16,6 @@ from telepulse.reports.studies.link_scores import LinkCell, LinkEffort, play
 from telepulse.reports.studies.playout_links import GAUSSIAN
 from telepulse.reports.studies.playout_scores import PlayoutEffort, score_playout
 from telepulse.reports.studies.sweep import THREADS, in_one_thread, sweep
-from telepulse.scene import find_scene
 from tests.support.nodes import free_address, process
 
 LONG_S = 60

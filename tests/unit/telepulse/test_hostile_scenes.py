@@ -17,7 +17,8 @@ from display_node.display import Display
 from display_node.scene import DisplayScene
 from fuzz.refusals import check_line
 from protocol.config.quantities import UNITS
-from protocol.config.scene import load_document, validate
+from protocol.config.scene import validate
+from protocol.config.scene_file import load_document
 from protocol.errors import SceneError, SourceError
 from sensing_node.scene import SensingScene, build_source, describe_stream
 from telepulse.simulation.link_model import LinkScene, parse_link
@@ -25,7 +26,7 @@ from tests.support.nodes import ROOT
 from tests.unit.documentation.test_docs import keys
 
 SCHEMAS: dict[str, Any] = {"sensing": SensingScene, "display": DisplayScene, "link": LinkScene}
-SHIPPED = [tomllib.loads(path.read_text("utf-8")) for path in (ROOT / "scenes").glob("*.toml")]
+SHIPPED = [load_document(path) for path in (ROOT / "scenes").glob("*.toml")]
 KEYS = sorted({key for schema in SCHEMAS.values() for key in keys(schema)})
 EVERY_UNIT = ["", "%", *(unit for units in UNITS.values() for unit in units)]
 

@@ -3,19 +3,9 @@ from pathlib import Path
 import pytest
 
 from protocol.errors import SceneError
-from telepulse.scene import find_scene, load_scene
+from telepulse.scene import load_scene
 from telepulse.simulation.link_model import LinkScene
 from tests.support.nodes import RADIAL
-
-
-def test_a_scene_is_found_by_its_name_and_by_its_path() -> None:
-    assert find_scene("radial").read_text() == RADIAL.read_text()
-    assert find_scene(str(RADIAL)) == RADIAL
-
-
-def test_an_unknown_name_lists_the_known_ones() -> None:
-    with pytest.raises(SceneError, match="radial"):
-        find_scene("radail")
 
 
 def test_a_scene_without_a_link_has_one_that_does_nothing() -> None:

@@ -5,7 +5,8 @@ import pytest
 from pydantic import Field, ValidationError
 
 from protocol.config.quantities import Metres, Nanoseconds, Newtons, Ratio
-from protocol.config.scene import Section, load_document, load_section, validate
+from protocol.config.scene import Section, load_section, validate
+from protocol.config.scene_file import load_document
 from protocol.errors import SceneError
 
 

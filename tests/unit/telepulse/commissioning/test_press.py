@@ -6,10 +6,11 @@ import pytest
 
 from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
+from protocol.config.scene_file import find_scene
 from protocol.errors import BenchError
 from telepulse.commissioning.press import GUARD, PressRecorder, press_stepper, profile
 from telepulse.commissioning.rig import FilmSample, ModelRig
-from telepulse.scene import find_scene, load_scene
+from telepulse.scene import load_scene
 
 SILENT_S = 0.06
 

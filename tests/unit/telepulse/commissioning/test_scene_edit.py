@@ -3,9 +3,9 @@ from pathlib import Path
 
 import pytest
 
+from protocol.config.scene_file import find_scene, load_document, merge, scene_names
 from protocol.errors import OutputError, SceneError
 from telepulse.commissioning.scene_edit import Changes, as_toml, set_keys, write_scene
-from telepulse.scene import SCENE_FOLDERS
 
 SCENE = """title = "a bench"  # mine
 
@@ -39,13 +39,25 @@ def test_a_new_table_goes_to_the_end() -> None:
     assert tomllib.loads(edited)["display"]["safety"] == {"force_limit": "1 N"}
 
 
-def test_every_shipped_scene_can_be_edited() -> None:
+def test_every_shipped_scene_can_be_edited(tmp_path: Path) -> None:
     changes: Changes = {"display.actuator": {"latency": '"4.2 ms"', "k": "1.5"}}
-    for path in SCENE_FOLDERS[1].glob("*.toml"):
-        before = tomllib.loads(path.read_text(encoding="utf-8"))
-        after = tomllib.loads(set_keys(path.read_text(encoding="utf-8"), changes))
-        before["display"]["actuator"] |= {"latency": "4.2 ms", "k": 1.5}
-        assert after == before
+    found = {"display": {"actuator": {"latency": "4.2 ms", "k": 1.5}}}
+    for path in map(find_scene, scene_names()):
+        written = tmp_path / path.name
+        write_scene(path, written, changes)
+        assert load_document(written) == merge(load_document(path), found)
+
+
+def test_a_scene_that_extends_a_file_beside_it_is_written_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "far").mkdir()
+    (tmp_path / "parent.toml").write_text(SCENE, encoding="utf-8")
+    child = tmp_path / "child.toml"
+    child.write_text('extends = "parent.toml"\n', encoding="utf-8")
+    changes: Changes = {"display.film": {"latency": '"8 ms"'}}
+    with pytest.raises(SceneError, match="extends a file by its path: write it beside that one"):
+        write_scene(child, tmp_path / "far" / "found.toml", changes)
+    write_scene(child, tmp_path / "found.toml", changes)
+    assert load_document(tmp_path / "found.toml")["display"]["film"]["latency"] == "8 ms"
 
 
 @pytest.mark.parametrize(

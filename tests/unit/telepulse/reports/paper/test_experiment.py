@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
+from protocol.config.scene_file import find_scene
 from telepulse.reports.paper import experiment
 from telepulse.reports.paper.experiment import TrackingRun
-from telepulse.scene import find_scene, load_scene
+from telepulse.scene import load_scene
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,208 @@
+"""Scene files: found by name, read as TOML, merged with the scenes that they extend.
+
+`extends = "radial"` takes over everything of another scene: tables merge key by key, any other
+value replaces the inherited one. A table of another `kind` replaces the inherited table whole,
+whose keys would not be its own.
+"""
+
+import datetime
+import difflib
+import json
+import re
+import tomllib
+from collections.abc import Iterable, Iterator
+from functools import reduce
+from pathlib import Path
+from typing import Any
+
+from protocol.config.quantities import shown
+from protocol.errors import SceneError
+
+SECTIONS = ("sensing", "display", "link")
+EXTENDS = "extends"
+MAX_CHAIN = 8
+"""How many files a scene may consist of."""
+Tables = dict[str, Any]
+
+_HERE = Path(__file__).parents[1]
+# In an installed package, or in a checkout.
+_FOLDERS = (_HERE / "scenes", _HERE.parent / "scenes")
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
+_KEY_SHOWN = 80
+
+
+def scene_names() -> list[str]:
+    """Return the names of the scenes that come with telepulse."""
+    return sorted(path.stem for path in _folder().glob("*.toml"))
+
+
+def find_scene(name: str) -> Path:
+    """Return the path of a scene.
+
+    Parameters
+    ----------
+    name
+        A path to a scene file, or the name of a scene that comes with telepulse.
+
+    Raises
+    ------
+    SceneError
+        When there is no scene of that name.
+    """
+    path = Path(name)
+    if path.suffix == ".toml" or path.name != name:
+        return path
+    if name in scene_names():
+        return _folder() / f"{name}.toml"
+    if path.is_file():
+        return path
+    raise SceneError(f"{name}: no such scene; known by name: {', '.join(scene_names())}")
+
+
+def read_chain(path: Path) -> list[tuple[Path, Tables]]:
+    """Read a scene file and those that it extends.
+
+    Returns
+    -------
+    chain
+        Each file and its tables as written, without `extends`: the scene itself first.
+
+    Raises
+    ------
+    SceneError
+        When a file cannot be read, has an unknown section, extends itself over others, or the
+        chain has more than `MAX_CHAIN` files.
+    """
+    chain: list[tuple[Path, Tables]] = []
+    files = set[Path]()
+    following: Path | None = path
+    while following is not None:
+        tables = load_toml(following, "scene file")
+        for key in tables:
+            if key not in (*SECTIONS, "title", EXTENDS):
+                raise SceneError(
+                    f"{following}: {place([key])}: unknown key{suggest(key, SECTIONS)}"
+                )
+        chain.append((following, tables))
+        files.add(following.resolve())
+        parent = tables.pop(EXTENDS, None)
+        following = None if parent is None else _find_parent(following, parent, files)
+    return chain
+
+
+def load_document(path: Path) -> Tables:
+    """Return a scene's tables as written, merged with those of the scenes that it extends.
+
+    Raises SceneError.
+    """
+    return reduce(merge, (tables for _, tables in reversed(read_chain(path))))
+
+
+def merge(inherited: Tables, own: Tables) -> Tables:
+    """Return tables in which what is `own` goes before what is `inherited`."""
+    merged = dict(inherited)
+    for key, value in own.items():
+        old = merged.get(key)
+        inherits = isinstance(old, dict) and isinstance(value, dict) and _same_kind(old, value)
+        merged[key] = merge(old or {}, value) if inherits else value
+    return merged
+
+
+def _same_kind(inherited: Tables, own: Tables) -> bool:
+    return "kind" not in own or own["kind"] == inherited.get("kind")
+
+
+def load_toml(path: Path, what: str) -> Tables:
+    """Read a TOML file; `what` it should be is named where there is none. Raises SceneError."""
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        too_large = next(_too_large(document), None)
+    except FileNotFoundError:
+        raise SceneError(f"{path}: no such {what}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise SceneError(f"{path}: cannot be read: {error}") from None
+    except (ValueError, RecursionError) as error:
+        # Beside TOMLDecodeError: a number of thousands of digits, thousands of nested tables.
+        raise SceneError(f"{path}: not TOML: {error}") from None
+    if too_large is not None:
+        raise SceneError(f"{path}: {place(too_large)}: an integer of more than 64 bits")
+    return document
+
+
+def to_toml(tables: Tables) -> str:
+    """Return tables as TOML text, each with a [header] of its own."""
+    return "\n\n".join(_blocks(tables)) + "\n"
+
+
+def place(keys: Iterable[int | str]) -> str:
+    """Return keys that lead to a value as one dotted key, each cut where it is long."""
+    return ".".join(_key(str(key)[:_KEY_SHOWN]) for key in keys)
+
+
+def suggest(key: str, known: Iterable[str]) -> str:
+    """Return the end of an error's line: the known key that is closest to `key`, or all."""
+    close = difflib.get_close_matches(key, known, n=1)
+    return f"; did you mean {close[0]}?" if close else f"; known: {', '.join(known)}"
+
+
+def _folder() -> Path:
+    return next(folder for folder in _FOLDERS if folder.is_dir())
+
+
+def _find_parent(path: Path, parent: object, files: set[Path]) -> Path:
+    """Return the file that `path` extends; `files` are those of the chain so far."""
+    if not isinstance(parent, str):
+        raise SceneError(f"{path}: {EXTENDS}: must be a scene's name or file, got {shown(parent)}")
+    try:
+        found = path.parent / find_scene(parent)
+    except SceneError as error:
+        raise SceneError(f"{path}: {EXTENDS}: {error}") from None
+    if found.resolve() in files:
+        raise SceneError(f"{path}: {EXTENDS}: {found} is this scene or extends it in turn")
+    if not found.exists():
+        raise SceneError(f"{path}: {EXTENDS}: {found}: no such scene file")
+    if len(files) >= MAX_CHAIN:
+        raise SceneError(f"{path}: {EXTENDS}: more than {MAX_CHAIN} files extend one another")
+    return found
+
+
+def _too_large(value: Any, *keys: int | str) -> Iterator[list[int | str]]:
+    """Yield where integers are that TOML does not have; Python may not print them."""
+    if isinstance(value, dict | list):
+        for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from _too_large(inner, *keys, key)
+    elif isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
+        yield list(keys)
+
+
+def _blocks(tables: Tables, *names: str) -> Iterator[str]:
+    """Yield a table's own keys with its header, then the tables in it."""
+    own = [f"{_key(k)} = {_value(v)}" for k, v in tables.items() if not isinstance(v, dict)]
+    if own or not tables:
+        yield "\n".join([f"[{place(names)}]", *own] if names else own)
+    for key, value in tables.items():
+        if isinstance(value, dict):
+            yield from _blocks(value, *names, key)
+
+
+def _key(key: str) -> str:
+    return key if _BARE_KEY.fullmatch(key) else _string(key)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{_key(key)} = {_value(inner)}' for key, inner in value.items())}}}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_value, value))}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return _string(value)
+    if isinstance(value, datetime.date | datetime.time):
+        return value.isoformat()
+    return repr(value)
+
+
+def _string(text: str) -> str:
+    # JSON's escapes are TOML's, but for one character that TOML wants escaped as well.
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -1,0 +1,49 @@
+"""`telepulse scenes`: list, copy and show the scenes that come with telepulse."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from protocol.cli_options import one_line_errors, plain_console
+from protocol.config.scene_file import find_scene, load_document, scene_names, to_toml
+from protocol.host.result_files import create_file
+from telepulse.cli.options import PROGRAM, SceneArgument
+
+app = typer.Typer(no_args_is_help=True, help="The scenes that come with telepulse.")
+
+
+@app.command("list")
+def list_scenes() -> None:
+    """List each scene's name and title."""
+    console = plain_console()
+    names = scene_names()
+    width = max(map(len, names))
+    with one_line_errors(PROGRAM):
+        for name in names:
+            console.print(f"{name:{width}}  {load_document(find_scene(name)).get('title', '')}")
+
+
+@app.command()
+def copy(
+    scene: SceneArgument,
+    file: Annotated[
+        Path | None,
+        typer.Argument(metavar="FILE.toml", help="Else its name here; nothing is overwritten."),
+    ] = None,
+) -> None:
+    """Copy a scene's file, to be changed."""
+    with one_line_errors(PROGRAM):
+        path = find_scene(scene)
+        load_document(path)
+        target = file or Path(path.name)
+        create_file(target, path.read_text(encoding="utf-8"))
+    plain_console().print(f"{target}: change it, then: {PROGRAM} simulate {target}")
+
+
+@app.command()
+def show(scene: SceneArgument) -> None:
+    """Print all that a scene says, with what it takes over from the scenes that it extends."""
+    with one_line_errors(PROGRAM):
+        text = to_toml(load_document(find_scene(scene)))
+    plain_console().print(text, end="")
