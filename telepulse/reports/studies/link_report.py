@@ -1,4 +1,4 @@
-"""The study of links as a report: what to choose, error against delay, late samples, costs."""
+"""The study of links as a report: choice of delay, error against delay, late samples, costs."""
 
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ from telepulse.reports.studies.link_scores import (
     PROTOTYPE,
     TCP,
     LinkEffort,
-    LinkOutcome,
+    LinkResult,
     LinkScores,
 )
 
@@ -25,9 +25,9 @@ STYLES = ("o-", "s--", "^-")
 
 
 def report_links(scores: LinkScores, effort: LinkEffort) -> Report:
-    """The report on scores that took this effort."""
+    """Return the report on scores that took this effort."""
     return Report(
-        "Links: what to buffer and what to predict",
+        "Links: how much to buffer and how much to predict",
         (
             _choice_chapter(scores, effort),
             _curves_chapter(scores),
@@ -39,12 +39,12 @@ def report_links(scores: LinkScores, effort: LinkEffort) -> Report:
 
 def least_in_phase(
     scores: LinkScores, link: str, predictor: PredictorName
-) -> tuple[float, LinkOutcome]:
-    """The perceived delay in ms with the least error in phase, and what came of it."""
+) -> tuple[float, LinkResult]:
+    """Return the perceived delay in ms with the least error in phase, and its result."""
     return min(
         (
-            (delay_ms, outcome)
-            for delay_ms, outcome in scores.outcomes[link][predictor].items()
+            (delay_ms, result)
+            for delay_ms, result in scores.results[link][predictor].items()
             if delay_ms is not None
         ),
         key=lambda tried: tried[1].in_phase_n,
@@ -52,33 +52,33 @@ def least_in_phase(
 
 
 def advice(scores: LinkScores, link: str) -> str:
-    """What a user has to choose between over a link, in words."""
-    buffered = scores.outcomes[link][BUFFERED][None]
+    """Return a sentence on the two delays that a user can choose between over a link."""
+    buffered = scores.results[link][BUFFERED][None]
     delay_ms, best = least_in_phase(scores, link, BEST)
-    what = "all" if delay_ms == 0 else f"what is older than {delay_ms:g} ms"
+    share = "all" if delay_ms == 0 else f"all beyond a buffer of {delay_ms:g} ms"
     return (
-        f"Over {link}: buffer {buffered.delay_ms:.0f} ms, and the pulse of that long ago is felt"
-        f" with an error of {_mn(buffered.aligned_n)} mN, which is {_mn(buffered.in_phase_n)} mN"
-        f" ({buffered.in_phase_jnd:.2f} JND) off in phase; or let the {BEST} predict {what}, on"
-        f" average {best.horizon_ms:.0f} ms ahead, and be {_mn(best.in_phase_n)} mN"
-        f" ({best.in_phase_jnd:.2f} JND) off."
+        f"Over {link}: with a buffer of {buffered.delay_ms:.0f} ms, the pulse of that long ago is"
+        f" felt with an error of {_mn(buffered.aligned_n)} mN; its error in phase is"
+        f" {_mn(buffered.in_phase_n)} mN ({buffered.in_phase_jnd:.2f} JND). With the {BEST}"
+        f" predicting {share}, on average {best.horizon_ms:.0f} ms ahead, the error in phase is"
+        f" {_mn(best.in_phase_n)} mN ({best.in_phase_jnd:.2f} JND)."
     )
 
 
 def _choice_chapter(scores: LinkScores, effort: LinkEffort) -> Chapter:
     return Chapter(
-        "To choose",
+        "Choice of the perceived delay",
         (
-            "With the perceived delay E the finger feels the pulse of E ago: what has arrived by"
-            " then is buffered, the rest is predicted from the newest sample. In phase: against"
-            " the pulse at that very instant; aligned: against the pulse of E ago.",
-            *(advice(scores, link) for link in scores.outcomes),
+            "With the perceived delay E the finger feels the pulse of E ago. Samples that have"
+            " arrived by then are played, the rest is predicted from the newest one. In phase:"
+            " error against the pulse at that very instant; aligned: against the pulse of E ago.",
+            *(advice(scores, link) for link in scores.results),
             f"Both nodes in virtual time, a radial pulse with heart-rate variability in frames of"
             f" 5 ms, {len(effort.seeds)} times {effort.seconds:g} s by another seed, after"
             f" {effort.settle_seconds:g} s to learn in. NRMSE: over the pulse's standard deviation;"
-            " JND: a tenth of its peak to peak. The stack learns from this one kind of pulse;"
-            " arrhythmia is in `telepulse study prediction`. auto comes to trust the stack"
-            " slowly, if it does: its mean E may be on the way to 0.",
+            " JND: a tenth of its peak to peak. The stack learns this one kind of pulse;"
+            " arrhythmia is in `telepulse study prediction`. auto trusts the stack only after"
+            " some time, if at all: its mean E may still be falling to 0.",
         ),
         (_choice_table(scores),),
     )
@@ -86,14 +86,14 @@ def _choice_chapter(scores: LinkScores, effort: LinkEffort) -> Chapter:
 
 def _choice_table(scores: LinkScores) -> Table:
     rows = []
-    for link, by_predictor in scores.outcomes.items():
+    for link, by_predictor in scores.results.items():
         for predictor, curve in by_predictor.items():
             delay_ms, best = least_in_phase(scores, link, predictor)
             rows.append((link, predictor, f"{delay_ms:g}", *_cells(best)))
             auto = curve[None]
             rows.append((link, predictor, f"{AUTO}: {auto.delay_ms:.1f}", *_cells(auto)))
     return Table(
-        "The delay with the least error in phase, and what auto chooses",
+        "The delay with the least error in phase, and the choice of auto",
         (
             "link",
             "predictor",
@@ -109,13 +109,13 @@ def _choice_table(scores: LinkScores) -> Table:
             "lost",
         ),
         tuple(rows),
-        "Predicted: by how much the newest sample is too old, on average, and in how many ticks."
-        " Above 25 Hz: energy of what is felt over the pulse's. Felt: share of the time, the rest"
+        "Predicted: mean age of the newest sample over the played instant, and share of ticks."
+        " Above 25 Hz: energy of the felt force over the pulse's. Felt: share of the time; the rest"
         " was faded out for want of samples.",
     )
 
 
-def _cells(outcome: LinkOutcome) -> tuple[str, ...]:
+def _cells(outcome: LinkResult) -> tuple[str, ...]:
     return (
         f"{outcome.horizon_ms:.1f}",
         f"{outcome.predicted:.0%}",
@@ -134,10 +134,10 @@ def _mn(force_n: float) -> str:
 
 
 def _curves_chapter(scores: LinkScores) -> Chapter:
-    links = list(scores.outcomes)
+    links = list(scores.results)
     return Chapter(
-        "Error against what is buffered",
-        ("What is buffered need not be predicted: the two add up to the network's delay.",),
+        "Error against the buffered delay",
+        ("The buffered and the predicted time add up to the network's delay.",),
         tuple(_curve_table(scores, link) for link in links),
         tuple(
             Plot(
@@ -151,7 +151,7 @@ def _curves_chapter(scores: LinkScores) -> Chapter:
 
 
 def _curve_table(scores: LinkScores, link: str) -> Table:
-    by_predictor = scores.outcomes[link]
+    by_predictor = scores.results[link]
     rows = []
     for delay_ms, outcome in by_predictor[BUFFERED].items():
         if delay_ms is not None:
@@ -174,7 +174,7 @@ def _curve_table(scores: LinkScores, link: str) -> Table:
 
 def _draw(figure: "Figure", scores: LinkScores, link: str) -> None:
     in_phase, aligned = figure.subplots(1, 2, sharey=True)
-    for style, (predictor, curve) in zip(STYLES, scores.outcomes[link].items(), strict=True):
+    for style, (predictor, curve) in zip(STYLES, scores.results[link].items(), strict=True):
         tried = {delay_ms: each for delay_ms, each in curve.items() if delay_ms is not None}
         auto = curve[None]
         for axes, errors, chosen in (
@@ -202,15 +202,15 @@ def _policies_chapter(scores: LinkScores) -> Chapter:
     return Chapter(
         "Late samples",
         (
-            "Fresh is what the display does: a late sample is never thrown away but feeds the"
-            " predictor. A classic jitter buffer hands every sample over after one fixed delay,"
-            " throws away the 1 % that come later, and the same predictor goes on from there."
+            "Fresh is the display's policy: a late sample is never discarded but feeds the"
+            " predictor. A classic jitter buffer delivers every sample after one fixed delay and"
+            " discards the 1 % that come later; the same predictor continues from there."
             f" Over the link “{TCP}” as for the prototype, whose own link and recording are not"
-            " here. heartpy's recording takes part where heartpy is installed.",
+            " here. heartpy's recording is included where heartpy is installed.",
         ),
         (
             Table(
-                "NRMSE of what is played against the pulse of E ago",
+                "NRMSE of the played values against the pulse of E ago",
                 ("pulse", "late samples", "classic delay (ms)", *columns),
                 tuple(rows),
             ),
@@ -227,7 +227,7 @@ def _costs_chapter(scores: LinkScores) -> Chapter:
         "Cost",
         (
             "Processor time of one simulated millisecond, all of it predicted: both nodes, the link"
-            " and the scoring. What is above hold's is the predictor's.",
+            " and the scoring. The difference from hold is the predictor's cost.",
         ),
         (
             Table(

@@ -1,13 +1,16 @@
-"""Every link at every perceived delay with every predictor, and what a predictor costs.
+"""Scores of links: each link at each perceived delay with each predictor; late-sample policies.
 
-One way to play one link: so much buffered, the rest predicted, both nodes in virtual time.
+The perceived delay E says how much of a link's delay is buffered; the rest is predicted. Each case
+runs both nodes in virtual time. Three policies for late samples are compared over TCP:
 
-Three ways to treat late samples over TCP: predict from the newest, throw them away, hold.
-
-fresh: at time t the pulse of t − E is played; what has not arrived is predicted from the newest
-sample that has. classic: a jitter buffer hands over every sample one fixed delay after it was
-taken, with 1 % of them late and thrown away; what E asks for before that is predicted from what
-was handed over. hold: as fresh, but the newest value stays.
+fresh
+    At time t the pulse of t − E is played; what has not arrived is predicted from the newest
+    sample that has.
+classic buffer
+    A jitter buffer delivers every sample one fixed delay after it was taken and discards the 1 %
+    that come later; what E requires before that is predicted from the delivered samples.
+hold
+    As fresh, but the newest value is held instead of a prediction.
 """
 
 import math
@@ -33,13 +36,32 @@ from telepulse.simulation.virtual_time import Simulation
 
 SCENE = "radial"
 AUTO = "auto"
+PREDICTORS: tuple[PredictorName, ...] = ("hold", "linear", "stack")
+COST_ROUNDS = 2
+# Late-sample policies.
+DELAYS_MS = (0, 40, 80)
+FRAME = 5
+# A frame of five samples takes about this many bytes on the wire.
+FRAME_BYTES = 60
+LATE_TARGET = 0.01
+TICK_NS = 1_000_000_000 // RATE_HZ
+FRESH, CLASSIC, HOLD = "fresh", "classic buffer", "hold"
+# Figures of a prototype, at each of the delays.
+PROTOTYPE = {
+    FRESH: (0.108, 0.043, 0.039),
+    CLASSIC: (0.264, 0.251, 0.229),
+    HOLD: (0.770, 0.310, 0.261),
+}
+# The prototype played an arterial recording; heartpy's first is what we have.
+POLICY_SETS = ("variability", "heartpy data")
+POLICY_SECONDS = 60.0
 
-Floats = NDArray[np.float64]
+Nrmse = tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class LinkEffort:
-    """How long is played: `settle_seconds` to learn in, then `seconds` that count."""
+    """Simulated time: `settle_seconds` in which the predictor learns, then scored `seconds`."""
 
     seconds: float = 15.0
     settle_seconds: float = 20.0
@@ -47,10 +69,29 @@ class LinkEffort:
 
 
 @dataclass(frozen=True, slots=True)
-class LinkCell:
+class LinkSpec:
+    """A link as `parse_link` reads it, and the perceived delays in ms to run on it."""
+
+    text: str
+    delays_ms: tuple[float, ...]
+
+
+LAN, NEAR, FAR = "LAN", "20 ± 3 ms, 1 % lost", "40 ± 10 ms"
+BURSTS, TCP = "20 ms with bursts", "TCP, 40 ms, 1 % lost"
+LINKS: dict[str, LinkSpec] = {
+    LAN: LinkSpec("delay=0.5ms,jitter=0.2ms", (0, 4, 8, 12)),
+    NEAR: LinkSpec("delay=20ms,jitter=3ms,loss=1%", (0, 10, 20, 30, 40)),
+    FAR: LinkSpec("delay=40ms,jitter=10ms", (0, 20, 40, 60, 80)),
+    BURSTS: LinkSpec("delay=20ms,jitter=10ms,jitter_kind=bursts", (0, 20, 40, 80, 120)),
+    TCP: LinkSpec("delay=40ms,jitter=3ms,loss=1%,transport=tcp", (0, 40, 80, 120, 160)),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class LinkCase:
     """A link as `parse_link` reads it, a predictor, a perceived delay E and a seed.
 
-    delay_ms: None where the display chooses E. The seed is the link's and the pulse's.
+    delay_ms is None where the display chooses E. The seed is the link's and the pulse's.
     """
 
     link: str
@@ -64,14 +105,27 @@ class LinkCell:
 
 
 @dataclass(frozen=True, slots=True)
-class LinkOutcome:
-    """What came of it. deviation_n and peak_to_peak_n: the pulse's own, as felt.
+class LinkResult:
+    """Errors and delays of a case.
 
-    delay_ms: mean perceived delay E, so much is buffered. horizon_ms: by how much the newest
-    sample was older than what was played, so much is predicted, on average; longest_ms: at most.
-    predicted: share of ticks without a sample. felt: share of the time in which the pulse was
-    felt, and not faded out for want of samples. roughness: energy of what is felt above 25 Hz
-    over the pulse's. late, lost: shares of the samples.
+    Attributes
+    ----------
+    in_phase_n, aligned_n
+        RMS difference in N from the pulse at that very instant, and from the pulse of E ago.
+    deviation_n, peak_to_peak_n
+        Of the pulse itself, as felt, in N.
+    delay_ms
+        Mean perceived delay E, which is buffered.
+    horizon_ms, longest_ms
+        Mean and largest age of the newest sample over the played instant, which is predicted.
+    predicted
+        Share of the ticks without a sample.
+    felt
+        Share of the time in which the pulse was felt, not faded out for want of samples.
+    roughness
+        Energy of the felt force above 25 Hz over the pulse's.
+    late, lost
+        Shares of the samples.
     """
 
     in_phase_n: float
@@ -99,26 +153,103 @@ class LinkOutcome:
 
     @property
     def in_phase_jnd(self) -> float:
-        """The error in phase over the least difference in force that is felt."""
+        """Error in phase over the just noticeable difference in force."""
         return self.in_phase_n / (JND * self.peak_to_peak_n)
 
 
-def play(cell: LinkCell, effort: LinkEffort) -> LinkOutcome:
-    """Play a cell. Raises SceneError."""
-    scene = _scene(cell)
-    simulation = Simulation(scene, cell.seed)
+# By perceived delay; None: chosen by the display.
+Curve = dict[float | None, LinkResult]
+
+
+@dataclass(frozen=True, slots=True)
+class PolicyErrors:
+    """NRMSE of each late-sample policy at each of `DELAYS_MS`; the classic buffer's delay."""
+
+    errors: dict[str, Nrmse]
+    classic_delay_ms: int
+
+
+@dataclass(frozen=True, slots=True)
+class LinkScores:
+    """Results by link and predictor, policies by pulse, and costs by predictor.
+
+    A cost is the processor time in µs of a simulated millisecond, both nodes and the link.
+    """
+
+    results: dict[str, dict[PredictorName, Curve]]
+    policies: dict[str, PolicyErrors]
+    costs_us: dict[PredictorName, float]
+
+
+def score_links(
+    effort: LinkEffort, scheduler: str | None = None, links: dict[str, LinkSpec] = LINKS
+) -> LinkScores:
+    """Run every case on all cores or a Dask cluster, then measure the costs here.
+
+    Raises SweepError or SourceError.
+    """
+    cases = [
+        LinkCase(link.text, predictor, delay_ms, seed)
+        for link in links.values()
+        for predictor in PREDICTORS
+        for delay_ms in (*link.delays_ms, None)
+        for seed in effort.seeds
+    ]
+    found = dict(zip(cases, sweep(partial(run_link, effort=effort), cases, scheduler), strict=True))
+
+    def curve(link: LinkSpec, predictor: PredictorName) -> Curve:
+        return {
+            delay_ms: pooled(
+                found[LinkCase(link.text, predictor, delay_ms, seed)] for seed in effort.seeds
+            )
+            for delay_ms in (*link.delays_ms, None)
+        }
+
+    results = {
+        name: {predictor: curve(link, predictor) for predictor in PREDICTORS}
+        for name, link in links.items()
+    }
+    sets = [pulse for pulse in pulses(POLICY_SECONDS, seed=1) if pulse.name in POLICY_SETS]
+    policies = sweep(partial(run_policies, link=LINKS[TCP].text), sets, scheduler)
+    return LinkScores(
+        results,
+        {pulse.name: each for pulse, each in zip(sets, policies, strict=True)},
+        # Alone on the machine, after the others have ended.
+        in_one_thread(costs_us, effort),
+    )
+
+
+def costs_us(effort: LinkEffort) -> dict[PredictorName, float]:
+    """Return the least processor time of a simulated millisecond in some rounds, all predicted.
+
+    The predictors take turns, so that a busy moment of the machine affects all alike.
+    """
+    taken: dict[PredictorName, list[float]] = {predictor: [] for predictor in PREDICTORS}
+    seconds = effort.settle_seconds + effort.seconds
+    for _ in range(COST_ROUNDS):
+        for predictor in PREDICTORS:
+            began_s = time.process_time()
+            run_link(LinkCase(LINKS[FAR].text, predictor, 0.0), effort)
+            taken[predictor].append((time.process_time() - began_s) / seconds * 1e3)
+    return {predictor: min(each) for predictor, each in taken.items()}
+
+
+def run_link(case: LinkCase, effort: LinkEffort) -> LinkResult:
+    """Simulate a case. Raises SceneError."""
+    scene = _scene(case)
+    simulation = Simulation(scene, case.seed)
     delays_ns, horizons_ns = [], []
 
-    def watch(felt: TickState) -> None:
+    def watch(tick: TickState) -> None:
         newest_ns = simulation.newest_ns
         if newest_ns is not None:
-            delays_ns.append(felt.playout_delay_ns)
-            horizons_ns.append(max(0, felt.instant_ns - newest_ns))
+            delays_ns.append(tick.playout_delay_ns)
+            horizons_ns.append(max(0, tick.instant_ns - newest_ns))
 
     summary = simulation.run(effort.settle_seconds + effort.seconds, effort.settle_seconds, watch)
     samples, errors = summary.samples, summary.force_rmse_n
     horizon_ns, pulse_n = np.array(horizons_ns), _pulse_n(scene, effort)
-    return LinkOutcome(
+    return LinkResult(
         in_phase_n=errors.in_phase or math.nan,
         aligned_n=errors.aligned or math.nan,
         deviation_n=float(pulse_n.std()),
@@ -134,33 +265,32 @@ def play(cell: LinkCell, effort: LinkEffort) -> LinkOutcome:
     )
 
 
-def pooled(outcomes: Iterable[LinkOutcome]) -> LinkOutcome:
-    """One outcome of several seeds: forces by their root mean square, the rest by its mean."""
-    several = list(outcomes)
+def pooled(results: Iterable[LinkResult]) -> LinkResult:
+    """Pool the results of several seeds: forces by root mean square, the rest by the mean."""
+    several = list(results)
     values = {}
-    for field in fields(LinkOutcome):
-        column = np.array([getattr(outcome, field.name) for outcome in several])
+    for field in fields(LinkResult):
+        column = np.array([getattr(result, field.name) for result in several])
         is_force = field.name.endswith("_n")
         values[field.name] = float(np.sqrt(np.mean(column**2)) if is_force else column.mean())
-    longest_ms = max(outcome.longest_ms for outcome in several)
-    return replace(LinkOutcome(**values), longest_ms=longest_ms)
+    return replace(LinkResult(**values), longest_ms=max(one.longest_ms for one in several))
 
 
-def _scene(cell: LinkCell) -> Scene:
+def _scene(case: LinkCase) -> Scene:
     scene = load_scene(find_scene(SCENE))
-    source = scene.sensing.source.model_copy(update={"seed": cell.seed})
-    delay_ns = None if cell.delay_ms is None else round(cell.delay_ms * 1e6)
-    display = {"predictor": cell.predictor, "compensation_ns": delay_ns}
+    source = scene.sensing.source.model_copy(update={"seed": case.seed})
+    delay_ns = None if case.delay_ms is None else round(case.delay_ms * 1e6)
+    display = {"predictor": case.predictor, "compensation_ns": delay_ns}
     return replace(
         scene,
         sensing=scene.sensing.model_copy(update={"source": source}),
         display=scene.display.model_copy(update=display),
-        link=parse_link(cell.link),
+        link=parse_link(case.link),
     )
 
 
-def _pulse_n(scene: Scene, effort: LinkEffort) -> Floats:
-    """What should be felt while it is scored."""
+def _pulse_n(scene: Scene, effort: LinkEffort) -> NDArray[np.float64]:
+    """Return the force in N that should be felt in the scored time."""
     source = build_source(scene.sensing, scene.path.parent)
     rate_hz = 1e9 / source.period_ns
     source.take(round(effort.settle_seconds * rate_hz))
@@ -169,65 +299,39 @@ def _pulse_n(scene: Scene, effort: LinkEffort) -> Floats:
     return np.asarray(ratio * wrist_n, dtype=np.float64)
 
 
-DELAYS_MS = (0, 40, 80)
-FRAME = 5
-# What a frame of five samples takes on the wire, about.
-FRAME_BYTES = 60
-LATE_TARGET = 0.01
-TICK_NS = 1_000_000_000 // RATE_HZ
-FRESH, CLASSIC, HOLD = "fresh", "classic buffer", "hold"
-# What the project's issue on the link quotes of a prototype, at each of the delays.
-PROTOTYPE = {
-    FRESH: (0.108, 0.043, 0.039),
-    CLASSIC: (0.264, 0.251, 0.229),
-    HOLD: (0.770, 0.310, 0.261),
-}
-
-Nrmse = tuple[float, ...]
-Milliseconds = NDArray[np.int64]
-
-
-@dataclass(frozen=True, slots=True)
-class Policies:
-    """NRMSE of each policy at each of `DELAYS_MS`; the classic buffer's delay."""
-
-    errors: dict[str, Nrmse]
-    classic_delay_ms: int
-
-
-def play_policies(pulse: Pulse, link: str, seed: int = 1) -> Policies:
-    """Play a pulse over a link in each way; scored as in `telepulse study prediction`."""
+def run_policies(pulse: Pulse, link: str, seed: int = 1) -> PolicyErrors:
+    """Play a pulse over a link by each policy; scored as in `telepulse study prediction`."""
     arrived = arrivals_ms(len(pulse.sensed) // FRAME, link, seed)
     taken = np.arange(len(arrived)) * FRAME + FRAME - 1
     classic_ms = round(float(np.quantile(arrived - taken, 1 - LATE_TARGET, method="higher")))
-    handed_over = [
+    delivered = [
         sent + classic_ms if arrival - sent <= classic_ms else None
         for sent, arrival in zip(taken.tolist(), arrived.tolist(), strict=True)
     ]
-    return Policies(
+    return PolicyErrors(
         {
-            FRESH: _play(pulse, arrived.tolist(), build_predictor("stack", TICK_NS)),
-            CLASSIC: _play(pulse, handed_over, build_predictor("stack", TICK_NS)),
-            HOLD: _play(pulse, arrived.tolist(), build_predictor("hold", TICK_NS)),
+            FRESH: _policy_nrmse(pulse, arrived.tolist(), build_predictor("stack", TICK_NS)),
+            CLASSIC: _policy_nrmse(pulse, delivered, build_predictor("stack", TICK_NS)),
+            HOLD: _policy_nrmse(pulse, arrived.tolist(), build_predictor("hold", TICK_NS)),
         },
         classic_ms,
     )
 
 
-def arrivals_ms(frames: int, link: str, seed: int) -> Milliseconds:
-    """The tick at which each frame can be read; one that none was lost over."""
-    way = MessageLink(parse_link(link), seed)
+def arrivals_ms(frames: int, link: str, seed: int) -> NDArray[np.int64]:
+    """Return the tick at which each frame can be read, over a link that loses none."""
+    model = MessageLink(parse_link(link), seed)
     arrived_ns = []
     for frame in range(frames):
-        arrival_ns = way.data_arrival_ns((frame * FRAME + FRAME - 1) * TICK_NS, FRAME_BYTES)
+        arrival_ns = model.data_arrival_ns((frame * FRAME + FRAME - 1) * TICK_NS, FRAME_BYTES)
         if arrival_ns is None:
-            raise ValueError(f"{link}: frames are lost, so that there is no delay of theirs")
+            raise ValueError(f"{link}: frames are lost, so that they have no delay")
         arrived_ns.append(arrival_ns)
     return np.array([-(-arrival_ns // TICK_NS) for arrival_ns in arrived_ns])
 
 
-def _play(pulse: Pulse, known_at: Sequence[int | None], predictor: Predictor) -> Nrmse:
-    """NRMSE at each delay when frame i is known from tick known_at[i] on, in order; or never."""
+def _policy_nrmse(pulse: Pulse, known_at: Sequence[int | None], predictor: Predictor) -> Nrmse:
+    """Return the NRMSE at each delay; frame i is known from tick known_at[i] on, or never."""
     scored_from, ticks = round(SCORED_FROM_S * RATE_HZ), len(known_at) * FRAME
     frames = [(at, frame) for frame, at in enumerate(known_at) if at is not None]
     known = np.zeros(ticks, dtype=bool)
@@ -244,101 +348,10 @@ def _play(pulse: Pulse, known_at: Sequence[int | None], predictor: Predictor) ->
             continue
         for row, delay_ms in enumerate(DELAYS_MS):
             instant = now - delay_ms
-            played = (
+            value = (
                 float(pulse.sensed[instant])
                 if known[instant]
                 else predictor.predict(max(instant, newest) * TICK_NS)
             )
-            squares[row] += (played - pulse.true[instant]) ** 2
+            squares[row] += (value - pulse.true[instant]) ** 2
     return tuple(np.sqrt(squares / (ticks - scored_from)).tolist())
-
-
-PREDICTORS: tuple[PredictorName, ...] = ("hold", "linear", "stack")
-# The issue's prototype played an arterial recording; heartpy's first is what we have.
-POLICY_SETS = ("variability", "heartpy data")
-POLICY_SECONDS = 60.0
-COST_ROUNDS = 2
-
-
-@dataclass(frozen=True, slots=True)
-class Link:
-    """A link as `parse_link` reads it, and the perceived delays to try on it."""
-
-    text: str
-    delays_ms: tuple[float, ...]
-
-
-LAN, NEAR, FAR = "LAN", "20 ± 3 ms, 1 % lost", "40 ± 10 ms"
-BURSTS, TCP = "20 ms with bursts", "TCP, 40 ms, 1 % lost"
-LINKS: dict[str, Link] = {
-    LAN: Link("delay=0.5ms,jitter=0.2ms", (0, 4, 8, 12)),
-    NEAR: Link("delay=20ms,jitter=3ms,loss=1%", (0, 10, 20, 30, 40)),
-    FAR: Link("delay=40ms,jitter=10ms", (0, 20, 40, 60, 80)),
-    BURSTS: Link("delay=20ms,jitter=10ms,jitter_kind=bursts", (0, 20, 40, 80, 120)),
-    TCP: Link("delay=40ms,jitter=3ms,loss=1%,transport=tcp", (0, 40, 80, 120, 160)),
-}
-# By perceived delay; None: chosen by the display.
-Curve = dict[float | None, LinkOutcome]
-
-
-@dataclass(frozen=True, slots=True)
-class LinkScores:
-    """outcomes: by link and predictor; policies: by pulse; costs_us: processor time of a
-    simulated millisecond, both nodes and the link, by predictor."""
-
-    outcomes: dict[str, dict[PredictorName, Curve]]
-    policies: dict[str, Policies]
-    costs_us: dict[PredictorName, float]
-
-
-def score_links(
-    effort: LinkEffort, scheduler: str | None = None, links: dict[str, Link] = LINKS
-) -> LinkScores:
-    """Play everything on all cores or a Dask cluster, then take the costs here.
-
-    Raises SweepError or SourceError.
-    """
-    cells = [
-        LinkCell(link.text, predictor, delay_ms, seed)
-        for link in links.values()
-        for predictor in PREDICTORS
-        for delay_ms in (*link.delays_ms, None)
-        for seed in effort.seeds
-    ]
-    played = dict(zip(cells, sweep(partial(play, effort=effort), cells, scheduler), strict=True))
-
-    def curve(link: Link, predictor: PredictorName) -> Curve:
-        return {
-            delay_ms: pooled(
-                played[LinkCell(link.text, predictor, delay_ms, seed)] for seed in effort.seeds
-            )
-            for delay_ms in (*link.delays_ms, None)
-        }
-
-    outcomes = {
-        name: {predictor: curve(link, predictor) for predictor in PREDICTORS}
-        for name, link in links.items()
-    }
-    sets = [pulse for pulse in pulses(POLICY_SECONDS, seed=1) if pulse.name in POLICY_SETS]
-    policies = sweep(partial(play_policies, link=LINKS[TCP].text), sets, scheduler)
-    return LinkScores(
-        outcomes,
-        {pulse.name: each for pulse, each in zip(sets, policies, strict=True)},
-        # Alone on the machine, once the others have ended.
-        in_one_thread(costs_us, effort),
-    )
-
-
-def costs_us(effort: LinkEffort) -> dict[PredictorName, float]:
-    """Least processor time of a millisecond of simulation in some rounds, all predicted.
-
-    The predictors take turns, so that a busy moment of the machine falls on all alike.
-    """
-    taken: dict[PredictorName, list[float]] = {predictor: [] for predictor in PREDICTORS}
-    for _ in range(COST_ROUNDS):
-        for predictor in PREDICTORS:
-            began_s = time.process_time()
-            play(LinkCell(LINKS[FAR].text, predictor, 0.0), effort)
-            seconds = effort.settle_seconds + effort.seconds
-            taken[predictor].append((time.process_time() - began_s) / seconds * 1e3)
-    return {predictor: min(each) for predictor, each in taken.items()}

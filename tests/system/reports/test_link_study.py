@@ -10,22 +10,21 @@ from display_node.control.safety import SafetyScene
 from telepulse.cli.main import app
 from telepulse.reports.document import THEMES
 from telepulse.reports.studies import link_scores
-from telepulse.reports.studies import link_scores as link_policies
 from telepulse.reports.studies.link_report import advice, least_in_phase, report_links
 from telepulse.reports.studies.link_scores import (
     CLASSIC,
     FRESH,
     HOLD,
     PREDICTORS,
-    Link,
-    LinkCell,
+    LinkCase,
     LinkEffort,
-    LinkOutcome,
+    LinkResult,
     LinkScores,
+    LinkSpec,
     arrivals_ms,
-    play,
-    play_policies,
     pooled,
+    run_link,
+    run_policies,
     score_links,
 )
 from telepulse.reports.studies.prediction_pulses import Pulse, synthetic_pulses
@@ -33,7 +32,7 @@ from telepulse.reports.studies.prediction_pulses import Pulse, synthetic_pulses
 LITTLE = LinkEffort(seconds=4, settle_seconds=2, seeds=(1,))
 FAR = "delay=40ms,jitter=1ms"
 STALLS = "delay=40ms,jitter=3ms,loss=1%,transport=tcp"
-OUTCOME = LinkOutcome(
+OUTCOME = LinkResult(
     in_phase_n=0.03,
     aligned_n=0.01,
     deviation_n=0.1,
@@ -64,7 +63,8 @@ def made_up() -> LinkScores:
 
 def test_what_is_not_buffered_is_predicted() -> None:
     some = {
-        delay_ms: play(LinkCell(FAR, "linear", delay_ms), LITTLE) for delay_ms in (0.0, 20.0, 80.0)
+        delay_ms: run_link(LinkCase(FAR, "linear", delay_ms), LITTLE)
+        for delay_ms in (0.0, 20.0, 80.0)
     }
     for delay_ms, outcome in some.items():
         assert outcome.delay_ms == pytest.approx(delay_ms, abs=0.5)
@@ -77,7 +77,7 @@ def test_what_is_not_buffered_is_predicted() -> None:
 
 def test_both_errors_follow_the_delay() -> None:
     hold, linear, buffered = (
-        play(LinkCell(FAR, predictor, delay_ms), LITTLE)
+        run_link(LinkCase(FAR, predictor, delay_ms), LITTLE)
         for predictor, delay_ms in (("hold", 0.0), ("linear", 0.0), ("linear", 80.0))
     )
     assert linear.in_phase < hold.in_phase < buffered.in_phase
@@ -87,8 +87,8 @@ def test_both_errors_follow_the_delay() -> None:
 
 
 def test_what_is_faded_out_is_not_felt_and_not_scored() -> None:
-    cut = play(LinkCell("delay=20ms,cut.from=4s,cut.for=1s", "hold", 40.0), LITTLE)
-    whole = play(LinkCell("delay=20ms", "hold", 40.0), LITTLE)
+    cut = run_link(LinkCase("delay=20ms,cut.from=4s,cut.for=1s", "hold", 40.0), LITTLE)
+    whole = run_link(LinkCase("delay=20ms", "hold", 40.0), LITTLE)
     assert whole.felt == pytest.approx(1, abs=0.001)
     # A second of silence, less what it takes to notice, and the ramp back to full strength.
     silent_s = 1 + SafetyScene().ramp_ns * 1e-9
@@ -108,11 +108,11 @@ def test_seeds_are_pooled_by_mean_squares_and_the_longest_horizon() -> None:
 def test_fresh_samples_beat_a_classic_buffer_and_holding_in_every_cell(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(link_policies, "SCORED_FROM_S", 6.0)
+    monkeypatch.setattr(link_scores, "SCORED_FROM_S", 6.0)
     true = synthetic_pulses(10, seed=1)["variability"]
     true = true / true.std()
     sensed = true + 0.01 * np.random.default_rng(1).standard_normal(len(true))
-    played = play_policies(Pulse("variability", sensed, true), STALLS)
+    played = run_policies(Pulse("variability", sensed, true), STALLS)
     # One frame in a hundred is late: the delay reaches far into the stalls.
     assert 100 < played.classic_delay_ms < 160
     errors = {name: np.array(played.errors[name]) for name in (FRESH, CLASSIC, HOLD)}
@@ -133,9 +133,9 @@ def test_the_report_says_what_to_choose() -> None:
     scores = made_up()
     assert [least_in_phase(scores, "here", name)[0] for name in PREDICTORS] == [40, 40, 0]
     assert advice(scores, "here") == (
-        "Over here: buffer 20 ms, and the pulse of that long ago is felt with an error of 0.2 mN,"
-        " which is 45.0 mN (1.50 JND) off in phase; or let the stack predict all, on average 44 ms"
-        " ahead, and be 10.0 mN (0.33 JND) off."
+        "Over here: with a buffer of 20 ms, the pulse of that long ago is felt with an error of"
+        " 0.2 mN; its error in phase is 45.0 mN (1.50 JND). With the stack predicting all, on"
+        " average 44 ms ahead, the error in phase is 10.0 mN (0.33 JND)."
     )
     table = report_links(scores, LITTLE).chapters[0].tables[0]
     assert [row[:3] for row in table.rows[-2:]] == [
@@ -148,7 +148,7 @@ def test_the_command_plays_prints_its_tables_and_writes_page_pictures_and_json(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tiny = LinkEffort(seconds=1, settle_seconds=1, seeds=(1,))
-    links = {"far": Link(FAR, (0.0, 80.0))}
+    links = {"far": LinkSpec(FAR, (0.0, 80.0))}
     monkeypatch.setattr(link_scores, "pulses", lambda *_, **__: [])
     monkeypatch.setattr(
         link_scores, "score_links", lambda _, scheduler: score_links(tiny, scheduler, links)

@@ -12,7 +12,7 @@ from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError, SweepError
 from telepulse.cli.main import app
 from telepulse.reports.studies import sweep as sweep_module
-from telepulse.reports.studies.link_scores import LinkCell, LinkEffort, play
+from telepulse.reports.studies.link_scores import LinkCase, LinkEffort, run_link
 from telepulse.reports.studies.playout_links import GAUSSIAN
 from telepulse.reports.studies.playout_scores import PlayoutEffort, score_playout
 from telepulse.reports.studies.sweep import THREADS, in_one_thread, sweep
@@ -20,9 +20,9 @@ from tests.support.nodes import free_address, process
 
 LONG_S = 60
 LITTLE = PlayoutEffort(seconds=3, scan=2, bisections=1, links=(GAUSSIAN,))
-play_little = partial(play, effort=LinkEffort(seconds=1, settle_seconds=1))
-CELLS = [
-    LinkCell("delay=20ms,jitter=3ms,loss=5%", "linear", delay_ms, seed)
+play_little = partial(run_link, effort=LinkEffort(seconds=1, settle_seconds=1))
+CASES = [
+    LinkCase("delay=20ms,jitter=3ms,loss=5%", "linear", delay_ms, seed)
     for delay_ms in (0.0, None)
     for seed in (1, 2)
 ]
@@ -77,10 +77,10 @@ def test_every_worker_has_one_thread() -> None:
 
 
 def test_all_cores_and_a_cluster_find_what_one_process_finds(cluster: str) -> None:
-    alone = [play_little(cell) for cell in CELLS]
-    assert len({outcome.in_phase_n for outcome in alone}) == len(CELLS)
-    assert sweep(play_little, CELLS) == alone
-    assert sweep(play_little, CELLS, cluster) == alone
+    alone = [play_little(case) for case in CASES]
+    assert len({outcome.in_phase_n for outcome in alone}) == len(CASES)
+    assert sweep(play_little, CASES) == alone
+    assert sweep(play_little, CASES, cluster) == alone
 
 
 def test_a_study_is_the_same_on_a_cluster(cluster: str) -> None:
@@ -90,9 +90,9 @@ def test_a_study_is_the_same_on_a_cluster(cluster: str) -> None:
 def test_a_case_that_fails_is_named(cluster: str) -> None:
     with pytest.raises(SweepError, match=r"^-1: ValueError: math domain error$"):
         sweep(math.sqrt, [4, -1, 9], cluster)
-    lost = LinkCell("delay=40parsec", "hold", 0.0)
+    lost = LinkCase("delay=40parsec", "hold", 0.0)
     with pytest.raises(SweepError, match=r"^hold at E = 0 ms over delay=40parsec, seed 1: Scene"):
-        sweep(play_little, [CELLS[0], lost])
+        sweep(play_little, [CASES[0], lost])
 
 
 def test_a_worker_that_dies_is_said() -> None:
