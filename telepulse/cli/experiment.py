@@ -1,4 +1,4 @@
-"""`telepulse experiment`: run blinded trials, and say what they show."""
+"""`telepulse experiment`: run blinded trials and report their results."""
 
 from contextlib import ExitStack, closing
 from importlib.resources import files
@@ -25,7 +25,7 @@ from telepulse.reports.document import Report
 
 app = typer.Typer(
     no_args_is_help=True,
-    help="Can a finger tell the link from direct playback? Blinded trials, and what they show.",
+    help="Blinded trials: can a finger tell the link from direct playback?",
 )
 SessionArgument = Annotated[Path, typer.Argument(metavar="SESSION.toml", show_default=False)]
 
@@ -56,16 +56,14 @@ def run(
     log: Annotated[
         Path, typer.Option(metavar="FILE.jsonl", help="Write the trials here, each at once.")
     ],
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with a log that is there already.")
-    ] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue an existing log.")] = False,
     observer: Annotated[
         float | None,
         typer.Option(
             metavar="'5 %'",
             parser=_threshold,
-            help="No person: a simulated observer answers, in virtual time. Its threshold, as a"
-            " share of the pulse from peak to peak.",
+            help="Threshold of a simulated observer that answers in virtual time instead of a"
+            " person, as a share of the pulse from peak to peak.",
         ),
     ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask before the drive moves.")] = False,
@@ -73,8 +71,8 @@ def run(
         bool,
         typer.Option(
             "--without-drive",
-            help="Run a scene that names no drive, to try a session: its models run, nobody feels"
-            " anything, and the log has it so.",
+            help="Run the models of a scene without a drive, to try a session. Nobody feels"
+            " anything, and the log records that.",
         ),
     ] = False,
     realtime: RealtimeOption = None,
@@ -82,8 +80,8 @@ def run(
     """Run a session: the subject feels A, B and X on the scene's actuator, and answers by keys.
 
     A scene with a [display.drive] is felt on the real bench. One without is refused for a person,
-    who would feel nothing, unless --without-drive is given. What A, B and X were is said when the
-    session has ended.
+    who would feel nothing, unless --without-drive is given. The report at the end of the session
+    shows what A, B and X were.
 
     Exit status: 0 when it has ended or was stopped by q, 2 when it cannot be run or a fault ends
     it; the reason is one line on stderr.
@@ -97,7 +95,7 @@ def run(
         check_playable,
         open_log,
         run_session,
-        simulated,
+        simulated_subject,
     )
     from telepulse.experiment.session import load_plan
 
@@ -111,7 +109,7 @@ def run(
         file, header, done = open_log(log, plan, observer, resume)
         stack.enter_context(closing(file))
         if observer is not None:
-            subject = simulated(plan, observer, header.seed)
+            subject = simulated_subject(plan, observer, header.seed)
         else:
             scene = plan.direct
             check_playable(plan, header)
@@ -122,7 +120,7 @@ def run(
                 if keyboard.await_key() != "y":
                     raise SystemExit(1)
             freeze_objects()
-            # The last: what can fail without the drive has failed before it moves.
+            # Last, so that everything that can fail without the drive fails before it moves.
             bench = connected(scene.display, scene.path.parent, console.print)
             hardware = stack.enter_context(bench)
             if hardware is not None:
@@ -132,7 +130,7 @@ def run(
             subject = person.answer
         finished = run_session(plan, file, header, done, subject)
     if not finished:
-        console.print(f"stopped; go on: telepulse experiment run {session} --log {log} --resume")
+        console.print(f"stopped; continue: telepulse experiment run {session} --log {log} --resume")
         return
     publish(lambda: build_report([read_log(log)]), None, None)
 
@@ -146,7 +144,7 @@ def report(
     ] = False,
     json: TablesOption = None,
 ) -> None:
-    """Report what the logs show: proportions with exact intervals, thresholds, objective errors.
+    """Report the results of logs: proportions with exact intervals, thresholds, objective errors.
 
     Several logs are several subjects of one experiment: people or simulated observers, on one
     scene, with intervals of one kind. Trials in which more than 1 % of the ticks were
@@ -164,7 +162,7 @@ def report(
 
 @app.command()
 def plan(json: TablesOption = None) -> None:
-    """Print how many trials it takes to show what, and what six can."""
+    """Print the number of trials that an effect takes to show, and what six trials can show."""
     from telepulse.experiment.psychometrics import build_plan
 
     publish(build_plan, None, json)

@@ -1,9 +1,9 @@
-"""An interval of a trial: the pulse behind a curtain that opens for a while.
+"""An interval of a trial: the pulse is felt while a gate in the display's safety is open.
 
-The stream runs, over its link or none, to the display as in every node. Until the curtain opens
-the actuator rests; then Safety ramps up, and when it closes Safety fades, as for a stream that
-comes and goes. When it does so is a matter of the display's clock alone, so neither the link's
-delay nor how long it takes to join can be told from when the pulse is felt.
+The stream runs, over its link or none, to the display as in every node. While the gate is closed,
+the actuator rests. Safety ramps up when the gate opens and fades when it closes, as for a stream
+that begins and ends. The display's clock alone opens and closes the gate, so that the begin of
+the pulse shows neither the link's delay nor the time to join.
 """
 
 import math
@@ -23,19 +23,19 @@ from telepulse.experiment.session import Letter, SessionPlan, Trial
 from telepulse.scene import Scene
 from telepulse.simulation.virtual_time import Simulation
 
-# Longer than a beat: the pulse begins to be felt anywhere in one.
+# Longer than a beat: the gate opens at any phase of it.
 FOREPERIOD_NS = 1_000_000_000
-# After the fade, so that the layer has come to rest.
+# Time after the fade until the layer is at rest.
 REST_NS = 150_000_000
-# More ticks missed in an interval than this share, and it is not what the condition says.
+# An interval with a larger share of missed ticks does not represent its condition.
 MOST_MISSED = 0.01
-# Of logs that do not hold their ticks.
+# Ticks of an interval in a log without their count.
 TICKS_PER_S = 1_000
 
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """One interval to be felt. foreperiod_ns: from the beginning until the curtain opens."""
+    """One interval to be felt. foreperiod_ns: from the begin until the gate opens."""
 
     letter: Letter
     scene: Scene
@@ -46,12 +46,22 @@ class Interval:
 
 
 class PlayedInterval(BaseModel):
-    """The record of an interval that was felt, as the log has it.
+    """The record of an interval in the log.
 
-    Errors are RMSE in N against what was sensed; pulse_n: from peak to peak, what should have
-    been felt; felt_s: at full strength. ticks: of the whole interval, missed ones included;
-    stale_ticks: of those in which the curtain was open and the stream was stale; longest_gap_ms:
-    longest time between two ticks. Logs of before these have none of them.
+    Attributes
+    ----------
+    felt_s : float
+        Time at full strength.
+    aligned_n, in_phase_n : float or None
+        Force RMSE against the pulse of the instant played, and of the present.
+    pulse_n : float
+        Reference pulse from peak to peak.
+    ticks : int
+        Ticks of the whole interval, missed ones included; 0 in logs of older versions.
+    stale_ticks : int
+        Ticks with the gate open and a stale stream.
+    longest_gap_ms : float
+        Longest time between two ticks.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -73,37 +83,38 @@ class PlayedInterval(BaseModel):
 
     @property
     def stale(self) -> str:
-        """Description of how the stream was stale while it was felt, "" where it was not."""
+        """Description of the stream's staleness while it was felt, "" where it was not stale."""
         if self.stale_ticks:
-            return f"the stream stale for {100 * self.stale_ticks / self._of:.1f} % of the ticks"
+            percent = 100 * self.stale_ticks / self._tick_count
+            return f"the stream stale for {percent:.1f} % of the ticks"
         return "" if self.felt_s else "never felt at full strength"
 
     @property
     def spoilt(self) -> str:
-        """Reason why this is not what the trial was to be, "" where it is.
+        """Reason why the machine spoilt the interval, "" where it did not.
 
-        A stream that is stale over the link is the condition's own, which is under test: no link
-        but the model's lies between source and display, and its times are the model's, however
-        late a tick is. What the machine does shows in missed ticks alone.
+        A stream that is stale over the link is an effect of the condition, which is under test:
+        the only link between source and display is the model, whose times do not depend on the
+        machine. A slow machine shows as missed ticks.
         """
-        if self.deadline_misses > MOST_MISSED * self._of:
-            return f"{100 * self.deadline_misses / self._of:.1f} % of the ticks missed"
+        if self.deadline_misses > MOST_MISSED * self._tick_count:
+            return f"{100 * self.deadline_misses / self._tick_count:.1f} % of the ticks missed"
         if self.longest_gap_ms > GAP_NS * 1e-6:
             return f"no tick for {self.longest_gap_ms:.0f} ms"
         return "" if self.on_link else self.stale
 
     @property
-    def _of(self) -> int:
+    def _tick_count(self) -> int:
         return self.ticks or max(1, round(self.felt_s * TICKS_PER_S))
 
 
 def draw_interval(
     plan: SessionPlan, seed: int, index: int, trial: Trial, letter: Letter, nth: int
 ) -> Interval:
-    """The nth playing of a letter in a trial.
+    """Return the nth playing of a letter in a trial.
 
-    All letters of a trial have the same beats. The link's chances and the foreperiod are drawn
-    anew for each playing, so that X is never the very same as A or B.
+    All letters of a trial have the same beats. The link's random numbers and the foreperiod are
+    drawn anew for each playing, so that X is never identical to A or B.
     """
     random = Random(f"interval {seed} {index} {letter} {nth}")
     on_link = trial.on_link(letter)
@@ -123,55 +134,57 @@ def draw_interval(
 
 
 class GatedSafety(Safety):
-    """Safety that takes the stream for stale while it is closed."""
+    """Safety that treats the stream as stale while its gate is closed."""
 
-    opened = False
+    is_open = False
     stale_ticks = 0
 
     def bound(self, reference_n: list[float], alive: bool) -> list[float]:
-        """The reference within force and slew limits; towards 0 N while closed."""
-        self.stale_ticks += self.opened and not alive
-        return super().bound(reference_n, alive and self.opened)
+        """Return the reference within force and slew limits; towards 0 N while closed."""
+        self.stale_ticks += self.is_open and not alive
+        return super().bound(reference_n, alive and self.is_open)
 
 
 class IntervalPlayback:
-    """An interval that is being felt. Pure: whoever ticks it has the clock, and the bench."""
+    """An interval that is being felt. Pure: the caller has the clock and the bench.
+
+    Raises SceneError or SourceError.
+    """
 
     def __init__(self, interval: Interval, begin_ns: int, hardware: Hardware | None = None) -> None:
-        """Raises SceneError or SourceError."""
         scene = interval.scene.display
         self._interval = interval
         self._simulation = Simulation(interval.scene, interval.link_seed, begin_ns, hardware)
-        self._curtain = self._simulation.display.safety = GatedSafety(scene.safety, scene.tick_ns)
+        self._safety = self._simulation.display.safety = GatedSafety(scene.safety, scene.tick_ns)
         self._tick_ns = scene.tick_ns
         self._open_ns = begin_ns + interval.foreperiod_ns
         self._close_ns = self._open_ns + interval.felt_ns
         self._rest_ns = scene.safety.fade_ns + REST_NS
         self._simulation.begin((self._close_ns + self._rest_ns - begin_ns) * 1e-9)
         self._all_ticks, self._longest_ticks = 0, 1
-        self._ticks, self._least_n, self._most_n = 0, math.inf, -math.inf
+        self._scored_ticks, self._least_n, self._most_n = 0, math.inf, -math.inf
         self.deadline_misses = 0
 
     @property
     def display(self) -> Display:
-        """The display that plays it."""
+        """The display that plays the interval."""
         return self._simulation.display
 
     def tick(self, now_ns: int, elapsed_ticks: int = 1) -> bool:
-        """Tick the display; False when it is over, and the actuator at rest."""
+        """Tick the display; return False once the interval is over and the actuator at rest."""
         self.deadline_misses += elapsed_ticks - 1
         self._all_ticks += elapsed_ticks
         self._longest_ticks = max(self._longest_ticks, elapsed_ticks)
-        self._curtain.opened = self._open_ns <= now_ns < self._close_ns
-        felt = self._simulation.tick(now_ns, elapsed_ticks)
-        if felt.scored:
-            self._ticks += elapsed_ticks
-            self._least_n = min(self._least_n, felt.target_n)
-            self._most_n = max(self._most_n, felt.target_n)
+        self._safety.is_open = self._open_ns <= now_ns < self._close_ns
+        state = self._simulation.tick(now_ns, elapsed_ticks)
+        if state.scored:
+            self._scored_ticks += elapsed_ticks
+            self._least_n = min(self._least_n, state.target_n)
+            self._most_n = max(self._most_n, state.target_n)
         return now_ns < self._close_ns + self._rest_ns
 
     def stop(self, now_ns: int) -> None:
-        """Close the curtain now."""
+        """Close the gate now."""
         self._close_ns = min(self._close_ns, now_ns)
 
     def played(self) -> PlayedInterval:
@@ -184,7 +197,7 @@ class IntervalPlayback:
             on_link=interval.on_link,
             link_seed=interval.link_seed,
             foreperiod_s=interval.foreperiod_ns * 1e-9,
-            felt_s=self._ticks * self._tick_ns * 1e-9,
+            felt_s=self._scored_ticks * self._tick_ns * 1e-9,
             aligned_n=force.aligned,
             in_phase_n=force.in_phase,
             roughness_felt_n=rough.felt_n,
@@ -192,7 +205,7 @@ class IntervalPlayback:
             pulse_n=max(0.0, self._most_n - self._least_n),
             deadline_misses=self.deadline_misses,
             ticks=self._all_ticks,
-            stale_ticks=self._curtain.stale_ticks,
+            stale_ticks=self._safety.stale_ticks,
             longest_gap_ms=self._longest_ticks * self._tick_ns * 1e-6,
         )
 
@@ -206,9 +219,9 @@ def play_in_virtual_time(interval: Interval) -> PlayedInterval:
 
 
 def error_share(played: Sequence[PlayedInterval], letter: Letter) -> float:
-    """Mean aligned force error of a letter's intervals over the direct pulse from peak to peak.
+    """Return the mean aligned force error of a letter over the direct pulse from peak to peak.
 
-    An interval that never came to its full strength is all error: 1. NaN without any.
+    An interval that was never felt at full strength counts as 1. NaN without any interval.
     """
     pulse_n = max((p.pulse_n for p in played if not p.on_link), default=0.0)
     shares = [

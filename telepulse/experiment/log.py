@@ -1,15 +1,13 @@
-"""The log of a session: a JSON line for the session, then one for each trial, on the disk at once.
+"""The log of a session, and the results of one log or several.
 
-A line that a crash cut short is the last, and is left out.
-
-Results of logs: answers by condition, from one subject or several.
+A log has a JSON line for the session, then one for each trial, each on the disk at once. An
+incomplete last line, as after a crash, is ignored.
 """
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,17 +22,15 @@ from telepulse.experiment.session import Kind, SessionTable, Trial
 
 
 class LogError(TelepulseError, ValueError):
-    """A session's log cannot be read, or does not go with what it is used for."""
+    """A session's log cannot be used.
+
+    Example scenarios: no such file, an edited line, logs of two experiments in one report.
+    """
 
 
 def now() -> str:
-    """The time, as in the log."""
+    """Return the present time in the log's format."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
-
-
-def our_version() -> str:
-    """Telepulse's."""
-    return version("telepulse")
 
 
 class _Line(BaseModel):
@@ -42,9 +38,12 @@ class _Line(BaseModel):
 
 
 class SessionHeader(_Line):
-    """The first line. tables: session file and scene as written; threshold: of the simulated
-    observer, None for a person. felt_on: "drive", or "models", on which nobody feels anything.
-    provenance: of the run. Logs of before these two have neither."""
+    """The first line.
+
+    tables: session file and scene as written; threshold: of the simulated observer, None for a
+    person. felt_on: "drive", or "models", on which nobody feels anything. provenance: of the run.
+    Logs of older versions have neither of these two.
+    """
 
     line: Literal["session"] = "session"
     version: str
@@ -58,15 +57,18 @@ class SessionHeader(_Line):
 
     @property
     def subject(self) -> str:
-        """The one who answers, and on what: answers of one kind alone may be pooled."""
+        """Kind of subject and bench; only answers of one kind may be pooled."""
         if self.threshold is not None:
             return "a simulated observer"
         return "a person on the scene's models" if self.felt_on == "models" else "a person"
 
 
 class AnsweredTrial(_Line):
-    """A trial. answer: what X was said to be, or the rating; response_s: from when the trial
-    began, None of a simulated observer; played: every interval felt, in order."""
+    """A trial.
+
+    answer: the letter that X was identified as, or the rating; response_s: from the begin of the
+    trial, None of a simulated observer; played: every interval felt, in order.
+    """
 
     line: Literal["trial"] = "trial"
     time: str
@@ -77,7 +79,7 @@ class AnsweredTrial(_Line):
 
 
 class ResumedSession(_Line):
-    """The session goes on."""
+    """The session was resumed."""
 
     line: Literal["resumed"] = "resumed"
     version: str
@@ -92,7 +94,7 @@ _LINE: TypeAdapter[SessionHeader | AnsweredTrial | ResumedSession] = TypeAdapter
 
 @dataclass(frozen=True, slots=True)
 class SessionLog:
-    """A log, read. whole_bytes: up to the end of its last whole line."""
+    """A log that was read. whole_bytes: length up to the end of its last whole line."""
 
     path: Path
     header: SessionHeader
@@ -102,7 +104,7 @@ class SessionLog:
 
     @property
     def finished(self) -> bool:
-        """True where all trials were answered."""
+        """True where all trials are answered."""
         return len(self.answered) == len(self.header.trials)
 
 
@@ -115,7 +117,7 @@ def read_log(path: Path) -> SessionLog:
     whole_bytes = data.rfind(b"\n") + 1
     lines = [_parse(path, n, line) for n, line in enumerate(data[:whole_bytes].splitlines(), 1)]
     if not lines or not isinstance(lines[0], SessionHeader):
-        raise LogError(f"{path}: no log of a session: its first line is none of a session")
+        raise LogError(f"{path}: not a log: its first line is not that of a session")
     header = lines[0]
     answered = tuple(line for line in lines if isinstance(line, AnsweredTrial))
     if [line.index for line in answered] != list(range(len(answered))) or len(answered) > len(
@@ -130,22 +132,25 @@ def _parse(path: Path, number: int, line: bytes) -> SessionHeader | AnsweredTria
     try:
         return _LINE.validate_json(line)
     except ValidationError:
-        raise LogError(f"{path}: line {number}: no line of a session's log") from None
+        raise LogError(f"{path}: line {number}: not a line of a session's log") from None
 
 
 class SessionLogFile:
-    """A log that is written; each line is on the disk when `write` returns."""
+    """A log that is written; each line is on the disk when `write` returns.
 
-    def __init__(self, path: Path, go_on_at: int | None = None) -> None:
-        """A new file, or one that goes on after so many bytes. Raises OutputError."""
+    append_at: length after which to continue an existing log; None: a new file. Raises
+    OutputError.
+    """
+
+    def __init__(self, path: Path, append_at: int | None = None) -> None:
         self._path = path
         try:
-            self._file = path.open("xb" if go_on_at is None else "ab")
-            if go_on_at is not None:
-                self._file.truncate(go_on_at)
+            self._file = path.open("xb" if append_at is None else "ab")
+            if append_at is not None:
+                self._file.truncate(append_at)
         except FileExistsError:
             raise OutputError(
-                f"{path}: is there already; go on with it by --resume, or name another file"
+                f"{path}: exists already; continue it by --resume, or name another file"
             ) from None
         except OSError as error:
             raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
@@ -164,13 +169,13 @@ class SessionLogFile:
             raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from None
 
 
-# The paper asked whether it was felt "close to a direct touch".
+# From this rating on, X was close: the paper asked whether it was "close to a direct touch".
 CLOSE = 4
 
 
 @dataclass(frozen=True, slots=True)
 class TrialOutcome:
-    """An answered trial."""
+    """An answered trial with its subject and its conditions."""
 
     subject: str
     trial: Trial
@@ -178,17 +183,17 @@ class TrialOutcome:
 
     @property
     def correct(self) -> bool:
-        """True where X was named rightly; of no meaning in a catch trial."""
+        """True where X was identified correctly; without meaning in a catch trial."""
         return self.answered.answer == self.trial.x
 
     @property
     def rating(self) -> int:
-        """1 to 5."""
+        """The rating, 1 to 5."""
         return int(self.answered.answer)
 
     @property
     def spoilt(self) -> str:
-        """Reason why this trial is not what it was to be, "" where it is."""
+        """Reason why the machine spoilt the trial, "" where it did not."""
         return next((why for played in self.answered.played if (why := played.spoilt)), "")
 
     @property
@@ -198,12 +203,12 @@ class TrialOutcome:
 
     @property
     def errors(self) -> IntervalErrors:
-        """Aligned force errors of A, B and X as shares of the pulse; NaN of what was not felt."""
+        """Aligned force errors of A, B and X as shares of the pulse; NaN where not felt."""
         played = self.answered.played
         return IntervalErrors(*(error_share(played, letter) for letter in ("A", "B", "X")))
 
     def force_mn(self, on_link: bool, field: str) -> float:
-        """Mean force error of the intervals over the link, or of the direct ones, in mN."""
+        """Return the mean force error of the intervals over the link, or the direct ones, in mN."""
         values = [
             getattr(p, field)
             for p in self.answered.played
@@ -216,9 +221,8 @@ class TrialOutcome:
 class SessionResults:
     """All outcomes that count, in order, and the conditions in the order of the session file.
 
-    spoilt: further outcomes, in which ticks were missed or the stream was stale; pooled: they are
-    among the outcomes as well. who: answered, in one word of each kind: people and observers are
-    never pooled.
+    spoilt: outcomes in which ticks were missed or a direct stream was stale; pooled: True where
+    they are among the outcomes as well. who: the kind of subject; kinds are never pooled.
     """
 
     kind: Kind
@@ -234,7 +238,7 @@ class SessionResults:
     versions: tuple[str, ...] = ()
 
     def of(self, condition: str | None) -> list[TrialOutcome]:
-        """A condition's outcomes; None: those of catch trials."""
+        """Return a condition's outcomes; None: those of catch trials."""
         return [o for o in self.outcomes if o.trial.condition == condition]
 
     @property
@@ -243,15 +247,14 @@ class SessionResults:
         return [o for o in self.outcomes if o.trial.condition is not None]
 
     def by_condition(self) -> Iterator[tuple[str, list[TrialOutcome]]]:
-        """The conditions that were answered."""
+        """Return the conditions that have answers, with their outcomes."""
         return ((name, found) for name in self.conditions if (found := self.of(name)))
 
 
 def gather(logs: Sequence[SessionLog], with_spoilt: bool = False) -> SessionResults:
     """Pool logs of one kind of subject, session and scene. Raises LogError.
 
-    with_spoilt: count spoilt trials with the others; they are counted too where there are no
-    others.
+    with_spoilt: count spoilt trials with the others. They count as well where there are no others.
     """
     first = logs[0]
     names = [log.path.stem for log in logs]
@@ -268,7 +271,7 @@ def gather(logs: Sequence[SessionLog], with_spoilt: bool = False) -> SessionResu
     )
     spoilt = tuple(outcome for outcome in found if outcome.spoilt)
     clean = tuple(outcome for outcome in found if not outcome.spoilt)
-    # Without a clean trial the spoilt ones are all that there is to report, as spoilt.
+    # Without a clean trial, the spoilt ones are reported, as spoilt.
     pooled = with_spoilt or not any(o.trial.condition is not None for o in clean)
     outcomes = found if pooled else clean
     if not any(o.trial.condition is not None for o in outcomes):
@@ -290,12 +293,12 @@ def gather(logs: Sequence[SessionLog], with_spoilt: bool = False) -> SessionResu
     )
 
 
-# What may differ between the sittings of one experiment.
+# Keys that may differ between the sessions of one experiment.
 FREE_KEYS = {"title", "trials", "catch", "seed"}
 
 
 def _difference(log: SessionLog, first: SessionLog) -> str:
-    """Return how a log differs from the first so that they cannot be pooled, "" where not."""
+    """Return the difference that keeps a log from being pooled with the first, or ""."""
     if log.header.subject != first.header.subject:
         return f"answered by {log.header.subject}, {first.path} by {first.header.subject}"
     if log.header.tables.get("scene") != first.header.tables.get("scene"):
@@ -311,13 +314,13 @@ def _version(log: SessionLog) -> str:
     return f"{log.header.version} ({commit})" if commit else log.header.version
 
 
-def correct(outcomes: Iterable[TrialOutcome]) -> Proportion:
-    """Return the proportion named rightly."""
+def share_correct(outcomes: Iterable[TrialOutcome]) -> Proportion:
+    """Return the proportion of correct answers."""
     hits = [o.correct for o in outcomes]
     return Proportion(sum(hits), len(hits))
 
 
-def close(outcomes: Iterable[TrialOutcome]) -> Proportion:
+def share_close(outcomes: Iterable[TrialOutcome]) -> Proportion:
     """Return the proportion rated close to a direct touch, or the same."""
     hits = [o.rating >= CLOSE for o in outcomes]
     return Proportion(sum(hits), len(hits))

@@ -1,9 +1,4 @@
-"""A person at the display's bench: keys, and intervals in real time.
-
-Dialogue of a trial, key by key. Pure, and blind: it has no access to the trial.
-
-Keys, one at a time, from a terminal or a pipe. POSIX.
-"""
+"""A person at the display's bench: the dialogue of a trial by keys, and intervals in real time."""
 
 import os
 import re
@@ -25,6 +20,7 @@ from telepulse.experiment.log import AnsweredTrial, now
 from telepulse.experiment.pace import pace
 from telepulse.experiment.session import LETTERS, Kind, Letter, SessionPlan
 
+NAME = "experiment"
 STOP_KEY = "q"
 ANSWERS: dict[str, dict[str, Literal["A", "B", 1, 2, 3, 4, 5]]] = {
     "abx": {"1": "A", "2": "B"},
@@ -35,11 +31,19 @@ HELP: dict[str, str] = {
     "rating": "a: feel the direct touch.  x: feel X.  How close is X to A?"
     "  5: the same, 4: close, 3: somewhat off, 2: far, 1: nothing like it.  q: stop.",
 }
+# Escape sequences, as of an arrow key, contain letters.
+ESCAPED = re.compile(r"\x1b(\[[0-9;]*[A-Za-z~]|O[A-Za-z]|.)?")
+KEY_WAIT_S = 0.1
+FILM_WITHIN_S = 2.0
+POLL_S = 1e-3
+
+DrawInterval = Callable[[Letter, int], Interval]
+"""Returns the nth playing of a letter."""
 
 
 @dataclass(frozen=True, slots=True)
 class Present:
-    """Let the subject feel an interval, for the nth time."""
+    """Present an interval to the subject, for the nth time."""
 
     letter: Letter
     nth: int
@@ -47,66 +51,60 @@ class Present:
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """The trial is answered."""
+    """Answer the trial."""
 
     value: Literal["A", "B", 1, 2, 3, 4, 5]
 
 
 @dataclass(frozen=True, slots=True)
 class Hint:
-    """Tell the subject why a key does nothing."""
+    """Print the reason why a key has no effect."""
 
     text: str
 
 
 class EndSession:
-    """The session is to end."""
+    """End the session."""
 
 
 class Dialogue:
-    """The dialogue of one trial: keys come in, the actions they ask for go out."""
+    """The dialogue of one trial: keys in, actions out. Pure, and blind: it has no trial."""
 
     def __init__(self, kind: Kind, replays: int | None) -> None:
         self._kind = kind
         self._replays = replays
-        self._felt: Counter[str] = Counter()
+        self._presented: Counter[str] = Counter()
 
     def press(self, key: str) -> Present | Response | Hint | EndSession:
-        """A key was pressed."""
+        """Return the action of a key."""
         letters = {letter.lower(): letter for letter in LETTERS[self._kind]}
         if key == STOP_KEY:
             return EndSession()
         if key in letters:
-            return self._feel(letters[key])
+            return self._present(letters[key])
         answers = ANSWERS[self._kind]
         if key not in answers:
             return Hint(HELP[self._kind])
-        missing = [letter for letter in letters.values() if not self._felt[letter]]
+        missing = [letter for letter in letters.values() if not self._presented[letter]]
         if missing:
             return Hint(f"feel {' and '.join(missing)} first")
         return Response(answers[key])
 
-    def _feel(self, letter: Letter) -> Present | Hint:
-        if self._replays is not None and self._felt[letter] >= self._replays:
-            return Hint(
-                f"{letter} was felt {count_text(self._felt[letter], 'time')}; no more in this trial"
-            )
-        self._felt[letter] += 1
-        return Present(letter, self._felt[letter])
-
-
-# What an arrow key and its like send has letters in it.
-ESCAPED = re.compile(r"\x1b(\[[0-9;]*[A-Za-z~]|O[A-Za-z]|.)?")
-
-
-AWAIT_S = 1.0
+    def _present(self, letter: Letter) -> Present | Hint:
+        count = self._presented[letter]
+        if self._replays is not None and count >= self._replays:
+            return Hint(f"{letter} was felt {count_text(count, 'time')}; no more in this trial")
+        self._presented[letter] += 1
+        return Present(letter, count + 1)
 
 
 class Keyboard:
-    """Standard input, without echo and without waiting for Enter, within a `with`."""
+    """Keys of standard input, a terminal or a pipe, without echo or Enter, within a `with`.
+
+    Raises SourceError where there are no POSIX terminals.
+    """
 
     def __init__(self) -> None:
-        """Raises SourceError where there are no POSIX terminals."""
         try:
             import termios
             import tty
@@ -128,25 +126,23 @@ class Keyboard:
 
     def __exit__(self, *_: object) -> None:
         if self._is_terminal:
-            # At once: to wait until the terminal has taken all output may be to wait for ever.
+            # At once: a terminal that is stopped (Ctrl-S) never takes its output.
             self._termios.tcsetattr(self._descriptor, self._termios.TCSANOW, self._before)
 
     def key(self, wait_s: float = 0.0) -> str | None:
-        """The next key in lower case, None where none comes in time; q when there are no more."""
+        """Return the next key in lower case; None where none comes in time, q at the end."""
         if not self._typed:
             self._read(wait_s)
         return self._typed.popleft() if self._typed else None
 
     def await_key(self) -> str:
         """Wait for the next key."""
-        while True:
-            key = self.key(AWAIT_S)
-            if key is not None:
-                return key
+        while (key := self.key(KEY_WAIT_S)) is None:
+            pass
+        return key
 
     def wants_to_stop(self) -> bool:
-        """Return whether q is among the keys that wait. What a pipe holds is in its order, and
-        waits."""
+        """Return whether q was typed on a terminal; the keys of a pipe wait for their turn."""
         if self._is_terminal:
             self._read(0.0)
         return self._is_terminal and STOP_KEY in self._typed
@@ -154,7 +150,7 @@ class Keyboard:
     def _read(self, wait_s: float) -> None:
         if not select.select([self._descriptor], [], [], wait_s)[0]:
             return
-        # A pipe one key at a time: what comes after is read when it is asked for.
+        # One byte of a pipe at a time: the rest stays there for later.
         data = os.read(self._descriptor, 64 if self._is_terminal else 1)
         if not data:
             self._typed.append(STOP_KEY)
@@ -162,62 +158,53 @@ class Keyboard:
         self._typed.extend(key for key in text if not key.isspace())
 
 
-NAME = "experiment"
-LOOK_S = 0.1
-CATCH_UP_WITHIN_S = 2.0
-POLL_S = 1e-3
-
-Draw = Callable[[Literal["A", "B", "X"], int], Interval]
-"""The nth playing of a letter."""
-
-
 class Person:
     """Answers trials by keyboard, on the real bench or the scene's models.
 
-    Nothing that is printed before the session's end depends on what A, B and X are.
+    Nothing printed before the end of the session depends on what A, B and X are. Raises
+    SceneError for a force loop that is not stable.
     """
 
-    def __init__(self, plan: SessionPlan, keyboard: Keyboard, say: Callable[[str], None]) -> None:
-        """Raises SceneError for a force loop that is not stable."""
+    def __init__(self, plan: SessionPlan, keyboard: Keyboard, show: Callable[[str], None]) -> None:
         self._plan = plan
         self._keyboard = keyboard
         self._hardware: Hardware | None = None
-        self._say = say
+        self._show = show
         self._stopping = False
         scene = plan.direct.display
-        # Who holds the actuator at rest until the next interval begins.
+        # Holds the actuator at rest until the next interval begins.
         self._display = Display(scene, NAME, score=False)
         self._tick_ns = scene.tick_ns
 
     def use(self, hardware: Hardware) -> None:
-        """Play on a real bench, started, in place of the scene's models."""
+        """Play on a started real bench instead of the scene's models."""
         self._hardware = hardware
         self._display.use(hardware)
 
     def stop(self) -> None:
-        """End the session, an interval that is being felt at once."""
+        """End the session, and a running interval at once."""
         self._stopping = True
 
-    def answer(self, index: int, draw: Draw) -> AnsweredTrial | None:
-        """Ask until there is an answer; None when the session is to end. Raises BenchError."""
+    def answer(self, index: int, draw: DrawInterval) -> AnsweredTrial | None:
+        """Run a trial until its answer; None when the session ends. Raises BenchError."""
         session = self._plan.session
         dialogue, played = Dialogue(session.kind, session.replays), list[PlayedInterval]()
-        of = len(session.conditions) * session.trials + session.catch
-        self._say(f"\ntrial {index + 1} of {of}.  {HELP[session.kind]}")
+        count = len(session.conditions) * session.trials + session.catch
+        self._show(f"\ntrial {index + 1} of {count}.  {HELP[session.kind]}")
         began_s = time.monotonic()
         while (key := self._await_key()) is not None:
             action = dialogue.press(key)
             if isinstance(action, EndSession):
                 break
             if isinstance(action, Hint):
-                self._say(action.text)
+                self._show(action.text)
             elif isinstance(action, Present):
-                self._say(f"{action.letter} ...")
-                felt = self._feel(draw(action.letter, action.nth))
-                if felt is None:
+                self._show(f"{action.letter} ...")
+                interval = self._play(draw(action.letter, action.nth))
+                if interval is None:
                     break
-                played.append(felt)
-                self._say(f"{action.letter} is over")
+                played.append(interval)
+                self._show(f"{action.letter} is over")
             elif isinstance(action, Response):
                 return AnsweredTrial(
                     time=now(),
@@ -229,7 +216,7 @@ class Person:
         return None
 
     def _await_key(self) -> str | None:
-        """The next key; None when the session is to end. The bench rests meanwhile."""
+        """Return the next key, None when the session ends; the bench rests meanwhile."""
         keys: list[str] = []
 
         def listen(wait_s: float) -> bool:
@@ -239,7 +226,7 @@ class Person:
             return not keys and not self._stopping
 
         if self._hardware is None:
-            while listen(LOOK_S):
+            while listen(KEY_WAIT_S):
                 pass
         else:
 
@@ -251,21 +238,21 @@ class Person:
             pace(self._tick_ns, rest)
         return None if self._stopping else keys[0]
 
-    def _feel(self, interval: Interval) -> PlayedInterval | None:
-        """Let an interval be felt, to its end; None when the session is to end."""
+    def _play(self, interval: Interval) -> PlayedInterval | None:
+        """Play an interval to its end; None when the session ends."""
         hardware = self._hardware
         playing = IntervalPlayback(interval, time.monotonic_ns(), hardware)
         if hardware is not None:
-            _catch_up(hardware)
+            _await_film(hardware)
         self._display = playing.display
 
         def tick(now_ns: int, elapsed_ticks: int) -> bool:
             if self._stopping or self._keyboard.wants_to_stop():
                 self._stopping = True
                 playing.stop(now_ns)
-            on = playing.tick(now_ns, elapsed_ticks)
+            playing_on = playing.tick(now_ns, elapsed_ticks)
             self._check()
-            return on
+            return playing_on
 
         pace(self._tick_ns, tick)
         return None if self._stopping else playing.played()
@@ -273,16 +260,17 @@ class Person:
     def _check(self) -> None:
         if faults := self._display.safety.faults:
             raise BenchError(
-                f"the session stops: {'; '.join(faults)} ({advise(faults[0])}); answered trials are"
-                " in the log,"
-                " and --resume goes on with it"
+                f"the session stops: {'; '.join(faults)} ({advise(faults[0])}); the log has the"
+                " answered trials, and --resume continues it"
             )
 
 
-def _catch_up(hardware: Hardware) -> None:
-    """Hear what the film said while a display was being built, and nothing ticked. A film that
-    has gone for good is the display's fault to find."""
-    until_s = time.monotonic() + CATCH_UP_WITHIN_S
+def _await_film(hardware: Hardware) -> None:
+    """Read the film until it is current again: nothing ticked while a display was built.
+
+    A film that stays silent is left for the display to report.
+    """
+    until_s = time.monotonic() + FILM_WITHIN_S
     while not hardware.feedback.alive(time.monotonic_ns()) and time.monotonic() < until_s:
         hardware.read()
         time.sleep(POLL_S)

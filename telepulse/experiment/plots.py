@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from telepulse.experiment.log import SessionResults, TrialOutcome, close, correct
+from telepulse.experiment.log import SessionResults, TrialOutcome, share_close, share_correct
 from telepulse.experiment.psychometrics import CHANCE, PAPER, Threshold, mean_of, proportion_correct
 from telepulse.reports.document import Plot
 
@@ -15,12 +15,15 @@ if TYPE_CHECKING:
 
 
 def shares(results: SessionResults) -> Plot:
-    """Share of right answers by condition."""
+    """Plot the share of right answers by condition."""
 
     def draw(figure: "Figure") -> None:
         axes = figure.add_subplot()
-        groups = [(name, correct(found)) for name, found in results.by_condition()]
-        groups += [("all of them", correct(results.tested)), ("the paper's\nsix subjects", PAPER)]
+        groups = [(name, share_correct(found)) for name, found in results.by_condition()]
+        groups += [
+            ("all of them", share_correct(results.tested)),
+            ("the paper's\nsix subjects", PAPER),
+        ]
         for row, (_, found) in enumerate(groups):
             low, high = found.interval
             off = [[100 * (found.share - low)], [100 * (high - found.share)]]
@@ -35,21 +38,21 @@ def shares(results: SessionResults) -> Plot:
 
     return Plot(
         "experiment-shares",
-        "Share of trials in which X was named rightly; below, the paper's four of six, who were"
+        "Share of trials in which X was identified; below, the paper's four of six, who were"
         " asked something else: whether it was close to a direct touch.",
         draw,
     )
 
 
 def psychometric(results: SessionResults, threshold: Threshold | None) -> Plot:
-    """Share of right answers against the measured difference in force error."""
+    """Plot the share of right answers against the measured difference in force error."""
 
     def draw(figure: "Figure") -> None:
         axes = figure.add_subplot()
         largest = 0.0
         for name, outcomes in results.by_condition():
             apart = [abs(o.errors.a - o.errors.b) for o in outcomes]
-            share, found = float(np.nanmean(apart)), correct(outcomes)
+            share, found = float(np.nanmean(apart)), share_correct(outcomes)
             low, high = found.interval
             largest = max(largest, share)
             axes.errorbar(
@@ -80,7 +83,7 @@ def psychometric(results: SessionResults, threshold: Threshold | None) -> Plot:
 
 
 def ratings(results: SessionResults, groups: Sequence[tuple[str, list[TrialOutcome]]]) -> Plot:
-    """Every rating by condition, and their means."""
+    """Plot every rating by condition, and their means."""
 
     def draw(figure: "Figure") -> None:
         axes = figure.add_subplot()
@@ -93,7 +96,7 @@ def ratings(results: SessionResults, groups: Sequence[tuple[str, list[TrialOutco
             mean = mean_of([o.rating for o in outcomes])
             off = [[mean.value - mean.low], [mean.high - mean.value]]
             axes.errorbar(mean.value, row, xerr=off, fmt="D", color="C1", capsize=4)
-        names = [f"{name}\n{100 * close(found).share:.0f} % close" for name, found in groups]
+        names = [f"{name}\n{100 * share_close(found).share:.0f} % close" for name, found in groups]
         axes.set_yticks(range(len(groups)), names)
         axes.set_ylim(len(groups) - 0.4, -0.6)
         axes.set_xlim(0.6, 5.4)
@@ -109,7 +112,7 @@ def ratings(results: SessionResults, groups: Sequence[tuple[str, list[TrialOutco
 
 
 def course(results: SessionResults) -> Plot:
-    """Answers and response times in the order of the trials."""
+    """Plot answers and response times in the order of the trials."""
 
     def draw(figure: "Figure") -> None:
         timed = any(o.answered.response_s is not None for o in results.outcomes)
@@ -148,7 +151,7 @@ def course(results: SessionResults) -> Plot:
 
 
 def errors(results: SessionResults) -> Plot:
-    """The aligned force error of each interval."""
+    """Plot the aligned force error of each interval."""
 
     def draw(figure: "Figure") -> None:
         axes = figure.add_subplot()

@@ -1,14 +1,8 @@
-"""The differencing observer: how often a difference is told apart, and the least that is.
+"""Statistics of blinded trials: proportions, the differencing observer, the number of trials.
 
-What is felt of an interval is one number, its force error in units of the threshold, and noise of
-deviation 1. X is called what it is nearer to: the differencing strategy of Macmillan and Creelman,
-*Detection Theory*, ch. 9. At the threshold d' is 1.
-
-Proportions with exact intervals, mean ratings, and how many trials show what.
-
-A simulated observer: feels force errors with a threshold of its own, and noise. Pure.
-
-How many trials it takes, as tables.
+The observer's percept of an interval is one number: its force error in units of the threshold,
+with noise of deviation 1. X is identified as the nearer one of A and B. This is the differencing
+strategy of Macmillan and Creelman, *Detection Theory*, ch. 9. At the threshold d' is 1.
 """
 
 import math
@@ -33,25 +27,25 @@ RESAMPLED = 10_000
 
 @dataclass(frozen=True, slots=True)
 class Proportion:
-    """So many of so many."""
+    """A number of hits in a number of trials."""
 
     hits: int
     of: int
 
     @property
     def share(self) -> float:
-        """Between 0 and 1."""
+        """Share of hits, from 0 to 1."""
         return self.hits / self.of
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Clopper and Pearson's, 95 %: holds the true share at least so often."""
+        """Clopper-Pearson interval: contains the true share in at least 95 % of all cases."""
         found = binomtest(self.hits, self.of).proportion_ci(1 - LEVEL, method="exact")
         return float(found.low), float(found.high)
 
     @property
     def p_value(self) -> float:
-        """Probability of so many or more by guessing between two."""
+        """Probability of as many hits or more by guessing between two."""
         return float(binomtest(self.hits, self.of, CHANCE, alternative="greater").pvalue)
 
 
@@ -69,24 +63,24 @@ class Mean:
 
 
 def mean_of(values: Sequence[float]) -> Mean:
-    """Of one value or more; the same values give the same interval."""
+    """Return the mean of one value or more; the same values give the same interval."""
     drawn = np.random.default_rng(0).choice(np.asarray(values), (RESAMPLED, len(values)))
     low, high = np.quantile(drawn.mean(axis=1), (LEVEL / 2, 1 - LEVEL / 2))
     return Mean(float(np.mean(values)), float(low), float(high))
 
 
 def hits_needed(trials: int) -> int:
-    """The least number of right answers that is beyond guessing, p ≤ 5 %; trials + 1: none is."""
+    """Return the least hits that are beyond guessing, p ≤ 5 %; trials + 1 where none are."""
     return int(binom.isf(LEVEL, trials, CHANCE)) + 1
 
 
 def power(trials: int, share: float) -> float:
-    """How often somebody who is right so often passes for more than guessing."""
+    """Return the probability of passing for more than guessing with a true share of hits."""
     return float(binom.sf(hits_needed(trials) - 1, trials, share))
 
 
 def trials_needed(share: float, wanted_power: float) -> int | None:
-    """The number of trials from which on the power is never less; None: more than 5000."""
+    """Return the number of trials from which on the power is never less; None: above 5000."""
     trials = np.arange(1, MOST_TRIALS + 1)
     hits = binom.isf(LEVEL, trials, CHANCE)
     short = np.flatnonzero(binom.sf(hits, trials, share) < wanted_power)
@@ -112,7 +106,7 @@ class IntervalErrors(NamedTuple):
 
 
 def probability_of_a(errors: IntervalErrors, threshold: float | Floats) -> Floats:
-    """Probability that X is called A.
+    """Return the probability that X is identified as A.
 
     |x − a| < |x − b| where a − b and x − (a + b)/2 have the same sign; with noise of deviation 1
     they are independent, of variances 2 and 3/2.
@@ -123,12 +117,12 @@ def probability_of_a(errors: IntervalErrors, threshold: float | Floats) -> Float
 
 
 def proportion_correct(d_prime: float) -> float:
-    """Share of right answers of ABX where A and B are d' apart."""
+    """Return the share of correct answers of ABX for a d' between A and B."""
     return float(probability_of_a(IntervalErrors(d_prime, 0.0, d_prime), 1.0))
 
 
 def d_prime(share: float) -> float:
-    """The d' that gives a share of right answers; 0 at a half and below, infinite at 1."""
+    """Return the d' of a share of correct answers; 0 at a half and below, infinite at 1."""
     if share <= 0.5:
         return 0.0
     if share >= proportion_correct(LARGEST):
@@ -138,8 +132,10 @@ def d_prime(share: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Threshold:
-    """The error at which d' is 1, and the interval of its 95 % profile likelihood; 0 and infinity
-    where the answers set no bound."""
+    """The error at which d' is 1, with its 95 % profile likelihood interval.
+
+    low and high are 0 and infinity where the answers set no bound.
+    """
 
     value: float
     low: float
@@ -147,16 +143,18 @@ class Threshold:
 
 
 def fit_threshold(trials: Sequence[tuple[IntervalErrors, bool]]) -> Threshold | None:
-    """The threshold that makes the answers likeliest; each trial's errors and whether X was
-    called A. None where the answers set no bound at either side, as too few or mere guesses."""
+    """Return the maximum likelihood threshold of trials: their errors, and whether X was A.
+
+    None where the answers set no bound on either side, as for few answers or guesses.
+    """
     largest = max((abs(errors.a - errors.b) for errors, _ in trials), default=0.0)
     if largest == 0:
         return None
     tried = largest * np.logspace(-DECADES, DECADES, STEPS)
     likelihood = np.zeros(STEPS)
-    for errors, said_a in trials:
+    for errors, called_a in trials:
         chance = probability_of_a(errors, tried)
-        likelihood += np.log(np.maximum(chance if said_a else 1 - chance, 1e-300))
+        likelihood += np.log(np.maximum(chance if called_a else 1 - chance, 1e-300))
     best = int(np.argmax(likelihood))
     within = np.flatnonzero(likelihood > likelihood[best] - LOG_LIKELIHOOD_DROP)
     low = 0.0 if within[0] == 0 else float(tried[within[0]])
@@ -168,24 +166,23 @@ BEST_RATING = 5
 
 
 class SimulatedObserver:
-    """Answers by the differencing strategy of `psychometric.py`.
+    """Answers by the differencing strategy.
 
     threshold: the difference in force error whose d' is 1, as a share of the pulse from peak to
-    peak. Errors are given in the same unit. It feels errors aligned: a finger that only feels
-    cannot know that a true pulse is late.
+    peak. Errors have the same unit and are aligned: a finger alone cannot detect a delay.
     """
 
     def __init__(self, threshold: float, seed: int) -> None:
         self._threshold = threshold
         self._random = Random(f"observer {seed}")
 
-    def tell(self, errors: IntervalErrors) -> str:
-        """What X is: "A" or "B"."""
+    def identify(self, errors: IntervalErrors) -> str:
+        """Return "A" or "B" for X."""
         a, b, x = map(self._feel, errors)
         return "A" if abs(x - a) < abs(x - b) else "B"
 
     def rate(self, reference: float, x: float) -> int:
-        """How close X is to the reference: 5 within a threshold, 4 within two, and so on to 1."""
+        """Return the rating of X: 5 within one threshold of the reference, 4 within two, to 1."""
         return max(1, BEST_RATING - int(abs(self._feel(x) - self._feel(reference))))
 
     def _feel(self, error: float) -> float:
@@ -198,12 +195,12 @@ POWERS = (0.8, 0.9)
 
 
 def build_plan() -> Report:
-    """The tables, from exact binomial sums."""
+    """Return the tables of trials and power, from exact binomial sums."""
     return Report("How many trials", (Chapter("Trials", (), (_needed(), _counts())),))
 
 
 def percent(share: float) -> str:
-    """As the tables have it."""
+    """Return a share as text."""
     return f"{100 * share:.3g} %"
 
 
@@ -220,7 +217,7 @@ def _needed() -> Table:
         "Trials that a subject needs to pass for more than guessing, p ≤ 5 %",
         ("right", "d'", "4 times of 5", "9 times of 10"),
         rows,
-        "ABX, one-sided exact binomial test; from these numbers on it is never less often.",
+        "ABX, one-sided exact binomial test; with more trials the power is never lower.",
     )
 
 
@@ -241,5 +238,5 @@ def _counts() -> Table:
         "What a number of trials can show",
         ("trials", "right for p ≤ 5 %", "passes at 2/3", "at 3/4", "at 9/10"),
         rows,
-        "How often somebody who is right so often passes. The paper had six.",
+        "Probability of passing with a true share of right answers. The paper had six.",
     )

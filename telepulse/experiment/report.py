@@ -12,9 +12,9 @@ from telepulse.experiment.log import (
     SessionLog,
     SessionResults,
     TrialOutcome,
-    close,
-    correct,
     gather,
+    share_close,
+    share_correct,
 )
 from telepulse.experiment.psychometrics import (
     LEVEL,
@@ -69,7 +69,7 @@ def _provenance(logs: Sequence[SessionLog]) -> list[Chapter]:
 
 
 def _labels(results: SessionResults) -> list[str]:
-    """Return what a reader must know of the answers before he reads them."""
+    """Return remarks on the answers that a reader needs first."""
     labels = []
     if results.thresholds:
         shown = ", ".join(f"{100 * threshold:g} %" for threshold in results.thresholds)
@@ -113,7 +113,7 @@ def _spoilt_table(results: SessionResults) -> list[Table]:
 
 
 def threshold_of(outcomes: Sequence[TrialOutcome]) -> Threshold | None:
-    """The threshold that makes ABX answers likeliest, as a share of the pulse."""
+    """Return the maximum likelihood threshold of ABX answers, as a share of the pulse."""
     return fit_threshold(
         [
             (o.errors, o.answered.answer == "A")
@@ -131,7 +131,7 @@ def _abx_chapter(results: SessionResults) -> Chapter:
         tables.insert(1, _subject_table(results))
     return Chapter(
         "Right answers",
-        (_answered(results), _abx_words(correct(results.tested))),
+        (_answered(results), _abx_words(share_correct(results.tested))),
         tuple(tables),
         (plots.shares(results), plots.psychometric(results, threshold_of(results.outcomes))),
     )
@@ -149,7 +149,7 @@ def _answered(results: SessionResults) -> str:
 def _abx_words(found: Proportion) -> str:
     low, high = found.interval
     return (
-        f"X was named rightly in {found.hits} of {found.of} trials, {percent(found.share)}; the"
+        f"X was identified in {found.hits} of {found.of} trials, {percent(found.share)}; the"
         f" true share is between {percent(low)} and {percent(high)} (exact, 95 %), and guessing"
         f" does as well with p = {_p(found.p_value)}."
     )
@@ -162,10 +162,10 @@ def _right_table(results: SessionResults) -> Table:
         direct, link = (
             _mean(o.force_mn(on, "aligned_n") for o in outcomes) for on in (False, True)
         )
-        found = correct(outcomes)
+        found = share_correct(outcomes)
         rows.append((name, *_cells(found), _d(found), f"{direct:.2f}", f"{link:.2f}"))
     return Table(
-        "X named rightly",
+        "X identified",
         ("condition", "right", "share", "95 %", "p", "d' (95 %)", "direct mN", "link mN"),
         tuple(rows),
         "Exact interval (Clopper-Pearson); p: by guessing as many or more, not corrected for the"
@@ -204,7 +204,7 @@ def _subject_table(results: SessionResults) -> Table:
     for subject in results.subjects:
         mine = [o for o in results.tested if o.subject == subject]
         if mine:
-            found = correct(mine)
+            found = share_correct(mine)
             rows.append((subject, *_cells(found)))
             passed += found.p_value <= LEVEL
     return Table(
@@ -241,8 +241,8 @@ def _threshold_cells(found: Threshold | None) -> tuple[str, str]:
 
 
 def _catch_table(results: SessionResults) -> Table:
-    said = [o.answered.answer == "A" for o in results.of(None)]
-    found = Proportion(sum(said), len(said))
+    called_a = [o.answered.answer == "A" for o in results.of(None)]
+    found = Proportion(sum(called_a), len(called_a))
     row = ("X called A", f"{found.hits} of {found.of}", percent(found.share), _between(found))
     return Table(
         "Catch trials: A, B and X without a link",
@@ -258,7 +258,7 @@ def _rating_chapter(results: SessionResults) -> Chapter:
         groups.append((DIRECT, results.of(None)))
     rows = []
     for name, outcomes in groups:
-        mean, found = mean_of([o.rating for o in outcomes]), close(outcomes)
+        mean, found = mean_of([o.rating for o in outcomes]), share_close(outcomes)
         rows.append(
             (
                 name,
@@ -277,7 +277,7 @@ def _rating_chapter(results: SessionResults) -> Chapter:
         "Close: rated 4 or 5, with its exact interval. Of the mean: percentile bootstrap, too"
         " narrow for few trials. mN: aligned force RMSE. X without a link is the hidden reference.",
     )
-    found = close(results.tested)
+    found = share_close(results.tested)
     words = (
         f"Over the link {found.hits} of {found.of}, {percent(found.share)}, were rated close to the"
         f" direct touch; exact 95 % interval {_between(found)}."

@@ -1,8 +1,9 @@
-"""A session from its first trial to its last, or from where it was left."""
+"""The run of a session, from its first trial or from its first one without an answer."""
 
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from random import SystemRandom
 from typing import Literal
@@ -22,25 +23,24 @@ from telepulse.experiment.log import (
     SessionHeader,
     SessionLogFile,
     now,
-    our_version,
     read_log,
 )
-from telepulse.experiment.person import Draw
+from telepulse.experiment.person import DrawInterval
 from telepulse.experiment.psychometrics import IntervalErrors, SimulatedObserver
 from telepulse.experiment.session import LETTERS, SessionPlan, draw_trials
 from telepulse.scene import scene_provenance
 
-Subject = Callable[[int, Draw], AnsweredTrial | None]
-"""Answers a trial by its index and intervals; None: no more."""
+Subject = Callable[[int, DrawInterval], AnsweredTrial | None]
+"""Answers a trial by its index and intervals; None ends the session."""
 
 
 def open_log(
     path: Path, plan: SessionPlan, threshold: float | None, resume: bool
 ) -> tuple[SessionLogFile, SessionHeader, int]:
-    """The log to write, its header, and how many trials are answered.
+    """Return the log to write, its header, and the number of answered trials.
 
-    A log that goes on must be of the same session, scene and observer; its trials are taken from
-    it. Raises LogError or OutputError.
+    A log that is resumed must have the same session, scene and observer. Raises LogError or
+    OutputError.
     """
     drive = plan.direct.display.drive
     felt_on: Literal["drive", "models"] = (
@@ -50,7 +50,7 @@ def open_log(
         seed = plan.session.seed
         seed = SystemRandom().getrandbits(31) if seed is None else seed
         header = SessionHeader(
-            version=our_version(),
+            version=version("telepulse"),
             time=now(),
             tables=plan.tables,
             seed=seed,
@@ -64,15 +64,15 @@ def open_log(
         return file, header, 0
     log = read_log(path)
     if (log.header.tables, log.header.threshold) != (plan.tables, threshold):
-        raise LogError(f"{path}: session, scene or observer are not those it began with")
+        raise LogError(f"{path}: session, scene or observer differ from those of its begin")
     file = SessionLogFile(path, log.whole_bytes)
     made = scene_provenance(plan.direct, {"session": log.header.seed}).to_dict()
-    file.write(ResumedSession(version=our_version(), time=now(), provenance=made))
+    file.write(ResumedSession(version=version("telepulse"), time=now(), provenance=made))
     return file, log.header, len(log.answered)
 
 
 def check_drive(plan: SessionPlan, without_drive: bool) -> None:
-    """Refuse a person a scene without a drive, unless it is asked for. Raises SceneError."""
+    """Refuse a person a scene without a drive, unless it is intended. Raises SceneError."""
     if plan.direct.display.drive is None and not without_drive:
         raise SceneError(
             f"{plan.direct.path}: names no [display.drive], so nobody would feel anything:"
@@ -81,10 +81,7 @@ def check_drive(plan: SessionPlan, without_drive: bool) -> None:
 
 
 def check_playable(plan: SessionPlan, header: SessionHeader) -> None:
-    """Check before anything moves that an interval of each condition can be played.
-
-    Raises SceneError or SourceError.
-    """
+    """Check that an interval of each condition can be played. Raises SceneError or SourceError."""
     first = {trial.condition: index for index, trial in reversed(list(enumerate(header.trials)))}
     for index in first.values():
         for letter in LETTERS[plan.session.kind]:
@@ -96,7 +93,7 @@ def check_playable(plan: SessionPlan, header: SessionHeader) -> None:
 def run_session(
     plan: SessionPlan, file: SessionLogFile, header: SessionHeader, done: int, subject: Subject
 ) -> bool:
-    """Ask trial after trial, and log each; whether all are answered."""
+    """Run trial after trial and log each; return whether all are answered."""
     for index in range(done, len(header.trials)):
         draw = partial(draw_interval, plan, header.seed, index, header.trials[index])
         answered = subject(index, draw)
@@ -106,16 +103,16 @@ def run_session(
     return True
 
 
-def simulated(plan: SessionPlan, threshold: float, seed: int) -> Subject:
-    """An observer that feels each interval once, in virtual time, on the scene's models."""
+def simulated_subject(plan: SessionPlan, threshold: float, seed: int) -> Subject:
+    """Return an observer that feels each interval once, in virtual time, on the scene's models."""
     kind = plan.session.kind
 
-    def answer(index: int, draw: Draw) -> AnsweredTrial:
-        # An observer of each trial's own: one that resumes answers as one that never stopped.
+    def answer(index: int, draw: DrawInterval) -> AnsweredTrial:
+        # An observer for each trial: a resumed session has the same answers as an unbroken one.
         observer = SimulatedObserver(threshold, seed * 100_000 + index)
         played = [_play(draw, letter) for letter in LETTERS[kind]]
         a, b, x = (error_share(played, letter) for letter in ("A", "B", "X"))
-        value = observer.tell(IntervalErrors(a, b, x)) if kind == "abx" else observer.rate(a, x)
+        value = observer.identify(IntervalErrors(a, b, x)) if kind == "abx" else observer.rate(a, x)
         return AnsweredTrial.model_validate(
             {"time": now(), "index": index, "answer": value, "response_s": None, "played": played}
         )
@@ -123,7 +120,7 @@ def simulated(plan: SessionPlan, threshold: float, seed: int) -> Subject:
     return answer
 
 
-def _play(draw: Draw, letter: str) -> PlayedInterval:
+def _play(draw: DrawInterval, letter: str) -> PlayedInterval:
     interval = draw(letter, 1)  # type: ignore[arg-type]
     scene = interval.scene
     display = scene.display.model_copy(update={"drive": None, "feedback": None})

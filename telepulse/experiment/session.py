@@ -1,7 +1,4 @@
-"""The session file: what is compared, how often, for how long.
-
-The trials of a session: which link, what is A and B and X, in which order. Pure.
-"""
+"""The session file, and the trials drawn for it: link, A, B and X of each, in order."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,8 +17,8 @@ from protocol.wire.stream import Name
 from telepulse.scene import Scene, load_scene
 from telepulse.simulation.link_model import LinkScene, parse_link
 
-# By then a display has joined and plays: so long over no link, and so many times the link's delay
-# and jitter more.
+# A display has joined and plays after this time without a link. A link adds these multiples of its
+# delay and jitter.
 JOINED_NS = 800_000_000
 DELAYS, JITTERS = 4, 6
 
@@ -38,8 +35,10 @@ def _link(text: object) -> LinkScene:
 
 
 class Condition(Section):
-    """A link that is compared with direct playback; compensation and predictor, where given, are
-    in place of the scene's."""
+    """A link that is compared with direct playback.
+
+    compensation and predictor replace the scene's.
+    """
 
     name: Name
     link: Annotated[LinkScene, BeforeValidator(_link)]
@@ -48,12 +47,11 @@ class Condition(Section):
 
 
 class SessionTable(Section):
-    """One subject's sitting.
+    """One subject's session.
 
-    trials: of each condition. catch: further ones without a link at all. interval: how long the
-    pulse is felt at its full strength each time; settle: how long it is played before, unfelt.
-    replays: how often each interval of a trial may be felt. seed: without one, each run draws
-    its own.
+    trials: number for each condition. catch: further trials without a link. interval: time at
+    full strength; settle: time of playing before, unfelt. replays: limit of playings for each
+    letter of a trial. seed: without one, each run draws its own.
     """
 
     scene: str
@@ -85,10 +83,10 @@ class SessionTable(Section):
 
 @dataclass(frozen=True, slots=True)
 class SessionPlan:
-    """A session file, read: as it is written, and what it means.
+    """A session file that was read.
 
     tables: the file's and its scene's, by name, for the log. direct: the scene without a link;
-    impaired: by the condition's name.
+    impaired: the scenes by the condition's name.
     """
 
     session: SessionTable
@@ -101,7 +99,7 @@ def load_plan(path: Path) -> SessionPlan:
     """Read a session file and its scene. Raises SceneError."""
     written = load_toml(path, "session file")
     session = validate(written, SessionTable, where=f"{path}:")
-    # By name, or by a path from the session's own folder.
+    # By name, or by a path from the folder of the session file.
     scene_path = path.parent / find_scene(session.scene)
     scene = load_scene(scene_path)
     document = load_document(scene_path)
@@ -124,14 +122,14 @@ def _display(table: dict[str, Any], condition: Condition, where: str) -> Display
 
 Letter = Literal["A", "B", "X"]
 LETTERS: dict[str, tuple[Letter, ...]] = {"abx": ("A", "B", "X"), "rating": ("A", "X")}
-"""What is felt in a trial of a kind."""
+"""Letters that are felt in a trial of each kind."""
 
 
 class Trial(BaseModel):
-    """One trial. direct: which of A and B is felt without a link; x: which of them X is.
+    """One trial. direct: the one of A and B that has no link; x: the one that X is.
 
-    condition: None in a catch trial, where nothing is felt over a link. In a rating A is the
-    open reference, always direct, and B is what X may be.
+    condition: None in a catch trial, which has no link. In a rating, A is the open reference,
+    always direct, and X is B.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -142,15 +140,15 @@ class Trial(BaseModel):
     pulse_seed: int
 
     def on_link(self, letter: Letter) -> bool:
-        """Whether an interval of this trial is felt over the link."""
+        """Return whether a letter of this trial is felt over the link."""
         return self.condition is not None and (self.x if letter == "X" else letter) != self.direct
 
 
 def draw_trials(session: SessionTable, seed: int) -> tuple[Trial, ...]:
-    """All trials in their order: as many of each condition as asked for, shuffled.
+    """Return all trials in their order: the wanted number for each condition, shuffled.
 
-    What is A and what is X is drawn for each trial alone, not balanced over them: only then is a
-    guess right with a chance of exactly one half, whatever was noticed of the trials before.
+    A and X are drawn for each trial independently, not balanced over the trials. Only then is a
+    guess right with a probability of exactly one half, whatever was noticed before.
     """
     random = Random(f"trials {seed}")
     names: list[str | None] = [c.name for c in session.conditions for _ in range(session.trials)]

@@ -15,7 +15,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from telepulse.cli.main import app
-from telepulse.experiment.log import SessionLog, correct, gather, read_log
+from telepulse.experiment.log import SessionLog, gather, read_log, share_correct
 from telepulse.experiment.psychometrics import probability_of_a
 from telepulse.experiment.report import build_report, threshold_of
 from telepulse.experiment.run import open_log
@@ -62,7 +62,7 @@ def test_an_observer_is_right_as_often_as_its_threshold_says(tmp_path: Path) -> 
     for threshold in ("0.1 %", "7 %", "1000 %"):
         results = gather([observed(session, threshold, tmp_path / f"{len(shares)}.jsonl")])
         plain = results.of("plain")
-        found = correct(plain)
+        found = share_correct(plain)
         shares.append(found.share)
         level = float(threshold.split()[0]) / 100
         calls_a = [float(probability_of_a(o.errors, level)) for o in plain]
@@ -130,7 +130,7 @@ def test_a_person_answers_by_keys_and_stops_in_the_midst_of_an_interval(tmp_path
         os.write(keys, b"A")
         said(child, b"A ...")
         os.write(keys, b"q")
-        heard = said(child, b"stopped; go on: telepulse experiment run s.toml --log log.jsonl")
+        heard = said(child, b"stopped; continue: telepulse experiment run s.toml --log log.jsonl")
         assert b"is over" not in heard
         assert child.wait(20) == 0
     (answered,) = read_log(tmp_path / "log.jsonl").answered
@@ -172,7 +172,7 @@ def test_nothing_is_said_of_what_x_is_before_the_end(tmp_path: Path) -> None:
     on_link = [[p.on_link for p in log.answered[0].played] for log in logs]
     assert on_link[0][:2] == on_link[1][:2]
     assert on_link[0][2] != on_link[1][2]
-    right = [correct(gather([log], with_spoilt=True).tested).hits for log in logs]
+    right = [share_correct(gather([log], with_spoilt=True).tested).hits for log in logs]
     assert sorted(right) == [0, 1]
 
 
@@ -191,7 +191,7 @@ def test_a_report_of_several_subjects(tmp_path: Path) -> None:
     results = gather([read_log(log) for log in logs])
     first = json.loads(table.read_text(encoding="utf-8"))["chapters"][0]
     rows = {row["condition"]: row for row in first["tables"][0]["rows"]}
-    found = correct(results.of("plain"))
+    found = share_correct(results.of("plain"))
     assert rows["plain"]["right"] == f"{found.hits} of 6"
     assert rows["all of them"]["right"].endswith("of 12")
     assert float(rows["plain"]["direct mN"]) < 2 < float(rows["plain"]["link mN"])
@@ -216,18 +216,18 @@ def test_a_report_of_ratings(tmp_path: Path) -> None:
         (("run", "none.toml", "--log", "x"), "none.toml: no such session file"),
         (
             ("run", "s.toml", "--log", "there", "--without-drive"),
-            "is there already; go on with it by --resume",
+            "exists already; continue it by --resume",
         ),
         (("run", "s.toml", "--log", "none", "--resume", "--without-drive"), "none: cannot be read"),
         (
             ("run", "s.toml", "--log", "there", "--resume", "--without-drive"),
-            "its first line is none of a session",
+            "its first line is not that of a session",
         ),
         (("run", "live.toml", "--log", "x", "--observer", "5 %"), "is a live sensor"),
         (("run", "s.toml", "--log", "x", "--observer", "-1"), "'-1' must be more than 0"),
-        (("report", "there"), "there: no log of a session"),
-        (("report", "garbage"), "garbage: line 1: no line of a session's log"),
-        (("new", "s.toml"), "s.toml: is there already; name another file"),
+        (("report", "there"), "there: not a log"),
+        (("report", "garbage"), "garbage: line 1: not a line of a session's log"),
+        (("new", "s.toml"), "s.toml: exists already; name another file"),
     ],
 )
 def test_what_cannot_be_done_is_said_in_one_line(
@@ -251,7 +251,7 @@ def test_a_log_goes_on_with_its_own_session_alone(tmp_path: Path) -> None:
     other = write(tmp_path / "s.toml", trials=2)
     result = experiment("run", other, "--log", log, "--observer", "5 %", "--resume")
     assert result.exit_code == 2
-    assert "session, scene or observer are not those it began with" in result.stderr
+    assert "session, scene or observer differ from those of its begin" in result.stderr
 
 
 def test_the_example_and_the_plan_are_printed(tmp_path: Path) -> None:
@@ -269,5 +269,5 @@ def test_a_session_ends_safely_when_it_is_told_to(tmp_path: Path) -> None:
         os.write(keys, b"a")
         said(child, b"A ...")
         child.send_signal(signal.SIGTERM)
-        said(child, b"stopped; go on")
+        said(child, b"stopped; continue")
         assert child.wait(20) == 0

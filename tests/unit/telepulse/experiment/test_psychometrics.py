@@ -41,7 +41,7 @@ def test_the_interval_holds_what_a_simulated_observer_does() -> None:
     intervals = [Proportion(hits, of).interval for hits in range(of + 1)]
     for seed in range(sessions):
         observer = SimulatedObserver(threshold, seed)
-        low, high = intervals[sum(observer.tell(errors) == "A" for _ in range(of))]
+        low, high = intervals[sum(observer.identify(errors) == "A" for _ in range(of))]
         held += low <= share <= high
     assert held >= 0.95 * sessions - 4 * math.sqrt(sessions * 0.95 * 0.05)
     assert held < sessions
@@ -74,7 +74,7 @@ def test_the_observer_does_as_its_equation_says(apart: float) -> None:
     for trial in range(of):
         a, b = (apart, 0.0) if trial % 2 else (0.0, apart)
         x = a if trial % 3 else b
-        right += observer.tell(IntervalErrors(a, b, x)) == ("A" if trial % 3 else "B")
+        right += observer.identify(IntervalErrors(a, b, x)) == ("A" if trial % 3 else "B")
     share = proportion_correct(apart)
     assert abs(right / of - share) < 4 * math.sqrt(0.25 / of)
 
@@ -92,7 +92,7 @@ def test_the_threshold_of_an_observer_is_found_again() -> None:
     for number in range(600):
         apart = (0.02, 0.06, 0.12, 0.2)[number % 4]
         errors = IntervalErrors(apart, 0.0, apart * (number % 3 > 0))
-        trials.append((errors, observer.tell(errors) == "A"))
+        trials.append((errors, observer.identify(errors) == "A"))
     found = fit_threshold(trials)
     assert found is not None
     assert found.low < threshold < found.high
