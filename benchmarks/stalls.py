@@ -84,7 +84,7 @@ def pressed(scene: DisplayScene, host: Host, seconds: float = SECONDS) -> tuple[
         now_s += missed * tick_s
         wanted_n = [beat_n(now_s + ahead * tick_s) for ahead in range(loop.horizon + 1)]
         most_n = max(most_n, loop.felt_n)
-        if safety.full:
+        if safety.gain == 1.0:
             squares, ticks = squares + (loop.felt_n - wanted_n[0]) ** 2, ticks + 1
         reading_n = loop.read_film()
         most_n = max(most_n, loop.tick(safety.bound(wanted_n, alive=True), reading_n))

@@ -174,8 +174,8 @@ class Display:
             safety.watch(reading_n)
         else:
             felt_n = reading_n = self.feedback.read(now_ns)
-            if not self.feedback.alive(now_ns):
-                safety.fault("feedback lost")
+            if (silent := self.feedback.silent(now_ns)) is not None:
+                safety.fault(silent)
             else:
                 safety.watch(reading_n)
                 if (late := self.feedback.late) is not None and not safety.faults:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 from display_node.control.controller import ControllerScene, StepperController, VoltageController
 from display_node.control.margins import refuse_unstable
+from display_node.plant.feedback import refuse_reading
 from display_node.plant.film import FeedbackFilm, FilmTable
 from display_node.plant.second_order import SecondOrder, SecondOrderScene
 from display_node.plant.stepper import Stepper, StepperScene
@@ -30,8 +31,8 @@ class ForceLoop:
         Runs the actuator for a tick under an output; returns the felt force in N.
     film
         The film's model.
-    plausible_n
-        A reading beyond this, to either side, counts as none.
+    overforce_n
+        A reading beyond this in N, to either side, counts as none.
     tick_s
         Tick in s.
     lead_ns
@@ -52,14 +53,14 @@ class ForceLoop:
         controller: StepperController | VoltageController,
         actuator: Callable[[float], float],
         film: FeedbackFilm,
-        plausible_n: float,
+        overforce_n: float,
         tick_s: float,
         lead_ns: int = 0,
         at_end: LimitCounter | None = None,
     ) -> None:
         self.lead_ns = lead_ns
         self.at_end = at_end
-        self._plausible_n = plausible_n
+        self._overforce_n = overforce_n
         self._controller = controller
         self._actuator = actuator
         self._film = film
@@ -108,7 +109,7 @@ class ForceLoop:
         reading_n
             The film's reading in N.
         """
-        if not -self._plausible_n <= reading_n <= self._plausible_n:
+        if refuse_reading(reading_n, self._overforce_n) is not None:
             reading_n = math.nan
         self.output = self._controller.output(reference_n, reading_n)
         self.felt_n = self._actuator(self.output)
@@ -161,11 +162,11 @@ def build_force_loop(
             " law; this actuator is second_order"
         )
     refuse_unstable(controller, actuator, layer, film, force_limit_n, tick_s)
-    reading, plausible_n = FeedbackFilm(film, tick_s), overforce * force_limit_n
+    reading, overforce_n = FeedbackFilm(film, tick_s), overforce * force_limit_n
     if isinstance(actuator, SecondOrderScene):
         plant = SecondOrder(actual if isinstance(actual, SecondOrderScene) else actuator, tick_s)
         voltage = VoltageController(controller, actuator, film, tick_s)
-        return ForceLoop(voltage, plant.step, reading, plausible_n, tick_s)
+        return ForceLoop(voltage, plant.step, reading, overforce_n, tick_s)
     truth = actual if isinstance(actual, StepperScene) else actuator
     stepper = Stepper(truth, truth.contact(layer), force_limit_n, tick_s)
     speed = StepperController(
@@ -183,7 +184,7 @@ def build_force_loop(
         speed,
         lambda speed_m_per_s: stepper.step(rate_hz(speed_m_per_s)),
         reading,
-        plausible_n,
+        overforce_n,
         tick_s,
         actuator.latency_ns,
         stepper.at_end,

@@ -1,15 +1,15 @@
-"""Safety: what may reach the actuator, whatever the peer sends.
+"""Safety: bounds of what reaches the actuator, whatever the peer sends.
 
-Bounds on the target force and its slew; a gain that falls to nothing when the stream is stale or
-the loop stalls, and comes back by a ramp; a latch that holds the target at 0 N after a fault. What
-is felt then is not known here: see `finger.py`.
+Force limit and slew limit of the target; a gain that falls to 0 when the stream is stale or the
+loop stalls, and comes back by a ramp; a latch that holds the target at 0 N after a fault. What is
+felt after a fault is measured: see `drives/withdrawal.py`.
 """
 
-import math
 from typing import Annotated
 
 from pydantic import Field
 
+from display_node.plant.feedback import refuse_reading
 from protocol.config.quantities import Nanoseconds, Newtons, NewtonsPerSecond
 from protocol.config.scene import Section
 from protocol.limits import LimitCounter
@@ -21,8 +21,8 @@ NEGLIGIBLE_N = 1e-3
 class SafetyScene(Section):
     """The `safety` table: default force limit is the calibrated range of the paper's Fig. 4.
 
-    overforce: felt force, as a multiple of the limit, that counts as a fault. feedback_within:
-    a real film that says nothing for so long is lost.
+    overforce: felt force, as a multiple of the limit, that counts as a fault. feedback_within: a
+    real film without a sample for so long is lost.
     """
 
     force_limit_n: Annotated[Newtons, Field(gt=0, le=100)] = 2.5
@@ -35,10 +35,17 @@ class SafetyScene(Section):
 
 
 class Safety:
-    """Bounds the reference of one actuator, tick by tick.
+    """Bounds of one actuator's reference, tick by tick.
 
-    at_force_limit, below_zero, at_slew_limit: how often and how long each bound held. A slew
-    that is bounded while the pulse ramps up or fades out is meant to be, and is not counted.
+    Attributes
+    ----------
+    gain
+        Factor of the reference, 0 to 1.
+    faults
+        Latched faults, the first one first.
+    at_force_limit, below_zero, at_slew_limit
+        How often and for how long each bound held. A slew that is bounded while the pulse ramps up
+        or fades out is meant to be, and is not counted.
     """
 
     def __init__(self, scene: SafetyScene, tick_ns: int) -> None:
@@ -56,17 +63,10 @@ class Safety:
         self.at_force_limit, self.below_zero = LimitCounter(), LimitCounter()
         self.at_slew_limit = LimitCounter()
 
-    @property
-    def full(self) -> bool:
-        """True while the pulse is felt at its full strength."""
-        return self.gain == 1.0
-
     def watch(self, feedback_n: float) -> None:
-        """Look at the felt force; a reading that cannot be trusted is a fault, and latches."""
-        if not math.isfinite(feedback_n):
-            self.fault("feedback is not a number")
-        elif abs(feedback_n) > self._overforce_n:
-            self.fault(f"felt force above {self._overforce_n:.3g} N")
+        """Check a reading of the felt force in N; one that cannot be true is a fault."""
+        if (fault := refuse_reading(feedback_n, self._overforce_n)) is not None:
+            self.fault(fault)
 
     def skip(self, elapsed_ticks: int) -> None:
         """Fade for missed ticks; call it before `bound` of the tick that ends a stall.
@@ -82,7 +82,15 @@ class Safety:
         self.gain = max(0.0, self.gain - self._fade * max(0, elapsed_ticks - self._stale_ticks))
 
     def bound(self, reference_n: list[float], alive: bool) -> list[float]:
-        """The reference within force and slew limits; towards 0 N when not alive or at fault."""
+        """Return the reference within force and slew limits, in N.
+
+        Parameters
+        ----------
+        reference_n
+            Wanted force now and in the next ticks, in N.
+        alive
+            False where the stream is stale; the gain then falls to 0, as it does at a fault.
+        """
         if not alive or self.faults:
             self.gain = max(0.0, self.gain - self._fade)
         elif self.gain < 1.0:

@@ -85,11 +85,11 @@ class Hardware:
         if self._sensor is None:
             if status.heard_ns != self._heard_ns:
                 self._heard_ns = status.heard_ns
-                self.feedback.hear(status.heard_ns, self._contact.force(status.position_m))
+                self.feedback.add(status.heard_ns, self._contact.force(status.position_m))
         else:
             self._plausibility.report(status.position_m, status.heard_ns)
             if newest is not None and status.fault is None:
-                contradiction = self._plausibility.contradiction(newest[1], newest[0])
+                contradiction = self._plausibility.fault(newest[1], newest[0])
                 return self._film_fault or contradiction
         return None if status.fault is None else f"drive: {status.fault}"
 
@@ -168,7 +168,7 @@ class Hardware:
         samples = self.feedback.samples
         for reading in sensor.poll():
             for taken_ns, force_n in zip(reading.times_ns, reading.force_n, strict=True):
-                self.feedback.hear(taken_ns, force_n)
+                self.feedback.add(taken_ns, force_n)
                 self._film_fault = self._film_fault or self._rising.fault(force_n, taken_ns)
         newest = self.feedback.newest
         if newest is None or self.feedback.samples == samples:

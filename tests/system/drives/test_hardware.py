@@ -284,7 +284,7 @@ def test_what_goes_wrong_is_counted_and_told() -> None:
     bench.drive.counts["superseded"] = 3
     bench.film.rejected["garbled"] = 2
     assert bench.hardware.counts == Counter({"drive superseded": 3, "film garbled": 2})
-    bench.hardware.feedback.hear(0, 0.1)
+    bench.hardware.feedback.add(0, 0.1)
     assert bench.hardware.counts["film out of order"] == 1
     lose_the_film(bench)
     assert bench.hardware.faults() == ["the film is torn"]

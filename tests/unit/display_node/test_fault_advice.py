@@ -14,6 +14,7 @@ from display_node.fault_advice import (
     end_at_faults,
     latched,
 )
+from display_node.plant.feedback import FilmFault
 
 PACKAGE = Path(__file__).parents[3] / "display_node"
 
@@ -23,7 +24,8 @@ def named_faults() -> set[str]:
     sources = "\n".join(path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py"))
     safety = re.findall(r'\.fault\(\s*f?"([^"{]+)', sources)
     drive = re.findall(r'(?:DriveError\(|\.?_?fail\()\s*f?"([a-z][^":{]+)', sources)
-    return {*safety, *(f"drive: {kind}" for kind in drive)}
+    film = (fault.value.split("{")[0] for fault in FilmFault)
+    return {*safety, *film, *(f"drive: {kind}" for kind in drive)}
 
 
 def test_every_fault_in_the_code_has_an_advice() -> None:

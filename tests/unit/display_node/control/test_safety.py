@@ -20,7 +20,7 @@ def safety(tick_ns: int = TICK_NS, **table: object) -> Safety:
 def at_full_strength() -> Safety:
     """A safety whose ramp is over, at rest."""
     ready = safety()
-    while not ready.full:
+    while ready.gain < 1.0:
         ready.bound([0.0, 0.0], alive=True)
     return ready
 
@@ -102,7 +102,7 @@ def test_it_begins_at_rest_and_ramps_up() -> None:
     felt_n = ticked(under_test, 1.0, 501)
     assert felt_n[:500] == pytest.approx([tick / 500 for tick in range(1, 501)])
     assert felt_n[500] == 1.0
-    assert under_test.full
+    assert under_test.gain == 1.0
 
 
 def test_a_stale_stream_fades_to_nothing() -> None:
@@ -111,7 +111,7 @@ def test_a_stale_stream_fades_to_nothing() -> None:
     fading_n = ticked(under_test, 1.0, 45, alive=False)
     assert fading_n[:40] == pytest.approx([1 - tick / 40 for tick in range(1, 41)], abs=1e-9)
     assert fading_n[40:] == [0.0] * 5
-    assert not under_test.full
+    assert under_test.gain < 1.0
 
 
 def test_a_short_gap_costs_only_what_was_faded() -> None:

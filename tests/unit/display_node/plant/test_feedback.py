@@ -1,7 +1,4 @@
-"""
-
-A film that cannot be right where the tip stands.
-"""
+"""Readings of a real film: their age, and those that cannot be true."""
 
 import math
 
@@ -26,7 +23,7 @@ def contradiction(position_m: float, force_n: float, ms: int = 200) -> str | Non
     found = None
     for at_ms in range(0, ms, 5):
         film.report(position_m, at_ms * MS)
-        found = film.contradiction(force_n, at_ms * MS)
+        found = film.fault(force_n, at_ms * MS)
     return found
 
 
@@ -56,14 +53,14 @@ def test_it_must_last() -> None:
     for at_ms in range(0, 500, 5):
         film.report(LAW.position(2.5), at_ms * MS)
         right = at_ms % 40 == 0
-        assert film.contradiction(2.5 if right else 0.0, at_ms * MS) is None
+        assert film.fault(2.5 if right else 0.0, at_ms * MS) is None
 
 
 def test_a_motion_within_50_ms_is_not_held_against_it() -> None:
     film = FilmPlausibility(stepper(fingertip="1 N/mm"), LAYER)
     for at_ms in range(0, 500, 5):
         film.report(LAW.position(2.5 if at_ms % 40 else 0.0), at_ms * MS)
-        assert film.contradiction(1e-4 * (at_ms % 10), at_ms * MS) is None
+        assert film.fault(1e-4 * (at_ms % 10), at_ms * MS) is None
 
 
 def rise(n_per_s: float, end_n: float = 3.5) -> str | None:
@@ -102,7 +99,7 @@ def test_a_film_that_does_not_change_while_the_tip_goes_is_frozen() -> None:
         place_m = 0.9e-3 + 0.3e-3 * math.sin(at_ms / 50)
         for film, force_n in ((frozen, 0.55), (right, LAW.force(place_m))):
             film.report(place_m, at_ms * MS)
-            fault = film.contradiction(force_n, at_ms * MS)
+            fault = film.fault(force_n, at_ms * MS)
             if film is right:
                 assert fault is None
             found = found or fault
@@ -113,17 +110,14 @@ def test_a_film_off_the_finger_may_read_the_same_for_ever() -> None:
     film = FilmPlausibility(stepper(fingertip="1 N/mm"), LAYER)
     for at_ms in range(0, 2_000, 5):
         film.report(-0.3e-3 + 0.3e-3 * math.sin(at_ms / 50), at_ms * MS)
-        assert film.contradiction(0.0, at_ms * MS) is None
+        assert film.fault(0.0, at_ms * MS) is None
 
 
-MS = 1_000_000
-
-
-def heard(latency_ms: float = 4, stale_after_ms: float = 20) -> Feedback:
+def sampled(latency_ms: float = 4, stale_after_ms: float = 20) -> Feedback:
     """Samples of 0 … 9 N at 0 … 9 ms."""
     feedback = Feedback(round(latency_ms * MS), round(stale_after_ms * MS))
     for number in range(10):
-        feedback.hear(number * MS, float(number))
+        feedback.add(number * MS, float(number))
     return feedback
 
 
@@ -131,7 +125,7 @@ def heard(latency_ms: float = 4, stale_after_ms: float = 20) -> Feedback:
     ("now_ms", "force_n"), [(4, 0), (4.5, 0.5), (9, 5), (12.75, 8.75), (13, 9), (14, 9), (29, 9)]
 )
 def test_it_gives_the_force_of_then(now_ms: float, force_n: float) -> None:
-    assert heard().read(round(now_ms * MS)) == pytest.approx(force_n, abs=1e-9)
+    assert sampled().read(round(now_ms * MS)) == pytest.approx(force_n, abs=1e-9)
 
 
 def test_batches_are_read_as_regularly_as_they_were_taken() -> None:
@@ -139,25 +133,26 @@ def test_batches_are_read_as_regularly_as_they_were_taken() -> None:
     for now_ms in range(100):
         if now_ms % 8 == 7:
             for taken_ms in range(now_ms - 7, now_ms + 1):
-                feedback.hear(taken_ms * MS, float(taken_ms))
+                feedback.add(taken_ms * MS, float(taken_ms))
         read.append(feedback.read(now_ms * MS))
     assert read[20:] == [float(now_ms - 10) for now_ms in range(20, 100)]
 
 
-def test_before_the_first_sample_and_after_too_long_a_silence_it_says_nothing() -> None:
+def test_before_the_first_sample_and_after_too_long_a_silence_it_reads_nothing() -> None:
     assert math.isnan(Feedback(0, MS).read(0))
-    feedback = heard()
+    feedback = sampled()
     assert feedback.read(29 * MS) == 9.0
     assert math.isnan(feedback.read(29 * MS + 1))
     assert not feedback.alive(29 * MS + 1)
-    feedback.hear(30 * MS, 3.0)
+    assert feedback.silent(29 * MS + 1) == "feedback lost"
+    feedback.add(30 * MS, 3.0)
     assert feedback.read(35 * MS) == 3.0
 
 
 def test_samples_that_are_not_newer_are_counted_and_left_out() -> None:
-    feedback = heard()
-    feedback.hear(9 * MS, 99.0)
-    feedback.hear(2 * MS, 99.0)
+    feedback = sampled()
+    feedback.add(9 * MS, 99.0)
+    feedback.add(2 * MS, 99.0)
     assert (feedback.samples, feedback.out_of_order) == (10, 2)
     assert feedback.read(13 * MS) == 9.0
 
@@ -165,7 +160,7 @@ def test_samples_that_are_not_newer_are_counted_and_left_out() -> None:
 def test_a_flood_is_bounded_and_the_newest_is_kept() -> None:
     feedback = Feedback(MS, 20 * MS)
     for number in range(3 * KEEP):
-        feedback.hear(number * 1000, float(number))
+        feedback.add(number * 1000, float(number))
     assert feedback.read(3 * KEEP * 1000 + MS) == 3 * KEEP - 1
 
 
@@ -174,7 +169,7 @@ def late_after_ms(ages_ms: list[float], latency_ms: int = 8, stall_ms: int = 0) 
     feedback = Feedback(latency_ms * MS, 40 * MS)
     for tick, age_ms in enumerate(ages_ms):
         now_ms = 1_000 + 2 * tick + (stall_ms if tick else 0)
-        feedback.hear(round((now_ms - age_ms) * MS), 0.3)
+        feedback.add(round((now_ms - age_ms) * MS), 0.3)
         feedback.read(now_ms * MS)
         if feedback.late is not None:
             assert feedback.late == "feedback late: readings are 19 ms old or older, not 8 ms"

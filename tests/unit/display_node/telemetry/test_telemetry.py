@@ -201,7 +201,7 @@ def test_a_film_that_falls_silent_is_a_fault_and_its_force_unknown() -> None:
     sender, writer, messages = Sender(), TraceWriter(), []
     for ms in range(3_000):
         if ms < 2_000:
-            feedback.hear(ms * MS, 0.3)
+            feedback.add(ms * MS, 0.3)
         run(display, sender, ms, ms + 1)
         messages.append(writer.add(display.felt))
     felt_n = np.concatenate([read_trace(message).felt_n for message in messages if message])
