@@ -1,6 +1,6 @@
-"""A link for real programs: real kernel TCP between two network namespaces, made worse on the way.
+"""Emulated links for real programs: kernel TCP between two network namespaces, impaired between.
 
-Needs root and /dev/net/tun; everything it makes vanishes with the process that made it.
+Needs root and /dev/net/tun. Namespaces and devices vanish with the process that made them.
 """
 
 from telepulse.netem.emulated_link import EmulatedLink, emulate

@@ -1,4 +1,4 @@
-"""`python -m telepulse.netem`: the relay of an emulated link, as a process of its own."""
+"""`python -m telepulse.netem`: the forwarder of an emulated link, as a process of its own."""
 
 import sys
 

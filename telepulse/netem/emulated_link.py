@@ -1,4 +1,4 @@
-"""Two namespaces and the links between them, as one thing to use in a `with`."""
+"""Two namespaces and the emulated links between them, as a context manager."""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -13,7 +13,7 @@ from telepulse.netem.forwarder import DROP, ForwarderCounts, PacketFilter, write
 from telepulse.netem.namespace import EmulatorError, Namespace
 from telepulse.simulation.link_model import LinkScene
 
-# Nobody but the two namespaces ever sees these addresses; one network for each link.
+# Addresses inside the two namespaces, with one network for each link.
 SENSING_ADDRESS, DISPLAY_ADDRESS = "10.77.{}.1", "10.77.{}.2"
 ANSWERS_WITHIN_S = 30.0
 
@@ -22,64 +22,69 @@ ANSWERS_WITHIN_S = 30.0
 class EmulatedLink:
     """One link or several between two namespaces, which have an address on each.
 
-    began_ns: when the links' time began, on this machine's monotonic clock. orders: where the
-    relay is told of changes. carried: what it has done on all of them, once they have ended.
+    began_ns: begin of the links' time, on this machine's monotonic clock. commands: input of the
+    forwarder. carried: the counts of all links, once they have ended.
     """
 
     sensing: Namespace
     display: Namespace
     began_ns: int
-    orders: IO[str]
+    commands: IO[str]
     carried: ForwarderCounts | None = None
 
     def change(self, scene: LinkScene, number: int = 0) -> None:
-        """Change one of the links from now on; what is under way arrives."""
-        self.orders.write(f"{number} {scene.text()}\n")
-        self.orders.flush()
+        """Change one of the links from now on; packets under way arrive."""
+        self.commands.write(f"{number} {scene.text()}\n")
+        self.commands.flush()
 
     def drop(self, *filters: PacketFilter, number: int = 0) -> None:
-        """Drop what these filters name on one of the links, and nothing else; none: nothing."""
-        self.orders.write(f"{number} {DROP}{write_filters(filters)}\n")
-        self.orders.flush()
+        """Drop the packets of these filters on one of the links, and no others."""
+        self.commands.write(f"{number} {DROP}{write_filters(filters)}\n")
+        self.commands.flush()
 
 
 @contextmanager
 def emulate(*scenes: LinkScene, seed: int = 1) -> Iterator[EmulatedLink]:
-    """A link for each scene, all between the same two namespaces, within a `with`.
+    """Make a link for each scene, all between the same two namespaces.
 
-    Several such pairs may stand side by side. The same seed gives the same chances, but which
-    packet meets them is the kernel's affair. What was started in the namespaces is to be ended
-    before. Raises EmulatorError.
+    Several such pairs can run side by side. The same seed gives the same impairments in time;
+    the kernel decides which packet meets them. Programs in the namespaces must have ended at the
+    end of the context. Raises EmulatorError.
     """
     numbers = range(len(scenes))
     with (
         closing(Namespace([SENSING_ADDRESS.format(number) for number in numbers])) as sensing,
         closing(Namespace([DISPLAY_ADDRESS.format(number) for number in numbers])) as display,
     ):
-        relay = _start_relay(sensing.tuns, display.tuns, scenes, seed)
-        with relay:
-            assert relay.stdin is not None
-            link = EmulatedLink(sensing, display, _receive(relay)["began_ns"], relay.stdin)
+        forwarder = _start_forwarder(sensing.tuns, display.tuns, scenes, seed)
+        with forwarder:
+            assert forwarder.stdin is not None
+            link = EmulatedLink(sensing, display, _receive(forwarder)["began_ns"], forwarder.stdin)
             yield link
-            relay.close_input()
-            link.carried = ForwarderCounts(**_receive(relay))
+            forwarder.close_input()
+            link.carried = ForwarderCounts(**_receive(forwarder))
 
 
-def _start_relay(
+def _start_forwarder(
     near: Sequence[int], far: Sequence[int], scenes: Sequence[LinkScene], seed: int
 ) -> ChildProcess:
     tuns = (*near, *far)
     arguments = (str(seed), *map(str, tuns), *(scene.text() for scene in scenes))
     command = ("-m", "telepulse.netem", *arguments)
     return ChildProcess(
-        "relay of the emulated link", *command, stdin=PIPE, stdout=PIPE, stderr=PIPE, pass_fds=tuns
+        "forwarder of the emulated link",
+        *command,
+        stdin=PIPE,
+        stdout=PIPE,
+        stderr=PIPE,
+        pass_fds=tuns,
     )
 
 
-def _receive(relay: ChildProcess) -> dict[str, int]:
-    """Return the next table that the relay prints. Raises EmulatorError."""
+def _receive(forwarder: ChildProcess) -> dict[str, int]:
+    """Return the next table that the forwarder prints. Raises EmulatorError."""
     try:
-        table: dict[str, int] = json.loads(relay.read_line(ANSWERS_WITHIN_S))
+        table: dict[str, int] = json.loads(forwarder.read_line(ANSWERS_WITHIN_S))
     except ProcessError as error:
         raise EmulatorError(str(error)) from None
     return table

@@ -1,12 +1,9 @@
-"""The relay between pairs of TUN devices: each packet is written when
-the model of its link says so.
+"""The forwarder of an emulated link: writes each packet at the time given by its link's model.
 
-A process of its own, so that nobody's garbage collector delays packets. It prints when the link
-begins, and what it has carried when its standard input is closed, as by its parent's end. Until
-then a line there, the number of a link and what it is like from now on, changes that link; where
-"drop" and packet filters follow the number, those replace the link's filters.
-
-Packets that an emulated link drops by their TCP header, as a firewall would.
+It runs as a process of its own, so that no garbage collector delays packets. It prints the begin
+of the links, and its counts once its standard input is closed, as by the end of its parent. A
+line on standard input is the number of a link with its new impairments, or with "drop" and its
+new packet filters.
 """
 
 import heapq
@@ -17,10 +14,10 @@ import select
 import struct
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Literal
 
 from protocol.histogram import Histogram
 from protocol.host.measures import freeze_objects
@@ -29,14 +26,20 @@ from telepulse.simulation.link_model import Direction, parse_link
 
 TCP = 6
 SYN = 0x02
+IPV4 = 4
+IDLE_NS = 1_000_000_000
+MAX_PACKETS = 64
+# A pipe transfers lines up to this length whole.
+MAX_COMMAND_BYTES = 4096
+DROP = "drop "
 
 
 @dataclass(frozen=True, slots=True)
 class PacketFilter:
-    """A rule that drops TCP packets of one link.
+    """A rule that drops TCP packets of one link by their header, as a firewall would.
 
-    port: the sensing node's; None: any. towards: the node that does not receive them, None: both.
-    syn_only: requests to connect and their answers alone; established connections go on.
+    port: the sensing node's; None: any. towards: the node that does not receive them; None: both.
+    syn_only: drop connection requests and their answers only; established connections continue.
     """
 
     port: int | None = None
@@ -66,18 +69,9 @@ def read_filters(text: str) -> tuple[PacketFilter, ...]:
     return tuple(PacketFilter(**fields) for fields in json.loads(text))
 
 
-IDLE_NS = 1_000_000_000
-MAX_PACKETS = 64
-# A pipe takes and gives a line of this length whole.
-MAX_ORDER_BYTES = 4096
-IPV4 = 4
-DROP = "drop "
-
-
 @dataclass(frozen=True, slots=True)
 class ForwarderCounts:
-    """The account of a relay: packets written, packets lost, and how late packets were written
-    against the model, in µs."""
+    """Packets written and lost, and the lateness of writing against the model in µs."""
 
     packets: int
     lost: int
@@ -87,61 +81,80 @@ class ForwarderCounts:
 
 
 class Forwarder:
-    """Carries IPv4 packets between TUN devices.
+    """Forwards IPv4 packets between pairs of TUN devices.
 
-    ways: for each device the direction that its packets take, and the device they come out of.
+    Parameters
+    ----------
+    pairs : sequence of (int, int)
+        For each link the descriptor of its device at the sensing node, and at the display.
+    links : sequence of str
+        The links as `parse_link` reads them.
     """
 
-    def __init__(self, ways: dict[int, tuple[Direction, int]]) -> None:
-        self._ways = ways
+    def __init__(self, pairs: Sequence[tuple[int, int]], links: Sequence[str], seed: int) -> None:
+        self.began_ns = time.monotonic_ns()
+        self._pairs = pairs
+        self._seed = seed
+        # By device: the direction that its packets take, and the device they come out of.
+        self._paths: dict[int, tuple[Direction, int]] = {}
+        # By device: the node that its packets go towards, and the filters on them.
+        self._filters: dict[int, tuple[str, tuple[PacketFilter, ...]]] = {}
         self._waiting: list[tuple[int, int, int, bytes]] = []
         self._order = itertools.count()
-        # By device: the node that its packets go towards, and what of them is dropped.
-        self._filters: dict[int, tuple[str, tuple[PacketFilter, ...]]] = {}
         self._packets = self._lost = 0
         self._late_us = Histogram(10.0, 1_000)
+        for number, text in enumerate(links):
+            self._change(number, text)
 
-    def run(self, orders: int, obey: Callable[[bytes], None]) -> None:
-        """Relay until the descriptor `orders` is at its end; what can be read of it is obeyed."""
-        readable = [orders, *self._ways]
+    def run(self, commands: int) -> None:
+        """Forward until the descriptor `commands` is at its end, and execute its lines."""
+        readable = [commands, *self._paths]
         while True:
             wait_ns = self._deliver()
             ready, _, _ = select.select(readable, [], [], wait_ns * 1e-9)
-            if orders in ready:
-                ready.remove(orders)
-                data = os.read(orders, MAX_ORDER_BYTES)
+            if commands in ready:
+                ready.remove(commands)
+                data = os.read(commands, MAX_COMMAND_BYTES)
                 if not data:
                     return
-                obey(data)
+                for line in data.decode().splitlines():
+                    self._execute(line)
             for tun in ready:
                 self._receive(tun)
 
-    def redirect(self, tun: int, direction: Direction) -> None:
-        """Send this device's packets another way from now on; those under way arrive."""
-        former, other = self._ways[tun]
-        self._lost += former.lost
-        self._ways[tun] = direction, other
-
-    def drop(self, tun: int, towards: str, filters: tuple[PacketFilter, ...]) -> None:
-        """Drop from now on what these filters name of the packets of this device."""
-        self._filters[tun] = towards, filters
-
-    def carried(self) -> ForwarderCounts:
-        """Return the account so far."""
-        lost = self._lost + sum(direction.lost for direction, _ in self._ways.values())
+    def counts(self) -> ForwarderCounts:
+        """Return the counts so far."""
+        lost = self._lost + sum(direction.lost for direction, _ in self._paths.values())
         late_us = self._late_us
         quantiles_us = late_us.quantile(0.5), late_us.quantile(0.99)
         return ForwarderCounts(self._packets, lost, *quantiles_us, late_us.maximum)
 
+    def _execute(self, line: str) -> None:
+        number, _, text = line.partition(" ")
+        if not text.startswith(DROP):
+            self._change(int(number), text)
+            return
+        filters = read_filters(text.removeprefix(DROP))
+        for tun, towards in zip(self._pairs[int(number)], ("display", "sensing"), strict=True):
+            self._filters[tun] = towards, filters
+
+    def _change(self, number: int, text: str) -> None:
+        """Change a link from now on; packets under way arrive."""
+        link, seed, (near, far) = parse_link(text), self._seed + 2 * number, self._pairs[number]
+        for tun, other, offset in ((near, far, 0), (far, near, 1)):
+            if tun in self._paths:
+                self._lost += self._paths[tun][0].lost
+            self._paths[tun] = Direction(link, seed + offset, self.began_ns), other
+
     def _receive(self, tun: int) -> None:
-        direction, other = self._ways[tun]
+        direction, other = self._paths[tun]
         towards, filters = self._filters.get(tun, ("", ()))
         for _ in range(MAX_PACKETS):
             try:
                 packet = os.read(tun, MTU_BYTES)
             except BlockingIOError:
                 return
-            # A new interface asks about IPv6 neighbours, which would be counted as traffic.
+            # A new interface sends IPv6 neighbour requests, which would count as traffic.
             if packet[0] >> 4 != IPV4:
                 continue
             if any(one.drops(packet, towards) for one in filters):
@@ -152,7 +165,7 @@ class Forwarder:
                 heapq.heappush(self._waiting, (due_ns, next(self._order), other, packet))
 
     def _deliver(self) -> int:
-        """Write what is due; how long until the next packet is."""
+        """Write the due packets; return the time in ns until the next one."""
         while self._waiting:
             late_ns = time.monotonic_ns() - self._waiting[0][0]
             if late_ns < 0:
@@ -165,42 +178,18 @@ class Forwarder:
 
 
 def main(arguments: list[str]) -> None:
-    """Run a relay: a seed; then, for n links, the n descriptors of the TUN devices at the sensing
-    node, the n at the display, and the n links as `parse_link` reads them."""
-    seed, count = int(arguments[0]), len(arguments) // 3
+    """Run a forwarder.
+
+    The arguments are a seed; then, for n links, the n descriptors of the TUN devices at the
+    sensing node, the n at the display, and the n links.
+    """
+    count = len(arguments) // 3
     near, far = map(int, arguments[1 : count + 1]), map(int, arguments[count + 1 : 2 * count + 1])
     pairs = list(zip(near, far, strict=True))
-    began_ns = time.monotonic_ns()
-
-    def directions(number: int, text: str) -> tuple[Direction, Direction]:
-        link, chances = parse_link(text), seed + 2 * number
-        return Direction(link, chances, began_ns), Direction(link, chances + 1, began_ns)
-
-    ways = {}
-    for number, (one, other) in enumerate(pairs):
-        there, back = directions(number, arguments[2 * count + 1 + number])
-        ways[one], ways[other] = (there, other), (back, one)
-    with suppress(PermissionError):  # as in a container that was given no more than it needs
+    forwarder = Forwarder(pairs, arguments[2 * count + 1 :], int(arguments[0]))
+    with suppress(PermissionError):  # as in a container with no more rights than it needs
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
-    relay = Forwarder(ways)
-
-    def obey(data: bytes) -> None:
-        for line in data.decode().splitlines():
-            number, _, text = line.partition(" ")
-            pair = pairs[int(number)]
-            if text.startswith(DROP):
-                filters = read_filters(text.removeprefix(DROP))
-                for tun, towards in zip(pair, ("display", "sensing"), strict=True):
-                    relay.drop(tun, towards, filters)
-                continue
-            for tun, direction in zip(pair, directions(int(number), text), strict=True):
-                relay.redirect(tun, direction)
-
     freeze_objects()
-    _say({"began_ns": began_ns})
-    relay.run(sys.stdin.fileno(), obey)
-    _say(asdict(relay.carried()))
-
-
-def _say(table: dict[str, Any]) -> None:
-    print(json.dumps(table), flush=True)
+    print(json.dumps({"began_ns": forwarder.began_ns}), flush=True)
+    forwarder.run(sys.stdin.fileno())
+    print(json.dumps(asdict(forwarder.counts())), flush=True)

@@ -1,5 +1,7 @@
-"""A link between two real nodes: relays every message as a `MessageLink` says. Run as a process
-of its own; data frames can be lost, control only delayed."""
+"""A proxy between two real nodes that delays or loses messages by a `MessageLink`.
+
+Data frames can be lost, control messages only delayed.
+"""
 
 import heapq
 import itertools
@@ -18,7 +20,19 @@ IDLE_NS = 50_000_000
 
 
 class LinkProxy:
-    """Stands between a sensing node at `connect` and displays that connect to `bind`."""
+    """Proxy between a sensing node at `connect` and displays that connect to `bind`.
+
+    Parameters
+    ----------
+    client_keys : ClientKeys, optional
+        Keys towards the sensing node.
+    server_keys : ServerKeys, optional
+        Keys towards displays, with those that may connect.
+
+    Raises
+    ------
+    AddressError, KeyFileError
+    """
 
     def __init__(
         self,
@@ -26,12 +40,10 @@ class LinkProxy:
         connect: str,
         bind: str,
         seed: int,
-        keys: ClientKeys | None = None,
-        gate_keys: ServerKeys | None = None,
+        client_keys: ClientKeys | None = None,
+        server_keys: ServerKeys | None = None,
         log: Callable[[str], None] = print,
     ) -> None:
-        """keys: towards the sensing node; gate_keys: towards displays. Raises AddressError,
-        KeyFileError."""
         now_ns = time.monotonic_ns()
         self._down, self._up = (MessageLink(scene, seed + i, now_ns) for i in (0, 1))
         self._stopping = False
@@ -40,29 +52,34 @@ class LinkProxy:
         self._context: sockets.Context = zmq.Context()
         context = self._context
         control_in, control_out = (sockets.control_address(a) for a in (connect, bind))
-        self._data_in = sockets.connect(context, zmq.SUB, connect, keys)
+        self._data_in = sockets.connect(context, zmq.SUB, connect, client_keys)
         self._data_in.subscribe(b"")
-        self._control_in = sockets.connect(context, zmq.DEALER, control_in, keys)
-        self._gate = Authenticator(context, gate_keys, log)
-        self._data_out = sockets.bind(context, zmq.XPUB, bind, self._gate)
+        self._control_in = sockets.connect(context, zmq.DEALER, control_in, client_keys)
+        self._authenticator = Authenticator(context, server_keys, log)
+        self._data_out = sockets.bind(context, zmq.XPUB, bind, self._authenticator)
         self._subscribers = SubscriptionBudget(self._data_out, (b"",), log)
-        self._control_out = sockets.bind(context, zmq.ROUTER, control_out, self._gate)
+        self._control_out = sockets.bind(context, zmq.ROUTER, control_out, self._authenticator)
 
     @property
     def lost_frames(self) -> int:
-        """Data frames this link has lost."""
+        """Count of data frames that the link has lost."""
         return self._down.lost_data
 
     def stop(self) -> None:
-        """End after the present message."""
+        """Make `run` return after the present message."""
         self._stopping = True
 
     def run(self) -> None:
-        """Relay until stopped."""
-        readable = [self._data_in, self._control_in, self._control_out, *self._gate.sockets]
+        """Pass messages on until stopped."""
+        readable = [
+            self._data_in,
+            self._control_in,
+            self._control_out,
+            *self._authenticator.sockets,
+        ]
         try:
             while not self._stopping:
-                self._gate.poll(time.monotonic_ns())
+                self._authenticator.poll(time.monotonic_ns())
                 self._receive()
                 wait_ns = self._deliver()
                 sockets.wait_readable(readable, wait_ns)
@@ -74,19 +91,19 @@ class LinkProxy:
         for parts in sockets.receive_all(self._data_in):
             due_ns = self._down.data_arrival_ns(time.monotonic_ns(), _size_bytes(parts))
             if due_ns is not None:
-                self._plan(due_ns, self._data_out, parts)
+                self._schedule(due_ns, self._data_out, parts)
         for parts in sockets.receive_all(self._control_in):
             due_ns = self._down.control_arrival_ns(time.monotonic_ns(), _size_bytes(parts))
-            self._plan(due_ns, self._control_out, parts)
+            self._schedule(due_ns, self._control_out, parts)
         for parts in sockets.receive_all(self._control_out):
             due_ns = self._up.control_arrival_ns(time.monotonic_ns(), _size_bytes(parts))
-            self._plan(due_ns, self._control_in, parts)
+            self._schedule(due_ns, self._control_in, parts)
 
-    def _plan(self, due_ns: int, socket: sockets.Socket, parts: list[bytes]) -> None:
+    def _schedule(self, due_ns: int, socket: sockets.Socket, parts: list[bytes]) -> None:
         heapq.heappush(self._waiting, (due_ns, next(self._order), socket, parts))
 
     def _deliver(self) -> int:
-        """Send what is due; how long until the next one is."""
+        """Send the due messages; return the time in ns until the next one."""
         while self._waiting:
             wait_ns = self._waiting[0][0] - time.monotonic_ns()
             if wait_ns > 0:

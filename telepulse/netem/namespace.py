@@ -1,8 +1,7 @@
-"""A network namespace of our own, nameless: it goes when nothing holds it any more.
+"""Network namespaces with TUN devices, whose packets a program reads and writes.
 
-TUN devices: a network interface whose packets a program reads and writes.
-
-Requests and flags are those of <linux/if_tun.h>, <linux/if.h> and <linux/sockios.h>.
+A namespace has no name, and goes when no process or descriptor holds it any more. Requests and
+flags are those of <linux/if_tun.h>, <linux/if.h> and <linux/sockios.h>.
 """
 
 import ctypes
@@ -27,8 +26,8 @@ _NETMASK = "255.255.255.252"
 def open_tun(name: str, address: str) -> int:
     """Make a TUN device in the present network namespace and bring it up; IPv4 packets only.
 
-    address: its own, in a network of four. Returns the non-blocking descriptor to read and write
-    packets with; the device goes when it is closed. Raises OSError.
+    address: its own, in a network of four. Returns the non-blocking descriptor of its packets; the
+    device goes when it is closed. Raises OSError.
     """
     descriptor = os.open(TUN_PATH, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
@@ -56,7 +55,7 @@ def _request(control: socket.socket, number: int, name: str, value: bytes) -> No
 
 
 def _internet(address: str) -> bytes:
-    """A struct sockaddr_in without a port."""
+    """Return a struct sockaddr_in without a port."""
     return struct.pack("=HH4s8x", socket.AF_INET, 0, socket.inet_aton(address))
 
 
@@ -66,19 +65,19 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 
 class EmulatorError(TelepulseError, OSError):
-    """The link emulator cannot run here, or its relay failed.
+    """The link emulator cannot run here, or its forwarder failed.
 
-    Example scenarios: not root, no /dev/net/tun, the relay was killed.
+    Example scenarios: not root, no /dev/net/tun, the forwarder was killed.
     """
 
 
 def unavailable() -> str | None:
-    """Why namespaces and TUN devices cannot be made here; None when they can."""
+    """Return why namespaces and TUN devices cannot be made here; None when they can."""
     if os.geteuid() != 0:
         return "the link emulator needs root"
     try:
         os.close(os.open(TUN_PATH, os.O_RDWR))
-        with _and_home_again():
+        with _back_afterwards():
             _unshare()
     except OSError as error:
         return f"the link emulator needs {TUN_PATH} and network namespaces: {error.strerror}"
@@ -88,15 +87,14 @@ def unavailable() -> str | None:
 class Namespace:
     """A network namespace with a loopback and a TUN device at each of `addresses`.
 
-    tuns: the descriptors their packets are read from and written to.
+    tuns: the descriptors of the devices. Raises EmulatorError.
     """
 
     def __init__(self, addresses: Sequence[str]) -> None:
-        """Raises EmulatorError."""
         self.addresses = tuple(addresses)
         self._descriptors = ExitStack()
         try:
-            with _and_home_again():
+            with _back_afterwards():
                 _unshare()
                 self._namespace = self._kept(os.open(_OURS, os.O_RDONLY))
                 bring_up("lo")
@@ -114,7 +112,7 @@ class Namespace:
         return self.addresses[0]
 
     def close(self) -> None:
-        """Let go of it; the kernel removes it once no program runs in it any more."""
+        """Release the namespace; the kernel removes it once no program runs in it."""
         self._descriptors.close()
 
     def _kept(self, descriptor: int) -> int:
@@ -123,15 +121,15 @@ class Namespace:
 
     @contextmanager
     def entered(self) -> Iterator[None]:
-        """Within, what this thread opens or starts is in the namespace, and stays there."""
-        with _and_home_again():
+        """Enter the namespace; sockets and programs opened inside stay there."""
+        with _back_afterwards():
             _check(_libc.setns(self._namespace, _CLONE_NEWNET))
             yield
 
 
 @contextmanager
-def _and_home_again() -> Iterator[None]:
-    """Afterwards this thread is in the namespace that it was in before."""
+def _back_afterwards() -> Iterator[None]:
+    """Return this thread to its present namespace at the end of the context."""
     home = os.open(_OURS, os.O_RDONLY)
     try:
         yield

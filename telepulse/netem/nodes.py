@@ -1,4 +1,4 @@
-"""The two real nodes over emulated links, for tests and benchmarks."""
+"""Runs of the two real nodes over emulated links, for tests and benchmarks."""
 
 import tempfile
 import time
@@ -13,15 +13,15 @@ from telepulse.processes import NodeProcess
 from telepulse.simulation.link_model import LinkScene
 
 PORT = 5555
-# The display is listening before the pulse begins.
+# The display has connected before the pulse begins.
 HEAD_START_S = 1.0
-# From the pulse's end: a display that waits for what TCP repeats, and the slowest start of both.
+# Time after the pulse for TCP's retransmissions, and for the slowest start of both nodes.
 ENDS_WITHIN_S = 20.0
 
 
 @dataclass(frozen=True, slots=True)
 class NodesOutcome:
-    """Both nodes' summaries of a run, and what the link has carried."""
+    """Both nodes' summaries of a run, and the counts of the links."""
 
     sensing: Summary
     display: Summary
@@ -37,9 +37,9 @@ def run_nodes(
 ) -> NodesOutcome:
     """Run both nodes with the scene at `path`, a namespace each, for `seconds` of pulse.
 
-    The display has an address to connect to for each of `links`, which count, not the scene's.
-    telemetry: where it publishes; ipc reaches out of its namespace. Raises EmulatorError or
-    ProcessError.
+    The display connects to an address on each of `links`, which replace the scene's link.
+    telemetry: address to publish on; ipc is reachable from outside the namespace. Raises
+    EmulatorError or ProcessError.
     """
     with (
         tempfile.TemporaryDirectory(prefix="telepulse-") as folder,

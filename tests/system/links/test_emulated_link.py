@@ -189,7 +189,7 @@ def test_a_relay_that_is_killed_is_told_of() -> None:
             for relay in children() - before:
                 os.kill(relay, signal.SIGKILL)
 
-    with pytest.raises(EmulatorError, match="relay of the emulated link ended"):
+    with pytest.raises(EmulatorError, match="link forwarder ended"):
         use()
 
 
