@@ -1,12 +1,11 @@
-"""Links as traces of delay: what every frame of a stream needs from its instant to its arrival.
+"""Links as traces of delay, and the best playout delays that each of them permits.
 
-All frames share one TCP connection, as ZeroMQ's do: none overtakes another, so a frame that is
-held up holds up all that follow it, and they arrive together.
+A trace holds each frame's delay from its instant to its arrival. All frames share one TCP
+connection, as ZeroMQ's do: none overtakes another, so a delayed frame delays all that follow it,
+and they arrive together.
 
-What playing a trace costs at least: the best constant delay, and the best moving one.
-
-Both know the whole trace beforehand. Times in ms; a frame is late when its delay is above the
-delay it is played with.
+The optima, a constant and a moving delay, are computed from the whole trace. A frame is late when
+its delay is above the delay it is played with.
 """
 
 from collections.abc import Callable
@@ -15,19 +14,159 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+FRAME_NS = 5_000_000
+SECONDS = 300.0
+DELAY_MS = 20.0
+JITTER_MS = 3.0
+CAP_MS = 500.0
+
+Nanoseconds = NDArray[np.int64]
+Milliseconds = NDArray[np.float64]
+Draw = Callable[[np.random.Generator, int], Milliseconds]
+
+
+@dataclass(frozen=True, slots=True)
+class DelayTrace:
+    """Instant and delay of each frame in ns, shape (frames,); frame i arrives at their sum."""
+
+    name: str
+    sent_ns: Nanoseconds
+    delay_ns: Nanoseconds
+
+    @property
+    def arrived_ns(self) -> Nanoseconds:
+        """Arrival of each frame in ns, never before that of an earlier frame."""
+        return self.sent_ns + self.delay_ns
+
+
+def gaussian(rng: np.random.Generator, count: int) -> Milliseconds:
+    """Draw the quiet path of all traces: 20 ± 3 ms, independent from frame to frame, above 0."""
+    return np.maximum(rng.normal(DELAY_MS, JITTER_MS, count), 0.0)
+
+
+def spikes(rng: np.random.Generator, count: int) -> Milliseconds:
+    """Delay a frame by 100 ms every 20 s, and with it the 20 frames sent meanwhile."""
+    delay_ms = gaussian(rng, count)
+    delay_ms[_frames(10) :: _frames(20)] += 100.0
+    return delay_ms
+
+
+def route_change(rng: np.random.Generator, count: int) -> Milliseconds:
+    """Make the path 60 ms longer from the middle on."""
+    delay_ms = gaussian(rng, count)
+    delay_ms[count // 2 :] += 60.0
+    return delay_ms
+
+
+def drift(ppm: float) -> Draw:
+    """Let the sensing node's clock, assumed to be in step, drift by this many µs a second.
+
+    Counted up from 0 or down to 0, so that the mean of the added delay is the same.
+    """
+
+    def draw(rng: np.random.Generator, count: int) -> Milliseconds:
+        drift_ms = np.arange(count) * (FRAME_NS * 1e-6) * ppm * 1e-6
+        return gaussian(rng, count) + drift_ms - min(float(drift_ms[-1]), 0.0)
+
+    return draw
+
+
+def bursts(good_s: float, bad_s: float, extra_ms: float) -> Draw:
+    """Add Markov (Gilbert) bursts: a state that adds `extra_ms` comes and goes.
+
+    It lasts `bad_s` on average and stays away for `good_s`, both geometrically distributed.
+    """
+
+    def draw(rng: np.random.Generator, count: int) -> Milliseconds:
+        # Durations in turns, good first; more than enough of them.
+        pairs = 2 + int(2 * count / (_frames(good_s) + _frames(bad_s)) + 40)
+        durations = np.empty(2 * pairs, dtype=np.int64)
+        durations[0::2] = rng.geometric(1 / _frames(good_s), pairs)
+        durations[1::2] = rng.geometric(1 / _frames(bad_s), pairs)
+        bad = np.repeat(np.arange(2 * pairs) % 2, durations)[:count]
+        return gaussian(rng, count) + extra_ms * bad
+
+    return draw
+
+
+def random_spikes(rate_hz: float) -> Draw:
+    """Delay frames at random, `rate_hz` times a second.
+
+    By at least 10 ms, Pareto-distributed with a tail index of 1.5 (mean 30 ms) and cut at
+    500 ms. The frames sent meanwhile wait with them.
+    """
+
+    def draw(rng: np.random.Generator, count: int) -> Milliseconds:
+        delay_ms = gaussian(rng, count)
+        held = rng.random(count) < rate_hz * FRAME_NS * 1e-9
+        heights_ms = 10.0 * (1 + rng.pareto(1.5, count))
+        return delay_ms + np.where(held, np.minimum(heights_ms, CAP_MS), 0.0)
+
+    return draw
+
+
+def tcp_stalls(rng: np.random.Generator, count: int) -> Milliseconds:
+    """Stall as TCP does at 0.5 % segment loss on a round trip of 40 ms, a segment a frame.
+
+    A lost frame is sent again after three duplicate acknowledgements: one round trip and
+    three frames, 55 ms. When that is lost too, after the usual smallest timeout of 200 ms
+    (Linux; RFC 6298 says 1 s). Frames sent meanwhile wait for it: head-of-line blocking.
+    """
+    loss, round_trip_ms, timeout_ms = 0.005, 2 * DELAY_MS, 200.0
+    fast_ms = round_trip_ms + 3 * FRAME_NS * 1e-6
+    lost, again = rng.random((2, count)) < loss
+    return gaussian(rng, count) + np.where(lost, np.where(again, timeout_ms, fast_ms), 0.0)
+
+
+GAUSSIAN, SPIKES, ROUTE = "Gaussian", "100 ms spikes", "+60 ms route"
+FAST, SLOW = "+200 ppm", "−200 ppm"
+BURSTS, RANDOM, TCP = "Markov bursts", "random spikes", "TCP stalls"
+SHORT_BURSTS, DENSE = "short bursts", "dense spikes"
+# The targets name the links but not these figures: they are ours, and the random ones decide what
+# is possible. The last two are harder ones of the same kinds, and have no target.
+LINKS: dict[str, Draw] = {
+    GAUSSIAN: gaussian,
+    SPIKES: spikes,
+    ROUTE: route_change,
+    FAST: drift(200.0),
+    SLOW: drift(-200.0),
+    BURSTS: bursts(10.0, 2.0, 30.0),
+    RANDOM: random_spikes(0.5),
+    TCP: tcp_stalls,
+    SHORT_BURSTS: bursts(2.0, 0.2, 30.0),
+    DENSE: random_spikes(1.0),
+}
+
+
+def make_trace(name: str, seconds: float = SECONDS) -> DelayTrace:
+    """Make the trace of a link in `LINKS`, a frame every 5 ms; the same for the same seconds."""
+    count = _frames(seconds)
+    rng = np.random.default_rng([2026, list(LINKS).index(name)])
+    return in_order(name, LINKS[name](rng, count))
+
+
+def in_order(name: str, delay_ms: Milliseconds) -> DelayTrace:
+    """Make a trace from each frame's own delay, shape (frames,); frames wait for earlier ones."""
+    sent_ns = np.arange(len(delay_ms), dtype=np.int64) * FRAME_NS
+    arrived_ns = np.maximum.accumulate(sent_ns + np.round(delay_ms * 1e6).astype(np.int64))
+    return DelayTrace(name, sent_ns, arrived_ns - sent_ns)
+
+
+def _frames(seconds: float) -> int:
+    return round(seconds * 1e9 / FRAME_NS)
+
+
 SLEW = 0.05
 # Levels of 0.5 ms: at 5 % and a frame every 5 ms, one up or down every two frames.
 FRAMES_A_STEP = 2
-# Between these prices of lateness the bisection looks, until it is this sure.
+# The bisection searches between these prices of lateness, down to this ratio.
 LEAST_MS, MOST_MS = 10.0, 1e5
-SURE = 1.05
-
-Milliseconds = NDArray[np.float64]
+RESOLUTION = 1.05
 
 
 @dataclass(frozen=True, slots=True)
 class MovingDelay:
-    """A delay for every frame, shape (frames,), and what it costs."""
+    """A delay for every frame, shape (frames,), its mean in ms and the share late."""
 
     path_ms: Milliseconds
     delay_ms: float
@@ -36,7 +175,7 @@ class MovingDelay:
 
 @dataclass(frozen=True, slots=True)
 class Optimum:
-    """No moving delay within the late share has a mean below `bound_ms`; `best` has been found.
+    """Bound on the mean of every moving delay within the late share, and the best path found.
 
     The two differ where the costs' hull is not reached by any one path (a duality gap).
     """
@@ -46,13 +185,13 @@ class Optimum:
 
 
 def best_constant_ms(delay_ms: Milliseconds, late: float) -> float:
-    """The smallest constant delay that leaves at most this share of the frames late."""
+    """Return the smallest constant delay that leaves at most this share of the frames late."""
     allowed = int(late * len(delay_ms))
     return float(np.sort(delay_ms)[::-1][allowed])
 
 
 def best_moving(delay_ms: Milliseconds, late: float, frame_ms: float) -> Optimum:
-    """The smallest mean delay with at most this late share and a slew of at most 5 %.
+    """Find the smallest mean delay with at most this late share and a slew of at most 5 %.
 
     A Lagrangian makes lateness a price; its bisection finds the price at which the cheapest path
     is late just often enough. Any price p gives the bound min(mean + p · share) − p · late.
@@ -60,7 +199,7 @@ def best_moving(delay_ms: Milliseconds, late: float, frame_ms: float) -> Optimum
     low, high = LEAST_MS, MOST_MS
     best = cheapest(delay_ms, high, frame_ms)
     bound_ms = best.delay_ms + high * (best.late - late)
-    while high > low * SURE:
+    while high > low * RESOLUTION:
         price_ms = float(np.sqrt(low * high))
         path = cheapest(delay_ms, price_ms, frame_ms)
         bound_ms = max(bound_ms, path.delay_ms + price_ms * (path.late - late))
@@ -73,11 +212,11 @@ def best_moving(delay_ms: Milliseconds, late: float, frame_ms: float) -> Optimum
 
 
 def cheapest(delay_ms: Milliseconds, price_ms: float, frame_ms: float) -> MovingDelay:
-    """The moving delay with the smallest mean + price · late share, by dynamic programming.
+    """Find the moving delay of least mean + price · late share, by dynamic programming.
 
     Levels are as far apart as the slew reaches in a step of two frames; a step costs its level
-    and its late frames, and the next step is at the same level or a neighbour. What is over
-    after the last whole step is left out.
+    and its late frames, and the next step is at the same level or a neighbour.
+    Frames after the last whole step are left out.
     """
     level_ms = SLEW * FRAMES_A_STEP * frame_ms
     lowest = int(np.floor(delay_ms.min() / level_ms))
@@ -102,10 +241,10 @@ def cheapest(delay_ms: Milliseconds, price_ms: float, frame_ms: float) -> Moving
 def _moves(
     on_time: list[list[int]], level_costs: Milliseconds, price_ms: float
 ) -> tuple[Milliseconds, NDArray[np.int8]]:
-    """The cost from each first level on, and from every step and level the best move."""
+    """Return the cost from each first level, and the best move from every step and level."""
     count = len(level_costs)
     moves = np.zeros((len(on_time), count), dtype=np.int8)
-    # The cost of what follows, between two levels that do not exist.
+    # Cost of the following steps, between two levels that do not exist.
     padded = np.full(count + 2, np.inf)
     here, below, above = padded[1:-1], padded[:-2], padded[2:]
     here[:] = 0.0
@@ -117,144 +256,3 @@ def _moves(
         for first in on_time[step]:
             here[:first] += price_ms
     return here, moves
-
-
-FRAME_NS = 5_000_000
-SECONDS = 300.0
-DELAY_MS = 20.0
-JITTER_MS = 3.0
-CAP_MS = 500.0
-
-Nanoseconds = NDArray[np.int64]
-Draw = Callable[[np.random.Generator, int], Milliseconds]
-
-
-@dataclass(frozen=True, slots=True)
-class DelayTrace:
-    """One frame's instant and delay after the other, in ns; frame i arrives at their sum."""
-
-    name: str
-    sent_ns: Nanoseconds
-    delay_ns: Nanoseconds
-
-    @property
-    def arrived_ns(self) -> Nanoseconds:
-        """When each frame arrives; never before the one sent before it."""
-        return self.sent_ns + self.delay_ns
-
-
-def gaussian(rng: np.random.Generator, count: int) -> Milliseconds:
-    """The quiet path of all traces: 20 ± 3 ms, independent from frame to frame, above 0."""
-    return np.maximum(rng.normal(DELAY_MS, JITTER_MS, count), 0.0)
-
-
-def spikes(rng: np.random.Generator, count: int) -> Milliseconds:
-    """Every 20 s a frame is held up by 100 ms, and with it the 20 frames sent meanwhile."""
-    delay_ms = gaussian(rng, count)
-    delay_ms[_frames(10) :: _frames(20)] += 100.0
-    return delay_ms
-
-
-def route_change(rng: np.random.Generator, count: int) -> Milliseconds:
-    """Half way through the path becomes 60 ms longer, for good."""
-    delay_ms = gaussian(rng, count)
-    delay_ms[count // 2 :] += 60.0
-    return delay_ms
-
-
-def drift(ppm: float) -> Draw:
-    """The sensing node's clock, taken to be in step, runs apart by this many µs a second.
-
-    Counted up from 0 or down to 0, so that the mean of the added delay is the same.
-    """
-
-    def draw(rng: np.random.Generator, count: int) -> Milliseconds:
-        drift_ms = np.arange(count) * (FRAME_NS * 1e-6) * ppm * 1e-6
-        return gaussian(rng, count) + drift_ms - min(float(drift_ms[-1]), 0.0)
-
-    return draw
-
-
-def bursts(good_s: float, bad_s: float, extra_ms: float) -> Draw:
-    """Markov (Gilbert) bursts: a state that adds `extra_ms` comes and goes.
-
-    It lasts `bad_s` on average and stays away for `good_s`, both geometrically distributed.
-    """
-
-    def draw(rng: np.random.Generator, count: int) -> Milliseconds:
-        # Durations in turns, good first; more than enough of them.
-        pairs = 2 + int(2 * count / (_frames(good_s) + _frames(bad_s)) + 40)
-        durations = np.empty(2 * pairs, dtype=np.int64)
-        durations[0::2] = rng.geometric(1 / _frames(good_s), pairs)
-        durations[1::2] = rng.geometric(1 / _frames(bad_s), pairs)
-        bad = np.repeat(np.arange(2 * pairs) % 2, durations)[:count]
-        return gaussian(rng, count) + extra_ms * bad
-
-    return draw
-
-
-def random_spikes(rate_hz: float) -> Draw:
-    """Frames held up at random, `rate_hz` times a second.
-
-    By at least 10 ms, Pareto-distributed with a tail index of 1.5 (mean 30 ms) and cut at
-    500 ms. The frames sent meanwhile wait with them.
-    """
-
-    def draw(rng: np.random.Generator, count: int) -> Milliseconds:
-        delay_ms = gaussian(rng, count)
-        held = rng.random(count) < rate_hz * FRAME_NS * 1e-9
-        heights_ms = 10.0 * (1 + rng.pareto(1.5, count))
-        return delay_ms + np.where(held, np.minimum(heights_ms, CAP_MS), 0.0)
-
-    return draw
-
-
-def tcp_stalls(rng: np.random.Generator, count: int) -> Milliseconds:
-    """TCP at 0.5 % segment loss on a round trip of 40 ms, a segment a frame.
-
-    A lost frame is sent again after three duplicate acknowledgements: one round trip and
-    three frames, 55 ms. When that is lost too, after the usual smallest timeout of 200 ms
-    (Linux; RFC 6298 says 1 s). Frames sent meanwhile wait for it: head-of-line blocking.
-    """
-    loss, round_trip_ms, timeout_ms = 0.005, 2 * DELAY_MS, 200.0
-    fast_ms = round_trip_ms + 3 * FRAME_NS * 1e-6
-    lost, again = rng.random((2, count)) < loss
-    return gaussian(rng, count) + np.where(lost, np.where(again, timeout_ms, fast_ms), 0.0)
-
-
-GAUSSIAN, SPIKES, ROUTE = "Gaussian", "100 ms spikes", "+60 ms route"
-FAST, SLOW = "+200 ppm", "−200 ppm"
-BURSTS, RANDOM, TCP = "Markov bursts", "random spikes", "TCP stalls"
-SHORT_BURSTS, DENSE = "short bursts", "dense spikes"
-# The issue's bars name the links but not these figures: they are ours, and the random ones decide
-# on what is possible. The last two are harder ones of the same kinds, and have no bar.
-LINKS: dict[str, Draw] = {
-    GAUSSIAN: gaussian,
-    SPIKES: spikes,
-    ROUTE: route_change,
-    FAST: drift(200.0),
-    SLOW: drift(-200.0),
-    BURSTS: bursts(10.0, 2.0, 30.0),
-    RANDOM: random_spikes(0.5),
-    TCP: tcp_stalls,
-    SHORT_BURSTS: bursts(2.0, 0.2, 30.0),
-    DENSE: random_spikes(1.0),
-}
-
-
-def make_trace(name: str, seconds: float = SECONDS) -> DelayTrace:
-    """The trace of a link in `LINKS`: a frame every 5 ms; the same for the same seconds."""
-    count = _frames(seconds)
-    rng = np.random.default_rng([2026, list(LINKS).index(name)])
-    return in_order(name, LINKS[name](rng, count))
-
-
-def in_order(name: str, delay_ms: Milliseconds) -> DelayTrace:
-    """The trace of frames that need so long, shape (frames,), and wait for those before them."""
-    sent_ns = np.arange(len(delay_ms), dtype=np.int64) * FRAME_NS
-    arrived_ns = np.maximum.accumulate(sent_ns + np.round(delay_ms * 1e6).astype(np.int64))
-    return DelayTrace(name, sent_ns, arrived_ns - sent_ns)
-
-
-def _frames(seconds: float) -> int:
-    return round(seconds * 1e9 / FRAME_NS)

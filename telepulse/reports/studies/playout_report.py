@@ -1,4 +1,4 @@
-"""The study of playout as a report: delay at 1 % late, bars, defaults, speed against error."""
+"""The study of playout as a report: delay at 1 % late, targets, defaults, delay against late."""
 
 import itertools
 from operator import attrgetter
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CONSTANT, MOVING = "best constant", "best moving, 5 %"
-# The bars of the project's issue on the link: mean delay at 1 % late over an optimum's.
-BARS = (
+# Required at most: mean delay at 1 % late over an optimum's.
+TARGETS = (
     (GAUSSIAN, CONSTANT, 1.05),
     (SPIKES, CONSTANT, 1.05),
     (GAUSSIAN, MOVING, 1.15),
@@ -49,18 +49,18 @@ STYLES = ("o-", "s--", "^-", "v--", "P-", "x:", "D-")
 
 
 def report_playout(scores: PlayoutScores, effort: PlayoutEffort) -> Report:
-    """The report on scores that took this effort."""
+    """Return the report on scores that took this effort."""
     return Report(
         "Playout: delay against late frames",
         (_frontier_chapter(scores, effort), _default_chapter(scores), _curves_chapter(scores)),
     )
 
 
-def bars(scores: PlayoutScores) -> list[tuple[str, str, float, float]]:
-    """Link, optimum, bar and our ratio of mean delays to it, where the link was played."""
+def compare_targets(scores: PlayoutScores) -> list[tuple[str, str, float, float]]:
+    """Return link, optimum, target and our ratio of mean delays, for each link that was played."""
     return [
-        (link, optimum, bar, _ratio(scores, link, optimum))
-        for link, optimum, bar in BARS
+        (link, optimum, target, _ratio(scores, link, optimum))
+        for link, optimum, target in TARGETS
         if link in scores.links
     ]
 
@@ -81,28 +81,28 @@ def _frontier_chapter(scores: PlayoutScores, effort: PlayoutEffort) -> Chapter:
     return Chapter(
         f"At {effort.late:.0%} late",
         (
-            _verdict(scores),
+            _targets_sentence(scores),
             f"Each link is a trace of {effort.seconds:g} s with a frame every 5 ms; every rule"
             " sees the same delays. An instant is played once, when it is first the delay in use"
             " ago: a delay that grows because a frame came late cannot save that frame. Here a"
-            " delay may change at once, as the published rules have it; each rule's own knob is"
-            " set for the least mean delay with at most the share late.",
-            f"Both optima know the trace beforehand. The moving one may change by 5 % of time; its"
-            f" row is a bound that no such path gets below (paths were found at most"
-            f" {max(gaps):.1%} above it).",
+            " delay may change at once, as the published rules have it. Each rule's own parameter"
+            " is set for the least mean delay with at most the share late.",
+            "Both optima are computed from the whole trace. The moving one may change by 5 % of"
+            " time; its row is a lower bound of all such paths (the paths that were found are at"
+            f" most {max(gaps):.1%} above it).",
         ),
-        (*_delay_tables(scores), _bar_table(scores)),
+        (*_delay_tables(scores), _targets_table(scores)),
     )
 
 
-def _verdict(scores: PlayoutScores) -> str:
-    judged = bars(scores)
-    missed = [f"{link} / {optimum}" for link, optimum, bar, ratio in judged if ratio > bar]
+def _targets_sentence(scores: PlayoutScores) -> str:
+    judged = compare_targets(scores)
+    missed = [f"{link} / {optimum}" for link, optimum, target, ratio in judged if ratio > target]
     if missed:
-        return f"{len(judged) - len(missed)} of {len(judged)} bars are reached; missed: " + (
+        return f"{len(judged) - len(missed)} of {len(judged)} targets are met; missed: " + (
             "; ".join(missed) + "."
         )
-    return f"All {len(judged)} bars are reached."
+    return f"All {len(judged)} targets are met."
 
 
 def _delay_tables(scores: PlayoutScores) -> tuple[Table, ...]:
@@ -133,7 +133,7 @@ def _against(delay_ms: float, score: LinkScore) -> str:
 
 
 def _tables(title: str, rows: dict[str, dict[str, str]], note: str = "") -> tuple[Table, ...]:
-    """A row a rule, a column a link, in two tables so that a terminal can show them."""
+    """Return two tables, for a terminal's width, with a row a rule and a column a link."""
     present = set(next(iter(rows.values())))
     groups = (("steady", STEADY), ("unsteady", UNSTEADY))
     return tuple(
@@ -148,28 +148,29 @@ def _tables(title: str, rows: dict[str, dict[str, str]], note: str = "") -> tupl
     )
 
 
-def _bar_table(scores: PlayoutScores) -> Table:
+def _targets_table(scores: PlayoutScores) -> Table:
     rows = [
         (
             f"{link} / {optimum}",
-            f"{bar:.2f}",
+            f"{target:.2f}",
             f"{ratio:.3f}",
-            "reached" if ratio <= bar else "missed",
+            "met" if ratio <= target else "missed",
             f"{_ratio(scores, link, optimum, over_smallest=True):.3f}",
         )
-        for link, optimum, bar, ratio in bars(scores)
+        for link, optimum, target, ratio in compare_targets(scores)
     ]
     return Table(
-        "The bars",
+        "Targets",
         ("link / optimum", "bar", "ratio", "verdict", "over smallest"),
         tuple(rows),
-        "Ratio: our mean delay over the optimum's. Over smallest: the same after taking the"
-        " trace's smallest delay off both, which no rule can do without; no bar is on it.",
+        "Bar: the target. Ratio: our mean delay over the optimum's. Over smallest: the same without"
+        " the trace's smallest delay in both, which no rule can avoid; it has no target.",
     )
 
 
 def _default_chapter(scores: PlayoutScores) -> Chapter:
-    knobs = ", ".join(f"{rule.name} {rule.knob} {rule.default:g}" for rule in RULES.values())
+    parts = (f"{rule.name} {rule.parameter} {rule.default:g}" for rule in RULES.values())
+    defaults = ", ".join(parts)
     by_name = {name: {link: rules[name] for link, rules in scores.rules.items()} for name in RULES}
     free, warped = (
         {
@@ -181,9 +182,10 @@ def _default_chapter(scores: PlayoutScores) -> Chapter:
     return Chapter(
         "At default settings",
         (
-            f"Defaults: {knobs}.",
-            "A display warps its time by 2 % at most, so its delay goes up by 20 ms a second only."
-            " Our estimator is told so and covers a burst that it would be too slow to follow.",
+            f"Defaults: {defaults}.",
+            "A display warps its time by 2 % at most, so its delay rises by at most 20 ms a"
+            " second. Our estimator gets this limit and covers bursts that it would be too slow to"
+            " follow.",
         ),
         (
             *_tables("Mean delay in ms and share late, changed at once", free),
@@ -199,11 +201,11 @@ def _played(played: PlayedTrace) -> str:
 def _curves_chapter(scores: PlayoutScores) -> Chapter:
     drawn = [link for link, score in scores.links.items() if len(score.curve) > 1]
     return Chapter(
-        "Speed against error",
+        "Delay against the share late",
         plots=tuple(
             Plot(
                 f"playout-{number}",
-                f"{link}: mean delay against the share late, a point a setting of each rule's knob."
+                f"{link}: mean delay against the share late, a point a setting of each rule."
                 " Lower left is better. The line without marks is the best moving delay.",
                 lambda figure, link=link: _draw(figure, scores, link),  # type: ignore[misc]
             )

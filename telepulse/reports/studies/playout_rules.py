@@ -1,9 +1,7 @@
-"""Published ways to set the playout delay, as rules for every frame.
+"""Published rules for the playout delay, and how a trace is played by a rule.
 
-Speech is only adjusted between talkspurts; a pulse has none, so here each says a delay after
+Speech is only adjusted between talkspurts; a pulse has none, so here each rule sets a delay after
 every frame. Written from the papers' equations. Delays and times in ns.
-
-Playing a trace by the delay that a rule says: the mean delay felt, and the share late.
 """
 
 from bisect import bisect_left, insort
@@ -19,14 +17,14 @@ from telepulse.reports.studies.playout_links import DelayTrace, Nanoseconds
 
 
 class DelayRule(Protocol):
-    """Says which delay to use, from the delays of the frames that have come."""
+    """A rule that sets the playout delay from the delays of the frames that have arrived."""
 
     @property
     def delay_ns(self) -> int | None:
-        """The delay to use now; None before the first frame."""
+        """Delay to use now; None before the first frame."""
 
     def observe(self, delay_ns: int, now_ns: int) -> None:
-        """A frame needed `delay_ns` and is here now."""
+        """Add the delay of a frame that arrives now."""
 
 
 MakeRule = Callable[[float], DelayRule]
@@ -34,46 +32,46 @@ MakeRule = Callable[[float], DelayRule]
 
 @dataclass(frozen=True, slots=True)
 class PlayedTrace:
-    """How a trace was played: mean delay of its frames in ms, share of them that came late."""
+    """Mean delay in ms at which a trace's frames were played, and the share that came late."""
 
     delay_ms: float
     late: float
 
 
 def play(rule: DelayRule, trace: DelayTrace, warped: bool = False) -> PlayedTrace:
-    """Play a trace by what a rule says as its frames arrive.
+    """Play a trace by the delay that a rule sets as the frames arrive.
 
-    warped: the delay changes as the display's does, by 2 % at most; else at once.
+    With `warped` the delay changes as the display's does, by 2 % at most; otherwise at once.
     """
     arrived_ns = trace.arrived_ns.tolist()
-    asked_ns: list[int] = []
+    set_ns: list[int] = []
     for delay_ns, now_ns in zip(trace.delay_ns.tolist(), arrived_ns, strict=True):
         rule.observe(delay_ns, now_ns)
-        asked_ns.append(rule.delay_ns or 0)
+        set_ns.append(rule.delay_ns or 0)
     if warped:
-        clock, asked = PlayoutClock(), [asked_ns[0], *asked_ns]
-        asked_ns = [
+        clock, before = PlayoutClock(), [set_ns[0], *set_ns]
+        set_ns = [
             now_ns - clock.instant(now_ns, now_ns - before_ns)
-            for now_ns, before_ns in zip(arrived_ns, asked, strict=False)
+            for now_ns, before_ns in zip(arrived_ns, before, strict=False)
         ]
-        # What holds from one arrival to the next is where the slew has come to by the next.
-        asked_ns = [*asked_ns[1:], asked_ns[-1]]
-    felt_ns = felt_delays_ns(trace, np.array(asked_ns, dtype=np.int64))
+        # The delay in use from one arrival to the next is that of the slew at the next.
+        set_ns = [*set_ns[1:], set_ns[-1]]
+    felt_ns = felt_delays_ns(trace, np.array(set_ns, dtype=np.int64))
     return PlayedTrace(float(felt_ns.mean()) * 1e-6, float((trace.delay_ns > felt_ns).mean()))
 
 
-def felt_delays_ns(trace: DelayTrace, asked_ns: Nanoseconds) -> Nanoseconds:
-    """How late each frame's instant was played, both of shape (frames,).
+def felt_delays_ns(trace: DelayTrace, set_ns: Nanoseconds) -> Nanoseconds:
+    """Return the delay at which each frame's instant was played, shape (frames,).
 
-    asked_ns[i] is the delay from arrival i until the next. An instant is played once, when it
-    is first `delay` ago: a delay that grows because a frame came late cannot save that frame,
-    and a delay that shrinks plays what it passes over at once.
+    set_ns[i] is the delay in use from arrival i until the next. An instant is played once, when
+    it is first `delay` ago. So a delay that grows because a frame came late cannot save that
+    frame, and a delay that shrinks plays the instants it skips at once.
     """
     arrived_ns = trace.arrived_ns
     # The newest instant played by the time of the next arrival.
-    played_ns = np.maximum.accumulate(arrived_ns[1:] - asked_ns[:-1])
+    played_ns = np.maximum.accumulate(arrived_ns[1:] - set_ns[:-1])
     during = np.searchsorted(played_ns, trace.sent_ns)
-    felt_ns: Nanoseconds = np.maximum(asked_ns[during], arrived_ns[during] - trace.sent_ns)
+    felt_ns: Nanoseconds = np.maximum(set_ns[during], arrived_ns[during] - trace.sent_ns)
     return felt_ns
 
 
@@ -81,14 +79,14 @@ MS = 1_000_000
 
 
 class FixedDelay:
-    """The first frame's delay and a reserve, for ever. The reserve is chosen beforehand."""
+    """The first frame's delay plus a constant reserve, chosen beforehand."""
 
     def __init__(self, reserve_ns: int) -> None:
         self._reserve_ns = reserve_ns
         self.delay_ns: int | None = None
 
     def observe(self, delay_ns: int, now_ns: int) -> None:
-        """A frame needed `delay_ns`."""
+        """Add the delay of a frame that arrives now."""
         if self.delay_ns is None:
             self.delay_ns = delay_ns + self._reserve_ns
 
@@ -108,7 +106,7 @@ class Ramjee1:
         self.delay_ns: int | None = None
 
     def observe(self, delay_ns: int, now_ns: int) -> None:
-        """A frame needed `delay_ns`."""
+        """Add the delay of a frame that arrives now."""
         if self.delay_ns is None:
             self._mean_ns = float(delay_ns)
         alpha = self.ALPHA
@@ -138,7 +136,7 @@ class Ramjee4:
         self.delay_ns: int | None = None
 
     def observe(self, delay_ns: int, now_ns: int) -> None:
-        """A frame needed `delay_ns`."""
+        """Add the delay of a frame that arrives now."""
         if self.delay_ns is None:
             self._mean_ns = float(delay_ns)
             self._last_ns = self._before_ns = delay_ns
@@ -183,7 +181,7 @@ class MoonPercentile:
         self.delay_ns: int | None = None
 
     def observe(self, delay_ns: int, now_ns: int) -> None:
-        """A frame needed `delay_ns`."""
+        """Add the delay of a frame that arrives now."""
         if self.delay_ns is None:
             self._smallest_ns = self.delay_ns = delay_ns
         smallest_ns = self._smallest_ns = min(self._smallest_ns, delay_ns)
@@ -231,7 +229,7 @@ class NetEqLike:
         self.delay_ns: int | None = None
 
     def observe(self, delay_ns: int, now_ns: int) -> None:
-        """A frame needed `delay_ns` and is here now."""
+        """Add the delay of a frame that arrives now."""
         window = self._window
         while window and window[-1][1] >= delay_ns:
             window.pop()

@@ -1,4 +1,4 @@
-"""Every rule on every link: at 1 % late, at its defaults, and what the optima need."""
+"""Every playout rule on every link, at 1 % late and at its defaults, beside the optima."""
 
 import math
 from collections.abc import Callable
@@ -36,12 +36,12 @@ PRICES_MS = (10.0, 30.0, 100.0, 300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Rule:
-    """A rule and its one knob, from the setting with fewest late frames to that with most."""
+class TunedRule:
+    """A rule and its one parameter, from the setting with fewest late frames to that with most."""
 
     name: str
     make: MakeRule
-    knob: str
+    parameter: str
     fewest: float
     most: float
     default: float
@@ -56,22 +56,22 @@ def _fixed(reserve_ms: float) -> DelayRule:
 
 
 OURS = "ours"
-RULES: dict[str, Rule] = {
+RULES: dict[str, TunedRule] = {
     rule.name: rule
     for rule in (
-        Rule(OURS, _ours, "late target", 1e-4, 0.3, LATE_TARGET),
-        Rule("Ramjee 1", Ramjee1, "β", 60.0, 0.5, 4.0),
-        Rule("Ramjee 4", Ramjee4, "β", 60.0, 0.5, 4.0),
-        Rule("Moon percentile", MoonPercentile, "late target", 1e-4, 0.3, 0.01),
-        Rule("NetEQ-like", NetEqLike, "late target", 1e-4, 0.999, 0.05),
-        Rule("fixed", _fixed, "reserve in ms", 600.0, 1.0, 40.0),
+        TunedRule(OURS, _ours, "late target", 1e-4, 0.3, LATE_TARGET),
+        TunedRule("Ramjee 1", Ramjee1, "β", 60.0, 0.5, 4.0),
+        TunedRule("Ramjee 4", Ramjee4, "β", 60.0, 0.5, 4.0),
+        TunedRule("Moon percentile", MoonPercentile, "late target", 1e-4, 0.3, 0.01),
+        TunedRule("NetEQ-like", NetEqLike, "late target", 1e-4, 0.999, 0.05),
+        TunedRule("fixed", _fixed, "reserve in ms", 600.0, 1.0, 40.0),
     )
 }
 
 
 @dataclass(frozen=True, slots=True)
 class PlayoutEffort:
-    """How much is computed. scan: settings over a knob's whole range; bisections: after it."""
+    """Amount of computing: settings over a parameter's whole range, then bisections."""
 
     seconds: float = SECONDS
     scan: int = 4
@@ -83,15 +83,15 @@ class PlayoutEffort:
 
 @dataclass(frozen=True, slots=True)
 class RuleScore:
-    """One rule on one link. tuned: at `knob`, the least delay that has at most the share late.
+    """One rule on one link.
 
-    reached: some setting had it; else `tuned` is the one with the fewest late frames.
-    default: at its default; warped: as the display would play that. tried: every setting that
-    was played, by its late share.
+    `tuned`, at `setting`, has the least delay with at most the share late if that was `reached`,
+    and otherwise the fewest late frames. `default` is at the rule's default, `warped` the same as
+    the display would play it. `tried` holds every setting that was played, by its late share.
     """
 
     tuned: PlayedTrace
-    knob: float
+    setting: float
     reached: bool
     default: PlayedTrace
     warped: PlayedTrace
@@ -100,9 +100,10 @@ class RuleScore:
 
 @dataclass(frozen=True, slots=True)
 class LinkScore:
-    """What is known of a link beforehand: its smallest delay and both optima, in ms.
+    """A link's smallest delay and both optima in ms, from the whole trace.
 
-    moving_ms is a bound, found_ms what the path found needs; curve: the optimum at prices.
+    moving_ms is a bound, found_ms the mean of the path that was found. `curve` holds the moving
+    optimum at several prices of lateness.
     """
 
     smallest_ms: float
@@ -114,14 +115,14 @@ class LinkScore:
 
 @dataclass(frozen=True, slots=True)
 class PlayoutScores:
-    """By link; rules by link and name."""
+    """Scores of the links, and of the rules by link and name."""
 
     links: dict[str, LinkScore]
     rules: dict[str, dict[str, RuleScore]]
 
 
 class RuleOnLink(NamedTuple):
-    """Which rule is played on which link."""
+    """A case: the name of a rule and of a link."""
 
     rule: str
     link: str
@@ -131,7 +132,7 @@ class RuleOnLink(NamedTuple):
 
 
 def score_playout(effort: PlayoutEffort, scheduler: str | None = None) -> PlayoutScores:
-    """Play everything, on all cores or a Dask cluster; the same for the same effort.
+    """Play every rule on every link, on all cores or a Dask cluster; deterministic.
 
     Raises SweepError.
     """
@@ -146,7 +147,7 @@ def score_playout(effort: PlayoutEffort, scheduler: str | None = None) -> Playou
 
 
 def score_link(link: str, effort: PlayoutEffort) -> LinkScore:
-    """The optima of a link."""
+    """Compute the optima of a link."""
     delay_ms = make_trace(link, effort.seconds).delay_ns / MS
     optimum = best_moving(delay_ms, effort.late, FRAME_MS)
     prices_ms = PRICES_MS if link in effort.curves else ()
@@ -164,23 +165,23 @@ def score_link(link: str, effort: PlayoutEffort) -> LinkScore:
 
 
 def score_rule(case: RuleOnLink, effort: PlayoutEffort) -> RuleScore:
-    """A rule on a link."""
+    """Tune a rule on a link, and play it at its default."""
     rule, trace = RULES[case.rule], make_trace(case.link, effort.seconds)
 
-    def at(knob: float) -> PlayedTrace:
-        return play(rule.make(knob), trace)
+    def at(setting: float) -> PlayedTrace:
+        return play(rule.make(setting), trace)
 
     tried = _search(at, rule, effort)
-    within = {knob: played for knob, played in tried.items() if played.late <= effort.late}
+    within = {setting: played for setting, played in tried.items() if played.late <= effort.late}
     if within:
-        knob = min(within, key=lambda one: within[one].delay_ms)
+        setting = min(within, key=lambda one: within[one].delay_ms)
     else:
-        knob = min(tried, key=lambda one: tried[one].late)
-    # The display tells our estimator how slowly it follows; the others have no ear for it.
+        setting = min(tried, key=lambda one: tried[one].late)
+    # Our estimator gets the display's slew limit; the others have no such parameter.
     follower = DelayEstimator(rule.default) if case.rule == OURS else rule.make(rule.default)
     return RuleScore(
-        tuned=tried[knob],
-        knob=knob,
+        tuned=tried[setting],
+        setting=setting,
         reached=bool(within),
         default=at(rule.default),
         warped=play(follower, trace, warped=True),
@@ -189,9 +190,9 @@ def score_rule(case: RuleOnLink, effort: PlayoutEffort) -> RuleScore:
 
 
 def _search(
-    at: Callable[[float], PlayedTrace], rule: Rule, effort: PlayoutEffort
+    at: Callable[[float], PlayedTrace], rule: TunedRule, effort: PlayoutEffort
 ) -> dict[float, PlayedTrace]:
-    """Settings evenly over the knob's logarithm, then bisection to the share that may be late."""
+    """Try settings evenly over the parameter's logarithm, then bisect to the permitted share."""
     few, many = math.log(rule.fewest), math.log(rule.most)
     scanned = [few + (many - few) * step / (effort.scan - 1) for step in range(effort.scan)]
     tried = {math.exp(one): at(math.exp(one)) for one in scanned}

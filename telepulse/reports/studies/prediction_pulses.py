@@ -1,7 +1,7 @@
-"""The pulses that predictors are compared on: rhythms of our own making, and recordings.
+"""Pulses on which predictors are compared: synthetic rhythms, and recordings.
 
 A rhythm is a list of beats; a pulse is Gaussians over each of them, as in `sources/synthetic.py`,
-whose rhythms alone know neither a ramp nor fibrillation. All pass the same causal chain of
+which has neither a ramp nor fibrillation. All pass the same causal chain of
 0.4 to 20 Hz, and then get white noise of 1 % of their standard deviation.
 """
 
@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 RATE_HZ = 1000
 HIGH_PASS_HZ, LOW_PASS_HZ = 0.4, 20.0
 NOISE = 0.01
-# Errors count from here on; so the standard deviation is taken from here on, too.
+# Errors count from here on, and the standard deviation is taken from here on.
 SCORED_FROM_S = 20.0
 BREATHS_HZ = 0.25
 # RMS of respiration over that of the pulse, where there is any.
@@ -38,7 +38,7 @@ class Beats:
 
 @dataclass(frozen=True, slots=True)
 class Pulse:
-    """A set: what is sensed, and the same without noise; in units of its standard deviation."""
+    """A pulse as sensed, and the same without noise, in units of its standard deviation."""
 
     name: str
     sensed: Floats
@@ -49,7 +49,7 @@ class Pulse:
 
 
 @dataclass(frozen=True, slots=True)
-class Recorded:
+class RecordedStretch:
     """A stretch of a recording in the package heartpy."""
 
     file: str
@@ -61,10 +61,10 @@ class Recorded:
 def make_rhythm(
     rng: np.random.Generator, seconds: float, variability: float, bpm: Callable[[float], float]
 ) -> Beats:
-    """Beats whose rate follows `bpm` (of the time in s), with heart-rate variability.
+    """Make beats whose rate follows `bpm` (of the time in s), with heart-rate variability.
 
-    Of the intervals' variance two fifths each follow a slow and a respiratory rhythm, the rest
-    is chance, as in `sources/synthetic.py`.
+    A slow and a respiratory rhythm each make two fifths of the intervals' variance; the rest is
+    random, as in `sources/synthetic.py`.
     """
     onset_s, phase_rad, intervals_s = 0.0, rng.uniform(0, 2 * math.pi), []
     while onset_s < seconds + 5:
@@ -77,7 +77,7 @@ def make_rhythm(
 
 
 def with_ectopics(beats: Beats, rng: np.random.Generator, one_in: int) -> Beats:
-    """One beat in so many, anywhere among them, comes early and weak, with a pause after it."""
+    """Make one random beat in `one_in` early and weak, with a pause after it."""
     intervals_s, amplitudes = beats.intervals_s.copy(), beats.amplitudes.copy()
     for first in range(0, len(intervals_s) - one_in, one_in):
         beat = first + int(rng.integers(one_in - 1))
@@ -88,7 +88,7 @@ def with_ectopics(beats: Beats, rng: np.random.Generator, one_in: int) -> Beats:
 
 
 def fibrillating(rng: np.random.Generator, seconds: float) -> Beats:
-    """Intervals of 0.7 s with a deviation of a fifth, one independent of the other."""
+    """Make independent intervals of 0.7 s with a deviation of a fifth."""
     count = math.ceil((seconds + 5) / 0.7 * 1.2)
     intervals_s = 0.7 * np.maximum(0.45, 1 + 0.2 * rng.standard_normal(count))
     return Beats(intervals_s, np.ones(count))
@@ -97,11 +97,11 @@ def fibrillating(rng: np.random.Generator, seconds: float) -> Beats:
 def drawn(
     beats: Beats, preset: str, seconds: float, nominal_s: float, foretelling: bool = True
 ) -> Floats:
-    """The pulse of some beats, at 1 kHz; an interval above `nominal_s` lengthens no systole.
+    """Draw the pulse of some beats at 1 kHz; an interval above `nominal_s` lengthens no systole.
 
-    foretelling: a beat's systole is as long as its own interval asks, as in
-    `sources/synthetic.py`, so that its shape tells when the next beat comes; else as the
-    interval before asks, and nothing but the rhythm tells it.
+    With `foretelling`, a beat's systole scales with its own interval, as in
+    `sources/synthetic.py`, so that its shape predicts the next beat. Otherwise it scales with the
+    interval before, and only the rhythm predicts the next beat.
     """
     t_s = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
     pulse, onset_s = np.zeros(len(t_s)), -2 * float(beats.intervals_s[0])
@@ -120,14 +120,14 @@ def drawn(
 
 
 def breathing(pulse: Floats) -> Floats:
-    """The pulse on a respiratory wave."""
+    """Add a respiratory wave to the pulse."""
     t_s = np.arange(len(pulse)) / RATE_HZ
     wave = math.sqrt(2) * np.sin(2 * np.pi * BREATHS_HZ * t_s)
     return np.asarray(pulse + BREATH * pulse.std() * wave)
 
 
 def synthetic_pulses(seconds: float, seed: int, foretelling: bool = True) -> dict[str, Floats]:
-    """Eight pulses by name, before the chain (`drawn`)."""
+    """Return eight pulses by name, before the chain."""
 
     def rng(number: int) -> np.random.Generator:
         return np.random.default_rng((seed, number))
@@ -153,16 +153,16 @@ def synthetic_pulses(seconds: float, seed: int, foretelling: bool = True) -> dic
 
 SILENT = ("variability", "ramp", "ectopic", "fibrillation")
 RECORDED = {
-    "heartpy data": Recorded("data.csv", 0, 100.0, 0.0),
-    "heartpy data2": Recorded("data2.csv", 1, 117.0, 45.0),
-    "heartpy data3, early": Recorded("data3.csv", 1, 100.4, 20.0),
-    "heartpy data3, late": Recorded("data3.csv", 1, 100.4, 330.0),
+    "heartpy data": RecordedStretch("data.csv", 0, 100.0, 0.0),
+    "heartpy data2": RecordedStretch("data2.csv", 1, 117.0, 45.0),
+    "heartpy data3, early": RecordedStretch("data3.csv", 1, 100.4, 20.0),
+    "heartpy data3, late": RecordedStretch("data3.csv", 1, 100.4, 330.0),
 }
-"""Stretches without movement; rates by their time stamps, or heartpy's word for the first."""
+"""Stretches without movement; rates by their time stamps, for the first by heartpy's manual."""
 
 
 def recorded_pulses(seconds: float) -> dict[str, Floats]:
-    """The recordings inside the package heartpy, at 1 kHz; none where it is not installed.
+    """Return the recordings of the package heartpy at 1 kHz; none where it is not installed.
 
     Raises SourceError when they cannot be read.
     """
@@ -173,7 +173,7 @@ def recorded_pulses(seconds: float) -> dict[str, Floats]:
     return {name: _recorded(folder, each, seconds) for name, each in RECORDED.items()}
 
 
-def _recorded(folder: Path, recorded: Recorded, seconds: float) -> Floats:
+def _recorded(folder: Path, recorded: RecordedStretch, seconds: float) -> Floats:
     first = round(recorded.from_s * recorded.rate_hz)
     last = first + round(seconds * recorded.rate_hz)
     values = load_column(folder / recorded.file, recorded.column).values[first:last]
@@ -182,7 +182,7 @@ def _recorded(folder: Path, recorded: Recorded, seconds: float) -> Floats:
 
 
 def through_chain(pulse: Floats) -> Floats:
-    """First-order high-pass and fourth-order Butterworth low-pass, settled at the first sample."""
+    """Apply a first-order high-pass and a fourth-order Butterworth low-pass, settled at first."""
     from scipy.signal import butter, sosfilt, sosfilt_zi
 
     sections = np.concatenate(
@@ -196,12 +196,12 @@ def through_chain(pulse: Floats) -> Floats:
 
 
 def pulses(seconds: float, seed: int) -> list[Pulse]:
-    """All sets: twelve, or eight without heartpy. Raises SourceError."""
+    """Return all sets: twelve, or eight without heartpy. Raises SourceError."""
     return _sensed(synthetic_pulses(seconds, seed) | recorded_pulses(seconds), seed)
 
 
 def silent_pulses(seconds: float, seed: int) -> list[Pulse]:
-    """Those sets that a prize or an oracle is on, with shapes that foretell no interval."""
+    """Return the sets that have a prize or an oracle, with shapes that predict no interval."""
     raw = synthetic_pulses(seconds, seed, foretelling=False)
     return _sensed({name: raw[name] for name in SILENT}, seed)
 

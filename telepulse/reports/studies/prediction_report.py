@@ -1,8 +1,6 @@
-"""The study of predictors as a report: errors, costs, and the prototype's figures beside them.
+"""The study of predictors as a report: errors, costs, and a prototype's figures as targets."""
 
-What the prototype reached, and whether we do.
-"""
-
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from telepulse.reports.document import Chapter, Plot, Report, Table
@@ -16,17 +14,15 @@ from telepulse.reports.studies.prediction_pulses import (
 from telepulse.reports.studies.prediction_scores import (
     COSTLY_FROM_S,
     HORIZONS_MS,
+    Errors,
     PredictionEffort,
     PredictionScores,
 )
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-from dataclasses import dataclass
 
-from telepulse.reports.studies.prediction_scores import Errors
-
-# "Met" allows for so much more than the prototype's figure.
+# A target is reached up to this share above the prototype's figure.
 ALLOWANCE = 0.05
 MEDIAN = "median of the sets"
 # The short memory, the best at most horizons, stands for the analogues.
@@ -34,8 +30,8 @@ ANALOGUE = "analogue 0.05 s"
 
 
 @dataclass(frozen=True, slots=True)
-class Bar:
-    """The prototype's NRMSE, a horizon each, of a predictor on a set; None: not asked for."""
+class PredictionTarget:
+    """The prototype's NRMSE of a predictor on a set, one a horizon; None: no target."""
 
     where: str
     predictor: str
@@ -45,51 +41,55 @@ class Bar:
 
 
 @dataclass(frozen=True, slots=True)
-class BarVerdict:
-    """A bar beside our figures."""
+class TargetResult:
+    """A target beside our figures."""
 
-    bar: Bar
+    target: PredictionTarget
     ours: tuple[float, ...]
 
     def excess(self, at: int) -> float | None:
-        """By which share ours is above the prototype's at a horizon; None where there is none."""
-        figure = self.bar.figures[at]
+        """Return the share by which ours exceeds the target at a horizon; None without a target."""
+        figure = self.target.figures[at]
         return None if figure is None else self.ours[at] / figure - 1
 
     @property
     def reached(self) -> bool:
-        """Whether it is met at every horizon."""
+        """Whether the target is reached at every horizon."""
         excesses = [self.excess(at) for at in range(len(HORIZONS_MS))]
-        return all(excess is None or excess <= self.bar.allowance for excess in excesses)
+        return all(excess is None or excess <= self.target.allowance for excess in excesses)
 
 
-BARS = (
-    Bar(MEDIAN, "stack", "prototype", (0.045, 0.156, 0.321, 0.394)),
-    Bar(MEDIAN, ANALOGUE, "prototype", (0.070, 0.206, 0.379, 0.433)),
-    Bar(MEDIAN, "fir", "prototype", (0.055, 0.207, 0.486, 0.537)),
-    Bar(MEDIAN, "hold", "prototype", (0.307, 0.715, 1.21, 1.54)),
-    Bar("variability", "stack", "prototype", (0.027, 0.078, 0.214, 0.295)),
-    Bar("variability", "stack", "its oracle", (0.021, 0.064, 0.142, 0.167), 0.0),
-    Bar("variability", "stack", "prize", (None, None, 0.18, None), 0.0),
-    Bar("ramp", "stack", "prototype", (0.036, 0.099, 0.192, 0.218)),
-    Bar("ramp", "stack", "its oracle", (0.009, 0.025, 0.050, 0.059), 0.0),
-    Bar("ramp", "stack", "prize", (None, None, 0.12, None), 0.0),
-    Bar("ectopic", "stack", "prototype", (0.033, 0.093, 0.254, 0.341)),
-    Bar("ectopic", "stack", "its oracle", (0.021, 0.065, 0.167, 0.249), 0.0),
-    Bar("fibrillation", "stack", "prototype", (0.045, 0.159, 0.505, 0.776)),
-    Bar("fibrillation", "stack", "its oracle", (0.045, 0.158, 0.528, 0.787), 0.0),
+TARGETS = (
+    PredictionTarget(MEDIAN, "stack", "prototype", (0.045, 0.156, 0.321, 0.394)),
+    PredictionTarget(MEDIAN, ANALOGUE, "prototype", (0.070, 0.206, 0.379, 0.433)),
+    PredictionTarget(MEDIAN, "fir", "prototype", (0.055, 0.207, 0.486, 0.537)),
+    PredictionTarget(MEDIAN, "hold", "prototype", (0.307, 0.715, 1.21, 1.54)),
+    PredictionTarget("variability", "stack", "prototype", (0.027, 0.078, 0.214, 0.295)),
+    PredictionTarget("variability", "stack", "its oracle", (0.021, 0.064, 0.142, 0.167), 0.0),
+    PredictionTarget("variability", "stack", "prize", (None, None, 0.18, None), 0.0),
+    PredictionTarget("ramp", "stack", "prototype", (0.036, 0.099, 0.192, 0.218)),
+    PredictionTarget("ramp", "stack", "its oracle", (0.009, 0.025, 0.050, 0.059), 0.0),
+    PredictionTarget("ramp", "stack", "prize", (None, None, 0.12, None), 0.0),
+    PredictionTarget("ectopic", "stack", "prototype", (0.033, 0.093, 0.254, 0.341)),
+    PredictionTarget("ectopic", "stack", "its oracle", (0.021, 0.065, 0.167, 0.249), 0.0),
+    PredictionTarget("fibrillation", "stack", "prototype", (0.045, 0.159, 0.505, 0.776)),
+    PredictionTarget("fibrillation", "stack", "its oracle", (0.045, 0.158, 0.528, 0.787), 0.0),
 )
 
 
-def judge(errors: dict[str, Errors], medians: Errors) -> list[BarVerdict]:
-    """The bars on the sets that there are figures of; without medians, none on the median."""
+def compare_targets(errors: dict[str, Errors], medians: Errors) -> list[TargetResult]:
+    """Compare the targets on the sets with errors; without medians, none on the median."""
     where = {MEDIAN: medians, **errors} if medians else errors
-    return [BarVerdict(bar, where[bar.where][bar.predictor]) for bar in BARS if bar.where in where]
+    return [
+        TargetResult(target, where[target.where][target.predictor])
+        for target in TARGETS
+        if target.where in where
+    ]
 
 
 TICK_BOUND_US = 150.0
 HORIZON_COLUMNS = tuple(f"{horizon_ms} ms" for horizon_ms in HORIZONS_MS)
-# What stands for a scene's predictor of several trajectories in the plot of cost.
+# The expert whose error is plotted for a scene's predictor of several experts.
 SHOWN_AS = {"analogue": "analogue 0.05 s"}
 # The horizon whose error is plotted against cost.
 PLOTTED = HORIZONS_MS.index(100)
@@ -97,15 +97,15 @@ STYLES = ("o-", "s-", "x--", "^-", "v--", "P-", "D-", "*-")
 
 
 def report_prediction(scores: PredictionScores, effort: PredictionEffort) -> Report:
-    """The report on scores that took this effort."""
+    """Return the report on scores that took this effort."""
     return Report(
         "Prediction: error against horizon and cost",
-        (_errors_chapter(scores, effort), _bars_chapter(scores), _costs_chapter(scores)),
+        (_errors_chapter(scores, effort), _targets_chapter(scores), _costs_chapter(scores)),
     )
 
 
 def missing_sets(scores: PredictionScores) -> str:
-    """A sentence on the recordings that could not take part; empty when all did."""
+    """Return a sentence on the missing recordings; empty when there are none."""
     if set(RECORDED) <= set(scores.errors):
         return ""
     return (
@@ -151,50 +151,50 @@ def _table(title: str, first: str, rows: dict[str, tuple[float, ...]]) -> Table:
     )
 
 
-def _bars_chapter(scores: PredictionScores) -> Chapter:
-    verdicts = judge(scores.errors, scores.medians)
-    silent = judge(scores.silent_errors, {})
-    reached = sum(verdict.reached for verdict in verdicts)
+def _targets_chapter(scores: PredictionScores) -> Chapter:
+    results = compare_targets(scores.errors, scores.medians)
+    silent = compare_targets(scores.silent_errors, {})
+    reached = sum(result.reached for result in results)
     return Chapter(
         "Beside the prototype",
         (
-            f"{reached} of {len(verdicts)} rows are reached. The prototype's figures were printed"
+            f"{reached} of {len(results)} rows are reached. The prototype's figures were printed"
             " by its authors; its sets are not here. Ours have the same names, but rates, shares"
-            " and noise within them are our choice, and the recordings are others: what differs by"
-            " a tenth may differ for that alone. Its oracles knew its generator, not ours.",
-            "In our source a beat's systole is as long as its own interval asks: shapes foretell"
-            " the next beat, which is how a predictor can be below an oracle. The second"
-            " table has systoles that follow the interval before, where nothing but the rhythm"
-            f" tells: {sum(verdict.reached for verdict in silent)} of {len(silent)} rows are"
+            " and noise within them are our choice, and the recordings are others: this alone may"
+            " explain a difference of a tenth. Its oracles had its generator, not ours.",
+            "In our source a beat's systole scales with its own interval: its shape predicts the"
+            " next beat, so that a predictor can be below an oracle. In the second table systoles"
+            " scale with the interval before, and only the rhythm predicts the next beat:"
+            f" {sum(result.reached for result in silent)} of {len(silent)} rows are"
             " reached there.",
         ),
         (
-            _bars_table("Ours / the prototype's", verdicts),
-            _bars_table("The same where no shape foretells the next beat", silent),
+            _targets_table("Ours / the prototype's", results),
+            _targets_table("The same where no shape predicts the next beat", silent),
         ),
     )
 
 
-def _bars_table(title: str, verdicts: list[BarVerdict]) -> Table:
+def _targets_table(title: str, results: list[TargetResult]) -> Table:
     return Table(
         title,
         ("set", "predictor", "whose", *HORIZON_COLUMNS, "verdict"),
-        tuple(_bar_row(verdict) for verdict in verdicts),
+        tuple(_target_row(result) for result in results),
         f"Reached: at every horizon at most {ALLOWANCE:.0%} above the prototype, or at or below"
         " the prize and the oracle.",
     )
 
 
-def _bar_row(verdict: BarVerdict) -> tuple[str, ...]:
-    bar = verdict.bar
+def _target_row(result: TargetResult) -> tuple[str, ...]:
+    target = result.target
     cells, misses = [], []
-    for at, (ours, figure) in enumerate(zip(verdict.ours, bar.figures, strict=True)):
+    for at, (ours, figure) in enumerate(zip(result.ours, target.figures, strict=True)):
         cells.append(f"{ours:.3f} / " + ("–" if figure is None else f"{figure:.3f}"))
-        excess = verdict.excess(at)
-        if excess is not None and excess > bar.allowance:
+        excess = result.excess(at)
+        if excess is not None and excess > target.allowance:
             misses.append(f"{HORIZON_COLUMNS[at]} +{excess:.0%}")
-    result = "missed: " + ", ".join(misses) if misses else "reached"
-    return (bar.where, bar.predictor, bar.whose, *cells, result)
+    verdict = "missed: " + ", ".join(misses) if misses else "reached"
+    return (target.where, target.predictor, target.whose, *cells, verdict)
 
 
 def _costs_chapter(scores: PredictionScores) -> Chapter:
@@ -203,8 +203,8 @@ def _costs_chapter(scores: PredictionScores) -> Chapter:
     return Chapter(
         "Costs",
         (
-            f"Processor time of one thread, after {COSTLY_FROM_S:g} s, at ticks of 1 ms that each"
-            " do one piece of work and ask for one prediction; a step is 5 ms. The stack's 99th"
+            f"Processor time of one thread, after {COSTLY_FROM_S:g} s, at ticks of 1 ms with one"
+            " piece of work and one prediction each; a step is 5 ms. The stack's 99th"
             f" percentile is {stack.tick_p99_us:.0f} µs a tick, {within} the"
             f" {TICK_BOUND_US:g} µs that it may take; a busy machine makes it more.",
         ),

@@ -1,4 +1,4 @@
-"""Errors and costs of the predictors, driven as a display drives them: frames in, ticks on."""
+"""Errors and costs of the predictors, driven as a display drives them: by frames and ticks."""
 
 import statistics
 import time
@@ -21,10 +21,10 @@ from telepulse.reports.studies.sweep import in_one_thread, sweep
 
 HORIZONS_MS = (20, 50, 100, 200)
 TICK_NS = 1_000_000
-# A frame brings 5 samples, a tick falls on each; the sensing clock begins anywhere.
+# A frame has 5 samples, one a tick; the sensing clock begins at an arbitrary time.
 FRAME = 5
 BEGIN_NS = 3_600_000_000_000
-# Ticks before this are a predictor's warm-up, which costs less.
+# Earlier ticks are a predictor's warm-up, which costs less.
 COSTLY_FROM_S = 10.0
 Errors = dict[str, tuple[float, ...]]
 CHEAP: tuple[PredictorName, ...] = ("hold", "linear")
@@ -32,7 +32,7 @@ CHEAP: tuple[PredictorName, ...] = ("hold", "linear")
 
 @dataclass(frozen=True, slots=True)
 class PredictionEffort:
-    """How much to compute. The defaults are the study's; tests do with less."""
+    """Amount of computing. The defaults are the study's; tests use less."""
 
     seconds: float = 60.0
     cost_seconds: float = 25.0
@@ -40,8 +40,8 @@ class PredictionEffort:
 
 
 @dataclass(frozen=True, slots=True)
-class Cost:
-    """Processor time in µs: of a tick, and of all that 5 ms of samples ask for."""
+class PredictorCost:
+    """Processor time in µs of a tick, and of a step: all the work on 5 ms of samples."""
 
     tick_p50_us: float
     tick_p99_us: float
@@ -50,18 +50,18 @@ class Cost:
 
 @dataclass(frozen=True, slots=True)
 class PredictionScores:
-    """errors: by set and predictor, an NRMSE a horizon; costs: by the name in a scene.
+    """NRMSE at each horizon by set and predictor, and costs by the predictor's name in a scene.
 
-    silent_errors: the same where a beat's shape does not foretell its interval.
+    silent_errors holds the same errors where a beat's shape does not predict its interval.
     """
 
     errors: dict[str, Errors]
     silent_errors: dict[str, Errors]
-    costs: dict[str, Cost]
+    costs: dict[str, PredictorCost]
 
     @property
     def medians(self) -> dict[str, tuple[float, ...]]:
-        """Over the sets, by predictor."""
+        """Medians over the sets, by predictor."""
         sets = list(self.errors.values())
         return {
             name: tuple(
@@ -73,7 +73,7 @@ class PredictionScores:
 
 
 def score_predictors(effort: PredictionEffort, scheduler: str | None = None) -> PredictionScores:
-    """Score all predictors on all sets, over all cores or a Dask cluster; then cost them here.
+    """Score all predictors on all sets, on all cores or a Dask cluster; then measure costs here.
 
     Raises SourceError or SweepError.
     """
@@ -84,21 +84,21 @@ def score_predictors(effort: PredictionEffort, scheduler: str | None = None) -> 
         {pulse.name: errors for pulse, errors in zip(part, scored, strict=True)}
         for part, scored in ((sets, found[: len(sets)]), (silent, found[len(sets) :]))
     )
-    # Alone on the machine, once the others have ended.
+    # Alone on the machine, after the others have ended.
     costs = in_one_thread(all_costs, sets[1].sensed[: round(effort.cost_seconds * RATE_HZ)])
     return PredictionScores(errors, silent_errors, costs)
 
 
-def all_costs(sensed: Floats) -> dict[str, Cost]:
-    """What each predictor that a scene can name costs, one after the other."""
+def all_costs(sensed: Floats) -> dict[str, PredictorCost]:
+    """Measure the cost of each predictor that a scene can name, one after the other."""
     return {name: cost(name, sensed) for name in get_args(PredictorName)}
 
 
 def score(pulse: Pulse) -> Errors:
-    """NRMSE of hold, linear, the stack and each of its experts, after `SCORED_FROM_S`.
+    """Return the NRMSE of hold, linear, the stack and each of its experts, after `SCORED_FROM_S`.
 
-    RMSE against the pulse without noise over its standard deviation. Predicted is the pulse so
-    far after the newest sample, once a frame, at each of the five ticks after it in turn.
+    The RMSE is against the pulse without noise, over its standard deviation. Each frame is
+    predicted from once, at each horizon after its newest sample, at its five ticks in turn.
     """
     stack = Ensemble("stack", TICK_NS)
     cheap = [build_predictor(name, TICK_NS) for name in CHEAP]
@@ -125,8 +125,8 @@ def score(pulse: Pulse) -> Errors:
     return {name: tuple(errors[:, column].tolist()) for column, name in enumerate(names)}
 
 
-def cost(name: PredictorName, sensed: Floats) -> Cost:
-    """Processor time of a predictor that is asked once a tick, as in a display."""
+def cost(name: PredictorName, sensed: Floats) -> PredictorCost:
+    """Measure the processor time of a predictor that predicts once a tick, as in a display."""
     predictor = build_predictor(name, TICK_NS)
     taken_us = []
     for frame in range(len(sensed) // FRAME):
@@ -139,7 +139,7 @@ def cost(name: PredictorName, sensed: Floats) -> Cost:
             taken_us.append((time.thread_time_ns() - began_ns) * 1e-3)
     costly = np.array(taken_us[round(COSTLY_FROM_S * RATE_HZ) :])
     median, high = np.percentile(costly, [50, 99]).tolist()
-    return Cost(median, high, float(costly.mean()) * FRAME)
+    return PredictorCost(median, high, float(costly.mean()) * FRAME)
 
 
 def _observe(predictor: Predictor, sensed: Floats, frame: int) -> None:

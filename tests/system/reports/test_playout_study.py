@@ -8,7 +8,7 @@ from telepulse.cli.main import app
 from telepulse.reports.document import THEMES, Report
 from telepulse.reports.studies import playout_scores
 from telepulse.reports.studies.playout_links import GAUSSIAN, TCP
-from telepulse.reports.studies.playout_report import BARS, bars, report_playout
+from telepulse.reports.studies.playout_report import TARGETS, compare_targets, report_playout
 from telepulse.reports.studies.playout_scores import (
     OURS,
     RULES,
@@ -68,16 +68,18 @@ def test_a_share_that_no_setting_reaches_is_said(scores: PlayoutScores, report: 
 
 
 def test_the_verdict_is_counted_from_the_ratios(scores: PlayoutScores, report: Report) -> None:
-    judged = bars(scores)
+    judged = compare_targets(scores)
     assert [(link, optimum) for link, optimum, *_ in judged] == [
-        (link, optimum) for link, optimum, _ in BARS if link in LITTLE.links
+        (link, optimum) for link, optimum, _ in TARGETS if link in LITTLE.links
     ]
     reached = sum(ratio <= bar for _, _, bar, ratio in judged)
     shown = [row[3] for row in report.chapters[0].tables[-1].rows]
-    assert shown.count("reached") == reached
+    assert shown.count("met") == reached
     sentence = report.chapters[0].paragraphs[0]
     assert sentence.startswith(
-        f"All {reached} bars" if reached == len(judged) else f"{reached} of {len(judged)} bars"
+        f"All {reached} targets"
+        if reached == len(judged)
+        else f"{reached} of {len(judged)} targets"
     )
 
 

@@ -11,19 +11,19 @@ from telepulse.reports.document import THEMES
 from telepulse.reports.studies import prediction_scores
 from telepulse.reports.studies.prediction_pulses import RECORDED, SILENT, Pulse
 from telepulse.reports.studies.prediction_report import (
-    BARS,
     MEDIAN,
-    Bar,
-    BarVerdict,
-    judge,
+    TARGETS,
+    PredictionTarget,
+    TargetResult,
+    compare_targets,
     missing_sets,
     report_prediction,
 )
 from telepulse.reports.studies.prediction_scores import (
     HORIZONS_MS,
-    Cost,
     PredictionEffort,
     PredictionScores,
+    PredictorCost,
     cost,
     score,
 )
@@ -44,7 +44,7 @@ SETS = ("steady", "variability", "ramp", "ectopic", "fibrillation")
 def made_up(error: float = 0.1) -> PredictionScores:
     errors = {name: (error,) * len(HORIZONS_MS) for name in NAMES}
     costs = {
-        name: Cost(1.0, 2.0, 5.0)
+        name: PredictorCost(1.0, 2.0, 5.0)
         for name in ("hold", "linear", "fir", "analogue", "harmonic", "stack")
     }
     return PredictionScores(
@@ -76,39 +76,41 @@ def test_only_what_is_learnt_costs() -> None:
 
 
 def test_a_bar_is_reached_within_its_allowance_at_every_horizon() -> None:
-    bar = Bar(MEDIAN, "stack", "prototype", (0.1, 0.1, None, 0.1))
-    assert BarVerdict(bar, (0.1, 0.05, 9.0, 0.1049)).reached
-    missed = BarVerdict(bar, (0.1, 0.12, 0.0, 0.1))
+    bar = PredictionTarget(MEDIAN, "stack", "prototype", (0.1, 0.1, None, 0.1))
+    assert TargetResult(bar, (0.1, 0.05, 9.0, 0.1049)).reached
+    missed = TargetResult(bar, (0.1, 0.12, 0.0, 0.1))
     assert not missed.reached
     assert missed.excess(1) == pytest.approx(0.2)
     assert missed.excess(2) is None
-    assert not BarVerdict(replace(bar, allowance=0.0), (0.1, 0.1001, 0.0, 0.1)).reached
+    assert not TargetResult(replace(bar, allowance=0.0), (0.1, 0.1001, 0.0, 0.1)).reached
 
 
 def test_every_bar_is_judged_on_its_own_set() -> None:
     scores = made_up()
     scores.errors["ramp"] = scores.errors["ramp"] | {"stack": (9.0,) * len(HORIZONS_MS)}
-    verdicts = judge(scores.errors, scores.medians)
-    assert [verdict.bar for verdict in verdicts] == list(BARS)
-    assert {verdict.ours[0] for verdict in verdicts if verdict.bar.where == "ramp"} == {9.0}
-    assert {verdict.ours[0] for verdict in verdicts if verdict.bar.where != "ramp"} == {0.1}
+    verdicts = compare_targets(scores.errors, scores.medians)
+    assert [result.target for result in verdicts] == list(TARGETS)
+    assert {result.ours[0] for result in verdicts if result.target.where == "ramp"} == {9.0}
+    assert {result.ours[0] for result in verdicts if result.target.where != "ramp"} == {0.1}
 
 
 def test_without_medians_only_sets_are_judged() -> None:
-    judged = judge(made_up().silent_errors, {})
-    assert [verdict.bar for verdict in judged] == [bar for bar in BARS if bar.where != MEDIAN]
+    judged = compare_targets(made_up().silent_errors, {})
+    assert [result.target for result in judged] == [
+        target for target in TARGETS if target.where != MEDIAN
+    ]
 
 
 def test_the_report_counts_what_is_reached_and_says_by_how_much_not() -> None:
     table = report_prediction(made_up(), PredictionEffort()).chapters[1].tables[0]
-    assert len(table.rows) == len(BARS)
+    assert len(table.rows) == len(TARGETS)
     prize = next(row for row in table.rows if row[0] == "variability" and row[2] == "prize")
     assert prize[3:] == ("0.100 / –", "0.100 / –", "0.100 / 0.180", "0.100 / –", "reached")
     stack = next(row for row in table.rows if row[:2] == (MEDIAN, "stack"))
     assert stack[-1] == "missed: 20 ms +122%"
     reached = sum(row[-1] == "reached" for row in table.rows)
     text = report_prediction(made_up(), PredictionEffort()).chapters[1].paragraphs[0]
-    assert text.startswith(f"{reached} of {len(BARS)} rows")
+    assert text.startswith(f"{reached} of {len(TARGETS)} rows")
 
 
 def test_missing_recordings_are_named() -> None:

@@ -11,7 +11,7 @@ from telepulse.reports.studies.playout_links import (
     best_moving,
     make_trace,
 )
-from telepulse.reports.studies.playout_report import BARS, CONSTANT
+from telepulse.reports.studies.playout_report import CONSTANT, TARGETS
 from telepulse.reports.studies.playout_rules import play
 
 # A third of the study's; bursts come every 12 s, and need all of it.
@@ -21,7 +21,7 @@ LATE = 0.01
 MOST_LATE = 1.1 * LATE
 
 
-@pytest.mark.parametrize(("link", "optimum", "bar"), BARS)
+@pytest.mark.parametrize(("link", "optimum", "bar"), TARGETS)
 def test_our_delay_at_its_default_is_within_the_bar(link: str, optimum: str, bar: float) -> None:
     trace = make_trace(link, BURSTS_SECONDS if link == BURSTS else SECONDS)
     delay_ms = trace.delay_ns / 1e6
