@@ -1,5 +1,4 @@
-"""The summary that every command and node ends with: the same keys everywhere, null where a thing
-does not apply."""
+"""Summary of a run: the same keys from every command and node, null where one does not apply."""
 
 import dataclasses
 import json

@@ -1,1 +1,1 @@
-"""A display's telemetry as Lab Streaming Layer streams."""
+"""Outlet of a display's telemetry as Lab Streaming Layer streams."""

@@ -1,9 +1,4 @@
-"""Forwarding of a display's telemetry to LSL; what cannot be forwarded is counted.
-
-Frames in the order of their samples. Pure.
-
-Unix time as LSL counts it: seconds of its local clock.
-"""
+"""Forwarding of a display's telemetry to LSL; what cannot be forwarded is counted."""
 
 import math
 import time
@@ -18,14 +13,17 @@ from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.passive_receiver import PassiveReceiver
 from telepulse.telemetry.schema import EVENT, FRAME, TICK
 
-# Longer than a link that reorders keeps a frame; later ones are missing.
+# Longer than a link that reorders delays a frame; later ones count as lost.
 HOLD_NS = 500_000_000
 
 
 class FrameReorderer:
-    """Holds a frame back while one before it is missing and may still come.
+    """Buffer that holds a frame back while an earlier one may still arrive.
 
-    lost: samples that did not come in time.
+    Attributes
+    ----------
+    lost : int
+        Samples that did not arrive in time.
     """
 
     def __init__(self) -> None:
@@ -34,7 +32,7 @@ class FrameReorderer:
         self.lost = 0
 
     def take(self, frame: Frame, now_ns: int) -> Iterator[Frame]:
-        """A frame has come; the frames whose turn it is."""
+        """Add a frame; yield the frames whose turn it is."""
         if self._next_sample is None:
             self._next_sample = frame.first_sample
         if frame.first_sample >= self._next_sample:
@@ -45,8 +43,8 @@ class FrameReorderer:
                 return
             yield self._release(first)
 
-    def rest(self) -> Iterator[Frame]:
-        """What is still held, when nothing more comes."""
+    def flush(self) -> Iterator[Frame]:
+        """Yield the frames that are still held."""
         while self._held:
             yield self._release(min(self._held))
 
@@ -61,9 +59,9 @@ TRIES = 9
 
 
 class LslTime:
-    """Maps Unix times of one run of a display; distances in time stay what they were.
+    """Mapping of Unix times of one run of a display to LSL's local clock, in s.
 
-    Right as far as this host's clock and the display's host's agree; exact where they are one.
+    Its error is the difference between the clocks of this host and the display's host.
     """
 
     def __init__(self, local_clock: Callable[[], float]) -> None:
@@ -71,17 +69,17 @@ class LslTime:
         self.begin()
 
     def begin(self) -> None:
-        """Compare both clocks: when a run of the display begins."""
+        """Compare both clocks, when a run of the display begins."""
         self._unix_ns, self._lsl_s, _ = min(
             (self._compare() for _ in range(TRIES)), key=lambda reading: reading[2]
         )
 
     def at(self, unix_ns: int) -> float:
-        """LSL's time of a Unix time, in s."""
+        """Return LSL's time of a Unix time, in s."""
         return self._lsl_s + (unix_ns - self._unix_ns) * 1e-9
 
     def _compare(self) -> tuple[int, float, float]:
-        """One instant on both clocks, and how long it took to read them."""
+        """Return one instant on both clocks, and how long it took to read them."""
         before_s = self._local_clock()
         unix_ns = time.time_ns()
         after_s = self._local_clock()
@@ -89,29 +87,31 @@ class LslTime:
 
 
 class Forwarder:
-    """Follows one display.
+    """Forwarder of one display.
 
-    passed: samples of the wrist, ticks and events that LSL was given.
+    Attributes
+    ----------
+    passed : Counter
+        Samples of the wrist, ticks and events passed to LSL.
     """
 
     def __init__(self, outlets: LslStreams, log: Callable[[str], None]) -> None:
-        """log is told of each stream that begins."""
         self._outlets = outlets
         self._log = log
         self._time = LslTime(outlets.local_clock)
         self._receiver = PassiveReceiver()
         self._session: int | None = None
-        self._in_order = FrameReorderer()
+        self._reorderer = FrameReorderer()
         self._lost = 0
         self.passed: Counter[str] = Counter()
 
     @property
     def lost(self) -> int:
-        """Samples of the wrist that did not come, or not in time for their turn."""
-        return self._lost + self._in_order.lost
+        """Number of samples of the wrist that did not arrive in time."""
+        return self._lost + self._reorderer.lost
 
     def take(self, entries: list[Entry]) -> None:
-        """Take the entries of one telemetry message."""
+        """Forward the entries of one telemetry message."""
         ticks = [entry for entry in entries if entry.topic == TICK]
         if ticks:
             self._take_ticks(ticks)
@@ -126,10 +126,10 @@ class Forwarder:
                     self.passed["frames too early"] += 1
 
     def finish(self) -> None:
-        """Pass on what waits for its turn."""
-        for frame in self._in_order.rest():
+        """Forward the frames that are held back."""
+        for frame in self._reorderer.flush():
             self._push(frame)
-        self._lost, self._in_order = self.lost, FrameReorderer()
+        self._lost, self._reorderer = self.lost, FrameReorderer()
 
     def _take_frame(self, frame: Frame, entry: Entry) -> None:
         if frame.session != self._session:
@@ -138,7 +138,7 @@ class Forwarder:
         # From the sensing clock to the display's, and to Unix time.
         ahead_ns = self._receiver.clock.offset_ns(arrived_ns) + arrived_ns - entry.t_ns
         in_unix_time = frame._replace(t_first_ns=frame.t_first_ns - ahead_ns)
-        for each in self._in_order.take(in_unix_time, arrived_ns):
+        for each in self._reorderer.take(in_unix_time, arrived_ns):
             self._push(each)
 
     def _begin(self, session: int) -> None:
@@ -167,7 +167,7 @@ class Forwarder:
     def _take_event(self, entry: Entry) -> None:
         name = entry.fields["name"]
         if name == "begin":
-            # A display that was started anew counts its time anew.
+            # A display that was restarted has another clock.
             self.finish()
             self._time.begin()
             self._receiver, self._session = PassiveReceiver(), None

@@ -1,4 +1,4 @@
-"""The outlet's shell: a display's telemetry, LSL, and the clock on the wall."""
+"""Outlet of a display's telemetry to LSL."""
 
 import math
 import time
@@ -10,11 +10,11 @@ from telepulse.lsl_outlet.forwarder import Forwarder
 from telepulse.lsl_outlet.streams import LslStreams
 from telepulse.telemetry.client import TelemetryClient
 
-LOOK_EVERY_NS = 100_000_000
+POLL_EVERY_NS = 100_000_000
 
 
 class LslOutlet:
-    """Passes on what a display publishes, until that ends, falls silent or `stop` is called."""
+    """Outlet that runs until the display ends, falls silent or `stop` is called."""
 
     def __init__(
         self,
@@ -23,7 +23,7 @@ class LslOutlet:
         warn: Callable[[str], None],
         keys: ClientKeys | None = None,
     ) -> None:
-        """log is told how it goes, warn of what is missing. Raises SourceError or AddressError."""
+        """Connect. Raises SourceError without LSL, or AddressError."""
         self._address, self._log, self._warn = address, log, warn
         self._stopping = False
         self._outlets = LslStreams(address)
@@ -36,25 +36,30 @@ class LslOutlet:
         self._stopping = True
 
     def run(self, seconds: float | None = None, silence_s: float | None = None) -> bool:
-        """Pass on; seconds: for so long at most. silence_s: until nothing came for so long.
+        """Forward until the end; return whether all that the display published arrived.
 
-        Returns whether all that the display published came.
+        Parameters
+        ----------
+        seconds : float or None
+            Longest time.
+        silence_s : float or None
+            Time without a message that ends it.
         """
-        start_ns = heard_ns = now_ns = time.monotonic_ns()
+        start_ns = received_ns = now_ns = time.monotonic_ns()
         end_ns = start_ns + (math.inf if seconds is None else seconds * 1e9)
-        patience_ns = math.inf if silence_s is None else silence_s * 1e9
+        silence_ns = math.inf if silence_s is None else silence_s * 1e9
         client = self._client
         try:
             while not (self._stopping or client.decoder.ended) and now_ns < end_ns:
                 now_ns = time.monotonic_ns()
                 for entries in client.messages():
-                    heard_ns = now_ns
+                    received_ns = now_ns
                     self._forwarder.take(entries)
-                if now_ns - heard_ns > patience_ns:
+                if now_ns - received_ns > silence_ns:
                     self._warn(f"{self._address}: ended, nothing came for {silence_s:g} s")
                     break
                 client.poll(now_ns)
-                client.wait(LOOK_EVERY_NS)
+                client.wait(POLL_EVERY_NS)
             return self._end()
         finally:
             self._outlets.close()
@@ -64,7 +69,7 @@ class LslOutlet:
         self._forwarder.finish()
         passed, decoder = self._forwarder.passed, self._client.decoder
         if not decoder.started:
-            self._warn(f"{self._address}: nothing was heard from it")
+            self._warn(f"{self._address}: no telemetry came from it")
             return False
         given = ", ".join(
             count_text(passed[f"{name}s"], name) for name in ("sample", "tick", "event")

@@ -1,4 +1,4 @@
-"""The streams that LSL sees, described as LabRecorder and XDF want it.
+"""LSL streams of a display, described as LabRecorder and XDF need them.
 
 Labels, units and types stand in `desc/channels/channel`, the maker in `desc/acquisition`
 (the meta-data of XDF, https://github.com/sccn/xdf/wiki/Meta-Data).
@@ -18,10 +18,10 @@ FINGER_CHANNELS = ("target", "felt")
 
 
 class LslStreams:
-    """The outlets of one display. A stream that stays as it was keeps its outlet."""
+    """LSL outlets of one display; a stream with the same description keeps its outlet."""
 
     def __init__(self, address: str) -> None:
-        """address: of the telemetry; it makes the sources' names unique.
+        """Open the outlet of events; the telemetry's address makes source ids unique.
 
         Raises SourceError without the pylsl package, or the library it loads.
         """
@@ -33,11 +33,11 @@ class LslStreams:
         self._events = self._open("events", MARKERS, 0.0, "string", (("event", ""),), {})
 
     def local_clock(self) -> float:
-        """LSL's clock, in s."""
+        """Return LSL's clock, in s."""
         return float(self._lsl.local_clock())
 
     def describe(self, description: StreamDescription) -> bool:
-        """The stream that the display hears; returns whether it is another than before."""
+        """Set the stream's description; return whether it differs from the one before."""
         if description == self._description:
             return False
         self._description = description
@@ -48,11 +48,11 @@ class LslStreams:
         return True
 
     def push_wrist(self, values: "np.ndarray[Any, Any]", times_s: Sequence[float]) -> None:
-        """Samples of all channels, and when each was taken."""
+        """Push samples of all channels with their times."""
         self._wrist.push_chunk(values, list(times_s))
 
     def push_finger(self, forces_n: Sequence[tuple[float, float]], times_s: list[float]) -> None:
-        """Target and felt force of ticks, and when they were."""
+        """Push target and felt force of ticks with their times."""
         if self._finger is None:
             # Ticks come at a real loop's pace, with those that were missed left out.
             channels = tuple((name, "N") for name in FINGER_CHANNELS)
@@ -60,7 +60,7 @@ class LslStreams:
         self._finger.push_chunk(np.array(forces_n), times_s)
 
     def push_event(self, text: str, time_s: float) -> None:
-        """Something that happened."""
+        """Push an event."""
         self._events.push_sample([text], time_s)
 
     def close(self) -> None:

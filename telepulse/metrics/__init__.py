@@ -1,1 +1,1 @@
-"""A node's figures for Prometheus, from a process beside it."""
+"""Metrics of a node for Prometheus, served by a process beside it."""

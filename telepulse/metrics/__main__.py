@@ -1,4 +1,4 @@
-"""`python -m telepulse.metrics PROGRAM [ADDRESS:]PORT`: serves a node's metrics beside it."""
+"""Sidecar that serves a node's metrics: `python -m telepulse.metrics PROGRAM [ADDRESS:]PORT`."""
 
 import os
 import sys
@@ -11,16 +11,16 @@ def main() -> None:
     """Serve until the node ends."""
     program, where = sys.argv[1:]
     with run_as_sidecar() as ready:
-        # Here, as a library that is missing is to be reported, too.
-        from telepulse.metrics.server import Server, parse_address
+        # Imported here, so that a missing library is reported, too.
+        from telepulse.metrics.server import MetricsServer, parse_address
 
-        server = Server(program, *parse_address(where))
+        server = MetricsServer(program, *parse_address(where))
         ready(server.url)
     node = receive()
     if node is not None:
         threading.Thread(target=server.follow, args=(node["address"], node["key"])).start()
         receive()
-    # Its threads have nothing to finish, and some wait for who asked.
+    # The threads have nothing to finish, and some wait for slow peers.
     os._exit(0)
 
 

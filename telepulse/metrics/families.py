@@ -1,4 +1,4 @@
-"""A node's last status as Prometheus's metrics. Pure: time comes in."""
+"""Metrics of a node's last status, in Prometheus's names and base units. Pure."""
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -18,7 +18,7 @@ from protocol.run_summary import REGISTRY
 from protocol.wire.status import Status
 
 PREFIX = "telepulse_"
-# As long as a node may be held up and still be there.
+# A node may be held up for that long.
 SILENT_AFTER_NS = 5_000_000_000
 STATES = ("waiting", "starting", "playing", "stale", "ended", "fault", "streaming")
 _NUMBER = re.compile(r"\d+(\.\d+)?")
@@ -26,7 +26,7 @@ _NUMBER = re.compile(r"\d+(\.\d+)?")
 
 @dataclass(frozen=True, slots=True)
 class NodeState:
-    """sent_ns: when the node sent it, as far as is known, on this process's clock."""
+    """Last status of a node; sent_ns: when the node sent it, on this process's clock."""
 
     status: Status
     sent_ns: int
@@ -34,27 +34,31 @@ class NodeState:
 
 
 def families(
-    program: str, told: NodeState | None, now_ns: int, unreadable: int = 0
+    program: str, node: NodeState | None, now_ns: int, unreadable: int = 0
 ) -> Iterator[Metric]:
-    """The metrics at `now_ns`. A node that is silent has no figures, only the age of the last."""
-    silent = told is None or now_ns - told.sent_ns > SILENT_AFTER_NS
-    yield _gauge("up", "Whether the node speaks: 0 after 5 s of silence.", not silent)
+    """Yield the metrics at `now_ns`; of a silent node only the age of its last status."""
+    silent = node is None or now_ns - node.sent_ns > SILENT_AFTER_NS
+    yield _gauge("up", "1: the node sends statuses; 0: silent for 5 s.", not silent)
     misread = Metric(PREFIX + "unreadable_statuses", "Statuses that could not be read.", "counter")
     misread.add_sample(misread.name + "_total", {}, unreadable)
     yield misread
-    if told is None:
+    if node is None:
         return
-    age_s = (now_ns - told.sent_ns) * 1e-9
-    yield _gauge("status_age_seconds", "How old the figures are.", age_s)
-    yield _info(program, told.status)
+    age_s = (now_ns - node.sent_ns) * 1e-9
+    yield _gauge("status_age_seconds", "Age of the figures.", age_s)
+    yield _info(program, node.status)
     if silent:
         return
-    yield _state(told.status.state)
-    if told.heart_rate_per_min is not None and told.status.state == "playing":
-        yield _gauge("heart_rate_hertz", "Of the pulse that is felt.", told.heart_rate_per_min / 60)
-    if told.status.displays is not None:
-        yield _gauge("displays", "Displays that listen.", told.status.displays)
-    yield from _figures(told.status.summary)
+    yield _state(node.status.state)
+    if node.heart_rate_per_min is not None and node.status.state == "playing":
+        yield _gauge(
+            "heart_rate_hertz",
+            "Heart rate of the pulse that is felt.",
+            node.heart_rate_per_min / 60,
+        )
+    if node.status.displays is not None:
+        yield _gauge("displays", "Displays that are connected.", node.status.displays)
+    yield from _figures(node.status.summary)
 
 
 def _gauge(name: str, text: str, value: float) -> Metric:
@@ -65,12 +69,12 @@ def _info(program: str, status: Status) -> Metric:
     words = {"program": program, "version": version("telepulse"), "stream": status.stream}
     # As text: a number of 63 bits is none of Prometheus's.
     words["session"] = "" if status.session is None else f"{status.session:x}"
-    return InfoMetricFamily(PREFIX + "node", "Who this is, and its stream.", words)
+    return InfoMetricFamily(PREFIX + "node", "The node and its stream.", words)
 
 
 def _state(state: str) -> Metric:
     known = {name: name == state for name in (*STATES, state)}
-    return StateSetMetricFamily(PREFIX + "state", "What the node does, in one word.", known)
+    return StateSetMetricFamily(PREFIX + "state", "State of the node.", known)
 
 
 def _figures(summary: Mapping[str, Any]) -> Iterator[Metric]:

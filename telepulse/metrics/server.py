@@ -1,9 +1,4 @@
-"""The server of metrics: hears a node's telemetry, answers Prometheus.
-
-Where metrics are served: [ADDRESS:]PORT.
-
-The HTTP server under the metrics: one short request a thread, few threads, own name alone.
-"""
+"""Server of a node's metrics: reads the node's telemetry, answers Prometheus over HTTP."""
 
 import re
 import socket
@@ -27,13 +22,39 @@ from protocol.wire.status import STATUS, read_status
 from protocol.wire.telemetry import TRACE, read_trace
 from telepulse.http_site import Site
 
+try:
+    from prometheus_client import CollectorRegistry, make_wsgi_app
+    from prometheus_client.metrics_core import Metric
+    from prometheus_client.registry import Collector
+
+    from telepulse.metrics.families import NodeState, families
+except ImportError as error:
+    raise SidecarError(
+        f"metrics need prometheus_client, which cannot be loaded ({error});"
+        " pip install 'telepulse[metrics]'"
+    ) from None
+
 # A scrape takes some 10 ms. A peer that sends no request, or does not read, is cut off.
 REQUEST_WITHIN_S = 10.0
 MAX_REQUESTS = 16
+LOOPBACK = "127.0.0.1"
+MAX_PORT = 65_535
+_WHERE = re.compile(r"(?:(?P<host>\[[0-9A-Fa-f:.]+\]|[^\s:\[\]]+):)?(?P<port>[0-9]{1,5})")
+WAIT_NS = 1_000_000_000
+
+
+def parse_address(text: str) -> tuple[str, int]:
+    """Return host and port; without a host, this machine alone. Raises AddressError."""
+    match = _WHERE.fullmatch(text)
+    if match is None or int(match["port"]) > MAX_PORT:
+        raise AddressError(
+            f"--metrics {text}: not a port; write 9100, or ADDRESS:9100 for other machines"
+        )
+    return (match["host"] or LOOPBACK).strip("[]"), int(match["port"])
 
 
 class MetricsHTTPServer(ThreadingMixIn, WSGIServer):
-    """Serves an application to requests that name this server.
+    """HTTP server that answers requests that name this server, each in a thread.
 
     A request beyond `MAX_REQUESTS` at a time is closed unanswered.
     """
@@ -43,7 +64,7 @@ class MetricsHTTPServer(ThreadingMixIn, WSGIServer):
     block_on_close = False
 
     def __init__(self, host: str, port: int, app: WSGIApplication) -> None:
-        """Raises OSError where that cannot be bound."""
+        """Bind. Raises OSError."""
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
         self.address_family, _, _, _, address = found[0]
         self._free = threading.Semaphore(MAX_REQUESTS)
@@ -59,32 +80,32 @@ class MetricsHTTPServer(ThreadingMixIn, WSGIServer):
         self.setup_environ()
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
-        """Take a place for a request; False where there is none."""
+        """Return whether another request may be served."""
         return self._free.acquire(blocking=False)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Serve a request and give its place back."""
+        """Serve a request and free its place."""
         try:
             super().process_request_thread(request, client_address)
         finally:
             self._free.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Drop a connection that broke off or was too slow, as the server of every scrape may."""
+        """Drop a connection that broke off or was too slow."""
 
 
 class _Handler(WSGIRequestHandler):
     timeout = REQUEST_WITHIN_S
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Log nothing: a node's terminal is not the place for each scrape."""
+        """Log nothing: each scrape would be a line in the node's terminal."""
 
 
 def for_own_site(app: WSGIApplication, site: Site) -> Callable[..., Iterable[bytes]]:
     """Return an application that answers 403 to requests for another site."""
 
     def guarded(environ: WSGIEnvironment, start_response: StartResponse) -> Iterable[bytes]:
-        # HTTP/1.0 asks without a name; no browser does.
+        # HTTP/1.0 requests have no name; no browser sends them.
         host = environ.get("HTTP_HOST")
         refusal = host and site.refusal(host, environ.get("HTTP_ORIGIN"))
         if not refusal:
@@ -95,46 +116,19 @@ def for_own_site(app: WSGIApplication, site: Site) -> Callable[..., Iterable[byt
     return guarded
 
 
-LOOPBACK = "127.0.0.1"
-MAX_PORT = 65_535
-_WHERE = re.compile(r"(?:(?P<host>\[[0-9A-Fa-f:.]+\]|[^\s:\[\]]+):)?(?P<port>[0-9]{1,5})")
+class MetricsServer(Collector):
+    """Server that answers from its creation on; `follow` gives it a node to report.
 
-
-def parse_address(text: str) -> tuple[str, int]:
-    """Host and port; without a host, this machine alone. Raises AddressError."""
-    match = _WHERE.fullmatch(text)
-    if match is None or int(match["port"]) > MAX_PORT:
-        raise AddressError(
-            f"--metrics {text}: not a port; write 9100, or ADDRESS:9100 for other machines"
-        )
-    return (match["host"] or LOOPBACK).strip("[]"), int(match["port"])
-
-
-try:
-    from prometheus_client import CollectorRegistry, make_wsgi_app
-    from prometheus_client.metrics_core import Metric
-    from prometheus_client.registry import Collector
-
-    from telepulse.metrics.families import NodeState, families
-except ImportError as error:
-    raise SidecarError(
-        f"metrics need prometheus_client, which cannot be loaded ({error});"
-        " pip install 'telepulse[metrics]'"
-    ) from None
-
-WAIT_NS = 1_000_000_000
-
-
-class Server(Collector):
-    """Answers from the moment it is made, of a node that it follows once told which.
-
-    url: where it answers.
+    Attributes
+    ----------
+    url : str
+        Address of the metrics.
     """
 
     def __init__(self, program: str, host: str, port: int) -> None:
-        """Raises AddressError where that cannot be bound."""
+        """Bind and serve. Raises AddressError."""
         self._program = program
-        self._told: NodeState | None = None
+        self._node: NodeState | None = None
         self._unreadable = 0
         registry = CollectorRegistry()
         registry.register(self)
@@ -148,36 +142,36 @@ class Server(Collector):
         self.url = f"http://{host}:{server.server_port}/metrics"
 
     def collect(self) -> Iterator[Metric]:
-        """The metrics now, for a request; any thread may ask."""
-        yield from families(self._program, self._told, time.monotonic_ns(), self._unreadable)
+        """Yield the metrics of now, for a request; called from any thread."""
+        yield from families(self._program, self._node, time.monotonic_ns(), self._unreadable)
 
     def follow(self, address: str, key: str | None) -> None:
-        """Hear a node's telemetry, without end."""
+        """Read a node's telemetry, without end."""
         pair = read_pair(Path(key)) if key else None
         context: sockets.Context = zmq.Context()
         keys = ClientKeys(pair, pair.public) if pair else None
         socket = sockets.connect(context, zmq.SUB, address, keys)
         for topic in (STATUS, TRACE):
             socket.subscribe(topic)
-        screen = TerminalView()
+        view = TerminalView()
         age = TelemetryAge(local=not sockets.beyond_loopback(address))
         while True:
             sockets.wait_readable([socket], WAIT_NS)
             for message in sockets.receive_all(socket):
                 try:
-                    self._take(screen, age, *message)
+                    self._take(view, age, *message)
                 except (WireError, TypeError):
                     self._unreadable += 1
 
-    def _take(self, screen: TerminalView, age: TelemetryAge, topic: bytes, data: bytes) -> None:
+    def _take(self, view: TerminalView, age: TelemetryAge, topic: bytes, data: bytes) -> None:
         now_ns = time.monotonic_ns()
         if topic == TRACE:
             trace = read_trace(data)
-            screen.add_trace(trace)
+            view.add_trace(trace)
             if len(trace.now_ns):
                 age.take_trace(int(trace.now_ns[-1]), now_ns)
         elif topic == STATUS:
             status = read_status(data)
             age.take_status(now_ns)
             sent_ns = now_ns - (age.age_ns(now_ns) or 0)
-            self._told = NodeState(status, sent_ns, screen.heart_rate_per_min)
+            self._node = NodeState(status, sent_ns, view.heart_rate_per_min)

@@ -97,10 +97,9 @@ class EventDetector:
         yield Event("WARNING", INTERRUPTED, text)
 
     def _counted(self, summary: Mapping[str, Any]) -> Iterator[Event]:
-        """Yield each clock step, limit and cause of refusal at its first count, and frequent
-        troubles of the bench.
+        """Yield what was counted first, and what goes wrong often at the bench.
 
-        The statuses hold how often and for how long.
+        The statuses hold how often and for how long each clock step, limit or refusal was.
         """
         steps = summary["clock"].get("steps") or 0
         if steps > self._steps:

@@ -1,6 +1,6 @@
-"""The topics of a recording and their JSON schemas.
+"""Topics of a recording and their JSON schemas.
 
-Foxglove reads a part of JSON Schema: a type is one word, every object names its properties, an
+Foxglove supports a part of JSON Schema: a type is one word, every object names its properties, an
 array's items are no arrays, and nothing may be null. So a field without a value is left out.
 """
 
@@ -27,7 +27,7 @@ def _array(items: Schema) -> Schema:
 
 
 def _of(kind: Any) -> Schema:
-    """The schema of a type that a summary's field has."""
+    """Return the schema of a type of a summary's field."""
     if isinstance(kind, types.UnionType):
         (kind,) = [part for part in typing.get_args(kind) if part is not types.NoneType]
     if dataclasses.is_dataclass(kind):
@@ -35,7 +35,7 @@ def _of(kind: Any) -> Schema:
         return _object(**{name: _of(hint) for name, hint in hints.items()})
     if typing.get_origin(kind) is list:
         return _array(_of(*typing.get_args(kind)))
-    # What is counted under free names.
+    # Counts by free names.
     return _object() if typing.get_origin(kind) is dict else _PLAIN[kind]
 
 

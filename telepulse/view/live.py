@@ -1,10 +1,7 @@
-"""State of a display: its telemetry, as recordings hold it, in rolling windows. Pure.
+"""State of a display over the last minutes: telemetry in rolling tables, thinned to curves. Pure.
 
-All times are Unix time on the display's clock: what was sensed stands where the display's clock
-stood then, by the offset that its last status told.
-
-The newest rows of a table that grows without end, and curves of no more points than a screen
-shows. Pure.
+All times are Unix time by the display's clock. Samples of the wrist are mapped to it by the clock
+offset of the last status.
 """
 
 import math
@@ -26,7 +23,7 @@ EMPTY_BUCKETS = 3
 
 
 class Stretch(NamedTuple):
-    """Rows in order of time. first: how many rows came before them; values: a column each."""
+    """Rows in order of time; first: number of rows before them; values: shape (rows, columns)."""
 
     first: int
     t_ns: Times
@@ -34,7 +31,7 @@ class Stretch(NamedTuple):
 
 
 class RollingTable:
-    """The newest rows, `capacity` of them at least and twice as many at most."""
+    """Table of the newest rows: at least `capacity` of them, at most twice as many."""
 
     def __init__(self, columns: int, capacity: int) -> None:
         self._capacity = capacity
@@ -46,14 +43,14 @@ class RollingTable:
         return self._end
 
     def add(self, t_ns: int, *values: float) -> None:
-        """A row that is newer than those before."""
+        """Add a row that is newer than those before."""
         self._make_room(1)
         self._t_ns[self._end] = t_ns
         self._values[self._end] = values
         self._end += 1
 
     def insert(self, t_ns: Times, values: Floats) -> None:
-        """Rows in order of time, of shape (rows, columns); they may belong between older ones."""
+        """Add rows in order of time, shape (rows, columns), also between older ones."""
         count = len(t_ns)
         self._make_room(count)
         at = int(np.searchsorted(self._t_ns[: self._end], t_ns[0]))
@@ -67,12 +64,12 @@ class RollingTable:
             self._values[tail] = self._values[tail][order]
 
     def has(self, t_ns: int, within_ns: int) -> bool:
-        """Whether there is a row so near to a time."""
+        """Return whether there is a row within `within_ns` of a time."""
         at = int(np.searchsorted(self._t_ns[: self._end], t_ns - within_ns))
         return at < self._end and int(self._t_ns[at]) <= t_ns + within_ns
 
     def since(self, t_ns: int) -> Stretch:
-        """The rows from a time on; views, good until the next row comes."""
+        """Return the rows from a time on, as views that hold until the next row is added."""
         at = int(np.searchsorted(self._t_ns[: self._end], t_ns))
         first = self._dropped + at
         return Stretch(first, self._t_ns[at : self._end], self._values[at : self._end])
@@ -91,11 +88,10 @@ class RollingTable:
 
 
 def thin(first: int, t_ns: Times, values: Floats, points: int, gap_ns: int) -> tuple[Times, Floats]:
-    """A curve of about `points` points at most: of each bucket its least and greatest value.
+    """Return a curve of about `points` points at most: least and greatest value of each bucket.
 
-    Buckets are the same from call to call, told by `first`, how many rows came before: what is
-    drawn stays as it is while it moves. Where nothing came for longer than gap_ns stands a NaN,
-    which breaks the line.
+    `first` keeps the buckets the same from call to call, so a curve keeps its shape while it
+    moves. A gap longer than `gap_ns` gets a NaN, which breaks the line.
     """
     stride = 1
     while len(values) > stride * points // 2:
@@ -121,18 +117,23 @@ MS = 1_000_000
 # Rows: a minute and two at 1 kHz.
 FAST_ROWS, SLOW_ROWS = 1 << 16, 1 << 11
 EVENTS = 12
-# Losses are told of so many statuses, a second.
+# Losses are of so many statuses, one second.
 LOSS_STATUSES = 5
 
 
 class LiveState:
-    """The state of one run of a display; another run begins it afresh.
+    """State of one run of a display; another run resets it.
 
-    ticks: felt_n (NaN where it is unknown), target_n, playout delay in ns (NaN where the pulse is
-    not felt at full strength) and predictor_error_n, NaN where there is none.
-    wrist: force in N. delays: one-way delay in ms of frames. statuses: clock offset, its
-    uncertainty (ms), skew (ppm), samples lost and late (of 100), deadline misses so far,
-    refused messages so far, seconds at any limit so far.
+    Attributes
+    ----------
+    ticks : RollingTable
+        felt_n (NaN where unknown), target_n, playout delay in ns (NaN where the pulse is not felt
+        at full strength), predictor_error_n (NaN without one).
+    wrist, delays : RollingTable
+        Force in N of samples; one-way delay in ms of frames.
+    statuses : RollingTable
+        Clock offset and its uncertainty in ms, skew in ppm, samples lost and late in %, and so far:
+        deadline misses, refused messages, seconds at any limit.
     """
 
     def __init__(self) -> None:
@@ -163,20 +164,19 @@ class LiveState:
         self.over = self.final = False
 
     def take(self, entry: Entry) -> None:
-        """A message of the display's, or what happened."""
+        """Process a message of the display, or an event."""
         take = self._take.get(entry.topic)
         if take is not None:
             take(entry)
 
     @property
     def finger_strain_per_newton(self) -> float | None:
-        """Strain per newton of the layer under the finger; None while the display knows no
-        stream."""
+        """Strain per newton of the layer under the finger; None without a stream."""
         return None if self._playing is None else float(self._playing["strain_per_newton"])
 
     @property
     def force_ratio(self) -> float | None:
-        """The right force at the finger per force at the wrist: both strains are equal."""
+        """Wanted force at the finger per force at the wrist, for equal strains."""
         return None if self._playing is None else float(self._playing["force_ratio"])
 
     @property
@@ -215,12 +215,12 @@ class LiveState:
         unix_ns, period_ns = entry.t_ns - fields["arrived_ns"], fields["period_ns"]
         sampled_ns = fields["t_first_ns"] - offset_ns + unix_ns
         one_way_ns = entry.t_ns - sampled_ns - (len(values) - 1) * period_ns
-        # The display refuses, and counts, what is further off.
+        # The display refuses frames that are further off.
         if not -FUTURE_NS < one_way_ns < OLDEST_NS:
             return
         self.delays.add(entry.t_ns, one_way_ns / MS)
         t_ns = sampled_ns - self._group_delay_ns + period_ns * np.arange(len(values))
-        # A copy that came over another path is there already.
+        # Copies over other paths are skipped.
         if not self.wrist.has(int(t_ns[0]), period_ns // 2):
             self.wrist.insert(t_ns, np.array(values)[:, np.newaxis])
 
@@ -244,14 +244,13 @@ class LiveState:
         )
 
     def _shares(self) -> tuple[float, float]:
-        """Return how many of 100 samples that were due in the last second were lost, and how many
-        late."""
+        """Return the percentages lost and late of the samples due in the last second."""
         old, new = self._samples[0], self._samples[-1]
         grown = {name: new.get(name, 0) - old.get(name, 0) for name in ("played", "lost", "late")}
         due = sum(grown.values())
         if due <= 0:
             return math.nan, math.nan
-        # One that comes after all is late, and lost no more.
+        # A lost sample that arrives after all becomes a late one.
         return max(0.0, 100 * grown["lost"] / due), max(0.0, 100 * grown["late"] / due)
 
     def _stream(self, entry: Entry) -> None:
@@ -269,7 +268,7 @@ class LiveState:
             self.stepped_ns = entry.t_ns
         elif name == "missed":
             self.missed_ns = entry.t_ns
-        # It was written for recordings.
+        # The texts are those of recordings.
         text = entry.fields["message"]
         text = text.replace("the recorder", "this page").replace("the recording", "this page")
         self.events.append((entry.t_ns, entry.fields["level"], f"{name}: {text}"))

@@ -1,21 +1,21 @@
-// Runs in the browser when the document is there and whenever `words` change.
-// words: what the page says; wishes: what its reader has chosen, which goes back to the server.
+// Runs in the browser when the document is ready and whenever `texts` change.
+// texts: content of the page; choices: what its reader has chosen, which goes back to the server.
 const at = (id) => document.getElementById(id);
 const write = (id, text) => { if (at(id).textContent !== text) at(id).textContent = text; };
-const [said] = words.data.said;
+const [shown] = texts.data.shown;
 
 function begin() {
-  const wish = (change) => { wishes.data = { ...wishes.data, ...change }; };
+  const choose = (change) => { choices.data = { ...choices.data, ...change }; };
   at("pause").addEventListener("click", () => {
     const paused = at("pause").getAttribute("aria-pressed") !== "true";
     at("pause").setAttribute("aria-pressed", paused);
     write("pause", paused ? "Go on" : "Pause");
-    wish({ paused: [paused] });
+    choose({ paused: [paused] });
   });
   for (const choice of document.querySelectorAll("input[name=window]")) {
-    choice.addEventListener("change", () => wish({ window_s: [Number(choice.value)] }));
+    choice.addEventListener("change", () => choose({ window_s: [Number(choice.value)] }));
     // A browser keeps the choice when the page is loaded again.
-    if (choice.checked) wish({ window_s: [Number(choice.value)] });
+    if (choice.checked) choose({ window_s: [Number(choice.value)] });
   }
   // Plots take their colours from the style sheet when they are drawn.
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
@@ -25,7 +25,7 @@ function begin() {
 }
 
 // An alarm that lasts keeps its element: it is announced once, however its text counts on.
-function alarm(list) {
+function showAlarms(list) {
   const old = new Map([...at("alarms").children].map((item) => [item.dataset.name, item]));
   for (const [index, [name, text]] of list.entries()) {
     let item = old.get(name);
@@ -42,7 +42,7 @@ function alarm(list) {
   for (const item of old.values()) item.remove();
 }
 
-function happened(events) {
+function showEvents(events) {
   const key = JSON.stringify(events);
   if (at("events").dataset.key === key) return;
   at("events").dataset.key = key;
@@ -56,18 +56,18 @@ function happened(events) {
 }
 
 if (!document.body.dataset.ready) begin();
-if (said) {
-  write("stream", said.stream);
-  write("state", said.state);
-  write("state-note", said.note);
-  at("state").dataset.state = said.state;
-  document.body.classList.toggle("old", said.old);
-  for (const [id, [value, note]] of Object.entries(said.figures)) {
+if (shown) {
+  write("stream", shown.stream);
+  write("state", shown.state);
+  write("state-note", shown.note);
+  at("state").dataset.state = shown.state;
+  document.body.classList.toggle("old", shown.old);
+  for (const [id, [value, note]] of Object.entries(shown.figures)) {
     write(id, value);
     write(`${id}-note`, note);
   }
-  alarm(said.alarms);
-  happened(said.events);
-  // After what is waiting: the server sends no more before this.
-  setTimeout(() => { wishes.data = { ...wishes.data, seen: [said.number] }; });
+  showAlarms(shown.alarms);
+  showEvents(shown.events);
+  // After what waits to be drawn: the server sends no more before this.
+  setTimeout(() => { choices.data = { ...choices.data, seen: [shown.number] }; });
 }

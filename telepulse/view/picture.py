@@ -1,4 +1,4 @@
-"""Content of the page for a display at one instant. Pure: no browser, no clock."""
+"""Curves and scores of the page at one instant. Pure: no browser, no clock."""
 
 import math
 from typing import NamedTuple
@@ -21,9 +21,11 @@ Columns = dict[str, Floats]
 
 
 class PictureScores(NamedTuple):
-    """Over the window: RMS errors in N, the share below the just noticeable difference of the time
-    that could be judged, that difference in N, and the share of the window that could be judged;
-    None where there is none yet."""
+    """Scores over the window, None where there is none yet.
+
+    in_phase_n, aligned_n: RMS errors. within_jnd: share of the time judged with an error below the
+    just noticeable difference jnd_n. judged: share of the window that could be judged.
+    """
 
     in_phase_n: float | None
     aligned_n: float | None
@@ -33,8 +35,7 @@ class PictureScores(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """window_s: how long the window is. columns: of each curve, t in s before now and the values;
-    limits: of each plot's axis."""
+    """Curves of a window; columns: t in s before now and values of each; limits: of each axis."""
 
     window_s: float
 
@@ -45,7 +46,7 @@ class Picture(NamedTuple):
 
 
 def picture(live: LiveState, window_ns: int) -> Picture:
-    """The last `window_ns` of a display."""
+    """Return the curves and scores of the last `window_ns`."""
     begin_ns = live.now_ns - window_ns
     ticks, wrist = live.ticks.since(begin_ns), live.wrist.since(begin_ns)
     curve = _Curves(live.now_ns)
@@ -61,7 +62,7 @@ def picture(live: LiveState, window_ns: int) -> Picture:
     }
     statuses = live.statuses.since(begin_ns)
     offset_ms, uncertainty_ms, skew_ppm, lost, late = statuses.values[:, :5].T
-    # Two hosts' clocks may be days apart: what is of interest is how their distance moves.
+    # Two hosts' clocks may be days apart: the change of their offset matters.
     moved_ms = offset_ms - offset_ms[-1] if len(offset_ms) else offset_ms
     columns |= {
         "offset": curve(statuses, moved_ms, STATUS_GAP_NS),
@@ -84,7 +85,7 @@ def picture(live: LiveState, window_ns: int) -> Picture:
 
 
 class _Curves:
-    """Thinned curves over seconds before now."""
+    """Maker of thinned curves over seconds before now."""
 
     def __init__(self, now_ns: int) -> None:
         self._now_ns = now_ns
@@ -95,13 +96,15 @@ class _Curves:
 
 
 def _compression(force_n: Floats, strain_per_newton: float | None) -> Floats:
-    """Compressive strain in millionths; NaN while the layer is not known."""
+    """Return compressive strain in millionths; NaN while the layer is unknown."""
     return force_n * (math.nan if strain_per_newton is None else -1e6 * strain_per_newton)
 
 
 def _errors(live: LiveState, ticks: Stretch, window_ns: int) -> tuple[Floats, Floats, float | None]:
-    """Return the errors of the felt force in phase and aligned, and the JND, all in N; NaN where
-    the pulse of that instant has not come, and where it is not felt at full strength."""
+    """Return the errors of the felt force in phase and aligned, and the JND, all in N.
+
+    NaN where the pulse of that instant has not arrived, or is not felt at full strength.
+    """
     ratio = live.force_ratio
     wrist = live.wrist.since(live.now_ns - window_ns - SPAN_NS)
     if ratio is None or not len(wrist.t_ns):
@@ -148,7 +151,7 @@ def _heart_rate(live: LiveState) -> float | None:
         return None
     tick_ns = float(np.median(np.diff(ticks.t_ns)))
     thin_by = max(1, round(HEART_APART_NS / max(tick_ns, 1.0)))
-    # From the newest tick back: it says whether a pulse is felt now.
+    # From the newest tick back, which shows whether a pulse is felt now.
     newest = slice((len(ticks.t_ns) - 1) % thin_by, None, thin_by)
     felt_n = np.where(np.isnan(ticks.values[:, 2]), math.nan, ticks.values[:, 0])
     t_s = (ticks.t_ns[newest] - live.now_ns).astype(np.float64) * 1e-9

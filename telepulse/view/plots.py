@@ -1,7 +1,7 @@
-"""The page's plots in Bokeh: what they show, and how a picture comes into them.
+"""Plots of the page in Bokeh.
 
 Colours of axes and grids come from the page's style sheet, light or dark; those of the curves are
-read well on both grounds.
+legible on both.
 """
 
 from typing import NamedTuple
@@ -19,7 +19,7 @@ HEIGHT = 220
 
 
 class Curve(NamedTuple):
-    """A curve: its columns' name in a picture, its words in the legend, its looks."""
+    """A curve; name: of its columns in a picture; words: in the legend."""
 
     name: str
     words: str
@@ -28,7 +28,7 @@ class Curve(NamedTuple):
 
 
 class PagePlot(NamedTuple):
-    """A plot: its id on the page, heading, what its axis says, curves, a line about it."""
+    """A plot; id: on the page; axis: label; note: a line beneath."""
 
     id: str
     title: str
@@ -44,7 +44,7 @@ PLOTS = (
         "Force",
         "force (mN)",
         (Curve("wrist", "at the wrist", SENSED), Curve("finger", "at the finger", FELT)),
-        "Each where it was at that time: the finger follows by the playout delay.",
+        "The finger follows by the playout delay.",
         wide=True,
     ),
     PagePlot(
@@ -105,10 +105,10 @@ _NOTHING: Columns = {"t": np.empty(0), "y": np.empty(0)}
 
 
 class Plots:
-    """One viewer's plots: `roots` to lay out, each named by its id; `show` what they show."""
+    """Plots of one viewer; roots: their Bokeh models, each named by its id."""
 
     def __init__(self) -> None:
-        # All in one, so that a picture is one message and each plot is painted once for it.
+        # One source, so that a picture is one message and each plot is painted once.
         self._source = ColumnDataSource(padded(dict.fromkeys(_CURVES, _NOTHING)))
         self._times = Range1d(start=-10, end=0)
         self._limits = {plot.id: Range1d(start=0, end=1) for plot in PLOTS}
@@ -162,7 +162,7 @@ class Plots:
 
 
 def padded(columns: dict[str, Columns]) -> dict[str, NDArray[np.float32]]:
-    """All curves as columns of one length, each filled up with NaN."""
+    """Return all curves as columns of one length, padded with NaN."""
     length = max(len(columns[name]["t"]) for name in _CURVES)
     padded = {}
     for name in _CURVES:

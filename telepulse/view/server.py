@@ -1,8 +1,6 @@
-"""The page's shell: one socket to the display, one web server, in a process of their own.
+"""Web server of the live page, with one telemetry client, in a process of its own.
 
 Needs the extra `view` (Bokeh), which the caller has checked (`bokeh_is_there`).
-
-Admission to the page: requests under this server's own name, and few enough to draw for all.
 """
 
 import logging
@@ -40,14 +38,14 @@ from telepulse.view.page import LivePage
 # new page half a second.
 MAX_VIEWERS = 8
 OPENED_PER_S, OPENED_AT_ONCE = 0.5, 4
-# What opens a page; images and scripts of one that is open are always served.
+# Paths that open a page; images and scripts of an open one are always served.
 OPENING = ("", "/", "/autoload.js")
 
 
 class Admission:
-    """Decides of each request whether it is served.
+    """Decision on each request: served under this server's own name, and to few enough viewers.
 
-    viewers: counts the pages that are open. warn: is given a reason, once for each kind.
+    viewers: returns the number of open pages. warn: gets the first refusal of each kind.
     """
 
     def __init__(self, site: Site, viewers: Callable[[], int], warn: Callable[[str], None]) -> None:
@@ -82,7 +80,7 @@ class Admission:
 
 
 class AdmittingRouter(Router):
-    """Answers what is refused, and passes everything else on to the pages' own routes."""
+    """Router that answers refused requests, and passes the others on to the pages' routes."""
 
     def __init__(self, pages: Application, admission: Admission) -> None:
         self._pages, self._admission = pages, admission
@@ -92,7 +90,7 @@ class AdmittingRouter(Router):
     def find_handler(
         self, request: HTTPServerRequest, **_: Any
     ) -> httputil.HTTPMessageDelegate | None:
-        """Return what handles a request."""
+        """Return the handler of a request."""
         refusal = self._admission.refusal(request)
         if refusal is None:
             return self._pages.find_handler(request)
@@ -101,7 +99,7 @@ class AdmittingRouter(Router):
 
 
 class _Refused(RequestHandler):
-    """Answers a refused request in one line."""
+    """Handler that answers a refused request in one line."""
 
     def initialize(self, refusal: tuple[HTTPStatus, str]) -> None:
         self._code, self._line = refusal
@@ -113,21 +111,21 @@ class _Refused(RequestHandler):
 
 
 PORT = 5006
-LISTEN_EVERY_MS = 50
-# A viewer that has left is forgotten within the sum of both.
-UNUSED_MS, LOOK_FOR_UNUSED_MS = 1_000, 1_000
-# Who has not answered one ping by the next is gone: within 10 s, and 5 s for a last word.
+POLL_EVERY_MS = 50
+# The session of a viewer that has left ends within the sum of both.
+UNUSED_MS, CHECK_UNUSED_MS = 1_000, 1_000
+# A peer that misses a ping is closed within 10 s, and 5 s for the closing handshake.
 PING_EVERY_S = 5
-# So that those who watch see how it ended.
-LAST_LOOK_S = 0.5
+# Viewers see how it ended.
+LINGER_S = 0.5
 TRIES = 5
 
 
 class PageServer:
-    """Serves the live page of the display that publishes at `address`.
+    """Server of the live page of the display that publishes at `address`.
 
-    host, port: where; None: 5006, or a free port when that is taken. warn: is told why the display
-    cannot be heard. Raises AddressError.
+    port: None for 5006, or a free port where that is taken. warn: gets the reasons of refused
+    connections. Raises AddressError.
     """
 
     def __init__(
@@ -147,10 +145,10 @@ class PageServer:
         self._client.subscribe()
         self._stopping = False
         self._end_ns: int | None = None
-        # Whoever closes the page while it is drawn is no reason to warn.
+        # A page that is closed while it is drawn is no reason to warn.
         logging.getLogger("bokeh.server").setLevel(logging.ERROR)
         self._loop = IOLoop.current()
-        self._listening = PeriodicCallback(self._listen, LISTEN_EVERY_MS)
+        self._polling = PeriodicCallback(self._poll_telemetry, POLL_EVERY_MS)
         self._server = self._serve(host, port)
         self.url = f"http://{_in_url(host)}:{self._server.port}"
 
@@ -160,18 +158,18 @@ class PageServer:
         return len(self._server.get_sessions())
 
     def stop(self) -> None:
-        """End soon; good to call from a signal's handler."""
+        """End soon; safe in a signal handler."""
         self._stopping = True
 
     def run(self, seconds: float | None = None) -> None:
-        """Serve until stopped, or for so long."""
+        """Serve until stopped, or for `seconds`."""
         self._end_ns = None if seconds is None else time.monotonic_ns() + round(seconds * 1e9)
         try:
             self._server.start()
-            self._listening.start()
+            self._polling.start()
             self._loop.start()
         finally:
-            self._listening.stop()
+            self._polling.stop()
             self._server.stop()
             self._server.unlisten()
             self._client.close()
@@ -190,7 +188,7 @@ class PageServer:
                 {"/": self._open},
                 extra_websocket_origins=[f"{_in_url(name)}:{bound}" for name in site.names],
                 unused_session_lifetime_milliseconds=UNUSED_MS,
-                check_unused_sessions_milliseconds=LOOK_FOR_UNUSED_MS,
+                check_unused_sessions_milliseconds=CHECK_UNUSED_MS,
                 # A browser answers a ping even while its tab is hidden; a peer that does not read
                 # is closed.
                 keep_alive_milliseconds=0,
@@ -204,7 +202,7 @@ class PageServer:
         raise AddressError(f"cannot serve the page on {host}:{numbers[-1]}: {reason}") from None
 
     def _open(self, document: Document) -> None:
-        """Somebody opens the page."""
+        """Fill the document of a page that is opened."""
         LivePage(document, self._live, self._silent_ns)
 
     def _silent_ns(self) -> int:
@@ -213,15 +211,15 @@ class PageServer:
         age_ns = self._age.age_ns(now_ns)
         return now_ns - self._began_ns if age_ns is None else age_ns
 
-    def _listen(self) -> None:
+    def _poll_telemetry(self) -> None:
         now_ns = time.monotonic_ns()
         for entries in self._client.messages():
             self._take(entries, now_ns)
         self._client.poll(now_ns)
         over = self._end_ns is not None and now_ns >= self._end_ns
         if self._stopping or over:
-            self._listening.stop()
-            self._loop.call_later(LAST_LOOK_S, self._loop.stop)
+            self._polling.stop()
+            self._loop.call_later(LINGER_S, self._loop.stop)
 
     def _take(self, entries: list[Entry], received_ns: int) -> None:
         """Take the entries of one message."""

@@ -1,7 +1,4 @@
-"""The figures of the page, as text. Pure.
-
-Alarms for the person at the page, named as telemetry and recordings name them. Pure.
-"""
+"""Texts of the page: the state, the figures and the alarms. Pure."""
 
 from typing import NamedTuple
 
@@ -20,51 +17,17 @@ from telepulse.view.live import LiveState
 from telepulse.view.picture import Picture, PictureScores
 
 SECOND_NS = 1_000_000_000
-# What happened once is told for so long.
-TOLD_NS = 5 * SECOND_NS
+# An alarm for a single occurrence is shown for this long.
+SHOWN_NS = 5 * SECOND_NS
 MUCH_LOSS = 5.0
 # Columns of the statuses.
 LOST, LATE, REFUSED, LIMITED = 3, 4, 6, 7
-
-
-def alarms(live: LiveState, silent_ns: int) -> list[Alert]:
-    """Return what is wrong now. silent_ns: for how long nothing came from the display."""
-    if not live.state:
-        return []
-    found = alerts(live.state, live.summary, live.final, silent_ns)
-    if live.final or silent_ns > SILENT_AFTER_NS:
-        return found
-    if live.frame_ns and not live.over and live.now_ns - live.frame_ns > CUT_AFTER_NS:
-        found.append(Alert(CUT, "no frame comes from the sensing node"))
-    return found + _counted(live)
-
-
-def _counted(live: LiveState) -> list[Alert]:
-    found = []
-    recent = live.statuses.since(live.now_ns - TOLD_NS).values
-    if len(recent):
-        refused = int(np.ptp(recent[:, REFUSED]))
-        if refused:
-            causes = "; ".join(explain_causes(live.summary["rejected"]))
-            found.append(Alert("refused", f"{refused} in the last 5 s; of the whole run {causes}"))
-        if np.ptp(recent[:, LIMITED]) > 0:
-            found.append(Alert("limited", "; ".join(limit_texts(live.summary["limited"]))))
-        gone = recent[-1, LOST] + recent[-1, LATE]
-        if gone > MUCH_LOSS:
-            found.append(Alert("loss", f"{gone:.0f} % of the samples are lost or late"))
-    if live.now_ns - live.stepped_ns < TOLD_NS:
-        found.append(Alert("clock step", "a clock has jumped; it is estimated afresh"))
-    if live.now_ns - live.missed_ns < TOLD_NS:
-        found.append(Alert("missed", "this page is too slow for all that the display says"))
-    return found
-
-
 NOTHING = "–"
-# Statuses come five times a second; after so long nothing that is shown is current.
+# Statuses come five times a second; an older one is not current.
 CURRENT_NS = 1_000_000_000
-# What follows a state, for people who do not know it.
+# Meaning of each state.
 STATES = {
-    "": "no display has been heard yet",
+    "": "no telemetry from a display yet",
     "waiting": "for the sensing node",
     "starting": "the pulse comes up",
     "playing": "the pulse is felt",
@@ -89,20 +52,20 @@ FIGURES = {
 
 
 class PageFigure(NamedTuple):
-    """The text of a figure, and a line beneath it."""
+    """Text of a figure, and a line beneath it."""
 
     value: str
     note: str = ""
 
 
 def age(live: LiveState, silent_ns: int) -> str:
-    """Return how old all figures are, where they are not current; else nothing."""
+    """Return the age of the figures; empty while they are current."""
     current = live.final or not live.state or silent_ns < CURRENT_NS
     return "" if current else f"{silent_ns * 1e-9:.1f} s ago"
 
 
 def state(live: LiveState, silent_ns: int = 0) -> tuple[str, str]:
-    """Return the display's state in a word, and what it means or how old it is.
+    """Return the display's state in a word, and a note: its meaning or its age.
 
     silent_ns: for how long nothing came from the display.
     """
@@ -115,7 +78,7 @@ def state(live: LiveState, silent_ns: int = 0) -> tuple[str, str]:
 
 
 def figures(live: LiveState, picture: Picture, silent_ns: int = 0) -> dict[str, PageFigure]:
-    """Return each figure, with what time it is of: the window or the whole run.
+    """Return each figure with a note: of the window, or of the whole run.
 
     silent_ns: for how long nothing came from the display.
     """
@@ -169,3 +132,35 @@ def _loss(samples: Fields) -> PageFigure:
     return PageFigure(
         _percent(share, 2), f"{count_text(lost, 'sample')} lost, {late} late in the run"
     )
+
+
+def alarms(live: LiveState, silent_ns: int) -> list[Alert]:
+    """Return the alarms of now; silent_ns: for how long nothing came from the display."""
+    if not live.state:
+        return []
+    found = alerts(live.state, live.summary, live.final, silent_ns)
+    if live.final or silent_ns > SILENT_AFTER_NS:
+        return found
+    if live.frame_ns and not live.over and live.now_ns - live.frame_ns > CUT_AFTER_NS:
+        found.append(Alert(CUT, "no frame comes from the sensing node"))
+    return found + _counted(live)
+
+
+def _counted(live: LiveState) -> list[Alert]:
+    found = []
+    recent = live.statuses.since(live.now_ns - SHOWN_NS).values
+    if len(recent):
+        refused = int(np.ptp(recent[:, REFUSED]))
+        if refused:
+            causes = "; ".join(explain_causes(live.summary["rejected"]))
+            found.append(Alert("refused", f"{refused} in the last 5 s; of the whole run {causes}"))
+        if np.ptp(recent[:, LIMITED]) > 0:
+            found.append(Alert("limited", "; ".join(limit_texts(live.summary["limited"]))))
+        missing = recent[-1, LOST] + recent[-1, LATE]
+        if missing > MUCH_LOSS:
+            found.append(Alert("loss", f"{missing:.0f} % of the samples are lost or late"))
+    if live.now_ns - live.stepped_ns < SHOWN_NS:
+        found.append(Alert("clock step", "a clock has jumped; it is estimated afresh"))
+    if live.now_ns - live.missed_ns < SHOWN_NS:
+        found.append(Alert("missed", "this page is too slow for the display's telemetry"))
+    return found

@@ -158,4 +158,4 @@ def test_silence_ends_it_where_it_is_told_so() -> None:
     address = free_address()
     result = run(MODULE, "lsl", address, "--until-silent", "0.3")
     assert result.returncode == 1
-    assert f"{address}: nothing was heard from it" in result.stderr
+    assert f"{address}: no telemetry came from it" in result.stderr

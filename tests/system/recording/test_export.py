@@ -78,7 +78,7 @@ def test_parquet_holds_what_csv_holds_with_types_and_units(recording: Path, tmp_
 def test_many_rows_are_written_in_groups(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("telepulse.recording.tables.ROWS_A_GROUP", 700)
+    monkeypatch.setattr("telepulse.recording.export.ROWS_A_GROUP", 700)
     export_parquet(recording, tmp_path / "out", print)
     file = parquet.ParquetFile(tmp_path / "out" / "ticks.parquet")
     assert file.metadata.num_row_groups == 5

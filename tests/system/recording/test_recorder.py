@@ -275,7 +275,7 @@ def test_silence_ends_it_where_it_is_told_so(tmp_path: Path) -> None:
     arguments = ("record", address, str(path), "--until-silent", "0.3")
     result = run(MODULE, *arguments)
     assert result.returncode == 1
-    assert f"nothing was heard from {address}" in result.stderr
+    assert f"no telemetry came from {address}" in result.stderr
 
 
 @pytest.mark.parametrize(

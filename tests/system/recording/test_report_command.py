@@ -118,7 +118,7 @@ def test_one_that_breaks_off_is_reported_as_far_as_it_goes(tmp_path: Path) -> No
     cut.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
     said = build_recording_report(cut).chapters[0]
     assert any("The recording: breaks off after 5.2 s" in text for text in said.paragraphs)
-    assert "last status, for it never ended" in said.tables[0].note
+    assert "last status, since it never ended" in said.tables[0].note
 
 
 def test_one_that_never_played_is_reported(tmp_path: Path) -> None:

@@ -167,7 +167,7 @@ def test_telemetry_that_has_queued_is_as_old_as_it_is(pull_session: Any, context
 
         def said() -> dict[str, Any]:
             session = pull_session(url=page.url)
-            words: dict[str, Any] = session.document.roots[0].tags[0].data["said"][0]
+            words: dict[str, Any] = session.document.roots[0].tags[0].data["shown"][0]
             session.close()
             return words
 

@@ -13,7 +13,7 @@ def test_what_is_not_known_is_a_dash() -> None:
     said = figures(live, picture(live, SECOND_NS))
     assert said.keys() == FIGURES.keys()
     assert {figure.value for figure in said.values()} == {"–"}
-    assert state(live) == ("waiting", "no display has been heard yet")
+    assert state(live) == ("waiting", "no telemetry from a display yet")
 
 
 def test_figures_have_their_units() -> None:
