@@ -82,6 +82,9 @@ class QueuedStream(io.TextIOBase):
 
     def write(self, text: str, /) -> int:
         """Queue `text`, or drop it where too much is queued already."""
+        # click tries bytes to find out whether a stream takes them.
+        if not isinstance(text, str):
+            raise TypeError(f"text is written, not {type(text).__name__}")
         with self._lock:
             if self.queued >= MAX_QUEUED:
                 self._refused += _lines(text)

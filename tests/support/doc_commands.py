@@ -76,7 +76,8 @@ def _filled(word: str) -> str:
 
 def _parse(command: Any, name: str, words: list[str]) -> None:
     """Let the real command line read the words, down to the sub-command, and run nothing."""
-    if words in ([], ["--help"]) or (words[-1:] == [""]):
+    # Some of these act when they are parsed.
+    if words in ([], ["--help"], ["--version"], ["--install-completion"]) or words[-1:] == [""]:
         return
     context = command.make_context(name, list(words))
     if hasattr(command, "commands"):

@@ -94,6 +94,13 @@ SESSIONS: dict[str, list[Step | Stop | Do]] = {
             "telepulse simulate radial --link 'delay=40ms,cut.from=10s,cut.for=2s'",
             more="--seconds 13",
         ),
+        Step("telepulse scenes list", says="wan"),
+        Step("telepulse scenes show wan", says="[display.actuator]"),
+        Step("telepulse scenes copy radial my_scene.toml", says="my_scene.toml: change it"),
+        Step("telepulse simulate my_scene.toml", more="--seconds 1"),
+        Step("sensing-node radial", more=SERVED, shows=STREAMING),
+        *on_air("display-node radial", more=FROM_THERE),
+        Stop("sensing-node radial"),
     ],
     "recording": [
         Step(SENSE, more=SERVED, shows=STREAMING),
@@ -176,6 +183,8 @@ MULTICAST = "needs a network that carries multicast; tests/system/discovery"
 OBSERVER = "a minute; tests/system/experiment/test_experiment_command.py"
 SUBJECT = "asks a person; tests/system/experiment"
 UNRUN = {
+    PROTECTED.replace("scenes/radial.toml", "radial"): "run above, with the scene's file",
+    AT_THE_FINGER.replace("scenes/radial.toml", "radial"): "run above, with the scene's file",
     "telepulse experiment run mine.toml --log anna.jsonl": SUBJECT,
     "telepulse experiment run mine.toml --log try.jsonl --without-drive": SUBJECT,
     "telepulse experiment run mine.toml --log anna.jsonl --resume": SUBJECT,

@@ -34,6 +34,12 @@ def test_no_output_holds_up_its_writer(kind: str, monkeypatch: pytest.MonkeyPatc
         assert stream.dropped > 0
 
 
+def test_bytes_are_refused_as_by_any_text_stream() -> None:
+    """click's help tries them."""
+    with unread("closed") as number, pytest.raises(TypeError, match="not bytes"):
+        queued(number).write(b"")  # type: ignore[arg-type]
+
+
 def test_what_is_dropped_is_counted_and_reported_once_output_is_possible_again() -> None:
     out, into = os.pipe()
     with closing(os.fdopen(out, "rb")) as reader:

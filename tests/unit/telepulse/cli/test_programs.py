@@ -1,0 +1,50 @@
+"""What the three programs have in common."""
+
+from importlib.metadata import version
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+import display_node.cli
+import sensing_node.cli
+import telepulse.cli.main
+from protocol.config.scene_file import scene_names
+
+PROGRAMS = (telepulse.cli.main.app, sensing_node.cli.app, display_node.cli.app)
+
+
+@pytest.mark.parametrize("app", PROGRAMS)
+def test_every_program_prints_its_version(app: typer.Typer) -> None:
+    result = CliRunner().invoke(app, ["--version"])
+    assert result.stdout == f"telepulse {version('telepulse')}\n"
+    assert result.exit_code == 0
+
+
+@pytest.mark.parametrize("app", PROGRAMS)
+def test_every_program_can_be_completed_by_a_shell(app: typer.Typer) -> None:
+    options = [name for part in typer.main.get_command(app).params for name in part.opts]
+    assert "--install-completion" in options
+
+
+def test_a_shell_completes_commands_and_names_of_scenes() -> None:
+    def completed(words: str) -> list[str]:
+        environment = {
+            "_TELEPULSE_COMPLETE": "complete_bash",
+            "COMP_WORDS": f"telepulse {words}",
+            "COMP_CWORD": str(len(words.split(" "))),
+        }
+        runner = CliRunner()
+        result = runner.invoke(telepulse.cli.main.app, env=environment, prog_name="telepulse")
+        return result.stdout.split()
+
+    assert completed("sim") == ["simulate"]
+    assert completed("simulate w") == ["wan"]
+    assert completed("scenes show ") == scene_names()
+
+
+@pytest.mark.parametrize("app", [sensing_node.cli.app, display_node.cli.app])
+def test_a_node_refuses_a_scene_that_has_no_such_name(app: typer.Typer) -> None:
+    result = CliRunner().invoke(app, ["radail"])
+    assert result.exit_code == 2
+    assert ": radail: no such scene; known by name: " in result.stderr
