@@ -27,6 +27,7 @@ KEYS = {
 }
 
 
+@pytest.mark.smoke
 def test_the_demo_carries_the_pulse_and_accounts_for_every_sample(tmp_path: Path) -> None:
     out = tmp_path / "out.json"
     result = run(MODULE, "demo", "--seconds", "4", "--json", str(out), "--no-ui")

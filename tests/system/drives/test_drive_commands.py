@@ -128,6 +128,7 @@ def test_a_drive_with_its_film_is_there_until_it_is_stopped(
     assert decoder.rejected.total() == 0
 
 
+@pytest.mark.smoke
 def test_a_killed_driver_leaves_the_finger_in_peace(tmcl_scene: Path, tmp_path: Path) -> None:
     """Its own heartbeat stops the module: the force on the film stands still."""
     film = tmp_path / "film"

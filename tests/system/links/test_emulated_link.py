@@ -14,6 +14,7 @@ from tests.support.tcp import PATIENCE_S, PORT, connected, needs_emulator, strea
 MS = 1_000_000
 
 
+@pytest.mark.smoke
 @needs_emulator
 def test_a_round_trip_takes_what_the_model_says() -> None:
     with emulate(parse_link("delay=20ms")) as link, connected(link) as (sensing, display):

@@ -42,6 +42,7 @@ def display(
     return (str(RADIAL), "--connect", address, "--no-screen", *keys, *more)
 
 
+@pytest.mark.smoke
 @pytest.mark.skipif(not zmq.has("ipc"), reason="no ipc here")
 def test_with_keys_over_ipc_a_display_plays_all_of_the_stream(
     context: Context, keyring: Keyring, tmp_path: Path
@@ -156,6 +157,7 @@ def test_a_revoked_display_is_cut_off_and_told_while_the_other_goes_on(
     assert samples["played"] > samples["lost"]
 
 
+@pytest.mark.smoke
 def test_a_display_that_does_not_get_in_says_why_once(keyring: Keyring, tmp_path: Path) -> None:
     address = free_address()
     jsons = [tmp_path / "wrong.json", tmp_path / "none.json"]
