@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from protocol.histogram import bound
-from protocol.run_summary import Lateness, OneWayDelay, TickTime
+from protocol.summary_tables import Lateness, OneWayDelay, TickTime
 
 REPEATS = 15
 BATCH_S = 0.02

@@ -18,7 +18,7 @@ from urllib.request import urlopen
 from benchmarks.measure import median_quantile, show
 from protocol.config.scene_file import find_scene
 from protocol.host.child_process import ChildProcess
-from protocol.run_summary import Loop
+from protocol.summary_tables import Loop
 from telepulse.processes import NodeProcess, free_addresses
 
 SECONDS = 8.0

@@ -17,7 +17,7 @@ from display_node.doctor.jitter import busy_processes
 from protocol.config.scene_file import find_scene
 from protocol.host.child_process import ChildProcess
 from protocol.host.realtime import GIVEN_UP
-from protocol.run_summary import Loop
+from protocol.summary_tables import Loop
 from telepulse.processes import NodeProcess, free_addresses
 
 SECONDS = 6.0

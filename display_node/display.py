@@ -19,7 +19,8 @@ from display_node.scene import DisplayScene
 from display_node.scoring.tracking_error import TrackingError
 from protocol.availability import AvailabilityCounter, InterruptionCounter
 from protocol.limits import Limits
-from protocol.run_summary import Loop, Summary, TickTime
+from protocol.run_summary import Summary
+from protocol.summary_tables import Loop, TickTime
 from protocol.tactile import matching_force_ratio
 from protocol.wire.messages import Control, DisplayReport
 from protocol.wire.status import PlaybackStatus, pack_status

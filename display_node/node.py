@@ -23,9 +23,10 @@ from display_node.telemetry.publisher import Publisher
 from protocol import sockets
 from protocol.errors import SceneError
 from protocol.histogram import Histogram
-from protocol.run_summary import Lateness, Summary, TickTime
+from protocol.run_summary import Summary
 from protocol.security.authenticator import Authenticator
 from protocol.security.keys import ClientKeys, ServerKeys
+from protocol.summary_tables import Lateness, TickTime
 from protocol.wire.messages import encode_control
 from protocol.wire.telemetry import CONTROL
 from pulse_sensors.scene import open_sensor

@@ -11,7 +11,8 @@ import numpy as np
 from rich.console import Console
 
 from display_node.telemetry.terminal import TerminalView
-from protocol.run_summary import Clock, SampleCounts, Summary
+from protocol.run_summary import Summary
+from protocol.summary_tables import Clock, SampleCounts
 from protocol.tactile import ElasticLayer
 from protocol.wire.messages import ClockReply, Frame, Welcome, encode_control, encode_frame
 from protocol.wire.status import STATUS, PlaybackStatus, pack_status

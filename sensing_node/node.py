@@ -8,10 +8,11 @@ import zmq
 
 from protocol import sockets
 from protocol.config.quantities import count_text
-from protocol.run_summary import SampleCounts, Summary
+from protocol.run_summary import Summary
 from protocol.security.authenticator import Authenticator
 from protocol.security.budgets import SubscriptionBudget
 from protocol.security.keys import ServerKeys
+from protocol.summary_tables import SampleCounts
 from protocol.wire.messages import Bye, encode_control, encode_frame
 from protocol.wire.status import pack_status
 from protocol.wire.stream import StreamDescription

@@ -18,9 +18,9 @@ import zmq
 from display_node.reception.endpoint import ANSWER_NS, FLOODED_NS, Endpoint
 from display_node.reception.failover import FOLLOWS_WITHIN_NS, DataPath
 from protocol import sockets
-from protocol.run_summary import Reconnections
 from protocol.security.keys import ClientKeys
 from protocol.security.socket_monitor import HandshakeMonitor
+from protocol.summary_tables import Reconnections
 
 LOOK_UP_AGAIN_S = 2.0
 

@@ -5,7 +5,7 @@ The perceived delay E is the one parameter: at time t the finger feels the pulse
 
 from display_node.reception.delay_estimator import JUMP_NS, WARP_PARTS
 from protocol.histogram import Histogram
-from protocol.run_summary import Compensation, PlayoutDelay
+from protocol.summary_tables import Compensation, PlayoutDelay
 
 
 class PlayoutClock:

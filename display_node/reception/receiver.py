@@ -11,7 +11,8 @@ from display_node.reception.jitter_buffer import JitterBuffer, SampleAccount
 from protocol.clock.estimator import READY_AFTER, ClockEstimator, ClockExchange
 from protocol.errors import WireError
 from protocol.histogram import Histogram
-from protocol.run_summary import Clock, FrameCounts, OneWayDelay, SampleCounts, Summary
+from protocol.run_summary import Summary
+from protocol.summary_tables import Clock, FrameCounts, OneWayDelay, SampleCounts
 from protocol.wire.messages import (
     Bye,
     ClockReply,

@@ -15,7 +15,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.run_summary import AlignedErrors, Roughness, Summary
+from protocol.run_summary import Summary
+from protocol.summary_tables import AlignedErrors, Roughness
 from protocol.wire.messages import Frame
 
 ABOVE_HZ = 25.0

@@ -17,7 +17,7 @@ from display_node.control.safety import Safety
 from display_node.display import Display
 from display_node.drives.hardware import Hardware
 from display_node.scoring.deadlines import GAP_NS
-from protocol.run_summary import AlignedErrors, Roughness
+from protocol.summary_tables import AlignedErrors, Roughness
 from sensing_node.sources.synthetic import SyntheticScene
 from telepulse.experiment.session import Letter, SessionPlan, Trial
 from telepulse.scene import Scene

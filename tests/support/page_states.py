@@ -4,7 +4,8 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from protocol.run_summary import AlignedErrors, Clock, Loop, SampleCounts, Summary
+from protocol.run_summary import Summary
+from protocol.summary_tables import AlignedErrors, Clock, Loop, SampleCounts
 from protocol.tactile import ElasticLayer
 from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import EVENT, FRAME, LEVELS, STATUS, STREAM, TICK

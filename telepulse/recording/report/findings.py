@@ -12,7 +12,8 @@ from display_node.control.safety import SafetyScene
 from protocol.availability import Availability
 from protocol.errors import SourceError
 from protocol.histogram import Histogram
-from protocol.run_summary import Loop, PlayoutDelay, Summary
+from protocol.run_summary import Summary
+from protocol.summary_tables import Loop, PlayoutDelay
 from protocol.wire.messages import Frame
 from telepulse.recording.reader import RecordingReader, in_tick_order
 from telepulse.recording.report.forces import AlignedTick, ForceHistory

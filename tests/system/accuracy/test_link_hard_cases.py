@@ -9,7 +9,7 @@ import pytest
 from display_node.display import Display
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
-from protocol.run_summary import SampleCounts
+from protocol.summary_tables import SampleCounts
 from protocol.wire.messages import Bye, Frame, Welcome, encode_control, encode_frame
 from tests.support.streams import description
 from tests.support.virtual_link import (

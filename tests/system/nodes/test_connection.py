@@ -10,9 +10,9 @@ from display_node.reception.connection import Connection, Lookup
 from display_node.reception.endpoint import Endpoint
 from display_node.reception.failover import DataPath
 from protocol.errors import AddressError
-from protocol.run_summary import Reconnections
 from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.sockets import Context, Socket, control_address
+from protocol.summary_tables import Reconnections
 from telepulse.processes import free_addresses
 from tests.support.nodes import free_address
 from tests.support.waiting import until

@@ -15,7 +15,9 @@ from display_node.telemetry import terminal as screen_module
 from display_node.telemetry.terminal import TerminalView, watch
 from protocol.errors import CAUSE_MEANINGS
 from protocol.limits import Limited, Limits
-from protocol.run_summary import (
+from protocol.run_summary import Summary
+from protocol.sockets import Context
+from protocol.summary_tables import (
     AlignedErrors,
     Compensation,
     Loop,
@@ -23,9 +25,7 @@ from protocol.run_summary import (
     PlayoutDelay,
     Roughness,
     SampleCounts,
-    Summary,
 )
-from protocol.sockets import Context
 from protocol.wire.status import STATUS, Status, pack_status
 from protocol.wire.telemetry import TRACE, TickState, Trace, TraceWriter
 from tests.support.nodes import free_address

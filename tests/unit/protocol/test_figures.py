@@ -13,7 +13,8 @@ from rich.console import Console
 from display_node.telemetry.terminal import TerminalView
 from docs.ext import summary_keys
 from protocol.figures import MILLISECONDS, Figure, Registry, Surface, absent, figure, table
-from protocol.run_summary import REGISTRY, Clock, Summary, print_summary
+from protocol.run_summary import REGISTRY, Summary, print_summary
+from protocol.summary_tables import Clock
 from protocol.wire.status import Status
 from telepulse.metrics.families import NodeState, families
 from telepulse.view import text as page

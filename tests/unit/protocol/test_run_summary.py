@@ -11,7 +11,8 @@ from protocol.availability import Availability, Interruptions
 from protocol.errors import OutputError
 from protocol.host.result_files import check_writable
 from protocol.limits import Limited, Limits
-from protocol.run_summary import (
+from protocol.run_summary import Summary, print_summary, write_json
+from protocol.summary_tables import (
     AlignedErrors,
     Clock,
     Compensation,
@@ -24,10 +25,7 @@ from protocol.run_summary import (
     Reconnections,
     Roughness,
     SampleCounts,
-    Summary,
     TickTime,
-    print_summary,
-    write_json,
 )
 
 NEVER = Limited(0, 0.0, 0.0)

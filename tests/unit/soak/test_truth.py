@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from protocol.availability import Interruptions
-from protocol.run_summary import Availability, Loop, SampleCounts, Summary
+from protocol.run_summary import Availability, Summary
+from protocol.summary_tables import Loop, SampleCounts
 from protocol.wire.status import Status
 from protocol.wire.telemetry import Trace
 from soak.claims import StatusClaim, no_figures, read_line

@@ -1,7 +1,8 @@
 """Deadline misses in virtual time: when they are an alarm, and when they are not."""
 
 from display_node.scoring.deadlines import GAP_NS, WINDOW_NS, DeadlineWatch, deadline_alarm
-from protocol.run_summary import Loop, Summary
+from protocol.run_summary import Summary
+from protocol.summary_tables import Loop
 
 TICK_NS = 1_000_000
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from display_node.scoring.tracking_error import RoughnessMeter
-from protocol.run_summary import Roughness
+from protocol.summary_tables import Roughness
 
 MS = 1_000_000
 T0_NS = 1_700_000_000_000_000_000

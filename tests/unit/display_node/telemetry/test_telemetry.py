@@ -15,7 +15,8 @@ from display_node.plant.feedback import Feedback
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
 from protocol.errors import WireError
-from protocol.run_summary import SampleCounts, Summary
+from protocol.run_summary import Summary
+from protocol.summary_tables import SampleCounts
 from protocol.wire.messages import LARGEST_N, TIME_RANGE
 from protocol.wire.status import pack_status, read_status
 from protocol.wire.telemetry import TRACE_TICKS, TickState, Trace, TraceWriter, read_trace

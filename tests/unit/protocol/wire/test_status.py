@@ -2,7 +2,8 @@ import msgpack
 import pytest
 
 from protocol.errors import WireError
-from protocol.run_summary import SampleCounts, Summary
+from protocol.run_summary import Summary
+from protocol.summary_tables import SampleCounts
 from protocol.wire.status import PlaybackStatus, pack_status, read_status
 
 SUMMARY = Summary(samples=SampleCounts(sent=5))

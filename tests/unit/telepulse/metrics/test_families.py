@@ -9,15 +9,8 @@ from prometheus_client.metrics_core import Metric
 from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.registry import Collector
 
-from protocol.run_summary import (
-    Clock,
-    FrameCounts,
-    Lateness,
-    Loop,
-    OneWayDelay,
-    SampleCounts,
-    Summary,
-)
+from protocol.run_summary import Summary
+from protocol.summary_tables import Clock, FrameCounts, Lateness, Loop, OneWayDelay, SampleCounts
 from protocol.wire.status import Status
 from telepulse.metrics.families import SILENT_AFTER_NS, NodeState, families
 

@@ -27,7 +27,8 @@ from fuzz.telemetry_readers import (
 )
 from protocol.availability import Availability
 from protocol.errors import CAUSE_MEANINGS
-from protocol.run_summary import (
+from protocol.run_summary import Summary
+from protocol.summary_tables import (
     AlignedErrors,
     Clock,
     Compensation,
@@ -37,7 +38,6 @@ from protocol.run_summary import (
     PlayoutDelay,
     Roughness,
     SampleCounts,
-    Summary,
 )
 from protocol.wire.messages import Frame
 from protocol.wire.status import PlaybackStatus

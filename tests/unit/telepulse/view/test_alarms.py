@@ -1,7 +1,7 @@
 import pytest
 
 from protocol.limits import Limited, Limits
-from protocol.run_summary import Clock, Deadlines, Loop, SampleCounts
+from protocol.summary_tables import Clock, Deadlines, Loop, SampleCounts
 from telepulse.view.live import LiveState
 from telepulse.view.text import alarms
 from tests.support.page_states import AHEAD_NS, MS, SECOND_NS, Told

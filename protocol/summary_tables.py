@@ -1,0 +1,379 @@
+"""Tables of a run's summary: each field with the figure that it is (`protocol.figures`)."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from protocol.figures import (
+    MICROSECONDS,
+    MILLISECONDS,
+    NEWTONS,
+    PPM,
+    RATIO,
+    SHARE,
+    Surface,
+    absent,
+    figure,
+    table,
+    texts,
+)
+
+# Reasons of figures that a surface leaves out.
+AT_THE_END = absent(
+    "Part of the account at the end, which a live view does not need.",
+    Surface.TERMINAL,
+    Surface.PAGE,
+)
+IN_ALERTS = absent("Live views show it as an alert.", Surface.TERMINAL, Surface.PAGE)
+BY_THE_PAGE = absent("The page computes it over the window that it shows.", Surface.PAGE)
+NOT_RECORDED = absent("Of the process, which a recording does not compare.", Surface.REPORT)
+
+
+def _bounds() -> Any:
+    """Return the field with the names of those quantiles that are lower bounds."""
+    return figure(
+        "Quantiles that are lower bounds: they are beyond what is counted",
+        factory=list,
+        absent=absent('Stands as "> " before the quantile.'),
+    )
+
+
+def _quantile(name: str, of: str, share: str) -> Any:
+    """Return the field of a quantile; share: as Prometheus labels it."""
+    return figure(f"{of}, {name}", f"{name} {{}}", labels={"quantile": share})
+
+
+@dataclass(frozen=True, slots=True)
+class SampleCounts:
+    """sent = played + late + lost. A lost sample that comes after all counts as late."""
+
+    sent: int | None = figure(
+        "Samples sent; at a display since it joined: sent = played + late + lost",
+        "{} sent",
+        metric="samples_sent",
+        counter=True,
+    )
+    played: int | None = figure(
+        "Samples in the buffer when their instant was played",
+        "{} played",
+        joint=" = ",
+        lead=True,
+        metric="samples",
+        counter=True,
+        labels={"outcome": "played"},
+        help="Samples that have arrived.",
+    )
+    late: int | None = figure(
+        "Samples that arrived after their instant was played",
+        "{} late",
+        joint=" + ",
+        metric="samples",
+        counter=True,
+        labels={"outcome": "late"},
+    )
+    # Falls when a sample comes after all, so it is a gauge; so is the next one, which a frame out
+    # of order may move.
+    lost: int | None = figure(
+        "Samples that have not arrived", "{} lost", joint=" + ", metric="samples_lost"
+    )
+    before_joining: int | None = figure(
+        "Samples sent before the display joined",
+        "after {}",
+        row="joined",
+        noun=("sample", "samples"),
+        metric="samples_before_joining",
+        absent=AT_THE_END | absent("A recording may begin later.", Surface.REPORT),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class OneWayDelay:
+    """Time on the network of a frame's last sample."""
+
+    p50: float | None = _quantile("p50", "Time on the network of a frame's last sample", "0.5")
+    p99: float | None = _quantile("p99", "Time on the network of a frame's last sample", "0.99")
+    max: float | None = figure(
+        "Longest one-way delay", "max {}", metric="one_way_delay_max_seconds"
+    )
+    beyond: list[str] = _bounds()
+
+
+@dataclass(frozen=True, slots=True)
+class PlayoutDelay:
+    """Perceived delay E from the wrist's instant to its playing."""
+
+    mean: float | None = figure(
+        "Perceived delay E, from the wrist's instant to its playing, mean",
+        "mean {}",
+        metric="playout_delay_mean_seconds",
+    )
+    p99: float | None = _quantile(
+        "p99", "Perceived delay E, from the wrist's instant to its playing", "0.99"
+    )
+    beyond: list[str] = _bounds()
+
+
+@dataclass(frozen=True, slots=True)
+class Compensation:
+    """Shares of the time played (`Availability.played`)."""
+
+    predicted: float | None = figure(
+        "Share of the time played in which no sample was there yet of what was felt",
+        row="concealed",
+        unit=SHARE,
+        of="played",
+        metric="predicted_ratio",
+    )
+    trusted: float | None = figure(
+        "Share of the time played in which the predictor was trusted with all of "
+        "the delay; null where it has no say (a fixed E, `hold`, `linear`)",
+        row="prediction trusted",
+        unit=SHARE,
+        of="played",
+        metric="trusted_ratio",
+        absent=absent("Ticks are recorded with it one by one.", Surface.REPORT),
+    )
+
+
+def _offset_text(offset_ms: float) -> str:
+    """Return an offset in ms; in s for clocks of two hosts, which may be days apart."""
+    return f"{offset_ms:.3f} ms" if abs(offset_ms) < 1e4 else f"{offset_ms * 1e-3:.3f} s"
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """The sensing clock against the display's."""
+
+    offset_ms: float | None = figure(
+        "Sensing clock minus display clock",
+        "offset {}",
+        MILLISECONDS,
+        show=_offset_text,
+        metric="clock_offset_seconds",
+    )
+    skew_ppm: float | None = figure(
+        "How much faster the sensing clock runs", "skew {}", PPM, metric="clock_skew_ratio"
+    )
+    uncertainty_ms: float | None = figure(
+        "Bound of the offset's error about 95 times of 100, where the two "
+        "directions differ by chance alone",
+        "uncertainty {}",
+        MILLISECONDS,
+        ".3f",
+        metric="clock_uncertainty_seconds",
+    )
+    asymmetry_ms: float | None = figure(
+        "Half the shortest round trip: bound of the offset's further error where "
+        "one direction always takes longer",
+        "asymmetry at most {}",
+        MILLISECONDS,
+        metric="clock_asymmetry_seconds",
+        absent=absent(
+            "A bound, not a measured figure: for who analyses.",
+            Surface.SUMMARY,
+            Surface.TERMINAL,
+            Surface.PAGE,
+        ),
+    )
+    steps: int | None = figure(
+        "How often a clock has jumped",
+        noun=("step", "steps"),
+        zero=False,
+        metric="clock_steps",
+        counter=True,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class AlignedErrors:
+    """RMSE of what is felt against what should be felt."""
+
+    aligned: float | None = figure(
+        "RMSE of what is felt against the pulse when it was sampled",
+        "aligned {}",
+        labels={"against": "aligned"},
+        help="Felt against what should be felt.",
+    )
+    in_phase: float | None = figure(
+        "RMSE of what is felt against the pulse at that very instant",
+        "in phase {}",
+        labels={"against": "in_phase"},
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Roughness:
+    """The part above 25 Hz, where touch is keenest."""
+
+    felt_n: float | None = figure(
+        "RMS above 25 Hz of the force felt",
+        "felt {}",
+        NEWTONS,
+        metric="roughness_newtons",
+        labels={"force": "felt"},
+        help="RMS of force above 25 Hz.",
+    )
+    sensed_n: float | None = figure(
+        "RMS above 25 Hz of the force sensed at the same instants",
+        "sensed {}",
+        NEWTONS,
+        metric="roughness_newtons",
+        labels={"force": "sensed"},
+    )
+    energy_ratio: float | None = figure(
+        "Energy above 25 Hz of the force felt over that of the force sensed",
+        "energy ratio {}",
+        RATIO,
+        metric="roughness_energy_ratio",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class TickTime:
+    """Cost of a tick."""
+
+    p50: float | None = _quantile("p50", "Cost of a tick", "0.5")
+    p99: float | None = _quantile("p99", "Cost of a tick", "0.99")
+    beyond: list[str] = _bounds()
+
+
+@dataclass(frozen=True, slots=True)
+class Lateness:
+    """Lateness of ticks at their beginning."""
+
+    p50: float | None = _quantile("p50", "Lateness of a tick's begin", "0.5")
+    p99: float | None = _quantile("p99", "Lateness of a tick's begin", "0.99")
+    p999: float | None = _quantile("p99.9", "Lateness of a tick's begin", "0.999")
+    max: float | None = figure(
+        "Latest begin of a tick", "max {}", metric="tick_lateness_max_seconds"
+    )
+    beyond: list[str] = _bounds()
+
+
+@dataclass(frozen=True, slots=True)
+class Deadlines:
+    """Missed ticks and longest gap within 5 s."""
+
+    missed: float | None = figure(
+        "Share of the ticks that were missed",
+        "{} of the ticks missed",
+        SHARE,
+        ".2f",
+        metric="deadline_missed_ratio",
+    )
+    gap_ms: float | None = figure(
+        "Longest time between two ticks",
+        "longest gap {}",
+        MILLISECONDS,
+        ".0f",
+        metric="tick_gap_seconds",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Loop:
+    """The node's loop."""
+
+    ticks: int | None = figure(
+        "Ticks of the loop", noun=("tick", "ticks"), metric="ticks", counter=True
+    )
+    deadline_misses: int | None = figure(
+        "Ticks that began a period late or more",
+        noun=("deadline miss", "deadline misses"),
+        lead=True,
+        metric="deadline_misses",
+        counter=True,
+    )
+    tick_us: TickTime = table(
+        TickTime, "tick cost", MICROSECONDS, "tick_seconds", absent=AT_THE_END | NOT_RECORDED
+    )
+    late_us: Lateness = table(
+        Lateness, "tick lateness", MICROSECONDS, "tick_lateness_seconds", absent=AT_THE_END
+    )
+    late: bool | None = figure(
+        "The deadline alarm is on: more than 1 % of the ticks of the last 5 s were "
+        "missed, or a gap was longer than the drive's watchdog (50 ms without a "
+        "drive)",
+        metric="deadline_alarm",
+        absent=absent(
+            "An alarm for now: live views show it as an alert, the rest shows the worst 5 s.",
+            *(surface for surface in Surface if surface != Surface.METRICS),
+        ),
+    )
+    last_5s: Deadlines = table(
+        Deadlines,
+        "last 5 s",
+        labels={"over": "5s"},
+        absent=absent(
+            "Live views show it as an alert where it is much; an ended run has its worst 5 s.",
+            *(surface for surface in Surface if surface != Surface.METRICS),
+        ),
+    )
+    worst_5s: Deadlines = table(
+        Deadlines, "worst 5 s", labels={"over": "worst_5s"}, absent=AT_THE_END
+    )
+    realtime: list[str] = figure(
+        "Real-time measures that were asked for and granted",
+        row="real-time measures",
+        show=texts,
+        absent=AT_THE_END | NOT_RECORDED | absent("Words.", Surface.METRICS),
+        factory=list,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class FrameCounts:
+    """Frames of the stream as they came."""
+
+    received: int | None = figure("Frames taken", "{} received", metric="frames", counter=True)
+    reordered: int | None = figure(
+        "Frames that came after a later one",
+        "{} out of order",
+        metric="frames_reordered",
+        counter=True,
+    )
+    copies: int | None = figure(
+        "Copies of frames over further paths",
+        "{} copies over further paths",
+        zero=False,
+        metric="frame_copies",
+        counter=True,
+    )
+    first: dict[str, int] = figure(
+        "With several addresses: how many frames came first over each of them",
+        show=lambda first: texts((f"{count} first over {name}" for name, count in first.items())),
+        metric="frames_first",
+        counter=True,
+        label="path",
+        factory=dict,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Reconnections:
+    """Connections made while one was silent."""
+
+    opened: int | None = figure(
+        "Connections for frames opened beside a silent one",
+        "{} opened beside a silent connection",
+        zero=False,
+        metric="reconnections",
+        counter=True,
+        labels={"kind": "second"},
+        help="Connections made while one was silent.",
+    )
+    kept: int | None = figure(
+        "Of those, how many delivered first and took the silent one's place",
+        "{} of them kept",
+        zero=False,
+        metric="reconnections",
+        counter=True,
+        labels={"kind": "kept"},
+    )
+    control: int | None = figure(
+        "Connections for control messages made anew",
+        "{} for control",
+        zero=False,
+        metric="reconnections",
+        counter=True,
+        labels={"kind": "control"},
+    )
