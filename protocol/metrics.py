@@ -22,7 +22,7 @@ MetricsOption = Annotated[
 
 
 class MetricsSidecar:
-    """What serves a node's figures, once it is told where they are published."""
+    """The process that serves a node's figures, if metrics are wanted."""
 
     def __init__(self, sidecar: Sidecar | None) -> None:
         """None: nothing is served."""
@@ -32,7 +32,7 @@ class MetricsSidecar:
         return self._sidecar is not None
 
     def follow(self, telemetry_address: str, key: Path | None = None) -> None:
-        """Serve what is published there; key: the node's own, where that needs one."""
+        """Serve the telemetry of an address; key: the node's own, where the telemetry needs one."""
         if self._sidecar is not None:
             own = None if key is None else str(key)
             self._sidecar.send(address=telemetry_address, key=own)
@@ -40,8 +40,11 @@ class MetricsSidecar:
 
 @contextmanager
 def start_metrics(program: str, where: str | None, console: Console) -> Iterator[MetricsSidecar]:
-    """Metrics served at `where` (None: not at all) within a `with`; enter it before anything
-    moves. Raises SidecarError where the port is taken or the library is missing."""
+    """Serve metrics at `where` (None: not at all) within a `with`.
+
+    Enter it before anything moves. Raises SidecarError where the port is taken, or the library or
+    the package that serves them is missing.
+    """
     if where is None:
         yield MetricsSidecar(None)
         return
@@ -51,5 +54,7 @@ def start_metrics(program: str, where: str | None, console: Console) -> Iterator
         if beyond_loopback(
             sidecar.ready_message.replace("http", "tcp", 1).removesuffix("/metrics")
         ):
-            console.print("who reaches that port reads them: HTTP has neither keys nor encryption")
+            console.print(
+                "all who can reach that port can read them: HTTP has neither keys nor encryption"
+            )
         yield MetricsSidecar(sidecar)

@@ -1,8 +1,8 @@
-"""Check of HTTP requests, by the Host and Origin they name, for those meant for a server of ours.
+"""Check of HTTP requests to a server of ours by their Host and Origin headers.
 
 A page of another site may let its own name resolve to this machine (DNS rebinding). A browser then
-takes our server for that site's, and lets the page read what it answers. The name stays in the
-request: so a request is served only under a name or address that is this server's own.
+takes our server for that site's, and lets the page read its answers. The name stays in the
+request's headers, so a request is served only under a name or address of this server.
 """
 
 import ipaddress
@@ -11,16 +11,16 @@ from dataclasses import dataclass
 from urllib.parse import urlsplit
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
-# What a browser sends in the place of a name is cut here before it is shown.
+# A header in a refusal is cut to this length.
 SHOWN_CHARACTERS = 60
 
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """The names that one server is asked for by.
+    """The names under which one server is served.
 
     names: in lower case, without ports. any_address: every IP address is one of them, where the
-    server is bound to all addresses of its machine. An attacker's name is never an address.
+    server is bound to all addresses of its machine. A rebound name is never an address.
     """
 
     names: frozenset[str]
@@ -67,5 +67,5 @@ def _address(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 
 
 def _shown(text: str) -> str:
-    """Return a header's text in letters that every terminal has."""
+    """Return a header's text, cut, in ASCII."""
     return ascii(text[:SHOWN_CHARACTERS])[1:-1]

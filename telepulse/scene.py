@@ -1,4 +1,4 @@
-"""A whole scene: what each node reads, composed for runs of both."""
+"""A whole scene: the sections of both nodes and of the link, for runs of both."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ DEFAULT_SCENE = "radial"
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """A scene file's three sections; a scene without [link] has a link that costs nothing."""
+    """A scene's three sections; a scene without [link] has a link without delay or loss."""
 
     path: Path
     sensing: SensingScene

@@ -42,8 +42,8 @@ def start_recorder(
     address: of the telemetry. await_recorder: waits so many seconds until a recorder listens, and
     returns whether one does. key: opens the telemetry, where it is protected.
 
-    Raises SystemExit with the recorder's status where that cannot begin, and OutputError where it
-    does not start.
+    Raises SystemExit with the recorder's status where it refuses to begin, OutputError where it
+    does not listen in time, and SidecarError where no recorder is installed.
     """
     recording = RecorderProcess()
     if path is None:
@@ -86,7 +86,7 @@ def _start(
 
 
 def _end(process: ChildProcess, path: Path) -> bool:
-    """Wait for the recorder to end. Return whether it recorded all, which it has named itself."""
+    """Wait for the recorder to end. Return whether it recorded all; it prints what it missed."""
     try:
         return process.wait(ENDS_WITHIN_S) == 0
     except subprocess.TimeoutExpired:

@@ -73,12 +73,12 @@ def parse_ratio(text: object) -> float:
 
 
 def shown(value: object) -> str:
-    """A value as it stands in an error's line: cut where it is long."""
+    """Return a value as it stands in an error's line: cut where it is long."""
     return f"{value!r:.{_SHOWN}}"
 
 
 def in_unit_of(value: float, text: object) -> str:
-    """A value in the code's unit, written in the unit that `text` has."""
+    """Return a value in the code's unit as text, in the unit that `text` has."""
     match = _NUMBER.fullmatch(text) if isinstance(text, str) else None
     unit = match.group(2) if match else ""
     for dimension, units in UNITS.items():
@@ -89,7 +89,7 @@ def in_unit_of(value: float, text: object) -> str:
 
 
 def _sane(value: float, text: object) -> float:
-    """The value; ValueError where it is so large that the code's own unit would overflow."""
+    """Return the value; ValueError where it is so large that the code's own unit would overflow."""
     if not abs(value) < _LARGEST:
         raise ValueError(f"{shown(text)} is too large")
     return value

@@ -111,7 +111,7 @@ def _first_error(error: ValidationError, table: Any) -> tuple[list[int | str], s
 
 
 def _find(error: ErrorDetails, table: Any) -> tuple[list[int | str], Any]:
-    """The keys that lead through the table to the error, and what is written there.
+    """Return the keys that lead through the table to the error, and the value written there.
 
     pydantic puts names of its own between them, such as which member of a union it tried.
     """
@@ -127,7 +127,7 @@ def _find(error: ErrorDetails, table: Any) -> tuple[list[int | str], Any]:
 
 
 def _demand(error: ErrorDetails, written: object) -> str:
-    """What pydantic demands; a limit in the unit that the value has in the file."""
+    """Return what pydantic demands, with a limit in the unit that the value has in the file."""
     text = error["msg"].replace("Input should", "must")
     for limit in error.get("ctx", {}).values():
         if isinstance(limit, int | float):

@@ -1,7 +1,7 @@
-"""The demo: both nodes as real processes on this machine, watched live, summed up at the end.
+"""`telepulse demo`: both nodes as real processes on this machine, with a summary at the end.
 
-On one host the truth of both ends is known: the demo listens to the sensing node directly and
-to the display's telemetry, and scores what was felt against what was really sensed.
+On one machine both ends can be measured: the demo subscribes to the sensing node and to the
+display's telemetry, and scores the felt force against the sensed one.
 """
 
 import tempfile
@@ -51,7 +51,7 @@ HEAD_START_S = 0.7
 
 
 class DemoError(TelepulseError, RuntimeError):
-    """The accounts of the two nodes do not agree."""
+    """The two nodes' sample counts differ."""
 
 
 def demo(
@@ -78,8 +78,8 @@ def demo(
     between them and delays, jitters and loses frames. At the end, every sample sent is
     accounted for: sent = played + late + lost.
 
-    Exit status: 0 at the end of the pulse, 2 when something given cannot be used, 3 when the
-    display latched a fault; the reason is a line on stderr.
+    Exit status: 0 at the end of the pulse, 2 when an argument cannot be used, 3 when the display
+    latched a fault; the reason is a line on stderr.
     """
     console = plain_console()
     with one_line_errors(PROGRAM):
@@ -111,7 +111,7 @@ def run_demo(
     sensing_address, link_address, telemetry_address = free_addresses(3)
     display_address = link_address if impaired else sensing_address
     with tempfile.TemporaryDirectory(prefix="telepulse-") as folder, ExitStack() as stack:
-        # Before anything else, so that nobody misses the beginning.
+        # Before anything else, so that the page shows the beginning.
         served = None
         if page or (page is None and draw):
             served = _open_page(stack, telemetry_address, bool(page), console)
@@ -185,7 +185,7 @@ def _open_page(
 
 
 class _Scorer:
-    """Hears both ends: the pulse as it is sensed, and the force as it is felt."""
+    """Compares the pulse that the sensing node sends with the force that the display reports."""
 
     def __init__(self, scene: Scene, truth: ReferenceForce, sensing_address: str) -> None:
         layer = scene.display.layer.layer()
@@ -206,13 +206,13 @@ class _Scorer:
         self._context.destroy(linger=0)
 
     def listen(self) -> None:
-        """Take what the sensing node has sent."""
+        """Add the frames that the sensing node has sent."""
         for (message,) in sockets.receive_all(self._data):
             true_frame = self._truth.of(decode_frame(message))
             self.fidelity.sensed(true_frame, self._channel, self._ratio)
 
     def felt(self, trace: Trace) -> None:
-        """Take what the finger felt."""
+        """Add the felt force of a trace of the display."""
         for now_ns, instant_ns, force_n, scored in zip(
             *(column.tolist() for column in (trace.now_ns, trace.instant_ns, trace.felt_n)),
             trace.scored.tolist(),
@@ -223,10 +223,13 @@ class _Scorer:
 
 
 def _compose(sensing: Summary, display: Summary, fidelity: TrackingError) -> Summary:
-    """The display's summary with the true errors, after both accounts were compared."""
+    """Return the display's summary with the true errors.
+
+    Raises DemoError where the two nodes' sample counts differ.
+    """
     sent = sensing.samples.sent
     if display.clock.offset_ms is None:
-        raise DemoError("the display never heard from the sensing node")
+        raise DemoError("the display received nothing from the sensing node")
     accounted = (display.samples.sent or 0) + (display.samples.before_joining or 0)
     if sent != accounted:
         raise DemoError(

@@ -1,4 +1,4 @@
-"""`telepulse discover`: which sensing nodes announce themselves on the local network."""
+"""`telepulse discover`: list the sensing nodes that are announced on the local network."""
 
 import time
 from typing import Annotated
@@ -20,14 +20,14 @@ def discover(
 ) -> None:
     """List the sensing nodes that announce themselves on the local network.
 
-    A display connects to one by display-node --discover --named NAME. What is behind "node" stays
-    the same when it is started again; its key is shown by its fingerprint. Anybody can announce
-    anything: who a node is, only its key proves (display-node --peer).
+    A display connects to one by display-node --discover --named NAME. A node keeps the id after
+    "node" when it is started again; its key is shown as a fingerprint. Anybody can announce
+    anything: only its key proves which node it is (display-node --peer).
     """
     console = plain_console()
     with one_line_errors(PROGRAM):
         check_writable(json)
-        # It brings the library, which other commands do without.
+        # Imported here: it needs a library that other commands do without.
         from protocol.discovery.browser import Browser
 
         with Browser(console.print) as look:

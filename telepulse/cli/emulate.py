@@ -56,7 +56,7 @@ def sensor(
     seed: Annotated[int, typer.Option(min=0, help="Of deliveries and noise.")] = 1,
     seconds: StopAfterOption = None,
 ) -> None:
-    """A sensor board on a pseudo-terminal: it plays a scene's source as a real board would.
+    """Be a sensor board on a pseudo-terminal that sends a scene's source.
 
     Prints the table with which a scene reads it. Samples go by the board's own crystal, USB
     delivers them in batches, noise spoils bytes. Stopping it pulls the cable; started again with

@@ -1,4 +1,4 @@
-"""`telepulse keys`: make keys, say whom a node lets in."""
+"""`telepulse keys`: make keys, and list the nodes that may connect."""
 
 from pathlib import Path
 from typing import Annotated
@@ -13,8 +13,8 @@ from telepulse.cli.options import PROGRAM
 
 app = typer.Typer(
     no_args_is_help=True,
-    help="Keys that nodes on two machines know each other by. One for each node: its secret key"
-    " never leaves its machine; its public key goes to the machine it talks to.",
+    help="Keys by which nodes on two machines identify each other. Each node has one: its secret"
+    " key never leaves its machine; its public key goes to the machine it connects to.",
 )
 
 NameArgument = Annotated[str, typer.Argument(metavar="NAME", help="Of the node: wrist, finger.")]
@@ -41,11 +41,11 @@ def new(name: NameArgument, folder: FolderOption = FOLDER) -> None:
 
 @app.command(name="allow")
 def allow_command(
-    public: Annotated[Path, typer.Argument(metavar="FILE.pub", help="Whom to let in.")],
+    public: Annotated[Path, typer.Argument(metavar="FILE.pub", help="The node that may connect.")],
     folder: FolderOption = FOLDER,
     allowed: ListOption = None,
 ) -> None:
-    """Let a node in: add its public key to the allow-list; running nodes see it within 1 s."""
+    """Allow a node: add its public key to the allow-list; running nodes notice within 1 s."""
     path = allowed or folder / ALLOWED
     with one_line_errors(PROGRAM):
         peer = read_public(public)
@@ -57,7 +57,7 @@ def allow_command(
 def revoke_command(
     name: NameArgument, folder: FolderOption = FOLDER, allowed: ListOption = None
 ) -> None:
-    """Let a node in no more; running nodes cut its connections within 2 s."""
+    """Allow a node no longer; running nodes cut its connections within 2 s."""
     path = allowed or folder / ALLOWED
     with one_line_errors(PROGRAM):
         revoke(path, name)
@@ -66,7 +66,7 @@ def revoke_command(
 
 @app.command(name="list")
 def list_command(folder: FolderOption = FOLDER, allowed: ListOption = None) -> None:
-    """Print who is let in: name and public key."""
+    """Print the name and public key of each node that may connect."""
     path = allowed or folder / ALLOWED
     console = plain_console()
     with one_line_errors(PROGRAM):

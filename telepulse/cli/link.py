@@ -32,10 +32,10 @@ def link(
     allow: AllowOption = None,
     insecure: InsecureOption = False,
 ) -> None:
-    """Stand between two nodes and make the link between them worse.
+    """Pass a stream on between two nodes over a worse link.
 
-    Delays, jitters and loses data frames on their way to the displays; control messages are
-    delayed both ways and never lost.
+    Delays, jitters and drops data frames on their way to the displays; control messages are
+    delayed both ways and never dropped.
     """
     with one_line_errors(PROGRAM):
         allow_connections()

@@ -22,10 +22,10 @@ def lsl(
     """Publish a display's stream to the Lab Streaming Layer, where LabRecorder finds it.
 
     Three streams: "telepulse wrist", the force of each channel as it came; "telepulse finger",
-    target and felt force of each tick; "telepulse events", what happened, as markers. Ends with
-    the display. With --key alone, the key is the display's own.
+    target and felt force of each tick; "telepulse events", events as markers. Ends with the
+    display. With --key alone, the key is the display's own.
 
-    Exit status: 0, 1 when telemetry was missed, which is said, 2 when it cannot begin.
+    Exit status: 0, 1 when telemetry was missed, which it prints, 2 when it cannot begin.
     """
     from telepulse.lsl_outlet.outlet import LslOutlet
 

@@ -46,9 +46,11 @@ for group in GROUPS:
     app.add_typer(group.app, name=group.__name__.rpartition(".")[2])
 
 
-@app.callback()
+@app.callback(
+    help="A pulse sensed in one place, felt in another: demo, simulation and link emulation."
+)
 def telepulse(version: VersionOption = False) -> None:
-    """A pulse sensed in one place, felt in another: demo, simulation and link emulation."""
+    """Take the options that stand before a command."""
 
 
 def main() -> None:

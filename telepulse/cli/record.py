@@ -23,15 +23,15 @@ def record(
     insecure: InsecureOption = False,
     display_pid: Annotated[int | None, typer.Option(hidden=True)] = None,
 ) -> None:
-    """Record all that a display hears and does into an MCAP file, which Foxglove opens.
+    """Record all that a display receives and does into an MCAP file, which Foxglove opens.
 
     Every frame as it came, every tick, the statuses, the stream's description, clock replies and
-    what happened. Ends with the display. Killed, it loses at most its last second; a full disk is
-    waited for. `display-node --record FILE` starts this beside the display.
+    events. Ends with the display. Killed, it loses at most its last second; on a full disk it waits
+    for space. `display-node --record FILE` starts this beside the display.
 
     With --key alone, the key is the display's own.
 
-    Exit status: 0 when all was written, 1 when something is missing, which is said, 2 when it
+    Exit status: 0 when all was written, 1 when something is missing, which it prints, 2 when it
     cannot begin.
     """
     from telepulse.recording.recorder import McapRecorder

@@ -48,18 +48,18 @@ def relay(
     allow: AllowOption = None,
     insecure: InsecureOption = False,
 ) -> None:
-    """Pass one sensing node's stream on to many displays, on another machine.
+    r"""Pass one sensing node's stream on to many displays, on another machine.
 
     The sensing node sends each frame once to a relay, however many displays are behind it.
-    Displays connect to the relay as they would to the sensing node, and still ask the sensing
-    node itself for its clock and tell it how the stream arrives. Up to three relays may follow
-    one another; any number stands side by side.
+    Displays connect to the relay as they would to the sensing node, and exchange clock requests and
+    status with the sensing node itself. Up to three relays may follow one another; any number may
+    stand side by side.
 
-        telepulse relay --connect tcp://SENSING:5555 --bind tcp://*:5655 \\
+        telepulse relay --connect tcp://SENSING:5555 --bind tcp://*:5655 \
             --key keys/relay.key --peer keys/wrist.pub
 
-    The sensing node allows the relay's key, the relay those of its displays: whoever is let in
-    there hears the stream. A display gives the relay's public key as its --peer.
+    The sensing node allows the relay's key, the relay those of its displays: each display that the
+    relay allows receives the stream. A display gives the relay's public key as its --peer.
 
     Exit status: 0 at Ctrl-C or SIGTERM, 2 when an address or a key cannot be used; the reason is
     one line on stderr.

@@ -43,7 +43,7 @@ def copy(
 
 @app.command()
 def show(scene: SceneArgument) -> None:
-    """Print all that a scene says, with what it takes over from the scenes that it extends."""
+    """Print a scene with units, merged with the scenes that it extends."""
     with one_line_errors(PROGRAM):
         text = to_toml(load_document(find_scene(scene)))
     plain_console().print(text, end="")

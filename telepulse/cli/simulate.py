@@ -25,7 +25,7 @@ def simulate(
     link: LinkOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Run a scene in virtual time: the nodes' own modules, no sockets, no waiting.
+    """Run a scene in virtual time: the nodes' own modules, without sockets and without waiting.
 
     The same scene and seed give the same figures, many times faster than real time. Exit status 3:
     the display latched a fault; it is named on stderr.

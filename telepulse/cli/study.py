@@ -23,7 +23,7 @@ def integrators(out: FolderOption = Path("out/integrators"), json: TablesOption 
 
     Takes about half a minute. python-control takes part where it is installed.
     """
-    # The study brings matplotlib's and scipy's import times; other commands do without.
+    # Imported here: matplotlib and scipy take long to import, and other commands do without.
     from telepulse.reports.studies.integrator_report import report_integrators
     from telepulse.reports.studies.integrator_scores import IntegratorEffort, score_integrators
     from telepulse.reports.studies.sweep import in_one_thread

@@ -13,7 +13,7 @@ def tune(scene: SceneArgument = DEFAULT_SCENE, json: TablesOption = None) -> Non
 
     Exit status 2 when the scene's own loop is not stable: no node would run it.
     """
-    # The design brings scipy's import times; other commands do without.
+    # Imported here: scipy takes long to import, and other commands do without.
     from telepulse.commissioning.tuning import as_toml, design, judge, refuse, report_design
 
     console = plain_console()

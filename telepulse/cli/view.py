@@ -70,7 +70,7 @@ def view(
 
 
 def _check_host(host: str, insecure: bool) -> None:
-    """Raises AddressError for what is no address, ProtectionError for one that others reach."""
+    """Raise AddressError for what is no address, ProtectionError for one that others can reach."""
     try:
         address = ipaddress.ip_address("127.0.0.1" if host == "localhost" else host)
     except ValueError:
