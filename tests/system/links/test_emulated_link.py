@@ -16,7 +16,7 @@ MS = 1_000_000
 
 @pytest.mark.smoke
 @needs_emulator
-def test_a_round_trip_takes_what_the_model_says() -> None:
+def test_a_round_trip_takes_the_time_of_the_model() -> None:
     with emulate(parse_link("delay=20ms")) as link, connected(link) as (sensing, display):
         trips_ms = []
         for _ in range(20):
@@ -72,7 +72,7 @@ def test_a_link_can_be_changed_while_it_carries_and_others_stay_as_they_are() ->
         connected(link, 0) as (sensing, display),
         connected(link, 1) as (other, others_display),
     ):
-        # What was ordered before a packet was sent is obeyed before it is carried.
+        # A command written before a packet was sent takes effect before the packet is forwarded.
         link.change(cut)
         sensing.sendall(b"lost")
         other.sendall(b"carried")
@@ -120,7 +120,7 @@ def test_two_links_do_not_see_each_other() -> None:
 
 
 @needs_emulator
-def test_several_links_between_the_same_two_each_do_as_they_are_told() -> None:
+def test_several_links_between_the_same_two_each_have_their_own_impairments() -> None:
     scenes = parse_link("delay=20ms"), parse_link("delay=60ms"), parse_link("loss=1")
     with emulate(*scenes) as link:
         assert len(set(link.sensing.addresses) | set(link.display.addresses)) == 2 * len(scenes)
@@ -146,7 +146,7 @@ def test_several_links_between_the_same_two_each_do_as_they_are_told() -> None:
 @needs_emulator
 def test_a_link_carries_nothing_of_its_own() -> None:
     with emulate(parse_link("")) as link:
-        # Long enough for what a new interface has to say, which is said at once.
+        # Long enough for the packets that a new interface sends at once.
         time.sleep(0.3)
     assert link.carried is not None
     assert link.carried.packets == 0
@@ -157,11 +157,11 @@ def test_nothing_is_left_behind_though_it_ends_with_an_error() -> None:
     before = open_descriptors()
     home = os.readlink("/proc/thread-self/ns/net")
     others = children()
-    relays: set[int] = set()
+    forwarders: set[int] = set()
 
     def fail_within() -> None:
         with emulate(parse_link("")) as link, link.sensing.entered():
-            relays.update(children() - others)
+            forwarders.update(children() - others)
             assert os.readlink("/proc/thread-self/ns/net") != home
             raise ZeroDivisionError
 
@@ -169,32 +169,32 @@ def test_nothing_is_left_behind_though_it_ends_with_an_error() -> None:
         fail_within()
     assert os.readlink("/proc/thread-self/ns/net") == home
     assert open_descriptors() == before
-    assert relays - children() == relays != set()
+    assert forwarders - children() == forwarders != set()
 
 
 @needs_emulator
-def test_a_relay_that_does_not_start_is_told_of() -> None:
+def test_a_forwarder_that_does_not_start_is_reported() -> None:
     def use() -> None:
         with emulate(parse_link(""), seed="none"):  # type: ignore[arg-type]
             pytest.fail("there is no such seed")
 
-    with pytest.raises(EmulatorError, match=r"relay.*ValueError.*none"):
+    with pytest.raises(EmulatorError, match=r"forwarder.*ValueError.*none"):
         use()
 
 
 @needs_emulator
-def test_a_relay_that_is_killed_is_told_of() -> None:
+def test_a_forwarder_that_is_killed_is_reported() -> None:
     def use() -> None:
         before = children()
         with emulate(parse_link("")):
-            for relay in children() - before:
-                os.kill(relay, signal.SIGKILL)
+            for forwarder in children() - before:
+                os.kill(forwarder, signal.SIGKILL)
 
     with pytest.raises(EmulatorError, match="link forwarder ended"):
         use()
 
 
-def test_without_root_it_says_that_it_needs_root(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_root_the_reason_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     assert unavailable() == "the link emulator needs root"
 
