@@ -228,8 +228,7 @@ class HardCase:
 
 
 def evaluate(
-    case: HardCase,
-    refine: Callable[[CaseResult, CaseRun], CaseResult] = lambda result, _: result,
+    case: HardCase, refine: Callable[[CaseResult, CaseRun], CaseResult] = lambda result, _: result
 ) -> CaseResult:
     """Run a case and judge it; `refine` may change the result of a case that did run."""
     try:

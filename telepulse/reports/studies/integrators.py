@@ -98,10 +98,7 @@ def exact_hold(plant: Plant[Decimal], tick_s: Decimal) -> Step[Decimal]:
 
     def step(volts: Decimal) -> Decimal:
         nonlocal force, rate
-        force, rate = (
-            a11 * force + a12 * rate + b1 * volts,
-            a21 * force + a22 * rate + b2 * volts,
-        )
+        force, rate = (a11 * force + a12 * rate + b1 * volts, a21 * force + a22 * rate + b2 * volts)
         return force
 
     return step

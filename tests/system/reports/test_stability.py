@@ -27,12 +27,7 @@ from telepulse.reports.paper.hard_case import (
 )
 from telepulse.reports.paper.loop_cases import BETWEEN_N, STEPPER, chatter, saturated_steps
 from telepulse.reports.paper.pulse_spectrum import deviation_n
-from telepulse.reports.paper.tick_rates import (
-    PEAK_TO_PEAK_N,
-    RATES_HZ,
-    RateResult,
-    measure,
-)
+from telepulse.reports.paper.tick_rates import PEAK_TO_PEAK_N, RATES_HZ, RateResult, measure
 
 STEP_M = 0.625e-6
 FINGER = make_setup({"kp": 300, "error": "position"}, STEPPER)
@@ -131,19 +126,11 @@ def test_every_row_has_its_figure_and_reason(outcomes: tuple[CaseResult, ...]) -
     assert {outcome.case for outcome in outcomes} == set(CASES)
     for outcome in outcomes:
         assert outcome.reason, outcome
-        assert outcome.figure != "–" or outcome.verdict in (
-            CaseVerdict.REFUSED,
-            CaseVerdict.FAILS,
-        )
+        assert outcome.figure != "–" or outcome.verdict in (CaseVerdict.REFUSED, CaseVerdict.FAILS)
 
 
-def test_stiff_contact_is_stable_up_to_what_is_refused(
-    outcomes: tuple[CaseResult, ...],
-) -> None:
-    assert verdicts(outcomes, "stiff contact") == {
-        CaseVerdict.STABLE: 12,
-        CaseVerdict.REFUSED: 1,
-    }
+def test_stiff_contact_is_stable_up_to_what_is_refused(outcomes: tuple[CaseResult, ...]) -> None:
+    assert verdicts(outcomes, "stiff contact") == {CaseVerdict.STABLE: 12, CaseVerdict.REFUSED: 1}
     (refused,) = of(outcomes, "stiff contact", "kp = 10")
     assert re.fullmatch(r"the force loop is not stable \(largest pole 1\.\d+, .*", refused.reason)
 
@@ -162,10 +149,7 @@ def test_eq_22_without_damping_needs_a_derivative(outcomes: tuple[CaseResult, ..
 
 
 def test_the_layer_up_to_its_limits(outcomes: tuple[CaseResult, ...]) -> None:
-    assert verdicts(outcomes, "ν → 0.5") == {
-        CaseVerdict.STABLE: 3,
-        CaseVerdict.REFUSED: 1,
-    }
+    assert verdicts(outcomes, "ν → 0.5") == {CaseVerdict.STABLE: 3, CaseVerdict.REFUSED: 1}
     (beyond,) = of(outcomes, "ν → 0.5", "0.5000001")
     assert beyond.reason == "poisson_ratio is 0.5000001; it must be in 0 to 0.5"
     assert verdicts(outcomes, "vanishing thickness", "1e-12") == {CaseVerdict.STABLE: 1}
@@ -173,9 +157,7 @@ def test_the_layer_up_to_its_limits(outcomes: tuple[CaseResult, ...]) -> None:
         assert verdicts(outcomes, "vanishing thickness", thickness) == {CaseVerdict.REFUSED: 1}
 
 
-def test_a_microsecond_and_a_tenth_of_a_second_are_ticks(
-    outcomes: tuple[CaseResult, ...],
-) -> None:
+def test_a_microsecond_and_a_tenth_of_a_second_are_ticks(outcomes: tuple[CaseResult, ...]) -> None:
     assert verdicts(outcomes, "extreme ticks") == {CaseVerdict.STABLE: 11}
 
 
