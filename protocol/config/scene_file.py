@@ -25,8 +25,8 @@ MAX_CHAIN = 8
 Tables = dict[str, Any]
 
 _HERE = Path(__file__).parents[1]
-# In an installed package, or in a checkout.
-_FOLDERS = (_HERE / "scenes", _HERE.parent / "scenes")
+# Of the scenes that come with telepulse: in an installed package (pyproject.toml), in a checkout.
+FOLDERS = (_HERE / "scenes", _HERE.parent / "scenes")
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 _KEY_SHOWN = 80
 
@@ -146,7 +146,7 @@ def suggest(key: str, known: Iterable[str]) -> str:
 
 
 def _folder() -> Path:
-    return next(folder for folder in _FOLDERS if folder.is_dir())
+    return next(folder for folder in FOLDERS if folder.is_dir())
 
 
 def _find_parent(path: Path, parent: object, files: set[Path]) -> Path:

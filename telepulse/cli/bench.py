@@ -16,7 +16,14 @@ from protocol.errors import SceneError
 from protocol.host.result_files import check_writable
 from protocol.provenance import collect
 from sensing_node.scene import SensingScene
-from telepulse.cli.options import PROGRAM, TablesOption, publish
+from telepulse.cli.options import (
+    PROGRAM,
+    PageOption,
+    SceneArgument,
+    TablesOption,
+    YesOption,
+    publish,
+)
 from telepulse.reports.document import Report
 from telepulse.scene import DEFAULT_SCENE
 
@@ -35,16 +42,14 @@ class Side(Enum):
 
 
 def bench(
-    scene: Annotated[str, typer.Argument(help="A scene file, or the name of one.")] = DEFAULT_SCENE,
+    scene: SceneArgument = DEFAULT_SCENE,
     only: Annotated[Side, typer.Option(help="The end that is on this machine.")] = Side.BOTH,
     force: Annotated[str, typer.Option(help="Press with no more than this.")] = "0.3 N",
     seconds: Annotated[
         float, typer.Option(min=1, max=3600, help="How long each sensor is recorded.")
     ] = 5.0,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before the drive moves.")] = False,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Write a page with plots here.")
-    ] = None,
+    yes: YesOption = False,
+    out: PageOption = None,
     write: Annotated[
         Path | None,
         typer.Option(metavar="SCENE.toml", help="Write the scene here, with the found keys."),

@@ -14,7 +14,7 @@ from protocol.errors import SceneError
 from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.scene import SensorScene
 from sensing_node.scene import SensingScene
-from telepulse.cli.options import TablesOption, publish
+from telepulse.cli.options import PageOption, TablesOption, publish
 from telepulse.commissioning.calibration import LoadReadings, LoadUnit, ReadingUnit, read_loads
 from telepulse.reports.document import Report
 
@@ -42,9 +42,7 @@ def calibrate(
         LoadUnit | None, typer.Option(help="Of the file; g and kg are weights. Else N.")
     ] = None,
     reading_unit: Annotated[ReadingUnit | None, typer.Option(help="Of the file. Else mV.")] = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Write a page with a plot here.")
-    ] = None,
+    out: PageOption = None,
     json: TablesOption = None,
 ) -> None:
     """Fit the straight line of Fig. 4 from reference loads, with residuals and R².

@@ -20,7 +20,7 @@ from protocol.host.process import stop_on_signals
 from protocol.host.realtime import check_strict, parse_realtime
 from protocol.host.result_files import create_file
 from protocol.host.standard_output import unblocked_output
-from telepulse.cli.options import PROGRAM, FolderOption, TablesOption, publish
+from telepulse.cli.options import PROGRAM, FolderOption, TablesOption, YesOption, publish
 from telepulse.reports.document import Report
 
 app = typer.Typer(
@@ -66,7 +66,7 @@ def run(
             " person, as a share of the pulse from peak to peak.",
         ),
     ] = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before the drive moves.")] = False,
+    yes: YesOption = False,
     without_drive: Annotated[
         bool,
         typer.Option(

@@ -1,17 +1,13 @@
 """`telepulse lsl`."""
 
-from typing import Annotated
-
-import typer
-
 from protocol.cli_options import QuietOption, StopAfterOption, one_line_errors, plain_console
 from protocol.host.process import stop_on_signals
 from protocol.security.protection import InsecureOption, KeyOption, PeerOption, telemetry_keys
-from telepulse.cli.options import NOT_WHOLE, PROGRAM, SilenceOption, warn
+from telepulse.cli.options import NOT_WHOLE, PROGRAM, AddressArgument, SilenceOption, warn
 
 
 def lsl(
-    address: Annotated[str, typer.Argument(help="A display's telemetry: tcp://HOST:PORT.")],
+    address: AddressArgument,
     seconds: StopAfterOption = None,
     until_silent: SilenceOption = None,
     quiet: QuietOption = False,

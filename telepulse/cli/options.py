@@ -33,6 +33,11 @@ SceneArgument = Annotated[
     ),
 ]
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="A recording.")]
+AddressArgument = Annotated[str, typer.Argument(help="A display's telemetry: tcp://HOST:PORT.")]
+YesOption = Annotated[bool, typer.Option("--yes", help="Do not ask before the drive moves.")]
+PageOption = Annotated[
+    Path | None, typer.Option(metavar="FOLDER", help="Write a page with plots here.")
+]
 LinkOption = Annotated[
     str | None,
     typer.Option(

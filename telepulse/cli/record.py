@@ -9,11 +9,11 @@ from protocol.cli_options import QuietOption, StopAfterOption, one_line_errors, 
 from protocol.host.process import stop_on_signals
 from protocol.host.standard_output import unblocked_output
 from protocol.security.protection import InsecureOption, KeyOption, PeerOption, telemetry_keys
-from telepulse.cli.options import NOT_WHOLE, PROGRAM, SilenceOption, warn
+from telepulse.cli.options import NOT_WHOLE, PROGRAM, AddressArgument, SilenceOption, warn
 
 
 def record(
-    address: Annotated[str, typer.Argument(help="A display's telemetry: tcp://HOST:PORT.")],
+    address: AddressArgument,
     file: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="It must not be there yet.")],
     seconds: StopAfterOption = None,
     until_silent: SilenceOption = None,

@@ -12,7 +12,7 @@ from protocol.cli_options import QuietOption, StopAfterOption, one_line_errors, 
 from protocol.errors import AddressError, OutputError, ProtectionError
 from protocol.host.process import stop_on_signals
 from protocol.security.protection import InsecureOption, KeyOption, PeerOption, telemetry_keys
-from telepulse.cli.options import PROGRAM, warn
+from telepulse.cli.options import PROGRAM, AddressArgument, warn
 
 # The display's loop goes first.
 NICENESS = 10
@@ -25,7 +25,7 @@ def bokeh_is_there() -> bool:
 
 
 def view(
-    address: Annotated[str, typer.Argument(help="A display's telemetry: tcp://HOST:PORT.")],
+    address: AddressArgument,
     port: Annotated[
         int | None,
         typer.Option(min=1, max=65_535, help="Serve the page here; else 5006, or what is free."),

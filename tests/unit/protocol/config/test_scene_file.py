@@ -5,6 +5,7 @@ import pytest
 
 from protocol.config.scene import Section, load_section
 from protocol.config.scene_file import (
+    FOLDERS,
     MAX_CHAIN,
     find_scene,
     load_document,
@@ -15,7 +16,7 @@ from protocol.config.scene_file import (
 )
 from protocol.errors import SceneError
 from protocol.provenance import collect
-from tests.support.nodes import RADIAL
+from tests.support.nodes import RADIAL, ROOT
 
 
 class Actuator(Section):
@@ -50,6 +51,14 @@ def test_a_scene_is_found_by_its_name_and_by_its_path(
     assert find_scene("mine") == Path("mine")
     with pytest.raises(SceneError, match=r"^radail: no such scene; known by name: .*radial"):
         find_scene("radail")
+
+
+def test_an_installed_package_has_the_scenes_where_they_are_looked_for() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    included = project["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
+    packaged, checkout = FOLDERS
+    assert included["scenes"] == packaged.relative_to(ROOT).as_posix()
+    assert checkout == ROOT / "scenes"
 
 
 def test_a_child_takes_over_key_by_key_from_a_file_beside_it(tmp_path: Path) -> None:
