@@ -146,8 +146,8 @@ class Forwarder:
         self._session = session
         description = self._receiver.description
         assert description is not None
-        word = "begins" if self._outlets.describe(description) else "goes on"
-        self._log(f"{description.name!a} {word}: session {session}")
+        verb = "begins" if self._outlets.describe(description) else "continues"
+        self._log(f"{description.name!a} {verb}: session {session}")
 
     def _push(self, frame: Frame) -> None:
         count = len(frame.values)

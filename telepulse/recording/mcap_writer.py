@@ -197,7 +197,7 @@ def as_json(fields: dict[str, Any]) -> bytes:
     try:
         return _encode(fields).encode()
     except ValueError:
-        # JSON knows neither NaN nor infinity.
+        # JSON has neither NaN nor infinity.
         return _encode(_finite(fields)).encode()
 
 

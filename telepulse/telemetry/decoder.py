@@ -188,9 +188,9 @@ class TelemetryDecoder:
 
     def _captured(self, captured: CapturedMessages) -> Iterator[Entry]:
         if captured.run != self._run:
-            word = "another run of the display" if self.started else "the recording"
+            text = "another run of the display" if self.started else "the recording"
             self._begin(captured)
-            yield self.event(Event("INFO", "begin", word))
+            yield self.event(Event("INFO", "begin", text))
         self._now_ns = captured.now_ns
         yield from self._account(captured)
         for message in captured.messages:

@@ -18,7 +18,7 @@ OTHER_EVENTS = {"stale", NOT_CONNECTED}
 
 
 class Event(NamedTuple):
-    """An event; level: INFO, WARNING or ERROR; name: its kind, in a word or two."""
+    """An event; level: INFO, WARNING or ERROR; name: its kind, short."""
 
     level: str
     name: str

@@ -1,1 +1,1 @@
-"""The live page: what a display feels and hears, in a browser."""
+"""Live page: the state of a display in a browser."""

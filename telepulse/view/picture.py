@@ -135,7 +135,7 @@ def _within(error_n: Floats, jnd_n: float | None) -> float | None:
 def _judged(ticks: Stretch, error_n: Floats, begin_ns: int, now_ns: int) -> float | None:
     """Return which share of the window could be judged: of its time, not of the ticks that came.
 
-    A display that was heard for less than the window has a window that is as long as that.
+    With less telemetry than the window, the window is as long as the telemetry.
     """
     tick_ns = float(np.median(np.diff(ticks.t_ns))) if len(ticks.t_ns) > 1 else 0.0
     if not tick_ns:

@@ -1,4 +1,4 @@
-"""What a display that plays a sine tells, as a recording holds it."""
+"""Telemetry of a display that plays a sine, as a recording holds it."""
 
 import math
 from collections.abc import Iterator
@@ -29,8 +29,8 @@ def pulse_n(t_ns: float) -> float:
     return MEAN_N + SWING_N * math.sin(2 * math.pi * BEATS_A_SECOND * t_ns * 1e-9)
 
 
-class Told:
-    """A display's telemetry, instant by instant, taken by `live`."""
+class SimulatedDisplay:
+    """A display whose telemetry goes to `live`, instant by instant."""
 
     def __init__(self, live: LiveState, at_ns: int = SECOND_NS) -> None:
         self.live = live
@@ -65,8 +65,8 @@ class Told:
             "predictor": "ensemble",
             "stale_after_ns": 60 * MS,
         }
-        told = {"state": state, "stream": "sine", "final": final, "playing": playing}
-        self.take(STATUS, self.at_ns, **told, summary=fields)
+        display = {"state": state, "stream": "sine", "final": final, "playing": playing}
+        self.take(STATUS, self.at_ns, **display, summary=fields)
 
     def frame(self, **changes: Any) -> None:
         """The samples whose last one was taken ONE_WAY_NS before now."""
@@ -82,7 +82,7 @@ class Told:
         self.take(FRAME, self.at_ns, **(fields | changes))
 
     def go(self, seconds: float, state: str = "playing") -> None:
-        """So long of it: a tick each ms, a frame each 5, a status each 200."""
+        """Run for some seconds: a tick each ms, a frame each 5, a status each 200."""
         playing = state == "playing"
         for _ in range(round(seconds * 1000)):
             self.at_ns += MS

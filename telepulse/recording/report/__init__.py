@@ -1,1 +1,1 @@
-"""What a recording tells: gathered in one pass, in bounded memory, and written as a report."""
+"""Report of a recording: findings gathered in one pass, in bounded memory, and their page."""

@@ -188,7 +188,7 @@ def _range(axes: "Axes", trend: Trend, color: str, label: str) -> None:
 
 def _cumulative(axes: "Axes", histogram: Histogram, label: str) -> None:
     if histogram.count:
-        # What is beyond the range is known to be there, not where: the line ends before.
+        # Values beyond the range are counted without their place: the line ends before.
         shares = [share for share in SHARES.tolist() if not histogram.beyond(it=share)]
         values: Any = [histogram.quantile(share) for share in shares]
         axes.plot(values, 100 * np.array(shares), label=label)

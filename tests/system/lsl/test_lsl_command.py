@@ -10,46 +10,46 @@ import pytest
 from protocol.wire.telemetry import CONTROL
 from tests.support.lsl_loopback import lsl_on_loopback
 from tests.support.nodes import free_address, process, run
-from tests.support.telemetry_speaker import (
+from tests.support.telemetry_publisher import (
     BATCH,
     MS,
     SESSION,
-    Speaker,
+    TelemetryPublisher,
     clock_reply,
     numbered_frame,
-    speaking,
+    publishing,
 )
 from tests.support.waiting import until
 
 MODULE = "telepulse"
-# Of sensing time, where the speaker's first sample is.
+# Of sensing time, where the publisher's first sample is.
 FIRST_NS = 1_000 * MS
 RESOLVE_S = 30.0
 
 
-class Source(Speaker):
-    """A speaker whose frames have a clock, and come at its pace."""
+class Source(TelemetryPublisher):
+    """A publisher whose frames have a clock, and come at its pace."""
 
     def tell_clock(self, session: int = SESSION) -> None:
         """The sensing clock: at its first sample now, as many replies as it takes to believe it."""
         self.ahead_ns = FIRST_NS + self.ticks * MS - time.monotonic_ns()
         for _ in range(4):
-            self.hear(CONTROL, clock_reply(time.monotonic_ns(), self.ahead_ns, session))
+            self.receive(CONTROL, clock_reply(time.monotonic_ns(), self.ahead_ns, session))
             time.sleep(0.025)
 
     def speak_for(self, ms: int, session: int = SESSION) -> None:
         for _ in range(ms // 20):
-            self.speak(20, session)
+            self.publish(20, session)
             time.sleep(0.02)
 
 
 @contextmanager
 def streaming(address: str, pylsl: Any) -> Iterator[tuple[Source, Any, Any]]:
     """A source, an outlet process that has heard its stream, and inlets of wrist and finger."""
-    with speaking(address, kind=Source) as source, process(MODULE, "lsl", address) as outlet:
+    with publishing(address, kind=Source) as source, process(MODULE, "lsl", address) as outlet:
         source.begin()
         source.tell_clock()
-        source.speak(40)
+        source.publish(40)
         inlets = [inlet(pylsl, address, part) for part in ("wrist", "finger", "events")]
         yield source, outlet, inlets
         del inlets
@@ -143,7 +143,7 @@ def test_a_session_that_begins_anew_goes_on_in_the_same_stream(
         output, errors = outlet.communicate(timeout=30)
         assert (outlet.returncode, errors) == (0, ""), errors
     assert f"begins: session {SESSION}\n" in output
-    assert f"goes on: session {SESSION + 1}\n" in output
+    assert f"continues: session {SESSION + 1}\n" in output
     assert "0 samples missing" in output
 
 

@@ -17,7 +17,7 @@ from telepulse.recording.reader import RecordedMessage, RecordingReader
 from telepulse.telemetry.schema import EVENT, FRAME, STATUS, STREAM, TICK
 from tests.support.keyring import Keyring
 from tests.support.nodes import free_address, process, run
-from tests.support.telemetry_speaker import Speaker, bye, numbered_frame, speaking
+from tests.support.telemetry_publisher import TelemetryPublisher, bye, numbered_frame, publishing
 
 MODULE = "telepulse"
 PATIENCE_S = 30.0
@@ -46,35 +46,38 @@ def events_of(path: Path) -> list[str]:
     return [message.fields["name"] for message in read(path)[0][EVENT]]
 
 
-def speak_for(speaker: Speaker, seconds: float) -> None:
+def speak_for(display: TelemetryPublisher, seconds: float) -> None:
     """A display's telemetry at its real pace, late ticks made good."""
-    start_s, before = time.monotonic(), speaker.ticks
+    start_s, before = time.monotonic(), display.ticks
     while (passed_s := time.monotonic() - start_s) < seconds:
-        speaker.speak(before + round(passed_s * 1000) - speaker.ticks)
+        display.publish(before + round(passed_s * 1000) - display.ticks)
         time.sleep(0.01)
 
 
-def end(speaker: Speaker, recorder: "subprocess.Popen[str]") -> tuple[str, str]:
-    speaker.status("ended", final=True)
+def end(display: TelemetryPublisher, recorder: "subprocess.Popen[str]") -> tuple[str, str]:
+    display.status("ended", final=True)
     return recorder.communicate(timeout=PATIENCE_S)
 
 
 def test_all_that_a_display_publishes_is_in_the_file(tmp_path: Path) -> None:
     address, path = free_address(), tmp_path / "a.mcap"
-    with speaking(address) as speaker, process(MODULE, "record", address, str(path)) as recorder:
-        speaker.begin()
-        speak_for(speaker, 1.0)
-        speaker.hear(-1, bye(5 * speaker.frames))
-        output, errors = end(speaker, recorder)
+    with (
+        publishing(address) as display,
+        process(MODULE, "record", address, str(path)) as recorder,
+    ):
+        display.begin()
+        speak_for(display, 1.0)
+        display.receive(-1, bye(5 * display.frames))
+        output, errors = end(display, recorder)
         assert (recorder.returncode, errors) == (0, "")
-    assert f"{speaker.frames} frames, {speaker.ticks} ticks" in output
-    assert frames_of(path) == list(range(speaker.frames))
+    assert f"{display.frames} frames, {display.ticks} ticks" in output
+    assert frames_of(path) == list(range(display.frames))
     messages, reader = read(path)
     assert reader.whole
     assert [m.fields["instant_ns"] for m in messages[TICK]] == [
-        number * 1_000_000 for number in range(speaker.ticks)
+        number * 1_000_000 for number in range(display.ticks)
     ]
-    assert len(messages[STATUS]) == speaker.publisher.heard.statuses
+    assert len(messages[STATUS]) == display.display.heard.statuses
     assert len(messages[STREAM]) == 1
     assert events_of(path) == [
         *("begin", "session", "state", "join", "end of stream", "state", "end")
@@ -88,13 +91,13 @@ def test_killed_it_loses_at_most_its_last_second(seed: int, tmp_path: Path) -> N
     chance = random.Random(seed)
     for attempt in range(3):
         address, path = free_address(), tmp_path / f"{attempt}.mcap"
-        with speaking(address) as speaker:
+        with publishing(address) as display:
             with process(MODULE, "record", address, str(path)) as recorder:
-                speaker.begin()
-                speak_for(speaker, chance.uniform(1.1, 1.6))
+                display.begin()
+                speak_for(display, chance.uniform(1.1, 1.6))
                 killed_ns = time.monotonic_ns()
                 recorder.kill()
-            due = sum(sent_ns < killed_ns - SECOND_NS for sent_ns in speaker.sent_ns)
+            due = sum(sent_ns < killed_ns - SECOND_NS for sent_ns in display.sent_ns)
         numbers = frames_of(path)
         assert numbers == list(range(len(numbers)))
         # A machine so busy that the recorder did not run for half a second proves nothing.
@@ -105,19 +108,22 @@ def test_killed_it_loses_at_most_its_last_second(seed: int, tmp_path: Path) -> N
 
 def test_what_a_slow_recorder_misses_is_counted_and_shown(tmp_path: Path) -> None:
     address, path = free_address(), tmp_path / "a.mcap"
-    with speaking(address) as speaker, process(MODULE, "record", address, str(path)) as recorder:
-        speaker.begin()
-        speak_for(speaker, 0.3)
+    with (
+        publishing(address) as display,
+        process(MODULE, "record", address, str(path)) as recorder,
+    ):
+        display.begin()
+        speak_for(display, 0.3)
         recorder.send_signal(signal.SIGSTOP)
         # Far more than sockets and their queues hold.
-        speaker.speak(20_000)
+        display.publish(20_000)
         recorder.send_signal(signal.SIGCONT)
-        speak_for(speaker, 0.5)
-        _, errors = end(speaker, recorder)
+        speak_for(display, 0.5)
+        _, errors = end(display, recorder)
         assert recorder.returncode == 1
     numbers = frames_of(path)
     assert numbers == sorted(set(numbers))
-    missed = speaker.frames - len(numbers)
+    missed = display.frames - len(numbers)
     assert missed > 0
     assert f"{missed} captured messages" in errors
     assert "missed" in events_of(path)
@@ -125,25 +131,31 @@ def test_what_a_slow_recorder_misses_is_counted_and_shown(tmp_path: Path) -> Non
 
 def test_a_full_disk_is_said_once_waited_for_and_then_nothing_is_missing(tmp_path: Path) -> None:
     address, path = free_address(), tmp_path / "a.mcap"
-    with speaking(address) as speaker, process(MODULE, "record", address, str(path)) as recorder:
-        full_bytes = fill_up(speaker, recorder, path)
+    with (
+        publishing(address) as display,
+        process(MODULE, "record", address, str(path)) as recorder,
+    ):
+        full_bytes = fill_up(display, recorder, path)
         # Whole chunks up to the limit, readable while it is full.
-        assert 0 < len(frames_of(path)) < speaker.frames
+        assert 0 < len(frames_of(path)) < display.frames
         limit(recorder, resource.RLIM_INFINITY)
-        speak_until_larger(speaker, path, full_bytes)
-        _, errors = end(speaker, recorder)
+        speak_until_larger(display, path, full_bytes)
+        _, errors = end(display, recorder)
         assert recorder.returncode == 0
     assert errors.count("File too large") == 1
     assert "is written again, 0 messages lost" in errors
-    assert frames_of(path) == list(range(speaker.frames))
+    assert frames_of(path) == list(range(display.frames))
     assert events_of(path).count("disk") == 2
 
 
 def test_a_disk_that_stays_full_leaves_what_was_written_and_the_count(tmp_path: Path) -> None:
     address, path = free_address(), tmp_path / "a.mcap"
-    with speaking(address) as speaker, process(MODULE, "record", address, str(path)) as recorder:
-        fill_up(speaker, recorder, path)
-        _, errors = end(speaker, recorder)
+    with (
+        publishing(address) as display,
+        process(MODULE, "record", address, str(path)) as recorder,
+    ):
+        fill_up(display, recorder, path)
+        _, errors = end(display, recorder)
         assert recorder.returncode == 1
     numbers = frames_of(path)
     assert numbers == list(range(len(numbers)))
@@ -151,7 +163,7 @@ def test_a_disk_that_stays_full_leaves_what_was_written_and_the_count(tmp_path: 
     assert not reader.whole
     counted = [line for line in errors.splitlines() if "could not be written" in line]
     lost = int(counted[0].split(": ")[2].split()[0])
-    taken = speaker.frames + speaker.ticks
+    taken = display.frames + display.ticks
     assert taken <= lost + sum(map(len, messages.values())) <= taken + 100
 
 
@@ -160,22 +172,22 @@ def limit(process: "subprocess.Popen[str]", size_bytes: int) -> None:
     resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (size_bytes, resource.RLIM_INFINITY))
 
 
-def fill_up(speaker: Speaker, recorder: "subprocess.Popen[str]", path: Path) -> int:
+def fill_up(display: TelemetryPublisher, recorder: "subprocess.Popen[str]", path: Path) -> int:
     """Speak until the recorder has written some, and on after it can write no more; the limit."""
-    speaker.begin()
-    speak_until_larger(speaker, path, 5_000)
+    display.begin()
+    speak_until_larger(display, path, 5_000)
     full_bytes = path.stat().st_size + 5_000
     limit(recorder, full_bytes)
-    speak_for(speaker, 0.8)
+    speak_for(display, 0.8)
     assert path.stat().st_size <= full_bytes
     return full_bytes
 
 
-def speak_until_larger(speaker: Speaker, path: Path, size_bytes: int) -> None:
+def speak_until_larger(display: TelemetryPublisher, path: Path, size_bytes: int) -> None:
     end_s = time.monotonic() + PATIENCE_S
     while not path.exists() or path.stat().st_size <= size_bytes:
         assert time.monotonic() < end_s, "nothing is written"
-        speak_for(speaker, 0.1)
+        speak_for(display, 0.1)
 
 
 def can_mount() -> bool:
@@ -196,34 +208,34 @@ def test_a_small_disk_that_is_really_full_and_has_room_again(tmp_path: Path) -> 
         f" cp {disk}/a.mcap {tmp_path}/a.mcap; exit $status"
     )
     command = ["unshare", "-m", "sh", "-c", script]
-    with speaking(address) as speaker:
+    with publishing(address) as display:
         recorder = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
-        speaker.begin()
-        speak_for(speaker, 1.5)
+        display.begin()
+        speak_for(display, 1.5)
         # The mount is the recorder's own: it is seen through its process.
         Path(f"/proc/{recorder.pid}/root{disk}/ballast").unlink()
-        speak_for(speaker, 0.6)
-        _, errors = end(speaker, recorder)
+        speak_for(display, 0.6)
+        _, errors = end(display, recorder)
     assert recorder.returncode == 0, errors
     assert errors.count("No space left on device") == 1
-    assert frames_of(tmp_path / "a.mcap") == list(range(speaker.frames))
+    assert frames_of(tmp_path / "a.mcap") == list(range(display.frames))
 
 
 def test_a_recorder_that_comes_late_knows_the_stream(tmp_path: Path) -> None:
     address, path = free_address(), tmp_path / "a.mcap"
-    with speaking(address) as speaker:
-        speaker.welcome()
-        speaker.speak(100)
+    with publishing(address) as display:
+        display.welcome()
+        display.publish(100)
         with process(MODULE, "record", address, str(path)) as recorder:
-            assert speaker.publisher.await_recorder(PATIENCE_S)
-            speak_for(speaker, 0.2)
-            end(speaker, recorder)
+            assert display.display.await_recorder(PATIENCE_S)
+            speak_for(display, 0.2)
+            end(display, recorder)
             assert recorder.returncode == 0
     messages, _ = read(path)
     assert len(messages[STREAM]) == 1
-    assert frames_of(path) == list(range(20, speaker.frames))
+    assert frames_of(path) == list(range(20, display.frames))
 
 
 def test_telemetry_with_keys_is_for_who_is_let_in_and_others_are_told_why(tmp_path: Path) -> None:
@@ -233,18 +245,18 @@ def test_telemetry_with_keys_is_for_who_is_let_in_and_others_are_told_why(tmp_pa
     let_in = ("record", address, str(path), "--key", ring.path("notes"), *peer)
     stranger = ("record", address, str(tmp_path / "b.mcap"), "--key", ring.path("nobody"), *peer)
     with (
-        speaking(address, ring.server()) as speaker,
+        publishing(address, ring.server()) as display,
         process(MODULE, *stranger, "--until-silent", "1") as refused,
         process(MODULE, *let_in) as recorder,
     ):
-        speaker.begin()
+        display.begin()
         while refused.poll() is None:
-            speak_for(speaker, 0.1)
-        _, errors = end(speaker, recorder)
+            speak_for(display, 0.1)
+        _, errors = end(display, recorder)
         assert (recorder.returncode, errors) == (0, "")
         assert refused.returncode == 1
         assert "telepulse keys allow nobody.pub" in refused.communicate()[1]
-    assert frames_of(path) == list(range(speaker.frames))
+    assert frames_of(path) == list(range(display.frames))
 
 
 def test_who_is_let_in_later_is_recorded_from_then_on(tmp_path: Path) -> None:
@@ -252,22 +264,22 @@ def test_who_is_let_in_later_is_recorded_from_then_on(tmp_path: Path) -> None:
     ring.allow("somebody")
     keys = ("--key", ring.path("notes"), "--peer", ring.path("wrist", "pub"))
     with (
-        speaking(address, ring.server()) as speaker,
+        publishing(address, ring.server()) as display,
         process(MODULE, "record", address, str(path), *keys) as recorder,
     ):
-        speaker.welcome()
-        while not speaker.gate.rejected:
-            speak_for(speaker, 0.1)
+        display.welcome()
+        while not display.gate.rejected:
+            speak_for(display, 0.1)
         ring.allow("notes")
-        while not speaker.publisher.heard.wanted:
-            speak_for(speaker, 0.1)
-        speak_for(speaker, 0.3)
-        _, errors = end(speaker, recorder)
+        while not display.display.heard.wanted:
+            speak_for(display, 0.1)
+        speak_for(display, 0.3)
+        _, errors = end(display, recorder)
         assert recorder.returncode == 0, errors
     assert errors.count("telepulse keys allow notes.pub") == 1
     numbers = frames_of(path)
-    assert 0 < numbers[0] < numbers[-1] == speaker.frames - 1
-    assert numbers == list(range(numbers[0], speaker.frames))
+    assert 0 < numbers[0] < numbers[-1] == display.frames - 1
+    assert numbers == list(range(numbers[0], display.frames))
 
 
 def test_silence_ends_it_where_it_is_told_so(tmp_path: Path) -> None:
@@ -302,14 +314,14 @@ def test_beside_a_display_it_waits_for_the_first_message_however_long_a_drive_ho
     address, path = free_address(), tmp_path / "a.mcap"
     beside = ("--until-silent", "0.3", "--display-pid", str(os.getpid()))
     with (
-        speaking(address) as speaker,
+        publishing(address) as display,
         process(MODULE, "record", address, str(path), *beside) as recorder,
     ):
-        speaker.begin()
+        display.begin()
         time.sleep(1.0)
         assert recorder.poll() is None
-        speak_for(speaker, 0.2)
-        _, errors = end(speaker, recorder)
+        speak_for(display, 0.2)
+        _, errors = end(display, recorder)
         assert (recorder.returncode, errors) == (0, "")
     assert frames_of(path)
 

@@ -14,7 +14,7 @@ from telepulse.recording.report.findings import RunFindings, read_findings
 from telepulse.telemetry.schema import TICK
 from tests.support.nodes import RADIAL, free_address, process, read_json, run
 from tests.system.recording.test_replay_command import recorded_display
-from tests.unit.telepulse.telemetry.test_decoder import WELCOME, Spoken
+from tests.unit.telepulse.telemetry.test_decoder import WELCOME, HandmadeTelemetry
 
 MODULE = "telepulse"
 PATIENCE_S = 240.0
@@ -130,14 +130,14 @@ def test_one_that_never_played_is_reported(tmp_path: Path) -> None:
 
 
 def test_a_limit_that_was_reached_is_an_event_and_a_row(tmp_path: Path) -> None:
-    path, spoken = tmp_path / "a.mcap", Spoken()
+    path, telemetry = tmp_path / "a.mcap", HandmadeTelemetry()
     writer = McapWriter(path)
     limited = Limits(force=Limited(312, 4.1, 0.205))
     for entry in [
-        *spoken.hear((CONTROL, WELCOME)),
-        *spoken.status("playing"),
-        *spoken.status("playing", limited=limited),
-        *spoken.status("playing", limited=limited, final=True),
+        *telemetry.receive((CONTROL, WELCOME)),
+        *telemetry.status("playing"),
+        *telemetry.status("playing", limited=limited),
+        *telemetry.status("playing", limited=limited, final=True),
     ]:
         writer.add(entry)
     assert writer.close() is None

@@ -4,7 +4,7 @@ from display_node.fault_advice import advise
 from protocol.run_summary import Summary
 from tests.support.browser import Visit
 from tests.support.nodes import free_address
-from tests.support.telemetry_speaker import speaking
+from tests.support.telemetry_publisher import publishing
 from tests.support.waiting import until
 from tests.system.view.test_server import serving
 
@@ -14,14 +14,14 @@ FINGER = "pressed with 245 mN, the drive does not answer"
 
 def test_a_fault_is_named_once_with_what_to_do_and_what_is_measured(visit: Visit) -> None:
     address = free_address()
-    with speaking(address) as speaker, serving(address) as server, visit(server.url) as page:
-        speaker.begin()
-        speaker.speak(400)
+    with publishing(address) as publisher, serving(address) as server, visit(server.url) as page:
+        publisher.begin()
+        publisher.publish(400)
         note = page.locator("#state-note")
 
         def shown() -> bool:
             """Publish on, as a display does: what is not current has its age instead."""
-            speaker.status("fault", Summary(faults=[FAULT], finger=FINGER))
+            publisher.status("fault", Summary(faults=[FAULT], finger=FINGER))
             return str(note.inner_text()).endswith(f"; finger: {FINGER}")
 
         until(shown)

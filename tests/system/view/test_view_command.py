@@ -6,7 +6,7 @@ import pytest
 
 from tests.support.keyring import Keyring
 from tests.support.nodes import ROOT, free_address, process, run
-from tests.support.telemetry_speaker import speaking
+from tests.support.telemetry_publisher import publishing
 
 MODULE = "telepulse"
 TELEMETRY = "tcp://127.0.0.1:5600"
@@ -64,9 +64,9 @@ def test_protected_telemetry_is_opened_by_the_displays_own_key(tmp_path: Path) -
     keyring, address = Keyring(tmp_path), free_address()
     keyring.allow("wrist")
     with (
-        speaking(address, keyring.server()) as speaker,
+        publishing(address, keyring.server()) as publisher,
         process(MODULE, "view", address, "--key", keyring.path("wrist")) as page,
     ):
         # The page has asked for all that is heard, which only who is let in can.
-        speaker.begin()
+        publisher.begin()
         assert page.poll() is None

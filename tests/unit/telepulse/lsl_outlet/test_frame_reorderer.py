@@ -1,7 +1,7 @@
 from collections.abc import Iterable
 
 from telepulse.lsl_outlet.forwarder import HOLD_NS, FrameReorderer
-from tests.support.telemetry_speaker import BATCH, MS, numbered_frame
+from tests.support.telemetry_publisher import BATCH, MS, numbered_frame
 
 
 def taken(reorderer: FrameReorderer, numbers: Iterable[int], now_ns: int = 0) -> list[int]:

@@ -38,15 +38,16 @@ from telepulse.telemetry.schema import (
 )
 from tests.support.foxglove import assert_fits, assert_readable
 from tests.support.streams import description
-from tests.support.telemetry_speaker import SESSION, bye, clock_reply, numbered_frame
+from tests.support.telemetry_publisher import SESSION, bye, clock_reply, numbered_frame
 
 WALL_NS = 1_700_000_000_000_000_000
 NOW_NS = 50_000_000_000
 PLAYING = PlaybackStatus(0, 1.0, -4.8e-6, "linear", 60_000_000)
 WELCOME = encode_control(Welcome(SESSION, 0, description()))
+FAULTS = ["it broke"]
 
 
-class Spoken:
+class HandmadeTelemetry:
     """A display's telemetry by hand, taken down by a decoder."""
 
     def __init__(self, run: int = 1) -> None:
@@ -55,22 +56,22 @@ class Spoken:
 
     def restart(self, run: int, ahead_ns: int = WALL_NS) -> None:
         self.ahead_ns = ahead_ns
-        self.heard = CaptureWriter(run)
-        self.heard.follow(SUBSCRIBED)
+        self.capture = CaptureWriter(run)
+        self.capture.follow(SUBSCRIBED)
 
-    def hear(self, *messages: tuple[int, bytes], at_ns: int = NOW_NS) -> list[Entry]:
+    def receive(self, *messages: tuple[int, bytes], at_ns: int = NOW_NS) -> list[Entry]:
         for path, data in messages:
-            self.heard.add(at_ns, path, data)
+            self.capture.add(at_ns, path, data)
         return [
             entry
-            for part in self.heard.take(at_ns, at_ns + self.ahead_ns)
+            for part in self.capture.take(at_ns, at_ns + self.ahead_ns)
             for entry in self.decoder.decode(HEARD, part)
         ]
 
     def status(self, state: str, final: bool = False, **changes: object) -> list[Entry]:
         summary = Summary(**changes)  # type: ignore[arg-type]
         message = pack_status(state, "pulse", summary, final, playing=PLAYING)
-        self.heard.statuses += 1
+        self.capture.statuses += 1
         return self.decoder.decode(STATUS_TOPIC, message)
 
     def ticks(self, *felt: TickState) -> list[Entry]:
@@ -79,11 +80,11 @@ class Spoken:
             writer.add(tick)
         message = writer.rest()
         assert message is not None
-        self.heard.traces += 1
+        self.capture.traces += 1
         return self.decoder.decode(TRACE, message)
 
 
-def told(entries: Iterable[Entry]) -> list[tuple[str, str]]:
+def events(entries: Iterable[Entry]) -> list[tuple[str, str]]:
     return [(e.fields["name"], e.fields["message"]) for e in entries if e.topic == EVENT]
 
 
@@ -93,7 +94,7 @@ def of(entries: Iterable[Entry], topic: str) -> list[Entry]:
 
 def test_a_frame_is_there_with_its_exact_bytes_its_samples_and_when_it_came() -> None:
     frame = numbered_frame(3)
-    entries = Spoken().hear((0, encode_frame(frame)))
+    entries = HandmadeTelemetry().receive((0, encode_frame(frame)))
     (entry,) = of(entries, FRAME)
     fields = entry.fields
     assert entry.t_ns == NOW_NS + WALL_NS
@@ -105,7 +106,7 @@ def test_a_frame_is_there_with_its_exact_bytes_its_samples_and_when_it_came() ->
 
 
 def test_the_stream_its_clock_and_its_end_are_there() -> None:
-    entries = Spoken().hear(
+    entries = HandmadeTelemetry().receive(
         (CONTROL, WELCOME), (CONTROL, clock_reply(NOW_NS - 400_000, 7_000_000)), (CONTROL, bye(25))
     )
     (stream,) = of(entries, STREAM)
@@ -114,24 +115,24 @@ def test_the_stream_its_clock_and_its_end_are_there() -> None:
     (clock,) = of(entries, CLOCK)
     assert clock.fields["round_trip_ms"] == pytest.approx(0.4)
     assert clock.fields["offset_ms"] == pytest.approx(6.8)
-    assert [name for name, _ in told(entries)] == ["begin", "session", "end of stream"]
+    assert [name for name, _ in events(entries)] == ["begin", "session", "end of stream"]
 
 
 def test_what_is_no_message_is_kept_and_says_why() -> None:
     garbage = ((0, b"\xff\xfe"), (0, b""), (CONTROL, encode_control(Hello("display"))))
-    refused = of(Spoken().hear(*garbage), REFUSED)
+    refused = of(HandmadeTelemetry().receive(*garbage), REFUSED)
     assert [b64decode(entry.fields["data"]) for entry in refused] == [data for _, data in garbage]
     causes = [entry.fields["cause"] for entry in refused]
     assert causes == ["not_msgpack", "truncated", "unexpected"]
 
 
 def test_ticks_have_unix_times_as_far_apart_as_they_were() -> None:
-    spoken = Spoken()
+    telemetry = HandmadeTelemetry()
     # The wall's clock is set back later: the recording goes on as it began.
-    spoken.hear()
-    spoken.ahead_ns -= 10**12
-    spoken.hear()
-    entries = spoken.ticks(
+    telemetry.receive()
+    telemetry.ahead_ns -= 10**12
+    telemetry.receive()
+    entries = telemetry.ticks(
         TickState(NOW_NS + 1, 5, 6, 0.25, 0.125, True), TickState(NOW_NS + 1_000_001)
     )
     assert [entry.t_ns for entry in entries] == [WALL_NS + NOW_NS + 1, WALL_NS + NOW_NS + 1_000_001]
@@ -149,15 +150,15 @@ CUT = Limits(force=Limited(1, 0.004, 0.1), slew=Limited(0, 0.0, 0.0))
 
 
 def test_what_happens_is_told_once() -> None:
-    spoken = Spoken()
-    spoken.hear((CONTROL, WELCOME))
+    telemetry = HandmadeTelemetry()
+    telemetry.receive((CONTROL, WELCOME))
     entries = [
-        *spoken.status("playing"),
-        *spoken.status("playing", rejected={"session": 3}, clock=Clock(steps=1)),
-        *spoken.status("fault", rejected={"session": 9}, clock=Clock(steps=1), faults=["it broke"]),
-        *spoken.status("fault", clock=Clock(steps=2), faults=["it broke"], limited=CUT, final=True),
+        *telemetry.status("playing"),
+        *telemetry.status("playing", rejected={"session": 3}, clock=Clock(steps=1)),
+        *telemetry.status("fault", rejected={"session": 9}, clock=Clock(steps=1), faults=FAULTS),
+        *telemetry.status("fault", clock=Clock(steps=2), faults=FAULTS, limited=CUT, final=True),
     ]
-    assert told(entries) == [
+    assert events(entries) == [
         ("state", "playing"),
         ("join", "the pulse is felt; samples sent before: 0"),
         ("clock step", "a clock has jumped; jumps so far: 1"),
@@ -168,26 +169,26 @@ def test_what_happens_is_told_once() -> None:
         ("limited", "force limit reached"),
         ("end", "the display has ended"),
     ]
-    assert spoken.decoder.ended
+    assert telemetry.decoder.ended
 
 
 def test_what_lasts_is_told_where_it_begins_and_where_it_is_over() -> None:
-    spoken = Spoken()
-    spoken.hear((CONTROL, WELCOME), (0, encode_frame(numbered_frame(0))))
+    telemetry = HandmadeTelemetry()
+    telemetry.receive((CONTROL, WELCOME), (0, encode_frame(numbered_frame(0))))
     late = Loop(1000, 60, late=True, last_5s=Deadlines(0.012, 61.0))
     entries = []
     # Statuses of 20 s, five times a second; frames come again after 12 s.
     for number in range(1, 100):
         at_ns = NOW_NS + number * 200_000_000
-        entries += spoken.ticks(TickState(at_ns))
+        entries += telemetry.ticks(TickState(at_ns))
         if number >= 60:
-            entries += spoken.hear((0, encode_frame(numbered_frame(number))), at_ns=at_ns)
+            entries += telemetry.receive((0, encode_frame(numbered_frame(number))), at_ns=at_ns)
         state = "stale" if 10 <= number <= 60 else "playing"
         loop = late if 15 <= number < 40 else Loop(1000, 60, late=False)
         # A count that grows is no new event each time.
         faults = [f"{FILM_NOTE}{number} samples missing"]
-        entries += spoken.status(state, loop=loop, faults=faults)
-    assert told(entries) == [
+        entries += telemetry.status(state, loop=loop, faults=faults)
+    assert events(entries) == [
         ("state", "playing"),
         ("join", "the pulse is felt; samples sent before: 0"),
         ("film's sensor", "1 samples missing"),
@@ -201,43 +202,43 @@ def test_what_lasts_is_told_where_it_begins_and_where_it_is_over() -> None:
 
 
 def test_a_revocation_is_told_once_until_it_is_undone() -> None:
-    spoken = Spoken()
-    spoken.hear((CONTROL, WELCOME))
+    telemetry = HandmadeTelemetry()
+    telemetry.receive((CONTROL, WELCOME))
     entries = []
     for state in ("playing", "stale", "stale", "playing", "playing"):
-        entries += spoken.status(state, rejected={"revoked": 2})
-    texts = [text for name, text in told(entries) if name == "revoked"]
+        entries += telemetry.status(state, rejected={"revoked": 2})
+    texts = [text for name, text in events(entries) if name == "revoked"]
     assert texts == [CAUSE_MEANINGS["revoked"], "over after 0.0 s"]
 
 
 def test_what_the_display_published_and_did_not_come_is_counted() -> None:
-    spoken = Spoken()
-    spoken.hear((CONTROL, WELCOME))
-    spoken.ticks(TickState())
-    assert spoken.decoder.missed == {}
-    spoken.heard.traces += 4
-    spoken.heard.statuses += 1
+    telemetry = HandmadeTelemetry()
+    telemetry.receive((CONTROL, WELCOME))
+    telemetry.ticks(TickState())
+    assert telemetry.decoder.missed == {}
+    telemetry.capture.traces += 4
+    telemetry.capture.statuses += 1
     for number in range(3):
-        spoken.heard.add(NOW_NS, 0, encode_frame(numbered_frame(number)))
-    list(spoken.heard.take(NOW_NS, NOW_NS))
-    entries = spoken.hear((0, encode_frame(numbered_frame(3))))
-    assert spoken.decoder.missed == {"traces": 4, "statuses": 1, "captured messages": 3}
-    assert told(entries) == [
+        telemetry.capture.add(NOW_NS, 0, encode_frame(numbered_frame(number)))
+    list(telemetry.capture.take(NOW_NS, NOW_NS))
+    entries = telemetry.receive((0, encode_frame(numbered_frame(3))))
+    assert telemetry.decoder.missed == {"traces": 4, "statuses": 1, "captured messages": 3}
+    assert events(entries) == [
         ("missed", "the recorder missed 4 traces, 1 statuses, 3 captured messages")
     ]
-    assert told(spoken.hear()) == []
+    assert events(telemetry.receive()) == []
 
 
 def test_what_came_before_the_recorder_is_not_missed_and_another_run_begins_anew() -> None:
-    spoken = Spoken()
-    spoken.heard.traces = 1000
-    assert spoken.ticks(TickState()) == []
-    assert told(spoken.hear()) == [("begin", "the recording")]
-    spoken.restart(2, ahead_ns=WALL_NS + 5)
-    entries = spoken.hear((0, encode_frame(numbered_frame(0))))
-    assert told(entries) == [("begin", "another run of the display")]
+    telemetry = HandmadeTelemetry()
+    telemetry.capture.traces = 1000
+    assert telemetry.ticks(TickState()) == []
+    assert events(telemetry.receive()) == [("begin", "the recording")]
+    telemetry.restart(2, ahead_ns=WALL_NS + 5)
+    entries = telemetry.receive((0, encode_frame(numbered_frame(0))))
+    assert events(entries) == [("begin", "another run of the display")]
     assert of(entries, FRAME)[0].t_ns == NOW_NS + WALL_NS + 5
-    assert spoken.decoder.missed == {}
+    assert telemetry.decoder.missed == {}
 
 
 @pytest.mark.parametrize("topic", list(SCHEMAS))
@@ -247,16 +248,16 @@ def test_foxglove_can_read_every_schema(topic: str) -> None:
 
 
 def test_every_message_is_as_its_schema_says() -> None:
-    spoken, full = (
-        Spoken(),
+    telemetry, full = (
+        HandmadeTelemetry(),
         Summary(samples=SampleCounts(5, 4, 1, 0, 2), compensation=Compensation(0.5)),
     )
     entries = [
-        *spoken.hear((CONTROL, WELCOME), (0, encode_frame(numbered_frame(0))), (0, b"?")),
-        *spoken.hear((CONTROL, clock_reply(1, 2))),
-        *spoken.ticks(TickState(1, 2, 3, 0.5, 0.5, True, 0.01, True), TickState(now_ns=2)),
-        *spoken.status("playing", samples=full.samples, rejected={"session": 1}, faults=["x"]),
-        *spoken.status("stale", compensation=full.compensation),
+        *telemetry.receive((CONTROL, WELCOME), (0, encode_frame(numbered_frame(0))), (0, b"?")),
+        *telemetry.receive((CONTROL, clock_reply(1, 2))),
+        *telemetry.ticks(TickState(1, 2, 3, 0.5, 0.5, True, 0.01, True), TickState(now_ns=2)),
+        *telemetry.status("playing", samples=full.samples, rejected={"session": 1}, faults=["x"]),
+        *telemetry.status("stale", compensation=full.compensation),
     ]
     seen = Counter(entry.topic for entry in entries)
     assert set(seen) == set(SCHEMAS)
@@ -288,9 +289,9 @@ summaries = st.dictionaries(st.sampled_from([*Summary().to_dict()]), plain)
     )
 )
 def test_whatever_comes_is_taken_down_or_counted(messages: list[tuple[bytes, bytes]]) -> None:
-    spoken = Spoken()
-    spoken.hear()
+    telemetry = HandmadeTelemetry()
+    telemetry.receive()
     for topic, data in messages:
-        for entry in spoken.decoder.decode(topic, data):
+        for entry in telemetry.decoder.decode(topic, data):
             assert 0 <= entry.t_ns < 2**63
             assert math.isfinite(entry.t_ns)

@@ -4,74 +4,76 @@ from protocol.limits import Limited, Limits
 from protocol.summary_tables import Clock, Deadlines, Loop, SampleCounts
 from telepulse.view.live import LiveState
 from telepulse.view.text import alarms
-from tests.support.page_states import AHEAD_NS, MS, SECOND_NS, Told
+from tests.support.page_states import AHEAD_NS, MS, SECOND_NS, SimulatedDisplay
 
 LATE = Loop(3000, 411, late=True, last_5s=Deadlines(0.0822, 412.0))
 
 
-def names(told: Told, silent_ns: int = 0) -> list[str]:
-    return [alarm.name for alarm in alarms(told.live, silent_ns)]
+def names(display: SimulatedDisplay, silent_ns: int = 0) -> list[str]:
+    return [alarm.name for alarm in alarms(display.live, silent_ns)]
 
 
 @pytest.fixture
-def told() -> Told:
-    told = Told(LiveState())
-    told.go(3)
-    return told
+def display() -> SimulatedDisplay:
+    display = SimulatedDisplay(LiveState())
+    display.go(3)
+    return display
 
 
-def test_all_is_well_while_it_plays(told: Told) -> None:
-    assert names(told) == []
+def test_all_is_well_while_it_plays(display: SimulatedDisplay) -> None:
+    assert names(display) == []
 
 
-def test_a_cut_link_is_told_and_goes_when_frames_come_again(told: Told) -> None:
-    told.linked = False
-    told.go(0.6, "stale")
-    assert names(told) == ["stale"]
-    told.go(0.6, "stale")
-    assert names(told) == ["stale", "link cut"]
-    told.linked = True
-    told.go(0.4)
-    assert names(told) == []
+def test_a_cut_link_is_told_and_goes_when_frames_come_again(display: SimulatedDisplay) -> None:
+    display.linked = False
+    display.go(0.6, "stale")
+    assert names(display) == ["stale"]
+    display.go(0.6, "stale")
+    assert names(display) == ["stale", "link cut"]
+    display.linked = True
+    display.go(0.4)
+    assert names(display) == []
 
 
-def test_a_stream_that_has_ended_is_no_cut_link(told: Told) -> None:
-    told.event("end of stream", "4000 samples were sent")
-    told.linked = False
-    told.go(3, "ended")
-    assert names(told) == []
+def test_a_stream_that_has_ended_is_no_cut_link(display: SimulatedDisplay) -> None:
+    display.event("end of stream", "4000 samples were sent")
+    display.linked = False
+    display.go(3, "ended")
+    assert names(display) == []
 
 
-def test_a_fault_is_told_by_its_name_and_stays_at_the_end(told: Told) -> None:
-    told.status("fault", faults=["feedback lost"])
-    assert "fault: feedback lost" in names(told)
-    told.status("fault", final=True, faults=["feedback lost"])
-    assert names(told, silent_ns=60 * SECOND_NS) == ["fault: feedback lost"]
+def test_a_fault_is_told_by_its_name_and_stays_at_the_end(display: SimulatedDisplay) -> None:
+    display.status("fault", faults=["feedback lost"])
+    assert "fault: feedback lost" in names(display)
+    display.status("fault", final=True, faults=["feedback lost"])
+    assert names(display, silent_ns=60 * SECOND_NS) == ["fault: feedback lost"]
 
 
-def test_a_display_that_says_nothing_any_more(told: Told) -> None:
-    assert names(told, silent_ns=3 * SECOND_NS) == ["no telemetry"]
-    told.status("ended", final=True)
-    assert names(told, silent_ns=3 * SECOND_NS) == []
+def test_a_display_that_says_nothing_any_more(display: SimulatedDisplay) -> None:
+    assert names(display, silent_ns=3 * SECOND_NS) == ["no telemetry"]
+    display.status("ended", final=True)
+    assert names(display, silent_ns=3 * SECOND_NS) == []
 
 
-def test_a_fault_is_told_with_what_to_do_and_what_is_known_of_the_finger(told: Told) -> None:
-    told.status("fault", faults=["feedback lost"], finger="force unknown since 3 s")
-    (alarm,) = alarms(told.live, 0)
+def test_a_fault_is_shown_with_what_to_do_and_the_finger(
+    display: SimulatedDisplay,
+) -> None:
+    display.status("fault", faults=["feedback lost"], finger="force unknown since 3 s")
+    (alarm,) = alarms(display.live, 0)
     assert alarm.text == (
         "check the film's sensor and its cable; then start the display again;"
         " finger: force unknown since 3 s"
     )
-    latched, silent = alarms(told.live, silent_ns=4 * SECOND_NS)
+    latched, silent = alarms(display.live, silent_ns=4 * SECOND_NS)
     assert "finger" not in latched.text
     assert silent.text == "since 4 s; finger: unknown, before that: force unknown since 3 s"
 
 
-def test_a_revoked_display_says_so(told: Told) -> None:
-    told.status("stale", rejected={"revoked": 2})
-    assert {"stale", "revoked", "refused"} == set(names(told))
-    told.status("playing", rejected={"revoked": 2})
-    assert "revoked" not in names(told)
+def test_a_revoked_display_says_so(display: SimulatedDisplay) -> None:
+    display.status("stale", rejected={"revoked": 2})
+    assert {"stale", "revoked", "refused"} == set(names(display))
+    display.status("playing", rejected={"revoked": 2})
+    assert "revoked" not in names(display)
 
 
 @pytest.mark.parametrize(
@@ -84,45 +86,45 @@ def test_a_revoked_display_says_so(told: Told) -> None:
     ],
 )
 def test_what_is_counted_is_told_for_a_while(
-    told: Told, name: str, changes: dict[str, object]
+    display: SimulatedDisplay, name: str, changes: dict[str, object]
 ) -> None:
     fields = {
         key: value if isinstance(value, dict) else _dict(value) for key, value in changes.items()
     }
-    told.status("playing", **fields)
-    assert names(told) == [name]
+    display.status("playing", **fields)
+    assert names(display) == [name]
     lasting = {key: value for key, value in fields.items() if key == "rejected"}
     for _ in range(30):
-        told.at_ns += 200 * MS
-        told.frame()
-        told.played += 200
-        told.live.now_ns += 200 * MS
-        told.status("playing", **lasting)
-    assert names(told) == []
+        display.at_ns += 200 * MS
+        display.frame()
+        display.played += 200
+        display.live.now_ns += 200 * MS
+        display.status("playing", **lasting)
+    assert names(display) == []
 
 
-def test_single_deadline_misses_are_counted_and_no_alarm(told: Told) -> None:
-    told.status("playing", loop=_dict(Loop(3000, 1, late=False)))
-    assert names(told) == []
+def test_single_deadline_misses_are_counted_and_no_alarm(display: SimulatedDisplay) -> None:
+    display.status("playing", loop=_dict(Loop(3000, 1, late=False)))
+    assert names(display) == []
 
 
-def test_the_deadline_alarm_names_the_rate_and_the_longest_gap(told: Told) -> None:
-    told.status("playing", loop=_dict(LATE))
-    (alarm,) = alarms(told.live, 0)
+def test_the_deadline_alarm_names_the_rate_and_the_longest_gap(display: SimulatedDisplay) -> None:
+    display.status("playing", loop=_dict(LATE))
+    (alarm,) = alarms(display.live, 0)
     assert alarm.text == "8.2 % of the ticks of the last 5 s missed, longest gap 412 ms"
 
 
 @pytest.mark.parametrize("name", ["clock step", "missed"])
-def test_what_happened_once_is_told_for_five_seconds(told: Told, name: str) -> None:
-    told.event(name, "it happened", "WARNING")
-    assert names(told) == [name]
-    told.go(5.1)
-    assert names(told) == []
+def test_what_happened_once_is_told_for_five_seconds(display: SimulatedDisplay, name: str) -> None:
+    display.event(name, "it happened", "WARNING")
+    assert names(display) == [name]
+    display.go(5.1)
+    assert names(display) == []
 
 
-def test_a_clock_that_is_ahead_by_more_is_no_alarm_of_its_own(told: Told) -> None:
-    told.status("playing", clock=_dict(Clock(AHEAD_NS / MS + 1, 3.0, 0.05, 0.1, 0)))
-    assert names(told) == []
+def test_a_clock_that_is_ahead_by_more_is_no_alarm_of_its_own(display: SimulatedDisplay) -> None:
+    display.status("playing", clock=_dict(Clock(AHEAD_NS / MS + 1, 3.0, 0.05, 0.1, 0)))
+    assert names(display) == []
 
 
 def _dict(part: object) -> dict[str, object]:

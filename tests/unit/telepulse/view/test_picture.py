@@ -15,7 +15,7 @@ from tests.support.page_states import (
     SECOND_NS,
     SWING_N,
     WRIST,
-    Told,
+    SimulatedDisplay,
 )
 
 WINDOW_NS = 5 * SECOND_NS
@@ -24,14 +24,14 @@ RATIO = 2.0
 
 
 @pytest.fixture
-def told() -> Told:
-    told = Told(LiveState())
-    told.go(6)
-    return told
+def display() -> SimulatedDisplay:
+    display = SimulatedDisplay(LiveState())
+    display.go(6)
+    return display
 
 
-def test_what_lags_is_wrong_in_phase_and_right_aligned(told: Told) -> None:
-    scores = picture(told.live, WINDOW_NS).scores
+def test_what_lags_is_wrong_in_phase_and_right_aligned(display: SimulatedDisplay) -> None:
+    scores = picture(display.live, WINDOW_NS).scores
     lag_rad = 2 * math.pi * BEATS_A_SECOND * PLAYOUT_NS * 1e-9
     peak_n = 2 * RATIO * SWING_N * math.sin(lag_rad / 2)
     assert scores.in_phase_n is not None
@@ -42,27 +42,29 @@ def test_what_lags_is_wrong_in_phase_and_right_aligned(told: Told) -> None:
     assert scores.jnd_n == pytest.approx(0.1 * RATIO * 2 * SWING_N, rel=1e-3)
 
 
-def test_the_strains_of_two_layers_are_the_same_where_the_forces_are_not(told: Told) -> None:
-    columns = picture(told.live, WINDOW_NS).columns
+def test_two_layers_have_equal_strains_at_different_forces(
+    display: SimulatedDisplay,
+) -> None:
+    columns = picture(display.live, WINDOW_NS).columns
     peak_n = MEAN_N + SWING_N
     assert columns["wrist"]["y"].max() == pytest.approx(1e3 * peak_n, rel=1e-3)
     assert columns["finger"]["y"].max() == pytest.approx(RATIO * 1e3 * peak_n, rel=1e-3)
     strain = -1e6 * WRIST.strain(peak_n)
     assert columns["wrist_strain"]["y"].max() == pytest.approx(strain, rel=1e-3)
     assert columns["finger_strain"]["y"].max() == pytest.approx(strain, rel=1e-3)
-    assert told.live.finger_strain_per_newton == pytest.approx(FINGER.strain_per_newton)
+    assert display.live.finger_strain_per_newton == pytest.approx(FINGER.strain_per_newton)
 
 
-def test_each_force_stands_at_its_own_instant(told: Told) -> None:
-    columns = picture(told.live, WINDOW_NS).columns
+def test_each_force_stands_at_its_own_instant(display: SimulatedDisplay) -> None:
+    columns = picture(display.live, WINDOW_NS).columns
     newest_s = {name: columns[name]["t"][-1] for name in ("wrist", "finger")}
     assert newest_s["finger"] == pytest.approx(0.0, abs=5e-3)
     assert newest_s["wrist"] == pytest.approx(-ONE_WAY_NS * 1e-9, abs=6e-3)
     assert columns["wrist"]["t"][0] == pytest.approx(-5.0, abs=0.02)
 
 
-def test_delays_and_clocks_are_what_they_were_made(told: Told) -> None:
-    shown = picture(told.live, WINDOW_NS)
+def test_delays_and_clocks_are_what_they_were_made(display: SimulatedDisplay) -> None:
+    shown = picture(display.live, WINDOW_NS)
     assert shown.columns["one_way"]["y"] == pytest.approx(ONE_WAY_NS / MS)
     playout_ms = shown.columns["playout"]["y"]
     assert playout_ms[~np.isnan(playout_ms)] == pytest.approx(PLAYOUT_NS / MS)
@@ -73,9 +75,9 @@ def test_delays_and_clocks_are_what_they_were_made(told: Told) -> None:
 
 
 def test_a_minute_is_as_light_as_five_seconds_and_no_peak_is_missing() -> None:
-    told = Told(LiveState())
-    told.go(20)
-    long = picture(told.live, 60 * SECOND_NS).columns
+    display = SimulatedDisplay(LiveState())
+    display.go(20)
+    long = picture(display.live, 60 * SECOND_NS).columns
     assert all(len(column["t"]) <= 1.1 * POINTS for column in long.values())
     assert np.nanmax(long["wrist"]["y"]) == pytest.approx(1e3 * (MEAN_N + SWING_N), rel=1e-4)
 
@@ -87,36 +89,36 @@ def test_before_anything_came_there_is_an_empty_picture() -> None:
     assert all(low < high for low, high in shown.limits.values())
 
 
-def test_a_share_of_the_window_counts_all_of_it(told: Told) -> None:
-    told.linked = False
-    told.go(4, "stale")
-    scores = picture(told.live, WINDOW_NS).scores
+def test_a_share_of_the_window_counts_all_of_it(display: SimulatedDisplay) -> None:
+    display.linked = False
+    display.go(4, "stale")
+    scores = picture(display.live, WINDOW_NS).scores
     assert scores.within_jnd == 1.0
     assert scores.judged == pytest.approx(0.2, abs=0.02)
 
 
-def test_a_heart_rate_is_of_what_is_felt_now_and_never_of_a_gap(told: Told) -> None:
-    assert picture(told.live, WINDOW_NS).heart_rate_per_min == pytest.approx(75, rel=0.02)
-    told.linked = False
-    told.go(0.2, "stale")
-    assert picture(told.live, WINDOW_NS).heart_rate_per_min is None
-    told.go(3, "stale")
-    told.linked = True
+def test_a_heart_rate_is_of_what_is_felt_now_and_never_of_a_gap(display: SimulatedDisplay) -> None:
+    assert picture(display.live, WINDOW_NS).heart_rate_per_min == pytest.approx(75, rel=0.02)
+    display.linked = False
+    display.go(0.2, "stale")
+    assert picture(display.live, WINDOW_NS).heart_rate_per_min is None
+    display.go(3, "stale")
+    display.linked = True
     # One beat since: the one before the cut makes no interval with it.
-    told.go(0.9)
-    assert picture(told.live, WINDOW_NS).heart_rate_per_min is None
-    told.go(2)
-    assert picture(told.live, WINDOW_NS).heart_rate_per_min == pytest.approx(75, rel=0.02)
+    display.go(0.9)
+    assert picture(display.live, WINDOW_NS).heart_rate_per_min is None
+    display.go(2)
+    assert picture(display.live, WINDOW_NS).heart_rate_per_min == pytest.approx(75, rel=0.02)
 
 
 def test_a_cut_link_is_a_gap_in_the_curve() -> None:
-    told = Told(LiveState())
-    told.go(2)
-    told.linked = False
-    told.go(0.5, "stale")
-    told.linked = True
-    told.go(2)
-    columns = picture(told.live, WINDOW_NS).columns
+    display = SimulatedDisplay(LiveState())
+    display.go(2)
+    display.linked = False
+    display.go(0.5, "stale")
+    display.linked = True
+    display.go(2)
+    columns = picture(display.live, WINDOW_NS).columns
     assert np.isnan(columns["wrist"]["y"]).sum() == 1
     in_gap = (columns["aligned"]["t"] > -2.4) & (columns["aligned"]["t"] < -2.1)
     assert in_gap.any()
@@ -124,15 +126,15 @@ def test_a_cut_link_is_a_gap_in_the_curve() -> None:
 
 
 def test_late_frames_are_put_in_order_and_copies_left_out() -> None:
-    told = Told(LiveState())
-    told.at_ns += 10 * MS
-    later_ns = told.at_ns
-    told.frame()
-    told.at_ns -= 5 * MS
-    told.frame(arrived_ns=told.at_ns)
-    told.frame(arrived_ns=told.at_ns)
-    told.at_ns = later_ns
-    wrist = told.live.wrist.since(0)
+    display = SimulatedDisplay(LiveState())
+    display.at_ns += 10 * MS
+    later_ns = display.at_ns
+    display.frame()
+    display.at_ns -= 5 * MS
+    display.frame(arrived_ns=display.at_ns)
+    display.frame(arrived_ns=display.at_ns)
+    display.at_ns = later_ns
+    wrist = display.live.wrist.since(0)
     assert len(wrist.t_ns) == 10
     assert np.all(np.diff(wrist.t_ns) == MS)
 
@@ -142,17 +144,17 @@ def test_late_frames_are_put_in_order_and_copies_left_out() -> None:
     [{"session": 8}, {"t_first_ns": 1 << 62}, {"t_first_ns": 0}, {"channels": 2, "force_n": []}],
 )
 def test_frames_that_the_display_refuses_are_not_drawn(changes: dict[str, object]) -> None:
-    told = Told(LiveState())
-    told.frame(**changes)
-    assert len(told.live.wrist) == 0
+    display = SimulatedDisplay(LiveState())
+    display.frame(**changes)
+    assert len(display.live.wrist) == 0
 
 
-def test_another_run_of_the_display_begins_afresh(told: Told) -> None:
-    told.status("ended", final=True)
-    told.event("begin", "another run of the display")
-    assert told.live.state == ""
-    assert not told.live.final
-    assert len(told.live.ticks) == len(told.live.wrist) == 0
+def test_another_run_of_the_display_begins_afresh(display: SimulatedDisplay) -> None:
+    display.status("ended", final=True)
+    display.event("begin", "another run of the display")
+    assert display.live.state == ""
+    assert not display.live.final
+    assert len(display.live.ticks) == len(display.live.wrist) == 0
 
 
 def test_limits_are_round_and_change_seldom() -> None:

@@ -25,7 +25,7 @@ BATCH = 5
 QUEUE = 100
 
 
-class Speaker:
+class TelemetryPublisher:
     """Publishes ticks of 1 ms and frames of five samples, numbered, as fast as it is asked."""
 
     def __init__(
@@ -49,20 +49,20 @@ class Speaker:
         self.welcome()
 
     def welcome(self, session: int = SESSION) -> None:
-        self.hear(CONTROL, encode_control(Welcome(session, 0, description())))
+        self.receive(CONTROL, encode_control(Welcome(session, 0, description())))
 
-    def hear(self, path: int, data: bytes) -> None:
+    def receive(self, path: int, data: bytes) -> None:
         now_ns = time.monotonic_ns()
         self.publisher.heard.add(now_ns, path, data)
         if path == CONTROL:
             self.publisher.heard.welcome(now_ns, data)
 
-    def speak(self, ms: int, session: int = SESSION) -> None:
+    def publish(self, ms: int, session: int = SESSION) -> None:
         """So many ticks, a frame with every fifth."""
         for _ in range(ms):
             now_ns = time.monotonic_ns()
             if self.ticks % BATCH == 0:
-                self.hear(0, encode_frame(numbered_frame(self.frames, session)))
+                self.receive(0, encode_frame(numbered_frame(self.frames, session)))
                 self.frames += 1
                 self.sent_ns.append(now_ns)
             felt = TickState(now_ns, now_ns, self.ticks * MS, 0.5, self.ticks * 1e-3, True)
@@ -93,16 +93,16 @@ def bye(samples_sent: int) -> bytes:
     return encode_control(Bye(SESSION, samples_sent))
 
 
-Kind = TypeVar("Kind", bound=Speaker)
+Kind = TypeVar("Kind", bound=TelemetryPublisher)
 
 
 @contextmanager
-def speaking(
+def publishing(
     address: str,
     keys: ServerKeys | None = None,
-    kind: type[Kind] = Speaker,  # type: ignore[assignment]
+    kind: type[Kind] = TelemetryPublisher,  # type: ignore[assignment]
 ) -> Iterator[Kind]:
-    """A speaker on a socket of its own, which is gone at the end."""
+    """A publisher on a socket of its own, which is gone at the end."""
     context: sockets.Context = zmq.Context()
     try:
         yield kind(context, address, keys)
