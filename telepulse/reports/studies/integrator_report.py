@@ -10,7 +10,6 @@ from telepulse.reports.studies.integrator_scores import (
     CONTROL,
     DIGITS,
     MORE_DIGITS,
-    PAPER_PLANT,
     ROTOR_HZ,
     ROTOR_TICKS_S,
     TICK_S,
@@ -18,8 +17,8 @@ from telepulse.reports.studies.integrator_scores import (
     IntegratorPoint,
     IntegratorScores,
     LoopScores,
-    loop_radius,
 )
+from telepulse.reports.studies.integrators import PAPER_PLANT, loop_radius
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -4,18 +4,26 @@ m f'' + c f' + k f = u, at rest at first. Each function returns a stepper: it ta
 and returns the force in N at the tick's end. Those written out here work in floats and in decimals
 alike, so that a reference can have as many digits as it needs. Those of libraries call the library
 once a tick with their (force, rate), as a closed loop must.
+
+The loop around them is the paper's pulse and a discrete PID, which is written out here, apart from
+the display's, so that it also runs in decimals.
 """
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from decimal import Decimal, getcontext
+from decimal import Decimal, getcontext, localcontext
 from typing import Generic, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from display_node.plant.second_order import SecondOrder, SecondOrderScene
+from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
+from telepulse.reports.paper.published import ACTUATOR, EXPERIMENT, FILM_MV
 
+# The filter of our scene; the paper gives none.
+DERIVATIVE_FILTER_HZ = 200.0
 Number = TypeVar("Number", float, Decimal)
 Step = Callable[[Number], Number]
 Matrix = list[list[Decimal]]
@@ -214,3 +222,102 @@ def _state_space(plant: Plant[float]) -> Matrices:
         np.array([[1.0, 0]]),
         np.array([[0.0]]),
     )
+
+
+PAPER_PLANT = Plant(ACTUATOR.m, ACTUATOR.c, ACTUATOR.k)
+"""Table 4 and eq 22."""
+PidState = tuple[Number, Number, Number]
+"""The PID's integral in V, its filtered derivative in V, and the last error in N."""
+
+
+def pulse_from_rest(scene: SyntheticScene, seconds: float, tick_s: float) -> list[float]:
+    """Return a synthetic pulse once a tick, in N above its first sample, which is at rest."""
+    source = SyntheticSource(scene.model_copy(update={"rate_hz": 1 / tick_s}))
+    force_n = source.take(round(seconds / tick_s))[:, 0]
+    risen_n: list[float] = (force_n - force_n[0]).tolist()
+    return risen_n
+
+
+@dataclass(frozen=True, slots=True)
+class DiscretePid(Generic[Number]):
+    """A discrete PID's gains a tick, from an error in N to a voltage in V."""
+
+    proportional: Number
+    integral: Number
+    derivative: Number
+    keep: Number
+
+
+def paper_pid(tick_s: float) -> DiscretePid[float]:
+    """Return the experiment's gains of Table 5, discretised by backward Euler.
+
+    They act on an error in mV by eq 21; the derivative is filtered.
+    """
+    filter_s, per_newton = 1 / (2 * math.pi * DERIVATIVE_FILTER_HZ), FILM_MV.per_newton
+    return DiscretePid(
+        EXPERIMENT.kp * per_newton,
+        EXPERIMENT.ki * per_newton * tick_s,
+        EXPERIMENT.kd * per_newton / (filter_s + tick_s),
+        filter_s / (filter_s + tick_s),
+    )
+
+
+def pid_step(
+    pid: DiscretePid[Number], state: PidState[Number], error_n: Number
+) -> tuple[Number, PidState[Number]]:
+    """Advance the PID by one tick, and return the voltage and its new state."""
+    integral, derivative, last_n = state
+    integral = integral + pid.integral * error_n
+    derivative = pid.keep * derivative + pid.derivative * (error_n - last_n)
+    volts = pid.proportional * error_n + integral + derivative
+    return volts, (integral, derivative, error_n)
+
+
+def close_loop(
+    step: Step[Number], pid: DiscretePid[Number], reference_n: Sequence[Number]
+) -> tuple[list[Number], list[Number]]:
+    """Follow a reference from rest; return the force in N after, and the voltage in each tick."""
+    force_n = reference_n[0] * 0
+    state = (force_n, force_n, force_n)
+    forces_n, voltages = [], []
+    for wanted_n in reference_n:
+        volts, state = pid_step(pid, state, wanted_n - force_n)
+        force_n = step(volts)
+        forces_n.append(force_n)
+        voltages.append(volts)
+    return forces_n, voltages
+
+
+def open_loop(step: Step[Number], voltages: Iterable[Number]) -> list[Number]:
+    """Return the force in N after each tick of given voltages, without a controller."""
+    return [step(volts) for volts in voltages]
+
+
+def decimals(numbers: Iterable[float]) -> list[Decimal]:
+    """Convert floats to decimals, digit for digit."""
+    return [Decimal(number) for number in numbers]
+
+
+def decimal_plant(plant: Plant[float]) -> Plant[Decimal]:
+    """Convert a plant to decimals, digit for digit."""
+    return Plant(*decimals((plant.m, plant.c, plant.k)))
+
+
+def decimal_pid(pid: DiscretePid[float]) -> DiscretePid[Decimal]:
+    """Convert a PID to decimals, digit for digit."""
+    return DiscretePid(*decimals((pid.proportional, pid.integral, pid.derivative, pid.keep)))
+
+
+def loop_radius(plant: Plant[float], tick_s: float) -> float:
+    """Return the spectral radius of the closed loop over a tick; below 1 it is stable."""
+    with localcontext(prec=40):
+        held = held_matrix(decimal_plant(plant), Decimal(tick_s))
+    (a11, a12, b1), (a21, a22, b2) = ([float(x) for x in row] for row in held[:2])
+    pid, columns = paper_pid(tick_s), []
+    # The map is linear: its columns are the images of the unit states.
+    for force, rate, *state in np.eye(5).tolist():
+        volts, kept = pid_step(pid, (state[0], state[1], state[2]), -force)
+        columns.append(
+            [a11 * force + a12 * rate + b1 * volts, a21 * force + a22 * rate + b2 * volts, *kept]
+        )
+    return float(np.abs(np.linalg.eigvals(np.array(columns).T)).max())

@@ -88,22 +88,6 @@ def test_each_figure_of_the_paper_has_ours_and_why(written: Written) -> None:
     assert "20.863 mN" in measured
 
 
-def test_the_layers_numbers(written: Written) -> None:
-    rows = written.rows("Strain and force")
-    computed = [row["computed"] for row in rows.values()]
-    assert computed[:4] == ["4.7746e-6", "1.974 mN", "12.106 mN", "9.961e-8"]
-    assert "0.58" in rows["Experiment's force RMSE as a strain"]["what follows"]
-
-
-def test_the_films_and_the_actuators_numbers(written: Written) -> None:
-    rows = written.rows("Film and actuator")
-    assert rows["Film's sensitivity"]["computed"] == "5305 mV/N (eq 21)"
-    assert "118" in rows["Film's sensitivity"]["what follows"]
-    assert "2.9 %" in rows["Radii r_pv of the films"]["what follows"]
-    assert rows["Film's thickness"]["computed"] == "5305 and 5305 mV under 1 N"
-    assert rows["Voltage for a pulse of 1 N through eq 22"]["computed"].startswith("246")
-
-
 def test_which_reading_can_have_given_which_figure(written: Written) -> None:
     title = (
         "The pulse's height at which a unit gives a printed figure, and whether that is possible"
@@ -119,19 +103,6 @@ def test_which_reading_can_have_given_which_figure(written: Written) -> None:
             ]
         else:
             assert all(cell.endswith("; no, does not follow") for cell in cells)
-
-
-def test_the_readings_errors(written: Written) -> None:
-    rows = written.rows("RMSE over peak to peak")
-    assert rows["mV by eq 21"]["does it follow?"] == "yes"
-    assert rows["doing nothing"]["simulation's gains"] == "0.233"
-    assert rows["N"]["experiment's gains"] == "0.325"
-
-
-def test_the_least_rates(written: Written) -> None:
-    rows = written.rows("How fast the loop must be sampled, error in mV by eq 21")
-    assert rows["simulation"]["backward difference"] == "2066 Hz"
-    assert rows["experiment"]["backward difference"] == "440 Hz"
 
 
 def test_a_folder_that_cannot_be_written_is_said_first(tmp_path: Path) -> None:
