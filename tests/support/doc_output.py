@@ -226,6 +226,7 @@ UNRUN = {
         "of a bench that was there"
     ),
     "telepulse tune real_bench": "10 s; tests/system/commissioning/test_tuning.py",
+    "telepulse scenes copy tmcl_bench my_bench.toml": "as of radial, run above",
     "telepulse bench my_bench.toml": BENCH,
     "telepulse bench my_bench.toml --only display": BENCH,
     "telepulse bench my_bench.toml --only display --write checked.toml --out out/bench": BENCH,
