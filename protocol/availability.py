@@ -127,7 +127,8 @@ class Availability:
         "The force felt could be compared with the pulse",
         "",
         SHARE,
-        absent=absent("The page has that of its window.", Surface.PAGE),
+        absent=absent("The page has that of its window.", Surface.PAGE)
+        | absent("The live view has no share of it.", Surface.TERMINAL),
         metric="judged_ratio",
     )
 

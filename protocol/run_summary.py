@@ -39,6 +39,7 @@ from protocol.provenance import Provenance
 from protocol.summary_tables import (
     AT_THE_END,
     BY_THE_PAGE,
+    FOR_24_LINES,
     IN_ALERTS,
     NOT_RECORDED,
     AlignedErrors,
@@ -104,7 +105,7 @@ class Summary:
         unit=SHARE,
         of="judged",
         metric="within_jnd_ratio",
-        absent=BY_THE_PAGE,
+        absent=BY_THE_PAGE | FOR_24_LINES,
     )
     availability: Availability = table(
         Availability,

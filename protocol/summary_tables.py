@@ -23,6 +23,7 @@ AT_THE_END = absent(
     Surface.TERMINAL,
     Surface.PAGE,
 )
+FOR_24_LINES = absent("A terminal has 24 lines; the live page shows it.", Surface.TERMINAL)
 IN_ALERTS = absent("Live views show it as an alert.", Surface.TERMINAL, Surface.PAGE)
 BY_THE_PAGE = absent("The page computes it over the window that it shows.", Surface.PAGE)
 NOT_RECORDED = absent("Of the process, which a recording does not compare.", Surface.REPORT)
@@ -130,7 +131,7 @@ class Compensation:
         unit=SHARE,
         of="played",
         metric="trusted_ratio",
-        absent=absent("Ticks are recorded with it one by one.", Surface.REPORT),
+        absent=FOR_24_LINES | absent("Ticks are recorded with it one by one.", Surface.REPORT),
     )
 
 

@@ -129,17 +129,19 @@ class TerminalView:
             return Panel("waiting for the display", title="telepulse")
         current = self._age_ns(now_ns) < CURRENT_NS
         value_style = "bold" if current else "dim"
-        tables = []
-        for rows in (self._now_rows(now_ns), self._run_rows()):
-            table = Table(show_header=False, box=None, pad_edge=False)
-            for name, value in rows:
-                table.add_row(Text(name), Text(value, value_style))
-            tables.append(table)
+        now, run = (Table(show_header=False, box=None, pad_edge=False) for _ in range(2))
+        rows = self._now_rows(now_ns)
+        half = (len(rows) + 1) // 2
+        for left, right in zip(rows[:half], [*rows[half:], ("", "")], strict=False):
+            texts = [(left[0], ""), (left[1], value_style), ("  ", "")]
+            texts += [(right[0], ""), (right[1], value_style)]
+            now.add_row(*(Text(text, style) for text, style in texts))
+        for name, value in self._run_rows():
+            run.add_row(Text(name), Text(value, value_style))
         stream = _printable(self.status.stream)
         title = Text(f"telepulse · {stream or 'no stream'} · {self._state(now_ns)}")
         wrong = [Text(f"{name}: {text}", "bold red") for name, text in self._alerts(now_ns)]
-        parts = (*wrong, tables[0], Text(), *self._plot(current), Text(), Text(RUN, "dim"))
-        whole = Group(*parts, tables[1])
+        whole = Group(*wrong, now, Text(), *self._plot(current), Text(RUN, "dim"), run)
         return Panel(whole, title=title, expand=False, style="" if current else "dim")
 
     def _alerts(self, now_ns: int) -> list[Alert]:
