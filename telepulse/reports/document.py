@@ -1,7 +1,7 @@
-"""Reports: chapters of text, tables and plots, as a folder that a browser opens.
+"""Reports: chapters of text, tables and plots, as a folder with a web page, as JSON, as text.
 
-Needs the extra `report` (matplotlib and Jinja). Every plot is drawn twice, light and dark, and
-the page shows the one that its reader's system asks for.
+The page needs the extra `report` (matplotlib and Jinja). Every plot is drawn twice, light and
+dark, and the browser shows the one that suits its theme.
 """
 
 import json
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 PAGE = "index.html"
 SIZE_INCHES = (8.0, 4.5)
 DOTS_PER_INCH = 144
-# Cells longer than this are words, set flush left in the terminal.
+# Cells longer than this are words, aligned left in the terminal.
 LONGEST_NUMBER = 16
 MISSING = "reports need matplotlib and Jinja: pip install 'telepulse[report]'"
 
@@ -32,7 +32,7 @@ MISSING = "reports need matplotlib and Jinja: pip install 'telepulse[report]'"
 class Table:
     """A table of text; the first column names the row.
 
-    summary: what a terminal shows in the place of a table that is too long for it.
+    A terminal shows `summary`, where there is one, in place of a table that is too long for it.
     """
 
     title: str
@@ -63,7 +63,7 @@ class Chapter:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """A titled row of chapters. provenance: what made the report."""
+    """A title, chapters, and the provenance of the figures."""
 
     title: str
     chapters: tuple[Chapter, ...]
@@ -95,7 +95,7 @@ class Report:
 
 
 def provenance_table(title: str, provenance: Mapping[str, Any]) -> Table:
-    """Return what produced something as a table; too long for a terminal, which shows the head."""
+    """Return a provenance as a table; a terminal shows its main entries only."""
     texts = {
         key: value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
         for key, value in provenance.items()
@@ -106,7 +106,7 @@ def provenance_table(title: str, provenance: Mapping[str, Any]) -> Table:
 
 @dataclass(frozen=True, slots=True)
 class Theme:
-    """Colours of a plot. Line colours are told apart by lightness too."""
+    """Colours of a plot. Line colours differ in lightness, too."""
 
     name: str
     ground: str

@@ -98,7 +98,7 @@ def _simulation_row(strain_rmse: float, height_n: float) -> tuple[str, ...]:
 def _spectrum_rows() -> tuple[tuple[str, ...], ...]:
     paper, mean_kept, mean_removed, wide = spectra()
     reasons = {
-        20.0: "Fitted: the narrowest wave of the beat sets what is left above.",
+        20.0: "Fitted: the narrowest wave of the beat sets the share above it.",
         10.0: "Fitted, by the widths of all three waves.",
         5.0: "Fitted. This share requires a sharp pulse: a wide radial pulse has"
         f" {100 * wide.below(5.0):.1f} %.",

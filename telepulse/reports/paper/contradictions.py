@@ -53,8 +53,8 @@ def chapter() -> Chapter:
 
 def _layer_rows() -> tuple[tuple[str, ...], ...]:
     layer, per_newton = published.LAYER, STRAIN.per_newton
-    asked = published.EXPERIMENT_STRAIN_RMSE / published.EXPERIMENT_FORCE_RMSE_N
-    ratio = asked / per_newton
+    implied = published.EXPERIMENT_STRAIN_RMSE / published.EXPERIMENT_FORCE_RMSE_N
+    ratio = implied / per_newton
     # Eq 16 goes with (1 − ν²) / (E d).
     poisson = math.sqrt(1 - (1 - layer.poisson_ratio**2) * ratio)
     _, stress_pa = half_space_stress(1.0, np.array([0.0]), np.array([layer.thickness_m]))

@@ -1,7 +1,7 @@
 """Scores of links: each link at each perceived delay with each predictor; late-sample policies.
 
-The perceived delay E says how much of a link's delay is buffered; the rest is predicted. Each case
-runs both nodes in virtual time. Three policies for late samples are compared over TCP:
+The perceived delay E is the part of a link's delay that is buffered; the rest is predicted. Each
+case runs both nodes in virtual time. Three policies for late samples are compared over TCP:
 
 fresh
     At time t the pulse of t − E is played; what has not arrived is predicted from the newest

@@ -208,7 +208,7 @@ class MoonPercentile:
 class NetEqLike:
     """The smallest delay of 2 s, and over it a quantile of the largest excess of each 500 ms.
 
-    What the delay manager of WebRTC's NetEQ does with its defaults: buckets of 20 ms, 100 of
+    As the delay manager of WebRTC's NetEQ with its defaults: buckets of 20 ms, 100 of
     them, forgetting by 0.983 a count, the quantile 0.95, its bucket's upper edge
     (modules/audio_coding/neteq, 2023). Its reordering and packet-count limits are not here.
     """

@@ -95,17 +95,17 @@ def fibrillating(rng: np.random.Generator, seconds: float) -> Beats:
 
 
 def drawn(
-    beats: Beats, preset: str, seconds: float, nominal_s: float, foretelling: bool = True
+    beats: Beats, preset: str, seconds: float, nominal_s: float, predictive_shape: bool = True
 ) -> Floats:
     """Draw the pulse of some beats at 1 kHz; an interval above `nominal_s` lengthens no systole.
 
-    With `foretelling`, a beat's systole scales with its own interval, as in
+    With `predictive_shape`, a beat's systole scales with its own interval, as in
     `sources/synthetic.py`, so that its shape predicts the next beat. Otherwise it scales with the
     interval before, and only the rhythm predicts the next beat.
     """
     t_s = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
     pulse, onset_s = np.zeros(len(t_s)), -2 * float(beats.intervals_s[0])
-    shaping_s = beats.intervals_s if foretelling else np.roll(beats.intervals_s, 1)
+    shaping_s = beats.intervals_s if predictive_shape else np.roll(beats.intervals_s, 1)
     for interval_s, shape_s, amplitude in zip(
         beats.intervals_s, shaping_s, beats.amplitudes, strict=True
     ):
@@ -126,7 +126,7 @@ def breathing(pulse: Floats) -> Floats:
     return np.asarray(pulse + BREATH * pulse.std() * wave)
 
 
-def synthetic_pulses(seconds: float, seed: int, foretelling: bool = True) -> dict[str, Floats]:
+def synthetic_pulses(seconds: float, seed: int, predictive_shape: bool = True) -> dict[str, Floats]:
     """Return eight pulses by name, before the chain."""
 
     def rng(number: int) -> np.random.Generator:
@@ -136,7 +136,7 @@ def synthetic_pulses(seconds: float, seed: int, foretelling: bool = True) -> dic
         return make_rhythm(rng(number), seconds, variability, lambda _: 75.0)
 
     def wide(beats: Beats, preset: str = "wide") -> Floats:
-        return drawn(beats, preset, seconds, NOMINAL_BEAT_S, foretelling)
+        return drawn(beats, preset, seconds, NOMINAL_BEAT_S, predictive_shape)
 
     ramp = make_rhythm(rng(4), seconds, 0.0, lambda t_s: 60 + 60 * min(t_s / seconds, 1))
     return {
@@ -144,7 +144,7 @@ def synthetic_pulses(seconds: float, seed: int, foretelling: bool = True) -> dic
         "variability": breathing(wide(rhythm(1, 0.04))),
         "variability, sharp": breathing(wide(rhythm(2, 0.04), "paper")),
         "variability, twice": breathing(wide(rhythm(3, 0.08))),
-        "ramp": drawn(ramp, "wide", seconds, 1.0, foretelling),
+        "ramp": drawn(ramp, "wide", seconds, 1.0, predictive_shape),
         "ectopic": wide(with_ectopics(rhythm(5, 0.02), rng(6), 20)),
         "ectopic, twice": breathing(wide(with_ectopics(rhythm(7, 0.04), rng(8), 10))),
         "fibrillation": wide(fibrillating(rng(9), seconds)),
@@ -202,7 +202,7 @@ def pulses(seconds: float, seed: int) -> list[Pulse]:
 
 def silent_pulses(seconds: float, seed: int) -> list[Pulse]:
     """Return the sets that have a prize or an oracle, with shapes that predict no interval."""
-    raw = synthetic_pulses(seconds, seed, foretelling=False)
+    raw = synthetic_pulses(seconds, seed, predictive_shape=False)
     return _sensed({name: raw[name] for name in SILENT}, seed)
 
 

@@ -76,7 +76,7 @@ def test_on_a_rotor_the_exact_stays_exact_and_explicit_euler_grows(report: Repor
         assert all(float(cell) < 1e-3 for cell in errors["solve_ivp RK45 rtol 1e-06"])
 
 
-def test_without_python_control_its_row_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_python_control_its_row_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "control", None)
     without = report_integrators(score_integrators(LEAST), LEAST)
     named = [name for name in rows(without, 0, 0) if name.startswith(CONTROL)]

@@ -86,7 +86,7 @@ def test_both_errors_follow_the_delay() -> None:
     assert hold.in_phase_jnd == pytest.approx(hold.in_phase_n / 0.1 / hold.peak_to_peak_n)
 
 
-def test_what_is_faded_out_is_not_felt_and_not_scored() -> None:
+def test_a_faded_pulse_is_not_felt_and_not_scored() -> None:
     cut = run_link(LinkCase("delay=20ms,cut.from=4s,cut.for=1s", "hold", 40.0), LITTLE)
     whole = run_link(LinkCase("delay=20ms", "hold", 40.0), LITTLE)
     assert whole.felt == pytest.approx(1, abs=0.001)
@@ -129,7 +129,7 @@ def test_over_tcp_frames_arrive_in_order_and_none_is_missing() -> None:
         arrivals_ms(400, "loss=5%", seed=1)
 
 
-def test_the_report_says_what_to_choose() -> None:
+def test_the_report_compares_the_two_choices() -> None:
     scores = made_up()
     assert [least_in_phase(scores, "here", name)[0] for name in PREDICTORS] == [40, 40, 0]
     assert advice(scores, "here") == (

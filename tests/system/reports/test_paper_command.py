@@ -66,7 +66,7 @@ def test_every_figure_is_there_in_both_themes(written: Written) -> None:
         assert (written.folder / name).read_bytes().startswith(b"\x89PNG"), name
 
 
-def test_the_page_says_that_no_unit_gives_all_three(written: Written) -> None:
+def test_the_page_states_that_no_unit_gives_all_three(written: Written) -> None:
     page = (written.folder / "index.html").read_text("utf-8")
     assert "No unit gives all three figures." in page
     assert not re.search(r"\b(nan|inf|None)\b", page)
@@ -105,7 +105,7 @@ def test_which_reading_can_have_given_which_figure(written: Written) -> None:
             assert all(cell.endswith("; no, does not follow") for cell in cells)
 
 
-def test_a_folder_that_cannot_be_written_is_said_first(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_refused_first(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     result = run(MODULE, "paper", "--out", str(tmp_path / "file" / "report"))
     assert result.returncode == 2
@@ -114,7 +114,7 @@ def test_a_folder_that_cannot_be_written_is_said_first(tmp_path: Path) -> None:
     assert result.stdout == ""
 
 
-def test_a_json_file_that_cannot_be_written_is_said_first(tmp_path: Path) -> None:
+def test_a_json_file_that_cannot_be_written_is_refused_first(tmp_path: Path) -> None:
     missing = tmp_path / "nowhere" / "out.json"
     result = run(MODULE, "paper", "--out", str(tmp_path / "report"), "--json", str(missing))
     assert result.returncode == 2
@@ -123,7 +123,7 @@ def test_a_json_file_that_cannot_be_written_is_said_first(tmp_path: Path) -> Non
     assert result.stdout == ""
 
 
-def test_without_the_extra_it_says_what_to_install(tmp_path: Path) -> None:
+def test_without_the_extra_it_names_it(tmp_path: Path) -> None:
     program = (
         "import sys; sys.modules['matplotlib'] = None; import telepulse.cli.main as c; c.main()"
     )

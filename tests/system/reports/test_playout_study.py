@@ -58,7 +58,7 @@ def test_a_tuned_rule_is_within_the_share_and_no_better_than_the_bound(
     assert scores.rules[GAUSSIAN][OURS].tuned.late > 0.5 * LITTLE.late
 
 
-def test_a_share_that_no_setting_reaches_is_said(scores: PlayoutScores, report: Report) -> None:
+def test_a_share_that_no_setting_reaches_is_reported(scores: PlayoutScores, report: Report) -> None:
     strict = PlayoutEffort(seconds=20, scan=2, bisections=1, links=(TCP,), late=0.0)
     score = score_rule(RuleOnLink("Moon percentile", TCP), strict)
     assert not score.reached

@@ -58,7 +58,7 @@ def sine(seconds: float, hertz: float = 1.0) -> Pulse:
     return Pulse("sine", wave, wave)
 
 
-def test_hold_and_linear_score_what_a_sine_says() -> None:
+def test_hold_and_linear_score_the_theory_of_a_sine() -> None:
     errors = score(sine(24))
     assert tuple(errors) == NAMES
     for horizon_ms, found in zip(HORIZONS_MS, errors["hold"], strict=True):
@@ -68,7 +68,7 @@ def test_hold_and_linear_score_what_a_sine_says() -> None:
     assert max(errors["stack"]) < 0.05
 
 
-def test_only_what_is_learnt_costs() -> None:
+def test_a_learning_predictor_costs_more() -> None:
     sensed = sine(11).sensed
     hold, stack = cost("hold", sensed), cost("stack", sensed)
     assert 0 < hold.tick_p50_us <= hold.tick_p99_us
@@ -101,7 +101,7 @@ def test_without_medians_only_sets_are_judged() -> None:
     ]
 
 
-def test_the_report_counts_what_is_reached_and_says_by_how_much_not() -> None:
+def test_the_report_counts_reached_targets_and_gives_the_excess_of_others() -> None:
     table = report_prediction(made_up(), PredictionEffort()).chapters[1].tables[0]
     assert len(table.rows) == len(TARGETS)
     prize = next(row for row in table.rows if row[0] == "variability" and row[2] == "prize")

@@ -98,7 +98,7 @@ def test_where_both_follow_they_agree(rates: tuple[RateResult, ...]) -> None:
             assert each.shipped_n == pytest.approx(each.explicit_n, rel=0.01)
 
 
-def test_the_delay_margin_foretells_what_a_tick_of_delay_does(
+def test_the_delay_margin_predicts_the_effect_of_a_tick_of_delay(
     rates: tuple[RateResult, ...],
 ) -> None:
     nothing_n = PEAK_TO_PEAK_N * deviation_n("paper")
@@ -282,7 +282,7 @@ def test_an_unstable_loop_is_refused_by_the_display_itself() -> None:
     assert "\n" not in outcome.reason
 
 
-def test_an_unstable_loop_that_is_not_refused_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unstable_loop_that_is_not_refused_is_a_defect(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("display_node.control.force_loop.refuse_unstable", lambda *_: None)
     rotor = {**STEPPER, "rotor_resonance": "100 Hz", "rotor_damping": 0.0}
     outcome = evaluate(
@@ -328,10 +328,10 @@ def test_windup_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
         return WindingUp(scene.kp, scene.ki, scene.kd, 100.0, tick_s, limit)
 
     monkeypatch.setattr(ControllerScene, "pid", winding)
-    told = {outcome.run.split(",")[0]: outcome for outcome in saturated_steps()}
-    wound_up = told["position with ki = 500"]
+    by_name = {outcome.run.split(",")[0]: outcome for outcome in saturated_steps()}
+    wound_up = by_name["position with ki = 500"]
     assert (wound_up.verdict, wound_up.reason) == (CaseVerdict.WRONG, "winds up")
-    assert told["feed-forward"].verdict is CaseVerdict.STABLE
+    assert by_name["feed-forward"].verdict is CaseVerdict.STABLE
 
 
 def test_a_setup_is_the_scenes() -> None:
@@ -344,7 +344,7 @@ def test_a_setup_is_the_scenes() -> None:
 # The chapter.
 
 
-def test_the_chapter_says_what_was_found(
+def test_the_chapter_reports_the_results(
     outcomes: tuple[CaseResult, ...],
     rates: tuple[RateResult, ...],
     monkeypatch: pytest.MonkeyPatch,

@@ -59,7 +59,7 @@ def test_no_mistake_about_the_real_bench_costs_the_bar() -> None:
     assert found["no backlash"] > 1.5 * found["nothing"]
 
 
-def test_a_finer_lead_and_a_better_film_tell() -> None:
+def test_a_finer_lead_and_a_better_film_reduce_the_error() -> None:
     found = rmse_n(stepper.other_benches())
     leads = [found[f"clean, lead {lead} mm"] for lead in (1, 2, 6)]
     assert leads == sorted(leads)

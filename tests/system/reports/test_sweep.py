@@ -95,7 +95,7 @@ def test_a_case_that_fails_is_named(cluster: str) -> None:
         sweep(play_little, [CASES[0], lost])
 
 
-def test_a_worker_that_dies_is_said() -> None:
+def test_a_worker_that_dies_is_reported() -> None:
     with pytest.raises(SweepError, match=r"^3: a worker died"):
         sweep(os._exit, [3])
 
@@ -103,12 +103,12 @@ def test_a_worker_that_dies_is_said() -> None:
 def test_no_scheduler_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     address = free_address()
     monkeypatch.setattr(sweep_module, "CONNECT_S", 0.3)
-    with pytest.raises(SweepError, match=f"^{address}: no Dask scheduler there: .*connect") as said:
+    with pytest.raises(SweepError, match=f"^{address}: no Dask scheduler there: .*connect") as e:
         sweep(math.sqrt, [4], address)
-    assert "\n" not in str(said.value)
+    assert "\n" not in str(e.value)
 
 
-def test_a_scheduler_without_workers_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scheduler_without_workers_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     address = free_address()
     with process("dask", *scheduler_at(address)) as scheduler:
         assert scheduler.stderr is not None

@@ -41,7 +41,7 @@ def test_a_diverged_point_is_on_the_frontier_only_if_it_is_the_fastest() -> None
     assert beaten_by(diverged, [diverged, MIDDLE]) == []
 
 
-def test_the_verdict_says_who_is_better() -> None:
+def test_the_verdict_names_better_points() -> None:
     assert "fast, is on the frontier: of the other 3 rows" in verdict(
         FAST, [FAST, MIDDLE, WORSE, EXACT]
     )

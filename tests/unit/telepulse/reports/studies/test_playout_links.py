@@ -45,7 +45,7 @@ def test_a_trace_is_the_same_every_time(name: str) -> None:
     assert (make_trace(name, 5).delay_ns == make_trace(name, 5).delay_ns).all()
 
 
-def test_who_waits_for_a_frame_arrives_with_it() -> None:
+def test_a_frame_that_waits_for_another_arrives_with_it() -> None:
     trace: DelayTrace = in_order("", np.array([20.0, 40.0, 20.0, 20.0, 20.0, 20.0]))
     assert (trace.delay_ns / MS).tolist() == [20, 40, 35, 30, 25, 20]
 

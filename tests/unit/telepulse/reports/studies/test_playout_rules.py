@@ -63,7 +63,7 @@ def test_ramjee_4_follows_a_spike_and_leaves_it() -> None:
     assert asked_ms(rule, [20.0] * 100, 1200)[-1] == pytest.approx(20, abs=0.1)
 
 
-def test_moon_asks_for_the_percentile_of_the_last_10_000() -> None:
+def test_moon_sets_the_percentile_of_the_last_10_000() -> None:
     delays_ms = list(gaussian())
     rule = MoonPercentile(0.01)
     assert asked_ms(rule, delays_ms)[-1] == pytest.approx(
@@ -81,7 +81,7 @@ def test_moon_plays_a_spike_with_each_of_its_delays_and_does_not_count_them() ->
     assert asked_ms(rule, gaussian(count=300), 100_100)[-1] == pytest.approx(before_ms, abs=0.5)
 
 
-def test_neteq_asks_for_whole_buckets_over_the_smallest() -> None:
+def test_neteq_sets_whole_buckets_over_the_smallest() -> None:
     rule = NetEqLike(0.05)
     assert asked_ms(rule, [20.0] * 50)[-1] == 20 + 80
     assert asked_ms(rule, [20.0] * 2000, 250)[-1] == 20 + 20

@@ -38,7 +38,7 @@ def test_without_heartpy_there_are_no_recordings(monkeypatch: pytest.MonkeyPatch
     assert len(RECORDED) == 4
 
 
-def test_variability_is_what_is_asked_for_and_the_ramp_doubles_the_rate() -> None:
+def test_variability_is_as_requested_and_the_ramp_doubles_the_rate() -> None:
     beats = make_rhythm(rng(), 200.0, 0.05, lambda _: 75.0)
     assert beats.intervals_s.std() / beats.intervals_s.mean() == pytest.approx(0.05, rel=0.15)
     ramp = make_rhythm(rng(), 60.0, 0.0, lambda t_s: 60 + t_s)
@@ -72,17 +72,17 @@ def test_a_drawn_pulse_is_the_synthetic_sources() -> None:
     assert np.corrcoef(ours, expected)[0, 1] == pytest.approx(1, abs=1e-6)
 
 
-def test_a_shape_foretells_the_next_beat_only_where_it_is_asked_to() -> None:
+def test_a_shape_predicts_the_next_beat_only_on_request() -> None:
     beats = fibrillating(rng(), 30.0)
     other = Beats(beats.intervals_s.copy(), beats.amplitudes)
     other.intervals_s[20] -= 0.1
     onset_s = beats.intervals_s[:20].sum() - 2 * beats.intervals_s[0]
     until = round((onset_s + other.intervals_s[20] - 0.2) * RATE_HZ)
-    foretelling, silent = (
+    predictive_shape, silent = (
         [drawn(each, "wide", 30.0, 0.8, shape)[:until] for each in (beats, other)]
         for shape in (True, False)
     )
-    assert not np.allclose(foretelling[0], foretelling[1], atol=0.01)
+    assert not np.allclose(predictive_shape[0], predictive_shape[1], atol=0.01)
     np.testing.assert_allclose(silent[0], silent[1], atol=0.01)
 
 
