@@ -126,7 +126,7 @@ def display(
     The sensing node may start later, stop and come back: the display waits with no
     target force, joins by itself and ramps up.
 
-        display-node scenes/radial.toml --connect tcp://HOST:5555 \\
+        display-node radial --connect tcp://HOST:5555 \\
             --key keys/finger.key --peer keys/wrist.pub
 
     `telepulse keys` makes the keys. Telemetry that leaves this machine is protected by this
@@ -150,7 +150,7 @@ def display(
             run_doctor(None if scene is None else find_scene(scene), seconds, console, json)
             return
         if scene is None:
-            raise SceneError("no scene file: display-node SCENE.toml plays it")
+            raise SceneError("no scene: display-node SCENE plays one")
         asked = parse_realtime(realtime)
         check_strict(asked)
         if discover or named is not None:

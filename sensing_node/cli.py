@@ -70,11 +70,11 @@ def sense(
 
     On the machine at the wrist, once `telepulse keys` has made the keys:
 
-        sensing-node scenes/radial.toml --bind tcp://*:5555 --key keys/wrist.key
+        sensing-node radial --bind tcp://*:5555 --key keys/wrist.key
 
     On the machine at the finger:
 
-        display-node scenes/radial.toml --connect tcp://HOST:5555 \\
+        display-node radial --connect tcp://HOST:5555 \\
             --key keys/finger.key --peer keys/wrist.pub
 
     Open ports 5555 (data) and 5556 (control). Ctrl-C or SIGTERM ends the stream cleanly: every

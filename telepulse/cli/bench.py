@@ -77,7 +77,7 @@ def bench(
         if only is not Side.SENSING:
             display = load_section(path, "display", DisplayScene)
             _within_limits(force_n, display)
-            check_editable(path)
+            check_editable(path, write)
         sections = {"sensing": sensing, "display": display}
         used = {name: section for name, section in sections.items() if section is not None}
         provenance = collect(path, used)

@@ -19,7 +19,7 @@ app = typer.Typer(no_args_is_help=True, help="Questions about the system, answer
 
 @app.command()
 def integrators(out: FolderOption = Path("out/integrators"), json: TablesOption = None) -> None:
-    """Speed against error of the ways to integrate the paper's actuator in its loop.
+    """Compare integration methods of the paper's actuator in its loop: cost per step against error.
 
     Takes about half a minute. python-control takes part where it is installed.
     """
@@ -38,7 +38,7 @@ def playout(
     json: TablesOption = None,
     scheduler: SchedulerOption = None,
 ) -> None:
-    """Delay against late frames of the ways to set the playout delay, and what is best possible.
+    """Compare methods of setting the playout delay: delay against late frames, and the optimum.
 
     Uses all cores; takes about a minute on two.
     """
@@ -57,7 +57,7 @@ def prediction(
     json: TablesOption = None,
     scheduler: SchedulerOption = None,
 ) -> None:
-    """Error against horizon and cost of the predictors, on pulses and recordings.
+    """Compare the predictors: error against horizon, and cost, on pulses and recordings.
 
     Uses all cores; takes about a minute on two. Recordings take part where heartpy is installed.
     """
@@ -78,7 +78,7 @@ def link(
     json: TablesOption = None,
     scheduler: SchedulerOption = None,
 ) -> None:
-    """Error of the felt force over several links, against how much is buffered and predicted.
+    """Compare buffering with prediction by the error of the felt force over several links.
 
     Uses all cores; takes about three minutes on two. A recording takes part where heartpy is
     installed.

@@ -33,8 +33,15 @@ def set_keys(text: str, changes: Changes) -> str:
     return edited
 
 
-def check_editable(path: Path) -> None:
-    """Check before a press that its results can be set in the scene. Raises SceneError."""
+def check_editable(path: Path, target: Path | None) -> None:
+    """Check before a press that its results can be set in the scene, and written to `target`.
+
+    Raises SceneError, also where the copy would extend another file than the scene does.
+    """
+    parent = load_toml(path, "scene file").get(EXTENDS)
+    moves = target is not None and target.parent.resolve() != path.parent.resolve()
+    if moves and parent and parent not in scene_names() and not Path(parent).is_absolute():
+        raise SceneError(f"{target}: {path} extends a file by its path: write it beside that one")
     latency = {"latency": '"1 ms"'}
     try:
         set_keys(
@@ -47,12 +54,8 @@ def check_editable(path: Path) -> None:
 def write_scene(source: Path, target: Path, changes: Changes, note: str = "") -> None:
     """Write a copy of a scene with keys set, and a comment at its end.
 
-    Raises SceneError, also where the copy would extend another file than the scene, or OutputError.
+    Raises SceneError or OutputError.
     """
-    parent = load_toml(source, "scene file").get(EXTENDS)
-    moves = target.parent.resolve() != source.parent.resolve()
-    if moves and parent is not None and parent not in scene_names():
-        raise SceneError(f"{target}: {source} extends a file by its path: write it beside that one")
     try:
         edited = set_keys(source.read_text(encoding="utf-8"), changes)
     except tomllib.TOMLDecodeError:

@@ -103,4 +103,4 @@ def test_a_doctor_that_cannot_begin_says_so_in_a_line(
 def test_without_a_doctor_a_scene_is_needed() -> None:
     node = with_rights("-m", MODULE)
     assert (node.returncode, node.stdout) == (2, "")
-    assert node.stderr == "display-node: no scene file: display-node SCENE.toml plays it\n"
+    assert node.stderr == "display-node: no scene: display-node SCENE plays one\n"

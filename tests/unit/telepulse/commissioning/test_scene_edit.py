@@ -5,7 +5,13 @@ import pytest
 
 from protocol.config.scene_file import find_scene, load_document, merge, scene_names
 from protocol.errors import OutputError, SceneError
-from telepulse.commissioning.scene_edit import Changes, as_toml, set_keys, write_scene
+from telepulse.commissioning.scene_edit import (
+    Changes,
+    as_toml,
+    check_editable,
+    set_keys,
+    write_scene,
+)
 
 SCENE = """title = "a bench"  # mine
 
@@ -55,7 +61,8 @@ def test_a_scene_that_extends_a_file_beside_it_is_written_beside_it(tmp_path: Pa
     child.write_text('extends = "parent.toml"\n', encoding="utf-8")
     changes: Changes = {"display.film": {"latency": '"8 ms"'}}
     with pytest.raises(SceneError, match="extends a file by its path: write it beside that one"):
-        write_scene(child, tmp_path / "far" / "found.toml", changes)
+        check_editable(child, tmp_path / "far" / "found.toml")
+    check_editable(child, tmp_path / "found.toml")
     write_scene(child, tmp_path / "found.toml", changes)
     assert load_document(tmp_path / "found.toml")["display"]["film"]["latency"] == "8 ms"
 
