@@ -111,7 +111,7 @@ def pdos_to_nobody() -> Iterator[dict[str, Call]]:
 
         def tell(cyclic: bool) -> None:
             node.cyclic = cyclic
-            node.tell(Control.ENABLE, 1_000)
+            node.command(Control.ENABLE, 1_000)
 
         yield {
             "PDO by python-can alone": lambda: bare.send(frame),
@@ -205,7 +205,7 @@ def written(drive: Cia402Drive) -> None:
 
 def rotate(line: TmclLine) -> None:
     """One velocity command."""
-    line.ask(Command.ROTATE_RIGHT, 0, 0, 1)
+    line.request(Command.ROTATE_RIGHT, 0, 0, 1)
 
 
 def rotate_and_log(line: TmclLine) -> None:

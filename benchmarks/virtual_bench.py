@@ -253,10 +253,10 @@ class Wrist:
         first_ns = now_ns + AHEAD_NS - (BATCH - 1) * MS
         frame = Frame(self._session, self._sent, first_ns, MS, np.array(values, f"<f{width}"))
         self._sent += BATCH
-        self.pass_over()
+        self.discard_spoilt_line()
         return encode_frame(frame)
 
-    def pass_over(self) -> None:
+    def discard_spoilt_line(self) -> None:
         """The pulse goes on where nobody sends it."""
         self._time_ms += BATCH
 
@@ -414,7 +414,7 @@ class VirtualBench:
             arrives_ns = self.world.now_ns + NETWORK_NS
             self._frames.append((arrives_ns, self.wrist.frame(self.world.now_ns)))
         else:
-            self.wrist.pass_over()
+            self.wrist.discard_spoilt_line()
 
     def _loop(self) -> None:
         """Run the loop of `display_node.node.DisplayNode.run`, without sockets."""

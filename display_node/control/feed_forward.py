@@ -1,8 +1,8 @@
-"""Feed-forward: where the screw must be for the tip to follow a reference, known in advance.
+"""Feed-forward: the screw's position by which the tip follows a reference known in advance.
 
-The inverse of the contact law, of the rotor's resonance and of the backlash. The reference's
-next samples are known (the playout buffer holds them), so derivatives need no filter and the
-gap of the backlash is crossed where the reference turns, not after.
+The inverse of the contact law, of the rotor's resonance and of the backlash (decision 9). The
+playout buffer holds the reference's next samples, so derivatives need no filter, and the gap of the
+backlash is crossed where the reference turns, not after.
 """
 
 import math
@@ -16,9 +16,16 @@ TURN_SHARE = 0.25
 
 
 class ScrewPath:
-    """Turns a short horizon of reference forces into the screw's next position and speed.
+    """The screw's next position and speed, from a short horizon of reference forces.
 
-    horizon: how many ticks after the present one the reference must reach.
+    Attributes
+    ----------
+    horizon
+        How many ticks after the present one the reference must reach.
+    tip_m, screw_m
+        Positions of tip and screw in m at the present tick's end.
+    further_m
+        Further travel of the screw in m while the speed is held beyond the tick.
     """
 
     def __init__(self, scene: StepperScene, law: ContactLaw, tick_s: float) -> None:
@@ -40,11 +47,14 @@ class ScrewPath:
         self.further_m = 0.0
 
     def advance(self, reference_n: list[float], held_s: float = 0.0) -> float:
-        """The speed in m/s for this tick; sets where tip and screw should be at its end, and how
-        much further the screw when the speed has been held.
+        """Set the positions at this tick's end, and return its speed in m/s.
 
-        reference_n: the force wanted now and in each of the next `horizon` ticks; held_s: how long
-        the speed will be held, where that is longer than a tick.
+        Parameters
+        ----------
+        reference_n
+            Reference force now and in each of the next `horizon` ticks, in N.
+        held_s
+            Time in s for which the speed will be held, where that is longer than a tick.
         """
         position = self._law.position
         self.tip_m = screw_m = position(reference_n[1])
@@ -60,7 +70,7 @@ class ScrewPath:
         self.screw_m = screw_m
         self.further_m = 0.0
         if held_s > self._tick_s:
-            # Beyond a tick more, a pulse's slope foretells nothing.
+            # Beyond a tick more, a pulse's slope predicts nothing.
             slope_m_per_s = (self.tip_m - position(reference_n[0])) / self._tick_s
             self.further_m = slope_m_per_s * min(held_s - self._tick_s, self._tick_s)
         speed_m_per_s = (screw_m + self.further_m - self._fed_m) / max(held_s, self._tick_s)
@@ -68,17 +78,17 @@ class ScrewPath:
         return speed_m_per_s
 
     def skip(self, speed_m_per_s: float) -> None:
-        """A tick was missed, in which the drive went on at a speed."""
+        """Account for a missed tick, in which the drive went on at a speed."""
         self.shift(speed_m_per_s * self._tick_s)
 
-    def shift(self, way_m: float) -> None:
-        """The screw has gone so much further than it was told to."""
+    def shift(self, travel_m: float) -> None:
+        """Add a travel of the screw in m beyond the commanded one."""
         if self._fed_m is not None:
-            self._fed_m += way_m
+            self._fed_m += travel_m
 
 
 class Gap:
-    """Which flank of the backlash the screw must be on, as an offset of the screw.
+    """Offset of the screw to the flank of the backlash that drives the tip.
 
     The change of flank is a zero-vibration input shape (Singer and Seering 1990): two steps
     half a period of the rotor apart, which leave it at rest.
@@ -104,7 +114,7 @@ class Gap:
         self._past: deque[int] = deque([self._direction] * (delay + 2), delay + 2)
 
     def cross(self, tip_m: list[float]) -> float:
-        """Offset of the screw for the next tick; tip_m is the way from there on."""
+        """Return the screw's offset in m for the next tick; tip_m: the positions from it on."""
         self._turn(tip_m[self.lead :])
         self._past.append(self._direction)
         if self._shares is None:

@@ -1,30 +1,41 @@
-"""Holding time of a command on a host that stalls, and the speed that a stepper may press at then.
+"""Holding time of a command on a host that stalls, and the speed at which a stepper may press then.
 
-A drive goes on as it was told last, until it is told again. A command meant for a tick that is held
-for many leads too far by all of them: a loop whose gain is made for a tick swings up, and what is
-made up for at once is overdone. So a command is made for as long as commands are held lately, and
-must not press too hard if it is held for as long as the worst of them. Pure.
+A drive keeps its last command until the next. A command for one tick that is held for many leads
+too far: a loop whose gain is designed for a tick swings up, and a correction for one tick
+overshoots. So each command is computed for the usual holding time of late, and must not press too
+hard if it is held for the worst of them (decision 25).
 """
 
 import math
 
 from display_node.plant.contact import ContactLaw
 
-# How long the usual hold, and how long the worst stall and the peak of the force are remembered:
-# what is left of each after so long is 1/e.
+# Time constants by which the usual holding time, and the worst stall and the force's peak, decay.
 USUAL_S = 0.1
 WORST_S = 10.0
-# What a stall may press with, over the highest force that was wanted lately.
+# Force during a stall, as a multiple of the highest force that was wanted lately.
 HEADROOM = 1.25
 
 
 class StallGuard:
-    """Remembers the stalls and the forces of late.
+    """Memory of recent stalls and forces.
 
-    play_m: how much further than the tip the screw may have to go, to take up its play.
-    peak_n: the highest force that was wanted lately.
-    held_s: how long the command is held that an instant of late has met, on average; a tick where
-    the host keeps its time.
+    Parameters
+    ----------
+    law
+        Contact law.
+    tick_s
+        Tick in s.
+    play_m
+        Travel of the screw in m beyond the tip's, to take up its backlash.
+
+    Attributes
+    ----------
+    peak_n
+        Highest force in N that was wanted lately.
+    held_s
+        Mean holding time in s of the commands that recent instants have met; a tick where the host
+        keeps its time.
     """
 
     def __init__(self, law: ContactLaw, tick_s: float, play_m: float) -> None:
@@ -40,8 +51,7 @@ class StallGuard:
         self.held_s = tick_s
 
     def tick(self, missed_ticks: int, wanted_n: float) -> None:
-        """Advance one tick, with how many were missed before it and what the finger is to feel
-        now."""
+        """Advance one tick, after missed ones, towards a wanted force in N."""
         self.peak_n = max(wanted_n, self._worst * self.peak_n)
         if not (missed_ticks or self._longest_s):
             return
@@ -55,10 +65,10 @@ class StallGuard:
 
     @property
     def limiting(self) -> bool:
-        """True while the host has stalled lately."""
+        """True where the host has stalled lately, so that the speed is limited."""
         return self._longest_s >= 2 * self._tick_s
 
     def fastest(self, screw_m: float) -> float:
-        """While it is wary, the highest speed in m/s towards the finger for a screw there."""
+        """Return the highest speed towards the finger in m/s, for the screw's position in m."""
         furthest_m = self._law.position(HEADROOM * self.peak_n) + self._play_m
         return max(0.0, furthest_m - screw_m) / self._longest_s

@@ -1,4 +1,4 @@
-"""Real drives, one file a kind: what the actuator is commanded through."""
+"""Real drives of the actuator: TMCL modules and CiA 402 drives, behind one `Drive`."""
 
 from display_node.drives.axis import build_axis
 from display_node.drives.cia402.drive import Cia402Drive
@@ -19,7 +19,7 @@ def build_drive(
     layer: ElasticLayer,
     force_limit_n: float,
 ) -> Drive:
-    """The drive that a scene names, not started yet. Raises SceneError."""
+    """Build the drive that a scene names, without starting it. Raises SceneError."""
     if not isinstance(actuator, StepperScene):
         raise SceneError('[display] drive: it needs an actuator of kind "stepper"')
     axis = build_axis(scene, actuator, layer, force_limit_n)

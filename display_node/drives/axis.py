@@ -1,8 +1,6 @@
-"""One driven axis: what it moves, how far it may go, and how its drive counts.
+"""One driven axis: its units, its travel with soft limits, and its greatest speed.
 
 Between the tip's metres and a drive's own integers.
-
-Soft limits: how fast the tip may go so that it can still stop before the end of its travel.
 """
 
 import math
@@ -12,12 +10,64 @@ from display_node.drives.scene import Cia402Scene, DriveScene
 from display_node.plant.stepper import StepperScene
 from protocol.tactile import ElasticLayer
 
+# Positions and velocities of a drive have 32 bits.
+LARGEST = 2**31 - 1
+
+
+@dataclass(frozen=True, slots=True)
+class Units:
+    """A drive's units.
+
+    Attributes
+    ----------
+    step_m
+        Travel of one (micro)step in m.
+    per_step
+        The drive's position units in one step.
+    per_step_rate
+        Its velocity units in one step a second.
+    direction
+        1 where the drive's positive leads into the finger, −1 where it leads away.
+    home_m
+        Its zero, in m from first touch.
+    """
+
+    step_m: float
+    per_step: float
+    per_step_rate: float
+    direction: int
+    home_m: float
+
+    def velocity(self, speed_m_per_s: float) -> int:
+        """Return a speed in the drive's units, within 32 bits."""
+        units = round(self.direction * speed_m_per_s / self.step_m * self.per_step_rate)
+        return min(max(units, -LARGEST), LARGEST)
+
+    def speed_m_per_s(self, velocity: int) -> float:
+        """Return the speed in m/s of a velocity in the drive's units."""
+        return self.direction * velocity / self.per_step_rate * self.step_m
+
+    def position(self, position_m: float) -> int:
+        """Return a tip position in the drive's units, within 32 bits."""
+        units = round(self.direction * (position_m - self.home_m) / self.step_m * self.per_step)
+        return min(max(units, -LARGEST), LARGEST)
+
+    def position_m(self, position: int) -> float:
+        """Return the tip position in m of a position in the drive's units."""
+        return self.direction * position / self.per_step * self.step_m + self.home_m
+
 
 class SoftLimits:
-    """The part of the travel that may be used, and the speed that it leaves.
+    """The usable part of the travel, and the speed that it allows.
 
-    lowest_m, furthest_m: ends of the travel from first touch. reaction_s: time from a command
-    to what it does, beside the age of the position it is judged by.
+    Parameters
+    ----------
+    lowest_m, furthest_m
+        Ends of the travel in m from first touch.
+    acceleration_m_per_s2
+        The drive's acceleration and deceleration.
+    reaction_s
+        Time in s from a command to its effect, besides the age of the position.
     """
 
     def __init__(
@@ -29,12 +79,12 @@ class SoftLimits:
         self._reaction_s = reaction_s
 
     def bound(self, speed_m_per_s: float, position_m: float, age_s: float) -> float:
-        """The wanted speed, or what is left of it near an end; 0 for no number.
+        """Return the speed that still stops before an end; 0 for no number.
 
-        position_m was true age_s ago. Until the drive reacts the tip may go on at the full
-        speed v, then it brakes: v t + v²/2a must not exceed the distance that is left. Since the
-        position was heard the tip may have been faster than v, but not twice as fast: speeds so
-        bounded fall by no more than a factor of e in a time of t, which is twice the age or more.
+        Until the drive reacts the tip may go on at the full speed v, then it brakes: v t + v²/2a
+        must not exceed the distance that is left. Since the position was reported, age_s ago, the
+        tip may have been faster than v, but not twice as fast: speeds so bounded fall by no more
+        than a factor of e in a time of t, which is twice the age or more.
         """
         if speed_m_per_s > 0:
             return min(speed_m_per_s, self._fastest(self._furthest_m - position_m, age_s))
@@ -45,64 +95,32 @@ class SoftLimits:
     def _fastest(self, distance_m: float, age_s: float) -> float:
         if not distance_m > 0:
             return 0.0
-        blind_s, braking = 2 * age_s + self._reaction_s, self._acceleration
-        return braking * (math.sqrt(blind_s * blind_s + 2 * distance_m / braking) - blind_s)
-
-
-LARGEST = 2**31 - 1
-
-
-@dataclass(frozen=True, slots=True)
-class Units:
-    """How a drive counts.
-
-    step_m: travel of one (micro)step. per_step: the drive's position units in one step.
-    per_step_rate: its velocity units in one step a second. direction: 1 where the drive's
-    positive goes into the finger, −1 where it goes away. home_m: where its zero is, from first
-    touch.
-    """
-
-    step_m: float
-    per_step: float
-    per_step_rate: float
-    direction: int
-    home_m: float
-
-    def velocity(self, speed_m_per_s: float) -> int:
-        """A speed as the drive writes it, within 32 bits."""
-        units = round(self.direction * speed_m_per_s / self.step_m * self.per_step_rate)
-        return min(max(units, -LARGEST), LARGEST)
-
-    def speed_m_per_s(self, velocity: int) -> float:
-        """The speed that the drive's number stands for."""
-        return self.direction * velocity / self.per_step_rate * self.step_m
-
-    def position(self, position_m: float) -> int:
-        """A tip position as the drive writes it, within 32 bits."""
-        units = round(self.direction * (position_m - self.home_m) / self.step_m * self.per_step)
-        return min(max(units, -LARGEST), LARGEST)
-
-    def position_m(self, position: int) -> float:
-        """The tip position that the drive's number stands for."""
-        return self.direction * position / self.per_step * self.step_m + self.home_m
+        late_s, braking = 2 * age_s + self._reaction_s, self._acceleration
+        return braking * (math.sqrt(late_s * late_s + 2 * distance_m / braking) - late_s)
 
 
 # Between a command and the motor's reaction.
 REACTION_S = 2e-3
-# So far from first touch nothing is felt of the tip; half the way home where that is shorter.
+# So far from first touch nothing is felt of the tip; half the distance to home where that is less.
 CLEAR_M = 0.5e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """The mechanics of a drive; speeds in m/s, accelerations in m/s².
+    """The mechanics of a drive; positions in m from first touch.
 
-    search_s: how long it may take to home, there and back over the whole stroke. clear_m: where the
-    tip is off the finger, from first touch.
+    Attributes
+    ----------
+    lowest_m, furthest_m
+        Ends of the travel: home, and the greatest depth.
+    search_s
+        Greatest duration of the search for home, there and back over the whole stroke.
+    clear_m
+        Position where the tip is off the finger; negative.
     """
 
     units: Units
-    travel: SoftLimits
+    soft_limits: SoftLimits
     lowest_m: float
     furthest_m: float
     max_speed_m_per_s: float
@@ -115,13 +133,13 @@ class Axis:
 def build_axis(
     scene: DriveScene, actuator: StepperScene, layer: ElasticLayer, force_limit_n: float
 ) -> Axis:
-    """The axis of a scene's drive and actuator.
+    """Return the axis of a scene's drive and actuator.
 
-    It may go from home to where the model of contact says that the tip presses with the force
-    limit (or the thrust, or to the stroke's end, or to `furthest`, whichever comes first).
+    Its travel is from home to where the contact law gives the force limit (or the thrust, or to
+    the stroke's end, or to `furthest`, whichever comes first).
     """
     pressing_m = actuator.contact(layer).position(min(actuator.thrust_n, force_limit_n))
-    # Told by whole microsteps, it may be almost one further on than it says.
+    # Counted in whole microsteps, the tip may be almost one further than the count.
     furthest_m = min(actuator.stroke_m - scene.touch_m, pressing_m - actuator.step_m)
     if scene.furthest_m is not None:
         furthest_m = min(furthest_m, scene.furthest_m)
@@ -132,11 +150,11 @@ def build_axis(
         direction=-1 if scene.inverted else 1,
         home_m=-scene.touch_m,
     )
-    # This command may be our last, and then it counts until the drive's watchdog ends it.
+    # A command may be the last one, and then it holds until the drive's watchdog ends it.
     reaction_s = REACTION_S + scene.watchdog_ns * 1e-9
     return Axis(
         units=units,
-        travel=SoftLimits(
+        soft_limits=SoftLimits(
             -scene.touch_m, furthest_m, actuator.max_acceleration_m_per_s2, reaction_s
         ),
         lowest_m=-scene.touch_m,

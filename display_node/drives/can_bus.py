@@ -1,7 +1,4 @@
-"""Opening the CAN bus that a scene names.
-
-What python-can meets where it reads: noise from a CAN adapter, or a bus that is gone.
-"""
+"""The CAN bus of a scene: opening it, and errors of reading: noise, or a bus that is gone."""
 
 import time
 from collections import Counter
@@ -13,30 +10,33 @@ from protocol.errors import DriveError
 if TYPE_CHECKING:
     import can
 
-# A bus that is gone fails at every look at it.
+# A bus that is gone fails at every read.
 PAUSE_S = 0.05
 
 
 def is_noise(error: Exception) -> bool:
-    """Whether a bus could make no frame of what came, rather than being gone."""
-    # Some interfaces wrap what they met in an error of python-can.
-    met = error.__cause__ or error
-    return isinstance(met, ValueError | IndexError) and not isinstance(met, OSError)
+    """Return whether a bus could not decode a frame, rather than being gone."""
+    # Some interfaces wrap the cause in an error of python-can.
+    cause = error.__cause__ or error
+    return isinstance(cause, ValueError | IndexError) and not isinstance(cause, OSError)
 
 
-def pass_over(bus: Any) -> None:
-    """Forget the line that noise has spoilt: an slcan interface keeps it, and fails at it again."""
+def discard_spoilt_line(bus: Any) -> None:
+    """Discard a line that noise has spoilt: an slcan interface keeps it, and fails at it again."""
     flush = getattr(bus, "flush", None)
     if flush is not None:
         flush()
 
 
 class BusErrors:
-    """A listener of a canopen network, whose thread would print a traceback and end without it.
+    """Error listener of a canopen network, whose thread would end with a traceback without it.
 
-    What is "garbled" is counted and passed over.
+    A "garbled" frame is counted and ignored.
 
-    lost: why the bus cannot be read any more; None while it can.
+    Attributes
+    ----------
+    lost
+        Error by which the bus cannot be read any more; None while it can.
     """
 
     def __init__(self, network: Any, counts: Counter[str]) -> None:
@@ -45,21 +45,21 @@ class BusErrors:
         self.lost: Exception | None = None
 
     def __call__(self, message: object) -> None:
-        """Frames are the network's business."""
+        """Ignore a frame: the network handles it."""
 
     def on_error(self, error: Exception) -> None:
-        """Reading has failed."""
+        """Handle an error of reading."""
         if not is_noise(error):
             self.lost = error
             time.sleep(PAUSE_S)
             return
-        pass_over(self._network.bus)
+        discard_spoilt_line(self._network.bus)
         self._network.notifier.exception = None
         self._counts["garbled"] += 1
 
 
 def open_bus(scene: DriveScene) -> "can.BusABC":
-    """The bus, by python-can. Raises DriveError."""
+    """Open the bus by python-can. Raises DriveError."""
     import can
 
     settings: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""What every drive does for the force loop, whatever it is reached by."""
+"""The interface of a real drive to the force loop, whatever bus it is on."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -10,21 +10,34 @@ from display_node.drives.withdrawal import WithdrawalOutcome
 
 @dataclass(frozen=True, slots=True)
 class DriveStatus:
-    """What a drive said last.
+    """The last report of a drive.
 
-    position_m: of the tip from first touch, positive into the finger; heard_ns: when it was
-    received, on the monotonic clock, 0 before any was. fault: what has ended the following of
-    commands until `Drive.start` is called again, or None. withdrawal: how far the tip has come off
-    the finger since; None without a fault, and where the drive was not moving by our commands.
-    answered_ns: when the drive answered anything. held_back: the last command was slowed before
-    the far end of the travel.
+    Attributes
+    ----------
+    position_m
+        Tip position in m from first touch, positive into the finger.
+    speed_m_per_s
+        Its speed.
+    fault
+        Fault that ended the following of commands until `Drive.start` is called again, or None.
+    moving
+        The drive reports a speed.
+    received_ns
+        Time of the position on the monotonic clock; 0 before any.
+    withdrawal
+        State of the withdrawal since the fault; None without a fault, and where the drive was not
+        moving by commands.
+    answered_ns
+        Time of the drive's last answer of any kind.
+    held_back
+        The last command was slowed before the far end of the travel.
     """
 
     position_m: float
     speed_m_per_s: float
     fault: str | None
     moving: bool
-    heard_ns: int
+    received_ns: int
     withdrawal: WithdrawalOutcome | None = None
     answered_ns: int = 0
     held_back: bool = False
@@ -37,40 +50,50 @@ def no_film() -> None:
 class Drive(Protocol):
     """A stepper's drive that takes speeds.
 
-    counts: what went wrong on the way to it and was made good, by name.
+    Attributes
+    ----------
+    counts
+        Errors on the bus that the next message made good, by name.
     """
 
     counts: Counter[str]
 
     def start(self, force_n: Callable[[], float | None] = no_film) -> None:
-        """Connect, check, enable, home, verify the direction and come to first touch; blocks.
+        """Connect, check, enable, home, verify the direction and go to first touch; blocks.
 
-        force_n gives the newest reading of the film under the finger, None where there is none.
-        Raises DriveError.
+        Parameters
+        ----------
+        force_n
+            Returns the newest reading of the film in N, None where there is none.
+
+        Raises
+        ------
+        DriveError
+            Where any of it fails; the drive is closed then.
         """
 
     def command(self, speed_m_per_s: float) -> None:
         """Run at this speed, positive into the finger, from now on, within the soft limits.
 
         Never waits for the drive; the latest command wins. Commands before `start` or after a
-        fault are passed over. From the first one on they must keep coming: after the scene's
-        `watchdog` without any the tip withdraws, and that is a fault.
+        fault are ignored. From the first one on they must keep coming: the scene's `watchdog`
+        without any is a fault, and the tip withdraws.
         """
 
-    def press(self, force_n: float, taken_ns: int) -> None:
-        """Take a reading of the film, which a withdrawal goes by as well."""
+    def report_film(self, force_n: float, taken_ns: int) -> None:
+        """Take a reading of the film in N, by which a withdrawal is judged as well."""
 
     def status(self) -> DriveStatus:
         """Return what the drive reported last, without a request."""
 
-    def way_m(self, now_ns: int) -> float:
-        """Return how far its commands lead until a time on the monotonic clock, from anywhere."""
+    def travel_m(self, now_ns: int) -> float:
+        """Return the travel in m that was commanded until a time, from any origin."""
 
     def withdraw(self, reason: str) -> None:
         """Take the tip off the finger from now on, and keep it there until `start`.
 
-        Never waits for the drive. The reason is the fault, unless there is one.
+        Never waits for the drive. The reason becomes the fault, unless there is one.
         """
 
     def close(self) -> None:
-        """Bring the drive to rest, disable it and let go of it. Never raises."""
+        """Bring the drive to rest, disable and disconnect it. Never raises."""

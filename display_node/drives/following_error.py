@@ -1,4 +1,4 @@
-"""Position that a drive's commands lead to, and the following error of the drive's own position.
+"""Commanded position of a drive, and the following error of the position that it reports.
 
 CiA 402 calls the distance between the two the following error. Pure: times come in, in ns on the
 monotonic clock.
@@ -17,69 +17,74 @@ LATE_NS = 30_000_000
 TOLERANCE_M = 150e-6
 # Positions that do not follow for so long are a fault; one report may be wrong by itself.
 WITHIN_NS = 20_000_000
-# Each command reaches the drive somewhat early or late, and no drive ramps quite as it is told: the
-# comparison forgets with time, and with the way. 7 % of the way is thus taken for following.
+# Each command reaches the drive somewhat early or late, and no drive ramps exactly as commanded:
+# the comparison forgets with time, and with travel. 7 % of the travel thus counts as following.
 DRIFT_S = 5.0
 DRIFT_M = 2e-3
 
 
 class CommandedPosition:
-    """The integral of the speeds a drive was sent, from anywhere, each reached by a ramp."""
+    """Integral of the speeds that a drive was sent, each reached by a ramp; any origin."""
 
     def __init__(self, acceleration_m_per_s2: float = math.inf) -> None:
         self._acceleration = acceleration_m_per_s2
-        # When each speed was sent, the way and the speed until then, and the speed sent.
         self._legs: deque[_Leg] = deque([_Leg(0, 0.0, 0.0, 0.0)], maxlen=LEGS)
 
     def record(self, speed_m_per_s: float, now_ns: int) -> None:
         """Record a speed that was sent at a time, perhaps the same again."""
         last = self._legs[-1]
-        # A thread that stood still records what it sent later than another thread's newer one.
+        # A thread that stalled records its command after another thread's newer one.
         now_ns = max(now_ns, last.sent_ns)
         if speed_m_per_s != last.sent:
-            way_m, speed = last.after((now_ns - last.sent_ns) * 1e-9, self._acceleration)
-            self._legs.append(_Leg(now_ns, way_m, speed, speed_m_per_s))
+            travel_m, speed = last.after((now_ns - last.sent_ns) * 1e-9, self._acceleration)
+            self._legs.append(_Leg(now_ns, travel_m, speed, speed_m_per_s))
 
-    def way_m(self, now_ns: int) -> float:
-        """Return the way in m until a time, as far back as speeds are kept."""
+    def travel_m(self, now_ns: int) -> float:
+        """Return the travel in m until a time, as far back as speeds are kept."""
         # By index, as another thread may record meanwhile (`PassableLock`).
         for back in range(1, len(self._legs) + 1):
             leg = self._legs[-back]
             if now_ns >= leg.sent_ns:
                 return leg.after((now_ns - leg.sent_ns) * 1e-9, self._acceleration)[0]
-        return self._legs[0].way_m
+        return self._legs[0].travel_m
 
     def bounds_m(self, from_ns: int, to_ns: int) -> tuple[float, float]:
-        """Return the least and the greatest way in m within a time, to the speeds sent."""
-        ways = [self.way_m(from_ns), self.way_m(to_ns)]
-        ways += [leg.way_m for leg in tuple(self._legs) if from_ns < leg.sent_ns < to_ns]
-        return min(ways), max(ways)
+        """Return the least and the greatest travel in m between two times."""
+        travels = [self.travel_m(from_ns), self.travel_m(to_ns)]
+        travels += [leg.travel_m for leg in tuple(self._legs) if from_ns < leg.sent_ns < to_ns]
+        return min(travels), max(travels)
 
 
 class _Leg(NamedTuple):
-    """Speeds in m/s: when the last one was sent, and the one that was sent."""
+    """A change of speed: its time, travel in m and speed in m/s by then, and the speed sent."""
 
     sent_ns: int
-    way_m: float
+    travel_m: float
     speed: float
     sent: float
 
     def after(self, seconds: float, acceleration: float) -> tuple[float, float]:
-        """Return way in m and speed in m/s so much later."""
+        """Return travel in m and speed in m/s so many seconds later."""
         change = self.sent - self.speed
         ramp_s = abs(change) / acceleration
         if seconds < ramp_s:
             reached = self.speed + math.copysign(acceleration * seconds, change)
-            return self.way_m + 0.5 * (self.speed + reached) * seconds, reached
+            return self.travel_m + 0.5 * (self.speed + reached) * seconds, reached
         ramped_m = 0.5 * (self.speed + self.sent) * ramp_s
-        return self.way_m + ramped_m + self.sent * (seconds - ramp_s), self.sent
+        return self.travel_m + ramped_m + self.sent * (seconds - ramp_s), self.sent
 
 
 class FollowingError:
-    """Compares reported positions with the commanded one.
+    """Comparison of reported positions with the commanded one.
 
-    The first report after `begin` fixes where the way began. error_m: of the last report, signed,
-    beyond what LATE_NS explains. failed: the error was beyond TOLERANCE_M for WITHIN_NS.
+    The first report after `begin` fixes the origin of the travel.
+
+    Attributes
+    ----------
+    error_m
+        Signed error of the last report, beyond what LATE_NS explains.
+    failed
+        The error was beyond TOLERANCE_M for WITHIN_NS.
     """
 
     def __init__(self, acceleration_m_per_s2: float) -> None:
@@ -100,24 +105,24 @@ class FollowingError:
 
     def position_m(self, now_ns: int) -> float:
         """Return the commanded position in m from first touch; NaN before the first report."""
-        return self._origin_m + self._commanded.way_m(now_ns)
+        return self._origin_m + self._commanded.travel_m(now_ns)
 
-    def report(self, position_m: float, heard_ns: int) -> None:
+    def report(self, position_m: float, received_ns: int) -> None:
         """Take a reported position in m from first touch, and when it was received."""
         if math.isnan(self._origin_m):
-            self._origin_m = position_m - self._commanded.way_m(heard_ns)
-            self._last_ns = self._good_ns = heard_ns
-            self._last_m = self._commanded.way_m(heard_ns)
+            self._origin_m = position_m - self._commanded.travel_m(received_ns)
+            self._last_ns = self._good_ns = received_ns
+            self._last_m = self._commanded.travel_m(received_ns)
             return
-        low_m, high_m = self._commanded.bounds_m(heard_ns - LATE_NS, heard_ns)
-        way_m = position_m - self._origin_m
-        self.error_m = way_m - min(max(way_m, low_m), high_m)
-        commanded_m = self._commanded.way_m(heard_ns)
-        drift = (heard_ns - self._last_ns) * 1e-9 / DRIFT_S
+        low_m, high_m = self._commanded.bounds_m(received_ns - LATE_NS, received_ns)
+        travel_m = position_m - self._origin_m
+        self.error_m = travel_m - min(max(travel_m, low_m), high_m)
+        commanded_m = self._commanded.travel_m(received_ns)
+        drift = (received_ns - self._last_ns) * 1e-9 / DRIFT_S
         drift += abs(commanded_m - self._last_m) / DRIFT_M
         self._origin_m += self.error_m * min(drift, 1.0)
-        self._last_ns, self._last_m = heard_ns, commanded_m
+        self._last_ns, self._last_m = received_ns, commanded_m
         if abs(self.error_m) <= TOLERANCE_M:
-            self._good_ns = heard_ns
-        elif heard_ns - self._good_ns >= WITHIN_NS:
+            self._good_ns = received_ns
+        elif received_ns - self._good_ns >= WITHIN_NS:
             self.failed = True

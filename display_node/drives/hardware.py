@@ -1,4 +1,4 @@
-"""The real bench of a display node: the drive that is commanded and the film that is read."""
+"""The real bench of a display node: its drive and the sensor of its film."""
 
 import time
 from collections import Counter
@@ -21,9 +21,14 @@ WITHDRAWN_WITHIN_S = 1.5
 class Hardware:
     """A drive, and the sensor of the feedback film.
 
-    Without a sensor the film is told by the model of contact, from where the drive says it is.
-    feedback: what the display reads. at_end: ticks in which the drive was slowed before the far end
-    of its travel.
+    Without a sensor the contact law gives the film's reading, from the drive's position.
+
+    Attributes
+    ----------
+    feedback
+        The film's readings, as the display takes them.
+    at_end
+        Counter of ticks in which the drive was slowed before the far end of its travel.
     """
 
     def __init__(
@@ -54,13 +59,13 @@ class Hardware:
         self._film_fault: str | None = None
         self._drive = drive
         self._sensor = sensor
-        # The drive's, when it was read last.
+        # The drive's last status.
         self._status = drive.status()
-        self._heard_ns = 0
+        self._received_ns = 0
         self.at_end = LimitCounter()
         self._began_ns = time.monotonic_ns()
-        # Where the drive's commands had led to at the last tick.
-        self._way_m: float | None = None
+        # Travel that was commanded until the last tick.
+        self._travel_m: float | None = None
         self._tick_ns = tick_ns
         self._watchdog_ns = watchdog_ns
         self.feedback = feedback
@@ -78,16 +83,16 @@ class Hardware:
         self.read()
 
     def read(self) -> str | None:
-        """Hand what has come to `feedback` and drive; the fault, if there is one."""
+        """Take new samples and the drive's status; return the fault, if there is one."""
         newest = self._read_film(self._sensor) if self._sensor is not None else None
-        # After the film, which a withdrawal goes by.
+        # After the film, by which a withdrawal is judged.
         self._status = status = self._drive.status()
         if self._sensor is None:
-            if status.heard_ns != self._heard_ns:
-                self._heard_ns = status.heard_ns
-                self.feedback.add(status.heard_ns, self._contact.force(status.position_m))
+            if status.received_ns != self._received_ns:
+                self._received_ns = status.received_ns
+                self.feedback.add(status.received_ns, self._contact.force(status.position_m))
         else:
-            self._plausibility.report(status.position_m, status.heard_ns)
+            self._plausibility.report(status.position_m, status.received_ns)
             if newest is not None and status.fault is None:
                 contradiction = self._plausibility.fault(newest[1], newest[0])
                 return self._film_fault or contradiction
@@ -105,10 +110,10 @@ class Hardware:
 
         A change of speed that is sent late or not at all leaves the tip elsewhere than was meant.
         """
-        before_m, self._way_m = self._way_m, self._drive.way_m(now_ns)
+        before_m, self._travel_m = self._travel_m, self._drive.travel_m(now_ns)
         if before_m is None:
             return 0.0
-        return self._way_m - before_m - speed_m_per_s * (elapsed_ticks * self._tick_ns) * 1e-9
+        return self._travel_m - before_m - speed_m_per_s * (elapsed_ticks * self._tick_ns) * 1e-9
 
     def command(self, speed_m_per_s: float, faults: list[str]) -> str | None:
         """Command a speed until the next tick, or after a fault the withdrawal.
@@ -117,7 +122,7 @@ class Hardware:
         -------
         The fault of a withdrawal that failed.
         """
-        # A drive at fault takes no command: what it did with the last one is of the past.
+        # A drive at fault takes no command; how it bounded the last one no longer counts.
         self.at_end.add(self._status.held_back and not faults)
         if not faults:
             self._drive.command(speed_m_per_s)
@@ -156,7 +161,7 @@ class Hardware:
             time.sleep(POLL_S)
 
     def _film_n(self) -> float | None:
-        """The newest reading of the film; None without one."""
+        """Return the newest reading of the film; None without one."""
         if self._sensor is None:
             return None
         self._read_film(self._sensor)
@@ -164,7 +169,7 @@ class Hardware:
         return None if newest is None else newest[1]
 
     def _read_film(self, sensor: Sensor) -> tuple[int, float] | None:
-        """Pass on what the film's sensor has sent; its newest sample, None where none came."""
+        """Hand on the film's new samples; return the newest, None where none came."""
         samples = self.feedback.samples
         for reading in sensor.poll():
             for taken_ns, force_n in zip(reading.times_ns, reading.force_n, strict=True):
@@ -173,7 +178,7 @@ class Hardware:
         newest = self.feedback.newest
         if newest is None or self.feedback.samples == samples:
             return None
-        self._drive.press(newest[1], newest[0])
+        self._drive.report_film(newest[1], newest[0])
         return newest
 
     @property
@@ -183,7 +188,7 @@ class Hardware:
 
     @property
     def counts(self) -> Counter[str]:
-        """Errors on the way to drive and film that were made good, by name."""
+        """Errors on the lines of drive and film that the next message made good, by name."""
         counts = Counter({f"drive {name}": n for name, n in self._drive.counts.items()})
         if self._sensor is not None:
             counts.update({f"film {name}": n for name, n in self._sensor.rejected.items()})
@@ -191,14 +196,14 @@ class Hardware:
         return +counts
 
     def faults(self) -> list[str]:
-        """Return what was wrong with the film's sensor, one line each."""
+        """Return the errors of the film's sensor, one line each."""
         return [] if self._sensor is None else self._sensor.faults()
 
     def withdraw(self) -> None:
         """Take the tip off the finger and wait until it is, 1.5 s at most.
 
-        Call it right after the last tick: without commands the drive would withdraw by itself,
-        and call that a fault.
+        Call it right after the last tick: without commands the drive would withdraw by itself, at
+        a fault.
         """
         self._drive.withdraw("ended")
         deadline_s = time.monotonic() + WITHDRAWN_WITHIN_S
@@ -211,7 +216,7 @@ class Hardware:
             self.read()
 
     def close(self) -> None:
-        """Leave the finger, bring the drive to rest and let go of both."""
+        """Withdraw the tip, bring the drive to rest and close drive and sensor."""
         self.withdraw()
         self._drive.close()
         if self._sensor is not None:

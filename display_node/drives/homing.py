@@ -1,9 +1,7 @@
-"""Verification of the motor's direction, before the tip touches a finger.
+"""Homing and the approach to first touch, on which the motor's direction is verified.
 
-A wrong `inverted` or two swapped wires make every withdrawal a press. What the drive counts itself
-shows neither, so the home switch and the film are the witnesses.
-
-Bringing the tip to a place by speed alone, as any drive can.
+A wrong `inverted` or two swapped wires make every withdrawal a press. The drive's own count shows
+neither, so the home switch and the film have to.
 """
 
 import math
@@ -17,7 +15,7 @@ from display_node.drives.drive import Drive
 from protocol.errors import DriveError
 
 PERIOD_S = 2e-3
-# The way that is left is made in about this long: slower than any drive reports where it is.
+# Time constant of the approach: slower than any drive reports its position.
 TIME_CONSTANT_S = 0.1
 
 
@@ -28,13 +26,13 @@ def move_to(
     step_m: float,
     guard: Callable[[], None] = lambda: None,
 ) -> None:
-    """Move to within a step of a position and rest there; blocks.
+    """Move to within a step of a position by speed commands, and rest there; blocks.
 
-    guard is called on the way, and may end it by raising. Raises DriveError.
+    guard is called all along, and may end the motion by raising. Raises DriveError.
     """
-    way_m = abs(position_m - drive.status().position_m)
-    steps = max(way_m / step_m, 1.0)
-    deadline_s = time.monotonic() + 2.0 + 2 * way_m / speed_m_per_s + math.log(steps)
+    travel_m = abs(position_m - drive.status().position_m)
+    steps = max(travel_m / step_m, 1.0)
+    deadline_s = time.monotonic() + 2.0 + 2 * travel_m / speed_m_per_s + math.log(steps)
     sent_m_per_s = 0.0
     while True:
         guard()
@@ -42,7 +40,7 @@ def move_to(
         if status.fault is not None:
             raise DriveError("fault", f"on its way to first touch: {status.fault}")
         # On a busy host or line reports are late, and the tip has gone on since.
-        age_s = (time.monotonic_ns() - status.heard_ns) * 1e-9
+        age_s = (time.monotonic_ns() - status.received_ns) * 1e-9
         left_m = position_m - status.position_m - sent_m_per_s * age_s
         if abs(left_m) <= step_m:
             sent_m_per_s = 0.0
@@ -62,10 +60,9 @@ def move_to(
 
 # From home towards the finger: further than any switch needs to open.
 OPENED_M = 0.3e-3
-# Beyond the way from the furthest place of the travel: the switch's own, and what the scene's
-# `touch` may be wrong by.
+# Beyond the whole travel: the switch's own, and the error of the scene's `touch`.
 SEARCH_MARGIN_M = 1e-3
-# On its way to first touch the tip presses nothing; a film that reads so much more is pressed.
+# Up to first touch the tip presses nothing; a film that reads so much more is pressed.
 PRESSED_N = 0.1
 # Kind of DriveError, and what to do.
 WRONG_WAY = "wrong way"
@@ -73,15 +70,15 @@ ADVICE = "look at [display.drive] inverted and at the motor's wiring"
 
 
 class TouchGuard:
-    """Ends a motion away from the finger, or up to first touch, on which the film is pressed."""
+    """End of a motion away from the finger, or up to first touch, that presses the film."""
 
     def __init__(self, force_n: Callable[[], float | None]) -> None:
-        """force_n gives the film's newest reading, None where there is none."""
+        """Take a function that returns the film's newest reading in N, None without one."""
         self._force_n = force_n
         self._least_n = force_n()
 
     def __call__(self) -> None:
-        """Raise DriveError where the film reads more than the least until now explains."""
+        """Raise DriveError where the film reads much more than its least reading until now."""
         force_n = self._force_n()
         if force_n is None:
             return
@@ -95,15 +92,15 @@ class TouchGuard:
 
 
 class SearchBound:
-    """Ends a search for home that has gone further than home can be away."""
+    """End of a search for home that has gone further than home can be away."""
 
     def __init__(self, axis: Axis, began_m: float) -> None:
-        """began_m: where the search began, by the drive's own count."""
+        """Begin at a position in m by the drive's own count."""
         self._most_m = axis.furthest_m - axis.lowest_m + SEARCH_MARGIN_M
         self._began_m = began_m
 
     def __call__(self, position_m: float) -> None:
-        """Raise DriveError where the drive's count has come too far."""
+        """Raise DriveError where the drive has counted too far."""
         if abs(position_m - self._began_m) > self._most_m:
             raise DriveError(
                 WRONG_WAY,
@@ -113,28 +110,28 @@ class SearchBound:
 
 
 @dataclass
-class ApproachDirection:
-    """A way home or to first touch. began_m: where it began, by the drive's own count."""
+class ApproachStart:
+    """Beginning of a motion home or to first touch, in m by the drive's own count."""
 
     began_m: float
 
 
 @contextmanager
-def undone_where_wrong(
+def undo_wrong_way(
     drive: Drive, axis: Axis, speed_m_per_s: float, follow: Callable[[], None]
-) -> Iterator[ApproachDirection]:
+) -> Iterator[ApproachStart]:
     """Close a drive whose start fails; one that went the wrong way goes back before.
 
-    follow makes the drive follow commands, where it does not.
+    follow: makes the drive follow commands, where it does not.
     """
-    way = ApproachDirection(axis.lowest_m)
+    start = ApproachStart(axis.lowest_m)
     try:
-        yield way
+        yield start
     except BaseException as error:  # Ctrl-C, too, must not leave it moving.
         if isinstance(error, DriveError) and error.kind == WRONG_WAY:
-            with suppress(DriveError):  # that it was wrong is raised already
+            with suppress(DriveError):  # the first error is raised anyway
                 follow()
-                move_to(drive, way.began_m, speed_m_per_s, axis.units.step_m)
+                move_to(drive, start.began_m, speed_m_per_s, axis.units.step_m)
         drive.close()
         raise
 
@@ -146,7 +143,7 @@ def approach_touch(
     home_switch: Callable[[], bool | None],
     guard: Callable[[], None],
 ) -> None:
-    """Go from home to first touch, and see on the way that the home switch opens; blocks.
+    """Go from home to first touch, and check that the home switch opens meanwhile; blocks.
 
     home_switch returns whether it is closed, None where that is not known. Raises DriveError.
     """
@@ -158,15 +155,15 @@ def approach_touch(
 
 
 def opened_m(touch_m: float) -> float:
-    """Return how far to go from home, in m, until the home switch must have opened."""
+    """Return the distance from home in m within which the home switch must open."""
     return min(OPENED_M, touch_m / 2)
 
 
 def check_switch(closed: bool | None, went_m: float) -> None:
-    """Raise DriveError unless the home switch is open so far towards the finger.
+    """Raise DriveError where the home switch is closed so far towards the finger.
 
-    closed is None where the drive does not report its switch: then home itself, which its search
-    has found by that switch, is what there is.
+    closed is None where the drive does not report its switch; that its search has found home by
+    the switch is then the only evidence.
     """
     if closed:
         raise DriveError(

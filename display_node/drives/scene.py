@@ -1,4 +1,4 @@
-"""The `drive` table: how the actuator's real drive is reached. What it moves is in `actuator`."""
+"""The `drive` table: bus, units and homing of the real drive. Its mechanics are in `actuator`."""
 
 from typing import Annotated, Literal
 
@@ -11,19 +11,19 @@ Scale = Annotated[float, Field(gt=0, le=1e9)]
 
 
 class DriveScene(Section):
-    """What the tables of all kinds of drive have in common.
+    """Keys of all kinds of drive.
 
-    interface, channel, bitrate: a CAN bus as python-can names it; options: what else the
-    interface takes. velocity_scale: the drive's
-    velocity units in one microstep a second. inverted: its positive goes away from the finger.
+    interface, channel, bitrate: a CAN bus as python-can names it; options: further settings of the
+    interface. velocity_scale: the drive's velocity units in one microstep a second. inverted: its
+    positive direction leads away from the finger.
 
-    homing: "switch" runs away from the finger to a limit switch; "none" takes for home where
-    the tip stands; homing_method: the drive's own number for a way to home, instead. touch:
-    from home to where the tip first touches the finger; furthest: how far past that it may go,
-    by default to where the model of contact says the force limit is.
+    homing: "switch" runs away from the finger to a limit switch; "none" takes the present position
+    for home. homing_method: the drive's own number of a homing method, instead. touch: from home to
+    where the tip first touches the finger. furthest: the greatest depth past that, by default where
+    the contact law gives the force limit.
 
-    period: how often a command is repeated at least. watchdog: time without a command after
-    which the drive brings itself to rest, and without an answer after which it has failed.
+    period: greatest time between two commands. watchdog: time without a command after which the
+    drive stops by itself, and without an answer after which it has failed.
     """
 
     interface: str | None = None
@@ -50,7 +50,7 @@ class DriveScene(Section):
 
 
 class TmclScene(DriveScene):
-    """The `drive` table of kind "tmcl": a module that speaks TMCL, on a serial port or on CAN.
+    """The `drive` table of kind "tmcl": a TMCL module on a serial port or on CAN.
 
     port: a device or any URL that pyserial opens. module, host: addresses on the line.
     acceleration_scale: the module's acceleration units in one microstep a second squared.

@@ -1,10 +1,9 @@
-"""Commands of one drive: the loop's speed within its limits, or the way off the finger.
+"""Supervision of one drive: commands within its limits, its faults, and the withdrawal after them.
 
 Whatever goes wrong, the tip withdraws as long as the drive obeys. The decision is here, once for
-all kinds of drive, so that it depends neither on the kind nor on which thread of the process wakes
-first. Pure: times come in, in ns on the monotonic clock; its caller serialises the calls.
-
-The lock between the loop's thread and a drive's own, which a stalled loop cannot keep.
+all kinds of drive, so that it depends neither on the kind nor on which thread of the process runs
+first (decision 29). Pure: times come in, in ns on the monotonic clock; the caller serialises the
+calls by a `PassableLock`.
 """
 
 import threading
@@ -21,14 +20,17 @@ PATIENCE_S = 0.05
 
 
 class PassableLock:
-    """Lock of what a drive is commanded, held by `with` in the loop's thread.
+    """Lock of a drive's commands, between the loop's thread and the drive's own.
 
-    A loop that stands still while it holds the lock must not keep the drive's thread from
-    withdrawing the tip. That thread holds the lock by `with lock.passing()`, which goes on without
-    it where it is not released in time. What both may then do at once must bear that: values that
-    are replaced in one step, and times that may be older than the last.
+    The loop's thread holds it by `with lock`. A loop that stalls while it holds the lock must not
+    keep the drive's thread from withdrawing the tip: that thread holds it by `with lock.passing()`,
+    which goes on without the lock where it is not released in time. Data that both may then use at
+    once is replaced in one step, and times may be older than the last.
 
-    lock: one that others hold as well; its own without.
+    Parameters
+    ----------
+    lock
+        A lock that others hold as well; a new one by default.
     """
 
     def __init__(self, lock: "threading.Lock | None" = None) -> None:
@@ -45,8 +47,8 @@ class PassableLock:
     def passing(self) -> Iterator[None]:
         """Hold the lock, or go on without it after `PATIENCE_S`.
 
-        Until it can be had again, the next calls do not wait: a withdrawal needs a command every
-        few milliseconds.
+        Until it is released, the next calls do not wait: a withdrawal needs a command every few
+        milliseconds.
         """
         held = self._lock.acquire(timeout=0.0 if self._passing else PATIENCE_S)
         self._passing = not held
@@ -58,13 +60,21 @@ class PassableLock:
 
 
 class Supervisor:
-    """Bounds, watches and withdraws one drive.
+    """Bounds the speed of one drive, latches its first fault and withdraws its tip.
 
-    fault: the first one, which holds until `arm`; None while there is none. withdrawal: under way
-    or ended since then. verified: the motor turns the way that its commands say; without, a fault
-    leaves the drive at rest, as a withdrawal might go towards the finger. position_m and
-    position_ns: where the tip was reported last, from first touch, and when; answered_ns: when the
-    drive answered anything.
+    Attributes
+    ----------
+    fault
+        The first fault, until `arm`; None while there is none.
+    withdrawal
+        The withdrawal since the fault.
+    verified
+        The motor turns in the commanded direction. Without, a fault leaves the drive at rest, as a
+        withdrawal might go towards the finger.
+    position_m, position_ns
+        Last reported position in m from first touch, and its time.
+    answered_ns
+        Time of the drive's last answer of any kind.
     """
 
     def __init__(self, axis: Axis, watchdog_ns: int) -> None:
@@ -72,7 +82,7 @@ class Supervisor:
         self._watchdog_ns = watchdog_ns
         self._commanded = CommandedPosition()
         self._following = FollowingError(axis.max_acceleration_m_per_s2)
-        # The loop's speed and when it came; 0 before the first.
+        # The loop's speed and its time; 0 before the first.
         self._command = (0.0, 0)
         self._stepped_ns = 0
         self._held_back = False
@@ -93,7 +103,7 @@ class Supervisor:
         return self._command[1]
 
     def arm(self, now_ns: int) -> None:
-        """Follow the loop's commands from now on, whatever was wrong before."""
+        """Follow the loop's commands from now on, and forget an earlier fault."""
         self.fault = self.withdrawal = None
         self.verified = False
         self._following.begin()
@@ -105,7 +115,7 @@ class Supervisor:
         self._command = (0.0, 0)
 
     def end(self, fault: str) -> None:
-        """Take no commands any more, and withdraw no more: the drive is let go of."""
+        """Take no more commands: the drive is being closed."""
         self.fault = self.fault or fault
 
     def command(self, speed_m_per_s: float, now_ns: int) -> None:
@@ -118,8 +128,8 @@ class Supervisor:
 
     def report(self, position_m: float, now_ns: int) -> None:
         """Take a position that the drive reported, in m from first touch."""
-        # A host that stood still must not blame the drive, which its own watchdog has stopped.
-        self.watch(now_ns)
+        # A host that stalled must not blame the drive, whose own watchdog has stopped it.
+        self.check_silence(now_ns)
         self.position_m = position_m
         self.position_ns = self.answered_ns = now_ns
         if self.withdrawal is not None:
@@ -134,10 +144,10 @@ class Supervisor:
                     now_ns,
                 )
 
-    def press(self, force_n: float, taken_ns: int) -> None:
+    def report_film(self, force_n: float, taken_ns: int) -> None:
         """Take a reading of the film under the finger, in N."""
         if self.withdrawal is not None:
-            self.withdrawal.press(force_n, taken_ns)
+            self.withdrawal.report_film(force_n, taken_ns)
 
     def fail(self, fault: str, now_ns: int) -> None:
         """Latch a fault and begin the withdrawal; a second one changes nothing."""
@@ -150,23 +160,23 @@ class Supervisor:
             self.withdrawal = Withdrawal(
                 now_ns,
                 furthest_m,
-                self._commanded.way_m(now_ns),
+                self._commanded.travel_m(now_ns),
                 self._axis.clear_m,
                 trusted=not self._following.failed,
             )
-        # Last: a thread that is stopped before this leaves no fault without its withdrawal.
+        # Last: a thread that stalls before this leaves no fault without its withdrawal.
         self.fault = fault
 
-    def held(self, now_ns: int) -> None:
-        """Note that a command was not carried out, as far as is known: it is no way made."""
+    def mark_unsent(self, now_ns: int) -> None:
+        """Note that a command may not have reached the drive: its travel does not count."""
         if self.withdrawal is not None:
-            self.withdrawal.renew(now_ns, self._commanded.way_m(now_ns))
+            self.withdrawal.restart(now_ns, self._commanded.travel_m(now_ns))
 
-    def watch(self, now_ns: int, silence: str = "no answer") -> None:
-        """Fail where commands or answers have stayed away for the watchdog's time.
+    def check_silence(self, now_ns: int, silence: str = "no answer") -> None:
+        """Fail where no command or no answer has come for the watchdog's time.
 
-        Call it often. A pause between its own calls is the host's: no command went out in it, and
-        no answer could be received. silence: the name of a fault where answers have stayed away.
+        Call it often. A pause between its own calls is the host's: no command was sent in it, and
+        no answer could be received. silence: name of the fault without answers.
         """
         stalled_ns = now_ns - self._stepped_ns
         self._stepped_ns = max(now_ns, self._stepped_ns)
@@ -181,9 +191,9 @@ class Supervisor:
             self.fail(f"{silence} for {silent_ns * 1e-6:.0f} ms", now_ns)
 
     def velocity(self, now_ns: int) -> int:
-        """Return what to send the drive now, in its units; `sent` records that it was."""
+        """Return the velocity to send now, in the drive's units; then call `sent`."""
         if self.withdrawal is not None:
-            speed = self.withdrawal.speed_m_per_s(now_ns, self._commanded.way_m(now_ns))
+            speed = self.withdrawal.speed_m_per_s(now_ns, self._commanded.travel_m(now_ns))
         elif self.fault is not None:
             speed = 0.0
         else:
@@ -209,23 +219,23 @@ class Supervisor:
             self._held_back,
         )
 
-    def way_m(self, now_ns: int) -> float:
-        """Return how far the commands lead until a time, in m from anywhere."""
-        return self._commanded.way_m(now_ns)
+    def travel_m(self, now_ns: int) -> float:
+        """Return the travel in m that was commanded until a time, from any origin."""
+        return self._commanded.travel_m(now_ns)
 
     def _within_limits(self, speed_m_per_s: float, now_ns: int) -> float:
         """Return the speed within the limits of speed and travel.
 
-        The travel is bounded by the reported position and by the commanded one: where a report is
-        wrong, the commands alone do not lead beyond it.
+        Soft limits hold for the reported and for the commanded position: where a report is wrong,
+        the commands alone do not lead beyond them.
         """
         axis, limit = self._axis, self._axis.max_speed_m_per_s
         wanted = min(max(speed_m_per_s, -limit), limit)
         age_s = (now_ns - self.position_ns) * 1e-9
-        bounded = axis.travel.bound(wanted, self.position_m, age_s)
+        bounded = axis.soft_limits.bound(wanted, self.position_m, age_s)
         commanded_m = self._following.position_m(now_ns)
         # NaN before the first report.
         if commanded_m == commanded_m:
-            bounded = axis.travel.bound(bounded, commanded_m, 0.0)
+            bounded = axis.soft_limits.bound(bounded, commanded_m, 0.0)
         self._held_back = 0 <= bounded < wanted
         return bounded

@@ -1,10 +1,8 @@
-"""Taking the tip off the finger: how fast, until when, and what came of it.
+"""Withdrawal of the tip from the finger, and the sentence that describes the finger's state.
 
-Slow until position or film confirms that it goes away from the finger, then fast. A position or a
-force that goes the other way stops it at once. Where nothing confirms it, it ends by the way
-that was commanded. Pure: times come in, in ns on the monotonic clock.
-
-The one sentence about the finger, from what is measured; every surface shows this one.
+A withdrawal is slow until position or film confirms that the tip leaves the finger, then fast. A
+position or a force that goes the other way stops it at once. Where nothing confirms it, it ends
+after a commanded travel. Pure: times come in, in ns on the monotonic clock.
 """
 
 from dataclasses import dataclass
@@ -13,7 +11,7 @@ from enum import Enum
 # Away from the finger: unconfirmed, and confirmed. The second leaves a usual pulse in some 30 ms.
 SLOW_M_PER_S = 10e-3
 FAST_M_PER_S = 20e-3
-# What moved towards the finger when it began may take so long to turn, by reports that are late.
+# A motion towards the finger at the beginning may take so long to turn, by reports that are late.
 TURN_NS = 30_000_000
 # The same by the film, whose readings are older.
 FILM_TURN_NS = 50_000_000
@@ -28,20 +26,22 @@ IN_A_ROW = 3
 # Where nothing is sent for so long, the host has stalled: the drive goes on by its last command
 # until its own watchdog ends it, and must turn again.
 PAUSE_NS = 30_000_000
-# Without a confirmation for so long, the commanded way bounds it, and this much more.
+# Without a confirmation for so long, the commanded travel ends it, with this margin.
 PATIENCE_NS = 150_000_000
 MARGIN_M = 0.5e-3
 # Without a report for so long the drive was not reached.
 SILENT_NS = 50_000_000
-# A film that reads more than this after the commanded way is pressed still.
+# A film that reads more than this after the commanded travel is still pressed.
 PRESSED_N = 0.05
+# Below this a finger feels nothing, and a film's noise is no press.
+TOUCH_N = 0.01
 
 
 class WithdrawalOutcome(Enum):
     """State of a withdrawal.
 
-    UNCONFIRMED: it was commanded whole, and the drive's position does not show it. WRONG_WAY: it
-    went towards the finger, and was stopped.
+    UNCONFIRMED: the whole travel was commanded, and the drive's position does not show it.
+    WRONG_WAY: the tip went towards the finger, and was stopped.
     """
 
     UNDER_WAY = "under way"
@@ -51,67 +51,72 @@ class WithdrawalOutcome(Enum):
 
 
 class Withdrawal:
-    """One withdrawal of a tip, from its begin on.
+    """One withdrawal of a tip.
 
-    outcome: how far it has come. confirmed: position or film has shown that the tip goes away.
+    Attributes
+    ----------
+    outcome
+        Its state.
+    confirmed
+        Position or film has shown that the tip leaves the finger.
     """
 
     def __init__(
-        self, now_ns: int, position_m: float, way_m: float, clear_m: float, trusted: bool
+        self, now_ns: int, position_m: float, travel_m: float, clear_m: float, trusted: bool
     ) -> None:
-        """Begin.
+        """Begin the withdrawal.
 
         Parameters
         ----------
         now_ns
-            When it begins.
+            Present time.
         position_m
             Furthest position that the tip may have, in m from first touch.
-        way_m
-            Commanded way at this time, in m.
+        travel_m
+            Commanded travel at this time, in m.
         clear_m
             Position where the tip is off the finger; negative.
         trusted
-            Whether the drive's position is to be believed.
+            The drive's position can be used.
         """
         self._began_ns = self._counted_ns = self._turning_ns = self._sent_ns = now_ns
         self._peak_m = self._last_m = position_m
-        self._began_m = self._way_m = way_m
-        self._heard_ns = now_ns
+        self._began_m = self._travel_m = travel_m
+        self._received_ns = now_ns
         self._clear_m = clear_m
-        self._blind_m = position_m - clear_m + MARGIN_M
+        self._unconfirmed_m = position_m - clear_m + MARGIN_M
         self._trusted = trusted
         self._peak_n = self._last_n = 0.0
-        self._rising = self._astray = 0
+        self._rising = self._wrong_way = 0
         self._relieved = self.confirmed = False
         self.outcome = WithdrawalOutcome.UNDER_WAY
 
-    def report(self, position_m: float, heard_ns: int) -> None:
+    def report(self, position_m: float, received_ns: int) -> None:
         """Take a position that the drive reported, in m from first touch."""
-        silent_ns, self._heard_ns = heard_ns - self._heard_ns, heard_ns
+        silent_ns, self._received_ns = received_ns - self._received_ns, received_ns
         self._last_m = position_m
         if self.outcome is WithdrawalOutcome.UNCONFIRMED and silent_ns > SILENT_NS:
-            # It is reached again, and what was commanded meanwhile may not have reached it.
-            self.renew(heard_ns, self._way_m)
+            # The drive answers again, and may not have received what was commanded meanwhile.
+            self.restart(received_ns, self._travel_m)
         if (
             not self._trusted
-            or heard_ns <= self._began_ns
+            or received_ns <= self._began_ns
             or self.outcome is WithdrawalOutcome.WRONG_WAY
         ):
             return
-        if self._may_turn(heard_ns, TURN_NS):
+        if self._may_turn(received_ns, TURN_NS):
             self._peak_m = max(self._peak_m, position_m)
         elif position_m > self._peak_m + WRONG_WAY_M:
-            self._astray += 1
-            if self._astray >= IN_A_ROW:
+            self._wrong_way += 1
+            if self._wrong_way >= IN_A_ROW:
                 self.outcome = WithdrawalOutcome.WRONG_WAY
             return
-        self._astray = 0
+        self._wrong_way = 0
         self.confirmed |= position_m < self._peak_m - CONFIRMED_M
         if position_m <= self._clear_m:
             self.outcome = WithdrawalOutcome.WITHDRAWN
 
-    def press(self, force_n: float, taken_ns: int) -> None:
+    def report_film(self, force_n: float, taken_ns: int) -> None:
         """Take a reading of the film, in N."""
         self._last_n = force_n
         if self.outcome is not WithdrawalOutcome.UNDER_WAY:
@@ -123,33 +128,35 @@ class Withdrawal:
             if self._rising >= IN_A_ROW:
                 self.outcome = WithdrawalOutcome.WRONG_WAY
             return
-        self._rising = self._astray = 0
+        self._rising = self._wrong_way = 0
         self._relieved |= force_n < (1 - SHARE) * self._peak_n - CONFIRMED_N
         self.confirmed |= self._relieved
 
-    def renew(self, now_ns: int, way_m: float) -> None:
-        """Count time and way anew: what was commanded until now may not have moved the motor."""
-        self._counted_ns, self._began_m = now_ns, way_m
+    def restart(self, now_ns: int, travel_m: float) -> None:
+        """Count time and travel anew: the commands until now may not have moved the motor."""
+        self._counted_ns, self._began_m = now_ns, travel_m
         if self.outcome is WithdrawalOutcome.UNCONFIRMED:
             self.outcome = WithdrawalOutcome.UNDER_WAY
 
-    def speed_m_per_s(self, now_ns: int, way_m: float) -> float:
-        """Return the speed to command now, negative or 0; way_m is the commanded way by now."""
-        self._way_m = way_m
+    def speed_m_per_s(self, now_ns: int, travel_m: float) -> float:
+        """Return the speed to command now, negative or 0, for the travel commanded until now."""
+        self._travel_m = travel_m
         if now_ns - self._sent_ns > PAUSE_NS:
-            # Its watchdog has ended the last command, whose way was counted on.
+            # The drive's watchdog has ended the last command, so the counted travel is too long.
             self._turning_ns = now_ns
-            self.renew(now_ns, way_m)
+            self.restart(now_ns, travel_m)
         self._sent_ns = now_ns
         if self.outcome is WithdrawalOutcome.UNDER_WAY:
-            # Until its position is to be expected, and as long as it comes after that.
-            since_ns = max(self._counted_ns, self._heard_ns) if self.confirmed else self._counted_ns
+            # Until a position can be expected, and as long as positions come after that.
+            since_ns = (
+                max(self._counted_ns, self._received_ns) if self.confirmed else self._counted_ns
+            )
             bounded = not (self._trusted and now_ns - since_ns < PATIENCE_NS)
-            if bounded and self._began_m - way_m >= self._blind_m:
+            if bounded and self._began_m - travel_m >= self._unconfirmed_m:
                 relieved = self._relieved and self._last_n <= PRESSED_N
-                there = relieved or self._last_m <= self._clear_m
+                clear = relieved or self._last_m <= self._clear_m
                 self.outcome = (
-                    WithdrawalOutcome.WITHDRAWN if there else WithdrawalOutcome.UNCONFIRMED
+                    WithdrawalOutcome.WITHDRAWN if clear else WithdrawalOutcome.UNCONFIRMED
                 )
         if self.outcome is WithdrawalOutcome.UNCONFIRMED and self._last_n > PRESSED_N:
             return -SLOW_M_PER_S
@@ -158,21 +165,26 @@ class Withdrawal:
         return -(FAST_M_PER_S if self.confirmed else SLOW_M_PER_S)
 
     def _may_turn(self, taken_ns: int, within_ns: int) -> bool:
-        """Return whether a motion towards the finger at that time may be an older command's."""
+        """Return whether an older command explains a motion towards the finger at that time."""
         return taken_ns - self._turning_ns < within_ns or taken_ns - self._sent_ns > PAUSE_NS
-
-
-# Below this a finger feels nothing, and a film's noise is no press.
-TOUCH_N = 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class FingerState:
     """The measured state of the finger.
 
-    force_n: newest force in N, None where nothing measures it now; unknown_s: for how long not.
-    measured_by: "" for the film, else what stands for it. outcome: of the drive's withdrawal, None
-    where there is none. answers: the drive answers. fault: something is latched.
+    Attributes
+    ----------
+    force_n
+        Newest force in N; None where nothing measures it now.
+    unknown_s
+        Time in s without a measurement.
+    measured_by
+        Empty for the film, else the source that stands for it.
+    outcome
+        State of the drive's withdrawal; None where there is none.
+    answers
+        The drive answers.
     """
 
     force_n: float | None
@@ -183,7 +195,7 @@ class FingerState:
 
 
 def describe_finger(state: FingerState) -> str:
-    """Return what is known of the finger, in one sentence.
+    """Describe the finger's measured state in the sentence that every surface shows.
 
     Examples: "withdrawn"; "pressed with 245 mN, the drive does not answer"; "force unknown since
     3 s, withdrawing".
@@ -215,8 +227,7 @@ def _force(state: FingerState) -> str:
 
 
 def _withdrawn(state: FingerState, force: str) -> str:
-    """Describe a withdrawal that the position shows; the film may contradict it, or read
-    nothing."""
+    """Describe a withdrawal that the position shows; the film may contradict it."""
     if state.force_n is None:
         return f"withdrawn by the drive's position, {force}"
     if abs(state.force_n) < TOUCH_N:

@@ -52,5 +52,5 @@ def try_one(data: bytes) -> None:
             reply = reply[:-1] + bytes([checksum(reply[:-1])])
         _PORT.data = reply
         with suppress(DriveError):
-            value = _LINE.ask(Command.GET_AXIS, Parameter.ACTUAL_SPEED, 0)
+            value = _LINE.request(Command.GET_AXIS, Parameter.ACTUAL_SPEED, 0)
             assert -(1 << 31) <= value < 1 << 31

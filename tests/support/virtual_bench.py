@@ -55,8 +55,8 @@ class VirtualDrive:
         self.supervisor.verified = True
         self._hear()
 
-    def way_m(self, now_ns: int) -> float:
-        return self.supervisor.way_m(now_ns)
+    def travel_m(self, now_ns: int) -> float:
+        return self.supervisor.travel_m(now_ns)
 
     def start(self, force_n: Callable[[], float | None] = no_film) -> None:
         """Do nothing: it stands at first touch already."""
@@ -70,12 +70,12 @@ class VirtualDrive:
         """Do the work of the drive's own thread, once a millisecond."""
         self.now_ns = self.told_ns = now_ns
         self._hear()
-        self.supervisor.watch(now_ns)
+        self.supervisor.check_silence(now_ns)
         if self.supervisor.fault is not None:
             self._send()
 
-    def press(self, force_n: float, taken_ns: int) -> None:
-        self.supervisor.press(force_n, taken_ns)
+    def report_film(self, force_n: float, taken_ns: int) -> None:
+        self.supervisor.report_film(force_n, taken_ns)
 
     def status(self) -> DriveStatus:
         self._hear()

@@ -1,4 +1,4 @@
-"""A CiA 402 drive on its bus: setting it up by SDO, telling it by RPDO, hearing it by TPDO."""
+"""A CiA 402 drive on its bus: configured by SDO, commanded by RPDO, reporting by TPDO."""
 
 import logging
 import math
@@ -24,7 +24,7 @@ SYNC = 0x80
 EMERGENCY, TPDO1, TPDO2, RPDO1, HEARTBEAT = 0x80, 0x180, 0x280, 0x200, 0x700
 OPERATIONAL = b"\x05"
 BY_SYNC, BY_EVENT = 1, 255
-# TPDOs come this often at least, so that silence can be told from rest.
+# Greatest time between two TPDOs, so that silence differs from rest.
 EVENT_MS = 10
 SDO_TIMEOUT_S = 0.5
 NOTIFIER_CYCLE_S = 0.1
@@ -36,7 +36,7 @@ SPEED_TPDO = struct.Struct("<iH")
 # No axis is so many times faster than its fastest, nor, once homed, so many times its travel away.
 IMPLAUSIBLE = 10
 
-# What canopen logs, we raise or count; a program that wants its log can still have it.
+# Errors are raised or counted here; a program that wants canopen's log can still have it.
 QUIET = logging.NullHandler()
 
 ERRORS = {
@@ -49,12 +49,17 @@ ERRORS = {
 
 
 class Cia402Node:
-    """One drive, and what it said last.
+    """One drive and its last reports. Methods raise DriveError.
 
-    statusword and state, error_code, position_m, speed_m_per_s: by its TPDOs, the last of which
-    came at heard_ns on the monotonic clock. counts: "malformed" TPDOs and emergencies,
-    "implausible" TPDOs, whose values cannot be and are not used, what is "garbled" on its way
-    from a CAN adapter, and a bus that was "not closed". Methods raise DriveError.
+    Attributes
+    ----------
+    statusword, state, error_code, position_m, speed_m_per_s
+        By its TPDOs.
+    received_ns
+        Time of the last TPDO on the monotonic clock.
+    counts
+        "malformed" TPDOs and emergencies, "implausible" TPDOs, whose values are not used, frames
+        that a CAN adapter sends "garbled", and a bus that was "not closed".
     """
 
     def __init__(self, scene: Cia402Scene, axis: Axis, counts: Counter[str]) -> None:
@@ -75,8 +80,8 @@ class Cia402Node:
         self.state = State.NOT_READY
         self.position_m = axis.lowest_m
         self.speed_m_per_s = 0.0
-        self.heard_ns = self._implausible_ns = 0
-        # Before homing the drive counts from anywhere.
+        self.received_ns = self._implausible_ns = 0
+        # Before homing the drive's count has any origin.
         self._implausible_m = math.inf
         self.cyclic = True
         # Made once: making a message costs a third of sending it.
@@ -98,7 +103,7 @@ class Cia402Node:
         self._network.add_node(self._node)
         self._network.subscribe(TPDO1 + scene.node, self._on_state)
         self._network.subscribe(TPDO2 + scene.node, self._on_speed)
-        # The library's own keeps all there ever were, and stumbles over one that is cut short.
+        # The library's own listener keeps all emergencies, and fails at one that is cut short.
         self._network.unsubscribe(EMERGENCY + scene.node, self._node.emcy.on_emcy)
         self._network.subscribe(EMERGENCY + scene.node, self._on_emergency)
         self._errors = BusErrors(self._network, counts)
@@ -115,12 +120,12 @@ class Cia402Node:
     @property
     def silence(self) -> str:
         """The name of a fault where nothing plausible has come for a while."""
-        if self._implausible_ns > self.heard_ns:
+        if self._implausible_ns > self.received_ns:
             return "garbled: no plausible TPDO"
         return "no answer"
 
     def configure(self) -> None:
-        """Check that it is a CiA 402 drive, set its PDOs, limits and mode, and let PDOs flow."""
+        """Check the profile, set PDOs, limits and mode, and start the PDOs."""
         scene, axis = self._scene, self._axis
         self._node.nmt.state = "PRE-OPERATIONAL"
         profile = self.read(0x1000) & 0xFFFF
@@ -134,32 +139,31 @@ class Cia402Node:
         per_second = scene.velocity_scale / axis.units.step_m
         acceleration = min(round(axis.max_acceleration_m_per_s2 * per_second), 0xFFFF_FFFF)
         for index in (0x6083, 0x6084, 0x6085):
-            self.write_if_there(index, 0, acceleration)
-        self.write_if_there(0x60C2, 1, min(round(scene.period_ns / 1e5), 255))
-        self.write_if_there(0x60C2, 2, -4)
+            self.write_optional(index, 0, acceleration)
+        self.write_optional(0x60C2, 1, min(round(scene.period_ns / 1e5), 255))
+        self.write_optional(0x60C2, 2, -4)
         self._node.nmt.state = "OPERATIONAL"
 
     def limit_travel(self) -> None:
-        """Give the drive the soft limits as well, where it has such, and take no position far
-        beyond them for true. After homing."""
+        """Set the drive's own soft limits, and ignore positions far beyond them. After homing."""
         ends = (self._axis.lowest_m, self._axis.furthest_m)
         self._implausible_m = IMPLAUSIBLE * (ends[1] - ends[0])
         for subindex, end in enumerate(sorted(map(self._axis.units.position, ends)), 1):
-            self.write_if_there(0x607D, subindex, end)
+            self.write_optional(0x607D, subindex, end)
 
-    def arm(self) -> None:
-        """Have the drive stop by itself when our heartbeats stay away, from the next one on."""
+    def arm_watchdog(self) -> None:
+        """Have the drive stop by itself when heartbeats stop, from the next one on."""
         watchdog_ms = round(self._scene.watchdog_ns / 1e6)
         self.write(0x1016, 1, 0)
         self.write(0x1016, 1, self._scene.host << 16 | watchdog_ms)
-        self.write_if_there(0x6007, 0, QUICK_STOP_ON_ABORT)
+        self.write_optional(0x6007, 0, QUICK_STOP_ON_ABORT)
 
-    def disarm(self) -> None:
-        """Our heartbeats may stay away."""
+    def disarm_watchdog(self) -> None:
+        """Have the drive expect no heartbeats."""
         self.write(0x1016, 1, 0)
 
     def select(self, mode: Mode) -> None:
-        """Take a mode of operation, and see that it is taken."""
+        """Set a mode of operation, and check that the drive takes it."""
         self.write(0x6060, 0, mode)
         deadline_s = time.monotonic() + SDO_TIMEOUT_S
         while self.read(0x6061) != mode:
@@ -168,20 +172,20 @@ class Cia402Node:
             time.sleep(POLL_S)
 
     def select_velocity(self) -> None:
-        """The mode in which it takes speeds."""
+        """Set the mode in which the drive takes speeds."""
         self.select(Mode.CYCLIC_VELOCITY if self.cyclic else Mode.PROFILE_VELOCITY)
 
-    def tell(self, control: Control, velocity: int) -> int:
-        """A controlword and a target velocity, at once; when they began to count."""
+    def command(self, control: Control, velocity: int) -> int:
+        """Send a controlword and a target velocity; return the time of sending in ns."""
         COMMAND.pack_into(self._command.data, 0, control, velocity)
         self._send(self._command)
-        told_ns = time.monotonic_ns()
+        sent_ns = time.monotonic_ns()
         if self.cyclic:
             self._send(self._sync)
-        return told_ns
+        return sent_ns
 
     def _send(self, message: "can.Message") -> None:
-        # The bus below may be of any maker, and fails in its own way.
+        # Each python-can interface has errors of its own.
         try:
             if self._errors.lost is not None:
                 raise self._errors.lost
@@ -190,12 +194,12 @@ class Cia402Node:
         except Exception as error:
             raise DriveError("unplugged", f"{self._name}: {error}") from None
 
-    def beat(self) -> None:
-        """Our heartbeat."""
+    def send_heartbeat(self) -> None:
+        """Send one heartbeat."""
         self._send(self._heartbeat)
 
     def close(self) -> None:
-        """Let go of the bus. Never raises: where it is gone already, that is counted."""
+        """Close the bus. Never raises: a bus that is gone already is counted."""
         for leave in (self._rest, self._network.disconnect):
             try:
                 leave()
@@ -203,15 +207,15 @@ class Cia402Node:
                 self.counts["not closed"] += 1
 
     def read(self, index: int, subindex: int = 0) -> int:
-        """An object of the drive, by SDO."""
+        """Read an object of the drive, by SDO."""
         return int(self._sdo(index, subindex, None))
 
     def write(self, index: int, subindex: int, value: int) -> None:
-        """Set an object of the drive, by SDO."""
+        """Write an object of the drive, by SDO."""
         self._sdo(index, subindex, value)
 
-    def write_if_there(self, index: int, subindex: int, value: int) -> None:
-        """Set an object that not every drive has, or lets us set."""
+    def write_optional(self, index: int, subindex: int, value: int) -> None:
+        """Write an object that not every drive has, or allows to be written."""
         try:
             self.write(index, subindex, value)
         except DriveError as error:
@@ -260,7 +264,7 @@ class Cia402Node:
         try:
             pdo.save()
         except SdoAbortedError as error:
-            raise DriveError("refused", f"{self._name} refuses our PDOs: {error}") from None
+            raise DriveError("refused", f"{self._name} refuses the PDOs: {error}") from None
         except SdoCommunicationError:
             raise DriveError("no answer", f"no answer from {self._name} about PDOs") from None
 
@@ -275,7 +279,7 @@ class Cia402Node:
             self._implausible_ns = time.monotonic_ns()
             return
         self.statusword, self.state, self.position_m = statusword, state, position_m
-        self.heard_ns = time.monotonic_ns()
+        self.received_ns = time.monotonic_ns()
 
     def _on_speed(self, _: int, data: bytearray, __: float) -> None:
         if len(data) != SPEED_TPDO.size:

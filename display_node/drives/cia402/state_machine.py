@@ -1,10 +1,10 @@
-"""The state machine of CiA 402: what a statusword means, and what controlword leads on. Pure."""
+"""The state machine of CiA 402: the statusword's states and the controlwords between them."""
 
 from enum import Enum, IntEnum
 
 
 class State(Enum):
-    """States of the power drive system, with the statusword's mask and value."""
+    """State of the power drive system, with the statusword's mask and value."""
 
     NOT_READY = (0x4F, 0x00)
     SWITCH_ON_DISABLED = (0x4F, 0x40)
@@ -22,7 +22,7 @@ class State(Enum):
 
 
 class Control(IntEnum):
-    """Controlwords."""
+    """Controlword (0x6040)."""
 
     DISABLE_VOLTAGE = 0x00
     QUICK_STOP = 0x02
@@ -34,7 +34,7 @@ class Control(IntEnum):
 
 
 class Mode(IntEnum):
-    """Modes of operation."""
+    """Mode of operation (0x6060)."""
 
     PROFILE_VELOCITY = 3
     HOMING = 6
@@ -50,7 +50,7 @@ class Mode(IntEnum):
 HOMING_ATTAINED = 0x1400
 HOMING_ERROR = 0x2000
 
-# Homing methods: to the negative or positive limit switch; here is home.
+# Homing methods (0x6098): to the negative or positive limit switch; the present position.
 NEGATIVE_SWITCH, POSITIVE_SWITCH, HERE = 17, 18, 35
 
 _NEXT = {
@@ -63,7 +63,7 @@ _NEXT = {
 
 
 def state_of(statusword: int) -> State | None:
-    """Return the state that a statusword stands for; None where CiA 402 has no such state."""
+    """Return a statusword's state; None where CiA 402 has no such state."""
     for state in State:
         mask, bits = state.value
         if statusword & mask == bits:
@@ -72,9 +72,9 @@ def state_of(statusword: int) -> State | None:
 
 
 def towards_enabled(state: State, last: Control) -> Control:
-    """The controlword that leads one state nearer to operation enabled.
+    """Return the controlword for the transition towards operation enabled.
 
-    last: the one before it. A fault is reset by the rising edge of a bit.
+    last: the controlword before it. A fault is reset by the rising edge of a bit.
     """
     control = _NEXT.get(state, Control.DISABLE_VOLTAGE)
     if control == last == Control.RESET_FAULT:

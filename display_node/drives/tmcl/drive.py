@@ -1,8 +1,7 @@
 """A stepper module that speaks TMCL, in velocity mode.
 
-TMCL answers every request, and the answer takes as long as the line does: 1.6 ms there and back
-at 115200 baud. So a thread of its own talks to the module, and the force loop leaves the latest
-command in a mailbox.
+TMCL answers every request, which takes 1.6 ms at 115200 baud. So a thread of the drive exchanges
+messages with the module, and the force loop leaves its latest command in a mailbox (decision 19).
 """
 
 import threading
@@ -14,27 +13,27 @@ from itertools import cycle
 
 from display_node.drives.axis import Axis
 from display_node.drives.drive import DriveStatus, no_film
-from display_node.drives.homing import TouchGuard, approach_touch, undone_where_wrong
+from display_node.drives.homing import TouchGuard, approach_touch, undo_wrong_way
 from display_node.drives.scene import TmclScene
 from display_node.drives.supervisor import PassableLock, Supervisor
-from display_node.drives.tmcl.module import PASSING, TmclModule
+from display_node.drives.tmcl.module import TRANSIENT, TmclModule
 from display_node.drives.tmcl.parameters import Parameter
 from protocol.errors import DriveError
 
-# What is asked in turn, one a slot: so often at least, more often where the line has time.
-QUESTIONS = (
+# Axis parameters that are read in turn: one at least every POLL_NS, more where the line has time.
+POLLED = (
     Parameter.ACTUAL_POSITION,
     Parameter.ERROR_FLAGS,
     Parameter.ACTUAL_SPEED,
     Parameter.DRIVER_FLAGS,
 )
-QUESTION_NS = 10_000_000
+POLL_NS = 10_000_000
 REST_WITHIN_S = 1.0
 REST_POLL_S = 0.002
-# Between two tries on a line that is gone.
+# Between two attempts on a line that is gone.
 RETRY_S = 0.02
-# An answer names its command, not its question: so long after a missed one a position may be the
-# late answer to another question. A withdrawal does not go by it.
+# An answer names its command, not its axis parameter: so long after a missed one a position may be
+# the late answer about another parameter. A withdrawal does not use it.
 AMBIGUOUS_NS = 200_000_000
 
 
@@ -49,7 +48,7 @@ class TmclDrive:
         self._woken = threading.Event()
         self._closing = False
         self._supervisor = Supervisor(axis, scene.watchdog_ns)
-        # Of the supervisor, which the loop's thread and ours both use.
+        # Of the supervisor, between the loop's thread and the drive's own.
         self._lock = PassableLock()
         self._taken_ns = self._missed_ns = 0
         self.counts: Counter[str] = Counter()
@@ -62,14 +61,14 @@ class TmclDrive:
         self.counts = module.counts
         guard = TouchGuard(force_n)
         axis, speed = self._axis, self._scene.homing_speed_m_per_s
-        with undone_where_wrong(self, axis, speed, partial(self._follow_again, module)) as way:
+        with undo_wrong_way(self, axis, speed, partial(self._resume_commands, module)) as begin:
             module.configure()
-            module.hear(Parameter.ACTUAL_POSITION)
-            way.began_m = module.position_m
+            module.read(Parameter.ACTUAL_POSITION)
+            begin.began_m = module.position_m
             module.home(guard)
-            way.began_m = module.position_m
-            module.arm()
-            self._follow(module)
+            begin.began_m = module.position_m
+            module.arm_watchdog()
+            self._start_commands(module)
             approach_touch(self, axis, speed, self._home_switch, guard)
         with self._lock:
             self._supervisor.verified = True
@@ -86,10 +85,10 @@ class TmclDrive:
             supervisor.command(speed_m_per_s, time.monotonic_ns())
         self._woken.set()
 
-    def press(self, force_n: float, taken_ns: int) -> None:
+    def report_film(self, force_n: float, taken_ns: int) -> None:
         """See `Drive.press`."""
         with self._lock:
-            self._supervisor.press(force_n, taken_ns)
+            self._supervisor.report_film(force_n, taken_ns)
 
     def status(self) -> DriveStatus:
         """See `Drive.status`."""
@@ -97,10 +96,10 @@ class TmclDrive:
         with self._lock:
             return self._supervisor.status(0.0 if module is None else module.speed_m_per_s)
 
-    def way_m(self, now_ns: int) -> float:
-        """See `Drive.way_m`."""
+    def travel_m(self, now_ns: int) -> float:
+        """See `Drive.travel_m`."""
         with self._lock:
-            return self._supervisor.way_m(now_ns)
+            return self._supervisor.travel_m(now_ns)
 
     def withdraw(self, reason: str) -> None:
         """See `Drive.withdraw`."""
@@ -130,8 +129,8 @@ class TmclDrive:
         status = self.status()
         return status.fault is None and status.moving
 
-    def _follow(self, module: TmclModule) -> None:
-        """Begin to pass commands on."""
+    def _start_commands(self, module: TmclModule) -> None:
+        """Begin to send commands."""
         now_ns = time.monotonic_ns()
         self._supervisor.arm(now_ns)
         self._supervisor.report(module.position_m, now_ns)
@@ -140,51 +139,51 @@ class TmclDrive:
         self._thread = threading.Thread(target=self._run, args=(module,), daemon=True)
         self._thread.start()
 
-    def _follow_again(self, module: TmclModule) -> None:
-        """End the search for home, if that is what the module does, and pass commands on."""
+    def _resume_commands(self, module: TmclModule) -> None:
+        """End a search for home and begin to send commands."""
         if self._thread is None:
             module.halt()
-            self._follow(module)
+            self._start_commands(module)
 
     def _home_switch(self) -> bool | None:
-        """Return whether the home switch is closed; None where it is not what home is by."""
+        """Return whether the home switch is closed; None where home is not by it."""
         module = self._module
         if module is None or self._scene.homing != "switch" or self._scene.homing_method:
             return None
-        asked_ns, module.switch_wanted = time.monotonic_ns(), True
+        requested_ns, module.switch_requested = time.monotonic_ns(), True
         deadline_s = time.monotonic() + REST_WITHIN_S
-        while module.switch_ns < asked_ns and time.monotonic() < deadline_s:
+        while module.switch_ns < requested_ns and time.monotonic() < deadline_s:
             self.command(0.0)
             time.sleep(REST_POLL_S)
-        module.switch_wanted = False
-        if module.switch_ns < asked_ns:
+        module.switch_requested = False
+        if module.switch_ns < requested_ns:
             raise DriveError("no answer", "the module does not report its home switch")
         return module.switch_closed
 
     def _run(self, module: TmclModule) -> None:
-        questions = cycle(QUESTIONS)
-        asked_ns = 0
+        parameters = cycle(POLLED)
+        requested_ns = 0
         while not self._closing:
             self._woken.wait(self._scene.period_ns * 1e-9)
             self._woken.clear()
             now_ns = time.monotonic_ns()
             try:
-                # A command between any two questions: an answer that comes far too late names
-                # its command, and so is never taken for the answer to another question.
-                self._pass_on(module, now_ns)
-                if not self._woken.is_set() or now_ns - asked_ns >= QUESTION_NS:
-                    asked_ns = now_ns
-                    question = next(questions)
-                    module.hear(module.switch if module.switch_wanted else question)
+                # A command between any two reads: an answer that comes far too late names its
+                # command, and so is never taken for the answer to another read.
+                self._send(module, now_ns)
+                if not self._woken.is_set() or now_ns - requested_ns >= POLL_NS:
+                    requested_ns = now_ns
+                    parameter = next(parameters)
+                    module.read(module.switch if module.switch_requested else parameter)
             except DriveError as error:
                 self._fail(module, error)
             self._report(module)
 
-    def _pass_on(self, module: TmclModule, now_ns: int) -> None:
-        """Send the velocity of now, however old the command is: that keeps its heartbeat."""
+    def _send(self, module: TmclModule, now_ns: int) -> None:
+        """Send the present velocity, however old the command is: that feeds the heartbeat."""
         with self._lock.passing():
             supervisor = self._supervisor
-            supervisor.watch(now_ns)
+            supervisor.check_silence(now_ns)
             self._taken_ns = supervisor.commanded_ns
             velocity = supervisor.velocity(now_ns)
             supervisor.sent(velocity, now_ns)
@@ -193,24 +192,24 @@ class TmclDrive:
     def _report(self, module: TmclModule) -> None:
         with self._lock.passing():
             supervisor = self._supervisor
-            supervisor.answered(module.heard_ns)
+            supervisor.answered(module.received_ns)
             if supervisor.fault and module.position_ns - self._missed_ns < AMBIGUOUS_NS:
                 return
             if module.position_ns > supervisor.position_ns:
                 supervisor.report(module.position_m, module.position_ns)
 
     def _fail(self, module: TmclModule, error: DriveError) -> None:
-        """Latch what the next request cannot make good; the withdrawal goes on trying.
+        """Latch an error that the next request cannot make good; the withdrawal goes on.
 
         A module that obeys without an answer is thus commanded on, to its home switch.
         """
         now_ns = time.monotonic_ns()
         with self._lock.passing():
-            self._supervisor.held(now_ns)
-            if error.kind in PASSING:
+            self._supervisor.mark_unsent(now_ns)
+            if error.kind in TRANSIENT:
                 self._missed_ns = now_ns
-                if now_ns - module.heard_ns <= self._scene.watchdog_ns:
+                if now_ns - module.received_ns <= self._scene.watchdog_ns:
                     return
             self._supervisor.fail(f"{error.kind}: {error}", now_ns)
-        if error.kind not in (*PASSING, "fault"):
+        if error.kind not in (*TRANSIENT, "fault"):
             time.sleep(RETRY_S)

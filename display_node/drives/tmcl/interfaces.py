@@ -1,8 +1,8 @@
 """Carriers of TMCL datagrams: a serial port by URL, or any CAN bus.
 
 PyTrinamic's own interfaces open serial devices by name, and the CAN channels can0 to can7 alone.
-And it describes every request and reply in words for its log, whether one is kept or not: that
-is most of what an exchange costs (decision 19), so it is left out here.
+They also format every request and reply for a log, whether one is kept or not: that is most of the
+cost of an exchange (decision 19), so it is left out here.
 """
 
 import math
@@ -13,32 +13,37 @@ import serial
 from pytrinamic.connections.tmcl_interface import TmclInterface
 from pytrinamic.tmcl import TMCLReply, TMCLReplyChecksumError, TMCLReplyStatusError, TMCLRequest
 
-from display_node.drives.can_bus import pass_over
+from display_node.drives.can_bus import discard_spoilt_line
 
 DATAGRAM_BYTES = 9
-# More than waits on any line after a request or two that went wrong.
+# More than waits on any line after two failed requests.
 DRAIN_BYTES = 4096
 DRAIN_FRAMES = 64
 ELEVEN_BITS = 0x7FF
-# Replies to other requests that are passed over before one's own.
+# Replies to other requests that are ignored before the right one.
 MOST_STRAY = 2
 
 
 class _QuietInterface(TmclInterface):  # type: ignore[misc]
     """PyTrinamic's interface without its log.
 
-    stray: replies to another request, the last of them in `stray_reply`.
+    Attributes
+    ----------
+    stray
+        Number of replies to another request.
+    stray_reply
+        The last of them, since the present request.
     """
 
     stray = 0
     stray_reply: TMCLReply | None = None
 
     def send_request(self, request: TMCLRequest, *, no_reply: bool = False) -> TMCLReply:
-        """Return the checked reply to a request; `no_reply` is of requests that are not made here.
+        """Return the checked reply to a request; `no_reply` is not supported here.
 
-        What waits already, and a reply to another request, is counted and passed over: the
-        request before may have been answered twice. Raises TimeoutError, with `stray_reply` set
-        where there were only such.
+        What waits already, and a reply to another request, is counted and ignored: the request
+        before may have been answered twice. Raises TimeoutError, with `stray_reply` set where only
+        such replies came.
         """
         wanted = (self._host_id, request.moduleAddress, request.command)
         self.stray_reply = None
@@ -64,7 +69,7 @@ class SerialLine(_QuietInterface):
         self._port = port
 
     def drain(self) -> None:
-        """Pass over what still comes, for as long as a reply may take."""
+        """Discard what still comes, for as long as a reply may take."""
         self._port.read(DRAIN_BYTES)
         self._port.reset_input_buffer()
 
@@ -73,7 +78,7 @@ class SerialLine(_QuietInterface):
         self._port.close()
 
     def _discard(self) -> int:
-        """Throw away what has come unasked; return how many datagrams."""
+        """Discard unrequested datagrams; return their number."""
         waiting: int = self._port.in_waiting
         if waiting:
             self._port.reset_input_buffer()
@@ -106,8 +111,8 @@ class CanLine(_QuietInterface):
         self._timeout_s = timeout_s
 
     def drain(self) -> None:
-        """Pass over what still comes, for as long as a reply may take."""
-        pass_over(self._bus)
+        """Discard what still comes, for as long as a reply may take."""
+        discard_spoilt_line(self._bus)
         for _ in range(DRAIN_FRAMES):
             if self._bus.recv(self._timeout_s) is None:
                 break
@@ -117,7 +122,7 @@ class CanLine(_QuietInterface):
         self._bus.shutdown()
 
     def _discard(self) -> int:
-        """Throw away what has come unasked; return how many datagrams."""
+        """Discard unrequested datagrams; return their number."""
         for discarded in range(DRAIN_FRAMES):
             if self._bus.recv(0.0) is None:
                 return discarded
@@ -128,7 +133,7 @@ class CanLine(_QuietInterface):
         try:
             self._bus.send(frame, timeout=self._timeout_s)
         except can.CanError as error:
-            # So an slcan interface says that its port has taken too long.
+            # The error of an slcan interface whose port has taken too long.
             if isinstance(error.__cause__, serial.SerialTimeoutException):
                 raise TimeoutError from None
             raise

@@ -1,4 +1,4 @@
-"""One TMCL module on its line: requests, their replies, and what can go wrong with them."""
+"""The line of a TMCL module: requests, their replies, and the errors of both."""
 
 import os
 from collections import Counter
@@ -15,8 +15,11 @@ if TYPE_CHECKING:
 class TmclLine:
     """One request at a time, each waiting for its reply; the codec is the maker's PyTrinamic.
 
-    counts: replies that were missing ("no answer"), "garbled" (a wrong checksum) or "wrong" (of
-    another module or command), which are passed over.
+    Attributes
+    ----------
+    counts
+        Replies that were missing ("no answer"), "garbled" (a wrong checksum) or "wrong" (of another
+        module or command), which are ignored.
     """
 
     def __init__(self, scene: TmclScene) -> None:
@@ -25,13 +28,13 @@ class TmclLine:
         self._interface = _open(scene)
         self.counts: Counter[str] = Counter()
 
-    def ask(self, command: int, kind: int, motor: int, value: int = 0) -> int:
-        """The signed value in the module's reply.
+    def request(self, command: int, kind: int, motor: int, value: int = 0) -> int:
+        """Send a request and return the signed value of its reply.
 
         Raises DriveError of kind "no answer", "garbled", "wrong" (only answers to something else
         came), "refused" or "unplugged".
-        After one of the first three, what comes within another reply's time is thrown away. A
-        reply that is later still is told from the next one's by its command alone.
+        After one of the first three, what comes within another reply's time is discarded. A reply
+        that is later still differs from the next one by its command alone.
         """
         import can
         from pytrinamic.tmcl import TMCLReplyChecksumError, TMCLReplyStatusError, TMCLStatus
@@ -63,7 +66,7 @@ class TmclLine:
         return number - (1 << 32) if number >= 1 << 31 else number
 
     def close(self) -> None:
-        """Let go of the line."""
+        """Close the line."""
         self._interface.close()
 
     def _miss(self, kind: str, text: str) -> int:

@@ -1,4 +1,4 @@
-"""What is asked of a TMCL module, one request after the other: setting up, homing, hearing."""
+"""Requests to a TMCL module, one after the other: configuration, homing, commands and reports."""
 
 import math
 import time
@@ -23,20 +23,25 @@ from protocol.errors import DriveError
 
 TRIES = 3
 # As long as a CANopen drive has for an answer before it moves.
-INSIST_S = 0.5
-# Kinds of DriveError that the next request may not meet again.
-PASSING = ("no answer", "garbled", "wrong")
+RETRY_FOR_S = 0.5
+# Kinds of DriveError that may be over at the next request.
+TRANSIENT = ("no answer", "garbled", "wrong")
 SEARCH_POLL_S = 0.01
-# Looks at a motor that comes to rest: more than it takes at any line's rate.
+# Polls of a motor that comes to rest: more than it takes at any line's rate.
 REST_POLLS = 100
 
 
 class TmclModule:
-    """One motor of a module, and what it said last.
+    """One motor of a module and its last reports; `halt` and `close` alone never raise DriveError.
 
-    position_m, position_ns: where the tip was, and when on the monotonic clock; heard_ns: when
-    the module answered last. switch: the question for the home switch; switch_closed, switch_ns:
-    its last answer and when. All methods but `halt` and `close` raise DriveError.
+    Attributes
+    ----------
+    position_m, position_ns
+        Last reported position in m from first touch, and its time on the monotonic clock.
+    received_ns
+        Time of the module's last answer.
+    switch, switch_closed, switch_ns
+        Axis parameter of the home switch, its last value and the time of that.
     """
 
     def __init__(self, scene: TmclScene, axis: Axis) -> None:
@@ -47,26 +52,26 @@ class TmclModule:
         self.counts = self._line.counts
         self.position_m, self.position_ns = axis.lowest_m, 0
         self.speed_m_per_s = 0.0
-        self.heard_ns = 0
+        self.received_ns = 0
         self.switch = (
             Parameter.RIGHT_SWITCH_STATE if scene.inverted else Parameter.LEFT_SWITCH_STATE
         )
-        self.switch_wanted = self.switch_closed = False
+        self.switch_requested = self.switch_closed = False
         self.switch_ns = 0
 
     def configure(self) -> None:
-        """At rest, and with the scene's limits of speed and acceleration."""
+        """Stop the motor, and set the scene's limits of speed and acceleration."""
         scene, axis = self._scene, self._axis
-        self._insist(Command.FIRMWARE_VERSION, 1)
-        self._insist(Command.MOTOR_STOP)
+        self._retry(Command.FIRMWARE_VERSION, 1)
+        self._retry(Command.MOTOR_STOP)
         acceleration = axis.max_acceleration_m_per_s2 / axis.units.step_m
         self._set(Parameter.MAX_SPEED, abs(axis.units.velocity(axis.max_speed_m_per_s)))
         self._set(Parameter.MAX_ACCELERATION, round(acceleration * scene.acceleration_scale))
         self._set(Parameter.MICROSTEPS, round(math.log2(axis.microsteps)))
-        # Reading clears what an earlier run left behind; what is still wrong comes back.
-        self._insist(Command.GET_AXIS, Parameter.ERROR_FLAGS)
-        self.hear(Parameter.ERROR_FLAGS)
-        self.hear(Parameter.DRIVER_FLAGS)
+        # Reading clears the flags of an earlier run; those of a present error come back.
+        self._retry(Command.GET_AXIS, Parameter.ERROR_FLAGS)
+        self.read(Parameter.ERROR_FLAGS)
+        self.read(Parameter.DRIVER_FLAGS)
 
     def home(self, guard: Callable[[], None]) -> None:
         """Find the zero of positions, and wait until it is found; guard may end it by raising."""
@@ -79,38 +84,38 @@ class TmclModule:
             self._set(Parameter.SEARCH_MODE, scene.homing_method or switch)
             self._set(Parameter.SEARCH_SPEED, speed)
             self._set(Parameter.SWITCH_SPEED, max(1, speed // 4))
-            # Before it moves: from here the way of the search counts.
-            self.hear(Parameter.ACTUAL_POSITION)
-            self._insist(Command.REFERENCE_SEARCH, Search.START)
+            # Before it moves: the travel of the search counts from here.
+            self.read(Parameter.ACTUAL_POSITION)
+            self._retry(Command.REFERENCE_SEARCH, Search.START)
             self._await_home(time.monotonic() + axis.search_s, guard)
-        self.hear(Parameter.ACTUAL_POSITION)
+        self.read(Parameter.ACTUAL_POSITION)
 
-    def arm(self) -> None:
-        """Have the module stop the motor by itself when this process falls silent."""
+    def arm_watchdog(self) -> None:
+        """Have the module stop the motor by itself when requests stop."""
         watchdog_ms = round(self._scene.watchdog_ns / 1e6)
         on_serial = self._scene.port is not None
         heartbeat = Global.SERIAL_HEARTBEAT if on_serial else Global.CAN_HEARTBEAT
-        self._insist(Command.SET_GLOBAL, heartbeat, watchdog_ms, bank=0)
-        taken_ms = self._insist(Command.GET_GLOBAL, heartbeat, bank=0)
+        self._retry(Command.SET_GLOBAL, heartbeat, watchdog_ms, bank=0)
+        taken_ms = self._retry(Command.GET_GLOBAL, heartbeat, bank=0)
         if taken_ms != watchdog_ms:
             text = f"the module's heartbeat is {taken_ms} ms, not {watchdog_ms}"
             raise DriveError("refused", text)
 
     def rotate(self, velocity: int) -> None:
         """Run at a velocity in the module's units."""
-        self._line.ask(Command.ROTATE_RIGHT, 0, self._scene.motor, velocity)
-        self.heard_ns = time.monotonic_ns()
+        self._line.request(Command.ROTATE_RIGHT, 0, self._scene.motor, velocity)
+        self.received_ns = time.monotonic_ns()
 
-    def hear(self, question: Parameter) -> None:
-        """Ask one thing. DriveError of kind "fault" names what has stopped the motor."""
-        number = self._line.ask(Command.GET_AXIS, question, self._scene.motor)
-        self.heard_ns = time.monotonic_ns()
-        match question:
+    def read(self, parameter: Parameter) -> None:
+        """Read an axis parameter. DriveError of kind "fault" names what has stopped the motor."""
+        number = self._line.request(Command.GET_AXIS, parameter, self._scene.motor)
+        self.received_ns = time.monotonic_ns()
+        match parameter:
             case Parameter.ACTUAL_POSITION:
                 self.position_m = self._axis.units.position_m(number)
-                self.position_ns = self.heard_ns
+                self.position_ns = self.received_ns
             case Parameter.LEFT_SWITCH_STATE | Parameter.RIGHT_SWITCH_STATE:
-                self.switch_closed, self.switch_ns = bool(number), self.heard_ns
+                self.switch_closed, self.switch_ns = bool(number), self.received_ns
             case Parameter.ACTUAL_SPEED:
                 self.speed_m_per_s = self._axis.units.speed_m_per_s(number)
             case Parameter.ERROR_FLAGS if number & (ErrorFlag.STALL | ErrorFlag.DEVIATION):
@@ -119,57 +124,56 @@ class TmclModule:
                 raise DriveError("fault", _named(DriverFlag(number & STOPPING)))
 
     def halt(self) -> None:
-        """Stop the motor as well as the line lets us, and hear where it rests.
+        """Stop the motor as well as the line allows, and read its position.
 
-        What does not reach it is left to its heartbeat.
+        Where requests do not reach it, its heartbeat stops it.
         """
         missed = 0
         for _ in range(REST_POLLS):
             try:
-                self._line.ask(Command.MOTOR_STOP, 0, self._scene.motor)
-                self.hear(Parameter.ACTUAL_SPEED)
-                self.hear(Parameter.ACTUAL_POSITION)
+                self._line.request(Command.MOTOR_STOP, 0, self._scene.motor)
+                self.read(Parameter.ACTUAL_SPEED)
+                self.read(Parameter.ACTUAL_POSITION)
             except DriveError as error:
                 missed += 1
-                if error.kind not in PASSING or missed == TRIES:
+                if error.kind not in TRANSIENT or missed == TRIES:
                     return
             if not self.speed_m_per_s:
                 return
 
     def close(self) -> None:
-        """Let go of the line."""
+        """Close the line."""
         self._line.close()
 
     def _await_home(self, deadline_s: float, guard: Callable[[], None]) -> None:
         bound = SearchBound(self._axis, self.position_m)
         try:
-            while self._insist(Command.REFERENCE_SEARCH, Search.STATUS):
+            while self._retry(Command.REFERENCE_SEARCH, Search.STATUS):
                 guard()
-                self.hear(Parameter.ACTUAL_POSITION)
+                self.read(Parameter.ACTUAL_POSITION)
                 bound(self.position_m)
-                self.hear(Parameter.ERROR_FLAGS)
+                self.read(Parameter.ERROR_FLAGS)
                 if time.monotonic() > deadline_s:
                     text = f"no home switch within {self._axis.search_s:.0f} s"
                     raise DriveError("not homed", text)
                 time.sleep(SEARCH_POLL_S)
         except DriveError as error:
             if error.kind in ("not homed", WRONG_WAY):
-                self._insist(Command.REFERENCE_SEARCH, Search.STOP)
+                self._retry(Command.REFERENCE_SEARCH, Search.STOP)
             raise
 
     def _set(self, parameter: Parameter, value: int) -> None:
-        self._insist(Command.SET_AXIS, parameter, value)
+        self._retry(Command.SET_AXIS, parameter, value)
 
-    def _insist(self, command: int, kind: int = 0, value: int = 0, bank: int | None = None) -> int:
-        """One request, again and again for half a second; to the motor, or to a bank of global
-        parameters."""
+    def _retry(self, command: int, kind: int = 0, value: int = 0, bank: int | None = None) -> int:
+        """Repeat a request for up to half a second; to the motor, or to a bank of parameters."""
         motor = self._scene.motor if bank is None else bank
-        until_s = time.monotonic() + INSIST_S
+        until_s = time.monotonic() + RETRY_FOR_S
         while True:
             try:
-                return self._line.ask(command, kind, motor, value)
+                return self._line.request(command, kind, motor, value)
             except DriveError as error:
-                if error.kind not in PASSING or time.monotonic() > until_s:
+                if error.kind not in TRANSIENT or time.monotonic() > until_s:
                     raise
 
 

@@ -1,8 +1,8 @@
-"""The numbers of TMCL that are used here, as the maker's firmware manuals give them."""
+"""Instructions, axis and global parameters of TMCL, as its firmware manuals number them."""
 
 from enum import IntEnum, IntFlag
 
-# How a module says that a request was carried out.
+# Status of a reply to a request that was carried out.
 SUCCESS = 100
 
 
@@ -21,7 +21,7 @@ class Command(IntEnum):
 
 
 class Parameter(IntEnum):
-    """Axis parameters that are read and written here."""
+    """Axis parameters."""
 
     ACTUAL_POSITION = 1
     ACTUAL_SPEED = 3
@@ -58,14 +58,14 @@ RIGHT_SWITCH = 65
 
 
 class ErrorFlag(IntFlag):
-    """Why the module stopped the motor (axis parameter 207)."""
+    """Reason for which the module stopped the motor (axis parameter 207)."""
 
     STALL = 1
     DEVIATION = 2
 
 
 class DriverFlag(IntFlag):
-    """What the driver chip reports (axis parameter 208), as far as it stops the motor.
+    """Errors of the driver chip (axis parameter 208) that stop the motor.
 
     The bits are those of a TMC26x.
     """

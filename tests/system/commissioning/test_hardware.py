@@ -56,8 +56,8 @@ class Bench:
         self._way.record(speed_m_per_s, self._now_ns)
         self._queue.append((self._now_ns + self._late_ns, speed_m_per_s))
 
-    def way_m(self, now_ns: int) -> float:
-        return self._way.way_m(now_ns)
+    def travel_m(self, now_ns: int) -> float:
+        return self._way.travel_m(now_ns)
 
     def status(self) -> DriveStatus:
         self._advance()

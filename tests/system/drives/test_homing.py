@@ -14,7 +14,7 @@ from display_node.drives.homing import (
     TouchGuard,
     check_switch,
     opened_m,
-    undone_where_wrong,
+    undo_wrong_way,
 )
 from display_node.drives.tmcl.drive import TmclDrive
 from protocol.errors import DriveError
@@ -53,7 +53,7 @@ def test_a_start_that_is_ended_otherwise_closes_the_drive_where_it_is(error: Bas
     drive, follow = Mock(TmclDrive), Mock()
     with (
         pytest.raises(type(error)),
-        undone_where_wrong(drive, axis(), speed_m_per_s=1e-3, follow=follow),
+        undo_wrong_way(drive, axis(), speed_m_per_s=1e-3, follow=follow),
     ):
         raise error
     drive.close.assert_called_once_with()

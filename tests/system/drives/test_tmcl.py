@@ -131,7 +131,7 @@ def test_noise_from_a_can_adapter_is_counted_and_the_drive_goes_on() -> None:
             bench.keep(RATE_HZ / 4, lambda before=counted: bench.drive.counts["garbled"] > before)
             # By then it has thrown away what came with the noise, and is answered again.
             garbled_ns = time.monotonic_ns()
-            bench.keep(RATE_HZ / 4, lambda at=garbled_ns: bench.drive.status().heard_ns > at)
+            bench.keep(RATE_HZ / 4, lambda at=garbled_ns: bench.drive.status().received_ns > at)
         bench.keep(0.0, lambda: not bench.drive.status().moving)
         assert bench.drive.status().fault is None
 
@@ -153,7 +153,7 @@ def test_a_noisy_line_is_no_drive() -> None:
     try:
         for _ in range(5):
             with pytest.raises(DriveError) as error:
-                line.ask(Command.GET_AXIS, Parameter.ACTUAL_POSITION, 0)
+                line.request(Command.GET_AXIS, Parameter.ACTUAL_POSITION, 0)
             assert error.value.kind in ("garbled", "wrong", "refused")
         assert line.counts.total() == 5
     finally:
@@ -181,8 +181,8 @@ def test_a_reply_with_a_wrong_byte_anywhere_is_no_answer(offset: int) -> None:
 
     try:
         with pytest.raises(DriveError, match="checksum"):
-            line.ask(Command.GET_AXIS, Parameter.ACTUAL_POSITION, 0)
-        assert line.ask(Command.GET_AXIS, Parameter.ACTUAL_POSITION, 0) == 7
+            line.request(Command.GET_AXIS, Parameter.ACTUAL_POSITION, 0)
+        assert line.request(Command.GET_AXIS, Parameter.ACTUAL_POSITION, 0) == 7
     finally:
         line.close()
 
@@ -203,8 +203,8 @@ def test_a_module_behind_a_network_port_is_reached_by_url() -> None:
     thread.start()
     line = TmclLine(tmcl_scene(port=f"socket://127.0.0.1:{server.getsockname()[1]}"))
     try:
-        assert line.ask(Command.SET_AXIS, Parameter.MICROSTEPS, 0, 6) == 6
-        assert line.ask(Command.GET_AXIS, Parameter.MICROSTEPS, 0) == 6
+        assert line.request(Command.SET_AXIS, Parameter.MICROSTEPS, 0, 6) == 6
+        assert line.request(Command.GET_AXIS, Parameter.MICROSTEPS, 0) == 6
     finally:
         line.close()
         thread.join()

@@ -101,16 +101,16 @@ def test_without_rotor_and_play_the_screw_is_the_tip() -> None:
 def test_all_speeds_together_are_the_screws_way(table: dict[str, object], first_m: float) -> None:
     bench = Bench(**table)
     reference_n = bench.reference_n(first_m + swell_m(rate_hz=5))
-    way_m = [0.0]
+    travel_m = [0.0]
     screw_m = []
     for tick in range(len(reference_n) - bench.path.horizon):
         speed = bench.path.advance(reference_n[tick : tick + bench.path.horizon + 1])
-        way_m.append(way_m[-1] + speed * bench.tick_s)
+        travel_m.append(travel_m[-1] + speed * bench.tick_s)
         screw_m.append(bench.path.screw_m)
     # It takes the first reference for where it stands, on the flank that presses.
     start_m = first_m + bench.scene.backlash_m / 2
-    assert screw_m[0] - way_m[1] == pytest.approx(start_m, abs=2e-6 if table else 1e-12)
-    ways = np.array(way_m[1:]) - way_m[1]
+    assert screw_m[0] - travel_m[1] == pytest.approx(start_m, abs=2e-6 if table else 1e-12)
+    ways = np.array(travel_m[1:]) - travel_m[1]
     assert ways == pytest.approx(np.array(screw_m) - screw_m[0], abs=1e-12)
 
 

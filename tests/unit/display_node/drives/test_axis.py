@@ -77,7 +77,7 @@ def test_whenever_the_commands_end_the_watchdog_stops_the_tip_before_the_end_of_
         if tick <= killed_after_ms:
             known_m = tips_m[max(0, len(tips_m) - 1 - heard_ms_ago)]
             wanted = direction * axis.max_speed_m_per_s
-            speed = axis.travel.bound(wanted, known_m, heard_ms_ago * 1e-3)
+            speed = axis.soft_limits.bound(wanted, known_m, heard_ms_ago * 1e-3)
             motor.run(axis.units.velocity(speed))
             motor.feed()
         motor.advance((motor_ms(motor) + 1) * TICK_NS)

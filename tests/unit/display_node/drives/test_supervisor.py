@@ -45,7 +45,7 @@ class Bench:
                 supervisor.report(place_m, now_ns)
             if speed_m_per_s is not None:
                 supervisor.command(speed_m_per_s, now_ns)
-            supervisor.watch(now_ns)
+            supervisor.check_silence(now_ns)
             velocity = supervisor.velocity(now_ns)
             supervisor.sent(velocity, now_ns)
             self.speed = units.speed_m_per_s(velocity)
@@ -91,7 +91,7 @@ def test_a_drive_that_falls_silent_is_a_fault() -> None:
     supervisor.arm(0)
     for ms in range(1, 60):
         supervisor.command(0.0, ms * MS)
-        supervisor.watch(ms * MS)
+        supervisor.check_silence(ms * MS)
     assert supervisor.fault == "no answer for 51 ms"
 
 

@@ -74,21 +74,21 @@ class Tip:
         self.withdrawal = Withdrawal(0, BEGAN_M, 0.0, CLEAR_M, trusted)
         self.gain = gain
         self.position_m = BEGAN_M
-        self.way_m = 0.0
+        self.travel_m = 0.0
         self.now_ms = 0
         self.reports = True
 
     def run(self, ms: int, force: bool = False) -> WithdrawalOutcome:
         for _ in range(ms):
             self.now_ms += 1
-            speed = self.withdrawal.speed_m_per_s(self.now_ms * MS, self.way_m)
+            speed = self.withdrawal.speed_m_per_s(self.now_ms * MS, self.travel_m)
             assert -FAST_M_PER_S <= speed <= 0
-            self.way_m += speed * 1e-3
+            self.travel_m += speed * 1e-3
             self.position_m += self.gain * speed * 1e-3
             if self.reports:
                 self.withdrawal.report(self.position_m, self.now_ms * MS)
             if force:
-                self.withdrawal.press(max(0.0, self.position_m * 1e3), self.now_ms * MS)
+                self.withdrawal.report_film(max(0.0, self.position_m * 1e3), self.now_ms * MS)
         return self.withdrawal.outcome
 
 
@@ -98,7 +98,7 @@ def test_it_is_slow_until_the_position_confirms_it_and_ends_off_the_finger() -> 
     assert tip.run(100) is WithdrawalOutcome.WITHDRAWN
     assert tip.withdrawal.confirmed
     assert tip.position_m == pytest.approx(CLEAR_M, abs=FAST_M_PER_S * 1e-3)
-    assert tip.withdrawal.speed_m_per_s(101 * MS, tip.way_m) == 0
+    assert tip.withdrawal.speed_m_per_s(101 * MS, tip.travel_m) == 0
 
 
 @pytest.mark.parametrize("by_film", [False, True], ids=["position", "film"])
@@ -108,16 +108,16 @@ def test_the_wrong_way_stops_it_at_once(by_film: bool) -> None:
     assert tip.run(200, force=by_film) is WithdrawalOutcome.WRONG_WAY
     # 0.1 mm is the bound of the position, and both may need time to turn.
     assert tip.position_m < BEGAN_M + (0.7e-3 if by_film else 0.5e-3)
-    assert tip.withdrawal.speed_m_per_s(300 * MS, tip.way_m) == 0
+    assert tip.withdrawal.speed_m_per_s(300 * MS, tip.travel_m) == 0
 
 
 def test_one_reading_alone_stops_nothing() -> None:
     tip = Tip()
     tip.run(20)
-    tip.withdrawal.press(0.3, 20 * MS)
+    tip.withdrawal.report_film(0.3, 20 * MS)
     for ms in (90, 91):
-        tip.withdrawal.press(9.0, ms * MS)
-    tip.withdrawal.press(0.0, 92 * MS)
+        tip.withdrawal.report_film(9.0, ms * MS)
+    tip.withdrawal.report_film(0.0, 92 * MS)
     assert tip.withdrawal.outcome is WithdrawalOutcome.UNDER_WAY
 
 
@@ -127,7 +127,7 @@ def test_without_a_confirmation_it_ends_by_the_commanded_way(trusted: bool) -> N
     tip.reports = False
     assert tip.run(1_000) is WithdrawalOutcome.UNCONFIRMED
     needed_m = BEGAN_M - CLEAR_M + MARGIN_M
-    assert -tip.way_m == pytest.approx(needed_m, rel=0.01)
+    assert -tip.travel_m == pytest.approx(needed_m, rel=0.01)
     assert tip.position_m < CLEAR_M
 
 
@@ -137,7 +137,7 @@ def test_a_film_that_shows_relief_ends_it_by_the_commanded_way() -> None:
     assert tip.run(1_000, force=True) is WithdrawalOutcome.WITHDRAWN
     assert tip.position_m < CLEAR_M
     # The way that it makes while a position is still waited for.
-    assert -tip.way_m < 1.01 * FAST_M_PER_S * PATIENCE_NS * 1e-9
+    assert -tip.travel_m < 1.01 * FAST_M_PER_S * PATIENCE_NS * 1e-9
 
 
 def test_what_a_silent_drive_may_not_have_heard_is_commanded_again() -> None:
@@ -152,7 +152,7 @@ def test_a_motor_that_its_drive_holds_is_commanded_on() -> None:
     tip = Tip(gain=0.0)
     for _ in range(500):
         tip.run(10)
-        tip.withdrawal.renew(tip.now_ms * MS, tip.way_m)
+        tip.withdrawal.restart(tip.now_ms * MS, tip.travel_m)
     assert tip.withdrawal.outcome is WithdrawalOutcome.UNDER_WAY
     tip.gain = 1.0
     assert tip.run(200) is WithdrawalOutcome.WITHDRAWN
@@ -186,7 +186,7 @@ def test_what_was_commanded_before_a_pause_is_no_way_made() -> None:
     """The drive's watchdog ended it, while the commands seemed to lead on for 0.4 s."""
     tip = Tip()
     assert tip.withdrawal.speed_m_per_s(MS, 0.0) == -SLOW_M_PER_S
-    tip.now_ms, tip.way_m = 400, -SLOW_M_PER_S * 0.4
+    tip.now_ms, tip.travel_m = 400, -SLOW_M_PER_S * 0.4
     for ms in range(2, 400):
         tip.withdrawal.report(BEGAN_M, ms * MS)
     assert tip.run(100) is WithdrawalOutcome.WITHDRAWN
@@ -197,7 +197,7 @@ def test_readings_that_rise_before_anything_was_sent_stop_nothing() -> None:
     """The loop reads the film while the drive's thread stands still."""
     tip = Tip()
     for ms in range(1, 200, 4):
-        tip.withdrawal.press(0.3 + 1e-3 * ms, ms * MS)
+        tip.withdrawal.report_film(0.3 + 1e-3 * ms, ms * MS)
         tip.withdrawal.report(BEGAN_M + 1e-6 * ms, ms * MS)
     assert tip.withdrawal.outcome is WithdrawalOutcome.UNDER_WAY
     tip.now_ms = 200
