@@ -26,7 +26,7 @@ from protocol.wire.telemetry import (
     TickState,
     TraceWriter,
 )
-from telepulse.lsl_outlet.forwarder import Forwarder
+from telepulse.lsl_outlet.forwarder import LslForwarder
 from telepulse.metrics.families import NodeState as ToldStatus
 from telepulse.metrics.families import families
 from telepulse.recording.mcap_writer import as_json
@@ -56,7 +56,7 @@ class TelemetryReaders:
     def __init__(self) -> None:
         self.screen, self.live, self.decoder = TerminalView(), LiveState(), TelemetryDecoder()
         self.outlets = KeptOutlets()
-        self.forwarder = Forwarder(self.outlets, str)
+        self.forwarder = LslForwarder(self.outlets, str)
         self.findings = RunFindings(Path("telemetry"))
 
     def take(self, topic: bytes, data: bytes) -> None:

@@ -264,7 +264,7 @@ def value_at(summary: Any, key: str) -> Any:
     return summary
 
 
-class Part(NamedTuple):
+class RowPart(NamedTuple):
     """A figure in its row: its value, with its words in `text`; detail: what it is a share of."""
 
     name: str
@@ -279,7 +279,7 @@ class SummaryRow(NamedTuple):
     """A row for people, with the parts that have a value; headline: in short, for a live page."""
 
     name: str
-    parts: tuple[Part, ...]
+    parts: tuple[RowPart, ...]
     headline: str = ""
 
     @property
@@ -303,7 +303,7 @@ class SummaryRow(NamedTuple):
         return ", ".join([detail, *others] if detail else others)
 
     @property
-    def _lead(self) -> Part:
+    def _lead(self) -> RowPart:
         return next((part for part in self.parts if part.lead), self.parts[0])
 
 
@@ -345,15 +345,15 @@ class Registry:
         return {each.name: found.get(each.name, "") for each in self.on(surface)}
 
 
-def _phrase(key: str, row: Row, summary: Mapping[str, Any]) -> tuple[tuple[Part, ...], str]:
+def _phrase(key: str, row: Row, summary: Mapping[str, Any]) -> tuple[tuple[RowPart, ...], str]:
     table = value_at(summary, key) or {}
     text = row.show(table) if row.show else None
-    return (Part(row.name, "", text, text),) if text else (), row.headline(
+    return (RowPart(row.name, "", text, text),) if text else (), row.headline(
         table
     ) if row.headline else ""
 
 
-def _parts(figure: Figure, summary: Mapping[str, Any]) -> tuple[Part, ...]:
+def _parts(figure: Figure, summary: Mapping[str, Any]) -> tuple[RowPart, ...]:
     value = figure.shown(summary)
     if value is None:
         return ()
@@ -363,7 +363,7 @@ def _parts(figure: Figure, summary: Mapping[str, Any]) -> tuple[Part, ...]:
         run = "" if share is None else f" ({100 * share:.1f} % of the run)"
         detail = f" of the time {figure.of}{run}"
     text = figure.text.replace("{}", value)
-    return (Part(figure.name, figure.joint, value, text, detail, figure.lead),)
+    return (RowPart(figure.name, figure.joint, value, text, detail, figure.lead),)
 
 
 def absent(reason: str, *surfaces: Surface) -> dict[Surface, str]:

@@ -86,7 +86,7 @@ class LslTime:
         return unix_ns, (before_s + after_s) / 2, after_s - before_s
 
 
-class Forwarder:
+class LslForwarder:
     """Forwarder of one display.
 
     Attributes

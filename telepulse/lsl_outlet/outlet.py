@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from protocol.config.quantities import count_text
 from protocol.security.keys import ClientKeys
-from telepulse.lsl_outlet.forwarder import Forwarder
+from telepulse.lsl_outlet.forwarder import LslForwarder
 from telepulse.lsl_outlet.streams import LslStreams
 from telepulse.telemetry.client import TelemetryClient
 
@@ -27,7 +27,7 @@ class LslOutlet:
         self._address, self._log, self._warn = address, log, warn
         self._stopping = False
         self._outlets = LslStreams(address)
-        self._forwarder = Forwarder(self._outlets, log)
+        self._forwarder = LslForwarder(self._outlets, log)
         self._client = TelemetryClient(address, keys, warn)
         self._client.subscribe()
 

@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 EMPTY_BUCKETS = 3
 
 
-class Stretch(NamedTuple):
+class TableSlice(NamedTuple):
     """Rows in order of time; first: number of rows before them; values: shape (rows, columns)."""
 
     first: int
@@ -68,11 +68,11 @@ class RollingTable:
         at = int(np.searchsorted(self._t_ns[: self._end], t_ns - within_ns))
         return at < self._end and int(self._t_ns[at]) <= t_ns + within_ns
 
-    def since(self, t_ns: int) -> Stretch:
+    def since(self, t_ns: int) -> TableSlice:
         """Return the rows from a time on, as views that hold until the next row is added."""
         at = int(np.searchsorted(self._t_ns[: self._end], t_ns))
         first = self._dropped + at
-        return Stretch(first, self._t_ns[at : self._end], self._values[at : self._end])
+        return TableSlice(first, self._t_ns[at : self._end], self._values[at : self._end])
 
     def _make_room(self, count: int) -> None:
         if count > self._capacity:

@@ -7,7 +7,7 @@ import numpy as np
 
 from display_node.scoring.heart_rate import heart_rate_per_min
 from display_node.scoring.tracking_error import JND, MAX_GAP_NS, SPAN_NS, interpolate
-from telepulse.view.live import Floats, LiveState, Stretch, Times, thin
+from telepulse.view.live import Floats, LiveState, TableSlice, Times, thin
 
 SECOND_NS = 1_000_000_000
 # Ten seconds at 1 kHz: of each 16 ms the least and the greatest.
@@ -90,8 +90,8 @@ class _Curves:
     def __init__(self, now_ns: int) -> None:
         self._now_ns = now_ns
 
-    def __call__(self, stretch: Stretch, values: Floats, gap_ns: int = MAX_GAP_NS) -> Columns:
-        t_ns, y = thin(stretch.first, stretch.t_ns, values, POINTS, gap_ns)
+    def __call__(self, rows: TableSlice, values: Floats, gap_ns: int = MAX_GAP_NS) -> Columns:
+        t_ns, y = thin(rows.first, rows.t_ns, values, POINTS, gap_ns)
         return {"t": (t_ns - self._now_ns).astype(np.float64) * 1e-9, "y": y}
 
 
@@ -100,7 +100,9 @@ def _compression(force_n: Floats, strain_per_newton: float | None) -> Floats:
     return force_n * (math.nan if strain_per_newton is None else -1e6 * strain_per_newton)
 
 
-def _errors(live: LiveState, ticks: Stretch, window_ns: int) -> tuple[Floats, Floats, float | None]:
+def _errors(
+    live: LiveState, ticks: TableSlice, window_ns: int
+) -> tuple[Floats, Floats, float | None]:
     """Return the errors of the felt force in phase and aligned, and the JND, all in N.
 
     NaN where the pulse of that instant has not arrived, or is not felt at full strength.
@@ -132,7 +134,7 @@ def _within(error_n: Floats, jnd_n: float | None) -> float | None:
     return float(np.mean(np.abs(known) < jnd_n)) if jnd_n and len(known) else None
 
 
-def _judged(ticks: Stretch, error_n: Floats, begin_ns: int, now_ns: int) -> float | None:
+def _judged(ticks: TableSlice, error_n: Floats, begin_ns: int, now_ns: int) -> float | None:
     """Return which share of the window could be judged: of its time, not of the ticks that came.
 
     With less telemetry than the window, the window is as long as the telemetry.

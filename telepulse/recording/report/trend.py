@@ -10,7 +10,7 @@ NARROWEST_S = 0.1
 Floats = NDArray[np.float64]
 
 
-class Points(NamedTuple):
+class TrendPoints(NamedTuple):
     """Bins that hold values: their middles in s, and least, greatest, mean and sum of each."""
 
     t_s: Floats
@@ -43,12 +43,12 @@ class Trend:
         np.add.at(self._total, at, values)
         np.add.at(self._count, at, 1)
 
-    def points(self) -> Points:
+    def points(self) -> TrendPoints:
         """Return the bins that hold values."""
         held = np.flatnonzero(self._count)
         mean: Floats = self._total[held] / self._count[held]
         t_s: Floats = np.asarray((held + 0.5) * self.width_s, float)
-        return Points(t_s, self._low[held], self._high[held], mean, self._total[held])
+        return TrendPoints(t_s, self._low[held], self._high[held], mean, self._total[held])
 
     def _widen(self) -> None:
         self.width_s *= 2
