@@ -97,24 +97,19 @@ def _read_header(
     path: Path, number: int, row: list[str]
 ) -> tuple[tuple[int, int], tuple[str, str]]:
     """Return the columns of load and reading, and their units where the header names them."""
-    columns, units = [], []
-    for what, names, known in (
-        ("load", LOAD_NAMES, LOADS),
-        ("reading", READING_NAMES, READINGS),
-    ):
-        for column, cell in enumerate(row):
-            match = _HEADER.fullmatch(cell)
-            if match is not None and match.group(1).lower() in names:
-                unit = match.group(2) or ""
-                if unit and unit not in known:
-                    allowed = ", ".join(known)
-                    raise SourceError(f"{path}:{number}: unknown unit {unit!r}; known: {allowed}")
-                columns.append(column)
-                units.append(unit)
-                break
-        else:
+    cells = [_HEADER.fullmatch(cell) for cell in row]
+    found = []
+    for what, names, known in (("load", LOAD_NAMES, LOADS), ("reading", READING_NAMES, READINGS)):
+        matches = ((i, m[2] or "") for i, m in enumerate(cells) if m and m[1].lower() in names)
+        column, unit = next(matches, (-1, ""))
+        if column < 0:
             raise SourceError(f"{path}:{number}: no column for the {what}; name it {names[0]!r}")
-    return (columns[0], columns[1]), (units[0], units[1])
+        if unit and unit not in known:
+            allowed = ", ".join(known)
+            raise SourceError(f"{path}:{number}: unknown unit {unit!r}; known: {allowed}")
+        found.append((column, unit))
+    (load, load_unit), (reading, reading_unit) = found
+    return (load, reading), (load_unit, reading_unit)
 
 
 def _pairs(
@@ -201,18 +196,10 @@ def _settled_reading(sensor: Sensor, load_n: float) -> float:
 class CalibrationLine:
     """Least squares line: reading = slope · load + offset, in the readings' unit and N.
 
-    Attributes
-    ----------
-    slope_error, offset_error : float
-        Standard errors.
-    residual_n : NDArray, shape (n,)
-        Residual of each reading, as a force, in the order of the loads.
-    hysteresis_n : float or None
-        Largest difference between the means of rising and falling loads. None where no load came
-        both ways.
-    repeatability_n : float or None
-        Standard deviation of readings at the same load, reached the same way. None where no load
-        came twice the same way.
+    slope_error, offset_error: standard errors. residual_n: residual of each reading as a force,
+    in the order of the loads. hysteresis_n: largest difference between the means of rising and
+    falling loads. repeatability_n: standard deviation of readings at the same load, reached the
+    same way. Both are None where no load came so.
     """
 
     slope: float

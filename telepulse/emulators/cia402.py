@@ -29,6 +29,12 @@ from display_node.drives.scene import Cia402Scene
 from telepulse.emulators.fault_injection import FaultInjector
 from telepulse.emulators.motor import EmulatedMotor
 
+ALL_MODES = (Mode.PROFILE_VELOCITY, Mode.CYCLIC_VELOCITY)
+TPDO_S = 0.01
+NOTIFIER_CYCLE_S = 0.1
+LAST_SYNC_TYPE = 240
+DIGITAL_INPUTS = 0x60FD
+_IDENTIFIER = struct.Struct(">H")
 # State after a controlword.
 _TRANSITIONS: dict[tuple[State, int], State] = {
     (State.SWITCH_ON_DISABLED, Control.SHUTDOWN): State.READY,
@@ -50,17 +56,9 @@ NEGATIVE_LIMIT, POSITIVE_LIMIT = 1, 2
 class EmulatedCia402Drive:
     """The state machine around a motor: controlwords in, statuswords out. Pure.
 
-    Parameters
-    ----------
-    modes : tuple of Mode
-        The supported velocity modes. Any other mode but homing is ignored.
-
-    Attributes
-    ----------
-    error_code : int
-        0 without an error.
-    abort_option : int
-        Reaction to a missing heartbeat: 3 is a quick stop, 0 nothing, any other value a fault.
+    modes: the supported velocity modes; any other mode but homing is ignored. error_code: 0
+    without an error. abort_option: reaction to a missing heartbeat; 3 is a quick stop, 0 nothing,
+    any other value a fault.
     """
 
     def __init__(self, scene: Cia402Scene, motor: EmulatedMotor, modes: tuple[Mode, ...]) -> None:
@@ -183,14 +181,6 @@ class EmulatedCia402Drive:
         self.state = State.FAULT
 
 
-ALL_MODES = (Mode.PROFILE_VELOCITY, Mode.CYCLIC_VELOCITY)
-TPDO_S = 0.01
-NOTIFIER_CYCLE_S = 0.1
-LAST_SYNC_TYPE = 240
-DIGITAL_INPUTS = 0x60FD
-_IDENTIFIER = struct.Struct(">H")
-
-
 class _FaultyNetwork(canopen.Network):
     """A network whose frames pass a fault injector on their way to the bus."""
 
@@ -253,31 +243,24 @@ class EmulatedCia402Node:
     def poll(self) -> None:
         """Advance to the present and send due frames; call it every few milliseconds."""
         with self._lock:
-            self._advance()
+            self.drive.advance(time.monotonic_ns())
             drive, now_s = self.drive, time.monotonic()
             state = (drive.statusword, drive.error_code)
             due = now_s - self._sent_s >= TPDO_S or state != self._last_sent
             if due and self._operational and not self.silent:
-                self._sent_s = now_s
-                self._send_tpdos(state)
+                if state[1] and state[1] != self._last_sent[1]:
+                    self._node.emcy.send(state[1])
+                self._sent_s, self._last_sent = now_s, state
+                for number in (1, 2):
+                    pdo = self._node.tpdo[number]
+                    for variable in pdo:
+                        variable.raw = self._value(variable.index)
+                    pdo.transmit()
             self._network.send_due()
 
     def close(self) -> None:
         """Leave the bus."""
         self._network.disconnect()
-
-    def _advance(self) -> None:
-        self.drive.advance(time.monotonic_ns())
-
-    def _send_tpdos(self, state: tuple[int, int]) -> None:
-        if state[1] and state[1] != self._last_sent[1]:
-            self._node.emcy.send(state[1])
-        self._last_sent = state
-        for number in (1, 2):
-            pdo = self._node.tpdo[number]
-            for variable in pdo:
-                variable.raw = self._value(variable.index)
-            pdo.transmit()
 
     def _value(self, index: int) -> int | None:
         """Return the value of an object of the drive that changes by itself."""
@@ -297,13 +280,13 @@ class EmulatedCia402Node:
         if self.silent:
             raise canopen.SdoAbortedError(0x0504_0000)
         with self._lock:
-            self._advance()
+            self.drive.advance(time.monotonic_ns())
             return self._value(index)
 
     def _on_write(self, index: int, subindex: int, od: Any, data: bytes) -> None:
         value: int = od.decode_raw(data)
         with self._lock:
-            self._advance()
+            self.drive.advance(time.monotonic_ns())
             match index, subindex:
                 case 0x6060, _:
                     self.drive.select(value)
@@ -321,7 +304,7 @@ class EmulatedCia402Node:
 
     def _on_heartbeat(self, can_id: int, _: bytearray, __: float) -> None:
         with self._lock:
-            self._advance()
+            self.drive.advance(time.monotonic_ns())
             if can_id == self._heartbeat_id and self._heartbeat_ns:
                 self.motor.set_watchdog(self._heartbeat_ns)
 
@@ -349,16 +332,13 @@ class EmulatedCia402Node:
 
     def _on_sync(self, _: int, __: bytearray, ___: float) -> None:
         with self._lock:
-            self._advance()
+            self.drive.advance(time.monotonic_ns())
             if self._waiting is not None:
-                self._take_settings()
+                stored = self._stored
+                self.drive.search_by(stored(0x6098), stored(0x6099, 1), stored(0x6099, 2))
+                self.drive.limit(stored(0x607D, 1), stored(0x607D, 2))
                 self.drive.control(*self._waiting)
                 self._waiting = None
-
-    def _take_settings(self) -> None:
-        stored = self._stored
-        self.drive.search_by(stored(0x6098), stored(0x6099, 1), stored(0x6099, 2))
-        self.drive.limit(stored(0x607D, 1), stored(0x607D, 2))
 
     def _stored(self, index: int, subindex: int = 0) -> int:
         """Return the value written to an object; 0 before any."""

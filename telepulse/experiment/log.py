@@ -103,6 +103,12 @@ class SessionLog:
     whole_bytes: int
 
     @property
+    def version(self) -> str:
+        """Version that wrote the log, with its commit where it is known."""
+        commit = self.header.provenance.get("commit")
+        return f"{self.header.version} ({commit})" if commit else self.header.version
+
+    @property
     def finished(self) -> bool:
         """True where all trials are answered."""
         return len(self.answered) == len(self.header.trials)
@@ -289,7 +295,7 @@ def gather(logs: Sequence[SessionLog], with_spoilt: bool = False) -> SessionResu
         thresholds=tuple(
             sorted({log.header.threshold for log in logs if log.header.threshold is not None})
         ),
-        versions=tuple(sorted({_version(log) for log in logs})),
+        versions=tuple(sorted({log.version for log in logs})),
     )
 
 
@@ -306,12 +312,6 @@ def _difference(log: SessionLog, first: SessionLog) -> str:
     mine, theirs = (each.session.model_dump() for each in (log, first))
     differing = [key for key in mine if key not in FREE_KEYS and mine[key] != theirs[key]]
     return f"another {', '.join(differing)} than in {first.path}" if differing else ""
-
-
-def _version(log: SessionLog) -> str:
-    """Return the version that wrote a log, with its commit where it is known."""
-    commit = log.header.provenance.get("commit")
-    return f"{log.header.version} ({commit})" if commit else log.header.version
 
 
 def share_correct(outcomes: Iterable[TrialOutcome]) -> Proportion:
