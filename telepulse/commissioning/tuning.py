@@ -111,15 +111,13 @@ def refuse(path: Path, present: Design) -> None:
 
 
 def as_toml(controller: ControllerScene) -> str:
-    """Return the controller's table as a scene has it."""
+    """Return the controller's table as a scene has it, with each key that a parent may set."""
     lines = ["[display.controller]", f'error = "{controller.error}"']
-    if controller.feed_forward:
-        lines.append("feed_forward = true")
+    lines.append(f"feed_forward = {str(controller.feed_forward).lower()}")
     lines += [f"{name} = {getattr(controller, name):g}" for name in ("kp", "ki", "kd")]
     if controller.kd:
         lines.append(f'derivative_filter = "{controller.derivative_filter_hz:g} Hz"')
-    if controller.dead_band:
-        lines.append(f"dead_band = {controller.dead_band:g}")
+    lines.append(f"dead_band = {controller.dead_band:g}")
     if controller.observer is not None:
         observer = controller.observer
         lines += ["", "[display.controller.observer]"]

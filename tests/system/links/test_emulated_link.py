@@ -190,7 +190,7 @@ def test_a_forwarder_that_is_killed_is_reported() -> None:
             for forwarder in children() - before:
                 os.kill(forwarder, signal.SIGKILL)
 
-    with pytest.raises(EmulatorError, match="link forwarder ended"):
+    with pytest.raises(EmulatorError, match="forwarder of the emulated link ended"):
         use()
 
 
