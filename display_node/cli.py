@@ -29,7 +29,7 @@ from protocol.cli_options import (
     with_measures,
 )
 from protocol.config.scene import load_section
-from protocol.config.scene_file import find_scene
+from protocol.config.scene_file import find_scene, scene_names
 from protocol.errors import DiscoveryError, ProtectionError, SceneError
 from protocol.host.child_process import ChildProcess
 from protocol.host.measures import freeze_objects
@@ -65,6 +65,7 @@ def display(
         typer.Argument(
             help="Scene file, or the name of one; its [display] section is used.",
             show_default=False,
+            autocompletion=scene_names,
         ),
     ] = None,
     connect: Annotated[

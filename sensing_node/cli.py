@@ -19,7 +19,7 @@ from protocol.cli_options import (
     with_measures,
 )
 from protocol.config.scene import load_section
-from protocol.config.scene_file import find_scene
+from protocol.config.scene_file import find_scene, scene_names
 from protocol.discovery.announcer import start_announcer
 from protocol.host.measures import freeze_objects
 from protocol.host.process import allow_connections, stop_on_signals
@@ -41,7 +41,11 @@ app = typer.Typer(rich_markup_mode="markdown")
 @app.command()
 def sense(
     scene: Annotated[
-        str, typer.Argument(help="Scene file, or the name of one; its [sensing] section is used.")
+        str,
+        typer.Argument(
+            help="Scene file, or the name of one; its [sensing] section is used.",
+            autocompletion=scene_names,
+        ),
     ],
     bind: Annotated[
         str,

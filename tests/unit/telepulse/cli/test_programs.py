@@ -27,20 +27,27 @@ def test_every_program_can_be_completed_by_a_shell(app: typer.Typer) -> None:
     assert "--install-completion" in options
 
 
-def test_a_shell_completes_commands_and_names_of_scenes() -> None:
-    def completed(words: str) -> list[str]:
-        environment = {
-            "_TELEPULSE_COMPLETE": "complete_bash",
-            "COMP_WORDS": f"telepulse {words}",
-            "COMP_CWORD": str(len(words.split(" "))),
-        }
-        runner = CliRunner()
-        result = runner.invoke(telepulse.cli.main.app, env=environment, prog_name="telepulse")
-        return result.stdout.split()
-
-    assert completed("sim") == ["simulate"]
-    assert completed("simulate w") == ["wan"]
-    assert completed("scenes show ") == scene_names()
+@pytest.mark.parametrize(
+    ("app", "line", "words"),
+    [
+        (PROGRAMS[0], "telepulse sim", ["simulate"]),
+        (PROGRAMS[0], "telepulse simulate w", ["wan"]),
+        (PROGRAMS[0], "telepulse scenes show ", scene_names()),
+        (PROGRAMS[1], "sensing-node rad", ["radial"]),
+        (PROGRAMS[2], "display-node rad", ["radial"]),
+    ],
+)
+def test_a_shell_completes_commands_and_names_of_scenes(
+    app: typer.Typer, line: str, words: list[str]
+) -> None:
+    program = line.split()[0]
+    environment = {
+        f"_{program.upper().replace('-', '_')}_COMPLETE": "complete_bash",
+        "COMP_WORDS": line,
+        "COMP_CWORD": str(len(line.split(" ")) - 1),
+    }
+    result = CliRunner().invoke(app, env=environment, prog_name=program)
+    assert result.stdout.split() == words
 
 
 @pytest.mark.parametrize("app", [sensing_node.cli.app, display_node.cli.app])
