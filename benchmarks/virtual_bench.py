@@ -20,6 +20,7 @@ from display_node.drives import Drive, build_drive
 from display_node.drives.scene import Cia402Scene, DriveScene, TmclScene
 from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
+from protocol.host.pacer import Pacer
 from protocol.tactile import ElasticLayer
 from protocol.wire.messages import Frame, encode_control, encode_frame
 from protocol.wire.stream import Channel, StreamDescription
@@ -418,17 +419,16 @@ class VirtualBench:
 
     def _loop(self) -> None:
         """Run the loop of `display_node.node.DisplayNode.run`, without sockets."""
-        world, tick_ns = self.world, self.scene.tick_ns
-        next_ns = world.monotonic_ns() + tick_ns
+        world = self.world
+        pacer = Pacer(self.scene.tick_ns, world.monotonic_ns())
         while not self._stopping:
             now_ns = world.monotonic_ns()
-            if now_ns < next_ns:
-                world.sleep((next_ns - now_ns) * 1e-9)
+            tick = pacer.begin(now_ns)
+            if tick is None:
+                world.sleep((pacer.due_ns - now_ns) * 1e-9)
                 continue
             self._receive(now_ns)
-            elapsed = 1 + (now_ns - next_ns) // tick_ns
-            next_ns += elapsed * tick_ns
-            self._tick(next_ns - tick_ns, elapsed)
+            self._tick(tick.due_ns, tick.elapsed_ticks)
 
     def _receive(self, now_ns: int) -> None:
         """A loop that waits takes a message when it comes, one that was stalled when it wakes."""

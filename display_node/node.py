@@ -23,6 +23,7 @@ from display_node.telemetry.publisher import Publisher
 from protocol import sockets
 from protocol.errors import SceneError
 from protocol.histogram import Histogram
+from protocol.host.pacer import Pacer
 from protocol.run_summary import Summary
 from protocol.security.authenticator import Authenticator
 from protocol.security.keys import ClientKeys, ServerKeys
@@ -98,7 +99,7 @@ class DisplayNode:
         self._display = Display(scene, f"display-{uuid.uuid4().hex[:6]}")
         self._hardware: Hardware | None = None
         self._stopping = False
-        self._misses = 0
+        self._pacer = Pacer(scene.tick_ns, time.monotonic_ns())
         gap_ns = GAP_NS if scene.drive is None else scene.drive.watchdog_ns
         self._deadlines = DeadlineWatch(scene.tick_ns, gap_ns)
         self._tick_us = Histogram(1.0, 5_000)
@@ -136,24 +137,20 @@ class DisplayNode:
 
     def run(self, seconds: float | None = None, once: bool = False) -> Summary:
         """Run the loop until stopped, `seconds` are over, or (once) the stream has ended."""
-        tick_ns = self._scene.tick_ns
         start_ns = time.monotonic_ns()
         end_ns = None if seconds is None else start_ns + round(seconds * 1e9)
-        next_ns = start_ns + tick_ns
+        pacer = self._pacer = Pacer(self._scene.tick_ns, start_ns)
         try:
             while not self._stopping:
-                self._receive(next_ns)
+                self._receive(pacer.due_ns)
                 now_ns = time.monotonic_ns()
-                if now_ns < next_ns:
-                    sockets.wait_drained(self._connection.descriptors, next_ns - now_ns)
+                tick = pacer.begin(now_ns)
+                if tick is None:
+                    sockets.wait_drained(self._connection.descriptors, pacer.due_ns - now_ns)
                     continue
-                self._late_us.add((now_ns - next_ns) * 1e-3)
-                elapsed = 1 + (now_ns - next_ns) // tick_ns
-                self._misses += elapsed - 1
-                self._deadlines.add(now_ns, elapsed)
-                next_ns += elapsed * tick_ns
-                # As of when it was due: told so, speeds add up to the way, however late each is.
-                self._tick(next_ns - tick_ns, elapsed)
+                self._late_us.add(tick.late_ns * 1e-3)
+                self._deadlines.add(now_ns, tick.elapsed_ticks)
+                self._tick(tick.due_ns, tick.elapsed_ticks)
                 self._tick_us.add((time.monotonic_ns() - now_ns) * 1e-3)
                 if (end_ns is not None and now_ns >= end_ns) or (once and self._display.over):
                     break
@@ -212,7 +209,7 @@ class DisplayNode:
         tick_us = self._tick_us
         beyond = tick_us.beyond(p50=0.5, p99=0.99)
         times = TickTime(tick_us.quantile(0.5), tick_us.quantile(0.99), beyond)
-        summary, routes = self._display.summary(self._misses, times), self._connection.routes
+        summary, routes = self._display.summary(self._pacer.missed, times), self._connection.routes
         rejected = Counter(summary.rejected) + self._connection.rejected + self._telemetry.rejected
         rejected += self._gate.rejected
         loop = replace(

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from protocol import sockets
 from protocol.histogram import Histogram
 from protocol.host.child_process import ChildProcess
+from protocol.host.pacer import Pacer
 from protocol.host.realtime import RealtimeRequest, hold
 
 # It ends with who started it, however that ends.
@@ -39,19 +40,18 @@ def run_ticks(
 ) -> None:
     """Wait for ticks as a display does, and do `work` (when it was due in ns, ticks since the last)
     in each."""
-    next_ns = time.monotonic_ns() + tick_ns
-    end_ns = next_ns + round(seconds * 1e9)
+    pacer = Pacer(tick_ns, time.monotonic_ns())
+    end_ns = pacer.due_ns + round(seconds * 1e9)
     # Until nothing is due any more: a wait that ends after the end is the latest of all.
-    while next_ns <= end_ns:
+    while pacer.due_ns <= end_ns:
         now_ns = time.monotonic_ns()
-        if now_ns < next_ns:
-            sockets.wait_drained(descriptors, next_ns - now_ns)
+        tick = pacer.begin(now_ns)
+        if tick is None:
+            sockets.wait_drained(descriptors, pacer.due_ns - now_ns)
             continue
-        ticks.late_us.add((now_ns - next_ns) * 1e-3)
-        elapsed = 1 + (now_ns - next_ns) // tick_ns
-        ticks.missed += elapsed - 1
-        next_ns += elapsed * tick_ns
-        work(next_ns - tick_ns, elapsed)
+        ticks.late_us.add(tick.late_ns * 1e-3)
+        work(tick.due_ns, tick.elapsed_ticks)
+    ticks.missed += pacer.missed
 
 
 def run_in_turns(

@@ -15,9 +15,9 @@ from display_node.drives.hardware import Hardware
 from display_node.fault_advice import advise
 from protocol.config.quantities import count_text
 from protocol.errors import BenchError, SourceError
+from protocol.host.pacer import Pacer
 from telepulse.experiment.interval import Interval, IntervalPlayback, PlayedInterval
 from telepulse.experiment.log import AnsweredTrial, now
-from telepulse.experiment.pace import pace
 from telepulse.experiment.session import LETTERS, Kind, Letter, SessionPlan
 
 NAME = "experiment"
@@ -235,7 +235,7 @@ class Person:
                 self._check()
                 return listen(0.0)
 
-            pace(self._tick_ns, rest)
+            _run_ticks(self._tick_ns, rest)
         return None if self._stopping else keys[0]
 
     def _play(self, interval: Interval) -> PlayedInterval | None:
@@ -254,7 +254,7 @@ class Person:
             self._check()
             return playing_on
 
-        pace(self._tick_ns, tick)
+        _run_ticks(self._tick_ns, tick)
         return None if self._stopping else playing.played()
 
     def _check(self) -> None:
@@ -274,3 +274,15 @@ def _await_film(hardware: Hardware) -> None:
     while not hardware.feedback.alive(time.monotonic_ns()) and time.monotonic() < until_s:
         hardware.read()
         time.sleep(POLL_S)
+
+
+def _run_ticks(tick_ns: int, tick: Callable[[int, int], bool]) -> None:
+    """Call tick(due_ns, elapsed_ticks) when it is due, until it returns False."""
+    pacer, goes_on = Pacer(tick_ns, time.monotonic_ns()), True
+    while goes_on:
+        now_ns = time.monotonic_ns()
+        begun = pacer.begin(now_ns)
+        if begun is None:
+            time.sleep((pacer.due_ns - now_ns) * 1e-9)
+        else:
+            goes_on = tick(begun.due_ns, begun.elapsed_ticks)
