@@ -19,7 +19,7 @@ from soak.leftovers import left_behind, mark
 from soak.network import loopback, namespaces
 from soak.report import print_verdict, write_verdict
 from soak.run import Run
-from soak.stage import Stage
+from soak.scenario import Scenario
 from soak.verdict import judge_none
 from telepulse.netem import unavailable
 from telepulse.scene import DEFAULT_SCENE, load_scene
@@ -87,7 +87,7 @@ def soak(
             ring = Keyring(Path(folder, "keys")).make() if keys else None
             longest_s = minutes * 60 + OVERTIME_S
             options = ("--realtime", realtime) if realtime else ()
-            stage = Stage(network, loaded.path, Path(folder), longest_s, ring, options)
+            stage = Scenario(network, loaded.path, Path(folder), longest_s, ring, options)
             run = Run(stage, seed, minutes * 60, loaded.display.tick_ns, console.print)
             try:
                 asyncio.run(run.play())

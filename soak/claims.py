@@ -17,10 +17,10 @@ STATES = ("waiting", "starting", "playing", "stale", "ended", "fault")
 
 @dataclass(frozen=True, slots=True)
 class StatusClaim:
-    """One status, beside what the witness had at that moment.
+    """One status, beside what the record had at that moment.
 
     heard_ns, tick_ns: when it arrived, and the newest tick before it. felt_n, full: of that tick.
-    ticks, full_ticks: witnessed so far. no_figures: keys of the status that hold NaN or infinity.
+    ticks, full_ticks: recorded so far. no_figures: keys of the status that hold NaN or infinity.
     """
 
     heard_ns: int

@@ -9,11 +9,11 @@ from display_node.scene import DisplayScene
 from sensing_node.sources.synthetic import SyntheticScene
 from soak.accounts import Session, reckon
 from soak.core_time import NONE_EXCUSED, excuse
-from soak.lives import Life
+from soak.processes import SoakProcess
 from soak.recovery import beside, gaps_s, recoveries
 from soak.run import MINUTE_S, Run
+from soak.scenario import CALM_DISPLAY, CALM_SENSING, TORMENTED
 from soak.schedule import ENDURING, GUEST, MORTAL, PORTS, SENSING
-from soak.stage import CALM_DISPLAY, CALM_SENSING, TORMENTED
 from soak.truth import judge_ends, judge_events, judge_lines, judge_stalls, judge_statuses
 from soak.verdict import (
     MEGA,
@@ -42,7 +42,7 @@ def verdict(run: Run, scene: DisplayScene, wrist_per_min: float | None) -> list[
 
     wrist_per_min: heart rate of the source; None where it has none, and none is judged.
     """
-    safety, felt = scene.safety, run.ears.felt
+    safety, felt = scene.safety, run.taps.felt
     lives = {role: [x for x in run.stage.all_lives if x.role == role] for role in (*ROLES, GUEST)}
     checks = [
         check for role in ROLES for check in judge_usage(role, [_line(x) for x in lives[role]])
@@ -69,9 +69,9 @@ def heart_rate_per_min(source: object) -> float | None:
 
 
 def _judge_truth(
-    run: Run, lives: dict[str, list[Life]], scene: DisplayScene, wrist_per_min: float | None
+    run: Run, lives: dict[str, list[SoakProcess]], scene: DisplayScene, wrist_per_min: float | None
 ) -> Iterator[Check]:
-    """Judge what displays claimed against what was witnessed."""
+    """Judge what displays claimed against what was recorded."""
     impostors = [
         (done.began_ns, done.over_ns)
         for played in run.played
@@ -80,14 +80,14 @@ def _judge_truth(
     ]
     for role in (CALM_DISPLAY, *TORMENTED):
         claims = [life.claims for life in lives[role]]
-        witness = run.ears.witnesses[role]
+        record = run.taps.records[role]
         yield from judge_statuses(role, claims, scene.tick_ns)
-        yield judge_events(role, claims, witness.interruptions)
+        yield judge_events(role, claims, record.interruptions)
         faded_ns = scene.safety.stale_after_ns + scene.safety.fade_ns + 2 * scene.tick_ns
-        yield judge_stalls(role, claims, witness.gaps, faded_ns)
+        yield judge_stalls(role, claims, record.gaps, faded_ns)
     for role, lines in run.terminals.lines.items():
         known = [] if role == CALM_DISPLAY else impostors
-        yield from judge_lines(role, lines, run.ears.witnesses[role], wrist_per_min, known)
+        yield from judge_lines(role, lines, run.taps.records[role], wrist_per_min, known)
     yield judge_ends(
         [
             (role, life.process.returncode, summary, life.claims[-1] if life.claims else None)
@@ -98,7 +98,7 @@ def _judge_truth(
     )
 
 
-def _judge_accounts(run: Run, lives: dict[str, list[Life]]) -> Iterator[Check]:
+def _judge_accounts(run: Run, lives: dict[str, list[SoakProcess]]) -> Iterator[Check]:
     sessions = {role: list(_sessions(run, role, lives[role])) for role in (SENSING, CALM_SENSING)}
     yield judge_none("sensing nodes that miscounted what was heard", _miscounted(run, lives))
     for role in (CALM_DISPLAY, *TORMENTED):
@@ -124,9 +124,9 @@ def _judge_accounts(run: Run, lives: dict[str, list[Life]]) -> Iterator[Check]:
     yield judge_none("refused by, or lost to the calm display", [*refused, *lost])
 
 
-def _sessions(run: Run, role: str, lives: Sequence[Life]) -> Iterator[Session]:
+def _sessions(run: Run, role: str, lives: Sequence[SoakProcess]) -> Iterator[Session]:
     """The sessions of a sensing node's role in order, an impostor's among them."""
-    for heard in sorted(run.ears.sessions[role].values(), key=lambda heard: heard.began_ns):
+    for heard in sorted(run.taps.sessions[role].values(), key=lambda heard: heard.began_ns):
         life = _life_of(heard.began_ns, lives)
         said = life.sent() if life is not None else None
         if said is not None:
@@ -138,10 +138,10 @@ def _sessions(run: Run, role: str, lives: Sequence[Life]) -> Iterator[Session]:
         yield Session(heard.began_ns, heard.last_ns, heard.period_ns, least, most)
 
 
-def _miscounted(run: Run, lives: dict[str, list[Life]]) -> list[str]:
+def _miscounted(run: Run, lives: dict[str, list[SoakProcess]]) -> list[str]:
     found = []
     for role in (SENSING, CALM_SENSING):
-        for heard in run.ears.sessions[role].values():
+        for heard in run.taps.sessions[role].values():
             life = _life_of(heard.began_ns, lives[role])
             said = life.sent() if life is not None else None
             if said is not None and said != heard.sent:
@@ -149,11 +149,11 @@ def _miscounted(run: Run, lives: dict[str, list[Life]]) -> list[str]:
     return found
 
 
-def _life_of(began_ns: int, lives: Sequence[Life]) -> Life | None:
+def _life_of(began_ns: int, lives: Sequence[SoakProcess]) -> SoakProcess | None:
     return next((x for x in lives if x.began_ns <= began_ns <= _end_ns(x)), None)
 
 
-def _end_ns(life: Life) -> int:
+def _end_ns(life: SoakProcess) -> int:
     return life.over_ns or 1 << 62
 
 
@@ -168,14 +168,14 @@ def _faults(run: Run, role: str) -> list[tuple[int, int]]:
     ]
 
 
-def _line(life: Life) -> Line:
+def _line(life: SoakProcess) -> Line:
     rows = [(x.at_ns * 1e-9, x.memory_bytes / MEGA, x.descriptors, x.threads) for x in life.usage]
     warm = sum(x.at_ns - life.began_ns <= WARM_UP_S * 1e9 for x in life.usage)
     times_s, memory_mb, handles, threads = np.array(rows, float).reshape(-1, 4).T
     return Line(times_s, memory_mb, handles, threads, warm)
 
 
-def _loop_figures(lives: Sequence[Life], tick_ns: int) -> LoopFigures:
+def _loop_figures(lives: Sequence[SoakProcess], tick_ns: int) -> LoopFigures:
     loops: list[tuple[dict[str, Any], int]] = [
         (life.summary["loop"], life.frozen_ns // tick_ns) for life in lives if life.summary
     ]

@@ -4,9 +4,9 @@ import asyncio
 import time
 from dataclasses import dataclass
 
-from soak.lives import Life
+from soak.processes import SoakProcess
+from soak.scenario import LINKS, Scenario
 from soak.schedule import ENDURING, GUEST, MORTAL, PORTS, SENSING, Fault
-from soak.stage import LINKS, Stage
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class Done:
     displays: tuple[str, ...]
 
 
-async def do(fault: Fault, stage: Stage, seed: int) -> Done:
+async def do(fault: Fault, stage: Scenario, seed: int) -> Done:
     """Do a fault; returns when it is over."""
     await asyncio.sleep(fault.after_s)
     began_ns = time.monotonic_ns()
@@ -36,7 +36,7 @@ def _displays(fault: Fault) -> tuple[str, ...]:
     return (fault.target.removesuffix("'s link"),)
 
 
-async def _do(fault: Fault, stage: Stage, seed: int) -> int:
+async def _do(fault: Fault, stage: Scenario, seed: int) -> int:
     kind = fault.kind
     if fault.target.endswith("'s link"):
         return await _worsen(fault, stage)
@@ -51,7 +51,7 @@ async def _do(fault: Fault, stage: Stage, seed: int) -> int:
     return await _replace(fault, life, stage, seed)
 
 
-async def _replace(fault: Fault, life: Life, stage: Stage, seed: int) -> int:
+async def _replace(fault: Fault, life: SoakProcess, stage: Scenario, seed: int) -> int:
     """A node ends, and another one takes its place."""
     if fault.kind.startswith("restart"):
         await life.stop()
@@ -66,7 +66,7 @@ async def _replace(fault: Fault, life: Life, stage: Stage, seed: int) -> int:
     return await stage.start(fault.target).up()
 
 
-async def _worsen(fault: Fault, stage: Stage) -> int:
+async def _worsen(fault: Fault, stage: Scenario) -> int:
     links = LINKS[fault.target.removesuffix("'s link")]
     if fault.kind == "cut of one path":
         links = links[:1]
@@ -78,7 +78,7 @@ async def _worsen(fault: Fault, stage: Stage) -> int:
     return time.monotonic_ns()
 
 
-async def _flood(fault: Fault, stage: Stage, seed: int) -> int:
+async def _flood(fault: Fault, stage: Scenario, seed: int) -> int:
     name = fault.kind.removeprefix("flood of ")
     addresses = [stage.network.near]
     if name == "telemetry":
@@ -89,7 +89,7 @@ async def _flood(fault: Fault, stage: Stage, seed: int) -> int:
     return time.monotonic_ns()
 
 
-async def _visit(fault: Fault, stage: Stage) -> int:
+async def _visit(fault: Fault, stage: Scenario) -> int:
     """A display joins and leaves. It is no fault to it: over is when it may begin to feel."""
     life = stage.start(GUEST)
     up_ns = await life.up()

@@ -7,7 +7,7 @@ from protocol.security.allow_list import allow
 from protocol.security.keys import ClientKeys, new_pair, read_pair
 from protocol.security.protection import ALLOWED
 
-WRIST, FINGER, WITNESS = "wrist", "finger", "witness"
+WRIST, FINGER, MONITOR = "wrist", "finger", "monitor"
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,7 +19,7 @@ class Keyring:
 
     def make(self) -> "Keyring":
         """Make them all. Raises KeyFileError."""
-        for name in (WRIST, FINGER, WITNESS):
+        for name in (WRIST, FINGER, MONITOR):
             new_pair(self.folder, name)
             if name != WRIST:
                 allow(self.folder / ALLOWED, read_pair(self._file(name)).public)
@@ -36,9 +36,9 @@ class Keyring:
         return "--key", str(self._file(FINGER)), "--peer", str(self.folder / f"{WRIST}.pub")
 
     @property
-    def witness(self) -> ClientKeys:
+    def monitor(self) -> ClientKeys:
         """What frames are heard with."""
-        return ClientKeys(read_pair(self._file(WITNESS)), read_pair(self._file(WRIST)).public)
+        return ClientKeys(read_pair(self._file(MONITOR)), read_pair(self._file(WRIST)).public)
 
     def _file(self, name: str) -> Path:
         return self.folder / f"{name}.key"

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from protocol.errors import OutputError
-from soak.lives import Life
+from soak.processes import SoakProcess
 from soak.recovery import Played, gaps_s, recoveries
 from soak.run import Run
 from soak.verdict import MEGA, Check
@@ -49,7 +49,7 @@ def write_verdict(run: Run, checks: Sequence[Check], minutes: float, path: Path)
         "link": run.stage.network.kind,
         "passed": all(check.ok is not False for check in checks),
         "checks": [asdict(check) for check in checks],
-        "felt_again_s": recoveries(run.played, run.ears.felt),
+        "felt_again_s": recoveries(run.played, run.taps.felt),
         "episodes": [_episode(run, played) for played in run.played],
         "processes": [_life(run, life) for life in run.stage.all_lives],
     }
@@ -73,11 +73,11 @@ def _episode(run: Run, played: Played) -> dict[str, Any]:
         }
         for done in played.done
     ]
-    gaps = {role: gaps_s([played], felt)[0] for role, felt in run.ears.felt.items()}
+    gaps = {role: gaps_s([played], felt)[0] for role, felt in run.taps.felt.items()}
     return {"faults": faults, "longest_gap_s": gaps}
 
 
-def _life(run: Run, life: Life) -> dict[str, Any]:
+def _life(run: Run, life: SoakProcess) -> dict[str, Any]:
     """A process: its end, what it used over time, and its last word."""
     return {
         "role": life.role,

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 
 from soak.faults import do
 from soak.leftovers import namespaces_of
-from soak.listening import Ears
 from soak.recovery import Played, recoveries
+from soak.scenario import CALM_DISPLAY, CALM_SENSING, TORMENTED, Scenario
 from soak.schedule import ENDURING, MORTAL, SENSING, Episode, episodes
-from soak.stage import CALM_DISPLAY, CALM_SENSING, TORMENTED, Stage
+from soak.taps import Taps
 from soak.terminals import Terminals
 
 SAMPLE_EVERY_S = 2.0
@@ -25,12 +25,12 @@ MINUTE_S = 60.0
 class Run:
     """One soak. log: where a line a minute goes. namespaces: those its nodes were in."""
 
-    stage: Stage
+    stage: Scenario
     seed: int
     seconds: float
     tick_ns: int
     log: Callable[[str], None]
-    ears: Ears = field(default_factory=Ears)
+    taps: Taps = field(default_factory=Taps)
     terminals: Terminals = field(default_factory=Terminals)
     played: list[Played] = field(default_factory=list)
     namespaces: set[int] = field(default_factory=set)
@@ -38,12 +38,12 @@ class Run:
 
     async def play(self) -> None:
         """Start all nodes, torment them until the time is over, and end them."""
-        stage, ears = self.stage, self.ears
-        keys = stage.keys.witness if stage.keys else None
-        ears.follow_sensing(SENSING, stage.network.near, stage.network.sensing, keys)
-        ears.follow_sensing(CALM_SENSING, stage.calm_address, None, keys)
+        stage, taps = self.stage, self.taps
+        keys = stage.keys.monitor if stage.keys else None
+        taps.follow_sensing(SENSING, stage.network.near, stage.network.sensing, keys)
+        taps.follow_sensing(CALM_SENSING, stage.calm_address, None, keys)
         for role in (*TORMENTED, CALM_DISPLAY):
-            ears.follow_display(role, stage.telemetry(role), stage.lives, self.tick_ns)
+            taps.follow_display(role, stage.telemetry(role), stage.lives, self.tick_ns)
         watchers = [asyncio.create_task(self._measure()), asyncio.create_task(self._tell())]
         try:
             for role in (SENSING, CALM_SENSING, ENDURING, MORTAL, CALM_DISPLAY):
@@ -60,7 +60,7 @@ class Run:
             for watcher in watchers:
                 watcher.cancel()
             await self.terminals.close()
-            await ears.close()
+            await taps.close()
 
     async def _torment(self) -> None:
         until_ns = self.began_ns + round(self.seconds * 1e9)
@@ -105,7 +105,7 @@ class Run:
     def _line(self, minutes: int) -> str:
         """How it stands: one line."""
         faults = Counter(done.fault.kind for played in self.played for done in played.done)
-        table = recoveries(self.played, self.ears.felt)
+        table = recoveries(self.played, self.taps.felt)
         again_s = [after_s for all_s in table.values() for after_s in all_s]
         worst_s = max((after_s for after_s in again_s if after_s is not None), default=0.0)
         never = again_s.count(None)

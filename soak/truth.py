@@ -1,4 +1,4 @@
-"""Pass or fail: what a display claimed of itself against what the witness felt. Pure."""
+"""Pass or fail: what a display claimed of itself against what the record felt. Pure."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -8,8 +8,8 @@ from typing import Any
 from display_node.drives.withdrawal import TOUCH_N
 from display_node.fault_advice import FAULT_STATUS, latched
 from soak.claims import LineClaim, StatusClaim, pressed_n
+from soak.tick_record import TickRecord
 from soak.verdict import Check
-from soak.witness import Witness
 from telepulse.telemetry.events import INTERRUPTED, EventDetector
 
 # A status follows the tick that it is of: its force is that tick's but for rounding to 1 mN.
@@ -112,16 +112,16 @@ def share_lies(claims: Sequence[StatusClaim], tick_s: float) -> Iterator[str]:
     if len(claims) < 2:
         return
     first, last = claims[0], claims[-1]
-    witnessed = last.ticks - first.ticks
+    recorded = last.ticks - first.ticks
     ran = last.summary["loop"]["ticks"] - first.summary["loop"]["ticks"]
     span_s = (last.tick_ns - first.tick_ns) * 1e-9
     felt_s = (last.full_ticks - first.full_ticks) * tick_s
     found = {"seconds": span_s, "felt": felt_s, "missed": span_s - ran * tick_s}
-    bar_s = SHARE_BAR * span_s + SHARE_MORE_S + abs(ran - witnessed) * tick_s
+    bar_s = SHARE_BAR * span_s + SHARE_MORE_S + abs(ran - recorded) * tick_s
     for key, expected_s in found.items():
         claimed_s = _seconds(last, key) - _seconds(first, key)
         if not abs(claimed_s - expected_s) <= bar_s:
-            yield f"{key} {claimed_s:.2f} s of {span_s:.1f} s, {expected_s:.2f} s witnessed"
+            yield f"{key} {claimed_s:.2f} s of {span_s:.1f} s, {expected_s:.2f} s recorded"
 
 
 def _seconds(claim: StatusClaim, key: str) -> float:
@@ -133,7 +133,7 @@ def _seconds(claim: StatusClaim, key: str) -> float:
 def judge_lines(
     role: str,
     lines: Sequence[LineClaim],
-    witness: Witness,
+    record: TickRecord,
     wrist_per_min: float | None,
     impostors: Sequence[tuple[int, int]] = (),
 ) -> list[Check]:
@@ -145,7 +145,7 @@ def judge_lines(
         The display's name, for the table.
     lines
         What was read, in order.
-    witness
+    record
         The display's ticks.
     wrist_per_min
         Heart rate of the source, in beats per minute; None where it is not known.
@@ -157,9 +157,9 @@ def judge_lines(
         for line in lines
         if not any(a <= line.read_ns <= b + FORGOTTEN_NS for a, b in impostors)
     ]
-    rates = [lie for line in known for lie in heart_rate_lies(line, witness, wrist_per_min)]
-    forces = [lie for line in lines for lie in line_lies(line, witness)]
-    ages = [lie for line in lines for lie in age_lies(line, witness)]
+    rates = [lie for line in known for lie in heart_rate_lies(line, record, wrist_per_min)]
+    forces = [lie for line in lines for lie in line_lies(line, record)]
+    ages = [lie for line in lines for lie in age_lies(line, record)]
     return [
         judge_lies(f"terminal of {role}: state and force", len(lines), forces),
         judge_lies(f"terminal of {role}: age", len(lines), ages),
@@ -167,10 +167,10 @@ def judge_lines(
     ]
 
 
-def line_lies(line: LineClaim, witness: Witness) -> Iterator[str]:
+def line_lies(line: LineClaim, record: TickRecord) -> Iterator[str]:
     """Yield what is untrue of a line's state and forces, of the time that it is of."""
     from_ns = line.read_ns - round((line.age_s or 0.0) * 1e9) - SEEN_WITHIN_NS
-    felt = witness.between(from_ns, line.read_ns)
+    felt = record.between(from_ns, line.read_ns)
     if line.state == "playing" and not felt.full:
         yield "playing, and not felt at full strength"
     if line.state != "playing" and felt.full and not felt.less:
@@ -189,9 +189,9 @@ def line_lies(line: LineClaim, witness: Witness) -> Iterator[str]:
         yield f"not pressed, and {(felt.low_n or 0) * 1e3:.0f} mN at least were felt"
 
 
-def age_lies(line: LineClaim, witness: Witness) -> Iterator[str]:
+def age_lies(line: LineClaim, record: TickRecord) -> Iterator[str]:
     """Yield what is untrue of a line's age: a display that is silent is shown as silent."""
-    newest_ns = witness.newest_ns(line.read_ns)
+    newest_ns = record.newest_ns(line.read_ns)
     if newest_ns is None:
         return
     silent_s = (line.read_ns - newest_ns) * 1e-9
@@ -202,7 +202,7 @@ def age_lies(line: LineClaim, witness: Witness) -> Iterator[str]:
             yield f"as if current, and silent for {silent_s:.1f} s"
         return
     # A line may be read late, and a display come back meanwhile.
-    before_ns = witness.newest_ns(line.read_ns - round(BUSY_S * 1e9))
+    before_ns = record.newest_ns(line.read_ns - round(BUSY_S * 1e9))
     before_s = 0.0 if before_ns is None else (line.read_ns - before_ns) * 1e-9
     if not silent_s - BUSY_S <= line.age_s <= max(silent_s, before_s) + BUSY_S:
         yield f"{line.age_s:.1f} s ago, and silent for {silent_s:.1f} s"
@@ -213,13 +213,13 @@ def age_lies(line: LineClaim, witness: Witness) -> Iterator[str]:
 
 
 def heart_rate_lies(
-    line: LineClaim, witness: Witness, wrist_per_min: float | None
+    line: LineClaim, record: TickRecord, wrist_per_min: float | None
 ) -> Iterator[str]:
     """Yield what is untrue of a line's heart rate: it is the wrist's, of a pulse that is felt."""
     rate = line.heart_rate_per_min
     if rate is None:
         return
-    if not witness.between(line.read_ns - SEEN_WITHIN_NS, line.read_ns).full:
+    if not record.between(line.read_ns - SEEN_WITHIN_NS, line.read_ns).full:
         yield f"{rate:.0f} /min, and no pulse was felt"
     elif (
         wrist_per_min is not None
@@ -303,7 +303,7 @@ def _event_lies(
 
 
 def _whole(before: StatusClaim, claim: StatusClaim) -> bool:
-    """Return whether every tick between two statuses was witnessed."""
+    """Return whether every tick between two statuses was recorded."""
     ran = claim.summary["loop"]["ticks"] - before.summary["loop"]["ticks"]
     return ran == claim.ticks - before.ticks
 

@@ -20,9 +20,9 @@ from benchmarks.faults.hostile import (
     raw_garbage,
     silent_connections,
 )
+from benchmarks.faults.sequence_monitor import monitor_sequence
 from benchmarks.faults.stage import Node, staged, unaccounted
 from benchmarks.faults.stepped import STEP_VARIABLE
-from benchmarks.faults.witness import witness_of
 from protocol.host.child_process import ChildProcess
 from protocol.sockets import control_address
 from telepulse.netem import emulate
@@ -74,11 +74,11 @@ def again(
 def sensing_node_killed(folder: Path, times: int, rng: random.Random) -> Found:
     """kill -9 of the sensing node; it ends when the next one listens.
 
-    Of a killed node its peers alone know what it sent: the display is compared with a witness.
+    A killed node leaves no count of its samples: the display is compared with a sequence monitor.
     """
     with emulate(WHOLE) as link, staged(folder, link) as stage:
         with link.display.entered():
-            hearing = stage.stack.enter_context(witness_of(stage.connect[0]))
+            hearing = stage.stack.enter_context(monitor_sequence(stage.connect[0]))
         sensing, display, finger = stage.play()
 
         def kill() -> int:
@@ -203,7 +203,7 @@ def one_of_twenty_never_reads(folder: Path, times: int, rng: random.Random) -> F
     """Play a display beside eighteen listeners in one process and one that never reads."""
     with staged(folder) as stage:
         sensing, display, finger = stage.play()
-        command = ("-m", "benchmarks.faults.crowd", stage.connect[0], str(LISTENERS))
+        command = ("-m", "benchmarks.faults.many_displays", stage.connect[0], str(LISTENERS))
         crowd = stage.stack.enter_context(ChildProcess("crowd", *command, stdout=PIPE))
         crowd.read_line(STREAM_ENDS_WITHIN_S)
         time.sleep(1.0)
@@ -219,7 +219,7 @@ def one_of_twenty_never_reads(folder: Path, times: int, rng: random.Random) -> F
 
 
 def missing_in_crowd(output: str, sent: int) -> int:
-    """Return how many samples the accounts of `benchmarks.faults.crowd` do not name, or name as
+    """Return how many samples the accounts of the many displays do not name, or name as
     lost."""
     accounts = json.loads(output)
     return sum(abs(sent - total - before) + lost for total, _, _, lost, before in accounts)

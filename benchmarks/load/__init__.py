@@ -1,8 +1,8 @@
 """How many displays one sensing node feeds at 1 kHz, what each costs it, and what relays save.
 
-A crowd of light displays (`crowd.py`) shares the machine with the sensing node, so that a machine
-of its own feeds more. CPU is user and system time in % of one core; a frame's way through TCP is
-charged to whoever sends it. It takes six minutes.
+Many light displays (`many_displays.py`) share the machine with the sensing node, so that a machine
+of its own feeds more. CPU is user and system time in % of one core; TCP's part in a frame is
+charged to the sender. It takes six minutes.
 """
 
 import os

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.load.crowd import Heard, be_a_crowd
+from benchmarks.load.many_displays import DisplayTimings, run_many_displays
 from benchmarks.load.sensing import Stream, sense
 from protocol.host.process import stop_on_signals
 from protocol.security.allow_list import allow
@@ -73,7 +73,7 @@ def run(load: Load) -> Figures:
             count = len(range(number, load.displays, len(doors)))
             ours, theirs = _spawn.Pipe()
             arguments = address, count, load.clock_ms, client, theirs
-            crowds.append(processes.enter_context(process(be_a_crowd, *arguments)))
+            crowds.append(processes.enter_context(process(run_many_displays, *arguments)))
             theirs.close()
             pipes.append(ours)
         for pipe in pipes:
@@ -84,7 +84,7 @@ def run(load: Load) -> Figures:
         before, began_s = [cpu_s(group) for group in groups], time.monotonic()
         time.sleep(SECONDS)
         after, passed_s = [cpu_s(group) for group in groups], time.monotonic() - began_s
-        heard: list[Heard] = [receive(pipe) for pipe in pipes]
+        heard: list[DisplayTimings] = [receive(pipe) for pipe in pipes]
     shares = [
         ((main - main_before) / passed_s, (rest - rest_before) / passed_s)
         for (main, rest), (main_before, rest_before) in zip(after, before, strict=True)
@@ -134,11 +134,11 @@ def process(target: Callable[..., None], *arguments: Any) -> Iterator[BaseProces
 def receive(pipe: Connection) -> Any:
     """What a crowd says. Raises RuntimeError where it cannot."""
     if not pipe.poll(PATIENCE_S):
-        raise RuntimeError("a crowd of displays said nothing")
+        raise RuntimeError("the displays sent no report")
     try:
         return pipe.recv()
     except EOFError:
-        raise RuntimeError("a crowd of displays could not join") from None
+        raise RuntimeError("the displays could not join") from None
 
 
 def cpu_s(group: list[BaseProcess]) -> tuple[float, float]:

@@ -6,8 +6,8 @@ from pathlib import Path
 import zmq
 
 from benchmarks.faults.hostile import deaf_subscriber, port_of, queued_bytes
+from benchmarks.faults.sequence_monitor import monitor_sequence
 from benchmarks.faults.stage import staged, unaccounted
-from benchmarks.faults.witness import witness_of
 from protocol.config.scene_file import find_scene
 from protocol.tactile import ElasticLayer
 from protocol.wire.stream import Channel, StreamDescription
@@ -74,7 +74,7 @@ def test_who_never_reads_is_let_go_before_much_has_queued(tmp_path: Path) -> Non
         stage.scene = scene
         sensing = stage.sense()
         with (
-            witness_of(stage.connect[0]) as witness,
+            monitor_sequence(stage.connect[0]) as monitor,
             deaf_subscriber(port_of(stage.connect[0])) as deaf,
         ):
             held_bytes, queued = sensing.rss_bytes(), [0]
@@ -87,4 +87,4 @@ def test_who_never_reads_is_let_go_before_much_has_queued(tmp_path: Path) -> Non
             assert sensing.rss_bytes() - held_bytes < GROWN_BYTES
             sent = sensing.end().samples.sent
         # The other one heard all of it to the end.
-        assert list(witness.sent.values()) == [sent]
+        assert list(monitor.sent.values()) == [sent]

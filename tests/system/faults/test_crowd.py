@@ -20,7 +20,7 @@ def test_one_of_twenty_that_misbehaves_costs_the_others_nothing(tmp_path: Path) 
     with staged(tmp_path) as stage:
         sensing, display, finger = stage.play()
         (address,) = stage.connect
-        command = ("-m", "benchmarks.faults.crowd", address, str(LISTENERS))
+        command = ("-m", "benchmarks.faults.many_displays", address, str(LISTENERS))
         with (
             deaf_subscriber(port_of(address)),
             ChildProcess("crowd", *command, stdout=PIPE) as crowd,

@@ -4,8 +4,8 @@ import random
 import time
 from pathlib import Path
 
+from benchmarks.faults.sequence_monitor import monitor_sequence
 from benchmarks.faults.stage import staged, unaccounted
-from benchmarks.faults.witness import witness_of
 from tests.support.felt_force import PATIENCE_S, assert_back_within_a_second, assert_limits_kept
 
 KILLS = 2
@@ -17,7 +17,7 @@ def test_a_killed_sensing_node_is_felt_again_and_its_sessions_are_accounted_for(
     tmp_path: Path,
 ) -> None:
     rng, killed = random.Random(1), 0
-    with staged(tmp_path) as stage, witness_of(stage.connect[0]) as witness:
+    with staged(tmp_path) as stage, monitor_sequence(stage.connect[0]) as monitor:
         sensing, display, finger = stage.play()
 
         def kill() -> int:
@@ -37,9 +37,9 @@ def test_a_killed_sensing_node_is_felt_again_and_its_sessions_are_accounted_for(
     assert samples.before_joining is not None
     assert (samples.played or 0) + (samples.late or 0) + (samples.lost or 0) == samples.sent
     heard = samples.sent + samples.before_joining
-    assert len(witness.sent) == killed + 1
-    assert list(witness.sent.values())[-1] == sent
-    assert abs(sum(witness.sent.values()) - heard) <= LAST_WORDS * killed
+    assert len(monitor.sent) == killed + 1
+    assert list(monitor.sent.values())[-1] == sent
+    assert abs(sum(monitor.sent.values()) - heard) <= LAST_WORDS * killed
     assert account.faults == []
     assert_limits_kept(finger)
 

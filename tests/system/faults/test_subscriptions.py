@@ -9,8 +9,8 @@ import pytest
 import zmq
 
 from benchmarks.faults.hostile import port_of, subscribing
+from benchmarks.faults.sequence_monitor import monitor_sequence
 from benchmarks.faults.stage import staged, unaccounted
-from benchmarks.faults.witness import witness_of
 from protocol import sockets
 from protocol.security.budgets import FOREIGN_BYTES, SUBSCRIPTION, SubscriptionBudget
 from protocol.sockets import Context
@@ -51,7 +51,7 @@ def test_endless_subscriptions_cost_a_relay_little_and_go_no_further(tmp_path: P
         stage.bind, stage.connect = inner, [inner]
         sensing = stage.sense()
         node = stack.enter_context(process("telepulse", *relay))
-        hearing = stack.enter_context(witness_of(outer))
+        hearing = stack.enter_context(monitor_sequence(outer))
         until(lambda: hearing.sent)
         before_bytes = rss_bytes(node.pid)
         subscribing(port_of(outer), 200, FLOOD_S)

@@ -20,8 +20,8 @@ from soak.leftovers import MARK, left_behind
 from soak.network import loopback
 from soak.report import print_verdict, write_verdict
 from soak.run import Run
+from soak.scenario import Scenario
 from soak.schedule import MORTAL, SENSING, Episode, Fault
-from soak.stage import Stage
 from soak.verdict import judge_none
 from telepulse.scene import load_scene
 from tests.support.nodes import RADIAL, run
@@ -48,7 +48,7 @@ def test_a_soak_finds_every_sample_and_leaves_nothing_behind(tmp_path: Path) -> 
     scene = load_scene(RADIAL)
     with loopback(seed=1) as network:
         keys = Keyring(tmp_path / "keys").make()
-        stage = Stage(network, RADIAL, folder, longest_s=60.0, keys=keys, options=OPTIONS)
+        stage = Scenario(network, RADIAL, folder, longest_s=60.0, keys=keys, options=OPTIONS)
         under_test = Run(stage, 1, 60.0, scene.display.tick_ns, print)
         try:
             asyncio.run(under_test.play())

@@ -12,8 +12,8 @@ from protocol.summary_tables import Loop, SampleCounts
 from protocol.wire.status import Status
 from protocol.wire.telemetry import Trace
 from soak.claims import StatusClaim, no_figures, read_line
+from soak.tick_record import TickRecord
 from soak.truth import judge_ends, judge_events, judge_lines, judge_stalls, judge_statuses
-from soak.witness import Witness
 
 MS = 1_000_000
 S = 1_000 * MS
@@ -26,8 +26,8 @@ def trace(from_ms: int, count: int, felt_n: float = 0.245, full: bool = True) ->
     return Trace(now_ns, now_ns, felt, felt, np.full(count, full))
 
 
-def witness(*traces: Trace) -> Witness:
-    found = Witness(MS)
+def record(*traces: Trace) -> TickRecord:
+    found = TickRecord(MS)
     for each in traces:
         found.add(each)
     return found
@@ -97,14 +97,14 @@ def test_nan_is_found_in_a_status_wherever_it_is() -> None:
     assert list(no_figures(Status("playing", "x", table, False))) == ["[2].a[1].b", "[2].c"]
 
 
-def after(seconds: float, felt_s: float, witnessed_s: float, ran_s: float) -> StatusClaim:
-    """A status 100 s after the first, with its shares and what was witnessed meanwhile."""
+def after(seconds: float, felt_s: float, recorded_s: float, ran_s: float) -> StatusClaim:
+    """A status 100 s after the first, with its shares and what was recorded meanwhile."""
     availability = Availability(
         10.0 + seconds, (9.0 + felt_s) / (10.0 + seconds), missed=(seconds - ran_s) / (10 + seconds)
     )
     loop = Loop(10_000 + round(ran_s * 1e3), 0)
     found = claim(at_ms=100_000, availability=availability, loop=loop)
-    return replace(found, ticks=round(ran_s * 1e3), full_ticks=round(witnessed_s * 1e3))
+    return replace(found, ticks=round(ran_s * 1e3), full_ticks=round(recorded_s * 1e3))
 
 
 @pytest.mark.parametrize(
@@ -121,11 +121,11 @@ def after(seconds: float, felt_s: float, witnessed_s: float, ran_s: float) -> St
 def test_availability_is_that_of_the_ticks(
     seconds: float, felt_s: float, ran_s: float, ok: bool
 ) -> None:
-    last = after(seconds, felt_s, witnessed_s=50.0, ran_s=ran_s)
+    last = after(seconds, felt_s, recorded_s=50.0, ran_s=ran_s)
     assert verdicts(claim(), last)["availability"] is ok
 
 
-def line(text: str, at_ms: int, seen: Witness, *impostors: tuple[int, int]) -> list[str]:
+def line(text: str, at_ms: int, seen: TickRecord, *impostors: tuple[int, int]) -> list[str]:
     """Names of the checks that a line of a terminal fails."""
     found = read_line(text, at_ms * MS)
     assert found is not None, text
@@ -144,8 +144,8 @@ def shown(
 
 
 FORCE, AGE, RATE = "state and force", "age", "heart rate"
-PLAYING = witness(*(trace(number * 20, 20) for number in range(500)))
-AT_REST = witness(*(trace(number * 20, 20, 0.0, full=False) for number in range(500)))
+PLAYING = record(*(trace(number * 20, 20) for number in range(500)))
+AT_REST = record(*(trace(number * 20, 20, 0.0, full=False) for number in range(500)))
 SILENT = "no telemetry: since 5 s; finger: unknown, before that: pressed with 245 mN; "
 
 
@@ -173,7 +173,7 @@ SILENT = "no telemetry: since 5 s; finger: unknown, before that: pressed with 24
         (shown(f"playing 5.0 s ago: {SILENT}", rate="–", finger=""), 9_900, PLAYING, [AGE]),
     ],
 )  # fmt: skip
-def test_a_line_of_a_terminal(text: str, at_ms: int, seen: Witness, lies: list[str]) -> None:
+def test_a_line_of_a_terminal(text: str, at_ms: int, seen: TickRecord, lies: list[str]) -> None:
     assert line(text, at_ms, seen) == lies
 
 
@@ -200,7 +200,7 @@ def counting(*interruptions_ms: tuple[int, int]) -> list[StatusClaim]:
 
 
 @pytest.mark.parametrize(
-    ("named_ms", "witnessed_ms", "ok"),
+    ("named_ms", "recorded_ms", "ok"),
     [
         ([(250, 1_000)], [(250, 1_000)], True),
         # Two between the same statuses, and one that neither of two statuses saw.
@@ -213,10 +213,10 @@ def counting(*interruptions_ms: tuple[int, int]) -> list[StatusClaim]:
     ],
 )
 def test_an_interruption_is_named_once(
-    named_ms: list[tuple[int, int]], witnessed_ms: list[tuple[int, int]], ok: bool
+    named_ms: list[tuple[int, int]], recorded_ms: list[tuple[int, int]], ok: bool
 ) -> None:
-    witnessed = [(a * MS, b * MS, b - a) for a, b in witnessed_ms]
-    assert judge_events("mortal", [counting(*named_ms)], witnessed).ok is ok
+    recorded = [(a * MS, b * MS, b - a) for a, b in recorded_ms]
+    assert judge_events("mortal", [counting(*named_ms)], recorded).ok is ok
 
 
 @pytest.mark.parametrize(
@@ -262,8 +262,8 @@ def test_an_exit_status_is_that_of_the_summary(
     assert judge_ends([("mortal", status, written, final)]).ok is ok
 
 
-def test_the_witness_keeps_interruptions_within_a_process() -> None:
-    seen = witness(trace(0, 20), trace(20, 20, full=False), trace(90, 20), trace(110, 20))
+def test_the_record_keeps_interruptions_within_a_process() -> None:
+    seen = record(trace(0, 20), trace(20, 20, full=False), trace(90, 20), trace(110, 20))
     assert seen.interruptions == [(19 * MS, 90 * MS, 20)]
     assert seen.misses == [(39 * MS, 90 * MS, 50)]
     assert seen.gaps == [(39 * MS, 90 * MS, True)]
@@ -277,7 +277,7 @@ def test_the_witness_keeps_interruptions_within_a_process() -> None:
 def test_a_process_that_was_stopped_within_a_trace_was_silent_meanwhile() -> None:
     whole = trace(0, 20)
     whole.now_ns[10:] += 6 * S
-    seen = witness(whole, trace(6_020, 20))
+    seen = record(whole, trace(6_020, 20))
     assert seen.newest_ns(3 * S) == 9 * MS
     assert seen.between(1 * S, 5 * S).low_n is None
     text = shown(f"playing 4.0 s ago: {SILENT}", rate="–", finger="")

@@ -1,4 +1,4 @@
-"""A neutral listener: how many samples of each session went out, also of one that was killed."""
+"""A neutral listener that counts the samples of each session, also of one that was killed."""
 
 import threading
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ from protocol.wire.messages import decode_frame
 POLL_MS = 20
 
 
-class Witness:
+class SequenceMonitor:
     """sent: samples of each session up to the last that was heard, in the order of sessions."""
 
     def __init__(self) -> None:
@@ -31,13 +31,13 @@ class Witness:
 
 
 @contextmanager
-def witness_of(address: str) -> Iterator[Witness]:
+def monitor_sequence(address: str) -> Iterator[SequenceMonitor]:
     """Who hears all that is sent at `address`, within a `with`."""
-    witness = Witness()
-    listener = threading.Thread(target=witness.listen, args=(address,))
+    monitor = SequenceMonitor()
+    listener = threading.Thread(target=monitor.listen, args=(address,))
     listener.start()
     try:
-        yield witness
+        yield monitor
     finally:
-        witness.over.set()
+        monitor.over.set()
         listener.join()

@@ -1,4 +1,4 @@
-"""Who plays in a soak: a tormented sensing node with its displays, and a calm pair beside them."""
+"""The nodes of a soak: a sensing node under faults with its displays, and a calm pair."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -6,8 +6,8 @@ from pathlib import Path
 from protocol.errors import ProcessError
 from protocol.host.child_process import ChildProcess
 from soak.keyring import Keyring
-from soak.lives import Life, begin, launch
 from soak.network import Network
+from soak.processes import SoakProcess, begin, launch
 from soak.schedule import ENDURING, GUEST, MORTAL, SENSING
 from telepulse.processes import free_addresses
 
@@ -19,7 +19,7 @@ LINKS = {ENDURING: (0, 1), MORTAL: (2,), GUEST: (3,)}
 
 
 @dataclass(slots=True)
-class Stage:
+class Scenario:
     """lives: the latest of each role. all_lives: all of them, in the order of their begin.
     complaints: what has gone wrong that is no fault of ours. longest_s: when nodes end by
     themselves, should we be killed ourselves. keys: None for nodes without any. options: of all
@@ -31,8 +31,8 @@ class Stage:
     longest_s: float
     keys: Keyring | None
     options: tuple[str, ...] = ()
-    lives: dict[str, Life] = field(default_factory=dict)
-    all_lives: list[Life] = field(default_factory=list)
+    lives: dict[str, SoakProcess] = field(default_factory=dict)
+    all_lives: list[SoakProcess] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
     pests: list[ChildProcess] = field(default_factory=list)
     calm_address: str = field(default_factory=lambda: free_addresses(1)[0])
@@ -41,7 +41,7 @@ class Stage:
         """Where a display publishes; it reaches out of its namespace."""
         return f"ipc://{self.folder}/{role.replace(' ', '-')}"
 
-    def start(self, role: str) -> Life:
+    def start(self, role: str) -> SoakProcess:
         """Start the node of a role."""
         network, tormented = self.network, role not in (CALM_SENSING, CALM_DISPLAY)
         if role in (SENSING, CALM_SENSING):

@@ -1,8 +1,9 @@
-"""`python -m benchmarks.faults.crowd ADDRESS COUNT`: many displays in one process.
+"""`python -m benchmarks.faults.many_displays ADDRESS COUNT`: many displays in one process.
 
-Each has sockets of its own, follows session, clock and stream as every display does, and keeps an
-account; it moves no actuator, which would take a core for ten of them. When all have heard the end
-it prints a line of JSON: of each, samples sent, played, late, lost and before joining.
+Each has its own sockets, follows session, clock and stream as every display does, and counts its
+samples. It moves no actuator, which would need a core for ten of them. After the end of the stream
+the program prints a line of JSON: each display's samples sent, played, late, lost and before
+joining.
 """
 
 import json
@@ -21,7 +22,7 @@ PLAYED_AFTER_NS = 200_000_000
 
 
 class Listener:
-    """One display of the crowd."""
+    """One display of the displays."""
 
     def __init__(self, context: sockets.Context, address: str, name: str) -> None:
         control = sockets.control_address(address)
@@ -56,18 +57,18 @@ def main() -> None:
     """Listen until the stream has ended."""
     address, count = sys.argv[1], int(sys.argv[2])
     context: sockets.Context = zmq.Context()
-    crowd = [Listener(context, address, f"crowd-{number}") for number in range(count)]
+    displays = [Listener(context, address, f"displays-{number}") for number in range(count)]
     poller = zmq.Poller()
-    for listener in crowd:
+    for listener in displays:
         poller.register(listener.data, zmq.POLLIN)
         poller.register(listener.control, zmq.POLLIN)
     print("listening", flush=True)
-    while not all(listener.over for listener in crowd):
+    while not all(listener.over for listener in displays):
         poller.poll(POLL_MS)
         now_ns = time.monotonic_ns()
-        for listener in crowd:
+        for listener in displays:
             listener.work(now_ns)
-    accounts = [listener.receiver.account() for listener in crowd]
+    accounts = [listener.receiver.account() for listener in displays]
     print(json.dumps([[a.sent, a.played, a.late, a.lost, a.before_joining] for a in accounts]))
     context.destroy(linger=sockets.LINGER_MS)
 

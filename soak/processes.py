@@ -1,4 +1,4 @@
-"""A node that runs as a process: started, watched, stopped, killed; what it uses of the host."""
+"""Nodes that run as processes in a soak: start, supervise, stop and kill them, measure them."""
 
 import asyncio
 import json
@@ -38,7 +38,7 @@ class Usage:
 
 
 @dataclass(slots=True)
-class Life:
+class SoakProcess:
     """One process of a node. ending: "stopped" or "killed" once we did that, else None.
 
     Of a display: claims are its statuses, misses its gaps by its traces, and core_times how long
@@ -159,7 +159,7 @@ class Life:
 
 def begin(
     role: str, folder: Path, number: int, namespace: Namespace | None, module: str, *arguments: str
-) -> Life:
+) -> SoakProcess:
     """Start a node in a namespace, or in this one. Its output goes to files in `folder`."""
     output, errors, result = (
         folder / f"{role}-{number}.{kind}".replace(" ", "-") for kind in ("out", "err", "json")
@@ -167,7 +167,7 @@ def begin(
     command = ("-m", module, *arguments, "--json", str(result))
     with output.open("wb") as out, errors.open("wb") as err:
         process = launch(namespace, role, command, out, err)
-    return Life(role, process, output, errors, result, time.monotonic_ns(), _UP[module])
+    return SoakProcess(role, process, output, errors, result, time.monotonic_ns(), _UP[module])
 
 
 def launch(

@@ -1,5 +1,7 @@
-"""Many displays in one process, as light as they can be: they take every frame, ask for the clock
-and report as a display does, and play nothing."""
+"""Many light displays in one process: each receives every frame, requests the clock and reports.
+
+They play nothing.
+"""
 
 import math
 import time
@@ -30,15 +32,14 @@ GRACE_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
-    """What a crowd heard in the time measured: the delay of each copy of each frame from its last
-    sample's instant, and how many copies never came."""
+class DisplayTimings:
+    """Delay of each copy of a frame from its last sample's instant, and copies that never came."""
 
     delays_ns: "array[int]"
     lost: int
 
 
-class Crowd:
+class ManyDisplays:
     """`count` displays at one address; they ask for the clock every `clock_ms`, or never (0).
 
     One XSUB keeps a connection for each of them, so that one queue is read.
@@ -78,7 +79,7 @@ class Crowd:
                 raise TimeoutError("not every display hears the stream")
             self._live(50 * SLOT_NS)
 
-    def listen(self, seconds: float) -> Heard:
+    def listen(self, seconds: float) -> DisplayTimings:
         """What is heard of the frames whose first sample is of the next so many seconds."""
         self._frames.clear()
         begin_ns = time.monotonic_ns()
@@ -99,7 +100,7 @@ class Crowd:
             lost += self._count - len(arrivals)
             next_sample = frame.first_sample + len(frame.values)
             delays_ns.extend(arrivals)
-        return Heard(delays_ns, lost)
+        return DisplayTimings(delays_ns, lost)
 
     def close(self) -> None:
         """Leave."""
@@ -149,14 +150,14 @@ class Crowd:
             pass
 
 
-def be_a_crowd(
+def run_many_displays(
     address: str, count: int, clock_ms: int, keys: ClientKeys | None, parent: Connection
 ) -> None:
     """Join, say so, and once the parent says for how many seconds, listen and hand over."""
-    crowd = Crowd(address, count, clock_ms, keys)
+    displays = ManyDisplays(address, count, clock_ms, keys)
     try:
-        crowd.join()
+        displays.join()
         parent.send(None)
-        parent.send(crowd.listen(parent.recv()))
+        parent.send(displays.listen(parent.recv()))
     finally:
-        crowd.close()
+        displays.close()

@@ -1,7 +1,7 @@
-"""What a soak hears while it runs: every display's telemetry, and every frame a sensing node sends.
+"""Taps of a soak: every display's telemetry, and every frame that a sensing node sends.
 
-The frames are heard beside the sensing node, where no link delays or loses them: how many it has
-sent by when it was killed is known from them alone.
+The frames are received beside the sensing node, where no link delays or loses them. They alone
+show how many a node had sent when it was killed.
 """
 
 import asyncio
@@ -22,8 +22,8 @@ from soak.accounts import Mark
 from soak.claims import StatusClaim, no_figures
 from soak.core_time import read_core_time
 from soak.felt import FeltLog
-from soak.lives import Life
-from soak.witness import Witness
+from soak.processes import SoakProcess
+from soak.tick_record import TickRecord
 from telepulse.netem import Namespace
 
 RECONNECT_MS = 20
@@ -31,9 +31,8 @@ HIGH_WATER = 10_000
 
 
 @dataclass(slots=True)
-class Heard:
-    """A session as it was heard: when its first sample was taken, how many samples a frame has,
-    how many there were at the last frame, and when that was heard."""
+class SessionFrames:
+    """Frames of a session: time of its first sample, samples a frame, samples and time so far."""
 
     began_ns: int
     period_ns: int
@@ -43,19 +42,21 @@ class Heard:
 
 
 @dataclass(slots=True)
-class Ears:
-    """felt, witnesses: by a display's role. sessions: by a sensing node's role, then by session."""
+class Taps:
+    """Felt force and ticks by a display's role, and frames by a sensing node's role and session."""
 
     felt: dict[str, FeltLog] = field(default_factory=dict)
-    witnesses: dict[str, Witness] = field(default_factory=dict)
-    sessions: dict[str, dict[int, Heard]] = field(default_factory=dict)
+    records: dict[str, TickRecord] = field(default_factory=dict)
+    sessions: dict[str, dict[int, SessionFrames]] = field(default_factory=dict)
     _tasks: list[asyncio.Task[None]] = field(default_factory=list)
     _contexts: list[zmq.asyncio.Context] = field(default_factory=list)
 
-    def follow_display(self, role: str, address: str, lives: dict[str, Life], tick_ns: int) -> None:
+    def follow_display(
+        self, role: str, address: str, lives: dict[str, SoakProcess], tick_ns: int
+    ) -> None:
         """Hear a display's telemetry; what it says goes to the life that its role has then."""
         self.felt[role] = FeltLog(tick_ns)
-        self.witnesses[role] = Witness(tick_ns)
+        self.records[role] = TickRecord(tick_ns)
         socket = self._subscribe(address, (TRACE, STATUS))
         self._tasks.append(asyncio.create_task(self._hear_display(socket, role, lives)))
 
@@ -102,25 +103,25 @@ class Ears:
         return socket
 
     async def _hear_display(
-        self, socket: zmq.asyncio.Socket, role: str, lives: dict[str, Life]
+        self, socket: zmq.asyncio.Socket, role: str, lives: dict[str, SoakProcess]
     ) -> None:
-        witness, process = self.witnesses[role], None
+        record, process = self.records[role], None
         while True:
             topic, data, *_ = await socket.recv_multipart()
             life, now_ns = lives[role], time.monotonic_ns()
             if life.process is not process:
                 process = life.process
-                witness.begin_process()
+                record.begin_process()
             if topic == TRACE:
                 trace = read_trace(data)
                 self.felt[role].add(trace)
-                before = len(witness.misses)
-                witness.add(trace)
-                life.misses += witness.misses[before:]
+                before = len(record.misses)
+                record.add(trace)
+                life.misses += record.misses[before:]
                 core_time = read_core_time(process.pid, now_ns)
                 life.core_times += [] if core_time is None else [core_time]
             elif topic == STATUS:
-                _take_status(data, life, witness, now_ns)
+                _take_status(data, life, record, now_ns)
 
     async def _hear_sensing(self, socket: zmq.asyncio.Socket, role: str) -> None:
         sessions = self.sessions[role]
@@ -133,28 +134,28 @@ class Ears:
             began_ns = frame.t_first_ns - frame.first_sample * frame.period_ns
             count = len(frame.values)
             heard = sessions.setdefault(
-                frame.session, Heard(began_ns, frame.period_ns, count, count, 0)
+                frame.session, SessionFrames(began_ns, frame.period_ns, count, count, 0)
             )
             heard.sent = max(heard.sent, frame.first_sample + len(frame.values))
             heard.last_ns = time.monotonic_ns()
 
 
-def _take_status(data: bytes, life: Life, witness: Witness, now_ns: int) -> None:
-    """Store a status beside what was witnessed until then."""
+def _take_status(data: bytes, life: SoakProcess, record: TickRecord, now_ns: int) -> None:
+    """Store a status beside what was recorded until then."""
     status = read_status(data)
     samples = status.summary["samples"]
     total = (samples["sent"] or 0) + (samples["before_joining"] or 0)
     life.marks.append(Mark(now_ns, status.state, total))
     life.summary = status.summary
-    if witness.last_ns is not None:
+    if record.last_ns is not None:
         life.claims.append(
             StatusClaim(
                 now_ns,
-                witness.last_ns,
-                witness.last_n,
-                witness.last_full,
-                witness.ticks,
-                witness.full,
+                record.last_ns,
+                record.last_n,
+                record.last_full,
+                record.ticks,
+                record.full,
                 status.state,
                 status.final,
                 status.summary,

@@ -27,7 +27,7 @@ class Stretch:
 
 
 @dataclass(slots=True)
-class Witness:
+class TickRecord:
     """The ticks of one display, in blocks of a trace at most; times on this machine's clock in ns.
 
     ticks, full: ticks so far, and those at which the pulse was felt at its full strength.
