@@ -154,7 +154,7 @@ def test_what_cannot_begin_is_one_line() -> None:
     assert "--insecure" in result.stderr
 
 
-def test_silence_ends_it_where_it_is_told_so() -> None:
+def test_silence_ends_it_with_the_option() -> None:
     address = free_address()
     result = run(MODULE, "lsl", address, "--until-silent", "0.3")
     assert result.returncode == 1

@@ -132,7 +132,7 @@ def test_another_site_is_not_served() -> None:
         assert wrist.scrape()
 
 
-def test_a_server_that_is_killed_is_said_and_the_node_goes_on(tmp_path: Path) -> None:
+def test_a_killed_server_is_reported_and_the_node_goes_on(tmp_path: Path) -> None:
     json = tmp_path / "sensing.json"
     with served(SENSING, "--bind", free_address(), "--json", str(json)) as wrist:
         until(lambda: wrist.figure("up") == 1)
@@ -183,7 +183,7 @@ def test_a_port_in_use_is_one_line_before_anything_starts() -> None:
     assert f"--metrics: cannot bind 127.0.0.1:{port}: Address already in use" in result.stderr
 
 
-def test_without_the_library_it_says_which_extra_brings_it(tmp_path: Path) -> None:
+def test_without_the_library_it_names_the_extra(tmp_path: Path) -> None:
     shadow = tmp_path / "prometheus_client.py"
     shadow.write_text("raise ImportError('not here')\n", encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
@@ -194,7 +194,7 @@ def test_without_the_library_it_says_which_extra_brings_it(tmp_path: Path) -> No
     assert "pip install 'telepulse[metrics]'" in result.stderr
 
 
-def test_beyond_this_machine_who_may_read_is_said() -> None:
+def test_beyond_this_machine_the_node_warns_who_may_read() -> None:
     with process(SENSING, str(RADIAL), "--metrics", "0.0.0.0:0", "--bind", free_address()) as node:
         assert node.stdout is not None
         assert node.stdout.readline().startswith("metrics on http://0.0.0.0:")

@@ -124,7 +124,7 @@ def test_edf_holds_forces_at_their_times_with_losses_and_events(
     assert (pytest.approx(3.0, abs=0.01), None, "end: the display has ended") in notes
 
 
-def test_one_that_breaks_off_is_exported_and_it_is_said(recording: Path, tmp_path: Path) -> None:
+def test_one_that_breaks_off_is_exported_with_a_notice(recording: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(recording.read_bytes()[: recording.stat().st_size * 2 // 3])
     assert "breaks off" in export(cut, "parquet", tmp_path / "cut")

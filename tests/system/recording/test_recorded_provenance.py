@@ -69,7 +69,7 @@ def test_every_export_carries_it(recording: Path, tmp_path: Path) -> None:
     assert dict(chapter.tables[0].rows)["version"] == version
 
 
-def test_a_broken_end_is_told_with_how_much_by_reader_report_and_exports(
+def test_reader_report_and_exports_name_how_much_of_the_end_is_missing(
     cut: Path, tmp_path: Path
 ) -> None:
     reader = RecordingReader(cut)

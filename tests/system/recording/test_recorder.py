@@ -129,7 +129,7 @@ def test_what_a_slow_recorder_misses_is_counted_and_shown(tmp_path: Path) -> Non
     assert "missed" in events_of(path)
 
 
-def test_a_full_disk_is_said_once_waited_for_and_then_nothing_is_missing(tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_once_and_retried_until_nothing_is_missing(tmp_path: Path) -> None:
     address, path = free_address(), tmp_path / "a.mcap"
     with (
         publishing(address) as display,
@@ -223,7 +223,7 @@ def test_a_small_disk_that_is_really_full_and_has_room_again(tmp_path: Path) -> 
     assert frames_of(tmp_path / "a.mcap") == list(range(display.frames))
 
 
-def test_a_recorder_that_comes_late_knows_the_stream(tmp_path: Path) -> None:
+def test_a_late_recorder_gets_the_streams_description(tmp_path: Path) -> None:
     address, path = free_address(), tmp_path / "a.mcap"
     with publishing(address) as display:
         display.welcome()
@@ -238,7 +238,7 @@ def test_a_recorder_that_comes_late_knows_the_stream(tmp_path: Path) -> None:
     assert frames_of(path) == list(range(20, display.frames))
 
 
-def test_telemetry_with_keys_is_for_who_is_let_in_and_others_are_told_why(tmp_path: Path) -> None:
+def test_protected_telemetry_is_for_allowed_keys_and_others_get_the_reason(tmp_path: Path) -> None:
     address, path, ring = free_address(), tmp_path / "a.mcap", Keyring(tmp_path / "keys")
     ring.allow("notes")
     peer = ("--peer", ring.path("wrist", "pub"))
@@ -282,7 +282,7 @@ def test_who_is_let_in_later_is_recorded_from_then_on(tmp_path: Path) -> None:
     assert numbers == list(range(numbers[0], display.frames))
 
 
-def test_silence_ends_it_where_it_is_told_so(tmp_path: Path) -> None:
+def test_silence_ends_it_with_the_option(tmp_path: Path) -> None:
     address, path = free_address(), tmp_path / "a.mcap"
     arguments = ("record", address, str(path), "--until-silent", "0.3")
     result = run(MODULE, *arguments)

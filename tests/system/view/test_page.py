@@ -109,7 +109,7 @@ def keep(page: Page, name: str) -> None:
 
 
 @pytest.mark.smoke
-def test_the_page_moves_and_says_what_is_felt(bench: Bench, visit: Visit) -> None:
+def test_the_page_moves_and_shows_what_is_felt(bench: Bench, visit: Visit) -> None:
     with visit(bench.url, viewport={"width": 1280, "height": 1000}) as page:
         await_state(page, "playing")
         assert page.title() == "telepulse: live"

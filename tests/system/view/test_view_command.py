@@ -31,7 +31,7 @@ def test_bad_input_is_one_line_and_status_2(arguments: tuple[str, ...], words: s
     assert result.stdout == ""
 
 
-def test_a_port_that_is_taken_is_said_where_it_was_asked_for() -> None:
+def test_a_taken_port_is_refused_where_it_was_given() -> None:
     with process(MODULE, "view", free_address()) as first:
         assert first.stdout is not None
         port = first.stdout.readline().rpartition(":")[2].strip()
@@ -46,7 +46,7 @@ def test_a_port_that_is_taken_is_said_where_it_was_asked_for() -> None:
         assert not other.stdout.endswith(f":{port}\n")
 
 
-def test_without_bokeh_it_says_what_to_install() -> None:
+def test_without_bokeh_it_names_what_to_install() -> None:
     code = "import sys; sys.modules['bokeh'] = None; from telepulse.cli.main import main; main()"
     result = subprocess.run(
         [sys.executable, "-c", code, "view", TELEMETRY],

@@ -99,7 +99,7 @@ def test_what_does_not_apply_is_null() -> None:
     assert set(leaves(table)) == {None}
 
 
-def test_what_is_known_is_there() -> None:
+def test_known_figures_are_in_the_json() -> None:
     table = FULL.to_dict()
     assert table["samples"] == {
         "sent": 1000,
@@ -141,7 +141,7 @@ def test_the_file_holds_the_summary(summary: Summary, tmp_path: Path) -> None:
     assert text.endswith("}\n")
 
 
-def test_a_file_that_cannot_be_written_is_told_before_and_after(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_written_is_refused_before_and_after(tmp_path: Path) -> None:
     for path in (tmp_path / "no such folder" / "out.json", tmp_path):
         with pytest.raises(OutputError) as before:
             check_writable(path)

@@ -119,7 +119,7 @@ words = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
 
 
 @given(stream=words, faults=st.lists(words), causes=st.dictionaries(words, st.integers(0, 2**53)))
-def test_any_words_are_told_as_they_are(
+def test_any_text_is_exported_unchanged(
     stream: str, faults: list[str], causes: dict[str, int]
 ) -> None:
     # The parser splits lines where Python does; Prometheus does at "\n" alone.

@@ -42,7 +42,7 @@ def test_messages_are_json_by_schemas_that_stand_before_them(path: Path) -> None
     assert set(seen) == {FRAME, TICK, CLOCK, STREAM, STATUS, EVENT}
 
 
-def test_the_summary_tells_what_is_in_the_file_and_when(path: Path) -> None:
+def test_the_files_summary_has_counts_and_times(path: Path) -> None:
     with path.open("rb") as file:
         reader = SeekingReader(file)
         summary = reader.get_summary()
@@ -76,7 +76,7 @@ def test_every_chunk_is_followed_by_the_index_of_its_messages(path: Path) -> Non
             assert isinstance(each, MessageIndex)
 
 
-def test_an_event_is_what_foxglove_knows_as_a_log(path: Path) -> None:
+def test_an_event_is_a_foxglove_log(path: Path) -> None:
     name, schema = SCHEMAS[EVENT]
     assert name == "foxglove.Log"
     assert list(schema["properties"]) == ["timestamp", "level", "message", "name", "file", "line"]

@@ -41,7 +41,7 @@ def test_memory_is_bounded_while_the_disk_is_full_and_what_finds_no_room_is_coun
     assert reader.whole
 
 
-def test_what_json_does_not_know_is_left_out(tmp_path: Path) -> None:
+def test_nan_and_infinity_are_left_out_of_json(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     writer = McapWriter(path)
     fields = {"data": "", "felt_n": math.nan, "in": {"low": -math.inf, "high": 1.5}}

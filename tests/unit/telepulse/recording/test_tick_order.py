@@ -14,7 +14,7 @@ def told(messages: Iterable[RecordedMessage]) -> list[tuple[str, int]]:
     return [(each.topic, next(iter(each.fields.values()), 0)) for each in in_tick_order(messages)]
 
 
-def test_what_was_heard_stands_before_the_first_tick_that_was_due_after_it() -> None:
+def test_a_received_message_comes_before_the_next_due_tick() -> None:
     published = [
         message(FRAME, arrived_ns=5),
         message(CLOCK, t4_ns=20),

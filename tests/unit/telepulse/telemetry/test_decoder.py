@@ -118,7 +118,7 @@ def test_the_stream_its_clock_and_its_end_are_there() -> None:
     assert [name for name, _ in events(entries)] == ["begin", "session", "end of stream"]
 
 
-def test_what_is_no_message_is_kept_and_says_why() -> None:
+def test_a_refused_message_is_kept_with_its_cause() -> None:
     garbage = ((0, b"\xff\xfe"), (0, b""), (CONTROL, encode_control(Hello("display"))))
     refused = of(HandmadeTelemetry().receive(*garbage), REFUSED)
     assert [b64decode(entry.fields["data"]) for entry in refused] == [data for _, data in garbage]
@@ -149,7 +149,7 @@ def test_ticks_have_unix_times_as_far_apart_as_they_were() -> None:
 CUT = Limits(force=Limited(1, 0.004, 0.1), slew=Limited(0, 0.0, 0.0))
 
 
-def test_what_happens_is_told_once() -> None:
+def test_each_event_comes_once() -> None:
     telemetry = HandmadeTelemetry()
     telemetry.receive((CONTROL, WELCOME))
     entries = [
@@ -172,7 +172,7 @@ def test_what_happens_is_told_once() -> None:
     assert telemetry.decoder.ended
 
 
-def test_what_lasts_is_told_where_it_begins_and_where_it_is_over() -> None:
+def test_a_lasting_condition_has_an_event_at_begin_and_end() -> None:
     telemetry = HandmadeTelemetry()
     telemetry.receive((CONTROL, WELCOME), (0, encode_frame(numbered_frame(0))))
     late = Loop(1000, 60, late=True, last_5s=Deadlines(0.012, 61.0))
@@ -201,7 +201,7 @@ def test_what_lasts_is_told_where_it_begins_and_where_it_is_over() -> None:
     ]
 
 
-def test_a_revocation_is_told_once_until_it_is_undone() -> None:
+def test_a_revocation_is_one_event_until_it_is_undone() -> None:
     telemetry = HandmadeTelemetry()
     telemetry.receive((CONTROL, WELCOME))
     entries = []
@@ -247,7 +247,7 @@ def test_foxglove_can_read_every_schema(topic: str) -> None:
     assert_readable(schema, name)
 
 
-def test_every_message_is_as_its_schema_says() -> None:
+def test_every_message_fits_its_schema() -> None:
     telemetry, full = (
         HandmadeTelemetry(),
         Summary(samples=SampleCounts(5, 4, 1, 0, 2), compensation=Compensation(0.5)),

@@ -24,7 +24,7 @@ def test_all_is_well_while_it_plays(display: SimulatedDisplay) -> None:
     assert names(display) == []
 
 
-def test_a_cut_link_is_told_and_goes_when_frames_come_again(display: SimulatedDisplay) -> None:
+def test_a_cut_link_is_an_alarm_until_frames_come_again(display: SimulatedDisplay) -> None:
     display.linked = False
     display.go(0.6, "stale")
     assert names(display) == ["stale"]
@@ -42,14 +42,14 @@ def test_a_stream_that_has_ended_is_no_cut_link(display: SimulatedDisplay) -> No
     assert names(display) == []
 
 
-def test_a_fault_is_told_by_its_name_and_stays_at_the_end(display: SimulatedDisplay) -> None:
+def test_a_fault_is_an_alarm_by_its_name_and_stays_at_the_end(display: SimulatedDisplay) -> None:
     display.status("fault", faults=["feedback lost"])
     assert "fault: feedback lost" in names(display)
     display.status("fault", final=True, faults=["feedback lost"])
     assert names(display, silent_ns=60 * SECOND_NS) == ["fault: feedback lost"]
 
 
-def test_a_display_that_says_nothing_any_more(display: SimulatedDisplay) -> None:
+def test_a_display_that_falls_silent_is_an_alarm(display: SimulatedDisplay) -> None:
     assert names(display, silent_ns=3 * SECOND_NS) == ["no telemetry"]
     display.status("ended", final=True)
     assert names(display, silent_ns=3 * SECOND_NS) == []
@@ -69,7 +69,7 @@ def test_a_fault_is_shown_with_what_to_do_and_the_finger(
     assert silent.text == "since 4 s; finger: unknown, before that: force unknown since 3 s"
 
 
-def test_a_revoked_display_says_so(display: SimulatedDisplay) -> None:
+def test_a_revoked_display_is_an_alarm(display: SimulatedDisplay) -> None:
     display.status("stale", rejected={"revoked": 2})
     assert {"stale", "revoked", "refused"} == set(names(display))
     display.status("playing", rejected={"revoked": 2})
@@ -85,7 +85,7 @@ def test_a_revoked_display_says_so(display: SimulatedDisplay) -> None:
         ("loss", {"samples": SampleCounts(4000, 3000, 300, 700, 0)}),
     ],
 )
-def test_what_is_counted_is_told_for_a_while(
+def test_a_count_that_rises_is_an_alarm_for_a_while(
     display: SimulatedDisplay, name: str, changes: dict[str, object]
 ) -> None:
     fields = {
@@ -115,7 +115,9 @@ def test_the_deadline_alarm_names_the_rate_and_the_longest_gap(display: Simulate
 
 
 @pytest.mark.parametrize("name", ["clock step", "missed"])
-def test_what_happened_once_is_told_for_five_seconds(display: SimulatedDisplay, name: str) -> None:
+def test_a_single_occurrence_is_shown_for_five_seconds(
+    display: SimulatedDisplay, name: str
+) -> None:
     display.event(name, "it happened", "WARNING")
     assert names(display) == [name]
     display.go(5.1)

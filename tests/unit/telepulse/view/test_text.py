@@ -8,7 +8,7 @@ from telepulse.view.text import FIGURES, age, figures, state
 from tests.support.page_states import SECOND_NS, SimulatedDisplay
 
 
-def test_what_is_not_known_is_a_dash() -> None:
+def test_an_unknown_figure_is_a_dash() -> None:
     live = LiveState()
     shown = figures(live, picture(live, SECOND_NS))
     assert shown.keys() == FIGURES.keys()
@@ -76,7 +76,7 @@ def test_how_long_the_pulse_was_held_at_a_limit_is_a_figure() -> None:
     )
 
 
-def test_the_last_state_says_that_it_is_the_last() -> None:
+def test_the_last_state_is_marked_as_the_last() -> None:
     display = SimulatedDisplay(LiveState())
     display.go(1)
     assert state(display.live)[0] == "playing"
