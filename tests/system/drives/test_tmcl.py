@@ -76,7 +76,7 @@ def test_a_few_missing_answers_are_counted_and_nothing_else() -> None:
 def test_a_module_that_was_not_ready_yet_is_asked_again() -> None:
     with tmcl_bench(reply_timeout="20 ms") as bench:
         bench.emulator.answer_mode = "none"
-        ready = threading.Timer(0.2, setattr, (bench.emulator, "answers", "right"))
+        ready = threading.Timer(0.2, setattr, (bench.emulator, "answer_mode", "right"))
         ready.start()
         bench.drive.start()
         ready.join()
