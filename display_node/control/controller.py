@@ -63,16 +63,10 @@ class StepperController:
     ----------
     scene
         Gains, and the parts that the controller has.
-    actuator
-        The actuator as the scene describes it.
     law
         Contact law of its tip, whose finger an observer may learn.
-    film
-        The film under the finger.
     force_limit_n
         Greatest force of the twin, in N.
-    tick_s
-        Tick in s.
     slew_limit_n_per_s
         Greatest slope of the force that is commanded.
     observer_gains

@@ -33,8 +33,6 @@ class ForceLoop:
         The film's model.
     overforce_n
         A reading beyond this in N, to either side, counts as none.
-    tick_s
-        Tick in s.
     lead_ns
         How much later than now the reference begins, for an actuator with that latency.
     at_end
@@ -140,8 +138,6 @@ def build_force_loop(
         The parts, as the controller takes them to be.
     force_limit_n
         Greatest force at rest, in N.
-    tick_s
-        Tick in s.
     actual
         The actuator as it really is, where that differs.
     slew_limit_n_per_s

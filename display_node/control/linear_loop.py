@@ -45,8 +45,6 @@ class LinearLoop:
 
     Attributes
     ----------
-    tick_s
-        Tick in s.
     a
         Shape (n, n): the next state, from the state.
     b

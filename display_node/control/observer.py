@@ -62,8 +62,6 @@ def observer_gains(
         RMS change of the offset in 1 s, as a force in N.
     least_noise_n
         RMS of a reading's least error in N (a microstep).
-    tick_s
-        Tick in s.
 
     Returns
     -------
@@ -95,18 +93,12 @@ class Observer:
 
     Parameters
     ----------
-    scene
-        How the finger moves and changes.
     twin
         The actuator without latency.
     law
         Contact law; its `finger_m_per_n` is learnt.
-    film
-        The film.
     step_m
         Microstep in m.
-    tick_s
-        Tick in s.
     latency_ticks
         Ticks from a command to the reading that shows it, besides the filter's lag.
     gains

@@ -21,8 +21,6 @@ class Pid:
         Gains: output for each unit of the error, of its integral over s, of its slope per s.
     derivative_filter_hz
         Corner of the derivative's low-pass in Hz.
-    tick_s
-        Tick in s.
     limit
         Greatest magnitude of the output.
     dead_band

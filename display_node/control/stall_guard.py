@@ -22,10 +22,6 @@ class StallGuard:
 
     Parameters
     ----------
-    law
-        Contact law.
-    tick_s
-        Tick in s.
     play_m
         Travel of the screw in m beyond the tip's, to take up its backlash.
 

@@ -16,8 +16,6 @@ class DriveStatus:
     ----------
     position_m
         Tip position in m from first touch, positive into the finger.
-    speed_m_per_s
-        Its speed.
     fault
         Fault that ended the following of commands until `Drive.start` is called again, or None.
     moving

@@ -55,8 +55,6 @@ class Withdrawal:
 
     Attributes
     ----------
-    outcome
-        Its state.
     confirmed
         Position or film has shown that the tip leaves the finger.
     """
@@ -68,8 +66,6 @@ class Withdrawal:
 
         Parameters
         ----------
-        now_ns
-            Present time.
         position_m
             Furthest position that the tip may have, in m from first touch.
         travel_m

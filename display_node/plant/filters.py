@@ -48,8 +48,6 @@ class LowPass:
         Corner frequency in Hz.
     order
         Number of poles.
-    tick_s
-        Tick in s.
     """
 
     STATE: ClassVar = ("_state",)

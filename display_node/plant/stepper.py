@@ -39,8 +39,6 @@ class Rotor:
         Resonance in Hz.
     damping
         Damping ratio ζ.
-    tick_s
-        Tick in s.
 
     Attributes
     ----------
@@ -169,14 +167,8 @@ class Stepper:
 
     Parameters
     ----------
-    scene
-        The actuator.
-    law
-        Contact of its tip.
     force_limit_n
         Force in N at the soft stop.
-    tick_s
-        Tick in s.
     linear
         Leave out microsteps, soft stop and backlash, for a loop's linear model.
 

@@ -1,3 +1,5 @@
+"""The delay line and the low-pass."""
+
 import math
 
 import numpy as np
@@ -5,7 +7,23 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import butter, lsim
 
-from display_node.plant.filters import LowPass
+from display_node.plant.filters import DelayLine, LowPass
+
+
+@pytest.mark.parametrize(
+    ("ticks", "expected"),
+    [
+        (0, [1, 2, 4, 8, 16]),
+        (1, [0, 1, 2, 4, 8]),
+        (3, [0, 0, 0, 1, 2]),
+        (0.25, [0.75, 1.75, 3.5, 7, 14]),
+        (1.5, [0, 0.5, 1.5, 3, 6]),
+    ],
+)
+def test_values_come_back_so_many_ticks_later(ticks: float, expected: list[float]) -> None:
+    delay = DelayLine(ticks)
+    assert [delay.step(value) for value in (1, 2, 4, 8, 16)] == expected
+
 
 TICK_S = 1e-3
 orders = pytest.mark.parametrize("order", [1, 2, 3, 4])
