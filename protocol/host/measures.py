@@ -41,7 +41,7 @@ class NotGrantedError(RealtimeError):
         What to do about it.
     """
 
-    def _init__(self, reason: str, advice: str) -> None:
+    def __init__(self, reason: str, advice: str) -> None:
         super().__init__(reason)
         self.reason = reason
         self.advice = advice

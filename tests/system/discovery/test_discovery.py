@@ -130,7 +130,7 @@ def test_who_is_no_node_is_refused_in_a_line_and_several_are_a_choice(
         assert (status, errors) == (0, "")
         assert found == f"found 'pulse on right' at {BIND}\n"
         assert said.count("not a sensing node: ") == 2
-        assert "not a sensing node: older: it speaks another version" in said
+        assert "not a sensing node: older: it has another version" in said
         assert "2 sensing nodes announced; refused: 1 malformed, 1 version" in said
         (table,) = json.loads(json_path.read_text(encoding="utf-8"))["chapters"][0]["tables"]
         assert [row["name"] for row in table["rows"]] == ["pulse on left", "pulse on right"]

@@ -128,7 +128,7 @@ def test_a_silence_of_all_together_is_a_cut(
     context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Hosts answer in real time, not in ours.
-    monkeypatch.setattr(HandshakeMonitor, "tend", lambda self, now_ns: [])
+    monkeypatch.setattr(HandshakeMonitor, "poll", lambda self, now_ns: [])
     address = free_address()
     publisher = context.socket(zmq.PUB)
     publisher.bind(address)
@@ -173,7 +173,7 @@ def test_requests_to_connect_are_repeated_soon_but_now_and_then_may_take_their_t
 def test_who_stood_still_itself_does_not_wait_long_for_more_than_what_has_queued(
     context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(HandshakeMonitor, "tend", lambda self, now_ns: [])
+    monkeypatch.setattr(HandshakeMonitor, "poll", lambda self, now_ns: [])
     address = free_address()
     publisher = context.socket(zmq.PUB)
     publisher.bind(address)
@@ -198,7 +198,7 @@ def test_where_one_port_answers_the_other_is_asked_again_at_once(
     while not connection.routes[0].paths[0].first.answered:
         assert time.monotonic() < end_s
         began += connection.tend(1_000 * MS)
-        connection._refusals._look_ns = 0
+        connection._refusals._poll_ns = 0
     assert began == 1
     # What was asked for at the same time may be answered yet.
     assert not connection.tend(1_099 * MS)
@@ -294,7 +294,7 @@ def test_a_wrong_address_is_refused_at_once(context: Context) -> None:
 def test_a_data_path_that_is_silent_alone_gets_a_second_connection(
     context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(HandshakeMonitor, "tend", lambda self, now_ns: [])
+    monkeypatch.setattr(HandshakeMonitor, "poll", lambda self, now_ns: [])
     address = free_address()
     publisher, server = context.socket(zmq.XPUB), context.socket(zmq.ROUTER)
     publisher.setsockopt(zmq.XPUB_VERBOSE, 1)
@@ -339,7 +339,7 @@ def test_a_data_path_that_is_silent_alone_gets_a_second_connection(
 def test_a_connection_that_floods_is_closed_for_a_while(
     context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(HandshakeMonitor, "tend", lambda self, now_ns: [])
+    monkeypatch.setattr(HandshakeMonitor, "poll", lambda self, now_ns: [])
     monkeypatch.setattr(line, "BURST", 200)
     address = free_address()
     publisher, said = context.socket(zmq.PUB), []
