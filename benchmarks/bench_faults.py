@@ -73,7 +73,8 @@ def row(name: str, done: str, once: Callable[[str, Path], Outcome]) -> tuple[str
 
 def tried(once: Callable[[Path], Outcome]) -> Outcome | None:
     """Return the result of a fault on a bench that played until then; None where a busy machine
-    had brought it to rest before, time after time."""
+    had brought it to rest before, time after time.
+    """
     for _ in range(TRIES):
         with TemporaryDirectory(prefix="telepulse-") as folder:
             try:
@@ -106,7 +107,8 @@ def trouble(word: str, kind: str, folder: Path) -> Outcome:
 
 def ended(bench: WholeBench, at_ns: int | None) -> Outcome:
     """Stop the bench, and see in the motor's record what came of a fault then; None: of its
-    own trouble."""
+    own trouble.
+    """
     last_ns = time.monotonic_ns()
     summary = bench.end()
     motor = bench.motor()
@@ -155,7 +157,8 @@ def sensing_restarted(folder: Path, kind: str) -> MotorTrace:
 
 def display_restarted(folder: Path, kind: str) -> MotorTrace:
     """The display stands still until the drive's watchdog stops it, is ended at fault and started
-    again: the record from then on."""
+    again: the record from then on.
+    """
     with playing(folder, kind) as bench:
         display = bench.processes["display"]
         display.send_signal(signal.SIGSTOP)

@@ -93,7 +93,8 @@ def main() -> None:
 
 def _revoke(pairs: dict[str, KeyPair], allowed: Path, phase_s: float) -> tuple[float, float, int]:
     """Let somebody in, revoke them; ms until the first frame and to the last, frames missed by
-    who stays. phase_s: when, within the second between two looks at the list."""
+    who stays. phase_s: when, within the second between two looks at the list.
+    """
     allow(allowed, pairs["goes"].public)
     context: sockets.Context = zmq.Context()
     try:

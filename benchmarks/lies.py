@@ -126,7 +126,8 @@ class Outcome:
     def missed(self, honest_error_n: float, obeys: bool = True) -> list[str]:
         """The bars that it misses; honest_error_n is what is felt beyond what is wanted without a
         lie. One that changes nothing at the finger need not be named, and a drive that does not
-        obey need not leave it."""
+        obey need not leave it.
+        """
         harmless = not self.named and self.error_n <= honest_error_n + HARMLESS_N
         missed = []
         if self.most_n > BAR_FORCE_N:

@@ -30,7 +30,8 @@ CONGESTION_CONTROL = Path("/proc/sys/net/ipv4/tcp_congestion_control")
 
 def main() -> None:
     """Print both tables. Their bars: a p99 of at most 1.1 times the loss-free one, nothing lost;
-    nothing felt later than by the playout delay."""
+    nothing felt later than by the playout delay.
+    """
     reason = unavailable()
     if reason is not None:
         print(f"paths: left out: {reason}")

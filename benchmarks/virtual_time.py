@@ -196,7 +196,8 @@ class VirtualTime:
 
     def interrupt(self, looks: int, begin: Callable[[], None]) -> None:
         """Call `begin`, which may stall threads, right after so many looks of any thread at the
-        clock: between a look and what is done by it."""
+        clock: between a look and what is done by it.
+        """
         self._interruption = (looks, begin)
 
     def wake(self, thread: VirtualThread, wait: int) -> None:
@@ -243,7 +244,8 @@ class VirtualTime:
     @contextmanager
     def substituted(self, prefixes: Sequence[str]) -> Iterator[None]:
         """Put this time and these threads in the place of the real ones in all loaded modules
-        whose names begin so."""
+        whose names begin so.
+        """
         clock, threads = _Clock(self), _Threads(self)
         with ExitStack() as patches:
             for name, module in list(sys.modules.items()):

@@ -35,7 +35,8 @@ NICE = -15
 
 class MotorTrace(NamedTuple):
     """The course of the emulated motor, one value a millisecond; trouble_ns: when something went
-    wrong in it or in its film, on the monotonic clock, None where nothing did."""
+    wrong in it or in its film, on the monotonic clock, None where nothing did.
+    """
 
     time_ns: NDArray[np.int64]
     speed_m_per_s: NDArray[np.float64]

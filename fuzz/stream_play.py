@@ -1,5 +1,6 @@
 """A sensing node that lies in well-formed messages, a receiver that hears it, and what must hold
-of the account all the same."""
+of the account all the same.
+"""
 
 import numpy as np
 

@@ -51,7 +51,8 @@ Message = tuple[bytes, bytes]
 
 class TelemetryReaders:
     """All readers of telemetry: the panel, the page, the recorder, the report, LSL and the
-    metrics."""
+    metrics.
+    """
 
     def __init__(self) -> None:
         self.screen, self.live, self.decoder = TerminalView(), LiveState(), TelemetryDecoder()

@@ -32,7 +32,8 @@ class Session:
 @dataclass(frozen=True, slots=True)
 class Mark:
     """What a display said of itself at one time. total: samples sent, by its account, with those
-    before it joined."""
+    before it joined.
+    """
 
     now_ns: int
     state: str
@@ -42,7 +43,8 @@ class Mark:
 @dataclass(frozen=True, slots=True)
 class Reckoning:
     """A display's count over one or more sessions: counted, between least and most is right.
-    exact: least and most are the same, as the display was told of every end."""
+    exact: least and most are the same, as the display was told of every end.
+    """
 
     counted: int
     least: int

@@ -103,7 +103,8 @@ def end_lies(of: Round) -> Iterator[str]:
 
 def left_after_s(of: Round) -> float | None:
     """Return after how many seconds from the first status with a fault the tip was off the finger
-    for good; infinite where it never was, None without such a status."""
+    for good; infinite where it never was, None without such a status.
+    """
     begin_ns = next((claim.read_ns for claim in of.claims if claim.state == "fault"), None)
     if begin_ns is None:
         return None

@@ -49,7 +49,8 @@ NONE_EXCUSED = Excused()
 
 def read_core_time(pid: int, at_ns: int) -> CoreTime | None:
     """Return what the main thread of a process has waited so far; None where it has ended, or
-    where this kernel keeps no account."""
+    where this kernel keeps no account.
+    """
     task = Path("/proc", str(pid), "task", str(pid))
     with suppress(OSError, IndexError, ValueError):
         waited_ns = int((task / "schedstat").read_text("ascii").split()[1])

@@ -95,7 +95,8 @@ def _spread(spread: tuple[float, float], values: Floats) -> tuple[float, float]:
 
 def felt_again_ns(spells: list[tuple[int, int]], over_ns: int, until_ns: int) -> int | None:
     """How long after `over_ns` the pulse was felt again, for good enough; None when not before
-    `until_ns`."""
+    `until_ns`.
+    """
     for begin_ns, end_ns in spells:
         begin_ns = max(begin_ns, over_ns)
         if end_ns - begin_ns >= HOLD_NS and begin_ns < until_ns:

@@ -86,7 +86,8 @@ def hold_connections(address: str, random: Random) -> None:
 
 def read_nothing(address: str, random: Random) -> None:
     """A reader of telemetry that asks for all and much that there is not, and reads nothing; and
-    garbage beside it."""
+    garbage beside it.
+    """
     with zmq.Context() as context, context.socket(zmq.SUB) as deaf:
         deaf.setsockopt(zmq.RCVHWM, 1)
         deaf.setsockopt(zmq.RCVBUF, 4096)

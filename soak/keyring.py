@@ -13,7 +13,8 @@ WRIST, FINGER, MONITOR = "wrist", "finger", "monitor"
 @dataclass(frozen=True, slots=True)
 class Keyring:
     """Keys in a folder: sensing nodes have one, displays one, and whoever hears frames beside the
-    sensing nodes. Floods and impostors have none."""
+    sensing nodes. Floods and impostors have none.
+    """
 
     folder: Path
 

@@ -1,5 +1,6 @@
 """What lies between the tormented nodes: emulated links between namespaces where there is root, a
-proxy on loopback elsewhere. Either way each link can be made worse while it is used."""
+proxy on loopback elsewhere. Either way each link can be made worse while it is used.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,7 +23,8 @@ STARTS_WITHIN_S = 30.0
 @dataclass(slots=True)
 class Network:
     """kind: for people. bind: what the sensing node binds; near: where it is reached without a
-    link; addresses: where a display reaches it over each link."""
+    link; addresses: where a display reaches it over each link.
+    """
 
     kind: str
     bind: str

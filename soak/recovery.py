@@ -31,7 +31,8 @@ def recoveries(
     episodes: Sequence[Played], felt: Mapping[str, FeltLog]
 ) -> dict[str, list[float | None]]:
     """By kind of fault, how many seconds after each one's end its displays felt the pulse again;
-    None where they did not before the next fault."""
+    None where they did not before the next fault.
+    """
     table: dict[str, list[float | None]] = {}
 
     def add(kind: str, role: str, over_ns: int, until_ns: int) -> None:
@@ -52,7 +53,8 @@ def recoveries(
 
 def beside(episodes: Sequence[Played], felt: Mapping[str, FeltLog]) -> list[float]:
     """The longest time in s without the pulse, of each display in each episode in which nothing
-    was done to it."""
+    was done to it.
+    """
     return [
         gap_s
         for role in ALWAYS_THERE

@@ -23,7 +23,8 @@ class Scenario:
     """lives: the latest of each role. all_lives: all of them, in the order of their begin.
     complaints: what has gone wrong that is no fault of ours. longest_s: when nodes end by
     themselves, should we be killed ourselves. keys: None for nodes without any. options: of all
-    nodes."""
+    nodes.
+    """
 
     network: Network
     scene: Path

@@ -30,7 +30,8 @@ class Slope:
 
 def slope(lines: Sequence[tuple[Floats, Floats]]) -> Slope | None:
     """The slope that the lines have in common; each is times in s and values, as long as each
-    other. None when no line is long enough."""
+    other. None when no line is long enough.
+    """
     slopes, variance = [], 0.0
     for times_s, values in lines:
         if len(times_s) < MIN_SAMPLES:

@@ -44,7 +44,8 @@ class Check:
 @dataclass(frozen=True, slots=True)
 class Line:
     """One process, sample by sample: memory in MB, descriptors, threads. warm: how many of the
-    first samples are of its warm-up."""
+    first samples are of its warm-up.
+    """
 
     times_s: Floats
     memory_mb: Floats
@@ -56,7 +57,8 @@ class Line:
 @dataclass(frozen=True, slots=True)
 class LoopFigures:
     """A display's loop over all its lives: ticks, misses but for those while it was stopped, and
-    the 99 % cost of a tick in its longest life. excused: misses that are the machine's."""
+    the 99 % cost of a tick in its longest life. excused: misses that are the machine's.
+    """
 
     ticks: int
     misses: int
@@ -101,7 +103,8 @@ def _growth(
 
 def judge_recovery(again_s: Mapping[str, Sequence[float | None]]) -> list[Check]:
     """How soon after its end each kind of fault is over at the finger, too, and all kinds
-    together. None: it was not."""
+    together. None: it was not.
+    """
     checks = []
     together = {"any fault": [after_s for all_s in again_s.values() for after_s in all_s]}
     for kind, all_s in [*sorted(again_s.items()), *together.items()]:

@@ -1,5 +1,6 @@
 """What is felt of a predicted pulse: how rough it is, how far from the pulse of now, and whether
-it is trusted where it should be."""
+it is trusted where it should be.
+"""
 
 from dataclasses import replace
 from unittest.mock import patch

@@ -54,7 +54,8 @@ class Case:
 @dataclass(frozen=True, slots=True)
 class Score:
     """From the turn on: trusted: share of the time; lost_s: when first not, None if never or
-    not even then; errors_n: in phase, while trusted and E is 0."""
+    not even then; errors_n: in phase, while trusted and E is 0.
+    """
 
     trusted: float
     lost_s: float | None

@@ -21,7 +21,8 @@ FORCE_LIMIT_N, SLEW_LIMIT_N_PER_S = 2.5, 50.0
 
 def main() -> None:
     """Print the table. The bars: felt again within 1 s, nothing unaccounted for, no force or slew
-    of what the actuator is told beyond the scene's limits."""
+    of what the actuator is told beyond the scene's limits.
+    """
     reason = unavailable()
     rows = []
     for number, (name, case) in enumerate(CASES.items()):

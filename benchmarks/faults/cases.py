@@ -72,7 +72,7 @@ def again(
 
 
 def sensing_node_killed(folder: Path, times: int, rng: random.Random) -> Found:
-    """kill -9 of the sensing node; it ends when the next one listens.
+    """Kill -9 of the sensing node; it ends when the next one listens.
 
     A killed node leaves no count of its samples: the display is compared with a sequence monitor.
     """
@@ -95,7 +95,7 @@ def sensing_node_killed(folder: Path, times: int, rng: random.Random) -> Found:
 
 
 def display_killed(folder: Path, times: int, rng: random.Random) -> Found:
-    """kill -9 of the display; it ends when the next one says that it waits."""
+    """Kill -9 of the display; it ends when the next one says that it waits."""
     with emulate(WHOLE) as link, staged(folder, link) as stage:
         sensing, display, finger = stage.play()
 
@@ -144,7 +144,8 @@ def display_killed_in_a_cut(folder: Path, times: int, rng: random.Random) -> Fou
 
 def display_stopped_in_a_cut(folder: Path, times: int, rng: random.Random) -> Found:
     """SIGSTOP of the display at most 0.2 s before its link is cut; it goes on when the link does,
-    or up to 0.6 s before or after."""
+    or up to 0.6 s before or after.
+    """
     with emulate(WHOLE) as link, staged(folder, link) as stage:
         sensing, display, finger = stage.play()
 
@@ -220,7 +221,8 @@ def one_of_twenty_never_reads(folder: Path, times: int, rng: random.Random) -> F
 
 def missing_in_crowd(output: str, sent: int) -> int:
     """Return how many samples the accounts of the many displays do not name, or name as
-    lost."""
+    lost.
+    """
     accounts = json.loads(output)
     return sum(abs(sent - total - before) + lost for total, _, _, lost, before in accounts)
 
@@ -275,7 +277,8 @@ def suspended(whose: str) -> Callable[[Path, int, random.Random], Found]:
 @contextmanager
 def yielding() -> Iterator[None]:
     """Run without real-time priority within: the harm stands for another machine's, and must take
-    no processor time from nodes that inherited such a priority from us."""
+    no processor time from nodes that inherited such a priority from us.
+    """
     policy, priority = os.sched_getscheduler(0), os.sched_getparam(0)
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     try:

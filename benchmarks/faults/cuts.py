@@ -69,7 +69,8 @@ KINDS: dict[str, Cut] = {
 @dataclass(frozen=True, slots=True)
 class Recovery:
     """One cut: how long it lasted, and from its end until the pulse was felt again, in ms;
-    0 where it was felt all the time."""
+    0 where it was felt all the time.
+    """
 
     cut_ms: float
     back_ms: float

@@ -41,7 +41,8 @@ class Finger:
 
     def felt_from_ns(self, since_ns: int, within_s: float) -> int | None:
         """The first instant from `since_ns` on at which the pulse was felt at full strength, on
-        the display's clock; None where it was not within so long."""
+        the display's clock; None where it was not within so long.
+        """
         return self._first_ns(since_ns, within_s, felt=True)
 
     def felt_steadily_from_ns(self, since_ns: int, within_s: float) -> int | None:
@@ -85,7 +86,8 @@ class Finger:
 
     def peaks(self) -> tuple[float, float, float]:
         """The most that was felt, in N; how fast what was wanted of the actuator changed at most,
-        and how fast what was felt did, in N/s."""
+        and how fast what was felt did, in N/s.
+        """
         trace = self.trace()
         seconds = np.diff(trace.now_ns) * 1e-9
         wanted, felt = (np.abs(np.diff(n)) / seconds for n in (trace.target_n, trace.felt_n))

@@ -78,7 +78,8 @@ def flooding_display(address: str, over: Callable[[], bool]) -> int:
 @dataclass(frozen=True, slots=True)
 class FloodRun:
     """Both nodes' summaries of a run, and the share of the display's ticks that were missed, and
-    that were missed by its own core time."""
+    that were missed by its own core time.
+    """
 
     sensing: Summary
     display: Summary

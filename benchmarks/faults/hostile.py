@@ -46,7 +46,8 @@ def deaf_subscriber(port: int, small: bool = True) -> socket.socket:
 
 def subscribing(port: int, topic_bytes: int, seconds: float) -> None:
     """A peer that subscribes to ever new topics as fast as it can, and connects anew when it is
-    cut off."""
+    cut off.
+    """
     end_s, number = time.monotonic() + seconds, 0
     while time.monotonic() < end_s:
         with suppress(OSError), socket.create_connection(("127.0.0.1", port), seconds) as one:
@@ -72,7 +73,8 @@ def _shake_hands(connection: socket.socket) -> None:
 
 def queued_bytes(connection: socket.socket) -> int | None:
     """Return the bytes that queue in the kernel at this connection's other end, here; None when
-    that end has let go of it."""
+    that end has let go of it.
+    """
     ours = f"{connection.getsockname()[1]:04X}"
     for line in Path("/proc/net/tcp").read_text(encoding="ascii").splitlines()[1:]:
         _, _, remote, state, queues, *_ = line.split()

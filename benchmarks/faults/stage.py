@@ -67,7 +67,8 @@ class Node:
 
     def account(self) -> Summary:
         """Its account, once it has ended, as a display does by itself at the end of the stream.
-        Raises ProcessError."""
+        Raises ProcessError.
+        """
         return self.process.await_summary(ENDS_WITHIN_S)
 
     def rss_bytes(self) -> int:
@@ -106,7 +107,8 @@ class Stage:
 
     def play(self, stepped: bool = False) -> tuple[Node, Node, Finger]:
         """Start both nodes; the pulse is felt when this returns. stepped: their clocks can step.
-        Raises StageError."""
+        Raises StageError.
+        """
         finger = self.finger()
         display, sensing = self.display(stepped=stepped), self.sense(stepped)
         if finger.felt_from_ns(sensing.listening_ns, STARTS_WITHIN_S) is None:
@@ -126,7 +128,8 @@ class Stage:
 
     def telemetry(self, name: str = "display") -> str:
         """Where a display publishes; a file, if nothing else is said: it reaches out of a
-        namespace."""
+        namespace.
+        """
         return self.telemetry_address or f"ipc://{self.folder}/{name}"
 
     def finger(self, name: str = "display") -> Finger:

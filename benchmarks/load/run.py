@@ -29,7 +29,8 @@ _spawn = get_context("spawn")
 @dataclass(frozen=True, slots=True)
 class Load:
     """What is run: displays, how often each asks for the clock (ms; 0 never), relays, a stream,
-    and whether the link has keys."""
+    and whether the link has keys.
+    """
 
     displays: int
     clock_ms: int = 50
@@ -41,7 +42,8 @@ class Load:
 @dataclass(frozen=True, slots=True)
 class Figures:
     """What came of it: one-way delays in ms, frames lost, and CPU in shares of one core: of the
-    sensing node's loop and of its ZeroMQ, of all relays, of all crowds."""
+    sensing node's loop and of its ZeroMQ, of all relays, of all crowds.
+    """
 
     p50_ms: float
     p99_ms: float

@@ -1,5 +1,6 @@
 """Frames of a sensor board; the first byte says whether the rest is on the line as it is, or is
-the content of a frame whose CRC and COBS are right."""
+the content of a frame whose CRC and COBS are right.
+"""
 
 import math
 import struct
