@@ -20,6 +20,12 @@ from telepulse.experiment.interval import PlayedInterval, error_share
 from telepulse.experiment.psychometrics import IntervalErrors, Proportion
 from telepulse.experiment.session import Kind, SessionTable, Trial
 
+# From this rating on, X was close: the paper asked whether it was "close to a direct touch".
+CLOSE = 4
+
+# Keys that may differ between the sessions of one experiment.
+FREE_KEYS = {"title", "trials", "catch", "seed"}
+
 
 class LogError(TelepulseError, ValueError):
     """A session's log cannot be used.
@@ -175,10 +181,6 @@ class SessionLogFile:
             raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from None
 
 
-# From this rating on, X was close: the paper asked whether it was "close to a direct touch".
-CLOSE = 4
-
-
 @dataclass(frozen=True, slots=True)
 class TrialOutcome:
     """An answered trial with its subject and its conditions."""
@@ -236,7 +238,7 @@ class SessionResults:
     conditions: tuple[str, ...]
     subjects: tuple[str, ...]
     outcomes: tuple[TrialOutcome, ...]
-    asked: int
+    trials: int
     spoilt: tuple[TrialOutcome, ...] = ()
     pooled: bool = False
     who: str = "a person"
@@ -288,7 +290,7 @@ def gather(logs: Sequence[SessionLog], with_spoilt: bool = False) -> SessionResu
         conditions=tuple(condition.name for condition in first.session.conditions),
         subjects=tuple(dict.fromkeys(names)),
         outcomes=outcomes,
-        asked=sum(len(log.header.trials) for log in logs),
+        trials=sum(len(log.header.trials) for log in logs),
         spoilt=spoilt,
         pooled=pooled,
         who=first.header.subject,
@@ -297,10 +299,6 @@ def gather(logs: Sequence[SessionLog], with_spoilt: bool = False) -> SessionResu
         ),
         versions=tuple(sorted({log.version for log in logs})),
     )
-
-
-# Keys that may differ between the sessions of one experiment.
-FREE_KEYS = {"title", "trials", "catch", "seed"}
 
 
 def _difference(log: SessionLog, first: SessionLog) -> str:

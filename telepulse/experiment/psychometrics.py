@@ -23,6 +23,16 @@ CHANCE = 0.5
 LEVEL = 0.05
 MOST_TRIALS = 5_000
 RESAMPLED = 10_000
+Floats = NDArray[np.float64]
+MAX_D_PRIME = 20.0
+THRESHOLD_STEPS = 4_000
+THRESHOLD_DECADES = 3
+# Half of the 95 % point of chi square with one degree of freedom.
+LOG_LIKELIHOOD_DROP = 1.920729
+BEST_RATING = 5
+SHARES = (0.55, 0.6, 2 / 3, 0.75, 0.8, 0.9, 0.95)
+COUNTS = (6, 10, 16, 20, 32, 50, 100)
+POWERS = (0.8, 0.9)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,15 +98,6 @@ def trials_needed(share: float, wanted_power: float) -> int | None:
     return needed if needed <= MOST_TRIALS else None
 
 
-Floats = NDArray[np.float64]
-
-LARGEST = 20.0
-STEPS = 4_000
-DECADES = 3
-# Half of the 95 % point of chi square with one degree of freedom.
-LOG_LIKELIHOOD_DROP = 1.920729
-
-
 class IntervalErrors(NamedTuple):
     """Force errors of a trial's intervals, in one unit."""
 
@@ -125,9 +126,9 @@ def d_prime(share: float) -> float:
     """Return the d' of a share of correct answers; 0 at a half and below, infinite at 1."""
     if share <= 0.5:
         return 0.0
-    if share >= proportion_correct(LARGEST):
+    if share >= proportion_correct(MAX_D_PRIME):
         return math.inf
-    return float(brentq(lambda d: proportion_correct(d) - share, 0.0, LARGEST))
+    return float(brentq(lambda d: proportion_correct(d) - share, 0.0, MAX_D_PRIME))
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,19 +151,16 @@ def fit_threshold(trials: Sequence[tuple[IntervalErrors, bool]]) -> Threshold | 
     largest = max((abs(errors.a - errors.b) for errors, _ in trials), default=0.0)
     if largest == 0:
         return None
-    tried = largest * np.logspace(-DECADES, DECADES, STEPS)
-    likelihood = np.zeros(STEPS)
+    tried = largest * np.logspace(-THRESHOLD_DECADES, THRESHOLD_DECADES, THRESHOLD_STEPS)
+    likelihood = np.zeros(THRESHOLD_STEPS)
     for errors, called_a in trials:
         chance = probability_of_a(errors, tried)
         likelihood += np.log(np.maximum(chance if called_a else 1 - chance, 1e-300))
     best = int(np.argmax(likelihood))
     within = np.flatnonzero(likelihood > likelihood[best] - LOG_LIKELIHOOD_DROP)
     low = 0.0 if within[0] == 0 else float(tried[within[0]])
-    high = math.inf if within[-1] == STEPS - 1 else float(tried[within[-1]])
+    high = math.inf if within[-1] == THRESHOLD_STEPS - 1 else float(tried[within[-1]])
     return None if low == 0 and high == math.inf else Threshold(float(tried[best]), low, high)
-
-
-BEST_RATING = 5
 
 
 class SimulatedObserver:
@@ -187,11 +185,6 @@ class SimulatedObserver:
 
     def _feel(self, error: float) -> float:
         return error / self._threshold + self._random.gauss(0, 1)
-
-
-SHARES = (0.55, 0.6, 2 / 3, 0.75, 0.8, 0.9, 0.95)
-COUNTS = (6, 10, 16, 20, 32, 50, 100)
-POWERS = (0.8, 0.9)
 
 
 def build_plan() -> Report:

@@ -143,7 +143,7 @@ def _answered(results: SessionResults) -> str:
         count += len(results.spoilt)
     kind = "simulated observer" if results.thresholds else "subject"
     who = f"one {kind}" if subjects == 1 else f"{subjects} {kind}s"
-    return f"{count} of {results.asked} trials are answered, by {who}."
+    return f"{count} of {results.trials} trials are answered, by {who}."
 
 
 def _abx_words(found: Proportion) -> str:
@@ -342,7 +342,8 @@ def _paper_chapter() -> Chapter:
             f" as well with p = {_p(PAPER.p_value)}. Of six answers {hits_needed(6)} must agree"
             f" before p is at most 5 %; a true share of two in three gets there"
             f" {percent(power(6, PAPER.share))} of the time. Six subjects can show that something"
-            " is plain to nearly everybody; they cannot tell two thirds from a half, nor from all.",
+            " is felt by nearly everybody; they cannot distinguish two thirds from a half, nor from"
+            " all.",
         ),
         (table,),
     )
