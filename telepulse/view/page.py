@@ -20,6 +20,13 @@ REDRAW_MS = 200
 WINDOWS_S = (5, 10, 30, 60)
 WINDOW_S = 10
 SECOND_NS = 1_000_000_000
+# Runs in the browser when the connection to the server is lost: the last state stays.
+SERVER_LOST = """
+document.getElementById("state").textContent = "ended";
+document.getElementById("state").dataset.state = "ended";
+document.getElementById("state-note").textContent =
+  "the server of this page has ended: it shows the last state";
+"""
 
 
 class LivePage:
@@ -36,10 +43,9 @@ class LivePage:
         update = CustomJS(
             args={"texts": self._texts, "choices": self._choices}, code=_text("page.js")
         )
-        gone = CustomJS(code=_text("gone.js"))
         document.js_on_event(DocumentReady, update)
-        document.js_on_event(ConnectionLost, gone)
-        # The page itself reports that the server has gone.
+        document.js_on_event(ConnectionLost, CustomJS(code=SERVER_LOST))
+        # `SERVER_LOST` replaces Bokeh's own notice.
         document.config.update(notify_connection_status=False, reconnect_session=False)
         self._texts.js_on_change("data", update)
         # Sources without a plot need a model that refers to them.
