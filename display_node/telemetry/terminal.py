@@ -42,6 +42,10 @@ LINE_EVERY_S = 1.0
 KEEP_NS, APART_NS = 6_000_000_000, 10_000_000
 PLOT_S = 3.0
 RUN = "of the run so far"
+# Of a status line: a log or a journal shows it without wrapping.
+LINE_WIDTH = 120
+# Heart rate, force target and force felt, which every status line shows.
+PULSE_ROWS = 3
 # Statuses come five times a second; an older one is not shown as current.
 CURRENT_NS = 1_000_000_000
 
@@ -67,6 +71,8 @@ class TerminalView:
         self.status: Status | None = None
         # Messages that could not be read.
         self.unreadable = 0
+        # Alerts that `new_alerts` has returned and that last.
+        self._named: set[str] = set()
 
     def take(self, message: Sequence[bytes], now_ns: int = 0) -> Trace | None:
         """Take a telemetry message, of its topic and its data, that came at `now_ns` of this
@@ -109,19 +115,35 @@ class TerminalView:
         return heart_rate_per_min(t_s, np.array(felt_n))
 
     def line(self, now_ns: int = 0) -> str:
-        """Return the state at `now_ns` in one line."""
+        """Return the state at `now_ns` in one line of at most `LINE_WIDTH` characters.
+
+        Alerts are cut so that the pulse's figures have room; then follow the finger and as many
+        figures of the run as fit.
+        """
         if self.status is None:
             return "waiting for the display"
-        now, run = (
-            ", ".join(f"{name} {value}" for name, value in rows)
-            for rows in (self._now_rows(now_ns), self._run_rows())
-        )
         # The state stands before them.
-        said = f"{self.status.state}: "
-        wrong = "".join(
-            f"{name}: {text}; ".removeprefix(said) for name, text in self._alerts(now_ns)
+        state = f"{self.status.state}: "
+        wrong = "; ".join(
+            f"{name}: {text}".removeprefix(state) for name, text in self._alerts(now_ns)
         )
-        return f"{self._state(now_ns)}: {wrong}{now}; {RUN}: {run}"
+        now = [f"{name} {value}" for name, value in self._now_rows(now_ns)]
+        run = [f"{name} {value}" for name, value in self._run_rows()]
+        pulse = ", ".join(now[:PULSE_ROWS])
+        start = f"{_printable(self._state(now_ns))}: "
+        if wrong:
+            start += f"{_cut(wrong, max(0, LINE_WIDTH - len(start) - len(pulse) - 2))}; "
+        line = _cut(start + pulse, LINE_WIDTH)
+        for part in now[PULSE_ROWS:] + run:
+            if len(line) + len(part) + 2 <= LINE_WIDTH:
+                line += f", {part}"
+        return line
+
+    def new_alerts(self, now_ns: int = 0) -> list[str]:
+        """Return the alerts in full that were not there at the last call."""
+        found = self._alerts(now_ns) if self.status is not None else []
+        before, self._named = self._named, {alert.name for alert in found}
+        return [f"{alert.name}: {alert.text}" for alert in found if alert.name not in before]
 
     def panel(self, now_ns: int = 0) -> RenderableType:
         """Return the state at `now_ns` as a panel, grey where it is not current."""
@@ -201,9 +223,21 @@ def _show(value: float | None, unit: str, digits: int = 1, scale: float = 1.0) -
     return "unknown" if math.isnan(value) else f"{value * scale:.{digits}f} {unit}"
 
 
+def _cut(text: str, width: int) -> str:
+    return text if len(text) <= width else f"{text[: max(0, width - 1)]}…"
+
+
 def _printable(text: str) -> str:
     """Return text from a status, which cannot draw on the screen."""
     return "".join(character if character.isprintable() else "?" for character in text)
+
+
+def _print_line(screen: TerminalView, console: Console) -> None:
+    """Print the status line, and each alert in full when it begins."""
+    now_ns = time.monotonic_ns()
+    alerts_begun = (f"alert: {text}" for text in screen.new_alerts(now_ns))
+    for text in (screen.line(now_ns), *alerts_begun):
+        console.print(text, soft_wrap=True)
 
 
 def watch(
@@ -245,7 +279,7 @@ def watch(
                 if screen.status is not None and screen.status.final:
                     if draw and live is None:
                         # However it ended, the last line shows it.
-                        console.print(screen.line(time.monotonic_ns()), soft_wrap=True)
+                        _print_line(screen, console)
                     return screen.status
             if len(messages) == sockets.MAX_MESSAGES:
                 continue  # more has queued, and only the newest is shown
@@ -253,7 +287,7 @@ def watch(
                 live.update(screen.panel(time.monotonic_ns()))
             elif draw and time.monotonic() - line_s >= LINE_EVERY_S:
                 line_s = time.monotonic()
-                console.print(screen.line(time.monotonic_ns()), soft_wrap=True)
+                _print_line(screen, console)
         return screen.status
     finally:
         if live is not None:

@@ -31,10 +31,12 @@ def printed(summary: Json) -> str:
     return console.export_text()
 
 
-def line(summary: Json) -> str:
+def panel(summary: Json) -> str:
     view = TerminalView()
     view.status = Status("playing", "", summary, False)
-    return view.line()
+    console = Console(file=io.StringIO(), width=1_000, record=True)
+    console.print(view.panel())
+    return console.export_text()
 
 
 def on_the_page(summary: Json) -> str:
@@ -54,7 +56,7 @@ def scraped(summary: Json) -> str:
 
 SURFACES: dict[Surface, Callable[[Json], str]] = {
     Surface.SUMMARY: printed,
-    Surface.TERMINAL: line,
+    Surface.TERMINAL: panel,
     Surface.PAGE: on_the_page,
     Surface.REPORT: reported,
     Surface.METRICS: scraped,
