@@ -44,7 +44,7 @@ class Stream:
     """A guarded PUB socket with a number each 5 ms, as frames are, and its readers."""
 
     def __init__(self, context: sockets.Context, keys: ServerKeys, address: str) -> None:
-        self.gate = Authenticator(context, keys, lambda _: None)
+        self.gate = Authenticator(context, keys)
         self._data = sockets.bind(context, zmq.PUB, address, self.gate)
         self.address = self._data.getsockopt_string(zmq.LAST_ENDPOINT)
         self.readers: list[Reader] = []

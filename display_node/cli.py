@@ -1,12 +1,12 @@
 """Command line of the display node."""
 
+import logging
 import subprocess
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from display_node.doctor import run_doctor
 from display_node.fault_advice import end_at_faults
@@ -17,12 +17,14 @@ from display_node.telemetry.recorder_process import start_recorder
 from protocol.cli_options import (
     DiscoverOption,
     JsonOption,
+    LogLevelOption,
     NamedOption,
     QuietOption,
     RealtimeOption,
     StopAfterOption,
     VersionOption,
     hold_measures,
+    level_options,
     one_line_errors,
     plain_console,
     sum_up,
@@ -32,6 +34,7 @@ from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene, scene_names
 from protocol.errors import DiscoveryError, ProtectionError, SceneError
 from protocol.host.child_process import ChildProcess
+from protocol.host.logging_setup import configure_logging
 from protocol.host.measures import freeze_objects
 from protocol.host.process import allow_connections, interrupt_on_signals, stop_on_signals
 from protocol.host.realtime import RealtimeRequest, check_strict, parse_realtime
@@ -50,6 +53,8 @@ from protocol.security.protection import (
     server_keys,
 )
 from protocol.sockets import beyond_loopback
+
+logger = logging.getLogger(__name__)
 
 PROGRAM = "display-node"
 SCREEN_ENDS_WITHIN_S = 5
@@ -95,6 +100,7 @@ def display(
         typer.Option(metavar="FILE.mcap", help="Record all of this run: see telepulse record."),
     ] = None,
     quiet: QuietOption = False,
+    log_level: LogLevelOption = None,
     key: KeyOption = None,
     peer: PeerOption = None,
     allow: AllowOption = None,
@@ -145,6 +151,7 @@ def display(
     """
     console = plain_console(quiet)
     with one_line_errors(PROGRAM):
+        configure_logging(log_level, quiet)
         allow_connections()
         check_writable(json)
         if doctor:
@@ -159,7 +166,7 @@ def display(
                 raise DiscoveryError(
                     "--discover finds the address, and --connect is given: choose one"
                 )
-            connect = discovered(named, peer, seconds, console.print)
+            connect = discovered(named, peer, seconds)
         keys = client_keys(connect, key, peer, insecure)
         readers = _telemetry_keys(telemetry, key, allow, insecure)
         path = find_scene(scene)
@@ -170,22 +177,24 @@ def display(
         # A drive on its way home comes to rest, whatever ends this process.
         interrupt_on_signals()
         with (
-            start_metrics(PROGRAM, metrics, console) as served,
-            closing(
-                DisplayNode(section, connect, telemetry, console.print, keys, readers, told)
-            ) as node,
+            start_metrics(PROGRAM, metrics) as served,
+            closing(DisplayNode(section, connect, telemetry, keys, readers, told)) as node,
             start_recorder(
-                node.telemetry_address, node.await_recorder, record, own, quiet
+                node.telemetry_address,
+                node.await_recorder,
+                record,
+                own,
+                level_options(log_level, quiet),
             ) as recording,
         ):
             freeze_objects()
             # The last: what can fail without the drive has failed before it moves.
-            with connected(section, path.parent, console.print, without_film) as hardware:
+            with connected(section, path.parent, without_film) as hardware:
                 served.follow(node.telemetry_address, own)
                 if hardware is not None:
                     node.use(hardware)
                 draw = screen and not quiet
-                summary = _run(node, connect, seconds, once, draw, console, own, asked)
+                summary = _run(node, connect, seconds, once, draw, own, asked)
     sum_up(PROGRAM, summary, "display node", console, json, provenance)
     end_at_faults(PROGRAM, summary.faults)
     if not recording.whole:
@@ -211,13 +220,12 @@ def _run(
     seconds: float | None,
     once: bool,
     screen: bool,
-    console: Console,
     key: Path | None,
     asked: RealtimeRequest,
 ) -> Summary:
     """Run the node, beside the process that draws its state; `key` opens the telemetry to it."""
     stop_on_signals(node.stop)
-    console.print(f"waiting for {', '.join(connect)}; telemetry on {node.telemetry_address}")
+    logger.info(f"waiting for {', '.join(connect)}; telemetry on {node.telemetry_address}")
     watcher = None
     if screen:
         arguments = [node.telemetry_address, *([str(key)] if key else [])]
@@ -225,7 +233,7 @@ def _run(
             "screen", "-m", "display_node.telemetry.terminal", *arguments, own_session=False
         )
     # After these processes are started, which would have some of the measures as well.
-    with hold_measures(PROGRAM, asked, console) as grant:
+    with hold_measures(PROGRAM, asked) as grant:
         summary = with_measures(node.run(seconds, once), grant)
     if watcher is not None:
         with watcher, suppress(subprocess.TimeoutExpired):
@@ -235,6 +243,7 @@ def _run(
 
 def main() -> None:
     """Entry point of `display-node`."""
+    configure_logging()
     with unblocked_output():
         app()
 

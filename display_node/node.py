@@ -1,10 +1,11 @@
 """The display node's shell: sockets, the clock on the wall, and one real-time loop."""
 
+import logging
 import secrets
 import time
 import uuid
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -32,6 +33,8 @@ from protocol.wire.messages import encode_control
 from protocol.wire.telemetry import CONTROL
 from pulse_sensors.scene import open_sensor
 
+logger = logging.getLogger(__name__)
+
 # Of each connection, however late it is: a host that is always late still receives all of a stream.
 LEAST_READ = 16
 # After the end of a stream, silence is no reason to connect anew soon.
@@ -40,7 +43,7 @@ ENDED_NS = 1_000_000_000
 
 @contextmanager
 def connected(
-    scene: DisplayScene, folder: Path, log: Callable[[str], None], without_film: bool = False
+    scene: DisplayScene, folder: Path, without_film: bool = False
 ) -> Iterator[Hardware | None]:
     """Start the bench of a scene, within a `with`; None for a scene that names no drive.
 
@@ -64,12 +67,12 @@ def connected(
         )
     layer, force_limit_n = scene.layer.layer(), scene.safety.force_limit_n
     drive = build_drive(scene.drive, scene.actuator, layer, force_limit_n)
-    sensor = open_sensor(scene.feedback, folder, log) if scene.feedback is not None else None
+    sensor = open_sensor(scene.feedback, folder) if scene.feedback is not None else None
     with closing(scene.hardware(drive, sensor)) as hardware:
-        log("the drive looks for its home: keep the finger away")
+        logger.warning("the drive looks for its home: keep the finger away")
         with advised():
             hardware.start()
-        log("the drive is at first touch")
+        logger.info("the drive is at first touch")
         yield hardware
 
 
@@ -81,7 +84,6 @@ class DisplayNode:
         scene: DisplayScene,
         addresses: Sequence[str],
         telemetry_address: str,
-        log: Callable[[str], None],
         keys: ClientKeys | None = None,
         telemetry_keys: ServerKeys | None = None,
         provenance: bytes = b"",
@@ -104,14 +106,13 @@ class DisplayNode:
         self._deadlines = DeadlineWatch(scene.tick_ns, gap_ns)
         self._tick_us = Histogram(1.0, 5_000)
         self._late_us = Histogram(2.0, 2_500)
-        self._log = log
         self._named_faults = 0
         self._context: sockets.Context = zmq.Context()
         try:
-            self._connection = Connection(self._context, addresses, paths, log, keys)
-            gate = Authenticator(self._context, telemetry_keys, log)
+            self._connection = Connection(self._context, addresses, paths, keys)
+            gate = Authenticator(self._context, telemetry_keys)
             telemetry = sockets.bind(self._context, zmq.XPUB, telemetry_address, gate)
-            self._telemetry = Publisher(telemetry, secrets.randbits(62), gate, log, provenance)
+            self._telemetry = Publisher(telemetry, secrets.randbits(62), gate, provenance)
         except BaseException:
             self.close()
             raise
@@ -202,7 +203,7 @@ class DisplayNode:
         """Log the faults that were latched since the last time, with what to do."""
         faults = self._display.safety.faults
         for fault in faults[self._named_faults :]:
-            self._log(f"fault: {fault}: {advise(fault)}")
+            logger.error(f"fault: {fault}: {advise(fault)}")
         self._named_faults = len(faults)
 
     def _summary(self) -> Summary:

@@ -57,7 +57,7 @@ class TelemetryReaders:
     def __init__(self) -> None:
         self.screen, self.live, self.decoder = TerminalView(), LiveState(), TelemetryDecoder()
         self.outlets = KeptOutlets()
-        self.forwarder = LslForwarder(self.outlets, str)
+        self.forwarder = LslForwarder(self.outlets)
         self.findings = RunFindings(Path("telemetry"))
 
     def take(self, topic: bytes, data: bytes) -> None:

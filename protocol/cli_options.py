@@ -1,5 +1,6 @@
 """Common parts of the nodes' command lines: options, errors, closing summary."""
 
+import logging
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,6 +16,8 @@ from protocol.errors import TelepulseError
 from protocol.host.realtime import RealtimeGrant, RealtimeRequest, hold
 from protocol.provenance import Provenance
 from protocol.run_summary import Summary, print_summary, write_json
+
+logger = logging.getLogger(__name__)
 
 USAGE_ERROR = 2
 LONGEST_S = 1e9
@@ -42,7 +45,18 @@ VersionOption = Annotated[
         "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
     ),
 ]
-QuietOption = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
+QuietOption = Annotated[
+    bool,
+    typer.Option("--quiet", help="Print no summary; log only warnings and errors."),
+]
+LogLevelOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="LEVEL",
+        help="Log to stderr from this level on: debug, info, warning or error. Default: info, and"
+        " warning where the command is --quiet.",
+    ),
+]
 RealtimeOption = Annotated[
     str | None,
     typer.Option(
@@ -71,6 +85,12 @@ NamedOption = Annotated[
     str | None,
     typer.Option(metavar="NAME", help="Choose this one of several that --discover finds."),
 ]
+
+
+def level_options(log_level: str | None, quiet: bool) -> list[str]:
+    """Return the options with which another program of ours logs as this one does."""
+    level = [] if log_level is None else ["--log-level", log_level]
+    return [*level, *(["--quiet"] if quiet else [])]
 
 
 @contextmanager
@@ -104,19 +124,13 @@ def sum_up(
 
 
 @contextmanager
-def hold_measures(
-    program: str, request: RealtimeRequest, console: Console
-) -> Iterator[RealtimeGrant]:
-    """Take the measures as `hold` does; print those granted, and on stderr those refused."""
-
-    def warn(line: str) -> None:
-        print(f"{program}: {line}", file=sys.stderr)
-
-    with one_line_errors(program), hold(request, warn) as grant:
+def hold_measures(program: str, request: RealtimeRequest) -> Iterator[RealtimeGrant]:
+    """Take the measures as `hold` does; log those granted and those refused."""
+    with one_line_errors(program), hold(request) as grant:
         if grant.granted:
-            console.print(str(grant))
+            logger.info(str(grant))
         for refusal in grant.refused:
-            warn(str(refusal))
+            logger.warning(str(refusal))
         yield grant
 
 

@@ -17,6 +17,7 @@ TelepulseError
  +-- BenchError        (RuntimeError)  a bench or a calibration cannot be measured
  +-- RealtimeError     (RuntimeError)  a real-time measure is unknown or is not granted
  +-- ProcessLimitError (OSError)       this process may have too few files or too little memory
+ +-- OptionError       (ValueError)    an option of a command has no such value
  +-- SweepError        (RuntimeError)  a case of a study fails, or no cluster computes it
 """
 
@@ -136,6 +137,13 @@ class ProcessLimitError(TelepulseError, OSError):
     """The system's limits give this process less than a node needs.
 
     Example scenarios: `ulimit -n 14`, `ulimit -v 300000`.
+    """
+
+
+class OptionError(TelepulseError, ValueError):
+    """An option of a command has no such value.
+
+    Example scenario: a level of the log that does not exist.
     """
 
 

@@ -1,15 +1,17 @@
 """The option for metrics, which a process beside the node serves."""
 
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from protocol.host.sidecar import Sidecar, sidecar_module, start_sidecar
 from protocol.sockets import beyond_loopback
+
+logger = logging.getLogger(__name__)
 
 MetricsOption = Annotated[
     str | None,
@@ -39,7 +41,7 @@ class MetricsSidecar:
 
 
 @contextmanager
-def start_metrics(program: str, where: str | None, console: Console) -> Iterator[MetricsSidecar]:
+def start_metrics(program: str, where: str | None) -> Iterator[MetricsSidecar]:
     """Serve metrics at `where` (None: not at all) within a `with`.
 
     Enter it before anything moves. Raises SidecarError where the port is taken, or the library or
@@ -48,13 +50,13 @@ def start_metrics(program: str, where: str | None, console: Console) -> Iterator
     if where is None:
         yield MetricsSidecar(None)
         return
-    arguments = ("the server of metrics", sidecar_module("metrics"), program, where)
-    with start_sidecar(program, *arguments, log=console.print) as sidecar:
-        console.print(f"metrics on {sidecar.ready_message}")
+    arguments = ("metrics server", sidecar_module("metrics"), program, where)
+    with start_sidecar(*arguments) as sidecar:
+        logger.info(f"metrics on {sidecar.ready_message}")
         if beyond_loopback(
             sidecar.ready_message.replace("http", "tcp", 1).removesuffix("/metrics")
         ):
-            console.print(
+            logger.warning(
                 "all who can reach that port can read them: HTTP has neither keys nor encryption"
             )
         yield MetricsSidecar(sidecar)

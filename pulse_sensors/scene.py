@@ -15,19 +15,18 @@ SensorScene = SerialScene | CanScene | LslScene
 def open_sensor(
     scene: SensorScene,
     folder: Path,
-    log: Callable[[str], None],
     clock: Callable[[], int] = time.monotonic_ns,
 ) -> Sensor:
     """Open the sensor and begin to listen; whoever opens it closes it.
 
-    `folder` is the scene file's, `log` and `clock` are `Sensor`'s. Raises SourceError.
+    `folder` is the scene file's, `clock` is `Sensor`'s. Raises SourceError.
     """
     match scene:
         case SerialScene():
-            return Sensor(SerialPort(scene), scene.decoder(), scene, log, clock)
+            return Sensor(SerialPort(scene), scene.decoder(), scene, clock)
         case CanScene():
             decoder = CanDecoder(scene, folder)
             bus = CanBus(scene, decoder.frame_id, decoder.extended)
-            return Sensor(bus, decoder, scene, log, clock)
+            return Sensor(bus, decoder, scene, clock)
         case LslScene():
-            return Sensor(LslInlet(scene), LslDecoder(scene.channel), scene, log, clock)
+            return Sensor(LslInlet(scene), LslDecoder(scene.channel), scene, clock)

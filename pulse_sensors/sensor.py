@@ -4,6 +4,7 @@ The thread waits for bytes, stamps their arrival, and opens the device again whe
 All else happens in the caller's thread, in `poll`.
 """
 
+import logging
 import threading
 import time
 from collections import Counter, deque
@@ -16,6 +17,8 @@ from protocol.errors import SourceError
 from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.packet import Packet
 from pulse_sensors.reading import Reading, Readings
+
+logger = logging.getLogger(__name__)
 
 MAX_WAITING = 10_000
 REOPEN_EVERY_S = 0.2
@@ -72,16 +75,13 @@ class Sensor:
         port: Port,
         decoder: Decoder,
         table: SensorTable,
-        log: Callable[[str], None] = lambda line: None,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """Raises SourceError when the device is not there. `log` is told when it goes and is
-        back; `clock` gives ns."""
+        """Raises SourceError when the device is not there. `clock` gives ns."""
         self.period_ns = table.period_ns
         self._port = port
         self._decoder = decoder
         self._readings = Readings(table)
-        self._log = log
         self._clock = clock
         self._heard: deque[_Received] = deque()
         self._backlog = 0
@@ -110,7 +110,7 @@ class Sensor:
             fault = self._readings.lasting_rate_fault(self._port.name)
             self._rate_reported = fault is not None
             if fault is not None:
-                self._log(f"warning: {fault}")
+                logger.warning(fault)
         return readings
 
     @property
@@ -147,12 +147,12 @@ class Sensor:
         if heard.gone is not None:
             self._losses += 1
             self._gone_since_ns = heard.at_ns
-            self._log(f"{self._port.name} has gone: {heard.gone}")
+            logger.warning(f"{self._port.name} has gone: {heard.gone}")
         elif self._gone_since_ns is not None:
             self._gone_for_ns += heard.at_ns - self._gone_since_ns
             self._gone_since_ns = None
             self._decoder.reset()
-            self._log(f"{self._port.name} is back")
+            logger.info(f"{self._port.name} is back")
 
     def _listen(self) -> None:
         """The thread: hear the device until closed."""

@@ -1,5 +1,6 @@
 """Command line of the sensing node."""
 
+import logging
 from contextlib import ExitStack
 from typing import Annotated
 
@@ -8,6 +9,7 @@ import typer
 from protocol.cli_options import (
     AnnounceOption,
     JsonOption,
+    LogLevelOption,
     QuietOption,
     RealtimeOption,
     StopAfterOption,
@@ -21,6 +23,7 @@ from protocol.cli_options import (
 from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene, scene_names
 from protocol.discovery.announcer import start_announcer
+from protocol.host.logging_setup import configure_logging
 from protocol.host.measures import freeze_objects
 from protocol.host.process import allow_connections, stop_on_signals
 from protocol.host.realtime import check_strict, parse_realtime
@@ -32,6 +35,8 @@ from protocol.security.protection import AllowOption, InsecureOption, KeyOption,
 from protocol.sockets import control_address
 from sensing_node.node import SensingNode
 from sensing_node.scene import SensingScene, describe_stream, open_source
+
+logger = logging.getLogger(__name__)
 
 PROGRAM = "sensing-node"
 TELEMETRY = "tcp://127.0.0.1:*"
@@ -57,6 +62,7 @@ def sense(
     seconds: StopAfterOption = None,
     json: JsonOption = None,
     quiet: QuietOption = False,
+    log_level: LogLevelOption = None,
     key: KeyOption = None,
     allow: AllowOption = None,
     insecure: InsecureOption = False,
@@ -90,6 +96,7 @@ def sense(
     console = plain_console(quiet)
     with ExitStack() as until_the_end:
         with one_line_errors(PROGRAM):
+            configure_logging(log_level, quiet)
             allow_connections()
             check_writable(json)
             asked = parse_realtime(realtime)
@@ -99,35 +106,36 @@ def sense(
             path = find_scene(scene)
             section = load_section(path, "sensing", SensingScene)
             provenance = collect(path, {"sensing": section})
-            served = until_the_end.enter_context(start_metrics(PROGRAM, metrics, console))
+            served = until_the_end.enter_context(start_metrics(PROGRAM, metrics))
             announce_node = until_the_end.enter_context(
-                start_announcer(PROGRAM, announce, bind, section.stream, keys, console)
+                start_announcer(announce, bind, section.stream, keys)
             )
-            source = until_the_end.enter_context(open_source(section, path.parent, console.print))
+            source = until_the_end.enter_context(open_source(section, path.parent))
             description = describe_stream(section, source)
             node = SensingNode(
-                *(source, description, bind, console.print),
+                *(source, description, bind),
                 keys=keys,
                 telemetry_address=TELEMETRY if served else None,
             )
             served.follow(node.telemetry_address)
             announce_node()
         stop_on_signals(node.stop)
-        console.print(
+        logger.info(
             f"streaming {description.name!r}: {description.rate_hz:g} Hz in frames of"
             f" {description.batch} on {bind} (control {control})"
         )
         if description.group_delay_ns:
             delay_ms = description.group_delay_ns * 1e-6
-            console.print(f"the conditioning chain delays the pulse by {delay_ms:.1f} ms")
+            logger.info(f"the conditioning chain delays the pulse by {delay_ms:.1f} ms")
         freeze_objects()
-        with hold_measures(PROGRAM, asked, console) as grant:
+        with hold_measures(PROGRAM, asked) as grant:
             summary = with_measures(node.run(seconds), grant)
     sum_up(PROGRAM, summary, "sensing node", console, json, provenance)
 
 
 def main() -> None:
     """Entry point of `sensing-node`."""
+    configure_logging()
     with unblocked_output():
         app()
 

@@ -1,5 +1,6 @@
 """The sensing node's shell: sockets, the clock on the wall, and the sending loop."""
 
+import logging
 import secrets
 import time
 from collections.abc import Callable
@@ -24,6 +25,8 @@ from sensing_node.sources.live import LiveSource, Source, feed_of
 from sensing_node.sources.plausibility import SampleCheck
 from sensing_node.telemetry import Telemetry
 
+logger = logging.getLogger(__name__)
+
 SILENCE_CHECK_NS = 1_000_000_000
 # Python goes on waiting after a signal: however long a batch is, Ctrl-C is heeded this soon.
 MAX_WAIT_NS = 50_000_000
@@ -44,7 +47,6 @@ class SensingNode:
         source: Source,
         description: StreamDescription,
         address: str,
-        log: Callable[[str], None],
         clock: Callable[[], int] = time.monotonic_ns,
         keys: ServerKeys | None = None,
         telemetry_address: str | None = None,
@@ -56,25 +58,24 @@ class SensingNode:
         """
         self._source = source
         self._description = description
-        self._log = log
         self._clock = clock
         self._stopping = False
         self._full = False
         self._session = secrets.randbits(62)
         self._framer = Framer(description, self._session)
-        self._check = SampleCheck(description.period_ns, log)
+        self._check = SampleCheck(description.period_ns)
         self._desk = ControlServer(description, self._session)
         self._questions = QuestionBudget()
         self._context: sockets.Context = zmq.Context()
-        gate = Authenticator(self._context, keys, log)
+        gate = Authenticator(self._context, keys)
         control = sockets.control_address(address)
         self._control = sockets.bind(self._context, zmq.ROUTER, control, gate)
         self._data = sockets.bind(self._context, zmq.XPUB, address, gate, limits(description))
-        self._subscribers = SubscriptionBudget(self._data, (b"",), log)
+        self._subscribers = SubscriptionBudget(self._data, (b"",))
         self._gate = gate
         self._telemetry = None
         if telemetry_address is not None:
-            self._telemetry = Telemetry(self._context, telemetry_address, log)
+            self._telemetry = Telemetry(self._context, telemetry_address)
         self._waited_for = [self._control, *gate.sockets]
 
     @property
@@ -147,7 +148,7 @@ class SensingNode:
 
     def _name_flood(self) -> None:
         if self._questions.held == 1:
-            self._log(
+            logger.warning(
                 f"{count_text(len(self._desk.guests), 'display')} here, which send far more than"
                 " displays do; what is too much is left unread"
             )
@@ -159,17 +160,17 @@ class SensingNode:
             sockets.send(self._control, *sender, encode_control(reply))
         if len(self._desk.guests) > known:
             self._questions.expect(len(self._desk.guests))
-            self._log(f"{self._desk.guests[sender].shown_name} joined")
+            logger.info(f"{self._desk.guests[sender].shown_name} joined")
         elif self._desk.rejected["too_many_displays"] and not self._full:
             self._full = True
-            self._log(
+            logger.warning(
                 f"{count_text(known, 'display')} here, which is the most;"
                 " no further one is answered"
             )
 
     def _forget_silent(self) -> None:
         for guest in self._desk.forget_silent(self._clock()):
-            self._log(f"{guest.shown_name} is silent, forgotten")
+            logger.warning(f"{guest.shown_name} is silent, forgotten")
         self._questions.expect(len(self._desk.guests))
 
     def _see_off(self) -> None:
@@ -199,7 +200,7 @@ class SensingNode:
         for guest in self._desk.guests.values():
             if guest.report is not None:
                 report = guest.report
-                self._log(
+                logger.info(
                     f"{guest.shown_name} last reported {report.played} played, {report.late} late,"
                     f" {report.lost} lost, playout delay {report.playout_delay_ms:.1f} ms"
                 )

@@ -1,6 +1,7 @@
 """The [sensing] section of a scene, and the source and stream it describes."""
 
-from collections.abc import Callable, Iterator
+import logging
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Literal
@@ -21,6 +22,8 @@ from sensing_node.sources import SampleSource
 from sensing_node.sources.live import LiveSource, Source
 from sensing_node.sources.recorded import RecordedSource, RecordingScene
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
+
+logger = logging.getLogger(__name__)
 
 _WIDTHS: dict[str, Literal[4, 8]] = {"float32": 4, "float64": 8}
 
@@ -48,19 +51,18 @@ class SensingScene(Section):
 
 
 @contextmanager
-def open_source(scene: SensingScene, folder: Path, log: Callable[[str], None]) -> Iterator[Source]:
+def open_source(scene: SensingScene, folder: Path) -> Iterator[Source]:
     """The source the scene names; a live sensor is read until the context is left.
 
-    `folder` is the scene file's; `log` gets a recording's warnings, and a line when a sensor
-    goes and when it is back. Raises SourceError or SceneError.
+    `folder` is the scene file's; Raises SourceError or SceneError.
     """
     if not isinstance(scene.source, SensorTable):
         source = build_source(scene, folder)
         for warning in faults_of(source):
-            log(f"warning: {warning}")
+            logger.warning(warning)
         yield source
         return
-    sensor = open_sensor(scene.source, folder, log)
+    sensor = open_sensor(scene.source, folder)
     try:
         yield LiveSource(sensor)
     finally:

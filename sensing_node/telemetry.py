@@ -1,7 +1,5 @@
 """A sensing node's telemetry: its status, once a second, for a process beside it."""
 
-from collections.abc import Callable
-
 import zmq
 
 from protocol import sockets
@@ -16,12 +14,12 @@ MAX_READERS = 32
 class Telemetry:
     """Publishes statuses. address: where; rejected: readers that were refused, by cause."""
 
-    def __init__(self, context: sockets.Context, address: str, log: Callable[[str], None]) -> None:
+    def __init__(self, context: sockets.Context, address: str) -> None:
         """Raises AddressError."""
-        self._gate = Authenticator(context, None, log, most=MAX_READERS)
+        self._gate = Authenticator(context, None, most=MAX_READERS)
         self.rejected = self._gate.rejected
         self._socket = sockets.bind(context, zmq.XPUB, address, self._gate)
-        self._readers = SubscriptionBudget(self._socket, (STATUS,), log)
+        self._readers = SubscriptionBudget(self._socket, (STATUS,))
         self._next_ns = 0
         self.address = self._socket.getsockopt_string(zmq.LAST_ENDPOINT)
 

@@ -75,7 +75,7 @@ class SoakProcess:
         """Wait until its loop runs; when that was. A node that does not come up has ended."""
         until_ns = time.monotonic_ns() + round(UP_WITHIN_S * 1e9)
         while self.up_ns is None and self.running and time.monotonic_ns() < until_ns:
-            if self.up_text in self.output.read_text(encoding="utf-8"):
+            if self.up_text in self.errors.read_text(encoding="utf-8"):
                 self.up_ns = time.monotonic_ns()
             else:
                 await asyncio.sleep(POLL_S)

@@ -1,3 +1,4 @@
+import logging
 import os
 from collections.abc import Iterator
 from contextlib import suppress
@@ -8,6 +9,7 @@ import pytest
 import zmq
 from hypothesis import settings
 
+from protocol.host.logging_setup import OUR_LOGGERS, StderrHandler
 from protocol.sockets import Context, Socket
 
 # A busy machine must not fail a test.
@@ -39,6 +41,33 @@ def context() -> Iterator[Context]:
     context = Keeping()
     yield context
     context.destroy(linger=0)
+
+
+@pytest.fixture
+def logged() -> Iterator[list[str]]:
+    """The messages that our modules log during a test, from "info" on."""
+    messages: list[str] = []
+    handler = logging.Handler()
+    handler.emit = lambda record: messages.append(record.getMessage())  # type: ignore[method-assign]
+    for name in OUR_LOGGERS:
+        logging.getLogger(name).addHandler(handler)
+        logging.getLogger(name).setLevel(logging.INFO)
+    yield messages
+    for name in OUR_LOGGERS:
+        logging.getLogger(name).removeHandler(handler)
+
+
+@pytest.fixture(autouse=True)
+def default_logging() -> Iterator[None]:
+    """Undo what a command of the test has configured."""
+    yield
+    root = logging.getLogger()
+    for handler in root.handlers[:]:
+        if isinstance(handler, StderrHandler):
+            root.removeHandler(handler)
+    root.setLevel(logging.WARNING)
+    for name in OUR_LOGGERS:
+        logging.getLogger(name).setLevel(logging.NOTSET)
 
 
 @pytest.fixture

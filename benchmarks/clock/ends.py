@@ -39,9 +39,9 @@ def sense(address: str, skew_ppm: str, origin_ns: str, seconds: str) -> None:
     path = find_scene("radial")
     section = load_section(path, "sensing", SensingScene)
     clock = partial(now_ns, int(origin_ns), float(skew_ppm))
-    with open_source(section, path.parent, print) as source:
+    with open_source(section, path.parent) as source:
         description = describe_stream(section, source)
-        SensingNode(source, description, address, lambda _: None, clock).run(float(seconds))
+        SensingNode(source, description, address, clock).run(float(seconds))
 
 
 def follow(address: str, skew_ppm: str, origin_ns: str, seconds: str) -> None:

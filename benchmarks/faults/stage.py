@@ -38,7 +38,7 @@ class Node:
     def await_listening(self) -> None:
         """Wait for its first line. Raises StageError."""
         try:
-            self.process.read_line(STARTS_WITHIN_S)
+            self.process.read_line(STARTS_WITHIN_S, log=True)
         except ProcessError as error:
             raise StageError(str(error)) from None
         self.listening_ns = time.monotonic_ns()

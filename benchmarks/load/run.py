@@ -116,7 +116,7 @@ def made_keys() -> Iterator[tuple[ServerKeys, ClientKeys]]:
 
 def relay(connect: str, bind: str) -> None:
     """Relay until SIGTERM."""
-    node = Relay(connect, bind, log=lambda line: None)
+    node = Relay(connect, bind)
     stop_on_signals(node.stop)
     node.run()
 

@@ -45,6 +45,6 @@ def sense(stream: Stream, address: str, keys: ServerKeys | None = None) -> None:
     description = StreamDescription(
         "load", source.period_ns, stream.batch, source.channels, ElasticLayer()
     )
-    node = SensingNode(source, description, address, log=lambda line: None, keys=keys)
+    node = SensingNode(source, description, address, keys=keys)
     stop_on_signals(node.stop)
     node.run()

@@ -92,7 +92,7 @@ def _try(host: Host) -> RealtimeGrant:
         words.append(f"cpu={host.cpus[-1]}")
     tried = RealtimeGrant()
     for word in words:
-        with hold(parse_realtime(word), log=lambda line: None) as held:
+        with hold(parse_realtime(word)) as held:
             tried.granted |= held.granted
             tried.refused += held.refused
     return tried

@@ -66,7 +66,7 @@ def run_in_turns(
     found = {name: Ticks() for name in wishes}
     for _ in range(rounds):
         for name, asked in wishes.items():
-            with hold(asked, log=lambda line: None):
+            with hold(asked):
                 run_ticks(found[name], tick_ns, slot_s, descriptors, work)
     return found
 

@@ -8,10 +8,11 @@ numbers.
 """
 
 import itertools
+import logging
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import zmq
 
@@ -22,15 +23,16 @@ from protocol.security.keys import ClientKeys
 from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.summary_tables import Reconnections
 
+logger = logging.getLogger(__name__)
+
 LOOK_UP_AGAIN_S = 2.0
 
 
 class Lookup:
     """Finds the number behind an address's name, beside the loop."""
 
-    def __init__(self, address: str, log: Callable[[str], None]) -> None:
+    def __init__(self, address: str) -> None:
         self._address = address
-        self._log = log
         self._said = ""
         self._lookups = 0
         self._found: str | None = None
@@ -77,7 +79,7 @@ class Lookup:
     def _say(self, text: str) -> None:
         if text != self._said:
             self._said = text
-            self._log(text)
+            logger.warning(text)
 
 
 # How long to wait for the answer to a request to connect, at least `ANSWER_NS`: the kernel repeats
@@ -104,13 +106,12 @@ class Connection:
         context: sockets.Context,
         addresses: Sequence[str],
         paths: int,
-        log: Callable[[str], None],
         keys: ClientKeys | None = None,
     ) -> None:
         """paths: at least one for each address. Raises AddressError."""
         shares = [range(number, paths, len(addresses)) for number in range(len(addresses))]
         self.routes = [
-            Path(context, address, len(share), log, keys)
+            Path(context, address, len(share), keys)
             for address, share in zip(addresses, shares, strict=True)
         ]
         self._turns = itertools.cycle(self.routes)
@@ -124,11 +125,10 @@ class Connection:
         self._paths = [path for route in self.routes for path in route.paths]
         self._lines = [self.control, *(line for path in self._paths for line in path.lines)]
         self.descriptors = sockets.descriptors([line.socket for line in self._lines])
-        self._refusals = HandshakeMonitor(context, keys, log)
+        self._refusals = HandshakeMonitor(context, keys)
         for line in self._lines:
             self._refusals.watch(line.socket)
         self.rejected = self._refusals.rejected
-        self._log = log
         # What was reported, once.
         self._flooded: set[str] = set()
 
@@ -189,7 +189,9 @@ class Connection:
         self.rejected[FLOOD] += max(1, dropped)
         if whose not in self._flooded:
             self._flooded.add(whose)
-            self._log(f"{whose} sends far more than a stream; closed for {FLOODED_NS // 10**9} s")
+            logger.warning(
+                f"{whose} sends far more than a stream; closed for {FLOODED_NS // 10**9} s"
+            )
 
     def _ask_again(self, now_ns: int) -> bool:
         """Where one request of control and data is answered, the other, sent while the network was
@@ -252,14 +254,13 @@ class Path:
         context: sockets.Context,
         address: str,
         paths: int,
-        log: Callable[[str], None],
         keys: ClientKeys | None = None,
     ) -> None:
         """Raises AddressError when `address` is none."""
         sockets.control_address(address)
         self.address = address
         self.paths = [DataPath(context, keys) for _ in range(paths)]
-        self._lookup = Lookup(address, log)
+        self._lookup = Lookup(address)
         self.won = 0
 
     def messages(self) -> Iterator[bytes]:

@@ -1,5 +1,6 @@
 """Finding the sensing node on the local network, before the display's loop begins."""
 
+import logging
 import math
 import time
 from collections.abc import Callable
@@ -9,15 +10,15 @@ from protocol.discovery.announcement import Announcement, fingerprint, matching,
 from protocol.errors import DiscoveryError, ProtectionError
 from protocol.security.keys import read_public
 
+logger = logging.getLogger(__name__)
+
 # After the first that fits, for others that do.
 GATHER_S = 2.0
 SAY_AFTER_S = 5.0
 LOOK_EVERY_S = 0.05
 
 
-def discovered(
-    name: str | None, peer: Path | None, seconds: float | None, log: Callable[[str], None]
-) -> list[str]:
+def discovered(name: str | None, peer: Path | None, seconds: float | None) -> list[str]:
     """The addresses of the one sensing node that announces itself on this network: of that name
     (None: any), with the key of the file `peer` (None: any). Waits for one, for `seconds` at most.
 
@@ -28,25 +29,25 @@ def discovered(
     from protocol.discovery.browser import Browser
 
     known = None if peer is None else fingerprint(read_public(peer).key)
-    log("looking for a sensing node on the local network")
-    with Browser(log) as look:
+    with Browser() as look:
+        logger.info("looking for a sensing node on the local network")
 
         def fit() -> list[Announcement]:
             return matching(look.found, name, known)
 
-        _await_first(lambda: look.found, fit, seconds, log)
+        _await_first(lambda: look.found, fit, seconds)
         if name is None:
             time.sleep(GATHER_S)
         one = only_match(fit())
         refused = look.refused.total()
     if refused:
-        log(f"{refused} announcements were not a sensing node's")
+        logger.warning(f"{refused} announcements were not a sensing node's")
     if one.fingerprint is not None and peer is None:
         raise ProtectionError(
             f"{one.name!r} lets in who has a key; give --key keys/NAME.key --peer keys/PEER.pub"
         )
     addresses = [f"tcp://{address}:{one.port}" for address in one.addresses]
-    log(f"found {one.name!r} at {', '.join(addresses)}")
+    logger.info(f"found {one.name!r} at {', '.join(addresses)}")
     return addresses
 
 
@@ -54,7 +55,6 @@ def _await_first(
     found: Callable[[], list[Announcement]],
     fit: Callable[[], list[Announcement]],
     seconds: float | None,
-    log: Callable[[str], None],
 ) -> None:
     """Wait until one fits. Raises DiscoveryError when none does in time."""
     begin_s, said = time.monotonic(), False
@@ -64,7 +64,7 @@ def _await_first(
             raise DiscoveryError(f"within {seconds:g} s {_who(found())}")
         if waited_s > SAY_AFTER_S and not said:
             said = True
-            log(f"so far {_who(found())}; waiting on")
+            logger.info(f"so far {_who(found())}; waiting on")
         time.sleep(LOOK_EVERY_S)
 
 

@@ -1,7 +1,6 @@
 """The telemetry's socket: publishes traces, statuses and, to who asks, what was heard."""
 
 import time
-from collections.abc import Callable
 
 import zmq
 
@@ -34,14 +33,13 @@ class Publisher:
         socket: sockets.Socket,
         run: int,
         gate: Authenticator | None = None,
-        log: Callable[[str], None] = print,
         provenance: bytes = b"",
     ) -> None:
         """run: a random number of this run of the display. gate: says who may read. provenance: is
         sent to who asks for it."""
         self._socket = socket
         self._gate = gate
-        self._subscribers = SubscriptionBudget(socket, (TRACE, STATUS, HEARD, PROVENANCE), log)
+        self._subscribers = SubscriptionBudget(socket, (TRACE, STATUS, HEARD, PROVENANCE))
         self._provenance = provenance
         self.rejected = self._subscribers.rejected
         self._trace = TraceWriter()

@@ -1,10 +1,10 @@
 """The recorder beside a display: a process of its own that is there before the drive moves."""
 
+import logging
 import os
 import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -12,6 +12,8 @@ from protocol.cli_options import USAGE_ERROR
 from protocol.errors import OutputError
 from protocol.host.child_process import ChildProcess
 from protocol.host.sidecar import sidecar_module
+
+logger = logging.getLogger(__name__)
 
 STARTS_WITHIN_S = 30.0
 ENDS_WITHIN_S = 10.0
@@ -32,7 +34,7 @@ def start_recorder(
     await_recorder: Callable[[float], bool],
     path: Path | None,
     key: Path | None,
-    quiet: bool,
+    log_options: Sequence[str],
 ) -> Iterator[RecorderProcess]:
     """Record a display's telemetry to `path` (None: not at all) within a `with`.
 
@@ -41,6 +43,7 @@ def start_recorder(
 
     address: of the telemetry. await_recorder: waits so many seconds until a recorder listens, and
     returns whether one does. key: opens the telemetry, where it is protected.
+    log_options: the recorder's, of its log.
 
     Raises SystemExit with the recorder's status where it refuses to begin, OutputError where it
     does not listen in time, and SidecarError where no recorder is installed.
@@ -49,7 +52,7 @@ def start_recorder(
     if path is None:
         yield recording
         return
-    process = _start(address, await_recorder, path, key, quiet)
+    process = _start(address, await_recorder, path, key, log_options)
     try:
         yield recording
     except BaseException:
@@ -64,7 +67,7 @@ def _start(
     await_recorder: Callable[[float], bool],
     path: Path,
     key: Path | None,
-    quiet: bool,
+    log_options: Sequence[str],
 ) -> ChildProcess:
     """Start the recorder and wait until it listens."""
     process = ChildProcess(
@@ -72,7 +75,7 @@ def _start(
         *("--until-silent", str(SILENT_AFTER_S)),
         *("--display-pid", str(os.getpid())),
         *(("--key", str(key)) if key else ("--insecure",)),
-        *(("--quiet",) if quiet else ()),
+        *log_options,
     )
     until_s = time.monotonic() + STARTS_WITHIN_S
     while not await_recorder(LOOK_EVERY_S):
@@ -92,5 +95,5 @@ def _end(process: ChildProcess, path: Path) -> bool:
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()
-        print(f"{path}: the recorder did not end", file=sys.stderr)
+        logger.warning(f"{path}: the recorder did not end")
         return False

@@ -27,7 +27,7 @@ def try_one(data: bytes) -> None:
     """A file that cannot be read, or a session whose frames are all valid."""
     _FILE.write_bytes(data)
     with suppress(SourceError):
-        session = longest_session(_FILE, lambda line: None)
+        session = longest_session(_FILE)
         taken = list(session.frames())
         assert taken
         assert all(frame.values.shape[1] == len(session.description.channels) for frame in taken)

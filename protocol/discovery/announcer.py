@@ -1,12 +1,11 @@
 """Announcement of a sensing node by a process beside it."""
 
 import json
+import logging
 import socket
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-
-from rich.console import Console
 
 from protocol.discovery.announcement import (
     SERVICE,
@@ -15,14 +14,16 @@ from protocol.discovery.announcement import (
     to_txt,
 )
 from protocol.errors import DiscoveryError
-from protocol.host.sidecar import receive, report, run_as_sidecar, start_sidecar
+from protocol.host.sidecar import receive, run_as_sidecar, start_sidecar
 from protocol.security.keys import ServerKeys
 from protocol.sockets import control_address
+
+logger = logging.getLogger(__name__)
 
 
 @contextmanager
 def start_announcer(
-    program: str, wanted: bool, address: str, stream: str, keys: ServerKeys | None, console: Console
+    wanted: bool, address: str, stream: str, keys: ServerKeys | None
 ) -> Iterator[Callable[[], None]]:
     """Prepare the announcement of the node bound to `address`, within a `with`.
 
@@ -44,8 +45,7 @@ def start_announcer(
         "key": None if keys is None else keys.own.public.key.hex(),
     }
     module = "protocol.discovery.announcer"
-    log = console.print
-    with start_sidecar(program, "the announcer", module, json.dumps(node), log=log) as sidecar:
+    with start_sidecar("announcer", module, json.dumps(node)) as sidecar:
         yield lambda: sidecar.send(begin=True)
 
 
@@ -75,10 +75,10 @@ def main() -> None:
         # A name that is taken gets a number.
         network.register_service(info, allow_name_change=True)
     except browser.ZeroconfError as error:
-        report(f"cannot be announced: {type(error).__name__} {error}")
+        logger.error(f"cannot be announced: {type(error).__name__} {error}")
         raise SystemExit(1) from None
     name = info.name.removesuffix("." + SERVICE)
-    report(f"announced as {name!r} at {', '.join(addresses)}")
+    logger.info(f"announced as {name!r} at {', '.join(addresses)}")
     receive()
     network.unregister_all_services()
     network.close()

@@ -1,13 +1,15 @@
 """Search of the local network for sensing nodes that announce themselves, by zeroconf."""
 
+import logging
 import socket
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import replace
 from ipaddress import IPv4Interface
 
 from protocol.discovery.announcement import SERVICE, Announcement, reachable, read_announcement
 from protocol.errors import DiscoveryError, WireError
+
+logger = logging.getLogger(__name__)
 
 try:
     import ifaddr
@@ -34,11 +36,6 @@ UNREACHABLE, TOO_MANY = "unreachable", "too_many"
 class Browser:
     """Search by threads of its own, from construction until the end of a `with`.
 
-    Parameters
-    ----------
-    log : callable
-        Receives a line for each announcement that is refused first.
-
     Attributes
     ----------
     refused : Counter
@@ -50,8 +47,7 @@ class Browser:
         When no network here carries multicast.
     """
 
-    def __init__(self, log: Callable[[str], None]) -> None:
-        self._log = log
+    def __init__(self) -> None:
         self._own, _ = own_addresses()
         self._found: dict[str, Announcement] = {}
         self._seen: set[str] = set()
@@ -106,7 +102,7 @@ class Browser:
         if self.refused.total() <= MAX_NAMED:
             # A peer chose the name: only characters that every terminal shows.
             shown = ascii(name.removesuffix("." + SERVICE))[1:-1][:MAX_SHOWN]
-            self._log(f"not a sensing node: {shown}: {reason}")
+            logger.warning(f"not a sensing node: {shown}: {reason}")
 
 
 def own_addresses() -> tuple[list[IPv4Interface], dict[str, list[str]]]:

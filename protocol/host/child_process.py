@@ -77,15 +77,16 @@ class ChildProcess(subprocess.Popen[str]):
         with suppress(BrokenPipeError):
             super().__exit__(kind, error, traceback)
 
-    def read_line(self, within_s: float) -> str:
-        """Return the next line that the process prints, without its end.
+    def read_line(self, within_s: float, log: bool = False) -> str:
+        """Return the next line that the process prints, or writes to its log, without its end.
 
         Raises
         ------
         ProcessError
             When it ends before, or prints none in time and is killed.
         """
-        assert self.stdout is not None
+        stream = self.stderr if log else self.stdout
+        assert stream is not None
         expired = threading.Event()
 
         def expire() -> None:
@@ -95,7 +96,7 @@ class ChildProcess(subprocess.Popen[str]):
         timer = threading.Timer(within_s, expire)
         timer.start()
         try:
-            line = self.stdout.readline()
+            line = stream.readline()
         finally:
             timer.cancel()
         if not line:

@@ -5,6 +5,7 @@ measures and yields what was granted and what was refused (`RealtimeGrant`).
 """
 
 import difflib
+import logging
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -20,6 +21,8 @@ from protocol.host.measures import (
     schedule_fifo,
     spans,
 )
+
+logger = logging.getLogger(__name__)
 
 MEASURES = ("fifo", "lock", "cpu", "slack")
 STRICT = "strict"
@@ -144,18 +147,13 @@ class RealtimeGrant:
 
 
 @contextmanager
-def hold(request: RealtimeRequest, log: Callable[[str], None]) -> Iterator[RealtimeGrant]:
+def hold(request: RealtimeRequest) -> Iterator[RealtimeGrant]:
     """Take the requested measures, and give them back when the `with` ends.
 
     Call it in the main thread, which runs the loop, once its helper threads run: measures apply to
     the calling thread, and processes started meanwhile inherit some of them.
 
-    Parameters
-    ----------
-    request : RealtimeRequest
-        The measures.
-    log : callable
-        Receives a line when a priority has to be given up.
+    A priority that has to be given up is logged.
 
     Raises
     ------
@@ -169,7 +167,7 @@ def hold(request: RealtimeRequest, log: Callable[[str], None]) -> Iterator[Realt
             name + GIVEN_UP if name.startswith("fifo") else name: text
             for name, text in grant.granted.items()
         }
-        log(f"real-time: fifo is given up: {LONGEST_RUN_US // 1000} ms without a pause")
+        logger.warning(f"real-time: fifo is given up: {LONGEST_RUN_US // 1000} ms without a pause")
 
     with ExitStack() as until_the_end:
         for name, measure in _measures(request, overrun).items():
@@ -187,7 +185,7 @@ def hold(request: RealtimeRequest, log: Callable[[str], None]) -> Iterator[Realt
 def check_strict(request: RealtimeRequest) -> None:
     """Check before anything moves that a strict request is granted. Raises RealtimeError."""
     if request.strict:
-        with hold(request, log=lambda line: None):
+        with hold(request):
             pass
 
 

@@ -6,6 +6,7 @@ start; its standard input closes when the node ends, `kill -9` included.
 """
 
 import json
+import logging
 import os
 import sys
 import threading
@@ -17,6 +18,9 @@ from typing import Any
 
 from protocol.errors import ProcessError, SidecarError, TelepulseError
 from protocol.host.child_process import ChildProcess
+from protocol.host.logging_setup import OUR_LOGGERS
+
+logger = logging.getLogger(__name__)
 
 # The group of entry points (pyproject.toml) by which a node finds what it starts beside itself.
 SIDECARS = "telepulse.sidecars"
@@ -32,15 +36,11 @@ class Sidecar:
     Parameters
     ----------
     name : str
-        Its name in messages, such as "the announcer".
+        Its name in the node's log, such as "announcer".
     module : str
         Module that it runs, which calls `run_as_sidecar`.
     *arguments : str
         Its command-line arguments.
-    log : callable
-        Receives the texts that it reports later.
-    warn : callable
-        Receives a line when it ends before the node does.
 
     Attributes
     ----------
@@ -53,15 +53,8 @@ class Sidecar:
         With its reason, when it cannot start.
     """
 
-    def __init__(
-        self,
-        name: str,
-        module: str,
-        *arguments: str,
-        log: Callable[[str], None],
-        warn: Callable[[str], None],
-    ) -> None:
-        self._name, self._log, self._warn = name, log, warn
+    def __init__(self, name: str, module: str, *arguments: str) -> None:
+        self._name = name
         self._ending = False
         self._process = ChildProcess(name, "-m", module, *arguments, stdin=PIPE, stdout=PIPE)
         try:
@@ -74,7 +67,7 @@ class Sidecar:
         self._reader.start()
 
     def send(self, **message: Any) -> None:
-        """Send a message; nothing is sent to a process that has ended, which `warn` reports."""
+        """Send a message; nothing is sent to a process that has ended, which is logged."""
         with suppress(OSError):
             self._process.write_line(json.dumps(message))
 
@@ -89,7 +82,7 @@ class Sidecar:
         try:
             message = json.loads(self._process.read_line(STARTS_WITHIN_S))
         except (ProcessError, ValueError):
-            raise SidecarError(f"{self._name} cannot be started") from None
+            raise SidecarError(f"the {self._name} cannot be started") from None
         if "ready" not in message:
             raise SidecarError(message["error"])
         return str(message["ready"])
@@ -97,10 +90,13 @@ class Sidecar:
     def _read(self) -> None:
         assert self._process.stdout is not None
         for line in self._process.stdout:
-            self._log(_reported(line))
+            level, text = _read_record(line)
+            logger.log(level, f"{self._name}: {text}")
         status = self._process.wait()
         if not self._ending:
-            self._warn(f"{self._name} has ended with status {status}; the node goes on without")
+            logger.warning(
+                f"the {self._name} has ended with status {status}; the node goes on without"
+            )
 
     def _close(self) -> None:
         with self._process:
@@ -126,18 +122,12 @@ def sidecar_module(name: str) -> str:
 
 
 @contextmanager
-def start_sidecar(
-    program: str, name: str, module: str, *arguments: str, log: Callable[[str], None]
-) -> Iterator[Sidecar]:
-    """Run a sidecar of the node `program` within a `with`; warnings go to stderr.
+def start_sidecar(name: str, module: str, *arguments: str) -> Iterator[Sidecar]:
+    """Run a sidecar within a `with`; what it logs is logged here under its name.
 
     The parameters are those of `Sidecar`. Raises SidecarError.
     """
-
-    def warn(text: str) -> None:
-        print(f"{program}: {text}", file=sys.stderr)
-
-    sidecar = Sidecar(name, module, *arguments, log=log, warn=warn)
+    sidecar = Sidecar(name, module, *arguments)
     try:
         yield sidecar
     finally:
@@ -155,6 +145,10 @@ def run_as_sidecar() -> Iterator[Callable[[str], None]]:
     """
     if hasattr(os, "nice"):
         os.nice(NICENESS)
+    logging.getLogger().addHandler(_NodeHandler())
+    for ours in OUR_LOGGERS:
+        # The node drops the records below its own level.
+        logging.getLogger(ours).setLevel(logging.DEBUG)
     try:
         yield lambda text: print(json.dumps({"ready": text}), flush=True)
     except TelepulseError as error:
@@ -162,10 +156,13 @@ def run_as_sidecar() -> Iterator[Callable[[str], None]]:
         raise SystemExit(1) from None
 
 
-def report(text: str) -> None:
-    """Send a text for the node to print."""
-    with suppress(OSError):  # the node may have gone
-        print(json.dumps({"report": text}), flush=True)
+class _NodeHandler(logging.Handler):
+    """Send the records of this process to the node."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        with suppress(OSError):  # the node may have gone
+            fields = {"level": record.levelname, "text": record.getMessage()}
+            print(json.dumps(fields), flush=True)
 
 
 def receive() -> dict[str, Any] | None:
@@ -175,9 +172,10 @@ def receive() -> dict[str, Any] | None:
     return message
 
 
-def _reported(line: str) -> str:
-    """Return the text that a line reports; a line that a library printed is returned as it is."""
+def _read_record(line: str) -> tuple[int, str]:
+    """Return the level and text of a sidecar's line; "info" for one that a library printed."""
     try:
-        return str(json.loads(line)["report"])
+        record = json.loads(line)
+        return logging.getLevelNamesMapping()[record["level"]], str(record["text"])
     except (ValueError, TypeError, KeyError):
-        return line.rstrip()
+        return logging.INFO, line.rstrip()

@@ -1,12 +1,15 @@
 """The allow-list: public keys that may connect to a node, one line each as in a .pub file."""
 
+import logging
 import os
 import stat
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 from protocol.errors import KeyFileError
 from protocol.security.keys import READ_BY_ALL, PublicKey, create, parse_public, read_text
+
+logger = logging.getLogger(__name__)
 
 MAX_ALLOWED = 10_000
 _MAX_BYTES = 200 * MAX_ALLOWED
@@ -25,8 +28,6 @@ class AllowList:
     ----------
     path : Path
         The list's file.
-    log : callable
-        Receives a line for each key that is revoked, and for a list that cannot be read.
 
     Raises
     ------
@@ -34,8 +35,8 @@ class AllowList:
         When the list cannot be used now.
     """
 
-    def __init__(self, path: Path, log: Callable[[str], None]) -> None:
-        self._path, self._log = path, log
+    def __init__(self, path: Path) -> None:
+        self._path = path
         self._stamp = _stamp(path)
         self._allowed = self._read()
         self._once_allowed = set(self._allowed)
@@ -76,7 +77,7 @@ class AllowList:
         self._stamp = stamp
         if not self.readable:
             self._unreadable_since_ns, self._reason = None, ""
-            self._log(f"{self._path} is read again")
+            logger.info(f"{self._path} is read again")
         return self._replace(allowed)
 
     def _fail(self, reason: str, now_ns: int) -> list[bytes]:
@@ -85,20 +86,20 @@ class AllowList:
             self._unreadable_since_ns = now_ns
         if reason != self._reason:
             self._reason = reason
-            self._log(
+            logger.warning(
                 f"{reason}; until it can be read no new peer may connect, and after {limit_s} s"
                 " none may stay"
             )
         if now_ns - self._unreadable_since_ns < UNREADABLE_AT_MOST_NS or not self._allowed:
             return []
-        self._log(f"{self._path} could not be read for {limit_s} s: all peers are cut off")
+        logger.warning(f"{self._path} could not be read for {limit_s} s: all peers are cut off")
         gone, self._allowed = list(self._allowed), {}
         return gone
 
     def _replace(self, allowed: dict[bytes, PublicKey]) -> list[bytes]:
         gone = [key for key in self._allowed if key not in allowed]
         for key in gone:
-            self._log(f"{self._allowed[key].name} is allowed no more")
+            logger.warning(f"{self._allowed[key].name} is allowed no more")
         self._allowed = allowed
         self._once_allowed |= allowed.keys()
         return gone
@@ -106,7 +107,7 @@ class AllowList:
     def _read(self) -> dict[bytes, PublicKey]:
         allowed = read_allowed(self._path)
         if not allowed:
-            self._log(f"{self._path} allows nobody; telepulse keys allow FILE.pub adds a key")
+            logger.warning(f"{self._path} allows nobody; telepulse keys allow FILE.pub adds a key")
         return allowed
 
 

@@ -9,8 +9,9 @@ Strangers can open TCP connections without any key: the authenticator bounds tho
 `zmq.auth` does not suffice for this (docs/decisions/0031-zmq-auth-is-not-enough.md).
 """
 
+import logging
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import zmq
@@ -22,6 +23,8 @@ from protocol.security.budgets import ConnectionBudget
 from protocol.security.connection_table import ConnectionTable, network_address
 from protocol.security.keys import KEY_BYTES, ServerKeys
 from protocol.security.socket_monitor import HANDSHAKE, NO_KEY, NOT_AUTHENTIC, REPLAYED
+
+logger = logging.getLogger(__name__)
 
 ZAP_ENDPOINT = "inproc://zeromq.zap.01"
 ZAP_DOMAIN = b"telepulse"
@@ -83,8 +86,6 @@ class Authenticator:
         The sockets' context.
     keys : ServerKeys or None
         This node's key and allow-list; None without keys.
-    log : callable
-        Receives a line for each refused peer and each change of the list.
     most : int, optional
         Connections in all; by default as many as this process has files for.
 
@@ -105,11 +106,9 @@ class Authenticator:
         self,
         context: sockets.Context,
         keys: ServerKeys | None,
-        log: Callable[[str], None],
         most: int | None = None,
     ) -> None:
         self._context = context
-        self._log = log
         self.sockets: list[sockets.Socket] = []
         self.rejected: Counter[str] = Counter()
         self._tables: list[ConnectionTable] = []
@@ -120,7 +119,7 @@ class Authenticator:
         self._to_cut: set[str] = set()
         self._keys = keys
         if keys is not None:
-            self._list = AllowList(keys.allowed, log)
+            self._list = AllowList(keys.allowed)
             self._zap = context.socket(zmq.ROUTER)
             self._zap.bind(ZAP_ENDPOINT)
             self.sockets.append(self._zap)
@@ -195,6 +194,6 @@ class Authenticator:
             return  # perhaps a peer that is named already and left before its address was read
         self._named.add((cause, address, key))
         if len(self._named) > MAX_NAMED:
-            self._log("more peers are refused than are named here; the summary counts them")
+            logger.warning("more peers are refused than are named here; the summary counts them")
             return
-        self._log(f"refused {address or 'a peer'}: {REASONS[cause].format(key.hex())}")
+        logger.warning(f"refused {address or 'a peer'}: {REASONS[cause].format(key.hex())}")

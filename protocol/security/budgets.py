@@ -1,12 +1,15 @@
 """Budgets against peers that demand too much: events per second, connections, subscriptions."""
 
+import logging
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import zmq
 
 from protocol import sockets
 from protocol.security.connection_table import ConnectionTable, cut, network_address
+
+logger = logging.getLogger(__name__)
 
 # A socket accepts no connections while its events cannot be read for so long.
 BEHIND_NS = 100_000_000
@@ -122,8 +125,6 @@ class SubscriptionBudget:
         The bound XPUB socket.
     topics : sequence of bytes
         Topics that are published; b"" stands for every topic, subscribed to as a whole.
-    log : callable
-        Receives a line for each address that is refused first.
 
     Attributes
     ----------
@@ -131,12 +132,9 @@ class SubscriptionBudget:
         Subscriptions beyond the budget, by cause.
     """
 
-    def __init__(
-        self, socket: sockets.Socket, topics: Sequence[bytes], log: Callable[[str], None]
-    ) -> None:
+    def __init__(self, socket: sockets.Socket, topics: Sequence[bytes]) -> None:
         self._socket = socket
         self._topics = topics
-        self._log = log
         self._named: set[str] = set()
         # By descriptor: address, and bytes of the budget that are used up.
         self._spent: dict[int, tuple[str, int]] = {}
@@ -182,4 +180,6 @@ class SubscriptionBudget:
         cut(descriptor, address)
         if address not in self._named and len(self._named) < MAX_NAMED:
             self._named.add(address)
-            self._log(f"refused {address or 'a peer'}: it subscribes to topics not published here")
+            logger.warning(
+                f"refused {address or 'a peer'}: it subscribes to topics not published here"
+            )

@@ -1,14 +1,17 @@
 """Connection events of a ZeroMQ socket, and why a connection to another node fails."""
 
 import itertools
+import logging
 import struct
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import zmq
 
 from protocol.security.keys import ClientKeys
 from protocol.sockets import Context, Socket, receive_all
+
+logger = logging.getLogger(__name__)
 
 NO_KEY, NOT_AUTHENTIC, REPLAYED, HANDSHAKE = "no_key", "not_authentic", "replayed", "handshake"
 REFUSED_KEY, REVOKED = "refused_key", "revoked"
@@ -79,8 +82,6 @@ class HandshakeMonitor:
         The sockets' context.
     keys : ClientKeys or None
         Keys of the connections; None without.
-    log : callable
-        Receives one line for each reason and host.
 
     Attributes
     ----------
@@ -88,12 +89,9 @@ class HandshakeMonitor:
         Failed handshakes by cause.
     """
 
-    def __init__(
-        self, context: Context, keys: ClientKeys | None, log: Callable[[str], None]
-    ) -> None:
+    def __init__(self, context: Context, keys: ClientKeys | None) -> None:
         self._context = context
         self._keys = keys
-        self._log = log
         self._monitors: list[tuple[Socket, SocketMonitor]] = []
         self._breaks: Counter[str] = Counter()
         # Hosts that have accepted our key: one that refuses it later has revoked it.
@@ -143,7 +141,7 @@ class HandshakeMonitor:
                 return
         if (cause, host) not in self._reported:
             self._reported.add((cause, host))
-            self._log(f"{endpoint} {self._reason(cause)}")
+            logger.warning(f"{endpoint} {self._reason(cause)}")
 
     def _reason(self, cause: str) -> str:
         if self._keys is None:

@@ -5,14 +5,17 @@ doubtful is a warning. Samples that are only known when they come are checked as
 and reported once. All forces in N. Pure.
 """
 
+import logging
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sensing_node.sources.recording_file import RecordedColumn
+
+logger = logging.getLogger(__name__)
 
 # Twice the highest `preload` and `peak_to_peak`: no pulse presses so, at a wrist or a finger.
 MOST_N = 20.0
@@ -145,9 +148,8 @@ class SampleCheck:
     For sources whose samples nobody knows before: live sensors above all.
     """
 
-    def __init__(self, period_ns: int, log: Callable[[str], None] = lambda line: None) -> None:
+    def __init__(self, period_ns: int) -> None:
         self._period_s = period_ns * 1e-9
-        self._log = log
         self._last: float | None = None
         self._reported: set[str] = set()
         self.samples = self.beyond = self.below = 0
@@ -171,7 +173,7 @@ class SampleCheck:
         for kind, fault in self._faults().items():
             if kind not in self._reported:
                 self._reported.add(kind)
-                self._log(f"warning: {fault}")
+                logger.warning(fault)
 
     def faults(self) -> list[str]:
         """Return what was implausible so far, one line each."""

@@ -4,6 +4,7 @@ On one machine both ends can be measured: the demo subscribes to the sensing nod
 display's telemetry, and scores the felt force against the sensed one.
 """
 
+import logging
 import tempfile
 import time
 from contextlib import ExitStack
@@ -23,6 +24,7 @@ from protocol import sockets
 from protocol.cli_options import (
     DurationOption,
     JsonOption,
+    LogLevelOption,
     one_line_errors,
     plain_console,
     sum_up,
@@ -30,6 +32,7 @@ from protocol.cli_options import (
 from protocol.config.scene_file import find_scene
 from protocol.errors import OutputError, TelepulseError
 from protocol.host.child_process import ChildProcess
+from protocol.host.logging_setup import configure_logging
 from protocol.host.process import stop_on_signals
 from protocol.host.result_files import check_writable
 from protocol.run_summary import Summary
@@ -43,6 +46,8 @@ from telepulse.processes import NodeProcess, free_addresses
 from telepulse.scene import DEFAULT_SCENE, Scene, load_scene, scene_provenance
 from telepulse.simulation.link_model import LinkScene, parse_link
 from telepulse.simulation.reference_force import ReferenceForce
+
+logger = logging.getLogger(__name__)
 
 STARTS_WITHIN_S = 30.0
 ENDS_WITHIN_S = 10.0
@@ -71,6 +76,7 @@ def demo(
             show_default=False,
         ),
     ] = None,
+    log_level: LogLevelOption = None,
 ) -> None:
     """Run both nodes on this machine over TCP, watch them live, and sum up.
 
@@ -83,6 +89,7 @@ def demo(
     """
     console = plain_console()
     with one_line_errors(PROGRAM):
+        configure_logging(log_level)
         check_writable(json)
         path = find_scene(scene)
         loaded = load_scene(path)
@@ -105,7 +112,7 @@ def run_demo(
     path, link = scene.path, scene.link
     truth = ReferenceForce(scene.sensing, scene.path.parent)
     # The display, which may move a drive, is started before the sensing node.
-    with open_source(scene.sensing, scene.path.parent, console.print):
+    with open_source(scene.sensing, scene.path.parent):
         pass
     impaired = link != LinkScene()
     sensing_address, link_address, telemetry_address = free_addresses(3)
@@ -153,7 +160,7 @@ def run_demo(
 
             watch(telemetry_address, console, scorer.felt, draw, meanwhile)
         if served is not None and served.poll() is not None:
-            console.print("the live page ended before the demo did")
+            logger.warning("the live page ended before the demo did")
         if relay is not None and relay.poll():
             relay.await_end(ENDS_WITHIN_S)
         sensed = sensing.await_summary(ENDS_WITHIN_S)
@@ -179,7 +186,7 @@ def _open_page(
     except TelepulseError as error:
         if required:
             raise
-        console.print(f"no live page: {error}")
+        logger.warning(f"no live page: {error}")
         return None
     return page
 

@@ -30,7 +30,7 @@ def discover(
         # Imported here: it needs a library that other commands do without.
         from protocol.discovery.browser import Browser
 
-        with Browser(console.print) as look:
+        with Browser() as look:
             time.sleep(seconds)
             found, refused = sorted(look.found, key=lambda one: one.name), look.refused
         causes = ", ".join(f"{count} {cause}" for cause, count in sorted(refused.items()))

@@ -8,10 +8,11 @@ from typing import Annotated, Literal
 
 import typer
 
-from protocol.cli_options import StopAfterOption, one_line_errors, plain_console
+from protocol.cli_options import LogLevelOption, StopAfterOption, one_line_errors, plain_console
 from protocol.config.quantities import count_text
 from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene
+from protocol.host.logging_setup import configure_logging
 from protocol.host.measures import freeze_objects
 from protocol.host.process import stop_on_signals
 from pulse_sensors.binary_frames import MAX_SAMPLES, SampleFormat
@@ -55,6 +56,7 @@ def sensor(
     ] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Of deliveries and noise.")] = 1,
     seconds: StopAfterOption = None,
+    log_level: LogLevelOption = None,
 ) -> None:
     """Be a sensor board on a pseudo-terminal that sends a scene's source.
 
@@ -78,6 +80,7 @@ def sensor(
         seed=seed,
     )
     with one_line_errors(PROGRAM):
+        configure_logging(log_level)
         path = find_scene(scene)
         section = load_section(path, "sensing", SensingScene)
         board = build_board(section, path.parent, framing, samples, behaviour)

@@ -12,10 +12,11 @@ from display_node.drives.can_bus import open_bus
 from display_node.drives.scene import Cia402Scene, DriveScene, TmclScene
 from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
-from protocol.cli_options import StopAfterOption, one_line_errors, plain_console
+from protocol.cli_options import LogLevelOption, StopAfterOption, one_line_errors, plain_console
 from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError
+from protocol.host.logging_setup import configure_logging
 from telepulse.cli.options import PROGRAM
 from telepulse.emulators.drive_run import FILM_SILENT, MOTOR_FAULTS, DriveRun
 from telepulse.emulators.fault_injection import FaultKind, InjectedFault, parse_fault
@@ -114,6 +115,7 @@ def tmcl(
     fault_from_start: FromStartOption = False,
     trace: TraceOption = None,
     seconds: StopAfterOption = None,
+    log_level: LogLevelOption = None,
 ) -> None:
     """Be a TMCL stepper module: on a serial port of its own, or on the scene's CAN bus.
 
@@ -124,6 +126,7 @@ def tmcl(
     from telepulse.emulators.tmcl import EmulatedCanLine, EmulatedSerialLine, EmulatedTmclModule
 
     with one_line_errors(PROGRAM), ExitStack() as open_things:
+        configure_logging(log_level)
         injected = _injected_fault(fault, size, TMCL_FAULTS)
         drive, motor = _load(scene, TmclScene)
         module = EmulatedTmclModule(drive, motor)
@@ -170,6 +173,7 @@ def cia402(
     fault_from_start: FromStartOption = False,
     trace: TraceOption = None,
     seconds: StopAfterOption = None,
+    log_level: LogLevelOption = None,
 ) -> None:
     """Be a CANopen drive of profile CiA 402 on a CAN bus.
 
@@ -179,6 +183,7 @@ def cia402(
     from telepulse.emulators.cia402 import EmulatedCia402Node
 
     with one_line_errors(PROGRAM), ExitStack() as open_things:
+        configure_logging(log_level)
         injected = _injected_fault(fault, size, CIA402_FAULTS)
         drive, motor = _load(scene, Cia402Scene)
         changes = {"interface": interface, "channel": channel or (str(link) if link else None)}

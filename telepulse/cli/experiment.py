@@ -121,12 +121,12 @@ def run(
                     raise SystemExit(1)
             freeze_objects()
             # Last, so that everything that can fail without the drive fails before it moves.
-            bench = connected(scene.display, scene.path.parent, console.print)
+            bench = connected(scene.display, scene.path.parent)
             hardware = stack.enter_context(bench)
             if hardware is not None:
                 person.use(hardware)
             stop_on_signals(person.stop)
-            stack.enter_context(hold_measures(PROGRAM, asked, console))
+            stack.enter_context(hold_measures(PROGRAM, asked))
             subject = person.answer
         finished = run_session(plan, file, header, done, subject)
     if not finished:

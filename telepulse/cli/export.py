@@ -48,4 +48,4 @@ def export(
         TableKind.MCAP: (export_mcap, ".whole.mcap"),
     }[to]
     with one_line_errors(PROGRAM):
-        export_to(file, out or file.with_suffix(suffix), plain_console().print)
+        plain_console().print(export_to(file, out or file.with_suffix(suffix)))

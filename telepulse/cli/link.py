@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from protocol.cli_options import StopAfterOption, one_line_errors
+from protocol.cli_options import LogLevelOption, StopAfterOption, one_line_errors
+from protocol.host.logging_setup import configure_logging
 from protocol.host.measures import freeze_objects
 from protocol.host.process import allow_connections, stop_on_signals
 from protocol.security.protection import (
@@ -31,6 +32,7 @@ def link(
     peer: PeerOption = None,
     allow: AllowOption = None,
     insecure: InsecureOption = False,
+    log_level: LogLevelOption = None,
 ) -> None:
     """Pass a stream on between two nodes over a worse link.
 
@@ -38,6 +40,7 @@ def link(
     delayed both ways and never dropped.
     """
     with one_line_errors(PROGRAM):
+        configure_logging(log_level)
         allow_connections()
         # Without --peer the sensing node is on this machine, and has no keys.
         upstream = client_keys([connect], key if peer else None, peer, insecure)

@@ -1,9 +1,10 @@
 """`telepulse lsl`."""
 
-from protocol.cli_options import QuietOption, StopAfterOption, one_line_errors, plain_console
+from protocol.cli_options import LogLevelOption, QuietOption, StopAfterOption, one_line_errors
+from protocol.host.logging_setup import configure_logging
 from protocol.host.process import stop_on_signals
 from protocol.security.protection import InsecureOption, KeyOption, PeerOption, telemetry_keys
-from telepulse.cli.options import NOT_WHOLE, PROGRAM, AddressArgument, SilenceOption, warn
+from telepulse.cli.options import NOT_WHOLE, PROGRAM, AddressArgument, SilenceOption
 
 
 def lsl(
@@ -11,6 +12,7 @@ def lsl(
     seconds: StopAfterOption = None,
     until_silent: SilenceOption = None,
     quiet: QuietOption = False,
+    log_level: LogLevelOption = None,
     key: KeyOption = None,
     peer: PeerOption = None,
     insecure: InsecureOption = False,
@@ -25,10 +27,10 @@ def lsl(
     """
     from telepulse.lsl_outlet.outlet import LslOutlet
 
-    console = plain_console(quiet)
     with one_line_errors(PROGRAM):
+        configure_logging(log_level, quiet)
         keys = telemetry_keys(address, key, peer, insecure)
-        outlet = LslOutlet(address, console.print, warn, keys)
+        outlet = LslOutlet(address, keys)
     stop_on_signals(outlet.stop)
     if not outlet.run(seconds, until_silent):
         raise SystemExit(NOT_WHOLE)

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import typer
 
 from protocol.cli_options import VersionOption
+from protocol.host.logging_setup import configure_logging
 from protocol.host.standard_output import unblocked_output
 from telepulse.cli import emulate, experiment, keys, scenes, study
 from telepulse.cli.bench import bench
@@ -55,4 +56,5 @@ def telepulse(version: VersionOption = False) -> None:
 
 def main() -> None:
     """Run `telepulse`."""
+    configure_logging()
     app(prog_name=PROGRAM)

@@ -1,8 +1,6 @@
 """Options and steps that several commands of telepulse share."""
 
-import sys
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -79,9 +77,3 @@ def publish(build: Callable[[], Report], out: Path | None, json: Path | None) ->
         print_tables(report, console)
     if page is not None:
         console.print(f"report: {page}")
-
-
-def warn(text: str) -> None:
-    """Print a line on standard error."""
-    with suppress(OSError):  # its reader may have ended
-        print(f"{PROGRAM}: {text}", file=sys.stderr)

@@ -5,11 +5,12 @@ from typing import Annotated
 
 import typer
 
-from protocol.cli_options import QuietOption, StopAfterOption, one_line_errors, plain_console
+from protocol.cli_options import LogLevelOption, QuietOption, StopAfterOption, one_line_errors
+from protocol.host.logging_setup import configure_logging
 from protocol.host.process import stop_on_signals
 from protocol.host.standard_output import unblocked_output
 from protocol.security.protection import InsecureOption, KeyOption, PeerOption, telemetry_keys
-from telepulse.cli.options import NOT_WHOLE, PROGRAM, AddressArgument, SilenceOption, warn
+from telepulse.cli.options import NOT_WHOLE, PROGRAM, AddressArgument, SilenceOption
 
 
 def record(
@@ -18,6 +19,7 @@ def record(
     seconds: StopAfterOption = None,
     until_silent: SilenceOption = None,
     quiet: QuietOption = False,
+    log_level: LogLevelOption = None,
     key: KeyOption = None,
     peer: PeerOption = None,
     insecure: InsecureOption = False,
@@ -36,10 +38,10 @@ def record(
     """
     from telepulse.recording.recorder import McapRecorder
 
-    console = plain_console(quiet)
     with one_line_errors(PROGRAM):
+        configure_logging(log_level, quiet)
         keys = telemetry_keys(address, key, peer, insecure)
-        recorder = McapRecorder(address, file, console.print, warn, keys)
+        recorder = McapRecorder(address, file, keys)
     stop_on_signals(recorder.stop)
     if not recorder.run(seconds, until_silent, display_pid):
         raise SystemExit(NOT_WHOLE)

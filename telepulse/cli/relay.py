@@ -1,17 +1,20 @@
 """`telepulse relay`."""
 
+import logging
 from typing import Annotated
 
 import typer
 
 from protocol.cli_options import (
     JsonOption,
+    LogLevelOption,
     QuietOption,
     StopAfterOption,
     one_line_errors,
     plain_console,
     sum_up,
 )
+from protocol.host.logging_setup import configure_logging
 from protocol.host.measures import freeze_objects
 from protocol.host.process import allow_connections, stop_on_signals
 from protocol.host.result_files import check_writable
@@ -28,6 +31,8 @@ from protocol.sockets import control_address
 from telepulse.cli.options import PROGRAM
 from telepulse.relay.relay import Relay
 
+logger = logging.getLogger(__name__)
+
 
 def relay(
     connect: Annotated[
@@ -43,6 +48,7 @@ def relay(
     seconds: StopAfterOption = None,
     json: JsonOption = None,
     quiet: QuietOption = False,
+    log_level: LogLevelOption = None,
     key: KeyOption = None,
     peer: PeerOption = None,
     allow: AllowOption = None,
@@ -66,6 +72,7 @@ def relay(
     """
     console = plain_console(quiet)
     with one_line_errors(PROGRAM):
+        configure_logging(log_level, quiet)
         allow_connections()
         check_writable(json)
         control = control_address(bind)
@@ -73,10 +80,10 @@ def relay(
         # Without --peer the sensing node is on this machine, and has no keys.
         upstream = client_keys([connect], key if peer else None, peer, insecure)
         downstream = server_keys(bind, key, allow, insecure)
-        node = Relay(connect, bind, console.print, upstream, downstream)
+        node = Relay(connect, bind, upstream, downstream)
         provenance = collect()
     stop_on_signals(node.stop)
-    console.print(f"relaying {connect} on {bind} (control {control})")
+    logger.info(f"relaying {connect} on {bind} (control {control})")
     freeze_objects()
     summary = node.run(seconds)
     sum_up(PROGRAM, summary, "relay", console, json, provenance)

@@ -1,23 +1,28 @@
 """`telepulse replay`."""
 
+import logging
 from typing import Annotated
 
 import typer
 
 from protocol.cli_options import (
     JsonOption,
+    LogLevelOption,
     QuietOption,
     StopAfterOption,
     one_line_errors,
     plain_console,
     sum_up,
 )
+from protocol.host.logging_setup import configure_logging
 from protocol.host.measures import freeze_objects
 from protocol.host.process import allow_connections, stop_on_signals
 from protocol.host.result_files import check_writable
 from protocol.provenance import collect
 from protocol.security.protection import AllowOption, InsecureOption, KeyOption, server_keys
 from telepulse.cli.options import PROGRAM, FileArgument
+
+logger = logging.getLogger(__name__)
 
 
 def replay(
@@ -28,6 +33,7 @@ def replay(
     seconds: StopAfterOption = None,
     json: JsonOption = None,
     quiet: QuietOption = False,
+    log_level: LogLevelOption = None,
     key: KeyOption = None,
     allow: AllowOption = None,
     insecure: InsecureOption = False,
@@ -46,17 +52,18 @@ def replay(
 
     console = plain_console(quiet)
     with one_line_errors(PROGRAM):
+        configure_logging(log_level, quiet)
         allow_connections()
         check_writable(json)
         keys = server_keys(bind, key, allow, insecure)
-        session = longest_session(file, console.print)
+        session = longest_session(file)
         description = session.description
         source = ReplaySource(description, session.frames())
-        node = SensingNode(source, description, bind, log=console.print, keys=keys)
+        node = SensingNode(source, description, bind, keys=keys)
         provenance = collect()
     stop_on_signals(node.stop)
     length_s = session.samples * description.period_ns * 1e-9
-    console.print(f"playing {description.name!r} of {file} on {bind}: {length_s:.1f} s")
+    logger.info(f"playing {description.name!r} of {file} on {bind}: {length_s:.1f} s")
     freeze_objects()
     summary = node.run(seconds)
     sum_up(PROGRAM, summary, "replay", console, json, provenance)

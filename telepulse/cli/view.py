@@ -8,11 +8,18 @@ from typing import Annotated
 
 import typer
 
-from protocol.cli_options import QuietOption, StopAfterOption, one_line_errors, plain_console
+from protocol.cli_options import (
+    LogLevelOption,
+    QuietOption,
+    StopAfterOption,
+    one_line_errors,
+    plain_console,
+)
 from protocol.errors import AddressError, OutputError, ProtectionError
+from protocol.host.logging_setup import configure_logging
 from protocol.host.process import stop_on_signals
 from protocol.security.protection import InsecureOption, KeyOption, PeerOption, telemetry_keys
-from telepulse.cli.options import PROGRAM, AddressArgument, warn
+from telepulse.cli.options import PROGRAM, AddressArgument
 
 # The display's loop goes first.
 NICENESS = 10
@@ -35,6 +42,7 @@ def view(
     ] = "127.0.0.1",
     seconds: StopAfterOption = None,
     quiet: QuietOption = False,
+    log_level: LogLevelOption = None,
     key: KeyOption = None,
     peer: PeerOption = None,
     insecure: InsecureOption = False,
@@ -51,13 +59,14 @@ def view(
     """
     console = plain_console(quiet)
     with one_line_errors(PROGRAM):
+        configure_logging(log_level, quiet)
         if not bokeh_is_there():
             raise OutputError(MISSING)
         _check_host(host, insecure)
         keys = telemetry_keys(address, key, peer, insecure)
         from telepulse.view.server import PageServer
 
-        page = PageServer(address, host, port, warn, keys)
+        page = PageServer(address, host, port, keys)
     # Takes a second, in which nobody's page should stand still.
     import scipy.signal  # noqa: F401
 

@@ -124,7 +124,7 @@ def check_wrist(findings: BenchFindings, scene: SensingScene, folder: Path, seco
         live = isinstance(scene.source, SensorTable)
         if isinstance(scene.source, SensorTable):
             unloaded = scene.source.model_copy(update={"preload_n": 0.0})
-            with closing(open_sensor(unloaded, folder, print)) as sensor:
+            with closing(open_sensor(unloaded, folder)) as sensor:
                 record = listen(sensor, seconds)
         else:
             record = _still_source(scene, folder, seconds)
@@ -188,7 +188,7 @@ def _check_drive(
         raise SceneError("[display.feedback] is missing: a drive is checked by what it presses")
     findings.add("drive", check_line(table, tick_s))
     line_s = exchange_s(table)
-    with findings.part("film"), closing(open_sensor(film, folder, print)) as sensor:
+    with findings.part("film"), closing(open_sensor(film, folder)) as sensor:
         with findings.part("drive"), closing(drive):
             with advised():
                 drive.start(partial(_newest_n, sensor))

@@ -158,7 +158,7 @@ def take_loads(
         raise SceneError(f'the sensor\'s unit is "{scene.unit}": it is calibrated already')
     # With the unit N, the sensor's own numbers come through unscaled.
     raw = scene.model_copy(update={"unit": "N", "preload_n": 0.0})
-    sensor = open_sensor(raw, folder, print)
+    sensor = open_sensor(raw, folder)
     try:
         readings = []
         for load_n in loads_n:

@@ -1,5 +1,6 @@
 """The run of an emulated drive: its motor, the film under its finger, one fault, and a trace."""
 
+import logging
 import math
 import time
 from collections.abc import Callable
@@ -14,6 +15,8 @@ from telepulse.emulators.fault_injection import InjectedFault
 from telepulse.emulators.motor import TICK_NS, EmulatedMotor, MotorFault, MotorState
 from telepulse.emulators.pty_port import PtyPort
 from telepulse.emulators.sensor_board import binary
+
+logger = logging.getLogger(__name__)
 
 FRAME = 4
 TRACE_HEADER = "time_ns,tip_m,speed_m_per_s,force_n,trouble\n"

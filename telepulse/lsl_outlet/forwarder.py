@@ -1,5 +1,6 @@
 """Forwarding of a display's telemetry to LSL; what cannot be forwarded is counted."""
 
+import logging
 import math
 import time
 from collections import Counter
@@ -12,6 +13,8 @@ from telepulse.lsl_outlet.streams import LslStreams
 from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.passive_receiver import PassiveReceiver
 from telepulse.telemetry.schema import EVENT, FRAME, TICK
+
+logger = logging.getLogger(__name__)
 
 # Longer than a link that reorders delays a frame; later ones count as lost.
 HOLD_NS = 500_000_000
@@ -95,9 +98,8 @@ class LslForwarder:
         Samples of the wrist, ticks and events passed to LSL.
     """
 
-    def __init__(self, outlets: LslStreams, log: Callable[[str], None]) -> None:
+    def __init__(self, outlets: LslStreams) -> None:
         self._outlets = outlets
-        self._log = log
         self._time = LslTime(outlets.local_clock)
         self._receiver = PassiveReceiver()
         self._session: int | None = None
@@ -147,7 +149,7 @@ class LslForwarder:
         description = self._receiver.description
         assert description is not None
         verb = "begins" if self._outlets.describe(description) else "continues"
-        self._log(f"{description.name!a} {verb}: session {session}")
+        logger.info(f"{description.name!a} {verb}: session {session}")
 
     def _push(self, frame: Frame) -> None:
         count = len(frame.values)

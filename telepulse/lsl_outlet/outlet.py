@@ -1,14 +1,16 @@
 """Outlet of a display's telemetry to LSL."""
 
+import logging
 import math
 import time
-from collections.abc import Callable
 
 from protocol.config.quantities import count_text
 from protocol.security.keys import ClientKeys
 from telepulse.lsl_outlet.forwarder import LslForwarder
 from telepulse.lsl_outlet.streams import LslStreams
 from telepulse.telemetry.client import TelemetryClient
+
+logger = logging.getLogger(__name__)
 
 POLL_EVERY_NS = 100_000_000
 
@@ -19,16 +21,14 @@ class LslOutlet:
     def __init__(
         self,
         address: str,
-        log: Callable[[str], None],
-        warn: Callable[[str], None],
         keys: ClientKeys | None = None,
     ) -> None:
         """Connect. Raises SourceError without LSL, or AddressError."""
-        self._address, self._log, self._warn = address, log, warn
+        self._address = address
         self._stopping = False
         self._outlets = LslStreams(address)
-        self._forwarder = LslForwarder(self._outlets, log)
-        self._client = TelemetryClient(address, keys, warn)
+        self._forwarder = LslForwarder(self._outlets)
+        self._client = TelemetryClient(address, keys)
         self._client.subscribe()
 
     def stop(self) -> None:
@@ -56,7 +56,7 @@ class LslOutlet:
                     received_ns = now_ns
                     self._forwarder.take(entries)
                 if now_ns - received_ns > silence_ns:
-                    self._warn(f"{self._address}: ended, nothing came for {silence_s:g} s")
+                    logger.warning(f"{self._address}: ended, nothing came for {silence_s:g} s")
                     break
                 client.poll(now_ns)
                 client.wait(POLL_EVERY_NS)
@@ -69,7 +69,7 @@ class LslOutlet:
         self._forwarder.finish()
         passed, decoder = self._forwarder.passed, self._client.decoder
         if not decoder.started:
-            self._warn(f"{self._address}: no telemetry came from it")
+            logger.warning(f"{self._address}: no telemetry came from it")
             return False
         given = ", ".join(
             count_text(passed[f"{name}s"], name) for name in ("sample", "tick", "event")
@@ -80,11 +80,11 @@ class LslOutlet:
             if early
             else ""
         )
-        self._log(
+        logger.info(
             f"{self._address}: {given};"
             f" {count_text(self._forwarder.lost, 'sample')} missing{before}"
         )
         if decoder.missed:
             counts = ", ".join(f"{n} {name}" for name, n in sorted(decoder.missed.items()))
-            self._warn(f"{self._address}: of the telemetry {counts} were missed")
+            logger.warning(f"{self._address}: of the telemetry {counts} were missed")
         return not decoder.missed

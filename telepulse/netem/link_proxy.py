@@ -6,7 +6,6 @@ Data frames can be lost, control messages only delayed.
 import heapq
 import itertools
 import time
-from collections.abc import Callable
 
 import zmq
 
@@ -42,7 +41,6 @@ class LinkProxy:
         seed: int,
         client_keys: ClientKeys | None = None,
         server_keys: ServerKeys | None = None,
-        log: Callable[[str], None] = print,
     ) -> None:
         now_ns = time.monotonic_ns()
         self._down, self._up = (MessageLink(scene, seed + i, now_ns) for i in (0, 1))
@@ -55,9 +53,9 @@ class LinkProxy:
         self._data_in = sockets.connect(context, zmq.SUB, connect, client_keys)
         self._data_in.subscribe(b"")
         self._control_in = sockets.connect(context, zmq.DEALER, control_in, client_keys)
-        self._authenticator = Authenticator(context, server_keys, log)
+        self._authenticator = Authenticator(context, server_keys)
         self._data_out = sockets.bind(context, zmq.XPUB, bind, self._authenticator)
-        self._subscribers = SubscriptionBudget(self._data_out, (b"",), log)
+        self._subscribers = SubscriptionBudget(self._data_out, (b"",))
         self._control_out = sockets.bind(context, zmq.ROUTER, control_out, self._authenticator)
 
     @property

@@ -6,7 +6,6 @@ step of the numbers; losses and events become annotations.
 """
 
 import math
-from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -28,12 +27,12 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-def export_edf(path: Path, file: Path, log: Callable[[str], None]) -> None:
+def export_edf(path: Path, file: Path) -> str:
     """Write force at the wrist and force felt into `file`. Raises SourceError or OutputError."""
     edfio = _edfio()
     if file.exists():
         raise OutputError(f"{file}: is there already; name another by --out")
-    session = longest_session(path, log)
+    session = longest_session(path)
     t_ns, numbers, values = _samples(session)
     felt = felt_force(path, session.number)
     rate_hz = _rate_hz(session, path)
@@ -74,7 +73,7 @@ def export_edf(path: Path, file: Path, log: Callable[[str], None]) -> None:
     except OSError as error:
         raise OutputError(f"{file}: cannot be written: {error.strerror}") from None
     steps = ", ".join(f"{signal.label} {_step(signal):.2g} mN" for signal in signals)
-    log(
+    return (
         f"{file}: {seconds} s at {rate_hz} Hz, {count_text(len(losses), 'loss', 'losses')}"
         f" and {count_text(len(events), 'event')} as annotations; 16 bits, a step is: {steps}"
     )

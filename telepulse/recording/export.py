@@ -2,6 +2,7 @@
 
 import csv
 import json
+import logging
 from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -22,6 +23,8 @@ from telepulse.recording.tables import (
     rows,
 )
 from telepulse.telemetry.schema import SCHEMAS
+
+logger = logging.getLogger(__name__)
 
 MESSAGES_A_CHUNK = 5_000
 PROVENANCE = "provenance.json"
@@ -120,21 +123,24 @@ def check_parquet() -> None:
 TableWriter = type[CsvTable] | type[ParquetTable]
 
 
-def export_csv(path: Path, folder: Path, log: Callable[[str], None]) -> None:
-    """Write a recording's tables into a new folder. Raises SourceError or OutputError."""
-    _export_tables(path, folder, log, CsvTable)
+def export_csv(path: Path, folder: Path) -> str:
+    """Write a recording's tables into a new folder; return how many rows, in a line.
+
+    Raises SourceError or OutputError.
+    """
+    return _export_tables(path, folder, CsvTable)
 
 
-def export_parquet(path: Path, folder: Path, log: Callable[[str], None]) -> None:
+def export_parquet(path: Path, folder: Path) -> str:
     """Write a recording's tables with typed columns into a new folder.
 
     Raises SourceError or OutputError, the latter also without pyarrow.
     """
     check_parquet()
-    _export_tables(path, folder, log, ParquetTable)
+    return _export_tables(path, folder, ParquetTable)
 
 
-def _export_tables(path: Path, folder: Path, log: Callable[[str], None], kind: TableWriter) -> None:
+def _export_tables(path: Path, folder: Path, kind: TableWriter) -> str:
     reader, tables = RecordingReader(path), _Tables(folder, kind)
     try:
         with tables:
@@ -150,8 +156,8 @@ def _export_tables(path: Path, folder: Path, log: Callable[[str], None], kind: T
         raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from None
     except (LookupError, ValueError, TypeError, ArithmeticError) as error:
         raise SourceError(f"{path}: a message is not telepulse's: {error!r:.80}") from None
-    log_gaps(path, reader, log)
-    log(f"{folder}: " + ", ".join(f"{tables.rows[t]} {name}" for t, name in TABLES.items()))
+    _log_gaps(path, reader)
+    return f"{folder}: " + ", ".join(f"{tables.rows[t]} {name}" for t, name in TABLES.items())
 
 
 class _Tables(ExitStack):
@@ -206,7 +212,7 @@ class _Tables(ExitStack):
         return file
 
 
-def export_mcap(path: Path, copy: Path, log: Callable[[str], None]) -> None:
+def export_mcap(path: Path, copy: Path) -> str:
     """Write what can be read of a recording as a whole one. Raises SourceError or OutputError."""
     reader = RecordingReader(path)
     messages = (message for message in reader if message.topic in SCHEMAS)
@@ -224,11 +230,11 @@ def export_mcap(path: Path, copy: Path, log: Callable[[str], None]) -> None:
     reason = writer.close()
     if reason is not None or writer.dropped:
         raise OutputError(f"{copy}: cannot be written: {reason or 'the disk was full'}")
-    log_gaps(path, reader, log)
-    log(f"{copy}: {count_text(sum(writer.written.values()), 'message')}")
+    _log_gaps(path, reader)
+    return f"{copy}: {count_text(sum(writer.written.values()), 'message')}"
 
 
-def log_gaps(path: Path, reader: RecordingReader, log: Callable[[str], None]) -> None:
-    """Report what of a recording could not be read."""
+def _log_gaps(path: Path, reader: RecordingReader) -> None:
+    """Log what of a recording could not be read."""
     for line in reader.gaps():
-        log(f"{path}: {line}")
+        logger.warning(f"{path}: {line}")

@@ -1,9 +1,9 @@
 """Recorder of a display's telemetry into an MCAP file."""
 
+import logging
 import math
 import os
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 from protocol.config.quantities import count_text
@@ -12,6 +12,8 @@ from telepulse.recording.mcap_writer import McapWriter
 from telepulse.telemetry.client import TelemetryClient
 from telepulse.telemetry.events import Event
 from telepulse.telemetry.schema import TOPIC_NAMES
+
+logger = logging.getLogger(__name__)
 
 # A recorder that is killed loses what came since; half of what it may.
 FLUSH_EVERY_NS = 500_000_000
@@ -24,17 +26,14 @@ class McapRecorder:
         self,
         address: str,
         path: Path,
-        log: Callable[[str], None],
-        warn: Callable[[str], None],
         keys: ClientKeys | None = None,
     ) -> None:
         """Connect, and create the file. Raises AddressError or OutputError."""
         self._address, self._path = address, path
-        self._log, self._warn = log, warn
         self._stopping = False
         self._reason: str | None = None
         self._provenance: dict[str, str] | None = None
-        self._client = TelemetryClient(address, keys, warn)
+        self._client = TelemetryClient(address, keys)
         self._decoder = self._client.decoder
         try:
             self._file = McapWriter(path)
@@ -80,7 +79,7 @@ class McapRecorder:
                 if self._receive() or (not self._decoder.started and os.getppid() == display_pid):
                     received_ns = now_ns
                 if now_ns - received_ns > silence_ns:
-                    self._warn(f"{self._path}: ended, nothing came for {silence_s:g} s")
+                    logger.warning(f"{self._path}: ended, nothing came for {silence_s:g} s")
                     break
                 if now_ns - start_ns > end_ns:
                     break
@@ -110,10 +109,12 @@ class McapRecorder:
             return
         self._reason = reason
         if reason is None:
+            level = logging.INFO
             text = f"is written again, {count_text(self._file.dropped, 'message')} lost"
         else:
+            level = logging.WARNING
             text = f"cannot be written: {reason}; further messages wait in memory"
-        self._warn(f"{self._path}: {text}")
+        logger.log(level, f"{self._path}: {text}")
         if self._decoder.started:
             self._file.add(self._decoder.event(Event("WARNING", "disk", text)))
 
@@ -125,21 +126,21 @@ class McapRecorder:
             if (count := file.written[topic])
         ]
         if self._decoder.started:
-            self._log(f"{self._path}: {', '.join(named)}")
+            logger.info(f"{self._path}: {', '.join(named)}")
         else:
             self._path.unlink(missing_ok=True)
             if alone:
-                self._warn(f"{self._path}: no telemetry came from {self._address}")
+                logger.warning(f"{self._path}: no telemetry came from {self._address}")
         if missed:
             counts = ", ".join(f"{count} {name}" for name, count in sorted(missed.items()))
-            self._warn(f"{self._path}: the recorder missed {counts}")
+            logger.warning(f"{self._path}: the recorder missed {counts}")
         if file.dropped:
             cause = reason or "memory was full while the disk was"
-            self._warn(
+            logger.warning(
                 f"{self._path}: {count_text(file.dropped, 'message')} could not be written: {cause}"
             )
         elif reason is not None:
-            self._warn(f"{self._path}: has no index: {reason}")
+            logger.warning(f"{self._path}: has no index: {reason}")
         return self._decoder.started and not (missed or file.dropped or reason)
 
 

@@ -1,8 +1,9 @@
 """One session of a recording: its description, frames, felt force and events."""
 
+import logging
 import math
 from base64 import b64decode
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from protocol.wire.stream import StreamDescription
 from telepulse.recording.reader import RecordedMessage, RecordingReader
 from telepulse.telemetry.passive_receiver import PassiveReceiver
 from telepulse.telemetry.schema import EVENT, FRAME, STREAM, TICK
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +115,7 @@ class RecordedSession:
         )
 
 
-def longest_session(path: Path, log: Callable[[str], None]) -> RecordedSession:
+def longest_session(path: Path) -> RecordedSession:
     """Return the session with most samples; log what else there is and what is missing.
 
     Raises SourceError without any.
@@ -126,16 +129,16 @@ def longest_session(path: Path, log: Callable[[str], None]) -> RecordedSession:
         except (WireError, ValueError, KeyError, TypeError):
             unfit += 1
     for line in reader.gaps():
-        log(f"{path}: {line}")
+        logger.warning(f"{path}: {line}")
     if unfit:
-        log(f"{path}: left out: {count_text(unfit, 'frame')} unfit for their stream")
+        logger.warning(f"{path}: left out: {count_text(unfit, 'frame')} unfit for their stream")
     longest = max(sessions.values(), key=lambda session: session.samples, default=None)
     if longest is None or not longest.samples:
         raise SourceError(f"{path}: holds no frame of a stream that is described")
     longest.provenance = reader.provenance
     longest.cut = "" if reader.whole else reader.gaps()[0]
     if len(sessions) > 1:
-        log(f"{path}: holds {len(sessions)} sessions; the longest is taken")
+        logger.info(f"{path}: holds {len(sessions)} sessions; the longest is taken")
     return longest
 
 

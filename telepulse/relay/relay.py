@@ -1,8 +1,8 @@
 """Relay of one stream: displays on one side, a sensing node or a further relay on the other."""
 
+import logging
 import time
 from collections import Counter
-from collections.abc import Callable
 
 import zmq
 
@@ -20,6 +20,8 @@ from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.summary_tables import FrameCounts, Reconnections
 from protocol.wire.messages import decode_frame
 from telepulse.relay.proxy import Proxy
+
+logger = logging.getLogger(__name__)
 
 _SUBSCRIBED = b"\1"
 # Interval at which the length of a frame is read from one of the frames.
@@ -166,32 +168,30 @@ class Relay:
         self,
         connect: str,
         bind: str,
-        log: Callable[[str], None],
         client_keys: ClientKeys | None = None,
         server_keys: ServerKeys | None = None,
     ) -> None:
         sockets.control_address(connect)
         control = sockets.control_address(bind)
         self._connect = connect
-        self._log = log
         self._stopping = False
         self._context: sockets.Context = zmq.Context()
         context = self._context
-        self._authenticator = Authenticator(context, server_keys, log)
-        self._handshakes = HandshakeMonitor(context, client_keys, log)
+        self._authenticator = Authenticator(context, server_keys)
+        self._handshakes = HandshakeMonitor(context, client_keys)
         self._path = DataPath(context, client_keys)
         control_in = sockets.unconnected(context, zmq.DEALER, client_keys)
         for socket in (control_in, *(line.socket for line in self._path.lines)):
             self._handshakes.watch(socket)
         data_out = sockets.bind(context, zmq.XPUB, bind, self._authenticator)
-        budget = SubscriptionBudget(data_out, (b"",), log)
+        budget = SubscriptionBudget(data_out, (b"",))
         self._frames = FrameForwarder(data_out, self._path, budget)
         control_out = sockets.bind(context, zmq.ROUTER, control, self._authenticator)
         self._control = Proxy(context, control_out, control_in)
         # The first judges both connections together, the second control alone.
         self._cut = SilenceDetector(CUT_NS, once_received=True)
         self._unanswered = SilenceDetector(PATIENCE_NS)
-        self._lookup = Lookup(connect, log)
+        self._lookup = Lookup(connect)
         self._address: str | None = None
         self._next_check_ns = 0
         # Frames received when control was connected last.
@@ -254,7 +254,7 @@ class Relay:
         if self._address is not None:
             self._reconnections += 1
             if self._reconnections == 1:
-                self._log(f"{self._connect} is silent; connecting anew, as often as it is")
+                logger.warning(f"{self._connect} is silent; connecting anew, as often as it is")
             if self._frames.received == self._received_before:
                 self._path.failover.give_up()
         self._received_before = self._frames.received
@@ -274,7 +274,7 @@ class Relay:
 
     def _summary(self) -> Summary:
         failover = self._path.failover
-        self._log(
+        logger.info(
             f"{count_text(self._frames.received, 'frame')} ({_megabytes(self._frames)})"
             f" and {_megabytes(self._control)} of answers came from {self._connect},"
             f" {count_text(self._reconnections, 'reconnection')} of control,"

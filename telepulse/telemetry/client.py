@@ -1,6 +1,6 @@
 """Client of a display's telemetry: one socket, kept connected, and its decoded messages."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import zmq
 
@@ -25,8 +25,8 @@ class TelemetryClient:
         State of the telemetry so far, and counts of what was missed.
     """
 
-    def __init__(self, address: str, keys: ClientKeys | None, warn: Callable[[str], None]) -> None:
-        """Connect; warn gets each reason of a refused connection once. Raises AddressError."""
+    def __init__(self, address: str, keys: ClientKeys | None) -> None:
+        """Connect. Raises AddressError."""
         self._address = address
         self._context: sockets.Context = zmq.Context()
         try:
@@ -34,7 +34,7 @@ class TelemetryClient:
         except BaseException:
             self._context.destroy(linger=0)
             raise
-        self._handshakes = HandshakeMonitor(self._context, keys, warn)
+        self._handshakes = HandshakeMonitor(self._context, keys)
         self._handshakes.watch(self._socket)
         self._refused = 0
         self._reconnect_ns: int | None = None

@@ -34,6 +34,8 @@ from telepulse.telemetry.schema import EVENT, STATUS, TICK
 from telepulse.view.live import LiveState
 from telepulse.view.page import LivePage
 
+logger = logging.getLogger(__name__)
+
 # One thread draws for all: a picture takes it some 10 to 20 ms, five times a second at most, and a
 # new page half a second.
 MAX_VIEWERS = 8
@@ -45,11 +47,11 @@ OPENING = ("", "/", "/autoload.js")
 class Admission:
     """Decision on each request: served under this server's own name, and to few enough viewers.
 
-    viewers: returns the number of open pages. warn: gets the first refusal of each kind.
+    viewers: returns the number of open pages. The first refusal of each kind is logged.
     """
 
-    def __init__(self, site: Site, viewers: Callable[[], int], warn: Callable[[str], None]) -> None:
-        self._site, self._viewers, self._warn = site, viewers, warn
+    def __init__(self, site: Site, viewers: Callable[[], int]) -> None:
+        self._site, self._viewers = site, viewers
         self._opened = TokenBucket(OPENED_PER_S, OPENED_AT_ONCE)
         self._warned: set[HTTPStatus] = set()
 
@@ -61,7 +63,7 @@ class Admission:
         refusal = self._judge(request)
         if refusal is not None and refusal[0] not in self._warned:
             self._warned.add(refusal[0])
-            self._warn(f"refused a request from {request.remote_ip}: {refusal[1]}")
+            logger.warning(f"refused a request from {request.remote_ip}: {refusal[1]}")
         return refusal
 
     def _judge(self, request: HTTPServerRequest) -> tuple[HTTPStatus, str] | None:
@@ -124,8 +126,7 @@ TRIES = 5
 class PageServer:
     """Server of the live page of the display that publishes at `address`.
 
-    port: None for 5006, or a free port where that is taken. warn: gets the reasons of refused
-    connections. Raises AddressError.
+    port: None for 5006, or a free port where that is taken. Raises AddressError.
     """
 
     def __init__(
@@ -133,15 +134,13 @@ class PageServer:
         address: str,
         host: str,
         port: int | None,
-        warn: Callable[[str], None],
         keys: ClientKeys | None = None,
     ) -> None:
-        self._warn = warn
         self._live = LiveState()
         self._began_ns = time.monotonic_ns()
         self._local = not beyond_loopback(address)
         self._age = TelemetryAge(self._local)
-        self._client = TelemetryClient(address, keys, warn)
+        self._client = TelemetryClient(address, keys)
         self._client.subscribe()
         self._stopping = False
         self._end_ns: int | None = None
@@ -195,7 +194,7 @@ class PageServer:
                 websocket_ping_interval=PING_EVERY_S,
                 websocket_ping_timeout=PING_EVERY_S,
             )
-            admission = Admission(site, lambda: self.viewers, self._warn)
+            admission = Admission(site, lambda: self.viewers)
             http = HTTPServer(AdmittingRouter(pages, admission))
             http.add_sockets(listening)
             return BaseServer(self._loop, pages, http)

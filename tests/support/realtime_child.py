@@ -3,6 +3,7 @@ after. Given seconds, it runs on for so long without a pause, in the loop's thre
 
 import ctypes
 import json
+import logging
 import os
 import sys
 import threading
@@ -71,12 +72,15 @@ def main(wish: str, loop_s: float, helper_s: float) -> None:
     helper = threading.Thread(target=help_the_loop, daemon=True)
     helper.start()
     said: list[str] = []
+    handler = logging.Handler()
+    handler.emit = lambda record: said.append(record.getMessage())  # type: ignore[method-assign]
+    logging.getLogger().addHandler(handler)
     start_foreign_thread()
     with ExitStack() as until_the_end:
         start_zeromq(until_the_end)
         time.sleep(0.05)  # its threads have their names then
         told: dict[str, Any] = {"before": state()}
-        with hold(parse_realtime(wish), said.append) as held:
+        with hold(parse_realtime(wish)) as held:
             told["held"] = state()
             may_spin.set()
             spin(loop_s)

@@ -35,7 +35,7 @@ class TelemetryPublisher:
         # A short queue, for a test of what happens when it is full.
         socket.setsockopt(zmq.SNDHWM, QUEUE)
         socket.setsockopt(zmq.SNDBUF, 8_192)
-        self.gate = None if keys is None else Authenticator(context, keys, print)
+        self.gate = None if keys is None else Authenticator(context, keys)
         if self.gate is not None:
             self.gate.protect(socket)
         socket.bind(address)

@@ -19,6 +19,7 @@ from protocol.host.child_process import ChildProcess
 from telepulse.netem import Namespace, emulate, unavailable
 from telepulse.simulation.link_model import parse_link
 from tests.support.keyring import Keyring
+from tests.support.log_lines import messages, strays
 from tests.support.nodes import RADIAL, ROOT, assert_accounted, read_json, start
 from tests.support.tcp import needs_emulator
 from tests.support.waiting import PATIENCE_S, until
@@ -76,13 +77,14 @@ def place() -> Iterator[Place]:
 
 
 def await_line(node: ChildProcess, word: str) -> str:
-    assert node.stdout is not None
+    """Return the message of the record that has the word."""
+    assert node.stderr is not None
     patience = threading.Timer(3 * PATIENCE_S, node.kill)
     patience.start()
-    while word not in (line := node.stdout.readline()):
+    while word not in (line := node.stderr.readline()):
         assert line, f"it never said {word!r}"
     patience.cancel()
-    return line
+    return messages(line)[0]
 
 
 def display(*more: str) -> tuple[str, ...]:
@@ -92,9 +94,9 @@ def display(*more: str) -> tuple[str, ...]:
 def test_an_announced_node_is_found_until_it_ends_however_it_ends(place: Place) -> None:
     with place.process(SENSING, str(RADIAL), "--bind", BIND, "--announce") as wrist:
         line = await_line(wrist, "announced as")
-        assert line.endswith("at 127.0.0.1\n")
+        assert line.endswith("at 127.0.0.1")
         name = line.split("'")[1]
-        with place.entered(), Browser(print) as look:
+        with place.entered(), Browser() as look:
             until(lambda: [one.name for one in look.found] == [name])
             (one,) = look.found
             assert (one.addresses, one.port, one.fingerprint) == (("127.0.0.1",), 5555, None)
@@ -137,7 +139,7 @@ def test_who_is_no_node_is_refused_in_a_line_and_several_are_a_choice(
 
         status, _, errors = either.result()
         assert status == 2
-        assert errors.count("\n") == 1
+        assert strays(errors).count("\n") == 1
         assert "'pulse on left', 'pulse on right'; choose one by --named NAME" in errors
 
 
@@ -184,11 +186,13 @@ def test_over_two_networks_with_keys_it_is_found_on_both(tmp_path: Path) -> None
             there.process(SENSING, str(RADIAL), *wrist) as node,
         ):
             found = await_line(display_node, "found ")
-            await_line(display_node, "playing: ")
+            assert display_node.stdout is not None
+            while not display_node.stdout.readline().startswith("playing: "):
+                assert display_node.poll() is None
             node.terminate()
             assert node.wait(2 * PATIENCE_S) == 0
             assert display_node.wait(2 * PATIENCE_S) == 0
-    assert found.endswith("at tcp://10.77.0.1:5555, tcp://10.77.1.1:5555\n")
+    assert found.endswith("at tcp://10.77.0.1:5555, tcp://10.77.1.1:5555")
     summary = read_json(result)
     assert_accounted(summary["samples"])
     assert summary["samples"]["played"] > 0

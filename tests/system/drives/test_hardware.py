@@ -311,7 +311,7 @@ def test_a_node_judges_its_loop_once_before_its_drive_moves(
 ) -> None:
     bench, judged = VirtualBench(lambda ms: 0.3), Mock()
     monkeypatch.setattr("display_node.control.force_loop.refuse_unstable", judged)
-    with closing(DisplayNode(bench.scene, [free_address()], "tcp://127.0.0.1:*", print)) as node:
+    with closing(DisplayNode(bench.scene, [free_address()], "tcp://127.0.0.1:*")) as node:
         assert judged.call_count == 1
         node.use(bench.hardware)
     assert judged.call_count == 1
@@ -377,11 +377,11 @@ def test_a_drive_without_a_film_is_refused_unless_that_is_wanted(scene: DisplayS
     blind = scene.model_copy(update={"feedback": None})
     with (
         pytest.raises(SceneError, match=r"\[display\.feedback\] is missing.*--without-film"),
-        connected(blind, SCENES, print),
+        connected(blind, SCENES),
     ):
         pass
     with (
         pytest.raises(DriveError, match="cannot be opened"),
-        connected(blind, SCENES, print, without_film=True),
+        connected(blind, SCENES, without_film=True),
     ):
         pass

@@ -83,7 +83,7 @@ def test_a_sensor_is_read_through_it(far_end: SlcanBus, tmp_path: Path) -> None:
     options = {"sleep_after_open": 0.0}
     channel = far_end.channel_info.split()[1]
     table = scene(channel, interface="slcan", bitrate=500_000, counter="Count", options=options)
-    with closing(open_sensor(table, tmp_path, print)) as sensor:
+    with closing(open_sensor(table, tmp_path)) as sensor:
         until(lambda: far_end.recv(0.01) is None and far_end._adapter.is_open)
         for number in range(20):
             far_end.send(message(number, number * 0.01))
@@ -92,25 +92,24 @@ def test_a_sensor_is_read_through_it(far_end: SlcanBus, tmp_path: Path) -> None:
 
 
 def test_noise_from_an_adapter_is_named_and_the_sensor_comes_back(
-    far_end: SlcanBus, tmp_path: Path
+    far_end: SlcanBus, tmp_path: Path, logged: list[str]
 ) -> None:
     """python-can's interface fails at it; the sensor opens the adapter anew."""
     (tmp_path / "film.dbc").write_text(DBC, encoding="utf-8")
-    said: list[str] = []
     channel = far_end.channel_info.split()[1]
     table = scene(channel, interface="slcan", options={"sleep_after_open": 0.0})
-    with closing(open_sensor(table, tmp_path, said.append)) as sensor:
+    with closing(open_sensor(table, tmp_path)) as sensor:
         until(lambda: far_end.recv(0.01) is None and far_end._adapter.is_open)
         far_end._port.write(b"t12\xff\xfe\r")
 
         def back() -> bool:
             sensor.poll()
             far_end.recv(0.01)
-            return len(said) >= 2
+            return len(logged) >= 2
 
         until(back)
-        assert "has gone" in said[0]
-        assert "is back" in said[1]
+        assert "has gone" in logged[0]
+        assert "is back" in logged[1]
         until(lambda: far_end.recv(0.01) is None and far_end._adapter.is_open)
         far_end.send(message(1, 0.5))
         assert forces(heard(sensor, 1)) == pytest.approx([0.5])

@@ -17,6 +17,7 @@ from display_node.drives.tmcl.line import TmclLine
 from display_node.fault_advice import OTHERWISE, START_ADVICE, advised, start_advice
 from protocol.errors import DriveError
 from tests.support.drive_benches import tmcl_scene
+from tests.support.log_lines import strays
 from tests.support.nodes import ROOT
 from tests.system.commissioning.test_bench_command import drive_scene
 
@@ -119,7 +120,7 @@ def test_display_node_names_what_where_and_what_to_do(tmp_path: Path) -> None:
     scene.write_text(text.partition("[display.feedback]")[0], encoding="utf-8")
     ended = CliRunner().invoke(app, [str(scene), "--no-screen", "--without-film"])
     assert ended.exit_code == 2
-    (line,) = ended.stderr.splitlines()
+    (line,) = strays(ended.stderr).splitlines()
     port = re.search(r'port = "([^"]+)"', text.split("[display.drive]")[1])
     assert port is not None
     assert line.startswith(f"display-node: {port[1]} cannot be opened: No such file or directory; ")

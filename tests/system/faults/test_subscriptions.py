@@ -59,9 +59,9 @@ def test_endless_subscriptions_cost_a_relay_little_and_go_no_further(tmp_path: P
         sent = sensing.end()
         until(lambda: list(hearing.sent.values()) == [sent.samples.sent])
         node.terminate()
-        output, _ = node.communicate(timeout=20)
+        _, errors = node.communicate(timeout=20)
     assert sent.rejected == {}
-    assert output.count("it subscribes to topics not published here") == 1
+    assert errors.count("it subscribes to topics not published here") == 1
 
 
 def rss_bytes(process_id: int) -> int:
@@ -78,11 +78,11 @@ def reader(context: Context, address: str) -> Iterator[sockets.Socket]:
 
 @pytest.mark.parametrize("ipc", [False, True])
 def test_who_asks_for_a_little_else_stays_and_who_goes_on_is_cut_named_once_and_counted(
-    context: Context, tmp_path: Path, ipc: bool
+    context: Context, tmp_path: Path, ipc: bool, logged: list[str]
 ) -> None:
     address = f"ipc://{tmp_path}/data" if ipc else free_address()
-    data, log = sockets.bind(context, zmq.XPUB, address), list[str]()
-    subscribers, said = SubscriptionBudget(data, (b"trace", b"status"), log.append), list[bytes]()
+    data = sockets.bind(context, zmq.XPUB, address)
+    subscribers, said = SubscriptionBudget(data, (b"trace", b"status")), list[bytes]()
     with reader(context, address) as modest, reader(context, address) as greedy:
 
         def heard(one: sockets.Socket) -> int:
@@ -95,7 +95,7 @@ def test_who_asks_for_a_little_else_stays_and_who_goes_on_is_cut_named_once_and_
         until(lambda: heard(modest))
         greedy.subscribe(b"trace")
         until(lambda: heard(greedy))
-        assert not log
+        assert not logged
         number = 0
 
         def ask_on() -> bool:
@@ -103,13 +103,13 @@ def test_who_asks_for_a_little_else_stays_and_who_goes_on_is_cut_named_once_and_
             number += 1
             greedy.subscribe(b"%d" % number + bytes(100))
             heard(modest)
-            return bool(log)
+            return bool(logged)
 
         until(ask_on)
         assert number * 101 > FOREIGN_BYTES / 2
         end_s = time.monotonic() + 0.3
         while time.monotonic() < end_s:
             until(lambda: heard(modest))
-    assert len(log) == 1
+    assert len(logged) == 1
     assert subscribers.rejected[SUBSCRIPTION] >= 1
     assert {b"\1tra", b"\1trace"} <= set(said) <= {b"\1tra", b"\1trace", b"\0trace"}

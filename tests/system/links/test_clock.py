@@ -33,7 +33,7 @@ def test_offset_within_1_ms_after_5_s_though_the_clock_is_200_ppm_fast() -> None
     section = load_section(path, "sensing", SensingScene)
     with (
         emulate(parse_link("delay=20ms,jitter=3ms,loss=1%")) as link,
-        open_source(section, path.parent, print) as source,
+        open_source(section, path.parent) as source,
     ):
         address = f"tcp://{link.sensing.address}:5555"
         with link.sensing.entered():
@@ -41,7 +41,6 @@ def test_offset_within_1_ms_after_5_s_though_the_clock_is_200_ppm_fast() -> None
                 source,
                 describe_stream(section, source),
                 address,
-                log=lambda _: None,
                 clock=lambda: shown_ns(time.monotonic_ns()),
             )
         thread = threading.Thread(target=node.run)

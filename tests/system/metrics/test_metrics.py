@@ -21,6 +21,7 @@ from protocol.figures import COUNT, Surface
 from protocol.run_summary import REGISTRY
 from telepulse.metrics.server import parse_address
 from tests.support.keyring import Keyring
+from tests.support.log_lines import unusual
 from tests.support.nodes import RADIAL, ROOT, free_address, process, read_json, run
 from tests.support.waiting import PATIENCE_S, until
 
@@ -32,9 +33,9 @@ class Served:
     """A node and the page of its metrics."""
 
     def __init__(self, node: "subprocess.Popen[str]") -> None:
-        assert node.stdout is not None
-        line = node.stdout.readline()
-        assert line.startswith("metrics on http://"), line
+        assert node.stderr is not None
+        line = node.stderr.readline()
+        assert " INFO metrics on http://" in line, line
         self.node, self.url = node, line.split()[-1]
         children = Path(f"/proc/{node.pid}/task/{node.pid}/children").read_text().split()
         (self.server,) = map(int, children)
@@ -138,12 +139,13 @@ def test_a_killed_server_is_reported_and_the_node_goes_on(tmp_path: Path) -> Non
         until(lambda: wrist.figure("up") == 1)
         os.kill(wrist.server, signal.SIGKILL)
         assert wrist.node.stderr is not None
-        said = wrist.node.stderr.readline()
+        while "ended" not in (said := wrist.node.stderr.readline()):
+            assert said
         wrist.node.terminate()
         assert wrist.node.wait(PATIENCE_S) == 0
         _, errors = wrist.node.communicate()
-    assert said.startswith("sensing-node: the server of metrics has ended with status -9")
-    assert errors == ""
+    assert "WARNING the metrics server has ended with status -9" in said
+    assert unusual(errors) == ""
     assert read_json(json)["samples"]["sent"] > 0
 
 
@@ -196,9 +198,9 @@ def test_without_the_library_it_names_the_extra(tmp_path: Path) -> None:
 
 def test_beyond_this_machine_the_node_warns_who_may_read() -> None:
     with process(SENSING, str(RADIAL), "--metrics", "0.0.0.0:0", "--bind", free_address()) as node:
-        assert node.stdout is not None
-        assert node.stdout.readline().startswith("metrics on http://0.0.0.0:")
-        assert "neither keys nor encryption" in node.stdout.readline()
+        assert node.stderr is not None
+        assert "metrics on http://0.0.0.0:" in node.stderr.readline()
+        assert "neither keys nor encryption" in node.stderr.readline()
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,7 @@ def test_names_and_numbers_are_connected_to(host: str, context: Context) -> None
     address = free_address()
     server = context.socket(zmq.ROUTER)
     server.bind(control_address(address))
-    connection = Connection(context, [address.replace("127.0.0.1", host)], 1, log=print)
+    connection = Connection(context, [address.replace("127.0.0.1", host)], 1)
     control = control_of(connection)
     tend_until_connected(connection, control.get_monitor_socket(zmq.EVENT_HANDSHAKE_SUCCEEDED))
     control.send(b"hello")
@@ -89,7 +89,7 @@ def test_a_name_server_that_does_not_answer_holds_nothing_up(
         return [(plain.AF_INET, plain.SOCK_STREAM, 6, "", ("127.0.0.1", int(port)))]
 
     monkeypatch.setattr(plain, "getaddrinfo", slow)
-    connection = Connection(context, ["tcp://somewhere:5555"], 2, log=print)
+    connection = Connection(context, ["tcp://somewhere:5555"], 2)
     monitor = control_of(connection).get_monitor_socket(zmq.EVENT_CONNECT_DELAYED)
     for ms in range(0, 60_000, 10):
         connection.tend(ms * MS)
@@ -103,7 +103,7 @@ def test_a_name_server_that_does_not_answer_holds_nothing_up(
 def test_a_silent_address_is_looked_up_and_connected_anew(
     context: Context, asked: list[str]
 ) -> None:
-    connection = Connection(context, ["tcp://somewhere:1"], 1, log=print)
+    connection = Connection(context, ["tcp://somewhere:1"], 1)
     tend(connection, 0, 1_000)
     assert len(asked) == 1
     tend(connection, 1_000, 11_000)
@@ -114,7 +114,7 @@ def test_an_address_that_is_heard_is_let_be(context: Context, asked: list[str]) 
     address = free_address()
     publisher = context.socket(zmq.PUB)
     publisher.bind(address)
-    connection = Connection(context, [address, "tcp://silent:1"], 2, log=print)
+    connection = Connection(context, [address, "tcp://silent:1"], 2)
     connection.subscribe(5 * MS, 0, 0)
     tend(connection, 0, 100)
     for ms in range(400, 60_000, 400):
@@ -132,7 +132,7 @@ def test_a_silence_of_all_together_is_a_cut(
     address = free_address()
     publisher = context.socket(zmq.PUB)
     publisher.bind(address)
-    connection = Connection(context, [address, "tcp://other:1"], 2, log=print)
+    connection = Connection(context, [address, "tcp://other:1"], 2)
     connection.subscribe(5 * MS, 0, 0)
     tend(connection, 0, 20)
     deliver(publisher, connection.routes[0].paths[0])
@@ -171,13 +171,13 @@ def test_requests_to_connect_are_repeated_soon_but_now_and_then_may_take_their_t
 
 
 def test_who_stood_still_itself_does_not_wait_long_for_more_than_what_has_queued(
-    context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
+    context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch, logged: list[str]
 ) -> None:
     monkeypatch.setattr(HandshakeMonitor, "poll", lambda self, now_ns: [])
     address = free_address()
     publisher = context.socket(zmq.PUB)
     publisher.bind(address)
-    connection = Connection(context, [address], 1, log=print)
+    connection = Connection(context, [address], 1)
     connection.subscribe(5 * MS, 0, 0)
     tend(connection, 0, 20)
     deliver(publisher, connection.routes[0].paths[0])
@@ -192,7 +192,7 @@ def test_where_one_port_answers_the_other_is_asked_again_at_once(
     address = free_address()
     data = context.socket(zmq.PUB)
     data.bind(address)
-    connection = Connection(context, [address], 1, log=print)
+    connection = Connection(context, [address], 1)
     began = 0
     end_s = time.monotonic() + PATIENCE_S
     while not connection.routes[0].paths[0].first.answered:
@@ -210,7 +210,7 @@ def test_where_one_port_answers_the_other_is_asked_again_at_once(
 
 
 def test_a_stream_of_rare_frames_is_waited_for(context: Context, asked: list[str]) -> None:
-    connection = Connection(context, ["tcp://somewhere:1"], 1, log=print)
+    connection = Connection(context, ["tcp://somewhere:1"], 1)
     connection.subscribe(10_000 * MS, 0, 0)
     tend(connection, 0, 29_000)
     assert len(asked) == 1
@@ -221,7 +221,7 @@ def test_a_stream_of_rare_frames_is_waited_for(context: Context, asked: list[str
 def test_paths_are_shared_out_and_each_address_has_one(context: Context) -> None:
     addresses = ["tcp://127.0.0.1:1", "tcp://127.0.0.1:3", "tcp://127.0.0.1:5"]
     for paths, shares in ((3, [1, 1, 1]), (4, [2, 1, 1]), (8, [3, 3, 2])):
-        connection = Connection(context, addresses, paths, log=print)
+        connection = Connection(context, addresses, paths)
         assert [len(route.paths) for route in connection.routes] == shares
 
 
@@ -231,7 +231,7 @@ def test_control_moves_on_from_an_address_that_does_not_answer_and_stays_at_one_
     address, answering = free_addresses(2)
     server = context.socket(zmq.ROUTER)
     server.bind(control_address(answering))
-    connection = Connection(context, [address, answering], 2, log=print)
+    connection = Connection(context, [address, answering], 2)
     control = control_of(connection)
     assert tend(connection, 0, 1_000) == [10]
     assert tend(connection, 1_000, 3_000) == [2_010]
@@ -250,20 +250,21 @@ def test_control_moves_on_from_an_address_that_does_not_answer_and_stays_at_one_
     assert connection.control.address == control_address(address)
 
 
-def test_a_name_nobody_knows_is_said_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_name_nobody_knows_is_said_once(
+    monkeypatch: pytest.MonkeyPatch, logged: list[str]
+) -> None:
     def unknown(host: str, port: str, **_: object) -> list[tuple[object, ...]]:
         raise plain.gaierror(plain.EAI_NONAME, "Name or service not known")
 
     monkeypatch.setattr(plain, "getaddrinfo", unknown)
     monkeypatch.setattr(time, "sleep", lambda _: None)
-    said: list[str] = []
-    lookup = Lookup("tcp://nowhere:5555", said.append)
+    lookup = Lookup("tcp://nowhere:5555")
     for _ in range(3):
         lookup.start()
         while lookup.running:
             threading.Event().wait(0.001)
         assert lookup.take() is None
-    assert said == ["nowhere is not found: Name or service not known; trying on"]
+    assert logged == ["nowhere is not found: Name or service not known; trying on"]
 
 
 def test_the_numbers_of_a_name_are_tried_one_after_the_other(
@@ -276,7 +277,7 @@ def test_the_numbers_of_a_name_are_tried_one_after_the_other(
         ]
 
     monkeypatch.setattr(plain, "getaddrinfo", two)
-    lookup = Lookup("tcp://both:5555", print)
+    lookup = Lookup("tcp://both:5555")
     found = []
     for _ in range(3):
         lookup.start()
@@ -288,11 +289,11 @@ def test_the_numbers_of_a_name_are_tried_one_after_the_other(
 
 def test_a_wrong_address_is_refused_at_once(context: Context) -> None:
     with pytest.raises(AddressError):
-        Connection(context, ["tcp://127.0.0.1:5555", "somewhere:5555"], 2, log=print)
+        Connection(context, ["tcp://127.0.0.1:5555", "somewhere:5555"], 2)
 
 
 def test_a_data_path_that_is_silent_alone_gets_a_second_connection(
-    context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
+    context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch, logged: list[str]
 ) -> None:
     monkeypatch.setattr(HandshakeMonitor, "poll", lambda self, now_ns: [])
     address = free_address()
@@ -300,7 +301,7 @@ def test_a_data_path_that_is_silent_alone_gets_a_second_connection(
     publisher.setsockopt(zmq.XPUB_VERBOSE, 1)
     publisher.bind(address)
     server.bind(control_address(address))
-    connection = Connection(context, [address], 1, log=print)
+    connection = Connection(context, [address], 1)
     connection.subscribe(5 * MS, 0, 0)
     (path,) = connection.routes[0].paths
     tend(connection, 0, 20)
@@ -337,14 +338,14 @@ def test_a_data_path_that_is_silent_alone_gets_a_second_connection(
 
 
 def test_a_connection_that_floods_is_closed_for_a_while(
-    context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
+    context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch, logged: list[str]
 ) -> None:
     monkeypatch.setattr(HandshakeMonitor, "poll", lambda self, now_ns: [])
     monkeypatch.setattr(line, "BURST", 200)
     address = free_address()
-    publisher, said = context.socket(zmq.PUB), []
+    publisher = context.socket(zmq.PUB)
     publisher.bind(address)
-    connection = Connection(context, [address], 1, log=said.append)
+    connection = Connection(context, [address], 1)
     connection.subscribe(5 * MS, 0, 0)
     (path,) = connection.routes[0].paths
     tend(connection, 0, 20)
@@ -365,12 +366,13 @@ def test_a_connection_that_floods_is_closed_for_a_while(
     assert len(asked) == looked_up
     tend(connection, 5_030, 5_060)
     deliver(publisher, path)
-    assert said == [f"{address} sends far more than a stream; closed for 5 s"]
+    assert logged == [f"{address} sends far more than a stream; closed for 5 s"]
 
 
-def test_a_system_without_a_free_thread_ends_no_loop(monkeypatch: pytest.MonkeyPatch) -> None:
-    lines: list[str] = []
-    lookup = Lookup("tcp://127.0.0.1:5555", lines.append)
+def test_a_system_without_a_free_thread_ends_no_loop(
+    monkeypatch: pytest.MonkeyPatch, logged: list[str]
+) -> None:
+    lookup = Lookup("tcp://127.0.0.1:5555")
 
     def no_thread(_: threading.Thread) -> None:
         raise RuntimeError("can't start new thread")
@@ -380,7 +382,7 @@ def test_a_system_without_a_free_thread_ends_no_loop(monkeypatch: pytest.MonkeyP
         for _ in range(3):
             lookup.start()
             assert not lookup.running
-    assert len(lines) == 1
+    assert len(logged) == 1
     lookup.start()
     until(lambda: not lookup.running)
     assert lookup.take() == "tcp://127.0.0.1:5555"

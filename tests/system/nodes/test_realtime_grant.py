@@ -18,7 +18,7 @@ CHILD = "tests.support.realtime_child"
 HANGS = """
 import itertools
 from protocol.host.realtime import hold, parse_realtime
-with hold(parse_realtime("fifo=1"), print):
+with hold(parse_realtime("fifo=1")):
     print("held", flush=True)
     sum(itertools.repeat(0))
 """
@@ -86,8 +86,9 @@ def test_who_runs_on_without_a_pause_loses_the_priority(loop_s: float, helper_s:
 @needs_rights
 def test_a_priority_is_given_up_without_a_free_descriptor() -> None:
     child = with_rights("-c", NO_DESCRIPTOR)
-    assert (child.returncode, child.stderr) == (0, "")
-    assert child.stdout == "given up\n[0, 0, 0]\n"
+    assert child.returncode == 0
+    assert child.stderr == "real-time: fifo is given up: 200 ms without a pause\n"
+    assert child.stdout == "[0, 0, 0]\n"
 
 
 @needs_rights
@@ -125,7 +126,7 @@ def test_a_processor_that_is_not_there_is_refused() -> None:
     there = os.sched_getaffinity(0)
     last = max(there)
     for wish in ("cpu=4000", f"cpu={last},cpu=4000"):
-        with hold(parse_realtime(wish), log=print) as held:
+        with hold(parse_realtime(wish)) as held:
             assert held.granted == {}
             assert os.sched_getaffinity(0) == there
         (refusal,) = held.refused
@@ -136,14 +137,14 @@ def test_what_is_asked_for_strictly_and_refused_is_an_error() -> None:
     there = os.sched_getaffinity(0)
     with (
         pytest.raises(RealtimeError, match="cpu=4000 is not granted"),
-        hold(parse_realtime("slack,cpu=4000,strict"), log=print),
+        hold(parse_realtime("slack,cpu=4000,strict")),
     ):
         pytest.fail("it is not held")
     assert os.sched_getaffinity(0) == there
 
 
 def test_a_summary_names_what_was_granted() -> None:
-    with hold(parse_realtime("slack,cpu=4000"), log=print) as held:
+    with hold(parse_realtime("slack,cpu=4000")) as held:
         pass
     assert with_measures(Summary(), held).loop.realtime == ["slack"]
 
@@ -157,7 +158,7 @@ def spin(seconds):
     while time.monotonic() < end_s:
         pass
 
-with hold(parse_realtime("fifo=7"), lambda line: print("given up")):
+with hold(parse_realtime("fifo=7")):
     later = threading.Thread(target=time.sleep, args=(1,))
     later.start()
     none_free = os.dup(0)
@@ -178,7 +179,7 @@ import display_node.cli, sensing_node.cli
 from display_node.doctor.host import describe, read_host
 from protocol.host.realtime import hold, parse_realtime
 sys.platform = "win32"
-with hold(parse_realtime("fifo,lock,cpu=0,slack"), log=print) as held:
+with hold(parse_realtime("fifo,lock,cpu=0,slack")) as held:
     print(*held.granted)
 print(*(refusal.name for refusal in held.refused))
 print(*{refusal.reason for refusal in held.refused})

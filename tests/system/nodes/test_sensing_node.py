@@ -25,6 +25,7 @@ from protocol.wire.messages import (
     encode_control,
 )
 from telepulse.processes import HOST
+from tests.support.log_lines import strays
 from tests.support.nodes import RADIAL, free_address, process, read_json, run
 from tests.support.sensing_client import PATIENCE_MS, Client
 
@@ -44,12 +45,12 @@ def client(address: str) -> Iterator[Client]:
 
 
 def end(node: "subprocess.Popen[str]", number: int = signal.SIGTERM) -> str:
-    """End a node by a signal, cleanly; what it printed."""
+    """End a node by a signal, cleanly; what it logged."""
     node.send_signal(number)
-    output, errors = node.communicate(timeout=PATIENCE_MS / 1000)
+    _, errors = node.communicate(timeout=PATIENCE_MS / 1000)
     assert node.returncode == 0
-    assert errors == ""
-    return output
+    assert strays(errors) == ""
+    return errors
 
 
 def scene_file(folder: Path, source: str, **keys: str) -> Path:
@@ -121,7 +122,7 @@ def test_the_chains_delay_and_samples_beyond_the_adcs_range_are_told(
     assert read_json(summary)["limited"]["adc"] == {"times": 1, "seconds": 0.3, "share": 1.0}
     assert "ADC range 1 time, 0.3 s (100.0 % of the run)" in result.stdout
     assert "300 samples beyond the ADC's range" in result.stdout
-    assert "delays the pulse by 10.5 ms" in result.stdout
+    assert "delays the pulse by 10.5 ms" in result.stderr
 
 
 @pytest.mark.parametrize("length", [1003, 1000])
@@ -176,11 +177,11 @@ def test_displays_may_leave_and_come_back(address: str, client: Client) -> None:
             report = DisplayReport(session, "anna's", 900, 20, 3, 1.0, 2.0, 40.0, 0.001)
             client.control.send(encode_control(report))
             client.ask(ClockRequest(0))
-            output = end(node)
+            log = end(node)
             assert client.bye() == again.bye()
     for name in ("anna's", "bert's", "bert's again"):
-        assert f"{name} joined\n" in output
-    assert "anna's last reported 900 played, 20 late, 3 lost" in output
+        assert f"{name} joined\n" in log
+    assert "anna's last reported 900 played, 20 late, 3 lost" in log
 
 
 HELLO = encode_control(Hello("raw"))
@@ -242,9 +243,9 @@ def test_a_display_may_have_any_name(address: str) -> None:
             with closing(Client(address)) as named:
                 named.join(name)
                 named.ask(ClockRequest(0))
-        output = end(node)
+        log = end(node)
     for name in names:
-        assert f"{ascii(name)[1:-1]} joined\n" in output
+        assert f"{ascii(name)[1:-1]} joined\n" in log
 
 
 @pytest.mark.parametrize("taken", ["data", "control"])

@@ -50,19 +50,19 @@ def test_every_export_carries_it(recording: Path, tmp_path: Path) -> None:
     reader = RecordingReader(recording)
     assert len(list(reader)) > 3000
     assert [run["version"] for run in reader.provenance] == [version]
-    export_mcap(recording, tmp_path / "b.mcap", print)
+    export_mcap(recording, tmp_path / "b.mcap")
     again = RecordingReader(tmp_path / "b.mcap")
     assert len(list(again)) > 3000
     assert again.provenance == reader.provenance
     for kind, to in (("csv", export_csv), ("parquet", export_parquet)):
-        to(recording, tmp_path / kind, print)
+        to(recording, tmp_path / kind)
         described = json.loads((tmp_path / kind / "provenance.json").read_text(encoding="utf-8"))
         assert described["runs"] == reader.provenance
         assert described["whole"] is True
     metadata = parquet.read_schema(tmp_path / "parquet" / "ticks.parquet").metadata
     read = parquet.ParquetFile(tmp_path / "parquet" / "ticks.parquet").metadata.metadata
     assert json.loads(read[b"telepulse.runs"]) == reader.provenance, metadata
-    export_edf(recording, tmp_path / "a.edf", print)
+    export_edf(recording, tmp_path / "a.edf")
     notes = [note.text for note in edfio.read_edf(tmp_path / "a.edf").annotations]
     assert f"version {version}" in notes
     (chapter,) = [c for c in build_recording_report(recording).chapters if "Proven" in c.title]
@@ -70,7 +70,7 @@ def test_every_export_carries_it(recording: Path, tmp_path: Path) -> None:
 
 
 def test_reader_report_and_exports_name_how_much_of_the_end_is_missing(
-    cut: Path, tmp_path: Path
+    cut: Path, tmp_path: Path, logged: list[str]
 ) -> None:
     reader = RecordingReader(cut)
     assert len(list(reader))
@@ -80,12 +80,11 @@ def test_reader_report_and_exports_name_how_much_of_the_end_is_missing(
     assert line.startswith("breaks off after 2.0 s")
     assert f"{reader.cut_bytes} bytes" in line
     assert len(reader.provenance) == 1
-    said: list[str] = []
-    export_csv(cut, tmp_path / "csv", said.append)
+    export_csv(cut, tmp_path / "csv")
     described = json.loads((tmp_path / "csv" / "provenance.json").read_text(encoding="utf-8"))
     assert (described["whole"], described["gaps"]) == (False, [line])
-    assert f"{cut}: {line}" in said
-    export_edf(cut, tmp_path / "a.edf", said.append)
+    assert f"{cut}: {line}" in logged
+    export_edf(cut, tmp_path / "a.edf")
     assert line in [note.text for note in edfio.read_edf(tmp_path / "a.edf").annotations]
     assert f"The recording: {line}." in build_recording_report(cut).chapters[0].paragraphs
 
@@ -93,7 +92,7 @@ def test_reader_report_and_exports_name_how_much_of_the_end_is_missing(
 def test_all_tables_have_one_time_base_and_each_column_names_its_clock(
     recording: Path, tmp_path: Path
 ) -> None:
-    export_csv(recording, tmp_path / "csv", print)
+    export_csv(recording, tmp_path / "csv")
     spans = []
     for name in ("samples", "ticks", "clock", "events"):
         with (tmp_path / "csv" / f"{name}.csv").open(newline="", encoding="utf-8") as file:

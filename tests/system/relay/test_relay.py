@@ -26,7 +26,7 @@ PATIENCE_S = 20.0
 
 
 class Running:
-    """A relay that runs in a thread; log: what it said; summary: once it has ended."""
+    """A relay that runs in a thread; summary: once it has ended."""
 
     def __init__(
         self,
@@ -35,9 +35,8 @@ class Running:
         client_keys: ClientKeys | None = None,
         server_keys: ServerKeys | None = None,
     ) -> None:
-        self.log: list[str] = []
         self.summary: Summary | None = None
-        self._relay = Relay(connect, bind, self.log.append, client_keys, server_keys)
+        self._relay = Relay(connect, bind, client_keys, server_keys)
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
 
@@ -185,16 +184,18 @@ def test_a_relay_that_is_started_again_is_a_cut_that_has_ended(context: Context)
             assert sensing.asked()[-1] == text
 
 
-def test_what_is_asked_and_not_answered_makes_it_connect_anew(context: Context) -> None:
+def test_what_is_asked_and_not_answered_makes_it_connect_anew(
+    context: Context, logged: list[str]
+) -> None:
     inner, outer = free_address(), free_address()
     sensing, display = Sensing(context, inner), Raw(context, outer)
-    with relaying(inner, outer) as relay:
+    with relaying(inner, outer):
         display.control.send(b"question")
         first, *_ = sensing.asked()
         # Its connection breaks for good: one message above the limit ends it.
         sensing.control.send_multipart([first, b"", bytes(4 * 65_536 + 1)])
         eventually(lambda: display.control.send(b"again") or asked_by_another(sensing, first))
-        assert any("silent" in line for line in relay.log)
+        assert any("silent" in line for line in logged)
 
 
 class DeadOnes:
@@ -293,7 +294,7 @@ def resident_bytes() -> int:
 
 
 def test_with_keys_it_lets_in_whom_it_allows_and_is_let_in_where_it_is_allowed(
-    context: Context, tmp_path: Path
+    context: Context, tmp_path: Path, logged: list[str]
 ) -> None:
     wrist, own, finger, stranger = (pair(tmp_path, n) for n in ("wrist", "own", "finger", "odd"))
     allowed = tmp_path / "allowed"
@@ -316,16 +317,16 @@ def test_with_keys_it_lets_in_whom_it_allows_and_is_let_in_where_it_is_allowed(
         sensing.send_multipart([*envelope, b"answer"])
         assert friend.control.recv() == b"answer"
         revoke(allowed, "finger")
-        eventually(lambda: refused(relay, finger))
+        eventually(lambda: refused(logged, finger))
         summary = relay.end()
     assert summary.rejected["unknown_key"] >= 1
     # Whichever side sees first that one of them has no key.
     assert {"no_key", "handshake"} & set(summary.rejected)
-    assert sum(stranger.public.key.hex() in line for line in relay.log) == 1
+    assert sum(stranger.public.key.hex() in line for line in logged) == 1
 
 
-def refused(relay: Running, pair: KeyPair) -> bool:
-    return any(pair.public.key.hex() in line for line in relay.log)
+def refused(logged: list[str], pair: KeyPair) -> bool:
+    return any(pair.public.key.hex() in line for line in logged)
 
 
 def pair(folder: Path, name: str) -> KeyPair:

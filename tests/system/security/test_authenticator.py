@@ -39,8 +39,7 @@ class Hall:
     def __init__(self, context: Context, keyring: Keyring, address: str) -> None:
         self._context = context
         self._listeners: list[Listener] = []
-        self.said: list[str] = []
-        self.gate = Authenticator(context, keyring.server(), self.said.append)
+        self.gate = Authenticator(context, keyring.server())
         self.data = sockets.bind(context, zmq.PUB, address, self.gate)
         self.address = self.data.getsockopt_string(zmq.LAST_ENDPOINT)
         self.sent = 0
@@ -66,7 +65,7 @@ class Hall:
     def tend_until(self, done: Callable[[], object]) -> None:
         end_s = time.monotonic() + PATIENCE_S
         while not done():
-            assert time.monotonic() < end_s, (self.said, self.gate.rejected)
+            assert time.monotonic() < end_s, self.gate.rejected
             self.tend()
 
     def tend_for(self, seconds: float) -> None:
@@ -94,11 +93,11 @@ def hall(request: pytest.FixtureRequest, context: Context, keyring: Keyring) -> 
         pytest.skip(f"{address} cannot be bound here")
 
 
-def test_who_is_allowed_hears_it(hall: Hall, keyring: Keyring) -> None:
+def test_who_is_allowed_hears_it(hall: Hall, keyring: Keyring, logged: list[str]) -> None:
     listener = hall.listener(keyring.client("finger"))
     hall.tend_until(lambda: listener.heard)
     assert hall.gate.rejected == {}
-    assert hall.said == []
+    assert logged == []
 
 
 @pytest.mark.parametrize(
@@ -114,6 +113,7 @@ def test_who_is_not_allowed_hears_nothing_and_is_counted(
     keyring: Keyring,
     cause: str,
     who: Callable[[Keyring], ClientKeys | None],
+    logged: list[str],
 ) -> None:
     listener = hall.listener(who(keyring))
     hall.tend_until(lambda: hall.gate.rejected[cause])
@@ -123,16 +123,16 @@ def test_who_is_not_allowed_hears_nothing_and_is_counted(
     counted = {cause} if cause == "unknown_key" else {cause, "handshake"}
     assert set(hall.gate.rejected) <= counted
     # Once; or a second time, with its address, where it had left before that was asked for.
-    assert 1 <= len(hall.said) <= (1 if cause == "unknown_key" else 2 * len(hall.gate.rejected))
-    assert all(line.startswith("refused ") for line in hall.said)
+    assert 1 <= len(logged) <= (1 if cause == "unknown_key" else 2 * len(hall.gate.rejected))
+    assert all(line.startswith("refused ") for line in logged)
     if cause == "unknown_key":
         host = "a peer:" if hall.address.startswith("ipc") else hall.address.split("/")[2]
-        assert host.rpartition(":")[0].strip("[]") in hall.said[0]
-        assert keyring.pair("stranger").public.key.hex() in hall.said[0]
+        assert host.rpartition(":")[0].strip("[]") in logged[0]
+        assert keyring.pair("stranger").public.key.hex() in logged[0]
 
 
 def test_a_hundred_attempts_are_counted_each_and_logged_once(
-    context: Context, keyring: Keyring
+    context: Context, keyring: Keyring, logged: list[str]
 ) -> None:
     hall = Hall(context, keyring, "tcp://127.0.0.1:*")
     stranger = hall.listener(keyring.client("stranger"))
@@ -142,11 +142,13 @@ def test_a_hundred_attempts_are_counted_each_and_logged_once(
             sockets.reconnect(stranger.socket, hall.address, hall.address)
     assert hall.gate.rejected["unknown_key"] == 100
     # It may leave before it has its answer, too.
-    assert len([line for line in hall.said if line.endswith(" is not allowed")]) == 1
-    assert len(hall.said) <= 2
+    assert len([line for line in logged if line.endswith(" is not allowed")]) == 1
+    assert len(logged) <= 2
 
 
-def test_who_is_revoked_is_cut_off_and_who_is_not_goes_on(hall: Hall, keyring: Keyring) -> None:
+def test_who_is_revoked_is_cut_off_and_who_is_not_goes_on(
+    hall: Hall, keyring: Keyring, logged: list[str]
+) -> None:
     keyring.allow("thumb")
     stays, goes = (hall.listener(keyring.client(name)) for name in ("finger", "thumb"))
     hall.tend_until(lambda: stays.heard and goes.heard)
@@ -156,8 +158,8 @@ def test_who_is_revoked_is_cut_off_and_who_is_not_goes_on(hall: Hall, keyring: K
     hall.tend_until(lambda: stays.heard[-1] > back)
     hall.tend_for(QUIET_S)
     assert len(goes.heard) == told
-    assert hall.said[0] == "thumb is allowed no more"
-    assert len([line for line in hall.said if line.endswith(" is allowed no more")]) == 2
+    assert logged[0] == "thumb is allowed no more"
+    assert len([line for line in logged if line.endswith(" is allowed no more")]) == 2
     # A cut may meet one that just connects anew.
     assert set(hall.gate.rejected) <= {"revoked_key", "handshake"}
 
@@ -192,7 +194,7 @@ def test_who_is_allowed_while_it_runs_gets_in(context: Context, keyring: Keyring
 
 
 def test_a_revocation_in_a_list_that_could_not_be_read_at_first_counts_once_it_can(
-    context: Context, keyring: Keyring
+    context: Context, keyring: Keyring, logged: list[str]
 ) -> None:
     keyring.allow("thumb")
     hall = Hall(context, keyring, "tcp://127.0.0.1:*")
@@ -200,22 +202,24 @@ def test_a_revocation_in_a_list_that_could_not_be_read_at_first_counts_once_it_c
     hall.tend_until(lambda: goes.heard)
     keyring.allowed.write_text(keyring.pair("finger").public.line + "\n")
     keyring.allowed.chmod(0o664)
-    hall.tend_until(lambda: any("chmod go-w" in line for line in hall.said))
+    hall.tend_until(lambda: any("chmod go-w" in line for line in logged))
     late = hall.listener(keyring.client("finger"))
     hall.tend_until(lambda: hall.gate.rejected["list_unreadable"])
     keyring.allowed.chmod(0o644)
     hall.tend_until(lambda: hall.gate.rejected["revoked_key"])
-    assert "thumb is allowed no more" in hall.said
+    assert "thumb is allowed no more" in logged
     assert late.heard == []
 
 
-def test_nobody_stays_while_the_list_cannot_be_read(context: Context, keyring: Keyring) -> None:
+def test_nobody_stays_while_the_list_cannot_be_read(
+    context: Context, keyring: Keyring, logged: list[str]
+) -> None:
     hall = Hall(context, keyring, "tcp://127.0.0.1:*")
     listener = hall.listener(keyring.client("finger"))
     own = hall.listener(keyring.client("wrist"))
     hall.tend_until(lambda: listener.heard and own.heard)
     keyring.allowed.write_text("nonsense\n")
-    hall.tend_until(lambda: hall.said)
+    hall.tend_until(lambda: logged)
     # In place of 10 s of waiting.
     hall.gate.poll(time.monotonic_ns() + UNREADABLE_AT_MOST_NS)
     hall.tend_until(lambda: hall.gate.rejected["list_unreadable"])
@@ -237,7 +241,7 @@ def test_a_list_that_is_unusable_at_the_start_is_an_error(
 ) -> None:
     keyring.allowed.write_text("nonsense\n")
     with pytest.raises(KeyFileError):
-        Authenticator(context, keyring.server(), print)
+        Authenticator(context, keyring.server())
 
 
 def test_without_a_gate_that_answers_nobody_gets_in(context: Context, keyring: Keyring) -> None:
@@ -252,7 +256,7 @@ def test_without_a_gate_that_answers_nobody_gets_in(context: Context, keyring: K
 
 
 def test_a_flood_that_nobody_looks_after_holds_up_no_connection(
-    context: Context, keyring: Keyring
+    context: Context, keyring: Keyring, logged: list[str]
 ) -> None:
     """ZeroMQ's thread would wait for a monitor that is not read, and with it all connections."""
     hall = Hall(context, keyring, "tcp://127.0.0.1:*")
@@ -267,19 +271,19 @@ def test_a_flood_that_nobody_looks_after_holds_up_no_connection(
     assert listener.socket.poll(PATIENCE_S * 1000)
     assert listener.socket.recv() == b"-1"
     hall.tend_until(lambda: hall.gate.rejected["handshake"] == 1500)
-    assert len(hall.said) <= 2
+    assert len(logged) <= 2
 
 
 def test_no_more_refused_peers_are_named_than_can_be_read(
-    context: Context, keyring: Keyring, monkeypatch: pytest.MonkeyPatch
+    context: Context, keyring: Keyring, monkeypatch: pytest.MonkeyPatch, logged: list[str]
 ) -> None:
     monkeypatch.setattr(gate_module, "MAX_NAMED", 3)
     hall = Hall(context, keyring, "tcp://127.0.0.1:*")
     for number in range(6):
         hall.listener(keyring.client(f"stranger{number}"))
         hall.tend_until(lambda number=number: hall.gate.rejected["unknown_key"] > number)
-    assert len(hall.said) == 4
-    assert hall.said[-1].startswith("more peers are refused")
+    assert len(logged) == 4
+    assert logged[-1].startswith("more peers are refused")
 
 
 def _can_bind(host: str) -> bool:

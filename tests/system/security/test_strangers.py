@@ -128,8 +128,8 @@ def test_another_user_does_not_end_a_node_with_few_files_over_an_ipc_address() -
         path = Path(folder, "pulse")
         node = limited("RLIMIT_NOFILE", FEW_FILES, SENSING, "--bind", f"ipc://{path}", umask=0)
         try:
-            assert node.stdout is not None
-            node.stdout.readline()
+            assert node.stderr is not None
+            node.stderr.readline()
             found: list[int] = []
             with ExitStack() as until_the_end:
                 os.seteuid(NOBODY)

@@ -139,7 +139,7 @@ def test_what_is_replayed_or_reflected_to_who_connects_is_not_believed(
     keyring = Keyring(tmp_path / "keys")
     keyring.allow("finger")
     bound, address = free_address(), free_address()
-    gate = Authenticator(context, keyring.server(), print)
+    gate = Authenticator(context, keyring.server())
     data = sockets.bind(context, zmq.PUB, bound, gate)
     with middleman(port(address), port(bound)) as between:
         listener = subscribed(context, address, keyring)
@@ -166,7 +166,7 @@ def test_a_message_altered_on_its_way_to_who_binds_is_refused_though_zeromq_ends
     keyring = Keyring(tmp_path / "keys")
     keyring.allow("finger")
     bound, address = free_address(), free_address()
-    gate = Authenticator(context, keyring.server(), print)
+    gate = Authenticator(context, keyring.server())
     desk = sockets.bind(context, zmq.ROUTER, bound, gate)
     heard: list[bytes] = []
 
@@ -216,7 +216,7 @@ def with_a_further_part(data: bytes) -> bytes:
 
 def test_what_a_node_says_reflected_to_it_gets_no_frame(context: Context, tmp_path: Path) -> None:
     keyring = Keyring(tmp_path / "keys")
-    gate = Authenticator(context, keyring.server(), print)
+    gate = Authenticator(context, keyring.server())
     address = free_address()
     data = sockets.bind(context, zmq.PUB, address, gate)
     heard, end_s = b"", time.monotonic() + QUIET_S

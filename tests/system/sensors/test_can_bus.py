@@ -65,7 +65,7 @@ def message(number: int, force_n: float = 0.25, at_s: float | None = None) -> ca
 
 
 def test_a_signal_is_read_from_a_bus(bus: can.BusABC, folder: Path) -> None:
-    with closing(open_sensor(scene(CHANNEL, counter="Count"), folder, print)) as sensor:
+    with closing(open_sensor(scene(CHANNEL, counter="Count"), folder)) as sensor:
         bus.send(can.Message(arbitration_id=292, is_extended_id=False, data=bytes(2)))
         for number in range(20):
             bus.send(message(number, number * 0.01))
@@ -151,7 +151,7 @@ def test_a_database_without_the_signal_is_one_line(
 ) -> None:
     (folder / "bad.dbc").write_bytes(b"\xff\x00 no database")
     with pytest.raises(SourceError) as caught:
-        open_sensor(scene(**keys), folder, print)
+        open_sensor(scene(**keys), folder)
     assert said in str(caught.value)
     assert str(caught.value).startswith(str(folder))
     assert "\n" not in str(caught.value)
@@ -166,5 +166,5 @@ def test_a_message_may_be_named_where_several_have_the_signal(folder: Path) -> N
 )
 def test_a_bus_that_is_not_there_is_one_line(folder: Path, keys: dict[str, object]) -> None:
     with pytest.raises(SourceError, match="cannot be opened") as caught:
-        open_sensor(scene(**keys), folder, print)
+        open_sensor(scene(**keys), folder)
     assert "\n" not in str(caught.value)

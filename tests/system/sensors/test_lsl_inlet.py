@@ -48,19 +48,18 @@ def test_a_time_that_no_clock_has_is_counted(time_s: float) -> None:
 
 
 def test_a_stream_is_found_read_and_named_when_lost(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, logged: list[str]
 ) -> None:
     pylsl = lsl_on_loopback(tmp_path, monkeypatch)
     monkeypatch.setattr(lsl_inlet, "RESOLVE_S", 10.0)
     info = pylsl.StreamInfo("telepulse test", "Force", 2, 1000, pylsl.cf_float32, "telepulse")
     outlets = [pylsl.StreamOutlet(info)]
     with pytest.raises(SourceError, match="no channel 2; it has 2"):
-        open_sensor(scene(channel=2), Path(), print)
+        open_sensor(scene(channel=2), Path())
     with pytest.raises(SourceError, match="its rate is 1000 Hz, the scene says 500"):
-        open_sensor(scene(rate="500 Hz"), Path(), print)
-    news: list[str] = []
+        open_sensor(scene(rate="500 Hz"), Path())
     force_n: list[float] = []
-    with closing(open_sensor(scene(channel=1), Path(), news.append)) as sensor:
+    with closing(open_sensor(scene(channel=1), Path())) as sensor:
         until(outlets[0].have_consumers)
 
         def enough() -> bool:
@@ -75,7 +74,7 @@ def test_a_stream_is_found_read_and_named_when_lost(
         def gone() -> bool:
             sensor.poll()
             time.sleep(0.01)
-            return bool(news)
+            return bool(logged)
 
         until(gone)
-        assert news == ["LSL stream telepulse test has gone: the stream has been lost."]
+        assert logged == ["LSL stream telepulse test has gone: the stream has been lost."]

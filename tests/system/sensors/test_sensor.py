@@ -62,12 +62,11 @@ class AsIs:
 
 @pytest.mark.parametrize("error", [OSError("pulled"), TypeError("driver"), RuntimeError("driver")])
 def test_whatever_a_driver_raises_the_device_has_gone_and_comes_back(
-    error: Exception, monkeypatch: pytest.MonkeyPatch
+    error: Exception, monkeypatch: pytest.MonkeyPatch, logged: list[str]
 ) -> None:
     monkeypatch.setattr(module, "REOPEN_EVERY_S", 0.01)
-    news: list[str] = []
     port, decoder = Given(0.1, error, 0.2), AsIs()
-    with closing(Sensor(port, decoder, TABLE, news.append)) as sensor:
+    with closing(Sensor(port, decoder, TABLE)) as sensor:
         readings = []
 
         def both() -> bool:
@@ -76,7 +75,7 @@ def test_whatever_a_driver_raises_the_device_has_gone_and_comes_back(
 
         until(both)
         assert [reading.force_n for reading in readings] == [(0.1,), (0.2,)]
-    assert news == [f"the port has gone: {error}", "the port is back"]
+    assert logged == [f"the port has gone: {error}", "the port is back"]
     assert (port.openings, decoder.resets) == (2, 1)
 
 
@@ -105,18 +104,17 @@ def test_what_nobody_fetches_is_counted_and_no_memory_grows(
         assert sensor.poll() == []
 
 
-def test_a_rate_that_lasts_and_is_not_the_scenes_is_reported_once() -> None:
-    news: list[str] = []
+def test_a_rate_that_lasts_and_is_not_the_scenes_is_reported_once(logged: list[str]) -> None:
     now_ns = itertools.count(0, 1_250_000)
     port = Given(*range(1, 5_001))
-    with closing(Sensor(port, AsIs(), TABLE, news.append, clock=lambda: next(now_ns))) as sensor:
+    with closing(Sensor(port, AsIs(), TABLE, clock=lambda: next(now_ns))) as sensor:
 
         def all_fetched() -> bool:
             sensor.poll()
             return port.empty.is_set()
 
         until(all_fetched)
-    assert news == ["warning: the port sends 800 Hz, the scene says 1000 Hz: check its rate"]
+    assert logged == ["the port sends 800 Hz, the scene says 1000 Hz: check its rate"]
 
 
 def test_a_device_that_is_not_there_is_told_at_once() -> None:

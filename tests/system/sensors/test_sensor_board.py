@@ -117,9 +117,9 @@ def test_a_pulled_cable_is_named_and_what_was_missed_counts_as_lost(
                 while jumped[-1].first_sample - before[-1].first_sample < 1000:
                     jumped += frames(client, 1)
                 sensing.send_signal(signal.SIGTERM)
-                output, _ = sensing.communicate(timeout=20)
-    assert f"{link} has gone: " in output
-    assert f"{link} is back" in output
+                _, errors = sensing.communicate(timeout=20)
+    assert f"{link} has gone: " in errors
+    assert f"{link} is back" in errors
     went, missing, *_ = read_json(summary)["faults"]
     assert went.startswith(f"{link} was gone 1 time, for ")
     assert missing.endswith(f" samples missing from {link}")

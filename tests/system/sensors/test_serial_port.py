@@ -28,8 +28,8 @@ def scene(port: object, **keys: object) -> SerialScene:
     return validate(table | keys, SerialScene, "scene")
 
 
-def opened(scene: SerialScene, log: Callable[[str], None] = print) -> Any:
-    return closing(open_sensor(scene, Path(), log))
+def opened(scene: SerialScene) -> Any:
+    return closing(open_sensor(scene, Path()))
 
 
 @contextmanager
@@ -59,24 +59,23 @@ def test_a_pseudo_terminal_is_read() -> None:
         assert (sensor.faults(), sensor.rejected) == ([], {})
 
 
-def test_a_socket_is_read_and_its_end_is_named() -> None:
+def test_a_socket_is_read_and_its_end_is_named(logged: list[str]) -> None:
     enough = threading.Event()
 
     def serve(connection: socket.socket, over: threading.Event) -> None:
         while not enough.wait(0.01) and not over.is_set():
             connection.sendall(b"0.25\n" * 10)
 
-    news: list[str] = []
-    with server(serve) as address, opened(scene(f"socket://{address}"), news.append) as sensor:
+    with server(serve) as address, opened(scene(f"socket://{address}")) as sensor:
         assert set(forces(heard(sensor, 100))) == {0.25}
         enough.set()
 
         def gone() -> bool:
             sensor.poll()
-            return bool(news)
+            return bool(logged)
 
         until(gone)
-        assert news[0].startswith(f"socket://{address} has gone: ")
+        assert logged[0].startswith(f"socket://{address} has gone: ")
 
 
 @pytest.mark.filterwarnings("ignore:set:DeprecationWarning")  # pyserial's own
@@ -111,20 +110,20 @@ def test_loop_is_read() -> None:
         assert forces(heard(sensor, 2)) == [0.5, 0.25]
 
 
-def test_a_pulled_cable_is_named_and_the_stream_goes_on(tmp_path: Path) -> None:
-    link, news = tmp_path / "board", []
+def test_a_pulled_cable_is_named_and_the_stream_goes_on(tmp_path: Path, logged: list[str]) -> None:
+    link = tmp_path / "board"
     board = PtyPort(link)
-    with opened(scene(link), news.append) as sensor:
+    with opened(scene(link)) as sensor:
         board.write(b"\n0.1\n0.2\n")
         heard(sensor, 2)
         board.close()
 
         def told() -> int:
             sensor.poll()
-            return len(news)
+            return len(logged)
 
         until(lambda: told() == 1)
-        assert news[0].startswith(f"{link} has gone: ")
+        assert logged[0].startswith(f"{link} has gone: ")
         with closing(PtyPort(link)) as again:
 
             def back() -> bool:
@@ -133,7 +132,7 @@ def test_a_pulled_cable_is_named_and_the_stream_goes_on(tmp_path: Path) -> None:
                 return told() == 2
 
             until(back)
-            assert news[1] == f"{link} is back"
+            assert logged[1] == f"{link} is back"
             again.write(b"\n0.3\n")
             assert set(forces(heard(sensor, 1))) == {0.3}
         fault = sensor.faults()[0]

@@ -3,7 +3,7 @@ import re
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from http.client import HTTPConnection
 from typing import Any
@@ -24,14 +24,14 @@ from tests.support.waiting import until
 
 
 @contextmanager
-def serving(telemetry: str, warn: Callable[[str], None] = print) -> Iterator[PageServer]:
+def serving(telemetry: str) -> Iterator[PageServer]:
     """A page's server on a loop of its own."""
     made: list[PageServer] = []
 
     def serve() -> None:
         loop = asyncio.new_event_loop()
         asyncio.set_event_loop(loop)
-        made.append(PageServer(telemetry, "127.0.0.1", None, warn))
+        made.append(PageServer(telemetry, "127.0.0.1", None))
         made[0].run()
         loop.close()
 
@@ -99,9 +99,8 @@ def token_of(page: PageServer) -> str:
     return found[1]
 
 
-def test_another_site_is_served_neither_page_nor_pulse() -> None:
-    warned: list[str] = []
-    with serving(free_address(), warned.append) as page:
+def test_another_site_is_served_neither_page_nor_pulse(logged: list[str]) -> None:
+    with serving(free_address()) as page:
         port = urlsplit(page.url).port
         # The name of another site that was made to resolve to this machine.
         evil = f"evil.example:{port}"
@@ -119,8 +118,8 @@ def test_another_site_is_served_neither_page_nor_pulse() -> None:
         line, connection = websocket(page, token, Origin=page.url)
         connection.close()
         assert " 101 " in line
-    assert len(warned) == 1
-    assert "evil.example" in warned[0]
+    assert len(logged) == 1
+    assert "evil.example" in logged[0]
 
 
 def test_pages_are_few_and_those_that_do_not_read_are_closed(

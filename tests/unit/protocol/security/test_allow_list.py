@@ -129,8 +129,7 @@ class Watched:
     """A list of a running node, looked at once a second of virtual time."""
 
     def __init__(self, path: Path) -> None:
-        self.lines: list[str] = []
-        self.list = AllowList(path, self.lines.append)
+        self.list = AllowList(path)
         self.now_s = 0
 
     def run(self, seconds: int) -> list[bytes]:
@@ -148,15 +147,15 @@ def watched(path: Path) -> Watched:
     return Watched(path)
 
 
-def test_a_change_is_read_once(path: Path, watched: Watched) -> None:
+def test_a_change_is_read_once(path: Path, watched: Watched, logged: list[str]) -> None:
     assert watched.run(3) == []
     revoke(path, "wrist")
     assert watched.run(3) == [WRIST.key]
     assert list(watched.list.allowed) == [FINGER.key]
-    assert watched.lines == ["wrist is allowed no more"]
+    assert logged == ["wrist is allowed no more"]
 
 
-def test_a_list_is_read_until_it_can_be(path: Path, watched: Watched) -> None:
+def test_a_list_is_read_until_it_can_be(path: Path, watched: Watched, logged: list[str]) -> None:
     path.write_text(f"{FINGER.line}\n")
     path.chmod(0o664)
     assert watched.run(5) == []
@@ -165,13 +164,13 @@ def test_a_list_is_read_until_it_can_be(path: Path, watched: Watched) -> None:
     path.chmod(0o644)
     assert watched.run(1) == [WRIST.key]
     assert watched.list.readable
-    assert len(watched.lines) == 3
-    assert "until it can be read no new peer may connect" in watched.lines[0]
-    assert watched.lines[1:] == [f"{path} is read again", "wrist is allowed no more"]
+    assert len(logged) == 3
+    assert "until it can be read no new peer may connect" in logged[0]
+    assert logged[1:] == [f"{path} is read again", "wrist is allowed no more"]
 
 
 def test_a_list_that_cannot_be_opened_just_then_is_read_later(
-    path: Path, watched: Watched, monkeypatch: pytest.MonkeyPatch
+    path: Path, watched: Watched, monkeypatch: pytest.MonkeyPatch, logged: list[str]
 ) -> None:
     def no_descriptor(*_: object) -> None:
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
@@ -180,18 +179,20 @@ def test_a_list_that_cannot_be_opened_just_then_is_read_later(
     with monkeypatch.context() as patch:
         patch.setattr(Path, "open", no_descriptor)
         assert watched.run(2) == []
-    assert "Too many open files" in watched.lines[0]
+    assert "Too many open files" in logged[0]
     assert watched.run(1) == [WRIST.key]
 
 
-def test_after_ten_seconds_without_a_list_nobody_stays(path: Path, watched: Watched) -> None:
+def test_after_ten_seconds_without_a_list_nobody_stays(
+    path: Path, watched: Watched, logged: list[str]
+) -> None:
     text = path.read_text()
     path.write_text("nonsense\n")
     assert watched.run(10) == []
     assert set(watched.run(1)) == {WRIST.key, FINGER.key}
     assert watched.run(20) == []
     assert watched.list.allowed == {}
-    assert watched.lines[1:] == [f"{path} could not be read for 10 s: all peers are cut off"]
+    assert logged[1:] == [f"{path} could not be read for 10 s: all peers are cut off"]
     path.write_text(text)
     assert watched.run(1) == []
     assert len(watched.list.allowed) == 2

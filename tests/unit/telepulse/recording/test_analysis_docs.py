@@ -24,9 +24,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("recording")
     path = folder / "pulse.mcap"
     record(path, 3)
-    export_csv(path, folder / "pulse", str)
-    export_parquet(path, folder / "pulse.parquet", str)
-    export_edf(path, folder / "pulse.edf", str)
+    export_csv(path, folder / "pulse")
+    export_parquet(path, folder / "pulse.parquet")
+    export_edf(path, folder / "pulse.edf")
     return folder
 
 

@@ -16,9 +16,9 @@ from telepulse.telemetry.schema import FRAME, TICK
 
 READERS: dict[str, Callable[[Path, Path], Any]] = {
     "report": lambda path, _: read_findings(path),
-    "csv": lambda path, out: export_csv(path, out, str),
-    "parquet": lambda path, out: export_parquet(path, out, str),
-    "edf": lambda path, out: export_edf(path, out, str),
+    "csv": lambda path, out: export_csv(path, out),
+    "parquet": lambda path, out: export_parquet(path, out),
+    "edf": lambda path, out: export_edf(path, out),
 }
 
 

@@ -1,0 +1,26 @@
+"""The log of a program of ours, as it stands on its standard error."""
+
+import re
+
+_RECORD = re.compile(r"^\d\d:\d\d:\d\d\.\d{3} (?P<level>[A-Z]+) (?P<message>.*)$")
+USUAL = ("DEBUG", "INFO")
+
+
+def messages(errors: str) -> list[str]:
+    """The messages of the records in a standard error, in order."""
+    found = map(_RECORD.match, errors.splitlines())
+    return [record["message"] for record in found if record is not None]
+
+
+def unusual(errors: str) -> str:
+    """The lines of a standard error that are no record of level info or below."""
+    return "".join(
+        line
+        for line in errors.splitlines(keepends=True)
+        if (record := _RECORD.match(line)) is None or record["level"] not in USUAL
+    )
+
+
+def strays(errors: str) -> str:
+    """The lines of a standard error that are no record of the log."""
+    return "".join(line for line in errors.splitlines(keepends=True) if _RECORD.match(line) is None)
