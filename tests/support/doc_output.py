@@ -189,7 +189,6 @@ UNRUN = {
     "telepulse experiment run mine.toml --log try.jsonl --without-drive": SUBJECT,
     "telepulse experiment run mine.toml --log anna.jsonl --resume": SUBJECT,
     "telepulse experiment run mine.toml --log o.jsonl --observer '5 %'": OBSERVER,
-    "telepulse experiment report anna.jsonl": OBSERVER,
     "telepulse experiment report anna.jsonl bo.jsonl": OBSERVER,
     f"{PROTECTED} --announce": MULTICAST,
     f"{PLAY} --discover --key keys/finger.key --peer wrist.pub": MULTICAST,
@@ -206,7 +205,6 @@ UNRUN = {
     "make report": "a minute; tests/system/reports/test_paper_command.py",
     "make bench": "an hour",
     'make demo ARGS="--seconds 300"': "five minutes; the like is run above",
-    f"{PLAY} --metrics 9100": "run above, with its sensing node's address",
     "make bench ARGS=load": "minutes",
     "make fuzz": FUZZ,
     'make fuzz ARGS="--seconds 600"': FUZZ,
@@ -217,14 +215,11 @@ UNRUN = {
     "telepulse study playout": "minutes; tests/system/reports/test_playout_study.py",
     "telepulse study prediction": "minutes; tests/system/reports/test_prediction_study.py",
     "telepulse study link": "minutes; tests/system/reports/test_link_study.py",
-    "telepulse calibrate LOADS.csv": "as loads.csv, above",
     "telepulse tune checked.toml": "of a bench that was there",
     "display-node checked.toml --connect tcp://HOST:5555 --key keys/finger.key --peer wrist.pub": (
         "of a bench that was there"
     ),
-    "telepulse tune real_bench": "10 s; tests/system/commissioning/test_tuning.py",
     "telepulse scenes copy tmcl_bench my_bench.toml": "as of radial, run above",
-    "telepulse bench my_bench.toml": BENCH,
     "telepulse bench my_bench.toml --only display": BENCH,
     "telepulse bench my_bench.toml --only display --write checked.toml --out out/bench": BENCH,
     "telepulse bench real_bench": BENCH,
@@ -235,6 +230,6 @@ UNRUN = {
     'telepulse calibrate --scene my_bench.toml --at finger --loads "0, 0.5, 1, 1.5, 1, 0.5, 0 N"': (
         "asks for loads to be put on a film; tests/system/commissioning"
     ),
-    "sensing-node SCENES/tmcl_bench.toml --bind tcp://127.0.0.1:5555": "the README's, run above",
-    "display-node SCENES/tmcl_bench.toml --connect tcp://127.0.0.1:5555": "the README's, as above",
+    "sensing-node SCENES/tmcl_bench.toml --bind tcp://127.0.0.1:5555": "the bench page, run above",
+    "display-node SCENES/tmcl_bench.toml --connect tcp://127.0.0.1:5555": "as above",
 }
