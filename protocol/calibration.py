@@ -37,7 +37,7 @@ class Calibration:
 
     @classmethod
     def of_film(cls, film: Film) -> Self:
-        """The line that eq 21 gives a film."""
+        """Return the line that eq 21 gives for a film."""
         return cls(film.volts_per_newton)
 
     def volts(self, force_n: Floats) -> Floats:
@@ -73,7 +73,7 @@ class Adc:
         return math.ldexp(self.range_volts, 1 - self.bits)
 
     def quantise(self, volts: Floats) -> Floats:
-        """The nearest code's voltage in V; beyond the range, the last code's.
+        """Return the nearest code's voltage in V; beyond the range, the last code's.
 
         Raises ValueError for NaN: no converter gives one, so what feeds it is at fault.
         """

@@ -141,9 +141,9 @@ class SubscriptionBudget:
         self.rejected: Counter[str] = Counter()
 
     def receive(self) -> Iterator[bytes]:
-        """Yield waiting subscriptions to and cancellations of published topics. Call it often.
+        r"""Yield waiting subscriptions to and cancellations of published topics. Call it often.
 
-        Each is XPUB's message: b"\\x01" or b"\\x00", then the topic. Others are charged.
+        Each is XPUB's message: b"\x01" or b"\x00", then the topic. Others are charged.
         """
         for _ in range(sockets.MAX_MESSAGES):
             if not sockets.has_message(self._socket):

@@ -34,7 +34,7 @@ MAX_PERIOD_NS = 10_000_000_000
 TIME_RANGE = range(-(1 << 62), 1 << 62)
 COUNT_RANGE = range(1 << 53)
 _SESSION, _COUNT, _TIME = range(1 << 63), COUNT_RANGE, TIME_RANGE
-# No force of a pulse is beyond this, in whatever unit it was meant; figures made of it stay finite.
+# No force of a pulse is larger, whatever its unit; figures computed from it stay finite.
 LARGEST_N = 1e6
 _FORMATS: dict[int, np.dtype[Any]] = {4: np.dtype("<f4"), 8: np.dtype("<f8")}
 
@@ -42,7 +42,21 @@ _pack: Callable[[object], bytes] = msgpack.Packer(use_bin_type=True).pack
 
 
 class Frame(NamedTuple):
-    """A batch of consecutive samples; `values` has shape (samples, channels)."""
+    """A batch of consecutive samples.
+
+    Attributes
+    ----------
+    session : int
+        Random number of the sensing node's run, 0 to 2^63 - 1.
+    first_sample : int
+        Sequence number of the first sample, 0 to 2^53 - 1.
+    t_first_ns : int
+        Its time on the sensing node's clock, within ±2^62.
+    period_ns : int
+        Time between samples, 1 to 10^10.
+    values : ndarray, shape (samples, channels)
+        float32 or float64, in N.
+    """
 
     session: int
     first_sample: int
@@ -52,7 +66,7 @@ class Frame(NamedTuple):
 
 
 def encode_frame(frame: Frame) -> bytes:
-    """The frame's bytes. `values` must be float32 or float64 of shape (samples, channels)."""
+    """Encode a frame; its values must be float32 or float64 of shape (samples, channels)."""
     session, first_sample, t_first_ns, period_ns, values = frame
     width = values.itemsize
     if values.dtype is not _FORMATS[width]:
@@ -62,7 +76,19 @@ def encode_frame(frame: Frame) -> bytes:
 
 
 def decode_frame(data: bytes) -> Frame:
-    """The frame in `data`. Raises WireError; its causes are in docs/wire.md."""
+    """Decode a frame.
+
+    Parameters
+    ----------
+    data : bytes
+        At most 65 536 bytes are accepted.
+
+    Raises
+    ------
+    WireError
+        With the cause "oversized", "truncated", "not_msgpack", "version", "malformed" or
+        "not_finite".
+    """
     fields = _unpack(data, MAX_FRAME_BYTES)
     if len(fields) != 8:
         raise WireError("malformed", f"a frame has 8 fields, this one {len(fields)}")
@@ -86,7 +112,7 @@ def decode_frame(data: bytes) -> Frame:
         raise WireError("malformed", f"{len(payload)} bytes are not whole samples")
     values = np.frombuffer(payload, _FORMATS[width])
     numbers = values.tolist()
-    # A NaN hides from `max`, never from the sum.
+    # `max` may skip a NaN; the sum does not.
     if not math.isfinite(sum(numbers)) or max(numbers) > LARGEST_N or min(numbers) < -LARGEST_N:
         raise WireError("not_finite", f"a sample is NaN, infinite or beyond {LARGEST_N:.0e} N")
     return Frame(session, first_sample, t_first_ns, period_ns, values.reshape(-1, channels))
@@ -94,14 +120,14 @@ def decode_frame(data: bytes) -> Frame:
 
 @dataclass(frozen=True, slots=True)
 class Hello:
-    """A display asks for the stream's description."""
+    """Request of a display for the stream's description."""
 
     display: str
 
 
 @dataclass(frozen=True, slots=True)
 class Welcome:
-    """The sensing node's answer: its session, how many samples it has sent, the stream."""
+    """Answer of the sensing node: its session, the samples sent so far, the stream."""
 
     session: int
     samples_sent: int
@@ -110,7 +136,7 @@ class Welcome:
 
 @dataclass(frozen=True, slots=True)
 class Bye:
-    """The session is over after `samples_sent` samples."""
+    """End of the session, after `samples_sent` samples."""
 
     session: int
     samples_sent: int
@@ -118,14 +144,14 @@ class Bye:
 
 @dataclass(frozen=True, slots=True)
 class ClockRequest:
-    """A display asks for the sensing clock at its own time t1."""
+    """Request of a display for the sensing clock, sent at its own time t1."""
 
     t1_ns: int
 
 
 @dataclass(frozen=True, slots=True)
 class ClockReply:
-    """The sensing clock when the request came (t2) and when this reply left (t3)."""
+    """Sensing clock when the request arrived (t2) and when this reply left (t3)."""
 
     session: int
     t1_ns: int
@@ -135,7 +161,7 @@ class ClockReply:
 
 @dataclass(frozen=True, slots=True)
 class DisplayReport:
-    """A display tells the sensing node how the stream arrives; NaN where it cannot know."""
+    """Report of a display on how the stream arrives; NaN for what is unknown."""
 
     session: int
     display: str
@@ -163,7 +189,7 @@ _NAMES = {kind: name for name, (kind, _) in _KINDS.items()}
 
 
 def encode_control(message: Control) -> bytes:
-    """The control message's bytes."""
+    """Encode a control message."""
     name = _NAMES[type(message)]
     fields = [getattr(message, field) for field in message.__slots__]
     if isinstance(message, Welcome):
@@ -172,7 +198,7 @@ def encode_control(message: Control) -> bytes:
 
 
 def decode_control(data: bytes) -> Control:
-    """The control message in `data`. Raises WireError."""
+    """Decode a control message. Raises WireError, as `decode_frame` or with "description"."""
     fields = _unpack(data, MAX_CONTROL_BYTES)
     name = fields[1] if len(fields) > 1 else None
     if not isinstance(name, str) or name not in _KINDS:
@@ -201,12 +227,12 @@ def _fits(value: object, expected: type | range) -> bool:
 
 
 def _unpack(data: bytes, limit: int) -> list[Any]:
-    """The array in `data`, whose first field is our version. Raises WireError."""
+    """Decode an array whose first field is the protocol version. Raises WireError."""
     if len(data) > limit:
         raise WireError("oversized", f"{len(data)} bytes, at most {limit} are taken")
     try:
-        # Room for a container is made before its content is seen: without the limits a message
-        # of nested, empty promises would take hundreds of megabytes.
+        # msgpack allocates a container before it reads the content: without the limits, nested
+        # empty containers would take hundreds of megabytes.
         fields = msgpack.unpackb(
             data, raw=False, max_array_len=MAX_CHANNELS, max_map_len=MAX_CHANNELS
         )
@@ -221,5 +247,5 @@ def _unpack(data: bytes, limit: int) -> list[Any]:
 
 
 def _shown(field: object) -> str:
-    """A field in an error; of a container its type, as nesting may be too deep to be shown."""
+    """Return a field for an error; of a container its type: nesting may be too deep to print."""
     return f"{field!r:.40}" if isinstance(field, int | str) else type(field).__name__

@@ -1,4 +1,4 @@
-"""A status: what a node tells now and then of itself, for another process to show.
+"""Status of a node, published some times a second for other processes to show.
 
 A multipart message ["status", msgpack]. A last status has final = true.
 """
@@ -18,11 +18,20 @@ _SUMMARY = TypeAdapter(Summary)
 
 
 class PlaybackStatus(NamedTuple):
-    """The way a display plays the stream.
+    """How a display plays the stream.
 
-    channel: the one that it plays. force_ratio: force at the finger per force at the wrist that
-    makes both strains equal. strain_per_newton: of the layer under the finger. predictor: its name.
-    stale_after_ns: how long without samples makes the stream stale.
+    Attributes
+    ----------
+    channel : int
+        Channel that it plays.
+    force_ratio : float
+        Force at the finger per force at the wrist that makes both strains equal.
+    strain_per_newton : float
+        Strain of the layer under the finger, in 1/N.
+    predictor : str
+        Name of the predictor.
+    stale_after_ns : int
+        Time without samples after which the stream is stale.
     """
 
     channel: Annotated[int, Field(ge=0, lt=MAX_CHANNELS)]
@@ -33,10 +42,16 @@ class PlaybackStatus(NamedTuple):
 
 
 class Status(NamedTuple):
-    """The status of a node: a word, its stream, its running summary.
+    """Status of a node: a state, its stream, its running summary.
 
-    session: of the stream; None while there is none. displays: how many listen to a sensing node;
-    None where the question does not apply. playing: of a display that knows its stream.
+    Attributes
+    ----------
+    session : int or None
+        Session of the stream; None while there is none.
+    displays : int or None
+        Displays connected to a sensing node; None for a display.
+    playing : PlaybackStatus or None
+        Of a display that has the stream's description.
     """
 
     state: str
@@ -60,13 +75,13 @@ def pack_status(
     displays: int | None = None,
     playing: PlaybackStatus | None = None,
 ) -> bytes:
-    """A status message, of the fields of `Status`."""
+    """Encode a status message, from the fields of `Status`."""
     fields = [state, stream, summary.to_dict(), final, session, displays, playing]
     return bytes(msgpack.packb(fields))
 
 
 def read_status(data: bytes) -> Status:
-    """The status in a message, with every key of a summary. Raises WireError."""
+    """Decode a status, with every key of a summary. Raises WireError."""
     try:
         state, stream, summary, final, session, displays, playing = unpack(data)
         if playing is not None:
@@ -94,8 +109,8 @@ def _countable(value: Any) -> bool:
 
 
 def unpack(data: bytes, max_items: int = MAX_ITEMS) -> Any:
-    """The msgpack in a message. Raises ValueError or TypeError.
+    """Decode msgpack with at most `max_items` in a container. Raises ValueError or TypeError.
 
-    Room is made for what an array or a table promises; more than `max_items` are not believed.
+    msgpack allocates as many items as a container's header announces.
     """
     return msgpack.unpackb(data, max_array_len=max_items, max_map_len=max_items)

@@ -1,6 +1,6 @@
-"""A stream's description: what a display must know to turn its frames into strain.
+"""Description of a stream, which a display needs to turn frames into strain.
 
-It travels in the sensing node's welcome, so a display that joins late has it too.
+The sensing node sends it in its welcome, so that a display that joins late has it too.
 """
 
 import dataclasses
@@ -40,11 +40,24 @@ class Channel:
 
 @dataclass(frozen=True, slots=True, config=_STRICT)
 class StreamDescription:
-    """What the frames of a stream hold.
+    """Content of a stream's frames.
 
-    period_ns: time between samples. batch: samples a frame, at most. bytes_per_sample: 4 or 8
-    (float32 or float64). layer: the rubber at the wrist. group_delay_ns: by how much the
-    sensing chain delays the pulse.
+    Attributes
+    ----------
+    name : str
+        Name of the stream, 1 to 80 printable characters.
+    period_ns : int
+        Time between samples, 1 µs to 10 s.
+    batch : int
+        Most samples of a frame, 1 to 4096.
+    channels : tuple of Channel
+        1 to 64 channels.
+    layer : ElasticLayer
+        Rubber at the wrist.
+    bytes_per_sample : int
+        4 (float32) or 8 (float64).
+    group_delay_ns : int
+        Delay of the pulse by the sensing chain, 0 to 10 s.
     """
 
     name: Name
@@ -57,11 +70,11 @@ class StreamDescription:
 
     @property
     def rate_hz(self) -> float:
-        """Samples a second."""
+        """Samples per second."""
         return SECOND_NS / self.period_ns
 
     def to_wire(self) -> dict[str, Any]:
-        """The description as plain types that msgpack carries."""
+        """Return the description as plain types for msgpack."""
         return dataclasses.asdict(self)
 
 
@@ -69,7 +82,7 @@ _ADAPTER = TypeAdapter(StreamDescription)
 
 
 def description_from_wire(table: object) -> StreamDescription:
-    """Validate a description that came over the wire. Raises WireError("description")."""
+    """Validate a received description. Raises WireError with the cause "description"."""
     try:
         return _ADAPTER.validate_python(table)
     except ValidationError as error:
@@ -87,5 +100,5 @@ class LayerTable(Section):
     contact_length_m: Annotated[Metres, Field(gt=0)] = 1.0
 
     def layer(self) -> ElasticLayer:
-        """The layer this table describes."""
+        """Return the layer that the table describes."""
         return ElasticLayer(**self.model_dump())

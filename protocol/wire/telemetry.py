@@ -72,21 +72,21 @@ class Trace(NamedTuple):
 
 
 class TraceWriter:
-    """Collects ticks and gives them out as messages."""
+    """Collector of ticks into trace messages."""
 
     def __init__(self) -> None:
         self._ints: list[int] = []
         self._forces: list[float] = []
 
     def add(self, felt: TickState) -> bytes | None:
-        """A tick; a trace message when one is full."""
+        """Add a tick; return a trace message when one is full."""
         ints = self._ints
         ints += (felt.now_ns, felt.instant_ns, felt.scored, felt.trusted)
         self._forces += (felt.target_n, felt.felt_n, felt.predictor_error_n)
         return self.rest() if len(ints) >= 4 * TRACE_TICKS else None
 
     def rest(self) -> bytes | None:
-        """The ticks since the last message as one, if there are any."""
+        """Return a message of the ticks since the last one, if there are any."""
         if not self._ints:
             return None
         message = [np.array(self._ints, "<i8").tobytes(), np.array(self._forces, "<f8").tobytes()]
@@ -120,19 +120,28 @@ def read_trace(data: bytes) -> Trace:
 
 HEARD = b"heard"
 CONTROL = -1
-# What a message costs beside its bytes.
+# Overhead of a message beside its bytes.
 OVERHEAD_BYTES = 64
 # Sockets take four times a frame's greatest size.
 MAX_PART_BYTES = 2 * MAX_FRAME_BYTES
 MAX_PART_MESSAGES = MAX_PART_BYTES // OVERHEAD_BYTES + 1
-# Between two traces; of a flood beyond it, messages are counted, not kept.
+# Most bytes between two traces; further messages of a flood are only counted.
 MAX_KEPT_BYTES = 64 * MAX_FRAME_BYTES
 SUBSCRIBED, UNSUBSCRIBED = b"\1" + HEARD, b"\0" + HEARD
 
 
 class CapturedMessage(NamedTuple):
-    """One message from the sensing node: when it came, on the display's clock; which of the data
-    connections it came over, or CONTROL; its bytes, cut where they are above a frame's limit."""
+    """A message received from the sensing node.
+
+    Attributes
+    ----------
+    arrived_ns : int
+        Arrival on the display's clock.
+    path : int
+        Number of the data connection, or CONTROL.
+    data : bytes
+        Its bytes, cut above a frame's limit.
+    """
 
     arrived_ns: int
     path: int
@@ -140,10 +149,18 @@ class CapturedMessage(NamedTuple):
 
 
 class CapturedMessages(NamedTuple):
-    """Consecutive messages, and where they stand in what a display's run publishes.
+    """Consecutive messages, with their place among all that a display's run publishes.
 
-    run: a random number of this run. now_ns, wall_ns: one instant on the display's clock and in
-    Unix time. traces, statuses: published so far. before: messages heard before these.
+    Attributes
+    ----------
+    run : int
+        Random number of the run.
+    now_ns, wall_ns : int
+        One instant on the display's clock and in Unix time.
+    traces, statuses : int
+        Numbers of traces and statuses published so far.
+    before : int
+        Number of messages received before these.
     """
 
     run: int
@@ -156,7 +173,7 @@ class CapturedMessages(NamedTuple):
 
 
 class CaptureWriter:
-    """Collects what is heard, while somebody wants it, and gives it out as messages."""
+    """Collector of received messages for recorders, while one subscribes."""
 
     def __init__(self, run: int) -> None:
         self._run = run
@@ -168,10 +185,10 @@ class CaptureWriter:
         self.traces = self.statuses = 0
 
     def follow(self, subscription: bytes) -> None:
-        """A reader came, or the last one left: what an XPUB socket tells."""
+        """Follow a subscription or cancellation, as an XPUB socket reports it."""
         if subscription == SUBSCRIBED:
             self.wanted = True
-            # Who comes late must know the stream as well.
+            # A late recorder needs the stream's description, too.
             if self._welcome is not None:
                 self._keep(self._welcome)
         elif subscription == UNSUBSCRIBED:
@@ -180,14 +197,14 @@ class CaptureWriter:
             self._kept_bytes = 0
 
     def add(self, arrived_ns: int, path: int, data: bytes) -> None:
-        """A message came."""
+        """Add a received message."""
         if self.wanted and self._kept_bytes < MAX_KEPT_BYTES:
             self._keep(CapturedMessage(arrived_ns, path, data[: MAX_FRAME_BYTES + 1]))
         else:
             self._heard += 1
 
     def welcome(self, arrived_ns: int, data: bytes) -> None:
-        """The message that came described the stream; it is said again to who comes later."""
+        """Store the welcome, which is repeated to recorders that subscribe later."""
         self._welcome = CapturedMessage(arrived_ns, CONTROL, data)
 
     def take(self, now_ns: int, wall_ns: int) -> Iterator[bytes]:
@@ -212,7 +229,7 @@ class CaptureWriter:
 
 
 def _up_to(messages: list[CapturedMessage], limit_bytes: int) -> list[CapturedMessage]:
-    """The first messages, one at least, that are together below a limit."""
+    """Return the first messages, at least one, whose sizes add up to at most a limit."""
     size = 0
     for count, message in enumerate(messages):
         size += len(message.data) + OVERHEAD_BYTES
