@@ -49,7 +49,7 @@ class Display:
         self._name = name
         self._layer = scene.layer.layer()
         self._tick_ns = scene.tick_ns
-        self._stand_in = self._concealment()
+        self._concealment = self._build_concealment()
         self._loop = scene.force_loop()
         lead_ticks = self._loop.lead_ns / scene.tick_ns
         self._target = DelayLine(lead_ticks) if lead_ticks else None
@@ -124,9 +124,9 @@ class Display:
         frame = self.receiver.on_frame(data, now_ns)
         if frame is None:
             return
-        self._stand_in.observe(frame)
+        self._concealment.observe(frame)
         if self.fidelity is not None:
-            self.fidelity.sensed(
+            self.fidelity.add_reference(
                 frame, self._scene.channel, self._force_ratio, self._group_delay_ns
             )
 
@@ -141,7 +141,7 @@ class Display:
             self._group_delay_ns = description.group_delay_ns
             self._lead_ns = description.group_delay_ns + self._loop.lead_ns
             self._playout = PlayoutClock()
-            self._stand_in = self._concealment()
+            self._concealment = self._build_concealment()
             self._reach_ns = self._lead_ns + self._loop.horizon * self._tick_ns
             # What "auto" adds for the loop itself: the sample after its horizon's end.
             self._reserve_ns = self._reach_ns + description.period_ns
@@ -193,14 +193,16 @@ class Display:
         if felt.scored and self.fidelity is not None:
             # A real film's reading is as old as this.
             before_ns = self._scene.film.latency_ns if self.feedback is not None else 0
-            self.fidelity.felt(felt.sensing_now_ns - before_ns, felt.instant_ns - before_ns, felt_n)
+            self.fidelity.add_output(
+                felt.sensing_now_ns - before_ns, felt.instant_ns - before_ns, felt_n
+            )
         if hardware is not None:
             fault = hardware.command(loop.output, safety.faults)
             if fault is not None:
                 safety.fault(fault)
         return felt
 
-    def _concealment(self) -> Concealment:
+    def _build_concealment(self) -> Concealment:
         scene = self._scene
         auto = scene.compensation_ns is None
         return Concealment(scene.predictor, scene.channel, scene.tick_ns, auto)
@@ -209,7 +211,7 @@ class Display:
         """The force wanted now and until the loop's horizon, and whether the stream is alive."""
         receiver, felt, count = self.receiver, self.felt, self._loop.horizon + 1
         felt.now_ns, felt.predictor_error_n = now_ns, math.nan
-        felt.trusted = bool(self._stand_in.trusted)
+        felt.trusted = bool(self._concealment.trusted)
         delay_ns = receiver.delay.delay_ns
         if not receiver.ready or delay_ns is None:
             return [0.0] * count, False
@@ -227,17 +229,17 @@ class Display:
         buffer.advance(sampled_ns)
         wrist_n = buffer.known(self._tick_ns, count)
         newest_ns = buffer.newest_ns
-        self._stand_in.work()
+        self._concealment.work()
         if newest_ns is not None:
-            self._stand_in.judge(now_ns, sensing_now_ns + self._reach_ns - newest_ns)
+            self._concealment.judge(now_ns, sensing_now_ns + self._reach_ns - newest_ns)
         if newest_ns is None or (not wrist_n and sampled_ns < newest_ns):
             return [0.0] * count, False
         ratio = self._force_ratio
         predicted_ns = 0 if wrist_n else sampled_ns - newest_ns
         if not wrist_n:
-            error_n = self._stand_in.error_n(predicted_ns)
+            error_n = self._concealment.error_n(predicted_ns)
             felt.predictor_error_n = math.nan if error_n is None else ratio * error_n
-        wrist_n = self._stand_in.complete(wrist_n, count, sampled_ns, newest_ns)
+        wrist_n = self._concealment.complete(wrist_n, count, sampled_ns, newest_ns)
         # With a small E the newest sample is older than the instant even when it is on time.
         due_ns = newest_ns + self._scene.safety.stale_after_ns
         alive = sampled_ns <= due_ns or sensing_now_ns - delay_ns <= due_ns
@@ -277,7 +279,7 @@ class Display:
             covered_delay_ms=self._delays.covered_delay_ms,
             availability=self._availability.availability(self._delays.ticks),
             interruptions=self._interruptions.interruptions(),
-            compensation=self._delays.compensation(may_trust=self._stand_in.trusted is not None),
+            compensation=self._delays.compensation(may_trust=self._concealment.trusted is not None),
             limited=self._limits(),
             loop=Loop(self.ticks, deadline_misses, tick_us or TickTime()),
             rejected=dict(self.receiver.rejected),

@@ -191,7 +191,7 @@ class DisplayNode:
         felt = self._display.tick(now_ns, elapsed_ticks)
         if len(self._display.safety.faults) > self._named_faults:
             self._name_faults()
-        if self._connection.tend(now_ns):
+        if self._connection.poll(now_ns):
             self._display.receiver.introduce()
         control = self._connection.control.socket
         for message in self._display.requests(time.monotonic_ns()):

@@ -35,7 +35,7 @@ class Blend:
         self._offset_n = 0.0
         self.busy = False
 
-    def join(self, path_n: list[float], instant_ns: int, newest_ns: int) -> list[float]:
+    def apply(self, path_n: list[float], instant_ns: int, newest_ns: int) -> list[float]:
         """The path without the jump from the last one.
 
         path_n: force at instant_ns and a tick apart after it, of which some was predicted, or
@@ -84,7 +84,7 @@ class Concealment:
         self._channel = channel
         self._tick_ns = tick_ns
         self._predictor = build_predictor(predictor, tick_ns)
-        self._smoothing = Blend(tick_ns)
+        self._blend = Blend(tick_ns)
         self._size = PulseSize()
         self._trust = Trust() if auto and predictor not in UNLEARNT else None
 
@@ -123,8 +123,8 @@ class Concealment:
         path_n: of the first of them, as received; newest_ns: the newest sample's time.
         """
         known = len(path_n)
-        if known == count and not self._smoothing.busy:
+        if known == count and not self._blend.busy:
             return path_n
         predict, tick_ns = self._predictor.predict, self._tick_ns
         path_n += [predict(instant_ns + step * tick_ns) for step in range(known, count)]
-        return self._smoothing.join(path_n, instant_ns, newest_ns)
+        return self._blend.apply(path_n, instant_ns, newest_ns)

@@ -117,8 +117,8 @@ class Connection:
         self._turns = itertools.cycle(self.routes)
         # What was last subscribed with.
         self._times_ns: tuple[int, int] | None = None
-        self._heard_ns: int | None = None
-        self._tended_ns: int | None = None
+        self._received_ns: int | None = None
+        self._polled_ns: int | None = None
         self._cut_ns = CUT_NS
         self._controls = 0
         self.control = Endpoint(sockets.unconnected(context, zmq.DEALER, keys))
@@ -155,7 +155,7 @@ class Connection:
             if first:
                 path.subscribe(now_ns)
 
-    def tend(self, now_ns: int) -> bool:
+    def poll(self, now_ns: int) -> bool:
         """Connect what is silent, once its address is known; call each tick.
 
         Returns whether control has a new connection, over which nobody knows this display yet.
@@ -168,7 +168,7 @@ class Connection:
         for path in self._paths if cut else ():
             path.failover.give_up()
         for route in self.routes:
-            route.tend(now_ns)
+            route.poll(now_ns)
         introduce = self._ask_again(now_ns)
         if cut and self.control.address is not None:
             self._connect_control(self.control.address, now_ns)
@@ -207,26 +207,26 @@ class Connection:
             if sockets.control_address(data.address) != control.address:
                 continue
             if waits is data:
-                data.connect(data.address, now_ns, hurried=False)
+                data.connect(data.address, now_ns, fast_retry=False)
             else:
-                # It may have been too hurried for this network.
-                self._connect_control(control.address, now_ns, hurried=False)
+                # The early repetition may have been too early for this network.
+                self._connect_control(control.address, now_ns, fast_retry=False)
                 return True
         return False
 
     def _cut(self, now_ns: int) -> bool:
         """Return whether all lines together have been silent for too long; once in a silence."""
-        stood_still = self._tended_ns is not None and now_ns - self._tended_ns >= STOOD_STILL_NS
-        self._tended_ns = now_ns
+        stood_still = self._polled_ns is not None and now_ns - self._polled_ns >= STOOD_STILL_NS
+        self._polled_ns = now_ns
         for path in self._paths if stood_still else ():
             path.failover.mark_suspect(now_ns)
         # Each is asked, and none twice.
-        heard = sum(path.take_heard(now_ns) for path in self._paths)
-        if heard + self.control.heard(now_ns):
-            self._heard_ns = now_ns
+        received = sum(path.take_received(now_ns) for path in self._paths)
+        if received + self.control.received(now_ns):
+            self._received_ns = now_ns
             self._cut_ns = FOLLOWS_WITHIN_NS if stood_still else CUT_NS
-        elif self._heard_ns is not None and now_ns - self._heard_ns >= self._cut_ns:
-            self._heard_ns = None
+        elif self._received_ns is not None and now_ns - self._received_ns >= self._cut_ns:
+            self._received_ns = None
             return True
         return False
 
@@ -238,9 +238,9 @@ class Connection:
                 return True
         return False
 
-    def _connect_control(self, address: str, now_ns: int, hurried: bool = True) -> None:
+    def _connect_control(self, address: str, now_ns: int, fast_retry: bool = True) -> None:
         self._controls += self.control.address is not None
-        self.control.connect(address, now_ns, hurried)
+        self.control.connect(address, now_ns, fast_retry)
 
 
 class Path:
@@ -268,11 +268,11 @@ class Path:
         for path in self.paths:
             yield from path.messages()
 
-    def tend(self, now_ns: int) -> None:
+    def poll(self, now_ns: int) -> None:
         """Look the address up while nothing is received from it, and connect to what is found."""
         found = None if self._lookup.running else self._lookup.take()
         wanted = False
         for path in self.paths:
-            wanted |= path.tend(now_ns, found)
+            wanted |= path.poll(now_ns, found)
         if wanted and found is None and not self._lookup.running:
             self._lookup.start()

@@ -121,7 +121,7 @@ class DelayTracker:
         self._warp = warp
         # Falling in time, rising in delay: the first is the window's smallest.
         self._window: deque[tuple[int, int]] = deque()
-        self._heard_ns = 0
+        self._elapsed_ns = 0
         self._delay_ns: int | None = None
         self._followed_ns = 0.0
         # Sums over frames of which old ones count less and less.
@@ -140,14 +140,14 @@ class DelayTracker:
     def lift(self, base_ns: int) -> None:
         """The path is longer: what was smaller is of no use any more."""
         self._window.clear()
-        self._window.append((self._heard_ns, base_ns))
+        self._window.append((self._elapsed_ns, base_ns))
 
     def observe(self, delay_ns: int, now_ns: int, elapsed_ns: int, kept: float) -> int:
         """A frame came, `elapsed_ns` after the one before it; the delay asked for now.
 
         kept: what is left of the weight of all before it.
         """
-        self._heard_ns += min(elapsed_ns, SILENCE_NS)
+        self._elapsed_ns += min(elapsed_ns, SILENCE_NS)
         window = self._window
         # The base that was in force when it came: a frame that this was too low for is late.
         base_ns = window[0][1] if window else delay_ns
@@ -170,8 +170,8 @@ class DelayTracker:
         window = self._window
         while window and window[-1][1] >= delay_ns:
             window.pop()
-        window.append((self._heard_ns, delay_ns))
-        while window[0][0] <= self._heard_ns - BASE_NS:
+        window.append((self._elapsed_ns, delay_ns))
+        while window[0][0] <= self._elapsed_ns - BASE_NS:
             window.popleft()
 
     def _score(self, delay_ns: int, asked_ns: int, elapsed_ns: int, kept: float) -> None:

@@ -7,9 +7,9 @@ from protocol.security.budgets import TokenBucket
 
 PATIENCE_NS = 2_000_000_000
 # How long to wait for the answer to a request to connect. The network may be slower than it was:
-# ten times it is hurried, then there is once all the time that it takes.
+# ten requests are repeated early, then one is given all the time that it takes.
 ANSWER_NS = 100_000_000
-HURRIED_TRIES = 10
+FAST_RETRIES = 10
 # A hostile peer may send any number of messages. What has queued for a display that stood still
 # comes in at once: some 5 000 frames (docs/decisions/0022). At 10 to 20 µs each, the most that is
 # read in the long run takes a tenth of a core. Beyond it, the connection is closed for a while.
@@ -34,7 +34,7 @@ class Endpoint:
         self.asked_ns = 0
         self.answered = False
         self._tries = 0
-        self._heard = 0
+        self._received = 0
         self._silent_ns = self._closed_until_ns = 0
         self._budget = TokenBucket(LEAST_PER_S, BURST)
         self._spent = 0
@@ -42,7 +42,7 @@ class Endpoint:
     def messages(self) -> Iterator[bytes]:
         """Yield the messages that wait."""
         for message in sockets.receive_each(self.socket):
-            self._heard += 1
+            self._received += 1
             self._spent += 1 + len(message) // BYTES_PER_TOKEN
             yield message
 
@@ -56,13 +56,13 @@ class Endpoint:
         spent, self._spent = self._spent, 0
         return spent > 0 and not self._budget.take(now_ns, spent)
 
-    def heard(self, now_ns: int) -> int:
+    def received(self, now_ns: int) -> int:
         """Return how many messages have come since this was called last."""
-        heard, self._heard = self._heard, 0
-        if heard:
+        received, self._received = self._received, 0
+        if received:
             self._tries = 0
             self._silent_ns = now_ns + PATIENCE_NS
-        return heard
+        return received
 
     def close(self, until_ns: int) -> int:
         """Disconnect, and stay so until then; return how many messages were dropped."""
@@ -83,15 +83,15 @@ class Endpoint:
         """Note which sockets' requests to connect a host has answered."""
         self.answered = self.answered or self.socket in answered
 
-    def connect(self, address: str, now_ns: int, hurried: bool = True) -> None:
+    def connect(self, address: str, now_ns: int, fast_retry: bool = True) -> None:
         """Connect to `address` instead of the one before; the two may be the same.
 
-        hurried: repeat the request to connect after `answer_ns`, where that may be.
+        fast_retry: repeat the request to connect after `answer_ns`, where that may be.
         """
-        hurried = hurried and self._tries % (HURRIED_TRIES + 1) < HURRIED_TRIES
+        fast_retry = fast_retry and self._tries % (FAST_RETRIES + 1) < FAST_RETRIES
         self._tries += 1
         self.asked_ns, self.answered = now_ns, False
-        sockets.reconnect(self.socket, self.address, address, self.answer_ns if hurried else 0)
+        sockets.reconnect(self.socket, self.address, address, self.answer_ns if fast_retry else 0)
         self.address = address
         self._silent_ns = now_ns + PATIENCE_NS
 
@@ -99,7 +99,7 @@ class Endpoint:
         """Close the connection; return how many messages were dropped that had queued on it."""
         if self.address is not None:
             sockets.disconnect(self.socket, self.address)
-        self.address, self.answered, self._heard = None, False, 0
+        self.address, self.answered, self._received = None, False, 0
         return self.drop()
 
     def drop(self) -> int:

@@ -92,7 +92,7 @@ class Failover:
         self._known = False
         self._first_ns, self._due_ns = now_ns, now_ns + self._silence_ns
 
-    def first_heard(self, now_ns: int, had: bool, count: int) -> Keep | None:
+    def first_received(self, now_ns: int, had: bool, count: int) -> Keep | None:
         """Note that the first connection has delivered; return which to keep, if that is clear.
 
         had: among the `count` messages was what the second had delivered before. Then the second
@@ -122,7 +122,7 @@ class Failover:
         if self._owed > 0:
             self._due_ns = min(self._due_ns, self._caught_up_ns)
 
-    def second_heard(self, now_ns: int, had: bool) -> Keep | None:
+    def second_received(self, now_ns: int, had: bool) -> Keep | None:
         """Note that the second connection has delivered; return which to keep, if that is clear.
 
         had: among it was what the first had delivered before. Then the first is up to date.
@@ -247,16 +247,16 @@ class DataPath:
         for line in self.lines:
             line.socket.unsubscribe(b"")
 
-    def take_heard(self, now_ns: int) -> bool:
+    def take_received(self, now_ns: int) -> bool:
         """Return whether anything has come since this was called last; close a connection that is
         not needed any more."""
         first, second, failover = self.first, self._second, self.failover
-        from_first, from_second = first.heard(now_ns), second.heard(now_ns)
+        from_first, from_second = first.received(now_ns), second.received(now_ns)
         keep = None
         if from_first:
-            keep = failover.first_heard(now_ns, first in self._had, from_first)
+            keep = failover.first_received(now_ns, first in self._had, from_first)
         if from_second and keep is None:
-            keep = failover.second_heard(now_ns, second in self._had)
+            keep = failover.second_received(now_ns, second in self._had)
         keep = keep or failover.settle(now_ns)
         if keep is Keep.SECOND:
             self.first, self._second = second, first
@@ -265,8 +265,8 @@ class DataPath:
             self._forget()
         return from_first + from_second > 0
 
-    def tend(self, now_ns: int, found: str | None) -> bool:
-        """Connect what is to be connected; call each tick, after `take_heard`.
+    def poll(self, now_ns: int, found: str | None) -> bool:
+        """Connect what is to be connected; call each tick, after `take_received`.
 
         found: the address with a number for a name, where it has just been looked up. Returns
         whether to look it up.
@@ -278,7 +278,7 @@ class DataPath:
             return False
         if not self._subscribed or first.address is None:
             if found is not None:
-                first.connect(found, now_ns, hurried=False)
+                first.connect(found, now_ns, fast_retry=False)
                 failover.start(now_ns)
             return first.silent(now_ns)
         if not failover.racing:

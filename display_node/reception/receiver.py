@@ -63,7 +63,7 @@ class Receiver:
         # When each request was sent that may still be answered, oldest first.
         self._asked_ns: deque[int] = deque(maxlen=MAX_ASKED)
         self._steps_closed = 0
-        self._heard_ns = 0
+        self._received_ns = 0
         self.copies = 0
         self.rejected: Counter[str] = Counter()
         self.one_way_delay_ms = Histogram(0.1, 20_000)
@@ -107,7 +107,7 @@ class Receiver:
 
     def silent(self, now_ns: int) -> bool:
         """Return whether nothing valid has come for a while."""
-        return now_ns - self._heard_ns > SILENT_AFTER_NS
+        return now_ns - self._received_ns > SILENT_AFTER_NS
 
     def introduce(self) -> None:
         """Send hello with the next requests: control goes over a new connection."""
@@ -207,7 +207,7 @@ class Receiver:
         if not -OLDEST_NS < last_ns - sensing_now_ns < FUTURE_NS:
             raise WireError("timestamp", "a frame's time is not near the present")
         self.buffer.put(frame)
-        self._heard_ns = now_ns
+        self._received_ns = now_ns
         self.clock.add_one_way(last_ns, now_ns)
         self.delay.observe(sensing_now_ns - frame.t_first_ns, now_ns)
         self.ready = self.ready or self.delay.settled
@@ -216,7 +216,7 @@ class Receiver:
     def _take(self, message: Control, now_ns: int) -> None:
         match message:
             case Welcome(session=session, description=description):
-                self._heard_ns = now_ns
+                self._received_ns = now_ns
                 if session != self.session:
                     self._begin(session, description)
             case ClockReply() if message.session != self.session:

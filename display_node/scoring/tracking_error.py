@@ -115,7 +115,7 @@ class TrackingError:
         self._within = 0
         self._roughness = RoughnessMeter()
 
-    def truth(self, t_ns: NDArray[np.int64], target_n: NDArray[np.float64]) -> None:
+    def add_reference_force(self, t_ns: NDArray[np.int64], target_n: NDArray[np.float64]) -> None:
         """Add the force wanted at the finger, of consecutive samples taken at t_ns; may be late."""
         self._t_ns.append(t_ns)
         self._target_n.append(target_n)
@@ -125,7 +125,7 @@ class TrackingError:
                 self._score_oldest()
             self._gathered(until_ns)
 
-    def sensed(
+    def add_reference(
         self, frame: Frame, channel: int, force_ratio: float, group_delay_ns: int = 0
     ) -> None:
         """A frame of the pulse; `force_ratio` is the right force at the finger per wrist force,
@@ -133,9 +133,9 @@ class TrackingError:
         first_ns = frame.t_first_ns - group_delay_ns
         end_ns = first_ns + len(frame.values) * frame.period_ns
         t_ns = np.arange(first_ns, end_ns, frame.period_ns, dtype=np.int64)
-        self.truth(t_ns, frame.values[:, channel].astype(np.float64) * force_ratio)
+        self.add_reference_force(t_ns, frame.values[:, channel].astype(np.float64) * force_ratio)
 
-    def felt(self, now_ns: int, instant_ns: int, force_n: float) -> None:
+    def add_output(self, now_ns: int, instant_ns: int, force_n: float) -> None:
         """Take what the finger feels at now_ns, when the pulse of instant_ns is played; NaN where
         it is unknown, and nothing is scored then."""
         felt = self._felt

@@ -216,7 +216,7 @@ class _Scorer:
         """Add the frames that the sensing node has sent."""
         for (message,) in sockets.receive_all(self._data):
             true_frame = self._truth.of(decode_frame(message))
-            self.fidelity.sensed(true_frame, self._channel, self._ratio)
+            self.fidelity.add_reference(true_frame, self._channel, self._ratio)
 
     def felt(self, trace: Trace) -> None:
         """Add the felt force of a trace of the display."""
@@ -226,7 +226,7 @@ class _Scorer:
             strict=True,
         ):
             if scored:
-                self.fidelity.felt(now_ns, instant_ns, force_n)
+                self.fidelity.add_output(now_ns, instant_ns, force_n)
 
 
 def _compose(sensing: Summary, display: Summary, fidelity: TrackingError) -> Summary:

@@ -73,7 +73,7 @@ class FrameForwarder:
         if frame is not None and now_ns >= self._next_read_ns:
             self._next_read_ns = now_ns + READ_EVERY_NS
             self._read_length(frame)
-        self._path.take_heard(now_ns)
+        self._path.take_received(now_ns)
 
     def connect(self, now_ns: int, found: str | None) -> None:
         """Connect the path where needed; call it often.
@@ -81,7 +81,7 @@ class FrameForwarder:
         found: the sensing node's address, where a look-up has just ended.
         """
         if self._subscribed or self._path.first.address is None:
-            self._path.tend(now_ns, found)
+            self._path.poll(now_ns, found)
 
     def _subscribe(self, wanted: bool, now_ns: int) -> None:
         if wanted == self._subscribed:

@@ -122,7 +122,7 @@ class Simulation:
         if state.scored and now_ns >= self._scored_from_ns:
             age_ns = self._film_age_ns
             true_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS - age_ns
-            self._tracking_error.felt(true_now_ns, state.instant_ns - age_ns, state.felt_n)
+            self._tracking_error.add_output(true_now_ns, state.instant_ns - age_ns, state.felt_n)
         for message in self.display.requests(now_ns):
             self._post(self._up, now_ns, self._answer, message)
         return state
@@ -163,7 +163,7 @@ class Simulation:
             for frame in self._framer.frames(block):
                 ratio = self.display.force_ratio
                 true_frame = self._reference.of(frame)
-                self._tracking_error.sensed(true_frame, self._scene.display.channel, ratio)
+                self._tracking_error.add_reference(true_frame, self._scene.display.channel, ratio)
                 data = encode_frame(frame)
                 arrival_ns = self._down.data_arrival_ns(now_ns, len(data))
                 if arrival_ns is not None:

@@ -78,9 +78,9 @@ class ForceAlignment:
             return
         self.channel, self.ratio = channel, ratio
         for t_ns, values in zip(self._t_ns, self._values, strict=True):
-            self.errors.truth(t_ns, values[:, channel] * ratio)
+            self.errors.add_reference_force(t_ns, values[:, channel] * ratio)
         for tick in self._ticks:
-            self.errors.felt(tick.sensing_now_ns, tick.instant_ns, tick.felt_n)
+            self.errors.add_output(tick.sensing_now_ns, tick.instant_ns, tick.felt_n)
 
     def add_frame(self, frame: Frame, description: StreamDescription) -> None:
         """Add a frame's samples."""
@@ -90,7 +90,7 @@ class ForceAlignment:
         self._t_ns.append(t_ns)
         self._values.append(values)
         if self.ratio is not None:
-            self.errors.truth(t_ns, values[:, self.channel] * self.ratio)
+            self.errors.add_reference_force(t_ns, values[:, self.channel] * self.ratio)
         if len(self._t_ns) > MAX_FRAMES:
             del self._t_ns[: MAX_FRAMES // 2], self._values[: MAX_FRAMES // 2]
 
@@ -98,7 +98,7 @@ class ForceAlignment:
         """Add a tick; yield the block that became complete, if any."""
         self._ticks.append(tick)
         if self.ratio is not None:
-            self.errors.felt(tick.sensing_now_ns, tick.instant_ns, tick.felt_n)
+            self.errors.add_output(tick.sensing_now_ns, tick.instant_ns, tick.felt_n)
         if len(self._ticks) >= PATIENCE + BLOCK:
             yield from self._release(BLOCK)
 

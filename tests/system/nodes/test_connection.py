@@ -42,14 +42,14 @@ def tend_until_connected(connection: Connection, monitor: Socket) -> None:
     end_s = time.monotonic() + PATIENCE_S
     while not monitor.poll(5):
         assert time.monotonic() < end_s
-        connection.tend(time.monotonic_ns())
+        connection.poll(time.monotonic_ns())
 
 
 def tend(connection: Connection, from_ms: int, to_ms: int) -> list[int]:
     """Tend in virtual time; when control was connected, in ms."""
     connected_ms = []
     for ms in range(from_ms, to_ms, 10):
-        if connection.tend(ms * MS):
+        if connection.poll(ms * MS):
             connected_ms.append(ms)
         while any(route._lookup.running for route in connection.routes):
             threading.Event().wait(0.0005)
@@ -92,7 +92,7 @@ def test_a_name_server_that_does_not_answer_holds_nothing_up(
     connection = Connection(context, ["tcp://somewhere:5555"], 2)
     monitor = control_of(connection).get_monitor_socket(zmq.EVENT_CONNECT_DELAYED)
     for ms in range(0, 60_000, 10):
-        connection.tend(ms * MS)
+        connection.poll(ms * MS)
     assert asked == ["somewhere"]
     assert not monitor.poll(0)
     answer.set()
@@ -154,18 +154,18 @@ def test_requests_to_connect_are_repeated_soon_but_now_and_then_may_take_their_t
     publisher.bind(address)
     asking = Endpoint(context.socket(zmq.SUB))
 
-    def timeouts_ms(tries: int, hurried: bool = True) -> list[int]:
+    def timeouts_ms(tries: int, fast_retry: bool = True) -> list[int]:
         timeouts = []
         for _ in range(tries):
-            asking.connect(address, 0, hurried)
+            asking.connect(address, 0, fast_retry)
             timeouts.append(asking.socket.getsockopt(zmq.CONNECT_TIMEOUT))
         return timeouts
 
-    assert timeouts_ms(3, hurried=False) == [0, 0, 0]
+    assert timeouts_ms(3, fast_retry=False) == [0, 0, 0]
     assert timeouts_ms(3) == [100, 100, 100]
     asking.socket.subscribe(b"")
     deliver(publisher, asking)
-    assert asking.heard(0)
+    assert asking.received(0)
     asking.answer_ns = 900 * MS
     assert timeouts_ms(12) == [900] * 10 + [0, 900]
 
@@ -197,16 +197,16 @@ def test_where_one_port_answers_the_other_is_asked_again_at_once(
     end_s = time.monotonic() + PATIENCE_S
     while not connection.routes[0].paths[0].first.answered:
         assert time.monotonic() < end_s
-        began += connection.tend(1_000 * MS)
+        began += connection.poll(1_000 * MS)
         connection._refusals._poll_ns = 0
     assert began == 1
     # What was asked for at the same time may be answered yet.
-    assert not connection.tend(1_099 * MS)
+    assert not connection.poll(1_099 * MS)
     assert control_of(connection).getsockopt(zmq.CONNECT_TIMEOUT) == 100
     # Of control alone, which nobody listens to, it would hear only when its patience is over.
-    assert connection.tend(1_100 * MS)
+    assert connection.poll(1_100 * MS)
     assert control_of(connection).getsockopt(zmq.CONNECT_TIMEOUT) == 0
-    assert not connection.tend(1_101 * MS)
+    assert not connection.poll(1_101 * MS)
 
 
 def test_a_stream_of_rare_frames_is_waited_for(context: Context, asked: list[str]) -> None:
@@ -356,7 +356,7 @@ def test_a_connection_that_floods_is_closed_for_a_while(
         for _ in range(100):
             publisher.send(b"a frame")
         received += len(list(path.messages()))
-        connection.tend(20 * MS)
+        connection.poll(20 * MS)
     assert 200 <= received < 1_000
     assert connection.rejected["flood"] > 0
     # It is left alone, however often it is asked, and then it has another chance.

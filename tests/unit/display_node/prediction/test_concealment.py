@@ -18,7 +18,7 @@ def straight(at_ms: float, slope: float = 0.01, offset: float = 0.0) -> list[flo
 
 
 def joined(smoothing: Blend, at_ms: float, path: list[float], newest_ms: float) -> list[float]:
-    return smoothing.join(path, T0_NS + round(at_ms * MS), T0_NS + round(newest_ms * MS))
+    return smoothing.apply(path, T0_NS + round(at_ms * MS), T0_NS + round(newest_ms * MS))
 
 
 def test_a_prediction_that_stays_is_left_alone() -> None:

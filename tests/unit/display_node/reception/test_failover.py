@@ -141,9 +141,9 @@ def play(link: Link, until_ms: int) -> Played:
         for frame in (*frames[0], *frames[1]):
             played.came_ms.setdefault(frame, ms)
         again = [bool(had[1].intersection(frames[0])), bool(had[0].intersection(frames[1]))]
-        keep = failover.first_heard(now_ns, again[0], len(frames[0])) if frames[0] else None
+        keep = failover.first_received(now_ns, again[0], len(frames[0])) if frames[0] else None
         if frames[1]:
-            keep = keep or failover.second_heard(now_ns, again[1])
+            keep = keep or failover.second_received(now_ns, again[1])
         keep = keep or failover.settle(now_ns)
         if failover.racing:
             had = [kept.union(new) for kept, new in zip(had, frames, strict=True)]
@@ -205,24 +205,24 @@ def test_a_peer_that_stands_still_is_asked_again_less_and_less_often() -> None:
             failover.answered(ms * MS)
     assert 30 <= failover.opened <= 40
     # Then it goes on: the first delivers what has queued, down to what the second has, too.
-    assert failover.first_heard(60_000 * MS, had=False, count=1) is None
-    assert failover.second_heard(60_001 * MS, had=False) is None
-    assert failover.first_heard(60_002 * MS, had=True, count=1) is Keep.SECOND
+    assert failover.first_received(60_000 * MS, had=False, count=1) is None
+    assert failover.second_received(60_001 * MS, had=False) is None
+    assert failover.first_received(60_002 * MS, had=True, count=1) is Keep.SECOND
     assert not failover.due(60_003 * MS)
 
 
 def test_where_the_first_is_up_to_date_before_the_second_it_is_kept() -> None:
     failover = racing()
     failover.answered(540 * MS)
-    assert failover.first_heard(600 * MS, had=False, count=1) is None
-    assert failover.second_heard(650 * MS, had=True) is Keep.FIRST
+    assert failover.first_received(600 * MS, had=False, count=1) is None
+    assert failover.second_received(650 * MS, had=True) is Keep.FIRST
     assert (failover.racing, failover.opened, failover.kept) == (False, 1, 0)
 
 
 def test_where_the_second_alone_delivers_the_first_is_given_a_second() -> None:
     failover = racing()
     for ms in range(700, 1_700, FRAME_MS):
-        assert failover.second_heard(ms * MS, had=False) is None
+        assert failover.second_received(ms * MS, had=False) is None
         assert failover.settle(ms * MS) is None
     assert failover.settle(1_700 * MS) is Keep.SECOND
 
@@ -230,7 +230,7 @@ def test_where_the_second_alone_delivers_the_first_is_given_a_second() -> None:
 def test_where_the_first_is_back_and_no_second_comes_about_it_is_kept() -> None:
     failover = racing()
     for ms in range(2_000, 3_000, FRAME_MS):
-        assert failover.first_heard(ms * MS, had=False, count=1) is None
+        assert failover.first_received(ms * MS, had=False, count=1) is None
         assert failover.settle(ms * MS) is None
     assert failover.settle(3_000 * MS) is Keep.FIRST
     assert not failover.due(3_319 * MS)
@@ -250,9 +250,9 @@ def test_rare_frames_are_waited_for_and_a_stalled_process_waits_less() -> None:
     assert failover.due(30_000 * MS)
     failover = Failover()
     failover.start(0)
-    failover.first_heard(1_000 * MS, had=False, count=1)
+    failover.first_received(1_000 * MS, had=False, count=1)
     failover.mark_suspect(1_000 * MS)
-    failover.first_heard(1_010 * MS, had=False, count=1)
+    failover.first_received(1_010 * MS, had=False, count=1)
     assert not failover.due(1_159 * MS)
     assert failover.due(1_160 * MS)
 
@@ -260,7 +260,7 @@ def test_rare_frames_are_waited_for_and_a_stalled_process_waits_less() -> None:
 def test_after_the_end_of_a_stream_silence_is_no_cut() -> None:
     failover = started()
     # From when it was asked for to the first frame, none is owed.
-    failover.first_heard(1_000 * MS, had=False, count=1)
+    failover.first_received(1_000 * MS, had=False, count=1)
     assert not failover.due(1_319 * MS)
     failover.set_timeouts(1_000 * MS, ANSWER_MS * MS)
     assert not failover.due(3_999 * MS)
@@ -269,15 +269,15 @@ def test_after_the_end_of_a_stream_silence_is_no_cut() -> None:
 
 def test_a_first_that_is_back_but_far_behind_is_not_waited_for() -> None:
     failover = started()
-    failover.first_heard(0, had=False, count=1)
-    failover.first_heard(300 * MS, had=False, count=1)
-    failover.first_heard(340 * MS, had=False, count=2)
-    failover.first_heard(380 * MS, had=False, count=4)
+    failover.first_received(0, had=False, count=1)
+    failover.first_received(300 * MS, had=False, count=1)
+    failover.first_received(340 * MS, had=False, count=2)
+    failover.first_received(380 * MS, had=False, count=4)
     assert not failover.due(399 * MS)
     assert failover.due(400 * MS)
     # Up to date at once, it is let be.
     failover = started()
-    failover.first_heard(0, had=False, count=1)
-    failover.first_heard(300 * MS, had=False, count=60)
+    failover.first_received(0, had=False, count=1)
+    failover.first_received(300 * MS, had=False, count=60)
     assert not failover.due(619 * MS)
     assert failover.due(620 * MS)

@@ -40,14 +40,14 @@ def frames(t_ns: Times, size: int = 5) -> list[Times]:
 
 def tell(fidelity: TrackingError, pieces: Iterable[Times], wave: Wave = pulse_n) -> None:
     for t_ns in pieces:
-        fidelity.truth(t_ns, wave(t_ns))
+        fidelity.add_reference_force(t_ns, wave(t_ns))
 
 
 def feel(
     fidelity: TrackingError, ticks_ns: Times, forces_n: Forces, delay_ns: int = DELAY_NS
 ) -> None:
     for now_ns, force_n in zip(ticks_ns.tolist(), forces_n.tolist(), strict=True):
-        fidelity.felt(now_ns, now_ns - delay_ns, force_n)
+        fidelity.add_output(now_ns, now_ns - delay_ns, force_n)
 
 
 def scored(ticks_ns: Times, felt_n: Forces, truth_s: float = 6.0) -> TrackingError:
@@ -124,7 +124,7 @@ def test_truth_that_comes_after_the_felt_force_is_waited_for() -> None:
     for now_ns, force_n in zip(ticks_ns.tolist(), felt_n.tolist(), strict=True):
         while pending and pending[0][-1] + late_ns <= now_ns:
             tell(fidelity, [pending.pop(0)])
-        fidelity.felt(now_ns, now_ns - DELAY_NS, force_n)
+        fidelity.add_output(now_ns, now_ns - DELAY_NS, force_n)
     tell(fidelity, pending)
     fidelity.finish()
     assert fidelity.force_rmse_n.in_phase == pytest.approx(0, abs=2e-6)
@@ -201,10 +201,10 @@ def test_memory_does_not_grow_in_ten_minutes(felt_share: float) -> None:
 
     def one_minute(minute: int) -> None:
         for frame in range(minute * 2400, (minute + 1) * 2400):
-            fidelity.truth(first_ns + frame * 25 * MS, force_n.copy())
+            fidelity.add_reference_force(first_ns + frame * 25 * MS, force_n.copy())
             now_ns = T0_NS + frame * 25 * MS
             if felt_share == 1.0 or frame < 2400 * felt_share:
-                fidelity.felt(now_ns, now_ns - DELAY_NS, 0.3)
+                fidelity.add_output(now_ns, now_ns - DELAY_NS, 0.3)
 
     # Ten minutes are 9.6 MB of truth.
     assert grown_bytes(one_minute) < 500_000
