@@ -7,8 +7,7 @@ from typing import Any, Protocol
 from fuzz.refusals import check_causes
 from protocol.config.scene import validate
 from pulse_sensors.lsl_inlet import LslScene
-from pulse_sensors.packet import LARGEST, Packet
-from pulse_sensors.reading import Readings
+from pulse_sensors.reading import LARGEST, Packet, Readings
 
 TABLE = validate(
     {"kind": "lsl", "stream": "x", "rate": "1 kHz", "unit": "N"}, LslScene, where="fuzz"

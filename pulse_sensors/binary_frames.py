@@ -20,7 +20,7 @@ import numpy as np
 from protocol.errors import WireError
 from pulse_sensors.device_counters import DeviceTime, SampleCounter
 from pulse_sensors.extra import library
-from pulse_sensors.packet import LARGEST, Packet
+from pulse_sensors.reading import LARGEST, Packet
 
 SampleFormat = Literal["int16", "int32", "float32"]
 

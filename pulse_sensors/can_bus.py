@@ -10,7 +10,7 @@ from protocol.errors import SourceError
 from pulse_sensors.device_counters import LONGEST_PAUSE_NS, SampleCounter
 from pulse_sensors.extra import library
 from pulse_sensors.force_scale import SensorTable
-from pulse_sensors.packet import LARGEST, Packet
+from pulse_sensors.reading import LARGEST, Packet
 
 if TYPE_CHECKING:
     import can

@@ -8,7 +8,7 @@ from pydantic import Field
 from protocol.errors import SourceError
 from pulse_sensors.extra import library
 from pulse_sensors.force_scale import SensorTable
-from pulse_sensors.packet import LARGEST, Packet
+from pulse_sensors.reading import LARGEST, Packet
 
 RESOLVE_S = 3.0
 WAIT_S = 0.1

@@ -15,8 +15,7 @@ from typing import Any, NamedTuple, Protocol
 from protocol.config.quantities import count_text
 from protocol.errors import SourceError
 from pulse_sensors.force_scale import SensorTable
-from pulse_sensors.packet import Packet
-from pulse_sensors.reading import Reading, Readings
+from pulse_sensors.reading import Packet, Reading, Readings
 
 logger = logging.getLogger(__name__)
 

@@ -12,7 +12,7 @@ from typing import Literal
 
 from protocol.errors import WireError
 from pulse_sensors.device_counters import LineTimes
-from pulse_sensors.packet import LARGEST, Packet
+from pulse_sensors.reading import LARGEST, Packet
 
 TimeUnit = Literal["us", "ms", "s"]
 

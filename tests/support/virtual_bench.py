@@ -17,8 +17,7 @@ from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
 from protocol.wire.telemetry import TickState
-from pulse_sensors.packet import Packet
-from pulse_sensors.reading import Reading, Readings
+from pulse_sensors.reading import Packet, Reading, Readings
 from telepulse.emulators.drive_run import FRAME
 from telepulse.emulators.motor import EmulatedMotor, MotorState
 from tests.support.sender import MS, Sender

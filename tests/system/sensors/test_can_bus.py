@@ -10,7 +10,7 @@ import pytest
 from protocol.config.scene import validate
 from protocol.errors import SourceError
 from pulse_sensors.can_bus import CanDecoder, CanScene
-from pulse_sensors.packet import Packet
+from pulse_sensors.reading import Packet
 from pulse_sensors.scene import open_sensor
 from tests.support.lsl_listening import forces, heard
 

@@ -8,7 +8,7 @@ from protocol.config.scene import validate
 from protocol.errors import SourceError
 from pulse_sensors import lsl_inlet
 from pulse_sensors.lsl_inlet import Chunk, LslDecoder, LslScene
-from pulse_sensors.packet import Packet
+from pulse_sensors.reading import Packet
 from pulse_sensors.scene import open_sensor
 from tests.support.lsl_loopback import lsl_on_loopback
 from tests.support.waiting import until

@@ -9,7 +9,7 @@ from protocol.config.scene import validate
 from protocol.errors import SourceError
 from pulse_sensors import sensor as module
 from pulse_sensors.force_scale import SensorTable
-from pulse_sensors.packet import Packet
+from pulse_sensors.reading import Packet
 from pulse_sensors.sensor import Sensor
 from tests.support.waiting import until
 

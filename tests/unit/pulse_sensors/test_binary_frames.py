@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pulse_sensors.binary_frames import MAX_SAMPLES, FrameDecoder, FrameEncoder, SampleFormat, crc
-from pulse_sensors.packet import Packet
+from pulse_sensors.reading import Packet
 
 MS = 1_000_000
 FRAME = 4

@@ -8,8 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from protocol.config.scene import validate
-from pulse_sensors.packet import Packet
-from pulse_sensors.reading import Reading, Readings
+from pulse_sensors.reading import Packet, Reading, Readings
 from pulse_sensors.serial_port import SerialScene
 from telepulse.emulators.sensor_board import BoardBehaviour, SensorBoard, binary, line, timed_line
 from tests.support.streams import synthetic

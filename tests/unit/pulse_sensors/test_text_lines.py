@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pulse_sensors.packet import Packet
+from pulse_sensors.reading import Packet
 from pulse_sensors.text_lines import TextDecoder, TimeUnit
 
 MS = 1_000_000

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from pulse_sensors.timeline import JUMP_NS, Span, Timeline
+from pulse_sensors.reading import JUMP_NS, Span, Timeline
 
 MS = 1_000_000
 START_NS = 77_000_000_123
