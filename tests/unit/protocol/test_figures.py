@@ -142,3 +142,11 @@ def test_a_field_without_a_figure_is_refused() -> None:
 def test_a_figure_is_absent_from_the_surfaces_named_or_from_all() -> None:
     assert absent("No.", Surface.PAGE) == {Surface.PAGE: "No."}
     assert absent("No.").keys() == set(Surface)
+
+
+def test_each_metric_is_of_one_figure() -> None:
+    names = [
+        (each.metric, tuple(sorted(each.labels.items()))) for each in REGISTRY.on(Surface.METRICS)
+    ]
+    assert all(name for name, _ in names)
+    assert len(set(names)) == len(names)
