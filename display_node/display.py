@@ -120,7 +120,7 @@ class Display:
         return self.receiver.over(self.felt.now_ns, self.felt.playout_delay_ns)
 
     def on_frame(self, data: bytes, now_ns: int) -> None:
-        """A data message arrived."""
+        """Take a data message."""
         frame = self.receiver.on_frame(data, now_ns)
         if frame is None:
             return
@@ -131,7 +131,7 @@ class Display:
             )
 
     def on_control(self, data: bytes, now_ns: int) -> None:
-        """A control message arrived."""
+        """Take a control message."""
         self.receiver.on_control(data, now_ns)
         beginnings = self.receiver.beginnings
         if beginnings != self._beginnings and self.receiver.description is not None:
@@ -208,7 +208,7 @@ class Display:
         return Concealment(scene.predictor, scene.channel, scene.tick_ns, auto)
 
     def _reference(self, now_ns: int) -> tuple[list[float], bool]:
-        """The force wanted now and until the loop's horizon, and whether the stream is alive."""
+        """Return the force wanted until the loop's horizon, and whether the stream is alive."""
         receiver, felt, count = self.receiver, self.felt, self._loop.horizon + 1
         felt.now_ns, felt.predictor_error_n = now_ns, math.nan
         felt.trusted = bool(self._concealment.trusted)
@@ -264,7 +264,7 @@ class Display:
         )
 
     def _finger(self) -> str | None:
-        """The models' finger in words; a real bench measures its own."""
+        """Describe the models' finger; a real bench measures its own."""
         if self.feedback is not None:
             return None
         return describe_finger(FingerState(self.felt.felt_n, measured_by="model, no drive"))
@@ -272,7 +272,7 @@ class Display:
     def summary(
         self, deadline_misses: int | None = None, tick_us: TickTime | None = None
     ) -> Summary:
-        """The summary so far; the loop's figures come from whoever runs it."""
+        """Return the summary so far; the loop's figures come from whoever runs it."""
         summary = replace(
             self.receiver.summary(self.felt.now_ns),
             playout_delay_ms=self._delays.playout_delay_ms,

@@ -75,7 +75,7 @@ def run_doctor(
 
 
 def _tick_of(scene: Path | None) -> tuple[int, Work]:
-    """The tick of a scene in ns, and what a display does in one while it waits for its stream."""
+    """Return the tick of a scene in ns, and what a waiting display does in one."""
     if scene is None:
         return DisplayScene.model_fields["tick_ns"].default, lambda due_ns, elapsed: None
     section = load_section(scene, "display", DisplayScene)

@@ -1,6 +1,6 @@
-"""What a host says of itself that matters to a loop that has to be on time. Reads, no more.
+"""What a host reports of itself that matters to a real-time loop, and the verdict on its ticks.
 
-Verdict on a host and its ticks. Pure.
+The host is only read, never changed.
 """
 
 import importlib.metadata
@@ -85,7 +85,7 @@ def preemption_of(version: str) -> str | None:
 
 
 def describe(host: Host) -> list[tuple[str, str]]:
-    """The host in rows for people."""
+    """Return the host in rows for people."""
     cpus = spans(frozenset(host.cpus)) or "any"
     if host.quota is not None:
         cpus += f", for the time of {host.quota:g}"
@@ -196,7 +196,7 @@ def _number(path: Path) -> int:
 
 
 def _text(path: Path) -> str:
-    """What a file of the kernel says; empty where it says nothing."""
+    """Return the text of a kernel's file; empty where it cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip()
     except OSError:

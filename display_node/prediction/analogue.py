@@ -67,7 +67,7 @@ class Analogue:
             self._places = None if places is None else first + places
 
     def predict(self, history: History) -> Trajectories:
-        """A trajectory a memory (`Expert`)."""
+        """Return a trajectory for each memory (`Expert`)."""
         if self._places is None:
             return np.zeros((len(MEMORIES_S), HORIZONS))
         return self._follow(history.last(LAGS + 1), self._places)
@@ -76,7 +76,7 @@ class Analogue:
         """There is nothing more."""
 
     def _follow(self, past: NDArray[np.float32], places: NDArray[np.intp]) -> Trajectories:
-        """What followed the analogues at places of shape (memories, analogues)."""
+        """Return what followed the analogues at places of shape (memories, analogues)."""
         nearest = self._distances[ROWS, places]
         width = KERNEL / ANALOGUES * np.add.reduce(nearest, axis=1, keepdims=True) + TINY
         weights = np.exp((np.minimum.reduce(nearest, axis=1, keepdims=True) - nearest) / width)

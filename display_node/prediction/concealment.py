@@ -36,7 +36,7 @@ class Blend:
         self.busy = False
 
     def apply(self, path_n: list[float], instant_ns: int, newest_ns: int) -> list[float]:
-        """The path without the jump from the last one.
+        """Return the path without the jump from the last one.
 
         path_n: force at instant_ns and a tick apart after it, of which some was predicted, or
         which comes while it is `busy`; newest_ns: the newest sample's time.
@@ -60,7 +60,7 @@ class Blend:
         return joined_n
 
     def _offset_at(self, force_n: float, instant_ns: int) -> float:
-        """What is left of the offset, and the jump to this force from the last path on top."""
+        """Return what is left of the offset, plus the jump to this force from the last path."""
         path_n = self._path_n
         ticks = (instant_ns - self._instant_ns) / self._tick_ns
         # After missed ticks or a jump of the playout there is nothing to join.
@@ -94,7 +94,7 @@ class Concealment:
         return None if self._trust is None else self._trust.trusted
 
     def observe(self, frame: Frame) -> None:
-        """A frame has arrived, late or not."""
+        """Take a frame, late or not."""
         first_ns, period_ns = frame.t_first_ns, frame.period_ns
         values = frame.values[:, self._channel].tolist()
         end_ns = first_ns + len(values) * period_ns
@@ -118,7 +118,7 @@ class Concealment:
     def complete(
         self, path_n: list[float], count: int, instant_ns: int, newest_ns: int
     ) -> list[float]:
-        """The force at `count` instants a tick apart, the first instant_ns, without a jump.
+        """Return the force at `count` instants a tick apart, the first instant_ns, without a jump.
 
         path_n: of the first of them, as received; newest_ns: the newest sample's time.
         """

@@ -1,11 +1,8 @@
 """Experts and their stack as one predictor, its work cut into pieces for a real-time loop.
 
 Samples → grid → history → experts → stack → a path over the next 250 ms, which `predict` reads
-between its points.
-
-The stack: for every horizon, the weighting of the experts that would have been best.
-
-Recursive least squares a horizon, on what was predicted when its truth arrives.
+between its points. For every horizon the stack weights the experts as would have been best, by
+recursive least squares on what was predicted when its truth arrives.
 """
 
 import math
@@ -142,7 +139,7 @@ class Ensemble:
         self._path: list[float] = []
 
     def observe(self, times_ns: list[int], values: list[float]) -> None:
-        """Samples have newly arrived, in order among themselves; times on the sensing clock."""
+        """Take new samples, in order among themselves; times on the sensing clock."""
         if times_ns[-1] > self._newest_ns:
             self._newest_ns, self._newest = times_ns[-1], values[-1]
         self._grid.observe(times_ns, values)
@@ -158,14 +155,14 @@ class Ensemble:
                     next(self._work, None)
 
     def predict(self, instant_ns: int) -> float:
-        """The force in N at an instant after the newest sample."""
+        """Return the force in N at an instant after the newest sample."""
         path = self._path
         if not path:
             return self._newest
         return _between(path, (instant_ns - self._middle_ns) / SPACING_NS)
 
     def predict_each(self, instant_ns: int) -> list[float]:
-        """What each of `names` predicts, for studies."""
+        """Return what each of `names` predicts, for studies."""
         if self._rows is None:
             return [self._newest] * len(self.names)
         before = self._path[:2]
@@ -269,7 +266,7 @@ def _experts(kind: str, rhythm: Rhythm) -> list[Expert]:
 
 
 def _between(path: list[float], position: float) -> float:
-    """A path's value, by the cubic through its neighbours' slopes (Catmull and Rom).
+    """Return a path's value, by the cubic through its neighbours' slopes (Catmull and Rom).
 
     path: points a step apart, the second at position 0; it is held beyond its ends.
     """

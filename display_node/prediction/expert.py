@@ -1,8 +1,7 @@
-"""What every expert of the stack is: predictions over a common row of horizons.
+"""An expert of the stack, and the history that it predicts from.
 
-The grid's newest values, oldest first, contiguous however far back one looks.
-
-Samples of any rate, in order or late, as means over cells of 5 ms.
+`Grid` turns samples of any rate, in order or late, into means over cells of 5 ms; `History` holds
+the newest of them; an `Expert` predicts from it over a common row of horizons.
 
 A cell's mean is that of the samples joined by straight lines: at high rates it averages the
 noise and what would alias, at low rates and over short gaps it interpolates.
@@ -109,7 +108,7 @@ class Grid:
         return area / STEP_NS
 
     def _between(self, position: int, t_ns: int) -> float:
-        """The value at a time between the samples before `position` and at it."""
+        """Return the value at a time between the samples before `position` and at it."""
         after_ns, after = self._samples[min(position, len(self._samples) - 1)]
         before_ns, before = self._samples[max(position - 1, 0)]
         if after_ns == before_ns:
@@ -148,7 +147,7 @@ class History:
             self._values[self._end - 1 - age] = value
 
     def last(self, count: int) -> NDArray[np.float32]:
-        """The newest `count` values, at most `capacity`; a view that the next push invalidates."""
+        """Return the newest `count` values, at most `capacity`; a view, until the next push."""
         return self._values[self._end - count : self._end]
 
 
@@ -169,7 +168,7 @@ class Expert(Protocol):
     trust: float
 
     def observe(self, history: History) -> None:
-        """A value was pushed; call once after each push."""
+        """Take the value that was pushed; call once after each push."""
 
     def predict(self, history: History) -> Trajectories:
         """After `observe`: differences of those values from the newest, shape (names, 25).

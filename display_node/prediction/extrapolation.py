@@ -1,7 +1,4 @@
-"""Hold: the newest value.
-
-Linear: the newest value, carried on for a moment by its slope.
-"""
+"""Predictors that learn nothing: hold the newest value, or carry it on by its slope."""
 
 from bisect import insort
 
@@ -30,7 +27,7 @@ class Linear:
         """There is none."""
 
     def predict(self, instant_ns: int) -> float:
-        """The newest value carried on by the slope of the last 10 ms, for at most 20 ms."""
+        """Return the newest value carried on by the slope of the last 10 ms, for at most 20 ms."""
         samples = self._samples
         if not samples:
             return 0.0
@@ -65,7 +62,7 @@ class Hold:
         """There is none."""
 
     def predict(self, instant_ns: int) -> float:
-        """The newest value."""
+        """Return the newest value."""
         return self._value
 
     def error_n(self, horizon_ns: int) -> float | None:

@@ -39,7 +39,7 @@ class Rhythm:
         self._beat_step: int | None = None
 
     def push(self, slope: float) -> None:
-        """The slope at the next step."""
+        """Take the slope at the next step."""
         self._step += 1
         rested = self._beat_step is None or self._step - self._beat_step > REFRACTORY
         if self._slope < self._threshold <= slope and rested:

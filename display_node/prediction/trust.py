@@ -32,7 +32,7 @@ class PulseSize:
         self.size: float | None = None
 
     def observe(self, t_ns: int, values: list[float]) -> None:
-        """A frame's samples, the first taken at t_ns."""
+        """Take a frame's samples, the first taken at t_ns."""
         low, high = min(values), max(values)
         if self._begun_ns is not None and t_ns - self._begun_ns < WINDOW_NS:
             self._low, self._high = min(self._low, low), max(self._high, high)
@@ -73,5 +73,5 @@ class Trust:
 
 
 def auto_delay_ns(carried_ns: int, trusted: bool) -> int:
-    """The E that `auto` wants, where the link could carry carried_ns."""
+    """Return the E that `auto` wants, where the link could carry carried_ns."""
     return max(0, carried_ns - MOST_NS) if trusted else carried_ns

@@ -1,7 +1,5 @@
 """The display's sockets to its sensing node, connected and kept so.
 
-Looking up the number behind an address's name, beside the loop.
-
 ZeroMQ looks names up in the thread that moves all its messages, and a slow name server holds that
 up for seconds. So a thread of ours looks them up, which lives only while it does; ZeroMQ is given
 numbers.
@@ -54,7 +52,7 @@ class Lookup:
             self._say(f"{self._address} cannot be looked up: no thread can be started; trying on")
 
     def take(self) -> str | None:
-        """The address with a number for a name, once for each look-up that found one."""
+        """Return the address with a number for a name, once for each look-up that found one."""
         found, self._found = self._found, None
         return found
 
@@ -256,7 +254,7 @@ class Path:
         paths: int,
         keys: ClientKeys | None = None,
     ) -> None:
-        """Raises AddressError when `address` is none."""
+        """Open the data paths. Raises AddressError when `address` is none."""
         sockets.control_address(address)
         self.address = address
         self.paths = [DataPath(context, keys) for _ in range(paths)]

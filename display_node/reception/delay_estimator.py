@@ -94,7 +94,7 @@ class LongerPath:
         return self._since_ns is not None
 
     def base_ns(self, delay_ns: int, limit_ns: int, now_ns: int) -> int | None:
-        """The longer path's base, when this frame's delay has made it certain; else None."""
+        """Return the longer path's base, when this frame's delay has made it certain; else None."""
         if delay_ns <= limit_ns:
             self._since_ns = None
         elif self._since_ns is None or delay_ns < self._level_ns - FALLING_NS:
@@ -138,12 +138,12 @@ class DelayTracker:
         return self._delays_ns / self._count if self._count else 0.0
 
     def lift(self, base_ns: int) -> None:
-        """The path is longer: what was smaller is of no use any more."""
+        """Take a longer path's base: what was smaller is of no use any more."""
         self._window.clear()
         self._window.append((self._elapsed_ns, base_ns))
 
     def observe(self, delay_ns: int, now_ns: int, elapsed_ns: int, kept: float) -> int:
-        """A frame came, `elapsed_ns` after the one before it; the delay asked for now.
+        """Take a frame `elapsed_ns` after the last one; return the delay that is asked for now.
 
         kept: what is left of the weight of all before it.
         """
@@ -186,7 +186,7 @@ class DelayTracker:
 
 
 def released(delay_ns: int | None, wanted_ns: int, elapsed_ns: int) -> int:
-    """The next delay on the way to the one wanted: up at once, down by 20 ms a second."""
+    """Return the next delay on the way to the one wanted: up at once, down by 20 ms a second."""
     if delay_ns is None or wanted_ns >= delay_ns or delay_ns - wanted_ns > JUMP_NS:
         return wanted_ns
     return max(wanted_ns, delay_ns - round(RELEASE_PER_NS * elapsed_ns))
@@ -229,7 +229,7 @@ class DelayEstimator:
         return self._first_ns is not None and self._last_ns - self._first_ns >= SETTLED_NS
 
     def observe(self, delay_ns: int, now_ns: int) -> None:
-        """A frame needed `delay_ns` from its first sample's instant to its arrival.
+        """Take a frame that needed `delay_ns` from its first sample's instant to its arrival.
 
         It is below 0 while the clock offset is not well known; counted within −1 s and 10 s.
         """

@@ -4,9 +4,7 @@ After a cut, TCP repeats what was lost only after as long again as the cut has l
 connection is there within a few round trips, but on a link that only loses much, the old one may
 recover first, and it has what was sent meanwhile. So a second connection is opened beside the
 silent one (as RFC 8305 does with addresses), both are read, and one is closed as soon as the other
-has all that it could still bring. Pure: time comes in, sockets are the caller's.
-
-A data path: the connection that frames come over, and a second one while that is silent.
+has all that it could still bring. `Failover` decides and is pure; `DataPath` has the sockets.
 """
 
 from collections.abc import Iterator

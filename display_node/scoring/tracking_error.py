@@ -4,9 +4,8 @@ Truth and felt force come in as they are known, both on the sensing clock; a fel
 scored when the truth around its instant is there. Used by the display on what it received, and
 by a demo or simulation on what was really sensed.
 
-Roughness: how much of the felt force is above 25 Hz, beside what was sensed there. Pure.
-
-The pulse itself ends below; what is above is noise, and the jumps that prediction adds.
+Roughness is how much of the felt force is above 25 Hz, beside what was sensed there. The pulse
+itself ends below; what is above is noise, and the jumps that prediction adds.
 """
 
 import math
