@@ -196,6 +196,8 @@ UNRUN = {
     "telepulse discover": MULTICAST,
     "curl -s http://127.0.0.1:9100/metrics": "a reader's own; tests/system/metrics",
     "make test": "is what runs this",
+    "make test-all": "is what runs this",
+    "make size": "counts lines",
     "telepulse demo": "make demo, run above",
     "source .venv/bin/activate": "the shell's own",
     "pre-commit install": "writes into .git; tests/system/documentation/test_habits.py",
