@@ -29,8 +29,8 @@ check: .venv/installed-test
 	$(BIN)/lint-imports
 
 # Limits: the product 30000 lines in 230 files, the tests 26000 lines.
-size:
-	$(PYTHON) tests/size.py
+size: .venv/installed-test
+	$(BIN)/python -m tests.size
 
 report: .venv/installed-report
 	$(BIN)/telepulse paper

@@ -108,6 +108,8 @@ def _check_module(words: list[str]) -> None:
         assert (ROOT / f"{module.replace('.', '/')}.py").exists(), f"no such benchmark: {module}"
         text = (ROOT / f"{module.replace('.', '/')}.py").read_text(encoding="utf-8")
         assert all(word in text for word in rest if word.startswith("-")), rest
+    elif module == "tests.size":
+        assert rest == []
     elif module in ("soak", "fuzz"):
         app = typer.Typer()
         app.command()({"soak": soak, "fuzz": fuzz}[module])
