@@ -88,9 +88,11 @@ class DisplayNode:
         telemetry_keys: ServerKeys | None = None,
         provenance: bytes = b"",
     ) -> None:
-        """addresses: of the one sensing node, each over a network of its own. keys: the sensing
-        node's and our own; telemetry_keys: who may read telemetry, None: everybody who can reach
-        it. provenance: of this run, for recorders.
+        """Connect to the sensing node, and bind the telemetry.
+
+        addresses: of the one sensing node, each over a network of its own. keys: the sensing node's
+        and our own. telemetry_keys: of readers of the telemetry; None admits everybody who can
+        reach it. provenance: of this run, for recorders.
 
         Raises SceneError for a force loop that is not stable, AddressError when an address cannot
         be used, KeyFileError.

@@ -41,13 +41,13 @@ class FrameEncoder:
     """Numbers a board's samples and makes frames of them."""
 
     def __init__(self, sample_format: SampleFormat) -> None:
-        """Raises SourceError without the cobs package."""
+        """Raise SourceError without the cobs package."""
         self._cobs = library("cobs.cobs", 'framing = "binary"')
         self._code = _CODES[sample_format]
         self._counter = 0
 
     def frame(self, values: Sequence[float], last_us: int) -> bytes:
-        """A frame of 1 to 64 samples, the last taken at `last_us`; integers are cut to range."""
+        """Return a frame of 1 to 64 samples, the last taken at `last_us`."""
         dtype = _DTYPES[self._code]
         samples = np.asarray(values, dtype=np.float64)
         if dtype.kind == "i":
@@ -83,7 +83,7 @@ class FrameDecoder:
         self._counter = SampleCounter(1 << 32, self._period_ns)
 
     def feed(self, data: bytes) -> list[Packet]:
-        """The packets that end in these bytes."""
+        """Return the packets that end in these bytes."""
         *whole, rest = (self._buffer + data).split(b"\0")
         packets = []
         for encoded in whole:
@@ -101,7 +101,7 @@ class FrameDecoder:
         return packets
 
     def _packet(self, encoded: bytes) -> Packet:
-        """Raises WireError with the cause."""
+        """Decode one frame. Raises WireError with the cause."""
         try:
             body: bytes = self._cobs.decode(encoded)
         except self._cobs.DecodeError:

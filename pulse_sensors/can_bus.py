@@ -63,7 +63,7 @@ class CanBus:
             raise SourceError(f"{self.name}: cannot be opened: {error}") from None
 
     def read(self) -> "can.Message | None":
-        """The next message; None after 0.1 s without one. Raises when the bus is gone."""
+        """Return the next message; None after 0.1 s without one. Raises when the bus is gone."""
         message: can.Message | None = self._bus.recv(WAIT_S)
         return message
 
@@ -102,7 +102,7 @@ class CanDecoder:
         self._counter = SampleCounter(1 << self._bits, self._period_ns)
 
     def feed(self, message: "can.Message") -> list[Packet]:
-        """The packet in a message, if there is one."""
+        """Return the packet in a message, if there is one."""
         if message.is_error_frame:
             self.rejected["bus_error"] += 1
             return []
@@ -145,7 +145,7 @@ class CanDecoder:
 
 
 def _find_message(scene: CanScene, path: Path) -> Any:
-    """The message that carries the scene's signal. Raises SourceError."""
+    """Return the message that carries the scene's signal. Raises SourceError."""
     database_library = library("cantools.database", "a CAN sensor")
     try:
         database = database_library.load_file(path)

@@ -26,7 +26,9 @@ class SampleCounter:
         self._next = 0
 
     def missing(self, first: int, count: int, passed_ns: int | None) -> int | None:
-        """Samples between the last one and `count` new ones, of which `first` is the first.
+        """Return the number of samples lost between the last one and `count` new ones.
+
+        first: number of the first new sample.
 
         passed_ns: from the last one before to the last of these; None when nothing came before.
         None when the count says what the time does not.
@@ -68,8 +70,11 @@ class DeviceTime:
         return passed_ns if 0 < passed_ns <= LONGEST_PAUSE_NS else None
 
     def take(self, now_us: int) -> int:
-        """The time in ns, as the last from now on; it goes on from the last if the two belong
-        together, and else begins with the count itself."""
+        """Return the time in ns, and keep it as the last one.
+
+        It continues from the last time if the two belong together, and else begins with the count
+        itself.
+        """
         passed_ns = self.since_last_ns(now_us)
         self._last_ns = now_us % _TURN * 1_000 if passed_ns is None else self._last_ns + passed_ns
         self._last_us = now_us
@@ -100,7 +105,7 @@ class LineTimes:
         self._suspect: DeviceTime | None = None
 
     def take(self, now_us: int, spoilt: int) -> LineTime:
-        """A line's time; `spoilt` lines just before it could not be read.
+        """Return a line's time; `spoilt` lines just before it could not be read.
 
         Raises WireError("device_time") for one that is not, or not yet, believed.
         """

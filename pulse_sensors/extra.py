@@ -7,7 +7,7 @@ from protocol.errors import SourceError
 
 
 def library(name: str, needed_for: str) -> Any:
-    """The module `name`. Raises SourceError that says how to install it."""
+    """Return the module `name`. Raises SourceError with the command that installs it."""
     try:
         return importlib.import_module(name)
     except ImportError as error:

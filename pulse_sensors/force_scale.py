@@ -23,7 +23,7 @@ class ForceScale:
     preload_n: float
 
     def newtons(self, values: tuple[float, ...]) -> tuple[float, ...]:
-        """Forces in N of values in the sensor's unit."""
+        """Return forces in N for values in the sensor's unit."""
         return tuple(
             self.newtons_per_unit * (value - self.zero) + self.preload_n for value in values
         )
@@ -75,7 +75,7 @@ class SensorTable(Section):
         return stated_unit in known and self.unit in known and stated_unit != self.unit
 
     def force_scale(self) -> ForceScale:
-        """The line that the table describes."""
+        """Return the line that the table describes."""
         if self.unit == "counts":
             return ForceScale(self.newtons_per_count or 0.0, self.zero, self.preload_n)
         if self.unit in _NEWTONS:

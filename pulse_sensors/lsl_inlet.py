@@ -37,14 +37,14 @@ class LslInlet:
     """Chunks of one stream, found by its name."""
 
     def __init__(self, scene: LslScene) -> None:
-        """Raises SourceError without the pylsl package, or the library it loads."""
+        """Raise SourceError without the pylsl package, or the library that it loads."""
         self.name = f"LSL stream {scene.stream}"
         self._scene = scene
         self._lsl = library("pylsl", "an LSL sensor")
         self._inlet: Any = None
 
     def open(self) -> None:
-        """Raises SourceError when no such stream is there, or not with such a channel or rate."""
+        """Find the stream. Raises SourceError when it, its channel or its rate is not there."""
         found = self._lsl.resolve_byprop("name", self._scene.stream, 1, RESOLVE_S)
         if not found:
             raise SourceError(f"{self.name}: not found within {RESOLVE_S:g} s")
@@ -63,7 +63,7 @@ class LslInlet:
         self._inlet = self._lsl.StreamInlet(info, max_buflen=BUFFER_S, recover=False)
 
     def read(self) -> Chunk | None:
-        """What has come; None after 0.1 s without a sample. Raises when the stream is lost."""
+        """Return what has come, or None after 0.1 s. Raises when the stream is lost."""
         first, time_s = self._inlet.pull_sample(timeout=WAIT_S)
         if first is None:
             return None
@@ -91,7 +91,7 @@ class LslDecoder:
         self._spoilt = 0
 
     def feed(self, chunk: Chunk) -> list[Packet]:
-        """The chunk as one packet, or as several round samples that are no numbers."""
+        """Return the chunk as one packet, or as several around samples that are no numbers."""
         packets: list[Packet] = []
         run: list[float] = []
         for position, sample in enumerate(chunk.samples):

@@ -47,8 +47,11 @@ JUMP_NS = 250_000_000
 
 
 class Span(NamedTuple):
-    """Where samples lie: the first's time, when the one after the last would come, and how many
-    are missing right before them."""
+    """Place of consecutive samples in time.
+
+    It has the time of the first, the time at which the one after the last is due, and the number of
+    samples missing right before them.
+    """
 
     first_ns: int
     end_ns: int
@@ -68,7 +71,7 @@ class Timeline:
         self._measured_ns = 0.0
 
     def place(self, count: int, missing: int, last_ns: int) -> Span | None:
-        """The place of `count` samples, the last of which was measured at `last_ns`.
+        """Return the place of `count` samples, the last of which was measured at `last_ns`.
 
         missing: how many are known to be lost before them; a jump of the time shows more. None
         for samples whose time is long over: they cannot be placed any more.
@@ -112,7 +115,7 @@ class Timeline:
 
 
 def _within(value: float, share: float, of: float) -> float:
-    """The value, or the nearest that differs from `of` by no more than a share of it."""
+    """Return the value, or the nearest that differs from `of` by no more than a share of it."""
     return min(max(value, of * (1 - share)), of * (1 + share))
 
 
@@ -122,8 +125,11 @@ SETTLED_S = 2.0
 
 
 class Reading(NamedTuple):
-    """Consecutive samples on the host's clock: the first's time, when the one after the last
-    would come, forces in N, and how many samples were lost right before them."""
+    """Consecutive samples on the host's clock.
+
+    It has the time of the first, the time at which the one after the last is due, forces in N, and
+    the number of samples lost right before them.
+    """
 
     first_ns: int
     end_ns: int
@@ -155,7 +161,7 @@ class Readings:
         self._off_since: tuple[int, int] | None = None
 
     def of(self, packet: Packet, arrival_ns: int) -> Reading | None:
-        """The packet's samples in their place; None when there is no place for them."""
+        """Return the packet's samples in their place; None when there is no place for them."""
         last_ns = arrival_ns
         if packet.device_ns is not None:
             if packet.anew:

@@ -51,15 +51,17 @@ class Decoder(Protocol):
         """Count of refusals by cause."""
 
     def feed(self, data: Any) -> list[Packet]:
-        """The packets that end in this."""
+        """Return the packets that end in these bytes."""
 
     def reset(self) -> None:
         """Begin anew, as after a cable was pulled."""
 
 
 class _Received(NamedTuple):
-    """A message of the thread: data that arrived, or why the device has gone, or, with neither,
-    that it is back."""
+    """Message of the thread: data that arrived, or the reason why the device is gone.
+
+    With neither, the device is back.
+    """
 
     at_ns: int
     data: Any = None
@@ -76,7 +78,7 @@ class Sensor:
         table: SensorTable,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """Raises SourceError when the device is not there. `clock` gives ns."""
+        """Open the device. Raises SourceError when it is not there. `clock` returns ns."""
         self.period_ns = table.period_ns
         self._port = port
         self._decoder = decoder
@@ -154,7 +156,7 @@ class Sensor:
             logger.info(f"{self._port.name} is back")
 
     def _listen(self) -> None:
-        """The thread: hear the device until closed."""
+        """Read the device until closed; runs in the thread."""
         while not self._closing.is_set():
             try:
                 data = self._port.read()

@@ -41,7 +41,7 @@ class SerialScene(SensorTable):
         return self
 
     def decoder(self) -> FrameDecoder | TextDecoder:
-        """Raises SourceError when a library is missing."""
+        """Raise SourceError when a library is missing."""
         if self.framing == "binary":
             return FrameDecoder(self.period_ns)
         return TextDecoder(self.period_ns, self.column, self.device_time)
@@ -57,7 +57,7 @@ class SerialPort:
         self._waitable = False
 
     def open(self) -> None:
-        """Raises SourceError, with the ports there are, when this one is not."""
+        """Open the port. Raises SourceError, with a list of ports, when it is not there."""
         try:
             self._port = serial.serial_for_url(
                 self.name, self._baud, timeout=WAIT_S, exclusive=True
@@ -74,7 +74,7 @@ class SerialPort:
             ) from None
 
     def read(self) -> bytes:
-        """What has come; nothing after 0.1 s without a byte. Raises when it is gone."""
+        """Return what has come, nothing after 0.1 s. Raises when the port is gone."""
         data: bytes
         if self._waitable:
             if not select.select([self._port], [], [], WAIT_S)[0]:

@@ -30,8 +30,11 @@ class TextDecoder:
     """
 
     def __init__(self, period_ns: int, column: int, time_unit: TimeUnit | None) -> None:
-        """period_ns: the samples' own, nominally. column: which number is the value, from 0, the
-        time not counted. time_unit: of the line's first number; None when lines have no time."""
+        """Decode lines of numbers.
+
+        period_ns: nominal period of the samples. column: index of the value from 0, the time not
+        counted. time_unit: unit of the line's first number; None when lines have no time.
+        """
         self._period_ns = period_ns
         self._column = column
         self._unit = time_unit
@@ -49,7 +52,7 @@ class TextDecoder:
             self._times = LineTimes(self._period_ns, _QUANTUM_NS[self._unit])
 
     def feed(self, data: bytes) -> list[Packet]:
-        """The packets that end in these bytes."""
+        """Return the packets that end in these bytes."""
         *whole, rest = (self._buffer + data).replace(b"\r", b"\n").split(b"\n")
         packets = []
         for line in whole:
@@ -77,7 +80,7 @@ class TextDecoder:
         self._spoilt += 1
 
     def _packet(self, line: bytes) -> Packet:
-        """Raises WireError with the cause."""
+        """Decode one line. Raises WireError with the cause."""
         fields = [field.rpartition(b":")[2] for field in _BETWEEN.split(line.strip())]
         now_us = 0
         if self._unit is not None:
@@ -105,7 +108,7 @@ def _joined(packets: list[Packet]) -> list[Packet]:
 
 
 def _number(field: bytes) -> float:
-    """Raises WireError."""
+    """Return the number in a field. Raises WireError."""
     try:
         value = float(field)
     except ValueError:

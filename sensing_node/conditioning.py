@@ -70,7 +70,7 @@ class ConditioningScene(Section):
         return self
 
     def calibration(self) -> Calibration:
-        """The line from newtons to the chain's volts and back."""
+        """Return the line from newtons to the chain's volts and back."""
         if self.film_radius_m is not None:
             return Calibration.of_film(Film(self.film_radius_m))
         if self.sensitivity_v_per_n is not None:
@@ -78,7 +78,7 @@ class ConditioningScene(Section):
         return Calibration()
 
     def without_losses(self) -> "ConditioningScene":
-        """The chain of an ideal film: the charge amplifier and the hold-down force alone."""
+        """Return the chain of an ideal film: the charge amplifier and the hold-down force alone."""
         return self.model_copy(update={"mains_hz": None, "anti_alias_hz": None, "adc_bits": None})
 
 
@@ -109,7 +109,7 @@ class Conditioned:
         self._taken = 0
 
     def take(self, count: int) -> NDArray[np.float64]:
-        """The next samples in N, as the source gives them."""
+        """Return the next samples in N, as a source does."""
         force_n = self._source.take(count)
         if not len(force_n):
             return force_n
@@ -146,7 +146,7 @@ class Conditioned:
 
 
 def faults_of(samples: object) -> list[str]:
-    """What went wrong in a source's chain, one line each, for the summary."""
+    """Return the faults of a source's chain, one line each, for the summary."""
     match samples:
         case RecordedSource():
             return list(samples.warnings)

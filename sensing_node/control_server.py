@@ -82,8 +82,11 @@ Sender = tuple[bytes, ...]
 
 @dataclass(slots=True)
 class Client:
-    """A display that has spoken to us: its name, when it last did, its last report, and whether
-    it has said that it has the whole stream."""
+    """Display that has sent a message.
+
+    It has a name, the time of its last message, its last report, and whether it has confirmed the
+    whole stream.
+    """
 
     name: str
     seen_ns: int
@@ -114,7 +117,7 @@ class ControlServer:
         return all(guest.content for guest in self.guests.values())
 
     def answer(self, sender: Sender, data: bytes, now_ns: int, samples_sent: int) -> Control | None:
-        """The reply to a message of `sender`, if one is due; what is invalid is counted."""
+        """Return the reply to a message of `sender`, if one is due; count an invalid one."""
         try:
             if not 1 <= len(sender) <= MAX_HOPS:
                 raise WireError("malformed", f"an envelope holds 1 to {MAX_HOPS} addresses")
@@ -141,7 +144,7 @@ class ControlServer:
         return None
 
     def _guest(self, sender: Sender, message: Control, now_ns: int) -> Client:
-        """The display that sent a message. Raises WireError.
+        """Return the display that sent a message. Raises WireError.
 
         A display that was forgotten, or whose connection was made anew, goes on without
         another hello and still must be told where the stream ends.
@@ -166,7 +169,7 @@ class ControlServer:
         return guest
 
     def _forget_namesake(self, name: str) -> None:
-        """A display that connects anew speaks from another address; the old one is dead.
+        """Remove the old address of a display that connects again from another one.
 
         It may have asked for the clock before it said its name.
         """

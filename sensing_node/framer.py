@@ -20,7 +20,7 @@ class Framer:
         self.samples_sent = 0
 
     def frames(self, block: SampleBlock) -> list[Frame]:
-        """The block's samples as frames, in order."""
+        """Yield the block's samples as frames, in order."""
         self.samples_sent += block.missing
         values = block.values.astype(self._dtype)
         frames = []

@@ -51,8 +51,10 @@ class SensingNode:
         keys: ServerKeys | None = None,
         telemetry_address: str | None = None,
     ) -> None:
-        """clock: what the stream is timed by, ns. keys: who may listen; None: everybody.
-        telemetry_address: where to publish a status a second; None: nowhere.
+        """Bind the sockets.
+
+        clock: times the stream, ns. keys: of displays that may connect; None admits everybody.
+        telemetry_address: where a status is published every second; None: nowhere.
 
         Raises AddressError when `address` cannot be bound, KeyFileError.
         """

@@ -52,7 +52,7 @@ class SensingScene(Section):
 
 @contextmanager
 def open_source(scene: SensingScene, folder: Path) -> Iterator[Source]:
-    """The source the scene names; a live sensor is read until the context is left.
+    """Open the source that the scene names; a live sensor is read until the context is left.
 
     `folder` is the scene file's; Raises SourceError or SceneError.
     """
@@ -70,7 +70,7 @@ def open_source(scene: SensingScene, folder: Path) -> Iterator[Source]:
 
 
 def build_source(scene: SensingScene, folder: Path, plausible: bool = True) -> SampleSource:
-    """The source the scene names, heard through its conditioning chain if it has one.
+    """Build the source that the scene names, behind its conditioning chain if it has one.
 
     `folder` is the scene file's. plausible: refuse a recording that cannot be a pulse. Raises
     SourceError or SceneError, as for a live sensor: it gives its samples to a sensing node alone.
@@ -89,7 +89,7 @@ def build_source(scene: SensingScene, folder: Path, plausible: bool = True) -> S
 
 
 def describe_stream(scene: SensingScene, source: Source) -> StreamDescription:
-    """The description that travels to the displays. Raises SceneError."""
+    """Return the description that travels to the displays. Raises SceneError."""
     batch = max(1, round(scene.batch_ns / source.period_ns))
     if batch > 4096:
         raise SceneError(f"[sensing] batch: {batch} samples a frame; at most 4096 fit")

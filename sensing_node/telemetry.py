@@ -15,7 +15,7 @@ class Telemetry:
     """Publishes statuses. address: where; rejected: readers that were refused, by cause."""
 
     def __init__(self, context: sockets.Context, address: str) -> None:
-        """Raises AddressError."""
+        """Bind the address. Raises AddressError."""
         self._gate = Authenticator(context, None, most=MAX_READERS)
         self.rejected = self._gate.rejected
         self._socket = sockets.bind(context, zmq.XPUB, address, self._gate)

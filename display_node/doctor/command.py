@@ -101,8 +101,10 @@ def _try(host: Host) -> RealtimeGrant:
 def _measure(
     tick_ns: int, work: Work, held: RealtimeGrant, seconds: float, processors: int, isolated: str
 ) -> HostFindings:
-    """Ticks bare, with each measure that is granted, and with all of them; a processor is chosen
-    only where one is isolated, as another is no better alone."""
+    """Return ticks bare, with each granted measure, and with all of them.
+
+    A processor is chosen only where one is isolated: another one is no better by itself.
+    """
     chosen = [name for name in held.granted if isolated or not name.startswith("cpu")]
     wishes = {BARE: RealtimeRequest()} | {name: parse_realtime(name) for name in held.granted}
     if chosen:

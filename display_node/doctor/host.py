@@ -116,8 +116,10 @@ def describe(host: Host) -> list[tuple[str, str]]:
 
 
 def stolen() -> tuple[int, int]:
-    """Time that a hypervisor gave to others, and all time, of all processors, in the kernel's own
-    units since it started; zeros where it does not count."""
+    """Return the time that a hypervisor took away, and all time, of all processors.
+
+    Both are in the kernel's units since its start; zeros where it does not count.
+    """
     line = _text(Path("/proc/stat")).partition("\n")[0].split()[1:9]
     return (int(line[7]), sum(map(int, line))) if len(line) == 8 else (0, 0)
 
@@ -216,9 +218,12 @@ Table = Mapping[tuple[str, str], Ticks]
 
 @dataclass(frozen=True, slots=True)
 class HostFindings:
-    """ticks: by measure and what ran beside it; option: what to give --realtime, None where nothing
-    is granted; refusals: lines; stolen: share of time that a hypervisor gave to others
-    meanwhile."""
+    """Create the findings of a doctor's run.
+
+    ticks: by measure, and by what ran beside them. option: the value to pass to --realtime, None
+    where nothing is granted. refusals: lines. stolen: share of time that a hypervisor took away
+    meanwhile.
+    """
 
     tick_ns: int
     ticks: Table

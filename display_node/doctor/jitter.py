@@ -38,8 +38,10 @@ class Ticks:
 def run_ticks(
     ticks: Ticks, tick_ns: int, seconds: float, descriptors: Sequence[int], work: Work
 ) -> None:
-    """Wait for ticks as a display does, and do `work` (when it was due in ns, ticks since the last)
-    in each."""
+    """Wait for ticks as a display does, and call `work` in each.
+
+    work: takes the time in ns at which the tick was due, and the number of ticks since the last.
+    """
     pacer = Pacer(tick_ns, time.monotonic_ns())
     end_ns = pacer.due_ns + round(seconds * 1e9)
     # Until nothing is due any more: a wait that ends after the end is the latest of all.

@@ -171,8 +171,10 @@ class Ensemble:
         return [*(_between(before + row, position) for row in rows), self.predict(instant_ns)]
 
     def error_n(self, horizon_ns: int) -> float | None:
-        """RMSE in N of the last 2 s of predictions so far ahead of the newest sample; None before
-        any, and further ahead than is predicted."""
+        """Return the RMSE in N of the last 2 s of predictions so far ahead of the newest sample.
+
+        None before any, and further ahead than is predicted.
+        """
         # From the middle of the newest cell.
         horizon = round((horizon_ns / STEP_NS + 0.5) / SPACING)
         if horizon > HORIZONS:

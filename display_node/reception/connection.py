@@ -138,8 +138,10 @@ class Connection:
         return Reconnections(opened, kept, self._controls)
 
     def subscribe(self, frame_ns: int, round_trip_ns: int, now_ns: int) -> None:
-        """Ask for frames, from now on; one covers `frame_ns`. The way to the sensing node and
-        back takes `round_trip_ns`."""
+        """Subscribe to frames; one frame covers `frame_ns`.
+
+        round_trip_ns: time of a request to the sensing node and of its reply.
+        """
         times_ns = frame_ns, max(ANSWER_NS, ANSWER_ROUND_TRIPS * round_trip_ns)
         if times_ns == self._times_ns:
             return
@@ -192,8 +194,11 @@ class Connection:
             )
 
     def _ask_again(self, now_ns: int) -> bool:
-        """Where one request of control and data is answered, the other, sent while the network was
-        cut, need not be waited for. Returns whether control has a new connection."""
+        """Replace the connection whose request was lost, when the other one's is answered.
+
+        One of the two requests, control's or data's, was sent while the network was cut: it need
+        not be waited for. Return whether control has a new connection.
+        """
         control = self.control
         for path in self._paths:
             data = path.first

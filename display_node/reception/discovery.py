@@ -19,8 +19,10 @@ LOOK_EVERY_S = 0.05
 
 
 def discovered(name: str | None, peer: Path | None, seconds: float | None) -> list[str]:
-    """The addresses of the one sensing node that announces itself on this network: of that name
-    (None: any), with the key of the file `peer` (None: any). Waits for one, for `seconds` at most.
+    """Return the addresses of the one sensing node that announces itself on this network.
+
+    name: its name; None accepts any. peer: file of its public key; None accepts any. seconds:
+    longest wait for one.
 
     Raises DiscoveryError where several fit or none comes, ProtectionError where it demands keys
     and there is no `peer`, KeyFileError.

@@ -75,8 +75,7 @@ class Failover:
         self.opened = self.kept = 0
 
     def set_timeouts(self, frame_ns: int, answer_ns: int) -> None:
-        """Expect a frame every `frame_ns`, and the answer to a request to connect within
-        `answer_ns`."""
+        """Expect a frame every `frame_ns`, and a reply to a request within `answer_ns`."""
         self._frame_ns = frame_ns
         least_ns = PATIENCE_FRAMES * frame_ns
         was_ns, self._silence_ns = self._silence_ns, max(REPEATED_NS + answer_ns, least_ns)
@@ -148,8 +147,11 @@ class Failover:
         return None
 
     def mark_suspect(self, now_ns: int) -> None:
-        """Expect frames sooner, as this process stood still: the first connection may have died
-        meanwhile, and what it delivers may only have queued."""
+        """Expect frames sooner, since this process stood still.
+
+        The first connection may have died meanwhile, and the frames that it delivers may only have
+        been queued.
+        """
         if not self.racing:
             self._suspect_until_ns = now_ns + COMES_IN_WITHIN_NS
             self._due_ns = min(self._due_ns, now_ns + self._follows_ns)
@@ -246,8 +248,10 @@ class DataPath:
             line.socket.unsubscribe(b"")
 
     def take_received(self, now_ns: int) -> bool:
-        """Return whether anything has come since this was called last; close a connection that is
-        not needed any more."""
+        """Return whether any frame has come since the last call.
+
+        A connection that is no longer needed is closed.
+        """
         first, second, failover = self.first, self._second, self.failover
         from_first, from_second = first.received(now_ns), second.received(now_ns)
         keep = None

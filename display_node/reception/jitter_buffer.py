@@ -160,8 +160,11 @@ class JitterBuffer:
             self._settled_index = self._indices[settled - 1]
 
     def known(self, step_ns: int, count: int) -> list[float]:
-        """Values at the instant being played and `step_ns` apart after it, by linear
-        interpolation; ends early where the newest sample ends, empty before the first."""
+        """Return values at the instant being played and `step_ns` apart after it.
+
+        They are interpolated linearly. The row ends early where the newest sample ends, and is
+        empty before the first sample.
+        """
         times, values, position = self._times, self._values, self._settled
         length = len(times)
         t_ns = self._instant_ns
@@ -185,7 +188,7 @@ class JitterBuffer:
         return result
 
     def end(self, samples_sent: int, now_ns: int | None) -> None:
-        """The session ended after `samples_sent` samples; what is missing of them is lost.
+        """End the session after `samples_sent` samples; what is missing of them is lost.
 
         now_ns is the sensing clock's, if known. Raises WireError("implausible") when that is
         more than there was time for, or less than came.
@@ -213,7 +216,7 @@ class JitterBuffer:
         return bool(self._indices) and self._indices[-1] + 1 == self._end_index
 
     def account(self) -> SampleAccount:
-        """The account so far; once the session has ended and played out, of all of it."""
+        """Return the account so far; of the whole session once it has ended and played out."""
         first = self._first_index
         if first is None:
             return SampleAccount(before_joining=self._end_index or 0)
@@ -224,8 +227,10 @@ class JitterBuffer:
         return SampleAccount(settled_end - first, self._played, self._late, before_joining)
 
     def successor(self) -> "JitterBuffer":
-        """An empty buffer that goes on with the account after the last settled sample: samples
-        that wait, and those of before that still come, are lost."""
+        """Return an empty buffer that continues the account after the last settled sample.
+
+        Samples that wait are lost, and so are earlier ones that still come.
+        """
         account = self.account()
         if self._first_index is None:
             return JitterBuffer(self._channel)

@@ -21,7 +21,7 @@ class PlayoutClock:
         self.jumps = 0
 
     def instant(self, now_ns: int, wanted_ns: int) -> int:
-        """The instant to play at local time `now_ns`, when `wanted_ns` is where it should be.
+        """Return the instant to play at `now_ns`, when `wanted_ns` is where it should be.
 
         Both clocks run at one rate within the warp; the result never goes back but by a jump.
         """
@@ -49,8 +49,11 @@ class PlayedDelays:
         self.ticks = 0
 
     def add(self, playout_delay_ns: int, predicted_ns: int, trusted: bool) -> None:
-        """A tick: its E, by how much the newest sample was older than what was played (0 where
-        that was there), and whether the predictor was trusted."""
+        """Add a tick.
+
+        Takes its E, the age of the newest sample relative to the played instant (0 where a sample
+        was there), and whether the predictor was trusted.
+        """
         self._playout_delay_ms.add(playout_delay_ns * 1e-6)
         self._covered_ns += playout_delay_ns + predicted_ns
         self.ticks += 1

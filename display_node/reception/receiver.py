@@ -136,7 +136,7 @@ class Receiver:
         return wanted
 
     def account(self) -> SampleAccount:
-        """The account of all samples of all sessions so far."""
+        """Return the account of all samples of all sessions so far."""
         return self._closed + self.buffer.account()
 
     @property
@@ -250,8 +250,10 @@ class Receiver:
                 self._begin_anew()
 
     def _begin_anew(self) -> None:
-        """A clock has jumped, and the playout jumps with it: times before and after it do not
-        belong together. What waits to be played is given up."""
+        """Follow a clock that has jumped: the playout jumps with it.
+
+        Times before and after the jump do not belong together, so samples that wait are given up.
+        """
         if self.buffer.ended:
             return
         self.beginnings += 1
@@ -262,7 +264,7 @@ class Receiver:
         self.buffer = self.buffer.successor()
 
     def _begin(self, session: int, description: StreamDescription) -> None:
-        """A new session: its samples, times and clock have nothing to do with the last one's."""
+        """Begin a new session: its samples, times and clock are unrelated to the last one's."""
         self._closed = self.account()
         self._frames_closed, self._reordered_closed = self.frames
         self.session, self.description = session, description

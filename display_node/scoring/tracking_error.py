@@ -36,8 +36,9 @@ class RoughnessMeter:
         self._count = 0
 
     def add(self, now_ns: NDArray[np.int64], felt_n: Floats, sensed_n: Floats) -> None:
-        """Take consecutive ticks, the next ones at each call; NaN where nothing was sensed, or
-        the force felt is unknown.
+        """Add consecutive ticks; each call continues the last one.
+
+        NaN stands for a tick without a sensed force, or whose felt force is unknown.
 
         Around a NaN, and where ticks are missing, nothing is counted.
         """
@@ -77,8 +78,11 @@ class RoughnessMeter:
 
 
 def high_pass(period_s: float) -> Floats:
-    """A symmetric filter that lets pass what is above 25 Hz, at a sample each period_s: all
-    minus a windowed sinc (Blackman). Empty where so slow a rate holds nothing above 25 Hz."""
+    """Return a symmetric high-pass above 25 Hz for samples `period_s` apart.
+
+    It is an all-pass minus a windowed sinc (Blackman). Empty where so slow a rate holds nothing
+    above 25 Hz.
+    """
     if 2 * ABOVE_HZ * period_s >= 1:
         return np.empty(0)
     reach = round(REACH_S / period_s)
@@ -127,16 +131,21 @@ class TrackingError:
     def add_reference(
         self, frame: Frame, channel: int, force_ratio: float, group_delay_ns: int = 0
     ) -> None:
-        """A frame of the pulse; `force_ratio` is the right force at the finger per wrist force,
-        group_delay_ns by how much a sample is later than the pulse in it."""
+        """Add a frame of the pulse.
+
+        force_ratio: the right force at the finger for a unit of force at the wrist. group_delay_ns:
+        delay of a sample behind the pulse.
+        """
         first_ns = frame.t_first_ns - group_delay_ns
         end_ns = first_ns + len(frame.values) * frame.period_ns
         t_ns = np.arange(first_ns, end_ns, frame.period_ns, dtype=np.int64)
         self.add_reference_force(t_ns, frame.values[:, channel].astype(np.float64) * force_ratio)
 
     def add_output(self, now_ns: int, instant_ns: int, force_n: float) -> None:
-        """Take what the finger feels at now_ns, when the pulse of instant_ns is played; NaN where
-        it is unknown, and nothing is scored then."""
+        """Add the force at the finger at `now_ns`, when the pulse of `instant_ns` is played.
+
+        NaN where the force is unknown; nothing is scored then.
+        """
         felt = self._felt
         felt.append((now_ns, instant_ns, force_n))
         if len(felt) >= PATIENCE + BLOCK:
@@ -165,13 +174,17 @@ class TrackingError:
 
     @property
     def within_jnd(self) -> float | None:
-        """Share of the time that could be judged in which the aligned force error is below 10 %
-        of the pulse's peak to peak."""
+        """Return the share of the judged time with an error below 10 % of the pulse's height.
+
+        The height is the pulse's peak to peak.
+        """
         return self._within / self._aligned_count if self._aligned_count else None
 
     def scored(self, summary: Summary) -> Summary:
-        """Return the summary with the errors and the roughness found here, and the share of its
-        run that could be judged."""
+        """Return the summary with the errors and the roughness found here.
+
+        The share of the run that could be judged is added to it.
+        """
         ticks = (summary.loop.ticks or 0) + (summary.loop.deadline_misses or 0)
         judged = min(1.0, self._aligned_count / ticks) if ticks else None
         return replace(

@@ -35,8 +35,11 @@ class Publisher:
         gate: Authenticator | None = None,
         provenance: bytes = b"",
     ) -> None:
-        """run: a random number of this run of the display. gate: says who may read. provenance: is
-        sent to who asks for it."""
+        """Publish on a bound socket.
+
+        run: a random number of this run of the display. gate: authenticator of readers. provenance:
+        is sent to readers that request it.
+        """
         self._socket = socket
         self._gate = gate
         self._subscribers = SubscriptionBudget(socket, (TRACE, STATUS, HEARD, PROVENANCE))
@@ -47,7 +50,7 @@ class Publisher:
         self.address = socket.getsockopt_string(zmq.LAST_ENDPOINT)
 
     def add(self, felt: TickState) -> bool:
-        """A tick; returns whether a status is due."""
+        """Add a tick; return whether a status is due."""
         trace = self._trace.add(felt)
         if trace is None:
             return False

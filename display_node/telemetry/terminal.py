@@ -75,8 +75,10 @@ class TerminalView:
         self._named: set[str] = set()
 
     def take(self, message: Sequence[bytes], now_ns: int = 0) -> Trace | None:
-        """Take a telemetry message, of its topic and its data, that came at `now_ns` of this
-        process's clock; return the trace where it is one."""
+        """Take a telemetry message; return the trace where it is one.
+
+        The message has a topic and data, and came at `now_ns` of this process's clock.
+        """
         try:
             match message:
                 case [topic, data] if topic == TRACE:

@@ -39,7 +39,7 @@ class SampleSource(Protocol):
         """What the columns are."""
 
     def take(self, count: int) -> NDArray[np.float64]:
-        """The next samples, shape (at most count, channels); fewer only at the end."""
+        """Return the next samples, shape (at most count, channels); fewer only at the end."""
 
 
 class PacedSource:

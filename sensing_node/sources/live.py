@@ -32,7 +32,7 @@ class LiveSource:
         return self._read_ns + count * self.period_ns
 
     def read(self, now_ns: int) -> SampleBlock | None:
-        """Samples that have come by now, up to where some are missing; None when none has."""
+        """Return samples that have come by now, up to a gap; None when none has."""
         self._read_ns = now_ns
         self._readings.extend(self._sensor.poll())
         if not self._readings:
@@ -53,7 +53,7 @@ class LiveSource:
         return self._sensor.rejected
 
     def faults(self) -> list[str]:
-        """What went wrong with the sensor, one line each."""
+        """Return the faults of the sensor, one line each."""
         return self._sensor.faults()
 
 
@@ -61,7 +61,7 @@ Source = SampleSource | LiveSource | ReplaySource
 
 
 def feed_of(source: Source, start_ns: int) -> PacedSource | LiveSource | ReplaySource:
-    """The source's blocks: of one that knows its samples ahead, as they fall due from a start."""
+    """Return the source's blocks; those of a source that knows its samples ahead are paced."""
     if isinstance(source, ReplaySource):
         source.begin(start_ns)
     return (

@@ -105,8 +105,11 @@ class RecordedSource:
     channels = (Channel("pulse"),)
 
     def __init__(self, scene: RecordingScene, folder: Path, plausible: bool = True) -> None:
-        """Raises SourceError for a file that cannot be read or scaled, and, where it
-        must be `plausible`, for values that cannot be a pulse's by this scene."""
+        """Read the recording.
+
+        Raises SourceError for a file that cannot be read or scaled, and, where it must be
+        `plausible`, for values that cannot be a pulse's by this scene.
+        """
         path = folder / scene.path
         column = load_column(path, scene.column)
         constant = refuse_constant(column)
@@ -129,7 +132,7 @@ class RecordedSource:
         self.period_ns = round(1e9 / scene.rate_hz)
 
     def take(self, count: int) -> NDArray[np.float64]:
-        """The next samples in N, shape (count, 1); fewer only when played once and at its end."""
+        """Return the next samples in N, shape (count, 1); fewer at the end of one pass."""
         first, length = self._position, len(self._force_n)
         last = first + count if self._loop else min(first + count, length)
         self._position = last

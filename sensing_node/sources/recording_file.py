@@ -135,7 +135,7 @@ def _time(text: str) -> float | None:
 
 
 def _number(row: list[str], position: int, where: str) -> float:
-    """A row's number; `where` opens the error's line. Raises SourceError."""
+    """Return a row's number; `where` opens the error's line. Raises SourceError."""
     if position >= len(row):
         raise SourceError(f"{where}: no column {position}; it has {len(row)}")
     if not _is_number(row[position]):
@@ -144,7 +144,7 @@ def _number(row: list[str], position: int, where: str) -> float:
 
 
 def _load_numpy(path: Path, column: int | str) -> RecordedColumn:
-    """A column of an .npy, or one of an .npz's arrays; what it is its bytes tell."""
+    """Return a column of an .npy, or one of an .npz's arrays, as the file's first bytes decide."""
     with path.open("rb") as file:
         loaded = np.load(file, allow_pickle=False)
         if isinstance(loaded, np.ndarray):

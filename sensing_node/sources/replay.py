@@ -43,7 +43,7 @@ class ReplaySource:
         return frame.t_first_ns + (len(frame.values) - 1) * frame.period_ns + self._shift_ns
 
     def read(self, now_ns: int) -> SampleBlock | None:
-        """The next frame's samples if they are due; None when they are not."""
+        """Return the next frame's samples if they are due; None when they are not."""
         while (frame := self._next) is not None and self.due_ns(1) <= now_ns:
             self._next = next(self._frames, None)
             known = max(0, self._expected - frame.first_sample)

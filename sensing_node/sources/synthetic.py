@@ -88,7 +88,7 @@ class SyntheticSource:
         self._ready = np.zeros(0)
 
     def take(self, count: int) -> NDArray[np.float64]:
-        """The next `count` samples in N, shape (count, 1)."""
+        """Return the next `count` samples in N, shape (count, 1)."""
         parts, missing = [self._ready], count - len(self._ready)
         while missing > 0:
             parts.append(self._next_beat())
@@ -112,7 +112,7 @@ class SyntheticSource:
         )
 
     def _interval_s(self, onset_s: float) -> float:
-        """The beat interval at a time: slow rhythm, respiratory rhythm and chance."""
+        """Return the beat interval at a time: slow rhythm, respiratory rhythm and chance."""
         scene, variability = self._scene, self._scene.heart_rate_variability
         if variability == 0:
             return 1 / scene.heart_rate_hz
