@@ -82,10 +82,13 @@ def configure_logging(level: str | None = None, quiet: bool = False) -> None:
     if name not in LEVELS:
         raise OptionError(f"--log-level {name}: there are {', '.join(LEVELS)}")
     root = logging.getLogger()
-    if not any(isinstance(handler, StderrHandler) for handler in root.handlers):
+    handler = next((each for each in root.handlers if isinstance(each, StderrHandler)), None)
+    if handler is None:
         handler = StderrHandler()
         handler.setFormatter(LineFormatter())
         root.addHandler(handler)
+    # Some libraries set the level of their own logger when they are imported.
+    handler.setLevel(LEVELS[name])
     # Libraries log by their own terms: only what is wrong is of use here.
     root.setLevel(max(LEVELS[name], logging.WARNING))
     for silenced in SILENCED:
