@@ -44,8 +44,10 @@ PLOT_S = 3.0
 RUN = "of the run so far"
 # Of a status line: a log or a journal shows it without wrapping.
 LINE_WIDTH = 120
-# Heart rate, force target and force felt, which every status line shows.
-PULSE_ROWS = 3
+# Room of the alerts in a status line beside its figures; each is printed in full when it begins.
+ALERTS_WIDTH = 45
+# Rows of the moment by importance where a line has no room for all: what the finger feels first.
+IMPORTANCE = ("force felt", "finger", "force target", "heart rate")
 # Statuses come five times a second; an older one is not shown as current.
 CURRENT_NS = 1_000_000_000
 
@@ -119,8 +121,8 @@ class TerminalView:
     def line(self, now_ns: int = 0) -> str:
         """Return the state at `now_ns` in one line of at most `LINE_WIDTH` characters.
 
-        Alerts are cut so that the pulse's figures have room; then follow the finger and as many
-        figures of the run as fit.
+        Alerts are cut where the figures need their room. The figures follow by importance as far as
+        they fit, then figures of the run.
         """
         if self.status is None:
             return "waiting for the display"
@@ -129,14 +131,21 @@ class TerminalView:
         wrong = "; ".join(
             f"{name}: {text}".removeprefix(state) for name, text in self._alerts(now_ns)
         )
-        now = [f"{name} {value}" for name, value in self._now_rows(now_ns)]
+        now = {name: f"{name} {value}" for name, value in self._now_rows(now_ns)}
         run = [f"{name} {value}" for name, value in self._run_rows()]
-        pulse = ", ".join(now[:PULSE_ROWS])
         start = f"{_printable(self._state(now_ns))}: "
+        free = LINE_WIDTH - len(start) - len(", ".join(now.values()))
         if wrong:
-            start += f"{_cut(wrong, max(0, LINE_WIDTH - len(start) - len(pulse) - 2))}; "
-        line = _cut(start + pulse, LINE_WIDTH)
-        for part in now[PULSE_ROWS:] + run:
+            start += f"{_cut(wrong, max(ALERTS_WIDTH, free - 2))}; "
+        start, fitting = _cut(start, LINE_WIDTH), set[str]()
+        # With the ", " before each but the first.
+        room = LINE_WIDTH - len(start) + 2
+        for name in IMPORTANCE:
+            if name in now and len(now[name]) + 2 <= room:
+                fitting.add(name)
+                room -= len(now[name]) + 2
+        line = start + ", ".join(text for name, text in now.items() if name in fitting)
+        for part in run:
             if len(line) + len(part) + 2 <= LINE_WIDTH:
                 line += f", {part}"
         return line

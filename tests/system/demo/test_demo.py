@@ -75,7 +75,7 @@ def test_a_demo_whose_display_latches_a_fault_names_it_and_ends_with_status_3(
     assert result.stderr.startswith(f"telepulse: ended at the fault '{fault}': {advice}")
     assert result.stderr.count("\n") == 1
     # The line of each second names it, with what to do.
-    assert re.search(rf"^fault: {fault}: {re.escape(advice)}", result.stdout, re.MULTILINE)
+    assert re.search(rf"^alert: fault: {fault}: {re.escape(advice)}", result.stdout, re.MULTILINE)
     assert read_json(out)["faults"] == [fault]
     assert_accounted(read_json(out)["samples"])
 
@@ -163,7 +163,7 @@ def test_without_bokeh_the_demo_says_how_to_get_the_page_and_goes_on() -> None:
             check=False,
         )
         assert result.returncode == status
-        first = (result.stdout + result.stderr).splitlines()[0]
+        first = result.stderr.splitlines()[0]
         assert first.endswith("Bokeh is missing; pip install 'telepulse[view]'")
         assert ("sent =" in result.stdout) == (status == 0)
 

@@ -60,7 +60,9 @@ def test_two_relays_feed_a_display_each_and_every_sample_is_accounted_for(
         for node, number in zip(nodes, (signal.SIGINT, signal.SIGTERM), strict=True):
             node.send_signal(number)
             _, errors = node.communicate(timeout=PATIENCE_S)
-            assert (node.returncode, unusual(errors)) == (0, "")
+            # Both relays start before the sensing node.
+            warnings = [line for line in unusual(errors).splitlines() if "is silent" not in line]
+            assert (node.returncode, warnings) == (0, [])
             assert "frames" in errors
     relayed = [read_json(path)["frames"]["received"] for path in relay_sums]
     sent = read_json(sensing_sum)["samples"]["sent"]

@@ -73,7 +73,7 @@ def test_a_soak_finds_every_sample_and_leaves_nothing_behind(tmp_path: Path) -> 
         assert not account.found.startswith("0 samples")
         assert checks[f"force of {role}"].ok
     assert "felt again: freeze display + kill sensing" in checks
-    printed = [path.read_text("utf-8") for path in folder.glob("*.out")]
+    printed = [path.read_text("utf-8") for path in folder.glob("*.err")]
     assert sum("real-time: slack" in text for text in printed) == len(stage.all_lives)
     lives = [(life.role, life.ending) for life in stage.all_lives if life.role == "sensing"]
     assert lives == [("sensing", "killed"), ("sensing", "stopped")]
