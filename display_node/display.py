@@ -17,8 +17,7 @@ from display_node.reception.playout_clock import PlayedDelays, PlayoutClock
 from display_node.reception.receiver import Receiver
 from display_node.scene import DisplayScene
 from display_node.scoring.tracking_error import TrackingError
-from protocol.availability import AvailabilityCounter, InterruptionCounter
-from protocol.limits import Limits
+from protocol.counters import AvailabilityCounter, InterruptionCounter, Limits
 from protocol.run_summary import Summary
 from protocol.summary_tables import Loop, TickTime
 from protocol.tactile import matching_force_ratio

@@ -1,12 +1,13 @@
 """Figures of the summary, each described once: meaning, unit, words for people, metric.
 
-A field of the summary's dataclasses carries its `Figure` (made by `figure`); a field that holds a
-table of figures carries a `Row` (made by `table`). Terminal, live page, Prometheus, the report of
-a recording and the reference draw from these, so a new figure is one new field. A surface that
-leaves a figure out stands in `absent` with the reason.
+A field of the summary's dataclasses carries a `Figure`, made by `figure`, or by `table` for a field
+that holds a table of figures. Terminal, live page, Prometheus, the report of a recording and the
+reference draw from these, so a new figure is one new field. A surface that leaves a figure out
+stands in `absent` with the reason.
 """
 
 import dataclasses
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -26,9 +27,8 @@ class Surface(StrEnum):
     METRICS = "metrics"
 
 
-@dataclass(frozen=True, slots=True)
-class Unit:
-    """Unit of a figure in JSON, and how people and Prometheus get it.
+class Unit(NamedTuple):
+    """Unit of a figure.
 
     Attributes
     ----------
@@ -46,11 +46,11 @@ class Unit:
     factor: float = 1.0
     base: float = 1.0
 
-    def text(self, value: float | None, form: str = "") -> str:
+    def text(self, value: float | None) -> str:
         """Return a value with its unit; empty without a value."""
         if value is None:
             return ""
-        number = f"{value * self.factor:{form or self.form}}" if self.form else f"{value}"
+        number = f"{value * self.factor:{self.form}}" if self.form else f"{value}"
         return f"{number} {self.shown}".rstrip()
 
 
@@ -67,7 +67,7 @@ RATIO = Unit("ratio", "", ".2f")
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A figure of the summary.
+    """A figure of the summary, or what the figures of one table share.
 
     Attributes
     ----------
@@ -76,11 +76,9 @@ class Figure:
     text : str
         Its words in a row, "{}" for the value.
     unit : Unit or None
-        None: the unit of its `Row`, else a count.
-    form : str
-        Format that replaces the unit's.
+        None: the unit of its table, else a count.
     row : str
-        Row of a figure that does not stand in its table's.
+        Name of its row for people; empty for the row of its table.
     joint : str
         What stands between it and the part before it in the row.
     noun : tuple of str
@@ -92,11 +90,12 @@ class Figure:
     lead : bool
         Whether a live page shows it large, before the first figure of its row.
     show : callable or None
-        Returns the text of a value that is no number; None where it is not shown.
+        Returns the text of a value that is no number, None where it is not shown. Of a table: one
+        phrase in place of its figures' texts.
     headline : callable or None
-        Returns what a live page shows large of a value that is no number.
+        Returns what a live page shows large of such a value.
     metric : str
-        Name of its metric without the prefix; else its `Row` names it.
+        Name of its metric without prefix and suffix; empty for that of its table.
     counter : bool
         Whether the metric is a counter; else it is a gauge, or a quantile by its label `quantile`.
     labels : mapping
@@ -108,14 +107,13 @@ class Figure:
     absent : mapping
         Surfaces without the figure, each with the reason.
     key, type, phrase
-        Filled in by `figures_of`: its keys in the JSON, joined by dots; its type; key and row of
-        its table where that is shown as one phrase.
+        Set by `figures_of`: its keys in the JSON, joined by dots; its type; its table, where that
+        is shown as one phrase.
     """
 
-    meaning: str
+    meaning: str = ""
     text: str = "{}"
     unit: Unit | None = None
-    form: str = ""
     row: str = ""
     joint: str = ", "
     noun: tuple[str, ...] = ()
@@ -132,7 +130,7 @@ class Figure:
     absent: Mapping[Surface, str] = field(default_factory=dict)
     key: str = ""
     type: Any = None
-    phrase: tuple[str, "Row"] | None = None
+    phrase: "Figure | None" = None
 
     @property
     def kind(self) -> str:
@@ -147,109 +145,79 @@ class Figure:
 
     def value(self, summary: Mapping[str, Any]) -> Any:
         """Return its value in a summary's JSON; None where there is none."""
-        return value_at(summary, self.key)
-
-    def shown(self, summary: Mapping[str, Any]) -> str | None:
-        """Return its value as a text; None where there is none to show."""
-        value = self.value(summary)
-        if value is None or (value == 0 and not self.zero):
-            return None
-        if self.show is not None:
-            return self.show(value)
-        if self.noun:
-            return count_text(value, *self.noun)
-        table, _, name = self.key.rpartition(".")
-        limit = bound(name, value_at(summary, f"{table}.beyond") or ())
-        return f"{limit}{(self.unit or COUNT).text(value, self.form)}"
+        return _value_at(summary, self.key)
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
-    """A row of figures: what those of one table share.
+_METRIC = re.compile(r"(?P<name>\w*?)(?P<counter>_total)?(?:\{(?P<labels>.*)\})?")
 
-    Attributes
-    ----------
-    name : str
-        Name of the row for people; empty where each figure has its own.
-    unit, metric, labels, absent
-        As of `Figure`, for all figures of the table.
-    show, headline : callable or None
-        As of `Figure`, of the whole table: one phrase in place of the figures' texts.
-    """
 
-    name: str = ""
-    unit: Unit | None = None
-    metric: str = ""
-    labels: Mapping[str, str] = field(default_factory=dict)
-    show: Callable[[Mapping[str, Any]], str | None] | None = None
-    headline: Callable[[Mapping[str, Any]], str] | None = None
-    absent: Mapping[Surface, str] = field(default_factory=dict)
+def _described(metric: str, **arguments: Any) -> dict[str, Figure]:
+    match = _METRIC.fullmatch(metric)
+    assert match is not None
+    labels = dict(re.findall(r'(\w+)="([^"]*)"', match["labels"] or ""))
+    counter = match["counter"] is not None
+    return {"figure": Figure(metric=match["name"], counter=counter, labels=labels, **arguments)}
 
 
 def figure(
-    meaning: str, *args: Any, factory: Callable[[], Any] | None = None, **kwargs: Any
+    meaning: str,
+    text: str = "{}",
+    unit: Unit | None = None,
+    metric: str = "",
+    factory: Callable[[], Any] = lambda: None,
+    **arguments: Any,
 ) -> Any:
-    """Return the field of a figure, with the arguments of `Figure`; None stands for no value.
+    """Return the field of a figure, with the arguments of `Figure`.
 
     Parameters
     ----------
-    factory : callable or None
-        Returns the value of a figure that is a list or map.
+    metric : str
+        Metric as Prometheus writes it: 'samples_total{outcome="played"}' is a counter.
+    factory : callable
+        Returns the value before any is known: an empty list or map, else None.
     """
-    metadata = {"figure": Figure(meaning, *args, **kwargs)}
-    if factory is not None:
-        return field(default_factory=factory, metadata=metadata)
-    return field(default=None, metadata=metadata)
+    described = _described(metric, meaning=meaning, text=text, unit=unit, **arguments)
+    return field(default_factory=factory, metadata=described)
 
 
-def table(kind: type, *args: Any, **kwargs: Any) -> Any:
-    """Return the field of a table of figures, a dataclass, with the arguments of `Row`."""
-    return field(default_factory=kind, metadata={"figure": Row(*args, **kwargs)})
+def table(
+    kind: type, row: str = "", unit: Unit | None = None, metric: str = "", **arguments: Any
+) -> Any:
+    """Return the field of a dataclass of figures; the arguments are as of `figure`, for all."""
+    described = _described(metric, row=row, unit=unit, **arguments)
+    return field(default_factory=kind, metadata=described)
 
 
-def figures_of(
-    kind: type, row: Row = Row(), prefix: str = "", phrase: tuple[str, Row] | None = None
-) -> Iterator[Figure]:
-    """Yield the figures of a dataclass and of the tables in it, completed from their rows.
+def figures_of(kind: type, shared: Figure = Figure(), prefix: str = "") -> Iterator[Figure]:
+    """Yield the figures of a dataclass and of the tables in it, completed from their tables.
 
-    Raises
-    ------
-    TypeError
-        A field has no figure.
+    Raises TypeError for a field without a figure.
     """
     for name, (value, note) in described_fields(kind).items():
-        key = prefix + name
-        if dataclasses.is_dataclass(value):
-            assert isinstance(value, type)
-            inner = note if isinstance(note, Row) else Row()
-            merged = replace(
-                inner,
-                name=inner.name or row.name,
-                unit=inner.unit or row.unit,
-                metric=inner.metric or row.metric,
-                labels={**row.labels, **inner.labels},
-                absent={**row.absent, **inner.absent},
-            )
-            shown = (key, inner) if inner.show is not None else phrase
-            yield from figures_of(value, merged, f"{key}.", shown)
-        elif isinstance(note, Figure):
-            yield replace(
-                note,
-                key=key,
-                type=value,
-                row=note.row or (phrase[1].name if phrase else row.name),
-                unit=note.unit or row.unit,
-                metric=note.metric or row.metric,
-                labels={**row.labels, **note.labels},
-                absent={**row.absent, **note.absent},
-                phrase=phrase,
-            )
-        else:
+        if note is None:
             raise TypeError(f"{kind.__name__}.{name} has no Figure")
+        completed = replace(
+            note,
+            key=prefix + name,
+            type=value,
+            row=note.row or shared.row,
+            unit=note.unit or shared.unit,
+            metric=note.metric or shared.metric,
+            labels={**shared.labels, **note.labels},
+            absent={**shared.absent, **note.absent},
+            phrase=shared.phrase,
+        )
+        if not dataclasses.is_dataclass(value):
+            yield replace(completed, row=note.row or (shared.phrase or shared).row)
+            continue
+        assert isinstance(value, type)
+        if note.show is not None:
+            completed = replace(completed, phrase=completed)
+        yield from figures_of(value, completed, f"{prefix}{name}.")
 
 
-def described_fields(kind: type) -> dict[str, tuple[Any, Any]]:
-    """Return type and `Figure` or `Row` (None without one) of each field of a dataclass."""
+def described_fields(kind: type) -> dict[str, tuple[Any, Figure | None]]:
+    """Return type and `Figure` (None without one) of each field of a dataclass."""
     hints = get_type_hints(kind)
     return {
         each.name: (hints[each.name], each.metadata.get("figure"))
@@ -257,8 +225,7 @@ def described_fields(kind: type) -> dict[str, tuple[Any, Any]]:
     }
 
 
-def value_at(summary: Any, key: str) -> Any:
-    """Return what stands at keys joined by dots; None where one of them is missing."""
+def _value_at(summary: Any, key: str) -> Any:
     for name in key.split("."):
         summary = summary.get(name) if isinstance(summary, Mapping) else None
     return summary
@@ -321,14 +288,12 @@ class Registry:
         """Return the rows of a summary's JSON on a surface; one without a value is left out."""
         rows: dict[str, SummaryRow] = {}
         for figure in self.on(surface):
-            if figure.phrase is None:
-                parts, headline = _parts(figure, summary), ""
-                if parts and figure.headline is not None:
-                    headline = figure.headline(figure.value(summary))
-            elif figure.row in rows:
+            if figure.phrase is not None and figure.row in rows:
                 continue
-            else:
-                parts, headline = _phrase(*figure.phrase, summary)
+            whole = figure.phrase or figure
+            parts, headline = _parts(figure, summary), ""
+            if whole.headline is not None and (parts or figure.phrase is not None):
+                headline = whole.headline(whole.value(summary) or {})
             if parts or (headline and surface is Surface.PAGE):
                 row = rows.get(figure.row, SummaryRow(figure.row, (), headline))
                 rows[figure.row] = row._replace(parts=row.parts + parts)
@@ -345,30 +310,36 @@ class Registry:
         return {each.name: found.get(each.name, "") for each in self.on(surface)}
 
 
-def _phrase(key: str, row: Row, summary: Mapping[str, Any]) -> tuple[tuple[RowPart, ...], str]:
-    table = value_at(summary, key) or {}
-    text = row.show(table) if row.show else None
-    return (RowPart(row.name, "", text, text),) if text else (), row.headline(
-        table
-    ) if row.headline else ""
-
-
 def _parts(figure: Figure, summary: Mapping[str, Any]) -> tuple[RowPart, ...]:
-    value = figure.shown(summary)
-    if value is None:
+    if figure.phrase is not None:
+        assert figure.phrase.show is not None
+        phrase = figure.phrase.show(figure.phrase.value(summary) or {})
+        return (RowPart(figure.row, "", phrase, phrase),) if phrase else ()
+    value = figure.value(summary)
+    if value is None or (value == 0 and not figure.zero):
+        return ()
+    if figure.show is not None:
+        shown = figure.show(value)
+    elif figure.noun:
+        shown = count_text(value, *figure.noun)
+    else:
+        table, _, name = figure.key.rpartition(".")
+        limit = bound(name, _value_at(summary, f"{table}.beyond") or ())
+        shown = limit + (figure.unit or COUNT).text(value)
+    if shown is None:
         return ()
     detail = ""
     if figure.of:
-        share = value_at(summary, f"availability.{figure.of}")
+        share = _value_at(summary, f"availability.{figure.of}")
         run = "" if share is None else f" ({100 * share:.1f} % of the run)"
         detail = f" of the time {figure.of}{run}"
-    text = figure.text.replace("{}", value)
-    return (RowPart(figure.name, figure.joint, value, text, detail, figure.lead),)
+    text = figure.text.replace("{}", shown)
+    return (RowPart(figure.name, figure.joint, shown, text, detail, figure.lead),)
 
 
-def absent(reason: str, *surfaces: Surface) -> dict[Surface, str]:
-    """Return that figures are absent from surfaces (from all of them without any) for a reason."""
-    return dict.fromkeys(surfaces or tuple(Surface), reason)
+def absent(reason: str, *surfaces: Surface, but: Surface | None = None) -> dict[Surface, str]:
+    """Return that figures are absent from surfaces for a reason; without any, from all `but` one."""
+    return {each: reason for each in surfaces or Surface if each != but}
 
 
 def texts(values: Iterable[str], between: str = ", ") -> str | None:

@@ -11,13 +11,16 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from protocol.availability import (
+from protocol.config.quantities import count_text
+from protocol.counters import (
     Availability,
     Interruptions,
+    Limits,
     availability_text,
     interruptions_text,
+    limit_texts,
+    longest_limit_text,
 )
-from protocol.config.quantities import count_text
 from protocol.errors import explain_causes
 from protocol.figures import (
     COUNT,
@@ -34,7 +37,6 @@ from protocol.figures import (
     texts,
 )
 from protocol.host.result_files import write_whole
-from protocol.limits import Limits, limit_texts, longest_limit_text
 from protocol.provenance import Provenance
 from protocol.summary_tables import (
     AT_THE_END,
@@ -58,10 +60,6 @@ from protocol.summary_tables import (
 LARGEST = 1e15
 
 
-def _hardware_text(counts: dict[str, int]) -> str | None:
-    return texts(f"{count} {name}" for name, count in sorted(counts.items()))
-
-
 @dataclass(frozen=True, slots=True)
 class Summary:
     """The figures of a run; `protocol.figures` says how people and programs read them."""
@@ -80,12 +78,12 @@ class Summary:
         PlayoutDelay, "playout delay", MILLISECONDS, "playout_delay_seconds"
     )
     covered_delay_ms: float | None = figure(
-        "Mean of the larger of perceived delay and the newest sample's age, plus "
-        "the sensing chain's group delay",
+        "Mean of the larger of perceived delay and the newest sample's age, plus"
+        " the sensing chain's group delay",
         "{} from the wrist to the force at the finger",
         MILLISECONDS,
-        row="covered delay",
         metric="covered_delay_mean_seconds",
+        row="covered delay",
         absent=AT_THE_END | absent("A recording has no age of samples.", Surface.REPORT),
     )
     compensation: Compensation = table(Compensation)
@@ -101,10 +99,10 @@ class Summary:
     within_jnd: float | None = figure(
         "Share of the time judged in which the aligned force error is below 10 % of"
         " the pulse's peak to peak",
+        metric="within_jnd_ratio",
         row="within JND",
         unit=SHARE,
         of="judged",
-        metric="within_jnd_ratio",
         absent=BY_THE_PAGE | FOR_24_LINES,
     )
     availability: Availability = table(
@@ -134,21 +132,16 @@ class Summary:
     speed: float | None = figure(
         "Speed of a simulation",
         "{} times real time",
-        RATIO,
-        ".0f",
+        RATIO._replace(form=".0f"),
         row="speed",
-        absent=absent(
-            "Of a simulation, which nothing reads while it runs.",
-            *(surface for surface in Surface if surface != Surface.SUMMARY),
-        ),
+        absent=absent("Of a simulation, which nothing reads while it runs.", but=Surface.SUMMARY),
     )
     rejected: dict[str, int] = figure(
         "Messages and peers refused, by cause",
+        metric="rejected_total",
         row="rejected",
         show=lambda rejected: "\n".join(explain_causes(rejected)) or "nothing",
         headline=lambda rejected: count_text(sum(rejected.values()), "message"),
-        metric="rejected",
-        counter=True,
         label="cause",
         absent=absent("Live, each cause is an alert.", Surface.TERMINAL)
         | absent("Each cause is an event.", Surface.REPORT),
@@ -156,47 +149,53 @@ class Summary:
     )
     hardware: dict[str, int] = figure(
         "On a real bench: what went wrong on the way to drive and film and was made good",
+        metric="hardware_events_total",
         row="hardware",
-        show=_hardware_text,
-        metric="hardware_events",
-        counter=True,
+        show=lambda counts: texts(f"{n} {name}" for name, n in sorted(counts.items())),
         label="event",
         absent=AT_THE_END | absent("What is frequent is an event.", Surface.REPORT),
         factory=dict,
     )
     faults: list[str] = figure(
-        "What safety latched, what a real film's sensor missed, and what is "
-        "implausible about the source",
+        "What safety latched, what a real film's sensor missed, and what is"
+        " implausible about the source",
+        metric="fault",
         row="faults",
         show=lambda faults: "; ".join(faults) or "none",
-        metric="fault",
         label="name",
         absent=IN_ALERTS | absent("Each fault is an event.", Surface.REPORT),
         factory=list,
     )
     finger: str | None = figure(
         "What is measured at the finger, in one sentence; without a drive, by the model",
+        metric="finger",
         row="finger",
         show=lambda finger: finger or None,
-        metric="finger",
         label="name",
         absent=absent("Stands beside the state, which it is of.", Surface.TERMINAL, Surface.PAGE)
         | absent("Of the last moment; the plots show the course.", Surface.REPORT),
     )
     finger_stiffness: float | None = figure(
-        "Finger's stiffness as the observer learns it, over the scene's "
-        "`fingertip`; null until it is learnt",
+        "Finger's stiffness as the observer learns it, over the scene's"
+        " `fingertip`; null until it is learnt",
         "{} times the scene's fingertip",
         RATIO,
-        row="finger's stiffness",
         metric="finger_stiffness_ratio",
+        row="finger's stiffness",
         absent=IN_ALERTS | absent("Each doubtful one is an event.", Surface.REPORT),
     )
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON and msgpack; NaN and what is beyond `LARGEST` become None."""
-        plain: dict[str, Any] = _measured(dataclasses.asdict(self))
-        return plain
+
+        def measured(value: Any) -> Any:
+            if isinstance(value, dict):
+                return {key: measured(inner) for key, inner in value.items()}
+            if isinstance(value, list):
+                return [measured(inner) for inner in value]
+            return None if isinstance(value, float) and not abs(value) <= LARGEST else value
+
+        return {key: measured(value) for key, value in dataclasses.asdict(self).items()}
 
 
 # Every figure of a summary, and its rows.
@@ -218,11 +217,3 @@ def print_summary(summary: Summary, title: str, console: Console) -> None:
         # As Text, for a fault may name a [section], which is markup to rich.
         lines.add_row(row.name, Text(row.text))
     console.print(lines)
-
-
-def _measured(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _measured(inner) for key, inner in value.items()}
-    if isinstance(value, list):
-        return [_measured(inner) for inner in value]
-    return None if isinstance(value, float) and not abs(value) <= LARGEST else value

@@ -18,19 +18,15 @@ from protocol.figures import (
 )
 
 # Reasons of figures that a surface leaves out.
-AT_THE_END = absent(
-    "Part of the account at the end, which a live view does not need.",
-    Surface.TERMINAL,
-    Surface.PAGE,
-)
+_LIVE = Surface.TERMINAL, Surface.PAGE
+AT_THE_END = absent("Part of the account at the end, which a live view does not need.", *_LIVE)
 FOR_24_LINES = absent("A terminal has 24 lines; the live page shows it.", Surface.TERMINAL)
-IN_ALERTS = absent("Live views show it as an alert.", Surface.TERMINAL, Surface.PAGE)
+IN_ALERTS = absent("Live views show it as an alert.", *_LIVE)
 BY_THE_PAGE = absent("The page computes it over the window that it shows.", Surface.PAGE)
 NOT_RECORDED = absent("Of the process, which a recording does not compare.", Surface.REPORT)
 
 
 def _bounds() -> Any:
-    """Return the field with the names of those quantiles that are lower bounds."""
     return figure(
         "Quantiles that are lower bounds: they are beyond what is counted",
         factory=list,
@@ -38,9 +34,9 @@ def _bounds() -> Any:
     )
 
 
-def _quantile(name: str, of: str, share: str) -> Any:
-    """Return the field of a quantile; share: as Prometheus labels it."""
-    return figure(f"{of}, {name}", f"{name} {{}}", labels={"quantile": share})
+def _quantile(of: str, share: float) -> Any:
+    name = f"p{100 * share:g}"
+    return figure(f"{of}, {name}", f"{name} {{}}", metric=f'{{quantile="{share}"}}')
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,38 +46,33 @@ class SampleCounts:
     sent: int | None = figure(
         "Samples sent; at a display since it joined: sent = played + late + lost",
         "{} sent",
-        metric="samples_sent",
-        counter=True,
+        metric="samples_sent_total",
     )
     played: int | None = figure(
         "Samples in the buffer when their instant was played",
         "{} played",
+        metric='samples_total{outcome="played"}',
         joint=" = ",
         lead=True,
-        metric="samples",
-        counter=True,
-        labels={"outcome": "played"},
         help="Samples that have arrived.",
     )
     late: int | None = figure(
         "Samples that arrived after their instant was played",
         "{} late",
+        metric='samples_total{outcome="late"}',
         joint=" + ",
-        metric="samples",
-        counter=True,
-        labels={"outcome": "late"},
     )
     # Falls when a sample comes after all, so it is a gauge; so is the next one, which a frame out
     # of order may move.
     lost: int | None = figure(
-        "Samples that have not arrived", "{} lost", joint=" + ", metric="samples_lost"
+        "Samples that have not arrived", "{} lost", metric="samples_lost", joint=" + "
     )
     before_joining: int | None = figure(
         "Samples sent before the display joined",
         "after {}",
+        metric="samples_before_joining",
         row="joined",
         noun=("sample", "samples"),
-        metric="samples_before_joining",
         absent=AT_THE_END | absent("A recording may begin later.", Surface.REPORT),
     )
 
@@ -90,8 +81,8 @@ class SampleCounts:
 class OneWayDelay:
     """Time on the network of a frame's last sample."""
 
-    p50: float | None = _quantile("p50", "Time on the network of a frame's last sample", "0.5")
-    p99: float | None = _quantile("p99", "Time on the network of a frame's last sample", "0.99")
+    p50: float | None = _quantile("Time on the network of a frame's last sample", 0.5)
+    p99: float | None = _quantile("Time on the network of a frame's last sample", 0.99)
     max: float | None = figure(
         "Longest one-way delay", "max {}", metric="one_way_delay_max_seconds"
     )
@@ -108,7 +99,7 @@ class PlayoutDelay:
         metric="playout_delay_mean_seconds",
     )
     p99: float | None = _quantile(
-        "p99", "Perceived delay E, from the wrist's instant to its playing", "0.99"
+        "Perceived delay E, from the wrist's instant to its playing", 0.99
     )
     beyond: list[str] = _bounds()
 
@@ -119,18 +110,18 @@ class Compensation:
 
     predicted: float | None = figure(
         "Share of the time played in which no sample was there yet of what was felt",
+        metric="predicted_ratio",
         row="concealed",
         unit=SHARE,
         of="played",
-        metric="predicted_ratio",
     )
     trusted: float | None = figure(
-        "Share of the time played in which the predictor was trusted with all of "
-        "the delay; null where it has no say (a fixed E, `hold`, `linear`)",
+        "Share of the time played in which the predictor was trusted with all of the delay;"
+        " null where it has no say (a fixed E, `hold`, `linear`)",
+        metric="trusted_ratio",
         row="prediction trusted",
         unit=SHARE,
         of="played",
-        metric="trusted_ratio",
         absent=FOR_24_LINES | absent("Ticks are recorded with it one by one.", Surface.REPORT),
     )
 
@@ -148,39 +139,32 @@ class Clock:
         "Sensing clock minus display clock",
         "offset {}",
         MILLISECONDS,
-        show=_offset_text,
         metric="clock_offset_seconds",
+        show=_offset_text,
     )
     skew_ppm: float | None = figure(
         "How much faster the sensing clock runs", "skew {}", PPM, metric="clock_skew_ratio"
     )
     uncertainty_ms: float | None = figure(
-        "Bound of the offset's error about 95 times of 100, where the two "
-        "directions differ by chance alone",
+        "Bound of the offset's error about 95 times of 100, where the two"
+        " directions differ by chance alone",
         "uncertainty {}",
-        MILLISECONDS,
-        ".3f",
+        MILLISECONDS._replace(form=".3f"),
         metric="clock_uncertainty_seconds",
     )
     asymmetry_ms: float | None = figure(
-        "Half the shortest round trip: bound of the offset's further error where "
-        "one direction always takes longer",
+        "Half the shortest round trip: bound of the offset's further error where"
+        " one direction always takes longer",
         "asymmetry at most {}",
         MILLISECONDS,
         metric="clock_asymmetry_seconds",
-        absent=absent(
-            "A bound, not a measured figure: for who analyses.",
-            Surface.SUMMARY,
-            Surface.TERMINAL,
-            Surface.PAGE,
-        ),
+        absent=absent("A bound, not a measured figure: for who analyses.", Surface.SUMMARY, *_LIVE),
     )
     steps: int | None = figure(
         "How often a clock has jumped",
+        metric="clock_steps_total",
         noun=("step", "steps"),
         zero=False,
-        metric="clock_steps",
-        counter=True,
     )
 
 
@@ -191,13 +175,13 @@ class AlignedErrors:
     aligned: float | None = figure(
         "RMSE of what is felt against the pulse when it was sampled",
         "aligned {}",
-        labels={"against": "aligned"},
+        metric='{against="aligned"}',
         help="Felt against what should be felt.",
     )
     in_phase: float | None = figure(
         "RMSE of what is felt against the pulse at that very instant",
         "in phase {}",
-        labels={"against": "in_phase"},
+        metric='{against="in_phase"}',
     )
 
 
@@ -209,16 +193,14 @@ class Roughness:
         "RMS above 25 Hz of the force felt",
         "felt {}",
         NEWTONS,
-        metric="roughness_newtons",
-        labels={"force": "felt"},
+        metric='roughness_newtons{force="felt"}',
         help="RMS of force above 25 Hz.",
     )
     sensed_n: float | None = figure(
         "RMS above 25 Hz of the force sensed at the same instants",
         "sensed {}",
         NEWTONS,
-        metric="roughness_newtons",
-        labels={"force": "sensed"},
+        metric='roughness_newtons{force="sensed"}',
     )
     energy_ratio: float | None = figure(
         "Energy above 25 Hz of the force felt over that of the force sensed",
@@ -232,8 +214,8 @@ class Roughness:
 class TickTime:
     """Cost of a tick."""
 
-    p50: float | None = _quantile("p50", "Cost of a tick", "0.5")
-    p99: float | None = _quantile("p99", "Cost of a tick", "0.99")
+    p50: float | None = _quantile("Cost of a tick", 0.5)
+    p99: float | None = _quantile("Cost of a tick", 0.99)
     beyond: list[str] = _bounds()
 
 
@@ -241,9 +223,9 @@ class TickTime:
 class Lateness:
     """Lateness of ticks at their beginning."""
 
-    p50: float | None = _quantile("p50", "Lateness of a tick's begin", "0.5")
-    p99: float | None = _quantile("p99", "Lateness of a tick's begin", "0.99")
-    p999: float | None = _quantile("p99.9", "Lateness of a tick's begin", "0.999")
+    p50: float | None = _quantile("Lateness of a tick's begin", 0.5)
+    p99: float | None = _quantile("Lateness of a tick's begin", 0.99)
+    p999: float | None = _quantile("Lateness of a tick's begin", 0.999)
     max: float | None = figure(
         "Latest begin of a tick", "max {}", metric="tick_lateness_max_seconds"
     )
@@ -257,15 +239,13 @@ class Deadlines:
     missed: float | None = figure(
         "Share of the ticks that were missed",
         "{} of the ticks missed",
-        SHARE,
-        ".2f",
+        SHARE._replace(form=".2f"),
         metric="deadline_missed_ratio",
     )
     gap_ms: float | None = figure(
         "Longest time between two ticks",
         "longest gap {}",
-        MILLISECONDS,
-        ".0f",
+        MILLISECONDS._replace(form=".0f"),
         metric="tick_gap_seconds",
     )
 
@@ -274,15 +254,12 @@ class Deadlines:
 class Loop:
     """The node's loop."""
 
-    ticks: int | None = figure(
-        "Ticks of the loop", noun=("tick", "ticks"), metric="ticks", counter=True
-    )
+    ticks: int | None = figure("Ticks of the loop", metric="ticks_total", noun=("tick", "ticks"))
     deadline_misses: int | None = figure(
         "Ticks that began a period late or more",
+        metric="deadline_misses_total",
         noun=("deadline miss", "deadline misses"),
         lead=True,
-        metric="deadline_misses",
-        counter=True,
     )
     tick_us: TickTime = table(
         TickTime, "tick cost", MICROSECONDS, "tick_seconds", absent=AT_THE_END | NOT_RECORDED
@@ -291,26 +268,26 @@ class Loop:
         Lateness, "tick lateness", MICROSECONDS, "tick_lateness_seconds", absent=AT_THE_END
     )
     late: bool | None = figure(
-        "The deadline alarm is on: more than 1 % of the ticks of the last 5 s were "
-        "missed, or a gap was longer than the drive's watchdog (50 ms without a "
-        "drive)",
+        "The deadline alarm is on: more than 1 % of the ticks of the last 5 s were missed,"
+        " or a gap was longer than the drive's watchdog"
+        " (50 ms without a drive)",
         metric="deadline_alarm",
         absent=absent(
             "An alarm for now: live views show it as an alert, the rest shows the worst 5 s.",
-            *(surface for surface in Surface if surface != Surface.METRICS),
+            but=Surface.METRICS,
         ),
     )
     last_5s: Deadlines = table(
         Deadlines,
         "last 5 s",
-        labels={"over": "5s"},
+        metric='{over="5s"}',
         absent=absent(
             "Live views show it as an alert where it is much; an ended run has its worst 5 s.",
-            *(surface for surface in Surface if surface != Surface.METRICS),
+            but=Surface.METRICS,
         ),
     )
     worst_5s: Deadlines = table(
-        Deadlines, "worst 5 s", labels={"over": "worst_5s"}, absent=AT_THE_END
+        Deadlines, "worst 5 s", metric='{over="worst_5s"}', absent=AT_THE_END
     )
     realtime: list[str] = figure(
         "Real-time measures that were asked for and granted",
@@ -325,25 +302,20 @@ class Loop:
 class FrameCounts:
     """Frames of the stream as they came."""
 
-    received: int | None = figure("Frames taken", "{} received", metric="frames", counter=True)
+    received: int | None = figure("Frames taken", "{} received", metric="frames_total")
     reordered: int | None = figure(
-        "Frames that came after a later one",
-        "{} out of order",
-        metric="frames_reordered",
-        counter=True,
+        "Frames that came after a later one", "{} out of order", metric="frames_reordered_total"
     )
     copies: int | None = figure(
         "Copies of frames over further paths",
         "{} copies over further paths",
+        metric="frame_copies_total",
         zero=False,
-        metric="frame_copies",
-        counter=True,
     )
     first: dict[str, int] = figure(
         "With several addresses: how many frames came first over each of them",
+        metric="frames_first_total",
         show=lambda first: texts((f"{count} first over {name}" for name, count in first.items())),
-        metric="frames_first",
-        counter=True,
         label="path",
         factory=dict,
     )
@@ -356,25 +328,19 @@ class Reconnections:
     opened: int | None = figure(
         "Connections for frames opened beside a silent one",
         "{} opened beside a silent connection",
+        metric='reconnections_total{kind="second"}',
         zero=False,
-        metric="reconnections",
-        counter=True,
-        labels={"kind": "second"},
         help="Connections made while one was silent.",
     )
     kept: int | None = figure(
         "Of those, how many delivered first and took the silent one's place",
         "{} of them kept",
+        metric='reconnections_total{kind="kept"}',
         zero=False,
-        metric="reconnections",
-        counter=True,
-        labels={"kind": "kept"},
     )
     control: int | None = figure(
         "Connections for control messages made anew",
         "{} for control",
+        metric='reconnections_total{kind="control"}',
         zero=False,
-        metric="reconnections",
-        counter=True,
-        labels={"kind": "control"},
     )

@@ -13,8 +13,8 @@ from pydantic import Field, model_validator
 from protocol.calibration import Adc, Calibration
 from protocol.config.quantities import Hertz, Metres, Newtons, Volts, VoltsPerNewton
 from protocol.config.scene import Section
+from protocol.counters import LimitCounter, Limits
 from protocol.errors import SceneError
-from protocol.limits import LimitCounter, Limits
 from protocol.tactile import Film
 from sensing_node.sources import SampleSource
 from sensing_node.sources.recorded import RecordedSource

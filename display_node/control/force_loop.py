@@ -12,8 +12,8 @@ from display_node.plant.feedback import refuse_reading
 from display_node.plant.film import FeedbackFilm, FilmTable
 from display_node.plant.second_order import SecondOrder, SecondOrderScene
 from display_node.plant.stepper import Stepper, StepperScene
+from protocol.counters import LimitCounter
 from protocol.errors import SceneError
-from protocol.limits import LimitCounter
 from protocol.tactile import ElasticLayer
 
 # As a drive's by default.

@@ -12,7 +12,7 @@ from pydantic import Field
 from display_node.plant.feedback import refuse_reading
 from protocol.config.quantities import Nanoseconds, Newtons, NewtonsPerSecond
 from protocol.config.scene import Section
-from protocol.limits import LimitCounter
+from protocol.counters import LimitCounter
 
 # A reference below 0 N by less than this is rounding and noise, not a part of the pulse.
 NEGLIGIBLE_N = 1e-3

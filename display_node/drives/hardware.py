@@ -7,8 +7,8 @@ from display_node.drives import Drive
 from display_node.drives.withdrawal import FingerState, WithdrawalOutcome
 from display_node.plant.feedback import Feedback, FilmPlausibility, RisingForce
 from display_node.plant.stepper import StepperScene
+from protocol.counters import LimitCounter
 from protocol.errors import SourceError
-from protocol.limits import LimitCounter
 from protocol.tactile import ElasticLayer
 from pulse_sensors.sensor import Sensor
 

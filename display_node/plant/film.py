@@ -14,7 +14,7 @@ from display_node.plant.filters import DelayLine, LowPass
 from protocol.calibration import Adc
 from protocol.config.quantities import Hertz, Metres, Nanoseconds, Newtons, Volts, VoltsPerNewton
 from protocol.config.scene import Section
-from protocol.limits import LimitCounter
+from protocol.counters import LimitCounter
 from protocol.tactile import Film
 
 NOISE_BLOCK = 1024

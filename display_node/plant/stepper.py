@@ -23,7 +23,7 @@ from protocol.config.quantities import (
     Radians,
 )
 from protocol.config.scene import Section
-from protocol.limits import LimitCounter
+from protocol.counters import LimitCounter
 from protocol.tactile import ElasticLayer
 
 

@@ -4,8 +4,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from display_node.telemetry.alerts import NOT_CONNECTED, Alert, alerts
+from protocol.counters import LIMIT_NAMES
 from protocol.errors import explain_causes
-from protocol.limits import NAMES
 from protocol.security.socket_monitor import REVOKED
 
 # As long as a display waits for a sensing node.
@@ -105,7 +105,7 @@ class EventDetector:
         if steps > self._steps:
             yield Event("WARNING", "clock step", f"a clock has jumped; jumps so far: {steps}")
         self._steps = steps
-        for limit, name in NAMES.items():
+        for limit, name in LIMIT_NAMES.items():
             if summary["limited"][limit].get("times") and limit not in self._limited:
                 self._limited.add(limit)
                 yield Event("WARNING", "limited", f"{name} reached")

@@ -7,9 +7,9 @@ import numpy as np
 from display_node.scoring.tracking_error import JND
 from display_node.telemetry.alerts import SILENT_AFTER_NS, Alert, alerts, finger_note
 from protocol.config.quantities import count_text
+from protocol.counters import limit_texts
 from protocol.errors import explain_causes
 from protocol.figures import Surface
-from protocol.limits import limit_texts
 from protocol.run_summary import REGISTRY
 from telepulse.telemetry.decoder import Fields
 from telepulse.telemetry.events import CUT, CUT_AFTER_NS

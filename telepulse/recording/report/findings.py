@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from display_node.control.safety import SafetyScene
-from protocol.availability import Availability
+from protocol.counters import Availability
 from protocol.errors import SourceError
 from protocol.histogram import Histogram
 from protocol.run_summary import Summary

@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from protocol.availability import NAMES
+from protocol.counters import STATE_NAMES, limit_texts
 from protocol.errors import SceneError
-from protocol.limits import limit_texts
 from protocol.run_summary import Summary, print_summary
 from telepulse.scene import Scene, load_scene
 from telepulse.simulation.link_model import parse_link
@@ -144,7 +143,7 @@ def test_shares_of_time_say_of_what_part_of_the_whole_time_they_are() -> None:
     assert 3.0 < times.judged * times.seconds < 4.0
     assert times.felt == pytest.approx(times.judged, abs=0.01)
     assert times.stale == pytest.approx(10 / times.seconds, abs=0.03)
-    parts = [getattr(times, name) for name in NAMES]
+    parts = [getattr(times, name) for name in STATE_NAMES]
     assert sum(parts) == pytest.approx(1.0)
     assert f"of the time judged ({100 * times.judged:.1f} % of the run)" in shown(summary)
 

@@ -15,8 +15,8 @@ from rich.console import Console
 
 from display_node.telemetry import terminal as screen_module
 from display_node.telemetry.terminal import TerminalView, watch
+from protocol.counters import Limited, Limits
 from protocol.errors import CAUSE_MEANINGS
-from protocol.limits import Limited, Limits
 from protocol.run_summary import Summary
 from protocol.sockets import Context
 from protocol.summary_tables import (

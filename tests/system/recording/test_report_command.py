@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.analysis import DELAY_TICKS, GAIN, record
-from protocol.limits import Limited, Limits
+from protocol.counters import Limited, Limits
 from protocol.wire.telemetry import CONTROL
 from telepulse.recording.mcap_writer import McapWriter
 from telepulse.recording.reader import RecordingReader, in_tick_order

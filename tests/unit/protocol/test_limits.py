@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.limits import LimitCounter, Limited, Limits, limit_texts
+from protocol.counters import LimitCounter, Limited, Limits, limit_texts
 
 
 @given(st.lists(st.booleans()), st.integers(1, 7))

@@ -7,10 +7,9 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from protocol.availability import Availability, Interruptions
+from protocol.counters import Availability, Interruptions, Limited, Limits
 from protocol.errors import OutputError
 from protocol.host.result_files import check_writable
-from protocol.limits import Limited, Limits
 from protocol.run_summary import Summary, print_summary, write_json
 from protocol.summary_tables import (
     AlignedErrors,

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from protocol.availability import Interruptions
+from protocol.counters import Interruptions
 from protocol.run_summary import Availability, Summary
 from protocol.summary_tables import Loop, SampleCounts
 from protocol.wire.status import Status

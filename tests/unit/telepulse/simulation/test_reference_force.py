@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from protocol.config.scene import validate
-from protocol.limits import Limited
+from protocol.counters import Limited
 from protocol.wire.messages import Frame
 from sensing_node.framer import Framer
 from sensing_node.scene import SensingScene, build_source, describe_stream

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from display_node.fault_advice import FILM_NOTE, advise
+from protocol.counters import Limited, Limits
 from protocol.errors import CAUSE_MEANINGS
-from protocol.limits import Limited, Limits
 from protocol.run_summary import Summary
 from protocol.summary_tables import Clock, Compensation, Deadlines, Loop, SampleCounts
 from protocol.wire.messages import Hello, Welcome, encode_control, encode_frame

@@ -25,7 +25,7 @@ from fuzz.telemetry_readers import (
     status_message,
     trace_message,
 )
-from protocol.availability import Availability
+from protocol.counters import Availability
 from protocol.errors import CAUSE_MEANINGS
 from protocol.run_summary import Summary
 from protocol.summary_tables import (

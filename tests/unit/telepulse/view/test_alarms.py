@@ -1,6 +1,6 @@
 import pytest
 
-from protocol.limits import Limited, Limits
+from protocol.counters import Limited, Limits
 from protocol.summary_tables import Clock, Deadlines, Loop, SampleCounts
 from telepulse.view.live import LiveState
 from telepulse.view.text import alarms

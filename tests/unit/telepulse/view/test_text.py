@@ -1,7 +1,6 @@
 from dataclasses import asdict
 
-from protocol.availability import Availability
-from protocol.limits import Limited, Limits
+from protocol.counters import Availability, Limited, Limits
 from telepulse.view.live import LiveState
 from telepulse.view.picture import picture
 from telepulse.view.text import FIGURES, age, figures, state

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.availability import (
-    NAMES,
+from protocol.counters import (
+    STATE_NAMES,
     Availability,
     AvailabilityCounter,
     InterruptionCounter,
@@ -27,7 +27,7 @@ def counted(*ticks: tuple[str, int]) -> Availability:
 
 
 def shares(availability: Availability) -> dict[str, float]:
-    return {name: getattr(availability, name) for name in NAMES}
+    return {name: getattr(availability, name) for name in STATE_NAMES}
 
 
 @given(runs)

@@ -1,0 +1,290 @@
+"""Counters of a run, tick by tick: shares by state, interruptions, time at limits. Pure.
+
+The shares of `Availability` are of the whole time, with the ticks that the loop missed. Statuses
+come five times a second, and a state between two of them is in none: so ticks are counted.
+"""
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.config.quantities import count_text
+from protocol.figures import SECONDS, SHARE, Surface, absent, described_fields, figure, table
+
+_LAST = "Of the last interruption, in s of the run"
+_IN_EVENTS = absent("An instant, not an amount: it is in the events.")
+
+
+def _state(meaning: str, key: str, text: str = "") -> Any:
+    metric = f'availability_ratio{{state="{key}"}}'
+    return figure(meaning, text or key, SHARE, metric=metric, help="Share of the run by state.")
+
+
+@dataclass(frozen=True, slots=True)
+class Availability:
+    """Length of the run, and shares of it. Those by state, and `missed`, add up to 1."""
+
+    seconds: float | None = figure(
+        "Time of the run, missed ticks included", unit=SECONDS, metric="run_seconds"
+    )
+    felt: float | None = _state("The pulse was felt at its full strength", "felt")
+    starting: float | None = _state("The pulse was ramped up", "starting")
+    stale: float | None = _state("No samples to play", "stale")
+    faulted: float | None = _state("A fault had latched", "faulted")
+    waiting: float | None = _state("No stream, or its clock was not known yet", "waiting")
+    ended: float | None = _state("After the end of the stream", "ended")
+    missed: float | None = _state("Ticks that did not run", "missed", "missed ticks")
+    played: float | None = figure(
+        "Samples or their prediction were played, at full strength or in a ramp",
+        "",
+        SHARE,
+        metric="played_ratio",
+    )
+    judged: float | None = figure(
+        "The force felt could be compared with the pulse",
+        "",
+        SHARE,
+        metric="judged_ratio",
+        absent=absent("The page has that of its window.", Surface.PAGE)
+        | absent("The live view has no share of it.", Surface.TERMINAL),
+    )
+
+
+# Key of each share by state → its name for people.
+STATE_NAMES = {
+    key: each.text
+    for key, (_, each) in described_fields(Availability).items()
+    if each is not None and each.metric == "availability_ratio"
+}
+# A display's state → the key that it is counted under, where that is another.
+_KEYS = {"playing": "felt", "fault": "faulted"}
+
+
+class AvailabilityCounter:
+    """Counter of a display's ticks by its state."""
+
+    def __init__(self, tick_s: float) -> None:
+        self._tick_s = tick_s
+        self._ticks: Counter[str] = Counter()
+        self._all = self._missed = 0
+
+    def add(self, state: str, elapsed_ticks: int) -> None:
+        """Count a tick in a state, `elapsed_ticks` after the last one that ran."""
+        self._ticks[state] += 1
+        self._all += elapsed_ticks
+        self._missed += elapsed_ticks - 1
+
+    def availability(self, played_ticks: int) -> Availability:
+        """Return the shares so far; played_ticks: how many ticks played something."""
+        if not self._all:
+            return Availability()
+        ticks = {_KEYS.get(state, state): count for state, count in self._ticks.items()}
+        ticks |= {"missed": self._missed, "played": played_ticks}
+        shares = {key: ticks.get(key, 0) / self._all for key in (*STATE_NAMES, "played")}
+        return Availability(self._all * self._tick_s, **shares)
+
+
+def availability_text(shares: Mapping[str, Any]) -> str | None:
+    """Return the shares that are not 0 in one phrase whose figures add up to 100.0 %.
+
+    Parameters
+    ----------
+    shares : mapping
+        `Availability` as a summary's JSON has it.
+
+    Returns
+    -------
+    str or None
+        None before the first tick.
+    """
+    known = {name: share for key, name in STATE_NAMES.items() if (share := shares.get(key))}
+    if shares.get("seconds") is None or not known:
+        return None
+    # Rounded down, what is missing at 100.0 % goes to those that lost most.
+    tenths = {name: int(1000 * share) for name, share in known.items()}
+    missing = round(1000 * sum(known.values())) - sum(tenths.values())
+    for name in sorted(known, key=lambda name: tenths[name] - 1000 * known[name])[:missing]:
+        tenths[name] += 1
+    texts = [f"{name} {n / 10:.1f} %" if n else f"{name} < 0.1 %" for name, n in tenths.items()]
+    return f"{', '.join(texts)} of {shares['seconds']:.1f} s"
+
+
+@dataclass(frozen=True, slots=True)
+class Interruptions:
+    """Interruptions that are over: from one tick at full strength to the next, others between."""
+
+    count: int | None = figure(
+        "Interruptions of the pulse that are over: from one tick at full strength to the next,"
+        " with others between",
+        metric="interruptions_total",
+    )
+    seconds: float | None = figure(
+        "Time of all interruptions", unit=SECONDS, metric="interrupted_seconds"
+    )
+    longest_s: float | None = figure(
+        "Longest interruption", unit=SECONDS, metric="longest_interruption_seconds"
+    )
+    began_s: float | None = figure(f"{_LAST}: its begin", unit=SECONDS, absent=_IN_EVENTS)
+    ended_s: float | None = figure(f"{_LAST}: its end", unit=SECONDS, absent=_IN_EVENTS)
+
+
+class InterruptionCounter:
+    """Counter of a run's interruptions."""
+
+    def __init__(self, tick_s: float) -> None:
+        self._tick_s = tick_s
+        self._ticks = self._count = self._all = self._longest = 0
+        # The last tick at full strength, and whether one without it followed.
+        self._full: int | None = None
+        self._interrupted = False
+        self._last: tuple[int, int] | None = None
+
+    def add(self, full: bool, elapsed_ticks: int) -> None:
+        """Count a tick, at full strength or not, `elapsed_ticks` after the last one that ran."""
+        self._ticks += elapsed_ticks
+        if not full:
+            self._interrupted = self._full is not None
+            return
+        if self._interrupted and self._full is not None:
+            self._interrupted = False
+            self._last = self._full, self._ticks
+            ticks = self._ticks - self._full
+            self._count += 1
+            self._all += ticks
+            self._longest = max(self._longest, ticks)
+        self._full = self._ticks
+
+    def interruptions(self) -> Interruptions:
+        """Return the interruptions so far."""
+        if not self._ticks:
+            return Interruptions()
+        if self._last is None:
+            return Interruptions(0, 0.0)
+        seconds = (ticks * self._tick_s for ticks in (self._all, self._longest, *self._last))
+        return Interruptions(self._count, *seconds)
+
+
+def interruptions_text(known: Mapping[str, Any]) -> str | None:
+    """Return the interruptions of a run, as JSON has them, in one phrase; None without any."""
+    count, seconds, longest_s = (known.get(key) for key in ("count", "seconds", "longest_s"))
+    if not count or seconds is None or longest_s is None:
+        return None
+    return f"{count_text(count, 'time')}, {seconds:.2f} s in all, the longest {longest_s:.2f} s"
+
+
+@dataclass(frozen=True, slots=True)
+class Limited:
+    """Figures of one limit; None where the limit does not apply."""
+
+    times: int | None = figure("How often the limit was reached", metric="limited_total")
+    seconds: float | None = figure(
+        "Time at the limit", unit=SECONDS, metric="limited_seconds_total"
+    )
+    share: float | None = figure(
+        "Share of the ticks run, or of the samples taken, at the limit",
+        unit=SHARE,
+        absent=absent("Follows from time at the limit and time of the run.", Surface.METRICS),
+    )
+
+
+def _limit(name: str, key: str) -> Any:
+    return table(Limited, name, metric=f'{{limit="{key}"}}')
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Figures of each limit.
+
+    Attributes
+    ----------
+    force, negative, slew : Limited
+        Bounds on the force to be felt (`safety`): the force limit; a force below 0 N by more than
+        1 mN, which cannot be played; the slew limit at full strength, ramps and fades left out.
+    travel : Limited
+        The end of the actuator's travel towards the finger; on a real bench also the braking
+        before it.
+    film, adc : Limited
+        Ranges of the modelled feedback film's ADC and of the sensing node's ADC.
+    """
+
+    force: Limited = _limit("force limit", "force")
+    negative: Limited = _limit("force below 0 N", "negative")
+    slew: Limited = _limit("slew limit", "slew")
+    travel: Limited = _limit("end of travel", "travel")
+    film: Limited = _limit("film's ADC range", "film")
+    adc: Limited = _limit("ADC range", "adc")
+
+
+# Key of `Limits` → the limit's name for people.
+LIMIT_NAMES = {key: row.row for key, (_, row) in described_fields(Limits).items() if row}
+
+
+class LimitCounter:
+    """Counter of the ticks (or samples) at a limit, and of the times it was reached."""
+
+    __slots__ = ("_limited", "ticks", "times")
+
+    def __init__(self) -> None:
+        self._limited = False
+        self.ticks = self.times = 0
+
+    def add(self, limited: bool, ticks: int = 1) -> None:
+        """Count `ticks` ticks that were all at the limit, or were not."""
+        if limited:
+            self.ticks += ticks
+            self.times += not self._limited
+        self._limited = limited
+
+    def add_all(self, limited: NDArray[np.bool_]) -> None:
+        """Count consecutive ticks or samples, shape (n,)."""
+        if len(limited):
+            self.ticks += int(np.count_nonzero(limited))
+            before = np.concatenate([[self._limited], limited[:-1]])
+            self.times += int(np.count_nonzero(limited & ~before))
+            self._limited = bool(limited[-1])
+
+    def limited(self, period_s: float, total_ticks: int) -> Limited:
+        """Return the figures so far.
+
+        Parameters
+        ----------
+        period_s : float
+            Time of one tick or sample, in s.
+        total_ticks : int
+            All ticks of the run, at a limit or not.
+        """
+        share = self.ticks / total_ticks if total_ticks else 0.0
+        return Limited(self.times, self.ticks * period_s, share)
+
+
+def limit_texts(limits: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return one phrase for each limit that was reached, the one that held longest first.
+
+    Parameters
+    ----------
+    limits : mapping
+        `Limits` as a summary's JSON has it: a table of times, seconds and share for each key.
+    """
+    found = []
+    for key, name in LIMIT_NAMES.items():
+        times, seconds, share = (
+            limits.get(key, {}).get(each) or 0 for each in ("times", "seconds", "share")
+        )
+        if times:
+            held = f"{seconds:.1f} s" if seconds >= 0.1 else f"{seconds * 1e3:.3g} ms"
+            # What is more than nothing is not printed as 0.0 %.
+            percent = "< 0.1" if 0 < share < 5e-4 else f"{100 * share:.1f}"
+            text = f"{name} {count_text(times, 'time')}, {held} ({percent} % of the run)"
+            found.append((seconds, text))
+    return [text for _, text in sorted(found, key=lambda one: -one[0])]
+
+
+def longest_limit_text(limits: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the time at the limit that held longest; empty while no limit is known to apply."""
+    known = [limit for limit in limits.values() if limit.get("times") is not None]
+    seconds = [limit.get("seconds") or 0.0 for limit in known if limit["times"]]
+    return f"{max(seconds):.1f} s" if seconds else "never" if known else ""
