@@ -1,24 +1,6 @@
 """Errors that a user can meet, and causes that refused messages and peers are counted under.
 
-`TelepulseError` catches all errors:
-
-TelepulseError
- +-- SceneError        (ValueError)    a scene file or a quantity in it cannot be used
- +-- WireError         (ValueError)    bytes from a peer are not a valid message
- +-- AddressError      (OSError)       a socket cannot be bound or connected
- +-- KeyFileError      (ValueError)    a key file or an allow-list cannot be used
- +-- ProtectionError   (ValueError)    a link beyond this machine has no keys, or they do not fit
- +-- SourceError       (OSError)       a sensor or recording cannot be read
- +-- DriveError        (OSError)       a drive cannot be reached, or does not follow its commands
- +-- OutputError       (OSError)       a result cannot be written
- +-- SidecarError      (OSError)       a process beside a node cannot start
- +-- ProcessError      (RuntimeError)  a process that was started fails, or does not end
- +-- DiscoveryError    (OSError)       nodes cannot be announced or found on the local network
- +-- BenchError        (RuntimeError)  a bench or a calibration cannot be measured
- +-- RealtimeError     (RuntimeError)  a real-time measure is unknown or is not granted
- +-- ProcessLimitError (OSError)       this process may have too few files or too little memory
- +-- OptionError       (ValueError)    an option of a command has no such value
- +-- SweepError        (RuntimeError)  a case of a study fails, or no cluster computes it
+`TelepulseError` catches all errors.
 """
 
 from collections.abc import Mapping
@@ -143,7 +125,7 @@ class ProcessLimitError(TelepulseError, OSError):
 class OptionError(TelepulseError, ValueError):
     """An option of a command has no such value.
 
-    Example scenario: a level of the log that does not exist.
+    Example scenarios: a level of the log that does not exist.
     """
 
 

@@ -338,7 +338,7 @@ def _parts(figure: Figure, summary: Mapping[str, Any]) -> tuple[RowPart, ...]:
 
 
 def absent(reason: str, *surfaces: Surface, but: Surface | None = None) -> dict[Surface, str]:
-    """Return that figures are absent from surfaces for a reason; without any, from all `but` one."""
+    """Return that figures are absent from surfaces, or from all `but` one, for a reason."""
     return {each: reason for each in surfaces or Surface if each != but}
 
 
