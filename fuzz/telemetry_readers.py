@@ -4,7 +4,6 @@ import io
 import json
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,11 +25,11 @@ from protocol.wire.telemetry import (
     TickState,
     TraceWriter,
 )
-from telepulse.lsl_outlet.forwarder import LslForwarder
+from telepulse.lsl_outlet import LslForwarder
 from telepulse.metrics.families import NodeState as ToldStatus
 from telepulse.metrics.families import families
+from telepulse.recording.findings import RunFindings
 from telepulse.recording.mcap_writer import as_json
-from telepulse.recording.report.findings import RunFindings
 from telepulse.telemetry.decoder import TelemetryDecoder
 from telepulse.view.live import LiveState
 from telepulse.view.picture import picture
@@ -58,7 +57,7 @@ class TelemetryReaders:
         self.screen, self.live, self.decoder = TerminalView(), LiveState(), TelemetryDecoder()
         self.outlets = KeptOutlets()
         self.forwarder = LslForwarder(self.outlets)
-        self.findings = RunFindings(Path("telemetry"))
+        self.findings = RunFindings()
 
     def take(self, topic: bytes, data: bytes) -> None:
         """Hand a telemetry message to every reader."""

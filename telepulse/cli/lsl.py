@@ -25,7 +25,7 @@ def lsl(
 
     Exit status: 0, 1 when telemetry was missed, which it prints, 2 when it cannot begin.
     """
-    from telepulse.lsl_outlet.outlet import LslOutlet
+    from telepulse.lsl_outlet import LslOutlet
 
     with one_line_errors(PROGRAM):
         configure_logging(log_level, quiet)

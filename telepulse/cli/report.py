@@ -20,7 +20,7 @@ def report(
     A page with plots, by default in the folder FILE-report, and its tables in the terminal. The
     figures are computed from what was recorded, and stand beside the display's own.
     """
-    from telepulse.recording.report.chapters import build_recording_report
+    from telepulse.recording.report import build_recording_report
 
     folder = out or file.with_name(f"{file.stem}-report")
     publish(lambda: build_recording_report(file), folder, json)

@@ -29,57 +29,6 @@ Ints = NDArray[np.int64]
 
 def export_edf(path: Path, file: Path) -> str:
     """Write force at the wrist and force felt into `file`. Raises SourceError or OutputError."""
-    edfio = _edfio()
-    if file.exists():
-        raise OutputError(f"{file}: is there already; name another by --out")
-    session = longest_session(path)
-    t_ns, numbers, values = _samples(session)
-    felt = felt_force(path, session.number)
-    rate_hz = _rate_hz(session, path)
-    seconds = math.ceil((t_ns[-1] - t_ns[0] + session.description.period_ns) / SECOND_NS)
-    grid_ns = t_ns[0] + np.arange(seconds * rate_hz, dtype=np.int64) * SECOND_NS // rate_hz
-    columns = [
-        (f"Force {channel.name}", _resampled(grid_ns, t_ns, values[:, number]))
-        for number, channel in enumerate(session.description.channels)
-    ]
-    columns.append(("Force felt", _resampled(grid_ns, felt.t_ns, felt.force_n)))
-    try:
-        signals = [_signal(edfio, name, force_n, rate_hz) for name, force_n in columns]
-    except ValueError as error:
-        raise SourceError(f"{path}: holds forces that EDF cannot: {error}") from None
-    losses = _losses(edfio, t_ns, numbers, session.description.period_ns)
-    events = [
-        edfio.EdfAnnotation(max(0, at_ns - int(t_ns[0])) * 1e-9, None, text)
-        for at_ns, text in felt.events
-    ]
-    cut = [] if not session.cut else [edfio.EdfAnnotation(seconds, None, session.cut)]
-    start = _utc(felt.unix_ns(int(t_ns[0])))
-    origin = [
-        edfio.EdfAnnotation(0, None, f"{key} {run[key]}")
-        for run in session.provenance
-        for key in ("version", "commit", "host", "command")
-        if key in run
-    ]
-    edf = edfio.Edf(
-        signals,
-        recording=edfio.Recording(
-            startdate=start.date(), equipment_code="telepulse", additional=("times_are_UTC",)
-        ),
-        starttime=start.time(),
-        annotations=sorted([*losses, *events, *cut, *origin], key=lambda note: float(note.onset)),
-    )
-    try:
-        edf.write(file)
-    except OSError as error:
-        raise OutputError(f"{file}: cannot be written: {error.strerror}") from None
-    steps = ", ".join(f"{signal.label} {_step(signal):.2g} mN" for signal in signals)
-    return (
-        f"{file}: {seconds} s at {rate_hz} Hz, {count_text(len(losses), 'loss', 'losses')}"
-        f" and {count_text(len(events), 'event')} as annotations; 16 bits, a step is: {steps}"
-    )
-
-
-def _edfio() -> Any:
     try:
         import edfio
     except ImportError as error:
@@ -87,7 +36,64 @@ def _edfio() -> Any:
             f"an export to edf needs edfio, which cannot be loaded ({error});"
             " pip install 'telepulse[analysis]'"
         ) from None
-    return edfio
+    if file.exists():
+        raise OutputError(f"{file}: is there already; name another by --out")
+    session = longest_session(path)
+    description = session.description
+    period_ns = description.period_ns
+    if period_ns > MAX_GAP_NS:
+        slowest_hz = math.ceil(SECOND_NS / MAX_GAP_NS)
+        raise SourceError(
+            f"{path}: its rate is {description.rate_hz:g} Hz, below the {slowest_hz} Hz"
+            " of an export to edf; export it to csv"
+        )
+    t_ns, numbers, values = _samples(session)
+    felt = felt_force(path, session.number)
+    rate_hz, begin_ns = round(description.rate_hz), int(t_ns[0])
+    seconds = math.ceil((t_ns[-1] - begin_ns + period_ns) / SECOND_NS)
+    grid_ns = begin_ns + np.arange(seconds * rate_hz, dtype=np.int64) * SECOND_NS // rate_hz
+    forces = [
+        (f"Force {channel.name}", _resampled(grid_ns, t_ns, values[:, number]))
+        for number, channel in enumerate(description.channels)
+    ]
+    forces.append(("Force felt", _resampled(grid_ns, felt.t_ns, felt.force_n)))
+    try:
+        signals = [_signal(edfio, name, force_n, rate_hz) for name, force_n in forces]
+    except ValueError as error:
+        raise SourceError(f"{path}: holds forces that EDF cannot: {error}") from None
+    losses = _losses(t_ns, numbers, period_ns)
+    events = [(max(0, at_ns - begin_ns) * 1e-9, None, text) for at_ns, text in felt.events]
+    cut = [(seconds, None, session.cut)] if session.cut else []
+    origin = [
+        (0, None, f"{key} {run[key]}")
+        for run in session.provenance
+        for key in ("version", "commit", "host", "command")
+        if key in run
+    ]
+    notes = [edfio.EdfAnnotation(*note) for note in (*losses, *events, *cut, *origin)]
+    start = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(
+        microseconds=felt.unix_ns(begin_ns) // 1000
+    )
+    edf = edfio.Edf(
+        signals,
+        recording=edfio.Recording(
+            startdate=start.date(), equipment_code="telepulse", additional=("times_are_UTC",)
+        ),
+        starttime=start.time(),
+        annotations=sorted(notes, key=lambda note: float(note.onset)),
+    )
+    try:
+        edf.write(file)
+    except OSError as error:
+        raise OutputError(f"{file}: cannot be written: {error.strerror}") from None
+    steps = ", ".join(
+        f"{signal.label} {(signal.physical_max - signal.physical_min) / (HIGHEST - LOWEST):.2g} mN"
+        for signal in signals
+    )
+    return (
+        f"{file}: {seconds} s at {rate_hz} Hz, {count_text(len(losses), 'loss', 'losses')}"
+        f" and {count_text(len(events), 'event')} as annotations; 16 bits, a step is: {steps}"
+    )
 
 
 def _samples(session: RecordedSession) -> tuple[Ints, Ints, Floats]:
@@ -101,15 +107,17 @@ def _samples(session: RecordedSession) -> tuple[Ints, Ints, Floats]:
     return np.concatenate(times), np.concatenate(numbers), np.concatenate(values)
 
 
-def _rate_hz(session: RecordedSession, path: Path) -> int:
-    """Return the grid's rate, the stream's own in whole Hz. Raises SourceError."""
-    if session.description.period_ns > MAX_GAP_NS:
-        slowest_hz = math.ceil(SECOND_NS / MAX_GAP_NS)
-        raise SourceError(
-            f"{path}: its rate is {session.description.rate_hz:g} Hz, below the {slowest_hz} Hz"
-            " of an export to edf; export it to csv"
+def _losses(t_ns: Ints, numbers: Ints, period_ns: int) -> list[tuple[float, float, str]]:
+    """Return when each gap in the numbers begins, its length in s, and its text."""
+    return [
+        (
+            (int(t_ns[at] - t_ns[0]) + period_ns) * 1e-9,
+            missing * period_ns * 1e-9,
+            f"{count_text(missing, 'sample')} lost",
         )
-    return round(session.description.rate_hz)
+        for at, missing in enumerate((np.diff(numbers) - 1).tolist())
+        if missing > 0
+    ]
 
 
 def _resampled(grid_ns: Ints, t_ns: Ints, force_n: Floats) -> Floats:
@@ -122,8 +130,7 @@ def _resampled(grid_ns: Ints, t_ns: Ints, force_n: Floats) -> Floats:
 
 def _signal(edfio: Any, label: str, force_n: Floats, rate_hz: int) -> Any:
     force_mn = force_n * 1e3
-    known = force_mn[~np.isnan(force_mn)]
-    low, high = _range(known)
+    low, high = _range(force_mn[~np.isnan(force_mn)])
     return edfio.EdfSignal(
         np.where(np.isnan(force_mn), low, force_mn),
         rate_hz,
@@ -140,29 +147,8 @@ def _range(force_mn: Floats) -> tuple[float, float]:
         return -1.0, 1.0
     low, high = float(force_mn.min()), float(force_mn.max())
     width = max(high - low, 1e-3, 1e-4 * abs(low), 1e-4 * abs(high))
-    unit = 10.0 ** (math.floor(math.log10(width)) - 1)
-    digits = max(0, 1 - math.floor(math.log10(width)))
+    power = math.floor(math.log10(width))
+    unit, digits = 10.0 ** (power - 1), max(0, 1 - power)
     low = math.floor((low - MARGIN * width) / unit) * unit
     high = math.ceil((high + MARGIN * width) / unit) * unit
     return round(low, digits), round(high, digits)
-
-
-def _step(signal: Any) -> float:
-    return float((signal.physical_max - signal.physical_min) / (HIGHEST - LOWEST))
-
-
-def _losses(edfio: Any, t_ns: Ints, numbers: Ints, period_ns: int) -> list[Any]:
-    missing = np.diff(numbers) - 1
-    return [
-        edfio.EdfAnnotation(
-            (int(t_ns[at] - t_ns[0]) + period_ns) * 1e-9,
-            int(missing[at]) * period_ns * 1e-9,
-            f"{count_text(int(missing[at]), 'sample')} lost",
-        )
-        for at in np.flatnonzero(missing > 0)
-    ]
-
-
-def _utc(unix_ns: int) -> datetime:
-    """Return a Unix time to the microsecond."""
-    return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=unix_ns // 1000)

@@ -3,31 +3,107 @@
 import csv
 import json
 import logging
+from base64 import b64decode
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Iterator
 from contextlib import ExitStack
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from protocol.config.quantities import count_text
 from protocol.errors import OutputError, SourceError
 from protocol.host.result_files import write_whole
+from protocol.wire.messages import decode_frame
 from telepulse.recording.mcap_writer import McapWriter
 from telepulse.recording.reader import RecordedMessage, RecordingReader
-from telepulse.recording.tables import (
-    TABLES,
-    Row,
-    TableColumn,
-    columns,
-    rows,
-)
-from telepulse.telemetry.schema import SCHEMAS
+from telepulse.telemetry.schema import CLOCK, EVENT, FRAME, SCHEMAS, TICK
 
 logger = logging.getLogger(__name__)
 
-MESSAGES_A_CHUNK = 5_000
-PROVENANCE = "provenance.json"
+TABLES = {FRAME: "samples", TICK: "ticks", CLOCK: "clock", EVENT: "events"}
+# Columns of each table by name, with what they hold; samples have a column for each channel, too.
+COLUMNS = {
+    FRAME: {
+        "arrived_ns": "when its frame arrived, on the display's clock",
+        "path": "data connection over which the frame arrived",
+        "session": "session of the sensing node",
+        "sample": "samples of the session before this one",
+        "t_ns": "when it was taken, on the sensing clock",
+    },
+    TICK: {
+        "now_ns": "when the tick was due, on the display's clock",
+        "instant_ns": "instant of the pulse that was played, on the sensing clock",
+        "target_n": "force wanted at the finger",
+        "felt_n": "force felt at the finger; none where it is unknown",
+        "scored": "the pulse was played at its full strength",
+        "predictor_error_n": "RMSE that the predictor expects; none where it expects none",
+        "trusted": "the predictor was trusted with all of the delay",
+    },
+    CLOCK: {
+        "session": "session of the sensing node",
+        "t1_ns": "when the request left, on the display's clock",
+        "t2_ns": "when the request arrived, on the sensing clock",
+        "t3_ns": "when the reply left, on the sensing clock",
+        "t4_ns": "when the reply arrived, on the display's clock",
+        "offset_ms": "sensing clock minus display's, of this exchange alone",
+        "round_trip_ms": "time on the network, there and back",
+    },
+    EVENT: {
+        "t_ns": "Unix time",
+        "level": "2 information, 3 warning, 4 error",
+        "name": "kind of event",
+        "message": "the event in words",
+    },
+}
+UNIX = "Unix time at which the display received or did it, by its own clock: the same in all tables"
+UNITS = {"_ns": "ns", "_n": "N", "_ms": "ms"}
+Row = list[Any]
+
+
+class TableColumn(NamedTuple):
+    """A column; kind: a type of JSON schema, or float32."""
+
+    name: str
+    kind: str
+    description: str
+
+    @property
+    def unit(self) -> str:
+        """The unit by the end of the name; empty without one."""
+        return next((unit for end, unit in UNITS.items() if self.name.endswith(end)), "")
+
+
+def columns(message: RecordedMessage) -> list[TableColumn]:
+    """Return the columns of a table, by its first message. Raises KeyError or ValueError."""
+    topic = message.topic
+    properties = SCHEMAS[topic][1]["properties"]
+    found = [
+        TableColumn(name, properties.get(name, {}).get("type", "integer"), text)
+        for name, text in COLUMNS[topic].items()
+    ]
+    if topic == FRAME:
+        values = decode_frame(b64decode(message.fields["data"])).values
+        kind = "float32" if values.itemsize == 4 else "number"
+        for n in range(values.shape[1]):
+            found.append(TableColumn(f"force_{n}_n", kind, f"force at the wrist, channel {n}"))
+    return [*found, TableColumn("unix_ns", "integer", UNIX)]
+
+
+def rows(message: RecordedMessage) -> Iterator[Row]:
+    """Yield a message's rows, None without a value. Raises KeyError, ValueError, TypeError."""
+    fields = message.fields
+    if message.topic == FRAME:
+        frame = decode_frame(b64decode(fields["data"]))
+        head = [fields["arrived_ns"], fields["path"], frame.session]
+        for at, values in enumerate(frame.values.tolist()):
+            t_ns = frame.t_first_ns + at * frame.period_ns
+            yield [*head, frame.first_sample + at, t_ns, *values, message.t_ns]
+    elif message.topic == EVENT:
+        words = (fields[name] for name in ("level", "name", "message"))
+        yield [message.t_ns, *words, message.t_ns]
+    else:
+        yield [*(fields.get(name) for name in COLUMNS[message.topic]), message.t_ns]
 
 
 class CsvTable:
@@ -38,14 +114,22 @@ class CsvTable:
     def __init__(self, path: Path, columns: list[TableColumn]) -> None:
         """Create the file. Raises OSError."""
         self._file = path.open("w", newline="", encoding="utf-8")
-        writer = csv.writer(self._file)
-        writer.writerow([column.name for column in columns])
-        self.add: Callable[[Row], object] = writer.writerow
-        self.close = self._file.close
+        self._writer = csv.writer(self._file)
+        self.add([column.name for column in columns])
+
+    def add(self, row: Row) -> None:
+        """Write a row. Raises OSError."""
+        self._writer.writerow(row)
+
+    def describe(self, described: dict[str, Any]) -> None:
+        """Do nothing: CSV has no place for it."""
+
+    def close(self) -> None:
+        """Close the file. Raises OSError."""
+        self._file.close()
 
 
 ROWS_A_GROUP = 50_000
-MISSING = "needs pyarrow, which cannot be loaded ({}); pip install 'telepulse[analysis]'"
 
 
 class ParquetTable:
@@ -54,8 +138,7 @@ class ParquetTable:
     suffix = ".parquet"
 
     def __init__(self, path: Path, columns: list[TableColumn]) -> None:
-        """Create the file. Raises OSError; OutputError without pyarrow."""
-        check_parquet()
+        """Create the file. Raises OSError."""
         import pyarrow
         from pyarrow import parquet
 
@@ -97,30 +180,18 @@ class ParquetTable:
     def close(self) -> None:
         """Write the remaining rows and the end. Raises OSError."""
         try:
-            self._flush()
+            if self._rows:
+                self._flush()
         finally:
             self._writer.close()
 
     def _flush(self) -> None:
-        if not self._rows:
-            return
         arrays = [
             self._pyarrow.array(values, field.type)
             for values, field in zip(zip(*self._rows, strict=True), self._schema, strict=True)
         ]
         self._rows.clear()
         self._writer.write_batch(self._pyarrow.record_batch(arrays, schema=self._schema))
-
-
-def check_parquet() -> None:
-    """Raise OutputError where pyarrow is missing, before any work."""
-    try:
-        import pyarrow.parquet  # noqa: F401
-    except ImportError as error:
-        raise OutputError(f"an export to parquet {MISSING.format(error)}") from None
-
-
-TableWriter = type[CsvTable] | type[ParquetTable]
 
 
 def export_csv(path: Path, folder: Path) -> str:
@@ -136,11 +207,17 @@ def export_parquet(path: Path, folder: Path) -> str:
 
     Raises SourceError or OutputError, the latter also without pyarrow.
     """
-    check_parquet()
+    try:
+        import pyarrow.parquet  # noqa: F401
+    except ImportError as error:
+        raise OutputError(
+            f"an export to parquet needs pyarrow, which cannot be loaded ({error});"
+            " pip install 'telepulse[analysis]'"
+        ) from None
     return _export_tables(path, folder, ParquetTable)
 
 
-def _export_tables(path: Path, folder: Path, kind: TableWriter) -> str:
+def _export_tables(path: Path, folder: Path, kind: type[CsvTable] | type[ParquetTable]) -> str:
     reader, tables = RecordingReader(path), _Tables(folder, kind)
     try:
         with tables:
@@ -163,28 +240,29 @@ def _export_tables(path: Path, folder: Path, kind: TableWriter) -> str:
 class _Tables(ExitStack):
     """Files of a folder, one a topic, created for the first message; rows: count in each."""
 
-    def __init__(self, folder: Path, kind: TableWriter) -> None:
+    def __init__(self, folder: Path, kind: type[CsvTable] | type[ParquetTable]) -> None:
         super().__init__()
-        self._folder = folder
-        self._kind = kind
+        self._folder, self._kind = folder, kind
         self._files: dict[str, CsvTable | ParquetTable] = {}
         self._columns: dict[str, list[TableColumn]] = {}
         self.rows: Counter[str] = Counter()
 
     def add(self, message: RecordedMessage) -> None:
         """Write a message's rows. Raises OSError; LookupError, ValueError, TypeError for fields."""
-        if message.topic not in self._files:
-            self._files[message.topic] = self._open(message)
-        file = self._files[message.topic]
+        topic = message.topic
+        if topic not in self._files:
+            if not self._files:
+                self._folder.mkdir(parents=True)
+            name = TABLES[topic] + self._kind.suffix
+            self._columns[name] = columns(message)
+            self._files[topic] = self._kind(self._folder / name, self._columns[name])
+            self.callback(self._files[topic].close)
         for row in rows(message):
-            file.add(row)
-            self.rows[message.topic] += 1
+            self._files[topic].add(row)
+            self.rows[topic] += 1
 
     def describe(self, path: Path, reader: RecordingReader) -> None:
-        """Write provenance, gaps and the columns' descriptions beside the tables.
-
-        Raises OutputError.
-        """
+        """Write provenance, gaps and the columns' descriptions. Raises OutputError."""
         if not self._files:
             return
         described = {
@@ -198,25 +276,18 @@ class _Tables(ExitStack):
             },
         }
         for file in self._files.values():
-            if isinstance(file, ParquetTable):
-                file.describe(described)
-        write_whole(self._folder / PROVENANCE, json.dumps(described, indent=2) + "\n")
+            file.describe(described)
+        write_whole(self._folder / "provenance.json", json.dumps(described, indent=2) + "\n")
 
-    def _open(self, first: RecordedMessage) -> CsvTable | ParquetTable:
-        if not self._files:
-            self._folder.mkdir(parents=True)
-        path = self._folder / f"{TABLES[first.topic]}{self._kind.suffix}"
-        self._columns[path.name] = columns(first)
-        file = self._kind(path, self._columns[path.name])
-        self.callback(file.close)
-        return file
+
+MESSAGES_A_CHUNK = 5_000
 
 
 def export_mcap(path: Path, copy: Path) -> str:
     """Write what can be read of a recording as a whole one. Raises SourceError or OutputError."""
     reader = RecordingReader(path)
     messages = (message for message in reader if message.topic in SCHEMAS)
-    # What cannot be read leaves no file behind.
+    # Read before the file is made: a recording that cannot be read leaves none behind.
     first = next(messages, None)
     if first is None:
         raise SourceError(f"{path}: holds no message")
@@ -235,6 +306,5 @@ def export_mcap(path: Path, copy: Path) -> str:
 
 
 def _log_gaps(path: Path, reader: RecordingReader) -> None:
-    """Log what of a recording could not be read."""
     for line in reader.gaps():
         logger.warning(f"{path}: {line}")

@@ -6,19 +6,12 @@ import os
 from collections import Counter, deque
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, Any, NamedTuple, cast
+from typing import IO, Any, cast
 
 from protocol.errors import OutputError
 from protocol.wire.messages import VERSION
 from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import SCHEMAS
-
-_BINARY = getattr(os, "O_BINARY", 0)
-
-
-class _Piece(NamedTuple):
-    data: bytes
-    messages: int
 
 
 class RetryingFile:
@@ -34,15 +27,16 @@ class RetryingFile:
 
     def __init__(self, path: Path) -> None:
         """Create the file. Raises OutputError, also where one is there already."""
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
         try:
-            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY, 0o666)
+            self._file = os.open(path, flags, 0o666)
         except FileExistsError:
             raise OutputError(f"{path}: is there already; name another file") from None
         except OSError as error:
             raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
-        self._path = path
         self._unsealed = bytearray()
-        self._pieces: deque[_Piece] = deque()
+        # Bytes and number of messages of each piece.
+        self._pieces: deque[tuple[bytes, int]] = deque()
         self._size_bytes = self._on_disk_bytes = 0
         self.waiting_bytes = self.waiting = 0
 
@@ -68,19 +62,19 @@ class RetryingFile:
             Why something waits; None when nothing does.
         """
         if self._unsealed:
-            self._pieces.append(_Piece(bytes(self._unsealed), messages))
+            self._pieces.append((bytes(self._unsealed), messages))
             self.waiting_bytes += len(self._unsealed)
             self.waiting += messages
             self._unsealed.clear()
         while self._pieces:
-            piece = self._pieces[0]
+            data, count = self._pieces[0]
             try:
-                self._append(piece.data)
+                self._append(data)
             except OSError as error:
                 return error.strerror or str(error)
             self._pieces.popleft()
-            self.waiting_bytes -= len(piece.data)
-            self.waiting -= piece.messages
+            self.waiting_bytes -= len(data)
+            self.waiting -= count
         return None
 
     def close(self) -> None:
@@ -105,8 +99,8 @@ class RetryingFile:
 
 # While the disk is full: some seven minutes of a stream of 1 kHz.
 MAX_WAITING_BYTES = 32 * 1024 * 1024
-PROFILE = "telepulse"
 PROVENANCE = "telepulse.provenance"
+# Runs of a display in one recording whose provenance is kept.
 MAX_RUNS = 100
 
 
@@ -132,11 +126,14 @@ class McapWriter:
             ) from None
         self._file = RetryingFile(path)
         self._writer: Any = Writer(cast(IO[Any], self._file))
-        self._writer.start(profile=PROFILE, library=f"telepulse, wire protocol {VERSION}")
-        self._channels = {topic: self._register(topic) for topic in SCHEMAS}
-        self._in_chunk = 0
+        self._writer.start(profile="telepulse", library=f"telepulse, wire protocol {VERSION}")
+        self._channels: dict[str, int] = {}
+        for topic, (name, schema) in SCHEMAS.items():
+            number = self._writer.register_schema(name, "jsonschema", json.dumps(schema).encode())
+            self._channels[topic] = self._writer.register_channel(topic, "json", number)
+        self._in_chunk = self._runs = 0
         self.written: Counter[str] = Counter()
-        self.dropped = self._runs = 0
+        self.dropped = 0
 
     def add(self, entry: Entry) -> None:
         """Add a message to the present chunk."""
@@ -158,10 +155,7 @@ class McapWriter:
         self._in_chunk += 1
 
     def describe(self, provenance: dict[str, str]) -> None:
-        """Add what produced the recording, as a metadata record.
-
-        Records beyond `MAX_RUNS` are dropped: no display sends that many.
-        """
+        """Add what produced the recording; more than `MAX_RUNS` times it counts as dropped."""
         self._runs += 1
         if self._runs > MAX_RUNS or self._file.waiting_bytes > MAX_WAITING_BYTES:
             self.dropped += 1
@@ -185,30 +179,23 @@ class McapWriter:
         messages, self._in_chunk = self._in_chunk, 0
         return self._file.commit(messages)
 
-    def _register(self, topic: str) -> int:
-        name, schema = SCHEMAS[topic]
-        number = self._writer.register_schema(name, "jsonschema", json.dumps(schema).encode())
-        channel: int = self._writer.register_channel(topic, "json", number)
-        return channel
-
-
-def as_json(fields: dict[str, Any]) -> bytes:
-    """Return fields as JSON; what is NaN or infinite is left out."""
-    try:
-        return _encode(fields).encode()
-    except ValueError:
-        # JSON has neither NaN nor infinity.
-        return _encode(_finite(fields)).encode()
-
 
 _encode = json.JSONEncoder(allow_nan=False, separators=(",", ":")).encode
 
 
+def as_json(fields: dict[str, Any]) -> bytes:
+    """Return fields as JSON, which has neither NaN nor infinity: such values are left out."""
+    try:
+        return _encode(fields).encode()
+    except ValueError:
+        return _encode(_finite(fields)).encode()
+
+
 def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {
-            name: _finite(inner)
-            for name, inner in value.items()
-            if not (isinstance(inner, float) and not math.isfinite(inner))
-        }
-    return value
+    if not isinstance(value, dict):
+        return value
+    return {
+        name: _finite(inner)
+        for name, inner in value.items()
+        if not (isinstance(inner, float) and not math.isfinite(inner))
+    }

@@ -15,7 +15,6 @@ from telepulse.telemetry.schema import CLOCK, FRAME, REFUSED, SCHEMAS, STREAM, T
 
 MAX_RECORD_BYTES = 1 << 28
 _MAGIC = b"\x89MCAP0\r\n"
-OURS = SCHEMAS[FRAME][0]
 
 
 class RecordedMessage(NamedTuple):
@@ -46,10 +45,9 @@ class RecordingReader:
     ----------
     whole : bool
         The recording has its end.
-    damaged : int
-        Chunks with a wrong checksum, which are left out.
-    cut_bytes : int
-        Bytes at the end of the file that cannot be read.
+    damaged, cut_bytes : int
+        Chunks with a wrong checksum, which are left out, and bytes at the end of the file that
+        cannot be read.
     begin_ns, end_ns : int
         Unix time of the first and last message.
     provenance : list of dict
@@ -67,9 +65,9 @@ class RecordingReader:
             ) from None
         self._mcap: Any = stream_reader
         self._path = path
-        self._reset()
+        self._begin()
 
-    def _reset(self) -> None:
+    def _begin(self) -> None:
         self.whole = False
         self.damaged = self.cut_bytes = 0
         self.begin_ns: int | None = None
@@ -92,7 +90,7 @@ class RecordingReader:
 
     def __iter__(self) -> Iterator[RecordedMessage]:
         """Read from the beginning. Raises SourceError for a file that is no recording."""
-        self._reset()
+        self._begin()
         try:
             with self._path.open("rb") as file:
                 yield from self._messages(file)
@@ -105,10 +103,12 @@ class RecordingReader:
             raise SourceError(f"{self._path}: cannot be read: {reason}") from None
 
     def _messages(self, file: IO[bytes]) -> Iterator[RecordedMessage]:
-        self._check_magic(file)
+        magic = file.read(len(_MAGIC))
+        if magic != _MAGIC:
+            raise SourceError(f"{self._path}: is {'not an MCAP file' if magic else 'empty'}")
+        file.seek(0)
         channels: dict[int, str] = {}
         schemas: dict[int, str] = {}
-        topics: set[str] = set()
         ours = False
         for record in self._records(file):
             match type(record).__name__:
@@ -116,28 +116,19 @@ class RecordingReader:
                     schemas[record.id] = record.name
                 case "Channel":
                     channels[record.id] = record.topic
-                    topics.add(record.topic)
-                    ours = ours or schemas.get(record.schema_id) == OURS
+                    ours = ours or schemas.get(record.schema_id) == SCHEMAS[FRAME][0]
                 case "Metadata" if record.name == PROVENANCE:
                     self.provenance.append(dict(record.metadata))
                 case "Message" if ours and record.channel_id in channels:
                     if self.begin_ns is None:
                         self.begin_ns = record.log_time
                     self.end_ns = max(self.end_ns, record.log_time)
-                    yield RecordedMessage(
-                        channels[record.channel_id], record.log_time, bytes(record.data)
-                    )
+                    topic = channels[record.channel_id]
+                    yield RecordedMessage(topic, record.log_time, bytes(record.data))
         if not ours:
-            held = f"its topics are {', '.join(sorted(topics))[:200]}" if topics else "it is empty"
+            topics = ", ".join(sorted(set(channels.values())))
+            held = f"its topics are {topics[:200]}" if topics else "it is empty"
             raise SourceError(f"{self._path}: holds no telepulse recording; {held}")
-
-    def _check_magic(self, file: IO[bytes]) -> None:
-        magic = file.read(len(_MAGIC))
-        if not magic:
-            raise SourceError(f"{self._path}: is empty")
-        if magic != _MAGIC:
-            raise SourceError(f"{self._path}: is not an MCAP file")
-        file.seek(0)
 
     def _records(self, file: IO[bytes]) -> Iterator[Any]:
         """Yield the records of the data section, those in chunks too, as far as the file goes."""
@@ -190,12 +181,8 @@ MAX_WAITING = 10_000
 def in_tick_order(messages: Iterable[RecordedMessage]) -> Iterator[Entry]:
     """Yield each received message before the first tick that was due after it arrived.
 
-    A recording has ticks by twenties, after what was received meanwhile.
-
-    Raises
-    ------
-    KeyError, ValueError
-        A message is not one of a telepulse recording.
+    A recording has ticks by twenties, after what was received meanwhile. Raises KeyError or
+    ValueError for a message that is not one of a telepulse recording.
     """
     waiting: deque[tuple[int, Entry]] = deque()
     for message in messages:

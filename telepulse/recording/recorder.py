@@ -1,8 +1,6 @@
 """Recorder of a display's telemetry into an MCAP file."""
 
 import logging
-import math
-import os
 import time
 from pathlib import Path
 
@@ -22,28 +20,18 @@ FLUSH_EVERY_NS = 500_000_000
 class McapRecorder:
     """Recorder that runs until the display ends, falls silent or `stop` is called."""
 
-    def __init__(
-        self,
-        address: str,
-        path: Path,
-        keys: ClientKeys | None = None,
-    ) -> None:
+    def __init__(self, address: str, path: Path, keys: ClientKeys | None = None) -> None:
         """Connect, and create the file. Raises AddressError or OutputError."""
         self._address, self._path = address, path
-        self._stopping = False
         self._reason: str | None = None
-        self._provenance: dict[str, str] | None = None
         self._client = TelemetryClient(address, keys)
         self._decoder = self._client.decoder
+        self.stop = self._client.stop
         try:
             self._file = McapWriter(path)
         except BaseException:
             self._client.close()
             raise
-
-    def stop(self) -> None:
-        """End the recording after the present message."""
-        self._stopping = True
 
     def run(
         self,
@@ -51,17 +39,7 @@ class McapRecorder:
         silence_s: float | None = None,
         display_pid: int | None = None,
     ) -> bool:
-        """Record.
-
-        Parameters
-        ----------
-        seconds : float or None
-            Longest time of the recording.
-        silence_s : float or None
-            Time without a message that ends it.
-        display_pid : int or None
-            The display's process, where that started this one. Until its first message, which
-            comes when its drive has found home, silence counts only once the display has ended.
+        """Record, with the limits of `TelemetryClient.follow`.
 
         Returns
         -------
@@ -69,39 +47,23 @@ class McapRecorder:
             Whether all that the display published is on the disk. A file without a message is
             removed.
         """
+        provenance = None
+        flush_ns = time.monotonic_ns() + FLUSH_EVERY_NS
         self._client.subscribe()
-        start_ns = received_ns = time.monotonic_ns()
-        flush_ns = start_ns + FLUSH_EVERY_NS
-        end_ns, silence_ns = _ns(seconds), _ns(silence_s)
         try:
-            while not (self._stopping or self._decoder.ended):
+            for entries in self._client.follow(str(self._path), seconds, silence_s, display_pid):
+                for entry in entries:
+                    self._file.add(entry)
+                if self._decoder.provenance != provenance:
+                    provenance = self._decoder.provenance
+                    self._file.describe(provenance or {})
                 now_ns = time.monotonic_ns()
-                if self._receive() or (not self._decoder.started and os.getppid() == display_pid):
-                    received_ns = now_ns
-                if now_ns - received_ns > silence_ns:
-                    logger.warning(f"{self._path}: ended, nothing came for {silence_s:g} s")
-                    break
-                if now_ns - start_ns > end_ns:
-                    break
-                self._client.poll(now_ns)
                 if now_ns >= flush_ns:
                     flush_ns = now_ns + FLUSH_EVERY_NS
                     self._report_disk(self._file.flush())
-                self._client.wait(flush_ns - now_ns)
             return self._end(alone=display_pid is None)
         finally:
             self._client.close()
-
-    def _receive(self) -> bool:
-        came = False
-        for entries in self._client.messages():
-            came = True
-            for entry in entries:
-                self._file.add(entry)
-            if self._decoder.provenance != self._provenance:
-                self._provenance = self._decoder.provenance
-                self._file.describe(self._provenance or {})
-        return came
 
     def _report_disk(self, reason: str | None) -> None:
         """Warn once when the disk accepts nothing more, and when it does again."""
@@ -120,29 +82,26 @@ class McapRecorder:
 
     def _end(self, alone: bool) -> bool:
         reason, file, missed = self._file.close(), self._file, self._decoder.missed
-        named = [
-            count_text(count, *names)
-            for topic, names in TOPIC_NAMES.items()
-            if (count := file.written[topic])
-        ]
+        warnings = []
         if self._decoder.started:
-            logger.info(f"{self._path}: {', '.join(named)}")
+            counts = (
+                count_text(file.written[topic], *names)
+                for topic, names in TOPIC_NAMES.items()
+                if file.written[topic]
+            )
+            logger.info(f"{self._path}: {', '.join(counts)}")
         else:
             self._path.unlink(missing_ok=True)
             if alone:
-                logger.warning(f"{self._path}: no telemetry came from {self._address}")
+                warnings.append(f"no telemetry came from {self._address}")
         if missed:
-            counts = ", ".join(f"{count} {name}" for name, count in sorted(missed.items()))
-            logger.warning(f"{self._path}: the recorder missed {counts}")
+            counts = (f"{count} {name}" for name, count in sorted(missed.items()))
+            warnings.append(f"the recorder missed {', '.join(counts)}")
         if file.dropped:
             cause = reason or "memory was full while the disk was"
-            logger.warning(
-                f"{self._path}: {count_text(file.dropped, 'message')} could not be written: {cause}"
-            )
+            warnings.append(f"{count_text(file.dropped, 'message')} could not be written: {cause}")
         elif reason is not None:
-            logger.warning(f"{self._path}: has no index: {reason}")
+            warnings.append(f"has no index: {reason}")
+        for warning in warnings:
+            logger.warning(f"{self._path}: {warning}")
         return self._decoder.started and not (missed or file.dropped or reason)
-
-
-def _ns(seconds: float | None) -> float:
-    return math.inf if seconds is None else seconds * 1e9

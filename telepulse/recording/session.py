@@ -15,7 +15,7 @@ from protocol.errors import SourceError, WireError
 from protocol.wire.messages import Frame, Welcome, decode_control, decode_frame
 from protocol.wire.stream import StreamDescription
 from telepulse.recording.reader import RecordedMessage, RecordingReader
-from telepulse.telemetry.passive_receiver import PassiveReceiver
+from telepulse.telemetry.decoder import PassiveReceiver
 from telepulse.telemetry.schema import EVENT, FRAME, STREAM, TICK
 
 logger = logging.getLogger(__name__)
@@ -25,10 +25,7 @@ logger = logging.getLogger(__name__)
 class RecordedForce:
     """Force felt in a session, and its events, both in order of the sensing clock.
 
-    Attributes
-    ----------
-    sensing_minus_unix_ns : int
-        Sensing clock minus Unix time, as at the session's first tick.
+    sensing_minus_unix_ns: sensing clock minus Unix time, as at the session's first tick.
     """
 
     t_ns: NDArray[np.int64]
@@ -51,8 +48,8 @@ def felt_force(path: Path, session: int) -> RecordedForce:
     early: list[tuple[int, str]] = []
     try:
         for message in RecordingReader(path):
-            fields = message.fields
-            if message.topic == TICK:
+            fields, topic = message.fields, message.topic
+            if topic == TICK:
                 if receiver.session != session or not receiver.clock.ready:
                     continue
                 sensing_ns = receiver.clock.remote_ns(fields["now_ns"])
@@ -63,8 +60,8 @@ def felt_force(path: Path, session: int) -> RecordedForce:
                 t_ns.append(sensing_ns)
                 force_n.append(float(fields.get("felt_n", math.nan)))
                 receiver.play(fields["instant_ns"])
-            elif message.topic != EVENT:
-                receiver.take(message.topic, fields)
+            elif topic != EVENT:
+                receiver.take(topic, fields)
             elif receiver.session == session:
                 text = f"{fields['name']}: {fields['message']}"
                 if t_ns:
@@ -85,12 +82,7 @@ def felt_force(path: Path, session: int) -> RecordedForce:
 class RecordedSession:
     """Frames of one session, as bytes by the number of their first sample.
 
-    Attributes
-    ----------
-    cut : str
-        How the recording breaks off; empty where it is whole.
-    provenance : list of dict
-        Of the recording's runs.
+    cut: how the recording breaks off, empty where it is whole. provenance: of its runs.
     """
 
     number: int
@@ -104,15 +96,6 @@ class RecordedSession:
         """Yield the frames in order."""
         for _, data in sorted(self.data.items()):
             yield decode_frame(data)
-
-    def fits(self, frame: Frame) -> bool:
-        """Return whether the stream can hold such a frame."""
-        description, values = self.description, frame.values
-        return (
-            values.shape[1] == len(description.channels)
-            and values.itemsize == description.bytes_per_sample
-            and values.shape[0] <= description.batch
-        )
 
 
 def longest_session(path: Path) -> RecordedSession:
@@ -147,15 +130,20 @@ def _take(message: RecordedMessage, sessions: dict[int, RecordedSession]) -> boo
     if message.topic == STREAM:
         welcome = decode_control(b64decode(message.fields["data"]))
         if isinstance(welcome, Welcome):
-            session = RecordedSession(welcome.session, welcome.description)
-            sessions.setdefault(welcome.session, session)
+            described = RecordedSession(welcome.session, welcome.description)
+            sessions.setdefault(welcome.session, described)
     elif message.topic == FRAME:
         data = b64decode(message.fields["data"])
         frame = decode_frame(data)
-        found = sessions.get(frame.session)
-        if found is None or not found.fits(frame):
+        session, values = sessions.get(frame.session), frame.values
+        if session is None:
             return False
-        if frame.first_sample not in found.data:
-            found.data[frame.first_sample] = data
-            found.samples += len(frame.values)
+        stream = session.description
+        if (values.shape[1], values.itemsize) != (len(stream.channels), stream.bytes_per_sample):
+            return False
+        if len(values) > stream.batch:
+            return False
+        if frame.first_sample not in session.data:
+            session.data[frame.first_sample] = data
+            session.samples += len(values)
     return True

@@ -1,5 +1,9 @@
 """Client of a display's telemetry: one socket, kept connected, and its decoded messages."""
 
+import logging
+import math
+import os
+import time
 from collections.abc import Iterator
 
 import zmq
@@ -12,8 +16,11 @@ from protocol.wire.status import STATUS
 from protocol.wire.telemetry import HEARD, TRACE
 from telepulse.telemetry.decoder import Entry, TelemetryDecoder
 
+logger = logging.getLogger(__name__)
+
 # ZeroMQ does not retry after a refusal, but the key may be allowed later.
 RECONNECT_AFTER_NS = 2_000_000_000
+POLL_EVERY_NS = 100_000_000
 
 
 class TelemetryClient:
@@ -38,6 +45,7 @@ class TelemetryClient:
         self._handshakes.watch(self._socket)
         self._refused = 0
         self._reconnect_ns: int | None = None
+        self._stopping = False
         self.decoder = TelemetryDecoder()
 
     def subscribe(self) -> None:
@@ -62,9 +70,50 @@ class TelemetryClient:
             self._reconnect_ns = None
             sockets.reconnect(self._socket, self._address, self._address)
 
-    def wait(self, timeout_ns: int) -> None:
-        """Sleep until a message may have arrived, or for `timeout_ns`."""
-        sockets.wait_readable([self._socket], timeout_ns)
+    def follow(
+        self,
+        name: str,
+        seconds: float | None = None,
+        silence_s: float | None = None,
+        display_pid: int | None = None,
+    ) -> Iterator[list[Entry]]:
+        """Yield the entries of each message until the display ends, and an empty list in between.
+
+        Parameters
+        ----------
+        name : str
+            Names the reader in the warning that it ended for silence.
+        seconds : float or None
+            Longest time.
+        silence_s : float or None
+            Time without a message that ends it.
+        display_pid : int or None
+            The display's process, where that started this one. Until its first message, which
+            comes when its drive has found home, silence counts only once the display has ended.
+        """
+        begin_ns = received_ns = time.monotonic_ns()
+        longest_ns, silent_ns = (
+            math.inf if given_s is None else given_s * 1e9 for given_s in (seconds, silence_s)
+        )
+        while not (self._stopping or self.decoder.ended):
+            now_ns = time.monotonic_ns()
+            if not self.decoder.started and os.getppid() == display_pid:
+                received_ns = now_ns
+            for entries in self.messages():
+                received_ns = now_ns
+                yield entries
+            if now_ns - received_ns > silent_ns:
+                logger.warning(f"{name}: ended, nothing came for {silence_s:g} s")
+                return
+            if now_ns - begin_ns > longest_ns:
+                return
+            self.poll(now_ns)
+            yield []
+            sockets.wait_readable([self._socket], POLL_EVERY_NS)
+
+    def stop(self) -> None:
+        """End `follow` after the present message; safe in a signal handler."""
+        self._stopping = True
 
     def close(self) -> None:
         """Close the socket."""

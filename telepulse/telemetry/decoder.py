@@ -5,11 +5,14 @@ mapped to Unix time once when a run begins, so that distances in time stay exact
 """
 
 import math
-from base64 import b64encode
-from collections import Counter
+from base64 import b64decode, b64encode
+from collections import Counter, deque
 from collections.abc import Iterator
+from dataclasses import asdict
 from typing import Any, NamedTuple
 
+from display_node.reception.delay_estimator import LATE_TARGET
+from display_node.reception.receiver import MAX_ASKED, Receiver
 from protocol.config.quantities import count_text
 from protocol.errors import WireError
 from protocol.provenance import PROVENANCE, read_provenance
@@ -20,6 +23,7 @@ from protocol.wire.messages import (
     Welcome,
     decode_control,
     decode_frame,
+    encode_control,
 )
 from protocol.wire.status import STATUS as STATUS_TOPIC
 from protocol.wire.status import read_status
@@ -37,78 +41,6 @@ from telepulse.telemetry.events import Event, EventDetector
 from telepulse.telemetry.schema import CLOCK, EVENT, FRAME, LEVELS, REFUSED, STATUS, STREAM, TICK
 
 Fields = dict[str, Any]
-Decoded = Frame | Welcome | ClockReply | Bye
-
-
-def decode_captured(message: CapturedMessage) -> Decoded:
-    """Return the content of a message that a display captured. Raises WireError."""
-    if message.path != CONTROL:
-        return decode_frame(message.data)
-    control = decode_control(message.data)
-    if isinstance(control, Welcome | ClockReply | Bye):
-        return control
-    raise WireError("unexpected", "a message that only displays send")
-
-
-def frame_fields(message: CapturedMessage, frame: Frame) -> Fields:
-    """Return a frame as it arrived: when, over which path, its exact bytes, its samples in N."""
-    values = frame.values
-    return {
-        "arrived_ns": message.arrived_ns,
-        "path": message.path,
-        "session": frame.session,
-        "first_sample": frame.first_sample,
-        "t_first_ns": frame.t_first_ns,
-        "period_ns": frame.period_ns,
-        "channels": values.shape[1],
-        "bytes_per_sample": values.itemsize,
-        "force_n": values.ravel().tolist(),
-        "newest_n": float(values[-1, 0]),
-        "data": _base64(message.data),
-    }
-
-
-def stream_fields(message: CapturedMessage, welcome: Welcome) -> Fields:
-    """Return the stream's description."""
-    return {
-        "arrived_ns": message.arrived_ns,
-        "session": welcome.session,
-        "samples_sent": welcome.samples_sent,
-        **welcome.description.to_wire(),
-        "data": _base64(message.data),
-    }
-
-
-def clock_fields(message: CapturedMessage, reply: ClockReply) -> Fields:
-    """Return a clock exchange: t1, t4 on the display's clock, t2, t3 on the sensing node's."""
-    t4_ns = message.arrived_ns
-    ahead_ns = (reply.t2_ns - reply.t1_ns + reply.t3_ns - t4_ns) / 2
-    round_trip_ns = t4_ns - reply.t1_ns - (reply.t3_ns - reply.t2_ns)
-    return {
-        "session": reply.session,
-        "t1_ns": reply.t1_ns,
-        "t2_ns": reply.t2_ns,
-        "t3_ns": reply.t3_ns,
-        "t4_ns": t4_ns,
-        "offset_ms": ahead_ns * 1e-6,
-        "round_trip_ms": round_trip_ns * 1e-6,
-    }
-
-
-def refused_fields(message: CapturedMessage, error: WireError) -> Fields:
-    """Return a message that was refused, and the cause."""
-    return {
-        "arrived_ns": message.arrived_ns,
-        "path": message.path,
-        "cause": error.cause,
-        "data": _base64(message.data),
-    }
-
-
-def _base64(data: bytes) -> str:
-    return b64encode(data).decode("ascii")
-
-
 LATEST_NS = (1 << 63) - 1
 SECOND_NS = 1_000_000_000
 
@@ -189,23 +121,17 @@ class TelemetryDecoder:
     def _captured(self, captured: CapturedMessages) -> Iterator[Entry]:
         if captured.run != self._run:
             text = "another run of the display" if self.started else "the recording"
-            self._begin(captured)
+            self._run, self._now_ns = captured.run, captured.now_ns
+            self._unix_offset_ns = captured.wall_ns - captured.now_ns
+            self._traces, self._statuses = captured.traces, captured.statuses
+            self._captures = captured.before
+            self._events = EventDetector()
             yield self.event(Event("INFO", "begin", text))
         self._now_ns = captured.now_ns
         yield from self._account(captured)
         for message in captured.messages:
             self._now_ns = message.arrived_ns
             yield from self._message(message)
-
-    def _begin(self, captured: CapturedMessages) -> None:
-        self._run = captured.run
-        self._unix_offset_ns, self._now_ns = captured.wall_ns - captured.now_ns, captured.now_ns
-        self._traces, self._statuses, self._captures = (
-            captured.traces,
-            captured.statuses,
-            captured.before,
-        )
-        self._events = EventDetector()
 
     def _account(self, captured: CapturedMessages) -> Iterator[Entry]:
         """Count what was published since the last time and did not arrive."""
@@ -223,32 +149,37 @@ class TelemetryDecoder:
             yield self.event(Event("WARNING", "missed", f"the recorder missed {text}"))
 
     def _message(self, message: CapturedMessage) -> Iterator[Entry]:
-        t_ns = self._unix_ns(message.arrived_ns)
+        arrived_ns = message.arrived_ns
+        t_ns, data = self._unix_ns(arrived_ns), b64encode(message.data).decode("ascii")
+        came = {"arrived_ns": arrived_ns, "path": message.path}
         try:
-            decoded = decode_captured(message)
+            if message.path != CONTROL:
+                frame = decode_frame(message.data)
+                yield Entry(FRAME, t_ns, {**came, **_frame_fields(frame), "data": data})
+                if frame.session == self._session:
+                    yield from map(self.event, self._events.arrive(arrived_ns))
+                return
+            control = decode_control(message.data)
+            if not isinstance(control, Welcome | ClockReply | Bye):
+                raise WireError("unexpected", "a message that only displays send")
         except WireError as error:
-            yield Entry(REFUSED, t_ns, refused_fields(message, error))
+            yield Entry(REFUSED, t_ns, {**came, "cause": error.cause, "data": data})
             return
-        match decoded:
-            case Frame():
-                yield Entry(FRAME, t_ns, frame_fields(message, decoded))
-                if decoded.session == self._session:
-                    for event in self._events.arrive(message.arrived_ns):
-                        yield self.event(event)
+        match control:
             case ClockReply():
-                yield Entry(CLOCK, t_ns, clock_fields(message, decoded))
-            case Welcome(session=session, description=description):
-                yield Entry(STREAM, t_ns, stream_fields(message, decoded))
+                yield Entry(CLOCK, t_ns, _clock_fields(control, arrived_ns))
+            case Welcome(session=session, samples_sent=sent, description=description):
+                fields = {"arrived_ns": arrived_ns, "session": session, "samples_sent": sent}
+                yield Entry(STREAM, t_ns, {**fields, **description.to_wire(), "data": data})
                 if session != self._session:
                     self._session = session
                     self._events.begin_session()
                     text = f"{description.name!a}, session {session}"
                     yield self.event(Event("INFO", "session", text))
-            case Bye(samples_sent=count):
+            case Bye(samples_sent=sent):
                 self._events.end_stream()
-                yield self.event(
-                    Event("INFO", "end of stream", f"{count_text(count, 'sample')} sent")
-                )
+                text = f"{count_text(sent, 'sample')} sent"
+                yield self.event(Event("INFO", "end of stream", text))
 
     def _ticks(self, trace: Trace) -> Iterator[Entry]:
         columns = [column.tolist() for column in trace]
@@ -267,11 +198,38 @@ class TelemetryDecoder:
         if status.playing is not None:
             fields["playing"] = status.playing._asdict()
         yield Entry(STATUS, self._unix_ns(self._now_ns), fields)
-        for event in self._events.take(status.state, status.summary, self._now_ns):
-            yield self.event(event)
+        events = self._events.take(status.state, status.summary, self._now_ns)
+        yield from map(self.event, events)
         if status.final:
             self.ended = True
             yield self.event(Event("INFO", "end", "the display has ended"))
+
+
+def _frame_fields(frame: Frame) -> Fields:
+    """Return what a frame holds; samples in N, those of an instant side by side."""
+    values = frame.values
+    return {
+        "session": frame.session,
+        "first_sample": frame.first_sample,
+        "t_first_ns": frame.t_first_ns,
+        "period_ns": frame.period_ns,
+        "channels": values.shape[1],
+        "bytes_per_sample": values.itemsize,
+        "force_n": values.ravel().tolist(),
+        "newest_n": float(values[-1, 0]),
+    }
+
+
+def _clock_fields(reply: ClockReply, t4_ns: int) -> Fields:
+    """Return a clock exchange: t1, t4 on the display's clock, t2, t3 on the sensing node's."""
+    ahead_ns = (reply.t2_ns - reply.t1_ns + reply.t3_ns - t4_ns) / 2
+    round_trip_ns = t4_ns - reply.t1_ns - (reply.t3_ns - reply.t2_ns)
+    return {
+        **asdict(reply),
+        "t4_ns": t4_ns,
+        "offset_ms": ahead_ns * 1e-6,
+        "round_trip_ms": round_trip_ns * 1e-6,
+    }
 
 
 def _without_none(fields: Fields) -> Fields:
@@ -280,3 +238,43 @@ def _without_none(fields: Fields) -> Fields:
         for name, value in fields.items()
         if value is not None
     }
+
+
+# More than one: a frame that came twice is a copy then, never refused.
+PATHS = 2
+
+
+class PassiveReceiver(Receiver):
+    """The display's own receiver, fed with the entries of its telemetry or of a recording.
+
+    Clock, delays and sample counts come out as in the display. It sends nothing: the display sent
+    the clock requests.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("listener", 0, LATE_TARGET, PATHS)
+        # Each reply is accepted once, as in the display.
+        self._requests_ns: deque[int] = deque(maxlen=MAX_ASKED)
+
+    def take(self, topic: str, fields: Fields) -> Frame | None:
+        """Process an entry; return the frame in it, if the display accepted it.
+
+        Raises KeyError, ValueError or TypeError for fields that are not those of an entry.
+        """
+        if topic == FRAME or (topic == REFUSED and fields["path"] != CONTROL):
+            return self.on_frame(b64decode(fields["data"]), fields["arrived_ns"])
+        if topic in (STREAM, REFUSED):
+            self.on_control(b64decode(fields["data"]), fields["arrived_ns"])
+        elif topic == CLOCK:
+            reply = ClockReply(*(fields[name] for name in ("session", "t1_ns", "t2_ns", "t3_ns")))
+            if reply.t1_ns not in self._requests_ns:
+                self._requests_ns.append(reply.t1_ns)
+                self._asked_ns.append(reply.t1_ns)
+            self.on_control(encode_control(reply), fields["t4_ns"])
+        return None
+
+    def play(self, instant_ns: int) -> None:
+        """Advance the buffer to an instant of the pulse that a tick played."""
+        if self.ready:
+            late_ns = 0 if self.description is None else self.description.group_delay_ns
+            self.buffer.advance(instant_ns + late_ns)

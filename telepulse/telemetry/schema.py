@@ -26,6 +26,10 @@ def _array(items: Schema) -> Schema:
     return {"type": "array", "items": items}
 
 
+def _each(schema: Schema, *names: str) -> dict[str, Schema]:
+    return dict.fromkeys(names, schema)
+
+
 def _of(kind: Any) -> Schema:
     """Return the schema of a type of a summary's field."""
     if isinstance(kind, types.UnionType):
@@ -55,14 +59,8 @@ SCHEMAS: dict[str, tuple[str, Schema]] = {
     FRAME: (
         "telepulse.Frame",
         _object(
-            arrived_ns=INTEGER,
-            path=INTEGER,
-            session=INTEGER,
-            first_sample=INTEGER,
-            t_first_ns=INTEGER,
-            period_ns=INTEGER,
-            channels=INTEGER,
-            bytes_per_sample=INTEGER,
+            **_each(INTEGER, "arrived_ns", "path", "session", "first_sample", "t_first_ns"),
+            **_each(INTEGER, "period_ns", "channels", "bytes_per_sample"),
             force_n=_array(NUMBER),
             newest_n=NUMBER,
             data=BYTES,
@@ -71,10 +69,8 @@ SCHEMAS: dict[str, tuple[str, Schema]] = {
     TICK: (
         "telepulse.Tick",
         _object(
-            now_ns=INTEGER,
-            instant_ns=INTEGER,
-            target_n=NUMBER,
-            felt_n=NUMBER,
+            **_each(INTEGER, "now_ns", "instant_ns"),
+            **_each(NUMBER, "target_n", "felt_n"),
             scored=BOOLEAN,
             predictor_error_n=NUMBER,
             trusted=BOOLEAN,
@@ -83,15 +79,12 @@ SCHEMAS: dict[str, tuple[str, Schema]] = {
     STATUS: (
         "telepulse.Status",
         _object(
-            state=STRING,
-            stream=STRING,
+            **_each(STRING, "state", "stream"),
             final=BOOLEAN,
-            session=INTEGER,
-            displays=INTEGER,
+            **_each(INTEGER, "session", "displays"),
             playing=_object(
                 channel=INTEGER,
-                force_ratio=NUMBER,
-                strain_per_newton=NUMBER,
+                **_each(NUMBER, "force_ratio", "strain_per_newton"),
                 predictor=STRING,
                 stale_after_ns=INTEGER,
             ),
@@ -101,48 +94,35 @@ SCHEMAS: dict[str, tuple[str, Schema]] = {
     STREAM: (
         "telepulse.Stream",
         _object(
-            arrived_ns=INTEGER,
-            session=INTEGER,
-            samples_sent=INTEGER,
+            **_each(INTEGER, "arrived_ns", "session", "samples_sent"),
             name=STRING,
-            period_ns=INTEGER,
-            batch=INTEGER,
+            **_each(INTEGER, "period_ns", "batch"),
             channels=_array(_object(name=STRING, unit=STRING)),
             layer=_object(
-                young_modulus_pa=NUMBER,
-                thickness_m=NUMBER,
-                poisson_ratio=NUMBER,
-                contact_length_m=NUMBER,
+                **_each(NUMBER, "young_modulus_pa", "thickness_m"),
+                **_each(NUMBER, "poisson_ratio", "contact_length_m"),
             ),
-            bytes_per_sample=INTEGER,
-            group_delay_ns=INTEGER,
+            **_each(INTEGER, "bytes_per_sample", "group_delay_ns"),
             data=BYTES,
         ),
     ),
     CLOCK: (
         "telepulse.Clock",
         _object(
-            session=INTEGER,
-            t1_ns=INTEGER,
-            t2_ns=INTEGER,
-            t3_ns=INTEGER,
-            t4_ns=INTEGER,
-            offset_ms=NUMBER,
-            round_trip_ms=NUMBER,
+            **_each(INTEGER, "session", "t1_ns", "t2_ns", "t3_ns", "t4_ns"),
+            **_each(NUMBER, "offset_ms", "round_trip_ms"),
         ),
     ),
     REFUSED: (
         "telepulse.Refused",
-        _object(arrived_ns=INTEGER, path=INTEGER, cause=STRING, data=BYTES),
+        _object(**_each(INTEGER, "arrived_ns", "path"), cause=STRING, data=BYTES),
     ),
     EVENT: (
         "foxglove.Log",
         _object(
             timestamp={**_object(sec=INTEGER, nsec=INTEGER), "title": "time"},
             level={"oneOf": [{"title": name, "const": at} for name, at in LEVELS.items()]},
-            message=STRING,
-            name=STRING,
-            file=STRING,
+            **_each(STRING, "message", "name", "file"),
             line=INTEGER,
         ),
     ),

@@ -15,14 +15,27 @@ from protocol.run_summary import Summary
 from protocol.security.authenticator import Authenticator
 from protocol.security.keys import ServerKeys
 from protocol.wire.messages import Bye, ClockReply, Frame, Welcome, encode_control, encode_frame
-from protocol.wire.status import pack_status
-from protocol.wire.telemetry import CONTROL, TickState
+from protocol.wire.status import STATUS, PlaybackStatus, pack_status
+from protocol.wire.telemetry import (
+    CONTROL,
+    HEARD,
+    SUBSCRIBED,
+    TRACE,
+    CaptureWriter,
+    TickState,
+    TraceWriter,
+)
+from telepulse.telemetry.decoder import Entry, TelemetryDecoder
 from tests.support.streams import description
 
 SESSION = 7
 MS = 1_000_000
 BATCH = 5
 QUEUE = 100
+WALL_NS = 1_700_000_000_000_000_000
+NOW_NS = 50_000_000_000
+PLAYING = PlaybackStatus(0, 1.0, -4.8e-6, "linear", 60_000_000)
+WELCOME = encode_control(Welcome(SESSION, 0, description()))
 
 
 class TelemetryPublisher:
@@ -108,3 +121,40 @@ def publishing(
         yield kind(context, address, keys)
     finally:
         context.destroy(linger=200)
+
+
+class HandmadeTelemetry:
+    """A display's telemetry by hand, taken down by a decoder."""
+
+    def __init__(self, run: int = 1) -> None:
+        self.decoder = TelemetryDecoder()
+        self.restart(run)
+
+    def restart(self, run: int, ahead_ns: int = WALL_NS) -> None:
+        self.ahead_ns = ahead_ns
+        self.capture = CaptureWriter(run)
+        self.capture.follow(SUBSCRIBED)
+
+    def receive(self, *messages: tuple[int, bytes], at_ns: int = NOW_NS) -> list[Entry]:
+        for path, data in messages:
+            self.capture.add(at_ns, path, data)
+        return [
+            entry
+            for part in self.capture.take(at_ns, at_ns + self.ahead_ns)
+            for entry in self.decoder.decode(HEARD, part)
+        ]
+
+    def status(self, state: str, final: bool = False, **changes: object) -> list[Entry]:
+        summary = Summary(**changes)  # type: ignore[arg-type]
+        message = pack_status(state, "pulse", summary, final, playing=PLAYING)
+        self.capture.statuses += 1
+        return self.decoder.decode(STATUS, message)
+
+    def ticks(self, *felt: TickState) -> list[Entry]:
+        writer = TraceWriter()
+        for tick in felt:
+            writer.add(tick)
+        message = writer.rest()
+        assert message is not None
+        self.capture.traces += 1
+        return self.decoder.decode(TRACE, message)

@@ -1,5 +1,9 @@
+"""Exports of a recording, with the provenance of the run that made it and the gaps in it."""
+
 import csv
+import json
 import sys
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -9,32 +13,53 @@ import numpy as np
 import pytest
 from pyarrow import parquet
 
-from benchmarks.analysis import AHEAD_NS, BATCH, BEGIN_NS, DELAY_TICKS, GAIN, UNIX_NS, record
 from protocol.errors import OutputError
+from protocol.provenance import PROVENANCE, collect
 from telepulse.recording.edf import LOWEST, export_edf
-from telepulse.recording.export import export_csv, export_parquet
+from telepulse.recording.export import export_csv, export_mcap, export_parquet
+from telepulse.recording.mcap_writer import McapWriter
 from telepulse.recording.reader import RecordingReader
+from telepulse.recording.report import build_recording_report
+from telepulse.telemetry.decoder import TelemetryDecoder
 from telepulse.telemetry.schema import FRAME
-from tests.support.nodes import run
+from tests.support.nodes import RADIAL, run
+from tests.support.recordings import AHEAD_NS, BATCH, BEGIN_NS, DELAY_TICKS, GAIN, UNIX_NS, record
 
 MODULE = "telepulse"
 TABLES = ("samples", "ticks", "clock", "events")
+TO: dict[str, Callable[[Path, Path], str]] = {
+    "csv": export_csv,
+    "parquet": export_parquet,
+    "edf": export_edf,
+}
 # A frame alone, and a hole of a tenth of a second.
 LOST = {100, *range(300, 320)}
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("recording") / "a.mcap"
-    record(path, 3, LOST)
+    """A recording of 3 s with losses and its provenance."""
+    folder = tmp_path_factory.mktemp("recording")
+    plain, path = folder / "plain.mcap", folder / "a.mcap"
+    record(plain, 3, LOST)
+    decoder, writer = TelemetryDecoder(), McapWriter(path)
+    assert decoder.decode(PROVENANCE, collect(RADIAL).to_bytes()) == []
+    assert decoder.provenance is not None
+    writer.describe(decoder.provenance)
+    for message in RecordingReader(plain):
+        writer.put(*message)
+        if writer.written.total() % 500 == 0:
+            writer.flush()
+    writer.close()
     return path
 
 
-TO = {"csv": export_csv, "parquet": export_parquet, "edf": export_edf}
-
-
-def export(path: Path, kind: str, out: Path) -> str:
-    return TO[kind](path, out)
+@pytest.fixture
+def cut(recording: Path, tmp_path: Path) -> Path:
+    """The recording, whose recorder was killed."""
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(recording.read_bytes()[: recording.stat().st_size * 2 // 3])
+    return path
 
 
 def sensed_n(path: Path) -> dict[int, float]:
@@ -48,7 +73,7 @@ def sensed_n(path: Path) -> dict[int, float]:
 
 
 def test_parquet_holds_what_csv_holds_with_types_and_units(recording: Path, tmp_path: Path) -> None:
-    said = [export(recording, kind, tmp_path / kind).split(": ")[1] for kind in ("csv", "parquet")]
+    said = [TO[kind](recording, tmp_path / kind).split(": ")[1] for kind in ("csv", "parquet")]
     assert said[0] == said[1]
     for name in TABLES:
         with (tmp_path / "csv" / f"{name}.csv").open(newline="", encoding="utf-8") as file:
@@ -88,7 +113,7 @@ def test_many_rows_are_written_in_groups(
 def test_edf_holds_forces_at_their_times_with_losses_and_events(
     recording: Path, tmp_path: Path
 ) -> None:
-    said = export(recording, "edf", tmp_path / "a.edf")
+    said = export_edf(recording, tmp_path / "a.edf")
     edf = edfio.read_edf(tmp_path / "a.edf")
     assert (edf.local_patient_identification, edf.reserved) == ("X X X X", "EDF+C")
     wrist, felt = edf.signals
@@ -122,16 +147,72 @@ def test_edf_holds_forces_at_their_times_with_losses_and_events(
     assert (pytest.approx(3.0, abs=0.01), None, "end: the display has ended") in notes
 
 
-def test_one_that_breaks_off_is_exported_with_a_notice(
-    recording: Path, tmp_path: Path, logged: list[str]
+def described_in(folder: Path) -> dict[str, Any]:
+    table: dict[str, Any] = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
+    return table
+
+
+def test_every_export_carries_the_provenance(recording: Path, tmp_path: Path) -> None:
+    version = collect().version
+    reader = RecordingReader(recording)
+    assert len(list(reader)) > 3000
+    assert [run["version"] for run in reader.provenance] == [version]
+    export_mcap(recording, tmp_path / "b.mcap")
+    again = RecordingReader(tmp_path / "b.mcap")
+    assert len(list(again)) > 3000
+    assert again.provenance == reader.provenance
+    for kind in ("csv", "parquet"):
+        TO[kind](recording, tmp_path / kind)
+        described = described_in(tmp_path / kind)
+        assert described["runs"] == reader.provenance
+        assert described["whole"] is True
+    metadata = parquet.read_schema(tmp_path / "parquet" / "ticks.parquet").metadata
+    read = parquet.ParquetFile(tmp_path / "parquet" / "ticks.parquet").metadata.metadata
+    assert json.loads(read[b"telepulse.runs"]) == reader.provenance, metadata
+    export_edf(recording, tmp_path / "a.edf")
+    notes = [note.text for note in edfio.read_edf(tmp_path / "a.edf").annotations]
+    assert f"version {version}" in notes
+    (chapter,) = [c for c in build_recording_report(recording).chapters if "Proven" in c.title]
+    assert dict(chapter.tables[0].rows)["version"] == version
+
+
+def test_reader_report_and_exports_name_how_much_of_the_end_is_missing(
+    cut: Path, tmp_path: Path, logged: list[str]
 ) -> None:
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(recording.read_bytes()[: recording.stat().st_size * 2 // 3])
-    for number, (kind, out) in enumerate((("parquet", "cut"), ("edf", "cut.edf"))):
-        export(cut, kind, tmp_path / out)
-        assert "breaks off" in logged[number]
-    rows = parquet.read_table(tmp_path / "cut" / "ticks.parquet").num_rows
-    assert 1_000 < rows < 3_000
+    reader = RecordingReader(cut)
+    assert len(list(reader))
+    assert not reader.whole
+    assert 0 < reader.cut_bytes < cut.stat().st_size
+    (line,) = reader.gaps()
+    assert line.startswith("breaks off after 2.0 s")
+    assert f"{reader.cut_bytes} bytes" in line
+    assert len(reader.provenance) == 1
+    for kind, to in TO.items():
+        to(cut, tmp_path / kind)
+    assert logged.count(f"{cut}: {line}") == len(TO)
+    assert 1_000 < parquet.read_table(tmp_path / "parquet" / "ticks.parquet").num_rows < 3_000
+    described = described_in(tmp_path / "csv")
+    assert (described["whole"], described["gaps"]) == (False, [line])
+    assert line in [note.text for note in edfio.read_edf(tmp_path / "edf").annotations]
+    assert f"The recording: {line}." in build_recording_report(cut).chapters[0].paragraphs
+
+
+def test_all_tables_have_one_time_base_and_each_column_names_its_clock(
+    recording: Path, tmp_path: Path
+) -> None:
+    export_csv(recording, tmp_path / "csv")
+    spans = []
+    for name in ("samples", "ticks", "clock", "events"):
+        with (tmp_path / "csv" / f"{name}.csv").open(newline="", encoding="utf-8") as file:
+            times_ns = [int(row["unix_ns"]) for row in csv.DictReader(file)]
+        spans.append((times_ns[0], times_ns[-1]))
+    begin_ns = min(begin for begin, _ in spans)
+    assert all(0 <= at - begin_ns <= 4_000_000_000 for span in spans for at in span)
+    described = described_in(tmp_path / "csv")
+    for table in described["columns"].values():
+        for name, column in table.items():
+            if name.endswith("_ns"):
+                assert "clock" in column["description"] or "Unix" in column["description"], name
 
 
 def test_the_command_writes_beside_the_recording(recording: Path) -> None:

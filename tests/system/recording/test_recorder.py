@@ -7,6 +7,8 @@ import subprocess
 import sys
 import time
 from base64 import b64decode
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -48,6 +50,19 @@ def events_of(path: Path) -> list[str]:
     return [message.fields["name"] for message in read(path)[0][EVENT]]
 
 
+@contextmanager
+def recording(
+    path: Path, *options: str, ring: Keyring | None = None
+) -> Iterator[tuple[TelemetryPublisher, "subprocess.Popen[str]"]]:
+    """A display's telemetry, and a recorder of it."""
+    address = free_address()
+    with (
+        publishing(address, ring and ring.server()) as display,
+        process(MODULE, "record", address, str(path), *options) as recorder,
+    ):
+        yield display, recorder
+
+
 def speak_for(display: TelemetryPublisher, seconds: float) -> None:
     """A display's telemetry at its real pace, late ticks made good."""
     start_s, before = time.monotonic(), display.ticks
@@ -62,11 +77,8 @@ def end(display: TelemetryPublisher, recorder: "subprocess.Popen[str]") -> tuple
 
 
 def test_all_that_a_display_publishes_is_in_the_file(tmp_path: Path) -> None:
-    address, path = free_address(), tmp_path / "a.mcap"
-    with (
-        publishing(address) as display,
-        process(MODULE, "record", address, str(path)) as recorder,
-    ):
+    path = tmp_path / "a.mcap"
+    with recording(path) as (display, recorder):
         display.begin()
         speak_for(display, 1.0)
         display.receive(-1, bye(5 * display.frames))
@@ -93,13 +105,13 @@ def test_all_that_a_display_publishes_is_in_the_file(tmp_path: Path) -> None:
 def test_killed_it_loses_at_most_its_last_second(seed: int, tmp_path: Path) -> None:
     chance = random.Random(seed)
     for attempt in range(3):
-        address, path = free_address(), tmp_path / f"{attempt}.mcap"
-        with publishing(address) as display:
-            with process(MODULE, "record", address, str(path)) as recorder:
-                display.begin()
-                speak_for(display, chance.uniform(1.1, 1.6))
-                killed_ns = time.monotonic_ns()
-                recorder.kill()
+        path = tmp_path / f"{attempt}.mcap"
+        with recording(path) as (display, recorder):
+            display.begin()
+            speak_for(display, chance.uniform(1.1, 1.6))
+            killed_ns = time.monotonic_ns()
+            recorder.kill()
+            recorder.wait()
             due = sum(sent_ns < killed_ns - SECOND_NS for sent_ns in display.sent_ns)
         numbers = frames_of(path)
         assert numbers == list(range(len(numbers)))
@@ -110,11 +122,8 @@ def test_killed_it_loses_at_most_its_last_second(seed: int, tmp_path: Path) -> N
 
 
 def test_what_a_slow_recorder_misses_is_counted_and_shown(tmp_path: Path) -> None:
-    address, path = free_address(), tmp_path / "a.mcap"
-    with (
-        publishing(address) as display,
-        process(MODULE, "record", address, str(path)) as recorder,
-    ):
+    path = tmp_path / "a.mcap"
+    with recording(path) as (display, recorder):
         display.begin()
         speak_for(display, 0.3)
         recorder.send_signal(signal.SIGSTOP)
@@ -133,11 +142,8 @@ def test_what_a_slow_recorder_misses_is_counted_and_shown(tmp_path: Path) -> Non
 
 
 def test_a_full_disk_is_reported_once_and_retried_until_nothing_is_missing(tmp_path: Path) -> None:
-    address, path = free_address(), tmp_path / "a.mcap"
-    with (
-        publishing(address) as display,
-        process(MODULE, "record", address, str(path)) as recorder,
-    ):
+    path = tmp_path / "a.mcap"
+    with recording(path) as (display, recorder):
         full_bytes = fill_up(display, recorder, path)
         # Whole chunks up to the limit, readable while it is full.
         assert 0 < len(frames_of(path)) < display.frames
@@ -152,11 +158,8 @@ def test_a_full_disk_is_reported_once_and_retried_until_nothing_is_missing(tmp_p
 
 
 def test_a_disk_that_stays_full_leaves_what_was_written_and_the_count(tmp_path: Path) -> None:
-    address, path = free_address(), tmp_path / "a.mcap"
-    with (
-        publishing(address) as display,
-        process(MODULE, "record", address, str(path)) as recorder,
-    ):
+    path = tmp_path / "a.mcap"
+    with recording(path) as (display, recorder):
         fill_up(display, recorder, path)
         _, errors = end(display, recorder)
         assert recorder.returncode == 1
@@ -263,13 +266,10 @@ def test_protected_telemetry_is_for_allowed_keys_and_others_get_the_reason(tmp_p
 
 
 def test_who_is_let_in_later_is_recorded_from_then_on(tmp_path: Path) -> None:
-    address, path, ring = free_address(), tmp_path / "a.mcap", Keyring(tmp_path / "keys")
+    path, ring = tmp_path / "a.mcap", Keyring(tmp_path / "keys")
     ring.allow("somebody")
     keys = ("--key", ring.path("notes"), "--peer", ring.path("wrist", "pub"))
-    with (
-        publishing(address, ring.server()) as display,
-        process(MODULE, "record", address, str(path), *keys) as recorder,
-    ):
+    with recording(path, *keys, ring=ring) as (display, recorder):
         display.welcome()
         while not display.gate.rejected:
             speak_for(display, 0.1)
@@ -314,12 +314,9 @@ def test_what_cannot_begin_is_one_line(address: str, name: str, word: str, tmp_p
 def test_beside_a_display_it_waits_for_the_first_message_however_long_a_drive_homes(
     tmp_path: Path,
 ) -> None:
-    address, path = free_address(), tmp_path / "a.mcap"
+    path = tmp_path / "a.mcap"
     beside = ("--until-silent", "0.3", "--display-pid", str(os.getpid()))
-    with (
-        publishing(address) as display,
-        process(MODULE, "record", address, str(path), *beside) as recorder,
-    ):
+    with recording(path, *beside) as (display, recorder):
         display.begin()
         time.sleep(1.0)
         assert recorder.poll() is None

@@ -4,17 +4,17 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.analysis import DELAY_TICKS, GAIN, record
 from protocol.counters import Limited, Limits
 from protocol.wire.telemetry import CONTROL
+from telepulse.recording.findings import RunFindings, read_findings
 from telepulse.recording.mcap_writer import McapWriter
 from telepulse.recording.reader import RecordingReader, in_tick_order
-from telepulse.recording.report.chapters import build_recording_report
-from telepulse.recording.report.findings import RunFindings, read_findings
+from telepulse.recording.report import build_recording_report
 from telepulse.telemetry.schema import TICK
 from tests.support.nodes import RADIAL, free_address, process, read_json, run
+from tests.support.recordings import DELAY_TICKS, GAIN, record
+from tests.support.telemetry_publisher import WELCOME, HandmadeTelemetry
 from tests.system.recording.test_replay_command import recorded_display
-from tests.unit.telepulse.telemetry.test_decoder import WELCOME, HandmadeTelemetry
 
 MODULE = "telepulse"
 PATIENCE_S = 240.0
@@ -153,7 +153,7 @@ def test_a_limit_that_was_reached_is_an_event_and_a_row(tmp_path: Path) -> None:
 def test_ticks_that_were_left_out_are_missed_ones(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     record(path, 2)
-    findings = RunFindings(path)
+    findings = RunFindings()
     for number, told in enumerate(in_tick_order(RecordingReader(path))):
         if told.topic != TICK or number % 100:
             findings.take(told)

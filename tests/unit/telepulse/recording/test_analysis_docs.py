@@ -3,10 +3,10 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.analysis import record
 from telepulse.recording.edf import export_edf
 from telepulse.recording.export import export_csv, export_parquet
 from tests.support.nodes import ROOT
+from tests.support.recordings import record
 
 PRINTS = {
     "csv": r"3000 ticks, 0\.\d{3} mN off at most\n",

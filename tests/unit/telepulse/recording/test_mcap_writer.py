@@ -1,29 +1,118 @@
+"""Writing a recording, on a disk that may be full, and what readers of MCAP need of the file:
+https://mcap.dev/spec, and Foxglove's documentation of JSON messages and of foxglove.Log.
+Foxglove itself is not run."""
+
 import errno
+import json
 import math
 import os
+from collections import Counter
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
+from mcap.reader import SeekingReader
+from mcap.records import Chunk, DataEnd, Footer, Header, MessageIndex
+from mcap.stream_reader import StreamReader
 
+from protocol.errors import OutputError
 from telepulse.recording import mcap_writer
-from telepulse.recording.mcap_writer import McapWriter
+from telepulse.recording.mcap_writer import MAX_RUNS, McapWriter, RetryingFile
 from telepulse.recording.reader import RecordingReader
 from telepulse.telemetry.decoder import Entry
-from telepulse.telemetry.schema import FRAME, TICK
+from telepulse.telemetry.schema import CLOCK, EVENT, FRAME, SCHEMAS, STATUS, STREAM, TICK
+from tests.support.foxglove import assert_fits, assert_readable
+from tests.support.recordings import record
+
+
+class Disk:
+    """Stands in for the system's calls: takes so many bytes, and may fail to keep them."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.room_bytes = 10**9
+        self.keeps = True
+        self._write, self._fsync = os.write, os.fsync
+        monkeypatch.setattr(os, "write", self._take)
+        monkeypatch.setattr(os, "fsync", self._sync)
+
+    def _take(self, file: int, data: memoryview) -> int:
+        if not self.room_bytes:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        # A call may take less than it was given.
+        count = self._write(file, data[: min(self.room_bytes, 3)])
+        self.room_bytes -= count
+        return count
+
+    def _sync(self, file: int) -> None:
+        if not self.keeps:
+            raise OSError(errno.EIO, "Input/output error")
+        self._fsync(file)
+
+
+@pytest.fixture
+def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
+    return Disk(monkeypatch)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "a.mcap"
+
+
+def test_pieces_are_on_the_disk_once_they_are_committed(path: Path, disk: Disk) -> None:
+    file = RetryingFile(path)
+    file.write(b"01234")
+    file.write(b"56789")
+    assert (file.tell(), path.read_bytes()) == (10, b"")
+    assert file.commit(messages=2) is None
+    assert path.read_bytes() == b"0123456789"
+    assert (file.waiting, file.waiting_bytes) == (0, 0)
+    file.close()
+
+
+@pytest.mark.parametrize("trouble", ["full", "not kept"])
+def test_only_whole_pieces_stand_there_and_the_rest_follows_in_order(
+    trouble: str, path: Path, disk: Disk
+) -> None:
+    file = RetryingFile(path)
+    file.write(b"first")
+    assert file.commit(1) is None
+    disk.room_bytes, disk.keeps = (4, True) if trouble == "full" else (10**9, False)
+    for number in range(3):
+        file.write(b"piece%d" % number)
+        assert file.commit(2) in ("No space left on device", "Input/output error")
+        assert path.read_bytes() == b"first"
+        assert file.waiting == 2 * (number + 1)
+    assert file.tell() == len("firstpiece0piece1piece2")
+    disk.room_bytes, disk.keeps = 8, True
+    assert file.commit(0) == "No space left on device"
+    assert path.read_bytes() == b"firstpiece0"
+    disk.room_bytes = 10**9
+    assert file.commit(0) is None
+    assert path.read_bytes() == b"firstpiece0piece1piece2"
+    assert (file.waiting, file.waiting_bytes) == (0, 0)
+    file.close()
+
+
+@pytest.mark.parametrize("name", ["there", "nowhere/a", "."])
+def test_a_file_that_cannot_be_made_is_one_line_and_no_file_is_overwritten(
+    name: str, tmp_path: Path
+) -> None:
+    (tmp_path / "there").write_bytes(b"precious")
+    with pytest.raises(OutputError) as caught:
+        RetryingFile(tmp_path / name)
+    assert str(tmp_path / name) in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert (tmp_path / "there").read_bytes() == b"precious"
 
 
 def test_memory_is_bounded_while_the_disk_is_full_and_what_finds_no_room_is_counted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / "a.mcap"
-    writer = McapWriter(path)
     monkeypatch.setattr(mcap_writer, "MAX_WAITING_BYTES", 3_000)
-    write = os.write
-
-    def full(file: int, data: bytes) -> int:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(os, "write", full)
+    writer = McapWriter(path)
+    disk.room_bytes = 0
     writer.add(Entry(FRAME, 0, {}))
     for number in range(100):
         writer.add(Entry(TICK, number, {"now_ns": number}))
@@ -31,7 +120,7 @@ def test_memory_is_bounded_while_the_disk_is_full_and_what_finds_no_room_is_coun
     taken = writer.written[TICK]
     assert 0 < taken < 100
     assert writer.dropped == 100 - taken
-    monkeypatch.setattr(os, "write", write)
+    disk.room_bytes = 10**9
     assert writer.flush() is None
     writer.add(Entry(TICK, 100, {"now_ns": 100}))
     assert writer.close() is None
@@ -41,11 +130,92 @@ def test_memory_is_bounded_while_the_disk_is_full_and_what_finds_no_room_is_coun
     assert reader.whole
 
 
-def test_nan_and_infinity_are_left_out_of_json(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
+def test_nan_and_infinity_are_left_out_of_json(path: Path) -> None:
     writer = McapWriter(path)
     fields = {"data": "", "felt_n": math.nan, "in": {"low": -math.inf, "high": 1.5}}
     writer.add(Entry(FRAME, 0, fields))
     assert writer.close() is None
     (message,) = RecordingReader(path)
     assert message.fields == {"data": "", "in": {"high": 1.5}}
+
+
+def test_a_flood_of_provenance_is_bounded_and_counted(path: Path) -> None:
+    writer = McapWriter(path)
+    for number in range(MAX_RUNS + 5):
+        writer.describe({"version": str(number)})
+    writer.close()
+    assert writer.dropped == 5
+    assert path.stat().st_size < 100_000
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recording") / "a.mcap"
+    record(path, 2)
+    return path
+
+
+def test_messages_are_json_by_schemas_that_stand_before_them(recording: Path) -> None:
+    seen: Counter[str] = Counter()
+    with recording.open("rb") as file:
+        reader = SeekingReader(file, validate_crcs=True)
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            assert schema is not None
+            assert schema.id > 0
+            assert (channel.message_encoding, schema.encoding) == ("json", "jsonschema")
+            table = json.loads(schema.data)
+            if not seen[channel.topic]:
+                assert schema.name == SCHEMAS[channel.topic][0]
+                assert_readable(table, schema.name)
+            seen[channel.topic] += 1
+            assert message.sequence == seen[channel.topic] - 1
+            assert_fits(json.loads(message.data), table, channel.topic)
+            assert message.publish_time == message.log_time
+    assert set(seen) == {FRAME, TICK, CLOCK, STREAM, STATUS, EVENT}
+
+
+def test_the_files_summary_has_counts_and_times(recording: Path) -> None:
+    with recording.open("rb") as file:
+        reader = SeekingReader(file)
+        summary = reader.get_summary()
+        assert summary is not None
+        counts: Counter[int] = Counter()
+        times_ns = []
+        for _, channel, message in reader.iter_messages():
+            counts[channel.id] += 1
+            times_ns.append(message.log_time)
+    # In order of time, by the index.
+    assert times_ns == sorted(times_ns)
+    found = summary.statistics
+    assert found is not None
+    assert (found.message_count, found.channel_message_counts) == (len(times_ns), dict(counts))
+    assert (found.message_start_time, found.message_end_time) == (times_ns[0], times_ns[-1])
+    assert {channel.topic for channel in summary.channels.values()} == set(SCHEMAS)
+    assert (found.schema_count, found.channel_count) == (len(SCHEMAS), len(SCHEMAS))
+    assert found.chunk_count == len(summary.chunk_indexes) > 1
+    for chunk in summary.chunk_indexes:
+        assert chunk.message_start_time <= chunk.message_end_time
+        assert chunk.message_index_length > 0
+
+
+def test_every_chunk_is_followed_by_the_index_of_its_messages(recording: Path) -> None:
+    with recording.open("rb") as file:
+        records: list[Any] = list(StreamReader(file, emit_chunks=True).records)
+    assert isinstance(records[0], Header)
+    assert (type(records[-1]), records[-1].summary_start > 0) == (Footer, True)
+    assert sum(isinstance(each, DataEnd) for each in records) == 1
+    for before, each in pairwise(records):
+        if isinstance(before, Chunk):
+            assert isinstance(each, MessageIndex)
+
+
+def test_an_event_is_a_foxglove_log(recording: Path) -> None:
+    name, schema = SCHEMAS[EVENT]
+    assert name == "foxglove.Log"
+    assert list(schema["properties"]) == ["timestamp", "level", "message", "name", "file", "line"]
+    events = [message for message in RecordingReader(recording) if message.topic == EVENT]
+    assert events
+    for message in events:
+        stamp = message.fields["timestamp"]
+        assert stamp["sec"] * 10**9 + stamp["nsec"] == message.t_ns
+        assert message.fields["level"] in (2, 3, 4)

@@ -1,4 +1,8 @@
+"""Reading a recording: whole, cut short, damaged, foreign, and with fields that are not ours."""
+
 import io
+import json
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -7,23 +11,31 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from protocol.errors import OutputError, SourceError
-from telepulse.recording.export import export_mcap
+from telepulse.recording.edf import export_edf
+from telepulse.recording.export import export_csv, export_mcap, export_parquet
+from telepulse.recording.findings import read_findings
 from telepulse.recording.mcap_writer import McapWriter
-from telepulse.recording.reader import RecordedMessage, RecordingReader
+from telepulse.recording.reader import MAX_WAITING, RecordedMessage, RecordingReader, in_tick_order
 from telepulse.recording.session import longest_session
 from telepulse.telemetry.decoder import Entry
-from telepulse.telemetry.schema import EVENT, FRAME, SCHEMAS, TICK
+from telepulse.telemetry.schema import CLOCK, EVENT, FRAME, TICK
+from tests.support.recordings import record
 
 TICKS_A_CHUNK = 4
 
 
-def recording(path: Path, chunks: int = 3) -> list[int]:
-    """A recording of ticks with a frame at first; where each chunk ends in the file."""
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "a.mcap"
+
+
+@pytest.fixture
+def ends(path: Path) -> list[int]:
+    """Where each chunk ends in the file, which holds a frame and three chunks of ticks."""
     writer, ends = McapWriter(path), []
     writer.add(Entry(FRAME, 1, {"data": ""}))
-    for chunk in range(chunks):
-        for number in range(TICKS_A_CHUNK):
-            at = chunk * TICKS_A_CHUNK + number
+    for first in range(0, 3 * TICKS_A_CHUNK, TICKS_A_CHUNK):
+        for at in range(first, first + TICKS_A_CHUNK):
             writer.add(Entry(TICK, at, {"now_ns": at, "felt_n": at * 0.1}))
         assert writer.flush() is None
         ends.append(path.stat().st_size)
@@ -36,35 +48,17 @@ def ticks(path: Path) -> tuple[list[int], RecordingReader]:
     return [m.fields["now_ns"] for m in reader if m.topic == TICK], reader
 
 
-def test_a_whole_recording_is_read_whole(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    recording(path)
+def test_a_whole_recording_is_read_whole(path: Path, ends: list[int]) -> None:
     assert RecordedMessage(TICK, 1, b'{"now_ns":1,"felt_n":0.1}') in list(RecordingReader(path))
     numbers, reader = ticks(path)
     assert numbers == list(range(3 * TICKS_A_CHUNK))
-    assert reader.whole
-    assert reader.damaged == 0
+    assert (reader.whole, reader.damaged) == (True, 0)
 
 
-def test_mcaps_own_reader_finds_topics_schemas_and_an_index(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    recording(path)
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-        assert summary is not None
-        topics = {channel.topic: channel for channel in summary.channels.values()}
-        assert set(topics) == set(SCHEMAS)
-        for topic, channel in topics.items():
-            schema = summary.schemas[channel.schema_id]
-            assert (channel.message_encoding, schema.encoding) == ("json", "jsonschema")
-            assert schema.name == SCHEMAS[topic][0]
-        assert len(summary.chunk_indexes) == 3
-
-
-def test_cut_anywhere_all_chunks_before_are_read_and_nothing_else(tmp_path: Path) -> None:
-    path, cut = tmp_path / "a.mcap", tmp_path / "cut.mcap"
-    ends = recording(path)
-    data = path.read_bytes()
+def test_cut_anywhere_all_chunks_before_are_read_and_nothing_else(
+    path: Path, ends: list[int], tmp_path: Path
+) -> None:
+    cut, data = tmp_path / "cut.mcap", path.read_bytes()
     for size in range(9, ends[-1], 29):
         cut.write_bytes(data[:size])
         # A chunk's index follows it in the file; it is whole before that has come.
@@ -79,9 +73,7 @@ def test_cut_anywhere_all_chunks_before_are_read_and_nothing_else(tmp_path: Path
         assert whole <= len(numbers) <= whole + TICKS_A_CHUNK
 
 
-def test_a_damaged_chunk_is_left_out_and_counted(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    ends = recording(path)
+def test_a_damaged_chunk_is_left_out_and_counted(path: Path, ends: list[int]) -> None:
     data = bytearray(path.read_bytes())
     data[ends[0] + 100] ^= 0x10
     path.write_bytes(data)
@@ -90,9 +82,10 @@ def test_a_damaged_chunk_is_left_out_and_counted(tmp_path: Path) -> None:
     assert numbers == [*range(TICKS_A_CHUNK), *range(2 * TICKS_A_CHUNK, 3 * TICKS_A_CHUNK)]
 
 
-def test_one_that_was_cut_becomes_whole_again(tmp_path: Path, logged: list[str]) -> None:
-    path, copy = tmp_path / "a.mcap", tmp_path / "b.mcap"
-    ends = recording(path)
+def test_one_that_was_cut_becomes_whole_again(
+    path: Path, ends: list[int], tmp_path: Path, logged: list[str]
+) -> None:
+    copy = tmp_path / "b.mcap"
     path.write_bytes(path.read_bytes()[: ends[1] + 20])
     export_mcap(path, copy)
     numbers, reader = ticks(copy)
@@ -127,19 +120,16 @@ def foreign() -> bytes:
         (None, "no such recording"),
     ],
 )
-def test_what_is_no_recording_is_one_line(tmp_path: Path, data: bytes | None, words: str) -> None:
-    path = tmp_path / "x.mcap"
+def test_what_is_no_recording_is_one_line(path: Path, data: bytes | None, words: str) -> None:
     if data is not None:
         path.write_bytes(data)
     with pytest.raises(SourceError) as caught:
         longest_session(path)
-    text = str(caught.value)
-    assert text.startswith(f"{path}: {words}")
-    assert "\n" not in text
+    assert str(caught.value).startswith(f"{path}: {words}")
+    assert "\n" not in str(caught.value)
 
 
-def test_a_recording_without_a_stream_cannot_be_played(tmp_path: Path, logged: list[str]) -> None:
-    path = tmp_path / "x.mcap"
+def test_a_recording_without_a_stream_cannot_be_played(path: Path, logged: list[str]) -> None:
     writer = McapWriter(path)
     writer.add(Entry(EVENT, 1, {"name": "begin"}))
     writer.add(Entry(FRAME, 1, {"data": "not base64"}))
@@ -147,3 +137,114 @@ def test_a_recording_without_a_stream_cannot_be_played(tmp_path: Path, logged: l
     with pytest.raises(SourceError, match="holds no frame"):
         longest_session(path)
     assert "left out: 1 frame unfit" in logged[0]
+
+
+READERS: dict[str, Callable[[Path, Path], Any]] = {
+    "report": lambda path, _: read_findings(path),
+    "csv": export_csv,
+    "parquet": export_parquet,
+    "edf": export_edf,
+}
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> list[RecordedMessage]:
+    path = tmp_path_factory.mktemp("recording") / "good.mcap"
+    record(path, 2)
+    return list(RecordingReader(path))
+
+
+def change(
+    good: list[RecordedMessage], path: Path, change: Callable[[str, int, dict[str, Any]], None]
+) -> None:
+    """Write the recording with its fields changed: of a topic, with the number of the message."""
+    writer = McapWriter(path)
+    for topic, t_ns, data in good:
+        fields = json.loads(data)
+        change(topic, writer.written[topic], fields)
+        writer.put(topic, t_ns, json.dumps(fields).encode())
+    writer.close()
+
+
+@pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize(
+    ("topic", "number", "name", "value"),
+    [
+        (TICK, 1_499, "now_ns", 10**30),
+        (TICK, 1_499, "felt_n", []),
+        (FRAME, 0, "data", "no base64"),
+    ],
+)
+def test_a_field_that_is_not_telepulses_is_one_line_or_left_out(
+    reader: str,
+    topic: str,
+    number: int,
+    name: str,
+    value: object,
+    good: list[RecordedMessage],
+    path: Path,
+) -> None:
+    def spoil(of: str, at: int, fields: dict[str, Any]) -> None:
+        if (of, at) == (topic, number):
+            fields[name] = value
+
+    change(good, path, spoil)
+    said = f"{path}: a message is not telepulse's"
+    try:
+        READERS[reader](path, path.with_name("out"))
+    except SourceError as error:
+        said = str(error)
+    assert said.startswith(f"{path}: a message is not telepulse's")
+    assert "\n" not in said
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_a_recording_whose_felt_force_becomes_unknown_is_read(
+    reader: str, good: list[RecordedMessage], path: Path
+) -> None:
+    def forget(of: str, at: int, fields: dict[str, Any]) -> None:
+        if of == TICK and at >= 1_500:
+            del fields["felt_n"]
+
+    change(good, path, forget)
+    READERS[reader](path, path.with_name("out"))
+
+
+def test_a_display_that_plays_a_channel_that_is_not_there_is_one_line(
+    good: list[RecordedMessage], path: Path
+) -> None:
+    def misplay(of: str, at: int, fields: dict[str, Any]) -> None:
+        if "playing" in fields:
+            fields["playing"]["channel"] = 9
+
+    change(good, path, misplay)
+    with pytest.raises(SourceError, match="a message is not telepulse's"):
+        read_findings(path)
+
+
+def message(topic: str, **fields: int) -> RecordedMessage:
+    return RecordedMessage(topic, 0, json.dumps(fields).encode())
+
+
+def ordered(messages: Iterable[RecordedMessage]) -> list[tuple[str, int]]:
+    return [(each.topic, next(iter(each.fields.values()), 0)) for each in in_tick_order(messages)]
+
+
+def test_a_received_message_comes_before_the_next_due_tick() -> None:
+    published = [
+        message(FRAME, arrived_ns=5),
+        message(CLOCK, t4_ns=20),
+        message(FRAME, arrived_ns=99),
+        message(EVENT),
+        *(message(TICK, now_ns=now_ns) for now_ns in (4, 5, 21)),
+    ]
+    due = [(TICK, 4), (FRAME, 5), (TICK, 5), (CLOCK, 20), (TICK, 21), (FRAME, 99)]
+    assert ordered(published) == [(EVENT, 0), *due]
+
+
+def test_without_ticks_little_waits() -> None:
+    received = (message(FRAME, arrived_ns=number) for number in range(MAX_WAITING + 500))
+    turns = in_tick_order(received)
+    assert next(turns).fields["arrived_ns"] == 0
+    assert next(received).fields["arrived_ns"] == MAX_WAITING + 1
+    assert len(list(turns)) == MAX_WAITING + 498

@@ -15,19 +15,15 @@ from protocol.counters import Limited, Limits
 from protocol.errors import CAUSE_MEANINGS
 from protocol.run_summary import Summary
 from protocol.summary_tables import Clock, Compensation, Deadlines, Loop, SampleCounts
-from protocol.wire.messages import Hello, Welcome, encode_control, encode_frame
+from protocol.wire.messages import Hello, encode_control, encode_frame
 from protocol.wire.status import STATUS as STATUS_TOPIC
-from protocol.wire.status import PlaybackStatus, pack_status
 from protocol.wire.telemetry import (
     CONTROL,
     HEARD,
-    SUBSCRIBED,
     TRACE,
-    CaptureWriter,
     TickState,
-    TraceWriter,
 )
-from telepulse.telemetry.decoder import Entry, TelemetryDecoder
+from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import (
     CLOCK,
     EVENT,
@@ -38,50 +34,18 @@ from telepulse.telemetry.schema import (
 )
 from tests.support.foxglove import assert_fits, assert_readable
 from tests.support.streams import description
-from tests.support.telemetry_publisher import SESSION, bye, clock_reply, numbered_frame
+from tests.support.telemetry_publisher import (
+    NOW_NS,
+    SESSION,
+    WALL_NS,
+    WELCOME,
+    HandmadeTelemetry,
+    bye,
+    clock_reply,
+    numbered_frame,
+)
 
-WALL_NS = 1_700_000_000_000_000_000
-NOW_NS = 50_000_000_000
-PLAYING = PlaybackStatus(0, 1.0, -4.8e-6, "linear", 60_000_000)
-WELCOME = encode_control(Welcome(SESSION, 0, description()))
 FAULTS = ["it broke"]
-
-
-class HandmadeTelemetry:
-    """A display's telemetry by hand, taken down by a decoder."""
-
-    def __init__(self, run: int = 1) -> None:
-        self.decoder = TelemetryDecoder()
-        self.restart(run)
-
-    def restart(self, run: int, ahead_ns: int = WALL_NS) -> None:
-        self.ahead_ns = ahead_ns
-        self.capture = CaptureWriter(run)
-        self.capture.follow(SUBSCRIBED)
-
-    def receive(self, *messages: tuple[int, bytes], at_ns: int = NOW_NS) -> list[Entry]:
-        for path, data in messages:
-            self.capture.add(at_ns, path, data)
-        return [
-            entry
-            for part in self.capture.take(at_ns, at_ns + self.ahead_ns)
-            for entry in self.decoder.decode(HEARD, part)
-        ]
-
-    def status(self, state: str, final: bool = False, **changes: object) -> list[Entry]:
-        summary = Summary(**changes)  # type: ignore[arg-type]
-        message = pack_status(state, "pulse", summary, final, playing=PLAYING)
-        self.capture.statuses += 1
-        return self.decoder.decode(STATUS_TOPIC, message)
-
-    def ticks(self, *felt: TickState) -> list[Entry]:
-        writer = TraceWriter()
-        for tick in felt:
-            writer.add(tick)
-        message = writer.rest()
-        assert message is not None
-        self.capture.traces += 1
-        return self.decoder.decode(TRACE, message)
 
 
 def events(entries: Iterable[Entry]) -> list[tuple[str, str]]:

@@ -1,4 +1,7 @@
-"""Force at the wrist and at the finger over a whole recording: errors, stretches, heart rates."""
+"""Course of values over a whole recording: trends in fixed memory, and the forces at both ends.
+
+Of the forces: errors, stretches and heart rates. Pure.
+"""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -10,7 +13,6 @@ from display_node.scoring.heart_rate import heart_rate_per_min
 from display_node.scoring.tracking_error import JND, TrackingError, interpolate
 from protocol.wire.messages import Frame
 from protocol.wire.stream import StreamDescription
-from telepulse.recording.report.trend import Trend
 
 # Ticks wait for the samples around their instants, as in the display.
 BLOCK = PATIENCE = 2_048
@@ -22,8 +24,56 @@ HEART_WINDOW_S = 6.0
 MAX_HOLE_S = 0.25
 # Blocks in the first stretch.
 STRETCH_BLOCKS = 3
+# Bins of a trend, and the narrowest of them.
+BINS = 1_000
+NARROWEST_S = 0.1
+# Least, greatest, sum and count of a bin: how values join it, and what an empty bin holds.
+STATISTICS = ((np.minimum, np.inf), (np.maximum, -np.inf), (np.add, 0.0), (np.add, 0.0))
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+
+class TrendPoints(NamedTuple):
+    """Bins that hold values: their middles in s, and least, greatest, mean and sum of each."""
+
+    t_s: Floats
+    low: Floats
+    high: Floats
+    mean: Floats
+    total: Floats
+
+
+class Trend:
+    """Statistics of values in equal bins of time, which double their width as time goes on."""
+
+    def __init__(self, width_s: float = NARROWEST_S) -> None:
+        """Begin with bins of a width."""
+        self.width_s = width_s
+        self._bins: list[Floats] = [np.full(BINS, empty) for _, empty in STATISTICS]
+
+    def add(self, t_s: Floats, values: Floats) -> None:
+        """Add values at times from the begin; what is NaN or infinite is left out."""
+        known = np.isfinite(values)
+        t_s, values = np.maximum(t_s[known], 0), values[known]
+        if not len(values):
+            return
+        while t_s.max() >= self.width_s * BINS:
+            self.width_s *= 2
+            self._bins = [
+                np.append(join.reduce(bins.reshape(-1, 2), axis=1), np.full(BINS // 2, empty))
+                for (join, empty), bins in zip(STATISTICS, self._bins, strict=True)
+            ]
+        at = (t_s / self.width_s).astype(np.int64)
+        new = (values, values, values, np.ones(len(values)))
+        for (join, _), bins, added in zip(STATISTICS, self._bins, new, strict=True):
+            join.at(bins, at, added)
+
+    def points(self) -> TrendPoints:
+        """Return the bins that hold values."""
+        held = np.flatnonzero(self._bins[-1])
+        low, high, total, count = (bins[held] for bins in self._bins)
+        t_s: Floats = np.asarray((held + 0.5) * self.width_s, float)
+        return TrendPoints(t_s, low, high, total / count, total)
 
 
 class AlignedTick(NamedTuple):
@@ -32,7 +82,6 @@ class AlignedTick(NamedTuple):
     t_s: float
     sensing_now_ns: int
     instant_ns: int
-    target_n: float
     felt_n: float
 
 
@@ -57,11 +106,11 @@ class ForceAlignment:
 
     def __init__(self) -> None:
         self.errors = TrackingError(0.0)
-        self.ratio: float | None = None
         self.channel = 0
         self._begin()
 
     def _begin(self) -> None:
+        self.ratio: float | None = None
         self._ticks: list[AlignedTick] = []
         self._t_ns: list[Ints] = []
         self._values: list[Floats] = []
@@ -69,7 +118,6 @@ class ForceAlignment:
     def begin(self) -> Iterator[AlignedBlock]:
         """Begin another session; yield what is left of the last one."""
         yield from self.finish()
-        self.ratio = None
         self._begin()
 
     def set_playback(self, channel: int, ratio: float) -> None:
@@ -112,19 +160,15 @@ class ForceAlignment:
         ticks, self._ticks = self._ticks[:count], self._ticks[count:]
         if self.ratio is None or not self._t_ns:
             return
-        t_ns, values = self._gathered()
-        instant_ns = np.array([tick.instant_ns for tick in ticks], np.int64)
-        wrist_n = self.ratio * interpolate(instant_ns, t_ns, values[:, self.channel])
-        felt_n = np.array([tick.felt_n for tick in ticks])
-        yield AlignedBlock(np.array([tick.t_s for tick in ticks]), wrist_n, felt_n)
-        keep = max(0, int(np.searchsorted(t_ns, instant_ns[-1])) - 1)
-        self._t_ns, self._values = [t_ns[keep:]], [values[keep:]]
-
-    def _gathered(self) -> tuple[Ints, Floats]:
-        """Return the samples that are kept, in order of time."""
         t_ns, values = np.concatenate(self._t_ns), np.concatenate(self._values)
         order = np.argsort(t_ns, kind="stable")
-        return t_ns[order], values[order]
+        t_ns, values = t_ns[order], values[order]
+        instant_ns = np.array([tick.instant_ns for tick in ticks], np.int64)
+        wrist_n = self.ratio * interpolate(instant_ns, t_ns, values[:, self.channel])
+        t_s, felt_n = np.array([(tick.t_s, tick.felt_n) for tick in ticks]).T
+        yield AlignedBlock(t_s, wrist_n, felt_n)
+        keep = max(0, int(np.searchsorted(t_ns, instant_ns[-1])) - 1)
+        self._t_ns, self._values = [t_ns[keep:]], [values[keep:]]
 
 
 class ForceHistory:
@@ -149,19 +193,8 @@ class ForceHistory:
         self._follow_worst = False
         self._beats: list[AlignedBlock] = []
 
-    def begin(self) -> None:
-        """Begin another session."""
-        self._take(self.alignment.begin())
-
-    def add_tick(self, tick: AlignedTick) -> None:
-        """Add a tick at full strength."""
-        self._take(self.alignment.add_tick(tick))
-
-    def finish(self) -> None:
-        """Process the remaining ticks."""
-        self._take(self.alignment.finish())
-
-    def _take(self, blocks: Iterator[AlignedBlock]) -> None:
+    def take(self, blocks: Iterator[AlignedBlock]) -> None:
+        """Take the blocks that a method of `alignment` yields."""
         for block in blocks:
             error_n = block.felt_n - block.wrist_n
             known_n = block.wrist_n[~np.isnan(error_n)]
@@ -187,12 +220,12 @@ class ForceHistory:
     def _add_heart_rates(self, block: AlignedBlock) -> None:
         """Add the heart rates of each window without a hole."""
         self._beats.append(AlignedBlock(*(values[::THIN] for values in block)))
-        t_s, wrist_n, felt_n = (np.concatenate(parts) for parts in zip(*self._beats, strict=True))
+        t_s, *forces_n = (np.concatenate(parts) for parts in zip(*self._beats, strict=True))
         if t_s[-1] - t_s[0] < HEART_WINDOW_S:
             return
         self._beats.clear()
-        rates = [_heart_rate_per_min(t_s, force_n) for force_n in (wrist_n, felt_n)]
-        self.heart.append((float(t_s.mean()), rates[0], rates[1]))
+        wrist, felt = (_heart_rate_per_min(t_s, force_n) for force_n in forces_n)
+        self.heart.append((float(t_s.mean()), wrist, felt))
 
 
 def _heart_rate_per_min(t_s: Floats, force_n: Floats) -> float | None:

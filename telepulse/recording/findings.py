@@ -1,7 +1,7 @@
-"""Findings about a recorded run, gathered in one pass."""
+"""Findings about a recorded run, gathered in one pass, in bounded memory."""
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,36 +14,20 @@ from protocol.errors import SourceError
 from protocol.histogram import Histogram
 from protocol.run_summary import Summary
 from protocol.summary_tables import Loop, PlayoutDelay
-from protocol.wire.messages import Frame
+from telepulse.recording.forces import AlignedTick, ForceHistory, Trend
 from telepulse.recording.reader import RecordingReader, in_tick_order
-from telepulse.recording.report.forces import AlignedTick, ForceHistory
-from telepulse.recording.report.trend import Trend
-from telepulse.telemetry.decoder import Entry
-from telepulse.telemetry.passive_receiver import PassiveReceiver
+from telepulse.telemetry.decoder import Entry, PassiveReceiver
 from telepulse.telemetry.schema import EVENT, STATUS, STREAM, TICK
 
 MAX_EVENTS = 500
-TICKS_A_BATCH = 1_000
-# Bins of counts.
-COUNT_WIDTH_S = 1.0
+# Values of a trend are added by so many.
+BATCH = 1_000
+VALUES = (
+    *("one_way_ms", "playout_ms", "offset_ms", "uncertainty_ms", "skew_ppm", "round_trip_ms"),
+    *("late_p99_us", "late_max_us"),
+)
+COUNTS, COUNT_WIDTH_S = ("late", "lost", "misses"), 1.0
 _SUMMARY = TypeAdapter(Summary)
-
-
-@dataclass
-class Trends:
-    """Values over the time of the recording, in the units of their names."""
-
-    one_way_ms: Trend = field(default_factory=Trend)
-    playout_ms: Trend = field(default_factory=Trend)
-    late: Trend = field(default_factory=lambda: Trend(COUNT_WIDTH_S))
-    lost: Trend = field(default_factory=lambda: Trend(COUNT_WIDTH_S))
-    offset_ms: Trend = field(default_factory=Trend)
-    uncertainty_ms: Trend = field(default_factory=Trend)
-    skew_ppm: Trend = field(default_factory=Trend)
-    round_trip_ms: Trend = field(default_factory=Trend)
-    misses: Trend = field(default_factory=lambda: Trend(COUNT_WIDTH_S))
-    late_p99_us: Trend = field(default_factory=Trend)
-    late_max_us: Trend = field(default_factory=Trend)
 
 
 class RunFindings:
@@ -51,42 +35,38 @@ class RunFindings:
 
     Attributes
     ----------
-    whole, damaged, gaps, provenance
+    gaps, provenance
         As of `RecordingReader`.
     own : Summary or None
         The display's own summary of its last status.
     own_final : bool
         Whether that was its final status.
+    trends : dict of Trend
+        Over the time of the recording, in the units of their names.
     forces : ForceHistory
         Forces at wrist and finger.
     events : list
         Time in s, level, name, text; further ones are counted in `more_events`.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.whole = False
-        self.damaged = 0
+    def __init__(self) -> None:
         self.gaps: list[str] = []
         self.provenance: list[dict[str, str]] = []
         self.begin_ns: int | None = None
-        self.end_ns = 0
-        self.ticks = 0
-        self.runs = 0
+        self.end_ns = self.ticks = self.runs = self.more_events = 0
         self.streams: list[str] = []
         self.own: Summary | None = None
         self.own_final = False
-        self.trends = Trends()
+        self.trends = {name: Trend() for name in VALUES}
+        self.trends |= {name: Trend(COUNT_WIDTH_S) for name in COUNTS}
         self.forces = ForceHistory()
         self.events: list[tuple[float, int, str, str]] = []
-        self.more_events = 0
         self.playout_ms = Histogram(0.5, 8_000)
         self._receiver = PassiveReceiver()
         self._session: int | None = None
         self._offset_ms = 0.0
         self._steps: tuple[int | None, int | None] = (None, None)
-        self._misses = self._scored = self._played = 0
-        self._tick_ns = 0
+        self._misses = self._scored = self._played = self._tick_ns = 0
         # Until the display's first status.
         self._stale_after_ns = SafetyScene().stale_after_ns
         self._last_now_ns: int | None = None
@@ -104,27 +84,20 @@ class RunFindings:
 
     def summary(self) -> Summary:
         """Return the figures of a display's summary that follow from the recording."""
+        delay, ticks, availability = self.playout_ms, self.ticks + self._misses, Availability()
+        if ticks:
+            counts = (self._scored, self._misses, self._played)
+            felt, missed, played = (count / ticks for count in counts)
+            seconds = ticks * self._tick_ns * 1e-9
+            # The other shares need the display's own count.
+            availability = Availability(seconds, felt, missed=missed, played=played)
         summary = replace(
             self._receiver.summary(self._last_now_ns or 0),
-            playout_delay_ms=PlayoutDelay(
-                self.playout_ms.mean,
-                self.playout_ms.quantile(0.99),
-                self.playout_ms.beyond(p99=0.99),
-            ),
-            availability=self._availability(),
+            playout_delay_ms=PlayoutDelay(delay.mean, delay.quantile(0.99), delay.beyond(p99=0.99)),
+            availability=availability,
             loop=Loop(self.ticks, self._misses),
         )
         return self.forces.alignment.errors.scored(summary)
-
-    def _availability(self) -> Availability:
-        """Return the shares that follow from the ticks; the others need the display's own count."""
-        ticks = self.ticks + self._misses
-        if not ticks:
-            return Availability()
-        shares = (count / ticks for count in (self._scored, self._misses, self._played))
-        felt, missed, played = shares
-        seconds = ticks * self._tick_ns * 1e-9
-        return Availability(seconds, felt, missed=missed, played=played)
 
     def take(self, entry: Entry) -> None:
         """Process a message of the recording, in the order of `in_tick_order`."""
@@ -132,47 +105,40 @@ class RunFindings:
             self.begin_ns = entry.t_ns
         self.end_ns = max(self.end_ns, entry.t_ns)
         t_s = (entry.t_ns - self.begin_ns) * 1e-9
-        if entry.topic == TICK:
-            self._tick(t_s, entry.fields)
-        elif entry.topic == STATUS:
-            self._status(t_s, entry.fields)
-        elif entry.topic == EVENT:
-            self._event(t_s, entry.fields)
-        else:
+        handlers = {TICK: self._tick, STATUS: self._status, EVENT: self._event}
+        handle = handlers.get(entry.topic)
+        if handle is None:
             self._received(t_s, entry)
+        else:
+            handle(t_s, entry.fields)
 
     def finish(self) -> None:
         """End the recording."""
-        self.forces.finish()
+        self.forces.take(self.forces.alignment.finish())
         for name in list(self._batch):
             self._flush(name)
 
     def _received(self, t_s: float, entry: Entry) -> None:
-        receiver = self._receiver
-        frame = self._receiver.take(entry.topic, entry.fields)
+        receiver, fields = self._receiver, entry.fields
+        frame = receiver.take(entry.topic, fields)
         if entry.topic == STREAM and receiver.session != self._session:
             self._session = receiver.session
             assert receiver.description is not None
             self.streams.append(receiver.description.name)
-            self.forces.begin()
+            self.forces.take(self.forces.alignment.begin())
         if frame is not None:
-            self._frame(t_s, frame, entry.fields["arrived_ns"])
-        if "round_trip_ms" in entry.fields:
-            self._add("round_trip_ms", t_s, entry.fields["round_trip_ms"])
-
-    def _frame(self, t_s: float, frame: Frame, arrived_ns: int) -> None:
-        receiver = self._receiver
-        assert receiver.description is not None
-        last_ns = frame.t_first_ns + (len(frame.values) - 1) * frame.period_ns
-        self._add("one_way_ms", t_s, (receiver.clock.remote_ns(arrived_ns) - last_ns) * 1e-6)
-        self.forces.alignment.add_frame(frame, receiver.description)
+            assert receiver.description is not None
+            last_ns = frame.t_first_ns + (len(frame.values) - 1) * frame.period_ns
+            one_way_ns = receiver.clock.remote_ns(fields["arrived_ns"]) - last_ns
+            self._add("one_way_ms", t_s, one_way_ns * 1e-6)
+            self.forces.alignment.add_frame(frame, receiver.description)
+        self._add("round_trip_ms", t_s, fields.get("round_trip_ms"))
 
     def _tick(self, t_s: float, fields: dict[str, Any]) -> None:
-        now_ns, instant_ns = fields["now_ns"], fields["instant_ns"]
+        now_ns, instant_ns, receiver = fields["now_ns"], fields["instant_ns"], self._receiver
         self.ticks += 1
         self._count_misses(now_ns)
-        receiver = self._receiver
-        self._receiver.play(instant_ns)
+        receiver.play(instant_ns)
         if not receiver.ready:
             return
         sensing_now_ns, target_n = receiver.clock.remote_ns(now_ns), float(fields["target_n"])
@@ -184,10 +150,9 @@ class RunFindings:
             self._add("playout_ms", t_s, delay_ms)
         if fields["scored"]:
             self._scored += 1
-            tick = AlignedTick(
-                t_s, sensing_now_ns, instant_ns, target_n, float(fields.get("felt_n", math.nan))
-            )
-            self.forces.add_tick(tick)
+            felt_n = float(fields.get("felt_n", math.nan))
+            tick = AlignedTick(t_s, sensing_now_ns, instant_ns, felt_n)
+            self.forces.take(self.forces.alignment.add_tick(tick))
 
     def _alive(self, sensing_now_ns: int, instant_ns: int) -> bool:
         """Return whether the stream was not stale, as the display judges that."""
@@ -211,14 +176,15 @@ class RunFindings:
         new, playing = _SUMMARY.validate_python(fields["summary"]), fields.get("playing")
         if playing is not None:
             self._stale_after_ns = int(playing["stale_after_ns"])
-            self.forces.alignment.set_playback(
-                int(playing["channel"]), float(playing["force_ratio"])
-            )
+            channel, ratio = int(playing["channel"]), float(playing["force_ratio"])
+            self.forces.alignment.set_playback(channel, ratio)
         last, self.own, self.own_final = self.own or Summary(), new, fields["final"]
-        for name in ("late", "lost"):
-            more = (getattr(new.samples, name) or 0) - (getattr(last.samples, name) or 0)
-            self._add(name, t_s, more)
-        self._add("misses", t_s, (new.loop.deadline_misses or 0) - (last.loop.deadline_misses or 0))
+        for name, now, before in (
+            ("late", new.samples.late, last.samples.late),
+            ("lost", new.samples.lost, last.samples.lost),
+            ("misses", new.loop.deadline_misses, last.loop.deadline_misses),
+        ):
+            self._add(name, t_s, (now or 0) - (before or 0))
         self._add("late_p99_us", t_s, new.loop.late_us.p99)
         self._add("late_max_us", t_s, new.loop.late_us.max)
         clock = new.clock
@@ -242,18 +208,17 @@ class RunFindings:
             return
         batch = self._batch.setdefault(name, [])
         batch.append((t_s, value))
-        if len(batch) >= TICKS_A_BATCH:
+        if len(batch) >= BATCH:
             self._flush(name)
 
     def _flush(self, name: str) -> None:
-        points = np.array(self._batch.pop(name), float)
-        trend: Trend = getattr(self.trends, name)
-        trend.add(points[:, 0], points[:, 1])
+        t_s, values = np.array(self._batch.pop(name), float).T
+        self.trends[name].add(t_s, values)
 
 
 def read_findings(path: Path) -> RunFindings:
     """Read a recording to its end, whole or not. Raises SourceError."""
-    reader, findings = RecordingReader(path), RunFindings(path)
+    reader, findings = RecordingReader(path), RunFindings()
     try:
         for entry in in_tick_order(reader):
             findings.take(entry)
@@ -262,6 +227,5 @@ def read_findings(path: Path) -> RunFindings:
         raise SourceError(f"{path}: a message is not telepulse's: {error!r:.80}") from None
     if findings.begin_ns is None:
         raise SourceError(f"{path}: holds no message")
-    findings.whole, findings.damaged = reader.whole, reader.damaged
     findings.gaps, findings.provenance = reader.gaps(), reader.provenance
     return findings

@@ -1,6 +1,6 @@
 from collections.abc import Iterable
 
-from telepulse.lsl_outlet.forwarder import HOLD_NS, FrameReorderer
+from telepulse.lsl_outlet import HOLD_NS, FrameReorderer
 from tests.support.telemetry_publisher import BATCH, MS, numbered_frame
 
 

@@ -1,0 +1,289 @@
+"""Outlet of a display's telemetry as Lab Streaming Layer (LSL) streams.
+
+What cannot be forwarded is counted. Labels, units and types of the streams stand in
+`desc/channels/channel`, the maker in `desc/acquisition`, as LabRecorder and XDF need them
+(https://github.com/sccn/xdf/wiki/Meta-Data).
+"""
+
+import logging
+import math
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from protocol.config.quantities import count_text
+from protocol.security.keys import ClientKeys
+from protocol.wire.messages import Frame
+from protocol.wire.stream import StreamDescription
+from pulse_sensors.extra import library
+from telepulse.telemetry.client import TelemetryClient
+from telepulse.telemetry.decoder import Entry, PassiveReceiver
+from telepulse.telemetry.schema import EVENT, FRAME, TICK
+
+logger = logging.getLogger(__name__)
+
+# Longer than a link that reorders delays a frame; later ones count as lost.
+HOLD_NS = 500_000_000
+# Readings of both clocks, of which the quickest is taken.
+TRIES = 9
+
+
+class FrameReorderer:
+    """Buffer that holds a frame back while an earlier one may still arrive.
+
+    Attributes
+    ----------
+    lost : int
+        Samples that did not arrive in time.
+    """
+
+    def __init__(self) -> None:
+        self._held: dict[int, tuple[int, Frame]] = {}
+        self._next_sample: int | None = None
+        self.lost = 0
+
+    def take(self, frame: Frame, now_ns: int) -> Iterator[Frame]:
+        """Add a frame; yield the frames whose turn it is."""
+        if self._next_sample is None:
+            self._next_sample = frame.first_sample
+        if frame.first_sample >= self._next_sample:
+            self._held[frame.first_sample] = (now_ns, frame)
+        while self._held:
+            first = min(self._held)
+            if first > self._next_sample and now_ns - self._held[first][0] < HOLD_NS:
+                return
+            yield self._release(first)
+
+    def flush(self) -> Iterator[Frame]:
+        """Yield the frames that are still held."""
+        while self._held:
+            yield self._release(min(self._held))
+
+    def _release(self, first: int) -> Frame:
+        _, frame = self._held.pop(first)
+        self.lost += first - (self._next_sample or 0)
+        self._next_sample = first + len(frame.values)
+        return frame
+
+
+class LslTime:
+    """Mapping of Unix times of one run of a display to LSL's local clock, in s.
+
+    Its error is the difference between the clocks of this host and the display's host.
+    """
+
+    def __init__(self, local_clock: Callable[[], float]) -> None:
+        self._local_clock = local_clock
+        self.begin()
+
+    def begin(self) -> None:
+        """Compare both clocks, when a run of the display begins."""
+        readings = [
+            (self._local_clock(), time.time_ns(), self._local_clock()) for _ in range(TRIES)
+        ]
+        before_s, self._unix_ns, after_s = min(
+            readings, key=lambda reading: reading[2] - reading[0]
+        )
+        self._lsl_s = (before_s + after_s) / 2
+
+    def at(self, unix_ns: int) -> float:
+        """Return LSL's time of a Unix time, in s."""
+        return self._lsl_s + (unix_ns - self._unix_ns) * 1e-9
+
+
+class LslStreams:
+    """LSL outlets of one display; a stream with the same description keeps its outlet."""
+
+    def __init__(self, address: str) -> None:
+        """Open the outlet of events; the telemetry's address makes source ids unique.
+
+        Raises SourceError without the pylsl package, or the library it loads.
+        """
+        self._lsl = library("pylsl", "an LSL outlet")
+        self._address = address
+        self._wrist: Any = None
+        self._finger: Any = None
+        self._description: StreamDescription | None = None
+        self._events = self._open("events", "Markers", 0.0, "string", [("event", "")])
+
+    def local_clock(self) -> float:
+        """Return LSL's clock, in s."""
+        return float(self._lsl.local_clock())
+
+    def describe(self, description: StreamDescription) -> bool:
+        """Set the stream's description; return whether it differs from the one before."""
+        if description == self._description:
+            return False
+        self._description = description
+        channels = [(channel.name, channel.unit) for channel in description.channels]
+        kind = "float32" if description.bytes_per_sample == 4 else "double64"
+        facts = {"stream": description.name, "group_delay_ns": str(description.group_delay_ns)}
+        self._wrist = self._open("wrist", "Force", description.rate_hz, kind, channels, **facts)
+        return True
+
+    def push_wrist(self, values: "np.ndarray[Any, Any]", times_s: list[float]) -> None:
+        """Push samples of all channels with their times."""
+        self._wrist.push_chunk(values, times_s)
+
+    def push_finger(self, forces_n: Sequence[tuple[float, float]], times_s: list[float]) -> None:
+        """Push target and felt force of ticks with their times."""
+        if self._finger is None:
+            # Ticks come at a real loop's pace, with those that were missed left out.
+            channels = [("target", "N"), ("felt", "N")]
+            self._finger = self._open("finger", "Force", 0.0, "double64", channels)
+        self._finger.push_chunk(np.array(forces_n), times_s)
+
+    def push_event(self, text: str, time_s: float) -> None:
+        """Push an event."""
+        self._events.push_sample([text], time_s)
+
+    def close(self) -> None:
+        """End the streams."""
+        self._wrist = self._finger = self._events = None
+
+    def _open(
+        self,
+        part: str,
+        content: str,
+        rate_hz: float,
+        kind: str,
+        channels: Sequence[tuple[str, str]],
+        **facts: str,
+    ) -> Any:
+        source = f"telepulse {self._address} {part}"
+        name = f"telepulse {part}"
+        info = self._lsl.StreamInfo(name, content, len(channels), rate_hz, kind, source)
+        labels = info.desc().append_child("channels")
+        for label, unit in channels:
+            channel = labels.append_child("channel")
+            channel.append_child_value("label", label)
+            channel.append_child_value("unit", unit)
+            channel.append_child_value("type", content)
+        maker = info.desc().append_child("acquisition")
+        for fact, value in {"manufacturer": "telepulse", **facts}.items():
+            maker.append_child_value(fact, value)
+        return self._lsl.StreamOutlet(info)
+
+
+class LslForwarder:
+    """Forwarder of one display.
+
+    Attributes
+    ----------
+    passed : Counter
+        Samples of the wrist, ticks and events passed to LSL.
+    """
+
+    def __init__(self, outlets: LslStreams) -> None:
+        self._outlets = outlets
+        self._time = LslTime(outlets.local_clock)
+        self._receiver = PassiveReceiver()
+        self._session: int | None = None
+        self._reorderer = FrameReorderer()
+        self._lost = 0
+        self.passed: Counter[str] = Counter()
+
+    @property
+    def lost(self) -> int:
+        """Number of samples of the wrist that did not arrive in time."""
+        return self._lost + self._reorderer.lost
+
+    def take(self, entries: list[Entry]) -> None:
+        """Forward the entries of one telemetry message."""
+        ticks = [entry for entry in entries if entry.topic == TICK]
+        if ticks:
+            # Where the force felt is unknown, LSL gets a NaN.
+            forces_n = [
+                (entry.fields["target_n"], entry.fields.get("felt_n", math.nan)) for entry in ticks
+            ]
+            self._outlets.push_finger(forces_n, [self._time.at(entry.t_ns) for entry in ticks])
+            self._receiver.play(ticks[-1].fields["instant_ns"])
+            self.passed["ticks"] += len(ticks)
+        for entry in entries:
+            if entry.topic == EVENT:
+                self._take_event(entry)
+            elif entry.topic != TICK:
+                frame = self._receiver.take(entry.topic, entry.fields)
+                if frame is not None:
+                    self._take_frame(frame, entry)
+                elif entry.topic == FRAME and not self._receiver.clock.ready:
+                    self.passed["frames too early"] += 1
+
+    def finish(self) -> None:
+        """Forward the frames that are held back."""
+        for frame in self._reorderer.flush():
+            self._push(frame)
+        self._lost, self._reorderer = self.lost, FrameReorderer()
+
+    def _take_frame(self, frame: Frame, entry: Entry) -> None:
+        if frame.session != self._session:
+            self.finish()
+            self._session = frame.session
+            description = self._receiver.description
+            assert description is not None
+            verb = "begins" if self._outlets.describe(description) else "continues"
+            logger.info(f"{description.name!a} {verb}: session {frame.session}")
+        arrived_ns = entry.fields["arrived_ns"]
+        # From the sensing clock to the display's, and to Unix time.
+        ahead_ns = self._receiver.clock.offset_ns(arrived_ns) + arrived_ns - entry.t_ns
+        in_unix_time = frame._replace(t_first_ns=frame.t_first_ns - ahead_ns)
+        for each in self._reorderer.take(in_unix_time, arrived_ns):
+            self._push(each)
+
+    def _push(self, frame: Frame) -> None:
+        count = len(frame.values)
+        times_s = [self._time.at(frame.t_first_ns + at * frame.period_ns) for at in range(count)]
+        self._outlets.push_wrist(np.ascontiguousarray(frame.values), times_s)
+        self.passed["samples"] += count
+
+    def _take_event(self, entry: Entry) -> None:
+        name = entry.fields["name"]
+        if name == "begin":
+            # A display that was restarted has another clock.
+            self.finish()
+            self._time.begin()
+            self._receiver, self._session = PassiveReceiver(), None
+        self._outlets.push_event(f"{name}: {entry.fields['message']}", self._time.at(entry.t_ns))
+        self.passed["events"] += 1
+
+
+class LslOutlet:
+    """Outlet that runs until the display ends, falls silent or `stop` is called."""
+
+    def __init__(self, address: str, keys: ClientKeys | None = None) -> None:
+        """Connect. Raises SourceError without LSL, or AddressError."""
+        self._address = address
+        self._outlets = LslStreams(address)
+        self._forwarder = LslForwarder(self._outlets)
+        self._client = TelemetryClient(address, keys)
+        self._client.subscribe()
+        self.stop = self._client.stop
+
+    def run(self, seconds: float | None = None, silence_s: float | None = None) -> bool:
+        """Forward until the end; return whether all that the display published arrived.
+
+        `seconds` and `silence_s` are those of `TelemetryClient.follow`.
+        """
+        try:
+            for entries in self._client.follow(self._address, seconds, silence_s):
+                self._forwarder.take(entries)
+            self._forwarder.finish()
+        finally:
+            self._outlets.close()
+            self._client.close()
+        passed, decoder = self._forwarder.passed, self._client.decoder
+        if not decoder.started:
+            logger.warning(f"{self._address}: no telemetry came from it")
+            return False
+        counts = [count_text(passed[f"{name}s"], name) for name in ("sample", "tick", "event")]
+        missing = f"{count_text(self._forwarder.lost, 'sample')} missing"
+        if early := passed["frames too early"]:
+            missing += f"; {count_text(early, 'frame')} came before the sensing clock was known"
+        logger.info(f"{self._address}: {', '.join(counts)}; {missing}")
+        if decoder.missed:
+            missed = ", ".join(f"{n} {name}" for name, n in sorted(decoder.missed.items()))
+            logger.warning(f"{self._address}: of the telemetry {missed} were missed")
+        return not decoder.missed

@@ -1,1 +1,0 @@
-"""Outlet of a display's telemetry as Lab Streaming Layer streams."""

@@ -1,0 +1,282 @@
+"""The report of a recording: its chapters in their order, and their plots."""
+
+from collections.abc import Callable, Iterable
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from statistics import median
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from display_node.scoring.tracking_error import JND
+from protocol.config.quantities import count_text
+from protocol.figures import Surface
+from protocol.run_summary import REGISTRY, Summary
+from telepulse.recording.findings import RunFindings, read_findings
+from telepulse.recording.forces import AlignedBlock, Trend
+from telepulse.reports.document import Chapter, Plot, Report, Table, provenance_table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+NONE = "–"
+LEVELS = {2: "", 3: "warning", 4: "error"}
+FAINT = 0.3
+HOLE_S = 0.1
+SHARES = np.concatenate([np.linspace(0.001, 0.99, 150), np.linspace(0.9905, 1, 20)])
+TIME = "time in s"
+Floats = NDArray[np.float64]
+
+
+def build_recording_report(path: Path) -> Report:
+    """Read a recording and report it. Raises SourceError."""
+    findings = read_findings(path)
+    drawn = _Plots(findings)
+    delays = (
+        Plot("delays", "Delays over time: mean, and from the least to the greatest.", drawn.delays),
+        Plot("delay-distribution", "Which share had at most which delay.", drawn.distribution),
+        Plot("loss", "Samples that came too late or never, by the display's count.", drawn.loss),
+    )
+    clock = Plot(
+        "clock",
+        "The sensing clock against the display's: how far its offset has moved from where it was"
+        " first known, with the uncertainty that the display gives it; skew; round trips.",
+        drawn.clock,
+    )
+    loop = Plot("loop", "The display's real-time loop, by its own count.", drawn.loop)
+    events = tuple(
+        (f"{t_s:.2f}", LEVELS.get(level, str(level)), name, text)
+        for t_s, level, name, text in findings.events
+    )
+    more = f"{findings.more_events} further ones are not shown." if findings.more_events else ""
+    chapters = [
+        Chapter("In short", tuple(_paragraphs(findings)), (_summary(findings),)),
+        _force(findings, drawn),
+        Chapter("Delay and loss", plots=delays),
+        Chapter("Clock and loop", plots=(clock, loop)),
+        Chapter("What happened", tables=(Table("events", ("s", "", "what", ""), events, more),)),
+    ]
+    # Recordings of older versions have no provenance.
+    if runs := findings.provenance:
+        titles = [f"run {n}" for n in range(1, len(runs) + 1)] if len(runs) > 1 else ["the run"]
+        tables = tuple(map(provenance_table, titles, runs))
+        chapters.append(Chapter("Provenance of the recording", tables=tables))
+    return Report(f"Recording {path.name}", tuple(chapters))
+
+
+def _paragraphs(findings: RunFindings) -> Iterable[str]:
+    begin = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(
+        microseconds=(findings.begin_ns or 0) // 1000
+    )
+    streams = ", ".join(f"“{name}”" for name in dict.fromkeys(findings.streams)) or "no stream"
+    yield (
+        f"{streams}, {begin:%Y-%m-%d %H:%M:%S} UTC, {findings.seconds:.1f} s,"
+        f" {count_text(len(findings.streams), 'session')} of the sensing node."
+    )
+    for line in findings.gaps:
+        yield f"The recording: {line}."
+    if findings.runs > 1:
+        yield f"The display was started {findings.runs} times; its own figures are of the last run."
+    own_ticks = None if findings.own is None else findings.own.loop.ticks
+    if findings.runs == 1 and own_ticks is not None and own_ticks > findings.ticks:
+        yield (
+            f"The display's own figures count {count_text(own_ticks - findings.ticks, 'tick')} more"
+            " than were recorded: from before the recording, or missed by the recorder."
+        )
+
+
+def _summary(findings: RunFindings) -> Table:
+    recorded, own = (
+        REGISTRY.cells(summary.to_dict(), Surface.REPORT)
+        for summary in (findings.summary(), findings.own or Summary())
+    )
+    rows = [(name, recorded[name] or NONE, own[name] or NONE) for name in recorded]
+    for place, name in enumerate(("wrist", "finger")):
+        rates = [rate for _, *both in findings.forces.heart if (rate := both[place]) is not None]
+        shown = f"{median(rates):.1f} /min" if rates else NONE
+        rows.append((f"heart rate at the {name}, median", shown, NONE))
+    last = "its final status" if findings.own_final else "its last status, since it never ended"
+    return Table(
+        "the run",
+        ("", "from the recording", "the display's own"),
+        tuple(row for row in rows if row[1:] != (NONE, NONE)),
+        note=f"Its own: by {last}. From the recording: computed from frames, clock replies and"
+        " ticks with the display's own modules. A tick is recorded with when it was due, not when"
+        " it began: what came in between counts as late there. Ticks missed before the first one"
+        " and a loss after the last frame are not seen.",
+    )
+
+
+def _force(findings: RunFindings, drawn: "_Plots") -> Chapter:
+    forces, alignment = findings.forces, findings.forces.alignment
+    if alignment.ratio is None or not forces.first:
+        return Chapter("Force", ("The pulse was never played at its full strength.",))
+    first, worst = (_stretch(blocks) for blocks in (forces.first, forces.worst))
+    plots = [
+        Plot("force-first", "The first seconds at full strength.", first),
+        Plot("force-worst", "Around the largest difference.", worst),
+        Plot(
+            "error",
+            "Force felt minus force at the wrist, over the whole time, in the band of the just"
+            " noticeable difference: 10 % of the pulse's peak to peak.",
+            drawn.error,
+        ),
+    ]
+    if forces.heart:
+        caption = "Heart rate, by the intervals between beats in six seconds."
+        plots.append(Plot("heart-rate", caption, drawn.heart))
+    found = (
+        f"The force at the finger should be {alignment.ratio:.4g} times that of channel"
+        f" {alignment.channel}. The wrist's force is shown times that ratio, at the instants that"
+        " were played."
+    )
+    return Chapter("Force", (found,), plots=tuple(plots))
+
+
+def _stretch(blocks: list[AlignedBlock]) -> "Callable[[Figure], None]":
+    """Plot force at wrist and finger over some seconds, and their difference in its JND band."""
+    t_s, *forces_n = map(np.concatenate, zip(*blocks, strict=True))
+    # A NaN in every hole in time, over which no line is drawn then.
+    holes = np.flatnonzero(np.diff(t_s) > HOLE_S) + 1
+    t_s = np.insert(t_s, holes, t_s[holes])
+    wrist_mn, felt_mn = (1e3 * np.insert(force_n, holes, np.nan) for force_n in forces_n)
+    jnd_mn = JND * float(np.nanmax(wrist_mn) - np.nanmin(wrist_mn))
+
+    def draw(figure: "Figure") -> None:
+        force, error = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+        force.plot(t_s, wrist_mn, label="at the wrist")
+        force.plot(t_s, felt_mn, "--", label="at the finger")
+        force.set_ylabel("force in mN")
+        _legend(force)
+        difference_mn = felt_mn - wrist_mn
+        error.axhspan(-jnd_mn, jnd_mn, alpha=FAINT / 2, color="C2", lw=0, label="JND")
+        error.plot(t_s, difference_mn, color="C1", lw=1, label="difference")
+        error.set(xlabel=TIME, ylabel="in mN", ylim=_limits(difference_mn, jnd_mn))
+        _legend(error)
+
+    return draw
+
+
+class _Plots:
+    """Plots of a recording, each drawn into an empty figure."""
+
+    def __init__(self, findings: RunFindings) -> None:
+        self._findings, self._trends = findings, findings.trends
+
+    def error(self, figure: "Figure") -> None:
+        """Plot the difference of the forces over the whole time."""
+        axes, forces = figure.subplots(), self._findings.forces
+        points, jnd = forces.error_n.points(), forces.jnd_n.points()
+        band_mn, low, high = 1e3 * jnd.mean, 1e3 * points.low, 1e3 * points.high
+        axes.fill_between(
+            jnd.t_s, -band_mn, band_mn, alpha=FAINT / 2, color="C2", lw=0, label="JND"
+        )
+        axes.vlines(points.t_s, low, high, color="C1", lw=1.2, label="least to greatest")
+        jnd_mn = float(band_mn.max()) if len(band_mn) else 1.0
+        both = np.concatenate([low, high])
+        axes.set(xlabel=TIME, ylabel="difference in mN", ylim=_limits(both, jnd_mn))
+        _legend(axes)
+
+    def heart(self, figure: "Figure") -> None:
+        """Plot the heart rate at both ends."""
+        axes, rates = figure.subplots(), self._findings.forces.heart
+        t_s, wrist, felt = (np.array(part, float) for part in zip(*rates, strict=True))
+        axes.plot(t_s, wrist, "o-", label="at the wrist")
+        axes.plot(t_s, felt, "x--", label="at the finger")
+        both = [*wrist, *felt]
+        low, middle, high = np.nanmin(both), float(np.nanmedian(both)), np.nanmax(both)
+        axes.set(xlabel=TIME, ylabel="beats a minute")
+        axes.set_ylim(min(low, middle - 10) - 2, max(high, middle + 10) + 2)
+        _legend(axes)
+
+    def delays(self, figure: "Figure") -> None:
+        """Plot one-way and playout delay over time."""
+        axes = figure.subplots()
+        _range(axes, self._trends["one_way_ms"], "C0", "one way, of frames")
+        _range(axes, self._trends["playout_ms"], "C1", "playout, of ticks")
+        axes.set(xlabel=TIME, ylabel="delay in ms")
+        axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+        _legend(axes)
+
+    def distribution(self, figure: "Figure") -> None:
+        """Plot how many frames and ticks had at most which delay."""
+        axes, findings = figure.subplots(), self._findings
+        for histogram, label in (
+            (findings.one_way_delay_ms, "one way, of frames"),
+            (findings.playout_ms, "playout, of ticks"),
+        ):
+            if histogram.count:
+                # Values beyond the range are counted without their place: the line ends before.
+                shares = [share for share in SHARES.tolist() if not histogram.beyond(it=share)]
+                values: Any = [histogram.quantile(share) for share in shares]
+                axes.plot(values, 100 * np.array(shares), label=label)
+        axes.set(xlabel="delay in ms, at most", ylabel="share in %", ylim=(0, 102))
+        _legend(axes)
+
+    def loss(self, figure: "Figure") -> None:
+        """Plot samples late and lost, by the display's own count."""
+        axes = figure.subplots()
+        self._counts(axes, "late", "lost")
+        axes.set(xlabel=TIME, ylabel=f"samples in {self._trends['lost'].width_s:g} s")
+        _legend(axes)
+
+    def clock(self, figure: "Figure") -> None:
+        """Plot offset with its uncertainty, skew, round trips."""
+        offset, skew, trip = figure.subplots(3, 1, sharex=True)
+        points = self._trends["offset_ms"].points()
+        around = self._trends["uncertainty_ms"].points().mean
+        low, high = points.mean - around, points.mean + around
+        offset.fill_between(points.t_s, low, high, alpha=FAINT, lw=0)
+        offset.plot(points.t_s, points.mean)
+        offset.set_ylabel("offset, ms")
+        _range(skew, self._trends["skew_ppm"], "C1", "")
+        skew.set_ylabel("skew, ppm")
+        _range(trip, self._trends["round_trip_ms"], "C2", "")
+        trip.set(xlabel=TIME, ylabel="round trip, ms")
+        figure.align_ylabels()
+
+    def loop(self, figure: "Figure") -> None:
+        """Plot ticks missed, and how late ticks began."""
+        missed, late = figure.subplots(2, 1, sharex=True)
+        self._counts(missed, "misses")
+        missed.set_ylabel(f"ticks missed\nin {self._trends['misses'].width_s:g} s")
+        for name, label in (("late_p99_us", "99 of 100"), ("late_max_us", "the latest")):
+            points = self._trends[name].points()
+            late.plot(points.t_s, points.mean, label=f"{label}, so far")
+        late.set(xlabel=TIME, ylabel="began late by, µs", yscale="log")
+        least, most = late.get_ylim()
+        late.set_ylim(10 ** np.floor(np.log10(least)), 10 ** np.ceil(np.log10(most)))
+        _legend(late)
+        figure.align_ylabels()
+
+    def _counts(self, axes: "Axes", *names: str) -> None:
+        """Draw counts as bars on one another."""
+        bottom: dict[float, float] = {}
+        for name in names:
+            points = self._trends[name].points()
+            # Lost samples that come after all are late then.
+            counts = np.maximum(points.total, 0)
+            below = np.array([bottom.get(at, 0.0) for at in points.t_s.tolist()])
+            axes.bar(points.t_s, counts, self._trends[name].width_s, bottom=below, label=name)
+            bottom.update(zip(points.t_s.tolist(), (below + counts).tolist(), strict=True))
+        axes.set_axisbelow(True)
+        axes.set_ylim(0, max(1.0, 1.1 * max(bottom.values(), default=0.0)))
+
+
+def _legend(axes: "Axes") -> None:
+    """Place the legend above the plot, where it hides nothing."""
+    axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, borderpad=0.1)
+
+
+def _range(axes: "Axes", trend: Trend, color: str, label: str) -> None:
+    points = trend.points()
+    axes.fill_between(points.t_s, points.low, points.high, alpha=FAINT, color=color, lw=0)
+    axes.plot(points.t_s, points.mean, color=color, label=label)
+
+
+def _limits(values: Floats, jnd: float) -> tuple[float, float]:
+    """Return symmetric limits around all the values and the band."""
+    largest = max(jnd, float(np.nanmax(np.abs(values), initial=0.0)))
+    return -1.25 * largest, 1.25 * largest

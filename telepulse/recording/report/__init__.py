@@ -1,1 +1,0 @@
-"""Report of a recording: findings gathered in one pass, in bounded memory, and their page."""
