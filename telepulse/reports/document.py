@@ -5,10 +5,10 @@ dark, and the browser shows the one that suits its theme.
 """
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rich.console import Console
 from rich.table import Table as RichTable
@@ -21,11 +21,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PAGE = "index.html"
-SIZE_INCHES = (8.0, 4.5)
-DOTS_PER_INCH = 144
 # Cells longer than this are words, aligned left in the terminal.
 LONGEST_NUMBER = 16
-MISSING = "reports need matplotlib and Jinja: pip install 'telepulse[report]'"
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,10 +33,17 @@ class Table:
     """
 
     title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
     note: str = ""
     summary: str = ""
+
+    @classmethod
+    def of(
+        cls, title: str, rows: Sequence[Mapping[str, str]], note: str = "", summary: str = ""
+    ) -> "Table":
+        """Return a table of at least one row, each a mapping of the columns to its cells."""
+        return cls(title, tuple(rows[0]), [tuple(row.values()) for row in rows], note, summary)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,9 +60,9 @@ class Chapter:
     """A chapter: paragraphs, then tables, then plots."""
 
     title: str
-    paragraphs: tuple[str, ...] = ()
-    tables: tuple[Table, ...] = ()
-    plots: tuple[Plot, ...] = ()
+    paragraphs: Sequence[str] = ()
+    tables: Sequence[Table] = ()
+    plots: Sequence[Plot] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +70,7 @@ class Report:
     """A title, chapters, and the provenance of the figures."""
 
     title: str
-    chapters: tuple[Chapter, ...]
+    chapters: Sequence[Chapter]
     provenance: Provenance | None = None
 
     def to_dict(self) -> dict[str, Any]:
@@ -104,32 +108,19 @@ def provenance_table(title: str, provenance: Mapping[str, Any]) -> Table:
     return Table(title, ("", ""), tuple(texts.items()), summary=", ".join(head))
 
 
-@dataclass(frozen=True, slots=True)
-class Theme:
+class Theme(NamedTuple):
     """Colours of a plot. Line colours differ in lightness, too."""
 
     name: str
     ground: str
     ink: str
     faint: str
-    lines: tuple[str, ...]
+    lines: str
 
 
 THEMES = (
-    Theme(
-        "light",
-        "#ffffff",
-        "#1d2329",
-        "#d5dae0",
-        ("#1f5fa8", "#d1570b", "#1f8a5b", "#8d3fb0", "#b8912a"),
-    ),
-    Theme(
-        "dark",
-        "#14181d",
-        "#e4e8ec",
-        "#353d46",
-        ("#6fb1ff", "#ff9d5c", "#5fd3a0", "#cf9bf0", "#e8c765"),
-    ),
+    Theme("light", "#ffffff", "#1d2329", "#d5dae0", "#1f5fa8 #d1570b #1f8a5b #8d3fb0 #b8912a"),
+    Theme("dark", "#14181d", "#e4e8ec", "#353d46", "#6fb1ff #ff9d5c #5fd3a0 #cf9bf0 #e8c765"),
 )
 
 
@@ -153,7 +144,9 @@ def check_can_report(folder: Path) -> None:
         if not was_there:
             page.unlink()
     except ImportError:
-        raise OutputError(MISSING) from None
+        raise OutputError(
+            "reports need matplotlib and Jinja: pip install 'telepulse[report]'"
+        ) from None
     except OSError as error:
         raise OutputError(f"{folder}: cannot be written: {error.strerror}") from None
 
@@ -231,11 +224,11 @@ def _draw(plot: Plot, theme: Theme, path: Path) -> None:
         "axes.grid": True,
         "axes.spines.top": False,
         "axes.spines.right": False,
-        "axes.prop_cycle": cycler(color=theme.lines),
+        "axes.prop_cycle": cycler(color=theme.lines.split()),
         "font.size": 12,
         "lines.linewidth": 1.8,
     }
     with matplotlib.rc_context(style):
-        figure = Figure(figsize=SIZE_INCHES, layout="constrained")
+        figure = Figure(figsize=(8.0, 4.5), layout="constrained")
         plot.draw(figure)
-        figure.savefig(path, dpi=DOTS_PER_INCH)
+        figure.savefig(path, dpi=144)

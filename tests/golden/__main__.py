@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from protocol.config.scene_file import find_scene
-from telepulse.reports.paper.report import build_report
+from telepulse.cli.paper import build_report
 from telepulse.scene import load_scene
 from telepulse.simulation.link_model import parse_link
 from telepulse.simulation.virtual_time import simulate

@@ -4,9 +4,8 @@ The loops are in continuous time with a pure derivative, so that only the unit m
 """
 
 import math
-from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from telepulse.reports.paper import published
 from telepulse.reports.paper.published import (
     ERROR_UNITS,
     FILM_MV,
+    FIRST_S,
     MEASURED_FORCE,
     MEASURED_STRAIN,
     PRINTED,
@@ -29,7 +29,7 @@ from telepulse.reports.paper.published import (
     scientific,
 )
 from telepulse.reports.paper.pulse_spectrum import beats, deviation_n
-from telepulse.reports.paper.tick_rates import least_rate_hz, spectral_radius
+from telepulse.reports.paper.stability import least_rate_hz, spectral_radius
 from telepulse.scene import load_scene
 
 if TYPE_CHECKING:
@@ -40,7 +40,6 @@ RATE_HZ = 50_000.0
 # A loop follows the pulse when its error is below this share of the error of doing nothing.
 FOLLOWING = 0.5
 MATLAB_FILTER_RAD_PER_S = 100.0
-AMPLITUDES_N = np.array([2e-3, 10.0])
 Floats = NDArray[np.float64]
 
 
@@ -80,8 +79,7 @@ def rmse(error: Floats) -> float:
     return math.sqrt(float(np.trapezoid(error**2)) / (len(error) - 1))
 
 
-@dataclass(frozen=True, slots=True)
-class UnitErrors:
+class UnitErrors(NamedTuple):
     """RMSE over peak to peak of the paper's pulse in its first 6 s, for one unit of the error."""
 
     unit: ErrorUnit
@@ -100,13 +98,13 @@ class UnitErrors:
 @cache
 def unit_errors() -> tuple[UnitErrors, ...]:
     """Return the errors of every unit."""
-    wanted_n = beats("paper", RATE_HZ, published.FIRST_S)
+    wanted_n = beats("paper", RATE_HZ, FIRST_S)
 
     def error(unit: ErrorUnit, gains: Gains) -> float:
         return rmse(follow(unit, gains, wanted_n) - wanted_n)
 
     return tuple(
-        UnitErrors(unit, error(unit, published.SIMULATION), error(unit, published.EXPERIMENT))
+        UnitErrors(unit, *(error(unit, gains) for gains in published.GAINS.values()))
         for unit in ERROR_UNITS
     )
 
@@ -118,148 +116,130 @@ def film_millivolts() -> UnitErrors:
 
 def rmse_without_the_start(unit: ErrorUnit, gains: Gains) -> float:
     """Return the RMSE over peak to peak of a loop that starts on the pulse instead of at rest."""
-    wanted_n = beats("paper", RATE_HZ, published.FIRST_S)
+    wanted_n = beats("paper", RATE_HZ, FIRST_S)
     moved_n = wanted_n - wanted_n[0]
     return rmse(follow(unit, gains, moved_n) - moved_n)
 
 
 def chapter() -> Chapter:
     """Compute what each unit makes of the printed errors, and how fast its loop must run."""
-    settled = rmse_without_the_start(FILM_MV, published.SIMULATION)
-    method = (
+    film_mv = film_millivolts()
+    shares = [errors.simulation / errors.experiment for errors in unit_errors()]
+    simulated_n = film_mv.peak_to_peak_n(SIMULATED_STRAIN)
+    paragraphs = (
         "Table 5 gives gains without units. The controller may have seen its error as strain, in"
         " newtons, in volts of the film by eq 21, in millivolts by Fig. 4 or in millivolts by eq"
         f" 21: an error of 1 N has a size from {scientific(published.STRAIN.per_newton, 1)} to"
         f" {FILM_MV.per_newton:.0f}. Here each loop is closed over eq 22 in continuous time with a"
         " pure derivative. The reference is the paper's pulse without its mean, straight between"
-        f" samples at {RATE_HZ / 1000:g} kHz, for the first {published.FIRST_S:g} s from rest; the"
-        " error is a mean over time by trapezoids."
-    )
-    start = (
-        "Where the loop follows, the start matters: the pulse does not begin at zero, and"
-        f" catching up is part of the first {published.FIRST_S:g} s. Begun on the pulse, the"
-        f" simulation's error is {settled:.5f} of the height instead of"
-        f" {film_millivolts().simulation:.5f}."
-    )
-    return Chapter(
-        "Five units for the gains",
-        (method, *_why_none(), start),
-        (_errors_table(), _heights_table(), _rates_table()),
-        (_plot(),),
-    )
-
-
-def _why_none() -> tuple[str, ...]:
-    shares = [errors.simulation / errors.experiment for errors in unit_errors()]
-    force_over_strain = MEASURED_FORCE.force_n / MEASURED_STRAIN.force_n
-    film_mv = film_millivolts()
-    simulated_n = film_mv.peak_to_peak_n(SIMULATED_STRAIN)
-    return (
+        f" samples at {RATE_HZ / 1000:g} kHz, for the first {FIRST_S:g} s from rest; the error is a"
+        " mean over time by trapezoids.",
         "No unit gives all three figures. Every error is proportional to the pulse's height,"
         " which is not printed, so every unit gives any one of them at some height. But the"
         " experiment's force and strain are two views of one error, in a fixed ratio by Table 3,"
-        f" and the printed pair is off that ratio by a factor of {force_over_strain:.2f}: with"
-        " any unit the two heights differ by that factor. Leaving one of the pair out"
-        " does not help: the printed error of the simulation is"
-        f" {SIMULATED_STRAIN.force_n / MEASURED_STRAIN.force_n:.3f} of the experiment's by the"
-        f" strain and {SIMULATED_STRAIN.force_n / MEASURED_FORCE.force_n:.3f} by the force, while"
-        f" the five units put it between {min(shares):.2f} and {max(shares):.2f}.",
+        " and the printed pair is off that ratio by a factor of"
+        f" {MEASURED_FORCE.force_n / MEASURED_STRAIN.force_n:.2f}: with any unit the two heights"
+        " differ by that factor. Leaving one of the pair out does not help: the printed error of"
+        f" the simulation is {SIMULATED_STRAIN.force_n / MEASURED_STRAIN.force_n:.3f} of the"
+        " experiment's by the strain and"
+        f" {SIMULATED_STRAIN.force_n / MEASURED_FORCE.force_n:.3f} by the force, while the five"
+        f" units put it between {min(shares):.2f} and {max(shares):.2f}.",
         "Taken one at a time: a printed error is possible if the loop follows the pulse, as"
         " Figs 13–14 and 17–20 show, at a height inside the film's calibration. Only with"
         " millivolts by eq 21 does it follow; with the other four, more than half the error of"
-        f" doing nothing is left. {SIMULATED_STRAIN.text} is such an error, of a pulse"
-        f" of {simulated_n:.3f} N; the experiment's gains would then leave"
+        f" doing nothing is left. {SIMULATED_STRAIN.text} is such an error, of a pulse of"
+        f" {simulated_n:.3f} N; the experiment's gains would then leave"
         f" {1e3 * simulated_n * film_mv.experiment:.1f} mN, not"
         f" {1e3 * MEASURED_FORCE.force_n:.1f}. {MEASURED_STRAIN.text} is possible for a pulse of"
         f" {film_mv.peak_to_peak_n(MEASURED_STRAIN):.2f} N. {MEASURED_FORCE.text} would need"
         f" {film_mv.peak_to_peak_n(MEASURED_FORCE):.2f} N, more than the film was calibrated to:"
         " no unit explains it. An experiment's error also contains what eq 22 leaves out:"
         " steps, noise, friction and the delay of the computer.",
+        "Where the loop follows, the start matters: the pulse does not begin at zero, and catching"
+        f" up is part of the first {FIRST_S:g} s. Begun on the pulse, the simulation's error is"
+        f" {rmse_without_the_start(FILM_MV, published.SIMULATION):.5f} of the height instead of"
+        f" {film_mv.simulation:.5f}.",
+    )
+    caption = (
+        "Each unit's error (level lines) and each printed figure (falling lines). Where they"
+        " cross, that unit gives that figure; the right panel's two figures are of one run,"
+        " yet no unit meets both at one height."
+    )
+    tables = (_errors_table(), _heights_table(), _rates_table())
+    return Chapter(
+        "Five units for the gains", paragraphs, tables, (Plot("readings", caption, _draw),)
     )
 
 
 def _errors_table() -> Table:
     doing_nothing = deviation_n("paper")
-    first_s = rmse(beats("paper", RATE_HZ, published.FIRST_S))
-    rows = [
-        (
-            errors.unit.name,
-            _size(errors.unit.per_newton),
-            f"{errors.simulation:.3g}",
-            f"{errors.experiment:.3g}",
-            _follows_text(errors, doing_nothing),
-        )
-        for errors in unit_errors()
-    ]
-    nothing = (
-        "doing nothing",
-        "–",
-        *2 * (f"{doing_nothing:.3f}",),
-        f"over whole beats; {first_s:.3f} over the first {published.FIRST_S:g} s, which end"
-        " within a beat",
-    )
-    return Table(
-        "RMSE over peak to peak",
-        ("error as", "seen of 1 N", "simulation's gains", "experiment's gains", "does it follow?"),
-        (*rows, nothing),
+    first_s = rmse(beats("paper", RATE_HZ, FIRST_S))
+    columns = ("error as", "seen of 1 N", "simulation's gains", "experiment's gains")
+    rows = []
+    for unit, simulation, experiment in unit_errors():
+        size, follows = unit.per_newton, "no"
+        if max(simulation, experiment) < FOLLOWING * doing_nothing:
+            follows = "yes"
+        elif simulation < doing_nothing:
+            follows = "no; simulation's gains are a little better than nothing"
+        seen = f"{size:.4g}" if size >= 1 else scientific(size, 4)
+        rows.append((unit.name, seen, f"{simulation:.3g}", f"{experiment:.3g}", follows))
+    whole = f"over whole beats; {first_s:.3f} over the first {FIRST_S:g} s, which end within a beat"
+    rows.append(("doing nothing", "–", f"{doing_nothing:.3f}", f"{doing_nothing:.3f}", whole))
+    note = (
         "Following means less than half the error of doing nothing. Strain is too small a signal"
         " to move the actuator; newtons, volts and the millivolts of Fig. 4 move it, but with a"
-        " resonance among the pulse's own frequencies.",
+        " resonance among the pulse's own frequencies."
     )
-
-
-def _size(per_newton: float) -> str:
-    return f"{per_newton:.4g}" if per_newton >= 1 else scientific(per_newton, 4)
-
-
-def _follows_text(errors: UnitErrors, doing_nothing: float) -> str:
-    if max(errors.simulation, errors.experiment) < FOLLOWING * doing_nothing:
-        return "yes"
-    if errors.simulation < doing_nothing:
-        return "no; simulation's gains are a little better than nothing"
-    return "no"
+    return Table("RMSE over peak to peak", (*columns, "does it follow?"), rows, note)
 
 
 def _heights_table() -> Table:
+    def cell(errors: UnitErrors, printed: PrintedRmse) -> str:
+        height_n = errors.peak_to_peak_n(printed)
+        if errors.under(printed.gains) >= FOLLOWING * deviation_n("paper"):
+            return f"{1e3 * height_n:.1f} mN; no, does not follow"
+        if height_n > published.CALIBRATION_FORCE_N:
+            return f"{height_n:.3g} N; no, beyond Fig. 4's {published.CALIBRATION_FORCE_N} N"
+        return f"{height_n:.3g} N; possible"
+
+    columns = (
+        "error as",
+        f"{SIMULATED_STRAIN.text} ({1e3 * SIMULATED_STRAIN.force_n:.3f} mN, simulation)",
+        f"{MEASURED_FORCE.text} (experiment)",
+        f"{MEASURED_STRAIN.text} ({1e3 * MEASURED_STRAIN.force_n:.3f} mN, experiment)",
+    )
     return Table(
         "The pulse's height at which a unit gives a printed figure, and whether that is possible",
-        (
-            "error as",
-            f"{SIMULATED_STRAIN.text} ({1e3 * SIMULATED_STRAIN.force_n:.3f} mN, simulation)",
-            f"{MEASURED_FORCE.text} (experiment)",
-            f"{MEASURED_STRAIN.text} ({1e3 * MEASURED_STRAIN.force_n:.3f} mN, experiment)",
-        ),
-        tuple(
-            (errors.unit.name, *(_height(errors, printed) for printed in PRINTED))
-            for errors in unit_errors()
-        ),
+        columns,
+        [(each.unit.name, *(cell(each, printed) for printed in PRINTED)) for each in unit_errors()],
         "A row would need one height in all three columns.",
     )
-
-
-def _height(errors: UnitErrors, printed: PrintedRmse) -> str:
-    height_n = errors.peak_to_peak_n(printed)
-    if errors.under(printed.gains) >= FOLLOWING * deviation_n("paper"):
-        return f"{1e3 * height_n:.1f} mN; no, does not follow"
-    if height_n > published.CALIBRATION_FORCE_N:
-        return f"{height_n:.3g} N; no, beyond Fig. 4's {published.CALIBRATION_FORCE_N} N"
-    return f"{height_n:.3g} N; possible"
 
 
 def _rates_table() -> Table:
     display = load_scene(find_scene("paper")).display
     filter_hz, rate_hz = display.controller.derivative_filter_hz, 1e9 / display.tick_ns
-    return Table(
+    rows = []
+    for name, gains in published.GAINS.items():
+        fastest = poles(FILM_MV, gains)[0]
+        imaginary = f" ± {abs(fastest.imag):.0f}i" if fastest.imag else ""
+        least_hz = {
+            "backward difference": least_rate_hz(gains),
+            f"filter N = {MATLAB_FILTER_RAD_PER_S:g} /s": least_rate_hz(
+                gains, MATLAB_FILTER_RAD_PER_S
+            ),
+            f"filter of {filter_hz:g} Hz, as ours": least_rate_hz(gains, 2 * math.pi * filter_hz),
+            "backward difference, one more sample of delay": least_rate_hz(gains, delay_ticks=1),
+        }
+        row = {
+            "gains of the": name,
+            "fastest poles, continuous": f"−{abs(fastest.real):.0f}{imaginary} /s",
+        }
+        rows.append(row | {column: f"{least:.0f} Hz" for column, least in least_hz.items()})
+    return Table.of(
         "How fast the loop must be sampled, error in mV by eq 21",
-        (
-            "gains of the",
-            "fastest poles, continuous",
-            "backward difference",
-            f"filter N = {MATLAB_FILTER_RAD_PER_S:g} /s",
-            f"filter of {filter_hz:g} Hz, as ours",
-            "backward difference, one more sample of delay",
-        ),
-        tuple(_rate_row(name, gains, filter_hz) for name, gains in published.GAINS.items()),
+        rows,
         "The lowest rate at which the sampled loop's largest pole is inside the unit circle: eq 22"
         " by the exact zero-order hold, integral and derivative (and its filter) by backward"
         f" Euler. At {rate_hz / 1000:g} kHz the simulation's gains are unstable (largest pole"
@@ -270,55 +250,33 @@ def _rates_table() -> Table:
     )
 
 
-def _rate_row(name: str, gains: Gains, filter_hz: float) -> tuple[str, ...]:
-    fastest = poles(FILM_MV, gains)[0]
-    imaginary = f" ± {abs(fastest.imag):.0f}i" if fastest.imag else ""
-    return (
-        name,
-        f"−{abs(fastest.real):.0f}{imaginary} /s",
-        f"{least_rate_hz(gains):.0f} Hz",
-        f"{least_rate_hz(gains, MATLAB_FILTER_RAD_PER_S):.0f} Hz",
-        f"{least_rate_hz(gains, 2 * math.pi * filter_hz):.0f} Hz",
-        f"{least_rate_hz(gains, delay_ticks=1):.0f} Hz",
-    )
-
-
-def _plot() -> Plot:
-    """RMSE over peak to peak against the pulse's height, with the printed figures' lines."""
-
-    def draw(figure: "Figure") -> None:
-        panels = figure.subplots(1, 2, sharey=True)
-        for axes, (name, gains) in zip(panels, published.GAINS.items(), strict=True):
-            nothing = deviation_n("paper")
-            axes.axhline(nothing, ls=":", color=text_colour(), zorder=3, label="doing nothing")
-            for errors in unit_errors():
-                ratio = errors.under(gains)
-                axes.plot(AMPLITUDES_N, [ratio, ratio], label=errors.unit.name)
-            for printed in PRINTED:
-                if printed.gains == gains:
-                    line_n = printed.force_n / AMPLITUDES_N
-                    axes.plot(AMPLITUDES_N, line_n, "--", color=text_colour(), linewidth=1.2)
-                    right = printed == MEASURED_FORCE
-                    level = 0.03
-                    axes.annotate(
-                        printed.text,
-                        (printed.force_n / level, level),
-                        xytext=(6 if right else -6, 0),
-                        textcoords="offset points",
-                        ha="left" if right else "right",
-                        va="bottom" if right else "top",
-                        fontsize="small",
-                    )
-            axes.set(xscale="log", yscale="log", xlim=AMPLITUDES_N, ylim=(1e-3, 1))
-            axes.set(xlabel="pulse, N peak to peak", title=f"gains of the {name}")
-        panels[0].set_ylabel("RMSE over peak to peak")
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=3)
-
-    return Plot(
-        "readings",
-        "Each unit's error (level lines) and each printed figure (falling lines). Where they"
-        " cross, that unit gives that figure; the right panel's two figures are of one run,"
-        " yet no unit meets both at one height.",
-        draw,
-    )
+def _draw(figure: "Figure") -> None:
+    """Draw RMSE over peak to peak against the pulse's height, with the printed figures' lines."""
+    heights_n, level = np.array([2e-3, 10.0]), 0.03
+    panels = figure.subplots(1, 2, sharey=True)
+    for axes, (name, gains) in zip(panels, published.GAINS.items(), strict=True):
+        nothing = deviation_n("paper")
+        axes.axhline(nothing, ls=":", color=text_colour(), zorder=3, label="doing nothing")
+        for errors in unit_errors():
+            axes.plot(heights_n, 2 * [errors.under(gains)], label=errors.unit.name)
+        for printed in PRINTED:
+            if printed.gains != gains:
+                continue
+            axes.plot(
+                heights_n, printed.force_n / heights_n, "--", color=text_colour(), linewidth=1.2
+            )
+            right = printed == MEASURED_FORCE
+            axes.annotate(
+                printed.text,
+                (printed.force_n / level, level),
+                xytext=(6 if right else -6, 0),
+                textcoords="offset points",
+                ha="left" if right else "right",
+                va="bottom" if right else "top",
+                fontsize="small",
+            )
+        axes.set(xscale="log", yscale="log", xlim=heights_n, ylim=(1e-3, 1))
+        axes.set(xlabel="pulse, N peak to peak", title=f"gains of the {name}")
+    panels[0].set_ylabel("RMSE over peak to peak")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3)

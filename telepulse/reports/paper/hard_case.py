@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,15 +53,18 @@ class CaseVerdict(StrEnum):
     WRONG = "silently wrong"
 
 
-@dataclass(frozen=True, slots=True)
-class CaseResult:
-    """A row of the report: what was run, the verdict, and the figure that proves it."""
+class CaseResult(NamedTuple):
+    """A row of the report: what was run, the verdict, and the figure that proves it.
+
+    felt_n is the felt force in N at each tick's end of a loop that did run.
+    """
 
     case: str
     run: str
     verdict: CaseVerdict
     figure: str
     reason: str
+    felt_n: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,15 +134,8 @@ def scene_setup(name: str) -> LoopSetup:
 
 def paper_setup(gains: Gains, filter_hz: float = 200.0, tick_s: float = TICK_S) -> LoopSetup:
     """Return the paper's loop as the display runs it: error in mV by eq 21, on eq 22."""
-    controller = {
-        "kp": gains.kp,
-        "ki": gains.ki,
-        "kd": gains.kd,
-        "error": "millivolts",
-        "derivative_filter": f"{filter_hz} Hz",
-    }
-    scene = ControllerScene.model_validate(controller)
-    return LoopSetup(scene, published.ACTUATOR, tick_s=tick_s)
+    table = {"error": "millivolts", "derivative_filter": f"{filter_hz} Hz", **gains._asdict()}
+    return LoopSetup(ControllerScene.model_validate(table), published.ACTUATOR, tick_s=tick_s)
 
 
 def common_setups() -> dict[str, LoopSetup]:
@@ -150,96 +147,76 @@ def common_setups() -> dict[str, LoopSetup]:
     }
 
 
-@dataclass(frozen=True, slots=True)
-class CaseRun:
+class CaseRun(NamedTuple):
     """Felt force in N at each tick's end, and the faults that Safety reported."""
 
     felt_n: Array
     faults: tuple[str, ...]
 
 
-def constant_reference(_: int) -> float:
-    """Return the reference of most cases in N, at any tick."""
-    return HELD_N
+@dataclass(frozen=True, slots=True)
+class HardCase:
+    """A case to run and to judge by the felt force.
 
-
-def unchanged_reading(_: int, reading_n: float) -> float:
-    """Return the film's reading in N as it is."""
-    return reading_n
-
-
-def run_loop(
-    setup: LoopSetup,
-    ticks: int,
-    reference: Callable[[int], float] = constant_reference,
-    reading: Callable[[int, float], float] = unchanged_reading,
-    with_safety: bool = True,
-) -> CaseRun:
-    """Run a loop from rest as the display does, tick by tick.
-
-    Parameters
+    Attributes
     ----------
-    setup, ticks
-        The loop, and for how many ticks it runs.
+    explanation
+        Reason why the case is stable; every other verdict has its own reason.
     reference
         The wanted force in N at a tick.
     reading
         The reading in N that the controller gets, from the tick and the film's own reading.
     with_safety
         Whether Safety bounds the reference and watches the reading.
-
-    Raises
-    ------
-    SceneError
-        The loop is refused.
-    """
-    loop, safety = setup.loop(), Safety(SAFETY, round(setup.tick_s * 1e9))
-    reach, felt_n = range(loop.horizon + 1), []
-    for tick in range(ticks):
-        wanted_n = [reference(tick + ahead) for ahead in reach]
-        reading_n = reading(tick, loop.read_film())
-        if with_safety:
-            safety.watch(reading_n)
-            wanted_n = safety.bound(wanted_n, alive=True)
-        felt_n.append(loop.tick(wanted_n, reading_n))
-    return CaseRun(np.array(felt_n), tuple(safety.faults))
-
-
-@dataclass(frozen=True, slots=True)
-class HardCase:
-    """A case to run and to judge by the felt force.
-
-    target_n is the force wanted in the end, microsteps the distance from it at which a stepper
-    may settle, and disturbed_at the tick of the disturbance. A stable case is reported with
-    `explanation`; every other verdict has its own reason.
+    target_n, microsteps
+        The force wanted in the end, and the distance from it at which a stepper may settle.
+    disturbed_at
+        The tick of the disturbance.
     """
 
     case: str
     name: str
     setup: LoopSetup
     explanation: str = ""
-    reference: Callable[[int], float] = constant_reference
-    reading: Callable[[int, float], float] = unchanged_reading
+    reference: Callable[[int], float] = lambda _: HELD_N
+    reading: Callable[[int, float], float] = lambda _, reading_n: reading_n
     with_safety: bool = True
     ticks: int = 2000
     target_n: float = HELD_N
     microsteps: float = 1.0
     disturbed_at: int = 0
 
+    def run(self) -> CaseRun:
+        """Run the loop from rest as the display does, tick by tick. Raises SceneError."""
+        loop, safety = self.setup.loop(), Safety(SAFETY, round(self.setup.tick_s * 1e9))
+        reach, felt_n = range(loop.horizon + 1), []
+        for tick in range(self.ticks):
+            wanted_n = [self.reference(tick + ahead) for ahead in reach]
+            reading_n = self.reading(tick, loop.read_film())
+            if self.with_safety:
+                safety.watch(reading_n)
+                wanted_n = safety.bound(wanted_n, alive=True)
+            felt_n.append(loop.tick(wanted_n, reading_n))
+        return CaseRun(np.array(felt_n), tuple(safety.faults))
 
-def evaluate(
-    case: HardCase, refine: Callable[[CaseResult, CaseRun], CaseResult] = lambda result, _: result
-) -> CaseResult:
-    """Run a case and judge it; `refine` may change the result of a case that did run."""
+
+def evaluate(case: HardCase) -> CaseResult:
+    """Run a case and judge it."""
     try:
-        run = run_loop(case.setup, case.ticks, case.reference, case.reading, case.with_safety)
+        run = case.run()
     except SceneError as error:
         return CaseResult(case.case, case.name, CaseVerdict.REFUSED, "–", refusal_reason(error))
     except Exception as error:  # an error without a usable message is a finding, not our crash
         reason = f"{type(error).__name__}: {error}"
         return CaseResult(case.case, case.name, CaseVerdict.FAILS, "–", reason)
     verdict, reason = judge(case, run)
-    return refine(CaseResult(case.case, case.name, verdict, _figure(case, run), reason), run)
+    # The distance from the target in the end, and the extremes since the disturbance.
+    off_n = np.abs(run.felt_n[-len(run.felt_n) // 4 :] - case.target_n).max()
+    since_n = run.felt_n[case.disturbed_at :]
+    figure = f"{force_text(float(off_n))} off, at most {force_text(float(since_n.max()))}"
+    if case.disturbed_at or since_n.min() < 0:
+        figure += f", at least {force_text(float(since_n.min()))}"
+    return CaseResult(case.case, case.name, verdict, figure, reason, run.felt_n)
 
 
 def judge(case: HardCase, run: CaseRun) -> tuple[CaseVerdict, str]:
@@ -264,16 +241,6 @@ def judge(case: HardCase, run: CaseRun) -> tuple[CaseVerdict, str]:
     if end_n.min() < low_n or end_n.max() > high_n:
         return CaseVerdict.WRONG, f"does not settle on {case.target_n:g} N"
     return CaseVerdict.STABLE, case.explanation
-
-
-def _figure(case: HardCase, run: CaseRun) -> str:
-    """Return the distance from the target in the end, and the extremes since the disturbance."""
-    off_n = np.abs(run.felt_n[-len(run.felt_n) // 4 :] - case.target_n).max()
-    since_n = run.felt_n[case.disturbed_at :]
-    text = f"{force_text(float(off_n))} off, at most {force_text(float(since_n.max()))}"
-    if case.disturbed_at or since_n.min() < 0:
-        text += f", at least {force_text(float(since_n.min()))}"
-    return text
 
 
 def refusal_reason(error: Exception) -> str:

@@ -2,8 +2,9 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +19,6 @@ from telepulse.reports.paper.hard_case import (
     TICK_S,
     Array,
     CaseResult,
-    CaseRun,
     CaseVerdict,
     HardCase,
     LoopSetup,
@@ -28,7 +28,6 @@ from telepulse.reports.paper.hard_case import (
     force_text,
     make_setup,
     paper_setup,
-    run_loop,
     scene_setup,
 )
 
@@ -40,48 +39,39 @@ ON_FORCE: SceneTable = {"kp": 0.1}
 ON_POSITION: SceneTable = {"kp": 300, "error": "position"}
 WITH_INTEGRAL: SceneTable = {"kp": 100, "ki": 1000, "error": "position"}
 FED: SceneTable = {"kp": 100, "error": "position", "feed_forward": True}
-OBSERVED: SceneTable = {**FED, "kp": 130, "observer": {"wander": "0.1 mm"}}
-STEP_AT = 500
+STEP_AT, STEP_TO_N = 500, HELD_N + 1.0
 SWING_FROM, SWING_TO, SWING_HZ = 500, 1500, 5.0
 # An integral settles with ki / kp = 5 /s: 2 s leave e^−10.
 SETTLING = 4000
-STEP_TO_N = HELD_N + 1.0
 SLOW_M_PER_S = 2e-3
 # About halfway between two microsteps of the scenes' steppers.
 BETWEEN_N = 0.3003
 # A cycle of at most so many microsteps is reported as a cycle, not as a loop that never settles.
 CHATTER_MICROSTEPS = 20.0
-CHATTER_TICKS = 4000
 ROUNDING_N = 1e-12
-CHATTER_SCENES = ("radial", "conditioned", "bench", "real_bench")
 
 
 def stiff_contact() -> Iterator[CaseResult]:
     """Press on a rigid stop, a layer of 5 GPa, and both, with and without the film's filter."""
-    for contact, actuator, layer in (
+    case = "stiff contact"
+    contacts = (
         ("rigid stop", RIGID, published.LAYER),
         ("E = 5 GPa", STEPPER, STIFF),
         ("rigid stop, E = 5 GPa", RIGID, STIFF),
-    ):
-        for film_name, film in (("film as it is", None), ("film of 40 Hz", SLOW_FILM)):
-            for error, controller in (("force", ON_FORCE), ("position", ON_POSITION)):
-                yield evaluate(
-                    HardCase(
-                        "stiff contact",
-                        f"{contact}, {film_name}, error in {error}, kp = {controller['kp']}",
-                        make_setup(controller, actuator, film, layer),
-                        "within a microstep of the wanted force; the PID has the contact's"
-                        " stiffness and solves for the tick's end",
-                    )
-                )
-    fine, slow_film = {**RIGID, "lead": "0.1 mm"}, {**SLOW_FILM, "filter_order": 4}
-    yield evaluate(
-        HardCase(
-            "stiff contact",
-            "rigid stop, E = 5 GPa, film of 40 Hz and 4 poles, error in force, kp = 10",
-            make_setup({"kp": 10}, fine, slow_film, STIFF),
-        )
     )
+    films = (("film as it is", None), ("film of 40 Hz", SLOW_FILM))
+    controllers = (("force", ON_FORCE), ("position", ON_POSITION))
+    why = (
+        "within a microstep of the wanted force; the PID has the contact's stiffness and solves"
+        " for the tick's end"
+    )
+    for parts in product(contacts, films, controllers):
+        (contact, actuator, layer), (film_name, film), (error, controller) = parts
+        name = f"{contact}, {film_name}, error in {error}, kp = {controller['kp']}"
+        yield evaluate(HardCase(case, name, make_setup(controller, actuator, film, layer), why))
+    name = "rigid stop, E = 5 GPa, film of 40 Hz and 4 poles, error in force, kp = 10"
+    fine, slow_film = {**RIGID, "lead": "0.1 mm"}, {**SLOW_FILM, "filter_order": 4}
+    yield evaluate(HardCase(case, name, make_setup({"kp": 10}, fine, slow_film, STIFF)))
 
 
 def nearly_undamped() -> Iterator[CaseResult]:
@@ -95,17 +85,13 @@ def nearly_undamped() -> Iterator[CaseResult]:
         yield evaluate(HardCase(case, name, setup, "the derivative damps it"))
         name = f"eq 22, c = {c:g}, proportional on N, kp = 15"
         yield evaluate(HardCase(case, name, replace(proportional, actuator=damped)))
-    for damping in (0.2, 1e-6, 0.0):
+    observed = {**FED, "kp": 130, "observer": {"wander": "0.1 mm"}}
+    controllers: dict[str, SceneTable] = {"kp = 10": {**FED, "kp": 10}, "observer": observed}
+    for damping, (name, controller) in product((0.2, 1e-6, 0.0), controllers.items()):
         rotor: SceneTable = {**STEPPER, "rotor_resonance": "100 Hz", "rotor_damping": damping}
-        for name, controller in (("kp = 10", {**FED, "kp": 10}), ("observer", OBSERVED)):
-            yield evaluate(
-                HardCase(
-                    case,
-                    f"rotor at 100 Hz, ζ = {damping:g}, position with {name}",
-                    make_setup(controller, rotor),
-                    "the gain is below 2 ζ ω of the rotor, or the observer models the rotor",
-                )
-            )
+        name = f"rotor at 100 Hz, ζ = {damping:g}, position with {name}"
+        why = "the gain is below 2 ζ ω of the rotor, or the observer models the rotor"
+        yield evaluate(HardCase(case, name, make_setup(controller, rotor), why))
     case, name = "vanishing mass", "eq 22 with m = 1e-300"
     try:
         massless = validate({"kind": "second_order", "m": 1e-300}, SecondOrderScene, "actuator:")
@@ -118,102 +104,93 @@ def nearly_undamped() -> Iterator[CaseResult]:
 
 def extreme_ticks() -> Iterator[CaseResult]:
     """Run the loops at 1 µs and at 100 ms a tick."""
-    for tick_name, tick_s, ticks in (("1 µs", 1e-6, 60_000), ("100 ms", 0.1, 400)):
+    why = "hold and filters are exact at any tick; integral and derivative are backward Euler"
+    for tick, tick_s, ticks in (("1 µs", 1e-6, 60_000), ("100 ms", 0.1, 400)):
         for name, setup in common_setups().items():
-            yield evaluate(
-                HardCase(
-                    "extreme ticks",
-                    f"{name}, ticks of {tick_name}",
-                    replace(setup, tick_s=tick_s),
-                    "hold and filters are exact at any tick; integral and derivative are backward"
-                    " Euler",
-                    ticks=ticks,
-                )
-            )
+            run, timed = f"{name}, ticks of {tick}", replace(setup, tick_s=tick_s)
+            yield evaluate(HardCase("extreme ticks", run, timed, why, ticks=ticks))
 
 
 def saturated_steps() -> Iterator[CaseResult]:
     """Follow a reference that swings faster than the drive can go, then holds."""
-    for name, controller in (
-        ("position with ki = 500", {**WITH_INTEGRAL, "ki": 500}),
-        ("force with ki = 0.5", {"kp": 0.1, "ki": 0.5}),
-        ("feed-forward", FED),
-    ):
-        for fine, drive in (
-            ("1/16 of 2 mm", STEPPER),
-            ("1/256 of 1 mm", {**STEPPER, "microsteps": 256, "lead": "1 mm"}),
-        ):
-            fast = make_setup(controller, drive)
-            slow = make_setup(controller, {**drive, "max_speed": f"{SLOW_M_PER_S} m/s"})
-            yield _saturated(f"{name}, microsteps {fine}", slow, fast)
-
-
-def _swing(tick: int) -> float:
-    if not SWING_FROM <= tick < SWING_TO:
-        return HELD_N
-    turns = SWING_HZ * TICK_S * (tick - SWING_FROM)
-    return HELD_N + 1.0 + 0.9 * math.sin(2 * math.pi * turns)
+    controllers: dict[str, SceneTable] = {
+        "position with ki = 500": {**WITH_INTEGRAL, "ki": 500},
+        "force with ki = 0.5": {"kp": 0.1, "ki": 0.5},
+        "feed-forward": FED,
+    }
+    drives: dict[str, SceneTable] = {
+        "1/16 of 2 mm": STEPPER,
+        "1/256 of 1 mm": {**STEPPER, "microsteps": 256, "lead": "1 mm"},
+    }
+    for (name, controller), (fine, drive) in product(controllers.items(), drives.items()):
+        slow = make_setup(controller, {**drive, "max_speed": f"{SLOW_M_PER_S} m/s"})
+        fast = make_setup(controller, drive)
+        yield _saturated(f"{name}, microsteps {fine}", slow, fast)
 
 
 def _saturated(name: str, slow: LoopSetup, fast: LoopSetup) -> CaseResult:
     """Compare undershoots: an integral that ran on in saturation would undershoot further."""
+
+    def swing(tick: int) -> float:
+        if not SWING_FROM <= tick < SWING_TO:
+            return HELD_N
+        turns = SWING_HZ * TICK_S * (tick - SWING_FROM)
+        return HELD_N + 1.0 + 0.9 * math.sin(2 * math.pi * turns)
+
     case = HardCase(
         "saturated step rate",
         f"{name}, at most {1e3 * SLOW_M_PER_S:g} mm/s",
         slow,
         "the integral stands still in saturation",
-        reference=_swing,
+        reference=swing,
         ticks=SWING_TO + SETTLING,
     )
-
-    def refine(result: CaseResult, run: CaseRun) -> CaseResult:
-        under_n, free_n = (
-            HELD_N - float(each.felt_n[SWING_TO:].min())
-            for each in (run, run_loop(fast, case.ticks, _swing))
-        )
-        figure = f"undershoot {force_text(under_n)}, {force_text(free_n)} with 400 mm/s"
-        result = replace(result, figure=figure)
-        microstep_n = HELD_N - slow.settled_range_n(HELD_N)[0]
-        if result.verdict is CaseVerdict.STABLE and under_n > free_n + microstep_n:
-            return replace(result, verdict=CaseVerdict.WRONG, reason="winds up")
+    result = evaluate(case)
+    if result.felt_n is None:
         return result
-
-    return evaluate(case, refine)
+    under_n, free_n = (
+        HELD_N - float(felt_n[SWING_TO:].min())
+        for felt_n in (result.felt_n, replace(case, setup=fast).run().felt_n)
+    )
+    figure = f"undershoot {force_text(under_n)}, {force_text(free_n)} with 400 mm/s"
+    microstep_n = HELD_N - slow.settled_range_n(HELD_N)[0]
+    if result.verdict is CaseVerdict.STABLE and under_n > free_n + microstep_n:
+        return result._replace(figure=figure, verdict=CaseVerdict.WRONG, reason="winds up")
+    return result._replace(figure=figure)
 
 
 def force_step() -> Iterator[CaseResult]:
     """Step the reference by 1 N, through Safety as in a display, and without it."""
     pid = make_setup({"kp": 0.1, "ki": 0.5, "kd": 1e-4}, STEPPER)
-    for name, setup in {**common_setups(), "PID on force": pid}.items():
-        for with_safety in (True, False):
-            case = HardCase(
-                "a step of 1 N",
-                f"{name}, {'through' if with_safety else 'without'} Safety",
-                setup,
-                "Safety's slew limit turns it into a ramp"
-                if with_safety
-                else "as steep as the loop can follow",
-                reference=lambda tick: STEP_TO_N if tick >= STEP_AT else HELD_N,
-                with_safety=with_safety,
-                target_n=STEP_TO_N,
-                ticks=STEP_AT + SETTLING,
-            )
-            yield evaluate(case, partial(_step_figure, setup.tick_s))
-
-
-def _step_figure(tick_s: float, result: CaseResult, run: CaseRun) -> CaseResult:
-    felt_n = run.felt_n[STEP_AT - 1 :]
-    off = np.flatnonzero(np.abs(felt_n - STEP_TO_N) > 0.02)
-    fastest = float(np.diff(felt_n).max()) / tick_s
-    return replace(
-        result,
-        figure=f"overshoot {100 * (float(felt_n.max()) - STEP_TO_N):.1f} %, within 2 % after"
-        f" {1e3 * tick_s * (int(off[-1]) + 1):.0f} ms, at most {fastest:.0f} N/s",
+    setups = {**common_setups(), "PID on force": pid}
+    ways = (
+        ("through", "Safety's slew limit turns it into a ramp"),
+        ("without", "as steep as the loop can follow"),
     )
+    for (name, setup), (way, why) in product(setups.items(), ways):
+        case = HardCase(
+            "a step of 1 N",
+            f"{name}, {way} Safety",
+            setup,
+            why,
+            reference=lambda tick: STEP_TO_N if tick >= STEP_AT else HELD_N,
+            with_safety=way == "through",
+            target_n=STEP_TO_N,
+            ticks=STEP_AT + SETTLING,
+        )
+        result = evaluate(case)
+        if result.felt_n is not None:
+            felt_n = result.felt_n[STEP_AT - 1 :]
+            settled = int(np.flatnonzero(np.abs(felt_n - STEP_TO_N) > 0.02)[-1]) + 1
+            result = result._replace(
+                figure=f"overshoot {100 * (float(felt_n.max()) - STEP_TO_N):.1f} %, within 2 %"
+                f" after {1e3 * setup.tick_s * settled:.0f} ms, at most"
+                f" {float(np.diff(felt_n).max()) / setup.tick_s:.0f} N/s"
+            )
+        yield result
 
 
-@dataclass(frozen=True, slots=True)
-class Chatter:
+class Chatter(NamedTuple):
     """Motion that is left on a constant reference.
 
     Travel of the felt force from peak to peak, in microsteps and in N, and reversals of its
@@ -233,12 +210,8 @@ def chatter(setup: LoopSetup, felt_n: Array) -> Chatter:
     travel_m = law.position(float(felt_n.max())) - law.position(float(felt_n.min()))
     moves = np.diff(felt_n)
     signs = np.sign(moves[np.abs(moves) > ROUNDING_N])
-    reversals = int(np.count_nonzero(np.diff(signs)))
-    return Chatter(
-        travel_m / setup.actuator.step_m,
-        reversals / (len(felt_n) * setup.tick_s),
-        float(np.ptp(felt_n)),
-    )
+    reversals_hz = int(np.count_nonzero(np.diff(signs))) / (len(felt_n) * setup.tick_s)
+    return Chatter(travel_m / setup.actuator.step_m, reversals_hz, float(np.ptp(felt_n)))
 
 
 def direction_chatter() -> Iterator[CaseResult]:
@@ -246,6 +219,7 @@ def direction_chatter() -> Iterator[CaseResult]:
     rotor: SceneTable = {**STEPPER, "rotor_resonance": "100 Hz"}
     coarse: SceneTable = {"adc_bits": 16, "sensitivity": "44 mV/N"}
     noisy: SceneTable = {"noise": "1 mN"}
+    # With the dead band, in microsteps.
     cases: tuple[tuple[str, SceneTable, SceneTable, SceneTable | None, float], ...] = (
         ("kp = 300", ON_POSITION, STEPPER, None, 0.6),
         ("rigid stop, kp = 300", ON_POSITION, RIGID, None, 0.6),
@@ -258,39 +232,20 @@ def direction_chatter() -> Iterator[CaseResult]:
     )
     for name, controller, actuator, film, dead_band in cases:
         setup = make_setup(controller, actuator, film)
-        for microsteps in (0.0, dead_band):
-            yield _with_dead_band(name, setup, microsteps)
-    for scene in CHATTER_SCENES:
+        stepper = setup.actuator
+        assert isinstance(stepper, StepperScene), "chatter is a stepper's"
+        per_step = stepper.step_m
+        if setup.controller.error == "force":
+            per_step *= stepper.contact(setup.layer).stiffness(BETWEEN_N)
+        yield _at_rest(f"{name}, no dead band", setup)
+        changed = setup.controller.model_copy(update={"dead_band": dead_band * per_step})
+        run = f"{name}, dead band of {dead_band:g} microsteps"
+        yield _at_rest(run, replace(setup, controller=changed))
+    for scene in ("radial", "conditioned", "bench", "real_bench"):
         yield _at_rest(f"scenes/{scene}.toml as shipped", scene_setup(scene))
 
 
-def _with_dead_band(name: str, setup: LoopSetup, microsteps: float) -> CaseResult:
-    """Run a loop with a dead band of so many microsteps."""
-    stepper = setup.actuator
-    assert isinstance(stepper, StepperScene), "chatter is a stepper's"
-    per_step = stepper.step_m
-    if setup.controller.error == "force":
-        per_step *= stepper.contact(setup.layer).stiffness(BETWEEN_N)
-    band = microsteps * per_step
-    name += f", dead band of {microsteps:g} microsteps" if band else ", no dead band"
-    controller = setup.controller.model_copy(update={"dead_band": band})
-    return _at_rest(name, replace(setup, controller=controller))
-
-
 def _at_rest(name: str, setup: LoopSetup) -> CaseResult:
-    def refine(result: CaseResult, run: CaseRun) -> CaseResult:
-        found = chatter(setup, run.felt_n)
-        result = replace(
-            result,
-            figure=f"{found.microsteps:.2f} microsteps ({force_text(found.peak_to_peak_n)}) from"
-            f" peak to peak, {found.reversals_hz:.0f} reversals/s",
-        )
-        if result.verdict is not CaseVerdict.STABLE or found.microsteps <= 1 + 1e-6:
-            return result
-        if setup.film.noise_n:
-            return replace(result, reason="no cycle: it follows the film's noise")
-        return replace(result, verdict=CaseVerdict.CYCLES, reason="above one microstep")
-
     case = HardCase(
         "direction chatter",
         name,
@@ -299,6 +254,18 @@ def _at_rest(name: str, setup: LoopSetup) -> CaseResult:
         reference=lambda _: BETWEEN_N,
         target_n=BETWEEN_N,
         microsteps=CHATTER_MICROSTEPS,
-        ticks=CHATTER_TICKS,
+        ticks=4000,
     )
-    return evaluate(case, refine)
+    result = evaluate(case)
+    if result.felt_n is None:
+        return result
+    found = chatter(setup, result.felt_n)
+    result = result._replace(
+        figure=f"{found.microsteps:.2f} microsteps ({force_text(found.peak_to_peak_n)}) from peak"
+        f" to peak, {found.reversals_hz:.0f} reversals/s"
+    )
+    if result.verdict is not CaseVerdict.STABLE or found.microsteps <= 1 + 1e-6:
+        return result
+    if setup.film.noise_n:
+        return result._replace(reason="no cycle: it follows the film's noise")
+    return result._replace(verdict=CaseVerdict.CYCLES, reason="above one microstep")

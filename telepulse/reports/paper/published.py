@@ -4,14 +4,13 @@ Dargahi, Xie and Ji, Mechatronics 18 (2008) 195-207. A comment marks each mispri
 interpreted here; everything else is as printed.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from display_node.plant.second_order import SecondOrderScene
 from protocol.tactile import ElasticLayer, Film
 
 
-@dataclass(frozen=True, slots=True)
-class Gains:
+class Gains(NamedTuple):
     """PID gains as Table 5 prints them; the table gives no units."""
 
     kp: float
@@ -52,8 +51,7 @@ SUBJECTS = 6
 FELT_CLOSE_TO_TOUCH = 0.66
 
 
-@dataclass(frozen=True, slots=True)
-class ErrorUnit:
+class ErrorUnit(NamedTuple):
     """A unit in which the controller may have seen its error, and the size of 1 N in it."""
 
     name: str
@@ -74,8 +72,7 @@ def scientific(value: float, digits: int) -> str:
     return f"{mantissa}e{int(exponent)}"
 
 
-@dataclass(frozen=True, slots=True)
-class PrintedRmse:
+class PrintedRmse(NamedTuple):
     """An RMSE as printed, the gains it belongs to, and the same as a force by Table 3."""
 
     text: str

@@ -6,7 +6,7 @@ a PVDF film passes none, and a preload of unknown size would only add to the err
 
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,12 @@ from scipy import signal
 
 from sensing_node.sources.synthetic import NOMINAL_BEAT_S, PRESETS, SyntheticScene, SyntheticSource
 from telepulse.reports.document import Chapter, Plot, Table, text_colour
-from telepulse.reports.paper import published
-from telepulse.reports.paper.published import ENERGY_BELOW_HZ, PULSE_PER_MIN, SPECTRUM_TO_HZ
+from telepulse.reports.paper.published import (
+    ENERGY_BELOW_HZ,
+    FIRST_S,
+    PULSE_PER_MIN,
+    SPECTRUM_TO_HZ,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,46 +36,33 @@ RATE_HZ = 1000.0
 SECONDS = 15.0
 SEGMENT = 3333
 TRANSFORM = 4096
-BEAT_S = 0.8
 
 
-def beats(preset: Preset, rate_hz: float, seconds: float) -> NDArray[np.float64]:
-    """Return a mean-free pulse of 1 N peak to peak, from 0 to `seconds` with both ends, in N."""
-    return _pulse(preset, rate_hz, seconds, preload_n=0.0, respiration=0.0)
+def beats(
+    preset: Preset, rate_hz: float, seconds: float, slow_parts: bool = False
+) -> NDArray[np.float64]:
+    """Return a pulse of 1 N peak to peak, from 0 to `seconds` with both ends, in N.
 
-
-def beats_with_slow_parts(preset: Preset, rate_hz: float, seconds: float) -> NDArray[np.float64]:
-    """Return `beats` with the constant and the respiration of the paper's spectrum, in N."""
-    return _pulse(preset, rate_hz, seconds, SLOW_DC * deviation_n(preset), SLOW_RESPIRATION)
+    The slow parts are the constant and the respiration of the paper's spectrum; without them the
+    pulse has no mean.
+    """
+    scene = {
+        "kind": "synthetic",
+        "preset": preset,
+        "rate": f"{rate_hz} Hz",
+        "heart_rate": f"{PULSE_PER_MIN} /min",
+        "peak_to_peak": "1 N",
+        "preload": f"{SLOW_DC * deviation_n(preset) if slow_parts else 0.0} N",
+        "respiration": SLOW_RESPIRATION if slow_parts else 0.0,
+        "respiration_rate": f"{SLOW_RESPIRATION_HZ} Hz",
+    }
+    source = SyntheticSource(SyntheticScene.model_validate(scene))
+    return source.take(round(seconds * rate_hz) + 1)[:, 0]
 
 
 def deviation_n(preset: Preset) -> float:
     """Return the standard deviation of `beats` over a beat in N: the RMSE of doing nothing."""
     return float(beats(preset, 1e4, NOMINAL_BEAT_S)[:-1].std())
-
-
-def raw_mean_n(preset: Preset) -> float:
-    """Return the mean over a beat in N of the bare waves, before it is taken out."""
-    # Between two beats the bare waves are all but 0, so the mean is what lifts that floor.
-    return -float(beats(preset, 1e4, NOMINAL_BEAT_S).min())
-
-
-def _pulse(
-    preset: Preset, rate_hz: float, seconds: float, preload_n: float, respiration: float
-) -> NDArray[np.float64]:
-    scene = SyntheticScene.model_validate(
-        {
-            "kind": "synthetic",
-            "preset": preset,
-            "rate": f"{rate_hz} Hz",
-            "heart_rate": f"{PULSE_PER_MIN} /min",
-            "peak_to_peak": "1 N",
-            "preload": f"{preload_n} N",
-            "respiration": respiration,
-            "respiration_rate": f"{SLOW_RESPIRATION_HZ} Hz",
-        }
-    )
-    return SyntheticSource(scene).take(round(seconds * rate_hz) + 1)[:, 0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,165 +84,130 @@ class Spectrum:
         """Return the share of the area below `limit_hz`, with straight lines between the bins."""
         inside = self.frequency_hz < limit_hz
         at_limit = np.interp(limit_hz, self.frequency_hz, self.density)
-        area = np.trapezoid(
-            np.append(self.density[inside], at_limit),
-            np.append(self.frequency_hz[inside], limit_hz),
-        )
+        density = np.append(self.density[inside], at_limit)
+        area = np.trapezoid(density, np.append(self.frequency_hz[inside], limit_hz))
         return float(area / np.trapezoid(self.density, self.frequency_hz))
 
 
 def welch(force_n: NDArray[np.float64]) -> Spectrum:
     """Estimate the spectrum of the first 15 s at 1 kHz by Welch's method, nothing detrended."""
-    frequency_hz, density = signal.welch(
-        force_n[: round(SECONDS * RATE_HZ)],
-        fs=RATE_HZ,
-        window="hamming",
-        nperseg=SEGMENT,
-        noverlap=SEGMENT // 2,
-        nfft=TRANSFORM,
-        detrend=False,
-    )
-    return Spectrum(np.asarray(frequency_hz, np.float64), np.asarray(density, np.float64))
-
-
-class PulseSpectra(NamedTuple):
-    """Spectra of the fitted pulse, and of the pulses that might have been used instead."""
-
-    paper: Spectrum
-    mean_kept: Spectrum
-    mean_removed: Spectrum
-    wide: Spectrum
+    force_n = force_n[: round(SECONDS * RATE_HZ)]
+    windows = (SEGMENT, SEGMENT // 2, TRANSFORM)
+    return Spectrum(*signal.welch(force_n, RATE_HZ, "hamming", *windows, detrend=False))
 
 
 @cache
-def spectra() -> PulseSpectra:
-    """Return the spectra of the paper's pulse and its alternatives."""
+def spectra() -> dict[str, Spectrum]:
+    """Return the spectra of our pulse, and of those that might have been used instead."""
     bare_n = beats("paper", RATE_HZ, SECONDS)
-    return PulseSpectra(
-        paper=welch(beats_with_slow_parts("paper", RATE_HZ, SECONDS)),
-        mean_kept=welch(bare_n + raw_mean_n("paper")),
-        mean_removed=welch(bare_n - bare_n.mean()),
-        wide=welch(beats_with_slow_parts("wide", RATE_HZ, SECONDS)),
-    )
+    # Between two beats the bare waves are all but 0, so their mean is what lifts that floor.
+    raw_mean_n = -beats("paper", 1e4, NOMINAL_BEAT_S).min()
+    return {
+        "ours": welch(beats("paper", RATE_HZ, SECONDS, slow_parts=True)),
+        "beats alone, mean kept": welch(bare_n + raw_mean_n),
+        "beats alone, mean removed": welch(bare_n - bare_n.mean()),
+        "wide": welch(beats("wide", RATE_HZ, SECONDS, slow_parts=True)),
+    }
 
 
 def chapter() -> Chapter:
     """Describe the pulse with the paper's spectrum, and the wide one."""
-    paper, _, _, wide = spectra()
+    paper, wide = spectra()["ours"], spectra()["wide"]
     moved = max(abs(paper.below(hz) - paper.below_by_trapezoids(hz)) for hz in ENERGY_BELOW_HZ)
     narrow_ms, broad_ms = (
         [1e3 * wave.width_s for wave in PRESETS[name]] for name in ("paper", "wide")
     )
-    return Chapter(
-        "The pulse and its spectrum",
-        (
-            "The paper prints five shares of energy and names Welch's method; its settings here"
-            f" are ours: {SECONDS:g} s at {RATE_HZ / 1000:g} kHz, Hamming windows of"
-            f" {SEGMENT} samples with half overlap, a transform of {TRANSFORM}, nothing detrended."
-            " A share is the sum of the bins below its frequency over the sum of all.",
-            f"The pulse is three Gaussians a beat at {PULSE_PER_MIN} beats/min without their"
-            " mean. Added to it are, in units of their standard deviation, a constant of"
-            f" {SLOW_DC} and respiration of {SLOW_RESPIRATION} RMS at {SLOW_RESPIRATION_HZ} Hz. All"
-            " of these were fitted to the five shares. The agreement shows that such a pulse"
-            " exists, not that it was the paper's.",
-            "The lower shares depend on choices that the paper does not state. Straight lines"
-            f" between the bins move one of them by {100 * moved:.1f} points, and the treatment of"
-            " the mean alone decides the lowest.",
-            "The preset “wide” is a typical radial pulse, with waves of"
-            f" {min(broad_ms):.0f} to {max(broad_ms):.0f} ms instead of {min(narrow_ms):.0f} to"
-            f" {max(narrow_ms):.0f} ms. It has {100 * wide.below(5.0):.1f} % of its energy below"
-            f" 5 Hz, where the paper has {100 * paper.below(5.0):.1f} %: the paper's pulse is"
-            " sharper than a radial pulse usually is, and harder to follow. Its standard deviation"
-            f" is {deviation_n('wide'):.3f} of its height, the paper's {deviation_n('paper'):.3f}.",
-        ),
-        (_waves_table(), _shares_table()),
-        (_pulse_plot(), _spectrum_plot(paper), _presets_plot()),
+    paragraphs = (
+        "The paper prints five shares of energy and names Welch's method; its settings here are"
+        f" ours: {SECONDS:g} s at {RATE_HZ / 1000:g} kHz, Hamming windows of {SEGMENT} samples with"
+        f" half overlap, a transform of {TRANSFORM}, nothing detrended. A share is the sum of the"
+        " bins below its frequency over the sum of all.",
+        f"The pulse is three Gaussians a beat at {PULSE_PER_MIN} beats/min without their mean."
+        f" Added to it are, in units of their standard deviation, a constant of {SLOW_DC} and"
+        f" respiration of {SLOW_RESPIRATION} RMS at {SLOW_RESPIRATION_HZ} Hz. All of these were"
+        " fitted to the five shares. The agreement shows that such a pulse exists, not that it was"
+        " the paper's.",
+        "The lower shares depend on choices that the paper does not state. Straight lines between"
+        f" the bins move one of them by {100 * moved:.1f} points, and the treatment of the mean"
+        " alone decides the lowest.",
+        "The preset “wide” is a typical radial pulse, with waves of"
+        f" {min(broad_ms):.0f} to {max(broad_ms):.0f} ms instead of {min(narrow_ms):.0f} to"
+        f" {max(narrow_ms):.0f} ms. It has {100 * wide.below(5.0):.1f} % of its energy below 5 Hz,"
+        f" where the paper has {100 * paper.below(5.0):.1f} %: the paper's pulse is sharper than a"
+        " radial pulse usually is, and harder to follow. Its standard deviation is"
+        f" {deviation_n('wide'):.3f} of its height, the paper's {deviation_n('paper'):.3f}.",
     )
+    pulse = (
+        "Fig. 15: the synthetic pulse at 75 beats/min with its respiration. The height is one unit"
+        " here, since the paper gives none in newtons."
+    )
+    spectrum = "Fig. 16: Welch spectrum of the pulse, and the energy below."
+    presets = "A beat of both pulses, and the energy below a frequency."
+    plots = (
+        Plot("pulse", pulse, _draw_pulse),
+        Plot("spectrum", spectrum, _draw_spectrum),
+        Plot("presets", presets, _draw_presets),
+    )
+    return Chapter("The pulse and its spectrum", paragraphs, _tables(), plots)
 
 
-def _waves_table() -> Table:
-    rows = tuple(
-        (
-            f"{preset}, wave {number}",
-            f"{wave.amplitude:g}",
-            f"{1e3 * wave.centre_s:g} ms",
-            f"{1e3 * wave.width_s:g} ms",
-        )
+def _tables() -> tuple[Table, Table]:
+    waves = [
+        {
+            "wave": f"{preset}, wave {number}",
+            "amplitude": f"{wave.amplitude:g}",
+            "centre": f"{1e3 * wave.centre_s:g} ms",
+            "width (deviation)": f"{1e3 * wave.width_s:g} ms",
+        }
         for preset, waves in PRESETS.items()
         for number, wave in enumerate(waves, 1)
-    )
-    columns = ("wave", "amplitude", "centre", "width (deviation)")
-    return Table("A beat of both presets", columns, rows)
-
-
-def _shares_table() -> Table:
-    paper, mean_kept, mean_removed, wide = spectra()
-    shares = {
-        "ours": paper.below,
-        "ours by trapezoids": paper.below_by_trapezoids,
-        "beats alone, mean kept": mean_kept.below,
-        "beats alone, mean removed": mean_removed.below,
-        "wide": wide.below,
-    }
-    rows = tuple(
-        (
-            f"{limit_hz:g} Hz",
-            f"{100 * printed:.1f} %",
-            *(f"{100 * share(limit_hz):.2f} %" for share in shares.values()),
-        )
+    ]
+    ours = spectra()["ours"]
+    shares = {"ours": ours.below, "ours by trapezoids": ours.below_by_trapezoids}
+    shares |= {name: each.below for name, each in spectra().items() if name != "ours"}
+    rows = [
+        {"below": f"{limit_hz:g} Hz", "paper": f"{100 * printed:.1f} %"}
+        | {name: f"{100 * share(limit_hz):.2f} %" for name, share in shares.items()}
         for limit_hz, printed in ENERGY_BELOW_HZ.items()
-    )
-    return Table(
-        "Energy below a frequency",
-        ("below", "paper", *shares),
-        rows,
+    ]
+    note = (
         "Mean kept: the Gaussians as they are, on zero. “wide” has the same constant and"
-        " respiration as ours, in units of its own standard deviation.",
+        " respiration as ours, in units of its own standard deviation."
+    )
+    return Table.of("A beat of both presets", waves), Table.of(
+        "Energy below a frequency", rows, note
     )
 
 
-def _pulse_plot() -> Plot:
-    def draw(figure: "Figure") -> None:
-        axes = figure.subplots()
-        force_n = beats_with_slow_parts("paper", RATE_HZ, published.FIRST_S)
-        axes.plot(np.arange(len(force_n)) / RATE_HZ, force_n)
-        axes.set(xlabel="time in s", ylabel="force in N, beats of 1 N", xlim=(0, published.FIRST_S))
-
-    return Plot(
-        "pulse",
-        "Fig. 15: the synthetic pulse at 75 beats/min with its respiration. The height is one unit"
-        " here, since the paper gives none in newtons.",
-        draw,
-    )
+def _draw_pulse(figure: "Figure") -> None:
+    axes = figure.subplots()
+    force_n = beats("paper", RATE_HZ, FIRST_S, slow_parts=True)
+    axes.plot(np.arange(len(force_n)) / RATE_HZ, force_n)
+    axes.set(xlabel="time in s", ylabel="force in N, beats of 1 N", xlim=(0, FIRST_S))
 
 
-def _spectrum_plot(paper: Spectrum) -> Plot:
-    def draw(figure: "Figure") -> None:
-        upper, lower = figure.subplots(2, 1, sharex=True)
-        upper.plot(paper.frequency_hz, paper.density)
-        upper.set(yscale="log", ylim=(1e-9, 1), ylabel="density in N²/Hz")
-        _plot_shares(lower, ours=paper)
-        lower.set(ylabel="energy below in %", xlabel="frequency in Hz", xlim=(0, SPECTRUM_TO_HZ))
-
-    return Plot("spectrum", "Fig. 16: Welch spectrum of the pulse, and the energy below.", draw)
+def _draw_spectrum(figure: "Figure") -> None:
+    paper = spectra()["ours"]
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    upper.plot(paper.frequency_hz, paper.density)
+    upper.set(yscale="log", ylim=(1e-9, 1), ylabel="density in N²/Hz")
+    _plot_shares(lower, ours=paper)
+    lower.set(ylabel="energy below in %", xlabel="frequency in Hz", xlim=(0, SPECTRUM_TO_HZ))
 
 
-def _presets_plot() -> Plot:
-    def draw(figure: "Figure") -> None:
-        left, right = figure.subplots(1, 2)
-        presets: tuple[tuple[Preset, str], ...] = (("paper", "-"), ("wide", "--"))
-        for name, style in presets:
-            force_n = beats(name, RATE_HZ, BEAT_S)
-            left.plot(1e3 * np.arange(len(force_n)) / RATE_HZ, force_n, style, label=name)
-        left.set(xlabel="time in ms", ylabel="force in N, beats of 1 N")
-        left.legend(loc="upper right")
-        _plot_shares(right, paper=spectra().paper, wide=spectra().wide)
-        right.set(xlabel="frequency in Hz", ylabel="energy below in %")
-        right.set(xscale="log", xlim=(0.3, SPECTRUM_TO_HZ))
-        right.set_xticks(list(ENERGY_BELOW_HZ), [f"{limit_hz:g}" for limit_hz in ENERGY_BELOW_HZ])
-        right.set_xticks([], minor=True)
-
-    return Plot("presets", "A beat of both pulses, and the energy below a frequency.", draw)
+def _draw_presets(figure: "Figure") -> None:
+    left, right = figure.subplots(1, 2)
+    presets: tuple[tuple[Preset, str], ...] = (("paper", "-"), ("wide", "--"))
+    for name, style in presets:
+        force_n = beats(name, RATE_HZ, NOMINAL_BEAT_S)
+        left.plot(1e3 * np.arange(len(force_n)) / RATE_HZ, force_n, style, label=name)
+    left.set(xlabel="time in ms", ylabel="force in N, beats of 1 N")
+    left.legend(loc="upper right")
+    _plot_shares(right, paper=spectra()["ours"], wide=spectra()["wide"])
+    right.set(xlabel="frequency in Hz", ylabel="energy below in %")
+    right.set(xscale="log", xlim=(0.3, SPECTRUM_TO_HZ))
+    right.set_xticks(list(ENERGY_BELOW_HZ), [f"{limit_hz:g}" for limit_hz in ENERGY_BELOW_HZ])
+    right.set_xticks([], minor=True)
 
 
 def _plot_shares(axes: "Axes", **spectra: Spectrum) -> None:

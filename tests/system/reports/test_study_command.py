@@ -1,4 +1,5 @@
 import json
+import sys
 from pathlib import Path
 
 import pytest
@@ -50,3 +51,14 @@ def test_what_cannot_be_written_is_one_line_before_the_work(
     assert result.stdout == ""
     assert result.stderr.count("\n") == 1
     assert result.stderr.startswith(f"telepulse: {file / 'below'}: cannot be written")
+
+
+def test_without_the_extra_it_is_named_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setattr(sweep, "in_one_thread", lambda *_: pytest.fail("it went to work"))
+    result = CliRunner().invoke(app, ["study", "integrators", "--out", str(tmp_path)])
+    assert result.exit_code == 2
+    assert result.stderr.count("\n") == 1
+    assert "pip install 'telepulse[report]'" in result.stderr

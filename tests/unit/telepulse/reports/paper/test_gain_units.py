@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from telepulse.reports.paper import contradictions, gain_units
-from telepulse.reports.paper.gain_units import UnitErrors
+from telepulse.reports.paper import gain_units
+from telepulse.reports.paper.gain_units import UnitErrors, film_millivolts, unit_errors
 from telepulse.reports.paper.published import (
     ERROR_UNITS,
     EXPERIMENT,
@@ -19,29 +19,21 @@ from telepulse.reports.paper.published import (
 )
 from telepulse.reports.paper.pulse_spectrum import beats, deviation_n
 
-ERRORS = {
-    "strain": (0.238, 0.238),
-    "N": (0.295, 0.325),
-    "V by eq 21": (0.242, 0.259),
-    "mV by Fig. 4": (0.171, 0.349),
-    "mV by eq 21": (0.00222, 0.0065),
-}
-
 
 @pytest.fixture(scope="module")
-def outcomes() -> dict[str, UnitErrors]:
-    return {outcome.unit.name: outcome for outcome in gain_units.unit_errors()}
+def film_mv() -> UnitErrors:
+    return film_millivolts()
 
 
-def test_each_reading_has_its_error(outcomes: dict[str, UnitErrors]) -> None:
-    assert set(outcomes) == set(ERRORS)
-    for name, (simulation, experiment) in ERRORS.items():
-        outcome = outcomes[name]
-        assert outcome.under(SIMULATION) == pytest.approx(simulation, rel=0.004)
-        assert outcome.under(EXPERIMENT) == pytest.approx(experiment, rel=0.004)
-
-
-def test_doing_nothing_over_whole_beats() -> None:
+def test_each_unit_has_its_error() -> None:
+    found = {errors.unit.name: (errors.simulation, errors.experiment) for errors in unit_errors()}
+    assert found == {
+        "strain": pytest.approx((0.238, 0.238), rel=0.004),
+        "N": pytest.approx((0.295, 0.325), rel=0.004),
+        "V by eq 21": pytest.approx((0.242, 0.259), rel=0.004),
+        "mV by Fig. 4": pytest.approx((0.171, 0.349), rel=0.004),
+        "mV by eq 21": pytest.approx((0.00222, 0.0065), rel=0.004),
+    }
     assert deviation_n("paper") == pytest.approx(0.233, abs=0.0005)
 
 
@@ -69,43 +61,29 @@ def test_the_printed_errors_as_forces() -> None:
 
 
 def test_eq_21_in_millivolts_gives_each_printed_error_at_another_height(
-    outcomes: dict[str, UnitErrors],
+    film_mv: UnitErrors,
 ) -> None:
-    heights_n = [outcomes["mV by eq 21"].peak_to_peak_n(printed) for printed in PRINTED]
+    heights_n = [film_mv.peak_to_peak_n(printed) for printed in PRINTED]
     assert heights_n == pytest.approx([0.888, 3.20, 1.86], rel=0.004)
-    implied_n = heights_n[0] * outcomes["mV by eq 21"].experiment
-    assert implied_n == pytest.approx(5.8e-3, abs=5e-5)
-
-
-def test_no_reading_gives_two_of_the_printed_errors_at_one_height(
-    outcomes: dict[str, UnitErrors],
-) -> None:
-    for outcome in outcomes.values():
-        simulated_n, force_n, strain_n = (outcome.peak_to_peak_n(p) for p in PRINTED)
-        assert force_n / strain_n == pytest.approx(MEASURED_FORCE.force_n / MEASURED_STRAIN.force_n)
-        assert strain_n > 1.5 * simulated_n
-
-
-def test_the_figure_of_a_height_is_the_printed_one(outcomes: dict[str, UnitErrors]) -> None:
-    height_n = outcomes["mV by eq 21"].peak_to_peak_n(SIMULATED_STRAIN)
-    wanted_n = height_n * beats("paper", gain_units.RATE_HZ, 6.0)
+    assert heights_n[0] * film_mv.experiment == pytest.approx(5.8e-3, abs=5e-5)
+    wanted_n = film_mv.peak_to_peak_n(SIMULATED_STRAIN) * beats("paper", gain_units.RATE_HZ, 6.0)
     error = LAYER.strain(gain_units.follow(FILM_MV, SIMULATION, wanted_n) - wanted_n)
     assert gain_units.rmse(error) == pytest.approx(9.4249e-9, rel=1e-9)
 
 
-def test_starting_on_the_pulse_is_easier(outcomes: dict[str, UnitErrors]) -> None:
+def test_no_unit_gives_two_of_the_printed_errors_at_one_height() -> None:
+    for errors in unit_errors():
+        simulated_n, force_n, strain_n = (errors.peak_to_peak_n(p) for p in PRINTED)
+        assert force_n / strain_n == pytest.approx(MEASURED_FORCE.force_n / MEASURED_STRAIN.force_n)
+        assert strain_n > 1.5 * simulated_n
+
+
+def test_starting_on_the_pulse_is_easier(film_mv: UnitErrors) -> None:
     settled = gain_units.rmse_without_the_start(FILM_MV, SIMULATION)
-    assert 0.9 < settled / outcomes["mV by eq 21"].simulation < 0.97
+    assert 0.9 < settled / film_mv.simulation < 0.97
 
 
 def test_the_fastest_poles() -> None:
     assert gain_units.poles(FILM_MV, SIMULATION)[0] == pytest.approx(-4056, abs=0.5)
     pair = gain_units.poles(FILM_MV, EXPERIMENT)[:2]
     assert pair[0] == pair[1].conjugate()
-
-
-def test_the_actuator_by_its_own_numbers() -> None:
-    assert contradictions.natural_frequency_hz() == pytest.approx(0.41, abs=0.005)
-    volts = contradictions.volts_for_one_newton()
-    assert volts == pytest.approx(2460, abs=5)
-    assert 10 / volts == pytest.approx(4e-3, abs=1e-4)

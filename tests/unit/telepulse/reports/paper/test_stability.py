@@ -4,7 +4,7 @@ import pytest
 
 from display_node.plant.second_order import SecondOrder
 from telepulse.reports.paper.published import ACTUATOR, EXPERIMENT, FILM_MV, SIMULATION, Gains
-from telepulse.reports.paper.tick_rates import least_rate_hz, spectral_radius
+from telepulse.reports.paper.stability import least_rate_hz, spectral_radius
 
 CASES: list[tuple[Gains, float | None, int, float]] = [
     (SIMULATION, None, 0, 2066),
