@@ -130,10 +130,7 @@ class OptionError(TelepulseError, ValueError):
 
 
 class SweepError(TelepulseError, RuntimeError):
-    """A study cannot be computed.
-
-    Example scenarios: a case raises, a worker dies, no Dask scheduler at the address.
-    """
+    """A study cannot be computed: a case fails, a worker dies, no Dask scheduler answers."""
 
 
 # Cause → meaning, in one line.

@@ -36,7 +36,7 @@ from protocol.figures import (
     table,
     texts,
 )
-from protocol.host.result_files import write_whole
+from protocol.host.output import write_whole
 from protocol.provenance import Provenance
 from protocol.summary_tables import (
     AT_THE_END,

@@ -23,12 +23,10 @@ from protocol.cli_options import (
 from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene, scene_names
 from protocol.discovery.announcer import start_announcer
-from protocol.host.logging_setup import configure_logging
 from protocol.host.measures import freeze_objects
+from protocol.host.output import check_writable, configure_logging, unblocked_output
 from protocol.host.process import allow_connections, stop_on_signals
 from protocol.host.realtime import check_strict, parse_realtime
-from protocol.host.result_files import check_writable
-from protocol.host.standard_output import unblocked_output
 from protocol.metrics import MetricsOption, start_metrics
 from protocol.provenance import collect
 from protocol.security.protection import AllowOption, InsecureOption, KeyOption, server_keys

@@ -10,7 +10,7 @@ import typer
 
 from protocol.cli_options import JsonOption, one_line_errors, plain_console
 from protocol.config.scene_file import find_scene
-from protocol.host.result_files import check_writable
+from protocol.host.output import check_writable
 from soak.bench import play_rounds
 from soak.bench_truth import judge_bench
 from soak.evidence import heart_rate_per_min, verdict

@@ -9,7 +9,7 @@ import pytest
 import zmq
 from hypothesis import settings
 
-from protocol.host.logging_setup import OUR_LOGGERS, StderrHandler
+from protocol.host.output import OUR_LOGGERS, StderrHandler
 from protocol.sockets import Context, Socket
 
 # A busy machine must not fail a test.

@@ -33,8 +33,8 @@ from protocol import sockets
 from protocol.config.scene import load_section
 from protocol.histogram import bound
 from protocol.host.measures import freeze_objects
+from protocol.host.output import write_whole
 from protocol.host.realtime import RealtimeGrant, RealtimeRequest, hold, parse_realtime
-from protocol.host.result_files import write_whole
 
 SECONDS = 30.0
 MAX_ROUNDS = 4

@@ -30,7 +30,7 @@ from display_node.telemetry.braille_plot import braille_plot, limits
 from protocol import sockets
 from protocol.errors import WireError
 from protocol.figures import Surface
-from protocol.host.standard_output import unblocked_output
+from protocol.host.output import unblocked_output
 from protocol.run_summary import REGISTRY
 from protocol.security.keys import ClientKeys, read_pair
 from protocol.wire.status import STATUS, Status, read_status

@@ -18,7 +18,7 @@ from typing import Any
 
 from protocol.errors import ProcessError, SidecarError, TelepulseError
 from protocol.host.child_process import ChildProcess
-from protocol.host.logging_setup import OUR_LOGGERS
+from protocol.host.output import OUR_LOGGERS
 
 logger = logging.getLogger(__name__)
 

@@ -13,7 +13,7 @@ from protocol.config.quantities import parse_quantity
 from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError
-from protocol.host.result_files import check_writable
+from protocol.host.output import check_writable
 from protocol.provenance import collect
 from sensing_node.scene import SensingScene
 from telepulse.cli.options import (

@@ -32,9 +32,8 @@ from protocol.cli_options import (
 from protocol.config.scene_file import find_scene
 from protocol.errors import OutputError, TelepulseError
 from protocol.host.child_process import ChildProcess
-from protocol.host.logging_setup import configure_logging
+from protocol.host.output import check_writable, configure_logging
 from protocol.host.process import stop_on_signals
-from protocol.host.result_files import check_writable
 from protocol.run_summary import Summary
 from protocol.tactile import matching_force_ratio
 from protocol.wire.messages import decode_frame

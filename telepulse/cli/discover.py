@@ -7,7 +7,7 @@ import typer
 
 from protocol.cli_options import one_line_errors, plain_console
 from protocol.discovery.announcement import Announcement
-from protocol.host.result_files import check_writable
+from protocol.host.output import check_writable
 from telepulse.cli.options import PROGRAM, TablesOption
 from telepulse.reports.document import Chapter, Report, Table, write_json
 

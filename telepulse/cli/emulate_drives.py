@@ -16,7 +16,7 @@ from protocol.cli_options import LogLevelOption, StopAfterOption, one_line_error
 from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError
-from protocol.host.logging_setup import configure_logging
+from protocol.host.output import configure_logging
 from telepulse.cli.options import PROGRAM
 from telepulse.emulators.drive_run import FILM_SILENT, MOTOR_FAULTS, DriveRun
 from telepulse.emulators.fault_injection import FaultKind, InjectedFault, parse_fault

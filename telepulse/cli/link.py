@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 
 from protocol.cli_options import LogLevelOption, StopAfterOption, one_line_errors
-from protocol.host.logging_setup import configure_logging
 from protocol.host.measures import freeze_objects
+from protocol.host.output import configure_logging
 from protocol.host.process import allow_connections, stop_on_signals
 from protocol.security.protection import (
     AllowOption,

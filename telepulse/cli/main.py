@@ -5,8 +5,7 @@ from collections.abc import Callable
 import typer
 
 from protocol.cli_options import VersionOption
-from protocol.host.logging_setup import configure_logging
-from protocol.host.standard_output import unblocked_output
+from protocol.host.output import configure_logging, unblocked_output
 from telepulse.cli import emulate, experiment, keys, scenes, study
 from telepulse.cli.bench import bench
 from telepulse.cli.calibrate import calibrate

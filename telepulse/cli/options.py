@@ -9,7 +9,7 @@ import typer
 
 from protocol.cli_options import one_line_errors, plain_console
 from protocol.config.scene_file import scene_names
-from protocol.host.result_files import check_writable
+from protocol.host.output import check_writable
 from protocol.provenance import collect
 from telepulse.reports.document import (
     Report,

@@ -6,9 +6,8 @@ from typing import Annotated
 import typer
 
 from protocol.cli_options import LogLevelOption, QuietOption, StopAfterOption, one_line_errors
-from protocol.host.logging_setup import configure_logging
+from protocol.host.output import configure_logging, unblocked_output
 from protocol.host.process import stop_on_signals
-from protocol.host.standard_output import unblocked_output
 from protocol.security.protection import InsecureOption, KeyOption, PeerOption, telemetry_keys
 from telepulse.cli.options import NOT_WHOLE, PROGRAM, AddressArgument, SilenceOption
 

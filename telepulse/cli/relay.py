@@ -14,10 +14,9 @@ from protocol.cli_options import (
     plain_console,
     sum_up,
 )
-from protocol.host.logging_setup import configure_logging
 from protocol.host.measures import freeze_objects
+from protocol.host.output import check_writable, configure_logging
 from protocol.host.process import allow_connections, stop_on_signals
-from protocol.host.result_files import check_writable
 from protocol.provenance import collect
 from protocol.security.protection import (
     AllowOption,

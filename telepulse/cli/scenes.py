@@ -7,7 +7,7 @@ import typer
 
 from protocol.cli_options import one_line_errors, plain_console
 from protocol.config.scene_file import find_scene, load_document, scene_names, to_toml
-from protocol.host.result_files import create_file
+from protocol.host.output import create_file
 from telepulse.cli.options import PROGRAM, SceneArgument
 
 app = typer.Typer(no_args_is_help=True, help="The scenes that come with telepulse.")

@@ -11,7 +11,7 @@ from protocol.cli_options import (
     sum_up,
 )
 from protocol.config.scene_file import find_scene
-from protocol.host.result_files import check_writable
+from protocol.host.output import check_writable
 from telepulse.cli.options import PROGRAM, LinkOption, SceneArgument, SeedOption
 from telepulse.scene import DEFAULT_SCENE, load_scene, scene_provenance
 from telepulse.simulation import virtual_time

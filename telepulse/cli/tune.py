@@ -2,7 +2,7 @@
 
 from protocol.cli_options import one_line_errors, plain_console
 from protocol.config.scene_file import find_scene
-from protocol.host.result_files import check_writable
+from protocol.host.output import check_writable
 from telepulse.cli.options import PROGRAM, SceneArgument, TablesOption
 from telepulse.reports.document import print_tables, write_json
 from telepulse.scene import DEFAULT_SCENE, load_scene

@@ -16,7 +16,7 @@ from protocol.cli_options import (
     plain_console,
 )
 from protocol.errors import AddressError, OutputError, ProtectionError
-from protocol.host.logging_setup import configure_logging
+from protocol.host.output import configure_logging
 from protocol.host.process import stop_on_signals
 from protocol.security.protection import InsecureOption, KeyOption, PeerOption, telemetry_keys
 from telepulse.cli.options import PROGRAM, AddressArgument

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from protocol.config.scene_file import EXTENDS, load_toml, scene_names
 from protocol.errors import SceneError
-from protocol.host.result_files import write_whole
+from protocol.host.output import write_whole
 
 Changes = dict[str, dict[str, str]]
 """Keys and their TOML values by table, such as {"display.film": {"latency": '"4 ms"'}}."""

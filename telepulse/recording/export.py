@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from protocol.config.quantities import count_text
 from protocol.errors import OutputError, SourceError
-from protocol.host.result_files import write_whole
+from protocol.host.output import write_whole
 from protocol.wire.messages import decode_frame
 from telepulse.recording.mcap_writer import McapWriter
 from telepulse.recording.reader import RecordedMessage, RecordingReader

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table as RichTable
 
 from protocol.errors import OutputError
-from protocol.host.result_files import write_whole
+from protocol.host.output import write_whole
 from protocol.provenance import Provenance
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from contextlib import closing
 
 import pytest
 
-from protocol.host import standard_output as output
-from protocol.host.standard_output import MAX_QUEUED, QueuedStream
+from protocol.host import output
+from protocol.host.output import MAX_QUEUED, QueuedStream
 from tests.support.unread import KINDS, fill, unread
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="it is not used there")

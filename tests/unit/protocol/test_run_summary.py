@@ -9,7 +9,7 @@ from rich.console import Console
 
 from protocol.counters import Availability, Interruptions, Limited, Limits
 from protocol.errors import OutputError
-from protocol.host.result_files import check_writable
+from protocol.host.output import check_writable
 from protocol.run_summary import Summary, print_summary, write_json
 from protocol.summary_tables import (
     AlignedErrors,

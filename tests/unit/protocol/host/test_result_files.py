@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from protocol.errors import OutputError
-from protocol.host.result_files import check_writable, write_whole
+from protocol.host.output import check_writable, write_whole
 
 
 def test_a_write_that_fails_half_way_leaves_the_old_file_and_no_draft(

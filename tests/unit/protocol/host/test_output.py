@@ -4,7 +4,7 @@ import re
 import pytest
 
 from protocol.errors import OptionError
-from protocol.host.logging_setup import configure_logging
+from protocol.host.output import configure_logging
 
 ours, library = logging.getLogger("sensing_node.node"), logging.getLogger("zeroconf")
 
@@ -28,7 +28,7 @@ def test_an_exception_is_named_in_the_same_line(capsys: pytest.CaptureFixture[st
         library.exception("failed")
     line = capsys.readouterr().err
     assert re.search(
-        r" ERROR failed: ValueError: no\\nsuch \(.*test_logging_setup.py:\d+\)\n$", line
+        r" ERROR failed: ValueError: no\\nsuch \(.*test_output.py:\d+\)\n$", line
     )
 
 

@@ -1,0 +1,323 @@
+"""Output of a program: its log, standard streams that never hold it up, result files.
+
+A terminal stopped by Ctrl-S, a pager that does not read on or a full pipe blocks whoever writes;
+a closed pipe or a full disk raises. Neither may meet a node: while its main thread is in a write,
+nothing is served, no drive is commanded and no signal is obeyed. So what a node prints and logs
+passes through a bounded queue (`unblocked_output`), and a thread of its own writes it out.
+"""
+
+import io
+import logging
+import os
+import queue
+import secrets
+import select
+import signal
+import stat
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import TextIO, cast
+
+from protocol.errors import OptionError, OutputError
+
+LEVELS = ("debug", "info", "warning", "error")
+# A module that is run by `python -m` logs as `__main__`.
+OUR_LOGGERS = ("protocol", "pulse_sensors", "sensing_node", "display_node", "telepulse", "__main__")
+# Some seconds of a terminal panel, and far more than a summary.
+MAX_QUEUED = 65_536
+# At the end: how long to wait for what is queued while nothing of it is taken, and in all.
+STUCK_S = 1.0
+CLOSE_WITHIN_S = 5.0
+_LOOK_EVERY_S = 0.02
+
+
+class LineFormatter(logging.Formatter):
+    """Format a record as one line, whatever its message holds."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return `HH:MM:SS.mmm LEVEL message` in local time; control characters are escaped."""
+        at = time.strftime("%H:%M:%S", time.localtime(record.created))
+        text = record.getMessage()
+        if record.exc_info is not None:
+            kind, error, trace = record.exc_info
+            text += f": {getattr(kind, '__name__', kind)}: {error}"
+            # The innermost line that raised it.
+            for frame in traceback.extract_tb(trace)[-1:]:
+                text += f" ({frame.filename}:{frame.lineno})"
+        printable = "".join(
+            each if each.isprintable() else each.encode("unicode_escape").decode("ascii")
+            for each in text
+        )
+        return f"{at}.{int(record.msecs):03d} {record.levelname} {printable}"
+
+
+class StderrHandler(logging.Handler):
+    """Write records to the present `sys.stderr`."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write one line; a reader that has gone is no error of the program's."""
+        with suppress(OSError, ValueError):
+            sys.stderr.write(self.format(record) + "\n")
+
+
+def configure_logging(level: str | None = None, quiet: bool = False) -> None:
+    """Log to standard error, one line a record; call it again to change the level.
+
+    Parameters
+    ----------
+    level
+        One of `LEVELS`. None: "warning" where `quiet`, else "info".
+    quiet
+        Whether the program was asked to be quiet.
+
+    Raises
+    ------
+    OptionError
+        Where there is no such level.
+    """
+    name = level or ("warning" if quiet else "info")
+    if name not in LEVELS:
+        raise OptionError(f"--log-level {name}: there are {', '.join(LEVELS)}")
+    number = logging.getLevelNamesMapping()[name.upper()]
+    root = logging.getLogger()
+    handler = next((each for each in root.handlers if isinstance(each, StderrHandler)), None)
+    if handler is None:
+        handler = StderrHandler()
+        handler.setFormatter(LineFormatter())
+        root.addHandler(handler)
+    # Some libraries set the level of their own logger when they are imported.
+    handler.setLevel(number)
+    # Libraries log by their own terms: only what is wrong is of use here.
+    root.setLevel(max(number, logging.WARNING))
+    # What canopen logs, the drive raises or counts.
+    logging.getLogger("canopen").setLevel(logging.CRITICAL)
+    for ours in OUR_LOGGERS:
+        logging.getLogger(ours).setLevel(number)
+
+
+class QueuedStream(io.TextIOBase):
+    """A text stream whose `write` returns at once, whatever becomes of the text.
+
+    Text that finds the queue full, or that cannot be written, is dropped and its lines are counted.
+    The count is written as a line of its own as soon as output is possible again.
+
+    Parameters
+    ----------
+    target
+        The stream whose file descriptor, encoding and terminal are used. Its own buffer is not: a
+        buffer with text left in it would block the interpreter's end.
+    """
+
+    def __init__(self, target: TextIO) -> None:
+        self._target = target
+        self._number = target.fileno()
+        self._queue: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        # Reentrant, as a signal handler may print in the midst of a print.
+        self._lock = threading.RLock()
+        # In characters. The first changes under the lock, the second in the writing thread alone.
+        self._given = self._taken = 0
+        # In lines, likewise.
+        self._refused = self._lost = self._reported = 0
+        self._at_line_start = True
+        self._thread = threading.Thread(target=self._write_all, name="output", daemon=True)
+        self._thread.start()
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        """The target's encoding."""
+        return self._target.encoding
+
+    @property
+    def dropped(self) -> int:
+        """The number of lines that were dropped so far."""
+        return self._refused + self._lost
+
+    def writable(self) -> bool:
+        """Return True."""
+        return True
+
+    def isatty(self) -> bool:
+        """Return whether the target is a terminal."""
+        return self._target.isatty()
+
+    def fileno(self) -> int:
+        """Return the target's file descriptor."""
+        return self._number
+
+    def write(self, text: str, /) -> int:
+        """Queue `text`, or drop it where too much is queued already."""
+        # click tries bytes to find out whether a stream takes them.
+        if not isinstance(text, str):
+            raise TypeError(f"text is written, not {type(text).__name__}")
+        with self._lock:
+            if self._given - self._taken >= MAX_QUEUED:
+                self._refused += _lines(text)
+            else:
+                self._given += len(text)
+                self._queue.put(text)
+        return len(text)
+
+    def flush(self) -> None:
+        """Do nothing: the writing thread writes as soon as it can."""
+
+    def finish(self) -> None:
+        """Wait until all is written; give up where nothing can be, and after 5 s in any case."""
+        self._queue.put(None)
+        begin_s = progress_s = time.monotonic()
+        taken = self._taken
+        while self._thread.is_alive():
+            self._thread.join(_LOOK_EVERY_S)
+            now_s = time.monotonic()
+            if self._taken != taken:
+                taken, progress_s = self._taken, now_s
+            if now_s - progress_s > STUCK_S or now_s - begin_s > CLOSE_WITHIN_S:
+                return
+
+    def _write_all(self) -> None:
+        while (text := self._queue.get()) is not None:
+            if not self._write(text):
+                self._lost += _lines(text)
+            elif self._queue.empty() and self.dropped > self._reported:
+                self._report()
+            self._taken += len(text)
+
+    def _report(self) -> None:
+        dropped = self.dropped
+        lines = "1 line" if dropped - self._reported == 1 else f"{dropped - self._reported} lines"
+        start = "" if self._at_line_start else "\n"
+        if self._write(f"{start}{lines} of output dropped: it could not be written\n"):
+            self._reported = dropped
+
+    def _write(self, text: str) -> bool:
+        """Write text, however long that takes; return False where it cannot be written."""
+        data = text.encode(self.encoding, "backslashreplace")
+        try:
+            while data:
+                try:
+                    data = data[os.write(self._number, data) :]
+                except BlockingIOError:
+                    # Another process that shares the descriptor has made it non-blocking.
+                    select.select((), (self._number,), ())
+        except (OSError, ValueError):
+            return False
+        if text:
+            self._at_line_start = text.endswith("\n")
+        return True
+
+
+def _lines(text: str) -> int:
+    return max(1, text.count("\n"))
+
+
+@contextmanager
+def unblocked_output() -> Iterator[None]:
+    """Have everything that is printed within the `with` queued and written by threads of its own.
+
+    For the main thread of a program that must go on whoever reads its output. What replaces
+    `sys.stdout` already, as a test's capture does, is left alone.
+    """
+    if sys.platform == "win32":  # whose consoles take text by another way than a descriptor
+        yield
+        return
+    # Else a shell's `stty tostop` stops a program that prints in the background.
+    tostop = signal.signal(signal.SIGTTOU, signal.SIG_IGN)
+    with ExitStack() as until_the_end:
+        until_the_end.callback(signal.signal, signal.SIGTTOU, tostop)
+        for name in ("stderr", "stdout"):
+            target: TextIO | None = getattr(sys, name)
+            if target is not None and target is getattr(sys, f"__{name}__"):
+                stream = QueuedStream(target)
+                setattr(sys, name, cast(TextIO, stream))
+                until_the_end.callback(stream.finish)
+                until_the_end.callback(setattr, sys, name, target)
+        try:
+            yield
+        except Exception:
+            # Here, as the interpreter would write it straight to where nobody reads.
+            sys.excepthook(*sys.exc_info())
+            raise SystemExit(1) from None
+
+
+def check_writable(path: Path | None) -> None:
+    """Check before a run that its result can be written to `path`; None is no file.
+
+    A file of that name is left as it is. Raises OutputError.
+    """
+    if path is None:
+        return
+    with _refusals(path):
+        if not path.parent.is_dir():
+            raise OSError(0, f"the folder {path.parent} does not exist")
+        # Opening a pipe would wait for its reader.
+        special = _is_special(path)
+        if not special:
+            _draft(path).unlink()
+        if (special or path.exists()) and not os.access(path, os.W_OK):
+            raise OSError(0, "it is read-only")
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file in one step: a reader finds the old file or the whole new one.
+
+    A pipe or a device is written to directly. Raises OutputError.
+    """
+    with _refusals(path):
+        if _is_special(path):
+            path.write_text(text, encoding="utf-8")
+            return
+        draft = _draft(path)
+        try:
+            with draft.open("w", encoding="utf-8") as file:
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())
+            draft.replace(path.resolve())
+        except BaseException:
+            draft.unlink(missing_ok=True)
+            raise
+
+
+def create_file(path: Path, text: str) -> None:
+    """Write a new text file. Raises OutputError, also where there is a file of that name."""
+    with _refusals(path):
+        try:
+            with path.open("x", encoding="utf-8") as file:
+                file.write(text)
+        except FileExistsError:
+            raise OutputError(f"{path}: is there already; name another file") from None
+
+
+@contextmanager
+def _refusals(path: Path) -> Iterator[None]:
+    """Turn an OSError into an OutputError."""
+    try:
+        yield
+    except OutputError:
+        raise
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def _is_special(path: Path) -> bool:
+    """Return whether there is a pipe or a device. Raises OSError for a folder."""
+    with suppress(FileNotFoundError):
+        mode = path.stat().st_mode
+        if stat.S_ISDIR(mode):
+            raise IsADirectoryError(0, "it is a folder")
+        return not stat.S_ISREG(mode)
+    return False
+
+
+def _draft(path: Path) -> Path:
+    """Return a new, empty file beside `path`, with the permissions of `path`."""
+    target = path.resolve()
+    draft = target.with_name(f".{target.name}.{secrets.token_hex(4)}")
+    draft.open("xb").close()
+    if target.exists():
+        draft.chmod(stat.S_IMODE(target.stat().st_mode))
+    return draft
