@@ -20,7 +20,7 @@ from display_node.drives import Drive, build_drive
 from display_node.drives.scene import Cia402Scene, DriveScene, TmclScene
 from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
-from protocol.host.pacer import Pacer
+from protocol.host.realtime import Pacer
 from protocol.tactile import ElasticLayer
 from protocol.wire.messages import Frame, encode_control, encode_frame
 from protocol.wire.stream import Channel, StreamDescription

@@ -24,7 +24,7 @@ from display_node.telemetry.publisher import Publisher
 from protocol import sockets
 from protocol.errors import SceneError
 from protocol.histogram import Histogram
-from protocol.host.pacer import Pacer
+from protocol.host.realtime import Pacer
 from protocol.run_summary import Summary
 from protocol.security.authenticator import Authenticator
 from protocol.security.keys import ClientKeys, ServerKeys

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from protocol.host.sidecar import Sidecar, sidecar_module, start_sidecar
+from protocol.host.child_process import Sidecar, sidecar_module, start_sidecar
 from protocol.sockets import beyond_loopback
 
 logger = logging.getLogger(__name__)

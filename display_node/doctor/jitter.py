@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 from protocol import sockets
 from protocol.histogram import Histogram
 from protocol.host.child_process import ChildProcess
-from protocol.host.pacer import Pacer
-from protocol.host.realtime import RealtimeRequest, hold
+from protocol.host.realtime import Pacer, RealtimeRequest, hold
 
 # It ends with who started it, however that ends.
 BUSY = """

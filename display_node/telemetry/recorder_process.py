@@ -10,8 +10,7 @@ from pathlib import Path
 
 from protocol.cli_options import USAGE_ERROR
 from protocol.errors import OutputError
-from protocol.host.child_process import ChildProcess
-from protocol.host.sidecar import sidecar_module
+from protocol.host.child_process import ChildProcess, sidecar_module
 
 logger = logging.getLogger(__name__)
 

@@ -14,7 +14,7 @@ from protocol.discovery.announcement import (
     to_txt,
 )
 from protocol.errors import DiscoveryError
-from protocol.host.sidecar import receive, run_as_sidecar, start_sidecar
+from protocol.host.child_process import receive, run_as_sidecar, start_sidecar
 from protocol.security.keys import ServerKeys
 from protocol.sockets import control_address
 

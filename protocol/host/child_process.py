@@ -1,21 +1,36 @@
-"""A Python program of ours that runs as a process of its own.
+"""Processes of ours: Python programs that run on their own, and those beside a node (sidecars).
 
-It does not search the current folder for modules (`python -P`): a `protocol.py` or a `telepulse.py`
-that somebody keeps there would be imported in place of ours.
+A child does not search the current folder for modules (`python -P`): a `protocol.py` or a
+`telepulse.py` that somebody keeps there would be imported in place of ours.
+
+A sidecar does work that would hold up a node's loop. It is ready before the node moves, receives
+messages from it, and ends with it however that ends. The two exchange lines of JSON over pipes: the
+sidecar sends once that it is ready, or why it cannot start; its standard input closes when the node
+ends, `kill -9` included.
 """
 
+import json
+import logging
+import os
 import subprocess
 import sys
 import threading
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from pathlib import Path
-from types import TracebackType
-from typing import IO
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from importlib.metadata import entry_points
+from typing import Any
 
-from protocol.errors import ProcessError
+from protocol.errors import ProcessError, SidecarError, TelepulseError
+from protocol.host.output import OUR_LOGGERS
 
-STOPS_WITHIN_S = 5.0
+logger = logging.getLogger(__name__)
+
+# The group of entry points (pyproject.toml) by which a node finds what it starts beside itself.
+SIDECARS = "telepulse.sidecars"
+STARTS_WITHIN_S = 30.0
+ENDS_WITHIN_S = 5.0
+# The loop comes first.
+NICENESS = 10
 
 
 def python_command(*arguments: str) -> list[str]:
@@ -30,52 +45,25 @@ class ChildProcess(subprocess.Popen[str]):
     ----------
     name
         Its name in errors.
-    arguments
+    *arguments
         Of the interpreter: "-m", a module and that module's arguments.
-    stdin, stdout, stderr
-        As of `subprocess.Popen`; None: this process's own.
-    pass_fds
-        Descriptors that stay open in it.
-    cwd, env
-        Its current folder and its environment; None: this process's.
     own_session
         Ctrl-C at the terminal does not reach it: this process ends it.
+    **options
+        As of `subprocess.Popen`.
     """
 
     def __init__(
-        self,
-        name: str,
-        *arguments: str,
-        stdin: IO[bytes] | int | None = None,
-        stdout: IO[bytes] | int | None = None,
-        stderr: IO[bytes] | int | None = None,
-        pass_fds: Sequence[int] = (),
-        cwd: Path | None = None,
-        env: Mapping[str, str] | None = None,
-        own_session: bool = True,
+        self, name: str, *arguments: str, own_session: bool = True, **options: Any
     ) -> None:
         self.name = name
-        super().__init__(
-            python_command(*arguments),
-            stdin=stdin,
-            stdout=stdout,
-            stderr=stderr,
-            pass_fds=pass_fds,
-            cwd=cwd,
-            env=env,
-            start_new_session=own_session,
-            encoding="utf-8",
-        )
+        command = python_command(*arguments)
+        super().__init__(command, start_new_session=own_session, encoding="utf-8", **options)
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *raised: Any) -> None:
         self.kill()
         with suppress(BrokenPipeError):
-            super().__exit__(kind, error, traceback)
+            super().__exit__(*raised)
 
     def read_line(self, within_s: float, log: bool = False) -> str:
         """Return the next line that the process prints, or writes to its log, without its end.
@@ -118,7 +106,7 @@ class ChildProcess(subprocess.Popen[str]):
             # `communicate` would flush it, and fail.
             self.stdin = None
 
-    def stop(self, within_s: float = STOPS_WITHIN_S) -> int:
+    def stop(self, within_s: float = ENDS_WITHIN_S) -> int:
         """Terminate the process, kill it when it does not end in time; return its exit status."""
         self.terminate()
         try:
@@ -157,3 +145,145 @@ class ChildProcess(subprocess.Popen[str]):
             _, errors = self.communicate()
         last = (errors or "").strip().splitlines()[-1:] or ["it printed no reason"]
         return ProcessError(f"the {self.name} {what}: {last[0]}")
+
+
+class Sidecar:
+    """A process that runs beside the node, ready once this is constructed.
+
+    Parameters
+    ----------
+    name : str
+        Its name in the node's log, such as "announcer".
+    module : str
+        Module that it runs, which calls `run_as_sidecar`.
+    *arguments : str
+        Its command-line arguments.
+
+    Attributes
+    ----------
+    ready_message : str
+        Text that it sent when it was ready.
+
+    Raises
+    ------
+    SidecarError
+        With its reason, when it cannot start.
+    """
+
+    def __init__(self, name: str, module: str, *arguments: str) -> None:
+        self._name = name
+        self._ending = False
+        pipe = subprocess.PIPE
+        self._process = ChildProcess(name, "-m", module, *arguments, stdin=pipe, stdout=pipe)
+        try:
+            message = json.loads(self._process.read_line(STARTS_WITHIN_S))
+            if "ready" not in message:
+                raise SidecarError(message["error"])
+        except (ProcessError, ValueError):
+            self._close()
+            raise SidecarError(f"the {name} cannot be started") from None
+        except BaseException:
+            self._close()
+            raise
+        self.ready_message = str(message["ready"])
+        # It waits in the kernel, and wakes when a line comes.
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def send(self, **message: Any) -> None:
+        """Send a message; nothing is sent to a process that has ended, which is logged."""
+        with suppress(OSError):
+            self._process.write_line(json.dumps(message))
+
+    def end(self) -> None:
+        """End the process, and wait until it has ended."""
+        self._ending = True
+        self._process.close_input()
+        self._reader.join(ENDS_WITHIN_S)
+        self._close()
+
+    def _read(self) -> None:
+        """Log each of the process's records under its name; as "info" what a library printed."""
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            try:
+                record = json.loads(line)
+                level, text = logging.getLevelNamesMapping()[record["level"]], str(record["text"])
+            except (ValueError, TypeError, KeyError):
+                level, text = logging.INFO, line.rstrip()
+            logger.log(level, f"{self._name}: {text}")
+        status = self._process.wait()
+        if not self._ending:
+            logger.warning(
+                f"the {self._name} has ended with status {status}; the node goes on without"
+            )
+
+    def _close(self) -> None:
+        with self._process:
+            self._process.kill()
+
+
+def sidecar_module(name: str) -> str:
+    """Return the module to run for a sidecar that a package above the nodes provides.
+
+    Parameters
+    ----------
+    name
+        Of an entry point in the group `SIDECARS`, such as "metrics".
+
+    Raises
+    ------
+    SidecarError
+        When no installed package provides it.
+    """
+    for entry in entry_points(group=SIDECARS, name=name):
+        return entry.module
+    raise SidecarError(f"no installed package provides {name!r}; pip install telepulse, again")
+
+
+@contextmanager
+def start_sidecar(name: str, module: str, *arguments: str) -> Iterator[Sidecar]:
+    """Run a sidecar within a `with`; what it logs is logged here under its name.
+
+    The parameters are those of `Sidecar`. Raises SidecarError.
+    """
+    sidecar = Sidecar(name, module, *arguments)
+    try:
+        yield sidecar
+    finally:
+        sidecar.end()
+
+
+@contextmanager
+def run_as_sidecar() -> Iterator[Callable[[str], None]]:
+    """Yield a callback that reports readiness; report a TelepulseError, and exit with status 1.
+
+    The process gives way to the node's loop (`nice`).
+    """
+    if hasattr(os, "nice"):
+        os.nice(NICENESS)
+    logging.getLogger().addHandler(_NodeHandler())
+    for ours in OUR_LOGGERS:
+        # The node drops the records below its own level.
+        logging.getLogger(ours).setLevel(logging.DEBUG)
+    try:
+        yield lambda text: print(json.dumps({"ready": text}), flush=True)
+    except TelepulseError as error:
+        print(json.dumps({"error": str(error)}), flush=True)
+        raise SystemExit(1) from None
+
+
+class _NodeHandler(logging.Handler):
+    """Send the records of this process to the node."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        with suppress(OSError):  # the node may have gone
+            fields = {"level": record.levelname, "text": record.getMessage()}
+            print(json.dumps(fields), flush=True)
+
+
+def receive() -> dict[str, Any] | None:
+    """Return the node's next message; None when the node has ended."""
+    line = sys.stdin.readline()
+    message: dict[str, Any] | None = json.loads(line) if line.endswith("\n") else None
+    return message

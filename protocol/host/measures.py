@@ -31,20 +31,7 @@ THREADS_START_WITHIN_S = 1.0
 
 
 class NotGrantedError(RealtimeError):
-    """A measure is not granted.
-
-    Attributes
-    ----------
-    reason : str
-        Why not.
-    advice : str
-        What to do about it.
-    """
-
-    def __init__(self, reason: str, advice: str) -> None:
-        super().__init__(reason)
-        self.reason = reason
-        self.advice = advice
+    """A measure is not granted; the arguments are the reason and advice."""
 
 
 @contextmanager
@@ -55,18 +42,6 @@ def schedule_fifo(priority: int, on_overrun: Callable[[], None]) -> Iterator[str
     up for good and `on_overrun` is called. Only for the main thread, since a signal is handled.
     Threads that are started meanwhile inherit the priority: a thread that holds Python's lock must
     be able to run while the loop waits for that lock.
-
-    Parameters
-    ----------
-    priority : int
-        1 to 98.
-    on_overrun : callable
-        Called when the priority is given up.
-
-    Raises
-    ------
-    NotGrantedError
-        When the system refuses.
     """
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
@@ -82,7 +57,7 @@ def schedule_fifo(priority: int, on_overrun: Callable[[], None]) -> Iterator[str
         raise _no_priority(priority, error) from None
 
     def give_up() -> None:
-        _schedule(set(filter(_has_priority, threads | _started())), *before)
+        _schedule({thread for thread in threads | _started() if _has_priority(thread)}, *before)
 
     def overrun(number: int, frame: FrameType | None) -> None:
         give_up()
@@ -105,12 +80,15 @@ def pin(cpus: frozenset[int]) -> Iterator[str]:
     advice = f"this process may use {spans(frozenset(before))}"
     try:
         os.sched_setaffinity(0, cpus)
-    except OSError as error:
-        raise NotGrantedError(f"sched_setaffinity: {error.strerror}", advice) from None
-    try:
         if os.sched_getaffinity(0) != cpus:
             # The kernel leaves out processors that do not exist, without an error.
             raise NotGrantedError("not all of these processors are there", advice)
+    except OSError as error:
+        raise NotGrantedError(f"sched_setaffinity: {error.strerror}", advice) from None
+    except NotGrantedError:
+        os.sched_setaffinity(0, before)
+        raise
+    try:
         yield f"on processor {spans(cpus)} alone"
     finally:
         os.sched_setaffinity(0, before)
@@ -122,8 +100,7 @@ def reduce_timer_slack() -> Iterator[str]:
     libc = ctypes.CDLL(None, use_errno=True)
     before_ns = libc.prctl(PR_GET_TIMERSLACK, 0, 0, 0, 0)
     if libc.prctl(PR_SET_TIMERSLACK, LEAST_SLACK_NS, 0, 0, 0):
-        reason = f"prctl: {os.strerror(ctypes.get_errno())}"
-        raise NotGrantedError(reason, "Linux 2.6.28 and later have it")
+        raise NotGrantedError(f"prctl: {_error()}", "Linux 2.6.28 and later have it")
     try:
         yield f"timers late by {LEAST_SLACK_NS} ns at most, not {before_ns}"
     finally:
@@ -140,14 +117,13 @@ def lock_memory() -> Iterator[str]:
         # It would be granted below the limit, and allocations beyond it would fail later.
         raise NotGrantedError(
             f"RLIMIT_MEMLOCK is {limit >> 10} KiB, which a node may outgrow",
-            _raise_limit("memlock", "unlimited", "LimitMEMLOCK=infinity", "--ulimit memlock=-1"),
+            _raise_limit("memlock", "unlimited", "infinity", "-1"),
         )
     libc = ctypes.CDLL(None, use_errno=True)
     # On fault: otherwise pages that are never used are read in too, which takes four times the
     # memory, and starting a thread takes milliseconds to fill its stack.
     if libc.mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT):
-        reason = f"mlockall: {os.strerror(ctypes.get_errno())}"
-        raise NotGrantedError(reason, "Linux 4.4 and later have it")
+        raise NotGrantedError(f"mlockall: {_error()}", "Linux 4.4 and later have it")
     try:
         yield "memory in use stays in RAM"
     finally:
@@ -178,7 +154,7 @@ def helper_threads() -> set[int]:
     for task in tasks:
         with suppress(OSError):  # it may have ended
             if (task / "comm").read_text(encoding="utf-8", errors="replace").startswith("ZMQ"):
-                found.add(_number(task))
+                found.add(int(task.name))
     return {number for number in found if number is not None} - {threading.get_native_id()}
 
 
@@ -190,16 +166,12 @@ def _started() -> set[int]:
     """
     started = {thread.native_id or 0 for thread in threading.enumerate()} | {0}
     with suppress(OSError):
-        started.update(map(_number, _tasks()))
+        started.update(int(task.name) for task in _tasks())
     return started
 
 
 def _tasks() -> list[Path]:
     return list(Path("/proc/self/task").iterdir())
-
-
-def _number(task: Path) -> int:
-    return int(task.name)
 
 
 def _has_priority(thread: int) -> bool:
@@ -247,12 +219,8 @@ def _no_priority(priority: int, error: OSError) -> NotGrantedError:
 
     limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     if 0 <= limit < priority and not _capable(CAP_SYS_NICE):
-        return NotGrantedError(
-            f"RLIMIT_RTPRIO is {limit}",
-            _raise_limit(
-                "rtprio", str(priority), f"LimitRTPRIO={priority}", f"--ulimit rtprio={priority}"
-            ),
-        )
+        advice = _raise_limit("rtprio", *[f"{priority}"] * 3)
+        return NotGrantedError(f"RLIMIT_RTPRIO is {limit}", advice)
     return NotGrantedError(
         f"sched_setscheduler: {error.strerror}",
         "the limits allow it, so the control group does not: write 950000 into its"
@@ -270,15 +238,17 @@ def spans(cpus: frozenset[int]) -> str:
 
 def _capable(number: int) -> bool:
     """Return whether this process has a capability of Linux."""
-    for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
-        if line.startswith("CapEff:"):
-            return bool(int(line.split()[1], 16) >> number & 1)
-    return False
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    return bool(int(status.partition("CapEff:")[2].split()[0], 16) >> number & 1)
 
 
-def _raise_limit(item: str, value: str, unit_key: str, docker: str) -> str:
+def _raise_limit(item: str, value: str, systemd: str, docker: str) -> str:
     """Return advice on raising a resource limit: at a login, in a systemd unit, in a container."""
     return (
         f'put "USER - {item} {value}" into {LIMITS_FILE} and log in anew'
-        f" (systemd: {unit_key}; docker run {docker})"
+        f" (systemd: Limit{item.upper()}={systemd}; docker run --ulimit {item}={docker})"
     )
+
+
+def _error() -> str:
+    return os.strerror(ctypes.get_errno())

@@ -1,10 +1,8 @@
-"""Ending a node from outside: Ctrl-C, SIGTERM and a terminal that closes ask it to finish.
+"""A process and its system: limits of open files and memory, and the signals that end a node.
 
-Limits that the system sets this process: open files (each connection is one) and memory.
-
-Two connections of each display's stay open. At its limit of files a process can neither take nor
-make one, nor read its allow-list; at its limit of memory ZeroMQ ends it. So a node makes sure of
-what it needs before it begins, and bounds its connections (`connection_budget.py`).
+Each display has two connections, each of them an open file. At its limit of files a process can
+neither accept nor make one, nor read its allow-list; at its limit of memory ZeroMQ ends it. So a
+node checks what it needs before it begins, and bounds its connections (`ConnectionBudget`).
 """
 
 import os
@@ -29,12 +27,8 @@ LEAST_FREE_BYTES = 256 << 20
 def allow_connections() -> None:
     """Let this process have `FILES` open, or as many as the system allows.
 
-    Call it before anything is bound or connected.
-
-    Raises
-    ------
-    ProcessLimitError
-        When that is too little for a node, or its memory is.
+    Call it before anything is bound or connected. Raises ProcessLimitError where that is too little
+    for a node, or its memory is.
     """
     if sys.platform == "win32":  # which has no such limits
         return
@@ -50,7 +44,16 @@ def allow_connections() -> None:
             f"this process may have {present} files open, and a node needs {LEAST_FILES}; raise the"
             f" limit: ulimit -n {FILES}"
         )
-    _check_memory(resource.getrlimit(resource.RLIMIT_AS)[0])
+    limit_bytes = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit_bytes < 0 or sys.platform != "linux":
+        return
+    used_pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    free_bytes = limit_bytes - used_pages * os.sysconf("SC_PAGE_SIZE")
+    if free_bytes < LEAST_FREE_BYTES:
+        raise ProcessLimitError(
+            f"this process may use {free_bytes >> 20} MiB more of address space, and a node needs"
+            f" {LEAST_FREE_BYTES >> 20}; raise the limit: ulimit -v unlimited"
+        )
 
 
 def connections_that_fit() -> int:
@@ -63,26 +66,13 @@ def connections_that_fit() -> int:
     return (FILES if limit == resource.RLIM_INFINITY else limit) - RESERVED_FILES
 
 
-def _check_memory(limit_bytes: int) -> None:
-    """Raise ProcessLimitError where less address space is left than a node needs."""
-    if limit_bytes < 0 or sys.platform != "linux":
-        return
-    used_pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-    free_bytes = limit_bytes - used_pages * os.sysconf("SC_PAGE_SIZE")
-    if free_bytes < LEAST_FREE_BYTES:
-        raise ProcessLimitError(
-            f"this process may use {free_bytes >> 20} MiB more of address space, and a node needs"
-            f" {LEAST_FREE_BYTES >> 20}; raise the limit: ulimit -v unlimited"
-        )
-
-
 def interrupt_on_signals() -> None:
     """Raise KeyboardInterrupt on the signals that end a node, while it has no loop to stop yet."""
 
-    def handle(number: int, frame: FrameType | None) -> None:
+    def interrupt() -> None:
         raise KeyboardInterrupt
 
-    _handle(handle)
+    stop_on_signals(interrupt)
 
 
 def stop_on_signals(stop: Callable[[], None]) -> None:
@@ -91,10 +81,6 @@ def stop_on_signals(stop: Callable[[], None]) -> None:
     def handle(number: int, frame: FrameType | None) -> None:
         stop()
 
-    _handle(handle)
-
-
-def _handle(handle: Callable[[int, FrameType | None], None]) -> None:
     signal.signal(signal.SIGINT, handle)
     signal.signal(signal.SIGTERM, handle)
     # Its default ends the process at once: no drive would be withdrawn.

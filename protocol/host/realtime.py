@@ -1,4 +1,4 @@
-"""Real-time measures: requested on a command line, held while a loop runs, given back after it.
+"""A real-time loop: its pacing, and measures of the operating system held while it runs.
 
 A request (`RealtimeRequest`) is parsed from text such as "fifo=40,lock,slack". `hold` takes its
 measures and yields what was granted and what was refused (`RealtimeGrant`).
@@ -7,9 +7,10 @@ measures and yields what was granted and what was refused (`RealtimeGrant`).
 import difflib
 import logging
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from protocol.errors import RealtimeError
 from protocol.host.measures import (
@@ -24,14 +25,52 @@ from protocol.host.measures import (
 
 logger = logging.getLogger(__name__)
 
-MEASURES = ("fifo", "lock", "cpu", "slack")
-STRICT = "strict"
+MEASURES = ("fifo", "lock", "cpu", "slack", "strict")
 # Below 50, at which a PREEMPT_RT kernel runs the threads that bring frames from the network.
 FIFO_PRIORITY = 40
 # 99 is the kernel's own.
 MAX_PRIORITY = 98
 MAX_CPU = 4095
 GIVEN_UP = " given up"
+
+
+class PacedTick(NamedTuple):
+    """A tick that begins: when it was due, how late it is, periods since the last one."""
+
+    due_ns: int
+    late_ns: int
+    elapsed_ticks: int
+
+
+class Pacer:
+    """Pacing of a loop that ticks at a fixed period. Pure: the caller waits.
+
+    A tick that begins after the next one was due stands for both. Ticks stay on the grid of the
+    first one, however late each begins.
+
+    Attributes
+    ----------
+    due_ns
+        When the next tick is due, in ns; the first one a period after the construction.
+    missed
+        Ticks that did not begin within their period.
+    """
+
+    def __init__(self, tick_ns: int, now_ns: int) -> None:
+        self._tick_ns = tick_ns
+        self.due_ns = now_ns + tick_ns
+        self.missed = 0
+
+    def begin(self, now_ns: int) -> PacedTick | None:
+        """Begin the tick that is due at `now_ns`; return None while none is."""
+        late_ns = now_ns - self.due_ns
+        if late_ns < 0:
+            return None
+        elapsed_ticks = 1 + late_ns // self._tick_ns
+        self.missed += elapsed_ticks - 1
+        self.due_ns += elapsed_ticks * self._tick_ns
+        # As of when it was due: speeds commanded then add up to the distance, however late it is.
+        return PacedTick(self.due_ns - self._tick_ns, late_ns, elapsed_ticks)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,56 +109,42 @@ def parse_realtime(text: str | None) -> RealtimeRequest:
     for measure in text.split(","):
         name, _, value = (part.strip() for part in measure.partition("="))
         if name == "fifo" and fifo is None:
-            fifo = _priority(value)
+            fifo = _numbers(value or f"{FIFO_PRIORITY}", 1, MAX_PRIORITY)
+            if len(fifo) != 1 or "-" in value:
+                raise RealtimeError(
+                    f"--realtime: fifo={value:.80}: a priority is 1 to {MAX_PRIORITY}, as fifo=40"
+                )
         elif name == "cpu":
-            cpus.update(_cpus(value))
+            numbers = _numbers(value, 0, MAX_CPU)
+            if not numbers:
+                raise RealtimeError(
+                    f"--realtime: cpu={value:.80}: write one as cpu=1, several as cpu=2-3"
+                )
+            cpus.update(numbers)
         elif name == "gc":
             raise RealtimeError("--realtime: gc is always taken by now: leave it out")
-        elif name not in (*MEASURES, STRICT):
-            raise RealtimeError(f"--realtime: unknown measure {name!r:.80}{_suggestion(name)}")
+        elif name not in MEASURES:
+            close = difflib.get_close_matches(name, MEASURES, n=1)
+            advice = f"did you mean {close[0]}?" if close else f"known: {', '.join(MEASURES)}"
+            raise RealtimeError(f"--realtime: unknown measure {name!r:.80}; {advice}")
         elif name == "fifo" or name in plain:
             raise RealtimeError(f"--realtime: {name} is there twice")
         elif value:
             raise RealtimeError(f"--realtime: {name} takes no value, got {value!r:.80}")
         else:
             plain.add(name)
-    return RealtimeRequest(
-        fifo=fifo,
-        lock="lock" in plain,
-        cpus=frozenset(cpus),
-        slack="slack" in plain,
-        strict=STRICT in plain,
-    )
+    flags = {name: name in plain for name in ("lock", "slack", "strict")}
+    return RealtimeRequest(fifo[0] if fifo else None, cpus=frozenset(cpus), **flags)
 
 
-def _priority(value: str) -> int:
-    if not value:
-        return FIFO_PRIORITY
-    if not _is_number(value) or not 1 <= int(value) <= MAX_PRIORITY:
-        raise RealtimeError(
-            f"--realtime: fifo={value:.80}: a priority is 1 to {MAX_PRIORITY}, as fifo=40"
-        )
-    return int(value)
-
-
-def _cpus(value: str) -> range:
-    first, dash, last = value.partition("-")
-    numbers = [first, last] if dash else [first, first]
-    if all(map(_is_number, numbers)):
-        low, high = map(int, numbers)
-        if low <= high <= MAX_CPU:
-            return range(low, high + 1)
-    raise RealtimeError(f"--realtime: cpu={value:.80}: write one as cpu=1, several as cpu=2-3")
-
-
-def _is_number(text: str) -> bool:
-    return text.isascii() and text.isdigit() and len(text) <= 4
-
-
-def _suggestion(name: str) -> str:
-    known = (*MEASURES, STRICT)
-    close = difflib.get_close_matches(name, known, n=1)
-    return f"; did you mean {close[0]}?" if close else f"; known: {', '.join(known)}"
+def _numbers(text: str, least: int, most: int) -> range:
+    """Return the numbers of `3` or `2-4`; none where the text is no such range within bounds."""
+    first, dash, last = text.partition("-")
+    ends = (first, last if dash else first)
+    if not all(end.isascii() and end.isdigit() and len(end) <= 4 for end in ends):
+        return range(0)
+    low, high = map(int, ends)
+    return range(low, high + 1) if least <= low <= high <= most else range(0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,14 +176,8 @@ def hold(request: RealtimeRequest) -> Iterator[RealtimeGrant]:
     """Take the requested measures, and give them back when the `with` ends.
 
     Call it in the main thread, which runs the loop, once its helper threads run: measures apply to
-    the calling thread, and processes started meanwhile inherit some of them.
-
-    A priority that has to be given up is logged.
-
-    Raises
-    ------
-    RealtimeError
-        When the request is strict and a measure is not granted.
+    the calling thread, and processes started meanwhile inherit some of them. A priority that has to
+    be given up is logged. Raises RealtimeError where a strict request is not granted.
     """
     grant = RealtimeGrant()
 
@@ -169,30 +188,6 @@ def hold(request: RealtimeRequest) -> Iterator[RealtimeGrant]:
         }
         logger.warning(f"real-time: fifo is given up: {LONGEST_RUN_US // 1000} ms without a pause")
 
-    with ExitStack() as until_the_end:
-        for name, measure in _measures(request, overrun).items():
-            try:
-                if sys.platform != "linux":
-                    raise NotGrantedError("this system has no such thing", "Linux has")
-                grant.granted[name] = until_the_end.enter_context(measure)
-            except NotGrantedError as error:
-                grant.refused.append(RefusedMeasure(name, error.reason, error.advice))
-        if request.strict and grant.refused:
-            raise RealtimeError(str(grant.refused[0]))
-        yield grant
-
-
-def check_strict(request: RealtimeRequest) -> None:
-    """Check before anything moves that a strict request is granted. Raises RealtimeError."""
-    if request.strict:
-        with hold(request):
-            pass
-
-
-def _measures(
-    request: RealtimeRequest, overrun: Callable[[], None]
-) -> dict[str, AbstractContextManager[str]]:
-    """Return the requested measures by name, in the order in which they are taken."""
     measures: dict[str, AbstractContextManager[str]] = {}
     if request.lock:
         measures["lock"] = lock_memory()
@@ -203,4 +198,21 @@ def _measures(
         measures[f"cpu={spans(request.cpus)}"] = pin(request.cpus)
     if request.fifo is not None:
         measures[f"fifo={request.fifo}"] = schedule_fifo(request.fifo, overrun)
-    return measures
+    with ExitStack() as until_the_end:
+        for name, measure in measures.items():
+            try:
+                if sys.platform != "linux":
+                    raise NotGrantedError("this system has no such thing", "Linux has")
+                grant.granted[name] = until_the_end.enter_context(measure)
+            except NotGrantedError as error:
+                grant.refused.append(RefusedMeasure(name, *error.args))
+        if request.strict and grant.refused:
+            raise RealtimeError(str(grant.refused[0]))
+        yield grant
+
+
+def check_strict(request: RealtimeRequest) -> None:
+    """Check before anything moves that a strict request is granted. Raises RealtimeError."""
+    if request.strict:
+        with hold(request):
+            pass

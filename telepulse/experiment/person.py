@@ -15,7 +15,7 @@ from display_node.drives.hardware import Hardware
 from display_node.fault_advice import advise
 from protocol.config.quantities import count_text
 from protocol.errors import BenchError, SourceError
-from protocol.host.pacer import Pacer
+from protocol.host.realtime import Pacer
 from telepulse.experiment.interval import Interval, IntervalPlayback, PlayedInterval
 from telepulse.experiment.log import AnsweredTrial, now
 from telepulse.experiment.session import LETTERS, Kind, Letter, SessionPlan

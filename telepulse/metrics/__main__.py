@@ -4,7 +4,7 @@ import os
 import sys
 import threading
 
-from protocol.host.sidecar import receive, run_as_sidecar
+from protocol.host.child_process import receive, run_as_sidecar
 
 
 def main() -> None:

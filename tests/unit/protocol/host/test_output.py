@@ -27,9 +27,7 @@ def test_an_exception_is_named_in_the_same_line(capsys: pytest.CaptureFixture[st
     except ValueError:
         library.exception("failed")
     line = capsys.readouterr().err
-    assert re.search(
-        r" ERROR failed: ValueError: no\\nsuch \(.*test_output.py:\d+\)\n$", line
-    )
+    assert re.search(r" ERROR failed: ValueError: no\\nsuch \(.*test_output.py:\d+\)\n$", line)
 
 
 @pytest.mark.parametrize(

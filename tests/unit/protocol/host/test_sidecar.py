@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from protocol.errors import SidecarError
-from protocol.host.sidecar import sidecar_module
+from protocol.host.child_process import sidecar_module
 
 ROOT = Path(__file__).parents[4]
 BELOW = ("protocol", "pulse_sensors", "sensing_node", "display_node")
