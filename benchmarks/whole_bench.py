@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from protocol.config.scene_file import find_scene, load_document, to_toml
 from protocol.host.child_process import ChildProcess
-from protocol.wire.status import STATUS, read_status
+from protocol.wire.telemetry import STATUS, read_status
 from telepulse.processes import free_addresses
 
 KINDS = ("tmcl", "cia402")

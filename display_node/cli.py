@@ -15,18 +15,26 @@ from display_node.reception.discovery import discovered
 from display_node.scene import DisplayScene
 from display_node.telemetry.recorder_process import start_recorder
 from protocol.cli_options import (
+    AllowOption,
     DiscoverOption,
+    InsecureOption,
     JsonOption,
+    KeyOption,
     LogLevelOption,
+    MetricsOption,
     NamedOption,
+    PeerOption,
     QuietOption,
     RealtimeOption,
     StopAfterOption,
     VersionOption,
+    client_keys,
     hold_measures,
     level_options,
     one_line_errors,
     plain_console,
+    server_keys,
+    start_metrics,
     sum_up,
     with_measures,
 )
@@ -34,22 +42,17 @@ from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene, scene_names
 from protocol.errors import DiscoveryError, ProtectionError, SceneError
 from protocol.host.child_process import ChildProcess
-from protocol.host.measures import freeze_objects
 from protocol.host.output import check_writable, configure_logging, unblocked_output
-from protocol.host.process import allow_connections, interrupt_on_signals, stop_on_signals
+from protocol.host.process import (
+    allow_connections,
+    freeze_objects,
+    interrupt_on_signals,
+    stop_on_signals,
+)
 from protocol.host.realtime import RealtimeRequest, check_strict, parse_realtime
-from protocol.metrics import MetricsOption, start_metrics
 from protocol.provenance import collect
 from protocol.run_summary import Summary
 from protocol.security.keys import ServerKeys
-from protocol.security.protection import (
-    AllowOption,
-    InsecureOption,
-    KeyOption,
-    PeerOption,
-    client_keys,
-    server_keys,
-)
 from protocol.sockets import beyond_loopback
 
 logger = logging.getLogger(__name__)

@@ -22,8 +22,7 @@ from protocol.run_summary import Summary
 from protocol.summary_tables import Loop, TickTime
 from protocol.tactile import matching_force_ratio
 from protocol.wire.messages import Control, DisplayReport
-from protocol.wire.status import PlaybackStatus, pack_status
-from protocol.wire.telemetry import TickState
+from protocol.wire.telemetry import PlaybackStatus, TickState, pack_status
 
 REPORT_EVERY_NS = 1_000_000_000
 

@@ -14,16 +14,18 @@ from protocol.run_summary import Summary
 from protocol.summary_tables import Clock, SampleCounts
 from protocol.tactile import ElasticLayer
 from protocol.wire.messages import ClockReply, Frame, Welcome, encode_control, encode_frame
-from protocol.wire.status import STATUS, PlaybackStatus, pack_status
 from protocol.wire.stream import Channel, StreamDescription
 from protocol.wire.telemetry import (
     CONTROL,
     HEARD,
+    STATUS,
     SUBSCRIBED,
     TRACE,
     CaptureWriter,
+    PlaybackStatus,
     TickState,
     TraceWriter,
+    pack_status,
 )
 from telepulse.lsl_outlet import LslForwarder
 from telepulse.metrics.families import NodeState as ToldStatus

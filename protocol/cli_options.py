@@ -1,8 +1,8 @@
-"""Common parts of the nodes' command lines: options, errors, closing summary."""
+"""Command lines of the nodes: options, keys of protected links, metrics, closing summary."""
 
 import logging
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib.metadata import version
@@ -12,10 +12,14 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from protocol.errors import TelepulseError
+from protocol.errors import ProtectionError, TelepulseError
+from protocol.host.child_process import Sidecar, sidecar_module, start_sidecar
 from protocol.host.realtime import RealtimeGrant, RealtimeRequest, hold
 from protocol.provenance import Provenance
 from protocol.run_summary import Summary, print_summary, write_json
+from protocol.security.allow_list import read_allowed
+from protocol.security.keys import ClientKeys, ServerKeys, read_pair, read_public
+from protocol.sockets import beyond_loopback, control_address
 
 logger = logging.getLogger(__name__)
 
@@ -137,3 +141,143 @@ def hold_measures(program: str, request: RealtimeRequest) -> Iterator[RealtimeGr
 def with_measures(summary: Summary, grant: RealtimeGrant) -> Summary:
     """Return a loop's summary with the names of the measures that were granted."""
     return replace(summary, loop=replace(summary.loop, realtime=list(grant.granted)))
+
+
+ALLOWED = "allowed"
+
+KeyOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE.key", help="This node's secret key; make one by: telepulse keys new NAME."
+    ),
+]
+PeerOption = Annotated[
+    Path | None, typer.Option(metavar="FILE.pub", help="Public key of the node to connect to.")
+]
+AllowOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Public keys that may connect; by default the file 'allowed' beside the key.",
+    ),
+]
+InsecureOption = Annotated[
+    bool, typer.Option("--insecure", help="Allow links beyond this machine without keys.")
+]
+
+
+def server_keys(
+    address: str, key: Path | None, allow: Path | None, insecure: bool
+) -> ServerKeys | None:
+    """Return the keys for sockets bound to `address`; None for a link without keys.
+
+    Raises ProtectionError where keys are required or the options do not fit; KeyFileError.
+    """
+    if key is None:
+        if allow is not None:
+            raise ProtectionError(f"--allow {allow} needs this node's own key: --key FILE.key")
+        _require_keys(address, insecure, "--key keys/NAME.key")
+        return None
+    _refuse_insecure(insecure)
+    if allow is not None and not allow.exists():
+        raise ProtectionError(f"--allow {allow}: there is no such file")
+    allowed = allow or key.with_name(ALLOWED)
+    read_allowed(allowed)
+    return ServerKeys(read_pair(key), allowed)
+
+
+def client_keys(
+    addresses: Sequence[str], key: Path | None, peer: Path | None, insecure: bool
+) -> ClientKeys | None:
+    """Return the keys for sockets that connect to `addresses`; None for a link without keys.
+
+    Raises ProtectionError where keys are required or the options do not fit; AddressError;
+    KeyFileError.
+    """
+    for address in addresses:
+        control_address(address)
+    if key is None and peer is None:
+        for address in addresses:
+            _require_keys(address, insecure, "--key keys/NAME.key --peer keys/PEER.pub")
+        return None
+    _refuse_insecure(insecure)
+    if key is None:
+        raise ProtectionError(f"--peer {peer} needs this node's own key: --key FILE.key")
+    if peer is None:
+        raise ProtectionError(f"--key {key} needs the other node's public key: --peer FILE.pub")
+    return ClientKeys(read_pair(key), read_public(peer))
+
+
+def telemetry_keys(
+    address: str, key: Path | None, peer: Path | None, insecure: bool
+) -> ClientKeys | None:
+    """Return the keys for reading a display's telemetry.
+
+    A key without a peer is the display's own. Raises as `client_keys` does.
+    """
+    if key is not None and peer is None:
+        pair = read_pair(key)
+        return ClientKeys(pair, pair.public)
+    return client_keys([address], key, peer, insecure)
+
+
+def _require_keys(address: str, insecure: bool, options: str) -> None:
+    if beyond_loopback(address) and not insecure:
+        raise ProtectionError(
+            f"{address} reaches beyond this machine without keys; make them by"
+            f" 'telepulse keys new NAME' and give {options}, or do without by --insecure"
+        )
+
+
+def _refuse_insecure(insecure: bool) -> None:
+    if insecure:
+        raise ProtectionError("--insecure does without keys, and --key is given: choose one")
+
+
+MetricsOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="[ADDRESS:]PORT",
+        help="Serve this node's figures to Prometheus over HTTP, on this machine alone unless an"
+        " address is given; port 0 picks a free one.",
+    ),
+]
+
+
+class MetricsSidecar:
+    """The process that serves a node's figures, if metrics are wanted."""
+
+    def __init__(self, sidecar: Sidecar | None) -> None:
+        """None: nothing is served."""
+        self._sidecar = sidecar
+
+    def __bool__(self) -> bool:
+        return self._sidecar is not None
+
+    def follow(self, telemetry_address: str, key: Path | None = None) -> None:
+        """Serve the telemetry of an address; key: the node's own, where the telemetry needs one."""
+        if self._sidecar is not None:
+            own = None if key is None else str(key)
+            self._sidecar.send(address=telemetry_address, key=own)
+
+
+@contextmanager
+def start_metrics(program: str, where: str | None) -> Iterator[MetricsSidecar]:
+    """Serve metrics at `where` (None: not at all) within a `with`.
+
+    Enter it before anything moves. Raises SidecarError where the port is taken, or the library or
+    the package that serves them is missing.
+    """
+    if where is None:
+        yield MetricsSidecar(None)
+        return
+    arguments = ("metrics server", sidecar_module("metrics"), program, where)
+    with start_sidecar(*arguments) as sidecar:
+        logger.info(f"metrics on {sidecar.ready_message}")
+        if beyond_loopback(
+            sidecar.ready_message.replace("http", "tcp", 1).removesuffix("/metrics")
+        ):
+            logger.warning(
+                "all who can reach that port can read them: HTTP has neither keys nor encryption"
+            )
+        yield MetricsSidecar(sidecar)

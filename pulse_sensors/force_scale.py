@@ -5,10 +5,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from protocol.calibration import Calibration
 from protocol.config.quantities import Hertz, Metres, Newtons, Volts, VoltsPerNewton
 from protocol.config.scene import Section
-from protocol.tactile import Film
+from protocol.tactile import Calibration, Film
 
 _NEWTONS = {"N": 1.0, "mN": 1e-3}
 _VOLTS = {"V": 1.0, "mV": 1e-3}

@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from protocol.clock.device_clock import DeviceClock
+from protocol.clock.one_way import DeviceClock
 from protocol.config.quantities import count_text
 from pulse_sensors.force_scale import SensorTable
 

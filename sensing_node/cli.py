@@ -7,9 +7,13 @@ from typing import Annotated
 import typer
 
 from protocol.cli_options import (
+    AllowOption,
     AnnounceOption,
+    InsecureOption,
     JsonOption,
+    KeyOption,
     LogLevelOption,
+    MetricsOption,
     QuietOption,
     RealtimeOption,
     StopAfterOption,
@@ -17,19 +21,18 @@ from protocol.cli_options import (
     hold_measures,
     one_line_errors,
     plain_console,
+    server_keys,
+    start_metrics,
     sum_up,
     with_measures,
 )
 from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene, scene_names
-from protocol.discovery.announcer import start_announcer
-from protocol.host.measures import freeze_objects
+from protocol.discovery.announcement import start_announcer
 from protocol.host.output import check_writable, configure_logging, unblocked_output
-from protocol.host.process import allow_connections, stop_on_signals
+from protocol.host.process import allow_connections, freeze_objects, stop_on_signals
 from protocol.host.realtime import check_strict, parse_realtime
-from protocol.metrics import MetricsOption, start_metrics
 from protocol.provenance import collect
-from protocol.security.protection import AllowOption, InsecureOption, KeyOption, server_keys
 from protocol.sockets import control_address
 from sensing_node.node import SensingNode
 from sensing_node.scene import SensingScene, describe_stream, open_source

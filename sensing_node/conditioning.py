@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from protocol.calibration import Adc, Calibration
 from protocol.config.quantities import Hertz, Metres, Newtons, Volts, VoltsPerNewton
 from protocol.config.scene import Section
 from protocol.counters import LimitCounter, Limits
 from protocol.errors import SceneError
-from protocol.tactile import Film
+from protocol.tactile import Adc, Calibration, Film
 from sensing_node.sources import SampleSource
 from sensing_node.sources.recorded import RecordedSource
 from sensing_node.sources.synthetic import PRESETS

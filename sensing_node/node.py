@@ -15,8 +15,8 @@ from protocol.security.budgets import SubscriptionBudget
 from protocol.security.keys import ServerKeys
 from protocol.summary_tables import SampleCounts
 from protocol.wire.messages import Bye, encode_control, encode_frame
-from protocol.wire.status import pack_status
 from protocol.wire.stream import StreamDescription
+from protocol.wire.telemetry import pack_status
 from sensing_node.conditioning import faults_of, limits_of
 from sensing_node.control_server import ControlServer, QuestionBudget, Sender
 from sensing_node.framer import Framer

@@ -5,7 +5,7 @@ import zmq
 from protocol import sockets
 from protocol.security.authenticator import Authenticator
 from protocol.security.budgets import SubscriptionBudget
-from protocol.wire.status import STATUS
+from protocol.wire.telemetry import STATUS
 
 STATUS_EVERY_NS = 1_000_000_000
 MAX_READERS = 32

@@ -11,7 +11,7 @@ import zmq
 
 from benchmarks.whole_bench import BenchFailedError, WholeBench, playing
 from protocol.host.child_process import ChildProcess
-from protocol.wire.status import STATUS, read_status
+from protocol.wire.telemetry import STATUS, read_status
 from soak.bench_truth import FingerClaim, Round
 from soak.schedule import BENCH_WATCHDOG_S, Trouble, troubles
 

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from protocol.cli_options import ALLOWED
 from protocol.security.allow_list import allow
 from protocol.security.keys import ClientKeys, new_pair, read_pair
-from protocol.security.protection import ALLOWED
 
 WRIST, FINGER, MONITOR = "wrist", "finger", "monitor"
 

@@ -16,8 +16,7 @@ import zmq.asyncio
 from protocol.errors import WireError
 from protocol.security.keys import ClientKeys
 from protocol.wire.messages import decode_frame
-from protocol.wire.status import STATUS, read_status, unpack
-from protocol.wire.telemetry import TRACE, read_trace
+from protocol.wire.telemetry import STATUS, TRACE, read_status, read_trace, unpack
 from soak.accounts import Mark
 from soak.claims import StatusClaim, no_figures
 from soak.core_time import read_core_time

@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks.clock import virtual
 from benchmarks.measure import show
-from protocol.clock.offset_regression import Floats
+from protocol.clock.one_way import Floats
 from protocol.host.child_process import ChildProcess
 from telepulse.netem import Namespace, emulate, unavailable
 from telepulse.simulation.link_model import parse_link

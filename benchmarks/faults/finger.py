@@ -8,8 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 import zmq
 
-from protocol.wire.status import STATUS, Status, read_status
-from protocol.wire.telemetry import TRACE, Trace, read_trace
+from protocol.wire.telemetry import STATUS, TRACE, Status, Trace, read_status, read_trace
 
 POLL_MS = 20
 # What is heard of a tick comes with the rest of its trace, 20 ms later at most.

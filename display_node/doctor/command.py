@@ -32,8 +32,8 @@ from display_node.scene import DisplayScene
 from protocol import sockets
 from protocol.config.scene import load_section
 from protocol.histogram import bound
-from protocol.host.measures import freeze_objects
 from protocol.host.output import write_whole
+from protocol.host.process import freeze_objects
 from protocol.host.realtime import RealtimeGrant, RealtimeRequest, hold, parse_realtime
 
 SECONDS = 30.0

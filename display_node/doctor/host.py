@@ -17,7 +17,7 @@ import zmq
 
 from display_node.doctor.jitter import Ticks
 from display_node.scoring.deadlines import ALARM_SHARE, GAP_NS
-from protocol.host.measures import spans
+from protocol.host.process import spans
 
 CPU = Path("/sys/devices/system/cpu")
 CGROUP = Path("/sys/fs/cgroup")

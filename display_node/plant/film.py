@@ -11,11 +11,10 @@ import numpy as np
 from pydantic import Field
 
 from display_node.plant.filters import DelayLine, LowPass
-from protocol.calibration import Adc
 from protocol.config.quantities import Hertz, Metres, Nanoseconds, Newtons, Volts, VoltsPerNewton
 from protocol.config.scene import Section
 from protocol.counters import LimitCounter
-from protocol.tactile import Film
+from protocol.tactile import Adc, Film
 
 NOISE_BLOCK = 1024
 

@@ -8,9 +8,9 @@ from protocol import sockets
 from protocol.provenance import PROVENANCE
 from protocol.security.authenticator import Authenticator
 from protocol.security.budgets import SubscriptionBudget
-from protocol.wire.status import STATUS
 from protocol.wire.telemetry import (
     HEARD,
+    STATUS,
     STATUS_TRACES,
     TRACE,
     CaptureWriter,

@@ -33,8 +33,7 @@ from protocol.figures import Surface
 from protocol.host.output import unblocked_output
 from protocol.run_summary import REGISTRY
 from protocol.security.keys import ClientKeys, read_pair
-from protocol.wire.status import STATUS, Status, read_status
-from protocol.wire.telemetry import TRACE, Trace, read_trace
+from protocol.wire.telemetry import STATUS, TRACE, Status, Trace, read_status, read_trace
 
 FRAMES_PER_S = 8
 LINE_EVERY_S = 1.0

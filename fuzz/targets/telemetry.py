@@ -6,15 +6,16 @@ import numpy as np
 from fuzz.refusals import refusals
 from fuzz.telemetry_readers import TelemetryReaders, preamble
 from protocol.run_summary import Summary
-from protocol.wire.status import STATUS, read_status
 from protocol.wire.telemetry import (
     HEARD,
+    STATUS,
     TRACE,
     TRACE_TICKS,
     CaptureWriter,
     TickState,
     TraceWriter,
     read_capture,
+    read_status,
     read_trace,
 )
 

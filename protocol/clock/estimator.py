@@ -22,8 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.clock.offset_regression import Floats, OffsetRegression, fit_lines
-from protocol.clock.skew import MAX_SKEW, OneWaySkew
+from protocol.clock.one_way import MAX_SKEW, Floats, OffsetRegression, OneWaySkew, fit_lines
 
 # Exchanges of a block.
 BLOCK = 16

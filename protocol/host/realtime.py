@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from protocol.errors import RealtimeError
-from protocol.host.measures import (
+from protocol.host.process import (
     LONGEST_RUN_US,
     NotGrantedError,
     lock_memory,

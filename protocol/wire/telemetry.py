@@ -1,9 +1,9 @@
-"""Telemetry: formats of what a display publishes, for another process to show or record.
+"""Telemetry: formats of what a node publishes, for another process to show or record.
 
 Three topics, each a multipart message [topic, msgpack]:
 
 - "trace": every tick since the last trace;
-- "status": the running summary (`protocol.wire.status`); a last status has final = true;
+- "status": the running summary, some times a second; a last status has final = true;
 - "heard": all that the display receives, each message as it came and when, published only while a
   recorder asks for it. Each states how much was published before, so that gaps show.
 """
@@ -11,15 +11,124 @@ Three topics, each a multipart message [topic, msgpack]:
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from itertools import accumulate, takewhile
+from typing import Annotated, Any, NamedTuple
 
 import msgpack
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from protocol.errors import WireError
-from protocol.wire.messages import LARGEST_N, MAX_FRAME_BYTES, TIME_RANGE
-from protocol.wire.status import unpack
+from protocol.run_summary import LARGEST, Summary
+from protocol.wire.messages import COUNT_RANGE, LARGEST_N, MAX_CHANNELS, MAX_FRAME_BYTES, TIME_RANGE
+
+STATUS = b"status"
+MAX_ITEMS = 256
+_SUMMARY = TypeAdapter(Summary)
+
+
+class PlaybackStatus(NamedTuple):
+    """How a display plays the stream.
+
+    Attributes
+    ----------
+    channel : int
+        Channel that it plays.
+    force_ratio : float
+        Force at the finger per force at the wrist that makes both strains equal.
+    strain_per_newton : float
+        Strain of the layer under the finger, in 1/N.
+    predictor : str
+        Name of the predictor.
+    stale_after_ns : int
+        Time without samples after which the stream is stale.
+    """
+
+    channel: Annotated[int, Field(ge=0, lt=MAX_CHANNELS)]
+    force_ratio: Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
+    strain_per_newton: Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
+    predictor: str
+    stale_after_ns: Annotated[int, Field(ge=0, lt=TIME_RANGE.stop)]
+
+
+class Status(NamedTuple):
+    """Status of a node: a state, its stream, its running summary.
+
+    Attributes
+    ----------
+    session : int or None
+        Session of the stream; None while there is none.
+    displays : int or None
+        Displays connected to a sensing node; None for a display.
+    playing : PlaybackStatus or None
+        Of a display that has the stream's description.
+    """
+
+    state: str
+    stream: str
+    summary: dict[str, Any]
+    final: bool
+    session: int | None = None
+    displays: int | None = None
+    playing: PlaybackStatus | None = None
+
+
+_PLAYING = TypeAdapter(PlaybackStatus, config=ConfigDict(strict=True, allow_inf_nan=False))
+
+
+def pack_status(
+    state: str,
+    stream: str,
+    summary: Summary,
+    final: bool,
+    session: int | None = None,
+    displays: int | None = None,
+    playing: PlaybackStatus | None = None,
+) -> bytes:
+    """Encode a status message, from the fields of `Status`."""
+    fields = [state, stream, summary.to_dict(), final, session, displays, playing]
+    return bytes(msgpack.packb(fields))
+
+
+def read_status(data: bytes) -> Status:
+    """Decode a status, with every key of a summary. Raises WireError."""
+    try:
+        state, stream, summary, final, session, displays, playing = unpack(data)
+        if playing is not None:
+            playing = _PLAYING.validate_python(PlaybackStatus(*playing))
+    except (ValueError, TypeError) as error:
+        raise WireError("malformed", f"not a status: {error}") from None
+    if not (
+        type(state) is type(stream) is str
+        and type(summary) is dict
+        and type(final) is bool
+        and all(number is None or type(number) is int for number in (session, displays))
+    ):
+        raise WireError("malformed", "a status' field has the wrong type")
+    try:
+        whole = _SUMMARY.validate_python(summary).to_dict()
+    except ValidationError as error:
+        raise WireError("malformed", f"a status' summary: {error}") from None
+    if not _countable(whole):
+        raise WireError("malformed", "a count of a status' summary is out of range")
+    return Status(state, stream, whole, final, session, displays, playing)
+
+
+def _countable(value: Any) -> bool:
+    """Check that every whole number in a summary is one that a float holds exactly."""
+    if isinstance(value, dict):
+        return all(_countable(inner) for inner in value.values())
+    return not isinstance(value, int) or abs(value) in COUNT_RANGE
+
+
+def unpack(data: bytes, max_items: int = MAX_ITEMS) -> Any:
+    """Decode msgpack with at most `max_items` in a container. Raises ValueError or TypeError.
+
+    msgpack allocates as many items as a container's header announces.
+    """
+    return msgpack.unpackb(data, max_array_len=max_items, max_map_len=max_items)
+
 
 TRACE = b"trace"
 TRACE_TICKS = 20
@@ -29,13 +138,7 @@ STATUS_TRACES = 10
 
 @dataclass(slots=True)
 class TickState:
-    """State at the beginning of the last tick.
-
-    instant_ns is on the sensing clock; felt_n: NaN where a real film gives no reading; `scored`:
-    the pulse was being felt at its full strength;
-    predictor_error_n: RMSE that the predictor expects of what it stood in with, NaN where it
-    did not or cannot tell; trusted: it is trusted with all of the delay.
-    """
+    """State at the beginning of the last tick; the fields that `Trace` has are explained there."""
 
     now_ns: int = 0
     sensing_now_ns: int = 0
@@ -58,8 +161,8 @@ class Trace(NamedTuple):
     now_ns on the display's clock, never falling; instant_ns on the sensing clock; target force in
     N; felt_n: felt force in N, NaN where it is unknown (no reading of the film); scored: whether
     the pulse was being felt at its full strength; predictor_error_n: RMSE that the predictor
-    expects, NaN where it did not stand in or cannot tell; trusted: whether it is trusted with all
-    of the delay. No number is infinite or beyond `LARGEST_N`.
+    expects of its prediction, NaN where it made none or cannot tell; trusted: whether it is trusted
+    with all of the delay. No number is infinite or beyond `LARGEST_N`.
     """
 
     now_ns: NDArray[np.int64]
@@ -212,7 +315,10 @@ class CaptureWriter:
         kept, self._messages, self._kept_bytes = self._messages, [], 0
         before = self._first if kept else self._heard
         while True:
-            part = _up_to(kept, MAX_PART_BYTES)
+            # At least one, and then as many as a part has room for.
+            sizes = accumulate(len(message.data) + OVERHEAD_BYTES for message in kept)
+            fitting = takewhile(lambda size: size <= MAX_PART_BYTES, sizes)
+            part = kept[: max(1, sum(1 for _ in fitting))]
             head = (self._run, now_ns, wall_ns, self.traces, self.statuses, before)
             yield msgpack.packb((*head, part))
             before += len(part)
@@ -228,16 +334,6 @@ class CaptureWriter:
         self._messages.append(message)
 
 
-def _up_to(messages: list[CapturedMessage], limit_bytes: int) -> list[CapturedMessage]:
-    """Return the first messages, at least one, whose sizes add up to at most a limit."""
-    size = 0
-    for count, message in enumerate(messages):
-        size += len(message.data) + OVERHEAD_BYTES
-        if size > limit_bytes and count:
-            return messages[:count]
-    return messages
-
-
 def read_capture(data: bytes) -> CapturedMessages:
     """Decode a message of received messages. Raises WireError."""
     try:
@@ -245,10 +341,7 @@ def read_capture(data: bytes) -> CapturedMessages:
         heard = CapturedMessages._make((*head, [CapturedMessage(*message) for message in messages]))
     except (ValueError, TypeError) as error:
         raise WireError("malformed", f"not what was heard: {error}") from None
-    numbers: list[object] = [
-        *head,
-        *(number for message in heard.messages for number in message[:2]),
-    ]
+    numbers = [*head, *(number for message in heard.messages for number in message[:2])]
     texts = [message.data for message in heard.messages]
     if not (all(type(n) is int for n in numbers) and all(type(t) is bytes for t in texts)):
         raise WireError("malformed", "a field of what was heard has the wrong type")

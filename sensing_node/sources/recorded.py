@@ -7,11 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from protocol.calibration import Calibration
 from protocol.config.quantities import Hertz, Metres, Newtons, VoltsPerNewton
 from protocol.config.scene import Section
 from protocol.errors import SourceError
-from protocol.tactile import Film
+from protocol.tactile import Calibration, Film
 from protocol.wire.stream import Channel
 from sensing_node.sources.plausibility import (
     refuse_constant,

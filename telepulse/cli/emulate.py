@@ -12,9 +12,8 @@ from protocol.cli_options import LogLevelOption, StopAfterOption, one_line_error
 from protocol.config.quantities import count_text
 from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene
-from protocol.host.measures import freeze_objects
 from protocol.host.output import configure_logging
-from protocol.host.process import stop_on_signals
+from protocol.host.process import freeze_objects, stop_on_signals
 from pulse_sensors.binary_frames import MAX_SAMPLES, SampleFormat
 from telepulse.cli import emulate_drives as drive_commands
 from telepulse.cli.options import PROGRAM

@@ -15,9 +15,8 @@ from protocol.cli_options import (
     plain_console,
 )
 from protocol.config.quantities import parse_ratio
-from protocol.host.measures import freeze_objects
 from protocol.host.output import create_file, unblocked_output
-from protocol.host.process import stop_on_signals
+from protocol.host.process import freeze_objects, stop_on_signals
 from protocol.host.realtime import check_strict, parse_realtime
 from telepulse.cli.options import PROGRAM, FolderOption, TablesOption, YesOption, publish
 from telepulse.reports.document import Report

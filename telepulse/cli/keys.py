@@ -5,10 +5,9 @@ from typing import Annotated
 
 import typer
 
-from protocol.cli_options import one_line_errors, plain_console
+from protocol.cli_options import ALLOWED, one_line_errors, plain_console
 from protocol.security.allow_list import allow, read_allowed, revoke
 from protocol.security.keys import new_pair, read_public
-from protocol.security.protection import ALLOWED
 from telepulse.cli.options import PROGRAM
 
 app = typer.Typer(

@@ -5,18 +5,19 @@ from typing import Annotated
 
 import typer
 
-from protocol.cli_options import LogLevelOption, StopAfterOption, one_line_errors
-from protocol.host.measures import freeze_objects
-from protocol.host.output import configure_logging
-from protocol.host.process import allow_connections, stop_on_signals
-from protocol.security.protection import (
+from protocol.cli_options import (
     AllowOption,
     InsecureOption,
     KeyOption,
+    LogLevelOption,
     PeerOption,
+    StopAfterOption,
     client_keys,
+    one_line_errors,
     server_keys,
 )
+from protocol.host.output import configure_logging
+from protocol.host.process import allow_connections, freeze_objects, stop_on_signals
 from telepulse.cli.options import PROGRAM, LinkOption, SeedOption
 from telepulse.netem.link_proxy import LinkProxy
 from telepulse.simulation.link_model import LinkScene, parse_link

@@ -1,9 +1,17 @@
 """`telepulse lsl`."""
 
-from protocol.cli_options import LogLevelOption, QuietOption, StopAfterOption, one_line_errors
+from protocol.cli_options import (
+    InsecureOption,
+    KeyOption,
+    LogLevelOption,
+    PeerOption,
+    QuietOption,
+    StopAfterOption,
+    one_line_errors,
+    telemetry_keys,
+)
 from protocol.host.output import configure_logging
 from protocol.host.process import stop_on_signals
-from protocol.security.protection import InsecureOption, KeyOption, PeerOption, telemetry_keys
 from telepulse.cli.options import NOT_WHOLE, PROGRAM, AddressArgument, SilenceOption
 
 

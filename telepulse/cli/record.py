@@ -5,10 +5,18 @@ from typing import Annotated
 
 import typer
 
-from protocol.cli_options import LogLevelOption, QuietOption, StopAfterOption, one_line_errors
+from protocol.cli_options import (
+    InsecureOption,
+    KeyOption,
+    LogLevelOption,
+    PeerOption,
+    QuietOption,
+    StopAfterOption,
+    one_line_errors,
+    telemetry_keys,
+)
 from protocol.host.output import configure_logging, unblocked_output
 from protocol.host.process import stop_on_signals
-from protocol.security.protection import InsecureOption, KeyOption, PeerOption, telemetry_keys
 from telepulse.cli.options import NOT_WHOLE, PROGRAM, AddressArgument, SilenceOption
 
 

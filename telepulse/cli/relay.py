@@ -6,26 +6,23 @@ from typing import Annotated
 import typer
 
 from protocol.cli_options import (
-    JsonOption,
-    LogLevelOption,
-    QuietOption,
-    StopAfterOption,
-    one_line_errors,
-    plain_console,
-    sum_up,
-)
-from protocol.host.measures import freeze_objects
-from protocol.host.output import check_writable, configure_logging
-from protocol.host.process import allow_connections, stop_on_signals
-from protocol.provenance import collect
-from protocol.security.protection import (
     AllowOption,
     InsecureOption,
+    JsonOption,
     KeyOption,
+    LogLevelOption,
     PeerOption,
+    QuietOption,
+    StopAfterOption,
     client_keys,
+    one_line_errors,
+    plain_console,
     server_keys,
+    sum_up,
 )
+from protocol.host.output import check_writable, configure_logging
+from protocol.host.process import allow_connections, freeze_objects, stop_on_signals
+from protocol.provenance import collect
 from protocol.sockets import control_address
 from telepulse.cli.options import PROGRAM
 from telepulse.relay.relay import Relay

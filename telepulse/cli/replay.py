@@ -6,19 +6,21 @@ from typing import Annotated
 import typer
 
 from protocol.cli_options import (
+    AllowOption,
+    InsecureOption,
     JsonOption,
+    KeyOption,
     LogLevelOption,
     QuietOption,
     StopAfterOption,
     one_line_errors,
     plain_console,
+    server_keys,
     sum_up,
 )
-from protocol.host.measures import freeze_objects
 from protocol.host.output import check_writable, configure_logging
-from protocol.host.process import allow_connections, stop_on_signals
+from protocol.host.process import allow_connections, freeze_objects, stop_on_signals
 from protocol.provenance import collect
-from protocol.security.protection import AllowOption, InsecureOption, KeyOption, server_keys
 from telepulse.cli.options import PROGRAM, FileArgument
 
 logger = logging.getLogger(__name__)

@@ -9,16 +9,19 @@ from typing import Annotated
 import typer
 
 from protocol.cli_options import (
+    InsecureOption,
+    KeyOption,
     LogLevelOption,
+    PeerOption,
     QuietOption,
     StopAfterOption,
     one_line_errors,
     plain_console,
+    telemetry_keys,
 )
 from protocol.errors import AddressError, OutputError, ProtectionError
 from protocol.host.output import configure_logging
 from protocol.host.process import stop_on_signals
-from protocol.security.protection import InsecureOption, KeyOption, PeerOption, telemetry_keys
 from telepulse.cli.options import PROGRAM, AddressArgument
 
 # The display's loop goes first.

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.calibration import FIG_4_VOLTS_PER_NEWTON
 from protocol.errors import BenchError, SceneError, SourceError
-from protocol.tactile import Film
+from protocol.tactile import FIG_4_VOLTS_PER_NEWTON, Film
 from pulse_sensors.scene import SensorScene, open_sensor
 from pulse_sensors.sensor import Sensor
 from telepulse.commissioning.rig import listen

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TextIO
 
 from protocol.errors import OutputError
-from protocol.host.measures import freeze_objects
-from protocol.host.process import stop_on_signals
+from protocol.host.process import freeze_objects, stop_on_signals
 from telepulse.emulators.fault_injection import InjectedFault
 from telepulse.emulators.motor import TICK_NS, EmulatedMotor, MotorFault, MotorState
 from telepulse.emulators.pty_port import PtyPort

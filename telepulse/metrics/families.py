@@ -15,7 +15,7 @@ from prometheus_client.metrics_core import (
 
 from protocol.figures import COUNT, Figure, Surface
 from protocol.run_summary import REGISTRY
-from protocol.wire.status import Status
+from protocol.wire.telemetry import Status
 
 PREFIX = "telepulse_"
 # A node may be held up for that long.

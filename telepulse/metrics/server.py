@@ -18,8 +18,7 @@ from display_node.telemetry.terminal import TerminalView
 from protocol import sockets
 from protocol.errors import AddressError, SidecarError, WireError
 from protocol.security.keys import ClientKeys, read_pair
-from protocol.wire.status import STATUS, read_status
-from protocol.wire.telemetry import TRACE, read_trace
+from protocol.wire.telemetry import STATUS, TRACE, read_status, read_trace
 from telepulse.http_site import Site
 
 try:

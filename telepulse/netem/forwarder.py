@@ -20,7 +20,7 @@ from dataclasses import asdict, dataclass
 from typing import Literal
 
 from protocol.histogram import Histogram
-from protocol.host.measures import freeze_objects
+from protocol.host.process import freeze_objects
 from telepulse.netem.namespace import MTU_BYTES
 from telepulse.simulation.link_model import Direction, parse_link
 

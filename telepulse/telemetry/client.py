@@ -12,8 +12,7 @@ from protocol import sockets
 from protocol.provenance import PROVENANCE
 from protocol.security.keys import ClientKeys
 from protocol.security.socket_monitor import HandshakeMonitor
-from protocol.wire.status import STATUS
-from protocol.wire.telemetry import HEARD, TRACE
+from protocol.wire.telemetry import HEARD, STATUS, TRACE
 from telepulse.telemetry.decoder import Entry, TelemetryDecoder
 
 logger = logging.getLogger(__name__)

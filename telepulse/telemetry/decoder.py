@@ -25,8 +25,6 @@ from protocol.wire.messages import (
     decode_frame,
     encode_control,
 )
-from protocol.wire.status import STATUS as STATUS_TOPIC
-from protocol.wire.status import read_status
 from protocol.wire.telemetry import (
     CONTROL,
     HEARD,
@@ -35,8 +33,10 @@ from protocol.wire.telemetry import (
     CapturedMessages,
     Trace,
     read_capture,
+    read_status,
     read_trace,
 )
+from protocol.wire.telemetry import STATUS as STATUS_TOPIC
 from telepulse.telemetry.events import Event, EventDetector
 from telepulse.telemetry.schema import CLOCK, EVENT, FRAME, LEVELS, REFUSED, STATUS, STREAM, TICK
 

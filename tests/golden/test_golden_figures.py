@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from protocol.wire.status import Status
+from protocol.wire.telemetry import Status
 from telepulse.metrics.families import NodeState, families
 from telepulse.telemetry.schema import SCHEMAS
 from tests.support.full_summary import full_summary

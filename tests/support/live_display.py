@@ -7,7 +7,7 @@ import pytest
 import zmq
 
 from protocol.sockets import Context
-from protocol.wire.status import STATUS, Status, read_status
+from protocol.wire.telemetry import STATUS, Status, read_status
 from tests.support.nodes import RADIAL
 
 MODULE = "display_node.cli"

@@ -9,16 +9,18 @@ from numpy.typing import NDArray
 from protocol.run_summary import Summary
 from protocol.tactile import ElasticLayer
 from protocol.wire.messages import ClockReply, Frame, Welcome, encode_control, encode_frame
-from protocol.wire.status import STATUS, PlaybackStatus, pack_status
 from protocol.wire.stream import Channel, StreamDescription
 from protocol.wire.telemetry import (
     CONTROL,
     HEARD,
+    STATUS,
     SUBSCRIBED,
     TRACE,
     CaptureWriter,
+    PlaybackStatus,
     TickState,
     TraceWriter,
+    pack_status,
 )
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 from telepulse.recording.mcap_writer import McapWriter

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import pytest
 
-from protocol.host.measures import CAP_IPC_LOCK, CAP_SYS_NICE
+from protocol.host.process import CAP_IPC_LOCK, CAP_SYS_NICE
 from tests.support.nodes import ROOT
 
 # From <linux/prctl.h>.

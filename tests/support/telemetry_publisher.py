@@ -15,15 +15,17 @@ from protocol.run_summary import Summary
 from protocol.security.authenticator import Authenticator
 from protocol.security.keys import ServerKeys
 from protocol.wire.messages import Bye, ClockReply, Frame, Welcome, encode_control, encode_frame
-from protocol.wire.status import STATUS, PlaybackStatus, pack_status
 from protocol.wire.telemetry import (
     CONTROL,
     HEARD,
+    STATUS,
     SUBSCRIBED,
     TRACE,
     CaptureWriter,
+    PlaybackStatus,
     TickState,
     TraceWriter,
+    pack_status,
 )
 from telepulse.telemetry.decoder import Entry, TelemetryDecoder
 from tests.support.streams import description

@@ -19,10 +19,9 @@ from display_node.control.safety import Safety, SafetyScene
 from display_node.plant.film import FilmTable
 from display_node.plant.second_order import SecondOrderScene
 from display_node.plant.stepper import StepperScene
-from protocol.calibration import Adc
 from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError
-from protocol.tactile import ElasticLayer
+from protocol.tactile import Adc, ElasticLayer
 from telepulse.reports.paper import published
 from telepulse.reports.paper.published import Gains
 from telepulse.scene import load_scene

@@ -19,8 +19,7 @@ from protocol.wire.messages import (
     encode_control,
     encode_frame,
 )
-from protocol.wire.status import read_status
-from protocol.wire.telemetry import TRACE, read_trace
+from protocol.wire.telemetry import TRACE, read_status, read_trace
 from tests.support.live_display import (
     MODULE,
     PATIENCE_S,

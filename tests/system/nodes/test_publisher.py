@@ -6,10 +6,10 @@ import zmq
 from display_node.telemetry.publisher import Publisher
 from protocol import sockets
 from protocol.sockets import Context
-from protocol.wire.status import STATUS
 from protocol.wire.telemetry import (
     CONTROL,
     HEARD,
+    STATUS,
     STATUS_TRACES,
     TRACE,
     TRACE_TICKS,

@@ -9,7 +9,7 @@ import zmq
 
 from protocol.cli_options import with_measures
 from protocol.errors import RealtimeError
-from protocol.host.measures import helper_threads
+from protocol.host.process import helper_threads
 from protocol.host.realtime import hold, parse_realtime
 from protocol.run_summary import Summary
 from tests.support.rights import needs_rights, with_rights, without_rights

@@ -28,8 +28,15 @@ from protocol.summary_tables import (
     Roughness,
     SampleCounts,
 )
-from protocol.wire.status import STATUS, Status, pack_status
-from protocol.wire.telemetry import TRACE, TickState, Trace, TraceWriter
+from protocol.wire.telemetry import (
+    STATUS,
+    TRACE,
+    Status,
+    TickState,
+    Trace,
+    TraceWriter,
+    pack_status,
+)
 from tests.support.nodes import free_address
 
 BEAT_S = 0.8

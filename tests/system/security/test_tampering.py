@@ -14,7 +14,7 @@ from protocol import sockets
 from protocol.security.authenticator import Authenticator
 from protocol.sockets import Context
 from protocol.wire.messages import Hello, encode_control
-from protocol.wire.status import Status
+from protocol.wire.telemetry import Status
 from tests.support.keyring import Keyring
 from tests.support.live_display import await_state, await_status, subscribe
 from tests.support.middleman import (

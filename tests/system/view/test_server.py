@@ -14,8 +14,15 @@ import zmq
 
 from protocol.run_summary import Summary
 from protocol.sockets import Context
-from protocol.wire.status import STATUS, pack_status
-from protocol.wire.telemetry import HEARD, TRACE, CaptureWriter, TickState, TraceWriter
+from protocol.wire.telemetry import (
+    HEARD,
+    STATUS,
+    TRACE,
+    CaptureWriter,
+    TickState,
+    TraceWriter,
+    pack_status,
+)
 from telepulse.view import server
 from telepulse.view import server as admission
 from telepulse.view.server import PageServer

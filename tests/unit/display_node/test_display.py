@@ -21,8 +21,7 @@ from protocol.wire.messages import (
     encode_control,
     encode_frame,
 )
-from protocol.wire.status import read_status
-from protocol.wire.telemetry import TraceWriter, read_trace
+from protocol.wire.telemetry import TraceWriter, read_status, read_trace
 from tests.support.sender import AHEAD_NS, MS, Sender, run
 from tests.support.streams import description
 

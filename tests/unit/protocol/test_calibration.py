@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.calibration import Adc, Calibration
-from protocol.tactile import Film
+from protocol.tactile import Adc, Calibration, Film
 
 ADC = Adc(bits=4, range_volts=8.0)
 

@@ -15,7 +15,7 @@ from docs.ext import summary_keys
 from protocol.figures import MILLISECONDS, Figure, Registry, Surface, absent, figure, table
 from protocol.run_summary import REGISTRY, Summary, print_summary
 from protocol.summary_tables import Clock
-from protocol.wire.status import Status
+from protocol.wire.telemetry import Status
 from telepulse.metrics.families import NodeState, families
 from telepulse.view import text as page
 from telepulse.view.live import LiveState

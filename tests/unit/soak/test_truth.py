@@ -9,8 +9,7 @@ import pytest
 from protocol.counters import Interruptions
 from protocol.run_summary import Availability, Summary
 from protocol.summary_tables import Loop, SampleCounts
-from protocol.wire.status import Status
-from protocol.wire.telemetry import Trace
+from protocol.wire.telemetry import Status, Trace
 from soak.claims import StatusClaim, no_figures, read_line
 from soak.tick_record import TickRecord
 from soak.truth import judge_ends, judge_events, judge_lines, judge_stalls, judge_statuses

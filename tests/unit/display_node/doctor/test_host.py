@@ -22,7 +22,7 @@ from display_node.doctor.host import (
 )
 from display_node.doctor.jitter import Ticks
 from protocol.histogram import Histogram
-from protocol.host.measures import spans
+from protocol.host.process import spans
 
 GOOD_HOST = Host("Linux 6.18", "PREEMPT_RT", clocksource="tsc", curve=True)
 

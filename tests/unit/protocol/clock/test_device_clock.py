@@ -2,7 +2,7 @@ import random
 
 import pytest
 
-from protocol.clock.device_clock import DeviceClock
+from protocol.clock.one_way import DeviceClock
 
 MS = 1_000_000
 S = 1_000 * MS

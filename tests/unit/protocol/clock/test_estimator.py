@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.clock.estimator import BLOCK, LEVELS, ClockEstimator, ClockExchange, block_offset
-from protocol.clock.offset_regression import fit_lines
+from protocol.clock.one_way import fit_lines
 
 MS = 1_000_000
 S = 1_000 * MS

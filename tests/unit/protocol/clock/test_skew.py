@@ -4,7 +4,7 @@ import random
 import pytest
 
 from protocol.clock.estimator import ClockEstimator, ClockExchange
-from protocol.clock.skew import BLOCK, KEEP_BLOCKS, STEADY_BLOCKS, OneWaySkew
+from protocol.clock.one_way import BLOCK, KEEP_BLOCKS, STEADY_BLOCKS, OneWaySkew
 
 MS = 1_000_000
 S = 1_000 * MS

@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.errors import RealtimeError
-from protocol.host.measures import spans
+from protocol.host.process import spans
 from protocol.host.realtime import PacedTick, Pacer, RealtimeRequest, parse_realtime
 
 MS = 1_000_000

@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 
+from protocol.cli_options import client_keys, server_keys
 from protocol.errors import AddressError, KeyFileError, ProtectionError
-from protocol.security.protection import client_keys, server_keys
 from tests.support.keyring import Keyring
 
 FAR, NEAR = "tcp://192.0.2.1:5555", "tcp://127.0.0.1:5555"

@@ -4,7 +4,7 @@ import pytest
 from protocol.errors import WireError
 from protocol.run_summary import Summary
 from protocol.summary_tables import SampleCounts
-from protocol.wire.status import PlaybackStatus, pack_status, read_status
+from protocol.wire.telemetry import PlaybackStatus, pack_status, read_status
 
 SUMMARY = Summary(samples=SampleCounts(sent=5))
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from protocol.calibration import FIG_4_VOLTS_PER_NEWTON
 from protocol.errors import BenchError
+from protocol.tactile import FIG_4_VOLTS_PER_NEWTON
 from telepulse.commissioning.calibration import fit_line
 
 UP_N = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5])

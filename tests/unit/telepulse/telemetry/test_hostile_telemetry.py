@@ -40,8 +40,7 @@ from protocol.summary_tables import (
     SampleCounts,
 )
 from protocol.wire.messages import Frame
-from protocol.wire.status import PlaybackStatus
-from protocol.wire.telemetry import TRACE, TickState
+from protocol.wire.telemetry import TRACE, PlaybackStatus, TickState
 
 MOST_MORE_BYTES = 1 << 30
 AWKWARD = [math.nan, math.inf, -math.inf, 1e300, -1e300, 5e-324, 1e15, 1e6, -1e6, 0.0, 0.3]
