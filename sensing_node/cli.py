@@ -28,7 +28,7 @@ from protocol.cli_options import (
 )
 from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene, scene_names
-from protocol.discovery.announcement import start_announcer
+from protocol.discovery.announcer import start_announcer
 from protocol.host.output import check_writable, configure_logging, unblocked_output
 from protocol.host.process import allow_connections, freeze_objects, stop_on_signals
 from protocol.host.realtime import check_strict, parse_realtime

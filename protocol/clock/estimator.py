@@ -6,9 +6,9 @@ Offset is remote minus local clock. The estimate follows in five steps:
    information depends on the jitter: with exponential delays the shortest, with Gaussian ones all
    alike. So a block has one offset for each of five levels, from its 1, 2, 4, 8 or 16 shortest
    delays of each direction.
-2. For each level a line is fitted through the blocks' offsets (`offset_regression.py`). Blocks
+2. For each level a line is fitted through the blocks' offsets (`fit_lines`). Blocks
    with unusual round trips get a low weight.
-3. One-way messages add an estimate of the skew, where it agrees (`skew.py`).
+3. One-way messages add an estimate of the skew, where it agrees (`OneWaySkew`).
 4. The level is used whose line has the smallest error. A level that contradicts the one of the
    shortest delays has a bias, which counts as an error.
 5. The result is bounded: no delay is negative, so half the shortest round trip bounds the offset.

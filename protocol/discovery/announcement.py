@@ -1,29 +1,19 @@
-"""Announcement of a sensing node as a DNS-SD service (RFC 6763), by a process beside the node.
+"""Announcement of a sensing node as a DNS-SD service (RFC 6763): encoding, decoding, selection.
 
 The service has an instance name, a port, its host's addresses and a TXT record. Anybody on the
-network can read one, and anybody can send one.
+network can read one, and anybody can send one. Pure: no I/O.
 """
 
 import hashlib
 import ipaddress
-import json
-import logging
-import socket
-import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from ipaddress import IPv4Interface
 from typing import Self
 
 from protocol.errors import DiscoveryError, WireError
-from protocol.host.child_process import receive, run_as_sidecar, start_sidecar
-from protocol.security.keys import ServerKeys
-from protocol.sockets import control_address
 from protocol.wire.messages import VERSION
 from protocol.wire.stream import MAX_NAME
-
-logger = logging.getLogger(__name__)
 
 SERVICE = "_telepulse._tcp.local."
 # RFC 6763: an instance's name, and a string in a TXT record.
@@ -218,70 +208,3 @@ def reachable(announcement: Announcement, own: Sequence[IPv4Interface]) -> list[
         return [announcement.addresses[0]]
     there = [address for address in announcement.addresses if address not in ours]
     return [a for a in there if any(IPv4Interface(a).ip in one.network for one in own)]
-
-
-@contextmanager
-def start_announcer(
-    wanted: bool, address: str, stream: str, keys: ServerKeys | None
-) -> Iterator[Callable[[], None]]:
-    """Prepare the announcement of the node bound to `address`, within a `with`.
-
-    Yields a function that begins it, to be called once the node's sockets are bound; it does
-    nothing unless `wanted`. Raises DiscoveryError where there is nothing to announce, SidecarError.
-    """
-    if not wanted:
-        yield lambda: None
-        return
-    control_address(address)
-    if not address.startswith("tcp://"):
-        raise DiscoveryError(f"--announce: {address} is on this machine alone; bind tcp://*:5555")
-    bound_to, _, port = address.removeprefix("tcp://").rpartition(":")
-    node = {
-        "bound_to": "127.0.0.1" if bound_to == "localhost" else bound_to,
-        "port": int(port),
-        "stream": stream,
-        "host": socket.gethostname().partition(".")[0],
-        "key": None if keys is None else keys.own.public.key.hex(),
-    }
-    module = "protocol.discovery.announcement"
-    with start_sidecar("announcer", module, json.dumps(node)) as sidecar:
-        yield lambda: sidecar.send(begin=True)
-
-
-def main() -> None:
-    """Announce the node once it says so, until it ends; then withdraw the announcement."""
-    node = json.loads(sys.argv[1])
-    with run_as_sidecar() as ready:
-        from protocol.discovery import browser
-
-        addresses = announced_addresses(node["bound_to"], *browser.own_addresses())
-        network = browser.open_multicast(addresses)
-        ready(", ".join(addresses))
-    if receive() is None:
-        network.close()
-        return
-    key = None if node["key"] is None else bytes.fromhex(node["key"])
-    announcement = Announcement.of_node(node["stream"], node["host"], node["port"], key)
-    info = browser.ServiceInfo(
-        SERVICE,
-        f"{announcement.name}.{SERVICE}",
-        port=announcement.port,
-        properties=to_txt(announcement),
-        server=f"telepulse-{announcement.node}.local.",
-        parsed_addresses=addresses,
-    )
-    try:
-        # A name that is taken gets a number.
-        network.register_service(info, allow_name_change=True)
-    except browser.ZeroconfError as error:
-        logger.error(f"cannot be announced: {type(error).__name__} {error}")
-        raise SystemExit(1) from None
-    name = info.name.removesuffix("." + SERVICE)
-    logger.info(f"announced as {name!r} at {', '.join(addresses)}")
-    receive()
-    network.unregister_all_services()
-    network.close()
-
-
-if __name__ == "__main__":
-    main()
