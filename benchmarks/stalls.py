@@ -10,8 +10,8 @@ from collections.abc import Callable
 from unittest.mock import patch
 
 from benchmarks.measure import show
+from display_node.control.controller import StallGuard
 from display_node.control.safety import Safety
-from display_node.control.stall_guard import StallGuard
 from display_node.scene import DisplayScene
 from protocol.config.scene_file import find_scene
 from telepulse.scene import load_scene

@@ -11,8 +11,7 @@ from display_node.drives.hardware import Hardware
 from display_node.drives.withdrawal import FingerState, describe_finger
 from display_node.plant.feedback import Feedback
 from display_node.plant.filters import DelayLine
-from display_node.prediction.concealment import Concealment
-from display_node.prediction.trust import auto_delay_ns
+from display_node.prediction.concealment import Concealment, auto_delay_ns
 from display_node.reception.playout_clock import PlayedDelays, PlayoutClock
 from display_node.reception.receiver import Receiver
 from display_node.scene import DisplayScene

@@ -13,7 +13,6 @@ from pydantic import Field, model_validator
 from display_node.control.feed_forward import ScrewPath
 from display_node.control.observer import Observer, ObserverScene
 from display_node.control.pid import Pid
-from display_node.control.stall_guard import StallGuard
 from display_node.plant.contact import ContactLaw
 from display_node.plant.film import FilmTable
 from display_node.plant.filters import DelayLine
@@ -51,9 +50,73 @@ class ControllerScene(Section):
 
     def pid(self, tick_s: float, limit: float) -> Pid:
         """Return the PID with these gains, whose output is within ±limit."""
-        return Pid(
-            self.kp, self.ki, self.kd, self.derivative_filter_hz, tick_s, limit, self.dead_band
-        )
+        filter_hz, dead_band = self.derivative_filter_hz, self.dead_band
+        return Pid(self.kp, self.ki, self.kd, filter_hz, tick_s, limit, dead_band)
+
+
+# Time constants by which the usual holding time, and the worst stall and the force's peak, decay.
+USUAL_S = 0.1
+WORST_S = 10.0
+# Force during a stall, as a multiple of the highest force that was wanted lately.
+HEADROOM = 1.25
+
+
+class StallGuard:
+    """Memory of recent stalls and forces: how long a command lasts, and how fast it may press.
+
+    A drive keeps its last command until the next. A command for one tick that is held for many
+    leads too far: a loop whose gain is designed for a tick swings up, and a correction for one tick
+    overshoots. So each command is computed for the usual holding time of late, and must not press
+    too hard if it is held for the worst of them (decision 25).
+
+    Parameters
+    ----------
+    play_m
+        Travel of the screw in m beyond the tip's, to take up its backlash.
+
+    Attributes
+    ----------
+    peak_n
+        Highest force in N that was wanted lately.
+    held_s
+        Mean holding time in s of the commands that recent instants have met; a tick where the host
+        keeps its time.
+    """
+
+    def __init__(self, law: ContactLaw, tick_s: float, play_m: float) -> None:
+        self._law = law
+        self._tick_s = tick_s
+        self._play_m = play_m
+        self._usual = math.exp(-tick_s / USUAL_S)
+        self._worst = math.exp(-tick_s / WORST_S)
+        # Sums of the holds and of their squares, in ticks, of which old ones count less.
+        self._holds = self._squares = 1 / (1 - self._usual)
+        self._longest_s = 0.0
+        self.peak_n = 0.0
+        self.held_s = tick_s
+
+    def tick(self, missed_ticks: int, wanted_n: float) -> None:
+        """Advance one tick, after missed ones, towards a wanted force in N."""
+        self.peak_n = max(wanted_n, self._worst * self.peak_n)
+        if not (missed_ticks or self._longest_s):
+            return
+        hold = missed_ticks + 1
+        self._longest_s *= self._worst
+        if missed_ticks:
+            self._longest_s = max(self._longest_s, hold * self._tick_s)
+        self._holds = self._usual * self._holds + hold
+        self._squares = self._usual * self._squares + hold * hold
+        self.held_s = self._tick_s * self._squares / self._holds
+
+    @property
+    def limiting(self) -> bool:
+        """True where the host has stalled lately, so that the speed is limited."""
+        return self._longest_s >= 2 * self._tick_s
+
+    def fastest(self, screw_m: float) -> float:
+        """Return the highest speed towards the finger in m/s, for the screw's position in m."""
+        furthest_m = self._law.position(HEADROOM * self.peak_n) + self._play_m
+        return max(0.0, furthest_m - screw_m) / self._longest_s
 
 
 class StepperController:
@@ -61,8 +124,6 @@ class StepperController:
 
     Parameters
     ----------
-    scene
-        Gains, and the parts that the controller has.
     law
         Contact law of its tip, whose finger an observer may learn.
     force_limit_n
@@ -91,31 +152,23 @@ class StepperController:
         slew_limit_n_per_s: float = math.inf,
         observer_gains: tuple[float, list[float]] | None = None,
     ) -> None:
-        latency_ticks = actuator.ticks_to_reading(film.latency_ns, tick_s)
+        lag_ticks = (actuator.latency_ns + film.latency_ns) * 1e-9 / tick_s
         self._pid = scene.pid(tick_s, actuator.max_speed_m_per_s)
         self._step_rate = actuator.step_rate()
         self._guard = StallGuard(law, tick_s, actuator.backlash_m / 2)
         self._missed_ticks = 0
-        self._position = law.position
+        self._law, self._tick_s = law, tick_s
         self._slew_limit_n_per_s = slew_limit_n_per_s
-        self._stiffness = law.stiffness
         self._path = ScrewPath(actuator, law, tick_s) if scene.feed_forward else None
         self._observer: Observer | None = None
         if scene.observer is not None:
             at_once = actuator.model_copy(update={"latency_ns": 0})
-            linear = observer_gains is not None
+            twin = Stepper(at_once, law, force_limit_n, tick_s, observer_gains is not None)
             self._observer = Observer(
-                scene.observer,
-                Stepper(at_once, law, force_limit_n, tick_s, linear),
-                law,
-                film,
-                actuator.step_m,
-                tick_s,
-                latency_ticks,
-                observer_gains,
+                scene.observer, twin, law, film, actuator.step_m, tick_s, lag_ticks, observer_gains
             )
         self._last_reading_n = 0.0
-        self._late = DelayLine(latency_ticks) if latency_ticks else None
+        self._late = DelayLine(lag_ticks) if lag_ticks else None
         self._wanted_n = 0.0
         self.horizon = self._path.horizon if self._path is not None else 1
         self._error: Callable[[float, float], tuple[float, float]]
@@ -160,10 +213,10 @@ class StepperController:
         # While a lag is made up for, too, the force keeps its slew limit. Where more is felt than
         # wanted, the finger is stiffer; a reading may be above all that was ever wanted.
         stiffest_n = max(reference_n[0], min(reading_n, guard.peak_n))
-        fastest = self._slew_limit_n_per_s / (self._stiffness(stiffest_n) or 1e-9)
+        fastest = self._slew_limit_n_per_s / (self._law.stiffness(stiffest_n) or 1e-9)
         pressing = fastest
         if guard.limiting:
-            screw_m = observer.screw_m if observer else self._position(self._last_reading_n)
+            screw_m = observer.screw_m if observer else self._law.position(self._last_reading_n)
             pressing = min(fastest, guard.fastest(screw_m))
         speed_m_per_s = self._pid.step(error, response, feed, -fastest, pressing)
         if observer is not None:
@@ -179,7 +232,7 @@ class StepperController:
         """Account for a missed tick, in which the drive went on at a speed."""
         self._missed_ticks += 1
         if self._path is not None:
-            self._path.skip(speed_m_per_s)
+            self._path.shift(speed_m_per_s * self._tick_s)
         if self._observer is not None:
             self._observer.skip()
             self._observer.move(self._step_rate.rate_hz(speed_m_per_s))
@@ -195,10 +248,10 @@ class StepperController:
 
 
 class VoltageController:
-    """The voltage of the paper's actuator, once a tick, with a twin of that actuator."""
+    """The voltage of the paper's actuator in V, once a tick, with a twin of that actuator."""
 
     STATE: ClassVar = ("_pid", "_twin")
-    horizon = 1
+    horizon, finger_stiffness = 1, None
 
     def __init__(
         self, scene: ControllerScene, actuator: SecondOrderScene, film: FilmTable, tick_s: float
@@ -213,8 +266,7 @@ class VoltageController:
         # Without a reading the twin's own force takes its place.
         if reading_n == reading_n:
             twin.force_n = reading_n
-        reading_n = twin.force_n
-        error = unit * (reference_n[1] - reading_n - twin.drift())
+        error = unit * (reference_n[1] - twin.force_n - twin.drift())
         volts = self._pid.step(error, unit * twin.response)
         twin.step(volts)
         return volts

@@ -42,9 +42,7 @@ class ScrewPath:
             self._gap = Gap(scene, tick_s)
             self.horizon = max(self.horizon, 2 + self._gap.lead)
         self._fed_m: float | None = None
-        self.tip_m = 0.0
-        self.screw_m = 0.0
-        self.further_m = 0.0
+        self.tip_m = self.screw_m = self.further_m = 0.0
 
     def advance(self, reference_n: list[float], held_s: float = 0.0) -> float:
         """Set the positions at this tick's end, and return its speed in m/s.
@@ -76,10 +74,6 @@ class ScrewPath:
         speed_m_per_s = (screw_m + self.further_m - self._fed_m) / max(held_s, self._tick_s)
         self._fed_m += speed_m_per_s * self._tick_s
         return speed_m_per_s
-
-    def skip(self, speed_m_per_s: float) -> None:
-        """Account for a missed tick, in which the drive went on at a speed."""
-        self.shift(speed_m_per_s * self._tick_s)
 
     def shift(self, travel_m: float) -> None:
         """Add a travel of the screw in m beyond the commanded one."""
@@ -116,12 +110,12 @@ class Gap:
     def cross(self, tip_m: list[float]) -> float:
         """Return the screw's offset in m for the next tick; tip_m: the positions from it on."""
         self._turn(tip_m[self.lead :])
-        self._past.append(self._direction)
+        past = self._past
+        past.append(self._direction)
         if self._shares is None:
             return self._half_m * self._direction
         at_once, late, later = self._shares
-        shape = at_once * self._past[-1] + late * self._past[1] + later * self._past[0]
-        return self._half_m * shape
+        return self._half_m * (at_once * past[-1] + late * past[1] + later * past[0])
 
     def _turn(self, tip_m: list[float]) -> None:
         direction = self._direction

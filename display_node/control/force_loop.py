@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 
 from display_node.control.controller import ControllerScene, StepperController, VoltageController
-from display_node.control.margins import refuse_unstable
+from display_node.control.linear_loop import refuse_unstable
 from display_node.plant.feedback import refuse_reading
 from display_node.plant.film import FeedbackFilm, FilmTable
 from display_node.plant.second_order import SecondOrder, SecondOrderScene
@@ -25,12 +25,8 @@ class ForceLoop:
 
     Parameters
     ----------
-    controller
-        The controller, whose `horizon` the reference must reach.
     actuator
         Runs the actuator for a tick under an output; returns the felt force in N.
-    film
-        The film's model.
     overforce_n
         A reading beyond this in N, to either side, counts as none.
     lead_ns
@@ -40,10 +36,14 @@ class ForceLoop:
 
     Attributes
     ----------
+    horizon
+        How many ticks after the present one the reference must reach.
     output
         The controller's output at the last tick: m/s of a stepper, V of eq 22.
     felt_n
         Felt force at the last tick's end, in N.
+    at_film_range
+        Counter of readings at the range of the film's ADC; None without an ADC.
     """
 
     def __init__(
@@ -58,6 +58,7 @@ class ForceLoop:
     ) -> None:
         self.lead_ns = lead_ns
         self.at_end = at_end
+        self.at_film_range = film.at_range
         self._overforce_n = overforce_n
         self._controller = controller
         self._actuator = actuator
@@ -68,30 +69,23 @@ class ForceLoop:
         self.felt_n = 0.0
 
     @property
-    def at_film_range(self) -> LimitCounter | None:
-        """Counter of readings at the range of the film's ADC; None without an ADC."""
-        return self._film.at_range
-
-    @property
     def finger_stiffness(self) -> float | None:
         """See `Observer.finger_stiffness`; None without an observer."""
-        controller = self._controller
-        return controller.finger_stiffness if isinstance(controller, StepperController) else None
+        return self._controller.finger_stiffness
 
     def coast(self, ticks: int) -> None:
         """Run missed ticks: the actuator keeps its last output until its watchdog stops it."""
         held = min(ticks, self._watchdog_ticks)
-        for _ in range(held):
-            self._miss()
+        self._miss(held)
         if ticks > held:
             self.output = 0.0
-            for _ in range(min(ticks - held, self._watchdog_ticks)):
-                self._miss()
+            self._miss(min(ticks - held, self._watchdog_ticks))
 
-    def _miss(self) -> None:
-        self.read_film()
-        self._controller.skip(self.output)
-        self.felt_n = self._actuator(self.output)
+    def _miss(self, ticks: int) -> None:
+        for _ in range(ticks):
+            self.read_film()
+            self._controller.skip(self.output)
+            self.felt_n = self._actuator(self.output)
 
     def read_film(self) -> float:
         """Return the film's reading of the felt force, in N. Call it once before each tick."""
@@ -150,9 +144,8 @@ def build_force_loop(
     SceneError
         Where the parts do not fit, or the loop is not stable enough.
     """
-    if isinstance(actuator, SecondOrderScene) and (
-        controller.feed_forward or controller.error == "position"
-    ):
+    second_order = isinstance(actuator, SecondOrderScene)
+    if second_order and (controller.feed_forward or controller.error == "position"):
         raise SceneError(
             "[display] controller: feed_forward and error = 'position' need a stepper's contact"
             " law; this actuator is second_order"
@@ -165,23 +158,15 @@ def build_force_loop(
         return ForceLoop(voltage, plant.step, reading, overforce_n, tick_s)
     truth = actual if isinstance(actual, StepperScene) else actuator
     stepper = Stepper(truth, truth.contact(layer), force_limit_n, tick_s)
+    law = actuator.contact(layer)
     speed = StepperController(
-        controller,
-        actuator,
-        actuator.contact(layer),
-        film,
-        force_limit_n,
-        tick_s,
-        slew_limit_n_per_s,
+        controller, actuator, law, film, force_limit_n, tick_s, slew_limit_n_per_s
     )
     # Of the scene's actuator, whatever the actual one makes of that rate.
     rate_hz = actuator.step_rate().rate_hz
-    return ForceLoop(
-        speed,
-        lambda speed_m_per_s: stepper.step(rate_hz(speed_m_per_s)),
-        reading,
-        overforce_n,
-        tick_s,
-        actuator.latency_ns,
-        stepper.at_end,
-    )
+
+    def move(speed_m_per_s: float) -> float:
+        return stepper.step(rate_hz(speed_m_per_s))
+
+    lead_ns, at_end = actuator.latency_ns, stepper.at_end
+    return ForceLoop(speed, move, reading, overforce_n, tick_s, lead_ns, at_end)

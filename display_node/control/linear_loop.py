@@ -1,13 +1,14 @@
-"""The force loop as a linear system, obtained by running the loop's own objects.
+"""The force loop as a linear system: poles, margins, and its response to noise.
 
-Each part is put into each of its states in turn and run for one tick; the result is a column of
-the system's matrices. What is not linear is left out: microsteps, backlash, limits, the film's
-noise and converter, the curve of the contact law. An observer has its stationary gains.
+The loop's own objects are put into each of their states in turn and run for one tick; the result
+is a column of the system's matrices. What is not linear is left out: microsteps, backlash, limits,
+the film's noise and converter, the curve of the contact law. An observer has its stationary gains.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,23 +19,13 @@ from display_node.plant.contact import LinearContact
 from display_node.plant.film import FeedbackFilm, FilmTable
 from display_node.plant.second_order import SecondOrder, SecondOrderScene
 from display_node.plant.stepper import Stepper, StepperScene
+from protocol.errors import SceneError
 from protocol.tactile import ElasticLayer
 
 Array = NDArray[np.float64]
 # Size of each state and input in turn. A power of two scales without rounding; so small, no bound
 # of an observer's states is met.
 PROBE = 2.0**-40
-
-
-class Stateful(Protocol):
-    """A part of the loop."""
-
-    @property
-    def STATE(self) -> tuple[str, ...]:  # noqa: N802
-        """Names of the attributes that one tick hands on to the next.
-
-        Numbers, sequences of numbers, or parts with states of their own; None is no state.
-        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,16 +36,13 @@ class LinearLoop:
 
     Attributes
     ----------
-    a
-        Shape (n, n): the next state, from the state.
-    b
-        Shape (n,): the next state, from an input to the plant.
-    c
-        Shape (n,): the controller's output, from the state.
+    a, b
+        Shapes (n, n) and (n,): the next state, from the state and from an input to the plant.
+    c, through
+        Shape (n,) and a number: the controller's output, from the state and from an error of the
+        reading.
     noise
         Shape (n,): the next state, from an error of the reading.
-    through
-        The output, from an error of the reading.
     tip
         Shape (n,): the tip, from the state.
     displaced
@@ -103,9 +91,8 @@ def linear_loop(
     gains = controller.model_copy(update={"dead_band": 0.0})
     if isinstance(actuator, SecondOrderScene):
         free = actuator.model_copy(update={"voltage_limit": np.inf})
-        return _Probe(
-            VoltageController(gains, free, film, tick_s), SecondOrder(free, tick_s), reading
-        ).linear(tick_s)
+        voltage = VoltageController(gains, free, film, tick_s)
+        return _linear(voltage, SecondOrder(free, tick_s), reading, tick_s)
     contact = actuator.contact(layer)
     stiffness = 1.0 if controller.error == "position" else contact.stiffness(force_n)
     unbounded = {"max_speed_m_per_s": np.inf, "backlash_m": 0.0}
@@ -117,85 +104,67 @@ def linear_loop(
         step_n = actuator.step_m * per_m / np.sqrt(12)
         fixed = observer_gains(film, observer.wander_m * per_m, step_n, tick_s)
     law = LinearContact(stiffness)
-    return _Probe(
-        StepperController(gains, endless, law, film, np.inf, tick_s, observer_gains=fixed),
-        Stepper(endless, law, np.inf, tick_s, linear=True),
-        reading,
-        stiffness,
-        endless.step_rate().rate_hz(1.0),
-    ).linear(tick_s, counts=int(observer is not None))
+    speed = StepperController(gains, endless, law, film, np.inf, tick_s, observer_gains=fixed)
+    plant = Stepper(endless, law, np.inf, tick_s, linear=True)
+    hz_per_output, counts = endless.step_rate().rate_hz(1.0), int(observer is not None)
+    return _linear(speed, plant, reading, tick_s, stiffness, hz_per_output, counts)
 
 
-class _Probe:
-    """The running parts of a loop, put into one state after the other."""
+def _linear(
+    controller: StepperController | VoltageController,
+    plant: Stepper | SecondOrder,
+    film: FeedbackFilm,
+    tick_s: float,
+    stiffness_n: float = 1.0,
+    hz_per_output: float = 1.0,
+    counts: int = 0,
+) -> LinearLoop:
+    """Return the linear loop of parts that are put into one state after the other."""
+    parts, reference_n = (plant, film, controller), [0.0] * (controller.horizon + 1)
 
-    def __init__(
-        self,
-        controller: StepperController | VoltageController,
-        plant: Stepper | SecondOrder,
-        film: FeedbackFilm,
-        stiffness_n: float = 1.0,
-        hz_per_output: float = 1.0,
-    ) -> None:
-        self._controller, self._plant, self._film = controller, plant, film
-        self._stiffness_n = stiffness_n
-        self._hz_per_output = hz_per_output
-        self._reference_n = [0.0] * (controller.horizon + 1)
-        self._parts: tuple[Stateful, ...] = (plant, film, controller)
-        # The first tick makes states of what begins as None.
-        self._tick()
+    def tip() -> float:
+        return plant.tip_m if isinstance(plant, Stepper) else plant.force_n
 
-    @property
-    def _tip(self) -> float:
-        return self._plant.tip_m if isinstance(self._plant, Stepper) else self._plant.force_n
-
-    def _tick(self, push: float = 0.0, noise: float = 0.0) -> float:
+    def tick(push: float = 0.0, noise: float = 0.0) -> float:
         """Run a tick of the loop cut, the plant under a push alone; return the output."""
-        reading_n = self._film.read(self._stiffness_n * self._tip) + self._stiffness_n * noise
-        output = self._controller.output(self._reference_n, reading_n)
-        self._plant.step(push * self._hz_per_output)
+        reading_n = film.read(stiffness_n * tip()) + stiffness_n * noise
+        output = controller.output(reference_n, reading_n)
+        plant.step(push * hz_per_output)
         return output
 
-    def _read(self) -> Array:
-        return np.array([value for part in self._parts for value in _states(part)])
+    def states() -> Array:
+        return np.array([value for part in parts for value in _states(part)])
 
-    def _write(self, values: Array) -> None:
+    def set_states(values: Array) -> None:
         left = iter(values.tolist())
-        for part in self._parts:
+        for part in parts:
             _set_states(part, left)
 
-    def linear(self, tick_s: float, counts: int = 0) -> LinearLoop:
-        """Return the linear loop."""
-        at_rest = np.zeros(len(self._read()))
+    def column(state: Array, push: float = 0.0, noise: float = 0.0) -> tuple[Array, float]:
+        set_states(PROBE * state)
+        output = tick(PROBE * push, PROBE * noise)
+        return states() / PROBE, output / PROBE
 
-        def column(state: Array, push: float = 0.0, noise: float = 0.0) -> tuple[Array, float]:
-            self._write(PROBE * state)
-            output = self._tick(PROBE * push, PROBE * noise)
-            return self._read() / PROBE, output / PROBE
-
-        tip = []
-        for state in np.eye(len(at_rest)):
-            self._write(state)
-            tip.append(self._tip)
-        columns = [column(state) for state in np.eye(len(at_rest))]
-        noise, through = column(at_rest, noise=1.0)
-        pushed, _ = column(at_rest, push=1.0)
-        self._write(at_rest)
-        self._plant.place(1.0)
-        return LinearLoop(
-            tick_s,
-            a=np.array([after for after, _ in columns]).T,
-            b=pushed,
-            c=np.array([output for _, output in columns]),
-            noise=noise,
-            through=through,
-            tip=np.array(tip),
-            displaced=self._read(),
-            counts=counts,
-        )
+    # The first tick makes states of what begins as None.
+    tick()
+    at_rest = np.zeros(len(states()))
+    tips = []
+    for state in np.eye(len(at_rest)):
+        set_states(state)
+        tips.append(tip())
+    columns = [column(state) for state in np.eye(len(at_rest))]
+    noise, through = column(at_rest, noise=1.0)
+    pushed, _ = column(at_rest, push=1.0)
+    set_states(at_rest)
+    plant.place(1.0)
+    a = np.array([after for after, _ in columns]).T
+    c = np.array([output for _, output in columns])
+    return LinearLoop(tick_s, a, pushed, c, noise, through, np.array(tips), states(), counts)
 
 
-def _states(part: Stateful) -> Iterator[float]:
+# A part's `STATE` names the attributes that one tick hands on to the next: numbers, sequences of
+# numbers, or parts with states of their own; None is no state.
+def _states(part: Any) -> Iterator[float]:
     for name in part.STATE:
         value = getattr(part, name)
         if value is None:
@@ -208,7 +177,7 @@ def _states(part: Stateful) -> Iterator[float]:
             yield from value
 
 
-def _set_states(part: Stateful, values: Iterator[float]) -> None:
+def _set_states(part: Any, values: Iterator[float]) -> None:
     for name in part.STATE:
         value = getattr(part, name)
         if value is None:
@@ -220,3 +189,140 @@ def _set_states(part: Stateful, values: Iterator[float]) -> None:
         else:
             for index in range(len(value)):
                 value[index] = next(values)
+
+
+# Forces at which a loop is judged, as shares of the force limit: hardly touching, a pulse's
+# usual mean (0.3 of 2.5 N), pressing with all that is allowed.
+FORCE_SHARES = (0.008, 0.12, 1.0)
+RESPONSE_S = 4.0
+# Ms above this: a tenth more gain or a little more delay, and the loop is unstable.
+FRAGILE = 10.0
+# Poles this close to the circle are rounding, or the slow integral of a small ki.
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Margins:
+    """Stability of a loop. A margin is infinite where nothing of that kind destabilises it.
+
+    The classical margins are taken where the output enters the drive: a step too long or too
+    short, or a drive that answers late, acts there.
+
+    Attributes
+    ----------
+    pole_radius
+        Largest magnitude of a pole; below 1 is stable.
+    gain
+        Factor by which the gain may grow.
+    phase_deg
+        Phase margin in degrees.
+    delay_s
+        Further delay in s that the loop bears.
+    peak_sensitivity
+        Ms: 1 over the Nyquist curve's distance from −1.
+    """
+
+    pole_radius: float
+    gain: float
+    phase_deg: float
+    delay_s: float
+    peak_sensitivity: float
+
+    @property
+    def stable(self) -> bool:
+        """True where every pole lies inside the unit circle."""
+        return self.pole_radius < 1 + ROUNDING
+
+    @property
+    def unfit(self) -> str | None:
+        """Reason to put no finger on this loop; None where it may."""
+        if not self.stable:
+            return f"is not stable (largest pole {self.pole_radius:.4g}, must be below 1)"
+        if self.peak_sensitivity > FRAGILE:
+            peak = f"peak sensitivity {self.peak_sensitivity:.3g}, above {FRAGILE:g}"
+            return f"is hardly stable ({peak})"
+        return None
+
+
+def margins(loop: LinearLoop, frequencies: int = 2_000) -> Margins:
+    """Return a loop's margins, by its response at so many frequencies up to half the tick rate."""
+    nyquist = math.pi / loop.tick_s
+    w = np.geomspace(nyquist * 1e-5, nyquist, frequencies)
+    # The cut loop's response, negative feedback counted positive.
+    systems = np.exp(1j * w * loop.tick_s)[:, None, None] * np.eye(len(loop.a)) - loop.a
+    response = -(loop.c @ np.linalg.solve(systems, loop.b[None, :, None] + 0j)[:, :, 0].T)
+    phase = np.unwrap(np.angle(response))
+    size = np.log(np.maximum(np.abs(response), 1e-300))
+    gain, phase_rad, delay_s = math.inf, math.inf, math.inf
+    turn = np.floor((phase / math.pi + 1) / 2)
+    for at in np.flatnonzero(np.diff(turn)).tolist():
+        opposite_rad = (2 * max(turn[at], turn[at + 1]) - 1) * math.pi
+        level = math.exp(-_between(size, at, phase, opposite_rad))
+        if level > 1:
+            gain = min(gain, level)
+    at_nyquist = float(response[-1].real)
+    if -1 < at_nyquist < 0:
+        gain = min(gain, -1 / at_nyquist)
+    for at in np.flatnonzero(np.diff(np.sign(size))).tolist():
+        over_rad = (_between(phase, at, size, 0.0) + math.pi) % (2 * math.pi)
+        phase_rad = min(phase_rad, over_rad, 2 * math.pi - over_rad)
+        delay_s = min(delay_s, over_rad / _between(w, at, size, 0.0))
+    return Margins(
+        pole_radius=float(np.max(np.abs(loop.poles()))),
+        gain=gain,
+        phase_deg=math.degrees(phase_rad),
+        delay_s=delay_s,
+        peak_sensitivity=float(np.max(1 / np.abs(1 + response))),
+    )
+
+
+def _between(values: Array, at: int, at_values: Array, level: float) -> float:
+    """Return `values` where `at_values` crosses `level` between entries `at` and the next."""
+    span = at_values[at + 1] - at_values[at]
+    share = (level - at_values[at]) / span if span else 0.0
+    return float(values[at] + share * (values[at + 1] - values[at]))
+
+
+def felt_noise(loop: LinearLoop, wander: float, noise: float) -> float:
+    """Return the RMS of the tip's motion by a wandering finger and a noisy film.
+
+    Parameters
+    ----------
+    loop
+        The loop, whose unit all three have: m or N.
+    wander
+        RMS change of the finger's place in 1 s.
+    noise
+        RMS of a reading's error, white.
+    """
+
+    def energy(state: Array) -> float:
+        """Return the sum of squares of the tip's motion from a state, without inputs."""
+        closed, total = loop.closed, 0.0
+        for _ in range(round(RESPONSE_S / loop.tick_s)):
+            total += float(loop.tip @ state) ** 2
+            state = closed @ state
+        return total
+
+    by_noise, by_wander = energy(loop.closed_noise), energy(loop.displaced)
+    return math.sqrt(noise**2 * by_noise + wander**2 * loop.tick_s * by_wander)
+
+
+def refuse_unstable(
+    controller: ControllerScene,
+    actuator: SecondOrderScene | StepperScene,
+    layer: ElasticLayer,
+    film: FilmTable,
+    force_limit_n: float,
+    tick_s: float,
+) -> None:
+    """Raise SceneError for a loop that is not stable enough at some force up to the limit."""
+    for share in FORCE_SHARES:
+        force_n = share * force_limit_n
+        loop = linear_loop(controller, actuator, layer, film, tick_s, force_n)
+        reason = margins(loop, frequencies=400).unfit
+        if reason is not None:
+            raise SceneError(
+                f"[display] controller: the force loop {reason} at {force_n:.2g} N: lower its"
+                " gains, or take those that `telepulse tune` proposes"
+            )

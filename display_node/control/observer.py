@@ -66,13 +66,13 @@ def observer_gains(
     Returns
     -------
     tuple
-        Stationary Kalman gains per newton of innovation, for the next tick's offset (as a force)
-        and filter states.
+        Kalman gains per newton of innovation, for the next tick's offset (as a force) and filter
+        states.
     """
     from scipy.linalg import solve_discrete_are
 
     low_pass = film.low_pass(tick_s)
-    states = 1 + (film.filter_order if low_pass is not None else 0)
+    states = 1 + (0 if low_pass is None else film.filter_order)
     a, c = np.eye(states), np.ones((1, states))
     if low_pass is not None:
         a[1:, 1:], a[1:, :1] = low_pass.a, low_pass.b
@@ -167,10 +167,18 @@ class Observer:
         if not math.isfinite(error_n):
             return
         if self._gains is None:
-            self._update(self._changes(error_n, force_n))
+            changes = self._changes(error_n, force_n)
         else:
             offset_gain, filter_gains = self._gains
-            self._update([offset_gain * error_n, 0.0, *(gain * error_n for gain in filter_gains)])
+            changes = [offset_gain * error_n, 0.0, *(gain * error_n for gain in filter_gains)]
+        offset_m = self._offset_m + changes[0]
+        self._offset_m = min(max(offset_m, -MAX_OFFSET_M), MAX_OFFSET_M)
+        law, nominal = self._law, self._scene_m_per_n
+        least, most = SOFTNESS_RANGE
+        learnt = law.finger_m_per_n + changes[1]
+        law.finger_m_per_n = min(max(learnt, least * nominal), most * nominal)
+        if low_pass is not None:
+            low_pass.correct(changes[2:])
 
     def skip(self) -> None:
         """Advance the film's filter over a tick without a reading."""
@@ -219,14 +227,3 @@ class Observer:
         error_n = min(max(error_n, -bound_n), bound_n)
         changes: list[float] = (a @ covariance * (error_n / variance)).tolist()
         return changes
-
-    def _update(self, changes: list[float]) -> None:
-        """Add changes to offset, compliance and the film's filter, within their bounds."""
-        offset_m = self._offset_m + changes[0]
-        self._offset_m = min(max(offset_m, -MAX_OFFSET_M), MAX_OFFSET_M)
-        law, nominal = self._law, self._scene_m_per_n
-        least, most = SOFTNESS_RANGE
-        learnt = law.finger_m_per_n + changes[1]
-        law.finger_m_per_n = min(max(learnt, least * nominal), most * nominal)
-        if self._low_pass is not None:
-            self._low_pass.correct(changes[2:])

@@ -147,10 +147,6 @@ class StepperScene(Section):
         """Return the conversion of a speed in m/s into this drive's steps, up to its fastest."""
         return StepRate(1 / self.step_m, self.max_speed_m_per_s / self.step_m)
 
-    def ticks_to_reading(self, film_latency_ns: int, tick_s: float) -> float:
-        """Return the ticks from a command to the reading that shows it, for a film's latency."""
-        return (self.latency_ns + film_latency_ns) * 1e-9 / tick_s
-
     def contact(self, layer: ElasticLayer) -> ContactLaw:
         """Return the contact law of this tip on the local layer; the tip itself is rigid."""
         reduced_pa = layer.young_modulus_pa / (1 - layer.poisson_ratio**2)

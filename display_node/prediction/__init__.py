@@ -1,17 +1,17 @@
 """Prediction of the pulse where no sample has arrived yet.
 
-To add a predictor, write an `Expert` in a module beside `fir.py`, add its name to `PredictorName`
-and build it in `ensemble._experts`. A predictor that learns nothing is a `Predictor` itself, as in
-`extrapolation.py`.
+To add a predictor, write an `Expert` in `experts.py`, add its name to `PredictorName` and build it
+in `ensemble.Ensemble`. A predictor that learns nothing is a `Predictor` itself, as `Linear` below.
 """
 
+from bisect import insort
 from typing import Literal, Protocol
-
-from display_node.prediction.extrapolation import Hold, Linear
 
 PredictorName = Literal["hold", "linear", "fir", "analogue", "harmonic", "stack"]
 UNLEARNT: tuple[PredictorName, ...] = ("hold", "linear")
 """Predictors that do not estimate their own error."""
+WINDOW_NS, REACH_NS = 10_000_000, 20_000_000
+KEEP = 32
 
 
 class Predictor(Protocol):
@@ -21,21 +21,68 @@ class Predictor(Protocol):
         """Take a frame's samples, late or not; no sample comes twice."""
 
     def work(self) -> None:
-        """Do what of the work a tick has room for; once a tick."""
+        """Do the part of the work that a tick has room for; once a tick."""
+        return
 
     def predict(self, instant_ns: int) -> float:
         """Return the value at an instant after the newest sample; 0 before any."""
 
     def error_n(self, horizon_ns: int) -> float | None:
-        """Present RMSE so far after the newest sample; None while nothing is known of it."""
+        """Return the present RMSE so far after the newest sample; None while it is unknown."""
+        return None
+
+
+class Hold(Predictor):
+    """Predicts that nothing changes."""
+
+    def __init__(self) -> None:
+        self._newest_ns, self._value = -(1 << 64), 0.0
+
+    def observe(self, times_ns: list[int], values: list[float]) -> None:
+        """Keep the newest sample."""
+        if times_ns[-1] > self._newest_ns:
+            self._newest_ns, self._value = times_ns[-1], values[-1]
+
+    def predict(self, instant_ns: int) -> float:
+        """Return the newest value."""
+        return self._value
+
+
+class Linear(Predictor):
+    """Predicts a straight line, which soon ends."""
+
+    def __init__(self) -> None:
+        self._samples: list[tuple[int, float]] = []
+
+    def observe(self, times_ns: list[int], values: list[float]) -> None:
+        """Keep the newest samples in time order."""
+        samples = self._samples
+        if samples and times_ns[0] < samples[-1][0]:
+            for sample in zip(times_ns, values, strict=True):
+                insort(samples, sample)
+        else:
+            samples.extend(zip(times_ns, values, strict=True))
+        del samples[:-KEEP]
+
+    def predict(self, instant_ns: int) -> float:
+        """Return the newest value carried on by the slope of the last 10 ms, for at most 20 ms."""
+        if not self._samples:
+            return 0.0
+        newest_ns, newest = self._samples[-1]
+        for t_ns, value in reversed(self._samples):
+            if newest_ns - t_ns > WINDOW_NS:
+                break
+            first_ns, first = t_ns, value
+        if newest_ns == first_ns:
+            return newest
+        slope = (newest - first) / (newest_ns - first_ns)
+        return newest + slope * min(instant_ns - newest_ns, REACH_NS)
 
 
 def build_predictor(name: PredictorName, tick_ns: int) -> Predictor:
     """Build a predictor that has seen nothing; `work` will be called every `tick_ns`."""
-    if name == "hold":
-        return Hold()
-    if name == "linear":
-        return Linear()
+    if name in UNLEARNT:
+        return Hold() if name == "hold" else Linear()
     # The others bring linear algebra, whose import a display without them does not pay for.
     from display_node.prediction.ensemble import Ensemble
 

@@ -1,15 +1,14 @@
-"""The stand-in: what is felt where no sample has arrived, and whether to rely on it.
+"""Concealment: the force where no sample has arrived, without jumps, and when to rely on it.
 
-Smoothing: what newly arrives corrects the force that is felt without a jump.
-
-A frame says more than was predicted: the prediction for the present instant jumps. The jump is
-taken off again and given back by and by, as an offset that decays. Pure.
+`auto` plays at the delay that the link can carry, and at E = 0 while the predictor is trusted.
+Pure: frames, errors and times come in.
 """
 
 import math
+import statistics
+from collections import deque
 
 from display_node.prediction import UNLEARNT, PredictorName, build_predictor
-from display_node.prediction.trust import PulseSize, Trust
 from protocol.wire.messages import Frame
 
 # The decay's time constant over the horizon that the old prediction had to span: the further it
@@ -19,9 +18,15 @@ NEGLIGIBLE_N = 1e-6
 
 
 class Blend:
-    """Joins each tick's path of predicted force to the last one's.
+    """Continuation of each tick's path of predicted force from the last one's.
 
-    busy: the last path was predicted, or an offset is still felt.
+    A frame carries more than was predicted, so the prediction for the present instant jumps. The
+    jump is taken off again, as an offset that decays.
+
+    Attributes
+    ----------
+    busy
+        Whether the last path was predicted, or an offset is still felt.
     """
 
     def __init__(self, tick_ns: int) -> None:
@@ -31,15 +36,19 @@ class Blend:
         # The horizon behind the offset; it falls by half a frame, so that a short one that
         # follows a long one does not let go of a large offset at once.
         self._spanned_ns = 0
-        self._kept = 0.0
-        self._offset_n = 0.0
+        self._kept = self._offset_n = 0.0
         self.busy = False
 
     def apply(self, path_n: list[float], instant_ns: int, newest_ns: int) -> list[float]:
         """Return the path without the jump from the last one.
 
-        path_n: force at instant_ns and a tick apart after it, of which some was predicted, or
-        which comes while it is `busy`; newest_ns: the newest sample's time.
+        Parameters
+        ----------
+        path_n
+            Force in N at `instant_ns` and a tick apart after it, some of it predicted; or any path
+            while it is `busy`.
+        newest_ns
+            Time of the newest sample in ns.
         """
         if newest_ns != self._newest_ns:
             self._spanned_ns = max(self._instant_ns - self._newest_ns, self._spanned_ns // 2)
@@ -73,20 +82,102 @@ class Blend:
         return offset_n if math.isfinite(offset_n) else 0.0
 
 
+# A window holds a whole beat down to 30 a minute; an artefact spoils one window or two.
+WINDOW_NS = 2_000_000_000
+WINDOWS = 5
+
+
+class PulseSize:
+    """The pulse's height from foot to peak: the median over the last windows of 2 s.
+
+    Attributes
+    ----------
+    size
+        Height in N; None before the first window has ended.
+    """
+
+    def __init__(self) -> None:
+        self._sizes: deque[float] = deque(maxlen=WINDOWS)
+        self._begun_ns: int | None = None
+        self._low = self._high = 0.0
+        self.size: float | None = None
+
+    def observe(self, t_ns: int, values: list[float]) -> None:
+        """Take a frame's samples in N, the first taken at t_ns."""
+        low, high = min(values), max(values)
+        if self._begun_ns is not None:
+            if t_ns - self._begun_ns < WINDOW_NS:
+                self._low, self._high = min(self._low, low), max(self._high, high)
+                return
+            self._sizes.append(self._high - self._low)
+            self.size = statistics.median(self._sizes)
+        self._begun_ns, self._low, self._high = t_ns, low, high
+
+
+# Of the pulse's height; a finger notices differences from 7 to 10 % on, 2.5 times the RMSE.
+LOST_ABOVE, GAINED_BELOW = 0.04, 0.025
+DWELL_NS = 10_000_000_000
+MEMORY_NS = 1_500_000_000
+# An error as large as this is as bad as any; so it is soon forgotten.
+WORST = 0.3
+# What trust takes off E at most: the playout jumps by more than 0.5 s, and slews below.
+MOST_NS = 400_000_000
+
+
+class Trust:
+    """Decision whether the predictor's error would go unnoticed at E = 0.
+
+    What counts is its RMS over the last 1.5 s, over the pulse's height: a stall weighs as long as
+    it lasts, and at each of its instants with the error at that horizon. What is not known counts
+    as three tenths. Lost at once from 4 % on; won below 2.5 %, 10 s later at the earliest.
+    """
+
+    def __init__(self) -> None:
+        self._power = WORST**2
+        self._judged_ns: int | None = None
+        self._lost_ns = 0
+        self.trusted = False
+
+    def judge(self, now_ns: int, error_n: float | None, size_n: float | None) -> None:
+        """Take at each tick the RMSE in N expected if E were 0, and the pulse's height in N."""
+        share = WORST
+        if error_n is not None and size_n:
+            share = min(error_n / size_n, WORST)
+        if self._judged_ns is not None:
+            weight = -math.expm1((self._judged_ns - now_ns) / MEMORY_NS)
+            self._power += weight * (share * share - self._power)
+        self._judged_ns = now_ns
+        if self._power >= LOST_ABOVE**2:
+            self.trusted, self._lost_ns = False, now_ns
+        elif self._power <= GAINED_BELOW**2 and now_ns - self._lost_ns >= DWELL_NS:
+            self.trusted = True
+
+
+def auto_delay_ns(carried_ns: int, trusted: bool) -> int:
+    """Return the E that `auto` wants, where the link could carry carried_ns."""
+    return max(0, carried_ns - MOST_NS) if trusted else carried_ns
+
+
 class Concealment:
     """One session's predictor, with its jumps smoothed and its error judged. Pure.
 
     Forces are at the wrist, in N; times are the sensing clock's but for now_ns.
+
+    Parameters
+    ----------
+    auto
+        Whether the perceived delay follows the link, so that trust may take the delay off it.
     """
 
     def __init__(self, predictor: PredictorName, channel: int, tick_ns: int, auto: bool) -> None:
-        """auto: the perceived delay follows the link, so trust may take the delay off it."""
         self._channel = channel
         self._tick_ns = tick_ns
         self._predictor = build_predictor(predictor, tick_ns)
         self._blend = Blend(tick_ns)
         self._size = PulseSize()
         self._trust = Trust() if auto and predictor not in UNLEARNT else None
+        self.work = self._predictor.work
+        self.error_n = self._predictor.error_n
 
     @property
     def trusted(self) -> bool | None:
@@ -102,25 +193,22 @@ class Concealment:
         if self._trust is not None:
             self._size.observe(first_ns, values)
 
-    def work(self) -> None:
-        """Do a tick's share of the learning."""
-        self._predictor.work()
-
     def judge(self, now_ns: int, horizon_ns: int) -> None:
-        """How well it does now with all of the delay: predicting horizon_ns after the newest."""
+        """Judge how well it predicts all of the delay: horizon_ns after the newest sample."""
         if self._trust is not None:
             self._trust.judge(now_ns, self.error_n(horizon_ns), self._size.size)
-
-    def error_n(self, horizon_ns: int) -> float | None:
-        """RMSE expected so far after the newest sample; None while nothing is known of it."""
-        return self._predictor.error_n(horizon_ns)
 
     def complete(
         self, path_n: list[float], count: int, instant_ns: int, newest_ns: int
     ) -> list[float]:
         """Return the force at `count` instants a tick apart, the first instant_ns, without a jump.
 
-        path_n: of the first of them, as received; newest_ns: the newest sample's time.
+        Parameters
+        ----------
+        path_n
+            Force in N at the first of them, as received; it is completed in place.
+        newest_ns
+            Time of the newest sample.
         """
         known = len(path_n)
         if known == count and not self._blend.busy:

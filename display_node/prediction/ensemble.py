@@ -1,42 +1,46 @@
 """Experts and their stack as one predictor, its work cut into pieces for a real-time loop.
 
 Samples → grid → history → experts → stack → a path over the next 250 ms, which `predict` reads
-between its points. For every horizon the stack weights the experts as would have been best, by
-recursive least squares on what was predicted when its truth arrives.
+between its points.
 """
 
 import math
 from collections.abc import Iterator
-from math import ceil, isfinite
 
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.prediction.analogue import Analogue
-from display_node.prediction.expert import (
+from display_node.prediction import Predictor
+from display_node.prediction.experts import (
     AHEAD,
     FURTHEST,
     HORIZONS,
     SPACING,
-    STEP_NS,
+    Analogue,
     Expert,
-    Grid,
-    GridCell,
-    History,
+    Fir,
+    Harmonic,
+    Rhythm,
 )
-from display_node.prediction.fir import Fir
-from display_node.prediction.harmonic import Harmonic, Rhythm
+from display_node.prediction.grid import STEP_NS, Grid, GridCell, History
 
 Floats = NDArray[np.float64]
-MEMORY_STEPS = 2_000
-FORGET = 1 - 1 / MEMORY_STEPS
+FORGET = 1 - 1 / 2_000
 RIDGE = 0.01
 ERROR_MEMORY_STEPS = 400
 HORIZON = np.arange(HORIZONS)
 
 
 class Stack:
-    """Combines n trajectories; starts at the weights it is given."""
+    """Combination of n trajectories, weighted for every horizon as would have been best.
+
+    Recursive least squares on what was predicted, when its truth arrives.
+
+    Parameters
+    ----------
+    trust
+        Shape (n,): the weights to start with.
+    """
 
     def __init__(self, trust: Floats) -> None:
         count = len(trust)
@@ -52,7 +56,7 @@ class Stack:
         self._truths = 0
 
     def rms(self, horizon: int) -> float | None:
-        """RMSE of the last predictions, 2 s or so, for a horizon from 0; None before any truth."""
+        """Return the RMSE of the last 2 s or so for a horizon from 0; None before any truth."""
         truths = self._truths - int(AHEAD[horizon])
         if truths <= 0:
             return None
@@ -75,15 +79,14 @@ class Stack:
         truths = newest - origins
         if self._steps <= FURTHEST:
             truths[self._steps <= AHEAD] = 0.0
-        self._score(truths - outputs)
+        errors = truths - outputs
+        self._truths += 1
+        self._power += (errors * errors - self._power) / ERROR_MEMORY_STEPS
         spread = np.einsum("hij,hj->hi", self._covariances, inputs)
         power = FORGET + np.einsum("hi,hi->h", inputs, spread)
         self._correct(spread, power, truths - np.einsum("hi,hi->h", self._weights, inputs))
         self._covariances *= 1 / FORGET
-        self._keep_ridge()
-
-    def _keep_ridge(self) -> None:
-        """Observe one weight a step, at its trust, as often as forgetting has to be made good."""
+        # The ridge: one weight a step is observed, at its trust, as often as forgetting demands.
         expert = self._steps % len(self._trust)
         spread = self._covariances[:, :, expert].copy()
         power = 1 / (RIDGE * len(self._trust) * (1 - FORGET)) + spread[:, expert]
@@ -93,10 +96,6 @@ class Stack:
         gains = spread / power[:, np.newaxis]
         change = np.concatenate([spread, -errors[:, np.newaxis]], axis=1)
         self._state -= gains[:, :, np.newaxis] * change[:, np.newaxis, :]
-
-    def _score(self, errors: Floats) -> None:
-        self._truths += 1
-        self._power += (errors * errors - self._power) / ERROR_MEMORY_STEPS
 
 
 CAPACITY = 8_192
@@ -109,24 +108,42 @@ PIECE_NS = 1_000_000
 RECENT, MARGIN = 1_000, 0.25
 
 
-class Ensemble:
-    """Predicts a stream of force; holds the newest value until it has learnt to do better.
+class Ensemble(Predictor):
+    """Prediction of a stream of force in N; holds the newest value until it has learnt better.
 
-    kind: "stack" of all experts, or the name of a single one. names: of the predictions that
-    are weighted, then "stack".
+    Parameters
+    ----------
+    kind
+        "stack" of all experts, or the name of a single one.
+    tick_ns
+        Time between two calls of `work`, in ns.
+
+    Attributes
+    ----------
+    names
+        Of the predictions that are weighted, then "stack".
     """
 
     def __init__(self, kind: str, tick_ns: int) -> None:
         self._kind = kind
-        self._pieces_a_tick = ceil(tick_ns / PIECE_NS)
+        self._pieces_a_tick = math.ceil(tick_ns / PIECE_NS)
         self._grid = Grid()
         self._newest_ns, self._newest = -(1 << 64), 0.0
         self._begin()
         self.names = (*(name for expert in self._experts for name in expert.names), "stack")
 
     def _begin(self) -> None:
-        self._rhythm = Rhythm()
-        self._experts = _experts(self._kind, self._rhythm)
+        self._rhythm = rhythm = Rhythm()
+        self._experts: list[Expert]
+        match self._kind:
+            case "fir":
+                self._experts = [Fir()]
+            case "analogue":
+                self._experts = [Analogue()]
+            case "harmonic":
+                self._experts = [Harmonic(rhythm)]
+            case _:
+                self._experts = [Analogue(), Fir(), Harmonic(rhythm)]
         self._stack = Stack(np.array([e.trust for e in self._experts for _ in e.names]))
         self._history = History(CAPACITY)
         self._warm_up: list[float] = []
@@ -135,23 +152,24 @@ class Ensemble:
         # Cells are numbered by the grid; this one is the history's newest.
         self._number = -1
         self._middle_ns = 0
-        self._rows: NDArray[np.float64] | None = None
+        self._rows: Floats | None = None
         self._path: list[float] = []
 
     def observe(self, times_ns: list[int], values: list[float]) -> None:
-        """Take new samples, in order among themselves; times on the sensing clock."""
+        """Take new samples in N, in order among themselves; times on the sensing clock."""
         if times_ns[-1] > self._newest_ns:
             self._newest_ns, self._newest = times_ns[-1], values[-1]
         self._grid.observe(times_ns, values)
 
     def work(self) -> None:
         """Do the next piece of the work that waits, or two after a burst; once a tick."""
+        fresh = self._grid.fresh
         with np.errstate(all="ignore"):
             # Samples that were held up come in a burst: it is caught up with in double time.
-            hurry = 2 if len(self._grid.fresh) > 1 else 1
+            hurry = 2 if len(fresh) > 1 else 1
             for _ in range(hurry * self._pieces_a_tick):
-                if next(self._work, self) is self and self._grid.fresh:
-                    self._work = self._step(self._grid.fresh.popleft())
+                if next(self._work, self) is self and fresh:
+                    self._work = self._step(fresh.popleft())
                     next(self._work, None)
 
     def predict(self, instant_ns: int) -> float:
@@ -162,7 +180,7 @@ class Ensemble:
         return _between(path, (instant_ns - self._middle_ns) / SPACING_NS)
 
     def predict_each(self, instant_ns: int) -> list[float]:
-        """Return what each of `names` predicts, for studies."""
+        """Return the prediction of each of `names`, for studies."""
         if self._rows is None:
             return [self._newest] * len(self.names)
         before = self._path[:2]
@@ -183,14 +201,18 @@ class Ensemble:
         return None if rms is None else self._scale * rms
 
     def _step(self, cell: GridCell) -> Iterator[None]:
-        """All that a new cell asks for, piece by piece."""
+        """Do all that a new cell asks for, piece by piece."""
         if not self._scale:
             self._settle(cell)
             return
         history = self._history
         self._push(cell.value)
         self._number = cell.number
-        self._mend()
+        # Late samples' cells replace what had been guessed.
+        for late in self._grid.late:
+            mended = (late.value - self._level) / self._scale
+            history.rewrite(self._number - late.number, mended)
+        self._grid.late.clear()
         first, *others = self._experts
         first.observe(history)
         yield
@@ -221,50 +243,28 @@ class Ensemble:
         self._bound()
 
     def _push(self, value: float) -> None:
-        history = self._history
-        history.push((value - self._level) / self._scale)
-        before, _, newest = history.last(3).tolist()
+        self._history.push((value - self._level) / self._scale)
+        before, _, newest = self._history.last(3).tolist()
         self._rhythm.push(newest - before)
 
-    def _mend(self) -> None:
-        """Write late samples' cells over what had been guessed."""
-        for cell in self._grid.late:
-            mended = (cell.value - self._level) / self._scale
-            self._history.rewrite(self._number - cell.number, mended)
-        self._grid.late.clear()
-
     def _bound(self) -> None:
-        """Set what paths stay within."""
         recent = self._history.last(min(RECENT, self._history.count))
         low, high = float(np.minimum.reduce(recent)), float(np.maximum.reduce(recent))
         margin = MARGIN * (high - low)
         self._bounds = low - margin, high + margin
 
-    def _publish(self, cell: GridCell, rows: NDArray[np.float64]) -> None:
-        """Make the path of the stack, in N, and its errors; begin anew if they left all bounds."""
-        history, scale = self._history, self._scale
-        newest = history.newest
+    def _publish(self, cell: GridCell, rows: Floats) -> None:
+        """Make the stack's path in N, within its bounds; begin anew if it is not finite."""
+        newest = self._history.newest
         low, high = self._bounds
         ahead = np.minimum(np.maximum(newest + self._stack.predict(newest, rows), low), high)
-        values = np.concatenate([history.last(SPACING + 1)[::SPACING], ahead])
-        path = (self._level + scale * values).tolist()
-        if not all(map(isfinite, path)):
+        values = np.concatenate([self._history.last(SPACING + 1)[::SPACING], ahead])
+        path = (self._level + self._scale * values).tolist()
+        if not all(map(math.isfinite, path)):
             self._begin()
             return
         self._path, self._rows = path, rows
         self._middle_ns = cell.end_ns - STEP_NS // 2
-
-
-def _experts(kind: str, rhythm: Rhythm) -> list[Expert]:
-    match kind:
-        case "fir":
-            return [Fir()]
-        case "analogue":
-            return [Analogue()]
-        case "harmonic":
-            return [Harmonic(rhythm)]
-        case _:
-            return [Analogue(), Fir(), Harmonic(rhythm)]
 
 
 def _between(path: list[float], position: float) -> float:

@@ -12,8 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from display_node.control.controller import ControllerScene
-from display_node.control.linear_loop import LinearLoop, linear_loop
-from display_node.control.margins import FORCE_SHARES, Margins, felt_noise, margins
+from display_node.control.linear_loop import (
+    FORCE_SHARES,
+    LinearLoop,
+    Margins,
+    felt_noise,
+    linear_loop,
+    margins,
+)
 from display_node.control.observer import DESIGN_FORCE_N, ObserverScene
 from display_node.plant.second_order import SecondOrderScene
 from display_node.plant.stepper import StepperScene

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from display_node.prediction import Predictor
-from display_node.prediction.expert import AHEAD, Expert, History
+from display_node.prediction.experts import AHEAD, Expert
+from display_node.prediction.grid import History
 
 MS = 1_000_000
 T0_NS = 7_000 * MS

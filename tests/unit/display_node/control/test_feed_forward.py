@@ -230,7 +230,7 @@ def test_coasted_ticks_go_on_at_the_last_speed() -> None:
     bench = Bench()
     speeds = [bench.path.advance(reference_n[tick : tick + 2]) for tick in range(20)]
     for _ in range(missed):
-        bench.path.skip(speeds[-1])
+        bench.path.shift(speeds[-1] * 1e-3)
     # On a straight way it is where it should be, and goes on as if nothing had been missed.
     tick = 20 + missed
     assert bench.path.advance(reference_n[tick : tick + 2]) == pytest.approx(speeds[-1], rel=1e-6)
@@ -241,12 +241,12 @@ def test_what_was_coasted_too_far_is_taken_back() -> None:
     reference_n = bench.reference_n(np.array([10e-6, 11e-6, 11e-6]))
     speed = bench.path.advance(reference_n[:2])
     for _ in range(5):
-        bench.path.skip(speed)
+        bench.path.shift(speed * 1e-3)
     assert bench.path.advance(reference_n[1:]) == pytest.approx(-5 * speed, rel=1e-6)
 
 
 def test_before_the_first_tick_nothing_is_coasted() -> None:
     bench, fresh = Bench(), Bench()
-    bench.path.skip(0.1)
+    bench.path.shift(0.1 * 1e-3)
     reference_n = bench.reference_n(np.array([10e-6, 11e-6]))
     assert bench.path.advance(reference_n) == fresh.path.advance(reference_n)

@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from display_node.control.linear_loop import LinearLoop
-from display_node.control.margins import FORCE_SHARES, felt_noise, margins, refuse_unstable
+from display_node.control.linear_loop import (
+    FORCE_SHARES,
+    LinearLoop,
+    felt_noise,
+    margins,
+    refuse_unstable,
+)
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
 from protocol.errors import SceneError

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.stalls import BEAT_S, PEAK_N, SCENES, between_all, for_a_while, pressed
-from display_node.control.stall_guard import HEADROOM, WORST_S, StallGuard
+from display_node.control.controller import HEADROOM, WORST_S, StallGuard
 from display_node.plant.contact import ContactLaw
 from protocol.config.scene_file import find_scene
 from telepulse.scene import load_scene

@@ -7,7 +7,7 @@ import pytest
 
 from display_node.prediction import PredictorName, build_predictor
 from display_node.prediction.ensemble import Ensemble, Stack
-from display_node.prediction.expert import AHEAD, FURTHEST
+from display_node.prediction.experts import AHEAD, FURTHEST
 from tests.support.pulse_signals import MS, T0_NS, Floats, beats, feed
 
 STEPS = 4_000

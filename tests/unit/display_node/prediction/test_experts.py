@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from display_node.prediction.analogue import Analogue
-from display_node.prediction.expert import MAX_GAP_NS, STEP_NS, Grid, GridCell, History
-from display_node.prediction.fir import Fir
-from display_node.prediction.harmonic import Harmonic, Rhythm
+from display_node.prediction.experts import Analogue, Fir, Harmonic, Rhythm
+from display_node.prediction.grid import MAX_GAP_NS, STEP_NS, Grid, GridCell, History
 from tests.support.pulse_signals import BEAT_S, MS, T0_NS, Floats, beats, expert_errors
 
 

@@ -4,8 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from display_node.prediction import PredictorName, build_predictor
-from display_node.prediction.extrapolation import REACH_NS
+from display_node.prediction import REACH_NS, PredictorName, build_predictor
 
 MS = 1_000_000
 T0_NS = 7_000 * MS

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from display_node.prediction.trust import MOST_NS, PulseSize, Trust, auto_delay_ns
+from display_node.prediction.concealment import MOST_NS, PulseSize, Trust, auto_delay_ns
 
 MS = 1_000_000
 SECOND_NS = 1_000 * MS

@@ -1,7 +1,4 @@
-"""An expert of the stack, and the history that it predicts from.
-
-`Grid` turns samples of any rate, in order or late, into means over cells of 5 ms; `History` holds
-the newest of them; an `Expert` predicts from it over a common row of horizons.
+"""The regular grid of 5 ms on which the pulse is predicted, and the history of its newest values.
 
 A cell's mean is that of the samples joined by straight lines: at high rates it averages the
 noise and what would alias, at low rates and over short gaps it interpolates.
@@ -9,7 +6,7 @@ noise and what would alias, at low rates and over short gaps it interpolates.
 
 from bisect import bisect_left, bisect_right, insort
 from collections import deque
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,12 +26,19 @@ class GridCell(NamedTuple):
 
 
 class Grid:
-    """Turns samples into cells. `fresh`: those not taken yet; `late`: corrections of older ones."""
+    """Means over cells of 5 ms, of samples at any rate, in order or late.
+
+    Attributes
+    ----------
+    fresh
+        Cells that are complete and not taken yet.
+    late
+        Corrections of older ones.
+    """
 
     def __init__(self) -> None:
         self._samples: list[tuple[int, float]] = []
-        self._first_ns = 0
-        self._first_number = 0
+        self._first_ns = self._first_number = 0
         self._end_ns: int | None = None
         self._count = 0
         self.fresh: deque[GridCell] = deque()
@@ -63,7 +67,7 @@ class Grid:
         self._first_number = self._count
 
     def _complete(self) -> None:
-        """Give out the cells that the newest sample completes."""
+        """Add the cells that the newest sample completes to `fresh`."""
         end_ns = (self._end_ns or 0) + STEP_NS
         while end_ns <= self._samples[-1][0]:
             self.fresh.append(GridCell(self._count, end_ns, self._mean(end_ns)))
@@ -82,21 +86,19 @@ class Grid:
         after = samples[min(len(samples) - 1, bisect_right(samples, (times_ns[-1] + 1,)))][0]
         first = max(0, (before - self._first_ns) // STEP_NS)
         last = min(self._count - self._first_number - 1, (after - self._first_ns) // STEP_NS)
-        for number in range(first, last + 1):
-            end_ns = self._first_ns + (number + 1) * STEP_NS
-            if end_ns - STEP_NS >= samples[0][0]:
-                self._correct(GridCell(self._first_number + number, end_ns, self._mean(end_ns)))
+        for position in range(first, last + 1):
+            end_ns = self._first_ns + (position + 1) * STEP_NS
+            if end_ns - STEP_NS < samples[0][0]:
+                continue
+            cell = GridCell(self._first_number + position, end_ns, self._mean(end_ns))
+            waiting = len(self.fresh) - (self._count - cell.number)
+            if waiting < 0:
+                self.late.append(cell)
+            else:
+                self.fresh[waiting] = cell
         self._complete()
 
-    def _correct(self, cell: GridCell) -> None:
-        waiting = len(self.fresh) - (self._count - cell.number)
-        if waiting < 0:
-            self.late.append(cell)
-        else:
-            self.fresh[waiting] = cell
-
     def _mean(self, end_ns: int) -> float:
-        """Mean over the cell that ends then, of the samples joined by straight lines."""
         samples, start_ns = self._samples, end_ns - STEP_NS
         first, last = bisect_right(samples, (start_ns + 1,)), bisect_left(samples, (end_ns,))
         inner = samples[first:last]
@@ -113,8 +115,7 @@ class Grid:
         before_ns, before = self._samples[max(position - 1, 0)]
         if after_ns == before_ns:
             return after
-        share = (t_ns - before_ns) / (after_ns - before_ns)
-        return before + share * (after - before)
+        return before + (t_ns - before_ns) / (after_ns - before_ns) * (after - before)
 
 
 class History:
@@ -149,32 +150,3 @@ class History:
     def last(self, count: int) -> NDArray[np.float32]:
         """Return the newest `count` values, at most `capacity`; a view, until the next push."""
         return self._values[self._end - count : self._end]
-
-
-# Every 10 ms up to 250 ms: the pulse ends below 40 Hz, and a cubic joins them.
-SPACING, HORIZONS = 2, 25
-AHEAD = SPACING * np.arange(1, HORIZONS + 1)
-FURTHEST = SPACING * HORIZONS
-Trajectories = NDArray[np.float64]
-
-
-class Expert(Protocol):
-    """Predicts a history's values `AHEAD` steps after the newest, in one or several ways.
-
-    names: of its predictions; trust: the weight each has before the stack has learnt.
-    """
-
-    names: tuple[str, ...]
-    trust: float
-
-    def observe(self, history: History) -> None:
-        """Take the value that was pushed; call once after each push."""
-
-    def predict(self, history: History) -> Trajectories:
-        """After `observe`: differences of those values from the newest, shape (names, 25).
-
-        Zeros, which is to hold the newest, for as long as the expert knows nothing better.
-        """
-
-    def learn(self, history: History) -> None:
-        """After `predict`: what of the work on the newest value can wait until then."""

@@ -1,0 +1,376 @@
+"""The experts of the stack: beat analogues, a long linear filter, and a harmonic oscillator.
+
+Each predicts the history's values of the next 250 ms over a common row of horizons.
+"""
+
+import math
+import statistics
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.blas import dger, dsymv, dsyr
+
+from display_node.prediction.grid import History
+
+# Every 10 ms up to 250 ms: the pulse ends below 40 Hz, and a cubic joins them.
+SPACING, HORIZONS = 2, 25
+AHEAD = SPACING * np.arange(1, HORIZONS + 1)
+FURTHEST = SPACING * HORIZONS
+Trajectories = NDArray[np.float64]
+
+
+class Expert(Protocol):
+    """Predicts a history's values `AHEAD` steps after the newest, in one or several ways.
+
+    Attributes
+    ----------
+    names
+        Of its trajectories.
+    trust
+        Weight of each at the stack's start.
+    """
+
+    names: tuple[str, ...]
+    trust: float
+
+    def observe(self, history: History) -> None:
+        """Take the value that was pushed; call once after each push."""
+        return
+
+    def predict(self, history: History) -> Trajectories:
+        """After `observe`: differences of those values from the newest, shape (names, 25).
+
+        Zeros, which is to hold the newest, for as long as the expert knows nothing better.
+        """
+
+    def learn(self, history: History) -> None:
+        """After `predict`: what of the work on the newest value can wait until then."""
+        return
+
+
+LAGS = 8_000
+# Nearer lags have no 250 ms after them, and are the present beat itself.
+NEAREST = 60
+MEMORIES_S = (0.05, 0.2, 0.6)
+STEP_S = 0.005
+# Weight of the slope (per step), about that of the signal: a pulse's power over its slope's.
+SLOPE = 50.0
+ANALOGUES = 15
+# Kernel's width over the analogues' mean distance.
+KERNEL = 0.2
+# How much of the analogues' distance from the present value is taken off what followed them.
+OFFSET = 0.5
+# A lag counts once its distance has been summed for so long.
+SETTLED = 160
+# What follows an analogue, from the analogue itself on.
+NEXT = np.concatenate([[0], AHEAD])
+MEMORY = np.arange(len(MEMORIES_S))[:, np.newaxis]
+
+
+class Analogue(Expert):
+    """Three trajectories: what came after the moments of the last 40 s most like the present.
+
+    They differ in their memory of the present. Its distance to every lag l is recursive,
+
+        D(l) ← λ D(l) + (x(t) − x(t−l))² + w (ẋ(t) − ẋ(t−l))²,
+
+    and its lowest local minima are the analogues.
+
+    References
+    ----------
+    Lorenz (1969), analogues as predictors.
+    """
+
+    names = tuple(f"analogue {memory_s:g} s" for memory_s in MEMORIES_S)
+    trust = 0.2
+
+    def __init__(self) -> None:
+        # Oldest first, like the history: index i is the lag LAGS − i. Single precision: these are
+        # the longest rows of all, and what is in them is noisier than it is coarse.
+        self._difference = np.zeros(LAGS, np.float32)
+        self._step = np.zeros(LAGS, np.float32)
+        self._distances = np.zeros((len(MEMORIES_S), LAGS), np.float32)
+        self._places: NDArray[np.intp] | None = None
+        self._forget = np.exp(-STEP_S / np.array(MEMORIES_S, np.float32))[:, np.newaxis]
+
+    def observe(self, history: History) -> None:
+        """Carry the distances on and find the analogues."""
+        past = history.last(LAGS + 1)
+        # The slope's difference is the difference's step: x and its lagged self move on together.
+        difference, step = self._step, self._difference
+        np.subtract(past[:-1], past[-1], out=difference)
+        step -= difference
+        self._difference, self._step = difference, step
+        step *= step
+        step *= SLOPE
+        step += difference * difference
+        self._distances *= self._forget
+        self._distances += step
+        first = LAGS - min(LAGS, history.count - SETTLED)
+        self._places = None
+        if first < LAGS - NEAREST - 2:
+            places = _lowest_minima(self._distances[:, first : LAGS - NEAREST + 1])
+            self._places = None if places is None else first + places
+
+    def predict(self, history: History) -> Trajectories:
+        """Return a trajectory for each memory: the mean of what followed its analogues."""
+        places, past = self._places, history.last(LAGS + 1)
+        if places is None:
+            return np.zeros((len(MEMORIES_S), HORIZONS))
+        nearest = self._distances[MEMORY, places]
+        # Above 0 where all distances are 0.
+        width = KERNEL / ANALOGUES * np.add.reduce(nearest, axis=1, keepdims=True) + 1e-30
+        weights = np.exp((np.minimum.reduce(nearest, axis=1, keepdims=True) - nearest) / width)
+        weights /= np.add.reduce(weights, axis=1, keepdims=True)
+        ahead = past.take(places[:, :, np.newaxis] + NEXT)
+        followed = (weights[:, np.newaxis] @ ahead)[:, 0] - past[-1]
+        return np.asarray(followed[:, 1:] - OFFSET * followed[:, :1], np.float64)
+
+
+def _lowest_minima(distances: NDArray[np.float32]) -> NDArray[np.intp] | None:
+    """Return where each row's ANALOGUES lowest local minima are, few repeated; None without any."""
+    middle = distances[:, 1:-1]
+    is_lowest = middle < distances[:, :-2]
+    is_lowest &= middle <= distances[:, 2:]
+    places = np.empty((len(distances), ANALOGUES), np.intp)
+    for row, chosen in enumerate(is_lowest):
+        (at,) = chosen.nonzero()
+        if len(at) > ANALOGUES:
+            at = at[middle[row, at].argpartition(ANALOGUES)[:ANALOGUES]]
+        elif not len(at):
+            return None
+        places[row] = np.resize(at, ANALOGUES) if len(at) < ANALOGUES else at
+    places += 1
+    return places
+
+
+# The near past at every step; further back, means over STRIDE steps: 1.3 s.
+NEAR, FAR, STRIDE = 40, 55, 4
+REACH = NEAR + FAR * STRIDE + 1
+TAPS = NEAR + FAR
+# 30 s of data.
+FORGET = 1 - 1 / 6_000
+# Relative to the power of the signal, as it is normalised.
+RIDGE = 0.01
+ROWS = 8 * FURTHEST
+
+
+class Fir(Expert):
+    """x(t+h) − x(t) as a linear function of x(t−i) − x(t), for every horizon h.
+
+    Recursive least squares gives the ridge solution of all data at every step, and needs no solve:
+    the gain of a regressor is the same for every horizon, so it is kept until the horizon's truth
+    arrives.
+
+    References
+    ----------
+    Haykin, Adaptive Filter Theory, exponentially weighted RLS.
+    """
+
+    names = ("fir",)
+    trust = 0.4
+
+    def __init__(self) -> None:
+        self._weights = np.zeros((HORIZONS, TAPS))
+        self._covariance = np.asfortranarray(np.eye(TAPS) / RIDGE)
+        # Regressors, their gains and the values they came from; the last FURTHEST rows count.
+        self._regressors = np.zeros((ROWS, TAPS))
+        self._gains = np.zeros((ROWS, TAPS))
+        self._origins = np.zeros(ROWS)
+        self._row = FURTHEST
+        self._tap = 0
+        self._regressor = self._regressors[self._row]
+
+    def observe(self, history: History) -> None:
+        """Take the next regressor."""
+        if history.count < REACH:
+            return
+        newest, past = history.newest, history.last(REACH)
+        regressor = self._regressor = self._regressors[self._row]
+        far = past[: FAR * STRIDE].reshape(FAR, STRIDE)
+        np.multiply(np.add.reduce(far, axis=1), 1 / STRIDE, out=regressor[:FAR])
+        regressor[FAR:] = past[FAR * STRIDE : -1]
+        regressor -= newest
+        self._origins[self._row] = newest
+
+    def predict(self, history: History) -> Trajectories:
+        """Return the trajectory of the newest regressor."""
+        return np.asarray(np.einsum("ij,j->i", self._weights, self._regressor)[np.newaxis])
+
+    def learn(self, history: History) -> None:
+        """Correct every horizon's weights by the newest value; then count in its regressor."""
+        if history.count < REACH:
+            return
+        # The rows that predicted this value, the shortest horizon first.
+        row = self._row
+        before = slice(row - SPACING, row - FURTHEST - 1 if row > FURTHEST else None, -SPACING)
+        predicted = np.einsum("ij,ij->i", self._weights, self._regressors[before])
+        errors = history.newest - self._origins[before] - predicted
+        self._weights += self._gains[before] * errors[:, np.newaxis]
+        self._keep_ridge()
+        regressor = self._regressor
+        # BLAS on one triangle: the covariance cannot lose its symmetry.
+        spread = dsymv(1.0, self._covariance, regressor)
+        power = FORGET + float(regressor @ spread)
+        dsyr(-1.0 / power, spread, a=self._covariance, overwrite_a=1)
+        self._covariance *= 1 / FORGET
+        np.divide(spread, power, out=self._gains[row])
+        self._row += 1
+        if self._row == ROWS:
+            for rows in (self._regressors, self._gains, self._origins):
+                rows[:FURTHEST] = rows[-FURTHEST:]
+            self._row = FURTHEST
+
+    def _keep_ridge(self) -> None:
+        """Observe one weight a step, as 0, as often as forgetting has to be made good."""
+        tap = self._tap = (self._tap + 1) % TAPS
+        spread = np.concatenate([self._covariance[:tap, tap], self._covariance[tap, tap:]])
+        power = 1 / (RIDGE * TAPS * (1 - FORGET)) + spread[tap]
+        # In place: transposed, the weights are in the order that BLAS works in.
+        dger(-1.0 / power, spread, self._weights[:, tap].copy(), a=self._weights.T, overwrite_a=1)
+        dsyr(-1.0 / power, spread, a=self._covariance, overwrite_a=1)
+
+
+BEATS, FEWEST = 9, 4
+SHARE = 0.45
+# Two beats are at least so many steps apart: 250 ms.
+REFRACTORY = 50
+# Before peaks are known: the highest slope yet, which fades with a time constant of 3 s.
+FADE = 1 - 1 / 600
+
+
+class Rhythm:
+    """The beats of a signal: when its slope rises through a share of its usual peak.
+
+    Attributes
+    ----------
+    interval
+        Median of the last beats' intervals in steps of the grid; None before there are any.
+    """
+
+    def __init__(self) -> None:
+        self.interval: float | None = None
+        self._intervals: list[int] = []
+        self._peaks: list[float] = []
+        self._peak = self._highest = self._slope = 0.0
+        self._threshold = math.inf
+        self._step = 0
+        self._beat_step: int | None = None
+
+    def push(self, slope: float) -> None:
+        """Take the slope at the next step."""
+        self._step += 1
+        rested = self._beat_step is None or self._step - self._beat_step > REFRACTORY
+        if self._slope < self._threshold <= slope and rested:
+            self._beat()
+        self._slope = slope
+        self._peak = max(self._peak, slope)
+        self._highest = max(self._highest * FADE, slope)
+        if self.interval is None and self._highest > 0:
+            self._threshold = SHARE * self._highest
+
+    def _beat(self) -> None:
+        if self._beat_step is not None:
+            self._peaks = [*self._peaks[1 - BEATS :], self._peak]
+            self._intervals = [*self._intervals[1 - BEATS :], self._step - self._beat_step]
+            if len(self._peaks) >= FEWEST:
+                self._threshold = SHARE * statistics.median(self._peaks)
+                self.interval = statistics.median(self._intervals)
+        self._peak = 0.0
+        self._beat_step = self._step
+
+
+HARMONICS = 8
+SIZE = 3 + 2 * HARMONICS
+# Of the cosines and then of the sines, which are cosines a quarter later.
+ORDER = np.tile(np.arange(1.0, HARMONICS + 1), 2)
+LATER = np.repeat([0.0, np.pi / 2], HARMONICS)
+# Per step, in units of the signal's standard deviation: noise, and what wanders.
+NOISE, WANDER = 0.05, 0.01
+PHASE_WANDER, FREQUENCY_WANDER = 0.01, 3e-5
+# Diverged: the running mean square of its surprise is above this share of the signal's power.
+DIVERGED = 0.5
+PATIENCE_STEPS = 400
+
+
+class Harmonic(Expert):
+    """One trajectory, of an extended Kalman filter of phase, frequency and harmonics.
+
+        x(t) = m + Σ a_k cos kθ + b_k sin kθ,  θ ← θ + ω;  m, ω, a, b wander.
+
+    It starts at the rhythm's frequency, and is dropped when it diverges. The state is so slow that
+    it predicts from a step before, and learns last.
+
+    Attributes
+    ----------
+    alive
+        Whether it has started and has not diverged.
+    """
+
+    names = ("harmonic",)
+    trust = 0.0
+
+    def __init__(self, rhythm: Rhythm) -> None:
+        self._rhythm = rhythm
+        self._wander = np.diag(
+            [PHASE_WANDER**2, FREQUENCY_WANDER**2, WANDER**2] + [WANDER**2 / 4] * 2 * HARMONICS
+        )
+        self._sensitivity = np.zeros(SIZE)
+        self._sensitivity[2] = 1.0
+        self.alive = False
+
+    def predict(self, history: History) -> Trajectories:
+        """Return the oscillator's trajectory."""
+        if not self.alive:
+            return np.zeros((1, HORIZONS))
+        return np.asarray((self._ahead - history.newest)[np.newaxis])
+
+    def learn(self, history: History) -> None:
+        """Correct the state by the newest value; start, or drop it, where that is due."""
+        newest, interval = history.newest, self._rhythm.interval
+        if interval is None:
+            return
+        if not self.alive:
+            self._start(newest, interval)
+        self._follow(newest)
+        self.alive = self._sane(interval)
+        if self.alive:
+            state = self._state
+            # What `predict` will be asked for at the next step.
+            angles = np.multiply.outer(state[0] + (1 + AHEAD) * state[1], ORDER) - LATER
+            self._ahead = state[2] + np.cos(angles) @ state[3:]
+
+    def _start(self, newest: float, interval: float) -> None:
+        self._surprise, self._age = 0.0, 0
+        self._state = np.zeros(SIZE)
+        self._state[1], self._state[2] = 2 * np.pi / interval, newest
+        spread = np.full(SIZE, 1.0)
+        spread[0], spread[1] = 0.0, (0.05 * self._state[1]) ** 2
+        self._covariance = np.diag(spread)
+
+    def _follow(self, newest: float) -> None:
+        state, covariance = self._state, self._covariance
+        state[0] = (state[0] + state[1]) % (2 * np.pi)
+        covariance[0] += covariance[1]
+        covariance[:, 0] += covariance[:, 1]
+        covariance += self._wander
+        angles = ORDER * state[0] - LATER
+        sensitivity = self._sensitivity
+        sensitivity[0] = -float((ORDER * np.sin(angles)) @ state[3:])
+        sensitivity[3:] = np.cos(angles)
+        surprise = newest - float(sensitivity[2:] @ state[2:])
+        spread = covariance @ sensitivity
+        power = NOISE**2 + float(sensitivity @ spread)
+        state += spread * (surprise / power)
+        covariance -= np.multiply.outer(spread / power, spread)
+        self._surprise += (surprise * surprise - self._surprise) / PATIENCE_STEPS
+        self._age += 1
+
+    def _sane(self, interval: float) -> bool:
+        if not math.isfinite(self._state.dot(self._state)):
+            return False
+        beats_a_turn = float(self._state[1]) * interval / (2 * np.pi)
+        if not 0.4 < beats_a_turn < 2.5:
+            return False
+        return self._age < PATIENCE_STEPS or self._surprise < DIVERGED
