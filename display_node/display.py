@@ -12,7 +12,7 @@ from display_node.drives.withdrawal import FingerState, describe_finger
 from display_node.plant.feedback import Feedback
 from display_node.plant.filters import DelayLine
 from display_node.prediction.concealment import Concealment, auto_delay_ns
-from display_node.reception.playout_clock import PlayedDelays, PlayoutClock
+from display_node.reception.playout import PlayedDelays, PlayoutClock
 from display_node.reception.receiver import Receiver
 from display_node.scene import DisplayScene
 from display_node.scoring.tracking_error import TrackingError

@@ -1,4 +1,4 @@
-"""The display's sockets to its sensing node, connected and kept so.
+"""The display's sockets to its sensing node, found, connected and kept so.
 
 ZeroMQ looks names up in the thread that moves all its messages, and a slow name server holds that
 up for seconds. So a thread of ours looks them up, which lives only while it does; ZeroMQ is given
@@ -7,31 +7,99 @@ numbers.
 
 import itertools
 import logging
+import math
 import socket
 import threading
 import time
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import zmq
 
 from display_node.reception.endpoint import ANSWER_NS, FLOODED_NS, Endpoint
 from display_node.reception.failover import FOLLOWS_WITHIN_NS, DataPath
 from protocol import sockets
-from protocol.security.keys import ClientKeys
+from protocol.discovery.announcement import Announcement, fingerprint, matching, only_match
+from protocol.errors import DiscoveryError, ProtectionError
+from protocol.security.keys import ClientKeys, read_public
 from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.summary_tables import Reconnections
 
 logger = logging.getLogger(__name__)
 
+# After the first that fits, for others that do.
+GATHER_S = 2.0
+SAY_AFTER_S = 5.0
+LOOK_EVERY_S = 0.05
+
+
+def discovered(name: str | None, peer: Path | None, seconds: float | None) -> list[str]:
+    """Return the addresses of the one sensing node that announces itself on this network.
+
+    Parameters
+    ----------
+    name
+        Its name; None accepts any.
+    peer
+        File of its public key; None accepts any.
+    seconds
+        Longest wait for one.
+
+    Raises
+    ------
+    DiscoveryError
+        Several fit or none comes.
+    ProtectionError
+        It demands keys and there is no `peer`.
+    KeyFileError
+        The file is not a key's.
+    """
+    # It brings the library, which others do without.
+    from protocol.discovery.browser import Browser
+
+    known = None if peer is None else fingerprint(read_public(peer).key)
+    with Browser() as look:
+        logger.info("looking for a sensing node on the local network")
+        begin_s, said = time.monotonic(), False
+        while not matching(look.found, name, known):
+            waited_s = time.monotonic() - begin_s
+            if waited_s > (math.inf if seconds is None else seconds):
+                raise DiscoveryError(f"within {seconds:g} s {_others(look.found)}")
+            if waited_s > SAY_AFTER_S and not said:
+                said = True
+                logger.info(f"so far {_others(look.found)}; waiting on")
+            time.sleep(LOOK_EVERY_S)
+        if name is None:
+            time.sleep(GATHER_S)
+        one = only_match(matching(look.found, name, known))
+        refused = look.refused.total()
+    if refused:
+        logger.warning(f"{refused} announcements were not a sensing node's")
+    if one.fingerprint is not None and peer is None:
+        raise ProtectionError(
+            f"{one.name!r} lets in who has a key; give --key keys/NAME.key --peer keys/PEER.pub"
+        )
+    addresses = [f"tcp://{address}:{one.port}" for address in one.addresses]
+    logger.info(f"found {one.name!r} at {', '.join(addresses)}")
+    return addresses
+
+
+def _others(found: list[Announcement]) -> str:
+    if not found:
+        return "no sensing node has announced itself (there: sensing-node --announce)"
+    names = ", ".join(repr(one.name) for one in found)
+    return f"only others have announced themselves, of another name or key than wanted: {names}"
+
+
 LOOK_UP_AGAIN_S = 2.0
 
 
 class Lookup:
-    """Finds the number behind an address's name, beside the loop."""
+    """The look-up of the number behind an address's name, beside the loop."""
 
     def __init__(self, address: str) -> None:
         self._address = address
-        self._said = ""
+        self._logged = ""
         self._lookups = 0
         self._found: str | None = None
         self._thread: threading.Thread | None = None
@@ -49,7 +117,7 @@ class Lookup:
             self._thread.start()
         except RuntimeError:
             # No thread is to be had: the loop goes on, and asks again.
-            self._say(f"{self._address} cannot be looked up: no thread can be started; trying on")
+            self._warn(f"{self._address} cannot be looked up: no thread can be started; trying on")
 
     def take(self) -> str | None:
         """Return the address with a number for a name, once for each look-up that found one."""
@@ -64,26 +132,57 @@ class Lookup:
         try:
             found = socket.getaddrinfo(host.strip("[]"), port, type=socket.SOCK_STREAM)
         except OSError as error:
-            self._say(f"{host} is not found: {error.strerror}; trying on")
+            self._warn(f"{host} is not found: {error.strerror}; trying on")
             time.sleep(LOOK_UP_AGAIN_S)
             return
         # A name may stand for several numbers, not all of them reachable: one after the other.
         numbers = sorted({(family != socket.AF_INET, name[0]) for family, *_, name in found})
         is_ipv6, number = numbers[self._lookups % len(numbers)]
         self._lookups += 1
-        number = f"[{number}]" if is_ipv6 else number
-        self._found = f"tcp://{number}:{port}"
+        self._found = f"tcp://[{number}]:{port}" if is_ipv6 else f"tcp://{number}:{port}"
 
-    def _say(self, text: str) -> None:
-        if text != self._said:
-            self._said = text
+    def _warn(self, text: str) -> None:
+        if text != self._logged:
+            self._logged = text
             logger.warning(text)
+
+
+class Route:
+    """One address of the sensing node and the data paths that are connected to it.
+
+    Attributes
+    ----------
+    lookup
+        Of the address.
+    won
+        Number of frames whose first copy came this way.
+    """
+
+    def __init__(
+        self, context: sockets.Context, address: str, paths: int, keys: ClientKeys | None
+    ) -> None:
+        sockets.control_address(address)
+        self.address = address
+        self.paths = [DataPath(context, keys) for _ in range(paths)]
+        self.lookup = Lookup(address)
+        self.won = 0
+
+    def messages(self) -> Iterator[bytes]:
+        """Yield the messages that wait."""
+        for path in self.paths:
+            yield from path.messages()
+
+    def poll(self, now_ns: int) -> None:
+        """Look the address up while nothing is received from it, and connect to what is found."""
+        found = None if self.lookup.running else self.lookup.take()
+        wanted = [path.poll(now_ns, found) for path in self.paths]
+        if any(wanted) and found is None and not self.lookup.running:
+            self.lookup.start()
 
 
 # How long to wait for the answer to a request to connect, at least `ANSWER_NS`: the kernel repeats
 # it only after 1 s.
 ANSWER_ROUND_TRIPS = 3
-FLOOD = "flood"
 # A silence of all lines for so long: control, too, is connected anew.
 CUT_NS = 500_000_000
 # Where this process itself stood still for so long, what it receives first has only queued.
@@ -96,7 +195,20 @@ class Connection:
     A path is a data socket, a TCP connection of its own; the addresses share out the paths.
     Control goes over one address at a time and moves on to the next when nothing is received.
 
-    rejected: how often a connection was refused, by cause.
+    Parameters
+    ----------
+    paths
+        At least one for each address.
+
+    Attributes
+    ----------
+    rejected
+        How often a connection was refused, by cause.
+
+    Raises
+    ------
+    AddressError
+        An address is none.
     """
 
     def __init__(
@@ -106,11 +218,9 @@ class Connection:
         paths: int,
         keys: ClientKeys | None = None,
     ) -> None:
-        """paths: at least one for each address. Raises AddressError."""
-        shares = [range(number, paths, len(addresses)) for number in range(len(addresses))]
         self.routes = [
-            Path(context, address, len(share), keys)
-            for address, share in zip(addresses, shares, strict=True)
+            Route(context, address, len(range(number, paths, len(addresses))), keys)
+            for number, address in enumerate(addresses)
         ]
         self._turns = itertools.cycle(self.routes)
         # What was last subscribed with.
@@ -123,10 +233,10 @@ class Connection:
         self._paths = [path for route in self.routes for path in route.paths]
         self._lines = [self.control, *(line for path in self._paths for line in path.lines)]
         self.descriptors = sockets.descriptors([line.socket for line in self._lines])
-        self._refusals = HandshakeMonitor(context, keys)
+        self._handshakes = HandshakeMonitor(context, keys)
         for line in self._lines:
-            self._refusals.watch(line.socket)
-        self.rejected = self._refusals.rejected
+            self._handshakes.watch(line.socket)
+        self.rejected = self._handshakes.rejected
         # What was reported, once.
         self._flooded: set[str] = set()
 
@@ -160,7 +270,7 @@ class Connection:
 
         Returns whether control has a new connection, over which nobody knows this display yet.
         """
-        answered = self._refusals.poll(now_ns)
+        answered, control = self._handshakes.poll(now_ns), self.control
         for line in self._lines if answered else ():
             line.take_answer(answered)
         self._close_floods(now_ns)
@@ -170,28 +280,23 @@ class Connection:
         for route in self.routes:
             route.poll(now_ns)
         introduce = self._ask_again(now_ns)
-        if cut and self.control.address is not None:
-            self._connect_control(self.control.address, now_ns)
-            return True
-        return introduce or (self.control.silent(now_ns) and self._move_control(now_ns))
+        if cut and control.address is not None:
+            return self._connect_control(control.address, now_ns)
+        return introduce or (control.silent(now_ns) and self._move_control(now_ns))
 
     def _close_floods(self, now_ns: int) -> None:
         """Close for a while what brings more than any stream does."""
-        until_ns = now_ns + FLOODED_NS
-        for route in self.routes:
-            for path in route.paths:
-                if path.flooded(now_ns):
-                    self._count_flood(path.close(until_ns), route.address)
-        if self.control.flooded(now_ns):
-            self._count_flood(self.control.close(until_ns), "control")
-
-    def _count_flood(self, dropped: int, whose: str) -> None:
-        self.rejected[FLOOD] += max(1, dropped)
-        if whose not in self._flooded:
-            self._flooded.add(whose)
-            logger.warning(
-                f"{whose} sends far more than a stream; closed for {FLOODED_NS // 10**9} s"
-            )
+        named: list[tuple[DataPath | Endpoint, str]] = [(self.control, "control")]
+        named += [(path, route.address) for route in self.routes for path in route.paths]
+        for line, name in named:
+            if not line.flooded(now_ns):
+                continue
+            self.rejected["flood"] += max(1, line.close(now_ns + FLOODED_NS))
+            if name not in self._flooded:
+                self._flooded.add(name)
+                logger.warning(
+                    f"{name} sends far more than a stream; closed for {FLOODED_NS // 10**9} s"
+                )
 
     def _ask_again(self, now_ns: int) -> bool:
         """Replace the connection whose request was lost, when the other one's is answered.
@@ -209,12 +314,10 @@ class Connection:
                 continue
             if sockets.control_address(data.address) != control.address:
                 continue
-            if waits is data:
-                data.connect(data.address, now_ns, fast_retry=False)
-            else:
-                # The early repetition may have been too early for this network.
-                self._connect_control(control.address, now_ns, fast_retry=False)
-                return True
+            # The early repetition may have been too early for this network.
+            if waits is control:
+                return self._connect_control(control.address, now_ns, fast_retry=False)
+            data.connect(data.address, now_ns, fast_retry=False)
         return False
 
     def _cut(self, now_ns: int) -> bool:
@@ -237,45 +340,10 @@ class Connection:
         for route in itertools.islice(self._turns, len(self.routes)):
             address = route.paths[0].first.address
             if address is not None:
-                self._connect_control(sockets.control_address(address), now_ns)
-                return True
+                return self._connect_control(sockets.control_address(address), now_ns)
         return False
 
-    def _connect_control(self, address: str, now_ns: int, fast_retry: bool = True) -> None:
+    def _connect_control(self, address: str, now_ns: int, fast_retry: bool = True) -> bool:
         self._controls += self.control.address is not None
         self.control.connect(address, now_ns, fast_retry)
-
-
-class Path:
-    """One address of the sensing node and the data paths that are connected to it.
-
-    won: frames whose first copy came this way.
-    """
-
-    def __init__(
-        self,
-        context: sockets.Context,
-        address: str,
-        paths: int,
-        keys: ClientKeys | None = None,
-    ) -> None:
-        """Open the data paths. Raises AddressError when `address` is none."""
-        sockets.control_address(address)
-        self.address = address
-        self.paths = [DataPath(context, keys) for _ in range(paths)]
-        self._lookup = Lookup(address)
-        self.won = 0
-
-    def messages(self) -> Iterator[bytes]:
-        """Yield the messages that wait."""
-        for path in self.paths:
-            yield from path.messages()
-
-    def poll(self, now_ns: int) -> None:
-        """Look the address up while nothing is received from it, and connect to what is found."""
-        found = None if self._lookup.running else self._lookup.take()
-        wanted = False
-        for path in self.paths:
-            wanted |= path.poll(now_ns, found)
-        if wanted and found is None and not self._lookup.running:
-            self._lookup.start()
+        return True

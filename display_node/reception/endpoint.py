@@ -23,8 +23,14 @@ BYTES_PER_TOKEN = 4_096
 class Endpoint:
     """A socket that is connected to one address at a time.
 
-    address: what it is connected to; None while it is not. answer_ns: when to repeat a request to
-    connect that nobody answers. asked_ns: when the present one was made. answered: whether it was.
+    Attributes
+    ----------
+    address
+        What it is connected to; None while it is not.
+    answer_ns
+        Time in ns after which a request to connect that nobody answers is repeated.
+    asked_ns, answered
+        When the present request was made, and whether a host has answered it.
     """
 
     def __init__(self, socket: sockets.Socket) -> None:
@@ -48,8 +54,7 @@ class Endpoint:
 
     def expect(self, messages_per_s: float) -> None:
         """Allow for twice so many messages a second."""
-        rate_per_s = min(MOST_PER_S, max(LEAST_PER_S, 2 * messages_per_s))
-        self._budget.change_rate(rate_per_s)
+        self._budget.change_rate(min(MOST_PER_S, max(LEAST_PER_S, 2 * messages_per_s)))
 
     def flooded(self, now_ns: int) -> bool:
         """Return whether more has come than is allowed; call it each tick."""

@@ -55,8 +55,14 @@ class Keep(Enum):
 class Failover:
     """The judge of one data path's two connections.
 
-    racing: a second connection is open. opened: how often one was opened, or opened anew; kept: how
-    often it was kept in place of the first.
+    Attributes
+    ----------
+    racing
+        Whether a second connection is open.
+    opened
+        How often one was opened, or opened anew.
+    kept
+        How often it was kept in place of the first.
     """
 
     def __init__(self) -> None:
@@ -97,13 +103,13 @@ class Failover:
         """
         if not self.racing:
             self._expect_next(now_ns, count)
-            return None
-        if had:
+        elif had:
             return self._keep(Keep.SECOND, now_ns)
-        if self._back_ns is None or now_ns - self._first_ns >= self._silence_ns:
-            self._back_ns = now_ns
-        self._first_ns = now_ns
-        self._due_ns = max(self._due_ns, now_ns + self._silence_ns)
+        else:
+            if self._back_ns is None or now_ns - self._first_ns >= self._silence_ns:
+                self._back_ns = now_ns
+            self._first_ns = now_ns
+            self._due_ns = max(self._due_ns, now_ns + self._silence_ns)
         return None
 
     def _expect_next(self, now_ns: int, count: int) -> None:
@@ -137,14 +143,14 @@ class Failover:
         """Return which connection to keep where the other has had time enough."""
         if not self.racing:
             return None
+        which, first_ns = Keep.FIRST, now_ns - self._first_ns
         if self._second_ns is not None:
-            since_ns = max(self._second_ns, self._first_ns)
-            over = now_ns - since_ns >= SETTLED_NS or now_ns - self._second_ns >= 2 * SETTLED_NS
-            return self._keep(Keep.SECOND, now_ns) if over else None
-        back = self._back_ns is not None and now_ns - self._back_ns >= SETTLED_NS
-        if back and now_ns - self._first_ns < self._silence_ns:
-            return self._keep(Keep.FIRST, now_ns)
-        return None
+            which, second_ns = Keep.SECOND, now_ns - self._second_ns
+            over = min(second_ns, first_ns) >= SETTLED_NS or second_ns >= 2 * SETTLED_NS
+        else:
+            back = self._back_ns is not None and now_ns - self._back_ns >= SETTLED_NS
+            over = back and first_ns < self._silence_ns
+        return self._keep(which, now_ns) if over else None
 
     def mark_suspect(self, now_ns: int) -> None:
         """Expect frames sooner, since this process stood still.
@@ -193,14 +199,19 @@ class Failover:
         return which
 
 
-# Of a race: some seconds of frames. They are told by their hashes.
+# Of a race: some seconds of frames. They are identified by their hashes.
 MAX_REMEMBERED = 20_000
 
 
 class DataPath:
     """Two data sockets of which one is used, and the other as well where the first is silent.
 
-    first: the one that is used. failover: when the second is, and which of the two is kept.
+    Attributes
+    ----------
+    first
+        The one that is used.
+    failover
+        Decides when the second is used, and which of the two is kept.
     """
 
     def __init__(self, context: sockets.Context, keys: ClientKeys | None) -> None:

@@ -6,7 +6,8 @@ is lost. A late sample is kept all the same: it still serves the predictor.
 """
 
 from bisect import bisect_left, bisect_right
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
+from operator import add
 
 from protocol.errors import WireError
 from protocol.wire.messages import Frame
@@ -32,18 +33,23 @@ class SampleAccount:
         return self.sent - self.played - self.late
 
     def __add__(self, other: "SampleAccount") -> "SampleAccount":
-        return SampleAccount(
-            self.sent + other.sent,
-            self.played + other.played,
-            self.late + other.late,
-            self.before_joining + other.before_joining,
-        )
+        return SampleAccount(*map(add, astuple(self), astuple(other)))
 
 
 class JitterBuffer:
-    """Holds one channel of one session's samples.
+    """One channel of one session's samples.
 
-    begin_index: the first sample that counts, where another buffer had those before.
+    Parameters
+    ----------
+    begin_index
+        The first sample that counts, where another buffer had those before.
+
+    Attributes
+    ----------
+    frames, reordered
+        Number of frames taken, and of those that came after a later one.
+    ended
+        Whether the session's end is known.
     """
 
     def __init__(self, channel: int, begin_index: int | None = None) -> None:
@@ -62,10 +68,8 @@ class JitterBuffer:
         self._floor_index = begin_index or 0
         self._period_ns = 1
         self._end_index: int | None = None
-        self._played = 0
-        self._late = 0
-        self.frames = 0
-        self.reordered = 0
+        self._played = self._late = 0
+        self.frames = self.reordered = 0
         self.ended = False
 
     @property
@@ -83,9 +87,7 @@ class JitterBuffer:
 
         Raises WireError: "duplicate", "overlap", "timestamp", "too_old", "overflow".
         """
-        count = len(frame.values)
-        first = frame.first_sample
-        period_ns = frame.period_ns
+        count, first, period_ns = len(frame.values), frame.first_sample, frame.period_ns
         position = len(self._indices)
         if position and first <= self._indices[-1]:
             position = bisect_left(self._indices, first)
@@ -101,7 +103,12 @@ class JitterBuffer:
         if self._first_index is None or first < self._first_index:
             self._first_index = first
         if times[0] <= self._passed_ns:
-            self._settle_late(position, bisect_right(times, self._passed_ns))
+            late = bisect_right(times, self._passed_ns)
+            self._late += late
+            self._settled += late
+            last = self._indices[position] + late - 1
+            if self._settled_index is None or last > self._settled_index:
+                self._settled_index = last
         if len(self._times) > 2 * KEEP_SAMPLES:
             self._trim()
 
@@ -125,13 +132,6 @@ class JitterBuffer:
             raise WireError("too_old", f"sample {first} is older than the buffer reaches")
         if len(times) - self._settled + count > MAX_AHEAD_SAMPLES:
             raise WireError("overflow", f"more than {MAX_AHEAD_SAMPLES} samples wait already")
-
-    def _settle_late(self, position: int, count: int) -> None:
-        self._late += count
-        self._settled += count
-        last_index = self._indices[position] + count - 1
-        if self._settled_index is None or last_index > self._settled_index:
-            self._settled_index = last_index
 
     def _trim(self) -> None:
         # The last settled sample is still needed: the instant lies between it and the next.
@@ -190,8 +190,8 @@ class JitterBuffer:
     def end(self, samples_sent: int, now_ns: int | None) -> None:
         """End the session after `samples_sent` samples; what is missing of them is lost.
 
-        now_ns is the sensing clock's, if known. Raises WireError("implausible") when that is
-        more than there was time for, or less than came.
+        now_ns: on the sensing clock, if known. Raises WireError("implausible") when that is more
+        than there was time for, or less than came.
         """
         if self._indices:
             missing = samples_sent - 1 - self._indices[-1]

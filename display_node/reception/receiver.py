@@ -6,8 +6,8 @@ used is counted under its cause. No sockets here.
 
 from collections import Counter, deque
 
-from display_node.reception.delay_estimator import JUMP_NS, DelayEstimator
 from display_node.reception.jitter_buffer import JitterBuffer, SampleAccount
+from display_node.reception.playout import JUMP_NS, DelayEstimator
 from protocol.clock.estimator import READY_AFTER, ClockEstimator, ClockExchange
 from protocol.errors import WireError
 from protocol.histogram import Histogram
@@ -44,17 +44,30 @@ LAST_GRACE_NS = 3_500_000_000
 
 
 class Receiver:
-    """Follows the stream of one sensing node through its sessions.
+    """The stream of one sensing node, through its sessions.
 
-    paths: connections that frames come over; with more than one, all but the first of a frame
-    are copies, and none is refused for it.
+    Parameters
+    ----------
+    channel
+        Which of the stream's channels is buffered, from 0.
+    paths
+        Connections that frames come over; with more than one, all but the first of a frame are
+        copies, and none is refused for it.
+
+    Attributes
+    ----------
+    beginnings
+        Number of sessions and of clock steps within one: what came before says nothing of what
+        comes.
+    ready
+        Whether there is a stream, its clock is known, and enough has come to start playing.
+    one_way_delay_ms
+        From a frame's last sample to its arrival, in ms.
     """
 
     def __init__(self, name: str, channel: int, late_target: float, paths: int = 1) -> None:
-        self._name = name
-        self._paths = paths
-        self._channel = channel
-        self._late_target = late_target
+        self._name, self._paths = name, paths
+        self._channel, self._late_target = channel, late_target
         self._closed = SampleAccount()
         self._frames_closed = self._reordered_closed = 0
         self._next_hello_ns = self._next_clock_ns = 0
@@ -67,11 +80,8 @@ class Receiver:
         self.copies = 0
         self.rejected: Counter[str] = Counter()
         self.one_way_delay_ms = Histogram(0.1, 20_000)
-        self.sessions = 0
-        # Sessions, and clock steps within one: what came before says nothing of what comes.
-        self.beginnings = 0
+        self.sessions = self.beginnings = 0
         self.session: int | None = None
-        # There is a stream, its clock is known, and enough has come to start playing.
         self.ready = False
         self.description: StreamDescription | None = None
         self.clock = ClockEstimator()
@@ -128,12 +138,16 @@ class Receiver:
             self._clock_requests += 1
             if self._clock_requests >= READY_AFTER:
                 self._next_clock_ns = now_ns + (CLOCK_FAST_NS if fast else CLOCK_EVERY_NS)
-            self._asked_ns.append(now_ns)
+            self.expect_reply(now_ns)
             wanted.append(ClockRequest(now_ns))
         if self._farewell is not None and self.buffer.complete:
             wanted.append(self._farewell)
             self._farewell = None
         return wanted
+
+    def expect_reply(self, t1_ns: int) -> None:
+        """Accept one reply to a clock request that was sent at `t1_ns`."""
+        self._asked_ns.append(t1_ns)
 
     def account(self) -> SampleAccount:
         """Return the account of all samples of all sessions so far."""

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any, NamedTuple
 
-from display_node.reception.delay_estimator import LATE_TARGET
+from display_node.reception.playout import LATE_TARGET
 from display_node.reception.receiver import MAX_ASKED, Receiver
 from protocol.config.quantities import count_text
 from protocol.errors import WireError
@@ -269,7 +269,7 @@ class PassiveReceiver(Receiver):
             reply = ClockReply(*(fields[name] for name in ("session", "t1_ns", "t2_ns", "t3_ns")))
             if reply.t1_ns not in self._requests_ns:
                 self._requests_ns.append(reply.t1_ns)
-                self._asked_ns.append(reply.t1_ns)
+                self.expect_reply(reply.t1_ns)
             self.on_control(encode_control(reply), fields["t4_ns"])
         return None
 

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy import signal
 
-from display_node.control.linear_loop import linear_loop
-from display_node.control.margins import margins
+from display_node.control.linear_loop import linear_loop, margins
 from display_node.plant.second_order import SecondOrder
 from protocol.errors import SceneError
 from telepulse.reports.document import Chapter, Plot, Table

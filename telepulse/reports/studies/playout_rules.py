@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from display_node.reception.playout_clock import PlayoutClock
+from display_node.reception.playout import PlayoutClock
 from telepulse.reports.studies.playout_links import DelayTrace, Nanoseconds
 
 

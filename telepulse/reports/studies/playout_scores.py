@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
-from display_node.reception.delay_estimator import LATE_TARGET, DelayEstimator
+from display_node.reception.playout import LATE_TARGET, DelayEstimator
 from telepulse.reports.studies.playout_links import (
     FRAME_NS,
     LINKS,

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from display_node.reception.delay_estimator import DelayEstimator
+from display_node.reception.playout import DelayEstimator
 from telepulse.reports.studies.playout_links import (
     BURSTS,
     best_constant_ms,

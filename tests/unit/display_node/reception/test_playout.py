@@ -7,8 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from display_node.reception.delay_estimator import BIN_NS, DelayEstimator
-from display_node.reception.playout_clock import PlayoutClock
+from display_node.reception.playout import BIN_NS, DelayEstimator, PlayoutClock
 
 MS = 1_000_000
 SECOND_NS = 1_000 * MS

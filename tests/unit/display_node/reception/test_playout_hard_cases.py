@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from display_node.reception.delay_estimator import DelayEstimator, LongerPath
+from display_node.reception.playout import DelayEstimator, LongerPath
 
 MS = 1_000_000
 SECOND_NS = 1_000 * MS

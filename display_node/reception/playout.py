@@ -1,11 +1,15 @@
-"""Delay estimation: the smallest delay that keeps late samples below a target share. Pure.
+"""Playout: the delay that the link asks for, and the instant of the pulse that is felt now. Pure.
 
-Delay is the time from a frame's first sample to its arrival. Estimates read one link in two ways
-(`DelayTracker`), each as a base plus a quantile above it (`ExponentialQuantile`).
+The perceived delay E is the one parameter: at time t the finger feels the pulse of t − E. The delay
+of a frame is the time from its first sample to its arrival. `DelayEstimator` finds the smallest E
+that keeps late samples below a target share; `PlayoutClock` follows it without a jump.
 """
 
 import math
 from collections import deque
+
+from protocol.histogram import Histogram
+from protocol.summary_tables import Compensation, PlayoutDelay
 
 BIN_NS = 1_000_000
 BINS = 11_000
@@ -23,16 +27,23 @@ class ExponentialQuantile:
         self._weights = [0.0] * BINS
         self._weight = 1.0
         self._total = 0.0
-        # The quantile's bin and the weight above it, both carried on from one to the next.
+        # The quantile's bin and the weight above it.
         self._position = 0
         self._above = 0.0
 
     def add(self, value_ns: int, kept: float) -> int:
-        """Count a value of 0 or more; the upper edge in ns of the quantile's bin.
+        """Count a value of 0 or more; return the upper edge in ns of the quantile's bin.
 
         kept: what is left of the weight of all before it, above 0 and at most 1.
         """
-        self._forget(kept)
+        # To grow the weight of what comes next forgets like shrinking all old ones.
+        self._weight /= kept
+        if self._weight > 1e100:
+            scale = 1 / self._weight
+            self._weights = [weight * scale for weight in self._weights]
+            self._total *= scale
+            self._above *= scale
+            self._weight = 1.0
         weights, weight = self._weights, self._weight
         counted = min(value_ns // BIN_NS, BINS - 1)
         weights[counted] += weight
@@ -49,16 +60,6 @@ class ExponentialQuantile:
             position -= 1
         self._position, self._above = position, above
         return (position + 1) * BIN_NS
-
-    def _forget(self, kept: float) -> None:
-        """Grow the weight of what comes next, which forgets like shrinking all old ones."""
-        self._weight /= kept
-        if self._weight > 1e100:
-            scale = 1 / self._weight
-            self._weights = [weight * scale for weight in self._weights]
-            self._total *= scale
-            self._above *= scale
-            self._weight = 1.0
 
 
 BASE_NS = 2_000_000_000
@@ -77,30 +78,30 @@ FAR_ABOVE = 2
 
 
 class LongerPath:
-    """Notices delays that stay above a limit for a while without falling.
+    """Detector of delays that stay above a limit for a while without falling.
 
     Frames that queued behind one another fall from each to the next, down to where they were
     before; frames on a longer path do not.
+
+    Attributes
+    ----------
+    since_ns
+        Since when delays are above the limit, but not for long enough; None while they are not.
     """
 
     def __init__(self, after_ns: int) -> None:
         self._after_ns = after_ns
-        self._since_ns: int | None = None
+        self.since_ns: int | None = None
         self._level_ns = 0
-
-    @property
-    def suspected(self) -> bool:
-        """Whether delays are above the limit, but not for long enough."""
-        return self._since_ns is not None
 
     def base_ns(self, delay_ns: int, limit_ns: int, now_ns: int) -> int | None:
         """Return the longer path's base, when this frame's delay has made it certain; else None."""
         if delay_ns <= limit_ns:
-            self._since_ns = None
-        elif self._since_ns is None or delay_ns < self._level_ns - FALLING_NS:
-            self._since_ns, self._level_ns = now_ns, delay_ns
-        elif now_ns - self._since_ns >= self._after_ns:
-            self._since_ns = None
+            self.since_ns = None
+        elif self.since_ns is None or delay_ns < self._level_ns - FALLING_NS:
+            self.since_ns, self._level_ns = now_ns, delay_ns
+        elif now_ns - self.since_ns >= self._after_ns:
+            self.since_ns = None
             return min(delay_ns, self._level_ns)
         return None
 
@@ -108,11 +109,22 @@ class LongerPath:
 class DelayTracker:
     """The delay that one reading of the link asks for: its base + a quantile of delay over it.
 
-    The base is the smallest delay of the last 2 s. `follows`: it is lifted as soon as all
-    delays of 50 ms were more than twice as far above it as usual; a burst of long delays is
-    then a longer path and not jitter. Rises at once, falls by 20 ms a second.
+    The base is the smallest delay of the last 2 s. Rises at once, falls by 20 ms a second.
 
-    warp: how fast the playout can follow, in seconds a second; `late_share` depends on it.
+    Parameters
+    ----------
+    follows
+        Whether the base is lifted as soon as all delays of 50 ms were more than twice as far above
+        it as usual; a burst of long delays is then a longer path and not jitter.
+    warp
+        How fast the playout can follow, in seconds a second; `late_share` depends on it.
+
+    Attributes
+    ----------
+    late_share
+        Share of late frames, where the playout follows this tracker.
+    mean_ns
+        Mean of the delay asked for.
     """
 
     def __init__(self, late_target: float, follows: bool, warp: float) -> None:
@@ -126,16 +138,7 @@ class DelayTracker:
         self._followed_ns = 0.0
         # Sums over frames of which old ones count less and less.
         self._count = self._excess_ns = self._delays_ns = self._late = 0.0
-
-    @property
-    def late_share(self) -> float:
-        """Share of late frames, where the playout follows this track."""
-        return self._late / self._count if self._count else 0.0
-
-    @property
-    def mean_ns(self) -> float:
-        """Mean of the delay asked for."""
-        return self._delays_ns / self._count if self._count else 0.0
+        self.late_share = self.mean_ns = 0.0
 
     def lift(self, base_ns: int) -> None:
         """Take a longer path's base: what was smaller is of no use any more."""
@@ -160,19 +163,15 @@ class DelayTracker:
             longer_ns = self._longer.base_ns(delay_ns, limit_ns, now_ns)
             if longer_ns is not None:
                 self.lift(longer_ns)
-        self._keep(delay_ns)
-        asked_ns = released(self._delay_ns, window[0][1] + reach_ns, elapsed_ns)
-        self._score(delay_ns, asked_ns, elapsed_ns, kept)
-        self._delay_ns = asked_ns
-        return asked_ns
-
-    def _keep(self, delay_ns: int) -> None:
-        window = self._window
         while window and window[-1][1] >= delay_ns:
             window.pop()
         window.append((self._elapsed_ns, delay_ns))
         while window[0][0] <= self._elapsed_ns - BASE_NS:
             window.popleft()
+        asked_ns = released(self._delay_ns, window[0][1] + reach_ns, elapsed_ns)
+        self._score(delay_ns, asked_ns, elapsed_ns, kept)
+        self._delay_ns = asked_ns
+        return asked_ns
 
     def _score(self, delay_ns: int, asked_ns: int, elapsed_ns: int, kept: float) -> None:
         if self._delay_ns is None:
@@ -183,6 +182,7 @@ class DelayTracker:
             self._followed_ns += min(max(missing_ns, -room_ns), room_ns)
         self._late = self._late * kept + (delay_ns > self._followed_ns)
         self._delays_ns = self._delays_ns * kept + asked_ns
+        self.late_share, self.mean_ns = self._late / self._count, self._delays_ns / self._count
 
 
 def released(delay_ns: int | None, wanted_ns: int, elapsed_ns: int) -> int:
@@ -209,9 +209,22 @@ class DelayEstimator:
 
     Two trackers read the link (see `DelayTracker`): to one, a burst of long delays is jitter that
     has to be covered; to the other, a longer path that can be followed. Following is done where it
-    takes less delay on average and the playout, whose time is warped by `warp` at most (infinity:
-    it jumps), is not too slow for it. What was queued while the link was cut says nothing of its
-    jitter and is left out. Pure: delays and times come in.
+    takes less delay on average and the playout is not too slow for it. What was queued while the
+    link was cut says nothing of its jitter and is left out.
+
+    Parameters
+    ----------
+    late_target
+        Share of samples that may be late, above 0 and below 1.
+    warp
+        The playout's greatest time-warp; infinity for a playout that jumps.
+
+    Attributes
+    ----------
+    delay_ns
+        The delay in ns, at most 9.999 s; None before the first frame.
+    settled
+        Whether enough has been seen to start playing.
     """
 
     def __init__(self, late_target: float = LATE_TARGET, warp: float = 1 / WARP_PARTS) -> None:
@@ -222,11 +235,7 @@ class DelayEstimator:
         self._first_ns: int | None = None
         self._last_ns = 0
         self.delay_ns: int | None = None
-
-    @property
-    def settled(self) -> bool:
-        """Whether enough has been seen to start playing."""
-        return self._first_ns is not None and self._last_ns - self._first_ns >= SETTLED_NS
+        self.settled = False
 
     def observe(self, delay_ns: int, now_ns: int) -> None:
         """Take a frame that needed `delay_ns` from its first sample's instant to its arrival.
@@ -240,28 +249,110 @@ class DelayEstimator:
             return
         elapsed_ns = now_ns - self._last_ns
         self._last_ns = now_ns
+        self.settled = now_ns - self._first_ns >= SETTLED_NS
         # The bound keeps a silence of hours from underflowing; nothing is left of the old then.
         kept = math.exp(-min(elapsed_ns / FORGET_NS, 100.0))
-        covering_ns = self._covering.observe(delay_ns, now_ns, elapsed_ns, kept)
-        following_ns = self._following.observe(delay_ns, now_ns, elapsed_ns, kept)
-        wanted_ns = following_ns if self._follows() else covering_ns
-        self.delay_ns = min(released(self.delay_ns, wanted_ns, elapsed_ns), HIGHEST_NS)
-
-    def _follows(self) -> bool:
-        """Whether to follow. Preferred where it hardly matters: it is first to be right."""
         covering, following = self._covering, self._following
+        covering_ns = covering.observe(delay_ns, now_ns, elapsed_ns, kept)
+        following_ns = following.observe(delay_ns, now_ns, elapsed_ns, kept)
+        # Following is preferred where it hardly matters: it is first to be right.
         dearer_ns = following.mean_ns - covering.mean_ns
         later = following.late_share - covering.late_share
-        return dearer_ns < BIN_NS and later < self._late_target
+        follows = dearer_ns < BIN_NS and later < self._late_target
+        wanted_ns = following_ns if follows else covering_ns
+        self.delay_ns = min(released(self.delay_ns, wanted_ns, elapsed_ns), HIGHEST_NS)
 
     def _is_backlog(self, delay_ns: int, now_ns: int) -> bool:
-        """Whether a frame was held up by an outage; a longer path shows itself by lasting."""
+        """Return whether an outage held a frame up; a longer path shows itself by lasting."""
+        outage = self._outage
         if self.delay_ns is None:
             return False
         # Once a backlog has begun, all of it is left out, down to the first frame on time.
-        spared_ns = 0 if self._outage.suspected else OUTAGE_NS
-        base_ns = self._outage.base_ns(delay_ns, self.delay_ns + spared_ns, now_ns)
+        spared_ns = OUTAGE_NS if outage.since_ns is None else 0
+        base_ns = outage.base_ns(delay_ns, self.delay_ns + spared_ns, now_ns)
         if base_ns is not None:
             self._covering.lift(base_ns)
             self._following.lift(base_ns)
-        return self._outage.suspected
+        return outage.since_ns is not None
+
+
+class PlayoutClock:
+    """The instant played, never faster or slower than a time-warp of 2 %.
+
+    Changes of E and corrections of the clock offset are both slewed, so the finger feels no
+    jump; a difference above 0.5 s (a clock that stepped, a new session) is jumped and counted.
+
+    Attributes
+    ----------
+    jumps
+        Number of jumps.
+    """
+
+    def __init__(self) -> None:
+        self._now_ns: int | None = None
+        self._instant_ns = 0
+        self.jumps = 0
+
+    def instant(self, now_ns: int, wanted_ns: int) -> int:
+        """Return the instant to play at `now_ns`, when `wanted_ns` is where it should be.
+
+        Both clocks run at one rate within the warp; the result never goes back but by a jump.
+        """
+        if self._now_ns is None:
+            self._now_ns, self._instant_ns = now_ns, wanted_ns
+            return wanted_ns
+        elapsed_ns = now_ns - self._now_ns
+        error_ns = wanted_ns - self._instant_ns - elapsed_ns
+        if abs(error_ns) > JUMP_NS:
+            self.jumps += 1
+        elif abs(error_ns) > elapsed_ns // WARP_PARTS:
+            error_ns = elapsed_ns // WARP_PARTS * (1 if error_ns > 0 else -1)
+        self._instant_ns += elapsed_ns + error_ns
+        self._now_ns = now_ns
+        return self._instant_ns
+
+
+class PlayedDelays:
+    """Statistics of the ticks while the stream was alive, `ticks` of them."""
+
+    def __init__(self) -> None:
+        self._playout_delay_ms = Histogram(0.5, 8_000)
+        self._covered_ns = 0
+        self._predicted = self._trusted = 0
+        self.ticks = 0
+
+    def add(self, playout_delay_ns: int, predicted_ns: int, trusted: bool) -> None:
+        """Add a tick.
+
+        Parameters
+        ----------
+        playout_delay_ns
+            Its E in ns.
+        predicted_ns
+            How much older the newest sample is than the played instant; 0 where a sample is there.
+        trusted
+            Whether the predictor was trusted.
+        """
+        self._playout_delay_ms.add(playout_delay_ns * 1e-6)
+        self._covered_ns += playout_delay_ns + predicted_ns
+        self.ticks += 1
+        self._predicted += predicted_ns > 0
+        self._trusted += trusted
+
+    @property
+    def playout_delay_ms(self) -> PlayoutDelay:
+        """Perceived delay E, in ms."""
+        delay_ms = self._playout_delay_ms
+        return PlayoutDelay(delay_ms.mean, delay_ms.quantile(0.99), delay_ms.beyond(p99=0.99))
+
+    @property
+    def covered_delay_ms(self) -> float | None:
+        """Mean of what was buffered and predicted together, in ms."""
+        return self._covered_ns / self.ticks * 1e-6 if self.ticks else None
+
+    def compensation(self, may_trust: bool) -> Compensation:
+        """Return shares of the ticks; none of trust where the scene leaves it no say."""
+        if not self.ticks:
+            return Compensation()
+        trusted = self._trusted / self.ticks if may_trust else None
+        return Compensation(self._predicted / self.ticks, trusted)
