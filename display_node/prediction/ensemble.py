@@ -10,7 +10,6 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.prediction import Predictor
 from display_node.prediction.experts import (
     AHEAD,
     FURTHEST,
@@ -108,7 +107,7 @@ PIECE_NS = 1_000_000
 RECENT, MARGIN = 1_000, 0.25
 
 
-class Ensemble(Predictor):
+class Ensemble:
     """Prediction of a stream of force in N; holds the newest value until it has learnt better.
 
     Parameters
