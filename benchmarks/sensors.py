@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.measure import show, time_call
 from protocol.config.scene import validate
 from protocol.host.child_process import ChildProcess
-from pulse_sensors.reading import Readings
+from pulse_sensors.samples import Placement
 from pulse_sensors.serial_port import SerialScene
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 from telepulse.emulators.sensor_board import (
@@ -72,12 +72,12 @@ def main() -> None:
 def times(kind: Kind) -> tuple[str, ...]:
     """Standard deviation of the times before and after, and how far off they are."""
     board, scene = _board(kind, 0, SKEW), validate(TABLE | kind.keys, SerialScene, "benchmark")
-    decoder, readings = scene.decoder(), Readings(scene)
+    decoder, placement = scene.decoder(), Placement(scene)
     decoder.feed(b"\0" if kind.name == "binary" else b"\n")
     placed, arrivals_ns = [], []
     while (now_ns := board.next_delivery_ns) < SECONDS * 1_000_000_000:
-        for packet in decoder.feed(board.deliver(now_ns)):
-            reading = readings.of(packet, now_ns)
+        for block in decoder.feed(board.deliver(now_ns)):
+            reading = placement.place(block, now_ns)
             assert reading is not None
             placed.append(reading)
             arrivals_ns.append(now_ns)
@@ -89,7 +89,7 @@ def times(kind: Kind) -> tuple[str, ...]:
     off_ms = (np.array([reading.first_ns for reading in placed]) - true_ns)[kept] * 1e-6
     worst_ms = abs(off_ms - off_ms.mean()).max()
     figures = (raw_ms.std(), off_ms.std(), worst_ms, off_ms.mean())
-    skew = f"{readings.skew_ppm:.1f}" if kind.name != "text" else ""
+    skew = f"{placement.skew_ppm:.1f}" if kind.name != "text" else ""
     return (kind.name, *(f"{figure:.3f}" for figure in figures), skew)
 
 
@@ -102,10 +102,10 @@ def decoding_us(kind: Kind) -> float:
         chunks.append((board.deliver(now_ns), now_ns))
 
     def decode() -> None:
-        decoder, readings = scene.decoder(), Readings(scene)
+        decoder, placement = scene.decoder(), Placement(scene)
         for data, now_ns in chunks:
-            for packet in decoder.feed(data):
-                readings.of(packet, now_ns)
+            for block in decoder.feed(data):
+                placement.place(block, now_ns)
 
     return time_call(decode).median_us / board.sampled
 

@@ -31,7 +31,7 @@ from protocol.security.keys import ClientKeys, ServerKeys
 from protocol.summary_tables import Lateness, TickTime
 from protocol.wire.messages import encode_control
 from protocol.wire.telemetry import CONTROL
-from pulse_sensors.scene import open_sensor
+from pulse_sensors.sensor import open_sensor
 
 logger = logging.getLogger(__name__)
 

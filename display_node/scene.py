@@ -19,8 +19,7 @@ from protocol.config.quantities import Nanoseconds, Ratio, parse_quantity
 from protocol.config.scene import Section
 from protocol.errors import SceneError
 from protocol.wire.stream import LayerTable
-from pulse_sensors.scene import SensorScene
-from pulse_sensors.sensor import Sensor
+from pulse_sensors.sensor import Sensor, SensorScene
 
 MAX_COMPENSATION_NS = 10_000_000_000
 

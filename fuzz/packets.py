@@ -4,10 +4,13 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import Any, Protocol
 
+import numpy as np
+
 from fuzz.refusals import check_causes
 from protocol.config.scene import validate
 from pulse_sensors.lsl_inlet import LslScene
-from pulse_sensors.reading import LARGEST, Packet, Readings
+from pulse_sensors.plausibility import LARGEST
+from pulse_sensors.samples import Placement, SampleBlock
 
 TABLE = validate(
     {"kind": "lsl", "stream": "x", "rate": "1 kHz", "unit": "N"}, LslScene, where="fuzz"
@@ -20,8 +23,8 @@ class Decoder(Protocol):
 
     rejected: Counter[str]
 
-    def feed(self, data: Any) -> list[Packet]:
-        """The packets that end in this."""
+    def feed(self, data: Any) -> list[SampleBlock]:
+        """The blocks that end in this."""
 
 
 def check_decoder(decoder: Decoder, data: bytes, piece: int) -> None:
@@ -31,17 +34,17 @@ def check_decoder(decoder: Decoder, data: bytes, piece: int) -> None:
 
 
 def check_fed(decoder: Decoder, pieces: Iterable[Any]) -> None:
-    """Feed one piece a millisecond; what comes becomes readings that never go back in time."""
-    readings, end_ns = Readings(TABLE), None
+    """Feed one piece a millisecond; what comes is placed at times that never go back."""
+    placement, end_ns = Placement(TABLE), None
     for number, piece in enumerate(pieces):
-        for packet in decoder.feed(piece):
-            assert packet.values
-            assert all(abs(value) <= LARGEST for value in packet.values)
-            assert packet.missing >= 0
-            reading = readings.of(packet, number * MS)
-            if reading is not None:
-                assert reading.missing >= 0
-                assert reading.end_ns > reading.first_ns
-                assert end_ns is None or reading.first_ns >= end_ns
-                end_ns = reading.end_ns
+        for block in decoder.feed(piece):
+            assert len(block.values)
+            assert (np.abs(block.values) <= LARGEST).all()
+            assert block.missing >= 0
+            placed = placement.place(block, number * MS)
+            if placed is not None:
+                assert placed.missing >= 0
+                assert placed.end_ns > placed.first_ns
+                assert end_ns is None or placed.first_ns >= end_ns
+                end_ns = placed.end_ns
     check_causes(decoder.rejected)

@@ -1,4 +1,20 @@
-"""Real sensors: what serial ports, CAN buses and Lab Streaming Layer bring, as samples of force.
+"""Live sensors: samples of force from serial ports, CAN buses and Lab Streaming Layer.
 
-Both nodes read them: the sensing node its pulse, the display node its feedback film.
+The sensing node reads its pulse through them, the display node its feedback film.
 """
+
+import importlib
+from typing import Any
+
+from protocol.errors import SourceError
+
+
+def library(name: str, needed_for: str) -> Any:
+    """Return the module `name`. Raises SourceError with the command that installs it."""
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise SourceError(
+            f"{needed_for} needs {name}, which cannot be loaded ({error});"
+            " pip install 'telepulse[sensors]'"
+        ) from None

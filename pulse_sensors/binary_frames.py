@@ -5,32 +5,28 @@ A frame between two zero bytes is, before COBS and in little-endian order:
     format 1 byte | counter 4 | time 4 | samples | CRC 2
 
 format: 0x11 int16, 0x12 int32, 0x13 float32. counter: number of the first sample. time: the
-device's micros() at the last sample. CRC: CRC-16/CCITT-FALSE of all before it. Both numbers
-begin again at 0 after 2^32. At most `MAX_SAMPLES` samples a frame.
+device's micros() at the last sample. CRC: CRC-16/CCITT-FALSE of all before it. Counter and time
+wrap to 0 after 2^32. At most `MAX_SAMPLES` samples a frame.
 """
 
 import binascii
 import struct
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from protocol.errors import WireError
-from pulse_sensors.device_counters import DeviceTime, SampleCounter
-from pulse_sensors.extra import library
-from pulse_sensors.reading import LARGEST, Packet
+from pulse_sensors import library
+from pulse_sensors.plausibility import is_usable
+from pulse_sensors.samples import DeviceTime, SampleBlock, SampleCounter, one_channel
 
 SampleFormat = Literal["int16", "int32", "float32"]
 
 MAX_SAMPLES = 64
 _CODES: dict[SampleFormat, int] = {"int16": 0x11, "int32": 0x12, "float32": 0x13}
-_DTYPES: dict[int, np.dtype[Any]] = {
-    0x11: np.dtype("<i2"),
-    0x12: np.dtype("<i4"),
-    0x13: np.dtype("<f4"),
-}
+_DTYPES = {code: np.dtype(name).newbyteorder("<") for name, code in _CODES.items()}
 _HEAD = struct.Struct("<BII")
 _CRC_BYTES = 2
 # COBS adds one byte in 254, and one.
@@ -38,16 +34,24 @@ MAX_ENCODED_BYTES = (_HEAD.size + 4 * MAX_SAMPLES + _CRC_BYTES) * 255 // 254 + 1
 
 
 class FrameEncoder:
-    """Numbers a board's samples and makes frames of them."""
+    """Encoder of a board's samples, which it numbers from 0.
+
+    Raises
+    ------
+    SourceError
+        Without the cobs package.
+    """
 
     def __init__(self, sample_format: SampleFormat) -> None:
-        """Raise SourceError without the cobs package."""
         self._cobs = library("cobs.cobs", 'framing = "binary"')
         self._code = _CODES[sample_format]
         self._counter = 0
 
     def frame(self, values: Sequence[float], last_us: int) -> bytes:
-        """Return a frame of 1 to 64 samples, the last taken at `last_us`."""
+        """Return a frame of 1 to 64 samples, the last taken at `last_us` in µs.
+
+        Integer formats round the values and limit them to their range.
+        """
         dtype = _DTYPES[self._code]
         samples = np.asarray(values, dtype=np.float64)
         if dtype.kind == "i":
@@ -61,35 +65,48 @@ class FrameEncoder:
 
 
 class FrameDecoder:
-    """Makes packets of a board's bytes, however they are cut; what is not valid is counted.
+    """Decoder of a board's frames, however their bytes are cut. Pure.
 
     Noise costs the frame that it touches; if it hides the zero byte between two, the next one
-    too. What came before the first zero byte may be the rest of a frame that we did not hear.
+    too. Bytes before the first zero byte may be the end of a frame that was not received whole.
+
+    Parameters
+    ----------
+    period_ns : int
+        Nominal time between samples.
+
+    Attributes
+    ----------
+    rejected : Counter
+        Invalid frames, by cause.
+
+    Raises
+    ------
+    SourceError
+        Without the cobs package.
     """
 
     def __init__(self, period_ns: int) -> None:
-        """period_ns: the samples' own, nominally. Raises SourceError without the cobs package."""
         self._cobs = library("cobs.cobs", 'framing = "binary"')
         self._period_ns = period_ns
         self.rejected: Counter[str] = Counter()
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew, as after a cable was pulled."""
+        """Forget the stream so far, as after the cable was unplugged."""
         self._buffer = b""
-        self._skipping = False
-        self._synchronised = False
+        self._skipping = self._synchronised = False
         self._time = DeviceTime()
         self._counter = SampleCounter(1 << 32, self._period_ns)
 
-    def feed(self, data: bytes) -> list[Packet]:
-        """Return the packets that end in these bytes."""
+    def feed(self, data: bytes) -> list[SampleBlock]:
+        """Return the blocks that end in these bytes."""
         *whole, rest = (self._buffer + data).split(b"\0")
-        packets = []
+        blocks = []
         for encoded in whole:
             if encoded and not self._skipping:
                 try:
-                    packets.append(self._packet(encoded))
+                    blocks.append(self._decode(encoded))
                 except WireError as error:
                     self.rejected[error.cause if self._synchronised else "partial"] += 1
             self._skipping, self._synchronised = False, True
@@ -98,9 +115,9 @@ class FrameDecoder:
                 self.rejected["framing"] += 1
             self._skipping, rest = True, b""
         self._buffer = rest
-        return packets
+        return blocks
 
-    def _packet(self, encoded: bytes) -> Packet:
+    def _decode(self, encoded: bytes) -> SampleBlock:
         """Decode one frame. Raises WireError with the cause."""
         try:
             body: bytes = self._cobs.decode(encoded)
@@ -115,21 +132,18 @@ class FrameDecoder:
         dtype = _DTYPES.get(code)
         if dtype is None or payload_bytes % dtype.itemsize:
             raise WireError("format", f"format {code:#x} with {payload_bytes} bytes of samples")
-        values = np.frombuffer(body, dtype, payload_bytes // dtype.itemsize, _HEAD.size)
-        # Some NaN are signals, at which NumPy would warn.
-        with np.errstate(invalid="ignore"):
-            usable = np.abs(values.astype(np.float64)) <= LARGEST
-        if not usable.all():
+        count = payload_bytes // dtype.itemsize
+        values = np.frombuffer(body, dtype, count, _HEAD.size).tolist()
+        if not all(map(is_usable, values)):
             raise WireError("not_finite", "a sample is NaN, infinite or beyond all units")
         passed_ns = self._time.since_last_ns(last_us)
-        missing = self._counter.missing(counter, len(values), passed_ns)
+        missing = self._counter.missing(counter, count, passed_ns)
         if missing is None:
             self.rejected["counter"] += 1
-        return Packet(
-            tuple(values.tolist()), self._time.take(last_us), missing or 0, passed_ns is None
-        )
+        device_ns = self._time.take(last_us)
+        return one_channel(values, device_ns, missing or 0, restarted=passed_ns is None)
 
 
 def crc(data: bytes) -> int:
-    """CRC-16/CCITT-FALSE: polynomial 0x1021, from 0xFFFF on, not reflected."""
+    """Return the CRC-16/CCITT-FALSE: polynomial 0x1021, from 0xFFFF on, not reflected."""
     return binascii.crc_hqx(data, 0xFFFF)

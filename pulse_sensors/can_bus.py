@@ -1,16 +1,17 @@
 """A sensor on a CAN bus: a signal of a DBC database, through any interface of python-can."""
 
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field
 
 from protocol.errors import SourceError
-from pulse_sensors.device_counters import LONGEST_PAUSE_NS, SampleCounter
-from pulse_sensors.extra import library
+from pulse_sensors import library
 from pulse_sensors.force_scale import SensorTable
-from pulse_sensors.reading import LARGEST, Packet
+from pulse_sensors.plausibility import is_usable, unit_contradiction
+from pulse_sensors.samples import LONGEST_PAUSE_NS, SampleBlock, SampleCounter, one_channel
 
 if TYPE_CHECKING:
     import can
@@ -39,7 +40,7 @@ class CanScene(SensorTable):
 
 
 class CanBus:
-    """Messages of one id from a CAN bus."""
+    """Port to the messages of one id; see `pulse_sensors.sensor.Port`."""
 
     def __init__(self, scene: CanScene, frame_id: int, extended: bool) -> None:
         self.name = f"{scene.interface} {scene.channel}"
@@ -54,7 +55,7 @@ class CanBus:
 
     def open(self) -> None:
         """Open the bus. Raises SourceError when it cannot be used."""
-        # python-can takes a tenth of a second to import; scenes without it do without.
+        # The import takes 0.1 s, which scenes without CAN save.
         import can
 
         try:
@@ -68,28 +69,57 @@ class CanBus:
         return message
 
     def close(self) -> None:
-        """Let go of the bus."""
+        """Release the bus."""
         if self._bus is not None:
             self._bus.shutdown()
             self._bus = None
 
 
 class CanDecoder:
-    """The signal's values in messages; their time is the interface's."""
+    """Decoder of a signal's values; their time is the interface's.
+
+    Parameters
+    ----------
+    scene : CanScene
+    folder : Path
+        Folder of the scene file.
+
+    Attributes
+    ----------
+    frame_id, extended : int, bool
+        Id of the message that carries the signal.
+    rejected : Counter
+        Messages without a sample that should have one, by cause.
+
+    Raises
+    ------
+    SourceError
+        For a database that cannot be read or does not fit the scene.
+    """
 
     def __init__(self, scene: CanScene, folder: Path) -> None:
-        """`folder` is the scene file's. Raises SourceError."""
         path = folder / scene.database
-        self._message = _find_message(scene, path)
-        self._signal, self._counter_name = scene.signal, scene.counter
-        stated = next(s.unit for s in self._message.signals if s.name == scene.signal)
-        if scene.contradicts(stated):
+        database_library = library("cantools.database", "a CAN sensor")
+        try:
+            database = database_library.load_file(path)
+        except FileNotFoundError:
+            raise SourceError(f"{path}: no such database") from None
+        except Exception as error:  # damaged, it raises whatever its parsers stumble over
+            reason = (str(error).splitlines() or [type(error).__name__])[0]
+            raise SourceError(f"{path}: cannot be read: {reason:.200}") from None
+        self._message = _find_message(scene, path, database.messages)
+        signals = {signal.name: signal for signal in self._message.signals}
+        contradiction = unit_contradiction(signals[scene.signal].unit, scene.unit)
+        if contradiction is not None:
+            raise SourceError(f"{path}: {scene.signal!r} {contradiction}")
+        if scene.counter and scene.counter not in signals:
+            known = _names(self._message.signals)
             raise SourceError(
-                f'{path}: {scene.signal!r} is in {stated}, the scene says unit = "{scene.unit}";'
-                f' set unit = "{stated}"'
+                f"{path}: {self._message.name} has no signal {scene.counter!r}; it has {known}"
             )
-        self._bits = self._length(scene.counter, path) if scene.counter else 0
-        self._error = library("cantools.database", "a CAN sensor").DecodeError
+        self._signal, self._counter_name = scene.signal, scene.counter
+        self._modulus = 1 << signals[scene.counter].length if scene.counter else 1
+        self._decode_error = database_library.DecodeError
         self._period_ns = scene.period_ns
         self.frame_id: int = self._message.frame_id
         self.extended: bool = self._message.is_extended_frame
@@ -97,72 +127,55 @@ class CanDecoder:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew, as after the bus was gone."""
+        """Forget the stream so far, as after the bus was gone."""
         self._last_ns: int | None = None
-        self._counter = SampleCounter(1 << self._bits, self._period_ns)
+        self._counter = SampleCounter(self._modulus, self._period_ns)
 
-    def feed(self, message: "can.Message") -> list[Packet]:
-        """Return the packet in a message, if there is one."""
+    def feed(self, message: "can.Message") -> list[SampleBlock]:
+        """Return the block in a message; none where a multiplexed message has another signal."""
         if message.is_error_frame:
-            self.rejected["bus_error"] += 1
-            return []
+            return self._reject("bus_error")
         try:
             signals = self._message.decode(bytes(message.data), decode_choices=False)
             counted = int(signals.get(self._counter_name, 0))
-        except (self._error, ValueError, OverflowError):
-            self.rejected["not_decoded"] += 1
-            return []
+        except (self._decode_error, ValueError, OverflowError):
+            return self._reject("not_decoded")
         if self._signal not in signals:
-            return []  # a multiplexed message that carries others this time
-        value = float(signals[self._signal])
-        if not abs(value) <= LARGEST:
-            self.rejected["not_finite"] += 1
             return []
+        value = float(signals[self._signal])
+        if not is_usable(value):
+            return self._reject("not_finite")
         device_ns = round(message.timestamp * 1e9) or None
-        passed_ns = self._passed_ns(device_ns)
+        passed_ns = None
+        if device_ns is not None and self._last_ns is not None:
+            passed_ns = device_ns - self._last_ns
+            passed_ns = passed_ns if 0 < passed_ns <= LONGEST_PAUSE_NS else None
+        self._last_ns = device_ns
         missing: int | None = 0
         if self._counter_name is not None:
             missing = self._counter.missing(counted, 1, passed_ns)
         if missing is None:
             self.rejected["counter"] += 1
-        self._last_ns = device_ns
-        return [Packet((value,), device_ns, missing or 0, anew=passed_ns is None)]
+        return [one_channel((value,), device_ns, missing or 0, restarted=passed_ns is None)]
 
-    def _passed_ns(self, device_ns: int | None) -> int | None:
-        if device_ns is None or self._last_ns is None:
-            return None
-        passed_ns = device_ns - self._last_ns
-        return passed_ns if 0 < passed_ns <= LONGEST_PAUSE_NS else None
-
-    def _length(self, counter: str, path: Path) -> int:
-        for signal in self._message.signals:
-            if signal.name == counter:
-                return int(signal.length)
-        names = ", ".join(signal.name for signal in self._message.signals)
-        raise SourceError(
-            f"{path}: {self._message.name} has no signal {counter!r}; it has {names[:200]}"
-        )
+    def _reject(self, cause: str) -> list[SampleBlock]:
+        self.rejected[cause] += 1
+        return []
 
 
-def _find_message(scene: CanScene, path: Path) -> Any:
+def _find_message(scene: CanScene, path: Path, messages: Iterable[Any]) -> Any:
     """Return the message that carries the scene's signal. Raises SourceError."""
-    database_library = library("cantools.database", "a CAN sensor")
-    try:
-        database = database_library.load_file(path)
-    except FileNotFoundError:
-        raise SourceError(f"{path}: no such database") from None
-    except Exception as error:  # damaged, it raises whatever its parsers stumble over
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise SourceError(f"{path}: cannot be read: {reason:.200}") from None
-    messages = [m for m in database.messages if scene.message in (None, m.name)]
-    if not messages:
-        known = ", ".join(m.name for m in database.messages)
-        raise SourceError(f"{path}: no message {scene.message!r}; it has {known[:200]}")
-    having = [m for m in messages if any(s.name == scene.signal for s in m.signals)]
+    named = [m for m in messages if scene.message in (None, m.name)]
+    if not named:
+        raise SourceError(f"{path}: no message {scene.message!r}; it has {_names(messages)}")
+    having = [m for m in named if any(s.name == scene.signal for s in m.signals)]
     if not having:
-        known = ", ".join(s.name for m in messages for s in m.signals)
-        raise SourceError(f"{path}: no signal {scene.signal!r}; it has {known[:200]}")
+        known = _names(signal for message in named for signal in message.signals)
+        raise SourceError(f"{path}: no signal {scene.signal!r}; it has {known}")
     if len(having) > 1:
-        names = ", ".join(m.name for m in having)
-        raise SourceError(f"{path}: {scene.signal!r} is in {names[:200]}; say which: message")
+        raise SourceError(f"{path}: {scene.signal!r} is in {_names(having)}; say which: message")
     return having[0]
+
+
+def _names(parts: Iterable[Any]) -> str:
+    return ", ".join(part.name for part in parts)[:200]

@@ -6,15 +6,15 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import Field
 
 from protocol.errors import SourceError
-from pulse_sensors.extra import library
+from pulse_sensors import library
 from pulse_sensors.force_scale import SensorTable
-from pulse_sensors.reading import LARGEST, Packet
+from pulse_sensors.plausibility import is_usable, rate_contradiction
+from pulse_sensors.samples import SampleBlock, one_channel
 
 RESOLVE_S = 3.0
 WAIT_S = 0.1
 BUFFER_S = 10
-RATE_TOLERANCE = 0.1
-# No clock says more, in whatever year it began.
+# More than any clock shows, whatever year it counts from.
 LARGEST_TIME_S = 1e10
 
 
@@ -34,10 +34,12 @@ class Chunk(NamedTuple):
 
 
 class LslInlet:
-    """Chunks of one stream, found by its name."""
+    """Port to one stream, found by its name; see `pulse_sensors.sensor.Port`.
+
+    Raises SourceError without the pylsl package, or the library that it loads.
+    """
 
     def __init__(self, scene: LslScene) -> None:
-        """Raise SourceError without the pylsl package, or the library that it loads."""
         self.name = f"LSL stream {scene.stream}"
         self._scene = scene
         self._lsl = library("pylsl", "an LSL sensor")
@@ -49,17 +51,13 @@ class LslInlet:
         if not found:
             raise SourceError(f"{self.name}: not found within {RESOLVE_S:g} s")
         info = found[0]
-        if info.channel_format() == self._lsl.cf_string:
-            raise SourceError(f"{self.name}: its samples are text")
+        reason = rate_contradiction(info.nominal_srate(), self._scene.rate_hz)
         if self._scene.channel >= info.channel_count():
-            raise SourceError(
-                f"{self.name}: no channel {self._scene.channel}; it has {info.channel_count()}"
-            )
-        rate_hz = info.nominal_srate()
-        if rate_hz and abs(self._scene.rate_hz / rate_hz - 1) > RATE_TOLERANCE:
-            raise SourceError(
-                f"{self.name}: its rate is {rate_hz:g} Hz, the scene says {self._scene.rate_hz:g}"
-            )
+            reason = f"no channel {self._scene.channel}; it has {info.channel_count()}"
+        if info.channel_format() == self._lsl.cf_string:
+            reason = "its samples are text"
+        if reason is not None:
+            raise SourceError(f"{self.name}: {reason}")
         self._inlet = self._lsl.StreamInlet(info, max_buflen=BUFFER_S, recover=False)
 
     def read(self) -> Chunk | None:
@@ -71,14 +69,20 @@ class LslInlet:
         return Chunk([first, *samples], [time_s, *times_s])
 
     def close(self) -> None:
-        """Let go of the stream."""
+        """Release the stream."""
         if self._inlet is not None:
             self._inlet.close_stream()
             self._inlet = None
 
 
 class LslDecoder:
-    """The channel's values in chunks; their time is the sending host's LSL clock."""
+    """Decoder of one channel of chunks; their time is the sending host's LSL clock.
+
+    Attributes
+    ----------
+    rejected : Counter
+        Samples that are no numbers, by cause.
+    """
 
     def __init__(self, channel: int) -> None:
         self._channel = channel
@@ -86,28 +90,29 @@ class LslDecoder:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew, as after the stream was lost: another host may send it now."""
-        self._anew = True
-        self._spoilt = 0
+        """Forget the stream so far, as after it was lost: another host may send it now."""
+        self._restarted = True
+        self._unreadable = 0
 
-    def feed(self, chunk: Chunk) -> list[Packet]:
-        """Return the chunk as one packet, or as several around samples that are no numbers."""
-        packets: list[Packet] = []
-        run: list[float] = []
-        for position, sample in enumerate(chunk.samples):
-            value, time_s = sample[self._channel], chunk.times_s[position]
-            if abs(value) <= LARGEST and abs(time_s) <= LARGEST_TIME_S:
-                run.append(value)
+    def feed(self, chunk: Chunk) -> list[SampleBlock]:
+        """Return the chunk as one block, or as several around samples that are no numbers."""
+        # Of each run of usable samples: values, last time, missing.
+        runs: list[tuple[list[float], float, int]] = []
+        for sample, time_s in zip(chunk.samples, chunk.times_s, strict=True):
+            value = sample[self._channel]
+            if not (is_usable(value) and abs(time_s) <= LARGEST_TIME_S):
+                self.rejected["not_finite"] += 1
+                self._unreadable += 1
                 continue
-            packets += self._packet(run, chunk.times_s[position - 1])
-            run = []
-            self.rejected["not_finite"] += 1
-            self._spoilt += 1
-        return packets + self._packet(run, chunk.times_s[-1])
-
-    def _packet(self, run: list[float], last_s: float) -> list[Packet]:
-        if not run:
-            return []
-        packet = Packet(tuple(run), round(last_s * 1e9), self._spoilt, self._anew)
-        self._spoilt, self._anew = 0, False
-        return [packet]
+            values: list[float] = []
+            missing = self._unreadable
+            if runs and not missing:
+                values, _, missing = runs.pop()
+            values.append(value)
+            runs.append((values, time_s, missing))
+            self._unreadable = 0
+        blocks = []
+        for values, last_s, missing in runs:
+            blocks.append(one_channel(values, round(last_s * 1e9), missing, self._restarted))
+            self._restarted = False
+        return blocks

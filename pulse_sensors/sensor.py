@@ -1,7 +1,7 @@
-"""A live sensor's shell: a thread that listens to the device, and who fetches what it heard.
+"""A live sensor: a thread that reads the device, and the conversion of what it received.
 
-The thread waits for bytes, stamps their arrival, and opens the device again when it has gone.
-All else happens in the caller's thread, in `poll`.
+The thread waits for data, stamps their arrival, and opens the device again after it was gone.
+All else happens in the caller's thread, in `Sensor.poll`.
 """
 
 import logging
@@ -10,21 +10,27 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, NamedTuple, Protocol
+from pathlib import Path
+from typing import Any, Protocol
 
 from protocol.config.quantities import count_text
 from protocol.errors import SourceError
+from pulse_sensors.can_bus import CanBus, CanDecoder, CanScene
 from pulse_sensors.force_scale import SensorTable
-from pulse_sensors.reading import Packet, Reading, Readings
+from pulse_sensors.lsl_inlet import LslDecoder, LslInlet, LslScene
+from pulse_sensors.samples import Placement, SampleBlock
+from pulse_sensors.serial_port import SerialPort, SerialScene
 
 logger = logging.getLogger(__name__)
+
+SensorScene = SerialScene | CanScene | LslScene
 
 MAX_WAITING = 10_000
 REOPEN_EVERY_S = 0.2
 
 
 class Port(Protocol):
-    """A device that can be listened to."""
+    """A device that can be read."""
 
     @property
     def name(self) -> str:
@@ -36,40 +42,44 @@ class Port(Protocol):
     def read(self) -> Any:
         """Return what arrived, for the decoder; after a while without anything, something false.
 
-        Raises whatever its driver does when the device has gone.
+        Raises whatever its driver does when the device is gone.
         """
 
     def close(self) -> None:
-        """Let go of it; a closed one may be closed again."""
+        """Release the device, which may be closed already."""
 
 
 class Decoder(Protocol):
-    """The conversion of a port's data to packets; counts what it cannot use. Pure."""
+    """Conversion of a port's data to blocks of samples; counts what it cannot use. Pure."""
 
     @property
     def rejected(self) -> Counter[str]:
         """Count of refusals by cause."""
 
-    def feed(self, data: Any) -> list[Packet]:
-        """Return the packets that end in these bytes."""
+    def feed(self, data: Any) -> list[SampleBlock]:
+        """Return the blocks that end in these data, not placed yet."""
 
     def reset(self) -> None:
-        """Begin anew, as after a cable was pulled."""
-
-
-class _Received(NamedTuple):
-    """Message of the thread: data that arrived, or the reason why the device is gone.
-
-    With neither, the device is back.
-    """
-
-    at_ns: int
-    data: Any = None
-    gone: Exception | None = None
+        """Forget the stream so far, as after the cable was unplugged."""
 
 
 class Sensor:
-    """A live sensor, read from its construction to `close`."""
+    """A live sensor, read from its construction to `close`.
+
+    Parameters
+    ----------
+    port, decoder : Port, Decoder
+        The device, and what its data mean.
+    table : SensorTable
+        Rate and scale.
+    clock : callable
+        Host's clock in ns.
+
+    Raises
+    ------
+    SourceError
+        When the device is not there.
+    """
 
     def __init__(
         self,
@@ -78,15 +88,14 @@ class Sensor:
         table: SensorTable,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """Open the device. Raises SourceError when it is not there. `clock` returns ns."""
         self.period_ns = table.period_ns
         self._port = port
         self._decoder = decoder
-        self._readings = Readings(table)
+        self._placement = Placement(table)
         self._clock = clock
-        self._heard: deque[_Received] = deque()
-        self._backlog = 0
-        self._losses = 0
+        # Arrival in ns, and data; or why the device is gone; or None when it is back.
+        self._received: deque[tuple[int, Any]] = deque()
+        self._dropped = self._losses = 0
         self._rate_reported = False
         self._gone_since_ns: int | None = None
         self._gone_for_ns = 0
@@ -95,41 +104,39 @@ class Sensor:
         self._thread = threading.Thread(target=self._listen, name=port.name, daemon=True)
         self._thread.start()
 
-    def poll(self) -> list[Reading]:
-        """Return the readings that have come since the last call, in order. Never waits."""
-        readings = []
-        while self._heard:
-            heard = self._heard.popleft()
-            if heard.data is None:
-                self._go_or_return(heard)
+    def poll(self) -> list[SampleBlock]:
+        """Return the placed samples that have come since the last call, in order. Never waits."""
+        blocks = []
+        while self._received:
+            at_ns, data = self._received.popleft()
+            if data is None or isinstance(data, Exception):
+                self._follow(at_ns, gone=data)
                 continue
-            for packet in self._decoder.feed(heard.data):
-                reading = self._readings.of(packet, heard.at_ns)
-                if reading is not None:
-                    readings.append(reading)
-        if readings and not self._rate_reported:
-            fault = self._readings.lasting_rate_fault(self._port.name)
-            self._rate_reported = fault is not None
+            placed = (self._placement.place(block, at_ns) for block in self._decoder.feed(data))
+            blocks += [block for block in placed if block is not None]
+        if blocks and not self._rate_reported:
+            fault = self._placement.lasting_rate_fault(self._port.name)
             if fault is not None:
+                self._rate_reported = True
                 logger.warning(fault)
-        return readings
+        return blocks
 
     @property
     def rejected(self) -> Counter[str]:
         """Count of what could not be used, by cause."""
         rejected = Counter(self._decoder.rejected)
-        rejected["behind"] += self._readings.behind
-        rejected["backlog"] += self._backlog
+        rejected["behind"] += self._placement.behind
+        rejected["backlog"] += self._dropped
         return +rejected
 
     @property
     def skew_ppm(self) -> float:
-        """Rate of the device's clock beyond the host's, in ppm; 0 when it sends no time."""
-        return self._readings.skew_ppm
+        """Rate error of the device's clock against the host's, in ppm; 0 where it sends no time."""
+        return self._placement.skew_ppm
 
     def faults(self) -> list[str]:
         """Return what went wrong so far, one line each."""
-        faults = self._readings.faults(self._port.name)
+        faults = self._placement.faults(self._port.name)
         if self._losses:
             gone_ns = self._gone_for_ns
             if self._gone_since_ns is not None:
@@ -139,18 +146,19 @@ class Sensor:
         return faults
 
     def close(self) -> None:
-        """Stop listening."""
+        """Stop reading, and release the device."""
         self._closing.set()
         self._thread.join()
         self._port.close()
 
-    def _go_or_return(self, heard: _Received) -> None:
-        if heard.gone is not None:
+    def _follow(self, at_ns: int, gone: Exception | None) -> None:
+        """Log and count that the device is gone, or back."""
+        if gone is not None:
             self._losses += 1
-            self._gone_since_ns = heard.at_ns
-            logger.warning(f"{self._port.name} has gone: {heard.gone}")
+            self._gone_since_ns = at_ns
+            logger.warning(f"{self._port.name} has gone: {gone}")
         elif self._gone_since_ns is not None:
-            self._gone_for_ns += heard.at_ns - self._gone_since_ns
+            self._gone_for_ns += at_ns - self._gone_since_ns
             self._gone_since_ns = None
             self._decoder.reset()
             logger.info(f"{self._port.name} is back")
@@ -161,24 +169,51 @@ class Sensor:
             try:
                 data = self._port.read()
             except Exception as error:  # each driver raises what it does
-                self._heard.append(_Received(self._clock(), gone=error))
-                # What has gone may fail once more when it is let go; that it has gone is told.
+                self._received.append((self._clock(), error))
+                # A device that is gone may fail again when it is closed.
                 with suppress(Exception):
                     self._port.close()
                 self._reopen()
                 continue
             if not data:
                 continue
-            if len(self._heard) < MAX_WAITING:
-                self._heard.append(_Received(self._clock(), data))
+            if len(self._received) < MAX_WAITING:
+                self._received.append((self._clock(), data))
             else:
-                self._backlog += 1
+                self._dropped += 1
 
     def _reopen(self) -> None:
         while not self._closing.wait(REOPEN_EVERY_S):
-            try:
+            with suppress(SourceError):
                 self._port.open()
-            except SourceError:
-                continue
-            self._heard.append(_Received(self._clock()))
-            return
+                self._received.append((self._clock(), None))
+                return
+
+
+def open_sensor(
+    scene: SensorScene, folder: Path, clock: Callable[[], int] = time.monotonic_ns
+) -> Sensor:
+    """Open the sensor of a scene, for the caller to close.
+
+    Parameters
+    ----------
+    scene : SerialScene, CanScene or LslScene
+    folder : Path
+        Folder of the scene file.
+    clock : callable
+        Host's clock in ns.
+
+    Raises
+    ------
+    SourceError
+        When the device is not there, or a library is missing.
+    """
+    match scene:
+        case SerialScene():
+            return Sensor(SerialPort(scene), scene.decoder(), scene, clock)
+        case CanScene():
+            decoder = CanDecoder(scene, folder)
+            bus = CanBus(scene, decoder.frame_id, decoder.extended)
+            return Sensor(bus, decoder, scene, clock)
+        case LslScene():
+            return Sensor(LslInlet(scene), LslDecoder(scene.channel), scene, clock)

@@ -41,14 +41,14 @@ class SerialScene(SensorTable):
         return self
 
     def decoder(self) -> FrameDecoder | TextDecoder:
-        """Raise SourceError when a library is missing."""
+        """Return the decoder of the framing. Raises SourceError when a library is missing."""
         if self.framing == "binary":
             return FrameDecoder(self.period_ns)
         return TextDecoder(self.period_ns, self.column, self.device_time)
 
 
 class SerialPort:
-    """Bytes from a serial port, as they come."""
+    """Port to the bytes of a serial line; see `pulse_sensors.sensor.Port`."""
 
     def __init__(self, scene: SerialScene) -> None:
         self.name = scene.port
@@ -62,7 +62,8 @@ class SerialPort:
             self._port = serial.serial_for_url(
                 self.name, self._baud, timeout=WAIT_S, exclusive=True
             )
-            self._waitable = _has_descriptor(self._port)
+            # `select` can wait for a device or a socket on Linux or macOS.
+            self._waitable = os.name == "posix" and _descriptor(self._port) >= 0
             if self._waitable:
                 self._port.timeout = 0
         except Exception as error:  # of the port, the system, the address, the terminal
@@ -75,26 +76,21 @@ class SerialPort:
 
     def read(self) -> bytes:
         """Return what has come, nothing after 0.1 s. Raises when the port is gone."""
-        data: bytes
         if self._waitable:
-            if not select.select([self._port], [], [], WAIT_S)[0]:
-                return b""
-            data = self._port.read(READ_BYTES)
-        else:
-            data = self._port.read(1)
-            data += self._port.read(self._port.in_waiting)
-        return data
+            ready = select.select([self._port], [], [], WAIT_S)[0]
+            return bytes(self._port.read(READ_BYTES)) if ready else b""
+        first = self._port.read(1)
+        return bytes(first + self._port.read(self._port.in_waiting))
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Release the port."""
         if self._port is not None:
             self._port.close()
             self._port = None
 
 
-def _has_descriptor(port: Any) -> bool:
-    """Whether `select` can wait for it: a device or a socket on Linux or macOS."""
+def _descriptor(port: Any) -> int:
     try:
-        return os.name == "posix" and port.fileno() >= 0
+        return int(port.fileno())
     except (AttributeError, io.UnsupportedOperation):
-        return False
+        return -1

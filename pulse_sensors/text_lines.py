@@ -1,40 +1,109 @@
 """Lines of text as a sketch prints them: a value, or the device's time and a value.
 
 Numbers stand between blanks, commas or semicolons; a name before a colon, which plotters like,
-is skipped. Lines have no checksum: a wrong digit goes unseen in a value, though not in a time.
+is skipped. Lines have no checksum: a wrong digit is detected in a time, not in a value.
 """
 
 import math
 import re
 from collections import Counter
-from dataclasses import replace
 from typing import Literal
 
 from protocol.errors import WireError
-from pulse_sensors.device_counters import LineTimes
-from pulse_sensors.reading import LARGEST, Packet
+from pulse_sensors.plausibility import is_usable
+from pulse_sensors.samples import DeviceTime, SampleBlock, one_channel
 
 TimeUnit = Literal["us", "ms", "s"]
 
 MAX_LINE_BYTES = 256
-_MICROSECONDS: dict[TimeUnit, float] = {"us": 1.0, "ms": 1e3, "s": 1e6}
-# Of times in whole milliseconds, in seconds with three decimals, and of micros() on slow boards.
-_QUANTUM_NS: dict[TimeUnit, int] = {"us": 10_000, "ms": 1_000_000, "s": 1_000_000}
+# µs in a unit, and its grain in ns: micros() on slow boards, whole milliseconds, three decimals.
+_UNITS: dict[TimeUnit, tuple[float, int]] = {
+    "us": (1.0, 10_000),
+    "ms": (1e3, 1_000_000),
+    "s": (1e6, 1_000_000),
+}
 _BETWEEN = re.compile(rb"[\s,;]+")
+# A gap of more samples than this must be confirmed by the line that follows.
+PLAUSIBLE_MISSING = 3
+LEARNING = 0.01
+
+
+class LineTimes:
+    """Times of lines that come one a period, or nearly: they reveal lost lines and wrong digits.
+
+    A time shortly after the last one is accepted at once. Another one is accepted when the next
+    follows it: lines were lost before it, or the device has restarted.
+
+    Parameters
+    ----------
+    period_ns : int
+        Nominal time between lines; the true one is learnt.
+    quantum_ns : int
+        Grain of the times.
+    """
+
+    def __init__(self, period_ns: int, quantum_ns: int) -> None:
+        self._period_ns = float(period_ns)
+        self._quantum_ns = quantum_ns
+        self._time = DeviceTime()
+        self._suspect: DeviceTime | None = None
+
+    def take(self, now_us: int, unreadable: int) -> tuple[int, int, bool]:
+        """Return a line's `device_ns`, `missing` and `restarted`, as in `SampleBlock`.
+
+        Parameters
+        ----------
+        unreadable : int
+            Lines right before it that could not be read.
+
+        Raises
+        ------
+        WireError
+            For a time that is not, or not yet, accepted.
+        """
+        passed_ns = self._time.since_last_ns(now_us)
+        if self._time.last_us is not None and not self._follows(passed_ns, unreadable):
+            suspect, self._suspect = self._suspect, DeviceTime()
+            self._suspect.take(now_us)
+            if suspect is None or not self._follows(suspect.since_last_ns(now_us), 0):
+                raise WireError("device_time", "a time that does not follow the last ones")
+        self._suspect = None
+        device_ns = self._time.take(now_us)
+        if passed_ns is None:
+            return device_ns, 0, True
+        lost = passed_ns / self._period_ns - 1
+        fits = abs(lost - unreadable) <= 0.5 + self._quantum_ns / self._period_ns
+        missing = unreadable if fits else max(0, round(lost))
+        if missing <= PLAUSIBLE_MISSING + unreadable:
+            self._period_ns += LEARNING * (passed_ns / (1 + missing) - self._period_ns)
+        return device_ns, missing, False
+
+    def _follows(self, passed_ns: int | None, unreadable: int) -> bool:
+        most_ns = (1 + PLAUSIBLE_MISSING + unreadable) * self._period_ns + self._quantum_ns
+        return passed_ns is not None and passed_ns <= most_ns
 
 
 class TextDecoder:
-    """Makes packets of a device's lines, however they are cut; what is no sample is counted.
+    """Decoder of a device's lines, however their bytes are cut. Pure.
 
-    What came before the first line's end may be the rest of a line, and is not believed.
+    Bytes before the first line's end may be the end of a line, and are not used.
+
+    Parameters
+    ----------
+    period_ns : int
+        Nominal time between samples.
+    column : int
+        Which number of a line is the value, from 0, the time not counted.
+    time_unit : {"us", "ms", "s"}, optional
+        Unit of a line's first number; None where lines have no time.
+
+    Attributes
+    ----------
+    rejected : Counter
+        Lines without a sample, by cause.
     """
 
     def __init__(self, period_ns: int, column: int, time_unit: TimeUnit | None) -> None:
-        """Decode lines of numbers.
-
-        period_ns: nominal period of the samples. column: index of the value from 0, the time not
-        counted. time_unit: unit of the line's first number; None when lines have no time.
-        """
         self._period_ns = period_ns
         self._column = column
         self._unit = time_unit
@@ -42,69 +111,63 @@ class TextDecoder:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew, as after a cable was pulled."""
+        """Forget the stream so far, as after the cable was unplugged."""
         self._buffer = b""
-        self._skipping = False
-        self._synchronised = False
-        self._spoilt = 0
+        self._skipping = self._synchronised = False
+        # Lines since the last sample that should have been samples.
+        self._unreadable = 0
         self._times: LineTimes | None = None
         if self._unit is not None:
-            self._times = LineTimes(self._period_ns, _QUANTUM_NS[self._unit])
+            self._times = LineTimes(self._period_ns, _UNITS[self._unit][1])
 
-    def feed(self, data: bytes) -> list[Packet]:
-        """Return the packets that end in these bytes."""
+    def feed(self, data: bytes) -> list[SampleBlock]:
+        """Return the blocks that end in these bytes.
+
+        Lines that follow one another are one block, with the last one's time: it arrived soonest.
+        """
         *whole, rest = (self._buffer + data).replace(b"\r", b"\n").split(b"\n")
-        packets = []
+        # Of each block: values, time, missing and restarted.
+        blocks: list[tuple[list[float], int | None, int, bool]] = []
         for line in whole:
-            if not self._synchronised and line and not self._skipping:
-                self.rejected["partial"] += 1
+            if line and not self._skipping and not self._synchronised:
+                self._reject("partial")
             elif line.strip() and not self._skipping:
                 try:
-                    packets.append(self._packet(line))
-                    self._spoilt = 0
+                    value, device_ns, missing, restarted = self._decode(line)
                 except WireError as error:
-                    self._spoil(error.cause)
+                    self._reject(error.cause)
+                else:
+                    self._unreadable = 0
+                    values: list[float] = []
+                    if blocks and not missing and not restarted:
+                        values, _, missing, restarted = blocks.pop()
+                    values.append(value)
+                    blocks.append((values, device_ns, missing, restarted))
             self._skipping, self._synchronised = False, True
         if len(rest) > MAX_LINE_BYTES:
-            if not self._skipping and self._synchronised:
-                self._spoil("framing")
-            elif not self._skipping:
-                self.rejected["partial"] += 1
+            if not self._skipping:
+                self._reject("framing" if self._synchronised else "partial")
             self._skipping, rest = True, b""
         self._buffer = rest
-        return _joined(packets)
+        return [one_channel(*block) for block in blocks]
 
-    def _spoil(self, cause: str) -> None:
-        """Count what is no sample, and stood where one should be."""
+    def _reject(self, cause: str) -> None:
         self.rejected[cause] += 1
-        self._spoilt += 1
+        # The end of a line before the first one is no lost sample.
+        self._unreadable += cause != "partial"
 
-    def _packet(self, line: bytes) -> Packet:
-        """Decode one line. Raises WireError with the cause."""
+    def _decode(self, line: bytes) -> tuple[float, int | None, int, bool]:
+        """Return a line's value, time, missing and restarted. Raises WireError with the cause."""
         fields = [field.rpartition(b":")[2] for field in _BETWEEN.split(line.strip())]
         now_us = 0
         if self._unit is not None:
-            now_us = round(_number(fields[0]) * _MICROSECONDS[self._unit])
-            fields = fields[1:]
+            now_us = round(_number(fields.pop(0)) * _UNITS[self._unit][0])
         if self._column >= len(fields):
             raise WireError("not_a_number", f"{line[:40]!r} has no column {self._column}")
         value = _number(fields[self._column])
         if self._times is None:
-            return Packet((value,), missing=self._spoilt)
-        time = self._times.take(now_us, self._spoilt)
-        return Packet((value,), *time)
-
-
-def _joined(packets: list[Packet]) -> list[Packet]:
-    """Packets that follow one another as one, with the last one's time: it arrived soonest."""
-    joined: list[Packet] = []
-    for packet in packets:
-        if joined and not packet.missing and not packet.anew:
-            values = joined[-1].values + packet.values
-            joined[-1] = replace(joined[-1], values=values, device_ns=packet.device_ns)
-        else:
-            joined.append(packet)
-    return joined
+            return value, None, self._unreadable, False
+        return value, *self._times.take(now_us, self._unreadable)
 
 
 def _number(field: bytes) -> float:
@@ -113,6 +176,6 @@ def _number(field: bytes) -> float:
         value = float(field)
     except ValueError:
         value = math.nan
-    if not abs(value) <= LARGEST:
+    if not is_usable(value):
         raise WireError("not_a_number", f"{field[:40]!r} is no number that can be used")
     return value

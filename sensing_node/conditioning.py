@@ -4,33 +4,26 @@ force → film volts → charge amplifier → mains notch → anti-alias filter 
 calibration → + hold-down force. Each part is there when the scene names it.
 """
 
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from protocol.config.quantities import Hertz, Metres, Newtons, Volts, VoltsPerNewton
-from protocol.config.scene import Section
+from protocol.config.quantities import Hertz, Newtons, Volts, count_text
 from protocol.counters import LimitCounter, Limits
 from protocol.errors import SceneError
-from protocol.tactile import Adc, Calibration, Film
-from sensing_node.sources import SampleSource
+from protocol.tactile import Adc
+from pulse_sensors.force_scale import SensitivityTable
+from sensing_node.feeds import LiveSource, SampleSource
 from sensing_node.sources.recorded import RecordedSource
 from sensing_node.sources.synthetic import PRESETS
 
 # The delay is the paper's pulse's: next to nothing of it is above this.
 DELAY_BAND_HZ, DELAY_STEP_HZ = 40.0, 0.05
 
-_NEEDS = {
-    "hold_down": "charge_amplifier",
-    "mains_quality": "mains",
-    "anti_alias_order": "anti_alias",
-    "adc_range": "adc_bits",
-}
 
-
-class ConditioningScene(Section):
+class ConditioningScene(SensitivityTable):
     """The `conditioning` table; what it leaves out is not in the chain.
 
     sensitivity: of the film with its amplifier (Fig. 4: 44 mV/N), or film_radius, by eq 21.
@@ -41,8 +34,6 @@ class ConditioningScene(Section):
     adc_bits: resolution over ±adc_range.
     """
 
-    sensitivity_v_per_n: Annotated[VoltsPerNewton, Field(ge=1e-6, le=1e6)] | None = None
-    film_radius_m: Annotated[Metres, Field(ge=1e-6, le=1)] | None = None
     charge_amplifier_hz: Annotated[Hertz, Field(ge=1e-3, le=5)] | None = None
     hold_down_n: Annotated[Newtons, Field(ge=0, le=10)] | None = None
     mains_hz: Annotated[Hertz, Field(ge=45, le=65)] | None = None
@@ -53,28 +44,21 @@ class ConditioningScene(Section):
     adc_range_v: Annotated[Volts, Field(ge=1e-6, le=1000)] = 10.0
 
     @model_validator(mode="after")
-    def _is_whole(self) -> "ConditioningScene":
-        fields = type(self).model_fields
-        given = {fields[name].alias for name in self.model_fields_set}
-        for key, needed in _NEEDS.items():
-            if key in given and needed not in given:
+    def _is_whole(self) -> Self:
+        for key, needed in (
+            ("hold_down", "charge_amplifier"),
+            ("mains_quality", "mains"),
+            ("anti_alias_order", "anti_alias"),
+            ("adc_range", "adc_bits"),
+        ):
+            if key in self.given and needed not in self.given:
                 raise ValueError(f"{key} needs {needed}, which is not given")
-        if "charge_amplifier" in given and "hold_down" not in given:
+        if self.charge_amplifier_hz is not None and self.hold_down_n is None:
             raise ValueError(
                 "charge_amplifier loses the static force; give hold_down, such as"
                 ' "0.3 N", for the display to press with in its place'
             )
-        if {"sensitivity", "film_radius"} <= given:
-            raise ValueError("sensitivity and film_radius both say it; give one of them")
         return self
-
-    def calibration(self) -> Calibration:
-        """Return the line from newtons to the chain's volts and back."""
-        if self.film_radius_m is not None:
-            return Calibration.of_film(Film(self.film_radius_m))
-        if self.sensitivity_v_per_n is not None:
-            return Calibration(self.sensitivity_v_per_n)
-        return Calibration()
 
     def without_losses(self) -> "ConditioningScene":
         """Return the chain of an ideal film: the charge amplifier and the hold-down force alone."""
@@ -82,14 +66,21 @@ class ConditioningScene(Section):
 
 
 class Conditioned:
-    """A source heard through the chain; it starts settled at the source's first sample.
+    """A source behind the chain, which starts settled at the source's first sample.
 
-    So with a charge amplifier the first sample is hold_down, and the mean comes to it within a
-    few time constants. group_delay_ns: by how much the notch and the low-pass delay the pulse
-    (`pulse_delay_s`). The charge amplifier is not in it: it tilts the slow waves and leaves the
-    upstroke where it is, which no shift makes good. clipped: samples beyond the ADC's range, and
-    how often it was reached; None without an ADC.
-    Raises SceneError for a corner that is not below half the source's rate.
+    With a charge amplifier the first sample is hold_down, and the mean approaches it within a
+    few time constants.
+
+    Attributes
+    ----------
+    group_delay_ns : int
+        Delay of the pulse by notch and low-pass (`pulse_delay_s`). The charge amplifier is not in
+        it: it tilts the slow waves and leaves the upstroke where it is.
+
+    Raises
+    ------
+    SceneError
+        For a corner that is not below half the source's rate.
     """
 
     def __init__(self, source: SampleSource, scene: ConditioningScene) -> None:
@@ -104,7 +95,7 @@ class Conditioned:
         self.group_delay_ns = round(pulse_delay_s(delaying, rate_hz) * 1e9)
         self.period_ns = source.period_ns
         self.channels = source.channels
-        self.clipped = None if self._adc is None else LimitCounter()
+        self._clipped = LimitCounter()
         self._taken = 0
 
     def take(self, count: int) -> NDArray[np.float64]:
@@ -114,23 +105,23 @@ class Conditioned:
             return force_n
         volts = self._filtered(self._calibration.volts(force_n))
         self._taken += len(force_n)
-        if self._adc is not None and self.clipped is not None:
-            self.clipped.add_all(np.asarray(self._adc.clips(volts).any(axis=1)))
+        if self._adc is not None:
+            self._clipped.add_all(np.asarray(self._adc.clips(volts).any(axis=1)))
             volts = self._adc.quantise(volts)
         return self._calibration.newtons(volts) + self._hold_down_n
 
     def faults(self) -> list[str]:
         """Return what went wrong in the source and in the chain, one line each."""
-        faults, clipped = faults_of(self._source), self.clipped.ticks if self.clipped else 0
-        if clipped:
-            faults.append(f"{clipped} sample{'s' * (clipped != 1)} beyond the ADC's range")
+        faults = faults_of(self._source)
+        if self._clipped.ticks:
+            faults.append(f"{count_text(self._clipped.ticks, 'sample')} beyond the ADC's range")
         return faults
 
     def limits(self) -> Limits:
         """Return how often and for how long the ADC's range has bounded the samples."""
-        if self.clipped is None:
+        if self._adc is None:
             return Limits()
-        return Limits(adc=self.clipped.limited(self.period_ns * 1e-9, self._taken))
+        return Limits(adc=self._clipped.limited(self.period_ns * 1e-9, self._taken))
 
     def _filtered(self, volts: NDArray[np.float64]) -> NDArray[np.float64]:
         if not len(self._filter):
@@ -144,28 +135,28 @@ class Conditioned:
         return filtered
 
 
-def faults_of(samples: object) -> list[str]:
-    """Return the faults of a source's chain, one line each, for the summary."""
-    match samples:
+def faults_of(source: object) -> list[str]:
+    """Return the faults of a source and its chain, one line each, for the summary."""
+    match source:
         case RecordedSource():
-            return list(samples.warnings)
-        case Conditioned():
-            return samples.faults()
+            return list(source.warnings)
+        case Conditioned() | LiveSource():
+            return source.faults()
         case _:
             return []
 
 
-def limits_of(samples: object) -> Limits:
+def limits_of(source: object) -> Limits:
     """Return the figures of a source's own limits, for the summary."""
-    return samples.limits() if isinstance(samples, Conditioned) else Limits()
+    return source.limits() if isinstance(source, Conditioned) else Limits()
 
 
 def pulse_delay_s(sections: NDArray[np.float64], rate_hz: float) -> float:
-    """By how much second-order sections H delay the paper's pulse, in s.
+    """Return the time by which second-order sections H delay the paper's pulse, in s.
 
     The mean of the phase delay −φ/ω over the pulse's spectrum S, weighted by ω² |S|² |H|: the
     shift that makes the RMSE between their input and output least, where the phase left over is
-    small. S is one beat of 75 /min; other pulses differ by what the delay varies over theirs.
+    small. S is one beat of 75 /min; the delay of other pulses differs as it varies over theirs.
     """
     if not len(sections):
         return 0.0
@@ -188,7 +179,7 @@ def pulse_delay_s(sections: NDArray[np.float64], rate_hz: float) -> float:
 def _design(
     scene: ConditioningScene, rate_hz: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Second-order sections of the charge amplifier, and of the filters that delay the pulse.
+    """Return the second-order sections of the charge amplifier, and those that delay the pulse.
 
     Analogue filters through the prewarped bilinear transform: exact at their corner, the notch
     at its centre and width; towards half the rate they reject more than the analogue ones.

@@ -1,7 +1,4 @@
-"""The front desk: answers what displays ask on the control socket, and knows who listens.
-
-Bound on the questions of displays that are read: as many as displays send.
-"""
+"""Answers to control messages, a bound on how many are read, and the displays that sent them."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -21,35 +18,45 @@ from protocol.wire.messages import (
 from protocol.wire.stream import StreamDescription
 
 # A display sends some 52 messages a second in its first minute, 22 later.
-QUESTIONS_PER_S = 100.0
+REQUESTS_PER_S = 100.0
 LEAST_PER_S, MOST_PER_S = 1_000.0, 10_000.0
-QUESTIONS_AT_ONCE = 4_000.0
+REQUESTS_AT_ONCE = 4_000.0
 HELD_NS = 5_000_000
+FORGET_AFTER_NS = 5_000_000_000
+MAX_CLIENTS = 1_000
+# A display asks for the clock 50 times a second, and at once for all that waited in a cut.
+ANSWERS_PER_S, ANSWERS_AT_ONCE = 200.0, 2_000.0
+# Each relay on the way adds an address to the envelope.
+MAX_HOPS = 4
+# ROUTER sockets name their peers by a zero and four bytes; no message begins with a zero. So a
+# message that was joined to the next one on the way is no envelope.
+ADDRESS_BYTES = 5
+
+Sender = tuple[bytes, ...]
+"""The envelope a control message came in; a reply goes back in the same."""
 
 
-class QuestionBudget:
-    """The bound on how many questions a sensing node reads, all displays together.
+class RequestBudget:
+    """Bound on the control messages that a sensing node reads, all displays together. Pure.
 
     Once the budget is used up, the node reads no control message for 5 ms. The messages stay
     where they are: a flooding peer is held up by its own full connection, and ZeroMQ reads one
-    message of each connection in turn, so that the other displays are answered. Pure: time
-    comes in.
+    message of each connection in turn, so that the other displays are answered.
 
     Attributes
     ----------
-    held
+    held : int
         How often reading was held back.
     """
 
     def __init__(self) -> None:
-        self._budget = TokenBucket(LEAST_PER_S, QUESTIONS_AT_ONCE)
+        self._budget = TokenBucket(LEAST_PER_S, REQUESTS_AT_ONCE)
         self._held_until_ns = 0
         self.held = 0
 
     def expect(self, displays: int) -> None:
-        """Allow for the questions of so many displays."""
-        rate_per_s = LEAST_PER_S + displays * QUESTIONS_PER_S
-        self._budget.change_rate(min(MOST_PER_S, rate_per_s))
+        """Allow for the requests of so many displays."""
+        self._budget.change_rate(min(MOST_PER_S, LEAST_PER_S + displays * REQUESTS_PER_S))
 
     def spend(self, now_ns: int) -> bool:
         """Count a message that was read; return whether the next one may be read as well."""
@@ -60,38 +67,32 @@ class QuestionBudget:
         return False
 
     def held_for_ns(self, now_ns: int) -> int:
-        """Return for how long nothing may be read from now on, in ns; 0 where it may be."""
+        """Return for how long nothing may be read from now on; 0 where it may be."""
         left_ns = self._held_until_ns - now_ns
         # A clock that has stepped back holds nothing.
         return left_ns if 0 < left_ns <= HELD_NS else 0
 
 
-FORGET_AFTER_NS = 5_000_000_000
-MAX_GUESTS = 1_000
-# A display asks for the clock 50 times a second, and all at once what waited in a cut.
-ANSWERS_PER_S, ANSWERS_AT_ONCE = 200.0, 2_000.0
-# Each relay on the way adds an address to the envelope.
-MAX_HOPS = 4
-# ROUTER sockets name their peers by a zero and four bytes; no message begins with a zero. So one
-# that was joined to the next on the way is no envelope.
-ADDRESS_BYTES = 5
-
-Sender = tuple[bytes, ...]
-"""The envelope a control message came in; a reply goes back in the same."""
-
-
 @dataclass(slots=True)
 class Client:
-    """Display that has sent a message.
+    """A display that has sent a message.
 
-    It has a name, the time of its last message, its last report, and whether it has confirmed the
-    whole stream.
+    Attributes
+    ----------
+    name : str
+        As it names itself; empty before it does.
+    seen_ns : int
+        Time of its last message.
+    report : DisplayReport, optional
+        Its last report.
+    confirmed : bool
+        True when it has confirmed the whole stream.
     """
 
     name: str
     seen_ns: int
     report: DisplayReport | None = None
-    content: bool = False
+    confirmed: bool = False
     budget: TokenBucket = field(
         default_factory=lambda: TokenBucket(ANSWERS_PER_S, ANSWERS_AT_ONCE), repr=False
     )
@@ -103,18 +104,26 @@ class Client:
 
 
 class ControlServer:
-    """Answers control messages of one session. Pure: time comes in."""
+    """Server of one session's control messages. Pure.
+
+    Attributes
+    ----------
+    clients : dict
+        The displays, by the envelope of their messages.
+    rejected : Counter
+        Messages that were refused, by cause.
+    """
 
     def __init__(self, description: StreamDescription, session: int) -> None:
         self._description = description
         self._session = session
-        self.guests: dict[Sender, Client] = {}
+        self.clients: dict[Sender, Client] = {}
         self.rejected: Counter[str] = Counter()
 
     @property
-    def all_content(self) -> bool:
-        """Whether every display has said that it has the whole stream."""
-        return all(guest.content for guest in self.guests.values())
+    def all_confirmed(self) -> bool:
+        """True when every display has confirmed the whole stream."""
+        return all(client.confirmed for client in self.clients.values())
 
     def answer(self, sender: Sender, data: bytes, now_ns: int, samples_sent: int) -> Control | None:
         """Return the reply to a message of `sender`, if one is due; count an invalid one."""
@@ -124,8 +133,8 @@ class ControlServer:
             if any(len(part) != ADDRESS_BYTES or part[0] for part in sender[1:]):
                 raise WireError("malformed", "a part of an envelope is no address")
             message = decode_control(data)
-            guest = self._guest(sender, message, now_ns)
-            if not guest.budget.take(now_ns):
+            client = self._client(sender, message, now_ns)
+            if not client.budget.take(now_ns):
                 raise WireError("flood", "a display sends far more than displays do")
         except WireError as error:
             self.rejected[error.cause] += 1
@@ -138,16 +147,21 @@ class ControlServer:
             case DisplayReport() | Bye() if message.session != self._session:
                 self.rejected["session"] += 1
             case Bye():
-                guest.content = True
+                client.confirmed = True
             case DisplayReport():
-                guest.report = message
+                client.report = message
         return None
 
-    def _guest(self, sender: Sender, message: Control, now_ns: int) -> Client:
+    def forget_silent(self, now_ns: int) -> list[Client]:
+        """Remove the displays without a message for 5 s, and return them."""
+        silent = [k for k, c in self.clients.items() if now_ns - c.seen_ns > FORGET_AFTER_NS]
+        return [self.clients.pop(sender) for sender in silent]
+
+    def _client(self, sender: Sender, message: Control, now_ns: int) -> Client:
         """Return the display that sent a message. Raises WireError.
 
-        A display that was forgotten, or whose connection was made anew, goes on without
-        another hello and still must be told where the stream ends.
+        A display that was forgotten, or that has connected again, continues without another
+        hello and still must receive the end of the stream.
         """
         match message:
             case Hello(display=name) | DisplayReport(display=name):
@@ -156,27 +170,16 @@ class ControlServer:
                 name = ""
             case _:
                 raise WireError("unexpected", "a message that only sensing nodes send")
-        guest = self.guests.get(sender)
-        # Most messages are clock requests, which have no name: they must not cost a look at all.
-        if name and (guest is None or guest.name != name):
-            self._forget_namesake(name)
-        if guest is None:
-            if len(self.guests) >= MAX_GUESTS:
-                raise WireError("too_many_displays", f"there are {MAX_GUESTS} already")
-            guest = self.guests[sender] = Client(name, now_ns)
-        guest.name = name or guest.name
-        guest.seen_ns = now_ns
-        return guest
-
-    def _forget_namesake(self, name: str) -> None:
-        """Remove the old address of a display that connects again from another one.
-
-        It may have asked for the clock before it said its name.
-        """
-        for sender in [k for k, guest in self.guests.items() if guest.name == name]:
-            del self.guests[sender]
-
-    def forget_silent(self, now_ns: int) -> list[Client]:
-        """Drop displays not heard of for `FORGET_AFTER_NS`; returns them."""
-        silent = [k for k, g in self.guests.items() if now_ns - g.seen_ns > FORGET_AFTER_NS]
-        return [self.guests.pop(sender) for sender in silent]
+        client = self.clients.get(sender)
+        # Most messages are clock requests, which have no name: they must not cost a search.
+        if name and (client is None or client.name != name):
+            # Under its old address, or because it sent a clock request before its name.
+            for namesake in [k for k, other in self.clients.items() if other.name == name]:
+                del self.clients[namesake]
+        if client is None:
+            if len(self.clients) >= MAX_CLIENTS:
+                raise WireError("too_many_displays", f"there are {MAX_CLIENTS} already")
+            client = self.clients[sender] = Client(name, now_ns)
+        client.name = name or client.name
+        client.seen_ns = now_ns
+        return client

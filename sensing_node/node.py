@@ -1,6 +1,7 @@
-"""The sensing node's shell: sockets, the clock on the wall, and the sending loop."""
+"""The sensing node on real sockets: the sending loop, and its telemetry."""
 
 import logging
+import math
 import secrets
 import time
 from collections.abc import Callable
@@ -16,31 +17,107 @@ from protocol.security.keys import ServerKeys
 from protocol.summary_tables import SampleCounts
 from protocol.wire.messages import Bye, encode_control, encode_frame
 from protocol.wire.stream import StreamDescription
-from protocol.wire.telemetry import pack_status
+from protocol.wire.telemetry import STATUS, pack_status
+from pulse_sensors.plausibility import SampleCheck
 from sensing_node.conditioning import faults_of, limits_of
-from sensing_node.control_server import ControlServer, QuestionBudget, Sender
-from sensing_node.framer import Framer
-from sensing_node.send_queue import limits
-from sensing_node.sources.live import LiveSource, Source, feed_of
-from sensing_node.sources.plausibility import SampleCheck
-from sensing_node.telemetry import Telemetry
+from sensing_node.control_server import ControlServer, RequestBudget, Sender
+from sensing_node.feeds import Framer, LiveSource, Source, feed_of
 
 logger = logging.getLogger(__name__)
 
 SILENCE_CHECK_NS = 1_000_000_000
-# Python goes on waiting after a signal: however long a batch is, Ctrl-C is heeded this soon.
+# Python goes on waiting after a signal: this bounds the time until Ctrl-C takes effect.
 MAX_WAIT_NS = 50_000_000
 FOREVER_NS = 1 << 62
 # Room for the source's first samples to be ready before they are due.
 START_NS = 20_000_000
-# Between two batches, however late the next one is: with many displays, each is answered in time.
+# Answers between two batches, however late the next one is: no display starves among many.
 LEAST_ANSWERED = 50
 # At its end TCP may have to repeat what a bad link has lost, and what queued behind it.
 FAREWELL_NS = 3_000_000_000
+STATUS_EVERY_NS = 1_000_000_000
+MAX_READERS = 32
+# What queues for a display beyond a second is older than anybody could feel it
+# (docs/decisions/0022-a-backlog-is-bounded-by-time.md).
+BACKLOG_NS = 1_000_000_000
+LEAST_FRAMES = 16
+# What a frame costs besides its samples: as a message, and as a packet under way.
+HEADER_BYTES = 50
+PACKET_BYTES = 1_024
+# The most that Linux accepts by default; it doubles it. Left alone it allows up to 4 MB, which
+# suits the streams that need more.
+MOST_BYTES = 212_992
+
+
+def queue_limits(description: StreamDescription) -> dict[int, int]:
+    """Return the socket options that bound what queues for each display."""
+    frames = BACKLOG_NS / (description.batch * description.period_ns)
+    values = description.batch * len(description.channels)
+    frame_bytes = HEADER_BYTES + PACKET_BYTES + values * description.bytes_per_sample
+    options: dict[int, int] = {zmq.SNDHWM: max(LEAST_FRAMES, math.ceil(frames))}
+    kernel_bytes = math.ceil(max(frames, LEAST_FRAMES) * frame_bytes / 2)
+    if kernel_bytes <= MOST_BYTES:
+        options[zmq.SNDBUF] = kernel_bytes
+    return options
+
+
+class Telemetry:
+    """Publisher of the node's status, once a second, for readers on this machine.
+
+    Raises AddressError where `address` cannot be bound.
+
+    Attributes
+    ----------
+    address : str
+        Address that is bound.
+    rejected : Counter
+        Refused readers, by cause.
+    """
+
+    def __init__(self, context: sockets.Context, address: str) -> None:
+        self._authenticator = Authenticator(context, None, most=MAX_READERS)
+        self.rejected = self._authenticator.rejected
+        self._socket = sockets.bind(context, zmq.XPUB, address, self._authenticator)
+        self._subscriptions = SubscriptionBudget(self._socket, (STATUS,))
+        self._next_ns = 0
+        self.address = self._socket.getsockopt_string(zmq.LAST_ENDPOINT)
+
+    def due(self, now_ns: int) -> bool:
+        """Return whether a status is due; call it often."""
+        self._authenticator.poll(now_ns)
+        self._subscriptions.poll()
+        if now_ns < self._next_ns:
+            return False
+        self._next_ns = now_ns + STATUS_EVERY_NS
+        return True
+
+    def publish(self, status: bytes) -> None:
+        """Publish a status."""
+        sockets.send(self._socket, STATUS, status)
 
 
 class SensingNode:
-    """Streams one source on real sockets and answers its displays."""
+    """A sensing node that streams one source and answers its displays.
+
+    Parameters
+    ----------
+    source : Source
+    description : StreamDescription
+        Sent to every display.
+    address : str
+        Address of the data; control uses the next port.
+    clock : callable
+        Clock of the stream in ns.
+    keys : ServerKeys, optional
+        Keys of displays that may connect; None admits everybody.
+    telemetry_address : str, optional
+        Where a status is published every second; None: nowhere.
+
+    Raises
+    ------
+    AddressError, KeyFileError
+        When an address cannot be bound, or a key cannot be read.
+    """
 
     def __init__(
         self,
@@ -51,34 +128,24 @@ class SensingNode:
         keys: ServerKeys | None = None,
         telemetry_address: str | None = None,
     ) -> None:
-        """Bind the sockets.
-
-        clock: times the stream, ns. keys: of displays that may connect; None admits everybody.
-        telemetry_address: where a status is published every second; None: nowhere.
-
-        Raises AddressError when `address` cannot be bound, KeyFileError.
-        """
         self._source = source
         self._description = description
         self._clock = clock
-        self._stopping = False
-        self._full = False
+        self._stopping = self._full = False
         self._session = secrets.randbits(62)
         self._framer = Framer(description, self._session)
         self._check = SampleCheck(description.period_ns)
-        self._desk = ControlServer(description, self._session)
-        self._questions = QuestionBudget()
+        self._server = ControlServer(description, self._session)
+        self._requests = RequestBudget()
         self._context: sockets.Context = zmq.Context()
-        gate = Authenticator(self._context, keys)
-        control = sockets.control_address(address)
-        self._control = sockets.bind(self._context, zmq.ROUTER, control, gate)
-        self._data = sockets.bind(self._context, zmq.XPUB, address, gate, limits(description))
-        self._subscribers = SubscriptionBudget(self._data, (b"",))
-        self._gate = gate
+        self._authenticator = Authenticator(self._context, keys)
+        bind, allowed = sockets.bind, self._authenticator
+        self._control = bind(self._context, zmq.ROUTER, sockets.control_address(address), allowed)
+        self._data = bind(self._context, zmq.XPUB, address, allowed, queue_limits(description))
+        self._subscriptions = SubscriptionBudget(self._data, (b"",))
         self._telemetry = None
         if telemetry_address is not None:
             self._telemetry = Telemetry(self._context, telemetry_address)
-        self._waited_for = [self._control, *gate.sockets]
 
     @property
     def telemetry_address(self) -> str:
@@ -104,14 +171,13 @@ class SensingNode:
                     self._check.add(block.values)
                     for frame in self._framer.frames(block):
                         sockets.send(self._data, encode_frame(frame))
-                self._subscribers.poll()
+                self._subscriptions.poll()
                 if due_ns >= next_check_ns:
                     next_check_ns = due_ns + SILENCE_CHECK_NS
-                    self._forget_silent()
-            self._see_off()
-            self._log_reports()
-            if self._telemetry is not None:
-                self._telemetry.publish(self._status(final=True))
+                    for client in self._server.forget_silent(self._clock()):
+                        logger.warning(f"{client.shown_name} is silent, forgotten")
+                    self._requests.expect(len(self._server.clients))
+            self._finish()
             return self._summary()
         finally:
             self._context.destroy(linger=sockets.LINGER_MS)
@@ -127,100 +193,90 @@ class SensingNode:
                 return  # the batch goes out before further answers
 
     def _wait(self, timeout_ns: int) -> None:
-        """Sleep until something waits that may be read, at most `timeout_ns`."""
-        held_ns = self._questions.held_for_ns(self._clock())
-        if held_ns:
-            sockets.wait_readable(self._gate.sockets, min(timeout_ns, held_ns))
-        else:
-            sockets.wait_readable(self._waited_for, min(timeout_ns, MAX_WAIT_NS))
+        """Sleep until a message waits that may be read, at most `timeout_ns`."""
+        waited_for = self._authenticator.sockets
+        longest_ns = self._requests.held_for_ns(self._clock())
+        if not longest_ns:
+            waited_for, longest_ns = [self._control, *waited_for], MAX_WAIT_NS
+        sockets.wait_readable(waited_for, min(timeout_ns, longest_ns))
 
     def _answer_all(self, until_ns: int) -> None:
         """Answer what waits; what is left then waits until the next batch was sent."""
-        self._gate.poll(time.monotonic_ns())
-        if self._questions.held_for_ns(self._clock()):
+        self._authenticator.poll(time.monotonic_ns())
+        if self._requests.held_for_ns(self._clock()):
             return
         for number, (*envelope, data) in enumerate(sockets.receive_all(self._control)):
             self._answer(tuple(envelope), data)
             now_ns = self._clock()
-            if not self._questions.spend(now_ns):
-                self._name_flood()
+            if not self._requests.spend(now_ns):
+                if self._requests.held == 1:
+                    logger.warning(
+                        f"{count_text(len(self._server.clients), 'display')} here, which send far"
+                        " more than displays do; what is too much is left unread"
+                    )
                 return
             if number >= LEAST_ANSWERED and now_ns >= until_ns:
                 return
 
-    def _name_flood(self) -> None:
-        if self._questions.held == 1:
-            logger.warning(
-                f"{count_text(len(self._desk.guests), 'display')} here, which send far more than"
-                " displays do; what is too much is left unread"
-            )
-
     def _answer(self, sender: Sender, data: bytes) -> None:
-        known = len(self._desk.guests)
-        reply = self._desk.answer(sender, data, self._clock(), self._framer.samples_sent)
+        clients = self._server.clients
+        known = len(clients)
+        reply = self._server.answer(sender, data, self._clock(), self._framer.samples_sent)
         if reply is not None:
             sockets.send(self._control, *sender, encode_control(reply))
-        if len(self._desk.guests) > known:
-            self._questions.expect(len(self._desk.guests))
-            logger.info(f"{self._desk.guests[sender].shown_name} joined")
-        elif self._desk.rejected["too_many_displays"] and not self._full:
+        if len(clients) > known:
+            self._requests.expect(len(clients))
+            logger.info(f"{clients[sender].shown_name} joined")
+        elif self._server.rejected["too_many_displays"] and not self._full:
             self._full = True
             logger.warning(
                 f"{count_text(known, 'display')} here, which is the most;"
                 " no further one is answered"
             )
 
-    def _forget_silent(self) -> None:
-        for guest in self._desk.forget_silent(self._clock()):
-            logger.warning(f"{guest.shown_name} is silent, forgotten")
-        self._questions.expect(len(self._desk.guests))
-
-    def _see_off(self) -> None:
-        """Tell every display where the stream ended, and stay until each has all of it.
+    def _finish(self) -> None:
+        """Send every display the end of the stream, and stay until each has all of it.
 
         Where a socket is closed before its peer has everything, whatever the peer sends makes TCP
         drop the rest.
         """
         bye = encode_control(Bye(self._session, self._framer.samples_sent))
-        told: set[Sender] = set()
+        informed: set[Sender] = set()
         until_ns = self._clock() + FAREWELL_NS
         while self._clock() < until_ns:
             self._answer_all(until_ns)
-            for sender in self._desk.guests.keys() - told:
-                told.add(sender)
+            for sender in self._server.clients.keys() - informed:
+                informed.add(sender)
                 sockets.send(self._control, *sender, bye)
-            if self._desk.all_content:
-                return
+            if self._server.all_confirmed:
+                break
             self._wait(MAX_WAIT_NS)
+        for client in self._server.clients.values():
+            if (report := client.report) is not None:
+                logger.info(
+                    f"{client.shown_name} last reported {report.played} played, {report.late} late,"
+                    f" {report.lost} lost, playout delay {report.playout_delay_ms:.1f} ms"
+                )
+        if self._telemetry is not None:
+            self._telemetry.publish(self._status(final=True))
 
     def _status(self, final: bool) -> bytes:
         state = "ended" if final else "streaming"
-        displays, name = len(self._desk.guests), self._description.name
+        displays, name = len(self._server.clients), self._description.name
         return pack_status(state, name, self._summary(), final, self._session, displays)
 
-    def _log_reports(self) -> None:
-        for guest in self._desk.guests.values():
-            if guest.report is not None:
-                report = guest.report
-                logger.info(
-                    f"{guest.shown_name} last reported {report.played} played, {report.late} late,"
-                    f" {report.lost} lost, playout delay {report.playout_delay_ms:.1f} ms"
-                )
-
     def _summary(self) -> Summary:
-        rejected = self._desk.rejected + self._subscribers.rejected + self._gate.rejected
-        if self._questions.held:
-            rejected["held_back"] = self._questions.held
+        rejected = self._server.rejected + self._subscriptions.rejected
+        rejected += self._authenticator.rejected
+        if self._requests.held:
+            rejected["held_back"] = self._requests.held
         if self._telemetry is not None:
-            rejected = rejected + self._telemetry.rejected
+            rejected += self._telemetry.rejected
         if isinstance(self._source, LiveSource):
-            rejected = rejected + self._source.rejected
-            faults = self._source.faults()
-        else:
-            faults = faults_of(self._source)
+            rejected += self._source.rejected
         return Summary(
             samples=SampleCounts(sent=self._framer.samples_sent),
             limited=limits_of(self._source),
             rejected=dict(rejected),
-            faults=[*faults, *self._check.faults()],
+            faults=[*faults_of(self._source), *self._check.faults()],
         )

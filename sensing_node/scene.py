@@ -15,11 +15,10 @@ from protocol.wire.stream import LayerTable, Name, StreamDescription
 from pulse_sensors.can_bus import CanScene
 from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.lsl_inlet import LslScene
-from pulse_sensors.scene import open_sensor
+from pulse_sensors.sensor import open_sensor
 from pulse_sensors.serial_port import SerialScene
 from sensing_node.conditioning import Conditioned, ConditioningScene, faults_of
-from sensing_node.sources import SampleSource
-from sensing_node.sources.live import LiveSource, Source
+from sensing_node.feeds import LiveSource, SampleSource, Source
 from sensing_node.sources.recorded import RecordedSource, RecordingScene
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 

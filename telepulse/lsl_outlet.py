@@ -18,7 +18,7 @@ from protocol.config.quantities import count_text
 from protocol.security.keys import ClientKeys
 from protocol.wire.messages import Frame
 from protocol.wire.stream import StreamDescription
-from pulse_sensors.extra import library
+from pulse_sensors import library
 from telepulse.telemetry.client import TelemetryClient
 from telepulse.telemetry.decoder import Entry, PassiveReceiver
 from telepulse.telemetry.schema import EVENT, FRAME, TICK

@@ -10,7 +10,7 @@ from benchmarks.measure import show
 from protocol import sockets
 from protocol.tactile import ElasticLayer
 from protocol.wire.stream import Channel, StreamDescription
-from sensing_node.send_queue import HEADER_BYTES, limits
+from sensing_node.node import HEADER_BYTES, queue_limits
 
 FRAME_S = 5e-3
 SAMPLES = (5, 50, 250, 4000)
@@ -35,7 +35,7 @@ def row(samples: int) -> tuple[str, ...]:
     stream = StreamDescription("s", period_ns, samples, (Channel("c"),), ElasticLayer())
     frame = bytes(HEADER_BYTES + samples * stream.bytes_per_sample)
     cells = [str(samples)]
-    for options in (AS_IT_IS, limits(stream)):
+    for options in (AS_IT_IS, queue_limits(stream)):
         frames = queued(frame, options)
         cells += [f"{frames * FRAME_S:.1f}", f"{frames * len(frame) * 1e-6:.2f}"]
     return tuple(cells)

@@ -41,9 +41,8 @@ OWN_BAR = 0.01
 def flooding_sensing_node(kind: str) -> None:
     """Run a sensing node that sends copies of its frames or of its answers."""
     from sensing_node import node
-    from sensing_node import send_queue as backlog
 
-    send = sockets.send
+    send, limits = sockets.send, node.queue_limits
 
     def send_copies(socket: sockets.Socket, *parts: bytes) -> bool:
         flooded = (socket.socket_type == zmq.XPUB) == (kind == "data")
@@ -51,7 +50,7 @@ def flooding_sensing_node(kind: str) -> None:
         return any(sent)
 
     sockets.send = send_copies
-    node.limits = lambda description: {**backlog.limits(description), zmq.SNDHWM: 100_000}
+    node.queue_limits = lambda description: {**limits(description), zmq.SNDHWM: 100_000}
     from sensing_node.cli import main
 
     main()

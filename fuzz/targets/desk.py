@@ -4,7 +4,7 @@ from fuzz.refusals import check_causes
 from fuzz.targets.control import DESCRIPTION
 from fuzz.targets.control import seeds as messages
 from protocol.wire.messages import Bye, DisplayReport, decode_control, encode_control
-from sensing_node.control_server import ADDRESS_BYTES, MAX_GUESTS, MAX_HOPS, ControlServer
+from sensing_node.control_server import ADDRESS_BYTES, MAX_CLIENTS, MAX_HOPS, ControlServer
 
 SESSION = 7
 STEP_NS = 300_000_000
@@ -30,8 +30,8 @@ def try_one(data: bytes) -> None:
             assert isinstance(decode_control(message), Bye | DisplayReport)
         if count % 4 == 0:
             desk.forget_silent(count * STEP_NS)
-        assert len(desk.guests) <= MAX_GUESTS
-        for envelope, guest in desk.guests.items():
+        assert len(desk.clients) <= MAX_CLIENTS
+        for envelope, guest in desk.clients.items():
             assert len(envelope) <= MAX_HOPS
             assert all(len(address) == ADDRESS_BYTES for address in envelope[1:])
             guest.shown_name.encode("ascii")

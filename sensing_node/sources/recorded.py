@@ -1,39 +1,24 @@
-"""A recording as a source: CSV and NumPy files, looped or once."""
+"""A recording as a source: one column of a CSV or NumPy file, looped or once."""
 
+import csv
+import math
+from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from protocol.config.quantities import Hertz, Metres, Newtons, VoltsPerNewton
-from protocol.config.scene import Section
+from protocol.config.quantities import Hertz, Newtons
 from protocol.errors import SourceError
-from protocol.tactile import Calibration, Film
 from protocol.wire.stream import Channel
-from sensing_node.sources.plausibility import (
-    refuse_constant,
-    refuse_forces,
-    refuse_rate,
-    refuse_times,
-    warn_of_forces,
-    warn_of_gaps,
-)
-from sensing_node.sources.recording_file import load_column
+from pulse_sensors.force_scale import FORCES, VOLTAGES, SensitivityTable
+from pulse_sensors.plausibility import RecordedColumn, constant_column, examine, unusable_values
 from sensing_node.sources.synthetic import SyntheticScene
 
-NEWTONS_PER_UNIT = {"N": 1.0, "mN": 1e-3}
-VOLTS_PER_UNIT = {"V": 1.0, "mV": 1e-3}
-# The keys of each kind of unit; a key of another one would be passed over.
-_SCALES = {
-    "film_radius": tuple(VOLTS_PER_UNIT),
-    "sensitivity": tuple(VOLTS_PER_UNIT),
-    "peak_to_peak": ("raw",),
-}
 
-
-class RecordingScene(Section):
+class RecordingScene(SensitivityTable):
     """The `source` table of kind "recording".
 
     path: .csv, .npy or .npz, from the scene's folder. column: a name in the CSV's first line
@@ -48,22 +33,15 @@ class RecordingScene(Section):
     rate_hz: Annotated[Hertz, Field(ge=1, le=100_000)]
     unit: Literal["N", "mN", "V", "mV", "raw"]
     column: Annotated[int, Field(ge=0)] | str = 0
-    film_radius_m: Annotated[Metres, Field(ge=1e-6, le=1)] | None = None
-    sensitivity_v_per_n: Annotated[VoltsPerNewton, Field(ge=1e-6, le=1e6)] | None = None
     peak_to_peak_n: Annotated[Newtons, Field(gt=0, le=10)] | None = None
     preload_n: Annotated[Newtons, Field(ge=0, le=10)] | None = None
     inverted: bool = False
     repeat: Literal["loop", "once"] = "loop"
 
     @model_validator(mode="after")
-    def _scale_is_known(self) -> "RecordingScene":
-        given = {type(self).model_fields[name].alias for name in self.model_fields_set}
-        for key, units in _SCALES.items():
-            if key in given and self.unit not in units:
-                raise ValueError(f'{key} is for unit {" or ".join(units)}, not "{self.unit}"')
-        if {"sensitivity", "film_radius"} <= given:
-            raise ValueError("sensitivity and film_radius both say it; give one of them")
-        if self.unit in VOLTS_PER_UNIT and not {"sensitivity", "film_radius"} & given:
+    def _has_a_scale(self) -> Self:
+        self.refuse_keys_beside(self.unit)
+        if self.unit in VOLTAGES and not {"sensitivity", "film_radius"} & self.given:
             raise ValueError(
                 f'unit "{self.unit}" needs film_radius or sensitivity to become a force'
             )
@@ -82,50 +60,51 @@ class RecordingScene(Section):
         """Return forces in N of a recording's values, not all of which are equal."""
         if self.inverted:
             values = -values
-        if self.unit in NEWTONS_PER_UNIT:
-            return values * NEWTONS_PER_UNIT[self.unit] + self.rest_n
-        if self.unit in VOLTS_PER_UNIT:
-            return self._calibration().newtons(values * VOLTS_PER_UNIT[self.unit]) + self.rest_n
+        if self.unit in FORCES:
+            return values * FORCES[self.unit] + self.rest_n
+        if self.unit in VOLTAGES:
+            return self.calibration().newtons(values * VOLTAGES[self.unit]) + self.rest_n
         scale = (self.peak_to_peak_n or 0.0) / float(np.ptp(values))
         return self.rest_n + (values - float(values.mean())) * scale
 
-    def _calibration(self) -> Calibration:
-        if self.film_radius_m is not None:
-            return Calibration.of_film(Film(self.film_radius_m))
-        return Calibration(self.sensitivity_v_per_n or 0.0)
-
 
 class RecordedSource:
-    """A recorded pulse in newtons, given sample by sample.
+    """A recorded pulse.
 
-    warnings: what is doubtful about it, one line each.
+    Parameters
+    ----------
+    scene : RecordingScene
+    folder : Path
+        Folder of the scene file.
+    plausible : bool
+        Refuse values that cannot be a pulse's by this scene.
+
+    Attributes
+    ----------
+    warnings : list of str
+        What is doubtful about the recording.
+
+    Raises
+    ------
+    SourceError
+        For a file that cannot be read, scaled or, where asked, believed.
     """
 
     channels = (Channel("pulse"),)
 
     def __init__(self, scene: RecordingScene, folder: Path, plausible: bool = True) -> None:
-        """Read the recording.
-
-        Raises SourceError for a file that cannot be read or scaled, and, where it must be
-        `plausible`, for values that cannot be a pulse's by this scene.
-        """
         path = folder / scene.path
         column = load_column(path, scene.column)
-        constant = refuse_constant(column)
-        if constant is not None and (plausible or scene.unit == "raw"):
+        constant = constant_column(column)
+        if constant is not None and scene.unit == "raw":
             raise SourceError(f"{path}: {constant}")
-        force_n, scale = scene.forces(column.values), (scene.unit, scene.rest_n)
-        reason = (
-            constant
-            or refuse_times(column)
-            or refuse_rate(column, scene.rate_hz)
-            or refuse_forces(force_n, *scale)
-        )
-        if reason is not None and plausible:
-            raise SourceError(f"{path}: {reason}")
-        doubts = [reason] if reason else warn_of_gaps(column) + warn_of_forces(force_n, *scale)
+        self._force_n = scene.forces(column.values)
+        scaled = (self._force_n, scene.unit, scene.rate_hz, scene.rest_n)
+        refusal, warnings = examine(column, *scaled)
+        if refusal is not None and plausible:
+            raise SourceError(f"{path}: {refusal}")
+        doubts = warnings if refusal is None else [refusal]
         self.warnings = [f"{path}: {doubt}" for doubt in doubts]
-        self._force_n = force_n
         self._loop = scene.repeat == "loop"
         self._position = 0
         self.period_ns = round(1e9 / scene.rate_hz)
@@ -136,3 +115,152 @@ class RecordedSource:
         last = first + count if self._loop else min(first + count, length)
         self._position = last
         return self._force_n[np.arange(first, last) % length, np.newaxis]
+
+
+def load_column(path: Path, column: int | str) -> RecordedColumn:
+    """Return one column of a file.
+
+    Parameters
+    ----------
+    path : Path
+        A .csv, .txt, .npy or .npz file.
+    column : int or str
+        Number from 0, or name.
+
+    Raises
+    ------
+    SourceError
+        Where the file cannot be read, or the column is missing or holds no usable numbers.
+    """
+    try:
+        match path.suffix.lower():
+            case ".csv" | ".txt":
+                loaded = _load_csv(path, column)
+            case ".npy" | ".npz":
+                loaded = _load_numpy(path, column)
+            case suffix:
+                raise SourceError(f"{path}: {suffix or 'no suffix'} is not .csv, .npy or .npz")
+    except SourceError:
+        raise
+    except FileNotFoundError:
+        raise SourceError(f"{path}: no such recording") from None
+    except Exception as error:  # damaged, it raises whatever NumPy, zipfile or csv stumble over
+        lines = str(getattr(error, "strerror", None) or error).splitlines()
+        reason = lines[0] if lines else type(error).__name__
+        raise SourceError(f"{path}: cannot be read: {reason}") from None
+    unusable = unusable_values(loaded.values)
+    if unusable is not None:
+        raise SourceError(f"{path}: {unusable}")
+    return loaded
+
+
+def _load_csv(path: Path, column: int | str) -> RecordedColumn:
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        rows = csv.reader(file)
+        first = [name.strip() for name in next(rows, [])]
+        if not first:
+            raise SourceError(f"{path}: is empty, or its first line is")
+        if isinstance(column, str) and column not in first:
+            raise SourceError(f"{path}: no column {column!r}; it has {', '.join(first)[:200]}")
+        number = first.index(column) if isinstance(column, str) else column
+        if number >= len(first):
+            raise SourceError(f"{path}: no column {column}; it has {len(first)}")
+        has_header = isinstance(column, str) or _number(first[number]) is None
+        # The other columns while they have never fallen; a pulse's leaves within a beat.
+        rising: dict[int, list[float]] = {at: [] for at in range(len(first)) if at != number}
+        values: list[float] = []
+
+        def add(row: list[str]) -> None:
+            where = f"{path}: line {rows.line_num}"
+            if number >= len(row):
+                raise SourceError(f"{where}: no column {number}; it has {len(row)}")
+            value = _number(row[number])
+            if value is None:
+                raise SourceError(f"{where}: {row[number][:40]!r} is not a number")
+            values.append(value)
+            for place, kept in list(rising.items()):
+                time = _time(row[place]) if place < len(row) else None
+                if time is None or (kept and not time >= kept[-1]):
+                    del rising[place]
+                else:
+                    kept.append(time)
+
+        if not has_header:
+            add(first)
+        for row in rows:
+            if row:
+                add(row)
+    names = first if has_header else [""] * len(first)
+    return RecordedColumn(
+        np.array(values, dtype=np.float64),
+        number,
+        names[number],
+        tuple(name for place, name in enumerate(names) if place != number),
+        {names[place] or str(place): np.array(kept) for place, kept in rising.items()},
+    )
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def _time(text: str) -> float | None:
+    """Return the finite number in a text, the Unix time of a date in ISO 8601, or None."""
+    number = _number(text)
+    if number is not None:
+        return number if math.isfinite(number) else None
+    try:
+        return datetime.fromisoformat(text.strip()).timestamp()
+    except (ValueError, OverflowError):
+        return None
+
+
+def _load_numpy(path: Path, column: int | str) -> RecordedColumn:
+    """Return a column of an .npy, or one of an .npz's arrays, as the file's first bytes decide."""
+    with path.open("rb") as file:
+        loaded = np.load(file, allow_pickle=False)
+        if isinstance(loaded, np.ndarray):
+            return _column_of(loaded, column, path)
+        with loaded:
+            names = list(loaded)
+            if isinstance(column, int) and column < len(names):
+                column = names[column]
+            if column not in names:
+                raise SourceError(f"{path}: no array {column!r}; it has {', '.join(names)[:200]}")
+            name = str(column)
+            values = _column_of(np.asarray(loaded[name]), 0, path).values
+            beside = {other: np.asarray(loaded[other]) for other in names if other != name}
+    rising = _rising(beside, len(values))
+    return RecordedColumn(values, names.index(name), name, tuple(beside), rising)
+
+
+def _column_of(array: NDArray[Any], column: int | str, path: Path) -> RecordedColumn:
+    if array.ndim not in (1, 2) or array.dtype.kind not in "iuf":
+        raise SourceError(
+            f"{path}: needs real numbers in one or two dimensions,"
+            f" has {array.dtype} in {array.ndim}"
+        )
+    table = array[:, np.newaxis] if array.ndim == 1 else array
+    if not isinstance(column, int) or column >= table.shape[1]:
+        raise SourceError(f"{path}: no column {column!r}; it has {table.shape[1]}")
+    # NumPy warns of signalling NaN, which are refused with the others.
+    with np.errstate(invalid="ignore"):
+        values = np.ascontiguousarray(table[:, column], dtype=np.float64)
+        beside = {str(at): table[:, at] for at in range(table.shape[1]) if at != column}
+        rising = _rising(beside, len(values))
+    return RecordedColumn(values, column, others=("",) * len(beside), rising=rising)
+
+
+def _rising(arrays: dict[str, NDArray[Any]], length: int) -> dict[str, NDArray[np.float64]]:
+    """Return those of the arrays that have that length and never fall."""
+    return {
+        name: array.astype(np.float64)
+        for name, array in arrays.items()
+        if array.shape == (length,)
+        and array.dtype.kind in "iuf"
+        and bool(np.isfinite(array).all())
+        and bool(np.all(array[1:] >= array[:-1]))
+    }

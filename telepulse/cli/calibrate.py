@@ -12,7 +12,7 @@ from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError
 from pulse_sensors.force_scale import SensorTable
-from pulse_sensors.scene import SensorScene
+from pulse_sensors.sensor import SensorScene
 from sensing_node.scene import SensingScene
 from telepulse.cli.options import PageOption, TablesOption, publish
 from telepulse.commissioning.calibration import LoadReadings, LoadUnit, ReadingUnit, read_loads

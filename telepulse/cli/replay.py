@@ -47,8 +47,8 @@ def replay(
     Exit status: 0 at the end of the recording, 2 when it cannot be read or the address not be
     used; the reason is one line on stderr.
     """
+    from sensing_node.feeds import ReplaySource
     from sensing_node.node import SensingNode
-    from sensing_node.sources.replay import ReplaySource
     from telepulse.recording.session import longest_session
 
     console = plain_console(quiet)

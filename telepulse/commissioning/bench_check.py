@@ -22,8 +22,7 @@ from protocol.config.scene import validate
 from protocol.config.scene_file import load_document, merge
 from protocol.errors import BenchError, DriveError, SceneError, SourceError
 from pulse_sensors.force_scale import SensorTable
-from pulse_sensors.scene import open_sensor
-from pulse_sensors.sensor import Sensor
+from pulse_sensors.sensor import Sensor, open_sensor
 from sensing_node.scene import SensingScene, build_source
 from sensing_node.sources.synthetic import SyntheticScene
 from telepulse.commissioning.actuator_check import ActuatorFindings, check_actuator

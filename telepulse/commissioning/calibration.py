@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from protocol.errors import BenchError, SceneError, SourceError
 from protocol.tactile import FIG_4_VOLTS_PER_NEWTON, Film
-from pulse_sensors.scene import SensorScene, open_sensor
-from pulse_sensors.sensor import Sensor
+from pulse_sensors.sensor import Sensor, SensorScene, open_sensor
 from telepulse.commissioning.rig import listen
 from telepulse.reports.document import Chapter, Plot, Report, Table
 

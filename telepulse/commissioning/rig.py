@@ -15,7 +15,7 @@ from display_node.plant.second_order import SecondOrder, SecondOrderScene
 from display_node.plant.stepper import Stepper
 from display_node.scene import DisplayScene
 from protocol.errors import BenchError, DriveError
-from pulse_sensors.reading import Reading
+from pulse_sensors.samples import SampleBlock
 from pulse_sensors.sensor import Sensor
 from telepulse.commissioning.sensor_check import Check, SensorRecord, grade
 
@@ -133,7 +133,7 @@ def listen(sensor: Sensor, seconds: float) -> SensorRecord:
     sensor.poll()
     end_s = time.monotonic() + seconds
     arrivals_ns: list[int] = []
-    readings: list[Reading] = []
+    readings: list[SampleBlock] = []
     while time.monotonic() < end_s:
         time.sleep(POLL_S)
         for reading in sensor.poll():

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from pulse_sensors.binary_frames import FrameEncoder, SampleFormat
+from sensing_node.feeds import SampleSource
 from sensing_node.scene import SensingScene, build_source
-from sensing_node.sources import SampleSource
 from telepulse.emulators.pty_port import PtyPort
 
 # Force of one count of an integer sample: an int16 reaches 3.2 N.

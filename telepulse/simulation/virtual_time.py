@@ -17,12 +17,11 @@ from display_node.scoring.tracking_error import TrackingError
 from protocol.run_summary import Summary
 from protocol.wire.messages import Bye, Control, encode_control, encode_frame
 from protocol.wire.telemetry import TickState
+from pulse_sensors.plausibility import SampleCheck
 from sensing_node.conditioning import faults_of, limits_of
 from sensing_node.control_server import ControlServer
-from sensing_node.framer import Framer
+from sensing_node.feeds import Framer, PacedSource
 from sensing_node.scene import build_source, describe_stream
-from sensing_node.sources import PacedSource
-from sensing_node.sources.plausibility import SampleCheck
 from telepulse.scene import Scene
 from telepulse.simulation.link_model import MessageLink
 from telepulse.simulation.reference_force import ReferenceForce

@@ -1,6 +1,9 @@
 """Recordings as sources: opened as a scene does, or refused."""
 
+import importlib.util
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -28,3 +31,20 @@ def refusal(path: Path, **keys: object) -> str:
     assert text.startswith(f"{path}: ")
     assert "\n" not in text
     return text.removeprefix(f"{path}: ")
+
+
+def csv_file(folder: Path, columns: Mapping[str, Any]) -> Path:
+    """A CSV file with a header."""
+    path = folder / "pulse.csv"
+    rows = [list(columns), *zip(*columns.values(), strict=True)]
+    text = "\n".join(",".join(map(str, row)) for row in rows) + "\n"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def heartpy_recording() -> Path:
+    """A photoplethysmogram of 24.83 s at 100 Hz that comes with heartpy's package."""
+    found = importlib.util.find_spec("heartpy")
+    assert found is not None
+    assert found.origin is not None
+    return Path(found.origin).parent / "data" / "data.csv"

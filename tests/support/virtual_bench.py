@@ -17,7 +17,7 @@ from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
 from protocol.wire.telemetry import TickState
-from pulse_sensors.reading import Packet, Reading, Readings
+from pulse_sensors.samples import Placement, SampleBlock, one_channel
 from telepulse.emulators.drive_run import FRAME
 from telepulse.emulators.motor import EmulatedMotor, MotorState
 from tests.support.sender import MS, Sender
@@ -109,22 +109,22 @@ class VirtualDrive:
 class VirtualFilm:
     """The film's sensor: four samples a frame, which take a while to come."""
 
-    def __init__(self, motor: EmulatedMotor, readings: Readings) -> None:
-        self._motor, self._readings = motor, readings
+    def __init__(self, motor: EmulatedMotor, placement: Placement) -> None:
+        self._motor, self._placement = motor, placement
         self._sent = 0
         self.now_ns = 0
         self.silent = self.closed = False
         self.rejected: Counter[str] = Counter()
 
-    def poll(self) -> list[Reading]:
-        found: list[Reading] = []
+    def poll(self) -> list[SampleBlock]:
+        found: list[SampleBlock] = []
         forces_n = self._motor.forces_n
         if self.silent:
             return found
         while len(forces_n) >= FRAME and (self._sent + FRAME) * MS + DELIVERY_NS <= self.now_ns:
-            packet = Packet(tuple(forces_n.popleft() for _ in range(FRAME)), self._device_ns())
-            reading = self._readings.of(packet, self._sent * MS + DELIVERY_NS)
-            found += [reading] if reading is not None else []
+            block = one_channel([forces_n.popleft() for _ in range(FRAME)], self._device_ns())
+            placed = self._placement.place(block, self._sent * MS + DELIVERY_NS)
+            found += [placed] if placed is not None else []
         return found
 
     def _device_ns(self) -> int:
@@ -167,7 +167,7 @@ class VirtualBench:
         late_ns = scene.actuator.latency_ns - DELIVERY_NS
         assert scene.drive is not None
         self.drive = VirtualDrive(motor, axis, late_ns, scene.drive.watchdog_ns)
-        self.film = VirtualFilm(motor, Readings(scene.feedback))
+        self.film = VirtualFilm(motor, Placement(scene.feedback))
         self._start_display()
         self.sender = Sender()
         self._waiting: list[tuple[int, bytes]] = []

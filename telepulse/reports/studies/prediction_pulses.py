@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sensing_node.sources.recording_file import load_column
+from sensing_node.sources.recorded import load_column
 from sensing_node.sources.synthetic import NOMINAL_BEAT_S, PRESETS, REACH
 
 Floats = NDArray[np.float64]

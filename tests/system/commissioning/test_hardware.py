@@ -3,6 +3,7 @@
 import time
 from collections import Counter, deque
 
+import numpy as np
 import pytest
 
 from display_node.drives.drive import DriveStatus
@@ -11,7 +12,7 @@ from display_node.drives.withdrawal import WithdrawalOutcome
 from display_node.plant.stepper import Stepper, StepperScene
 from display_node.scene import DisplayScene
 from protocol.errors import BenchError, DriveError
-from pulse_sensors.reading import Reading
+from pulse_sensors.samples import SampleBlock
 from telepulse.commissioning.actuator_check import check_actuator
 from telepulse.commissioning.press import PressRecorder, press_stepper
 from telepulse.commissioning.rig import HardwareRig, check_answers, listen
@@ -76,10 +77,12 @@ class Bench:
     def close(self) -> None:
         """Do nothing."""
 
-    def poll(self) -> list[Reading]:
+    def poll(self) -> list[SampleBlock]:
         self._advance()
         samples, self._samples = self._samples, []
-        return [Reading(at_ns, at_ns + MS, (force_n,), 0) for at_ns, force_n in samples]
+        return [
+            SampleBlock(np.array([[force_n]]), 0, at_ns, at_ns + MS) for at_ns, force_n in samples
+        ]
 
     def faults(self) -> list[str]:
         return ["it is unplugged"]
@@ -110,7 +113,7 @@ def test_a_press_that_is_given_up_goes_back_off_the_finger(scene: DisplayScene, 
     rig = HardwareRig(drive, drive, TICK_S)  # type: ignore[arg-type]
     pressed_n = []
 
-    def poll() -> list[Reading]:
+    def poll() -> list[SampleBlock]:
         readings = Bench.poll(drive)
         pressed_n.extend(reading.force_n[0] for reading in readings)
         return readings if why == "too much" or max(pressed_n, default=0.0) < 0.05 else []
@@ -153,7 +156,7 @@ def test_listening_gives_every_sample_its_time(scene: DisplayScene) -> None:
 
 def test_a_sensor_that_says_nothing_is_named() -> None:
     class Mute:
-        def poll(self) -> list[Reading]:
+        def poll(self) -> list[SampleBlock]:
             return []
 
         def faults(self) -> list[str]:

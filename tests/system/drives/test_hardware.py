@@ -18,7 +18,7 @@ from display_node.node import DisplayNode, connected
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
 from protocol.errors import DriveError, SceneError, SourceError
-from pulse_sensors.reading import Reading
+from pulse_sensors.samples import SampleBlock
 from tests.support.nodes import free_address
 from tests.support.sender import MS, Sender
 from tests.support.streams import synthetic
@@ -322,10 +322,10 @@ class Quiet(VirtualBench):
 
     looks = 0
 
-    def poll(self) -> list[Reading]:
+    def poll(self) -> list[SampleBlock]:
         self.looks += 1
         now_ns = time.monotonic_ns()
-        return [Reading(now_ns, now_ns + MS, (0.1,), 0)] if self.looks >= 3 else []
+        return [SampleBlock(np.array([[0.1]]), 0, now_ns, now_ns + MS)] if self.looks >= 3 else []
 
 
 @pytest.fixture

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pulse_sensors.scene import open_sensor
+from pulse_sensors.sensor import open_sensor
 from telepulse.emulators.pty_port import PtyPort
 from telepulse.emulators.slcan import LONGEST, SlcanAdapter, SlcanBus
-from tests.support.lsl_listening import forces, heard
+from tests.support.can_messages import DATABASE, can_scene, film_message
+from tests.support.sample_blocks import forces, received
 from tests.support.waiting import until
-from tests.system.sensors.test_can_bus import DBC, message, scene
 
 GIVE_UP_S = 10.0
 
@@ -79,15 +79,15 @@ def far_end() -> Iterator[SlcanBus]:
 
 
 def test_a_sensor_is_read_through_it(far_end: SlcanBus, tmp_path: Path) -> None:
-    (tmp_path / "film.dbc").write_text(DBC, encoding="utf-8")
+    (tmp_path / "film.dbc").write_text(DATABASE, encoding="utf-8")
     options = {"sleep_after_open": 0.0}
     channel = far_end.channel_info.split()[1]
-    table = scene(channel, interface="slcan", bitrate=500_000, counter="Count", options=options)
+    table = can_scene(channel, interface="slcan", bitrate=500_000, counter="Count", options=options)
     with closing(open_sensor(table, tmp_path)) as sensor:
         until(lambda: far_end.recv(0.01) is None and far_end._adapter.is_open)
         for number in range(20):
-            far_end.send(message(number, number * 0.01))
-        assert forces(heard(sensor, 20)) == pytest.approx([i * 0.01 for i in range(20)])
+            far_end.send(film_message(number, number * 0.01))
+        assert forces(received(sensor, 20)) == pytest.approx([i * 0.01 for i in range(20)])
         assert (sensor.rejected, sensor.faults()) == ({}, [])
 
 
@@ -95,9 +95,9 @@ def test_noise_from_an_adapter_is_named_and_the_sensor_comes_back(
     far_end: SlcanBus, tmp_path: Path, logged: list[str]
 ) -> None:
     """python-can's interface fails at it; the sensor opens the adapter anew."""
-    (tmp_path / "film.dbc").write_text(DBC, encoding="utf-8")
+    (tmp_path / "film.dbc").write_text(DATABASE, encoding="utf-8")
     channel = far_end.channel_info.split()[1]
-    table = scene(channel, interface="slcan", options={"sleep_after_open": 0.0})
+    table = can_scene(channel, interface="slcan", options={"sleep_after_open": 0.0})
     with closing(open_sensor(table, tmp_path)) as sensor:
         until(lambda: far_end.recv(0.01) is None and far_end._adapter.is_open)
         far_end._port.write(b"t12\xff\xfe\r")
@@ -111,5 +111,5 @@ def test_noise_from_an_adapter_is_named_and_the_sensor_comes_back(
         assert "has gone" in logged[0]
         assert "is back" in logged[1]
         until(lambda: far_end.recv(0.01) is None and far_end._adapter.is_open)
-        far_end.send(message(1, 0.5))
-        assert forces(heard(sensor, 1)) == pytest.approx([0.5])
+        far_end.send(film_message(1, 0.5))
+        assert forces(received(sensor, 1)) == pytest.approx([0.5])

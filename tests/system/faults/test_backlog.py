@@ -11,7 +11,7 @@ from benchmarks.faults.stage import staged, unaccounted
 from protocol.config.scene_file import find_scene
 from protocol.tactile import ElasticLayer
 from protocol.wire.stream import Channel, StreamDescription
-from sensing_node.send_queue import MOST_BYTES, limits
+from sensing_node.node import MOST_BYTES, queue_limits
 from tests.support.felt_force import PATIENCE_S, assert_back_within_a_second, assert_limits_kept
 
 MS = 1_000_000
@@ -28,14 +28,14 @@ def stream(period_ns: int, batch: int, channels: int = 1) -> StreamDescription:
 
 
 def test_about_a_second_of_a_stream_may_queue() -> None:
-    assert limits(stream(MS, 5))[zmq.SNDHWM] == 200
-    assert limits(stream(MS, 1))[zmq.SNDHWM] == 1000
-    assert limits(stream(1_000_000_000, 1))[zmq.SNDHWM] == 16
+    assert queue_limits(stream(MS, 5))[zmq.SNDHWM] == 200
+    assert queue_limits(stream(MS, 1))[zmq.SNDHWM] == 1000
+    assert queue_limits(stream(1_000_000_000, 1))[zmq.SNDHWM] == 16
     # Kernels double it; small frames cost packets of their own, of about a kilobyte.
-    assert 200_000 < 2 * limits(stream(MS, 5))[zmq.SNDBUF] < 250_000
+    assert 200_000 < 2 * queue_limits(stream(MS, 5))[zmq.SNDBUF] < 250_000
     # Where a second is more than a system grants on request, it is left to choose.
-    assert zmq.SNDBUF not in limits(stream(1_000, 1000, channels=8))
-    assert limits(stream(100_000, 50, channels=4))[zmq.SNDBUF] <= MOST_BYTES
+    assert zmq.SNDBUF not in queue_limits(stream(1_000, 1000, channels=8))
+    assert queue_limits(stream(100_000, 50, channels=4))[zmq.SNDBUF] <= MOST_BYTES
 
 
 def test_a_stopped_display_comes_back_to_the_present_and_another_misses_nothing(

@@ -15,7 +15,7 @@ from benchmarks.faults.hostile import (
 )
 from benchmarks.faults.stage import staged, unaccounted
 from protocol.sockets import control_address
-from sensing_node.control_server import QUESTIONS_AT_ONCE
+from sensing_node.control_server import REQUESTS_AT_ONCE
 from telepulse.processes import free_addresses
 from tests.support.felt_force import assert_limits_kept
 
@@ -70,6 +70,6 @@ def test_of_a_display_that_asks_without_end_few_questions_are_read(tmp_path: Pat
     sensing, display = flooded.sensing, flooded.display
     assert sensing.rejected["held_back"] > 0
     # Two displays: what may come at once, and 1 200 a second.
-    assert sensing.rejected["flood"] < QUESTIONS_AT_ONCE + 2 * FLOODED_S * 1_200
+    assert sensing.rejected["flood"] < REQUESTS_AT_ONCE + 2 * FLOODED_S * 1_200
     assert display.samples.lost == 0
     assert display.faults == []

@@ -3,6 +3,7 @@ import secrets
 import signal
 import socket
 import subprocess
+import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -26,7 +27,7 @@ from protocol.wire.messages import (
 )
 from telepulse.processes import HOST
 from tests.support.log_lines import strays
-from tests.support.nodes import RADIAL, free_address, process, read_json, run
+from tests.support.nodes import RADIAL, ROOT, free_address, process, read_json, run
 from tests.support.sensing_client import PATIENCE_MS, Client
 
 MODULE = "sensing_node.cli"
@@ -277,6 +278,29 @@ def test_a_missing_scene_or_recording_is_one_line(tmp_path: Path) -> None:
         result = run(MODULE, str(scene))
         assert (result.returncode, result.stderr) == (2, said)
         assert result.stdout == ""
+
+
+def test_a_recording_in_the_wrong_unit_is_refused_in_one_line(tmp_path: Path) -> None:
+    np.save(tmp_path / "pulse.npy", 300 + 100 * np.sin(np.arange(100)))
+    keys = 'kind = "recording"\npath = "pulse.npy"\nrate = "1 kHz"\nunit = "N"'
+    result = run(MODULE, str(scene_file(tmp_path, keys)))
+    assert (result.returncode, result.stdout) == (2, "")
+    assert result.stderr == (
+        f'sensing-node: {tmp_path}/pulse.npy: reaches 400 N in unit "N", and a pulse stays below'
+        ' 20 N; set unit = "mN", if it is in that\n'
+    )
+
+
+def test_a_scene_without_a_chain_does_not_load_scipy() -> None:
+    code = (
+        "import sys; from pathlib import Path; import sensing_node.cli;"
+        "from protocol.config.scene import load_section; from sensing_node.scene import *;"
+        f"scene = load_section(Path({str(RADIAL)!r}), 'sensing', SensingScene);"
+        "build_source(scene, Path()).take(10); print('scipy.signal' in sys.modules)"
+    )
+    command = [sys.executable, "-c", code]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert result.stdout == "False\n"
 
 
 def test_beyond_loopback_it_starts_with_keys_or_where_it_is_told_to_do_without(

@@ -9,6 +9,7 @@ import pytest
 
 from pulse_sensors.binary_frames import FrameDecoder
 from tests.support.nodes import ROOT
+from tests.support.sample_blocks import forces
 
 SKETCH = ROOT / "docs" / "firmware" / "telepulse_sensor" / "telepulse_sensor.ino"
 BOARD = """
@@ -43,11 +44,10 @@ def test_what_the_sketch_sends_is_decoded(tmp_path: Path) -> None:
     assert compiled.returncode == 0, compiled.stderr
     sent = subprocess.run([str(program)], capture_output=True, check=True, timeout=20).stdout
     decoder = FrameDecoder(1_000_000)
-    packets = decoder.feed(sent)
-    values = [value for packet in packets for value in packet.values]
-    assert values == [i * 8 % 1024 for i in range(400)]
-    assert [packet.missing for packet in packets] == [0] * 100
-    assert [packet.anew for packet in packets] == [True] + [False] * 99
-    times_ns = np.array([packet.device_ns for packet in packets if packet.device_ns is not None])
+    blocks = decoder.feed(sent)
+    assert forces(blocks) == [i * 8 % 1024 for i in range(400)]
+    assert [block.missing for block in blocks] == [0] * 100
+    assert [block.restarted for block in blocks] == [True] + [False] * 99
+    times_ns = np.array([block.device_ns for block in blocks if block.device_ns is not None])
     assert np.diff(times_ns) == pytest.approx(4_000_000, abs=40_000)
     assert not decoder.rejected

@@ -9,7 +9,7 @@ from protocol.config.scene import validate
 from protocol.errors import SourceError
 from pulse_sensors import sensor as module
 from pulse_sensors.force_scale import SensorTable
-from pulse_sensors.reading import Packet
+from pulse_sensors.samples import SampleBlock, one_channel
 from pulse_sensors.sensor import Sensor
 from tests.support.waiting import until
 
@@ -53,8 +53,8 @@ class AsIs:
         self.rejected: Counter[str] = Counter()
         self.resets = 0
 
-    def feed(self, data: float) -> list[Packet]:
-        return [Packet((data,))]
+    def feed(self, data: float) -> list[SampleBlock]:
+        return [one_channel([data])]
 
     def reset(self) -> None:
         self.resets += 1
@@ -74,7 +74,7 @@ def test_whatever_a_driver_raises_the_device_has_gone_and_comes_back(
             return len(readings) == 2
 
         until(both)
-        assert [reading.force_n for reading in readings] == [(0.1,), (0.2,)]
+        assert [reading.force_n for reading in readings] == [[0.1], [0.2]]
     assert logged == [f"the port has gone: {error}", "the port is back"]
     assert (port.openings, decoder.resets) == (2, 1)
 

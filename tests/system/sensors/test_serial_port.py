@@ -1,9 +1,10 @@
+import itertools
 import os
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,12 @@ from serial.rfc2217 import PortManager
 from protocol.config.scene import validate
 from protocol.errors import SourceError
 from pulse_sensors.binary_frames import FrameEncoder
-from pulse_sensors.scene import open_sensor
-from pulse_sensors.sensor import Sensor
+from pulse_sensors.sensor import Sensor, open_sensor
 from pulse_sensors.serial_port import SerialPort, SerialScene
 from telepulse.emulators.pty_port import PtyPort
 from telepulse.emulators.sensor_board import binary, timed_line
-from tests.support.lsl_listening import forces, heard
+from tests.support.nodes import free_address, read_json, run
+from tests.support.sample_blocks import forces, received
 from tests.support.waiting import PATIENCE_S, until
 
 
@@ -55,7 +56,7 @@ def server(serve: Callable[[socket.socket, threading.Event], None]) -> Iterator[
 def test_a_pseudo_terminal_is_read() -> None:
     with closing(PtyPort(None)) as board, opened(scene(board.path)) as sensor:
         board.write(b"\n0.1\n0.2\n0.3\n")
-        assert forces(heard(sensor, 3)) == [0.1, 0.2, 0.3]
+        assert forces(received(sensor, 3)) == [0.1, 0.2, 0.3]
         assert (sensor.faults(), sensor.rejected) == ([], {})
 
 
@@ -67,7 +68,7 @@ def test_a_socket_is_read_and_its_end_is_named(logged: list[str]) -> None:
             connection.sendall(b"0.25\n" * 10)
 
     with server(serve) as address, opened(scene(f"socket://{address}")) as sensor:
-        assert set(forces(heard(sensor, 100))) == {0.25}
+        assert set(forces(received(sensor, 100))) == {0.25}
         enough.set()
 
         def gone() -> bool:
@@ -76,6 +77,30 @@ def test_a_socket_is_read_and_its_end_is_named(logged: list[str]) -> None:
 
         until(gone)
         assert logged[0].startswith(f"socket://{address} has gone: ")
+
+
+def test_a_sensing_node_reports_the_wrong_unit_once(tmp_path: Path) -> None:
+    def serve(connection: socket.socket, over: threading.Event) -> None:
+        for force in itertools.cycle(range(300, 350)):
+            if over.wait(5e-3):
+                return
+            with suppress(OSError):
+                connection.sendall(b"%d\n" % force)
+
+    summary, scene_file = tmp_path / "summary.json", tmp_path / "scene.toml"
+    with server(serve) as address:
+        scene_file.write_text(
+            f'[sensing.source]\nkind = "serial"\nport = "socket://{address}"\nframing = "text"\n'
+            'rate = "200 Hz"\nunit = "N"\n',
+            encoding="utf-8",
+        )
+        arguments = ("--bind", free_address(), "--seconds", "2", "--json", str(summary))
+        result = run("sensing_node.cli", str(scene_file), *arguments)
+    assert result.returncode == 0, result.stderr
+    text = "beyond 20 N, which no pulse reaches: check unit and scale in"
+    assert " ".join(result.stderr.split()).count(text) == 1
+    found = read_json(summary)
+    assert f"{found['samples']['sent']} samples beyond 20 N" in "; ".join(found["faults"])
 
 
 @pytest.mark.filterwarnings("ignore:set:DeprecationWarning")  # pyserial's own
@@ -99,7 +124,7 @@ def test_rfc2217_is_read() -> None:
                     return
 
     with server(serve) as address, opened(scene(f"rfc2217://{address}")) as sensor:
-        assert set(forces(heard(sensor, 100))) == {0.25}
+        assert set(forces(received(sensor, 100))) == {0.25}
 
 
 def test_loop_is_read() -> None:
@@ -107,7 +132,7 @@ def test_loop_is_read() -> None:
     port = SerialPort(table)
     with closing(Sensor(port, table.decoder(), table)) as sensor:
         port._port.write(FrameEncoder("float32").frame([0.5, 0.25], 1))
-        assert forces(heard(sensor, 2)) == [0.5, 0.25]
+        assert forces(received(sensor, 2)) == [0.5, 0.25]
 
 
 def test_a_pulled_cable_is_named_and_the_stream_goes_on(tmp_path: Path, logged: list[str]) -> None:
@@ -115,7 +140,7 @@ def test_a_pulled_cable_is_named_and_the_stream_goes_on(tmp_path: Path, logged: 
     board = PtyPort(link)
     with opened(scene(link)) as sensor:
         board.write(b"\n0.1\n0.2\n")
-        heard(sensor, 2)
+        received(sensor, 2)
         board.close()
 
         def told() -> int:
@@ -134,7 +159,7 @@ def test_a_pulled_cable_is_named_and_the_stream_goes_on(tmp_path: Path, logged: 
             until(back)
             assert logged[1] == f"{link} is back"
             again.write(b"\n0.3\n")
-            assert set(forces(heard(sensor, 1))) == {0.3}
+            assert set(forces(received(sensor, 1))) == {0.3}
         fault = sensor.faults()[0]
         assert fault.startswith(f"{link} was gone 1 time, for ")
 
@@ -176,7 +201,7 @@ def test_a_closed_sensor_lets_go_of_its_port() -> None:
 def test_garbage_is_counted_and_the_stream_goes_on() -> None:
     with closing(PtyPort(None)) as board, opened(scene(board.path)) as sensor:
         board.write(b"\n0.1\nx\n\xff\xfe\n0.2\n")
-        assert forces(heard(sensor, 2)) == [0.1, 0.2]
+        assert forces(received(sensor, 2)) == [0.1, 0.2]
         assert sensor.rejected == {"not_a_number": 2}
         assert sensor.faults() == [f"2 samples missing from {board.path}"]
 

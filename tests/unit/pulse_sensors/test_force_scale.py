@@ -1,6 +1,7 @@
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 
 from protocol.config.scene import validate
@@ -10,8 +11,7 @@ from pulse_sensors.force_scale import SensorTable
 
 def newtons(value: float, **keys: Any) -> float:
     table = validate({"rate": "1 kHz"} | keys, SensorTable, "scene")
-    (force_n,) = table.force_scale().newtons((value,))
-    return force_n
+    return float(table.newtons(np.array([[value]]))[0, 0])
 
 
 @pytest.mark.parametrize(
@@ -32,7 +32,7 @@ def test_a_unit_becomes_newtons(value: float, keys: dict[str, Any], force_n: flo
 
 
 @pytest.mark.parametrize(
-    ("keys", "said"),
+    ("keys", "message"),
     [
         ({"unit": "kg"}, "'counts'"),
         ({"unit": "counts"}, 'unit "counts" needs newtons_per_count'),
@@ -44,8 +44,8 @@ def test_a_unit_becomes_newtons(value: float, keys: dict[str, Any], force_n: flo
         ({"unit": "V", "rate": "30 kHz"}, "less than or equal to 20 kHz"),
     ],
 )
-def test_a_scale_that_cannot_be_is_one_line(keys: dict[str, Any], said: str) -> None:
+def test_an_impossible_scale_is_refused_in_one_line(keys: dict[str, Any], message: str) -> None:
     with pytest.raises(SceneError, match=r"^scene") as caught:
         newtons(1, **keys)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert "\n" not in str(caught.value)

@@ -5,32 +5,33 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pulse_sensors.reading import Packet
 from pulse_sensors.text_lines import TextDecoder, TimeUnit
+from tests.support.sample_blocks import Decoded, plain
 
 MS = 1_000_000
+TURN = 1 << 32
 
 
-def untimed(data: bytes, column: int = 0) -> tuple[list[Packet], dict[str, int]]:
+def untimed(data: bytes, column: int = 0) -> tuple[list[Decoded], dict[str, int]]:
     decoder = TextDecoder(MS, column, None)
-    return decoder.feed(b"\n" + data), dict(decoder.rejected)
+    return plain(decoder.feed(b"\n" + data)), dict(decoder.rejected)
 
 
-def timed(data: bytes, unit: TimeUnit = "us") -> tuple[list[Packet], dict[str, int]]:
-    """Fed line by line, so that each is a packet."""
+def timed(data: bytes, unit: TimeUnit = "us") -> tuple[list[Decoded], dict[str, int]]:
+    """Fed line by line, so that each is a block."""
     decoder = TextDecoder(MS, 0, unit)
     decoder.feed(b"\n")
-    packets = [packet for line in data.split(b"\n") for packet in decoder.feed(line + b"\n")]
-    return packets, dict(decoder.rejected)
+    blocks = [block for line in data.split(b"\n") for block in decoder.feed(line + b"\n")]
+    return plain(blocks), dict(decoder.rejected)
 
 
-def lines(numbers: range) -> bytes:
+def lines(*ranges: range) -> bytes:
     """A line a ms: line i has the time i ms and the value i."""
-    return b"".join(b"%d,%d\r\n" % (i * 1_000, i) for i in numbers)
+    return b"".join(b"%d,%d\r\n" % (i * 1_000, i) for i in itertools.chain(*ranges))
 
 
-def values(packets: list[Packet]) -> list[float]:
-    return [value for packet in packets for value in packet.values]
+def values(blocks: list[Decoded]) -> list[float]:
+    return [value for block in blocks for value in block.values]
 
 
 @pytest.mark.parametrize(
@@ -45,50 +46,38 @@ def values(packets: list[Packet]) -> list[float]:
     ],
 )
 def test_a_line_is_read_as_sketches_print_it(text: bytes, column: int, value: float) -> None:
-    assert untimed(text, column) == ([Packet((value,))], {})
+    assert untimed(text, column) == ([Decoded((value,))], {})
 
 
-@pytest.mark.parametrize("unit", ["us", "ms", "s"])
-def test_a_time_comes_before_the_value(unit: TimeUnit) -> None:
-    per_second = {"us": 1e6, "ms": 1e3, "s": 1.0}[unit]
+@pytest.mark.parametrize(("unit", "per_second"), [("us", 1e6), ("ms", 1e3), ("s", 1.0)])
+def test_a_time_comes_before_the_value(unit: TimeUnit, per_second: float) -> None:
     text = b"".join(b"%.6f 0.5\n" % (second * per_second) for second in (1.0, 1.001))
-    packets, rejected = timed(text, unit)
-    assert packets == [Packet((0.5,), 1_000 * MS, anew=True), Packet((0.5,), 1_001 * MS)]
-    assert rejected == {}
+    first, second = Decoded((0.5,), 1_000 * MS, restarted=True), Decoded((0.5,), 1_001 * MS)
+    assert timed(text, unit) == ([first, second], {})
 
 
-@pytest.mark.parametrize(
-    "line", [b"", b"x", b"0.2.5", b"nan", b"inf", b"1e31", b"\xff\xfe", b"force:", b"1," * 99]
-)
-def test_what_is_no_number_is_counted_and_known_to_be_missing(line: bytes) -> None:
-    packets, rejected = untimed(b"1\n2\n" + line + b"\n3\n4\n", column=0)
-    if line in (b"", b"1," * 99):
-        assert rejected == {}
-        assert values(packets)[:2] == [1, 2]
-        return
-    assert packets == [Packet((1, 2)), Packet((3, 4), missing=1)]
-    assert rejected == {"not_a_number": 1}
+@pytest.mark.parametrize("line", [b"x", b"0.2.5", b"nan", b"inf", b"1e31", b"\xff\xfe", b"force:"])
+def test_a_line_without_a_number_is_counted_and_missing(line: bytes) -> None:
+    blocks = [Decoded((1, 2)), Decoded((3, 4), missing=1)]
+    assert untimed(b"1\n2\n" + line + b"\n3\n4\n") == (blocks, {"not_a_number": 1})
 
 
-def test_a_column_that_is_not_there_is_counted() -> None:
-    assert untimed(b"1,2\n1\n1,4\n", column=1) == (
-        [Packet((2,)), Packet((4,), missing=1)],
-        {"not_a_number": 1},
-    )
+def test_empty_lines_and_further_columns_are_skipped() -> None:
+    assert untimed(b"1\n\n2\n" + b"1," * 99 + b"\n") == ([Decoded((1, 2, 1))], {})
+
+
+def test_a_line_without_its_column_is_counted() -> None:
+    blocks = [Decoded((2,)), Decoded((4,), missing=1)]
+    assert untimed(b"1,2\n1\n1,4\n", column=1) == (blocks, {"not_a_number": 1})
 
 
 @given(st.lists(st.integers(1, 30), max_size=30))
 def test_however_the_bytes_are_cut_every_line_comes_once(cuts: list[int]) -> None:
-    data, decoder, packets = lines(range(30)), TextDecoder(MS, 0, "us"), []
+    data, decoder, blocks = lines(range(30)), TextDecoder(MS, 0, "us"), []
     for first, last in itertools.pairwise([0, *itertools.accumulate(cuts), len(data)]):
-        packets += decoder.feed(data[first:last])
-    assert values(packets) == list(range(1, 30))
-    assert decoder.rejected == {"partial": 1}
-
-
-def test_the_rest_of_a_line_before_the_first_is_not_believed() -> None:
-    decoder = TextDecoder(MS, 0, None)
-    assert decoder.feed(b"25\n0.26\n") == [Packet((0.26,))]
+        blocks += plain(decoder.feed(data[first:last]))
+    # Nothing shows that the first line is whole.
+    assert values(blocks) == list(range(1, 30))
     assert decoder.rejected == {"partial": 1}
 
 
@@ -96,68 +85,62 @@ def test_the_rest_of_a_line_before_the_first_is_not_believed() -> None:
 def test_after_garbage_anywhere_the_stream_goes_on(garbage: bytes, at: int) -> None:
     data = lines(range(40))
     at %= len(lines(range(20)))
-    packets, _ = timed(data[:at] + garbage + data[at:])
-    assert values(packets)[-10:] == list(range(30, 40))
+    blocks, _ = timed(data[:at] + garbage + data[at:])
+    assert values(blocks)[-10:] == list(range(30, 40))
 
 
-def test_lines_that_come_together_are_one_packet_with_the_last_ones_time() -> None:
+def test_lines_that_come_together_are_one_block_with_the_last_ones_time() -> None:
     decoder = TextDecoder(MS, 0, "us")
     text = lines(range(1, 6)) + b"x\n" + lines(range(7, 9))
-    assert decoder.feed(b"\n" + text) == [
-        Packet((1, 2, 3, 4, 5), 5 * MS, anew=True),
-        Packet((7, 8), 8 * MS, missing=1),
+    assert plain(decoder.feed(b"\n" + text)) == [
+        Decoded((1, 2, 3, 4, 5), 5 * MS, restarted=True),
+        Decoded((7, 8), 8 * MS, missing=1),
     ]
 
 
-def test_a_wrong_time_is_not_believed() -> None:
-    text = lines(range(10)) + b"9910000,10\r\n" + lines(range(11, 20))
-    packets, rejected = timed(text)
-    assert values(packets) == [*range(10), *range(11, 20)]
-    assert [packet.missing for packet in packets if packet.missing] == [1]
+@pytest.mark.parametrize(
+    ("text", "refused", "missing", "restarted"),
+    [
+        # A wrong time.
+        (lines(range(10)) + b"9910000,10\r\n" + lines(range(11, 20)), [10], {11: 1}, [0]),
+        # A jump, which the line after it confirms.
+        (lines(range(10), range(60, 70)), [60], {61: 51}, [0]),
+        # A restart, likewise.
+        (lines(range(5000, 5010), range(10)), [0], {}, [5000, 1]),
+    ],
+)
+def test_a_time_that_does_not_follow_must_be_confirmed(
+    text: bytes, refused: list[int], missing: dict[float, int], restarted: list[int]
+) -> None:
+    blocks, rejected = timed(text)
+    sent = [float(line.rpartition(b",")[2]) for line in text.split()]
+    assert values(blocks) == [value for value in sent if value not in refused]
+    assert {block.values[0]: block.missing for block in blocks if block.missing} == missing
+    assert [block.values[0] for block in blocks if block.restarted] == restarted
     assert rejected == {"device_time": 1}
 
 
-def test_a_jump_of_the_time_is_believed_when_the_next_line_goes_on_from_it() -> None:
-    packets, rejected = timed(lines(range(10)) + lines(range(60, 70)))
-    assert values(packets) == [*range(10), *range(61, 70)]
-    assert packets[10] == Packet((61,), 61 * MS, missing=51)
-    assert rejected == {"device_time": 1}
-
-
-def test_a_board_that_begins_anew_says_so() -> None:
-    packets, _ = timed(lines(range(5000, 5010)) + lines(range(10)))
-    assert [packet.anew for packet in packets] == [True] + [False] * 9 + [True] + [False] * 8
-
-
-@pytest.mark.parametrize("period_us", [700, 1_000, 1_300])
-def test_a_loop_off_its_rate_misses_nothing(period_us: int) -> None:
-    text = b"".join(b"%d,1\n" % (i * period_us) for i in range(2_000))
-    packets, rejected = timed(text)
-    assert sum(packet.missing for packet in packets) == 0
-    assert rejected == {}
-
-
-def test_the_true_period_is_learnt_and_tells_how_many_lines_are_missing() -> None:
-    text = b"".join(b"%d,1\n" % (i * 1_400) for i in range(2_000) if i != 1_500)
-    packets, _ = timed(text)
-    assert sum(packet.missing for packet in packets) == 1
-
-
-def test_times_in_whole_milliseconds_miss_nothing_by_rounding() -> None:
-    text = b"".join(b"%d,1\n" % (i * 1_003 // 1_000) for i in range(5_000))
-    packets, rejected = timed(text, "ms")
-    assert sum(packet.missing for packet in packets) == 0
-    assert len(packets) == 5_000
-    assert rejected == {}
-
-
-def test_micros_begin_again_at_zero_without_a_gap() -> None:
-    turn = 1 << 32
-    text = b"".join(b"%d,1\n" % (us % turn) for us in range(turn - 3_000, turn + 3_000, 1_000))
-    packets, rejected = timed(text)
-    times = [packet.device_ns for packet in packets if packet.device_ns is not None]
-    assert np.diff(times).tolist() == [MS] * 5
-    assert [packet.anew for packet in packets] == [True] + [False] * 5
+@pytest.mark.parametrize(
+    ("times", "unit", "missing"),
+    [
+        # The sketch's loop is off its rate.
+        *(([i * us for i in range(2_000)], "us", 0) for us in (700, 1_000, 1_300)),
+        # The true period is learnt, and reveals one lost line.
+        ([i * 1_400 for i in range(2_000) if i != 1_500], "us", 1),
+        # Rounding to milliseconds loses nothing.
+        ([i * 1_003 // 1_000 for i in range(5_000)], "ms", 0),
+        # micros() wraps to 0.
+        ([us % TURN for us in range(TURN - 3_000, TURN + 3_000, 1_000)], "us", 0),
+    ],
+)
+def test_losses_follow_from_the_times(times: list[int], unit: TimeUnit, missing: int) -> None:
+    blocks, rejected = timed(b"".join(b"%d,1\n" % time for time in times), unit)
+    assert sum(block.missing for block in blocks) == missing
+    assert len(blocks) == len(times)
+    assert [block.restarted for block in blocks] == [True] + [False] * (len(times) - 1)
+    device_ns = [block.device_ns for block in blocks if block.device_ns is not None]
+    passed_ns = np.diff(times) % TURN * (MS if unit == "ms" else 1_000)
+    np.testing.assert_array_equal(np.diff(device_ns), passed_ns)
     assert rejected == {}
 
 
@@ -172,4 +155,11 @@ def test_noise_alone_makes_no_sample_and_no_memory_grows() -> None:
     for _ in range(100):
         assert decoder.feed(b"x" * 1000) == []
     assert decoder.rejected["framing"] == before + 1
-    assert values(decoder.feed(b"\n" + lines(range(5)))) == [0, 1, 2, 3, 4]
+    assert values(plain(decoder.feed(b"\n" + lines(range(5))))) == [0, 1, 2, 3, 4]
+
+
+def test_a_line_before_the_first_that_never_ends_is_partial() -> None:
+    decoder = TextDecoder(MS, 0, None)
+    assert decoder.feed(b"1" * 1000) == []
+    assert plain(decoder.feed(b"1\n0.26\n")) == [Decoded((0.26,))]
+    assert decoder.rejected == {"partial": 1}

@@ -1,7 +1,11 @@
 import math
+import tracemalloc
+from typing import Any
 
 import msgpack
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from protocol.wire.messages import (
     Bye,
@@ -14,217 +18,299 @@ from protocol.wire.messages import (
     encode_control,
 )
 from sensing_node.control_server import (
+    ADDRESS_BYTES,
     ANSWERS_AT_ONCE,
     ANSWERS_PER_S,
     FORGET_AFTER_NS,
-    MAX_GUESTS,
+    LEAST_PER_S,
+    MAX_CLIENTS,
     MAX_HOPS,
+    REQUESTS_AT_ONCE,
+    REQUESTS_PER_S,
+    Client,
     ControlServer,
+    RequestBudget,
     Sender,
 )
 from tests.support.streams import description
 
 SESSION = 99
-NOW_NS = 8_000_000_000
+MS, SECOND_NS = 1_000_000, 1_000_000_000
+NOW_NS = 8 * SECOND_NS
 ANNA, BERT = (b"anna",), (b"bert",)
+HELLO = Hello("anna's")
+MOST_BYTES = 3_000_000
 
 
 @pytest.fixture
-def desk() -> ControlServer:
+def server() -> ControlServer:
     return ControlServer(description(), SESSION)
 
 
 def ask(
-    desk: ControlServer, sender: Sender, message: Control, now_ns: int = NOW_NS
+    server: ControlServer, sender: Sender, message: Control, now_ns: int = NOW_NS
 ) -> Control | None:
-    return desk.answer(sender, encode_control(message), now_ns, samples_sent=1234)
+    return server.answer(sender, encode_control(message), now_ns, samples_sent=1234)
 
 
 def report(session: int = SESSION, played: int = 10) -> DisplayReport:
     return DisplayReport(session, "anna's", played, 1, 2, 20.5, math.nan, 40, math.nan)
 
 
-def test_a_hello_is_welcomed_with_the_stream(desk: ControlServer) -> None:
-    assert ask(desk, ANNA, Hello("anna's")) == Welcome(SESSION, 1234, description())
-    assert desk.guests[ANNA].name == "anna's"
-    assert not desk.rejected
-
-
-def test_a_second_hello_is_welcomed_too_but_is_the_same_guest(desk: ControlServer) -> None:
-    ask(desk, ANNA, Hello("anna's"))
-    ask(desk, ANNA, report())
-    assert isinstance(ask(desk, ANNA, Hello("anna's")), Welcome)
-    assert len(desk.guests) == 1
-    assert desk.guests[ANNA].report is not None
+def test_a_hello_is_welcomed_with_the_stream_as_often_as_it_comes(server: ControlServer) -> None:
+    for _ in range(2):
+        assert ask(server, ANNA, HELLO) == Welcome(SESSION, 1234, description())
+        ask(server, ANNA, report())
+    (client,) = server.clients.values()
+    assert client.name == "anna's"
+    assert client.report is not None
+    assert not server.rejected
 
 
 @pytest.mark.parametrize("t1_ns", [0, -5, 123_456_789_012_345_678])
-def test_a_clock_request_gets_its_own_time_back_and_ours(desk: ControlServer, t1_ns: int) -> None:
-    assert ask(desk, ANNA, ClockRequest(t1_ns)) == ClockReply(SESSION, t1_ns, NOW_NS, NOW_NS)
+def test_a_clock_request_is_answered_with_both_times(server: ControlServer, t1_ns: int) -> None:
+    assert ask(server, ANNA, ClockRequest(t1_ns)) == ClockReply(SESSION, t1_ns, NOW_NS, NOW_NS)
 
 
-def test_the_last_report_of_each_display_is_kept(desk: ControlServer) -> None:
+def test_the_last_report_of_each_display_is_kept(server: ControlServer) -> None:
     for sender in (ANNA, BERT):
-        ask(desk, sender, Hello("a display"))
+        ask(server, sender, Hello("a display"))
     for played in (10, 20):
-        assert ask(desk, ANNA, report(played=played)) is None
-    kept = desk.guests[ANNA].report
+        assert ask(server, ANNA, report(played=played)) is None
+    assert not server.rejected
+    # One of another session is counted and not kept.
+    assert ask(server, ANNA, report(session=SESSION + 1, played=30)) is None
+    assert server.rejected == {"session": 1}
+    kept = server.clients[ANNA].report
     assert kept is not None
     assert kept.played == 20
-    assert desk.guests[BERT].report is None
-    assert not desk.rejected
+    assert server.clients[BERT].report is None
 
 
-def test_a_report_of_another_session_is_counted_and_not_kept(desk: ControlServer) -> None:
-    ask(desk, ANNA, Hello("anna's"))
-    assert ask(desk, ANNA, report(session=SESSION + 1)) is None
-    assert desk.guests[ANNA].report is None
-    assert desk.rejected == {"session": 1}
-
-
-def test_a_bye_says_that_a_display_has_the_whole_stream(desk: ControlServer) -> None:
-    assert desk.all_content
+def test_a_bye_confirms_the_whole_stream(server: ControlServer) -> None:
+    assert server.all_confirmed
     for sender in (ANNA, BERT):
-        ask(desk, sender, Hello(sender[0].decode()))
-    ask(desk, ANNA, report())
-    ask(desk, ANNA, Bye(SESSION, 1234))
-    assert not desk.all_content
-    ask(desk, BERT, Bye(SESSION + 1, 1234))
-    assert not desk.all_content
-    assert desk.rejected == {"session": 1}
-    ask(desk, BERT, Bye(SESSION, 1234))
-    assert desk.all_content
-    # Its last report is wanted in the end.
-    assert desk.guests[ANNA].report is not None
+        ask(server, sender, Hello(sender[0].decode()))
+    ask(server, ANNA, report())
+    ask(server, ANNA, Bye(SESSION, 1234))
+    assert not server.all_confirmed
+    ask(server, BERT, Bye(SESSION + 1, 1234))
+    assert not server.all_confirmed
+    assert server.rejected == {"session": 1}
+    ask(server, BERT, Bye(SESSION, 1234))
+    assert server.all_confirmed
+    # Its last report is logged at the end.
+    assert server.clients[ANNA].report is not None
 
 
-@pytest.mark.parametrize("message", [Welcome(1, 0, description()), ClockReply(SESSION, 1, 2, 3)])
-def test_what_only_a_sensing_node_sends_is_unexpected(
-    desk: ControlServer, message: Control
-) -> None:
-    assert ask(desk, ANNA, message) is None
-    assert desk.rejected == {"unexpected": 1}
-    assert not desk.guests
-
-
-HELLO = encode_control(Hello("anna's"))
+GREETING = encode_control(HELLO)
 
 
 @pytest.mark.parametrize(
-    ("data", "cause"),
+    ("sender", "data", "cause"),
     [
-        (b"", "truncated"),
-        (HELLO[:-1], "truncated"),
-        (b"\xc1" * 8, "not_msgpack"),
-        (HELLO + b"\0", "not_msgpack"),
-        (msgpack.packb([1, "bonjour", "anna's"]), "malformed"),
-        (msgpack.packb([1, "hello", 7]), "malformed"),
-        (msgpack.packb({"hello": 1}), "malformed"),
-        (msgpack.packb([2, "hello", "anna's"]), "version"),
-        (bytes(100_000), "oversized"),
+        *((ANNA, encode_control(message), "unexpected")
+          for message in (Welcome(1, 0, description()), ClockReply(SESSION, 1, 2, 3))),
+        (ANNA, b"", "truncated"),
+        (ANNA, GREETING[:-1], "truncated"),
+        (ANNA, b"\xc1" * 8, "not_msgpack"),
+        (ANNA, GREETING + b"\0", "not_msgpack"),
+        (ANNA, msgpack.packb([1, "bonjour", "anna's"]), "malformed"),
+        (ANNA, msgpack.packb([1, "hello", 7]), "malformed"),
+        (ANNA, msgpack.packb({"hello": 1}), "malformed"),
+        (ANNA, msgpack.packb([2, "hello", "anna's"]), "version"),
+        (ANNA, bytes(100_000), "oversized"),
+        ((), GREETING, "malformed"),
+        ((*ANNA, *(b"\0rela",) * MAX_HOPS), GREETING, "malformed"),
+        # Two messages that were joined on the way.
+        ((*ANNA, encode_control(ClockRequest(1))), GREETING, "malformed"),
+        ((*ANNA, b""), GREETING, "malformed"),
+        ((*ANNA, bytes(ADDRESS_BYTES + 1)), GREETING, "malformed"),
     ],
-)
-def test_garbage_is_counted_by_cause_and_gets_no_answer(
-    desk: ControlServer, data: bytes, cause: str
+)  # fmt: skip
+def test_an_invalid_message_is_counted_by_cause_and_gets_no_answer(
+    server: ControlServer, sender: Sender, data: bytes, cause: str
 ) -> None:
     for count in (1, 2):
-        assert desk.answer(ANNA, data, NOW_NS, 0) is None
-        assert desk.rejected == {cause: count}
-    assert not desk.guests
-
-
-def test_a_message_may_come_through_relays(desk: ControlServer) -> None:
-    through = (b"relay", *(b"\0anna",) * (MAX_HOPS - 1))
-    assert isinstance(ask(desk, through, Hello("anna's")), Welcome)
-    assert list(desk.guests) == [through]
+        assert server.answer(sender, data, NOW_NS, 0) is None
+        assert server.rejected == {cause: count}
+    assert not server.clients
 
 
 @pytest.mark.parametrize(
-    "sender",
-    [
-        (),
-        (*ANNA, *(b"\0rela",) * MAX_HOPS),
-        # Two messages that were joined on the way.
-        (*ANNA, encode_control(ClockRequest(1))),
-        (*ANNA, b""),
-    ],
+    "through", [(b"relay", *(b"\0anna",) * (MAX_HOPS - 1)), (b"peer", bytes(ADDRESS_BYTES))]
 )
-def test_an_impossible_envelope_is_garbage(desk: ControlServer, sender: Sender) -> None:
-    assert ask(desk, sender, Hello("anna's")) is None
-    assert desk.rejected == {"malformed": 1}
-    assert not desk.guests
+def test_a_message_may_come_through_relays(server: ControlServer, through: Sender) -> None:
+    assert isinstance(ask(server, through, HELLO), Welcome)
+    assert list(server.clients) == [through]
 
 
-@pytest.mark.parametrize("sign_of_life", [Hello("anna's"), ClockRequest(1), report()])
-def test_only_silent_displays_are_forgotten(desk: ControlServer, sign_of_life: Control) -> None:
+@pytest.mark.parametrize("message", [HELLO, ClockRequest(1), report()])
+def test_only_silent_displays_are_forgotten(server: ControlServer, message: Control) -> None:
     for sender in (ANNA, BERT):
-        ask(desk, sender, Hello(sender[0].decode()))
+        ask(server, sender, Hello(sender[0].decode()))
     later_ns = NOW_NS + FORGET_AFTER_NS
-    assert desk.forget_silent(later_ns) == []
-    ask(desk, ANNA, sign_of_life, later_ns)
-    assert [guest.name for guest in desk.forget_silent(later_ns + 1)] == ["bert"]
-    assert list(desk.guests) == [ANNA]
+    assert server.forget_silent(later_ns) == []
+    ask(server, ANNA, message, later_ns)
+    assert [client.name for client in server.forget_silent(later_ns + 1)] == ["bert"]
+    assert list(server.clients) == [ANNA]
 
 
 @pytest.mark.parametrize("message", [ClockRequest(1), report()])
-def test_a_display_that_goes_on_after_it_was_forgotten_is_a_guest_again(
-    desk: ControlServer, message: Control
+def test_a_forgotten_display_that_continues_is_a_client_again(
+    server: ControlServer, message: Control
 ) -> None:
-    ask(desk, ANNA, Hello("anna's"))
-    desk.forget_silent(NOW_NS + FORGET_AFTER_NS + 1)
-    ask(desk, ANNA, message)
-    assert list(desk.guests) == [ANNA]
-    ask(desk, ANNA, Hello("anna's"))
-    assert desk.guests[ANNA].name == "anna's"
+    ask(server, ANNA, HELLO)
+    server.forget_silent(NOW_NS + FORGET_AFTER_NS + 1)
+    ask(server, ANNA, message)
+    assert list(server.clients) == [ANNA]
+    ask(server, ANNA, HELLO)
+    assert server.clients[ANNA].name == "anna's"
 
 
-def test_guests_are_bounded_and_known_ones_stay_welcome(desk: ControlServer) -> None:
-    for number in range(MAX_GUESTS):
-        assert ask(desk, (str(number).encode(),), Hello(f"display {number}")) is not None
-    for message in (Hello("anna's"), ClockRequest(1), report()):
-        assert ask(desk, ANNA, message) is None
-    assert len(desk.guests) == MAX_GUESTS
-    assert desk.rejected == {"too_many_displays": 3}
-    assert isinstance(ask(desk, (b"0",), Hello("display 0")), Welcome)
-
-
-def test_a_display_that_connects_anew_is_one_guest(desk: ControlServer) -> None:
-    for sender in (ANNA, BERT):
-        ask(desk, sender, Hello("anna's"))
-    assert list(desk.guests) == [BERT]
-
-
-@pytest.mark.parametrize("message", [Hello("anna's"), report()])
-def test_a_display_that_asks_for_the_clock_before_it_says_its_name_is_one_guest(
-    desk: ControlServer, message: Control
+@pytest.mark.parametrize("message", [HELLO, report()])
+@pytest.mark.parametrize("clock_first", [False, True])
+def test_a_display_that_connects_again_is_one_client(
+    server: ControlServer, message: Control, clock_first: bool
 ) -> None:
-    ask(desk, ANNA, Hello("anna's"))
-    assert isinstance(ask(desk, BERT, ClockRequest(1)), ClockReply)
-    # It may as well be another display.
-    assert len(desk.guests) == 2
-    ask(desk, BERT, message)
-    assert list(desk.guests) == [BERT]
+    ask(server, ANNA, HELLO)
+    if clock_first:
+        assert isinstance(ask(server, BERT, ClockRequest(1)), ClockReply)
+        # It may as well be another display.
+        assert len(server.clients) == 2
+    ask(server, BERT, message)
+    assert list(server.clients) == [BERT]
 
 
 @pytest.mark.parametrize(
-    ("name", "shown"),
-    [("anna's", "anna's"), ("", "a display"), ("Zoë", r"Zo\xeb")],
+    ("name", "shown"), [("anna's", "anna's"), ("", "a display"), ("Zoë", r"Zo\xeb")]
 )
 def test_a_name_is_shown_in_letters_that_every_terminal_has(
-    desk: ControlServer, name: str, shown: str
+    server: ControlServer, name: str, shown: str
 ) -> None:
-    ask(desk, ANNA, Hello(name))
-    assert desk.guests[ANNA].shown_name == shown
+    ask(server, ANNA, Hello(name))
+    assert server.clients[ANNA].shown_name == shown
+
+
+def test_clients_and_their_memory_are_bounded_and_earlier_ones_are_still_served(
+    server: ControlServer,
+) -> None:
+    tracemalloc.start()
+    try:
+        for number in range(2 * MAX_CLIENTS):
+            greeting = encode_control(Hello(f"display {number}"))
+            for address in (bytes(200_000), bytes(ADDRESS_BYTES)):
+                server.answer((str(number).encode(), address), greeting, number, 0)
+        held_bytes, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert len(server.clients) == MAX_CLIENTS
+    assert server.rejected == {"malformed": 2 * MAX_CLIENTS, "too_many_displays": MAX_CLIENTS}
+    assert held_bytes < MOST_BYTES
+    for message in (HELLO, ClockRequest(1), report()):
+        assert ask(server, ANNA, message) is None
+    assert isinstance(ask(server, (b"0", bytes(ADDRESS_BYTES)), Hello("display 0")), Welcome)
+
+
+class Searches(dict[Sender, Client]):
+    """Clients, with a count of the passes through all of them."""
+
+    passes = 0
+
+    def items(self) -> Any:
+        self.passes += 1
+        return super().items()
+
+    def __iter__(self) -> Any:
+        self.passes += 1
+        return super().__iter__()
+
+
+def test_a_clock_request_costs_the_same_however_many_displays_there_are(
+    server: ControlServer,
+) -> None:
+    clients = server.clients = Searches()
+    ask(server, ANNA, HELLO)
+    assert clients.passes == 1
+    for sender in (ANNA, BERT):
+        assert isinstance(ask(server, sender, ClockRequest(7)), ClockReply)
+    assert clients.passes == 1
 
 
 def test_a_display_that_floods_gets_few_answers_and_others_all_of_theirs(
-    desk: ControlServer,
+    server: ControlServer,
 ) -> None:
-    second_ns, flooded, answered = 1_000_000_000, 0, 0
-    for now_ns in range(NOW_NS, NOW_NS + 10 * second_ns, second_ns // 50):
+    flooded = answered = 0
+    for now_ns in range(NOW_NS, NOW_NS + 10 * SECOND_NS, SECOND_NS // 50):
         for _ in range(100):
-            flooded += ask(desk, ANNA, ClockRequest(now_ns), now_ns) is not None
-        answered += ask(desk, BERT, ClockRequest(now_ns), now_ns) is not None
+            flooded += ask(server, ANNA, ClockRequest(now_ns), now_ns) is not None
+        answered += ask(server, BERT, ClockRequest(now_ns), now_ns) is not None
     assert answered == 500
     assert flooded <= ANSWERS_AT_ONCE + 10 * ANSWERS_PER_S
-    assert desk.rejected["flood"] == 50_000 - flooded
+    assert server.rejected["flood"] == 50_000 - flooded
+
+
+names = st.sampled_from(["", "one", "two", "é" * 80])
+sessions = st.sampled_from([SESSION, 8])
+counts = st.integers(0, 2**53 - 1)
+figures = st.floats() | st.integers(-(2**63), 2**64 - 1)
+messages = st.one_of(
+    st.builds(Hello, names),
+    st.builds(ClockRequest, st.integers(-(2**62), 2**62 - 1)),
+    st.builds(Bye, sessions, counts),
+    st.builds(DisplayReport, sessions, names, *[counts] * 3, *[figures] * 4),
+)
+senders = st.lists(st.binary(max_size=4), max_size=6).map(tuple)
+
+
+@settings(max_examples=150)
+@given(st.lists(st.tuples(senders, messages, st.integers(0, FORGET_AFTER_NS)), max_size=40))
+def test_every_client_has_sent_something_valid_not_long_ago(sent: list[Any]) -> None:
+    server, now_ns = ControlServer(description(), SESSION), 0
+    seen_ns: dict[Sender, int] = {}
+    for sender, message, later_ns in sent:
+        now_ns += later_ns
+        refused = server.rejected["malformed"]
+        server.answer(sender, encode_control(message), now_ns, 100)
+        if server.rejected["malformed"] == refused:
+            assert 1 <= len(sender) <= MAX_HOPS
+            seen_ns[sender] = now_ns
+        server.forget_silent(now_ns)
+        recent = {who for who, at_ns in seen_ns.items() if now_ns - at_ns <= FORGET_AFTER_NS}
+        # One from another address under the same name has replaced the one before.
+        assert set(server.clients) <= recent
+        named = [client.name for client in server.clients.values() if client.name]
+        assert len(named) == len(set(named))
+
+
+@pytest.mark.parametrize(
+    ("displays", "per_ms", "least", "most"),
+    [
+        # Two flood: each hold lets one more message pass than the budget has, 200 a second.
+        (2, 75, 0.5, REQUESTS_AT_ONCE + 10 * (LEAST_PER_S + 2 * REQUESTS_PER_S + 200)),
+        # A hundred send 60 a second each, and all of it is read.
+        (100, 6, 1.0, 60_000),
+    ],
+)
+def test_no_more_is_read_than_displays_send(
+    displays: int, per_ms: int, least: float, most: float
+) -> None:
+    budget = RequestBudget()
+    budget.expect(displays)
+    read = waiting = 0
+    for now_ns in range(0, 10 * SECOND_NS, MS):
+        waiting += per_ms
+        while waiting and not budget.held_for_ns(now_ns):
+            read, waiting = read + 1, waiting - 1
+            budget.spend(now_ns)
+    assert least * most <= read <= most
+    assert (budget.held > 0) == (least < 1)
+
+
+def test_a_clock_that_steps_back_holds_nothing() -> None:
+    budget = RequestBudget()
+    later_ns = 3_600 * SECOND_NS
+    while budget.spend(later_ns):
+        pass
+    assert budget.held_for_ns(later_ns) > 0
+    assert budget.held_for_ns(0) == 0

@@ -7,13 +7,15 @@ import pytest
 from protocol.config.scene import load_section, validate
 from protocol.errors import SceneError, SourceError
 from protocol.tactile import ElasticLayer
-from sensing_node.scene import SensingScene, build_source, describe_stream
+from sensing_node.conditioning import Conditioned
+from sensing_node.scene import SensingScene, build_source, describe_stream, open_source
 from sensing_node.sources.recorded import RecordedSource
 from sensing_node.sources.synthetic import SyntheticSource
 from tests.support.nodes import ROOT
-from tests.unit.sensing_node.sources.test_recording import heartpy_recording
+from tests.support.recording_files import csv_file, heartpy_recording
 
 RECORDING = {"kind": "recording", "path": "pulse.csv", "rate": "100 Hz", "unit": "N"}
+SERIAL = {"kind": "serial", "port": "none", "framing": "text", "rate": "1 kHz", "unit": "N"}
 
 
 def scene(**keys: Any) -> SensingScene:
@@ -24,20 +26,20 @@ def source(**keys: Any) -> dict[str, Any]:
     return {"source": {"kind": "synthetic"} | keys}
 
 
-# What a bench's sensor board senses comes from its port.
+# A live sensor is no part of a bench's scene that can be built.
 LIVE = ("tmcl_bench", "cia402_bench")
 SENSED = [path for path in sorted((ROOT / "scenes").glob("*.toml")) if path.stem not in LIVE]
 
 
 @pytest.mark.parametrize("path", SENSED, ids=lambda p: p.stem)
-def test_every_scene_that_we_ship_can_be_sensed(path: Path) -> None:
+def test_every_shipped_scene_can_be_sensed(path: Path) -> None:
     section = load_section(path, "sensing", SensingScene)
     samples = build_source(section, path.parent)
     assert len(samples.take(10)) == 10
     assert describe_stream(section, samples).rate_hz == 1000
 
 
-def test_the_stream_is_described_as_the_scene_says() -> None:
+def test_the_stream_is_described_as_the_scene_sets_it() -> None:
     section = scene(
         **source(rate="500 Hz"),
         stream="left wrist",
@@ -54,11 +56,11 @@ def test_the_stream_is_described_as_the_scene_says() -> None:
     assert stream.layer == ElasticLayer(2e6, 3e-3, 0.4, 1.0)
 
 
-def test_what_a_scene_leaves_out_is_the_papers_or_usual() -> None:
+def test_defaults_are_the_papers_or_usual() -> None:
     section = scene()
     stream = describe_stream(section, build_source(section, Path()))
     assert (stream.name, stream.batch, stream.bytes_per_sample) == ("pulse", 5, 4)
-    assert stream.layer == ElasticLayer(0.05e9, 2e-3, 0.5, 1.0)
+    assert (stream.group_delay_ns, stream.layer) == (0, ElasticLayer(0.05e9, 2e-3, 0.5, 1.0))
 
 
 @pytest.mark.parametrize(
@@ -83,7 +85,7 @@ def test_a_batch_of_too_many_samples_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("table", "key", "said"),
+    ("table", "key", "message"),
     [
         ({}, "source", "missing"),
         ({"source": {}}, "source", "kind"),
@@ -105,31 +107,66 @@ def test_a_batch_of_too_many_samples_is_refused() -> None:
         (source() | {"samples": "int16"}, "samples", "'float32' or 'float64'"),
         (source() | {"stream": ""}, "stream", "at least 1 character"),
         (source() | {"layer": {"thickness": "2 N"}}, "layer.thickness", "'2 N' is no length"),
-        ({"source": RECORDING | {"unit": "V"}}, "source", 'unit "V" needs film_radius'),
+        ({"source": RECORDING | {"unit": "V"}}, "source", 'unit "V" needs film_radius or sens'),
         ({"source": RECORDING | {"unit": "raw"}}, "source", 'unit "raw" needs peak_to_peak'),
         ({"source": RECORDING | {"unit": "kg"}}, "source.unit", "'mN'"),
         ({"source": RECORDING | {"repeat": "twice"}}, "source.repeat", "'loop' or 'once'"),
         ({"source": RECORDING | {"column": -1}}, "source.column", "-1"),
+        (
+            {"source": RECORDING | {"peak_to_peak": "0.3 N"}},
+            "source",
+            'peak_to_peak is for unit raw, not "N"',
+        ),
+        (
+            {"source": RECORDING | {"film_radius": "9 mm"}},
+            "source",
+            'film_radius is for unit V or mV, not "N"',
+        ),
+        (
+            {"source": RECORDING | {"unit": "V", "film_radius": "9 mm", "sensitivity": "1 V/N"}},
+            "source",
+            "give one of them",
+        ),
+        ({"source": SERIAL | {"framing": "morse"}}, "source.framing", "'text' or 'binary'"),
+        ({"source": SERIAL | {"device_time": "min"}}, "source.device_time", "'us', 'ms' or 's'"),
+        ({"source": SERIAL | {"prot": "x"}}, "source.prot", "unknown key; did you mean port?"),
+        (
+            {"source": SERIAL | {"framing": "binary", "column": 1}},
+            "source",
+            'column is for framing "text"',
+        ),
     ],
 )
-def test_a_wrong_scene_is_one_line_that_names_the_key(
-    table: dict[str, Any], key: str, said: str
+def test_a_wrong_scene_is_refused_in_one_line_that_names_the_key(
+    table: dict[str, Any], key: str, message: str
 ) -> None:
     with pytest.raises(SceneError) as caught:
         validate(table, SensingScene, "x.toml: [sensing]")
     text = str(caught.value)
     assert text.startswith(f"x.toml: [sensing] {key}: ")
-    assert said in text
+    assert message in text
     assert "\n" not in text
 
 
-def test_the_kind_decides_the_source(tmp_path: Path) -> None:
-    np.savetxt(tmp_path / "pulse.csv", [1.0, 2.0])
+def test_the_conditioning_of_a_live_sensor_is_refused() -> None:
+    with pytest.raises(SceneError, match="has its own; leave it out"):
+        scene(source=SERIAL, conditioning={"mains": "50 Hz"})
+
+
+def test_the_kind_decides_the_source(tmp_path: Path, logged: list[str]) -> None:
+    # So low that it is opened with a warning.
+    path = csv_file(tmp_path, {"force": [1e-4, 2e-4]})
+    recording = scene(source=RECORDING)
+    with open_source(recording, tmp_path) as opened:
+        assert isinstance(opened, RecordedSource)
+    assert logged == [f"{path}: is 0.1 mN from peak to peak, which nobody feels"]
     assert isinstance(build_source(scene(), tmp_path), SyntheticSource)
-    recording = validate({"source": RECORDING}, SensingScene, "scene")
-    assert isinstance(build_source(recording, tmp_path), RecordedSource)
+    chain = scene(conditioning={"mains": "50 Hz"})
+    assert isinstance(build_source(chain, tmp_path), Conditioned)
     with pytest.raises(SourceError):
         build_source(recording, tmp_path / "elsewhere")
+    with pytest.raises(SceneError, match='kind "serial" is a live sensor'):
+        build_source(scene(source=SERIAL), tmp_path)
 
 
 def test_a_real_recording_becomes_a_stream_through_a_scene_file(tmp_path: Path) -> None:

@@ -9,9 +9,8 @@ import pytest
 from protocol.config.scene import validate
 from protocol.counters import Limited
 from protocol.wire.messages import Frame
-from sensing_node.framer import Framer
+from sensing_node.feeds import Framer, PacedSource
 from sensing_node.scene import SensingScene, build_source, describe_stream
-from sensing_node.sources import PacedSource
 from telepulse.scene import Scene, load_scene
 from telepulse.simulation.reference_force import ReferenceForce
 from telepulse.simulation.virtual_time import simulate

@@ -1,4 +1,3 @@
-import importlib.util
 import io
 import math
 import os
@@ -13,9 +12,10 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from protocol.errors import SourceError
-from tests.support.recording_files import recording, refusal
+from tests.support.recording_files import heartpy_recording, recording, refusal
 
 NUMBERS = [0.25, 1.5, 3.0, 2.0]
+RAW = {"unit": "raw", "peak_to_peak": "0.4 N"}
 
 
 def played(path: Path, **keys: object) -> list[float]:
@@ -25,15 +25,21 @@ def played(path: Path, **keys: object) -> list[float]:
     return list(taken[:, 0])
 
 
-def csv_file(folder: Path, text: str, encoding: str = "utf-8") -> Path:
+def text_file(folder: Path, text: str, encoding: str = "utf-8") -> Path:
     path = folder / "pulse.csv"
     path.write_bytes(text.encode(encoding))
     return path
 
 
-def npy_file(folder: Path, array: NDArray[Any], name: str = "pulse.npy") -> Path:
-    np.save(folder / name, array, allow_pickle=True)
-    return folder / name
+def npy_file(folder: Path, array: NDArray[Any] | list[float]) -> Path:
+    np.save(folder / "pulse.npy", np.array(array), allow_pickle=True)
+    return folder / "pulse.npy"
+
+
+@pytest.fixture
+def archive(tmp_path: Path) -> Path:
+    np.savez(tmp_path / "pulse.npz", time=np.arange(4), force=np.array(NUMBERS))
+    return tmp_path / "pulse.npz"
 
 
 @pytest.mark.parametrize(
@@ -49,13 +55,10 @@ def npy_file(folder: Path, array: NDArray[Any], name: str = "pulse.npy") -> Path
         ("2016-11-24 13:58:58,0.25\n2016-11-24 13:58:59,1.5\nnoon,3\n,2e0\n", 1),
     ],
 )
-def test_a_column_of_a_csv_file(tmp_path: Path, text: str, column: int | str) -> None:
-    assert played(csv_file(tmp_path, text), column=column) == NUMBERS
-
-
-def test_a_byte_order_mark_is_not_a_header(tmp_path: Path) -> None:
-    path = csv_file(tmp_path, "0.25\n1.5\n3\n2\n", "utf-8-sig")
-    assert played(path) == NUMBERS
+def test_a_column_of_a_text_file(tmp_path: Path, text: str, column: int | str) -> None:
+    assert played(text_file(tmp_path, text), column=column) == NUMBERS
+    # A byte order mark is no part of the header.
+    assert played(text_file(tmp_path, text, "utf-8-sig"), column=column) == NUMBERS
 
 
 @pytest.mark.parametrize("dtype", ["f8", "f4", ">f8", "f2"])
@@ -70,10 +73,8 @@ def test_a_column_of_a_numpy_table_of_integers(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("column", ["force", 1])
-def test_an_array_of_a_numpy_archive(tmp_path: Path, column: int | str) -> None:
-    path = tmp_path / "pulse.npz"
-    np.savez(path, time=np.arange(4), force=np.array(NUMBERS))
-    assert played(path, column=column) == NUMBERS
+def test_an_array_of_a_numpy_archive(archive: Path, column: int | str) -> None:
+    assert played(archive, column=column) == NUMBERS
 
 
 @pytest.mark.parametrize(
@@ -96,12 +97,25 @@ def test_units_become_newtons_on_the_preload(
     assert on_preload == pytest.approx([force_n + 0.2 for force_n in plain])
 
 
+@pytest.mark.parametrize(
+    ("keys", "forces_n"),
+    [
+        ({"preload": "0.5 N"}, [0.3, 0.7, 0.4, 0.6]),
+        # Without a preload, a synthetic pulse's.
+        ({}, [0.1, 0.5, 0.2, 0.4]),
+        ({"inverted": True}, [0.5, 0.1, 0.4, 0.2]),
+    ],
+)
 def test_raw_values_are_scaled_to_the_peak_to_peak_with_their_mean_on_the_preload(
-    tmp_path: Path,
+    tmp_path: Path, keys: dict[str, object], forces_n: list[float]
 ) -> None:
-    path = npy_file(tmp_path, np.array([100.0, 300.0, 150.0, 250.0]))
-    keys = {"unit": "raw", "peak_to_peak": "0.4 N", "preload": "0.5 N"}
-    assert played(path, **keys) == pytest.approx([0.3, 0.7, 0.4, 0.6])
+    path = npy_file(tmp_path, [100.0, 300.0, 150.0, 250.0])
+    assert played(path, **RAW, **keys) == pytest.approx(forces_n)
+
+
+def test_an_inverted_recording_presses_where_its_values_fall(tmp_path: Path) -> None:
+    path = npy_file(tmp_path, [-0.1, -0.4, -0.2])
+    assert played(path, inverted=True) == [0.1, 0.4, 0.2]
 
 
 @pytest.mark.parametrize("counts", [[1] * 9, [9], [3, 6], [4, 4, 1], [2, 0, 7]])
@@ -124,15 +138,12 @@ def test_the_period_is_that_of_the_rate(tmp_path: Path) -> None:
     assert recording(path, rate="3 kHz").period_ns == 333_333
 
 
-def test_a_missing_file_is_refused(tmp_path: Path) -> None:
-    for name in ("none.csv", "none.npy", "none.npz"):
-        assert refusal(tmp_path / name) == "no such recording"
-
-
-@pytest.mark.parametrize("name", ["folder.csv", "folder.npy", "folder.npz"])
-def test_a_directory_is_refused(tmp_path: Path, name: str) -> None:
-    (tmp_path / name).mkdir()
-    assert refusal(tmp_path / name) == f"cannot be read: {os.strerror(21)}"
+@pytest.mark.parametrize("suffix", ["csv", "npy", "npz"])
+def test_a_missing_file_and_a_directory_are_refused(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"pulse.{suffix}"
+    assert refusal(path) == "no such recording"
+    path.mkdir()
+    assert refusal(path) == f"cannot be read: {os.strerror(21)}"
 
 
 @pytest.mark.parametrize("name", ["pulse.wav", "pulse"])
@@ -142,7 +153,7 @@ def test_another_suffix_is_refused(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "column", "said"),
+    ("text", "column", "message"),
     [
         ("time,force\n0,1\n1,2\n", "pressure", "no column 'pressure'; it has time, force"),
         ("0,1\n1,2\n", "force", "no column 'force'; it has 0, 1"),
@@ -167,18 +178,18 @@ def test_another_suffix_is_refused(tmp_path: Path, name: str) -> None:
     ],
 )
 def test_a_csv_file_that_cannot_be_used_is_refused(
-    tmp_path: Path, text: str, column: int | str, said: str
+    tmp_path: Path, text: str, column: int | str, message: str
 ) -> None:
-    assert refusal(csv_file(tmp_path, text), column=column) == said
+    assert refusal(text_file(tmp_path, text), column=column) == message
 
 
 def test_a_csv_file_that_is_not_text_is_refused(tmp_path: Path) -> None:
-    path = csv_file(tmp_path, "µ\n1\n2\n", "latin-1")
+    path = text_file(tmp_path, "µ\n1\n2\n", "latin-1")
     assert refusal(path).startswith("cannot be read: 'utf-8' codec can't decode")
 
 
 @pytest.mark.parametrize(
-    ("array", "column", "said"),
+    ("array", "column", "message"),
     [
         (np.zeros((4, 2)), 2, "no column 2; it has 2"),
         (np.zeros((4, 2)), "force", "no column 'force'; it has 2"),
@@ -194,18 +205,16 @@ def test_a_csv_file_that_is_not_text_is_refused(tmp_path: Path) -> None:
     ],
 )
 def test_a_numpy_array_that_cannot_be_used_is_refused(
-    tmp_path: Path, array: NDArray[Any], column: int | str, said: str
+    tmp_path: Path, array: NDArray[Any], column: int | str, message: str
 ) -> None:
-    assert refusal(npy_file(tmp_path, array), column=column).startswith(said)
+    assert refusal(npy_file(tmp_path, array), column=column).startswith(message)
 
 
 @pytest.mark.parametrize("column", ["pressure", 2])
 def test_an_array_that_an_archive_does_not_have_is_refused(
-    tmp_path: Path, column: int | str
+    archive: Path, column: int | str
 ) -> None:
-    path = tmp_path / "pulse.npz"
-    np.savez(path, time=np.arange(4), force=np.array(NUMBERS))
-    assert refusal(path, column=column) == f"no array {column!r}; it has time, force"
+    assert refusal(archive, column=column) == f"no array {column!r}; it has time, force"
 
 
 @pytest.mark.parametrize("save", [np.save, np.savez, np.savez_compressed])
@@ -231,19 +240,6 @@ def test_an_array_too_large_for_memory_is_refused(tmp_path: Path) -> None:
     shape, huge = b"(8,), }" + b" " * 16, b"(1000000000000000,), }"
     path.write_bytes(data.replace(shape, huge.ljust(len(shape))))
     assert refusal(path).startswith("cannot be read: Unable to allocate")
-
-
-def test_equal_values_cannot_be_scaled(tmp_path: Path) -> None:
-    path = npy_file(tmp_path, np.full(4, 7.0))
-    assert "all values are equal" in refusal(path, unit="raw", peak_to_peak="0.3 N")
-
-
-def heartpy_recording() -> Path:
-    """A photoplethysmogram of 24.83 s at 100 Hz that comes with heartpy's package."""
-    found = importlib.util.find_spec("heartpy")
-    assert found is not None
-    assert found.origin is not None
-    return Path(found.origin).parent / "data" / "data.csv"
 
 
 def test_a_real_recording_keeps_its_heart_rate_and_gets_its_height() -> None:

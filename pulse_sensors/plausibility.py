@@ -1,0 +1,392 @@
+"""The one place that decides whether a reading can be true.
+
+- A decoder's number: `is_usable`.
+- What a device states of itself: `unit_contradiction`, `rate_contradiction`.
+- The rate of a live sensor: `RateCheck`.
+- A recording, which is known whole when it is opened: `constant_column`, `examine`.
+- Forces that are known only when they come: `SampleCheck`.
+
+All forces are in N. Pure.
+"""
+
+import logging
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.config.quantities import count_text
+from pulse_sensors.force_scale import FORCES, VOLTAGES
+
+logger = logging.getLogger(__name__)
+
+# In every unit of a sensor, a larger value is a force that no frame can carry.
+LARGEST = 1e30
+# Twice the highest `preload` and `peak_to_peak`: no pulse presses so, at a wrist or a finger.
+MOST_N = 20.0
+# A pulse lower than this from peak to peak is far below what a finger feels.
+LEAST_PULSE_N = 1e-3
+# Below 0 N by no more than this is rounding and noise.
+NEGLIGIBLE_N = 1e-3
+# Up to this share below 0 N may be intended: noise, a base line that drifts.
+MOST_BELOW = 0.1
+# A pulse whose height varies is at its very highest value for less; one that was cut is not.
+MOST_TOPMOST = 0.02
+# Values that differ by less are equal, and cannot be scaled.
+SMALLEST = 1e-100
+# Fewer samples may rise by chance, and are too few for a rate.
+FEW_SAMPLES = 16
+RATE_TOLERANCE = 0.02
+# A rate that a stream declares is often rounded.
+DECLARED_RATE_TOLERANCE = 0.1
+# Range of the time between two samples.
+SHORTEST_S, LONGEST_S = 1e-7, 1e3
+# A step between two times is a gap from so many ordinary ones on.
+GAP_STEPS = 5
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_UNIT = re.compile(r"(?:^|[\s_(\[,])(s|sec|seconds|ms|us|µs|ns)[)\]]?$", re.IGNORECASE)
+_TIME_NAME = re.compile(r"time|^t$|^t[_\s(\[]", re.IGNORECASE)
+SETTLED_S, STILL_S = 2.0, 5.0
+
+
+def is_usable(value: float) -> bool:
+    """Return whether a value, in any unit, is a number whose force a frame can carry."""
+    return abs(value) <= LARGEST
+
+
+def unit_contradiction(stated: str | None, unit: str) -> str | None:
+    """Return that a device states another unit of force or voltage than the scene, and what to set.
+
+    None where they agree. Counts are not compared: their scale is a calibration of its own.
+    """
+    known = FORCES | VOLTAGES
+    if stated not in known or unit not in known or stated == unit:
+        return None
+    return f'is in {stated}, the scene says unit = "{unit}"; set unit = "{stated}"'
+
+
+def rate_contradiction(stated_hz: float, rate_hz: float) -> str | None:
+    """Return that a stream declares another rate than the scene; None where they agree.
+
+    A stream that declares 0 Hz declares no rate.
+    """
+    if not stated_hz or abs(rate_hz / stated_hz - 1) <= DECLARED_RATE_TOLERANCE:
+        return None
+    return f"its rate is {stated_hz:g} Hz, the scene says {rate_hz:g}"
+
+
+class RateCheck:
+    """Comparison of a live sensor's measured rate with the nominal one, in Hz."""
+
+    def __init__(self, nominal_hz: float) -> None:
+        self._nominal_hz = self._measured_hz = nominal_hz
+        self._samples = self._arrived_ns = 0
+        # Samples and time from which on the measured rate has differed from the nominal one.
+        self._off_since: tuple[int, int] | None = None
+
+    def add(self, samples: int, arrival_ns: int, measured_hz: float, whole: bool) -> None:
+        """Take the count of all samples so far, and the rate as they arrived.
+
+        whole: no sample is missing right before the last ones.
+        """
+        self._samples, self._arrived_ns, self._measured_hz = samples, arrival_ns, measured_hz
+        if not self._is_off:
+            self._off_since = None
+        elif self._off_since is None or not whole:
+            self._off_since = (samples, arrival_ns)
+
+    def fault(self, name: str) -> str | None:
+        """Return that the last measured rate is not the nominal one, once it can be known."""
+        settled = self._samples > SETTLED_S * self._nominal_hz
+        return self._text(name, self._measured_hz) if settled and self._is_off else None
+
+    def lasting_fault(self, name: str) -> str | None:
+        """Return that the rate has not been the nominal one for 2 s."""
+        if self._off_since is None:
+            return None
+        first, since_ns = self._off_since
+        count, span_ns = self._samples - first, self._arrived_ns - since_ns
+        if count <= SETTLED_S * self._nominal_hz or span_ns <= 0:
+            return None
+        # Counted: far off the nominal rate, the measured one takes longer than this to settle.
+        return self._text(name, count * 1e9 / span_ns)
+
+    @property
+    def _is_off(self) -> bool:
+        return abs(self._measured_hz / self._nominal_hz - 1) > RATE_TOLERANCE
+
+    def _text(self, name: str, rate_hz: float) -> str:
+        scene = f"the scene says {self._nominal_hz:g} Hz"
+        return f"{name} sends {rate_hz:.0f} Hz, {scene}: check its rate"
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedColumn:
+    """One column of a recording's file.
+
+    Attributes
+    ----------
+    values : ndarray, shape (samples,)
+        In the file's unit.
+    number : int
+        Its place in the file, from 0.
+    name : str
+        Its name in the file; empty where it has none.
+    others : tuple of str
+        Names of the other columns.
+    rising : dict
+        Columns beside it whose values never fall, as times do not, by name or number.
+    """
+
+    values: NDArray[np.float64]
+    number: int = 0
+    name: str = ""
+    others: tuple[str, ...] = ()
+    rising: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+
+    @property
+    def title(self) -> str:
+        """Number and name for people."""
+        return f"column {self.number}" + (f' ("{self.name}")' if self.name else "")
+
+
+def unusable_values(values: NDArray[np.float64]) -> str | None:
+    """Return why the values of a file are not samples of a signal; None where they are."""
+    if len(values) < 2:
+        return f"number of samples is {len(values)}; it must be 2 or more"
+    bad = np.flatnonzero(~(np.abs(values) <= LARGEST))
+    if not len(bad):
+        return None
+    count = count_text(len(bad), "value is", "values are")
+    where = f"the first is sample {bad[0]}; cut or fill them"
+    return f"{count} NaN or beyond {LARGEST:g}, {where}"
+
+
+def constant_column(column: RecordedColumn) -> str | None:
+    """Return that a column has one value alone; None where it has more."""
+    if np.ptp(column.values) >= SMALLEST:
+        return None
+    return f"{column.title}: all values are equal, {column.values[0]:g}; it has no pulse"
+
+
+def examine(
+    column: RecordedColumn, force_n: NDArray[np.float64], unit: str, rate_hz: float, rest_n: float
+) -> tuple[str | None, list[str]]:
+    """Examine a recording by its file and its scene.
+
+    Parameters
+    ----------
+    column : RecordedColumn
+        The values, with what stands beside them in the file.
+    force_n : ndarray, shape (samples,)
+        Their forces in N.
+    unit, rate_hz, rest_n
+        Of the scene: `unit`, `rate` in Hz and `preload` in N.
+
+    Returns
+    -------
+    refusal : str or None
+        Why they cannot be a pulse, and what to set.
+    warnings : list of str
+        What is doubtful about them, where they are not refused.
+    """
+    refusal = (
+        constant_column(column)
+        or _refuse_times(column)
+        or _refuse_rate(column, rate_hz)
+        or _refuse_forces(force_n, unit, rest_n)
+    )
+    if refusal is not None:
+        return refusal, []
+    return None, [*_warn_of_gaps(column), *_warn_of_forces(force_n, unit, rest_n)]
+
+
+def _refuse_times(column: RecordedColumn) -> str | None:
+    """Return that a column only rises, as times do, and what to set."""
+    values = column.values
+    steps = np.diff(values)
+    # Times rounded to whole seconds, say, seldom rise; so does a force that steps.
+    often = np.count_nonzero(steps) >= len(steps) / 2 or _TIME_NAME.search(column.name)
+    if len(values) < FEW_SAMPLES or not often or not np.all(steps >= 0):
+        return None
+    text = f"{column.title} only ever rises, as time does and no pulse"
+    other = next((name for name in column.others if name and name not in column.rising), None)
+    if other is not None:
+        return f'{text}; set column = "{other}", or the one with the force'
+    return f"{text}; set column to the one with the force" if column.others else text
+
+
+def _refuse_rate(column: RecordedColumn, rate_hz: float) -> str | None:
+    """Return how the file's own times contradict the scene's rate.
+
+    Where the name of a column does not state the unit, the one that comes closest is assumed.
+    """
+    for name, times in _time_columns(column):
+        step, _ = _steps(times)
+        found = _UNIT.search(name)
+        unit = found[1].lower().replace("µ", "u") if found else None
+        seconds = SECONDS.values() if unit is None else (SECONDS.get(unit, 1.0),)
+        rates_hz = [1 / (step * s) for s in seconds if SHORTEST_S <= step * s <= LONGEST_S]
+        if not rates_hz:
+            continue
+        own_hz = min(rates_hz, key=lambda own: abs(math.log(own / rate_hz)))
+        # Rounded times, to whole seconds say, determine the rate no better than this.
+        rounding = _ordinary(times) / (times[-1] - times[0])
+        if abs(own_hz / rate_hz - 1) <= RATE_TOLERANCE + rounding:
+            return None
+        return (
+            f'column "{name}" has {own_hz:.4g} samples a second, the scene\'s rate is'
+            f' {rate_hz:g} Hz; set rate = "{own_hz:.4g} Hz"'
+        )
+    return None
+
+
+def _warn_of_gaps(column: RecordedColumn) -> Iterator[str]:
+    for name, times in _time_columns(column):
+        if gaps := _steps(times)[1]:
+            yield (
+                f'column "{name}" has {count_text(gaps, "gap")}; what comes after one is played'
+                " right after what was before it"
+            )
+
+
+def _refuse_forces(force_n: NDArray[np.float64], unit: str, rest_n: float) -> str | None:
+    """Return why forces cannot be a pulse's, and which key to set."""
+    lowest_n, highest_n = float(force_n.min()), float(force_n.max())
+    largest_n = max(-lowest_n, highest_n)
+    if largest_n > MOST_N:
+        text = f'reaches {largest_n:.4g} N in unit "{unit}", and a pulse stays below {MOST_N:g} N'
+        if unit in ("N", "V") and largest_n * 1e-3 <= MOST_N:
+            return f'{text}; set unit = "m{unit}", if it is in that'
+        return f'{text}; set unit, or unit = "raw" with peak_to_peak'
+    share = _share_below(force_n)
+    if share <= MOST_BELOW:
+        return None
+    text = f"is below 0 N for {100 * share:.0f} % of the samples, which no display can play"
+    if highest_n <= 0:
+        return f"{text}; set inverted = true, if it is positive where the pulse pulls"
+    return f'{text}; set preload = "{_preload(rest_n - lowest_n):g} N" or more'
+
+
+def _warn_of_forces(force_n: NDArray[np.float64], unit: str, rest_n: float) -> Iterator[str]:
+    topmost = float(np.count_nonzero(force_n == force_n.max())) / len(force_n)
+    if topmost > MOST_TOPMOST and len(force_n) >= FEW_SAMPLES:
+        yield (
+            f"is at its highest value for {100 * topmost:.0f} % of the samples: was it recorded"
+            " beyond an ADC's range?"
+        )
+    span_n = float(np.ptp(force_n))
+    if span_n < LEAST_PULSE_N:
+        larger = f': is unit = "{unit.removeprefix("m")}" right?' if unit in ("mN", "mV") else ""
+        yield f"is {span_n * 1e3:.3g} mN from peak to peak, which nobody feels{larger}"
+    if share := _share_below(force_n):
+        preload_n = _preload(rest_n - float(force_n.min()))
+        yield (
+            f"is below 0 N for {100 * share:.2g} % of the samples, which are not played;"
+            f' preload = "{preload_n:g} N" prevents it'
+        )
+
+
+def _share_below(force_n: NDArray[np.float64]) -> float:
+    return float(np.count_nonzero(force_n < -NEGLIGIBLE_N)) / len(force_n)
+
+
+def _preload(needed_n: float) -> float:
+    """Return a preload that suffices, in whole steps of 50 mN."""
+    return round(math.ceil(needed_n / 0.05) * 0.05, 2)
+
+
+def _time_columns(column: RecordedColumn) -> Iterator[tuple[str, NDArray[np.float64]]]:
+    """Yield the columns that hold times, by their name or their even steps.
+
+    Steps of exactly 1 may as well number the samples, and then say nothing of the rate.
+    """
+    for name, times in column.rising.items():
+        ordinary = _ordinary(times)
+        if len(times) < FEW_SAMPLES or not ordinary:
+            continue
+        if _TIME_NAME.search(name) or _are_even(np.diff(times), ordinary):
+            yield name, times
+
+
+def _are_even(steps: NDArray[np.float64], ordinary: float) -> bool:
+    low, high = np.quantile(steps, [0.1, 0.9])
+    return bool(0.5 * ordinary < low <= high < 2 * ordinary and not np.all(steps == 1))
+
+
+def _ordinary(times: NDArray[np.float64]) -> float:
+    """Return the usual step between two times that differ; 0 where none do."""
+    steps = np.diff(times)
+    steps = steps[steps > 0]
+    return float(np.median(steps)) if len(steps) else 0.0
+
+
+def _steps(times: NDArray[np.float64]) -> tuple[float, int]:
+    """Return the mean step of a column of times without its gaps, and the number of gaps."""
+    steps = np.diff(times)
+    in_row = steps <= GAP_STEPS * _ordinary(times)
+    return float(steps[in_row].mean()), int(np.count_nonzero(~in_row))
+
+
+class SampleCheck:
+    """Count of samples that cannot be a pulse's; the first of each kind is logged.
+
+    Parameters
+    ----------
+    period_ns : int
+        Time between samples.
+    """
+
+    def __init__(self, period_ns: int) -> None:
+        self._period_s = period_ns * 1e-9
+        self._last: float | None = None
+        self._logged: set[str] = set()
+        self._samples = self._beyond = self._below = 0
+        self._still = self._longest_still = 0
+
+    def add(self, values: NDArray[np.float64]) -> None:
+        """Check consecutive samples in N, shape (samples, channels)."""
+        if not len(values):
+            return
+        lowest_n, highest_n = float(values.min()), float(values.max())
+        self._samples += len(values)
+        # Each condition also holds for NaN.
+        if not -MOST_N <= lowest_n <= highest_n <= MOST_N:
+            self._beyond += int(np.count_nonzero(~(np.abs(values) <= MOST_N).all(axis=1)))
+        if not lowest_n >= -NEGLIGIBLE_N:
+            self._below += int(np.count_nonzero((values < -NEGLIGIBLE_N).any(axis=1)))
+        still = lowest_n == highest_n and self._last in (None, lowest_n)
+        self._still = self._still + len(values) if still else 0
+        self._longest_still = max(self._longest_still, self._still)
+        self._last = float(values[-1, 0])
+        for kind, fault in self._faults():
+            if kind not in self._logged:
+                self._logged.add(kind)
+                logger.warning(fault)
+
+    def faults(self) -> list[str]:
+        """Return what was implausible so far, one line each."""
+        return [fault for _, fault in self._faults()]
+
+    def _faults(self) -> Iterator[tuple[str, str]]:
+        """Yield kind and text of each fault so far."""
+        if self._beyond:
+            yield (
+                "beyond",
+                f"{count_text(self._beyond, 'sample')} beyond {MOST_N:g} N, which no pulse reaches:"
+                " check unit and scale in [sensing.source]",
+            )
+        share = self._below / self._samples if self._samples else 0.0
+        if share > MOST_BELOW and self._samples * self._period_s >= SETTLED_S:
+            yield (
+                "below",
+                f"{count_text(self._below, 'sample')} ({100 * share:.0f} %) below 0 N, which no"
+                " display can play: set a higher preload in [sensing.source], or check the sign",
+            )
+        still_s = self._longest_still * self._period_s
+        if still_s >= STILL_S:
+            text = f"the force did not change for {still_s:.1f} s: check the sensor"
+            yield "still", text

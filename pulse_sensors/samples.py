@@ -1,0 +1,305 @@
+"""Samples of a live sensor on their way from a decoder to the host's clock.
+
+A decoder makes `SampleBlock`s of a device's bytes. `DeviceTime` and `SampleCounter` follow the
+numbers that the device sends, `Timeline` finds an even time for every sample, and `Placement`
+converts whole blocks.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.clock.one_way import DeviceClock
+from protocol.config.quantities import count_text
+from pulse_sensors.force_scale import SensorTable
+from pulse_sensors.plausibility import RateCheck
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampleBlock:
+    """Consecutive samples: the one container between a decoder or a source and the frames.
+
+    Attributes
+    ----------
+    values : ndarray, shape (samples, channels)
+        At least one sample, in N; before `Placement` in the sensor's own unit.
+    missing : int
+        Samples lost right before these, at least 0.
+    first_ns, end_ns : int
+        Host's clock at the first sample, and when the sample after the last is due; 0 before
+        `Placement`.
+    device_ns : int, optional
+        Device's clock at the last sample; None where the device sends no time.
+    restarted : bool
+        True where the device's clock does not continue that of the block before.
+    """
+
+    values: NDArray[np.float64]
+    missing: int = 0
+    first_ns: int = 0
+    end_ns: int = 0
+    device_ns: int | None = None
+    restarted: bool = False
+
+    @property
+    def period_ns(self) -> int:
+        """Mean time between the samples."""
+        return round((self.end_ns - self.first_ns) / len(self.values))
+
+    @property
+    def times_ns(self) -> list[int]:
+        """Times at which the samples were taken."""
+        count, span_ns = len(self.values), self.end_ns - self.first_ns
+        return [self.first_ns + number * span_ns // count for number in range(count)]
+
+    @property
+    def force_n(self) -> list[float]:
+        """Forces of the first channel in N."""
+        forces_n: list[float] = self.values[:, 0].tolist()
+        return forces_n
+
+
+def one_channel(
+    values: Sequence[float],
+    device_ns: int | None = None,
+    missing: int = 0,
+    restarted: bool = False,
+) -> SampleBlock:
+    """Return a block of a decoder's values; see `SampleBlock`."""
+    column = np.array(values, np.float64)[:, np.newaxis]
+    return SampleBlock(column, missing, device_ns=device_ns, restarted=restarted)
+
+
+_TURN_US = 1 << 32
+# No running device is silent for longer: its clock has stepped, or it has restarted.
+LONGEST_PAUSE_NS = 10_000_000_000
+
+
+class DeviceTime:
+    """Continuous time from a device's count of µs, of which the low 32 bits are used. Pure.
+
+    millis() in µs fits too: where it wraps to 0, 1000 whole turns of 2^32 have passed.
+    """
+
+    def __init__(self) -> None:
+        self.last_us: int | None = None
+        self._last_ns = 0
+
+    def since_last_ns(self, now_us: int) -> int | None:
+        """Return the time since the last count; None where the two do not belong together."""
+        if self.last_us is None:
+            return None
+        passed_ns = (now_us - self.last_us) % _TURN_US * 1_000
+        return passed_ns if 0 < passed_ns <= LONGEST_PAUSE_NS else None
+
+    def take(self, now_us: int) -> int:
+        """Return a count's time in ns, which continues the last one where the two belong together.
+
+        It begins with the count itself otherwise.
+        """
+        passed_ns = self.since_last_ns(now_us)
+        restart_ns = now_us % _TURN_US * 1_000
+        self._last_ns = restart_ns if passed_ns is None else self._last_ns + passed_ns
+        self.last_us = now_us
+        return self._last_ns
+
+
+# A jump of the counter must fit the time that passed within this and half of that time.
+COUNTER_TOLERANCE_NS = 50_000_000
+
+
+class SampleCounter:
+    """Losses from a device's count of its samples. Pure.
+
+    Parameters
+    ----------
+    modulus : int
+        The count wraps to 0 at this number.
+    period_ns : int
+        Nominal time between samples.
+    """
+
+    def __init__(self, modulus: int, period_ns: int) -> None:
+        self._modulus = modulus
+        self._period_ns = period_ns
+        self._next = 0
+
+    def missing(self, first: int, count: int, passed_ns: int | None) -> int | None:
+        """Return the number of samples lost before `count` new ones.
+
+        Parameters
+        ----------
+        first : int
+            Number of the first new sample.
+        passed_ns : int, optional
+            Time from the last sample before to the last of these; None where none is known.
+
+        Returns
+        -------
+        int or None
+            None where count and time contradict each other.
+        """
+        jump = (first - self._next) % self._modulus
+        self._next = first + count
+        if passed_ns is None or not jump:
+            return 0
+        counted_ns = (jump + count) * self._period_ns
+        fits = abs(passed_ns - counted_ns) <= COUNTER_TOLERANCE_NS + counted_ns // 2
+        return jump if fits else None
+
+
+# Bandwidth of the loop once it has settled; until then, what the time so far allows.
+BANDWIDTH_HZ = 0.2
+SETTLING = 0.5
+LARGEST_OMEGA = 0.3
+# More stretch would be felt, and displays accept half to double.
+LARGEST_STRETCH = 0.2
+LARGEST_RATE_ERROR = 0.5
+# A larger error is no jitter: samples are missing, or the time is wrong.
+JUMP_NS = 250_000_000
+
+
+class Timeline:
+    """Even times for samples whose measured times jitter. Pure.
+
+    A delay-locked loop predicts the time of the next sample; each measured time corrects
+    prediction and period by a part of the error. The resulting times never step back.
+
+    Parameters
+    ----------
+    period_ns : int
+        Nominal time between samples.
+
+    References
+    ----------
+    F. Adriaensen, "Using a DLL to filter time", 2005.
+    """
+
+    def __init__(self, period_ns: int) -> None:
+        self._nominal_ns = period_ns
+        self._period_ns = float(period_ns)
+        # Times are differences to the first, which are exact as floats.
+        self._origin_ns: int | None = None
+        self._next_ns = self._measured_ns = 0.0
+
+    @property
+    def rate_hz(self) -> float:
+        """Measured samples per second."""
+        return 1e9 / self._period_ns
+
+    def place(self, count: int, missing: int, last_ns: int) -> tuple[int, int, int] | None:
+        """Place `count` samples, the last of which was measured at `last_ns`.
+
+        Parameters
+        ----------
+        missing : int
+            Samples known to be lost before them; a jump of the time reveals more.
+
+        Returns
+        -------
+        first_ns, end_ns, missing : int
+            As in `SampleBlock`; None for samples so late that their place is in the past.
+        """
+        if self._origin_ns is None:
+            self._origin_ns = last_ns - (count - 1) * self._nominal_ns
+        origin_ns = self._origin_ns
+
+        def late_ns() -> float:
+            predicted_ns = self._next_ns + (missing + count - 1) * self._period_ns
+            return last_ns - origin_ns - predicted_ns
+
+        error_ns = late_ns()
+        if error_ns > JUMP_NS:
+            missing += round(error_ns / self._period_ns)
+            error_ns = late_ns()
+        elif error_ns < -JUMP_NS:
+            return None
+        first_ns = self._next_ns + missing * self._period_ns
+        self._next_ns = first_ns + count * self._correct(first_ns, count, error_ns)
+        return origin_ns + round(first_ns), origin_ns + round(self._next_ns), missing
+
+    def _correct(self, first_ns: float, count: int, error_ns: float) -> float:
+        """Correct the period; return the time between the samples that corrects the next one's."""
+        period_ns = self._period_ns
+        end_ns = first_ns + count * period_ns
+        # A short block after a long one that was corrected forward may end before that one.
+        passed_ns = max(end_ns - self._measured_ns, period_ns)
+        self._measured_ns = end_ns
+        bandwidth_hz = max(BANDWIDTH_HZ, SETTLING * 1e9 / end_ns)
+        omega = min(2 * math.pi * bandwidth_hz * passed_ns * 1e-9, LARGEST_OMEGA)
+        corrected_ns = period_ns * (1 + omega * omega * error_ns / passed_ns)
+        self._period_ns = _bounded(corrected_ns, LARGEST_RATE_ERROR, self._nominal_ns)
+        step_ns = period_ns + math.sqrt(2) * omega * error_ns / count
+        return _bounded(step_ns, LARGEST_STRETCH, period_ns)
+
+
+def _bounded(value: float, share: float, of: float) -> float:
+    """Return the value, or the nearest that differs from `of` by no more than a share of it."""
+    return min(max(value, of * (1 - share)), of * (1 + share))
+
+
+class Placement:
+    """Conversion of one sensor's blocks to newtons on the host's clock. Pure.
+
+    Attributes
+    ----------
+    samples, missing : int
+        Samples placed so far, and samples lost before them.
+    restarts : int
+        Restarts of the device's clock.
+    behind : int
+        Blocks refused because their time has passed.
+    """
+
+    def __init__(self, table: SensorTable) -> None:
+        self._table = table
+        self._timeline = Timeline(table.period_ns)
+        self._clock = DeviceClock()
+        self._rate = RateCheck(table.rate_hz)
+        self.samples = self.missing = self.restarts = self.behind = 0
+
+    @property
+    def skew_ppm(self) -> float:
+        """Rate error of the device's clock against the host's, in ppm; 0 where it sends no time."""
+        return self._clock.skew_ppm
+
+    def place(self, block: SampleBlock, arrival_ns: int) -> SampleBlock | None:
+        """Return a decoder's block in N at its time; None where its time has passed."""
+        last_ns = arrival_ns
+        if block.device_ns is not None:
+            if block.restarted:
+                self.restarts += self.samples > 0
+                self._clock = DeviceClock()
+            self._clock.observe(block.device_ns, arrival_ns)
+            # Nothing arrives before it was taken, whatever the device's clock says.
+            last_ns = min(self._clock.host_ns(block.device_ns), arrival_ns)
+        count = len(block.values)
+        placed = self._timeline.place(count, block.missing, last_ns)
+        if placed is None:
+            self.behind += 1
+            return None
+        first_ns, end_ns, missing = placed
+        self.samples += count
+        self.missing += missing
+        self._rate.add(self.samples, arrival_ns, self._timeline.rate_hz, whole=not missing)
+        values = self._table.newtons(block.values)
+        return replace(block, values=values, missing=missing, first_ns=first_ns, end_ns=end_ns)
+
+    def lasting_rate_fault(self, name: str) -> str | None:
+        """Return that the sensor's rate is not the scene's, once it has been so for 2 s."""
+        return self._rate.lasting_fault(name)
+
+    def faults(self, name: str) -> list[str]:
+        """Return what went wrong with the sensor of that name, one line each."""
+        if not self.samples:
+            return [f"no sample came from {name}"]
+        faults = []
+        if self.missing:
+            faults.append(f"{count_text(self.missing, 'sample')} missing from {name}")
+        if self.restarts:
+            faults.append(f"{name} began its clock anew {count_text(self.restarts, 'time')}")
+        rate_fault = self._rate.fault(name)
+        return faults if rate_fault is None else [*faults, rate_fault]

@@ -1,0 +1,203 @@
+"""From a source to frames: blocks of samples as they fall due, numbered and cut into batches.
+
+A source that knows its samples ahead gives them by `take`, and `PacedSource` lets them fall due.
+A live sensor and an earlier session give blocks of themselves.
+"""
+
+from collections import Counter, deque
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.wire.messages import Frame
+from protocol.wire.stream import Channel, StreamDescription
+from pulse_sensors.samples import SampleBlock
+from pulse_sensors.sensor import Sensor
+
+
+class SampleSource(Protocol):
+    """A source that gives its samples in order."""
+
+    @property
+    def period_ns(self) -> int:
+        """Time between samples."""
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """What the columns are."""
+
+    def take(self, count: int) -> NDArray[np.float64]:
+        """Return the next samples in N, shape (at most count, channels); fewer only at the end."""
+
+
+class PacedSource:
+    """Feed of a source's samples: sample i falls due at start_ns + i · period_ns.
+
+    Attributes
+    ----------
+    exhausted : bool
+        True when the source has ended.
+    """
+
+    def __init__(self, samples: SampleSource, start_ns: int) -> None:
+        self._samples = samples
+        self._start_ns = start_ns
+        self._taken = 0
+        self.exhausted = False
+
+    def due_ns(self, count: int) -> int:
+        """Return when `count` further samples will be due."""
+        return self._start_ns + (self._taken + count - 1) * self._samples.period_ns
+
+    def read(self, now_ns: int) -> SampleBlock | None:
+        """Return all samples due by now that were not read yet; None when there are none."""
+        count = (now_ns - self._start_ns) // self._samples.period_ns + 1 - self._taken
+        if count <= 0 or self.exhausted:
+            return None
+        values = self._samples.take(count)
+        self.exhausted = len(values) < count
+        if not len(values):
+            return None
+        first_ns = self.due_ns(1)
+        self._taken += len(values)
+        return SampleBlock(values, first_ns=first_ns, end_ns=self.due_ns(1))
+
+
+class LiveSource:
+    """Feed of a live sensor's samples, as they come.
+
+    A gap begins a new block, whose `missing` samples keep their sequence numbers, so that
+    displays count them as lost. It never ends by itself.
+    """
+
+    channels = (Channel("pulse"),)
+    exhausted = False
+
+    def __init__(self, sensor: Sensor) -> None:
+        self.period_ns = sensor.period_ns
+        self._sensor = sensor
+        self._blocks: deque[SampleBlock] = deque()
+        self._read_ns = 0
+
+    def due_ns(self, count: int) -> int:
+        """Return when `count` further samples may have been taken since the last read."""
+        return self._read_ns + count * self.period_ns
+
+    def read(self, now_ns: int) -> SampleBlock | None:
+        """Return samples that have come by now, up to a gap; None when none has."""
+        self._read_ns = now_ns
+        self._blocks.extend(self._sensor.poll())
+        if not self._blocks:
+            return None
+        joined = [self._blocks.popleft()]
+        while self._blocks and not self._blocks[0].missing:
+            joined.append(self._blocks.popleft())
+        values = np.concatenate([block.values for block in joined])
+        return replace(joined[0], values=values, end_ns=joined[-1].end_ns)
+
+    @property
+    def rejected(self) -> Counter[str]:
+        """Count of what the sensor sent and could not be used, by cause."""
+        return self._sensor.rejected
+
+    def faults(self) -> list[str]:
+        """Return the faults of the sensor, one line each."""
+        return self._sensor.faults()
+
+
+class ReplaySource:
+    """Feed of an earlier session's frames: the same samples, as far apart in time as they were.
+
+    Samples that the recording lacks between two frames keep their sequence numbers: displays
+    count them as lost.
+
+    Parameters
+    ----------
+    description : StreamDescription
+        Of the session.
+    frames : iterable of Frame
+        Of one session, ordered by first_sample; samples that one repeats are left out.
+    """
+
+    def __init__(self, description: StreamDescription, frames: Iterable[Frame]) -> None:
+        self.period_ns = description.period_ns
+        self.channels = description.channels
+        self._frames = iter(frames)
+        self._next = next(self._frames, None)
+        self._expected = 0 if self._next is None else self._next.first_sample
+        self._shift_ns = 0
+
+    @property
+    def exhausted(self) -> bool:
+        """True when all frames were read."""
+        return self._next is None
+
+    def begin(self, start_ns: int) -> None:
+        """Let the first sample fall due at `start_ns`."""
+        if self._next is not None:
+            self._shift_ns = start_ns - self._next.t_first_ns
+
+    def due_ns(self, count: int) -> int:
+        """Return when the next frame's last sample will be due; the frame decides the count."""
+        frame = self._next
+        if frame is None:
+            return self._shift_ns
+        return frame.t_first_ns + (len(frame.values) - 1) * frame.period_ns + self._shift_ns
+
+    def read(self, now_ns: int) -> SampleBlock | None:
+        """Return the next frame's samples if they are due; None when they are not."""
+        while (frame := self._next) is not None and self.due_ns(1) <= now_ns:
+            self._next = next(self._frames, None)
+            known = max(0, self._expected - frame.first_sample)
+            values = frame.values[known:].astype(np.float64)
+            if not len(values):
+                continue
+            missing = max(0, frame.first_sample - self._expected)
+            self._expected += missing + len(values)
+            first_ns = frame.t_first_ns + known * frame.period_ns + self._shift_ns
+            end_ns = first_ns + len(values) * frame.period_ns
+            return SampleBlock(values, missing, first_ns, end_ns)
+        return None
+
+
+Source = SampleSource | LiveSource | ReplaySource
+
+
+def feed_of(source: Source, start_ns: int) -> PacedSource | LiveSource | ReplaySource:
+    """Return the feed of a source, whose first sample falls due at `start_ns` where it can."""
+    if isinstance(source, ReplaySource):
+        source.begin(start_ns)
+    if isinstance(source, LiveSource | ReplaySource):
+        return source
+    return PacedSource(source, start_ns)
+
+
+class Framer:
+    """Numbering of one session's samples, and their cut into frames of at most `batch` samples.
+
+    Attributes
+    ----------
+    samples_sent : int
+        Of the session so far, with those that are missing.
+    """
+
+    def __init__(self, description: StreamDescription, session: int) -> None:
+        self._session = session
+        self._batch = description.batch
+        self._dtype = np.dtype(f"<f{description.bytes_per_sample}")
+        self.samples_sent = 0
+
+    def frames(self, block: SampleBlock) -> list[Frame]:
+        """Return the block's samples as frames, in order."""
+        self.samples_sent += block.missing
+        values, period_ns = block.values.astype(self._dtype), block.period_ns
+        frames = []
+        for start in range(0, len(values), self._batch):
+            part = values[start : start + self._batch]
+            first_ns = block.first_ns + start * period_ns
+            frames.append(Frame(self._session, self.samples_sent, first_ns, period_ns, part))
+            self.samples_sent += len(part)
+        return frames

@@ -1,0 +1,37 @@
+"""Blocks of samples as tests compare them, and as a live sensor gives them."""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from pulse_sensors.samples import SampleBlock
+from pulse_sensors.sensor import Sensor
+from tests.support.waiting import until
+
+
+class Decoded(NamedTuple):
+    """What a decoder found, with one channel."""
+
+    values: tuple[float, ...]
+    device_ns: int | None = None
+    missing: int = 0
+    restarted: bool = False
+
+
+def plain(blocks: Iterable[SampleBlock]) -> list[Decoded]:
+    return [Decoded(tuple(b.force_n), b.device_ns, b.missing, b.restarted) for b in blocks]
+
+
+def forces(blocks: Iterable[SampleBlock]) -> list[float]:
+    return [force_n for block in blocks for force_n in block.force_n]
+
+
+def received(sensor: Sensor, count: int) -> list[SampleBlock]:
+    """Poll until `count` samples have come."""
+    blocks: list[SampleBlock] = []
+
+    def enough() -> bool:
+        blocks.extend(sensor.poll())
+        return len(forces(blocks)) >= count
+
+    until(enough)
+    return blocks

@@ -1,0 +1,239 @@
+import datetime
+import itertools
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from protocol.config.scene import validate
+from pulse_sensors.plausibility import SampleCheck
+from sensing_node.sources.recorded import RecordedSource, RecordingScene
+from telepulse.scene import load_scene
+from telepulse.simulation.virtual_time import simulate
+from tests.support.nodes import RADIAL
+from tests.support.recording_files import csv_file, recording, refusal, table
+from tests.support.streams import MS, synthetic
+
+TIMES_S = np.arange(1000) / 100
+PULSE_N = synthetic(rate="100 Hz", peak_to_peak="0.3 N", preload="0.3 N").take(1000)[:, 0]
+DIPPING_N = np.where(np.arange(1000) < 50, -0.02, PULSE_N)
+COUNTS = np.round(PULSE_N * 1e3)
+RAW = {"unit": "raw", "peak_to_peak": "0.3 N"}
+FORCE = {"column": "force"}
+Keys = Mapping[str, object]
+
+
+def warnings(path: Path, **keys: object) -> list[str]:
+    return [line.removeprefix(f"{path}: ") for line in recording(path, **keys).warnings]
+
+
+@pytest.mark.parametrize(
+    ("columns", "keys"),
+    [
+        ({"time": TIMES_S, "force": PULSE_N}, FORCE),
+        ({"force": PULSE_N * 1e3}, {"unit": "mN"}),
+        ({"adc": COUNTS}, {"unit": "mN"}),
+        ({"force": PULSE_N - PULSE_N.mean()}, {"preload": "0.1 N"}),
+        ({"force": -PULSE_N}, {"inverted": True}),
+        # Columns beside the force that are no times: numbers of samples or trials, chance.
+        ({"beside": np.arange(1000), "force": PULSE_N}, {**FORCE, "rate": "37 Hz"}),
+        ({"beside": np.zeros(1000), "force": PULSE_N}, {**FORCE, "rate": "37 Hz"}),
+        ({"beside": np.arange(1000) // 250, "force": PULSE_N}, {**FORCE, "rate": "37 Hz"}),
+        *(
+            ({"beside": beside, "force": PULSE_N}, {**FORCE, "rate": "37 Hz"})
+            for beside in (
+                np.cumsum(np.random.default_rng(1).exponential(size=1000)),
+                np.random.default_rng(1).normal(size=1000),
+            )
+        ),
+    ],
+)
+def test_a_plausible_recording_is_neither_refused_nor_warned_of(
+    tmp_path: Path, columns: Keys, keys: Keys
+) -> None:
+    assert warnings(csv_file(tmp_path, columns), **keys) == []
+
+
+ABOVE = 'reaches 516.4 N in unit "N", and a pulse stays below 20 N; set unit'
+ONLY_RISES = "only ever rises, as time does and no pulse"
+
+
+@pytest.mark.parametrize(
+    ("columns", "keys", "text"),
+    [
+        ({"force": PULSE_N * 1e3}, {}, f'{ABOVE} = "mN", if it is in that'),
+        ({"force": PULSE_N * -1e3}, {}, ABOVE),
+        ({"force": PULSE_N * 1e3}, {"unit": "V", "film_radius": "9 mm"}, "if it is in that"),
+        ({"force": PULSE_N * 1e9}, {}, 'set unit, or unit = "raw" with peak_to_peak'),
+        (
+            {"force": PULSE_N * 1e3},
+            {"unit": "V", "sensitivity": "44 mV/N"},
+            'set unit = "mV", if it is in that',
+        ),
+        (
+            {"force": PULSE_N - PULSE_N.mean()},
+            {},
+            "is below 0 N for 57 % of the samples, which no display can play;"
+            ' set preload = "0.1 N" or more',
+        ),
+        (
+            {"force": PULSE_N},
+            {**RAW, "preload": "0 N"},
+            "which no display can play",
+        ),
+        ({"force": -PULSE_N}, {}, "set inverted = true"),
+        ({"time": TIMES_S, "force": PULSE_N}, {}, f'column 0 ("time") {ONLY_RISES}'),
+        (
+            {"t": TIMES_S // 0.02, "i": TIMES_S, "adc": PULSE_N},
+            {},
+            'set column = "adc", or the one with the force',
+        ),
+        ({"time": TIMES_S}, {}, f'column 0 ("time") {ONLY_RISES}'),
+        *(
+            (
+                {"force": np.full(100, 0.3)},
+                keys,
+                'column 0 ("force"): all values are equal, 0.3; it has no pulse',
+            )
+            for keys in ({}, RAW)
+        ),
+    ],
+)
+def test_a_recording_that_cannot_be_a_pulse_is_refused(
+    tmp_path: Path, columns: Keys, keys: Keys, text: str
+) -> None:
+    assert text in refusal(csv_file(tmp_path, columns), **keys)
+
+
+@pytest.mark.parametrize(
+    ("columns", "keys", "text"),
+    [
+        (
+            {"force": PULSE_N},
+            {"unit": "mN"},
+            'is 0.3 mN from peak to peak, which nobody feels: is unit = "N" right?',
+        ),
+        (
+            {"force": DIPPING_N},
+            {},
+            "is below 0 N for 5 % of the samples, which are not played;"
+            ' preload = "0.05 N" prevents it',
+        ),
+        (
+            {"adc": np.minimum(COUNTS, 400)},
+            {"unit": "mN"},
+            "is at its highest value for 13 % of the samples: was it recorded beyond an ADC's"
+            " range?",
+        ),
+        (
+            {"time": TIMES_S + 3.0 * (TIMES_S > 2) + 60.0 * (TIMES_S > 7), "force": PULSE_N},
+            FORCE,
+            'column "time" has 2 gaps; what comes after one is played right after what was before'
+            " it",
+        ),
+    ],
+)
+def test_a_doubtful_recording_is_warned_of(
+    tmp_path: Path, columns: Keys, keys: Keys, text: str
+) -> None:
+    assert warnings(csv_file(tmp_path, columns), **keys) == [text]
+
+
+def test_a_column_of_times_in_a_numpy_table_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "pulse.npy"
+    np.save(path, np.column_stack([TIMES_S, PULSE_N]))
+    assert refusal(path) == f"column 0 {ONLY_RISES}; set column to the one with the force"
+    assert warnings(path, column=1) == []
+    assert 'set rate = "100 Hz"' in refusal(path, column=1, rate="250 Hz")
+
+
+BEGIN = datetime.datetime(2016, 11, 24, 13, 58, 58, tzinfo=datetime.UTC)
+DATES = [(BEGIN + datetime.timedelta(seconds=float(t))).isoformat() for t in TIMES_S]
+
+
+@pytest.mark.parametrize(
+    ("name", "times"),
+    [
+        ("time", TIMES_S),
+        ("t (ms)", TIMES_S * 1e3),
+        ("timestamp_us", TIMES_S * 1e6 + 1.7e15),
+        ("elapsed", TIMES_S + 5),
+        ("time", np.floor(TIMES_S)),
+        ("datetime", DATES),
+    ],
+)
+def test_the_scenes_rate_is_compared_with_the_files_own_times(
+    tmp_path: Path, name: str, times: object
+) -> None:
+    path = csv_file(tmp_path, {name: times, "force": PULSE_N})
+    assert warnings(path, column="force") == []
+    text = refusal(path, column="force", rate="500 Hz")
+    assert text.startswith(f'column "{name}" has 1')
+    assert "the scene's rate is 500 Hz; set rate = \"" in text
+
+
+@pytest.mark.parametrize(
+    "times",
+    [
+        np.append(TIMES_S[:-1], math.inf),
+        np.arange(1000) * 5e-324,
+        np.arange(1000) * 1e305,
+        np.full(1000, math.nan),
+    ],
+)
+def test_times_out_of_all_range_are_ignored(tmp_path: Path, times: NDArray[np.float64]) -> None:
+    assert warnings(csv_file(tmp_path, {"time": times, "force": PULSE_N}), column="force") == []
+    np.savez(tmp_path / "pulse.npz", time=times, force=PULSE_N)
+    assert warnings(tmp_path / "pulse.npz", column="force") == []
+
+
+@pytest.mark.parametrize("force_n", [np.full(100, 1e3), np.tile([-1e29, 1e29], 50), TIMES_S])
+def test_an_emulated_board_may_send_implausible_forces(
+    tmp_path: Path, force_n: NDArray[np.float64]
+) -> None:
+    """Emulators make the boards that a real sensing node must withstand."""
+    path = csv_file(tmp_path, {"force": force_n})
+    scene = validate(table(path), RecordingScene, "[sensing] source")
+    source = RecordedSource(scene, tmp_path, plausible=False)
+    assert len(source.warnings) == 1
+    np.testing.assert_array_equal(source.take(100)[:, 0], force_n[:100])
+
+
+def test_live_samples_that_cannot_be_a_pulse_are_counted_and_reported_once(
+    logged: list[str],
+) -> None:
+    check = SampleCheck(MS)
+    check.add(np.full((5, 1), 0.3) + np.arange(5)[:, np.newaxis] * 1e-3)
+    assert (check.faults(), logged) == ([], [])
+    for number in range(600):
+        check.add(np.array([[300.0 + number], [301.0], [math.nan], [0.3], [-0.2]]))
+    assert logged == [
+        "3 samples beyond 20 N, which no pulse reaches: check unit and scale in [sensing.source]",
+        "399 samples (20 %) below 0 N, which no display can play: set a higher preload in"
+        " [sensing.source], or check the sign",
+    ]
+    assert [fault.split(",")[0] for fault in check.faults()] == [
+        "1800 samples beyond 20 N",
+        "600 samples (20 %) below 0 N",
+    ]
+
+
+def test_a_force_that_does_not_change_is_reported_once(logged: list[str]) -> None:
+    check = SampleCheck(MS)
+    for force_n in itertools.chain([0.1, 0.2], itertools.repeat(0.3, 1600), [0.4]):
+        check.add(np.full((5, 1), force_n))
+    assert logged == ["the force did not change for 5.0 s: check the sensor"]
+    assert check.faults() == ["the force did not change for 8.0 s: check the sensor"]
+
+
+def test_a_simulation_reports_a_synthetic_pulse_without_a_preload(tmp_path: Path) -> None:
+    path = tmp_path / "light.toml"
+    path.write_text(RADIAL.read_text("utf-8").replace('preload = "0.3 N"', 'preload = "0 N"'))
+    summary = simulate(load_scene(path), seconds=5, seed=1)
+    (fault,) = summary.faults
+    assert "below 0 N, which no display can play: set a higher preload" in fault
+    assert summary.limited.negative.share is not None
+    assert summary.limited.negative.share > 0.4
