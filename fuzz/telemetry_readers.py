@@ -28,14 +28,14 @@ from protocol.wire.telemetry import (
     pack_status,
 )
 from telepulse.lsl_outlet import LslForwarder
-from telepulse.metrics.families import NodeState as ToldStatus
-from telepulse.metrics.families import families
+from telepulse.metrics.server import NodeState as ToldStatus
+from telepulse.metrics.server import families
 from telepulse.recording.findings import RunFindings
 from telepulse.recording.mcap_writer import as_json
 from telepulse.telemetry.decoder import TelemetryDecoder
 from telepulse.view.live import LiveState
+from telepulse.view.page import padded
 from telepulse.view.picture import picture
-from telepulse.view.plots import padded
 from telepulse.view.text import alarms, figures, state
 
 MS = 1_000_000

@@ -32,7 +32,7 @@ class Site:
         names = {host.lower(), socket.gethostname().lower()}
         address = _address(host)
         everywhere = address is not None and address.is_unspecified
-        if host.lower() in LOOPBACK or everywhere or (address is not None and address.is_loopback):
+        if host.lower() == "localhost" or everywhere or (address and address.is_loopback):
             names.update(LOOPBACK)
         return cls(frozenset(names), everywhere)
 
@@ -43,9 +43,9 @@ class Site:
         has to be the page that this server itself has sent.
         """
         if not self._is_own(host):
-            return f"{_shown(host)} is not this server's name; open it by its own address"
+            return f"{_ascii(host)} is not this server's name; open it by its own address"
         if origin is not None and urlsplit(origin).netloc.lower() != host.lower():
-            return f"pages of {_shown(origin)} may not read this server"
+            return f"pages of {_ascii(origin)} may not read this server"
         return None
 
     def _is_own(self, host: str) -> bool:
@@ -53,10 +53,13 @@ class Site:
             name = urlsplit(f"//{host}").hostname
         except ValueError:
             return False
-        if name is None:
-            return False
-        name = name.rstrip(".")
+        name = (name or "").rstrip(".")
         return name in self.names or (self.any_address and _address(name) is not None)
+
+
+def in_url(host: str) -> str:
+    """Return a host as it stands in a URL."""
+    return f"[{host}]" if ":" in host else host
 
 
 def _address(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
@@ -66,6 +69,6 @@ def _address(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
         return None
 
 
-def _shown(text: str) -> str:
+def _ascii(text: str) -> str:
     """Return a header's text, cut, in ASCII."""
     return ascii(text[:SHOWN_CHARACTERS])[1:-1]

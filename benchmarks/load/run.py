@@ -19,7 +19,7 @@ from protocol.host.process import stop_on_signals
 from protocol.security.allow_list import allow
 from protocol.security.keys import ClientKeys, ServerKeys, new_pair, read_pair
 from telepulse.processes import free_addresses
-from telepulse.relay.relay import Relay
+from telepulse.relay import Relay
 
 SECONDS = 5.0
 PATIENCE_S = 60.0

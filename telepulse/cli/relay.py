@@ -25,7 +25,7 @@ from protocol.host.process import allow_connections, freeze_objects, stop_on_sig
 from protocol.provenance import collect
 from protocol.sockets import control_address
 from telepulse.cli.options import PROGRAM
-from telepulse.relay.relay import Relay
+from telepulse.relay import Relay
 
 logger = logging.getLogger(__name__)
 

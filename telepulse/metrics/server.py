@@ -1,10 +1,15 @@
-"""Server of a node's metrics: reads the node's telemetry, answers Prometheus over HTTP."""
+"""Server of a node's metrics: reads the node's telemetry, answers Prometheus over HTTP.
+
+Figures have Prometheus's names and base units.
+"""
 
 import re
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from socketserver import ThreadingMixIn
 from typing import Any
@@ -17,21 +22,98 @@ from display_node.telemetry.age import TelemetryAge
 from display_node.telemetry.terminal import TerminalView
 from protocol import sockets
 from protocol.errors import AddressError, SidecarError, WireError
+from protocol.figures import COUNT, Figure, Surface
+from protocol.run_summary import REGISTRY
 from protocol.security.keys import ClientKeys, read_pair
-from protocol.wire.telemetry import STATUS, TRACE, read_status, read_trace
-from telepulse.http_site import Site
+from protocol.wire.telemetry import STATUS, TRACE, Status, read_status, read_trace
+from telepulse.http_site import Site, in_url
 
 try:
     from prometheus_client import CollectorRegistry, make_wsgi_app
-    from prometheus_client.metrics_core import Metric
+    from prometheus_client.metrics_core import (
+        GaugeMetricFamily,
+        InfoMetricFamily,
+        Metric,
+        StateSetMetricFamily,
+    )
     from prometheus_client.registry import Collector
-
-    from telepulse.metrics.families import NodeState, families
 except ImportError as error:
     raise SidecarError(
         f"metrics need prometheus_client, which cannot be loaded ({error});"
         " pip install 'telepulse[metrics]'"
     ) from None
+
+PREFIX = "telepulse_"
+# A node may be held up for that long.
+SILENT_AFTER_NS = 5_000_000_000
+STATES = ("waiting", "starting", "playing", "stale", "ended", "fault", "streaming")
+_NUMBER = re.compile(r"\d+(\.\d+)?")
+
+
+@dataclass(frozen=True, slots=True)
+class NodeState:
+    """Last status of a node; sent_ns: when the node sent it, on this process's clock."""
+
+    status: Status
+    sent_ns: int
+    heart_rate_per_min: float | None = None
+
+
+def families(
+    program: str, node: NodeState | None, now_ns: int, unreadable: int = 0
+) -> Iterator[Metric]:
+    """Yield the metrics at `now_ns`; of a silent node only the age of its last status."""
+    silent = node is None or now_ns - node.sent_ns > SILENT_AFTER_NS
+    yield _gauge("up", "1: the node sends statuses; 0: silent for 5 s.", not silent)
+    misread = Metric(PREFIX + "unreadable_statuses", "Statuses that could not be read.", "counter")
+    misread.add_sample(misread.name + "_total", {}, unreadable)
+    yield misread
+    if node is None:
+        return
+    status, rate_per_min = node.status, node.heart_rate_per_min
+    yield _gauge("status_age_seconds", "Age of the figures.", (now_ns - node.sent_ns) * 1e-9)
+    words = {"program": program, "version": version("telepulse"), "stream": status.stream}
+    # As text: a number of 63 bits is none of Prometheus's.
+    words["session"] = "" if status.session is None else f"{status.session:x}"
+    yield InfoMetricFamily(PREFIX + "node", "The node and its stream.", words)
+    if silent:
+        return
+    known = {name: name == status.state for name in (*STATES, status.state)}
+    yield StateSetMetricFamily(PREFIX + "state", "State of the node.", known)
+    if rate_per_min is not None and status.state == "playing":
+        text = "Heart rate of the pulse that is felt."
+        yield _gauge("heart_rate_hertz", text, rate_per_min / 60)
+    if status.displays is not None:
+        yield _gauge("displays", "Displays that are connected.", status.displays)
+    # Figures of one name stand together, under the first's help.
+    found: dict[str, Metric] = {}
+    help_texts: dict[str, str] = {}
+    for figure in REGISTRY.on(Surface.METRICS):
+        help_text = help_texts.setdefault(figure.metric, figure.help or figure.meaning)
+        for labels, value in _samples(figure, status.summary):
+            name = PREFIX + figure.metric
+            metric = found.setdefault(name, Metric(name, help_text, figure.kind))
+            metric.add_sample(name + ("_total" if figure.counter else ""), labels, value)
+    yield from found.values()
+
+
+def _gauge(name: str, text: str, value: float) -> Metric:
+    return GaugeMetricFamily(PREFIX + name, text, value=value)
+
+
+def _samples(figure: Figure, summary: Mapping[str, Any]) -> Iterator[tuple[dict[str, str], float]]:
+    value = figure.value(summary)
+    if isinstance(value, dict):
+        for name, count in value.items():
+            yield {figure.label: name}, count
+    elif isinstance(value, str | list):
+        texts = [value] if value and isinstance(value, str) else list(value)
+        # Their numbers, each a label of its own, stay in the summary.
+        for text in sorted({_NUMBER.sub("#", text) for text in texts}):
+            yield {figure.label: text}, 1
+    elif value is not None:
+        yield dict(figure.labels), value * (figure.unit or COUNT).base
+
 
 # A scrape takes some 10 ms. A peer that sends no request, or does not read, is cut off.
 REQUEST_WITHIN_S = 10.0
@@ -134,11 +216,10 @@ class MetricsServer(Collector):
         try:
             server = MetricsHTTPServer(host, port, make_wsgi_app(registry))
         except OSError as error:
-            where = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+            where = f"{in_url(host)}:{port}"
             raise AddressError(f"--metrics: cannot bind {where}: {error.strerror}") from None
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        host = f"[{host}]" if ":" in host else host
-        self.url = f"http://{host}:{server.server_port}/metrics"
+        self.url = f"http://{in_url(host)}:{server.server_port}/metrics"
 
     def collect(self) -> Iterator[Metric]:
         """Yield the metrics of now, for a request; called from any thread."""

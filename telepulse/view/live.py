@@ -6,7 +6,6 @@ offset of the last status.
 
 import math
 from collections import deque
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -129,6 +128,8 @@ class LiveState:
     ticks : RollingTable
         felt_n (NaN where unknown), target_n, playout delay in ns (NaN where the pulse is not felt
         at full strength), predictor_error_n (NaN without one).
+    playing : dict
+        What is played, as in the last status; empty before.
     wrist, delays : RollingTable
         Force in N of samples; one-way delay in ms of frames.
     statuses : RollingTable
@@ -137,13 +138,8 @@ class LiveState:
     """
 
     def __init__(self) -> None:
-        self._take: dict[str, Callable[[Entry], None]] = {
-            TICK: self._tick,
-            FRAME: self._frame,
-            STATUS: self._status,
-            STREAM: self._stream,
-            EVENT: self._event,
-        }
+        takers = (self._tick, self._frame, self._status, self._stream, self._event)
+        self._take = dict(zip((TICK, FRAME, STATUS, STREAM, EVENT), takers, strict=True))
         self.events: deque[tuple[int, int, str]] = deque(maxlen=EVENTS)
         self._begin()
 
@@ -155,7 +151,7 @@ class LiveState:
         self._samples: deque[Fields] = deque(maxlen=LOSS_STATUSES)
         self._offset_ns: int | None = None
         self._group_delay_ns = 0
-        self._playing: Fields | None = None
+        self.playing: Fields = {}
         self._session: int | None = None
         self.now_ns = self.frame_ns = 0
         self.stepped_ns = self.missed_ns = -math.inf
@@ -165,30 +161,8 @@ class LiveState:
 
     def take(self, entry: Entry) -> None:
         """Process a message of the display, or an event."""
-        take = self._take.get(entry.topic)
-        if take is not None:
+        if take := self._take.get(entry.topic):
             take(entry)
-
-    @property
-    def finger_strain_per_newton(self) -> float | None:
-        """Strain per newton of the layer under the finger; None without a stream."""
-        return None if self._playing is None else float(self._playing["strain_per_newton"])
-
-    @property
-    def force_ratio(self) -> float | None:
-        """Wanted force at the finger per force at the wrist, for equal strains."""
-        return None if self._playing is None else float(self._playing["force_ratio"])
-
-    @property
-    def wrist_strain_per_newton(self) -> float | None:
-        """Strain per newton of the layer at the wrist."""
-        finger, ratio = self.finger_strain_per_newton, self.force_ratio
-        return None if finger is None or ratio is None else finger * ratio
-
-    @property
-    def predictor(self) -> str:
-        """The name of the display's predictor, empty while it is not known."""
-        return "" if self._playing is None else str(self._playing["predictor"])
 
     def _tick(self, entry: Entry) -> None:
         fields = entry.fields
@@ -207,9 +181,9 @@ class LiveState:
         if fields["session"] != self._session:
             return
         self.frame_ns, self.over = entry.t_ns, False
-        if offset_ns is None or self._playing is None:
+        if offset_ns is None or not self.playing:
             return
-        values = fields["force_n"][self._playing["channel"] :: fields["channels"]]
+        values = fields["force_n"][self.playing["channel"] :: fields["channels"]]
         if not values:
             return
         unix_ns, period_ns = entry.t_ns - fields["arrived_ns"], fields["period_ns"]
@@ -231,13 +205,12 @@ class LiveState:
         clock = self.summary["clock"]
         if "offset_ms" in clock:
             self._offset_ns = round(clock["offset_ms"] * MS)
-        self._playing = fields.get("playing", self._playing)
+        self.playing = fields.get("playing", self.playing)
         self._samples.append(self.summary["samples"])
-        lost, late = self._shares()
         self.statuses.add(
             max(self.now_ns, entry.t_ns),
             *(clock.get(name, math.nan) for name in ("offset_ms", "uncertainty_ms", "skew_ppm")),
-            *(lost, late),
+            *self._shares(),
             self.summary["loop"].get("deadline_misses", 0),
             sum(self.summary["rejected"].values()),
             sum(limit.get("seconds", 0.0) for limit in self.summary["limited"].values()),

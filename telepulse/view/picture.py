@@ -38,7 +38,6 @@ class Picture(NamedTuple):
     """Curves of a window; columns: t in s before now and values of each; limits: of each axis."""
 
     window_s: float
-
     columns: dict[str, Columns]
     limits: dict[str, tuple[float, float]]
     scores: PictureScores
@@ -48,56 +47,47 @@ class Picture(NamedTuple):
 def picture(live: LiveState, window_ns: int) -> Picture:
     """Return the curves and scores of the last `window_ns`."""
     begin_ns = live.now_ns - window_ns
-    ticks, wrist = live.ticks.since(begin_ns), live.wrist.since(begin_ns)
-    curve = _Curves(live.now_ns)
+    ticks, wrist, delays, statuses = (
+        table.since(begin_ns) for table in (live.ticks, live.wrist, live.delays, live.statuses)
+    )
     felt_n, wrist_n = ticks.values[:, 0], wrist.values[:, 0]
-    columns = {
-        "wrist": curve(wrist, wrist_n * 1e3),
-        "finger": curve(ticks, felt_n * 1e3),
-        "wrist_strain": curve(wrist, _compression(wrist_n, live.wrist_strain_per_newton)),
-        "finger_strain": curve(ticks, _compression(felt_n, live.finger_strain_per_newton)),
-        "one_way": curve(delays := live.delays.since(begin_ns), delays.values[:, 0]),
-        "playout": curve(ticks, ticks.values[:, 2] * 1e-6),
-        "predictor": curve(ticks, ticks.values[:, 3] * 1e3),
-    }
-    statuses = live.statuses.since(begin_ns)
+    finger_per_n, ratio = (
+        live.playing.get(name, math.nan) for name in ("strain_per_newton", "force_ratio")
+    )
     offset_ms, uncertainty_ms, skew_ppm, lost, late = statuses.values[:, :5].T
     # Two hosts' clocks may be days apart: the change of their offset matters.
     moved_ms = offset_ms - offset_ms[-1] if len(offset_ms) else offset_ms
-    columns |= {
-        "offset": curve(statuses, moved_ms, STATUS_GAP_NS),
-        "offset_low": curve(statuses, moved_ms - uncertainty_ms, STATUS_GAP_NS),
-        "offset_high": curve(statuses, moved_ms + uncertainty_ms, STATUS_GAP_NS),
-        "skew": curve(statuses, skew_ppm, STATUS_GAP_NS),
-        "lost": curve(statuses, lost, STATUS_GAP_NS),
-        "late": curve(statuses, late, STATUS_GAP_NS),
-    }
     in_phase_n, aligned_n, jnd_n = _errors(live, ticks, window_ns)
-    columns |= {
-        "in_phase": curve(ticks, in_phase_n * 1e3),
-        "aligned": curve(ticks, aligned_n * 1e3),
+    curves: dict[str, tuple[TableSlice, Floats]] = {
+        "wrist": (wrist, wrist_n * 1e3),
+        "finger": (ticks, felt_n * 1e3),
+        # Compressive strain in millionths.
+        "wrist_strain": (wrist, wrist_n * (-1e6 * finger_per_n * ratio)),
+        "finger_strain": (ticks, felt_n * (-1e6 * finger_per_n)),
+        "one_way": (delays, delays.values[:, 0]),
+        "playout": (ticks, ticks.values[:, 2] * 1e-6),
+        "predictor": (ticks, ticks.values[:, 3] * 1e3),
+        "offset": (statuses, moved_ms),
+        "offset_low": (statuses, moved_ms - uncertainty_ms),
+        "offset_high": (statuses, moved_ms + uncertainty_ms),
+        "skew": (statuses, skew_ppm),
+        "lost": (statuses, lost),
+        "late": (statuses, late),
+        "in_phase": (ticks, in_phase_n * 1e3),
+        "aligned": (ticks, aligned_n * 1e3),
     }
-    within, judged = _within(aligned_n, jnd_n), _judged(ticks, aligned_n, begin_ns, live.now_ns)
+    columns = {}
+    for name, (rows, values) in curves.items():
+        gap_ns = STATUS_GAP_NS if rows is statuses else MAX_GAP_NS
+        t_ns, y = thin(rows.first, rows.t_ns, values, POINTS, gap_ns)
+        columns[name] = {"t": (t_ns - live.now_ns).astype(np.float64) * 1e-9, "y": y}
+    known_n = aligned_n[~np.isnan(aligned_n)]
+    within = float(np.mean(np.abs(known_n) < jnd_n)) if jnd_n and len(known_n) else None
+    judged = _judged(ticks, len(known_n), begin_ns, live.now_ns)
     scores = PictureScores(_rms(in_phase_n), _rms(aligned_n), within, jnd_n, judged)
     return Picture(
         window_ns / SECOND_NS, columns, _limits(columns, jnd_n), scores, _heart_rate(live)
     )
-
-
-class _Curves:
-    """Maker of thinned curves over seconds before now."""
-
-    def __init__(self, now_ns: int) -> None:
-        self._now_ns = now_ns
-
-    def __call__(self, rows: TableSlice, values: Floats, gap_ns: int = MAX_GAP_NS) -> Columns:
-        t_ns, y = thin(rows.first, rows.t_ns, values, POINTS, gap_ns)
-        return {"t": (t_ns - self._now_ns).astype(np.float64) * 1e-9, "y": y}
-
-
-def _compression(force_n: Floats, strain_per_newton: float | None) -> Floats:
-    """Return compressive strain in millionths; NaN while the layer is unknown."""
-    return force_n * (math.nan if strain_per_newton is None else -1e6 * strain_per_newton)
 
 
 def _errors(
@@ -107,12 +97,11 @@ def _errors(
 
     NaN where the pulse of that instant has not arrived, or is not felt at full strength.
     """
-    ratio = live.force_ratio
     wrist = live.wrist.since(live.now_ns - window_ns - SPAN_NS)
-    if ratio is None or not len(wrist.t_ns):
+    if not live.playing or not len(wrist.t_ns):
         nothing = np.full(len(ticks.t_ns), math.nan)
         return nothing, nothing, None
-    right_n = ratio * wrist.values[:, 0]
+    right_n = live.playing["force_ratio"] * wrist.values[:, 0]
     felt_n, delay_ns = ticks.values[:, 0], ticks.values[:, 2]
     scored = ~np.isnan(delay_ns)
     played_ns: Times = ticks.t_ns - np.where(scored, delay_ns, 0).astype(np.int64)
@@ -125,16 +114,11 @@ def _errors(
 
 
 def _rms(error_n: Floats) -> float | None:
-    known = error_n[~np.isnan(error_n)]
-    return math.sqrt(float(np.mean(known**2))) if len(known) else None
+    known_n = error_n[~np.isnan(error_n)]
+    return math.sqrt(float(np.mean(known_n**2))) if len(known_n) else None
 
 
-def _within(error_n: Floats, jnd_n: float | None) -> float | None:
-    known = error_n[~np.isnan(error_n)]
-    return float(np.mean(np.abs(known) < jnd_n)) if jnd_n and len(known) else None
-
-
-def _judged(ticks: TableSlice, error_n: Floats, begin_ns: int, now_ns: int) -> float | None:
+def _judged(ticks: TableSlice, known: int, begin_ns: int, now_ns: int) -> float | None:
     """Return which share of the window could be judged: of its time, not of the ticks that came.
 
     With less telemetry than the window, the window is as long as the telemetry.
@@ -143,7 +127,7 @@ def _judged(ticks: TableSlice, error_n: Floats, begin_ns: int, now_ns: int) -> f
     if not tick_ns:
         return None
     whole_ns = now_ns - (begin_ns if ticks.first else int(ticks.t_ns[0])) + tick_ns
-    return min(1.0, float(np.count_nonzero(~np.isnan(error_n))) * tick_ns / whole_ns)
+    return min(1.0, float(known) * tick_ns / whole_ns)
 
 
 def _heart_rate(live: LiveState) -> float | None:

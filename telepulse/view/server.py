@@ -5,7 +5,6 @@ Needs the extra `view` (Bokeh), which the caller has checked (`bokeh_is_there`).
 
 import logging
 import time
-from collections.abc import Callable
 from http import HTTPStatus
 from typing import Any
 from urllib.parse import urlsplit
@@ -26,10 +25,9 @@ from protocol.errors import AddressError
 from protocol.security.budgets import TokenBucket
 from protocol.security.keys import ClientKeys
 from protocol.sockets import beyond_loopback
-from telepulse.http_site import Site
+from telepulse.http_site import Site, in_url
 from telepulse.processes import free_addresses
 from telepulse.telemetry.client import TelemetryClient
-from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import EVENT, STATUS, TICK
 from telepulse.view.live import LiveState
 from telepulse.view.page import LivePage
@@ -44,70 +42,48 @@ OPENED_PER_S, OPENED_AT_ONCE = 0.5, 4
 OPENING = ("", "/", "/autoload.js")
 
 
-class Admission:
-    """Decision on each request: served under this server's own name, and to few enough viewers.
+class AdmittingRouter(Router):
+    """Router that passes requests on to the pages' routes, or answers why not in one line.
 
-    viewers: returns the number of open pages. The first refusal of each kind is logged.
+    Served are requests under this server's own name, and few enough viewers. The first refusal of
+    each kind is logged, not each: a flood would fill the terminal.
     """
 
-    def __init__(self, site: Site, viewers: Callable[[], int]) -> None:
-        self._site, self._viewers = site, viewers
+    def __init__(self, pages: BokehTornado, site: Site) -> None:
+        self._pages, self._site = pages, site
         self._opened = TokenBucket(OPENED_PER_S, OPENED_AT_ONCE)
         self._warned: set[HTTPStatus] = set()
-
-    def refusal(self, request: HTTPServerRequest) -> tuple[HTTPStatus, str] | None:
-        """Return the status and the one line that refuse a request; None where it is served.
-
-        Call it once for each request: those that open a page are counted.
-        """
-        refusal = self._judge(request)
-        if refusal is not None and refusal[0] not in self._warned:
-            self._warned.add(refusal[0])
-            logger.warning(f"refused a request from {request.remote_ip}: {refusal[1]}")
-        return refusal
-
-    def _judge(self, request: HTTPServerRequest) -> tuple[HTTPStatus, str] | None:
-        reason = self._site.refusal(request.host, request.headers.get("Origin"))
-        if reason is not None:
-            return HTTPStatus.FORBIDDEN, reason
-        if request.path not in OPENING:
-            return None
-        if self._viewers() >= MAX_VIEWERS:
-            reason = f"{MAX_VIEWERS} pages are open already, which is the most; close one"
-            return HTTPStatus.SERVICE_UNAVAILABLE, reason
-        if not self._opened.take(time.monotonic_ns()):
-            reason = "too many pages were opened at once; try again in a few seconds"
-            return HTTPStatus.SERVICE_UNAVAILABLE, reason
-        return None
-
-
-class AdmittingRouter(Router):
-    """Router that answers refused requests, and passes the others on to the pages' routes."""
-
-    def __init__(self, pages: Application, admission: Admission) -> None:
-        self._pages, self._admission = pages, admission
-        # Refusals are not logged one by one: a flood would fill the terminal.
         self._refusing = Application([], log_function=lambda handler: None)
 
     def find_handler(
         self, request: HTTPServerRequest, **_: Any
     ) -> httputil.HTTPMessageDelegate | None:
-        """Return the handler of a request."""
-        refusal = self._admission.refusal(request)
-        if refusal is None:
+        """Return the handler of a request; call it once for each: those that open a page count."""
+        status, reason = HTTPStatus.SERVICE_UNAVAILABLE, None
+        if stranger := self._site.refusal(request.host, request.headers.get("Origin")):
+            status, reason = HTTPStatus.FORBIDDEN, stranger
+        elif request.path in OPENING:
+            if len(self._pages.get_sessions("/")) >= MAX_VIEWERS:
+                reason = f"{MAX_VIEWERS} pages are open already, which is the most; close one"
+            elif not self._opened.take(time.monotonic_ns()):
+                reason = "too many pages were opened at once; try again in a few seconds"
+        if reason is None:
             return self._pages.find_handler(request)
-        arguments = {"refusal": refusal}
-        return self._refusing.get_handler_delegate(request, _Refused, target_kwargs=arguments)
+        if status not in self._warned:
+            self._warned.add(status)
+            logger.warning(f"refused a request from {request.remote_ip}: {reason}")
+        answer = {"status": status, "line": reason}
+        return self._refusing.get_handler_delegate(request, _Refused, target_kwargs=answer)
 
 
 class _Refused(RequestHandler):
     """Handler that answers a refused request in one line."""
 
-    def initialize(self, refusal: tuple[HTTPStatus, str]) -> None:
-        self._code, self._line = refusal
+    def initialize(self, status: HTTPStatus, line: str) -> None:
+        self._status, self._line = status, line
 
     def prepare(self) -> None:
-        self.set_status(self._code)
+        self.set_status(self._status)
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish(self._line + "\n")
 
@@ -130,11 +106,7 @@ class PageServer:
     """
 
     def __init__(
-        self,
-        address: str,
-        host: str,
-        port: int | None,
-        keys: ClientKeys | None = None,
+        self, address: str, host: str, port: int | None, keys: ClientKeys | None = None
     ) -> None:
         self._live = LiveState()
         self._began_ns = time.monotonic_ns()
@@ -149,7 +121,7 @@ class PageServer:
         self._loop = IOLoop.current()
         self._polling = PeriodicCallback(self._poll_telemetry, POLL_EVERY_MS)
         self._server = self._serve(host, port)
-        self.url = f"http://{_in_url(host)}:{self._server.port}"
+        self.url = f"http://{in_url(host)}:{self._server.port}"
 
     @property
     def viewers(self) -> int:
@@ -185,7 +157,7 @@ class PageServer:
             site = Site.at(host)
             pages = BokehTornado(
                 {"/": self._open},
-                extra_websocket_origins=[f"{_in_url(name)}:{bound}" for name in site.names],
+                extra_websocket_origins=[f"{in_url(name)}:{bound}" for name in site.names],
                 unused_session_lifetime_milliseconds=UNUSED_MS,
                 check_unused_sessions_milliseconds=CHECK_UNUSED_MS,
                 # A browser answers a ping even while its tab is hidden; a peer that does not read
@@ -194,14 +166,12 @@ class PageServer:
                 websocket_ping_interval=PING_EVERY_S,
                 websocket_ping_timeout=PING_EVERY_S,
             )
-            admission = Admission(site, lambda: self.viewers)
-            http = HTTPServer(AdmittingRouter(pages, admission))
+            http = HTTPServer(AdmittingRouter(pages, site))
             http.add_sockets(listening)
             return BaseServer(self._loop, pages, http)
         raise AddressError(f"cannot serve the page on {host}:{numbers[-1]}: {reason}") from None
 
     def _open(self, document: Document) -> None:
-        """Fill the document of a page that is opened."""
         LivePage(document, self._live, self._silent_ns)
 
     def _silent_ns(self) -> int:
@@ -213,25 +183,17 @@ class PageServer:
     def _poll_telemetry(self) -> None:
         now_ns = time.monotonic_ns()
         for entries in self._client.messages():
-            self._take(entries, now_ns)
+            stamps_ns = [entry.fields["now_ns"] for entry in entries if entry.topic == TICK]
+            if stamps_ns:
+                self._age.take_trace(stamps_ns[-1], now_ns)
+            for entry in entries:
+                if entry.topic == EVENT and entry.fields["name"] == "begin":
+                    self._age, self._began_ns = TelemetryAge(self._local), now_ns
+                elif entry.topic == STATUS:
+                    self._age.take_status(now_ns)
+                self._live.take(entry)
         self._client.poll(now_ns)
         over = self._end_ns is not None and now_ns >= self._end_ns
         if self._stopping or over:
             self._polling.stop()
             self._loop.call_later(LINGER_S, self._loop.stop)
-
-    def _take(self, entries: list[Entry], received_ns: int) -> None:
-        """Take the entries of one message."""
-        stamps_ns = [entry.fields["now_ns"] for entry in entries if entry.topic == TICK]
-        if stamps_ns:
-            self._age.take_trace(stamps_ns[-1], received_ns)
-        for entry in entries:
-            if entry.topic == EVENT and entry.fields["name"] == "begin":
-                self._age, self._began_ns = TelemetryAge(self._local), received_ns
-            elif entry.topic == STATUS:
-                self._age.take_status(received_ns)
-            self._live.take(entry)
-
-
-def _in_url(host: str) -> str:
-    return f"[{host}]" if ":" in host else host

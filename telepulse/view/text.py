@@ -86,21 +86,20 @@ def figures(live: LiveState, picture: Picture, silent_ns: int = 0) -> dict[str, 
     window = f"the last {picture.window_s:g} s"
     heart_rate = None if age(live, silent_ns) else picture.heart_rate_per_min
     shown = dict.fromkeys(FIGURES, PageFigure(NOTHING)) | {
-        "heart": PageFigure(_show(heart_rate, "{:.0f} /min"), "of the force felt, last 6 s"),
+        "heart": PageFigure(
+            NOTHING if heart_rate is None else f"{heart_rate:.0f} /min",
+            "of the force felt, last 6 s",
+        ),
         "aligned": _error(scores.aligned_n, scores, window),
         "in_phase": _error(scores.in_phase_n, scores, window),
         "within": _within(scores, window),
         "loss": _loss(live.summary.get("samples", {})),
-        "predictor": PageFigure(live.predictor or NOTHING),
+        "predictor": PageFigure(live.playing.get("predictor") or NOTHING),
     }
     # Before the first status there is no summary.
     for row in REGISTRY.rows(live.summary, Surface.PAGE) if live.summary else ():
         shown[row.name.replace(" ", "-")] = PageFigure(row.large, row.note)
     return shown
-
-
-def _show(value: float | None, form: str) -> str:
-    return NOTHING if value is None else form.format(value)
 
 
 def _percent(share: float | None, digits: int = 1) -> str:

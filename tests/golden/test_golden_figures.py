@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from protocol.wire.telemetry import Status
-from telepulse.metrics.families import NodeState, families
+from telepulse.metrics.server import NodeState, families
 from telepulse.telemetry.schema import SCHEMAS
 from tests.support.full_summary import full_summary
 

@@ -73,17 +73,21 @@ class TelemetryPublisher:
             self.publisher.heard.welcome(now_ns, data)
 
     def publish(self, ms: int, session: int = SESSION) -> None:
-        """So many ticks, a frame with every fifth."""
+        """So many ticks, with statuses."""
         for _ in range(ms):
-            now_ns = time.monotonic_ns()
-            if self.ticks % BATCH == 0:
-                self.receive(0, encode_frame(numbered_frame(self.frames, session)))
-                self.frames += 1
-                self.sent_ns.append(now_ns)
-            felt = TickState(now_ns, now_ns, self.ticks * MS, 0.5, self.ticks * 1e-3, True)
-            if self.publisher.add(felt):
+            if self.tick(session):
                 self.status("playing")
-            self.ticks += 1
+
+    def tick(self, session: int = SESSION) -> bool:
+        """Tick, with a frame every fifth time; return whether a status is due."""
+        now_ns = time.monotonic_ns()
+        if self.ticks % BATCH == 0:
+            self.receive(0, encode_frame(numbered_frame(self.frames, session)))
+            self.frames += 1
+            self.sent_ns.append(now_ns)
+        felt = TickState(now_ns, now_ns, self.ticks * MS, 0.5, self.ticks * 1e-3, True)
+        self.ticks += 1
+        return self.publisher.add(felt)
 
     def status(self, state: str, summary: Summary | None = None, final: bool = False) -> None:
         data = pack_status(state, "test pulse", summary or Summary(), final)

@@ -8,7 +8,7 @@ import zmq
 
 from protocol import sockets
 from protocol.sockets import Context, Socket
-from telepulse.relay.proxy import Proxy
+from telepulse.relay import Proxy
 from tests.support.nodes import free_address
 
 PATIENCE_S = 20.0

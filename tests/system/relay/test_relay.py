@@ -17,7 +17,7 @@ from protocol.security.allow_list import allow, revoke
 from protocol.security.keys import ClientKeys, KeyPair, ServerKeys, new_pair, read_pair
 from protocol.sockets import Context, Socket, control_address
 from protocol.wire.messages import encode_frame
-from telepulse.relay.relay import Relay
+from telepulse.relay import Relay
 from tests.support.frames import frame
 from tests.support.middleman import Middleman
 from tests.support.nodes import free_address

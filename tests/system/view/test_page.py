@@ -162,6 +162,7 @@ def test_a_cut_link_is_an_alarm_that_goes_again(bench: Bench, visit: Visit) -> N
 def test_a_display_that_stands_still_is_grey_and_has_its_age(bench: Bench, visit: Visit) -> None:
     with visit(bench.url) as page:
         await_state(page, "playing")
+        page.locator("body:not(.old)").wait_for()
         bright = page.evaluate(COLOUR_OF_STATE)
         with bench.still("display"):
             page.locator("body.old").wait_for()

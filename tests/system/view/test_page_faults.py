@@ -21,6 +21,8 @@ def test_a_fault_is_named_once_with_what_to_do_and_what_is_measured(visit: Visit
 
         def shown() -> bool:
             """Publish on, as a display does: what is not current has its age instead."""
+            for _ in range(20):
+                publisher.tick()
             publisher.status("fault", Summary(faults=[FAULT], finger=FINGER))
             return str(note.inner_text()).endswith(f"; finger: {FINGER}")
 

@@ -16,7 +16,7 @@ from protocol.figures import MILLISECONDS, Figure, Registry, Surface, absent, fi
 from protocol.run_summary import REGISTRY, Summary, print_summary
 from protocol.summary_tables import Clock
 from protocol.wire.telemetry import Status
-from telepulse.metrics.families import NodeState, families
+from telepulse.metrics.server import NodeState, families
 from telepulse.view import text as page
 from telepulse.view.live import LiveState
 from telepulse.view.picture import picture

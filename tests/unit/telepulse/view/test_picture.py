@@ -52,7 +52,7 @@ def test_two_layers_have_equal_strains_at_different_forces(
     strain = -1e6 * WRIST.strain(peak_n)
     assert columns["wrist_strain"]["y"].max() == pytest.approx(strain, rel=1e-3)
     assert columns["finger_strain"]["y"].max() == pytest.approx(strain, rel=1e-3)
-    assert display.live.finger_strain_per_newton == pytest.approx(FINGER.strain_per_newton)
+    assert display.live.playing["strain_per_newton"] == pytest.approx(FINGER.strain_per_newton)
 
 
 def test_each_force_stands_at_its_own_instant(display: SimulatedDisplay) -> None:

@@ -1,4 +1,4 @@
-from telepulse.relay.relay import SilenceDetector
+from telepulse.relay import SilenceDetector
 
 S = 1_000_000_000
 TIMEOUT_NS = 2 * S

@@ -1,8 +1,12 @@
 """Relay of one stream: displays on one side, a sensing node or a further relay on the other."""
 
+import itertools
 import logging
+import struct
+import threading
 import time
 from collections import Counter
+from contextlib import suppress
 
 import zmq
 
@@ -19,11 +23,13 @@ from protocol.security.keys import ClientKeys, ServerKeys
 from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.summary_tables import FrameCounts, Reconnections
 from protocol.wire.messages import decode_frame
-from telepulse.relay.proxy import Proxy
 
 logger = logging.getLogger(__name__)
 
 _SUBSCRIBED = b"\1"
+STATISTICS = struct.Struct("=Q")
+# The proxy answers at once, unless the machine gives its thread no time.
+ANSWER_MS = 5_000
 # Interval at which the length of a frame is read from one of the frames.
 READ_EVERY_NS = 100_000_000
 # Timeout of a stream whose frames have an unknown length, and the longest of any stream.
@@ -31,6 +37,90 @@ MAX_SILENT_NS = 10_000_000_000
 CHECK_EVERY_NS = 100_000_000
 # Time until Ctrl-C takes effect.
 WAIT_NS = 50_000_000
+_numbers = itertools.count()
+
+
+class Proxy:
+    """ZeroMQ's own proxy between a socket for displays and one to the sensing node, in a thread.
+
+    While the proxy runs, the sockets belong to its thread; stopped, they are the caller's again.
+
+    Attributes
+    ----------
+    requests, received : int
+        Message parts passed to the sensing node and from it, over all runs.
+    received_bytes : int
+        Bytes from the sensing node.
+    dropped : int
+        Messages dropped because the queue to the sensing node was full.
+    """
+
+    def __init__(
+        self, context: sockets.Context, displays: sockets.Socket, sensing: sockets.Socket
+    ) -> None:
+        # A socket that waited for room would hold up the thread for good.
+        sensing.setsockopt(zmq.SNDTIMEO, 0)
+        self._context, self.displays, self.sensing = context, displays, sensing
+        self.requests = self.received = self.received_bytes = self.dropped = 0
+        self._last_counts = (0, 0, 0)
+        self._steering: sockets.Socket | None = None
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Begin to pass messages on."""
+        address = f"inproc://proxy-{next(_numbers)}"
+        self._steering = self._context.socket(zmq.PAIR)
+        self._steering.setsockopt(zmq.RCVTIMEO, ANSWER_MS)
+        self._steering.bind(address)
+        steered = self._context.socket(zmq.PAIR)
+        steered.connect(address)
+        self._last_counts = (0, 0, 0)
+        # A daemon thread cannot keep the program from ending, should it ever hang.
+        self._thread = threading.Thread(target=self._run, args=(steered,), daemon=True)
+        self._thread.start()
+
+    def update_counts(self) -> None:
+        """Bring the counts up to date."""
+        if self._steering is None:
+            return
+        self._steering.send(b"STATISTICS")
+        try:
+            answer = self._steering.recv_multipart()
+        except zmq.Again:  # counted at the next update
+            return
+        numbers = [number for part in answer for number in STATISTICS.unpack(part)]
+        requests, received, received_bytes = numbers[0], numbers[4], numbers[5]
+        # The proxy counts from zero after it had to start again.
+        last = self._last_counts
+        before = last if requests >= last[0] and received >= last[1] else (0, 0, 0)
+        self.requests += requests - before[0]
+        self.received += received - before[1]
+        self.received_bytes += received_bytes - before[2]
+        self._last_counts = (requests, received, received_bytes)
+
+    def stop(self) -> None:
+        """Give the sockets back; messages queued on them stay queued."""
+        if self._steering is None or self._thread is None:
+            return
+        self.update_counts()
+        self._steering.send(b"TERMINATE")
+        self._thread.join()
+        self._steering.close(0)
+        self._steering = self._thread = None
+
+    def _run(self, steered: sockets.Socket) -> None:
+        """Pass messages on until stopped; a message that finds the queue full is dropped."""
+        with suppress(zmq.ContextTerminated):
+            while True:
+                try:
+                    zmq.proxy_steerable(self.displays, self.sensing, None, steered)
+                    break
+                except zmq.Again:
+                    self.dropped += 1
+                    # Drop the rest of that message: ZeroMQ drops whole messages or none.
+                    while self.displays.getsockopt(zmq.RCVMORE):
+                        self.displays.recv(zmq.NOBLOCK)
+            steered.close(0)
 
 
 class FrameForwarder:
@@ -51,12 +141,10 @@ class FrameForwarder:
         self.received = self.received_bytes = 0
         self.rejected: Counter[str] = subscribers.rejected
         self.sockets = [displays, *(line.socket for line in path.lines)]
-        self._path = path
-        self._displays = displays
-        self._subscribers = subscribers
+        self._path, self._displays, self._subscribers = path, displays, subscribers
         self._subscribed = False
         self._next_read_ns = 0
-        self._set_timeout(MAX_SILENT_NS // PATIENCE_FRAMES)
+        self._set_timeout(MAX_SILENT_NS)
 
     def poll(self, now_ns: int) -> None:
         """Follow the displays' subscriptions and pass the received frames on.
@@ -64,7 +152,12 @@ class FrameForwarder:
         Call it whenever one of `sockets` is readable.
         """
         for event in self._subscribers.receive():
-            self._subscribe(event == _SUBSCRIBED, now_ns)
+            wanted = event == _SUBSCRIBED
+            if wanted and not self._subscribed:
+                self._path.subscribe(now_ns)
+            elif self._subscribed and not wanted:
+                self._path.unsubscribe()
+            self._subscribed = wanted
         frame = None
         for frame in self._path.messages():
             self.received += 1
@@ -72,7 +165,10 @@ class FrameForwarder:
             sockets.send(self._displays, frame)
         if frame is not None and now_ns >= self._next_read_ns:
             self._next_read_ns = now_ns + READ_EVERY_NS
-            self._read_length(frame)
+            # Displays refuse and count a frame that cannot be decoded.
+            with suppress(WireError):
+                read = decode_frame(frame)
+                self._set_timeout(len(read.values) * read.period_ns)
         self._path.take_received(now_ns)
 
     def connect(self, now_ns: int, found: str | None) -> None:
@@ -83,25 +179,9 @@ class FrameForwarder:
         if self._subscribed or self._path.first.address is None:
             self._path.poll(now_ns, found)
 
-    def _subscribe(self, wanted: bool, now_ns: int) -> None:
-        if wanted == self._subscribed:
-            return
-        self._subscribed = wanted
-        if wanted:
-            self._path.subscribe(now_ns)
-        else:
-            self._path.unsubscribe()
-
-    def _read_length(self, data: bytes) -> None:
-        try:
-            frame = decode_frame(data)
-        except WireError:
-            return  # displays refuse and count it
-        length_ns = len(frame.values) * frame.period_ns
-        self._set_timeout(min(length_ns, MAX_SILENT_NS // PATIENCE_FRAMES))
-
     def _set_timeout(self, frame_ns: int) -> None:
-        self._path.failover.set_timeouts(frame_ns, ANSWER_NS)
+        longest_ns = MAX_SILENT_NS // PATIENCE_FRAMES
+        self._path.failover.set_timeouts(min(frame_ns, longest_ns), ANSWER_NS)
 
 
 class SilenceDetector:

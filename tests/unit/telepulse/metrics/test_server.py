@@ -12,7 +12,7 @@ from prometheus_client.registry import Collector
 from protocol.run_summary import Summary
 from protocol.summary_tables import Clock, FrameCounts, Lateness, Loop, OneWayDelay, SampleCounts
 from protocol.wire.telemetry import Status
-from telepulse.metrics.families import SILENT_AFTER_NS, NodeState, families
+from telepulse.metrics.server import SILENT_AFTER_NS, NodeState, families
 
 SECOND_NS = 1_000_000_000
 Scraped = dict[tuple[str, tuple[tuple[str, str], ...]], float]
