@@ -1,4 +1,4 @@
-"""What it takes to report and to export an hour's recording: time, memory, size."""
+"""Time, memory and size of the reports and exports of an hour's recording."""
 
 import math
 import os
@@ -11,7 +11,7 @@ from protocol.host.child_process import ChildProcess
 from tests.support.recordings import record
 
 SECONDS = 3_600
-WORK = (
+COMMANDS = (
     ("report",),
     ("export", "--to", "csv"),
     ("export", "--to", "parquet"),
@@ -27,18 +27,17 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="telepulse-") as folder:
         path = Path(folder, "hour.mcap")
         record(path, SECONDS)
-        for command, *options in WORK:
-            name = "-".join((command, *options))
-            out = Path(folder, name)
-            work_s, most_mb = run(command, str(path), *options, "--out", str(out))
-            figures = (work_s, most_mb, size_mb(out))
+        for command, *options in COMMANDS:
+            out = Path(folder, "-".join((command, *options)))
+            core_s, most_mb = run(command, str(path), *options, "--out", str(out))
+            figures = (core_s, most_mb, size_mb(out))
             rows.append((" ".join((command, *options)), *(f"{figure:.0f}" for figure in figures)))
         title = f"A recording of {SECONDS} s, {path.stat().st_size * 1e-6:.0f} MB"
     show(title, ("telepulse", "s of a core", "most memory, MB", "written, MB"), rows)
 
 
 def run(*arguments: str) -> tuple[float, float]:
-    """Run a command of telepulse; its time on a core in s, and the most memory it had in MB."""
+    """Run a command of telepulse; return its time on a core in s and its peak memory in MB."""
     process = ChildProcess("command", "-m", "telepulse", *arguments, stdout=DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
@@ -48,6 +47,6 @@ def run(*arguments: str) -> tuple[float, float]:
 
 
 def size_mb(path: Path) -> float:
-    """Of a file, or of a folder's files."""
+    """Return the size of a file, or of a folder's files."""
     files = [path] if path.is_file() else list(path.iterdir())
     return math.fsum(file.stat().st_size for file in files) * 1e-6

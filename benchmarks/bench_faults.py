@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from benchmarks.measure import show
-from benchmarks.whole_bench import KINDS, BenchFailedError, MotorTrace, WholeBench, playing
+from tests.support.emulated_bench import KINDS, BenchFailedError, EmulatedBench, MotorTrace, playing
 
 REPEATS = 2
 TRIES = 3
@@ -105,7 +105,7 @@ def trouble(word: str, kind: str, folder: Path) -> Outcome:
         return ended(bench, None)
 
 
-def ended(bench: WholeBench, at_ns: int | None) -> Outcome:
+def ended(bench: EmulatedBench, at_ns: int | None) -> Outcome:
     """Stop the bench, and see in the motor's record what came of a fault then; None: of its
     own trouble.
     """
@@ -170,7 +170,7 @@ def display_restarted(folder: Path, kind: str) -> MotorTrace:
         return felt_again(bench, bench.start_display)
 
 
-def felt_again(bench: WholeBench, start: Callable[[], None]) -> MotorTrace:
+def felt_again(bench: EmulatedBench, start: Callable[[], None]) -> MotorTrace:
     """Start what is missing; the record from then on. Raises BenchFailedError for a fault."""
     began_ns = time.monotonic_ns()
     start()
@@ -181,7 +181,9 @@ def felt_again(bench: WholeBench, start: Callable[[], None]) -> MotorTrace:
         raise BenchFailedError(f"at fault: {summary['faults']}")
     motor = bench.motor()
     later = motor.time_ns >= began_ns
-    return MotorTrace(*(values[later] for values in motor[:3]), motor.trouble_ns)
+    return MotorTrace(
+        motor.time_ns[later], motor.speed_m_per_s[later], motor.force_n[later], motor.trouble_ns
+    )
 
 
 def rise_ms(felt_n: "np.typing.NDArray[np.float64]") -> str:

@@ -13,13 +13,13 @@ import can
 
 from benchmarks.drives import ACTUATOR, CAN_BUS, FORCE_LIMIT_N, LAYER, motor
 from benchmarks.measure import show
-from benchmarks.polled import polled
 from display_node.drives import Drive, build_drive
 from display_node.drives.scene import Cia402Scene, TmclScene
 from telepulse.emulators.cia402 import EmulatedCia402Node
 from telepulse.emulators.motor import EmulatedMotor
 from telepulse.emulators.pty_port import PtyPort
 from telepulse.emulators.tmcl import EmulatedSerialLine, EmulatedTmclModule
+from tests.support.drive_benches import polled
 
 REPEATS = 5
 BAR_MS = 100.0
@@ -59,7 +59,7 @@ def row(
     happens: Callable[[Bench], None],
 ) -> tuple[str, ...]:
     """A fault as it stands in the table."""
-    times_ms, named = [], ""
+    times_ms, named = list[float](), ""
     while len(times_ms) < REPEATS:
         with make() as bench:
             bench.drive.start()

@@ -9,6 +9,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from typing import Any
 
 import can
@@ -17,7 +18,6 @@ from pytrinamic.connections.tmcl_interface import TmclInterface
 from pytrinamic.tmcl import TMCLRequest
 
 from benchmarks.measure import show
-from benchmarks.polled import polled
 from display_node.drives import build_drive
 from display_node.drives.axis import build_axis
 from display_node.drives.cia402.drive import Cia402Drive
@@ -35,6 +35,7 @@ from telepulse.emulators.motor import EmulatedMotor
 from telepulse.emulators.pty_port import PtyPort
 from telepulse.emulators.slcan import SlcanBus
 from telepulse.emulators.tmcl import EmulatedCanLine, EmulatedSerialLine, EmulatedTmclModule
+from tests.support.drive_benches import polled
 
 RUNS = 5
 CALLS = 500
@@ -168,7 +169,7 @@ def tmcl_calls() -> Iterator[dict[str, Call]]:
             EmulatedSerialLine(EmulatedTmclModule(boxed, motor(boxed.touch_m)), boxed_port),
         ):
             open_things.callback(server.close)
-            open_things.enter_context(polled(lambda s=server: s.serve(0.005)))  # type: ignore[misc]
+            open_things.enter_context(polled(partial(server.serve, 0.005)))
         lines = TmclLine(on_pty), TmclLine(on_can)
         drive = build_drive(boxed, ACTUATOR, LAYER, FORCE_LIMIT_N)
         yield {

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.measure import show
-from benchmarks.whole_bench import KINDS, BenchFailedError, playing
 from protocol.config.scene_file import find_scene, load_document, to_toml
 from sensing_node.scene import build_source
 from telepulse.scene import load_scene
 from telepulse.simulation.virtual_time import Simulation
+from tests.support.emulated_bench import KINDS, BenchFailedError, playing
 
 Forces = NDArray[np.float64]
 
@@ -132,4 +132,5 @@ def model_force_n(folder: Path) -> Forces:
     Simulation(scene, seed=1).run(SECONDS, watch=lambda felt: felt_n.append(felt.felt_n))
     tick_ms = scene.display.tick_ns * 1e-6
     every_ms = np.arange(0.0, (len(felt_n) - 1) * tick_ms)
-    return np.interp(every_ms, np.arange(len(felt_n)) * tick_ms, felt_n)
+    force_n: Forces = np.interp(every_ms, np.arange(len(felt_n)) * tick_ms, felt_n)
+    return force_n

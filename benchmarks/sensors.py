@@ -96,7 +96,7 @@ def times(kind: Kind) -> tuple[str, ...]:
 def decoding_us(kind: Kind) -> float:
     """Cost of a sample from bytes to readings, in chunks as USB delivers them."""
     board, scene = _board(kind, 0, SKEW), validate(TABLE | kind.keys, SerialScene, "benchmark")
-    chunks = []
+    chunks = list[tuple[bytes, int]]()
     while len(chunks) < 100:
         now_ns = board.next_delivery_ns
         chunks.append((board.deliver(now_ns), now_ns))

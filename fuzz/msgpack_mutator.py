@@ -4,7 +4,7 @@ import math
 import random
 from typing import Any
 
-import atheris  # type: ignore[import-untyped]
+import atheris
 import msgpack
 
 ODD: tuple[Any, ...] = (

@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 
-import atheris  # type: ignore[import-untyped]
+import atheris
 
 from fuzz.msgpack_mutator import mutate
 

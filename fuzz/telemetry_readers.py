@@ -58,7 +58,7 @@ class TelemetryReaders:
     def __init__(self) -> None:
         self.screen, self.live, self.decoder = TerminalView(), LiveState(), TelemetryDecoder()
         self.outlets = KeptOutlets()
-        self.forwarder = LslForwarder(self.outlets)
+        self.forwarder = LslForwarder(self.outlets)  # type: ignore[arg-type]
         self.findings = RunFindings()
 
     def take(self, topic: bytes, data: bytes) -> None:
@@ -141,7 +141,7 @@ def trace_message(*felt: TickState) -> Message:
 
 def status_message(state: str, playing: PlaybackStatus = PLAYING, **changes: Any) -> Message:
     """Return a status message, of a display whose clock is known."""
-    whole = {
+    whole: dict[str, Any] = {
         "clock": Clock(AHEAD_NS / MS, 1.0, 0.1, 0.2, 0),
         "samples": SampleCounts(5, 5, 0, 0, 0),
     }

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import zmq
 
-from benchmarks.whole_bench import BenchFailedError, WholeBench, playing
 from protocol.host.child_process import ChildProcess
 from protocol.wire.telemetry import STATUS, read_status
 from soak.bench_truth import FingerClaim, Round
 from soak.schedule import BENCH_WATCHDOG_S, Trouble, troubles
+from tests.support.emulated_bench import BenchFailedError, EmulatedBench, playing
 
-# So patient are watchdog and film, so that a machine that is busy does not end each round.
-PATIENCE_MS = round(BENCH_WATCHDOG_S * 1e3)
+# Longer than the scene's, so that a busy machine does not end each round by a fault.
+WATCHDOG_MS = round(BENCH_WATCHDOG_S * 1e3)
 # Until a tip that is withdrawn is off, and is named so several times.
 AFTER_S = 3.0
 POLL_MS = 50
@@ -40,7 +40,7 @@ def play_rounds(
 def _play(folder: Path, trouble: Trouble) -> Round:
     """Play until the pulse is felt, make the trouble, and end the display by SIGTERM."""
     claims = list[FingerClaim]()
-    with playing(folder, "tmcl", patience_ms=PATIENCE_MS) as bench:
+    with playing(folder, "tmcl", watchdog_ms=WATCHDOG_MS) as bench:
         with zmq.Context() as context, context.socket(zmq.SUB) as socket:
             socket.connect(bench.telemetry)
             socket.subscribe(STATUS)
@@ -57,7 +57,7 @@ def _play(folder: Path, trouble: Trouble) -> Round:
     return Round(str(trouble), claims, status, faults, finger, motor.time_ns, motor.force_n)
 
 
-def _make(trouble: Trouble, bench: WholeBench) -> None:
+def _make(trouble: Trouble, bench: EmulatedBench) -> None:
     """Stall the display, or kill the sensing node."""
     if trouble.kind == "cut":
         bench.processes["sensing"].kill()

@@ -68,10 +68,11 @@ class TickRecord:
         for part in (slice(a, b) for a, b in pairwise([0, *ends.tolist(), len(trace.now_ns)])):
             felt_n, full = trace.felt_n[part], int(np.count_nonzero(trace.scored[part]))
             known_n = felt_n[np.isfinite(felt_n)]
-            spread = (float(known_n.min()), float(known_n.max())) if len(known_n) else (None, None)
+            low_n = float(known_n.min()) if len(known_n) else None
+            high_n = float(known_n.max()) if len(known_n) else None
             self._first_ns.append(int(trace.now_ns[part][0]))
             self._last_ns.append(int(trace.now_ns[part][-1]))
-            self._blocks.append(Stretch(*spread, full, len(felt_n) - full))
+            self._blocks.append(Stretch(low_n, high_n, full, len(felt_n) - full))
 
     def _tick(self, at_ns: int, full: bool) -> None:
         if self.last_ns is not None:

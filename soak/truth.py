@@ -304,7 +304,7 @@ def _event_lies(
 
 def _whole(before: StatusClaim, claim: StatusClaim) -> bool:
     """Return whether every tick between two statuses was recorded."""
-    ran = claim.summary["loop"]["ticks"] - before.summary["loop"]["ticks"]
+    ran: int = claim.summary["loop"]["ticks"] - before.summary["loop"]["ticks"]
     return ran == claim.ticks - before.ticks
 
 

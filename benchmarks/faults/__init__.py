@@ -1,7 +1,6 @@
-"""Faults of nodes, networks and peers: when the pulse is felt again, what is unaccounted for.
+"""Faults of nodes, networks and peers: time until the pulse is felt again, unaccounted samples.
 
-Some need root, for the link emulator.
-"""
+Some need root, for the link emulator."""
 
 import random
 import statistics
@@ -9,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.faults.backlog import backlogs
-from benchmarks.faults.cases import CASES, NEEDS_EMULATOR, Found
+from benchmarks.faults.cases import CASES, NEEDS_EMULATOR, FaultResult
 from benchmarks.measure import show
 from telepulse.netem import unavailable
 
@@ -20,8 +19,10 @@ FORCE_LIMIT_N, SLEW_LIMIT_N_PER_S = 2.5, 50.0
 
 
 def main() -> None:
-    """Print the table. The bars: felt again within 1 s, nothing unaccounted for, no force or slew
-    of what the actuator is told beyond the scene's limits.
+    """Print the table.
+
+    The bars: felt again within 1 s, no sample unaccounted for, no force and no slew of the target
+    beyond the scene's limits.
     """
     reason = unavailable()
     rows = []
@@ -35,17 +36,17 @@ def main() -> None:
     show(
         f"{TIMES} times each, radial.toml, links of 20±3 ms or this machine alone: ms from its end"
         f" until the pulse is felt again, median and most (bar {BAR_MS:g}); share of the time that"
-        " it was felt meanwhile; samples that no account names (bar 0); most force, most slew told"
-        f" and felt (limits {FORCE_LIMIT_N:g} N, {SLEW_LIMIT_N_PER_S:g} N/s)",
-        ("fault", "median", "most", "felt", "missing", "N", "N/s told", "N/s felt"),
+        " it was felt meanwhile; samples that no count names (bar 0); most force, most slew of the"
+        f" target and felt (limits {FORCE_LIMIT_N:g} N, {SLEW_LIMIT_N_PER_S:g} N/s)",
+        ("fault", "median", "most", "felt", "missing", "N", "N/s target", "N/s felt"),
         rows,
     )
 
 
-def row(name: str, found: Found) -> tuple[str, ...]:
-    """A fault as it stands in the table."""
+def row(name: str, found: FaultResult) -> tuple[str, ...]:
+    """Return a fault's row of the table."""
     back_ms = found.back_ms
-    force_n, told, felt = found.peaks
+    force_n, target, felt = found.peaks
     return (
         name,
         f"{statistics.median(back_ms):.0f}" if back_ms else "–",
@@ -53,6 +54,6 @@ def row(name: str, found: Found) -> tuple[str, ...]:
         "–" if found.felt is None else f"{100 * found.felt:.1f} %",
         str(found.unaccounted),
         f"{force_n:.2f}",
-        f"{told:.1f}",
+        f"{target:.1f}",
         f"{felt:.1f}",
     )

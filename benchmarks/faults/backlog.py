@@ -1,59 +1,62 @@
-"""How much of a stream queues for a display that never reads, with and without our limits."""
+"""Amount of a stream that queues for a display that never reads, with and without our limits."""
 
 import time
 from collections.abc import Mapping
 
 import zmq
 
-from benchmarks.faults.hostile import deaf_subscriber, port_of
 from benchmarks.measure import show
 from protocol import sockets
 from protocol.tactile import ElasticLayer
 from protocol.wire.stream import Channel, StreamDescription
 from sensing_node.node import HEADER_BYTES, queue_limits
+from tests.support.hostile_peers import deaf_subscriber, port_of
 
 FRAME_S = 5e-3
 SAMPLES = (5, 50, 250, 4000)
 FULL_AFTER_S = 1.0
-# The kernel has its own patience with who does not read.
-AS_IT_IS: dict[int, int] = {zmq.TCP_MAXRT: 0}
+# The kernel's own timeout for a peer that does not read.
+NO_LIMITS: dict[int, int] = {zmq.TCP_MAXRT: 0}
 
 
 def backlogs() -> None:
     """Print the table."""
     show(
-        f"What queues for a display that never reads, frames of {FRAME_S * 1e3:g} ms, in s of the"
-        " stream and in MB: as ZeroMQ and the kernel have it with 1000 frames, and with our limits",
+        f"Queue for a display that never reads, frames of {FRAME_S * 1e3:g} ms, in s of the"
+        " stream and in MB: by default (1000 frames and the kernel's buffers), and with our limits",
         ("samples a frame", "s", "MB", "s, limited", "MB, limited"),
         [row(samples) for samples in SAMPLES],
     )
 
 
 def row(samples: int) -> tuple[str, ...]:
-    """Frames of so many samples as they stand in the table."""
+    """Return the table's row for frames of so many samples."""
     period_ns = round(FRAME_S * 1e9 / samples)
     stream = StreamDescription("s", period_ns, samples, (Channel("c"),), ElasticLayer())
     frame = bytes(HEADER_BYTES + samples * stream.bytes_per_sample)
     cells = [str(samples)]
-    for options in (AS_IT_IS, queue_limits(stream)):
+    for options in (NO_LIMITS, queue_limits(stream)):
         frames = queued(frame, options)
         cells += [f"{frames * FRAME_S:.1f}", f"{frames * len(frame) * 1e-6:.2f}"]
     return tuple(cells)
 
 
 def queued(frame: bytes, options: Mapping[int, int]) -> int:
-    """How many frames a publisher takes, sent slowly enough for the kernel to see them singly."""
+    """Return how many frames a publisher accepts.
+
+    They are sent slowly enough for the kernel to see each one by itself.
+    """
     context: sockets.Context = zmq.Context()
-    # It says when its queue is full, where a PUB would drop.
+    # The publisher then reports a full queue, where a PUB would drop frames.
     options = {**options, zmq.XPUB_NODROP: 1}
     publisher = sockets.bind(context, zmq.XPUB, "tcp://127.0.0.1:*", limits=options)
     port = port_of(publisher.getsockopt_string(zmq.LAST_ENDPOINT))
-    frames, taken_s = 0, time.monotonic()
+    frames, accepted_s = 0, time.monotonic()
     with deaf_subscriber(port, small=False):
         publisher.recv()
-        while time.monotonic() < taken_s + FULL_AFTER_S:
+        while time.monotonic() < accepted_s + FULL_AFTER_S:
             if sockets.send(publisher, frame):
-                frames, taken_s = frames + 1, time.monotonic()
+                frames, accepted_s = frames + 1, time.monotonic()
             time.sleep(1e-4)
     context.destroy(linger=0)
     return frames

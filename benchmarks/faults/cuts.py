@@ -1,9 +1,10 @@
-"""`python -m benchmarks.faults.cuts [--times N] [KIND ...]`: kinds of cuts, many times each; and
-with `--thrash` how often a display connects anew where nothing is cut.
+"""`python -m benchmarks.faults.cuts [--times N] [KIND ...]`: kinds of cuts, many times each.
 
-One pair of nodes serves all cuts of a kind, so that fifty take some three minutes. Each cut begins
-at a random instant; the time counts from its end until the pulse is felt again at full strength,
-and for 0.3 s from then on. Needs root, for the link emulator.
+`--thrash` counts how often a display reconnects where nothing is cut.
+
+One pair of nodes serves all cuts of a kind: fifty take some three minutes. Each cut begins at a
+random instant. The time counts from its end until the pulse is felt again at full strength, and
+for 0.3 s from then on. Needs root, for the link emulator.
 """
 
 import argparse
@@ -16,28 +17,28 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from benchmarks.faults.finger import Finger
-from benchmarks.faults.stage import PORT, Node, staged
 from benchmarks.measure import show
 from protocol.config.scene_file import find_scene
 from telepulse.netem import EmulatedLink, PacketFilter, emulate
 from telepulse.simulation.link_model import LinkScene, parse_link
+from tests.support.felt_force import FeltForce
+from tests.support.node_rig import PORT, Node, node_rig
 
 WHOLE_TEXT = "20±3 ms"
 WHOLE = parse_link("delay=20ms,jitter=3ms")
 TIMES = 50
 SEED = 1
 BAR_MS = 1_000.0
-# What loses much, or stands still, is no reason to connect again and again.
+# A lossy link or a stopped node must not make a display reconnect again and again.
 WATCHED_S = 30.0
 LOSSY = ("loss=0%", "loss=5%", "loss=20%")
-# Between two cuts: TCP and the delay estimate have settled, and phases are at random.
+# Between two cuts TCP and the delay estimate settle, and the phase becomes random.
 BETWEEN_S = (0.7, 1.5)
 BACK_WITHIN_S = 20.0
 SHORT_S, LONG_S = (0.1, 0.6), (0.6, 3.0)
 
-# Cuts in quick succession are jitter to a display: after a few, a longer playout delay covers them.
-# Here they are to be felt, so the delay covers the shorter half of all delays alone.
+# Cuts in quick succession are jitter to a display: after a few, a longer playout delay would cover
+# them. This scene's covers only the shorter half of all delays.
 LATE_TARGET = 'late_target = "50 %"'
 
 DATA, CONTROL = PacketFilter(port=PORT), PacketFilter(port=PORT + 1)
@@ -68,25 +69,20 @@ KINDS: dict[str, Cut] = {
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """One cut: how long it lasted, and from its end until the pulse was felt again, in ms;
-    0 where it was felt all the time.
-    """
+    """Length of one cut, and time from its end until the pulse was felt again, in ms."""
 
     cut_ms: float
     back_ms: float
 
 
 class CutRunner:
-    """The maker of cuts on one link between one pair of nodes.
-
-    sensing, display: the nodes.
-    """
+    """A pair of nodes, and the link between them that is cut."""
 
     def __init__(
-        self, link: EmulatedLink, sensing: Node, display: Node, finger: Finger, rng: random.Random
+        self, link: EmulatedLink, sensing: Node, display: Node, felt: FeltForce, rng: random.Random
     ) -> None:
         self.sensing, self.display = sensing, display
-        self._link, self._finger, self._rng = link, finger, rng
+        self._link, self._felt, self._rng = link, felt, rng
 
     def run(self, cut: Cut) -> Recovery:
         """Make one cut and wait for the pulse to be felt again."""
@@ -98,36 +94,36 @@ class CutRunner:
             time.sleep(rng.uniform(*rng.choice(lengths_s)))
         self._link.drop()
         ended_ns = time.monotonic_ns()
-        felt_ns = self._finger.felt_steadily_from_ns(ended_ns, BACK_WITHIN_S)
+        felt_ns = self._felt.steady_from_ns(ended_ns, BACK_WITHIN_S)
         back_ms = BACK_WITHIN_S * 1e3 if felt_ns is None else (felt_ns - ended_ns) * 1e-6
         return Recovery((ended_ns - began_ns) * 1e-6, back_ms)
 
 
 @contextmanager
 def cut_runner(folder: Path, seed: int, whole: LinkScene = WHOLE) -> Iterator[CutRunner]:
-    """A pair of nodes on a link, and who cuts it, within a `with`."""
+    """Provide a pair of nodes on a link that can be cut."""
     scene = folder / "scene.toml"
     text = find_scene("radial").read_text(encoding="utf-8")
     scene.write_text(text.replace('late_target = "1 %"', LATE_TARGET), encoding="utf-8")
-    with emulate(whole, seed=seed) as link, staged(folder, link) as stage:
-        stage.scene = scene
-        sensing, display, finger = stage.play()
-        yield CutRunner(link, sensing, display, finger, random.Random(seed))
+    with emulate(whole, seed=seed) as link, node_rig(folder, link) as rig:
+        rig.scene = scene
+        sensing, display, felt = rig.play()
+        yield CutRunner(link, sensing, display, felt, random.Random(seed))
 
 
 def opened_meanwhile(folder: Path, link_text: str, stop: bool) -> tuple[int, int]:
     """Count the second connections that were opened and kept in `WATCHED_S` on a link.
 
-    stop: the sensing node stands still all the time.
+    stop: the sensing node is stopped all the time.
     """
     whole = parse_link(f"{WHOLE.text()},{link_text}")
-    with emulate(whole) as link, staged(folder, link) as stage:
-        sensing, _, finger = stage.play()
+    with emulate(whole) as link, node_rig(folder, link) as rig:
+        sensing, _, felt = rig.play()
         if stop:
             sensing.pause()
         time.sleep(WATCHED_S)
-        assert finger.status is not None
-        counts = finger.status.summary["reconnections"]
+        assert felt.status is not None
+        counts = felt.status.summary["reconnections"]
         sensing.resume()
     return counts["opened"], counts["kept"]
 
@@ -137,7 +133,7 @@ def show_thrash() -> None:
     rows = []
     for name, text, stop in (
         *((f"a link of {WHOLE_TEXT} that loses {one[5:]}", one, False) for one in LOSSY),
-        ("a sensing node that stands still", LOSSY[0], True),
+        ("a sensing node that is stopped", LOSSY[0], True),
     ):
         with TemporaryDirectory(prefix="telepulse-") as folder:
             opened, kept = opened_meanwhile(Path(folder), text, stop)
@@ -167,13 +163,13 @@ def main() -> None:
         ):
             found = [runner.run(KINDS[name]) for _ in range(chosen.times)]
             runner.sensing.end()
-            account = runner.display.account()
+            summary = runner.display.summary()
         if chosen.each:
             for one in found:
                 print(f"{one.cut_ms:6.0f} ms cut, back after {one.back_ms:6.0f} ms")
         rows.append(_row(name, found))
-        if account.faults or account.rejected:
-            print(name, account.rejected, account.faults)
+        if summary.faults or summary.rejected:
+            print(name, summary.rejected, summary.faults)
     show(
         f"Felt again after the end of a cut, ms ({chosen.times} times each; bar {BAR_MS:g} ms)",
         ("cut", "median", "p90", "most", "above the bar"),

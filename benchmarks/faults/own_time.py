@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.faults.finger import Finger
 from soak.core_time import CoreTime, excuse, read_core_time
+from tests.support.felt_force import FeltForce
 
 READ_EVERY_S = 0.01
 
@@ -47,9 +47,9 @@ class OwnTime:
         """End `read`."""
         self._over.set()
 
-    def own_misses(self, finger: Finger, tick_ns: int) -> tuple[int, int]:
+    def own_misses(self, felt: FeltForce, tick_ns: int) -> tuple[int, int]:
         """Return how many ticks were missed by the traces, and how many of them by itself."""
-        now_ns = finger.trace().now_ns
+        now_ns = felt.trace().now_ns
         missed = np.rint(np.diff(now_ns) / tick_ns).astype(int) - 1
         gaps = [
             (int(now_ns[at]), int(now_ns[at + 1]), int(missed[at]))

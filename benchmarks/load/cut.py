@@ -68,7 +68,7 @@ class Display:
     def await_frame(self) -> float:
         """How long, in s, until a frame comes. Raises TimeoutError."""
         began_s = time.monotonic()
-        while not self._data.poll(ASK_EVERY_S * 1000):
+        while not self._data.poll(round(ASK_EVERY_S * 1000)):
             if time.monotonic() - began_s > PATIENCE_S:
                 raise TimeoutError("no frame comes through the relay")
             self._ask()

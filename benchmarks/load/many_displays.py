@@ -68,7 +68,7 @@ class ManyDisplays:
         for number, control in enumerate(self._controls):
             control.send(encode_control(Hello(f"{id(self)}-{number}")))
         for control in self._controls:
-            if not control.poll(PATIENCE_S * 1000):
+            if not control.poll(round(PATIENCE_S * 1000)):
                 raise TimeoutError("a display was not welcomed")
             welcome = decode_control(control.recv())
             assert isinstance(welcome, Welcome)

@@ -1,5 +1,6 @@
 """Drives and their emulators, in one process and on real lines."""
 
+import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator
@@ -9,7 +10,6 @@ from typing import Any
 
 import can
 
-from benchmarks.polled import polled
 from display_node.drives.axis import build_axis
 from display_node.drives.cia402.drive import Cia402Drive
 from display_node.drives.drive import Drive
@@ -47,6 +47,27 @@ def cia402_scene(**keys: Any) -> Cia402Scene:
 def emulated_motor(scene: TmclScene | Cia402Scene, actuator: StepperScene) -> EmulatedMotor:
     law = actuator.contact(LAYER)
     return EmulatedMotor(actuator, law, scene.touch_m, time.monotonic_ns())
+
+
+@contextmanager
+def polled(poll: Callable[[], object]) -> Iterator[Callable[[], None]]:
+    """Call `poll` in a thread; yield a function that ends it before the end of the block."""
+    over = threading.Event()
+
+    def run() -> None:
+        while not over.is_set():
+            poll()
+
+    def end() -> None:
+        over.set()
+        thread.join()
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        yield end
+    finally:
+        end()
 
 
 @dataclass

@@ -1,7 +1,7 @@
 """A bench in virtual time for many short tests: a wrist, a display, an emulated motor, its film.
 
 The drive is simplified: the product's `Supervisor` commands the motor without a line, threads or
-homing. The whole bench of `benchmarks/virtual_bench.py` takes 1.7 times as long for the same tests.
+homing. `threaded_bench.py`, with the real threads, takes 1.7 times as long for the same tests.
 """
 
 from collections import Counter

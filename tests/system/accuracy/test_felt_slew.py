@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from benchmarks.jumps import felt
 from protocol.config.scene_file import find_scene
 from telepulse.scene import load_scene
+from tests.support.scene_loops import felt_under_jumps
 
 # A microstep more or less, and what the loop makes good.
 MARGIN = 1.02
@@ -16,6 +16,6 @@ MARGIN = 1.02
 def test_forces_that_jump_are_felt_within_the_slew_limit_up_and_down(name: str) -> None:
     scene = load_scene(find_scene(name)).display
     limit_n_per_s = scene.safety.slew_limit_n_per_s
-    slews_n_per_s = np.diff(felt(scene, jumps=100)) / (scene.tick_ns * 1e-9)
+    slews_n_per_s = np.diff(felt_under_jumps(scene, jumps=100)) / (scene.tick_ns * 1e-9)
     assert 0.9 * limit_n_per_s < slews_n_per_s.max() <= MARGIN * limit_n_per_s
     assert 0.9 * limit_n_per_s < -slews_n_per_s.min() <= MARGIN * limit_n_per_s

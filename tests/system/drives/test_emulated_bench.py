@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.whole_bench import BenchFailedError, MotorTrace, WholeBench, playing
 from display_node.fault_advice import FAULT_STATUS
+from tests.support.emulated_bench import BenchFailedError, EmulatedBench, MotorTrace, playing
 from tests.support.unread import unread
 from tests.support.waiting import until
 from tests.system.drives.test_drive_commands import udp_multicast_reason
@@ -32,7 +32,7 @@ TROUBLE_AFTER_S = "1"
 def on_a_bench(
     folder: Path,
     kind: str,
-    happens: Callable[[WholeBench], None],
+    happens: Callable[[EmulatedBench], None],
     *options: str,
     output: int | None = None,
 ) -> MotorTrace:
@@ -42,7 +42,7 @@ def on_a_bench(
     for attempt in range(TRIES):
         (here := folder / str(attempt)).mkdir()
         try:
-            patience = {"patience_ms": PATIENCE_MS, "output": output}
+            patience = {"watchdog_ms": PATIENCE_MS, "output": output}
             with playing(here, kind, "real_bench", *options, **patience) as bench:
                 happens(bench)
                 bench.end()
@@ -65,7 +65,7 @@ def test_a_display_that_is_told_to_end_takes_the_tip_off_the_finger(tmp_path: Pa
     """
     silent_ns: list[int] = []
 
-    def happens(bench: WholeBench) -> None:
+    def happens(bench: EmulatedBench) -> None:
         time.sleep(PLAYED_S)
         bench.processes["sensing"].kill()
         bench.await_state("stale")
@@ -99,7 +99,7 @@ def test_a_display_that_stood_still_takes_the_tip_off_the_finger(kind: str, tmp_
     """SIGSTOP for longer than the drive's watchdog, SIGCONT; the display goes on, and withdraws."""
     withdrawn_ns: list[int] = []
 
-    def happens(bench: WholeBench) -> None:
+    def happens(bench: EmulatedBench) -> None:
         time.sleep(PLAYED_S)
         display = bench.processes["display"]
         display.send_signal(signal.SIGSTOP)
@@ -121,7 +121,7 @@ def test_a_display_that_stood_still_takes_the_tip_off_the_finger(kind: str, tmp_
 
 
 def test_a_killed_display_leaves_the_motor_to_its_watchdog(tmp_path: Path) -> None:
-    def happens(bench: WholeBench) -> None:
+    def happens(bench: EmulatedBench) -> None:
         bench.processes["display"].kill()
         time.sleep(REST_WITHIN_S)
 
@@ -135,7 +135,7 @@ def test_a_killed_display_leaves_the_motor_to_its_watchdog(tmp_path: Path) -> No
 def test_a_bench_that_breaks_says_so_and_rests(word: str, finger: str, tmp_path: Path) -> None:
     """And says of the finger what is measured, with an exit status that tells of the fault."""
 
-    def happens(bench: WholeBench) -> None:
+    def happens(bench: EmulatedBench) -> None:
         bench.await_state("fault")
         time.sleep(REST_WITHIN_S)
         summary = bench.end()
@@ -151,7 +151,7 @@ def test_a_display_that_is_ended_on_its_way_home_leaves_the_drive_at_rest(tmp_pa
     """SIGTERM before it has a loop, and before the drive's own watchdog is armed."""
     printed = tmp_path / "printed"
     with printed.open("wb") as output:
-        bench = WholeBench(tmp_path, "tmcl", patience_ms=PATIENCE_MS, output=output.fileno())
+        bench = EmulatedBench(tmp_path, "tmcl", watchdog_ms=PATIENCE_MS, output=output.fileno())
         try:
             bench.start_drive()
             until((tmp_path / "film").exists)

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 import zmq
 
-from benchmarks.faults.hostile import port_of
 from protocol import sockets
 from protocol.run_summary import Summary
 from protocol.security.allow_list import allow, revoke
@@ -19,6 +18,7 @@ from protocol.sockets import Context, Socket, control_address
 from protocol.wire.messages import encode_frame
 from telepulse.relay import Relay
 from tests.support.frames import frame
+from tests.support.hostile_peers import port_of
 from tests.support.middleman import Middleman
 from tests.support.nodes import free_address
 

@@ -6,13 +6,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.stalls import BEAT_S, PEAK_N, SCENES, between_all, for_a_while, pressed
 from display_node.control.controller import HEADROOM, WORST_S, StallGuard
 from display_node.plant.contact import ContactLaw
 from protocol.config.scene_file import find_scene
 from telepulse.scene import load_scene
+from tests.support.scene_loops import BEAT_S, PEAK_N, press, stalls_always, stalls_at_times
 
 TICK_S = 1e-3
+SCENES = ("radial", "real_bench", "tmcl_bench")
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -22,7 +23,7 @@ def test_a_host_that_stalls_again_and_again_does_not_press_far_beyond_the_pulse(
 ) -> None:
     """Without the guard it is the force limit, 2.5 N, and an RMSE of over 800 mN."""
     scene = load_scene(find_scene(name)).display
-    most_n, rmse_n = pressed(scene, between_all(longest_stall_ticks), 20.0)
+    most_n, rmse_n = press(scene, stalls_always(longest_stall_ticks), 20.0)
     assert 0.5 * PEAK_N < most_n < HEADROOM * PEAK_N
     assert rmse_n < bar_mn * 1e-3
 
@@ -30,16 +31,16 @@ def test_a_host_that_stalls_again_and_again_does_not_press_far_beyond_the_pulse(
 @pytest.mark.parametrize("name", SCENES)
 def test_stalls_that_were_not_foreseen_stay_within_the_beats_own_rise(name: str) -> None:
     scene = load_scene(find_scene(name)).display
-    most_n, _ = pressed(scene, for_a_while(45))
+    most_n, _ = press(scene, stalls_at_times(45), 30.0)
     rise_n = PEAK_N * math.pi / BEAT_S * 45 * scene.tick_ns * 1e-9
     assert most_n < HEADROOM * PEAK_N + rise_n
 
 
 def test_a_host_that_keeps_its_time_is_not_slowed(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = load_scene(find_scene("radial")).display
-    guarded = pressed(scene, between_all(0), 3.0)
+    guarded = press(scene, stalls_always(0), 3.0)
     monkeypatch.setattr(StallGuard, "tick", lambda *_: None)
-    assert guarded == pressed(scene, between_all(0), 3.0)
+    assert guarded == press(scene, stalls_always(0), 3.0)
 
 
 @given(st.floats(0.05, 2.0), st.floats(0.0, 1.0), st.integers(2, 100), st.integers(0, 5000))

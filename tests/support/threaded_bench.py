@@ -1,7 +1,7 @@
-"""A whole bench in virtual time: the product's drive, sensor, `Hardware` and `Display`, unchanged.
+"""A bench in virtual time with the product's drive, sensor, `Hardware` and `Display`, unchanged.
 
-Virtual are the lines to an emulated drive and its film, the network, and the process: its threads
-can be stalled, all of them or one. What holds here is what the product's own code does.
+The lines to an emulated drive and its film, the network and the process are virtual: all threads
+of the process, or single ones, can be stalled.
 """
 
 from collections import deque
@@ -14,7 +14,6 @@ from unittest.mock import patch
 import can
 import numpy as np
 
-from benchmarks.virtual_time import VirtualEvent, VirtualThread, VirtualTime
 from display_node.display import Display
 from display_node.drives import Drive, build_drive
 from display_node.drives.scene import Cia402Scene, DriveScene, TmclScene
@@ -31,9 +30,10 @@ from telepulse.emulators.cia402 import EmulatedCia402Node
 from telepulse.emulators.drive_run import EmulatedFilm
 from telepulse.emulators.motor import EmulatedMotor, MotorState
 from telepulse.emulators.tmcl import DatagramSplitter, EmulatedTmclModule
+from tests.support.virtual_time import VirtualEvent, VirtualThread, VirtualTime
 
 MS = 1_000_000
-# All that waits or looks at the clock: the product's, and the emulators'.
+# The modules that wait or read the clock.
 VIRTUAL = (
     "display_node.drives",
     "display_node.drives.hardware",
@@ -42,42 +42,42 @@ VIRTUAL = (
 )
 BATCH = 5
 NETWORK_NS = 2 * MS
-# A serial line to a module on USB, each way.
+# A serial line to a module on USB, in each direction.
 LINE_NS = 200_000
-# What a kernel holds of a serial port that nobody reads.
+# The kernel's buffer of a serial port.
 PORT_BYTES = 4096
-# The sensing node's clock against ours.
+# Offset of the sensing node's clock.
 AHEAD_NS = 5_000_000_000
 
 
 class Pipe:
-    """Bytes on their way to a reader; what does not fit is dropped, as by a kernel's buffer."""
+    """Bytes in transit to a reader; what does not fit is dropped, as by a kernel's buffer."""
 
     def __init__(self, world: VirtualTime) -> None:
         self._data = b""
-        self._come = VirtualEvent(world)
+        self._arrived = VirtualEvent(world)
 
     def write(self, data: bytes) -> None:
-        """Let bytes arrive."""
+        """Add bytes."""
         self._data += data[: PORT_BYTES - len(self._data)]
-        self._come.set()
+        self._arrived.set()
 
     @property
     def waiting(self) -> int:
-        """Count of the bytes that have come."""
+        """Return the number of bytes that have arrived."""
         return len(self._data)
 
     def read(self, size: int, timeout_s: float) -> bytes:
-        """Wait for any bytes, and take up to `size` of them."""
+        """Wait for any bytes, and return up to `size` of them."""
         if not self._data:
-            self._come.clear()
-            self._come.wait(timeout_s)
+            self._arrived.clear()
+            self._arrived.wait(timeout_s)
         data, self._data = self._data[:size], self._data[size:]
         return data
 
 
 class FilmPort:
-    """The film's serial port, as the product's `Sensor` reads it; `silent`: the board is off."""
+    """The film's serial port, as `Sensor` reads it. silent: the board sends nothing."""
 
     name = "film"
 
@@ -86,10 +86,10 @@ class FilmPort:
         self.silent = False
 
     def open(self) -> None:
-        """Do nothing: the port is there."""
+        """Do nothing: the port is open."""
 
     def write(self, data: bytes) -> None:
-        """Take bytes that the board sends."""
+        """Add bytes from the board."""
         if not self.silent:
             self._pipe.write(data)
 
@@ -98,7 +98,7 @@ class FilmPort:
         return self._pipe.read(PORT_BYTES, 0.1)
 
     def close(self) -> None:
-        """Let go of it."""
+        """Do nothing: nothing is held."""
 
 
 class ModulePort:
@@ -112,7 +112,7 @@ class ModulePort:
         self.unplugged = False
 
     def write(self, data: bytes) -> None:
-        """Send a request, which arrives a little later."""
+        """Send a request, which arrives after the line's delay."""
         if self.unplugged:
             raise OSError(5, "unplugged")
         self._world.at(self._world.now_ns + LINE_NS, lambda: self._receive(bytes(data)))
@@ -128,15 +128,15 @@ class ModulePort:
 
     @property
     def in_waiting(self) -> int:
-        """Count of the bytes that have come."""
+        """Return the number of bytes that have arrived."""
         return self._replies.waiting
 
     def reset_input_buffer(self) -> None:
-        """Drop what has come."""
+        """Drop the bytes that have arrived."""
         self._replies.read(PORT_BYTES, 0.0)
 
     def close(self) -> None:
-        """Let go of it."""
+        """Do nothing: nothing is held."""
 
     def poll(self) -> None:
         """Send the replies that are due."""
@@ -157,7 +157,7 @@ class ModulePort:
 
 
 class CanEnd(can.BusABC):
-    """One end of a CAN bus of two, read by a `Notifier`; unplugged: nothing can be sent."""
+    """One end of a CAN bus of two nodes, read by a `Notifier`. unplugged: nothing can be sent."""
 
     def __init__(self, at_drive: bool) -> None:
         super().__init__(channel="virtual time")
@@ -168,17 +168,17 @@ class CanEnd(can.BusABC):
         self.unplugged = False
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Let the far end have a frame."""
+        """Deliver a frame to the far end."""
         if self.unplugged:
             raise can.CanOperationError("unplugged")
         if self.far is not None and self.far.notifier is not None:
-            # The sender may use the message again.
+            # The sender may reuse the message.
             data, identifier = bytes(msg.data), msg.arbitration_id
             frame = can.Message(arbitration_id=identifier, is_extended_id=False, data=data)
             self.far.notifier.receive(frame)
 
     def shutdown(self) -> None:
-        """Do nothing but mark it as shut down."""
+        """Mark it as shut down."""
         self._is_shutdown = True
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
@@ -186,11 +186,10 @@ class CanEnd(can.BusABC):
 
 
 class Notifier:
-    """The replacement of `can.Notifier`: a thread of the process that hands frames to the
-    listeners.
+    """The replacement of `can.Notifier`: a thread that passes frames to the listeners.
 
-    An SDO's answer comes while its request is being sent, and is handed on at once, as are frames
-    to the drive.
+    Frames to the drive are passed on at once, as is an SDO's answer, which arrives while its
+    request is being sent.
     """
 
     exception: Exception | None = None
@@ -200,33 +199,33 @@ class Notifier:
         self._listeners = listeners
         self._at_drive = bus.at_drive
         self._frames: deque[can.Message] = deque()
-        self._come = VirtualEvent(world)
+        self._arrived = VirtualEvent(world)
         self._stopped = False
         bus.notifier = self
         if not self._at_drive:
             world.thread(self._run, name="notifier")
 
     def receive(self, frame: can.Message) -> None:
-        """Take a frame from the bus."""
+        """Accept a frame from the bus."""
         if self._at_drive or self._world.current is not None:
-            self._hand_on(frame)
+            self._deliver(frame)
         else:
             self._frames.append(frame)
-            self._come.set()
+            self._arrived.set()
 
     def stop(self, timeout: float = 5) -> None:
         """End the thread."""
         self._stopped = True
-        self._come.set()
+        self._arrived.set()
 
     def _run(self) -> None:
         while not self._stopped:
-            self._come.wait()
-            self._come.clear()
+            self._arrived.wait()
+            self._arrived.clear()
             while self._frames:
-                self._hand_on(self._frames.popleft())
+                self._deliver(self._frames.popleft())
 
-    def _hand_on(self, frame: can.Message) -> None:
+    def _deliver(self, frame: can.Message) -> None:
         for listener in self._listeners:
             listener(frame)
 
@@ -234,7 +233,7 @@ class Notifier:
 class Wrist:
     """The sensing node: its frames, and its answers to control messages.
 
-    force_n gives the force at a time in ms since the stream began.
+    force_n: the force at a time in ms since the stream began.
     """
 
     def __init__(self, force_n: Callable[[int], float], session: int = 7) -> None:
@@ -243,40 +242,41 @@ class Wrist:
             "virtual pulse", MS, BATCH, (Channel("pulse"),), ElasticLayer()
         )
         self._session = session
-        self._desk = ControlServer(self._description, session)
+        self._server = ControlServer(self._description, session)
         self._sent = 0
         self._time_ms = 0
 
     def frame(self, now_ns: int) -> bytes:
-        """The next frame, whose last sample is taken now."""
+        """Return the next frame, whose last sample is taken now."""
         width = self._description.bytes_per_sample
         values = [[self._force_n(self._time_ms + number)] for number in range(BATCH)]
         first_ns = now_ns + AHEAD_NS - (BATCH - 1) * MS
         frame = Frame(self._session, self._sent, first_ns, MS, np.array(values, f"<f{width}"))
         self._sent += BATCH
-        self.discard_spoilt_line()
+        self.advance()
         return encode_frame(frame)
 
-    def discard_spoilt_line(self) -> None:
-        """The pulse goes on where nobody sends it."""
+    def advance(self) -> None:
+        """Advance the pulse by one frame."""
         self._time_ms += BATCH
 
     def answer(self, request: bytes, now_ns: int) -> bytes | None:
-        """The answer to a control message, if it has one."""
-        reply = self._desk.answer((b"display",), request, now_ns + AHEAD_NS, self._sent)
+        """Return the answer to a control message, if it has one."""
+        reply = self._server.answer((b"display",), request, now_ns + AHEAD_NS, self._sent)
         return encode_control(reply) if reply is not None else None
 
 
 @dataclass
-class VirtualBench:
-    """A bench on which a pulse is felt, from `started` on.
+class ThreadedBench:
+    """A bench on which a pulse is felt after `start`.
 
-    Between two runs change what happens: `sending`, `film.silent`, `motor.injector`, `world.stall`.
+    Conditions are changed between two runs: `sending`, `film.silent`, `motor.injector`,
+    `world.stall`.
 
-    scene: with a drive. force_n: the pulse, by ms. with_film: the scene's film is read; without,
-    the drive's position stands for it. watch: is given every millisecond of the motor. on_tick: is
-    given the time and the target of every tick. fault_ns: when the display was at fault first.
-    finger: its stiffness, as a factor of the scene's.
+    scene: with a drive. force_n: the pulse, by ms. with_film: the scene's film is read; otherwise
+    the force is estimated from the drive's position. watch: called with every millisecond of the
+    motor. finger: its stiffness, as a factor of the scene's. on_tick: called with the time and the
+    target of every tick. fault_ns: when the display first reported a fault.
     """
 
     scene: DisplayScene
@@ -310,7 +310,7 @@ class VirtualBench:
         self._stopping = False
         self._patches = ExitStack()
 
-    def __enter__(self) -> "VirtualBench":
+    def __enter__(self) -> "ThreadedBench":
         world, patches = self.world, self._patches
         patches.enter_context(world.substituted(VIRTUAL))
         if isinstance(self.drive_scene, Cia402Scene):
@@ -329,7 +329,7 @@ class VirtualBench:
         self._patches.close()
 
     def start(self) -> None:
-        """Bring the drive to first touch and begin the loop. Raises what the product raises."""
+        """Home the drive, move it to first touch and begin the loop."""
         self.call(self._connect)
         self._stopping = False
         self.loop = self.world.thread(self._loop, name="loop")
@@ -347,16 +347,16 @@ class VirtualBench:
 
     @property
     def faults(self) -> list[str]:
-        """The display's faults."""
+        """Return the display's faults."""
         return self.display.safety.faults
 
     @property
     def threads(self) -> list[VirtualThread]:
-        """The process's: the loop, and those that the product has started."""
+        """Return the process's threads: the loop, and those that the product has started."""
         return list(self.world.threads)
 
     def call(self, function: Callable[[], object]) -> None:
-        """Call a function of the product in a thread of the process, and wait for its end."""
+        """Call a function in a thread of the process, and wait for its end."""
         raised: list[Exception] = []
 
         def run() -> None:
@@ -370,7 +370,7 @@ class VirtualBench:
             raise raised[0]
 
     def _connect(self) -> None:
-        """Start the bench as `display_node.node.connected` does, its film on a virtual port."""
+        """Start the bench as `display_node.node.connected` does, the film on a virtual port."""
         scene, actuator = self.scene, self.scene.actuator
         assert scene.drive is not None
         force_limit_n = scene.safety.force_limit_n
@@ -415,7 +415,7 @@ class VirtualBench:
             arrives_ns = self.world.now_ns + NETWORK_NS
             self._frames.append((arrives_ns, self.wrist.frame(self.world.now_ns)))
         else:
-            self.wrist.discard_spoilt_line()
+            self.wrist.advance()
 
     def _loop(self) -> None:
         """Run the loop of `display_node.node.DisplayNode.run`, without sockets."""
@@ -431,7 +431,7 @@ class VirtualBench:
             self._tick(tick.due_ns, tick.elapsed_ticks)
 
     def _receive(self, now_ns: int) -> None:
-        """A loop that waits takes a message when it comes, one that was stalled when it wakes."""
+        """Receive: a waiting loop when a message arrives, a stalled one when it wakes."""
         display, woke_ns = self.display, self.loop.resumes_ns if self.loop is not None else 0
         while self._frames and self._frames[0][0] <= now_ns:
             arrived_ns, data = self._frames.popleft()

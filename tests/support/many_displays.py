@@ -1,9 +1,9 @@
-"""`python -m benchmarks.faults.many_displays ADDRESS COUNT`: many displays in one process.
+"""`python -m tests.support.many_displays ADDRESS COUNT`: many displays in one process.
 
 Each has its own sockets, follows session, clock and stream as every display does, and counts its
-samples. It moves no actuator, which would need a core for ten of them. After the end of the stream
-the program prints a line of JSON: each display's samples sent, played, late, lost and before
-joining.
+samples. It drives no actuator: that would take a core for every ten displays. After the end of the
+stream the program prints a line of JSON: the samples sent, played, late, lost and before joining
+of each display.
 """
 
 import json
@@ -17,12 +17,12 @@ from protocol import sockets
 from protocol.wire.messages import encode_control
 
 POLL_MS = 5
-# When a sample's instant is over: nobody feels it, so it may be late.
+# From a sample's instant until its playback is over. It is not felt, so this may be generous.
 PLAYED_AFTER_NS = 200_000_000
 
 
 class Listener:
-    """One display of the displays."""
+    """The receiving part of one display."""
 
     def __init__(self, context: sockets.Context, address: str, name: str) -> None:
         control = sockets.control_address(address)
@@ -31,8 +31,8 @@ class Listener:
         self.receiver = Receiver(name, channel=0, late_target=0.01)
         self._subscribed = False
 
-    def work(self, now_ns: int) -> None:
-        """Hear what has come, say what is to be said."""
+    def poll(self, now_ns: int) -> None:
+        """Process what has arrived, and send due requests."""
         receiver = self.receiver
         for message in sockets.receive_each(self.control):
             receiver.on_control(message, time.monotonic_ns())
@@ -48,13 +48,13 @@ class Listener:
 
     @property
     def over(self) -> bool:
-        """Whether it has all of the stream, or all that came of it."""
+        """Return whether the stream has ended and all that arrived of it is played."""
         buffer, now_ns = self.receiver.buffer, time.monotonic_ns()
         return buffer.ended and self.receiver.over(now_ns, PLAYED_AFTER_NS)
 
 
 def main() -> None:
-    """Listen until the stream has ended."""
+    """Receive until the stream has ended."""
     address, count = sys.argv[1], int(sys.argv[2])
     context: sockets.Context = zmq.Context()
     displays = [Listener(context, address, f"displays-{number}") for number in range(count)]
@@ -67,7 +67,7 @@ def main() -> None:
         poller.poll(POLL_MS)
         now_ns = time.monotonic_ns()
         for listener in displays:
-            listener.work(now_ns)
+            listener.poll(now_ns)
     accounts = [listener.receiver.account() for listener in displays]
     print(json.dumps([[a.sent, a.played, a.late, a.lost, a.before_joining] for a in accounts]))
     context.destroy(linger=sockets.LINGER_MS)

@@ -1,9 +1,9 @@
-"""Threads in virtual time: the product's own threads, one at a time, by a clock that is stepped.
+"""Threads in virtual time: the product's own threads, one at a time, on a simulated clock.
 
-`VirtualTime.substituted` replaces `time` and `threading` in the modules that are named, so that
-what waits there waits for virtual time. Each thread is a greenlet: what runs when is decided here,
-and is the same in every run. A stall stops threads as SIGSTOP or a busy host does, between any two
-looks at the clock; which of them wakes first is chosen.
+`VirtualTime.substituted` replaces `time` and `threading` in the named modules, which then wait in
+virtual time. Each thread is a greenlet; the order of execution is the same in every run. A stall
+stops threads as SIGSTOP or a busy host does, between any two readings of the clock, and chooses
+the order in which they wake.
 """
 
 import heapq
@@ -32,14 +32,14 @@ class VirtualThread:
         self.name = name or getattr(target, "__qualname__", "thread")
         self._world = world
         self._greenlet = greenlet(lambda: self._run(target, args), world.hub)
-        # Waits are numbered: what wakes an earlier one does nothing.
+        # Waits are numbered: a wake-up of an earlier one is ignored.
         self.waits = 0
         self.resumes_ns = 0
         self.rank = 0
         self.ended = VirtualEvent(world)
 
     def start(self) -> None:
-        """Let it run as soon as the present thread waits."""
+        """Run it as soon as the current thread waits."""
         self._world.threads.append(self)
         self._world.wake(self, self.waits)
 
@@ -52,7 +52,7 @@ class VirtualThread:
         return not self.ended.is_set()
 
     def go_on(self) -> None:
-        """Run it until it waits; called by the world."""
+        """Run it until it waits; called by `VirtualTime`."""
         self._greenlet.switch()
 
     def _run(self, target: Callable[..., object], args: Sequence[Any]) -> None:
@@ -76,14 +76,14 @@ class VirtualEvent:
         return self._is_set
 
     def set(self) -> None:
-        """Wake who waits."""
+        """Set it, and wake the threads that wait for it."""
         self._is_set = True
         for thread, wait in self._waiting:
             self._world.wake(thread, wait)
         self._waiting.clear()
 
     def clear(self) -> None:
-        """Unset it."""
+        """Clear it."""
         self._is_set = False
 
     def wait(self, timeout: float | None = None) -> bool:
@@ -124,7 +124,7 @@ class VirtualLock:
         return True
 
     def release(self) -> None:
-        """Let go of it."""
+        """Release it."""
         self._free.set()
 
 
@@ -146,11 +146,11 @@ class VirtualTime:
         self._interruption: tuple[int, Callable[[], None]] | None = None
 
     def at(self, time_ns: int, happen: Callable[[], None]) -> None:
-        """Let something happen at a time, outside all threads."""
+        """Call a function at a time, outside all threads."""
         heapq.heappush(self._due, (time_ns, -1, next(self._order), None, happen))
 
     def every(self, period_ns: int, happen: Callable[[], None]) -> None:
-        """Let something happen again and again."""
+        """Call a function periodically."""
 
         def again() -> None:
             happen()
@@ -159,13 +159,13 @@ class VirtualTime:
         self.at(self.now_ns + period_ns, again)
 
     def run(self, until_ns: int) -> None:
-        """Let time pass until then."""
+        """Advance to a time."""
         while self._due and self._due[0][0] <= until_ns:
             self.step(until_ns)
         self.now_ns = until_ns
 
     def step(self, until_ns: int | None = None) -> None:
-        """Let the next thing happen; nothing beyond until_ns."""
+        """Execute the next event, if it is not after `until_ns`."""
         if not self._due:
             assert until_ns is not None, "all threads wait for each other"
         if not self._due or (until_ns is not None and self._due[0][0] > until_ns):
@@ -189,16 +189,17 @@ class VirtualTime:
         self.current = None
 
     def stall(self, threads: Sequence[VirtualThread], until_ns: int) -> None:
-        """Stop threads from now on until a time; then they wake in this order."""
+        """Stop threads until a time, when they wake in this order."""
         for rank, thread in enumerate(threads):
             thread.rank = rank
             thread.resumes_ns = max(thread.resumes_ns, until_ns)
 
-    def interrupt(self, looks: int, begin: Callable[[], None]) -> None:
-        """Call `begin`, which may stall threads, right after so many looks of any thread at the
-        clock: between a look and what is done by it.
+    def interrupt(self, readings: int, begin: Callable[[], None]) -> None:
+        """Call `begin`, which may stall threads, right after so many readings of the clock.
+
+        A stall can so begin between a reading and its use.
         """
-        self._interruption = (looks, begin)
+        self._interruption = (readings, begin)
 
     def wake(self, thread: VirtualThread, wait: int) -> None:
         """End a thread's wait now, if it is still that one."""
@@ -208,7 +209,7 @@ class VirtualTime:
         heapq.heappush(self._due, (time_ns, thread.rank, next(self._order), thread, wait))
 
     def pause(self, until_ns: int | None) -> None:
-        """Let the present thread wait until it is woken, or for a time."""
+        """Suspend the current thread until it is woken, or until a time."""
         thread = self.current
         assert thread is not None
         if until_ns is not None:
@@ -219,9 +220,9 @@ class VirtualTime:
         """See `time.monotonic_ns`."""
         look_ns = self.now_ns
         if self.current is not None and self._interruption is not None:
-            looks, begin = self._interruption
-            self._interruption = (looks - 1, begin) if looks > 1 else None
-            if looks <= 1:
+            readings, begin = self._interruption
+            self._interruption = (readings - 1, begin) if readings > 1 else None
+            if readings <= 1:
                 begin()
             if self.current.resumes_ns > self.now_ns:
                 self.sleep((self.current.resumes_ns - self.now_ns) * 1e-9)
@@ -243,9 +244,7 @@ class VirtualTime:
 
     @contextmanager
     def substituted(self, prefixes: Sequence[str]) -> Iterator[None]:
-        """Put this time and these threads in the place of the real ones in all loaded modules
-        whose names begin so.
-        """
+        """Replace `time` and `threading` in all loaded modules with one of these prefixes."""
         clock, threads = _Clock(self), _Threads(self)
         with ExitStack() as patches:
             for name, module in list(sys.modules.items()):

@@ -1,6 +1,6 @@
-"""The whole emulated bench as people start it: board, drive, sensing node, display node.
+"""The emulated bench as people start it: board, drive, sensing node, display node.
 
-Each is a process of its own; the drive writes down what its motor does.
+Each is a process of its own; the drive records what its motor does.
 """
 
 import json
@@ -28,14 +28,15 @@ CHANNEL = "239.74.163.2"
 STATE_WITHIN_S = 40.0
 ENDS_WITHIN_S = 20.0
 POLL_MS = 200
-# A scene's film may be silent for no longer.
-MOST_PATIENT_FILM = "80 ms"
+# The longest that a scene may allow.
+FEEDBACK_WITHIN = "80 ms"
 NICE = -15
 
 
 class MotorTrace(NamedTuple):
-    """The course of the emulated motor, one value a millisecond; trouble_ns: when something went
-    wrong in it or in its film, on the monotonic clock, None where nothing did.
+    """The record of the emulated motor, one value per millisecond.
+
+    trouble_ns: when a fault of it or of its film began, on the monotonic clock; None without one.
     """
 
     time_ns: NDArray[np.int64]
@@ -45,23 +46,23 @@ class MotorTrace(NamedTuple):
 
 
 class BenchFailedError(RuntimeError):
-    """A process of the bench did not do its part."""
+    """A process of the bench did not start, or did not reach a state."""
 
 
 @dataclass
-class WholeBench:
+class EmulatedBench:
     """Four processes and their files.
 
-    source: the scene that the board plays. drive_options: more words for the drive's emulator.
-    patience_ms: the drive's watchdog, for a machine that is busy with other things; 0: the scene's.
-    output: the descriptor that the display prints to; None: the log, and nothing but errors.
+    source: the scene that the board plays. drive_options: further options of the drive's emulator.
+    watchdog_ms: of the drive, for a busy machine; 0: the scene's. output: the descriptor that the
+    display prints to; None: the log, and errors only.
     """
 
     folder: Path
     kind: str
     source: str = "real_bench"
     drive_options: tuple[str, ...] = ()
-    patience_ms: int = 0
+    watchdog_ms: int = 0
     output: int | None = None
     processes: dict[str, ChildProcess] = field(default_factory=dict)
 
@@ -69,48 +70,48 @@ class WholeBench:
         self._address, self.telemetry = free_addresses(2)
         self.scene = self.folder / "scene.toml"
         text = to_toml(load_document(find_scene(f"{self.kind}_bench")))
-        # Ports of its own, so that it disturbs no other bench.
+        # Ports of its own, so that it does not interfere with another bench.
         last = 10 + int(re.findall(r"\d+$", self._address)[0]) % 200
         text = text.replace(PORTS, f"{self.folder}/").replace(CHANNEL, f"239.74.163.{last}")
-        if self.patience_ms:
-            keys = f'watchdog = "{self.patience_ms} ms"\n'
+        if self.watchdog_ms:
+            keys = f'watchdog = "{self.watchdog_ms} ms"\n'
             if self.kind == "tmcl":
-                keys += f'reply_timeout = "{self.patience_ms // 4} ms"\n'
+                keys += f'reply_timeout = "{self.watchdog_ms // 4} ms"\n'
             text = text.replace("[display.drive]\n", f"[display.drive]\n{keys}")
-            film = f'feedback_within = "{MOST_PATIENT_FILM}"\n'
+            film = f'feedback_within = "{FEEDBACK_WITHIN}"\n'
             text = text.replace("[display.safety]\n", f"[display.safety]\n{film}")
         self.scene.write_text(text, encoding="utf-8")
 
     def start_board(self) -> None:
-        """The sensor board at the wrist, with 4 ms of USB."""
+        """Start the sensor board at the wrist, behind USB of 4 ms."""
         words = ("emulate", "sensor", self.source, "--link", self.folder / "board")
         self._start("board", "telepulse", *words, "--delivery-ms", "4")
 
     def start_drive(self) -> None:
-        """The drive at the finger, with its film."""
+        """Start the drive at the finger, with its film."""
         serial = ("--link", self.folder / "drive") if self.kind == "tmcl" else ()
         film = ("--film-link", self.folder / "film", "--trace", self.folder / "motor.csv")
         words = ("emulate", self.kind, self.scene, *serial, *film, *self.drive_options)
         self._start("drive", "telepulse", *words)
 
     def start_sensing(self) -> None:
-        """The sensing node."""
+        """Start the sensing node."""
         self._start("sensing", "sensing_node.cli", self.scene, "--bind", self._address)
 
     def start_display(self) -> None:
-        """The display node."""
+        """Start the display node."""
         words = (self.scene, "--connect", self._address, "--telemetry", self.telemetry)
         json_file = self.folder / "display.json"
         volume = "--quiet" if self.output is None else "--no-screen"
         self._start("display", "display_node.cli", *words, volume, "--json", json_file)
 
     def await_state(self, wanted: str, within_s: float = STATE_WITHIN_S) -> dict[str, Any]:
-        """Wait until the display is so ("playing", "fault"); its summary then."""
+        """Wait for a state of the display ("playing", "fault") and return its summary then."""
         with zmq.Context() as context, context.socket(zmq.SUB) as socket:
             socket.connect(self.telemetry)
             socket.subscribe(STATUS)
             deadline_s = time.monotonic() + within_s
-            state, faults = "not there", list[str]()
+            state, faults = "absent", list[str]()
             while time.monotonic() < deadline_s and state != "fault":
                 if self.processes["display"].poll() is not None:
                     break
@@ -119,10 +120,10 @@ class WholeBench:
                     state, faults = status.state, status.summary["faults"]
                     if state == wanted:
                         return status.summary
-        raise BenchFailedError(f"the display: {state} {faults}\n{self.said()}")
+        raise BenchFailedError(f"the display: {state} {faults}\n{self.log()}")
 
     def end(self) -> dict[str, Any]:
-        """Stop all that still runs; the display's summary, empty where it was killed."""
+        """Stop all processes; return the display's summary, empty if it was killed."""
         for name in ("display", "sensing", "board", "drive"):
             process = self.processes.get(name)
             if process is not None and process.poll() is None:
@@ -133,21 +134,21 @@ class WholeBench:
         return summary
 
     def motor(self) -> MotorTrace:
-        """Return the motor's course until `end`."""
+        """Return the motor's record until `end`."""
         rows = np.genfromtxt(
             self.folder / "motor.csv",
             delimiter=",",
             names=True,
             dtype=None,
             encoding="utf-8",
-            # The text column is longer further down than in the first rows.
+            # The text column is longer in later rows than in the first ones.
             converters={4: lambda text: bool(text)},
         )
         wrong = np.flatnonzero(rows["trouble"])
         trouble_ns = int(rows["time_ns"][wrong[0]]) if len(wrong) else None
         return MotorTrace(rows["time_ns"], rows["speed_m_per_s"], rows["force_n"], trouble_ns)
 
-    def said(self) -> str:
+    def log(self) -> str:
         """Return all that the processes have printed."""
         return (self.folder / "log").read_text("utf-8")
 
@@ -159,12 +160,12 @@ class WholeBench:
             arguments = map(str, words)
             process = ChildProcess(name, "-m", module, *arguments, stdout=output, stderr=output)
             self.processes[name] = process
-        # What else this machine does must not look like a fault, where that may be had.
+        # Other load on this machine must not look like a fault, where the priority is permitted.
         with suppress(PermissionError):
             os.setpriority(os.PRIO_PROCESS, process.pid, NICE)
 
     def kill(self) -> None:
-        """Leave nothing running."""
+        """Kill all processes."""
         for process in self.processes.values():
             if process.poll() is None:
                 process.kill()
@@ -177,19 +178,19 @@ def playing(
     kind: str,
     source: str = "real_bench",
     *drive_options: str,
-    patience_ms: int = 0,
+    watchdog_ms: int = 0,
     output: int | None = None,
-) -> Iterator[WholeBench]:
-    """A bench on which the pulse is felt. Raises BenchFailedError."""
+) -> Iterator[EmulatedBench]:
+    """Provide a bench on which the pulse is felt. Raises BenchFailedError."""
     with ExitStack() as leaving:
-        bench = WholeBench(folder, kind, source, drive_options, patience_ms, output)
+        bench = EmulatedBench(folder, kind, source, drive_options, watchdog_ms, output)
         leaving.callback(bench.kill)
         bench.start_board()
         bench.start_drive()
         deadline_s = time.monotonic() + STATE_WITHIN_S
         while not all((folder / name).exists() for name in ("board", "film")):
             if time.monotonic() > deadline_s:
-                raise BenchFailedError(f"board and drive do not start\n{bench.said()}")
+                raise BenchFailedError(f"board and drive do not start\n{bench.log()}")
             time.sleep(0.05)
         bench.start_sensing()
         bench.start_display()

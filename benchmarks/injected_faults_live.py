@@ -1,27 +1,28 @@
-"""A few lies and stalls on real processes: the whole emulated bench, as people start it.
+"""Some injected faults and stalls on real processes: the whole emulated bench, as people start it.
 
-What `benchmarks/lies.py` and `benchmarks/random_stalls.py` show in virtual time, seen in the
-emulated motor's own record.
+The results of `benchmarks/injected_faults.py` and `benchmarks/random_stalls.py`, which are in
+virtual time, checked against the emulated motor's own record.
 """
 
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from benchmarks.lies import LIMIT_N, TOUCH_N
 from benchmarks.measure import show
-from benchmarks.whole_bench import KINDS, BenchFailedError, MotorTrace, WholeBench, playing
+from tests.support.emulated_bench import BenchFailedError, EmulatedBench, MotorTrace, playing
+from tests.support.fault_runs import KINDS, LIMIT_N, TOUCH_N
 
-# From the first press on: by then the pulse is felt.
+# From the first contact: by then the pulse is felt.
 BEGIN_S = "2"
 AFTER_S = 2.5
 FAULT_WITHIN_S = 8.0
 TRIES = 3
 STOPPED_S = (0.1, 0.4, 2.0)
-LIES = (
+FAULTS = (
     ("reversed",),
     ("reversed-encoder",),
     ("gain-encoder", "--size", "3"),
@@ -36,49 +37,54 @@ LIES = (
 def main() -> None:
     """Print the table."""
     rows = [stopped_row(kind, seconds) for seconds in STOPPED_S for kind in KINDS]
-    rows += [lied_row(kind, *lie) for lie in LIES for kind in KINDS]
+    rows += [fault_row(kind, *fault) for fault in FAULTS for kind in KINDS]
     show(
-        f"Stalls and lies on real processes; the limit is {LIMIT_N:g} N",
+        f"Stalls and injected faults on real processes; the limit is {LIMIT_N:g} N",
         ("what happens", "drive", "most N", "above ms", "off ms", "at the end N", "named"),
         rows,
     )
 
 
 def stopped_row(kind: str, seconds: float) -> tuple[str, ...]:
-    """The display's process is stopped for so long."""
+    """Stop the display's process for so long, and return the table's row."""
 
-    def happen(bench: WholeBench) -> int:
+    def stop(bench: EmulatedBench) -> int:
         display = bench.processes["display"]
         display.send_signal(signal.SIGSTOP)
         time.sleep(seconds)
-        goes_on_ns = time.monotonic_ns()
+        continued_ns = time.monotonic_ns()
         display.send_signal(signal.SIGCONT)
         time.sleep(AFTER_S)
-        return goes_on_ns
+        return continued_ns
 
-    return _row(f"stopped for {seconds:g} s", kind, (), happen)
+    return _row(f"stopped for {seconds:g} s", kind, (), stop)
 
 
-def lied_row(kind: str, *lie: str) -> tuple[str, ...]:
-    """The emulated drive lies."""
+def fault_row(kind: str, *fault: str) -> tuple[str, ...]:
+    """Inject a fault into the emulated drive, and return the table's row."""
 
-    def happen(bench: WholeBench) -> None:
+    def await_fault(bench: EmulatedBench) -> None:
         try:
             bench.await_state("fault", FAULT_WITHIN_S)
         except BenchFailedError:
             return
         time.sleep(AFTER_S)
 
-    return _row(" ".join(word for word in lie if word != "--size"), kind, lie, happen)
+    return _row(" ".join(word for word in fault if word != "--size"), kind, fault, await_fault)
 
 
-def _row(what: str, kind: str, lie: tuple[str, ...], happen) -> tuple[str, ...]:  # type: ignore[no-untyped-def]
-    options = ("--fault", *lie, "--fault-after", BEGIN_S) if lie else ()
+def _row(
+    what: str,
+    kind: str,
+    fault: tuple[str, ...],
+    act: Callable[[EmulatedBench], int | None],
+) -> tuple[str, ...]:
+    options = ("--fault", *fault, "--fault-after", BEGIN_S) if fault else ()
     for _ in range(TRIES):
         with TemporaryDirectory(prefix="telepulse-") as folder:
             try:
                 with playing(Path(folder), kind, "real_bench", *options) as bench:
-                    at_ns = happen(bench)
+                    at_ns = act(bench)
                     last_ns = time.monotonic_ns()
                     faults = bench.end().get("faults", [])
                     return what, kind, *_figures(bench.motor(), at_ns, last_ns), "; ".join(faults)
@@ -88,7 +94,7 @@ def _row(what: str, kind: str, lie: tuple[str, ...], happen) -> tuple[str, ...]:
 
 
 def _figures(motor: MotorTrace, at_ns: int | None, last_ns: int) -> tuple[str, ...]:
-    """Most force, time above the limit, time until off, and the force before it was ended."""
+    """Return the greatest force, the time above the limit and until off, and the last force."""
     at_ns = at_ns or motor.trouble_ns or 0
     seen = motor.time_ns < last_ns
     pressing_ns = motor.time_ns[seen & (motor.force_n > TOUCH_N)].max(initial=at_ns)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks.virtual_time import VirtualThread, VirtualTime
+from tests.support.virtual_time import VirtualThread, VirtualTime
 
 MS = 1_000_000
 

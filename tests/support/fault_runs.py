@@ -1,0 +1,180 @@
+"""Runs of one injected fault of a drive or a film, on a bench in virtual time."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from display_node.scene import DisplayScene
+from display_node.telemetry.alerts import STIFFNESS, alerts
+from protocol.config.scene import load_section
+from protocol.config.scene_file import find_scene
+from protocol.errors import TelepulseError
+from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
+from telepulse.emulators.fault_injection import FaultKind, parse_fault
+from telepulse.emulators.motor import MotorState
+from tests.support.threaded_bench import MS, ThreadedBench
+
+KINDS = ("tmcl", "cia402")
+LIMIT_N = 2.5
+BAR_FORCE_N = 1.25 * LIMIT_N
+# A microstep at the limit is 6 mN, which counts as the limit.
+LIMIT_AND_STEP_N = LIMIT_N + 0.01
+BAR_ABOVE_MS = 50
+BAR_OFF_MS = 1_000
+PLAYED_MS = 1_500
+AFTER_MS = 3_000
+# A tip that is off for so long stays off.
+OFF_MS = 250
+# Felt beyond what is felt without the fault: a smaller excess need not be reported.
+HARMLESS_N = 0.25
+# Below it the tip is off the finger.
+TOUCH_N = 0.01
+# The hostile stream's jumps, and half its period.
+HOSTILE_N, HOSTILE_MS = 1_000.0, 300
+# A drive that turns the wrong way, or not at all, cannot be withdrawn by commands.
+DISOBEDIENT = (FaultKind.REVERSED, FaultKind.REVERSED_ENCODER, FaultKind.NO_RETRACTION)
+
+
+@dataclass(frozen=True, slots=True)
+class FaultCase:
+    """A fault on a bench. from_start: it is present before the drive homes."""
+
+    kind: FaultKind
+    size: str | None = None
+    from_start: bool = False
+
+    @property
+    def obeys(self) -> bool:
+        """Return whether the drive still obeys, so that the tip can be withdrawn."""
+        return self.kind not in DISOBEDIENT
+
+
+@dataclass(frozen=True, slots=True)
+class FaultOutcome:
+    """Result of a fault.
+
+    most_n: the greatest felt force; above_ms: time above the limit; named: the first fault the
+    display reported, empty for none; named_ms: from the begin of the fault to its report; off_ms:
+    from the report until the tip is off the finger for good, None where it stays on; error_n: the
+    greatest excess of the felt over the target force; warned: an alert that latches nothing;
+    stiffness: the learnt one of the finger.
+    """
+
+    most_n: float
+    above_ms: int
+    named: str
+    named_ms: int | None
+    off_ms: int | None
+    error_n: float
+    warned: str = ""
+    stiffness: float | None = None
+
+    def missed(self, faultless_error_n: float, obeys: bool = True) -> list[str]:
+        """Return the bars it misses.
+
+        faultless_error_n: `error_n` without a fault. A fault that changes nothing at the finger
+        need not be reported, and a drive that does not obey need not leave the finger.
+        """
+        harmless = not self.named and self.error_n <= faultless_error_n + HARMLESS_N
+        off = self.off_ms is not None and self.off_ms <= BAR_OFF_MS
+        bars = {
+            "force": self.most_n <= BAR_FORCE_N,
+            "time": self.above_ms <= BAR_ABOVE_MS,
+            "name": bool(self.named or self.warned or harmless),
+            "off": off or not (self.named and obeys),
+        }
+        return [name for name, met in bars.items() if not met]
+
+
+def paper_pulse() -> Callable[[int], float]:
+    """Return the paper's pulse in N, as a function of time in ms."""
+    keys = {"preset": "paper", "rate": "1 kHz", "peak_to_peak": "0.3 N", "preload": "0.3 N"}
+    source = SyntheticSource(SyntheticScene.model_validate({"kind": "synthetic", **keys}))
+    values = source.take(12_000)[:, 0].tolist()
+    return lambda ms: values[ms % len(values)]
+
+
+def hostile_stream(ms: int) -> float:
+    """Return forces that jump between zero and far beyond the limit."""
+    return HOSTILE_N if ms // HOSTILE_MS % 2 else 0.0
+
+
+def bench_scene(kind: str) -> DisplayScene:
+    """Return the scene of the emulated bench with a kind of drive."""
+    return load_section(find_scene(f"{kind}_bench"), "display", DisplayScene)
+
+
+def run_fault(
+    case: FaultCase | None,
+    kind: str,
+    with_film: bool,
+    force_n: Callable[[int], float],
+    finger: float = 1.0,
+) -> FaultOutcome:
+    """Inject a fault while the pulse is felt, and return what resulted; None injects none.
+
+    finger: its stiffness, as a factor of the scene's.
+    """
+    felt: list[MotorState] = []
+    with ThreadedBench(bench_scene(kind), force_n, with_film, felt.append, finger) as bench:
+        target_n: dict[int, float] = {}
+        bench.on_tick = lambda now_ns, force_n: target_n.setdefault(now_ns // MS, force_n)
+        began_ns = bench.world.now_ns
+        fault = None if case is None else parse_fault(case.kind, case.size)
+        if fault is not None and case is not None and case.from_start:
+            bench.motor.injector.begin(fault, began_ns)
+            try:
+                bench.start()
+            except TelepulseError as error:
+                fault_ns = bench.world.now_ns
+                bench.run(AFTER_MS)
+                return _outcome(felt, target_n, began_ns, fault_ns, f"not started: {error}")
+        else:
+            bench.start()
+            bench.run(PLAYED_MS)
+            assert not bench.faults, bench.faults
+            began_ns = bench.world.now_ns
+            if fault is not None:
+                bench.motor.injector.begin(fault, began_ns)
+        for _ in range(AFTER_MS // OFF_MS):
+            bench.run(OFF_MS)
+            if bench.faults and all(moment.force_n <= TOUCH_N for moment in felt[-OFF_MS:]):
+                break
+        outcome = _outcome(felt, target_n, began_ns, bench.fault_ns, "; ".join(bench.faults))
+        summary = bench.display.summary()
+        warned = [a for a in alerts(bench.display.state, summary.to_dict()) if a.name == STIFFNESS]
+        return replace(
+            outcome,
+            warned="; ".join(f"{alert.name} {alert.text}" for alert in warned),
+            stiffness=summary.finger_stiffness if with_film else None,
+        )
+
+
+def _outcome(
+    felt: list[MotorState],
+    target_n: dict[int, float],
+    began_ns: int,
+    fault_ns: int | None,
+    named: str,
+) -> FaultOutcome:
+    pressing = [moment.time_ns for moment in felt if moment.force_n > TOUCH_N]
+    last_ns, end_ns = max(pressing, default=0), felt[-1].time_ns
+    off_ms = None
+    if fault_ns is not None and end_ns - last_ns > 100 * MS:
+        off_ms = max(0, last_ns - fault_ns) // MS
+    error_n = 0.0
+    for moment in felt:
+        if moment.time_ns < began_ns or (fault_ns is not None and moment.time_ns > fault_ns):
+            continue
+        # The target is felt within some ms.
+        ms = moment.time_ns // MS
+        near = [target_n[there] for there in range(ms - 20, ms + 21) if there in target_n]
+        if near:
+            error_n = max(error_n, moment.force_n - max(near), min(near) - moment.force_n)
+    return FaultOutcome(
+        most_n=max(moment.force_n for moment in felt),
+        above_ms=sum(moment.force_n > LIMIT_AND_STEP_N for moment in felt),
+        named=named,
+        named_ms=None if fault_ns is None else (fault_ns - began_ns) // MS,
+        off_ms=off_ms,
+        error_n=error_n,
+    )

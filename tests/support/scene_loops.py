@@ -1,0 +1,72 @@
+"""A scene's force loop behind its safety, in virtual time: forces that jump, hosts that stall."""
+
+import math
+import random
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from display_node.control.safety import Safety
+from display_node.scene import DisplayScene
+
+REQUESTED_N = (0.0, 1e30, -1e30, 1.0, 0.3)
+FOR_S = (0.005, 0.02, 0.05, 0.1, 0.3, 1.0)
+# A half sine, far steeper than a wrist's pulse.
+PEAK_N, BEAT_S, EVERY_S = 0.53, 0.12, 0.5
+# Number of ticks that a host misses before a tick at a time in s.
+Host = Callable[[random.Random, float], int]
+
+
+def felt_under_jumps(scene: DisplayScene, jumps: int) -> NDArray[np.float64]:
+    """Return the felt force in N after each tick, where the requested force jumps at random."""
+    loop = scene.force_loop()
+    safety = Safety(scene.safety, scene.tick_ns)
+    rng = random.Random(3)
+    felt_n = []
+    for _ in range(jumps):
+        requested_n, for_s = rng.choice(REQUESTED_N), rng.choice(FOR_S)
+        for _ in range(round(for_s * 1e9 / scene.tick_ns)):
+            target_n = safety.bound([requested_n] * (loop.horizon + 1), alive=True)
+            felt_n.append(loop.tick(target_n, loop.read_film()))
+    return np.array(felt_n)
+
+
+def stalls_always(longest: int) -> Host:
+    """Return a host that misses 1 to `longest` ticks before every tick, or none."""
+    return lambda rng, _: rng.randint(1, longest) if longest else 0
+
+
+def stalls_at_times(longest: int) -> Host:
+    """Return a host that misses 1 to `longest` ticks before every tick for 3 s of every 10."""
+    return lambda rng, at_s: rng.randint(1, longest) if at_s % 10 < 3 else 0
+
+
+def press(scene: DisplayScene, host: Host, seconds: float) -> tuple[float, float]:
+    """Play beats on a host that stalls.
+
+    Returns the greatest force, and the RMS difference of felt and wanted force, in N.
+    """
+    tick_s = scene.tick_ns * 1e-9
+    loop = scene.force_loop()
+    safety = Safety(scene.safety, scene.tick_ns)
+    rng = random.Random(7)
+    now_s, most_n, squares, ticks = 0.0, 0.0, 0.0, 0
+    while now_s < seconds:
+        missed = host(rng, now_s)
+        loop.coast(missed)
+        now_s += missed * tick_s
+        wanted_n = [beat_n(now_s + ahead * tick_s) for ahead in range(loop.horizon + 1)]
+        most_n = max(most_n, loop.felt_n)
+        if safety.gain == 1.0:
+            squares, ticks = squares + (loop.felt_n - wanted_n[0]) ** 2, ticks + 1
+        reading_n = loop.read_film()
+        most_n = max(most_n, loop.tick(safety.bound(wanted_n, alive=True), reading_n))
+        now_s += tick_s
+    return most_n, math.sqrt(squares / ticks)
+
+
+def beat_n(time_s: float) -> float:
+    """Return the wanted force: a half sine, twice a second."""
+    into_s = time_s % EVERY_S
+    return PEAK_N * math.sin(math.pi * into_s / BEAT_S) if into_s < BEAT_S else 0.0

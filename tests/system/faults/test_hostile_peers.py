@@ -1,0 +1,161 @@
+"""Peers that send garbage, floods or endless subscriptions: playback continues, nothing grows."""
+
+import random
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import zmq
+
+from protocol import sockets
+from protocol.security.budgets import FOREIGN_BYTES, SUBSCRIPTION, SubscriptionBudget
+from protocol.sockets import Context, control_address
+from sensing_node.control_server import REQUESTS_AT_ONCE
+from telepulse.processes import free_addresses
+from tests.support.felt_force import assert_limits_kept
+from tests.support.hostile_peers import (
+    flood_with_requests,
+    port_of,
+    send_garbage,
+    subscribe_endlessly,
+)
+from tests.support.node_rig import node_rig, rss_bytes, sequence_monitor, unaccounted
+from tests.support.nodes import free_address, process
+from tests.support.waiting import until
+
+CONNECTIONS, MESSAGES, SILENT = 60, 400, 500
+FLOODED_S = 2.0
+SUBSCRIBING_S = 0.6
+TOPIC_BYTES = (10, 200, 900)
+# Without a limit it is hundreds of megabytes.
+GROWN_BYTES = 40_000_000
+
+
+@pytest.mark.parametrize("kind", ["garbage", "subscriptions"])
+def test_hostile_peers_on_every_port_cost_the_nodes_little_and_the_pulse_nothing(
+    kind: str, tmp_path: Path
+) -> None:
+    rng = random.Random(5)
+    attack: Callable[[int], None]
+
+    def garbage(port: int) -> None:
+        send_garbage(port, CONNECTIONS, MESSAGES, SILENT, rng)
+
+    def subscriptions(port: int) -> None:
+        for topic_bytes in TOPIC_BYTES:
+            subscribe_endlessly(port, topic_bytes, SUBSCRIBING_S)
+
+    with node_rig(tmp_path) as rig:
+        (rig.telemetry_address,) = free_addresses(1)
+        sensing, display, felt = rig.play()
+        (data,) = rig.connect
+        before_bytes = [node.rss_bytes() for node in (sensing, display)]
+        ports = [data, rig.telemetry_address]
+        if kind == "garbage":
+            attack, grown_bytes = garbage, 60_000_000
+            ports.append(control_address(data))
+        else:
+            attack, grown_bytes = subscriptions, GROWN_BYTES
+        for address in ports:
+            attack(port_of(address))
+        for node, before in zip((sensing, display), before_bytes, strict=True):
+            assert node.rss_bytes() - before < grown_bytes
+        rig.await_played(felt, 500)
+        sent, summary = sensing.end(), display.summary()
+    assert unaccounted(sent, summary) == 0
+    assert summary.samples.lost == 0
+    if kind == "garbage":
+        assert summary.rejected == {}
+        # What arrived on the control port was distinguished from displays' messages, and counted.
+        assert sum(sent.rejected.values()) > MESSAGES / 2
+        assert sent.faults == summary.faults == []
+    else:
+        assert set(sent.rejected) == set(summary.rejected) == {SUBSCRIPTION}
+    assert_limits_kept(felt)
+
+
+def test_a_flood_of_frames_is_counted_and_cut_off(tmp_path: Path) -> None:
+    with node_rig(tmp_path) as rig:
+        display = rig.display()
+        sensing = rig.sense("flood=data")
+        time.sleep(2 * FLOODED_S)
+        summary = display.end()
+        sensing.end()
+    assert summary.rejected["flood"] > 0
+    # No more is processed than may queue, and the admitted rate.
+    assert 0 < summary.rejected["duplicate"] < 30_000
+    assert summary.faults == []
+
+
+def test_of_endless_clock_requests_few_are_read(tmp_path: Path) -> None:
+    with node_rig(tmp_path) as rig:
+        sensing, display, _ = rig.play()
+        flood_with_requests(rig.connect[0], FLOODED_S)
+        summary, sent = display.end(), sensing.end()
+    assert sent.rejected["held_back"] > 0
+    # Of two displays: what may arrive at once, and 1 200 a second.
+    assert sent.rejected["flood"] < REQUESTS_AT_ONCE + 2 * FLOODED_S * 1_200
+    assert summary.samples.lost == 0
+    assert summary.faults == []
+
+
+def test_endless_subscriptions_cost_a_relay_little_and_are_not_forwarded(tmp_path: Path) -> None:
+    inner, outer = free_addresses(2)
+    command = ("relay", "--connect", inner, "--bind", outer)
+    with node_rig(tmp_path) as rig:
+        rig.bind, rig.connect = inner, [inner]
+        sensing = rig.sense()
+        with process("telepulse", *command) as relay, sequence_monitor(outer) as sessions:
+            until(lambda: sessions)
+            before_bytes = rss_bytes(relay.pid)
+            subscribe_endlessly(port_of(outer), 200, SUBSCRIBING_S)
+            assert rss_bytes(relay.pid) - before_bytes < GROWN_BYTES
+            sent = sensing.end()
+            until(lambda: list(sessions.values()) == [sent.samples.sent])
+            relay.terminate()
+            _, errors = relay.communicate(timeout=20)
+    assert sent.rejected == {}
+    assert errors.count("it subscribes to topics not published here") == 1
+
+
+@pytest.mark.parametrize("ipc", [False, True])
+def test_a_few_foreign_topics_are_allowed_and_a_peer_that_continues_is_cut_off_and_counted(
+    context: Context, tmp_path: Path, ipc: bool, logged: list[str]
+) -> None:
+    address = f"ipc://{tmp_path}/data" if ipc else free_address()
+    data = sockets.bind(context, zmq.XPUB, address)
+    subscribers, forwarded = SubscriptionBudget(data, (b"trace", b"status")), list[bytes]()
+    with context.socket(zmq.SUB) as modest, context.socket(zmq.SUB) as greedy:
+        for socket in (modest, greedy):
+            socket.setsockopt(zmq.LINGER, 0)
+            socket.connect(address)
+
+        def receives(socket: sockets.Socket) -> int:
+            forwarded.extend(subscribers.receive())
+            sockets.send(data, b"trace")
+            return socket.poll(5) and len(socket.recv())
+
+        for topic in (b"tra", b"something of a later version"):
+            modest.subscribe(topic)
+        until(lambda: receives(modest))
+        greedy.subscribe(b"trace")
+        until(lambda: receives(greedy))
+        assert not logged
+        number = 0
+
+        def subscribe_once_more() -> bool:
+            nonlocal number
+            number += 1
+            greedy.subscribe(b"%d" % number + bytes(100))
+            receives(modest)
+            return bool(logged)
+
+        until(subscribe_once_more)
+        assert number * 101 > FOREIGN_BYTES / 2
+        end_s = time.monotonic() + 0.3
+        while time.monotonic() < end_s:
+            until(lambda: receives(modest))
+    assert len(logged) == 1
+    assert subscribers.rejected[SUBSCRIPTION] >= 1
+    assert {b"\1tra", b"\1trace"} <= set(forwarded) <= {b"\1tra", b"\1trace", b"\0trace"}

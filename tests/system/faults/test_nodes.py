@@ -1,0 +1,188 @@
+"""Nodes that are killed, stopped or suspended, and displays that do not read."""
+
+import json
+import random
+import time
+from pathlib import Path
+from subprocess import PIPE
+
+from protocol.config.scene_file import find_scene
+from protocol.host.child_process import ChildProcess
+from tests.support.felt_force import PATIENCE_S, assert_back_within_a_second, assert_limits_kept
+from tests.support.hostile_peers import deaf_subscriber, port_of, queued_bytes
+from tests.support.node_rig import Node, node_rig, sequence_monitor, unaccounted
+from tests.support.waiting import until
+
+KILLS = 2
+# Samples of a killed node's last messages that one peer may have received and another not.
+LAST_SAMPLES = 10
+STOPPED_S = 1.5
+SUSPENDED_S = 0.8
+# 1 kB frames, 200 a second; the kernel queues twice what it is asked to.
+FAST = 'rate = "50 kHz"'
+QUEUED_BYTES = 500_000
+GROWN_BYTES = 20_000_000
+# In one process and without actuators: twenty real-time loops would take all cores.
+LISTENERS = 18
+
+
+def test_a_killed_sensing_node_is_felt_again_and_its_sessions_are_accounted_for(
+    tmp_path: Path,
+) -> None:
+    rng, killed = random.Random(1), 0
+    with node_rig(tmp_path) as rig, sequence_monitor(rig.connect[0]) as sessions:
+        sensing, display, felt = rig.play()
+
+        def kill() -> int:
+            nonlocal sensing, killed
+            time.sleep(rng.uniform(0, 0.4))
+            killed, killed_ns = killed + 1, time.monotonic_ns()
+            sensing.kill()
+            assert felt.first_ns(killed_ns, PATIENCE_S, felt=False) is not None
+            sensing = rig.sense()
+            return sensing.listening_ns
+
+        for _ in range(KILLS):
+            assert_back_within_a_second(felt, kill)
+        sent, summary = sensing.end().samples.sent, display.summary()
+    samples = summary.samples
+    assert samples.sent is not None
+    assert samples.before_joining is not None
+    assert (samples.played or 0) + (samples.late or 0) + (samples.lost or 0) == samples.sent
+    assert len(sessions) == killed + 1
+    assert list(sessions.values())[-1] == sent
+    received = samples.sent + samples.before_joining
+    assert abs(sum(sessions.values()) - received) <= LAST_SAMPLES * killed
+    assert summary.faults == []
+    assert_limits_kept(felt)
+
+
+def test_a_restarted_display_feels_the_stream_that_continued_meanwhile(tmp_path: Path) -> None:
+    rng = random.Random(2)
+    with node_rig(tmp_path) as rig:
+        sensing, display, felt = rig.play()
+
+        def kill() -> int:
+            nonlocal display
+            time.sleep(rng.uniform(0, 0.4))
+            display.kill()
+            # The counts of its last status add up.
+            assert felt.status is not None
+            last = felt.status.summary["samples"]
+            assert last["sent"] == last["played"] + last["late"] + last["lost"]
+            display = rig.display()
+            return display.listening_ns
+
+        assert_back_within_a_second(felt, kill)
+        sent, summary = sensing.end(), display.summary()
+    assert unaccounted(sent, summary) == 0
+    assert (summary.samples.played or 0) > 0
+    assert sent.faults == summary.faults == []
+    assert_limits_kept(felt)
+
+
+def test_a_stopped_display_resumes_at_the_present_and_another_loses_nothing(
+    tmp_path: Path,
+) -> None:
+    with node_rig(tmp_path) as rig:
+        sensing, display, felt = rig.play()
+        other = rig.display("other")
+
+        def stop() -> int:
+            display.pause()
+            time.sleep(STOPPED_S)
+            display.resume()
+            return time.monotonic_ns()
+
+        assert_back_within_a_second(felt, stop)
+        sent = sensing.end()
+        stopped, undisturbed = display.summary(), other.summary()
+    for summary in (stopped, undisturbed):
+        assert unaccounted(sent, summary) == 0
+        assert summary.faults == []
+    assert undisturbed.samples.lost == 0
+    assert stopped.samples.late
+    assert (stopped.loop.deadline_misses or 0) > STOPPED_S * 900
+    # By a ramp of 0.3 s, although the newest samples had queued.
+    assert (stopped.interruptions.count or 0) >= 1
+    assert (stopped.interruptions.longest_s or 0.0) > STOPPED_S + 0.25
+    assert_limits_kept(felt)
+
+
+def test_the_pulse_of_hosts_that_were_suspended_is_felt_again(tmp_path: Path) -> None:
+    """The monotonic clock of a suspended host steps; neither node reads the wall clock."""
+    with node_rig(tmp_path) as rig:
+        sensing, display, felt = rig.play(f"step={-SUSPENDED_S}")
+        steps = {"sensing": 0, "display": 0}
+
+        def suspend(node: Node, host: str) -> int:
+            steps[host] += 1
+            node.pause()
+            time.sleep(SUSPENDED_S)
+            # The signal is handled first thing after the process continues.
+            node.step_clock()
+            node.resume()
+            # On the display's clock, as the traces are.
+            return time.monotonic_ns() - round(steps["display"] * SUSPENDED_S * 1e9)
+
+        def steps_counted() -> int | None:
+            return None if felt.status is None else felt.status.summary["clock"]["steps"]
+
+        assert_back_within_a_second(felt, lambda: suspend(sensing, "sensing"))
+        assert_back_within_a_second(felt, lambda: suspend(display, "display"))
+        # The pulse is played, late, before a step is recognised as one.
+        until(lambda: steps_counted() == sum(steps.values()))
+        sent, summary = sensing.end(), display.summary()
+    assert unaccounted(sent, summary) == 0
+    assert summary.clock.steps == sum(steps.values())
+    assert summary.faults == []
+    assert_limits_kept(felt)
+
+
+def test_a_display_that_never_reads_is_disconnected_before_much_has_queued(tmp_path: Path) -> None:
+    with node_rig(tmp_path) as rig:
+        rig.scene = tmp_path / "fast.toml"
+        text = find_scene("radial").read_text(encoding="utf-8")
+        rig.scene.write_text(text.replace('rate = "1 kHz"', FAST), encoding="utf-8")
+        sensing = rig.sense()
+        with (
+            sequence_monitor(rig.connect[0]) as sessions,
+            deaf_subscriber(port_of(rig.connect[0])) as deaf,
+        ):
+            before_bytes, queued = sensing.rss_bytes(), [0]
+            end_s = time.monotonic() + PATIENCE_S
+            while (now := queued_bytes(deaf)) is not None:
+                assert time.monotonic() < end_s
+                queued.append(now)
+                time.sleep(0.05)
+            assert max(queued) < QUEUED_BYTES
+            assert sensing.rss_bytes() - before_bytes < GROWN_BYTES
+            sent = sensing.end().samples.sent
+        # Another subscriber received the whole stream.
+        assert list(sessions.values()) == [sent]
+
+
+def test_one_of_twenty_displays_that_never_reads_costs_the_others_nothing(tmp_path: Path) -> None:
+    with node_rig(tmp_path) as rig:
+        sensing, display, felt = rig.play()
+        (address,) = rig.connect
+        command = ("-m", "tests.support.many_displays", address, str(LISTENERS))
+        with (
+            deaf_subscriber(port_of(address)),
+            ChildProcess("displays", *command, stdout=PIPE) as listeners,
+        ):
+            assert listeners.read_line(PATIENCE_S) == "listening"
+            rig.await_played(felt, 1_000)
+            sent, summary = sensing.end(), display.summary()
+            output, _ = listeners.communicate(timeout=PATIENCE_S)
+    counts = json.loads(output)
+    assert len(counts) == LISTENERS
+    for total, played, late, lost, before_joining in counts:
+        assert total + before_joining == sent.samples.sent
+        assert total == played + late
+        assert lost == 0
+        assert total > 0
+    assert unaccounted(sent, summary) == 0
+    assert summary.samples.lost == 0
+    assert summary.faults == []
+    assert_limits_kept(felt)
