@@ -1,4 +1,4 @@
-"""Timings. Run all with `make bench`, some with `make bench ARGS="wire"`.
+"""Benchmarks. Run all with `make bench`, some with `make bench ARGS="wire"`.
 
-Figures of one run belong together; between runs and machines only ratios mean something.
+Compare figures within one run; between runs and machines compare ratios only.
 """

@@ -1,7 +1,7 @@
-"""Faults on the whole emulated bench: from the fault until the finger is in peace.
+"""Faults on the whole emulated bench: time until the finger is at peace.
 
-In peace is a tip at rest, or one that hardly touches: whichever came first, and stayed. Read in
-the emulated motor's own record, on the clock on which the fault is made.
+It is at peace when the tip stays at rest, or stays almost off the finger, whichever came first.
+The time is read in the emulated motor's own record, on the clock on which the fault is made.
 """
 
 import signal
@@ -21,7 +21,7 @@ REPEATS = 2
 TRIES = 3
 BAR_MS = 100.0
 AFTER_S = 1.0
-# From the first press on, for what the emulator does by itself: by then the pulse is felt.
+# Of a fault of the emulator, from the first contact: by then the pulse is felt.
 TROUBLE_AFTER_S = 2.0
 STOPPED_S = 0.3
 STILL_M_PER_S = 1e-6
@@ -29,7 +29,7 @@ STILL_M_PER_S = 1e-6
 LIGHT_N = 0.01
 FORCE_LIMIT_N = 2.5
 SLEW_N_PER_S = 50.0
-# So long a stretch has no slope of single microsteps.
+# Slopes are taken over so long, beyond single microsteps.
 STRETCH_MS = 10
 
 
@@ -45,7 +45,7 @@ def main() -> None:
     """Print both tables; the bar is 100 ms."""
     kinds = ("TMCL, ms", "CiA 402, ms")
     show(
-        f"From a fault to a finger in peace, most of {REPEATS}; the bar is {BAR_MS:g} ms",
+        f"From a fault to a finger at peace, most of {REPEATS}; the bar is {BAR_MS:g} ms",
         ("fault", "what is done", *kinds, "named"),
         [row(*fault) for fault in FAULTS],
     )
@@ -72,8 +72,9 @@ def row(name: str, done: str, once: Callable[[str, Path], Outcome]) -> tuple[str
 
 
 def tried(once: Callable[[Path], Outcome]) -> Outcome | None:
-    """Return the result of a fault on a bench that played until then; None where a busy machine
-    had brought it to rest before, time after time.
+    """Return the result of a fault on a bench that played until then.
+
+    None where a busy machine stopped every attempt before.
     """
     for _ in range(TRIES):
         with TemporaryDirectory(prefix="telepulse-") as folder:
@@ -85,7 +86,7 @@ def tried(once: Callable[[Path], Outcome]) -> Outcome | None:
 
 
 def kill_one(name: str, signal_number: int, kind: str, folder: Path) -> Outcome:
-    """Send a process of the bench a signal; one that is stopped goes on after a while."""
+    """Send a process of the bench a signal; a stopped one continues after a while."""
     with playing(folder, kind) as bench:
         at_ns = time.monotonic_ns()
         bench.processes[name].send_signal(signal_number)
@@ -97,7 +98,7 @@ def kill_one(name: str, signal_number: int, kind: str, folder: Path) -> Outcome:
 
 
 def trouble(word: str, kind: str, folder: Path) -> Outcome:
-    """Something goes wrong in the drive's emulator."""
+    """Inject a fault into the drive's emulator."""
     options = ("--fault", word, "--fault-after", f"{TROUBLE_AFTER_S:g}")
     with playing(folder, kind, "real_bench", *options) as bench:
         bench.await_state("fault")
@@ -106,8 +107,9 @@ def trouble(word: str, kind: str, folder: Path) -> Outcome:
 
 
 def ended(bench: EmulatedBench, at_ns: int | None) -> Outcome:
-    """Stop the bench, and see in the motor's record what came of a fault then; None: of its
-    own trouble.
+    """Stop the bench, and return what the motor's record shows since a fault.
+
+    at_ns: its time; None for the emulator's own.
     """
     last_ns = time.monotonic_ns()
     summary = bench.end()
@@ -115,7 +117,7 @@ def ended(bench: EmulatedBench, at_ns: int | None) -> Outcome:
     at_ns = at_ns or motor.trouble_ns
     if at_ns is None or not pressed(motor, at_ns):
         raise BenchFailedError(f"no pulse when the fault came: {summary.get('faults')}")
-    # Until it is told to end, which moves it as well.
+    # Until it is ended, which moves it as well.
     seen = (motor.time_ns >= at_ns) & (motor.time_ns < last_ns)
     moves = seen & (np.abs(motor.speed_m_per_s) > STILL_M_PER_S)
     presses = seen & (motor.force_n > LIGHT_N)
@@ -132,7 +134,7 @@ def pressed(motor: MotorTrace, at_ns: int) -> bool:
 def restart_row(
     kind: str, name: str, happens: Callable[[Path, str], MotorTrace]
 ) -> tuple[str, ...]:
-    """Force, slew and rise at the finger after a restart."""
+    """Return force, slew and rise at the finger after a restart."""
     for _ in range(TRIES):
         with TemporaryDirectory(prefix="telepulse-") as folder:
             try:
@@ -147,7 +149,7 @@ def restart_row(
 
 
 def sensing_restarted(folder: Path, kind: str) -> MotorTrace:
-    """The sensing node is killed and started again: the record from then on."""
+    """Kill and restart the sensing node, and return the record from then on."""
     with playing(folder, kind) as bench:
         bench.processes["sensing"].kill()
         bench.await_state("stale")
@@ -156,9 +158,7 @@ def sensing_restarted(folder: Path, kind: str) -> MotorTrace:
 
 
 def display_restarted(folder: Path, kind: str) -> MotorTrace:
-    """The display stands still until the drive's watchdog stops it, is ended at fault and started
-    again: the record from then on.
-    """
+    """Stop the display until the drive's watchdog acts, restart it, and return the record since."""
     with playing(folder, kind) as bench:
         display = bench.processes["display"]
         display.send_signal(signal.SIGSTOP)
@@ -171,7 +171,7 @@ def display_restarted(folder: Path, kind: str) -> MotorTrace:
 
 
 def felt_again(bench: EmulatedBench, start: Callable[[], None]) -> MotorTrace:
-    """Start what is missing; the record from then on. Raises BenchFailedError for a fault."""
+    """Start a missing node, and return the record since. Raises BenchFailedError for a fault."""
     began_ns = time.monotonic_ns()
     start()
     bench.await_state("playing")

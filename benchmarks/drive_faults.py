@@ -1,4 +1,4 @@
-"""Faults of real drives: how long the emulated motor goes on after each, in its own time.
+"""Faults of real drives: how long the emulated motor continues after each, in its own time.
 
 It runs at 5 mm/s, a fast pulse's speed, and its watchdog is the default, 50 ms.
 """
@@ -32,7 +32,7 @@ AFTER_S = 0.25
 
 @dataclass
 class Bench:
-    """A drive that is moved, and what is at its other end; plugged: whether it is reached."""
+    """A moving drive, and the emulator at its far end. plugged: it is connected."""
 
     drive: Drive
     motor: EmulatedMotor
@@ -58,14 +58,14 @@ def row(
     event: str,
     happens: Callable[[Bench], None],
 ) -> tuple[str, ...]:
-    """A fault as it stands in the table."""
+    """Return a fault's row."""
     times_ms, named = list[float](), ""
     while len(times_ms) < REPEATS:
         with make() as bench:
             bench.drive.start()
             press(bench, BEFORE_S)
             if bench.drive.status().fault is not None:
-                continue  # A busy machine has let the watchdog pass already.
+                continue  # On a busy machine the watchdog has expired already.
             happened_ns = time.monotonic_ns()
             happens(bench)
             press(bench, AFTER_S if event != NO_COMMAND else 0.0)
@@ -78,7 +78,7 @@ def row(
 
 
 def press(bench: Bench, seconds: float) -> None:
-    """Command a speed for so long, as a force loop would that sees no fault."""
+    """Command a speed for so long, as a force loop does that detects no fault."""
     end_s = time.monotonic() + seconds
     while time.monotonic() < end_s:
         bench.drive.command(PRESS_M_PER_S)
@@ -87,7 +87,7 @@ def press(bench: Bench, seconds: float) -> None:
 
 @contextmanager
 def tmcl_bench() -> Iterator[Bench]:
-    """A TMCL drive on a pseudo-terminal."""
+    """Provide a TMCL drive on a pseudo-terminal."""
     port = PtyPort(None)
     scene = TmclScene.model_validate({"kind": "tmcl", "port": str(port.path), **HERE})
     turned = motor(0.0)
@@ -113,7 +113,7 @@ def tmcl_bench() -> Iterator[Bench]:
 
 @contextmanager
 def cia402_bench() -> Iterator[Bench]:
-    """A CiA 402 drive on a virtual bus."""
+    """Provide a CiA 402 drive on a virtual bus."""
     scene = Cia402Scene.model_validate({"kind": "cia402", **CAN_BUS, **HERE})
     turned = motor(0.0)
     node = EmulatedCia402Node(scene, turned, can.Bus(**CAN_BUS))  # type: ignore[arg-type]
@@ -130,12 +130,12 @@ def cia402_bench() -> Iterator[Bench]:
 
 
 def break_motor(bench: Bench) -> None:
-    """The drive is too hot."""
+    """Make the drive too hot."""
     bench.motor.fail("overtemperature")
 
 
 def answer(how: str) -> Callable[[Bench], None]:
-    """The module's replies are of this kind from now on."""
+    """Return a fault that makes the module reply in this way."""
 
     def happens(bench: Bench) -> None:
         bench.emulator.answer_mode = how
@@ -144,17 +144,17 @@ def answer(how: str) -> Callable[[Bench], None]:
 
 
 def fall_silent(bench: Bench) -> None:
-    """The drive hears, and says nothing."""
+    """Make the drive receive without answering."""
     bench.emulator.silent = True
 
 
 def unplug(bench: Bench) -> None:
-    """The port is gone."""
+    """Remove the port."""
     bench.plugged = False
 
 
 def nothing(bench: Bench) -> None:
-    """We give no command any more, as a process that hangs or is killed."""
+    """Give no more commands, as a process that hangs or is killed."""
 
 
 NO_COMMAND = "no command any more"

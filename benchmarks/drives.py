@@ -1,4 +1,4 @@
-"""Real drives: what a velocity command costs, and what a serial line allows.
+"""Real drives: cost of a velocity command, and rate of commands on a serial line.
 
 The emulated drives answer from a thread of this process. A virtual bus has no arbitration and no
 bit rate, and a pseudo-terminal no baud rate: real ones add their own times.
@@ -45,10 +45,10 @@ LAYER = LayerTable().layer()
 ACTUATOR = StepperScene.model_validate({"kind": "stepper"})
 FORCE_LIMIT_N = 2.5
 CAN_BUS = {"interface": "virtual", "channel": "benchmark"}
-# At home where it is, and that is first touch: a drive that is started at once.
+# Homed where it stands, at first touch: the drive starts at once.
 HERE = {"homing": "none", "touch": "0 m", "watchdog": "1 s"}
 TMCL = {"kind": "tmcl", "reply_timeout": "200 ms", **HERE}
-# One step a second.
+# One step per second.
 SLOW_M_PER_S = StepperScene(kind="stepper").step_m
 
 Call = Callable[[], object]
@@ -79,12 +79,12 @@ def main() -> None:
 
 
 def line_row(both_ms: float, baud: int) -> tuple[str, ...]:
-    """A line as it stands in the table; both_ms: a request and its reply."""
+    """Return a line's row; both_ms: a request and its reply."""
     return str(baud), f"{both_ms:.2f}", f"{1e3 / both_ms:.0f}"
 
 
 def percentiles(call: Call) -> tuple[float, ...]:
-    """p50 and p99 of single calls in µs: of the time that passes, then of the caller's CPU time."""
+    """Return p50 and p99 of single calls in µs: of elapsed time, then of the caller's CPU time."""
     if isinstance(call, Commands):
         call.prepare()
     costs_ns = np.empty((CALLS, 2))
@@ -97,13 +97,13 @@ def percentiles(call: Call) -> tuple[float, ...]:
 
 
 def median(values: list[float]) -> str:
-    """As it stands in the table."""
+    """Return the median as text."""
     return f"{statistics.median(values):.0f}"
 
 
 @contextmanager
 def pdos_to_nobody() -> Iterator[dict[str, Call]]:
-    """What sending costs by itself: the bus has a second member, and no thread reads it."""
+    """Provide the cost of sending alone: no thread reads the bus of the second member."""
     bus = {**CAN_BUS, "channel": "nobody"}
     scene = Cia402Scene.model_validate({"kind": "cia402", **bus})
     node = Cia402Node(scene, build_axis(scene, ACTUATOR, LAYER, FORCE_LIMIT_N), Counter())
@@ -126,7 +126,7 @@ def pdos_to_nobody() -> Iterator[dict[str, Call]]:
 def cia402_calls(
     where: str, keys: dict[str, Any], far_end: can.BusABC
 ) -> Iterator[dict[str, Call]]:
-    """Commands to an emulated CiA 402 drive on a bus, as the force loop gives them."""
+    """Provide commands to an emulated CiA 402 drive on a bus, as the force loop gives them."""
     scene = Cia402Scene.model_validate({"kind": "cia402", **keys, **HERE})
     emulated = EmulatedCia402Node(scene, motor(scene.touch_m), far_end)
 
@@ -147,7 +147,7 @@ def cia402_calls(
 
 @contextmanager
 def slcan_calls() -> Iterator[dict[str, Call]]:
-    """The same through an emulated CAN adapter on a pseudo-terminal, at the byte level."""
+    """Provide the same through an emulated CAN adapter on a pseudo-terminal, in bytes."""
     port = PtyPort(None)
     keys = {"interface": "slcan", "channel": str(port.path), "options": {"sleep_after_open": 0}}
     with cia402_calls("slcan", keys, SlcanBus(port)) as calls:
@@ -156,7 +156,7 @@ def slcan_calls() -> Iterator[dict[str, Call]]:
 
 @contextmanager
 def tmcl_calls() -> Iterator[dict[str, Call]]:
-    """Requests to emulated TMCL modules, and the mailbox before one."""
+    """Provide requests to emulated TMCL modules, and the mailbox before one."""
     with ExitStack() as open_things:
         port = PtyPort(None)
         on_pty = TmclScene.model_validate({**TMCL, "port": str(port.path)})
@@ -190,11 +190,12 @@ class Commands:
         self._drive = drive
 
     def prepare(self) -> None:
-        """Start the drive where its watchdog has met a pause of ours."""
+        """Restart the drive if its watchdog expired in a pause of the benchmark."""
         if self._drive.status().fault is not None:
             self._drive.start()
 
     def __call__(self) -> None:
+        """Send one command."""
         self._drive.command(SLOW_M_PER_S)
 
 
@@ -205,16 +206,16 @@ def written(drive: Cia402Drive) -> None:
 
 
 def rotate(line: TmclLine) -> None:
-    """One velocity command."""
+    """Send one velocity command."""
     line.request(Command.ROTATE_RIGHT, 0, 0, 1)
 
 
 def rotate_and_log(line: TmclLine) -> None:
-    """The same, as PyTrinamic's own interfaces do it."""
+    """Send the same as PyTrinamic's own interfaces do."""
     request = TMCLRequest(1, Command.ROTATE_RIGHT, 0, 0, 1)
     TmclInterface.send_request(line._interface, request)
 
 
 def motor(touch_m: float) -> EmulatedMotor:
-    """The emulated drives' motor."""
+    """Return the emulated drives' motor."""
     return EmulatedMotor(ACTUATOR, ACTUATOR.contact(LAYER), touch_m, time.monotonic_ns())

@@ -1,9 +1,8 @@
-"""The whole emulated bench against the same scene on the in-process model: is a real drive's path
-through bytes and processes as true as the model is?
+"""The whole emulated bench against the same scene on the in-process model.
 
 Scored is the force in the emulated motor's own record against the pulse, once the playout delay has
-settled and each half second at the shift that suits it best: a delay that moves is no error of
-the path. The display's own figure, of the whole run, stands beside it.
+settled, each half second at its best shift: a delay that moves is no error of the drive's path
+through bytes and processes. The display's own figure, of the whole run, stands beside it.
 """
 
 import time
@@ -26,7 +25,7 @@ Forces = NDArray[np.float64]
 SECONDS = 15.0
 RUNS = 2
 BAR_RATIO = 1.5
-# From the first press on; until the end, when the tip leaves.
+# From the first contact, and until the end, when the tip leaves.
 SETTLED_MS, LEAVING_MS = 5000, 1000
 WINDOW_MS = 500
 # Five beats are a breath: the pulse repeats itself.
@@ -75,13 +74,13 @@ def figures(summary: dict[str, Any], sampled_hz: float) -> tuple[str, ...]:
     loop = summary["loop"]
     rmse_n = summary["force_rmse_n"]["aligned"] or np.nan
     counts = summary["hardware"]
-    told = loop["ticks"] - counts.get("drive superseded", 0)
+    given = loop["ticks"] - counts.get("drive superseded", 0)
     ran_s = (loop["ticks"] + loop["deadline_misses"]) * 2e-3
     on_the_way = [f"{count} {name}" for name, count in counts.items()] + summary["faults"]
     return (
         f"{rmse_n * 1e3:.2f}",
         f"{sampled_hz:.0f}",
-        f"{told / ran_s:.0f}",
+        f"{given / ran_s:.0f}",
         str(loop["deadline_misses"]),
         ", ".join(on_the_way) or "nothing",
     )
@@ -120,7 +119,7 @@ def best_square(window_n: Forces, pulse_n: Forces) -> float:
 
 
 def model_force_n(folder: Path) -> Forces:
-    """Return what the scene's models make of the same pulse, drive and sensors left out."""
+    """Return the force of the scene's models for the same pulse, without drive and sensors."""
     tables = load_document(find_scene("tmcl_bench"))
     tables["sensing"]["source"] = load_document(find_scene(SOURCE))["sensing"]["source"]
     for live in ("drive", "feedback"):

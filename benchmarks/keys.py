@@ -1,4 +1,4 @@
-"""What keys cost: being let in, a look round, and what others lose when somebody is revoked."""
+"""Cost of keys: admission, a check of the allow-list, and frames lost to others at a revocation."""
 
 import statistics
 import tempfile
@@ -21,7 +21,7 @@ PATIENCE_S = 10.0
 
 
 class Reader:
-    """A listener, and when it has heard which number."""
+    """A listener, and when it received which number."""
 
     def __init__(self, context: sockets.Context, keys: ClientKeys, address: str) -> None:
         self.socket = sockets.connect(context, zmq.SUB, address, keys)
@@ -30,18 +30,19 @@ class Reader:
         self.last_s = 0.0
 
     def read(self) -> None:
+        """Receive all numbers that have arrived."""
         for message in sockets.receive_each(self.socket):
             self.heard.append(int(message))
             self.last_s = time.perf_counter()
 
     @property
     def missed(self) -> int:
-        """Most numbers missing in a row."""
+        """Return the longest run of missing numbers."""
         return int(np.diff(self.heard).max()) - 1
 
 
 class Stream:
-    """A guarded PUB socket with a number each 5 ms, as frames are, and its readers."""
+    """An authenticated PUB socket with a number every 5 ms, as frames have, and its readers."""
 
     def __init__(self, context: sockets.Context, keys: ServerKeys, address: str) -> None:
         self.gate = Authenticator(context, keys)
@@ -51,7 +52,7 @@ class Stream:
         self._sent = 0
 
     def run_until(self, done: Callable[[], object]) -> None:
-        """Send and read."""
+        """Send and receive."""
         end_s = next_s = time.perf_counter() + FRAME_S
         end_s += PATIENCE_S
         while not done() and time.perf_counter() < end_s:
@@ -66,7 +67,7 @@ class Stream:
 
 
 def main() -> None:
-    """Print what a look round costs, and what a revoked key costs it and others."""
+    """Print the costs of a check of the list, and of a revocation for its key and for others."""
     with tempfile.TemporaryDirectory() as folder:
         names = ("wrist", "stays", "goes")
         pairs = {name: read_pair(new_pair(Path(folder), name)[0]) for name in names}
@@ -92,8 +93,10 @@ def main() -> None:
 
 
 def _revoke(pairs: dict[str, KeyPair], allowed: Path, phase_s: float) -> tuple[float, float, int]:
-    """Let somebody in, revoke them; ms until the first frame and to the last, frames missed by
-    who stays. phase_s: when, within the second between two looks at the list.
+    """Admit a key and revoke it.
+
+    Returns the ms until the first frame and to the last, and the frames missed by the others.
+    phase_s: when, within the second between two checks of the list.
     """
     allow(allowed, pairs["goes"].public)
     context: sockets.Context = zmq.Context()

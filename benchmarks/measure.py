@@ -1,4 +1,4 @@
-"""One way to time a call, one way to show a table."""
+"""Timing of a call, and tables."""
 
 import statistics
 import time
@@ -47,7 +47,7 @@ def show(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> N
 def median_quantile(
     key: str, tables: Iterable[OneWayDelay | TickTime | Lateness], digits: int = 0
 ) -> str:
-    """Return the median of a quantile over runs, as "> 5000" where it is beyond what is counted."""
+    """Return the median of a quantile over runs; "> 5000" beyond the range that is counted."""
     found = [
         (figure, key in table.beyond)
         for table in tables

@@ -1,7 +1,6 @@
-"""Cost of serving metrics to a display: ticks missed without metrics, with a scrape a second, and
-with 20 threads that scrape without a pause.
+"""Ticks that a display misses without metrics, with a scrape a second, and with 20 busy scrapers.
 
-Runs take turns, so that all of them meet the same machine.
+Runs take turns, so that all meet the same state of the machine.
 """
 
 import re
@@ -63,7 +62,7 @@ def _row(name: str, found: list[tuple[Loop, float]], bare: float) -> tuple[str, 
 
 
 def _missed(found: list[tuple[Loop, float]]) -> float:
-    """Ticks missed of 1000, median of the rounds."""
+    """Return the ticks missed of 1000, median of the rounds."""
     shares = []
     for loop, _ in found:
         missed = loop.deadline_misses or 0

@@ -1,4 +1,4 @@
-"""The live page while others open it and do not read: how often a reader gets a picture."""
+"""Rate of pictures of the live page while others open it and do not read."""
 
 import base64
 import itertools
@@ -89,7 +89,7 @@ class Viewer:
         self._socket.sendall(bytes([0x80 | kind]) + size + bytes(4) + payload)
 
     def _message(self) -> tuple[dict[str, Any], Any]:
-        """The next message of Bokeh's: its header and its content."""
+        """Return the next message of Bokeh: its header and its content."""
         frames: list[bytes] = []
         while True:
             kind, size = self._reader.read(2)
@@ -109,7 +109,7 @@ class Viewer:
 
 
 def _wishes_in(content: Any) -> str:
-    """The id of the data source that a page acknowledges pictures by."""
+    """Return the id of the data source by which a page acknowledges pictures."""
     if isinstance(content, dict):
         if "seen" in json.dumps(content.get("attributes", {}).get("data", "")):
             return str(content["id"])
@@ -121,7 +121,7 @@ def _wishes_in(content: Any) -> str:
 
 @contextmanager
 def page() -> Iterator[int]:
-    """The port of the live page of two nodes on this machine."""
+    """Provide the port of the live page of two nodes on this machine."""
     data, telemetry = free_addresses(2)
     scene = str(find_scene("radial"))
     with ExitStack() as stack:

@@ -1,7 +1,7 @@
-"""Redundant paths: one-way delay over real TCP on a lossy link, by the number of connections; and
-what is felt of a cut, by the number of networks.
+"""Redundant paths: one-way delay on a lossy link, and the effect of a cut.
 
-Needs root, for the link emulator.
+The delay is over real TCP, by the number of connections; the cut by the number of networks. Needs
+root, for the link emulator.
 """
 
 from collections.abc import Sequence
@@ -29,8 +29,10 @@ CONGESTION_CONTROL = Path("/proc/sys/net/ipv4/tcp_congestion_control")
 
 
 def main() -> None:
-    """Print both tables. Their bars: a p99 of at most 1.1 times the loss-free one, nothing lost;
-    nothing felt later than by the playout delay.
+    """Print both tables.
+
+    Bars: a p99 of at most 1.1 times the loss-free one, nothing lost; no cut felt for longer than
+    the playout delay.
     """
     reason = unavailable()
     if reason is not None:
@@ -101,7 +103,7 @@ def cut_row(name: str, links: Sequence[str], summary: Summary) -> tuple[str, ...
 
 
 def play(folder: Path, *links: str, paths: int = 1) -> Summary:
-    """The display's summary over real TCP, with an address for each link."""
+    """Return the display's summary over real TCP, with an address for each link."""
     scene = scene_of(folder, paths)
     return run_nodes(scene, *map(parse_link, links), seconds=SECONDS).display
 
@@ -114,7 +116,7 @@ def simulated(folder: Path) -> Summary:
 
 
 def scene_of(folder: Path, paths: int) -> Path:
-    """The default scene in frames of 10 ms over so many paths."""
+    """Return the default scene in frames of 10 ms over so many paths."""
     text = find_scene("radial").read_text(encoding="utf-8")
     text = text.replace('batch = "5 ms"', 'batch = "10 ms"')
     scene = folder / f"{paths}.toml"

@@ -1,8 +1,8 @@
-"""Real-time measures on a real display node: how late its ticks begin and how many it misses, with
-each measure, with four of them together, and bare; alone, and beside as many busy processes as
-there are processors.
+"""Tick lateness and missed ticks of a real display node, by its real-time measures.
 
-Runs take turns, so that all of them meet the same machine. What is not granted is left out.
+Each measure, four of them together, and none; alone, and beside as many busy processes as there
+are processors. Runs take turns, so that all meet the same state of the machine.
+Measures that are not granted are left out.
 """
 
 import os
@@ -65,7 +65,7 @@ def row(name: str, beside: str, found: Sequence[Loop], bare: Sequence[Loop]) -> 
     better = sum(
         mine < (other.deadline_misses or 0) for mine, other in zip(missed, bare, strict=True)
     )
-    # A priority that was given up on the way is not what the row is about.
+    # A priority that was given up meanwhile does not belong to the row.
     given_up = sum(GIVEN_UP in "".join(loop.realtime) for loop in found)
     return (
         name + (f", given up in {given_up}" if given_up else ""),
@@ -80,7 +80,7 @@ def row(name: str, beside: str, found: Sequence[Loop], bare: Sequence[Loop]) -> 
 
 @contextmanager
 def _sensing(scene: str, address: str) -> Iterator[None]:
-    """A sensing node that streams until the end."""
+    """Run a sensing node that streams until the end."""
     command = ("-m", "sensing_node.cli", scene, "--bind", address, "--quiet")
     with ChildProcess("sensing node", *command):
         yield

@@ -1,4 +1,4 @@
-"""What a recorder costs the display, in each tick; what it costs itself, and its file's size."""
+"""Cost of a recorder: for each of the display's ticks, for itself, and the size of its file."""
 
 import math
 import os
@@ -49,7 +49,7 @@ def main() -> None:
 
 
 def measure(reader: Reader, ticks: int) -> tuple[NDArray[np.float64], float]:
-    """What each tick's telemetry took in µs, and the reader's time on a processor in s."""
+    """Return each tick's telemetry in µs, and the reader's CPU time in s."""
     context: sockets.Context = zmq.Context()
     publisher = Publisher(sockets.bind(context, zmq.XPUB, "tcp://127.0.0.1:*"), run=1)
     before_s = sum(os.times()[2:4])
@@ -63,7 +63,7 @@ def measure(reader: Reader, ticks: int) -> tuple[NDArray[np.float64], float]:
 
 
 def publish(publisher: Publisher, ticks: int) -> NDArray[np.float64]:
-    """Ticks of a millisecond; what the telemetry of each took, in µs."""
+    """Run ticks of a millisecond; return the time that the telemetry of each took, in µs."""
     chance = np.random.default_rng(1)
     force_n = 0.4 + 0.1 * np.sin(np.arange(TICKS) * 0.008) + 1e-3 * chance.standard_normal(TICKS)
     status = bytes(msgpack.packb(["playing", "pulse", Summary().to_dict(), False]))
@@ -87,7 +87,7 @@ def publish(publisher: Publisher, ticks: int) -> NDArray[np.float64]:
 
 
 def summed_up(cost_us: NDArray[np.float64]) -> list[str]:
-    """Mean; medians of all ticks and of those that publish a trace; 99th percentile."""
+    """Return the mean; medians of all ticks and of those that publish a trace; 99th percentile."""
     publishing = np.median(cost_us[TRACE_TICKS - 1 :: TRACE_TICKS])
     figures = (cost_us.mean(), np.median(cost_us), publishing, np.quantile(cost_us, 0.99))
     return [f"{figure:.1f}" for figure in figures]
@@ -95,13 +95,13 @@ def summed_up(cost_us: NDArray[np.float64]) -> list[str]:
 
 @contextmanager
 def nobody(address: str) -> Iterator[bool]:
-    """No reader."""
+    """Provide no reader."""
     yield False
 
 
 @contextmanager
 def screen(address: str) -> Iterator[bool]:
-    """A reader of traces and statuses, in a process of its own."""
+    """Provide a reader of traces and statuses, in a process of its own."""
     code = "import sys; from display_node.telemetry.terminal import watch;"
     code += " from rich.console import Console;"
     code += " watch(sys.argv[1], Console(), draw=False)"
@@ -113,7 +113,7 @@ def screen(address: str) -> Iterator[bool]:
 
 @contextmanager
 def recorder(address: str, path: Path) -> Iterator[bool]:
-    """The recorder."""
+    """Provide the recorder."""
     command = ("-m", "telepulse", "record", address, str(path), "--quiet")
     with ChildProcess("recorder", *command) as process:
         yield True

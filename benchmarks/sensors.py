@@ -1,7 +1,7 @@
-"""Live sensors: what USB's batches leave in the timestamps, and what a sample costs.
+"""Live sensors: errors of timestamps due to USB's batches, and cost of a sample.
 
-The times are computed in virtual time, where the board knows when each sample was taken. The cost
-is CPU time: of decoding alone, and of a whole sensing node that reads an emulated board.
+The times are computed in virtual time, where the time of each sample is known. The cost is CPU
+time: of decoding alone, and of a whole sensing node that reads an emulated board.
 """
 
 import os
@@ -34,13 +34,13 @@ from telepulse.processes import free_addresses
 SECONDS, SETTLED_S = 60, 5
 SKEW = 200e-6
 NODE_S = 10
-# The interpreter and the imports, which a run of this length leaves out of the difference.
+# A run of this length is subtracted: it is the interpreter and the imports.
 SHORT_S = 1
 TABLE = {"kind": "serial", "port": "none", "rate": "1 kHz", "unit": "N"}
 
 
 class Kind(NamedTuple):
-    """A way to send samples, and the keys of the scene that reads it."""
+    """A format of samples, and the keys of the scene that reads it."""
 
     name: str
     encode: Encode
@@ -70,7 +70,7 @@ def main() -> None:
 
 
 def times(kind: Kind) -> tuple[str, ...]:
-    """Standard deviation of the times before and after, and how far off they are."""
+    """Return the standard deviation of the times before and after, and their error."""
     board, scene = _board(kind, 0, SKEW), validate(TABLE | kind.keys, SerialScene, "benchmark")
     decoder, placement = scene.decoder(), Placement(scene)
     decoder.feed(b"\0" if kind.name == "binary" else b"\n")
@@ -94,7 +94,7 @@ def times(kind: Kind) -> tuple[str, ...]:
 
 
 def decoding_us(kind: Kind) -> float:
-    """Cost of a sample from bytes to readings, in chunks as USB delivers them."""
+    """Return the cost of a sample from bytes to readings, in chunks as USB delivers them."""
     board, scene = _board(kind, 0, SKEW), validate(TABLE | kind.keys, SerialScene, "benchmark")
     chunks = list[tuple[bytes, int]]()
     while len(chunks) < 100:
@@ -111,7 +111,7 @@ def decoding_us(kind: Kind) -> float:
 
 
 def node_us(framing: str | None) -> float:
-    """CPU of a sensing node for a sample; None: of a synthetic source."""
+    """Return the CPU time of a sensing node for a sample; None: of a synthetic source."""
     with tempfile.TemporaryDirectory() as folder:
         link, scene = Path(folder, "board"), Path(folder, "scene.toml")
         if framing is None:

@@ -1,1 +1,1 @@
-"""Coverage-guided fuzzing of all that reads what others wrote (docs/fuzzing.md)."""
+"""Coverage-guided fuzzing of all code that reads foreign input (docs/fuzzing.md)."""

@@ -1,4 +1,4 @@
-"""`python -m fuzz`: fuzz all targets for a bounded time, and end with a verdict."""
+"""`python -m fuzz`: fuzz all targets for a limited time, and print a verdict."""
 
 import importlib.util
 import os
@@ -14,7 +14,7 @@ import typer
 from fuzz.run import Outcome, run_target
 from fuzz.targets import NAMES
 
-# Of a crash, what is shown of the input and of the log.
+# Bytes of the input and lines of the log that are shown of a crash.
 SHOWN_BYTES = 512
 SHOWN_LINES = 20
 
@@ -27,10 +27,10 @@ def fuzz(
     jobs: Annotated[int, typer.Option(min=1, help="Targets at once.")] = os.cpu_count() or 1,
     out: Annotated[Path, typer.Option(help="Corpora, crashes and logs.")] = Path("out/fuzz"),
 ) -> None:
-    """Try inputs that reach ever more code on all that reads what others wrote.
+    """Fuzz all code that reads foreign input.
 
-    What is worth changing further is kept, and the next run begins with it. Exit status 1 when
-    an input makes a target raise what it must not, take too much memory or too long.
+    Inputs that reach new code are kept, and the next run starts from them. Exit status 1 when an
+    input makes a target raise an unexpected error, take too much memory or too long.
     """
     names = only or list(NAMES)
     unknown = sorted(set(names) - set(NAMES))
@@ -58,7 +58,7 @@ def _row(outcome: Outcome) -> str:
 
 
 def _judge(outcomes: Sequence[Outcome], elapsed_s: float) -> int:
-    """Show the crashes and the verdict; the exit status."""
+    """Print the crashes and the verdict; return the exit status."""
     crashed = [outcome for outcome in outcomes if outcome.failed]
     for outcome in crashed:
         _show(outcome)
@@ -71,10 +71,10 @@ def _judge(outcomes: Sequence[Outcome], elapsed_s: float) -> int:
 
 
 def _show(outcome: Outcome) -> None:
-    """A crash: the end of the log, the input, and how to see it again."""
+    """Print a crash: the end of the log, the input, and how to reproduce it."""
     lines = outcome.log.read_text(encoding="utf-8", errors="replace").splitlines()
     print(f"\n{outcome.name}: the end of {outcome.log}:")
-    print("\n".join("    " + line[:200] for line in _told(lines)[-SHOWN_LINES:]))
+    print("\n".join("    " + line[:200] for line in _run_end(lines)[-SHOWN_LINES:]))
     if outcome.crash is not None:
         data = outcome.crash.read_bytes()
         more = f" and {len(data) - SHOWN_BYTES} bytes more" if len(data) > SHOWN_BYTES else ""
@@ -82,8 +82,8 @@ def _show(outcome: Outcome) -> None:
         print(f"again: {sys.executable} -m fuzz.target {outcome.name} {outcome.crash}")
 
 
-def _told(lines: list[str]) -> list[str]:
-    """A log up to where libFuzzer ends its run: the exception and where it came from."""
+def _run_end(lines: list[str]) -> list[str]:
+    """Return the log up to where libFuzzer ends its run: the exception and its origin."""
     ends = (at for at, line in enumerate(lines) if "ERROR: libFuzzer" in line)
     return lines[: next(ends, len(lines))]
 

@@ -1,4 +1,4 @@
-"""Mutations of msgpack that leave it msgpack: bytes changed at random seldom stay a message."""
+"""Mutations of msgpack that stay msgpack: random bytes seldom remain a message."""
 
 import math
 import random
@@ -16,13 +16,13 @@ ODD: tuple[Any, ...] = (
 
 
 def mutate(data: bytes, max_size: int, seed: int) -> bytes:
-    """Half of the time libFuzzer's own mutation; else one place of the message changed."""
+    """Apply libFuzzer's own mutation half of the time, else change one place of the message."""
     rng = random.Random(seed)
     if rng.random() < 0.5:
         return bytes(atheris.Mutate(data, max_size))
     try:
         changed = msgpack.packb(_changed(msgpack.unpackb(data, strict_map_key=False), rng))
-    except Exception:  # it is no msgpack yet, or what has become of it cannot be packed
+    except Exception:  # not msgpack, or the result cannot be packed
         return bytes(atheris.Mutate(data, max_size))
     return changed if len(changed) <= max_size else data
 

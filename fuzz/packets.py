@@ -1,4 +1,4 @@
-"""What must hold of whatever a sensor's decoder makes of a device's bytes."""
+"""Properties that hold of everything a sensor's decoder makes of a device's bytes."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -24,17 +24,17 @@ class Decoder(Protocol):
     rejected: Counter[str]
 
     def feed(self, data: Any) -> list[SampleBlock]:
-        """The blocks that end in this."""
+        """Return the blocks that these bytes complete."""
 
 
 def check_decoder(decoder: Decoder, data: bytes, piece: int) -> None:
-    """Feed bytes in pieces, and check all that comes."""
+    """Feed bytes in pieces, and check all packets."""
     pieces = (data[start : start + piece] for start in range(0, len(data), piece))
     check_fed(decoder, pieces)
 
 
 def check_fed(decoder: Decoder, pieces: Iterable[Any]) -> None:
-    """Feed one piece a millisecond; what comes is placed at times that never go back."""
+    """Feed one piece a millisecond; blocks are placed in order of time."""
     placement, end_ns = Placement(TABLE), None
     for number, piece in enumerate(pieces):
         for block in decoder.feed(piece):

@@ -1,4 +1,4 @@
-"""What a decoder may do with bad bytes: refuse them for a cause that people can look up."""
+"""The permitted reaction of a decoder to bad bytes: a refusal for a documented cause."""
 
 import re
 from collections.abc import Iterable, Iterator
@@ -16,7 +16,7 @@ CAUSES = frozenset(
 
 @contextmanager
 def refusals() -> Iterator[None]:
-    """Pass over a WireError whose cause is documented, and nothing else."""
+    """Suppress a WireError whose cause is documented, and nothing else."""
     try:
         yield
     except WireError as error:
@@ -24,13 +24,13 @@ def refusals() -> Iterator[None]:
 
 
 def check_line(error: Exception) -> None:
-    """Raise AssertionError for an error that is not one line that a person would read."""
+    """Raise AssertionError for an error that is not one readable line."""
     line = str(error)
     assert "\n" not in line
     assert len(line) <= LONGEST_LINE, line[:LONGEST_LINE]
 
 
 def check_causes(causes: Iterable[str]) -> None:
-    """Raise AssertionError for a cause of refusal that docs/wire.md does not have."""
+    """Raise AssertionError for a cause of refusal that is missing from docs/wire.md."""
     unknown = set(causes) - CAUSES
     assert not unknown, f"causes that docs/wire.md does not have: {unknown}"

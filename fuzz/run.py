@@ -1,4 +1,4 @@
-"""One target's run: a process of its own for a bounded time, and what its log says of it."""
+"""Run one target in a process of its own for a limited time, and read its log."""
 
 import os
 import re
@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 LONGEST_INPUT_BYTES = 4096
 LONGEST_INPUT_S = 10
 MOST_MEMORY_MB = 1024
-# To load and to end, beside the time at work; on a busy machine.
+# Time to load and to end, on a busy machine.
 PATIENCE_S = 300
 _FEATURES = re.compile(r"cov: \d+ ft: (\d+)")
 _STATISTIC = re.compile(r"stat::(\w+):\s+(\d+)")
@@ -20,9 +20,9 @@ _WRITTEN = re.compile(r"Test unit written to (\S+)")
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of one target; features: paths through its code that were reached.
+    """Result of one target. features: paths through its code that were reached.
 
-    failed: it did not end well; crash: the input it failed at, where it had come to one.
+    failed: it did not end well; crash: the input it failed at, if known.
     """
 
     name: str
@@ -36,7 +36,7 @@ class Outcome:
 
 
 def run_target(name: str, seconds: int, folder: Path) -> Outcome:
-    """Fuzz a target for so long; its corpus, its log and its crash are kept in `folder`."""
+    """Fuzz a target for so long; `folder` keeps its corpus, its log and its crash."""
     corpus, log = folder / "corpus", folder / "log.txt"
     corpus.mkdir(parents=True, exist_ok=True)
     command = [

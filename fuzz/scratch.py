@@ -1,4 +1,4 @@
-"""A folder for the files that a target has read."""
+"""A folder for the files that a target reads."""
 
 import atexit
 import shutil
@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def scratch_folder() -> Path:
-    """A new one, gone with this process; the fuzzer ends otherwise, and its runner clears up."""
+    """Make a folder that is removed with this process."""
     folder = Path(tempfile.mkdtemp(prefix="telepulse-fuzz-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder

@@ -1,6 +1,4 @@
-"""A sensing node that lies in well-formed messages, a receiver that hears it, and what must hold
-of the account all the same.
-"""
+"""A sensing node that sends false but well-formed messages; the receiver's counts must hold."""
 
 import numpy as np
 
@@ -28,9 +26,9 @@ DESCRIPTION = StreamDescription("pulse", MS, BATCH, (Channel("force"),), Elastic
 
 
 class StreamPlay:
-    """One receiver, played 20 ms behind, in virtual time. Every step checks what must hold.
+    """One receiver, played 20 ms behind, in virtual time. Every step checks its counts.
 
-    `off` is by how much a step lies: in samples, ms, sessions or whatever it is about.
+    `off` is the error of a step: in samples, ms or sessions.
     """
 
     def __init__(self) -> None:
@@ -40,11 +38,11 @@ class StreamPlay:
         self._next = 0
         self._asked_ns: list[int] = []
         self._said = 0
-        # Samples that were taken, and that were given up by a new session or a stepped clock.
+        # Samples accepted, and dropped by a new session or a stepped clock.
         self._taken = self._given_up = 0
 
     def pass_time(self, off: int) -> None:
-        """Time goes on by so many ms, and what is due is played."""
+        """Advance by so many ms, and play what is due."""
         self._now_ns += abs(off) * MS
         for request in self.receiver.requests(self._now_ns):
             if isinstance(request, ClockRequest):
@@ -55,34 +53,34 @@ class StreamPlay:
         self._check()
 
     def frame(self, off: int, count: int = BATCH) -> None:
-        """The next frame, or one that lies `off` samples from it."""
+        """Send the next frame, or one that is `off` samples from it."""
         first = max(0, self._next + off)
         if self._frame(first, AHEAD_NS + first * MS, count):
             self._next = max(self._next, first + count)
 
     def frame_of_another_time(self, off: int) -> None:
-        """The next frame with a time `off` ms from its own."""
+        """Send the next frame with a time `off` ms from its own."""
         self._frame(self._next, AHEAD_NS + (self._next + off) * MS, BATCH)
 
     def welcome(self, off: int) -> None:
-        """A welcome, of a session `off` from the present one."""
+        """Send a welcome, of a session `off` from the present one."""
         self._session = max(0, self._session + off)
         if off:
             self._next = 0
         self._hear(Welcome(self._session, self._next, DESCRIPTION))
 
     def clock_reply(self, off: int) -> None:
-        """A reply to the last request, by a clock that is `off` ms wrong."""
+        """Reply to the last request, by a clock that is `off` ms wrong."""
         t1_ns = self._asked_ns.pop() if self._asked_ns else self._now_ns
         t_ns = self._now_ns + AHEAD_NS + off * MS
         self._hear(ClockReply(self._session, t1_ns, t_ns, t_ns))
 
     def bye(self, off: int) -> None:
-        """The end, `off` samples from the last one sent."""
+        """Send the end, `off` samples from the last one sent."""
         self._hear(Bye(self._session, max(0, self._next + off)))
 
     def _frame(self, first: int, t_first_ns: int, count: int) -> bool:
-        """Say a frame; whether it was taken."""
+        """Send a frame; return whether it was accepted."""
         values = np.full((count, 1), 0.3, "<f4")
         frame = Frame(self._session, first, min(t_first_ns, LATEST_NS), MS, values)
         self._said += 1

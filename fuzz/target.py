@@ -1,7 +1,7 @@
-"""`python -m fuzz.target NAME [FOLDER | FILE] [-libFuzzer_option=...]`: fuzz one target.
+"""Fuzz one target: `python -m fuzz.target NAME [FOLDER | FILE] [-libFuzzer_option=...]`.
 
-FOLDER is its corpus, which the target's seeds are added to. A FILE's bytes are tried once, which
-is how a crash is seen again.
+FOLDER is its corpus, to which the target's seeds are added. A FILE's bytes are tried once, which
+reproduces a crash.
 """
 
 import importlib
@@ -17,14 +17,14 @@ from fuzz.msgpack_mutator import mutate
 
 OURS = ("protocol", "pulse_sensors", "sensing_node", "display_node", "telepulse")
 PACKAGES = [*OURS, "tomllib", "cobs", "cantools", "textparser", "canopen", "pytrinamic", "mcap"]
-# What one input of a few kB may cost: memory that it uses, and memory that it only asks for.
+# Limits of one input of a few kB: memory used, and memory requested.
 MOST_BYTES_AN_INPUT = 64 << 20
 MOST_VIRTUAL_BYTES = 512 << 20
 STATUS = Path("/proc/self/status")
 
 
 def within_memory(try_one: Callable[[bytes], None]) -> Callable[[bytes], None]:
-    """`try_one`, which raises MemoryError when the process' peak has jumped by one input."""
+    """Return `try_one` with a MemoryError when one input raises the process' peak too far."""
     peak_bytes = _peak_bytes()
 
     def bounded(data: bytes) -> None:
@@ -39,7 +39,7 @@ def within_memory(try_one: Callable[[bytes], None]) -> Callable[[bytes], None]:
 
 
 def _peak_bytes() -> int:
-    # Not getrusage's: a process inherits that peak from the one that started it.
+    # Not getrusage's peak, which a process inherits from the one that started it.
     (line,) = (line for line in STATUS.read_text("ascii").splitlines() if line[:6] == "VmHWM:")
     return int(line.split()[1]) << 10
 
@@ -52,11 +52,11 @@ def _limit_virtual_memory() -> None:
 
 
 def main() -> None:
-    """Entry point."""
+    """Fuzz the target that the command line names."""
     name, *arguments = sys.argv[1:]
     with atheris.instrument_imports(include=PACKAGES):
         target = importlib.import_module(f"fuzz.targets.{name}")
-        # What is only imported at work is instrumented, too, and takes no input's time or memory.
+        # Lazy imports are instrumented as well, and cost no input time or memory.
         for seed in target.seeds():
             target.try_one(seed)
     warnings.simplefilter("error")

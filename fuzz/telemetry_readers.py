@@ -1,4 +1,4 @@
-"""All readers of a display's telemetry beside each other, and what must hold of each of them."""
+"""All readers of a display's telemetry side by side, and properties that hold of each of them."""
 
 import io
 import json
@@ -28,7 +28,7 @@ from protocol.wire.telemetry import (
     pack_status,
 )
 from telepulse.lsl_outlet import LslForwarder
-from telepulse.metrics.server import NodeState as ToldStatus
+from telepulse.metrics.server import NodeState as ReportedStatus
 from telepulse.metrics.server import families
 from telepulse.recording.findings import RunFindings
 from telepulse.recording.mcap_writer import as_json
@@ -51,9 +51,7 @@ Message = tuple[bytes, bytes]
 
 
 class TelemetryReaders:
-    """All readers of telemetry: the panel, the page, the recorder, the report, LSL and the
-    metrics.
-    """
+    """All readers of telemetry: panel, page, recorder, report, LSL and metrics."""
 
     def __init__(self) -> None:
         self.screen, self.live, self.decoder = TerminalView(), LiveState(), TelemetryDecoder()
@@ -62,12 +60,12 @@ class TelemetryReaders:
         self.findings = RunFindings()
 
     def take(self, topic: bytes, data: bytes) -> None:
-        """Hand a telemetry message to every reader."""
+        """Pass a telemetry message to every reader."""
         self.screen.take((topic, data), 0)
         entries = self.decoder.decode(topic, data)
         for entry in entries:
             self.live.take(entry)
-            # A recording holds what every reader of JSON can read.
+            # Every reader of JSON can read a recording.
             fields = json.loads(as_json(entry.fields), parse_constant=_refuse_constant)
             self.findings.take(entry._replace(fields=fields))
         self.forwarder.take(entries)
@@ -88,8 +86,8 @@ class TelemetryReaders:
         assert all(alarm.name for alarm in alarms(self.live, 0))
         assert len(state(self.live)) == 2
         if self.screen.status is not None:
-            told = ToldStatus(self.screen.status, 0, self.screen.heart_rate_per_min)
-            for metric in families("fuzz", told, 0):
+            reported = ReportedStatus(self.screen.status, 0, self.screen.heart_rate_per_min)
+            for metric in families("fuzz", reported, 0):
                 assert all(type(sample.value) in (int, float, bool) for sample in metric.samples)
         self.forwarder.finish()
         self.findings.finish()
@@ -97,23 +95,28 @@ class TelemetryReaders:
 
 
 class KeptOutlets:
-    """A check of what LSL would publish."""
+    """A check of what LSL would publish, with the methods of `LslStreams`."""
 
     def local_clock(self) -> float:
+        """Return a constant time."""
         return 0.0
 
     def describe(self, description: StreamDescription) -> bool:
+        """Accept any stream."""
         return True
 
     def push_wrist(self, values: "np.ndarray[Any, Any]", times_s: Sequence[float]) -> None:
+        """Check samples of the wrist."""
         assert np.isfinite(values).all()
         assert np.isfinite(times_s).all()
 
     def push_finger(self, forces_n: Sequence[tuple[float, float]], times_s: list[float]) -> None:
+        """Check forces at the finger."""
         assert not np.isinf(forces_n).any()
         assert np.isfinite(times_s).all()
 
     def push_event(self, text: str, time_s: float) -> None:
+        """Check an event."""
         assert math.isfinite(time_s)
 
 
@@ -152,7 +155,7 @@ def status_message(state: str, playing: PlaybackStatus = PLAYING, **changes: Any
 def heard_message(
     frame: Frame, arrived_ns: int, now_ns: int, wall_ns: int, run: int = 1
 ) -> Message:
-    """Return a frame as it was heard."""
+    """Return a frame as a captured message."""
     heard = CaptureWriter(run)
     heard.follow(SUBSCRIBED)
     heard.add(arrived_ns, 0, encode_frame(frame))

@@ -1,3 +1,4 @@
-"""The soak: both nodes as real processes for a stated time, with faults at random from a seed, and
-a verdict at the end. `python -m soak` runs it; not part of the package that is installed.
+"""The soak: both nodes as real processes under random faults for a stated time, and a verdict.
+
+`python -m soak` runs it. It is not part of the installed package.
 """

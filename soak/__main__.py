@@ -1,4 +1,4 @@
-"""`python -m soak`: the command line of the soak."""
+"""Command line of the soak: `python -m soak`."""
 
 import asyncio
 import signal
@@ -25,7 +25,7 @@ from telepulse.netem import unavailable
 from telepulse.scene import DEFAULT_SCENE, load_scene
 
 PROGRAM = "soak"
-# A soak is over this long after its time, whatever its nodes do.
+# Nodes end by themselves so long after the soak's time.
 OVERTIME_S = 300.0
 
 
@@ -58,12 +58,12 @@ def soak(
     ] = 6,
     json: JsonOption = None,
 ) -> None:
-    """Torment both nodes, and judge what became of it.
+    """Run both nodes under random faults, and judge the result.
 
-    A sensing node and its displays run as processes of their own, over links that get worse and
-    are cut; nodes are killed, restarted and stopped, displays join and leave, garbage floods the
-    ports. An undisturbed pair runs beside them. At the end a display with an emulated drive is
-    stalled and cut off. What is looked at is in docs/soak.md.
+    A sensing node and its displays run as processes of their own, over links that degrade and are
+    cut. Nodes are killed, restarted and stopped, displays join and leave, garbage floods the ports.
+    An undisturbed pair runs beside them. At the end a display with an emulated drive is stalled and
+    cut off. docs/soak.md lists the checks.
 
     Exit status: 0 when every check is passed, 1 when one is not, 2 when it cannot run here.
     """
@@ -75,7 +75,7 @@ def soak(
         check_writable(json)
         loaded = load_scene(find_scene(scene))
         mark()
-        # Both end it, in the background, too: nodes that run on would be left behind.
+        # Both signals end a soak in the background as well, or its nodes would remain.
         signal.signal(signal.SIGINT, signal.default_int_handler)
         signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
         with (
@@ -87,16 +87,16 @@ def soak(
             ring = Keyring(Path(folder, "keys")).make() if keys else None
             longest_s = minutes * 60 + OVERTIME_S
             options = ("--realtime", realtime) if realtime else ()
-            stage = Scenario(network, loaded.path, Path(folder), longest_s, ring, options)
-            run = Run(stage, seed, minutes * 60, loaded.display.tick_ns, console.print)
+            scenario = Scenario(network, loaded.path, Path(folder), longest_s, ring, options)
+            run = Run(scenario, seed, minutes * 60, loaded.display.tick_ns, console.print)
             try:
                 asyncio.run(run.play())
             finally:
-                stage.clear()
+                scenario.clear()
             checks = verdict(run, loaded.display, heart_rate_per_min(loaded.sensing.source))
             if bench:
                 checks += judge_bench(*play_rounds(Path(folder), seed, bench, console.print))
-        addresses = [stage.calm_address, *([] if network.sensing else network.addresses)]
+        addresses = [scenario.calm_address, *([] if network.sensing else network.addresses)]
         checks.append(judge_none("left behind", left_behind(run.namespaces, addresses, folder)))
     print_verdict(run, checks, console)
     if json is not None:

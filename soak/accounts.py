@@ -1,25 +1,27 @@
-"""Is every sample accounted for? What the sensing node sent, against what a display says of it.
+"""Check that every sample is accounted for: those sent against a display's counts.
 
-A display counts over all sessions of its life, so it is held to account where a session is known to
-be over and it has been told so (state "ended"): from one such moment to the next its count must
-grow by exactly what was sent. A session that ended without a word (a sensing node killed with
-SIGKILL, an end that a cut kept from the display) may lack its tail, for nobody told the display of
-it: what was sent since shortly before the fault began.
+A display counts over all sessions of its process. It is judged where a session is known to be over
+and the display has been told so (state "ended"): from one such moment to the next its count must
+grow by exactly the samples sent. The tail of a session may be missing where its end was not
+announced (a sensing node killed with SIGKILL, an end lost in a cut): samples sent since shortly
+before the fault began.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-# Before a fault begins, this much may be on its way, wait to be played, or not be told yet.
+# Samples of so long before a fault may be in transit, buffered, or not yet reported.
 GRACE_NS = 1_000_000_000
-# A fault is still at work so long after its end: a name looked up, a connection made.
+# The effects of a fault last so long after its end: name look-up, connection.
 AFTERMATH_NS = 3_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """One run of a sensing node: when its first sample was taken, when it was over, and between
-    which counts what it has sent lies: the same where it said how many, as nodes do at their end.
+    """One run of a sensing node, and the bounds of the number of samples it has sent.
+
+    began_ns: time of its first sample. least, most: equal where the node reported the number, as
+    nodes do at their end.
     """
 
     began_ns: int
@@ -31,9 +33,7 @@ class Session:
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """What a display said of itself at one time. total: samples sent, by its account, with those
-    before it joined.
-    """
+    """A display at one time. total: samples sent, by its counts, with those before it joined."""
 
     now_ns: int
     state: str
@@ -42,8 +42,9 @@ class Mark:
 
 @dataclass(frozen=True, slots=True)
 class Reckoning:
-    """A display's count over one or more sessions: counted, between least and most is right.
-    exact: least and most are the same, as the display was told of every end.
+    """A display's count over one or more sessions, which must be between `least` and `most`.
+
+    exact: the bounds are equal, since the display was told of every end.
     """
 
     counted: int
@@ -52,22 +53,22 @@ class Reckoning:
 
     @property
     def exact(self) -> bool:
-        """Whether there is only one right count."""
+        """Return whether only one count is right."""
         return self.least == self.most
 
     @property
     def off(self) -> int:
-        """Samples unaccounted for, above 0, or made up, below."""
+        """Return the samples unaccounted for if positive, or counted too often if negative."""
         return max(0, self.least - self.counted) or min(0, self.most - self.counted)
 
 
 def reckon(
     marks: Sequence[Mark], sessions: Sequence[Session], faults: Sequence[tuple[int, int]]
 ) -> list[Reckoning]:
-    """A display's life, from one told end to the next, and from the last of them to its end.
+    """Return a display's counts from one reported end to the next, and to its own end.
 
-    marks: what it said, in order. sessions: all that were while it lived, in order. faults: from
-    and to when each was.
+    marks: its states, in order. sessions: all during its process, in order. faults: from and to
+    when each lasted.
     """
     if not marks or not marks[-1].total:
         return []  # it never joined
@@ -76,23 +77,25 @@ def reckon(
     least = most = 0
     for number, session in enumerate(sessions):
         following = sessions[number + 1].began_ns if number + 1 < len(sessions) else None
-        told = _told(marks, session, following)
-        if told is not None:
-            found.append(Reckoning(told.total - base, least + session.least, most + session.most))
-            base, least, most = told.total, 0, 0
+        reported = _reported(marks, session, following)
+        if reported is not None:
+            found.append(
+                Reckoning(reported.total - base, least + session.least, most + session.most)
+            )
+            base, least, most = reported.total, 0, 0
         else:
             until_ns = min(session.ended_ns, marks[-1].now_ns)
-            # What was over before it had joined anything it need not know of.
+            # A session that was over before the display first joined is not required.
             if session.ended_ns > joined_ns:
-                least += max(0, min(session.least, _surely_by(until_ns, session, faults)))
+                least += max(0, min(session.least, _received_by(until_ns, session, faults)))
             most += min(session.most, _sent_by(marks[-1].now_ns, session))
     if most:
         found.append(Reckoning(marks[-1].total - base, least, most))
     return found
 
 
-def _told(marks: Sequence[Mark], session: Session, following_ns: int | None) -> Mark | None:
-    """The last mark at which the display knew that the session was over."""
+def _reported(marks: Sequence[Mark], session: Session, following_ns: int | None) -> Mark | None:
+    """Return the last mark at which the display knew that the session was over."""
     after = [
         mark
         for mark in marks
@@ -104,12 +107,12 @@ def _told(marks: Sequence[Mark], session: Session, following_ns: int | None) -> 
 
 
 def _sent_by(now_ns: int, session: Session) -> int:
-    """How many samples a session can have at a time at most."""
+    """Return the number of samples a session can have at a time at most."""
     return (now_ns - session.began_ns) // session.period_ns + 1
 
 
-def _surely_by(until_ns: int, session: Session, faults: Sequence[tuple[int, int]]) -> int:
-    """How many samples had surely come to the display, and been told of, before trouble began."""
+def _received_by(until_ns: int, session: Session, faults: Sequence[tuple[int, int]]) -> int:
+    """Return the number of samples received and reported before a fault began."""
     for from_ns, to_ns in reversed(faults):
         if from_ns <= until_ns <= to_ns + AFTERMATH_NS:
             until_ns = from_ns

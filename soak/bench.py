@@ -17,7 +17,7 @@ from tests.support.emulated_bench import BenchFailedError, EmulatedBench, playin
 
 # Longer than the scene's, so that a busy machine does not end each round by a fault.
 WATCHDOG_MS = round(BENCH_WATCHDOG_S * 1e3)
-# Until a tip that is withdrawn is off, and is named so several times.
+# Until the tip is off, and several statuses have reported it.
 AFTER_S = 3.0
 POLL_MS = 50
 
@@ -73,7 +73,7 @@ def _listen(
     seconds: float,
     until_ended: ChildProcess | None = None,
 ) -> list[FingerClaim]:
-    """Return the statuses of a while, or of less where a process ends meanwhile."""
+    """Return the statuses of some seconds, or until a process ends."""
     found, until_s = list[FingerClaim](), time.monotonic() + seconds
     while time.monotonic() < until_s:
         if until_ended is not None and until_ended.poll() is not None:

@@ -1,7 +1,7 @@
-"""Pass or fail: what the display on a bench claimed of the finger against the motor's force. Pure.
+"""Judge what the display on a bench reported of the finger, against the motor's force.
 
-The witness is the emulated drive's own record of the force under its tip, which the display does
-not see: it has the film's readings and the positions that the drive reports.
+The reference is the emulated drive's own record of the force under its tip. The display has no
+access to it: it has the film's readings and the positions that the drive reports.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from display_node.drives.withdrawal import TOUCH_N
 from display_node.fault_advice import FAULT_STATUS, latched
 from soak.claims import pressed_n
-from soak.truth import FORCE_MORE_N, FORCE_SHARE, judge_lies
+from soak.truth import FORCE_MORE_N, FORCE_SHARE, judge_claims
 from soak.verdict import Check
 
-# A sentence is of a film's reading some 10 ms old, in a status that is read a while later.
+# A status is read some time after its film reading, which is some 10 ms old.
 SEEN_WITHIN_NS = 300_000_000
-# A display that is told of a fault by its own status has taken the tip off by then.
+# After a status with a fault the display has taken the tip off within this time.
 LEFT_WITHIN_S = 1.0
 
 
@@ -51,8 +51,10 @@ class Round:
 def judge_bench(rounds: Sequence[Round], failures: Sequence[str]) -> list[Check]:
     """Judge the rounds on the bench; failures: benches on which the pulse was never felt."""
     claims = sum(len(each.claims) for each in rounds)
-    finger = [f"{x.trouble}: {lie}" for x in rounds for y in x.claims for lie in finger_lies(y, x)]
-    ends = [f"{x.trouble}: {lie}" for x in rounds for lie in end_lies(x)]
+    finger = [
+        f"{x.trouble}: {error}" for x in rounds for y in x.claims for error in finger_errors(y, x)
+    ]
+    ends = [f"{x.trouble}: {error}" for x in rounds for error in end_errors(x)]
     most_n = max((float(each.force_n.max()) for each in rounds), default=0.0)
     left = [seconds for each in rounds if (seconds := left_after_s(each)) is not None]
     worst_s = max(left, default=0.0)
@@ -61,15 +63,15 @@ def judge_bench(rounds: Sequence[Round], failures: Sequence[str]) -> list[Check]
     return [
         Check("bench: troubles", f"{done}; {len(failures)} benches not felt", "one at least",
               bool(rounds)),
-        judge_lies("bench: finger", claims, finger),
-        judge_lies("bench: ends", len(rounds), ends),
+        judge_claims("bench: finger", claims, finger),
+        judge_claims("bench: ends", len(rounds), ends),
         Check("bench: off the finger after a fault", text, f"within {LEFT_WITHIN_S:g} s",
               worst_s <= LEFT_WITHIN_S if left else None),
     ]  # fmt: skip
 
 
-def finger_lies(claim: FingerClaim, of: Round) -> Iterator[str]:
-    """Yield what is untrue of a status' sentence about the finger."""
+def finger_errors(claim: FingerClaim, of: Round) -> Iterator[str]:
+    """Yield what is wrong in a status' sentence about the finger."""
     window = of.force_n[
         (of.time_ns >= claim.read_ns - SEEN_WITHIN_NS) & (of.time_ns <= claim.read_ns)
     ]
@@ -90,8 +92,8 @@ def finger_lies(claim: FingerClaim, of: Round) -> Iterator[str]:
             yield f"{claim.finger!r}, and {later_n.max() * 1e3:.0f} mN from then on"
 
 
-def end_lies(of: Round) -> Iterator[str]:
-    """Yield what is untrue of a display's end, and whether it left the finger pressed."""
+def end_errors(of: Round) -> Iterator[str]:
+    """Yield what is wrong with a display's end, and whether it left the finger pressed."""
     expected = FAULT_STATUS if latched(of.faults) else 0
     if of.status != expected:
         yield f"exit status {of.status} with the faults {list(of.faults)}"
@@ -102,8 +104,9 @@ def end_lies(of: Round) -> Iterator[str]:
 
 
 def left_after_s(of: Round) -> float | None:
-    """Return after how many seconds from the first status with a fault the tip was off the finger
-    for good; infinite where it never was, None without such a status.
+    """Return the time in s from the first status with a fault until the tip was off for good.
+
+    Infinite where it stayed on, None without such a status.
     """
     begin_ns = next((claim.read_ns for claim in of.claims if claim.state == "fault"), None)
     if begin_ns is None:

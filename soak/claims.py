@@ -1,4 +1,4 @@
-"""What a display claims of itself: in its statuses, and in the lines that a terminal shows."""
+"""The statements of a display about itself: in its statuses, and in the lines of a terminal."""
 
 import math
 import re
@@ -17,7 +17,7 @@ STATES = ("waiting", "starting", "playing", "stale", "ended", "fault")
 
 @dataclass(frozen=True, slots=True)
 class StatusClaim:
-    """One status, beside what the record had at that moment.
+    """One status, with the record at that moment.
 
     heard_ns, tick_ns: when it arrived, and the newest tick before it. felt_n, full: of that tick.
     ticks, full_ticks: recorded so far. no_figures: keys of the status that hold NaN or infinity.
@@ -39,9 +39,9 @@ class StatusClaim:
 class LineClaim:
     """One line of a terminal.
 
-    age_s: how old it says to be, None where it claims to be current. forces_n: felt forces that
-    it names, in N; 0 for "not pressed". heart_rate_per_min: None where it names none.
-    finger: it claims how the finger is now. silent: it names that no telemetry comes.
+    age_s: its stated age, None where it claims to be current. forces_n: felt forces that it
+    states, in N; 0 for "not pressed". heart_rate_per_min: None where it states none. finger: it
+    states the finger's present condition. silent: it states that no telemetry arrives.
     """
 
     read_ns: int
@@ -62,7 +62,7 @@ def pressed_n(finger: str) -> float | None:
 
 
 def read_line(text: str, read_ns: int) -> LineClaim | None:
-    """Return what a terminal's line claims; None for one that shows no display yet."""
+    """Return the statements of a terminal's line; None for one that shows no display yet."""
     found = _LINE.fullmatch(text)
     if found is None or found["state"] not in STATES:
         return None
@@ -84,7 +84,7 @@ def read_line(text: str, read_ns: int) -> LineClaim | None:
 
 
 def no_figures(value: Any, key: str = "") -> Iterator[str]:
-    """Yield the keys of a message under which NaN or infinity stands."""
+    """Yield the keys of a message that hold NaN or infinity."""
     if isinstance(value, Mapping):
         for name, inner in value.items():
             yield from no_figures(inner, f"{key}.{name}" if key else str(name))

@@ -1,4 +1,4 @@
-"""Time in which a display's loop could run and did not, for the machine ran something else."""
+"""Time in which a display's loop was ready but the machine ran something else."""
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
@@ -48,8 +48,9 @@ NONE_EXCUSED = Excused()
 
 
 def read_core_time(pid: int, at_ns: int) -> CoreTime | None:
-    """Return what the main thread of a process has waited so far; None where it has ended, or
-    where this kernel keeps no account.
+    """Return how long the main thread of a process has waited so far.
+
+    None where it has ended, or where this kernel keeps no such figure.
     """
     task = Path("/proc", str(pid), "task", str(pid))
     with suppress(OSError, IndexError, ValueError):
@@ -69,14 +70,14 @@ def excuse(
 ) -> Excused:
     """Return how many missed ticks were the machine's.
 
-    Between the readings around a gap, as many ticks as the thread waited are excused, less what it
-    usually waits in that time; of the others as many as were stolen. Gaps between the same two
-    readings share what was waited.
+    Between the readings around a gap, as many ticks as the thread waited are excused, less its
+    usual waiting in that time. Of the others as many are excused as were stolen. Gaps between the
+    same two readings share the waiting time.
 
     Parameters
     ----------
     misses
-        Of each gap: the ticks before and after it in ns, and how many were missed.
+        Of each gap: the ticks before and after it in ns, and the number missed.
     readings
         Of the loop's thread, in order.
     tick_ns
@@ -98,7 +99,7 @@ def excuse(
 def _spans(
     misses: Sequence[tuple[int, int, int]], times_ns: Sequence[int]
 ) -> list[tuple[int, int, int]]:
-    """Return between which readings how many ticks were missed; spans do not overlap."""
+    """Return the missed ticks between readings; spans do not overlap."""
     spans = list[tuple[int, int, int]]()
     for from_ns, until_ns, missed in sorted(misses):
         begin, end = bisect_right(times_ns, from_ns) - 1, bisect_left(times_ns, until_ns)
@@ -113,7 +114,7 @@ def _spans(
 
 
 def _usual_wait(readings: Sequence[CoreTime], spans: Sequence[tuple[int, int, int]]) -> float:
-    """Return the share of the time that the thread waits where no tick is missed, by the median."""
+    """Return the median share of time that the thread waits where no tick is missed."""
     touched = {number for begin, end, _ in spans for number in range(begin, end)}
     shares = [
         (last.waited_ns - first.waited_ns) / (last.at_ns - first.at_ns)

@@ -1,4 +1,4 @@
-"""How each kind of fault is done to the nodes, and when it is over."""
+"""The faults: each is made on the nodes, and its end is reported."""
 
 import asyncio
 import time
@@ -6,14 +6,15 @@ from dataclasses import dataclass
 
 from soak.processes import SoakProcess
 from soak.scenario import LINKS, Scenario
-from soak.schedule import ENDURING, GUEST, MORTAL, PORTS, SENSING, Fault
+from soak.schedule import CONTINUOUS, PORTS, RESTARTED, SENSING, TEMPORARY, Fault
 
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """A fault as it was: when it began, when it was over, whom it was done to.
+    """A fault as it was made: its begin, its end, and its target.
 
-    Over is when all is as before: a node's loop runs again, the link is calm, the flood ended.
+    It ends when the normal state is restored: a node's loop runs again, the link is calm, the flood
+    has ended.
     """
 
     fault: Fault
@@ -22,80 +23,80 @@ class Done:
     displays: tuple[str, ...]
 
 
-async def do(fault: Fault, stage: Scenario, seed: int) -> Done:
-    """Do a fault; returns when it is over."""
+async def do(fault: Fault, scenario: Scenario, seed: int) -> Done:
+    """Make a fault, and return when it ended."""
     await asyncio.sleep(fault.after_s)
     began_ns = time.monotonic_ns()
-    over_ns = await _do(fault, stage, seed)
+    over_ns = await _do(fault, scenario, seed)
     return Done(fault, began_ns, over_ns, _displays(fault))
 
 
 def _displays(fault: Fault) -> tuple[str, ...]:
     if fault.target in (SENSING, PORTS):
-        return ENDURING, MORTAL
+        return CONTINUOUS, RESTARTED
     return (fault.target.removesuffix("'s link"),)
 
 
-async def _do(fault: Fault, stage: Scenario, seed: int) -> int:
+async def _do(fault: Fault, scenario: Scenario, seed: int) -> int:
     kind = fault.kind
     if fault.target.endswith("'s link"):
-        return await _worsen(fault, stage)
+        return await _worsen(fault, scenario)
     if fault.target == PORTS:
-        return await _flood(fault, stage, seed)
-    if kind == "guest":
-        return await _visit(fault, stage)
-    life = stage.lives[fault.target]
+        return await _flood(fault, scenario, seed)
+    if kind == "temporary display":
+        return await _visit(fault, scenario)
+    node = scenario.nodes[fault.target]
     if kind.startswith("freeze"):
-        await life.freeze(fault.for_s)
+        await node.freeze(fault.for_s)
         return time.monotonic_ns()
-    return await _replace(fault, life, stage, seed)
+    return await _replace(fault, node, scenario, seed)
 
 
-async def _replace(fault: Fault, life: SoakProcess, stage: Scenario, seed: int) -> int:
-    """A node ends, and another one takes its place."""
+async def _replace(fault: Fault, node: SoakProcess, scenario: Scenario, seed: int) -> int:
+    """End a node, and start a successor."""
     if fault.kind.startswith("restart"):
-        await life.stop()
+        await node.stop()
     else:
-        life.kill()
+        node.kill()
     if fault.kind == "impostor":
-        pest = stage.pester("impostor", stage.network.bind, str(seed))
+        intruder = scenario.start_intruder("impostor", scenario.network.bind, str(seed))
         await asyncio.sleep(fault.for_s)
-        stage.relieve(pest)
+        scenario.stop_intruder(intruder)
     else:
         await asyncio.sleep(fault.for_s)
-    return await stage.start(fault.target).up()
+    return await scenario.start(fault.target).up()
 
 
-async def _worsen(fault: Fault, stage: Scenario) -> int:
+async def _worsen(fault: Fault, scenario: Scenario) -> int:
     links = LINKS[fault.target.removesuffix("'s link")]
     if fault.kind == "cut of one path":
         links = links[:1]
     for number in links:
-        stage.network.change(number, fault.detail)
+        scenario.network.change(number, fault.detail)
     await asyncio.sleep(fault.for_s)
     for number in links:
-        stage.network.change(number)
+        scenario.network.change(number)
     return time.monotonic_ns()
 
 
-async def _flood(fault: Fault, stage: Scenario, seed: int) -> int:
+async def _flood(fault: Fault, scenario: Scenario, seed: int) -> int:
     name = fault.kind.removeprefix("flood of ")
-    addresses = [stage.network.near]
+    addresses = [scenario.network.near]
     if name == "telemetry":
-        addresses = [stage.telemetry(role) for role in (ENDURING, MORTAL)]
-    pest = stage.pester("floods", name, str(seed), *addresses)
+        addresses = [scenario.telemetry(role) for role in (CONTINUOUS, RESTARTED)]
+    intruder = scenario.start_intruder("floods", name, str(seed), *addresses)
     await asyncio.sleep(fault.for_s)
-    stage.relieve(pest)
+    scenario.stop_intruder(intruder)
     return time.monotonic_ns()
 
 
-async def _visit(fault: Fault, stage: Scenario) -> int:
-    """A display joins and leaves. It is no fault to it: over is when it may begin to feel."""
-    life = stage.start(GUEST)
-    up_ns = await life.up()
+async def _visit(fault: Fault, scenario: Scenario) -> int:
+    """Start a display that leaves later; the fault ends when the display may begin to feel."""
+    node = scenario.start(TEMPORARY)
+    up_ns = await node.up()
     await asyncio.sleep(fault.for_s)
     if fault.detail == "killed":
-        life.kill()
+        node.kill()
     else:
-        await life.stop()
+        await node.stop()
     return up_ns

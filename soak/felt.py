@@ -1,4 +1,4 @@
-"""What a display's finger felt, from its telemetry: when, and within which bounds."""
+"""Log of the force felt at a display, from its telemetry: when, and within which bounds."""
 
 from dataclasses import dataclass, field
 
@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 from protocol.wire.telemetry import Trace
 
-# Ticks further apart are not one touch: a tick or a trace is late now and then.
+# Ticks further apart belong to two spells: a tick or a trace may be late.
 GAP_NS = 50_000_000
-# Felt again is felt for so long.
+# The pulse counts as felt again when it is felt for so long.
 HOLD_NS = 200_000_000
-# So long after a missed tick, what it came to has been taken back.
+# The effect of a missed tick is corrected within this time.
 SETTLED_NS = 100_000_000
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -19,11 +19,12 @@ Floats = NDArray[np.float64]
 
 @dataclass(slots=True)
 class FeltLog:
-    """spells: from and to when the pulse was felt at its full strength, on this machine's clock.
-    Forces in N, least and most, of what the display wanted and of what was felt; slews in N/s, the
-    largest. catching_up: of what was felt soon after ticks that were missed. The actuator has
-    gone on meanwhile as it was told last; what that came to is taken back, faster than a target
-    moves.
+    """The times and bounds of the force of one display.
+
+    spells: from and to when the pulse was felt at full strength, on this machine's clock. Forces in
+    N: least and greatest of the target and of the felt force; slews in N/s: the largest.
+    catching_up: of the felt force soon after missed ticks. The actuator keeps its last speed during
+    these, and the resulting error is corrected faster than a target moves.
     """
 
     tick_ns: int
@@ -39,7 +40,7 @@ class FeltLog:
     _missed_ns: int = 0
 
     def add(self, trace: Trace) -> None:
-        """The ticks of a trace."""
+        """Add the ticks of a trace."""
         self.ticks += len(trace.now_ns)
         for values in (trace.target_n, trace.felt_n):
             self.not_finite += int(np.count_nonzero(~np.isfinite(values)))
@@ -63,7 +64,7 @@ class FeltLog:
         for end_ns, step_ns, target_step_n, felt_step_n in zip(
             now_ns[1:].tolist(), apart_ns.tolist(), targets.tolist(), felts.tolist(), strict=True
         ):
-            # Another process, or a clock's tick twice: no slew in between.
+            # Another process, or two ticks at one time: no slew in between.
             if not 0 < step_ns < GAP_NS:
                 self._missed_ns = end_ns
                 continue
@@ -94,8 +95,9 @@ def _spread(spread: tuple[float, float], values: Floats) -> tuple[float, float]:
 
 
 def felt_again_ns(spells: list[tuple[int, int]], over_ns: int, until_ns: int) -> int | None:
-    """How long after `over_ns` the pulse was felt again, for good enough; None when not before
-    `until_ns`.
+    """Return how long after `over_ns` the pulse was felt again, steadily.
+
+    None when not before `until_ns`.
     """
     for begin_ns, end_ns in spells:
         begin_ns = max(begin_ns, over_ns)
@@ -105,7 +107,7 @@ def felt_again_ns(spells: list[tuple[int, int]], over_ns: int, until_ns: int) ->
 
 
 def longest_gap_ns(spells: list[tuple[int, int]], from_ns: int, until_ns: int) -> int:
-    """The longest time without the pulse in between."""
+    """Return the longest time without the pulse in an interval."""
     longest_ns, felt_ns = 0, from_ns
     for begin_ns, end_ns in spells:
         if end_ns <= from_ns:

@@ -1,6 +1,7 @@
-"""`python -m soak.floods KIND SEED ADDRESS...`: garbage on ports, until it is ended, or its parent.
+"""Flood ports with garbage: `python -m soak.floods KIND SEED ADDRESS...`.
 
-For "telemetry" the addresses are displays' telemetry, for the others a sensing node's ports.
+It runs until it, or its parent, ends. For "telemetry" the addresses are displays' telemetry, for
+the other kinds a sensing node's ports.
 """
 
 import itertools
@@ -17,7 +18,7 @@ import zmq
 
 from protocol import sockets
 
-# Little enough for the nodes' two cores to do something else as well.
+# Leaves the nodes' two cores time for their own work.
 PAUSE_S = 0.002
 ROUND = 20
 MAX_BYTES = 2_000
@@ -25,7 +26,7 @@ HELD_CONNECTIONS = 300
 
 
 def main(arguments: list[str]) -> None:
-    """Flood as long as the parent lives."""
+    """Flood while the parent runs."""
     parent = os.getppid()
     kind, seed, *addresses = arguments
     random = Random(int(seed))
@@ -38,13 +39,13 @@ def main(arguments: list[str]) -> None:
     for address in itertools.cycle(addresses):
         if os.getppid() != parent:
             return
-        with suppress(OSError, zmq.ZMQError):  # refused, or hung up on: the next one
+        with suppress(OSError, zmq.ZMQError):  # refused or closed: continue with the next address
             flood(address, random)
         time.sleep(PAUSE_S)
 
 
 def send_bytes(address: str, random: Random) -> None:
-    """Bytes that are no ZMTP, or begin as if they were."""
+    """Send bytes that are not ZMTP, or only begin like it."""
     with _connected(address) as plain:
         greeting = b"\xff" + bytes(8) + b"\x7f\x03" + random.randbytes(53)
         plain.sendall(random.choice((b"", greeting, b"GET / HTTP/1.1\r\n\r\n")))
@@ -54,7 +55,7 @@ def send_bytes(address: str, random: Random) -> None:
 
 
 def send_messages(address: str, random: Random) -> None:
-    """ZMTP as it should be, and garbage in it: messages to control, subscriptions to data."""
+    """Send garbage in valid ZMTP: messages to control, subscriptions to data."""
     with (
         zmq.Context() as context,
         context.socket(zmq.DEALER) as control,
@@ -73,7 +74,7 @@ def send_messages(address: str, random: Random) -> None:
 
 
 def hold_connections(address: str, random: Random) -> None:
-    """Many connections that say nothing, held for a while."""
+    """Hold many connections that send nothing."""
     held: list[socket.socket] = []
     try:
         for _ in range(HELD_CONNECTIONS):
@@ -85,9 +86,7 @@ def hold_connections(address: str, random: Random) -> None:
 
 
 def read_nothing(address: str, random: Random) -> None:
-    """A reader of telemetry that asks for all and much that there is not, and reads nothing; and
-    garbage beside it.
-    """
+    """Subscribe to telemetry and many other topics without reading, and send garbage as well."""
     with zmq.Context() as context, context.socket(zmq.SUB) as deaf:
         deaf.setsockopt(zmq.RCVHWM, 1)
         deaf.setsockopt(zmq.RCVBUF, 4096)
@@ -101,7 +100,7 @@ def read_nothing(address: str, random: Random) -> None:
 
 
 def _garbage(random: Random) -> list[bytes]:
-    """Bytes at random, or msgpack that might have been a message."""
+    """Return random bytes, or msgpack that resembles a message."""
     size = random.choice((0, 1, 10, 100, MAX_BYTES))
     body = random.randbytes(size)
     kinds = ("hello", "clock?", "report", "bye", "welcome", "x" * 50)

@@ -1,8 +1,8 @@
-"""`python -m soak.impostor ADDRESS SEED`: something else at a sensing node's address, until it is
-ended, or its parent.
+"""Stand in for a sensing node at its address: `python -m soak.impostor ADDRESS SEED`.
 
-It answers displays as a sensing node does, streams forces that no wrist has, and garbage between.
-What it counts it sends, so that a display's account of it can be held against what was heard.
+It runs until it, or its parent, ends. It answers displays as a sensing node does, and streams
+forces that no wrist has, with garbage between the frames. Its sample numbers are right, so that a
+display's counts can be checked.
 """
 
 import os
@@ -21,12 +21,12 @@ from sensing_node.control_server import ControlServer
 
 BATCH = 5
 PERIOD_NS = 1_000_000
-# The last two are the largest that a display takes for a force at all.
+# The last two are the largest values that a display accepts as a force.
 FORCES_N = (0.0, 0.3, 5.0, -1.0, 9e5, -9e5)
 
 
 def main(arguments: list[str]) -> None:
-    """Pretend as long as the parent lives."""
+    """Answer and stream while the parent runs."""
     parent = os.getppid()
     address, seed = arguments
     random = Random(int(seed))
@@ -38,7 +38,7 @@ def main(arguments: list[str]) -> None:
         channels=(Channel("pulse"),),
         layer=ElasticLayer(),
     )
-    desk = ControlServer(description, session)
+    server = ControlServer(description, session)
     context: sockets.Context = zmq.Context()
     control = sockets.bind(context, zmq.ROUTER, sockets.control_address(address))
     data = sockets.bind(context, zmq.PUB, address)
@@ -46,12 +46,13 @@ def main(arguments: list[str]) -> None:
     while os.getppid() == parent:
         for *envelope, message in sockets.receive_all(control):
             now_ns = time.monotonic_ns()
-            reply = desk.answer(tuple(envelope), message, now_ns, first)
+            reply = server.answer(tuple(envelope), message, now_ns, first)
             if reply is not None:
                 sockets.send(control, *envelope, encode_control(reply))
-            # And one that nobody asked for.
-            lie = ClockReply(session, now_ns, random.getrandbits(61), random.getrandbits(61))
-            sockets.send(control, *envelope, encode_control(lie))
+            # And one that was not requested.
+            false_ns = random.getrandbits(61), random.getrandbits(61)
+            unrequested = encode_control(ClockReply(session, now_ns, *false_ns))
+            sockets.send(control, *envelope, unrequested)
         if time.monotonic_ns() < due_ns:
             sockets.wait_readable([control], due_ns - time.monotonic_ns())
             continue

@@ -1,4 +1,4 @@
-"""The keys of a soak's nodes, where it is run with keys."""
+"""Keys of a soak's nodes."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,14 +12,15 @@ WRIST, FINGER, MONITOR = "wrist", "finger", "monitor"
 
 @dataclass(frozen=True, slots=True)
 class Keyring:
-    """Keys in a folder: sensing nodes have one, displays one, and whoever hears frames beside the
-    sensing nodes. Floods and impostors have none.
+    """Keys in a folder: of sensing nodes, of displays, and of the listener beside a sensing node.
+
+    Floods and impostors have none.
     """
 
     folder: Path
 
     def make(self) -> "Keyring":
-        """Make them all. Raises KeyFileError."""
+        """Make all keys. Raises KeyFileError."""
         for name in (WRIST, FINGER, MONITOR):
             new_pair(self.folder, name)
             if name != WRIST:
@@ -28,17 +29,17 @@ class Keyring:
 
     @property
     def sensing(self) -> tuple[str, ...]:
-        """A sensing node's options."""
+        """Return a sensing node's options."""
         return "--key", str(self._file(WRIST))
 
     @property
     def display(self) -> tuple[str, ...]:
-        """A display's options."""
+        """Return a display's options."""
         return "--key", str(self._file(FINGER)), "--peer", str(self.folder / f"{WRIST}.pub")
 
     @property
     def monitor(self) -> ClientKeys:
-        """What frames are heard with."""
+        """Return the keys of the listener."""
         return ClientKeys(read_pair(self._file(MONITOR)), read_pair(self._file(WRIST)).public)
 
     def _file(self, name: str) -> Path:

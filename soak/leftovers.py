@@ -1,4 +1,4 @@
-"""What a soak must not leave behind: processes, namespaces, sockets, files."""
+"""Check what a soak leaves behind: processes, namespaces, sockets, files."""
 
 import os
 import socket
@@ -10,20 +10,20 @@ MARK = "TELEPULSE_SOAK"
 
 
 def mark() -> None:
-    """From now on our children, and theirs, carry our number."""
+    """Mark this process and its future children with its number."""
     os.environ[MARK] = str(os.getpid())
 
 
 def namespaces_of(pids: list[int]) -> set[int]:
-    """The network namespaces of these processes but for our own."""
+    """Return the network namespaces of these processes, except this process's."""
     numbers = {number for pid in pids if (number := _namespace(str(pid))) is not None}
     return numbers - {_namespace("self")}
 
 
 def left_behind(namespaces: set[int], addresses: list[str], folder: str) -> list[str]:
-    """Everything of a soak that is over and still there, one line each.
+    """Return what remains of a finished soak, one line each.
 
-    namespaces: those it made. addresses: those it used in our own namespace.
+    namespaces: those it made. addresses: those it used in this process's namespace.
     """
     return [*_processes(namespaces), *_sockets(addresses), *_files(folder)]
 
@@ -33,7 +33,7 @@ def _processes(namespaces: set[int]) -> Iterator[str]:
     for entry in Path("/proc").iterdir():
         if not entry.name.isdigit() or int(entry.name) == os.getpid():
             continue
-        with suppress(OSError):  # it has ended meanwhile
+        with suppress(OSError):  # it has ended
             state, parent = (entry / "stat").read_text().rpartition(")")[2].split()[:2]
             name = (entry / "comm").read_text().strip()
             if state == "Z" and int(parent) == os.getpid():
@@ -49,7 +49,7 @@ def _sockets(addresses: list[str]) -> Iterator[str]:
         host, _, port = address.removeprefix("tcp://").rpartition(":")
         for number in (int(port), int(port) + 1):
             with socket.socket() as probe:
-                # As the nodes bind: what only waits to be forgotten by the kernel is no socket.
+                # As the nodes bind: a socket in TIME_WAIT does not count.
                 probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
                 try:
                     probe.bind((host, number))

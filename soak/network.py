@@ -1,5 +1,7 @@
-"""What lies between the tormented nodes: emulated links between namespaces where there is root, a
-proxy on loopback elsewhere. Either way each link can be made worse while it is used.
+"""The network between the disturbed nodes.
+
+As root it is emulated links between namespaces, otherwise a proxy on the loopback interface. Each
+link can be degraded while it is used.
 """
 
 from collections.abc import Iterator
@@ -22,7 +24,9 @@ STARTS_WITHIN_S = 30.0
 
 @dataclass(slots=True)
 class Network:
-    """kind: for people. bind: what the sensing node binds; near: where it is reached without a
+    """The links of a soak.
+
+    kind: its description. bind: the sensing node's address; near: where it is reached without a
     link; addresses: where a display reaches it over each link.
     """
 
@@ -36,7 +40,7 @@ class Network:
     _orders: IO[str] | None = None
 
     def change(self, number: int, changes: str = "") -> None:
-        """A link is calm but for these changes from now on; without any, calm."""
+        """Set a link to calm, with these changes."""
         table = dict(part.split("=") for part in f"{CALM},{changes}".split(",") if part)
         scene = parse_link(",".join(f"{key}={value}" for key, value in table.items()))
         if self._emulated is not None:
@@ -48,7 +52,7 @@ class Network:
 
 @contextmanager
 def namespaces(seed: int) -> Iterator[Network]:
-    """Links between two namespaces. Raises EmulatorError."""
+    """Provide links between two namespaces. Raises EmulatorError."""
     with emulate(*[_calm()] * LINKS, seed=seed) as emulated:
         yield Network(
             "kernel TCP between namespaces",
@@ -63,7 +67,7 @@ def namespaces(seed: int) -> Iterator[Network]:
 
 @contextmanager
 def loopback(seed: int) -> Iterator[Network]:
-    """Links through a proxy on this machine."""
+    """Provide links through a proxy on this machine."""
     near, *addresses = free_addresses(1 + LINKS)
     command = ("-m", "soak.proxy", str(seed), near, *addresses)
     with ChildProcess("proxy on loopback", *command, stdin=PIPE, stdout=PIPE) as proxy:

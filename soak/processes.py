@@ -1,4 +1,4 @@
-"""Nodes that run as processes in a soak: start, supervise, stop and kill them, measure them."""
+"""Nodes as processes of a soak: start, supervise, stop, kill and measure them."""
 
 import asyncio
 import json
@@ -17,7 +17,7 @@ from soak.claims import StatusClaim
 from soak.core_time import CoreTime
 from telepulse.netem import Namespace
 
-# What a node prints when its loop begins.
+# A node prints this when its loop begins.
 _UP = {"sensing_node.cli": "streaming ", "display_node.cli": "waiting for "}
 POLL_S = 0.01
 UP_WITHIN_S = 20.0
@@ -26,9 +26,9 @@ ENDS_WITHIN_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Usage:
-    """What a process uses: anonymous memory, in RAM or swapped out, descriptors, threads.
+    """Resources of a process: anonymous memory in RAM or swapped out, descriptors, threads.
 
-    Not PSS: it changes when another process that shares a library comes or goes.
+    Not PSS, which changes when another process that shares a library starts or ends.
     """
 
     at_ns: int
@@ -39,7 +39,7 @@ class Usage:
 
 @dataclass(slots=True)
 class SoakProcess:
-    """One process of a node. ending: "stopped" or "killed" once we did that, else None.
+    """One process of a node. ending: "stopped" or "killed" by the soak, else None.
 
     Of a display: claims are its statuses, misses its gaps by its traces, and core_times how long
     its loop has waited for a processor.
@@ -60,7 +60,7 @@ class SoakProcess:
     claims: list[StatusClaim] = field(default_factory=list)
     misses: list[tuple[int, int, int]] = field(default_factory=list)
     core_times: list[CoreTime] = field(default_factory=list)
-    # A display's last word; None for one that said none.
+    # Of a display's last status; None without one.
     summary: dict[str, Any] | None = None
     frozen_ns: int = 0
 
@@ -72,7 +72,7 @@ class SoakProcess:
         return self.over_ns is None
 
     async def up(self) -> int:
-        """Wait until its loop runs; when that was. A node that does not come up has ended."""
+        """Wait until its loop runs, and return when; a node that does not start has ended."""
         until_ns = time.monotonic_ns() + round(UP_WITHIN_S * 1e9)
         while self.up_ns is None and self.running and time.monotonic_ns() < until_ns:
             if self.up_text in self.errors.read_text(encoding="utf-8"):
@@ -82,11 +82,11 @@ class SoakProcess:
         return self.up_ns or time.monotonic_ns()
 
     def kill(self) -> None:
-        """SIGKILL: nothing of it can be said at its end."""
+        """Kill it with SIGKILL, so that it reports nothing at its end."""
         self._end("killed", signal.SIGKILL)
 
     async def stop(self) -> None:
-        """SIGTERM, and wait; one that does not end is killed, which its exit status tells."""
+        """Send SIGTERM and wait; kill a process that does not end, as its exit status shows."""
         self._end("stopped", signal.SIGTERM)
         until_ns = time.monotonic_ns() + round(ENDS_WITHIN_S * 1e9)
         while self.running and time.monotonic_ns() < until_ns:
@@ -96,7 +96,7 @@ class SoakProcess:
             self._wait()
 
     async def freeze(self, seconds: float) -> None:
-        """SIGSTOP, and SIGCONT after a while."""
+        """Stop it with SIGSTOP for some time."""
         began_ns = time.monotonic_ns()
         self._signal(signal.SIGSTOP)
         await asyncio.sleep(seconds)
@@ -104,11 +104,11 @@ class SoakProcess:
         self.frozen_ns += time.monotonic_ns() - began_ns
 
     def measure(self) -> None:
-        """Take down what it uses now."""
+        """Record its present resources."""
         if not self.running:
             return
         folder = Path("/proc", str(self.process.pid))
-        with suppress(OSError):  # it has ended meanwhile
+        with suppress(OSError):  # it has ended
             status = (folder / "status").read_text(encoding="ascii").splitlines()
             table = dict(line.split(":", 1) for line in status if ":" in line)
             if "RssAnon" in table:
@@ -118,19 +118,19 @@ class SoakProcess:
                 self.usage.append(Usage(now_ns, kilobytes * 1024, handles, int(table["Threads"])))
 
     def result_summary(self) -> dict[str, Any] | None:
-        """Return the summary that it wrote at its end; None where it wrote none."""
+        """Return the summary it wrote at its end; None without one."""
         if not self.result.exists():
             return None
         table: dict[str, Any] = json.loads(self.result.read_text(encoding="utf-8"))
         return table
 
     def sent(self) -> int | None:
-        """How many samples it says to have sent; None where it could not say."""
+        """Return the number of samples it reported as sent; None without a report."""
         table = self.result_summary()
         return None if table is None else table["samples"]["sent"]
 
     def complaint(self) -> str | None:
-        """What is not as it should be about its end, once it is over; None when nothing is."""
+        """Return what was wrong with its end, once it is over; None when nothing was."""
         status = self.process.returncode
         wrong = {"stopped": status != 0, "killed": status != -signal.SIGKILL}
         if self.ending is None or wrong[self.ending]:
@@ -160,7 +160,7 @@ class SoakProcess:
 def begin(
     role: str, folder: Path, number: int, namespace: Namespace | None, module: str, *arguments: str
 ) -> SoakProcess:
-    """Start a node in a namespace, or in this one. Its output goes to files in `folder`."""
+    """Start a node in a namespace, or in this one; its output goes to files in `folder`."""
     output, errors, result = (
         folder / f"{role}-{number}.{kind}".replace(" ", "-") for kind in ("out", "err", "json")
     )
@@ -177,6 +177,6 @@ def launch(
     out: IO[bytes],
     err: IO[bytes],
 ) -> ChildProcess:
-    """Start a process of ours in a namespace, or in this one."""
+    """Start a process in a namespace, or in this one."""
     with nullcontext() if namespace is None else namespace.entered():
         return ChildProcess(name, *command, stdout=out, stderr=err)

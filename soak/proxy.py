@@ -1,10 +1,9 @@
-"""`python -m soak.proxy SEED NEAR ADDRESS...`: links over loopback, where there is no root for
-better ones.
+"""Links over the loopback interface, without root: `python -m soak.proxy SEED NEAR ADDRESS...`.
 
-A proxy of TCP connections: what is read of one is written to the other when the link's model says
-so. What the model loses comes later, as by TCP's repeats; a cut holds everything up. A line on
-standard input, a link's number and what it is like from now on, changes that link; its end ends
-the proxy.
+A proxy of TCP connections: bytes read from one are written to the other when the link's model says
+so. Lost bytes arrive later, as after TCP's retransmission; a cut holds everything up. A line on
+standard input, a link's number and its new properties, changes that link; the end of standard input
+ends the proxy.
 """
 
 import asyncio
@@ -17,24 +16,24 @@ from telepulse.simulation.link_model import Direction, LinkScene, parse_link
 
 REPEAT_NS = 200_000_000
 CHUNK_BYTES = 16_384
-# No more waits on its way than this; then a sender feels it, as on a real link.
+# Bytes in transit at most; then the sender blocks, as on a real link.
 WINDOW = 256
 
 
 class Link:
-    """One link, both ways, for all connections over it. cut: nothing comes through."""
+    """One link, both directions, for all its connections. cut: nothing passes."""
 
     def __init__(self, seed: int) -> None:
         self._seed = seed
         self.change(LinkScene())
 
     def change(self, scene: LinkScene) -> None:
-        """It is like this from now on."""
+        """Set its properties."""
         self.cut = scene.loss == 1.0
         self._there, self._back = (Direction(scene, self._seed + way) for way in (0, 1))
 
     def due_ns(self, back: bool, size_bytes: int) -> int:
-        """When so many bytes that are sent now arrive, if not lost for good."""
+        """Return when so many bytes that are sent now arrive, unless lost for good."""
         now_ns = sent_ns = time.monotonic_ns()
         way = self._back if back else self._there
         while (due_ns := way.arrival_ns(sent_ns, size_bytes)) is None:
@@ -73,7 +72,7 @@ async def _serve(link: Link, bound: str, goal: str) -> None:
 async def _carry(
     link: Link, back: bool, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
 ) -> None:
-    """Carry one way of a connection until it ends."""
+    """Forward one direction of a connection until it ends."""
     waiting: asyncio.Queue[tuple[int, bytes]] = asyncio.Queue(WINDOW)
     sender = asyncio.create_task(_write(link, waiting, writer))
     with suppress(OSError):
@@ -92,7 +91,7 @@ async def _write(
             await asyncio.sleep(max(wait_ns * 1e-9, 0.01))
         if not data:
             break
-        # Nobody is there any more: what still comes goes nowhere.
+        # The receiver has closed: the remaining bytes are dropped.
         if not writer.is_closing():
             with suppress(OSError):
                 writer.write(data)

@@ -1,37 +1,38 @@
-"""After each episode: when the pulse was felt again, and by whom it was felt all the time."""
+"""Times without the pulse: after each fault, and of displays that were not disturbed."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from soak.faults import Done
 from soak.felt import FeltLog, felt_again_ns, longest_gap_ns
-from soak.schedule import ENDURING, GUEST, MORTAL
+from soak.schedule import CONTINUOUS, RESTARTED, TEMPORARY
 
-ALWAYS_THERE = (ENDURING, MORTAL)
+ALWAYS_THERE = (CONTINUOUS, RESTARTED)
 
 
 @dataclass(frozen=True, slots=True)
 class Played:
-    """An episode as it was, with the calm after it."""
+    """An episode as it was made, with the rest after it."""
 
     done: tuple[Done, ...]
     began_ns: int
     until_ns: int
 
     def over_ns(self, role: str) -> int | None:
-        """When the last fault that was done to a display was over; None when none was."""
+        """Return when the last fault of a display ended; None without one."""
         return max((done.over_ns for done in self.done if role in done.displays), default=None)
 
     def kind(self, role: str) -> str:
-        """The kinds of the faults that were done to a display."""
+        """Return the kinds of the faults made on the display."""
         return " + ".join(sorted({x.fault.kind for x in self.done if role in x.displays}))
 
 
 def recoveries(
     episodes: Sequence[Played], felt: Mapping[str, FeltLog]
 ) -> dict[str, list[float | None]]:
-    """By kind of fault, how many seconds after each one's end its displays felt the pulse again;
-    None where they did not before the next fault.
+    """Return, by kind of fault, the times in s from its end until the pulse was felt again.
+
+    None where it was not felt before the next fault.
     """
     table: dict[str, list[float | None]] = {}
 
@@ -44,16 +45,22 @@ def recoveries(
             over_ns = played.over_ns(role)
             if over_ns is not None:
                 add(played.kind(role), role, over_ns, played.until_ns)
-        # With another fault beside it, a guest need not have felt anything before it left.
-        if len(played.done) == 1 and played.done[0].fault.kind == "guest":
+        # With a second fault, a temporary display need not have felt anything before it left.
+        if len(played.done) == 1 and played.done[0].fault.kind == "temporary display":
             (done,) = played.done
-            add("guest", GUEST, done.over_ns, done.over_ns + round(done.fault.for_s * 1e9))
+            add(
+                "temporary display",
+                TEMPORARY,
+                done.over_ns,
+                done.over_ns + round(done.fault.for_s * 1e9),
+            )
     return table
 
 
 def beside(episodes: Sequence[Played], felt: Mapping[str, FeltLog]) -> list[float]:
-    """The longest time in s without the pulse, of each display in each episode in which nothing
-    was done to it.
+    """Return the longest times in s without the pulse of displays that were not disturbed.
+
+    One of each display and episode.
     """
     return [
         gap_s
@@ -63,5 +70,5 @@ def beside(episodes: Sequence[Played], felt: Mapping[str, FeltLog]) -> list[floa
 
 
 def gaps_s(episodes: Sequence[Played], felt: FeltLog) -> list[float]:
-    """The longest time without the pulse in each of these episodes."""
+    """Return the longest time without the pulse in each of these episodes."""
     return [longest_gap_ns(felt.spells, x.began_ns, x.until_ns) * 1e-9 for x in episodes]

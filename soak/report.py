@@ -1,4 +1,4 @@
-"""The verdict for people, as a table, and for programs, as JSON."""
+"""The verdict as a table, and as JSON."""
 
 import json
 from collections import Counter
@@ -17,13 +17,13 @@ from soak.recovery import Played, gaps_s, recoveries
 from soak.run import Run
 from soak.verdict import MEGA, Check
 
-# Narrower, the figures are hard to find.
+# A narrower table wraps its figures.
 MIN_WIDTH = 140
 _WORDS = {True: "ok", False: "FAILED", None: ""}
 
 
 def print_verdict(run: Run, checks: Sequence[Check], console: Console) -> None:
-    """All checks, and in one line what became of them."""
+    """Print all checks, and the result in one line."""
     table = Table(box=None, pad_edge=False)
     for column in ("check", "found", "bar", ""):
         table.add_column(column, overflow="fold")
@@ -35,23 +35,23 @@ def print_verdict(run: Run, checks: Sequence[Check], console: Console) -> None:
     judged = [check for check in checks if check.ok is not None]
     failed = [check.name for check in judged if not check.ok]
     console.print(
-        f"{faults.total()} faults of {len(faults)} kinds done to {len(run.stage.all_lives)}"
+        f"{faults.total()} faults of {len(faults)} kinds done to {len(run.scenario.all_nodes)}"
         f" processes; {len(judged) - len(failed)} of {len(judged)} checks passed"
         + (f"; FAILED: {', '.join(failed)}" if failed else "")
     )
 
 
 def write_verdict(run: Run, checks: Sequence[Check], minutes: float, path: Path) -> None:
-    """Everything as JSON. Raises OutputError."""
+    """Write the record of the soak as JSON. Raises OutputError."""
     table = {
         "minutes": minutes,
         "seed": run.seed,
-        "link": run.stage.network.kind,
+        "link": run.scenario.network.kind,
         "passed": all(check.ok is not False for check in checks),
         "checks": [asdict(check) for check in checks],
         "felt_again_s": recoveries(run.played, run.taps.felt),
         "episodes": [_episode(run, played) for played in run.played],
-        "processes": [_life(run, life) for life in run.stage.all_lives],
+        "processes": [_node(run, node) for node in run.scenario.all_nodes],
     }
     try:
         path.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
@@ -64,7 +64,7 @@ def _faults(run: Run) -> Counter[str]:
 
 
 def _episode(run: Run, played: Played) -> dict[str, Any]:
-    """Its faults, and the longest time in it that each display did not feel the pulse for."""
+    """Return its faults, and the longest time without the pulse of each display."""
     faults = [
         {
             **asdict(done.fault),
@@ -77,18 +77,18 @@ def _episode(run: Run, played: Played) -> dict[str, Any]:
     return {"faults": faults, "longest_gap_s": gaps}
 
 
-def _life(run: Run, life: SoakProcess) -> dict[str, Any]:
-    """A process: its end, what it used over time, and its last word."""
+def _node(run: Run, node: SoakProcess) -> dict[str, Any]:
+    """Return the end of a process, its resources over time, and its last summary."""
     return {
-        "role": life.role,
-        "began_s": (life.began_ns - run.began_ns) * 1e-9,
-        "ending": life.ending,
-        "status": life.process.returncode,
+        "role": node.role,
+        "began_s": (node.began_ns - run.began_ns) * 1e-9,
+        "ending": node.ending,
+        "status": node.process.returncode,
         "usage": {
-            "at_s": [round((x.at_ns - run.began_ns) * 1e-9, 1) for x in life.usage],
-            "memory_mb": [round(x.memory_bytes / MEGA, 3) for x in life.usage],
-            "handles": [x.descriptors for x in life.usage],
-            "threads": [x.threads for x in life.usage],
+            "at_s": [round((x.at_ns - run.began_ns) * 1e-9, 1) for x in node.usage],
+            "memory_mb": [round(x.memory_bytes / MEGA, 3) for x in node.usage],
+            "handles": [x.descriptors for x in node.usage],
+            "threads": [x.threads for x in node.usage],
         },
-        "summary": life.summary,
+        "summary": node.summary,
     }

@@ -1,4 +1,4 @@
-"""A soak as it runs: episodes one after the other, and all that is needed to judge them."""
+"""Run the episodes of a soak, and record them."""
 
 import asyncio
 import time
@@ -9,13 +9,13 @@ from dataclasses import dataclass, field
 from soak.faults import do
 from soak.leftovers import namespaces_of
 from soak.recovery import Played, recoveries
-from soak.scenario import CALM_DISPLAY, CALM_SENSING, TORMENTED, Scenario
-from soak.schedule import ENDURING, MORTAL, SENSING, Episode, episodes
+from soak.scenario import CALM_DISPLAY, CALM_SENSING, DISTURBED, Scenario
+from soak.schedule import CONTINUOUS, RESTARTED, SENSING, Episode, episodes
 from soak.taps import Taps
 from soak.terminals import Terminals
 
 SAMPLE_EVERY_S = 2.0
-# All nodes up and felt, before the first fault.
+# All nodes run and are felt before the first fault.
 HEAD_START_S = 4.0
 ENDED_WITHIN_S = 6.0
 MINUTE_S = 60.0
@@ -23,9 +23,9 @@ MINUTE_S = 60.0
 
 @dataclass(slots=True)
 class Run:
-    """One soak. log: where a line a minute goes. namespaces: those its nodes were in."""
+    """One soak. log: receives a line a minute. namespaces: of its nodes."""
 
-    stage: Scenario
+    scenario: Scenario
     seed: int
     seconds: float
     tick_ns: int
@@ -37,22 +37,22 @@ class Run:
     began_ns: int = field(default_factory=time.monotonic_ns)
 
     async def play(self) -> None:
-        """Start all nodes, torment them until the time is over, and end them."""
-        stage, taps = self.stage, self.taps
-        keys = stage.keys.monitor if stage.keys else None
-        taps.follow_sensing(SENSING, stage.network.near, stage.network.sensing, keys)
-        taps.follow_sensing(CALM_SENSING, stage.calm_address, None, keys)
-        for role in (*TORMENTED, CALM_DISPLAY):
-            taps.follow_display(role, stage.telemetry(role), stage.lives, self.tick_ns)
+        """Start all nodes, make faults until the time is over, and end them."""
+        scenario, taps = self.scenario, self.taps
+        keys = scenario.keys.monitor if scenario.keys else None
+        taps.follow_sensing(SENSING, scenario.network.near, scenario.network.sensing, keys)
+        taps.follow_sensing(CALM_SENSING, scenario.calm_address, None, keys)
+        for role in (*DISTURBED, CALM_DISPLAY):
+            taps.follow_display(role, scenario.telemetry(role), scenario.nodes, self.tick_ns)
         watchers = [asyncio.create_task(self._measure()), asyncio.create_task(self._tell())]
         try:
-            for role in (SENSING, CALM_SENSING, ENDURING, MORTAL, CALM_DISPLAY):
-                stage.start(role)
-            await asyncio.gather(*(life.up() for life in stage.lives.values()))
-            for role in (CALM_DISPLAY, ENDURING, MORTAL):
-                self.terminals.open(role, stage.telemetry(role))
-            stage.refuse_dead()
-            self.namespaces = namespaces_of([x.process.pid for x in stage.lives.values()])
+            for role in (SENSING, CALM_SENSING, CONTINUOUS, RESTARTED, CALM_DISPLAY):
+                scenario.start(role)
+            await asyncio.gather(*(node.up() for node in scenario.nodes.values()))
+            for role in (CALM_DISPLAY, CONTINUOUS, RESTARTED):
+                self.terminals.open(role, scenario.telemetry(role))
+            scenario.refuse_dead()
+            self.namespaces = namespaces_of([x.process.pid for x in scenario.nodes.values()])
             await asyncio.sleep(HEAD_START_S)
             await self._torment()
             await self._end()
@@ -69,30 +69,32 @@ class Run:
                 return
             began_ns = time.monotonic_ns()
             seed = self.seed + number
-            done = await asyncio.gather(*(do(fault, self.stage, seed) for fault in episode.faults))
+            done = await asyncio.gather(
+                *(do(fault, self.scenario, seed) for fault in episode.faults)
+            )
             await asyncio.sleep(episode.rest_s)
             self.played.append(Played(tuple(done), began_ns, time.monotonic_ns()))
 
     async def _end(self) -> None:
-        """The pulse ends, and every display is told; then the displays."""
-        lives = self.stage.lives
-        sensing = [lives[SENSING], lives[CALM_SENSING]]
-        displays = [lives[ENDURING], lives[MORTAL], lives[CALM_DISPLAY]]
-        await asyncio.gather(*(life.stop() for life in sensing))
+        """End the sensing nodes, which every display is told of, then the displays."""
+        nodes = self.scenario.nodes
+        sensing = [nodes[SENSING], nodes[CALM_SENSING]]
+        displays = [nodes[CONTINUOUS], nodes[RESTARTED], nodes[CALM_DISPLAY]]
+        await asyncio.gather(*(node.stop() for node in sensing))
         until_ns = time.monotonic_ns() + round(ENDED_WITHIN_S * 1e9)
         while time.monotonic_ns() < until_ns:
-            if all(life.marks and life.marks[-1].state == "ended" for life in displays):
+            if all(node.marks and node.marks[-1].state == "ended" for node in displays):
                 break
             await asyncio.sleep(0.1)
-        # The last samples' instants, and a status that knows of them.
+        # The last samples are played, and a status reports them.
         await asyncio.sleep(1.0)
-        await asyncio.gather(*(life.stop() for life in displays))
+        await asyncio.gather(*(node.stop() for node in displays))
         await asyncio.sleep(0.2)
 
     async def _measure(self) -> None:
         while True:
-            for life in self.stage.lives.values():
-                life.measure()
+            for node in self.scenario.nodes.values():
+                node.measure()
             await asyncio.sleep(SAMPLE_EVERY_S)
 
     async def _tell(self) -> None:
@@ -103,16 +105,16 @@ class Run:
             self.log(self._line(minutes))
 
     def _line(self, minutes: int) -> str:
-        """How it stands: one line."""
+        """Return the state in one line."""
         faults = Counter(done.fault.kind for played in self.played for done in played.done)
         table = recoveries(self.played, self.taps.felt)
         again_s = [after_s for all_s in table.values() for after_s in all_s]
         worst_s = max((after_s for after_s in again_s if after_s is not None), default=0.0)
         never = again_s.count(None)
         memory = ", ".join(
-            f"{role} {life.usage[-1].memory_bytes / 1e6:.1f}"
-            for role, life in self.stage.lives.items()
-            if life.running and life.usage
+            f"{role} {node.usage[-1].memory_bytes / 1e6:.1f}"
+            for role, node in self.scenario.nodes.items()
+            if node.running and node.usage
         )
         return (
             f"minute {minutes} of {self.seconds / MINUTE_S:g}: {sum(faults.values())} faults of"
@@ -122,5 +124,5 @@ class Run:
 
 
 def _length_s(episode: Episode) -> float:
-    """How long an episode takes, about: a node that starts takes a second or two."""
+    """Return the approximate length of an episode; a node takes a second or two to start."""
     return max(fault.after_s + fault.for_s for fault in episode.faults) + episode.rest_s + 2.0

@@ -1,8 +1,8 @@
-"""Schedule of a soak's faults: a seed in, kinds and times out.
+"""Schedule of a soak's faults, from a seed.
 
-The kinds come off a deck that is shuffled anew when it is empty, so that every kind has its turn,
-in an order that nobody chose; so do the bench's troubles. From the fourth deck on the sensing node
-is no more ended: one that lives for seconds says nothing of what it would use in the long run.
+Kinds are drawn from a deck that is shuffled anew when it is empty, so that each kind is made
+equally often. The same holds for the bench's troubles. From the fourth deck on the sensing node is
+not ended any more: the resources of a process that runs for seconds show no trend.
 """
 
 import itertools
@@ -10,14 +10,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from random import Random
 
-ENDURING, MORTAL, GUEST = "enduring", "mortal", "guest"
-"""The displays: never killed, over two paths; killed now and then, over one; joins and leaves."""
+CONTINUOUS, RESTARTED, TEMPORARY = "continuous", "restarted", "temporary"
+"""The displays: never killed, over two paths; killed at times, over one; joins and leaves."""
 
 SENSING, PORTS = "sensing", "ports"
 FLOODS = ("bytes", "messages", "connections", "telemetry")
-# So often two faults come at once.
+# Share of episodes with two faults.
 PAIRED_SHARE = 0.25
-# Long enough for every display to be felt again before the next fault, and to tell that it is.
+# Every display is felt again before the next fault, and has reported it.
 REST_S = (3.0, 4.5)
 SENSING_ENDS = ("kill sensing", "restart sensing", "impostor")
 DISPLAY_ENDS = ("kill display", "restart display")
@@ -33,14 +33,14 @@ _LENGTHS_S = {
     "cut of one path": (0.5, 5.0),
     "loss": (2.0, 5.0),
     "delay": (2.0, 5.0),
-    "guest": (5.0, 8.0),
+    "temporary display": (5.0, 8.0),
     **{f"flood of {name}": (2.0, 4.0) for name in FLOODS},
 }
 KINDS = tuple(_LENGTHS_S)
 ENDING_DECKS = 3
-# The watchdog of the bench's drive in s: a shorter stall is played through, a longer one a fault.
+# The watchdog of the bench's drive in s. A shorter stall is tolerated, a longer one is a fault.
 BENCH_WATCHDOG_S = 0.2
-# Evenly by the logarithm: around the watchdog, and far beyond it.
+# Uniform in the logarithm: around the watchdog's time, and far beyond it.
 _BENCH_LENGTHS_S = {
     "cut": (0.0, 0.0),
     "short stall": (0.05, 0.75 * BENCH_WATCHDOG_S),
@@ -51,10 +51,10 @@ BENCH_KINDS = tuple(_BENCH_LENGTHS_S)
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One thing that goes wrong, `after_s` from its episode's begin, for `for_s`.
+    """One fault, `after_s` from its episode's begin, for `for_s`.
 
-    target: the part it happens to: a node by its name, a display's "link", or the "ports".
-    detail: what a link is like meanwhile, or how a guest leaves.
+    target: a node by its role, a display's "link", or the "ports". detail: the link's changes, or
+    how a temporary display leaves.
     """
 
     kind: str
@@ -66,7 +66,7 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """One thing that goes wrong on the bench.
+    """One fault on the bench.
 
     kind: "cut", the sensing node is killed; "short stall" or "long stall", the display is stopped
     for `for_s`. after_s: from when the pulse is felt.
@@ -82,19 +82,19 @@ class Trouble:
 
 @dataclass(frozen=True, slots=True)
 class Episode:
-    """One fault, or two that overlap, and the calm after them."""
+    """One fault, or two that overlap, and the rest after them."""
 
     faults: tuple[Fault, ...]
     rest_s: float
 
     @property
     def kind(self) -> str:
-        """Its faults' kinds, in one word for the table."""
+        """Return its faults' kinds as one label."""
         return " + ".join(sorted(fault.kind for fault in self.faults))
 
 
 def episodes(seed: int) -> Iterator[Episode]:
-    """The episodes of a soak, without an end; the same seed gives the same ones."""
+    """Yield the episodes of a soak, endlessly; the same seed gives the same ones."""
     random = Random(seed)
     faults = _faults(random)
     held: Fault | None = None
@@ -103,7 +103,7 @@ def episodes(seed: int) -> Iterator[Episode]:
         chosen = [first]
         if random.random() < PAIRED_SHARE:
             second = next(faults)
-            # Two faults of one part are one after the other.
+            # Two faults of one part follow each other.
             if second.target == first.target:
                 held = second
             else:
@@ -115,9 +115,9 @@ def episodes(seed: int) -> Iterator[Episode]:
 
 
 def troubles(seed: int) -> Iterator[Trouble]:
-    """Yield the troubles of the bench, without an end; the same seed gives the same ones.
+    """Yield the faults of the bench, endlessly; the same seed gives the same ones.
 
-    The first is a long stall, so that a single round meets a fault.
+    The first is a long stall, so that a single round includes a fault.
     """
     random = Random(seed)
     for number in itertools.count():
@@ -140,25 +140,25 @@ def _faults(random: Random) -> Iterator[Fault]:
 
 
 def _target(kind: str, random: Random) -> tuple[str, str]:
-    display = random.choice((ENDURING, MORTAL))
+    display = random.choice((CONTINUOUS, RESTARTED))
     match kind:
         case "freeze sensing":
             return SENSING, ""
         case _ if kind in SENSING_ENDS:
             return SENSING, ""
         case _ if kind in DISPLAY_ENDS:
-            return MORTAL, ""
+            return RESTARTED, ""
         case "freeze display":
             return display, ""
         case "cut":
             return f"{display}'s link", "loss=100%"
         case "cut of one path":
-            return f"{ENDURING}'s link", "loss=100%"
+            return f"{CONTINUOUS}'s link", "loss=100%"
         case "loss":
             return f"{display}'s link", f"loss={random.uniform(1, 10):.1f}%"
         case "delay":
             delay_ms, jitter_ms = random.uniform(20, 100), random.uniform(0, 10)
             return f"{display}'s link", f"delay={delay_ms:.0f}ms,jitter={jitter_ms:.1f}ms"
-        case "guest":
-            return GUEST, random.choice(("killed", "stopped"))
+        case "temporary display":
+            return TEMPORARY, random.choice(("killed", "stopped"))
     return PORTS, ""

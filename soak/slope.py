@@ -1,9 +1,9 @@
-"""How fast something grows, robustly: the median of the slopes between all pairs of samples.
+"""Robust growth rate: the median of the slopes between all pairs of samples.
 
-Theil (1950) and Sen (1968). A process that is restarted is one line of samples after the other:
-pairs are made within each, and Kendall's S is summed over them (Helsel and Frans 2006, the regional
-test). Its variance grows by what each line's samples depend on their neighbours (Yue and Wang
-2004): a process' memory stays where it was, so a hundred samples of it say as much as a few.
+Theil (1950) and Sen (1968). A restarted process gives several series: pairs are made within each,
+and Kendall's S is summed over them (Helsel and Frans 2006, the regional test). Its variance is
+increased by the dependence of neighbouring samples (Yue and Wang 2004): a process' memory stays
+where it was, so that a hundred samples of it carry as much information as a few.
 """
 
 import math
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-# Fewer in a line say nothing of their dependence.
+# Fewer samples do not show their dependence.
 MIN_SAMPLES = 30
 Z_95 = 1.959964
 Floats = NDArray[np.float64]
@@ -29,8 +29,9 @@ class Slope:
 
 
 def slope(lines: Sequence[tuple[Floats, Floats]]) -> Slope | None:
-    """The slope that the lines have in common; each is times in s and values, as long as each
-    other. None when no line is long enough.
+    """Return the common slope of series of times in s and values of equal length.
+
+    None when no series is long enough.
     """
     slopes, variance = [], 0.0
     for times_s, values in lines:
@@ -51,7 +52,7 @@ def slope(lines: Sequence[tuple[Floats, Floats]]) -> Slope | None:
 
 
 def _variance_of_s(values: Floats) -> float:
-    """Of Kendall's S without a trend; equal values tell of none."""
+    """Return the variance of S without a trend; equal values carry no information."""
     count = len(values)
     _, ties = np.unique(values, return_counts=True)
     tied = float(np.sum(ties * (ties - 1) * (2 * ties + 5)))
@@ -59,7 +60,7 @@ def _variance_of_s(values: Floats) -> float:
 
 
 def _dependence(residuals: Floats) -> float:
-    """How many of these samples are worth one, from the correlation of neighbours."""
+    """Return how many samples carry the information of one, by the correlation of neighbours."""
     count = len(residuals)
     centred = residuals - residuals.mean()
     power = float(centred @ centred)

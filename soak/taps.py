@@ -1,7 +1,7 @@
 """Taps of a soak: every display's telemetry, and every frame that a sensing node sends.
 
-The frames are received beside the sensing node, where no link delays or loses them. They alone
-show how many a node had sent when it was killed.
+The frames are received beside the sensing node, where no link delays or loses them. Of a killed
+node they alone show how many samples it had sent.
 """
 
 import asyncio
@@ -51,24 +51,24 @@ class Taps:
     _contexts: list[zmq.asyncio.Context] = field(default_factory=list)
 
     def follow_display(
-        self, role: str, address: str, lives: dict[str, SoakProcess], tick_ns: int
+        self, role: str, address: str, nodes: dict[str, SoakProcess], tick_ns: int
     ) -> None:
-        """Hear a display's telemetry; what it says goes to the life that its role has then."""
+        """Record a display's telemetry, for the process that its role has then."""
         self.felt[role] = FeltLog(tick_ns)
         self.records[role] = TickRecord(tick_ns)
         socket = self._subscribe(address, (TRACE, STATUS))
-        self._tasks.append(asyncio.create_task(self._hear_display(socket, role, lives)))
+        self._tasks.append(asyncio.create_task(self._hear_display(socket, role, nodes)))
 
     def follow_sensing(
         self, role: str, address: str, namespace: Namespace | None, keys: ClientKeys | None
     ) -> None:
-        """Hear all that a sensing node sends."""
+        """Record all frames of a sensing node."""
         self.sessions[role] = {}
         socket = self._subscribe(address, (b"",), namespace, keys)
         self._tasks.append(asyncio.create_task(self._hear_sensing(socket, role)))
 
     async def close(self) -> None:
-        """Hear no more. Raises what went wrong in hearing."""
+        """End recording. Raises the errors of the recording tasks."""
         for task in self._tasks:
             task.cancel()
         ends = await asyncio.gather(*self._tasks, return_exceptions=True)
@@ -85,7 +85,7 @@ class Taps:
         namespace: Namespace | None = None,
         keys: ClientKeys | None = None,
     ) -> zmq.asyncio.Socket:
-        # ZeroMQ's threads begin with a context's first socket, and stay in its namespace.
+        # ZeroMQ's threads start with a context's first socket, and stay in its namespace.
         with namespace.entered() if namespace is not None else nullcontext():
             context = zmq.asyncio.Context()
             self._contexts.append(context)
@@ -102,25 +102,25 @@ class Taps:
         return socket
 
     async def _hear_display(
-        self, socket: zmq.asyncio.Socket, role: str, lives: dict[str, SoakProcess]
+        self, socket: zmq.asyncio.Socket, role: str, nodes: dict[str, SoakProcess]
     ) -> None:
         record, process = self.records[role], None
         while True:
             topic, data, *_ = await socket.recv_multipart()
-            life, now_ns = lives[role], time.monotonic_ns()
-            if life.process is not process:
-                process = life.process
+            node, now_ns = nodes[role], time.monotonic_ns()
+            if node.process is not process:
+                process = node.process
                 record.begin_process()
             if topic == TRACE:
                 trace = read_trace(data)
                 self.felt[role].add(trace)
                 before = len(record.misses)
                 record.add(trace)
-                life.misses += record.misses[before:]
+                node.misses += record.misses[before:]
                 core_time = read_core_time(process.pid, now_ns)
-                life.core_times += [] if core_time is None else [core_time]
+                node.core_times += [] if core_time is None else [core_time]
             elif topic == STATUS:
-                _take_status(data, life, record, now_ns)
+                _take_status(data, node, record, now_ns)
 
     async def _hear_sensing(self, socket: zmq.asyncio.Socket, role: str) -> None:
         sessions = self.sessions[role]
@@ -139,15 +139,15 @@ class Taps:
             heard.last_ns = time.monotonic_ns()
 
 
-def _take_status(data: bytes, life: SoakProcess, record: TickRecord, now_ns: int) -> None:
-    """Store a status beside what was recorded until then."""
+def _take_status(data: bytes, node: SoakProcess, record: TickRecord, now_ns: int) -> None:
+    """Store a status, with the record until then."""
     status = read_status(data)
     samples = status.summary["samples"]
     total = (samples["sent"] or 0) + (samples["before_joining"] or 0)
-    life.marks.append(Mark(now_ns, status.state, total))
-    life.summary = status.summary
+    node.marks.append(Mark(now_ns, status.state, total))
+    node.summary = status.summary
     if record.last_ns is not None:
-        life.claims.append(
+        node.claims.append(
             StatusClaim(
                 now_ns,
                 record.last_ns,

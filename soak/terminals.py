@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from protocol.host.child_process import python_command
 from soak.claims import LineClaim, read_line
 
-# A display that is stopped ends its terminal; another one is opened for the next.
+# A stopped display ends its terminal; another is opened for the next display.
 AGAIN_AFTER_S = 0.2
 
 
 @dataclass(slots=True)
 class Terminals:
-    """lines: by a display's role, what its terminal showed."""
+    """Terminals of displays. lines: shown, by a display's role."""
 
     lines: dict[str, list[LineClaim]] = field(default_factory=dict)
     _tasks: list[asyncio.Task[None]] = field(default_factory=list)
@@ -28,7 +28,7 @@ class Terminals:
         self._tasks.append(asyncio.create_task(self._show(role, address)))
 
     async def close(self) -> None:
-        """End all terminals. Raises what went wrong in reading them."""
+        """End all terminals. Raises the errors of reading them."""
         for task in self._tasks:
             task.cancel()
         ends = await asyncio.gather(*self._tasks, return_exceptions=True)

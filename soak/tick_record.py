@@ -1,4 +1,4 @@
-"""The neutral record of a display: each tick's felt force, as its traces have it."""
+"""Record of a display's ticks, from its traces."""
 
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, field
@@ -8,16 +8,16 @@ import numpy as np
 
 from protocol.wire.telemetry import Trace
 
-# Ticks further apart are of two blocks.
+# Ticks further apart belong to two blocks.
 GAP_NS = 50_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """The force felt between two instants.
+    """The force felt in an interval.
 
-    low_n, high_n: least and most felt force in N; None where no tick has one. full, less: ticks
-    at which the pulse was felt at its full strength, and the others.
+    low_n, high_n: least and greatest felt force in N; None where no tick has one. full, less: ticks
+    at which the pulse was felt at full strength, and the others.
     """
 
     low_n: float | None
@@ -28,13 +28,12 @@ class Stretch:
 
 @dataclass(slots=True)
 class TickRecord:
-    """The ticks of one display, in blocks of a trace at most; times on this machine's clock in ns.
+    """The ticks of one display, in blocks of at most a trace; times on this machine's clock in ns.
 
-    ticks, full: ticks so far, and those at which the pulse was felt at its full strength.
-    interruptions: from and to when it was not, and in how many ticks, within one process.
-    misses: between which two ticks how many were missed. gaps: from and to when there was no tick
-    for more than 50 ms, and whether the next one was at full strength. last_ns, last_n, last_full:
-    the newest tick.
+    ticks, full: ticks so far, and those at full strength. interruptions: from and to when the
+    strength was not full, and in how many ticks, within one process. misses: the ticks before and
+    after, and the number missed. gaps: from and to when there was no tick for more than 50 ms, and
+    whether the next one was at full strength. last_ns, last_n, last_full: the newest tick.
     """
 
     tick_ns: int
@@ -53,11 +52,11 @@ class TickRecord:
     _less: int = 0
 
     def begin_process(self) -> None:
-        """Expect the ticks of another process: between the two, nothing was interrupted."""
+        """Expect the ticks of another process: no interruption lies between the two."""
         self.last_ns, self._full_ns, self.last_full, self._less = None, None, False, 0
 
     def add(self, trace: Trace) -> None:
-        """Take the ticks of a trace."""
+        """Add the ticks of a trace."""
         for at_ns, full in zip(trace.now_ns.tolist(), trace.scored.tolist(), strict=True):
             self._tick(at_ns, full)
         self.last_n = float(trace.felt_n[-1])
@@ -90,7 +89,7 @@ class TickRecord:
         self.last_ns, self.last_full = at_ns, full
 
     def between(self, from_ns: int, until_ns: int) -> Stretch:
-        """Return what was felt from `from_ns` to `until_ns`, by whole blocks of some 20 ms."""
+        """Return the force felt in an interval, by whole blocks of some 20 ms."""
         begin, end = bisect_left(self._last_ns, from_ns), bisect_right(self._first_ns, until_ns)
         blocks = self._blocks[begin:end]
         lows = [block.low_n for block in blocks if block.low_n is not None]
@@ -99,6 +98,6 @@ class TickRecord:
         return Stretch(min(lows, default=None), max(highs, default=None), full, less)
 
     def newest_ns(self, at_ns: int) -> int | None:
-        """Return when the newest tick before `at_ns` was; None before the first."""
+        """Return the time of the newest tick before `at_ns`; None before the first."""
         number = bisect_right(self._first_ns, at_ns)
         return min(at_ns, self._last_ns[number - 1]) if number else None

@@ -1,4 +1,4 @@
-"""Pass or fail: what a display claimed of itself against what the record felt. Pure."""
+"""Judge what a display reported of itself, against the record of its ticks."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,59 +12,63 @@ from soak.tick_record import TickRecord
 from soak.verdict import Check
 from telepulse.telemetry.events import INTERRUPTED, EventDetector
 
-# A status follows the tick that it is of: its force is that tick's but for rounding to 1 mN.
+# A status follows its tick: the forces agree but for rounding to 1 mN.
 ROUNDING_N = 0.6e-3
-# A line shows the last status, up to 0.2 s old, and is read a while after it was written.
+# A line shows the last status, up to 0.2 s old, and is read some time after it was written.
 SEEN_WITHIN_NS = 1_200_000_000
 FORCE_SHARE, FORCE_MORE_N = 0.2, 0.01
-# A terminal marks what is older than 1 s; so much more for a machine that is busy.
+# A terminal marks statuses older than 1 s; the rest is for a busy machine.
 CURRENT_S, BUSY_S = 1.0, 1.0
 SHARE_BAR, SHARE_MORE_S = 0.01, 0.05
 HEART_RATE_TIMES = 1.5
-# An event names an interruption to 0.01 s, from tick to tick.
+# An event states an interruption to 0.01 s, from tick to tick.
 NAMED_TO_S = 0.02
 _WITHOUT = re.compile(r"after (\d+\.\d+) s ")
-# Until forces that no wrist has are out of what a heart rate is counted from.
+# The window of the heart rate, after which forces that no wrist has no longer count.
 FORGOTTEN_NS = 8_000_000_000
-# So many lies are quoted in a verdict.
+# Errors quoted in a verdict.
 QUOTED = 2
 
 
-def judge_lies(name: str, claims: int, lies: Sequence[str]) -> Check:
-    """Judge claims of one kind: none of them may be a lie."""
-    quoted = "; ".join(lies[:QUOTED])
-    found = f"{len(lies)} of {claims} untrue" + (f": {quoted}" if lies else "")
-    return Check(name, found, "none untrue", not lies if claims else None)
+def judge_claims(name: str, claims: int, errors: Sequence[str]) -> Check:
+    """Judge statements of one kind, of which none may be wrong."""
+    quoted = "; ".join(errors[:QUOTED])
+    found = f"{len(errors)} of {claims} untrue" + (f": {quoted}" if errors else "")
+    return Check(name, found, "none untrue", not errors if claims else None)
 
 
-def judge_statuses(role: str, lives: Sequence[Sequence[StatusClaim]], tick_ns: int) -> list[Check]:
+def judge_statuses(
+    role: str, processes: Sequence[Sequence[StatusClaim]], tick_ns: int
+) -> list[Check]:
     """Judge the statuses of a display.
 
     Parameters
     ----------
     role
         The display's name, for the table.
-    lives
+    processes
         The statuses of each of its processes, in order.
     tick_ns
         Length of a tick in ns.
     """
-    claims = [claim for life in lives for claim in life]
+    claims = [claim for process in processes for claim in process]
     count = len(claims)
-    shares = [lie for life in lives for lie in share_lies(life, tick_ns * 1e-9)]
+    shares = [error for process in processes for error in share_errors(process, tick_ns * 1e-9)]
     return [
-        judge_lies(f"state of {role}", count, [x for y in claims for x in state_lies(y)]),
-        judge_lies(f"finger of {role}", count, [x for y in claims for x in finger_lies(y)]),
-        judge_lies(f"figures of {role}", count, [x for y in claims for x in figure_lies(y)]),
-        judge_lies(f"availability of {role}", sum(len(life) > 1 for life in lives), shares),
+        judge_claims(f"state of {role}", count, [x for y in claims for x in state_errors(y)]),
+        judge_claims(f"finger of {role}", count, [x for y in claims for x in finger_errors(y)]),
+        judge_claims(f"figures of {role}", count, [x for y in claims for x in figure_errors(y)]),
+        judge_claims(
+            f"availability of {role}", sum(len(process) > 1 for process in processes), shares
+        ),
     ]
 
 
-def state_lies(claim: StatusClaim) -> Iterator[str]:
-    """Yield what is untrue of a status' state: "playing" is felt at full strength."""
+def state_errors(claim: StatusClaim) -> Iterator[str]:
+    """Yield what is wrong in a status' state: "playing" is felt at full strength."""
     if claim.state == "playing" and not claim.full:
         yield "playing, and not felt at full strength"
-    # Before the last status a display may have received what ends the pulse.
+    # Before the last status a display may have received the end of the pulse.
     if claim.full and claim.state != "playing" and not claim.final:
         yield f"{claim.state}, and felt at full strength"
     faults = latched(claim.summary["faults"])
@@ -72,8 +76,8 @@ def state_lies(claim: StatusClaim) -> Iterator[str]:
         yield f"{claim.state}, with the faults {faults}"
 
 
-def finger_lies(claim: StatusClaim) -> Iterator[str]:
-    """Yield what is untrue of a status' sentence about the finger."""
+def finger_errors(claim: StatusClaim) -> Iterator[str]:
+    """Yield what is wrong in a status' sentence about the finger."""
     finger = claim.summary["finger"] or ""
     force_n, felt_n = pressed_n(finger), claim.felt_n
     if force_n is not None:
@@ -86,8 +90,8 @@ def finger_lies(claim: StatusClaim) -> Iterator[str]:
         yield f"{finger!r}, and {felt_n * 1e3:.1f} mN were felt"
 
 
-def figure_lies(claim: StatusClaim) -> Iterator[str]:
-    """Yield what is untrue of a status' figures by themselves."""
+def figure_errors(claim: StatusClaim) -> Iterator[str]:
+    """Yield what is wrong in a status' figures by themselves."""
     for key in claim.no_figures:
         yield f"{key} is NaN or infinite"
     samples, shares = claim.summary["samples"], claim.summary["availability"]
@@ -104,8 +108,8 @@ def figure_lies(claim: StatusClaim) -> Iterator[str]:
         yield f"{shares['judged']:.3%} judged, and {shares['felt']:.3%} felt"
 
 
-def share_lies(claims: Sequence[StatusClaim], tick_s: float) -> Iterator[str]:
-    """Yield which shares of the time between the first and last status of a process are untrue.
+def share_errors(claims: Sequence[StatusClaim], tick_s: float) -> Iterator[str]:
+    """Yield wrong shares of the time between the first and last status of a process.
 
     Ticks of which no trace arrived widen the bar.
     """
@@ -144,31 +148,31 @@ def judge_lines(
     role
         The display's name, for the table.
     lines
-        What was read, in order.
+        The lines, in order.
     record
         The display's ticks.
     wrist_per_min
         Heart rate of the source, in beats per minute; None where it is not known.
     impostors
-        From and to when, in ns, something sent forces that have no heart rate.
+        From and to when, in ns, forces without a heart rate were sent.
     """
     known = [
         line
         for line in lines
         if not any(a <= line.read_ns <= b + FORGOTTEN_NS for a, b in impostors)
     ]
-    rates = [lie for line in known for lie in heart_rate_lies(line, record, wrist_per_min)]
-    forces = [lie for line in lines for lie in line_lies(line, record)]
-    ages = [lie for line in lines for lie in age_lies(line, record)]
+    rates = [error for line in known for error in heart_rate_errors(line, record, wrist_per_min)]
+    forces = [error for line in lines for error in line_errors(line, record)]
+    ages = [error for line in lines for error in age_errors(line, record)]
     return [
-        judge_lies(f"terminal of {role}: state and force", len(lines), forces),
-        judge_lies(f"terminal of {role}: age", len(lines), ages),
-        judge_lies(f"terminal of {role}: heart rate", len(known), rates),
+        judge_claims(f"terminal of {role}: state and force", len(lines), forces),
+        judge_claims(f"terminal of {role}: age", len(lines), ages),
+        judge_claims(f"terminal of {role}: heart rate", len(known), rates),
     ]
 
 
-def line_lies(line: LineClaim, record: TickRecord) -> Iterator[str]:
-    """Yield what is untrue of a line's state and forces, of the time that it is of."""
+def line_errors(line: LineClaim, record: TickRecord) -> Iterator[str]:
+    """Yield what is wrong in a line's state and forces, at its time."""
     from_ns = line.read_ns - round((line.age_s or 0.0) * 1e9) - SEEN_WITHIN_NS
     felt = record.between(from_ns, line.read_ns)
     if line.state == "playing" and not felt.full:
@@ -189,8 +193,8 @@ def line_lies(line: LineClaim, record: TickRecord) -> Iterator[str]:
         yield f"not pressed, and {(felt.low_n or 0) * 1e3:.0f} mN at least were felt"
 
 
-def age_lies(line: LineClaim, record: TickRecord) -> Iterator[str]:
-    """Yield what is untrue of a line's age: a display that is silent is shown as silent."""
+def age_errors(line: LineClaim, record: TickRecord) -> Iterator[str]:
+    """Yield what is wrong in a line's age: a silent display must be shown as silent."""
     newest_ns = record.newest_ns(line.read_ns)
     if newest_ns is None:
         return
@@ -201,7 +205,7 @@ def age_lies(line: LineClaim, record: TickRecord) -> Iterator[str]:
         if silent_s > CURRENT_S + BUSY_S:
             yield f"as if current, and silent for {silent_s:.1f} s"
         return
-    # A line may be read late, and a display come back meanwhile.
+    # A line may be read late, when the display has returned.
     before_ns = record.newest_ns(line.read_ns - round(BUSY_S * 1e9))
     before_s = 0.0 if before_ns is None else (line.read_ns - before_ns) * 1e-9
     if not silent_s - BUSY_S <= line.age_s <= max(silent_s, before_s) + BUSY_S:
@@ -212,10 +216,10 @@ def age_lies(line: LineClaim, record: TickRecord) -> Iterator[str]:
         yield f"{line.age_s:.1f} s ago, and not that no telemetry comes"
 
 
-def heart_rate_lies(
+def heart_rate_errors(
     line: LineClaim, record: TickRecord, wrist_per_min: float | None
 ) -> Iterator[str]:
-    """Yield what is untrue of a line's heart rate: it is the wrist's, of a pulse that is felt."""
+    """Yield what is wrong in a line's heart rate: it is the source's, of a pulse that is felt."""
     rate = line.heart_rate_per_min
     if rate is None:
         return
@@ -229,67 +233,69 @@ def heart_rate_lies(
 
 
 def judge_events(
-    role: str, lives: Sequence[Sequence[StatusClaim]], interruptions: Sequence[tuple[int, int, int]]
+    role: str,
+    processes: Sequence[Sequence[StatusClaim]],
+    interruptions: Sequence[tuple[int, int, int]],
 ) -> Check:
-    """Judge "what happened": each interruption of the pulse is named once, and no other one is.
+    """Judge the events: each interruption of the pulse is reported once, and no other.
 
     Parameters
     ----------
     role
         The display's name, for the table.
-    lives
+    processes
         The statuses of each of its processes, in order.
     interruptions
         From and to when in ns the pulse was not felt at full strength, and in how many ticks.
     """
-    lies = [lie for life in lives for lie in _event_lies(life, interruptions)]
-    return judge_lies(f"interruptions of {role}", len(interruptions) or len(lies), lies)
+    errors = [error for process in processes for error in _event_errors(process, interruptions)]
+    return judge_claims(f"interruptions of {role}", len(interruptions) or len(errors), errors)
 
 
 def judge_stalls(
     role: str,
-    lives: Sequence[Sequence[StatusClaim]],
+    processes: Sequence[Sequence[StatusClaim]],
     gaps: Sequence[tuple[int, int, bool]],
     faded_ns: int,
 ) -> Check:
-    """Judge the ends of stalls: after one in which the pulse fades, it comes back by a ramp.
+    """Judge the ends of stalls: after one in which the pulse fades, it returns by a ramp.
 
     Parameters
     ----------
     role
         The display's name, for the table.
-    lives
+    processes
         The statuses of each of its processes, in order.
     gaps
         From and to when in ns there was no tick, and whether the next one was at full strength.
     faded_ns
-        Without samples for so long, the pulse has faded to nothing, in ns.
+        Without samples for so long, the pulse has faded to zero, in ns.
     """
     stalls = [gap for gap in gaps if gap[1] - gap[0] > faded_ns]
-    # Where a trace did not arrive, there were ticks.
+    # Where a trace is missing there were ticks.
     spans = [
         (before.tick_ns, claim.tick_ns)
-        for life in lives
-        for before, claim in pairwise(life)
+        for process in processes
+        for before, claim in pairwise(process)
         if _whole(before, claim)
     ]
-    lies = [
+    errors = [
         f"at full strength after {(until_ns - from_ns) * 1e-9:.2f} s without a tick"
         for from_ns, until_ns, full in stalls
         if full and any(a <= from_ns and until_ns <= b for a, b in spans)
     ]
-    return judge_lies(f"ends of stalls of {role}", len(stalls), lies)
+    return judge_claims(f"ends of stalls of {role}", len(stalls), errors)
 
 
-def _event_lies(
-    life: Sequence[StatusClaim], interruptions: Sequence[tuple[int, int, int]]
+def _event_errors(
+    process: Sequence[StatusClaim], interruptions: Sequence[tuple[int, int, int]]
 ) -> Iterator[str]:
-    """Yield what is untrue of what one process named, from each status to the next.
+    """Yield what is wrong in the events of one process, from each status to the next.
 
-    Where a trace did not arrive between the two, what was felt is not known.
+    Where a trace did not arrive between the two, the felt force is not known.
     """
     watch, before = EventDetector(), None
-    for claim in life:
+    for claim in process:
         events = watch.take(claim.state, claim.summary, claim.tick_ns)
         named = [event.text for event in events if event.name == INTERRUPTED]
         if before is not None and _whole(before, claim):
@@ -314,7 +320,7 @@ def _count(claim: StatusClaim) -> int:
 
 
 def _without_s(text: str) -> float:
-    """Return the seconds that an event of interruptions names."""
+    """Return the seconds that an event of interruptions states."""
     found = _WITHOUT.match(text)
     return float("nan") if found is None else float(found[1])
 
@@ -322,20 +328,22 @@ def _without_s(text: str) -> float:
 def judge_ends(
     ends: Sequence[tuple[str, int | None, Mapping[str, Any], StatusClaim | None]],
 ) -> Check:
-    """Judge how displays that were stopped ended.
+    """Judge the ends of displays that were stopped.
 
     Parameters
     ----------
     ends
         Of each: its name, exit status, the summary that it wrote, and its last status.
     """
-    lies = []
+    errors = []
     for role, status, summary, last in ends:
         expected = FAULT_STATUS if latched(summary["faults"]) else 0
         if status != expected:
-            lies.append(f"{role}: status {status} with the faults {summary['faults']}")
+            errors.append(f"{role}: status {status} with the faults {summary['faults']}")
         if last is not None and last.final:
             for key in ("finger", "faults", "samples"):
                 if summary[key] != last.summary[key]:
-                    lies.append(f"{role}: {key} {summary[key]}, and {last.summary[key]} at the end")
-    return judge_lies("exit statuses and summaries", len(ends), lies)
+                    errors.append(
+                        f"{role}: {key} {summary[key]}, and {last.summary[key]} at the end"
+                    )
+    return judge_claims("exit statuses and summaries", len(ends), errors)

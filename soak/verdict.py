@@ -1,4 +1,4 @@
-"""Pass or fail: what was found of each thing that a soak looks at, beside its bar. Pure."""
+"""The checks of a soak: each finding beside its bar."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,20 +20,20 @@ HANDLES_MAX = 1_000.0
 THREADS_BAR_PER_H = 12.0
 THREADS_MAX = 16.0
 AGAIN_BAR_S = 1.0
-# A display that nothing was done to feels on; the host's own stalls, the calm pair feels as well.
+# An undisturbed display stays felt; the host's own stalls affect the calm pair as well.
 UNTOUCHED_BAR_S = 0.1
 TICK_P99_TIMES, TICK_P99_MORE_US = 2.0, 100.0
 CALM_MISSES = MISSES_MORE = 0.01
-# Where the machine makes so many ticks miss, the loop's own cannot be told from them.
+# Above this share of the machine's misses the loop's own cannot be separated.
 MOST_EXCUSED = 0.1
-# A microstep more or less in one tick.
+# One microstep per tick.
 SLEW_MARGIN = 1.05
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """What was found, and its bar; ok is None where it is told and not judged."""
+    """A finding and its bar; ok is None where it is reported but not judged."""
 
     name: str
     found: str
@@ -43,8 +43,9 @@ class Check:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One process, sample by sample: memory in MB, descriptors, threads. warm: how many of the
-    first samples are of its warm-up.
+    """Samples of one process: memory in MB, descriptors, threads.
+
+    warm: how many of the first samples belong to its warm-up.
     """
 
     times_s: Floats
@@ -56,8 +57,10 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class LoopFigures:
-    """A display's loop over all its lives: ticks, misses but for those while it was stopped, and
-    the 99 % cost of a tick in its longest life. excused: misses that are the machine's.
+    """A display's loop over all its processes.
+
+    ticks, misses except while it was stopped, and the 99 % cost of a tick in its longest process.
+    excused: misses that are the machine's.
     """
 
     ticks: int
@@ -76,7 +79,7 @@ class LoopFigures:
 
 
 def judge_usage(role: str, lines: Sequence[Line]) -> list[Check]:
-    """Memory, descriptors and threads: only what grows beyond doubt fails, or is too much."""
+    """Judge memory, descriptors and threads: significant growth, or too much of them, fails."""
     memory = [(line.times_s, line.memory_mb, line.warm) for line in lines]
     handles = [(line.times_s, line.handles, line.warm) for line in lines]
     threads = [(line.times_s, line.threads, line.warm) for line in lines]
@@ -94,7 +97,7 @@ def _growth(
     found = slope([(times_s[warm:], values[warm:]) for times_s, values, warm in lines])
     limits = f"not surely above {bar:g}{unit}/h; {most_bar:g}{unit}"
     if found is None:
-        text = f"most {most:.4g}{unit}; no life long enough for a slope"
+        text = f"most {most:.4g}{unit}; no process ran long enough for a slope"
         return Check(name, text, limits, None if most <= most_bar else False)
     low, median, high = (value * HOUR_S for value in (found.low, found.median, found.high))
     text = f"most {most:.4g}{unit}, {median:+.2f} [{low:+.2f}, {high:+.2f}]{unit}/h"
@@ -102,8 +105,9 @@ def _growth(
 
 
 def judge_recovery(again_s: Mapping[str, Sequence[float | None]]) -> list[Check]:
-    """How soon after its end each kind of fault is over at the finger, too, and all kinds
-    together. None: it was not.
+    """Judge how soon after its end each kind of fault is over at the finger, and all together.
+
+    None: it was not.
     """
     checks = []
     together = {"any fault": [after_s for all_s in again_s.values() for after_s in all_s]}
@@ -116,14 +120,14 @@ def judge_recovery(again_s: Mapping[str, Sequence[float | None]]) -> list[Check]
         else:
             worst, text = 0.0, f"none of {len(all_s)}"
         text += f", {never} not felt again" if never else ""
-        # A soak without a fault proves nothing.
+        # A soak without a fault is not a pass.
         ok = bool(known) and not never and worst <= AGAIN_BAR_S
         checks.append(Check(f"felt again: {kind}", text, f"within {AGAIN_BAR_S:g} s", ok))
     return checks
 
 
 def judge_untouched(gaps_s: Sequence[float], calm_s: Sequence[float]) -> list[Check]:
-    """How long a display felt nothing while something was done to another one."""
+    """Judge how long a display felt nothing while a fault was made on another one."""
     control_s, worst_s = max(calm_s, default=0.0), max(gaps_s, default=0.0)
     bar_s = max(UNTOUCHED_BAR_S, control_s)
     return [
@@ -138,7 +142,7 @@ def judge_untouched(gaps_s: Sequence[float], calm_s: Sequence[float]) -> list[Ch
 
 
 def judge_account(role: str, reckonings: Sequence[Reckoning]) -> Check:
-    """Whether every sample of every session is accounted for."""
+    """Judge whether every sample of every session is accounted for."""
     counted = sum(reckoning.counted for reckoning in reckonings)
     exact = sum(reckoning.exact for reckoning in reckonings)
     lost = sum(max(0, reckoning.off) for reckoning in reckonings)
@@ -153,7 +157,7 @@ def judge_account(role: str, reckonings: Sequence[Reckoning]) -> Check:
 
 
 def judge_safety(role: str, felt: FeltLog, limit_n: float, slew_n_per_s: float) -> list[Check]:
-    """Force and slew of what was wanted and of what was felt."""
+    """Judge force and slew of the target and of the felt force."""
     if not felt.ticks:
         return [Check(f"force of {role}", "nothing was felt")]
     low_n, high_n = min(felt.target_n[0], felt.felt_n[0]), max(felt.target_n[1], felt.felt_n[1])
@@ -176,7 +180,7 @@ def judge_safety(role: str, felt: FeltLog, limit_n: float, slew_n_per_s: float) 
 
 
 def judge_calm_loop(calm: LoopFigures) -> list[Check]:
-    """The calm display's deadlines and ticks: what the host itself does to a node."""
+    """Judge the calm display's deadlines and ticks, which show the host's own effect on a node."""
     return [
         Check(
             "deadlines of calm display",
@@ -189,7 +193,7 @@ def judge_calm_loop(calm: LoopFigures) -> list[Check]:
 
 
 def judge_loop(role: str, figures: LoopFigures, calm: LoopFigures) -> list[Check]:
-    """Deadline misses and the cost of a tick, beside those of the calm display."""
+    """Judge deadline misses and the cost of a tick, beside those of the calm display."""
     p99_bar_us = TICK_P99_TIMES * calm.tick_p99_us + TICK_P99_MORE_US
     missed_bar = calm.missed + MISSES_MORE
     return [
@@ -227,5 +231,5 @@ def _missed(figures: LoopFigures) -> str:
 
 
 def judge_none(name: str, found: Sequence[str]) -> Check:
-    """Something there must be none of."""
+    """Judge a list that must be empty."""
     return Check(name, "; ".join(found) or "none", "none", not found)

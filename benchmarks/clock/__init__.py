@@ -1,5 +1,4 @@
-"""The clock: errors of offset and skew in virtual time, then over an emulated link, beside those
-of Lab Streaming Layer.
+"""Errors of clock offset and skew, in virtual time and over an emulated link, beside LSL's.
 
 The second part needs root, for the link emulator, and pylsl. It takes four minutes.
 """
@@ -50,7 +49,7 @@ def main() -> None:
 
 
 def run(seed: int) -> dict[str, Floats]:
-    """What each listener printed: a row a line, one of each skew of ours and LSL's."""
+    """Return the lines of each listener: one of each skew of ours, and of LSL."""
     origin_ns = time.monotonic_ns()
     with ExitStack() as stack:
         link = stack.enter_context(emulate(parse_link(LINK), seed=seed))
@@ -72,7 +71,7 @@ def run(seed: int) -> dict[str, Floats]:
 
 @contextmanager
 def started(namespace: Namespace, *command: str) -> Iterator[ChildProcess]:
-    """One of `benchmarks.clock.ends` in a namespace; it does not outlive the `with`."""
+    """Run one of `benchmarks.clock.ends` in a namespace."""
     with namespace.entered():
         process = ChildProcess("end", "-m", "benchmarks.clock.ends", *command, stdout=PIPE)
     with process:
@@ -80,20 +79,20 @@ def started(namespace: Namespace, *command: str) -> Iterator[ChildProcess]:
 
 
 def figures(process: ChildProcess) -> Floats:
-    """What a listener has printed."""
+    """Return the printed lines of a listener."""
     lines = process.communicate(timeout=SECONDS + STARTUP_S)[0].splitlines()
     table: Floats = np.array([[float(word) for word in line.split()] for line in lines])
     return table
 
 
 def near(table: Floats, mark_s: float) -> Floats:
-    """The rows of the second before a time."""
+    """Return the rows of the second before a time."""
     rows: Floats = table[(table[:, 0] > mark_s - 1) & (table[:, 0] <= mark_s)]
     return rows
 
 
 def row(name: str, mark_s: float, tables: list[Floats]) -> tuple[str, ...]:
-    """The table's row of one clock at one time."""
+    """Return the table's row of one clock at one time."""
     rows = np.vstack([near(table, mark_s) for table in tables])
     error_ms = np.abs(rows[:, 1])
     cells = [f"{np.median(error_ms):.3f} ms", f"{error_ms.max():.3f} ms"]
@@ -109,7 +108,7 @@ def row(name: str, mark_s: float, tables: list[Floats]) -> tuple[str, ...]:
 
 
 def against_lsl(runs: list[dict[str, Floats]]) -> str:
-    """Our worst clock's RMS error over LSL's, from 5 s to the end."""
+    """Return our worst clock's RMS error over LSL's, from 5 s to the end."""
     rms = {
         name: float(np.sqrt(np.mean(np.concatenate([after_5_s(r[name]) for r in runs]) ** 2)))
         for name in runs[0]
@@ -123,6 +122,6 @@ def against_lsl(runs: list[dict[str, Floats]]) -> str:
 
 
 def after_5_s(table: Floats) -> Floats:
-    """Errors in ms."""
+    """Return the errors in ms from 5 s on."""
     errors_ms: Floats = table[table[:, 0] >= 5.0, 1]
     return errors_ms

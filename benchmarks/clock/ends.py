@@ -1,7 +1,7 @@
-"""The programs at both ends of the link, `python -m benchmarks.clock.ends END ...`.
+"""Programs at both ends of the link: `python -m benchmarks.clock.ends END ...`.
 
-Those at the display print a line every 0.1 s: time since they met the other end in s, error in ms
-and, of ours, the stated uncertainty in ms and the error of the skew in ppm.
+Those at the display print a line every 0.1 s: time since the first contact in s, error in ms and,
+for ours, the stated uncertainty in ms and the error of the skew in ppm.
 """
 
 import sys
@@ -35,7 +35,7 @@ level = -3
 
 
 def sense(address: str, skew_ppm: str, origin_ns: str, seconds: str) -> None:
-    """A sensing node whose clock is wrong."""
+    """Run a sensing node whose clock is wrong."""
     path = find_scene("radial")
     section = load_section(path, "sensing", SensingScene)
     clock = partial(now_ns, int(origin_ns), float(skew_ppm))
@@ -45,7 +45,7 @@ def sense(address: str, skew_ppm: str, origin_ns: str, seconds: str) -> None:
 
 
 def follow(address: str, skew_ppm: str, origin_ns: str, seconds: str) -> None:
-    """A display's receiver, which hears the whole stream."""
+    """Run a display's receiver, which receives the whole stream."""
     context: sockets.Context = zmq.Context()
     control = sockets.connect(context, zmq.DEALER, sockets.control_address(address))
     data = sockets.connect(context, zmq.SUB, address)
@@ -78,7 +78,7 @@ def follow(address: str, skew_ppm: str, origin_ns: str, seconds: str) -> None:
 
 
 def lsl_outlet(peer: str, seconds: str) -> None:
-    """A Lab Streaming Layer stream."""
+    """Publish a Lab Streaming Layer stream."""
     pylsl = _lsl(peer)
     info = pylsl.StreamInfo("pulse", "force", 1, 200, pylsl.cf_float32, "clock")
     outlet = pylsl.StreamOutlet(info)
@@ -89,7 +89,7 @@ def lsl_outlet(peer: str, seconds: str) -> None:
 
 
 def lsl_inlet(peer: str, seconds: str) -> None:
-    """Its listener: both ends have this machine's monotonic clock, the true correction is 0."""
+    """Follow it: both ends have this machine's monotonic clock, the true correction is 0."""
     pylsl = _lsl(peer)
     found = pylsl.resolve_byprop("source_id", "clock", timeout=RESOLVE_S)
     if not found:

@@ -1,19 +1,19 @@
-"""A clock that runs wrong by a known amount, and whose truth every process of a machine knows."""
+"""A clock with a known error, which every process of a machine can compute."""
 
 import time
 
-# A mix-up of the clocks shows.
+# Large enough to reveal a clock that is mistaken for another.
 AHEAD_NS = 3_600_000_000_000
 
 
 def scaled_ns(local_ns: int, origin_ns: int, skew_ppm: float) -> int:
-    """What the wrong clock shows when the machine's monotonic clock shows `local_ns`.
+    """Return the wrong clock's time when the machine's monotonic clock shows `local_ns`.
 
-    origin_ns: when it was ahead by an hour and no more.
+    origin_ns: when it was ahead by exactly an hour.
     """
     return local_ns + AHEAD_NS + round((local_ns - origin_ns) * skew_ppm * 1e-6)
 
 
 def now_ns(origin_ns: int, skew_ppm: float) -> int:
-    """What it shows now."""
+    """Return the wrong clock's present time."""
     return scaled_ns(time.monotonic_ns(), origin_ns, skew_ppm)

@@ -1,6 +1,7 @@
 """The clock in virtual time: many seeds of many kinds of link, two minutes' worth in a second.
 
-Delays are of the models in `telepulse/link`, TCP's included; what a kernel adds is not in it.
+Delays are those of the models in `telepulse/simulation/link_model`, TCP's included; the kernel's
+own are left out.
 """
 
 import itertools
@@ -19,7 +20,7 @@ from display_node.reception.receiver import CLOCK_EVERY_NS, CLOCK_FAST_COUNT, CL
 from protocol.clock.estimator import ClockEstimator, ClockExchange
 from telepulse.simulation.link_model import Direction, TcpStream, parse_link
 
-# Not those that the clock's constants were chosen on, which were 0 to 39 and 1000 to 3059.
+# Not the seeds on which the clock's constants were chosen: 0 to 39 and 1000 to 3059.
 SEEDS = range(5_000, 5_040)
 SECONDS = 60
 MARKS_S = (5, 60)
@@ -33,24 +34,24 @@ BAR = "delay=20ms,jitter=3ms,loss=1%"
 
 @dataclass(frozen=True, slots=True)
 class Exponential:
-    """A way without loss whose delay beyond 20 ms is exponential: a queue that others fill."""
+    """A path without loss whose delay beyond 20 ms is exponential: a queue shared with others."""
 
     mean_ns: float
     random: random.Random
 
     def arrival_ns(self, now_ns: int, _: int) -> int | None:
-        """When a message that is sent now arrives."""
+        """Return when a message that is sent now arrives."""
         return now_ns + 20_000_000 + round(self.random.expovariate(1 / self.mean_ns))
 
 
 class Way(Protocol):
-    """One way of a link."""
+    """One direction of a link."""
 
     def arrival_ns(self, now_ns: int, size_bytes: int, /) -> int | None:
-        """When a message that is sent now arrives; None when it is lost."""
+        """Return when a message that is sent now arrives; None when it is lost."""
 
 
-# There and back; "tcp" before what goes over TCP, a number for exponential delays of so many ms.
+# Both directions; "tcp" before a TCP connection, a number for exponential delays of so many ms.
 LINKS: dict[str, tuple[str, str]] = {
     "20±3 ms, 1 % loss, TCP": (f"tcp {BAR}", f"tcp {BAR}"),
     "the same, datagrams": (BAR, BAR),
@@ -84,7 +85,7 @@ def main() -> None:
 
 
 def row(name: str, with_frames: bool) -> tuple[str, ...]:
-    """One link's row."""
+    """Return one link's row."""
     trials = [trial(*LINKS[name], seed, SKEWS_PPM[seed % 3], with_frames) for seed in SEEDS]
     cells = []
     for number in range(len(MARKS_S)):
@@ -131,12 +132,12 @@ def trial(there: str, back: str, seed: int, skew_ppm: float, with_frames: bool) 
 
 
 def error_ns(estimator: ClockEstimator, local_ns: int, skew_ppm: float) -> int:
-    """How far off the estimate is."""
+    """Return the estimate's error."""
     return abs(estimator.remote_ns(local_ns) - scaled_ns(local_ns, 0, skew_ppm))
 
 
 def way(text: str, seed: int) -> Way:
-    """A way as `LINKS` describes it."""
+    """Return a direction as `LINKS` describes it."""
     if text.isdigit():
         return Exponential(float(text) * 1e6, random.Random(seed))
     transport, _, link = text.rpartition(" ")
@@ -145,7 +146,7 @@ def way(text: str, seed: int) -> Way:
 
 
 def exchanges(there: Way, back: Way, skew_ppm: float) -> list[ClockExchange]:
-    """All exchanges of `SECONDS` at a receiver's pace, in the order of their replies."""
+    """Yield all exchanges of `SECONDS` at a receiver's pace, in the order of their replies."""
     arrived = []
     for t1_ns in itertools.takewhile(lambda t_ns: t_ns < SECONDS * S, asked_ns()):
         there_ns = there.arrival_ns(t1_ns, REQUEST_BYTES)
@@ -162,7 +163,7 @@ def exchanges(there: Way, back: Way, skew_ppm: float) -> list[ClockExchange]:
 
 
 def frames(back: Way, skew_ppm: float) -> list[tuple[int, int]]:
-    """When each frame of `SECONDS` arrives, and what the remote clock showed when it was sent."""
+    """Yield each frame's arrival, and the remote clock when it was sent."""
     arrived = []
     for sent_ns in range(0, SECONDS * S, FRAME_EVERY_NS):
         arrival_ns = back.arrival_ns(sent_ns, FRAME_BYTES)
@@ -172,7 +173,7 @@ def frames(back: Way, skew_ppm: float) -> list[tuple[int, int]]:
 
 
 def asked_ns() -> Iterator[int]:
-    """When a receiver asks."""
+    """Yield the times of requests."""
     t_ns = 0
     for number in itertools.count():
         yield t_ns

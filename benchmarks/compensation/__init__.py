@@ -1,6 +1,4 @@
-"""What is felt of a predicted pulse: how rough it is, how far from the pulse of now, and whether
-it is trusted where it should be.
-"""
+"""Roughness, in-phase error and trust of a predicted pulse."""
 
 from dataclasses import replace
 from unittest.mock import patch
@@ -15,7 +13,7 @@ from telepulse.simulation.link_model import parse_link
 from telepulse.simulation.virtual_time import Simulation
 
 SETTLE_S, SCORED_S = 28.0, 12.0
-# Trust is won slowly, and E then goes to 0 by 20 ms a second.
+# Trust grows slowly, and E then falls to 0 by 20 ms a second.
 SETTLE_AUTO_S = 45.0
 LINKS = {
     "20±3 ms, 1 % loss": "delay=20ms,jitter=3ms,loss=1%",

@@ -1,8 +1,7 @@
-"""Whether the predictor is trusted where it should be: on pulses that it can predict, and on
-pulses that turn bad.
+"""Trust in the predictor: on predictable pulses, and on pulses that become unpredictable.
 
-A pulse of 0.3 N under a static force, with 0.5 mN of noise, as `telepulse study prediction` makes
-them: those that turn do so after `TURN_S`, and all are scored from then on.
+A pulse of 0.3 N on a static force, with 0.5 mN of noise, as in `telepulse study prediction`. Those
+that change do so after `TURN_S`, and all are scored from then on.
 """
 
 import tempfile
@@ -37,7 +36,7 @@ SECONDS, TURN_S = 60.0, 40.0
 SEEDS = (1, 2, 3)
 SETS = ("variability", "ramp", "ectopic", "fibrillation", "movement")
 SIZE_N, STATIC_N, NOISE_N = 0.3, 0.6, 5e-4
-# The hold-down force of a hand that moves: another one twice a second.
+# Hold-down force of a moving hand, which changes twice a second.
 SHIFT_N, SHIFTS_HZ = 0.1, 2
 SETTLED_NS = 1_000_000
 
@@ -53,8 +52,10 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """From the turn on: trusted: share of the time; lost_s: when first not, None if never or
-    not even then; errors_n: in phase, while trusted and E is 0.
+    """Figures from the turn on.
+
+    trusted: share of the time; lost_s: when trust was first lost, None if never or not given at the
+    turn; errors_n: in phase, while trusted and E is 0.
     """
 
     trusted: float
@@ -108,7 +109,7 @@ def score(case: Case) -> Score:
 
 
 def pulse_n(name: str, seed: int) -> Floats:
-    """One of `SETS`, at 1 kHz, without noise."""
+    """Return one of `SETS`, at 1 kHz, without noise."""
     rng = np.random.default_rng((seed, SETS.index(name)))
     calm = make_rhythm(rng, SECONDS, 0.04, lambda _: 75.0)
     ramp = make_rhythm(rng, SECONDS, 0.0, lambda t_s: 60 + 60 * t_s / SECONDS)

@@ -1,6 +1,7 @@
 """Faults of nodes, networks and peers: time until the pulse is felt again, unaccounted samples.
 
-Some need root, for the link emulator."""
+Some need root, for the link emulator.
+"""
 
 import random
 import statistics

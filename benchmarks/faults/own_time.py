@@ -1,4 +1,4 @@
-"""Missed ticks of a display that are its own, apart from those that the machine took from it."""
+"""Missed ticks of a display by its own core time, without those by the machine's."""
 
 import os
 import threading
@@ -18,7 +18,7 @@ READ_EVERY_S = 0.01
 
 
 def pin(pid: int, processor: int) -> None:
-    """Bind all threads of a process to one processor, and those that it starts later."""
+    """Bind all threads of a process, present and future, to one processor."""
     for thread in os.listdir(f"/proc/{pid}/task"):
         with suppress(ProcessLookupError):
             os.sched_setaffinity(int(thread), {processor})
@@ -27,7 +27,7 @@ def pin(pid: int, processor: int) -> None:
 class OwnTime:
     """Waiting time of a process's loop thread for a processor, read every 10 ms.
 
-    While a thread of the process itself ran on that processor (ZeroMQ's, which takes a flood in),
+    While a thread of the process itself ran on that processor (ZeroMQ's, which receives a flood),
     the loop waited for its own process: this is not excused.
     """
 
@@ -37,7 +37,7 @@ class OwnTime:
         self._over = threading.Event()
 
     def read(self) -> None:
-        """Read until it is over."""
+        """Read until `finish`."""
         while not self._over.wait(READ_EVERY_S):
             reading = read_core_time(self._pid, time.monotonic_ns())
             if reading is not None:
@@ -48,7 +48,7 @@ class OwnTime:
         self._over.set()
 
     def own_misses(self, felt: FeltForce, tick_ns: int) -> tuple[int, int]:
-        """Return how many ticks were missed by the traces, and how many of them by itself."""
+        """Return how many ticks were missed by the traces, and how many by the process itself."""
         now_ns = felt.trace().now_ns
         missed = np.rint(np.diff(now_ns) / tick_ns).astype(int) - 1
         gaps = [
@@ -59,7 +59,7 @@ class OwnTime:
         return count, count - excuse(gaps, self._foreign(), tick_ns).all
 
     def _foreign(self) -> list[CoreTime]:
-        """Return the readings with what the loop waited for other processes alone."""
+        """Return the readings with the loop's waiting for other processes only."""
         waited_ns, readings = 0, [replace(self._readings[0][0], waited_ns=0)]
         for (before, beside_ns), (after, beside_after_ns) in pairwise(self._readings):
             ran_ns = beside_after_ns - beside_ns
@@ -69,7 +69,7 @@ class OwnTime:
 
 
 def _beside_ns(pid: int) -> int:
-    """Return for how long all threads but the loop's have run, in ns."""
+    """Return how long all threads but the loop's have run, in ns."""
     total_ns = 0
     for thread in os.listdir(f"/proc/{pid}/task"):
         if int(thread) != pid:
@@ -81,7 +81,7 @@ def _beside_ns(pid: int) -> int:
 
 @contextmanager
 def own_time_of(pid: int) -> Iterator[OwnTime]:
-    """Read the time of a process while it lives, within a `with`."""
+    """Read the time of a process."""
     own = OwnTime(pid)
     reader = threading.Thread(target=own.read)
     reader.start()

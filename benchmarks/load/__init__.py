@@ -1,7 +1,7 @@
-"""How many displays one sensing node feeds at 1 kHz, what each costs it, and what relays save.
+"""Number of displays that one sensing node feeds at 1 kHz, their cost, and the effect of relays.
 
-Many light displays (`many_displays.py`) share the machine with the sensing node, so that a machine
-of its own feeds more. CPU is user and system time in % of one core; TCP's part in a frame is
+Many light displays (`many_displays.py`) share the machine with the sensing node, which feeds more
+on a machine of its own. CPU is user and system time in % of one core; TCP's part in a frame is
 charged to the sender. It takes six minutes.
 """
 
@@ -37,7 +37,7 @@ def main() -> None:
 
 
 def show_counts(stream: Stream) -> None:
-    """More and more displays, until they are too many twice."""
+    """Print runs of more and more displays, until two of them miss the bar."""
     rows: list[tuple[str, ...]] = []
     most, failures, last = 0, 0, (0, 0.0)
     for count in COUNTS:
@@ -47,7 +47,7 @@ def show_counts(stream: Stream) -> None:
             rows.append((str(count), str(error)))
             break
         further = (figures.sensing - last[1]) / (count - last[0])
-        rows.append((*row(count, figures), f"{100 * further:.2f}", f"{100 * figures.crowds:.0f}"))
+        rows.append((*row(count, figures), f"{100 * further:.2f}", f"{100 * figures.displays:.0f}"))
         last = count, figures.sensing
         if within(figures):
             most, failures = count, 0
@@ -58,13 +58,13 @@ def show_counts(stream: Stream) -> None:
     show(
         f"One sensing node at 1 kHz, {named(stream)}, {SECONDS:g} s each; CPU in % of a core, of"
         f" one more display, too; within {BAR_MS:g} ms and nothing lost: {most} displays",
-        (*COLUMNS, "one more", "crowd"),
+        (*COLUMNS, "one more", "their CPU"),
         rows,
     )
 
 
 def show_kinds() -> None:
-    """What of a display's cost is data, what is its clock, what are keys."""
+    """Print the parts of a display's cost: data, clock, keys."""
     plain = Load(SOME, clock_ms=0, stream=BATCHED)
     kinds = {
         "frames alone": plain,
@@ -84,7 +84,7 @@ def show_kinds() -> None:
 
 
 def show_channels() -> None:
-    """From one channel to as many as a stream may have."""
+    """Print runs from one channel to the most that a stream may have."""
     rows = []
     for channels in CHANNELS:
         figures = run(Load(SOME, stream=replace(BATCHED, channels=channels)))
@@ -97,7 +97,7 @@ def show_channels() -> None:
 
 
 def show_relays() -> None:
-    """Two relays side by side, on the same machine."""
+    """Print runs with two relays side by side, on the same machine."""
     rows = []
     for count in RELAYED:
         figures = run(Load(count, relays=2, stream=SINGLE))
@@ -110,7 +110,7 @@ def show_relays() -> None:
 
 
 def row(count: int, figures: Figures) -> tuple[str, ...]:
-    """Figures as they stand in every table."""
+    """Return the figures common to all tables."""
     shares = (figures.loop, figures.zeromq, figures.sensing)
     return (
         str(count),
@@ -122,12 +122,12 @@ def row(count: int, figures: Figures) -> tuple[str, ...]:
 
 
 def within(figures: Figures) -> bool:
-    """Whether a run is within the bar."""
+    """Return whether a run is within the bar."""
     return figures.p99_ms < BAR_MS and figures.lost == 0
 
 
 def named(stream: Stream) -> str:
-    """A stream's frames, in words."""
+    """Return a stream's frames in words."""
     counts: Sequence[str] = ("", "a sample")
     samples = counts[stream.batch] if stream.batch < len(counts) else f"{stream.batch} samples"
     return f"{samples} a frame"

@@ -1,4 +1,4 @@
-"""What relays in a row add to the clock's error: all nodes share a clock, so its offset is 0."""
+"""Clock error added by relays in a row: all nodes share a clock, so its offset is 0."""
 
 import itertools
 import time
@@ -47,7 +47,7 @@ def main() -> None:
 
 
 def ask(relays: int) -> list[ClockExchange]:
-    """Exchanges through so many relays."""
+    """Return exchanges through so many relays."""
     addresses = free_addresses(1 + relays)
     with ExitStack() as stack:
         stack.enter_context(process(sense, Stream(batch=5), addresses[0]))
@@ -58,12 +58,12 @@ def ask(relays: int) -> list[ClockExchange]:
         stack.callback(control.close, 0)
         control.setsockopt(zmq.RCVTIMEO, PATIENCE_MS)
         exchanges = [exchange(control) for _ in range(EXCHANGES)]
-    # The first one waited for all connections.
+    # The first one includes the time of all connections.
     return exchanges[1:]
 
 
 def exchange(control: sockets.Socket) -> ClockExchange:
-    """One question, and its answer's four stamps."""
+    """Send one request, and return the answer's four time stamps."""
     t1_ns = time.monotonic_ns()
     control.send(encode_control(ClockRequest(t1_ns)))
     reply = decode_control(control.recv())

@@ -1,4 +1,4 @@
-"""How soon a relay has frames again once the link to its sensing node is back."""
+"""Time until a relay has frames again once the link to its sensing node is back."""
 
 import time
 from contextlib import ExitStack
@@ -49,7 +49,7 @@ def main() -> None:
 
 
 class Display:
-    """Takes frames and asks for the clock."""
+    """A display that receives frames and requests the clock."""
 
     def __init__(self, context: sockets.Context, address: str) -> None:
         self._data = sockets.connect(context, zmq.SUB, address)
@@ -57,7 +57,7 @@ class Display:
         self._control = sockets.connect(context, zmq.DEALER, sockets.control_address(address))
 
     def live(self, seconds: float) -> None:
-        """Hear and ask for so long; what came is forgotten."""
+        """Receive and request for so long."""
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
             self._ask()
@@ -66,7 +66,7 @@ class Display:
                 pass
 
     def await_frame(self) -> float:
-        """How long, in s, until a frame comes. Raises TimeoutError."""
+        """Return the time in s until a frame arrives. Raises TimeoutError."""
         began_s = time.monotonic()
         while not self._data.poll(round(ASK_EVERY_S * 1000)):
             if time.monotonic() - began_s > PATIENCE_S:
@@ -75,7 +75,7 @@ class Display:
         return time.monotonic() - began_s
 
     def close(self) -> None:
-        """Let go of the sockets."""
+        """Close the sockets."""
         self._data.close(0)
         self._control.close(0)
 

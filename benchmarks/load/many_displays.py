@@ -27,20 +27,20 @@ from protocol.wire.messages import (
 SLOT_NS = 1_000_000
 REPORT_SLOTS = 1_000
 PATIENCE_S = 30.0
-# Before they count as lost, frames may be so late.
+# Frames later than this count as lost.
 GRACE_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class DisplayTimings:
-    """Delay of each copy of a frame from its last sample's instant, and copies that never came."""
+    """Delay of each copy of a frame from its last sample's instant, and missing copies."""
 
     delays_ns: "array[int]"
     lost: int
 
 
 class ManyDisplays:
-    """`count` displays at one address; they ask for the clock every `clock_ms`, or never (0).
+    """`count` displays at one address, which request the clock every `clock_ms`, or never (0).
 
     One XSUB keeps a connection for each of them, so that one queue is read.
     """
@@ -63,7 +63,7 @@ class ManyDisplays:
         self._frames: dict[bytes, tuple[Frame, int, array[int]]] = {}
 
     def join(self) -> None:
-        """Say hello, and listen until every display hears the stream. Raises TimeoutError."""
+        """Send hello, and receive until every display has the stream. Raises TimeoutError."""
         end_s = time.monotonic() + PATIENCE_S
         for number, control in enumerate(self._controls):
             control.send(encode_control(Hello(f"{id(self)}-{number}")))
@@ -80,7 +80,7 @@ class ManyDisplays:
             self._live(50 * SLOT_NS)
 
     def listen(self, seconds: float) -> DisplayTimings:
-        """What is heard of the frames whose first sample is of the next so many seconds."""
+        """Return the timings of frames whose first sample is within the next so many seconds."""
         self._frames.clear()
         begin_ns = time.monotonic_ns()
         self._live(round((seconds + GRACE_S) * 1e9))
@@ -95,7 +95,7 @@ class ManyDisplays:
         lost = 0
         next_sample = measured[0][0].first_sample
         for frame, arrivals in measured:
-            # Of frames that reached nobody, only their samples are missed.
+            # Frames that reached no display are known by their samples alone.
             lost += math.ceil((frame.first_sample - next_sample) / len(frame.values)) * self._count
             lost += self._count - len(arrivals)
             next_sample = frame.first_sample + len(frame.values)
@@ -103,11 +103,11 @@ class ManyDisplays:
         return DisplayTimings(delays_ns, lost)
 
     def close(self) -> None:
-        """Leave."""
+        """Close the sockets."""
         self._context.destroy(linger=0)
 
     def _live(self, duration_ns: int) -> None:
-        """Hear and ask for so long."""
+        """Receive and request for so long."""
         end_ns = time.monotonic_ns() + duration_ns
         descriptors = sockets.descriptors([self._data])
         while (now_ns := time.monotonic_ns()) < end_ns:
@@ -122,7 +122,7 @@ class ManyDisplays:
                 data = receive(zmq.NOBLOCK)
             except zmq.Again:
                 return
-            # A frame is decoded once, its other copies are known by their bytes.
+            # A frame is decoded once; its other copies are recognised by their bytes.
             known = frames.get(data)
             if known is None:
                 frame = decode_frame(data)
@@ -131,7 +131,7 @@ class ManyDisplays:
             known[2].append(time.monotonic_ns() - known[1])
 
     def _ask(self, now_ns: int) -> None:
-        """In each slot, those whose turn it is."""
+        """Send the requests of each slot."""
         slot = now_ns // SLOT_NS
         for passed in range(max(self._slot + 1, slot - REPORT_SLOTS), slot + 1):
             if self._clock_slots:
@@ -153,7 +153,7 @@ class ManyDisplays:
 def run_many_displays(
     address: str, count: int, clock_ms: int, keys: ClientKeys | None, parent: Connection
 ) -> None:
-    """Join, say so, and once the parent says for how many seconds, listen and hand over."""
+    """Join and report it; receive for the seconds that the parent sends, and return the timings."""
     displays = ManyDisplays(address, count, clock_ms, keys)
     try:
         displays.join()

@@ -1,4 +1,4 @@
-"""One run: a sensing node, relays where wanted, crowds of displays, and what each of them costs."""
+"""One run: a sensing node, relays, groups of many displays, and the cost of each of them."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -28,8 +28,10 @@ _spawn = get_context("spawn")
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """What is run: displays, how often each asks for the clock (ms; 0 never), relays, a stream,
-    and whether the link has keys.
+    """The parts of a run.
+
+    displays: their number; clock_ms: interval of their clock requests, 0 never; relays: their
+    number; stream: of the sensing node; keys: the link has keys.
     """
 
     displays: int
@@ -41,8 +43,10 @@ class Load:
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """What came of it: one-way delays in ms, frames lost, and CPU in shares of one core: of the
-    sensing node's loop and of its ZeroMQ, of all relays, of all crowds.
+    """Results of a run.
+
+    One-way delays in ms, frames lost, and CPU in shares of one core: of the sensing node's loop and
+    of its ZeroMQ, of all relays, of all displays.
     """
 
     p50_ms: float
@@ -51,16 +55,16 @@ class Figures:
     loop: float
     zeromq: float
     relays: float
-    crowds: float
+    displays: float
 
     @property
     def sensing(self) -> float:
-        """CPU of the sensing node, in shares of one core."""
+        """Return the CPU of the sensing node, in shares of one core."""
         return self.loop + self.zeromq
 
 
 def run(load: Load) -> Figures:
-    """Run it for `SECONDS`. Raises RuntimeError when a display does not get on."""
+    """Run for `SECONDS`. Raises RuntimeError when a display cannot join."""
     addresses = free_addresses(1 + load.relays)
     with ExitStack() as processes:
         server, client = processes.enter_context(made_keys()) if load.keys else (None, None)
@@ -69,44 +73,44 @@ def run(load: Load) -> Figures:
             processes.enter_context(process(relay, addresses[0], address))
             for address in addresses[1:]
         ]
-        crowds, pipes = [], []
-        doors = addresses[1:] or addresses
-        for number, address in enumerate(doors):
-            count = len(range(number, load.displays, len(doors)))
+        displays, pipes = [], []
+        listening = addresses[1:] or addresses
+        for number, address in enumerate(listening):
+            count = len(range(number, load.displays, len(listening)))
             ours, theirs = _spawn.Pipe()
             arguments = address, count, load.clock_ms, client, theirs
-            crowds.append(processes.enter_context(process(run_many_displays, *arguments)))
+            displays.append(processes.enter_context(process(run_many_displays, *arguments)))
             theirs.close()
             pipes.append(ours)
         for pipe in pipes:
             receive(pipe)
         for pipe in pipes:
             pipe.send(SECONDS)
-        groups = [sensing], relays, crowds
+        groups = [sensing], relays, displays
         before, began_s = [cpu_s(group) for group in groups], time.monotonic()
         time.sleep(SECONDS)
         after, passed_s = [cpu_s(group) for group in groups], time.monotonic() - began_s
-        heard: list[DisplayTimings] = [receive(pipe) for pipe in pipes]
+        timings: list[DisplayTimings] = [receive(pipe) for pipe in pipes]
     shares = [
         ((main - main_before) / passed_s, (rest - rest_before) / passed_s)
         for (main, rest), (main_before, rest_before) in zip(after, before, strict=True)
     ]
-    delays_ms = np.concatenate([np.array(one.delays_ns) for one in heard]) * 1e-6
+    delays_ms = np.concatenate([np.array(one.delays_ns) for one in timings]) * 1e-6
     p50_ms, p99_ms = np.quantile(delays_ms, (0.5, 0.99))
     return Figures(
         p50_ms=float(p50_ms),
         p99_ms=float(p99_ms),
-        lost=sum(one.lost for one in heard),
+        lost=sum(one.lost for one in timings),
         loop=shares[0][0],
         zeromq=shares[0][1],
         relays=sum(shares[1]),
-        crowds=sum(shares[2]),
+        displays=sum(shares[2]),
     )
 
 
 @contextmanager
 def made_keys() -> Iterator[tuple[ServerKeys, ClientKeys]]:
-    """Keys of a sensing node and of the crowd that it knows."""
+    """Provide keys of a sensing node and of displays on its allow-list."""
     with TemporaryDirectory(prefix="telepulse-") as folder:
         wrist, finger = (read_pair(new_pair(Path(folder), name)[0]) for name in ("wrist", "finger"))
         allowed = Path(folder) / "allowed"
@@ -123,7 +127,7 @@ def relay(connect: str, bind: str) -> None:
 
 @contextmanager
 def process(target: Callable[..., None], *arguments: Any) -> Iterator[BaseProcess]:
-    """A process that runs `target` until the block ends."""
+    """Run `target` in a process until the block ends."""
     child = _spawn.Process(target=target, args=arguments, daemon=True)
     child.start()
     try:
@@ -134,7 +138,7 @@ def process(target: Callable[..., None], *arguments: Any) -> Iterator[BaseProces
 
 
 def receive(pipe: Connection) -> Any:
-    """What a crowd says. Raises RuntimeError where it cannot."""
+    """Return the message of a group of displays. Raises RuntimeError without one."""
     if not pipe.poll(PATIENCE_S):
         raise RuntimeError("the displays sent no report")
     try:
@@ -144,7 +148,7 @@ def receive(pipe: Connection) -> Any:
 
 
 def cpu_s(group: list[BaseProcess]) -> tuple[float, float]:
-    """User and system time of the processes so far, s: of their main threads, of all others."""
+    """Return the CPU time of processes so far in s: of main threads, of all others."""
     main = rest = 0.0
     for child in group:
         for thread in Path(f"/proc/{child.pid}/task").iterdir():

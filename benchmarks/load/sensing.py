@@ -1,4 +1,4 @@
-"""The sensing node that is loaded: its own code, with a source of so many channels."""
+"""The sensing node under load: its own code, with a source of so many channels."""
 
 from dataclasses import dataclass
 
@@ -15,19 +15,19 @@ from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """What is streamed: 1 kHz, so many samples a frame, so many channels."""
+    """A stream at 1 kHz. batch: samples a frame."""
 
     batch: int = 1
     channels: int = 1
 
     @property
     def frames_hz(self) -> float:
-        """Frames a second."""
+        """Return the frames per second."""
         return 1000 / self.batch
 
 
 class Array:
-    """An array of films that all feel the same pulse."""
+    """An array of films with the same pulse."""
 
     def __init__(self, channels: int) -> None:
         self._pulse = SyntheticSource(SyntheticScene(kind="synthetic"))
@@ -35,7 +35,7 @@ class Array:
         self.channels = tuple(Channel(f"film {number}") for number in range(channels))
 
     def take(self, count: int) -> NDArray[np.float64]:
-        """The next samples, shape (count, channels)."""
+        """Return the next samples, shape (count, channels)."""
         return np.repeat(self._pulse.take(count), len(self.channels), axis=1)
 
 

@@ -1,10 +1,10 @@
-"""One-way latency at 1 kHz on loopback, process to process, of us and what others would pick.
+"""One-way latency at 1 kHz on loopback, process to process, of telepulse and its alternatives.
 
 All peers stamp a message right before they encode it, and its arrival when its value can be used:
-ours when it lies in the jitter buffer, decoded, checked and known to be no copy. "done" is when
-the subscriber has done with it: ours, when the delay estimate has heeded it. "Decoded only" is
-the part of ours that no display can do without. They run in turns, in rounds of alternating
-order. pyzmq comes with msgpack.
+for telepulse when it is in the jitter buffer, decoded, checked and not a duplicate. "done" is when
+the subscriber has finished with it: for telepulse, after the update of the delay estimate. "Decoded
+only" is the part of telepulse that every display needs. Peers run in turns, in rounds of
+alternating order. pyzmq comes with msgpack.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ QUANTILES = (50.0, 99.0)
 
 @dataclass(frozen=True, slots=True)
 class Peer:
-    """A row of the table: its module here, and the packages that it needs."""
+    """A row of the table: its module, and the packages that it needs."""
 
     name: str
     module: str
@@ -31,7 +31,7 @@ class Peer:
 
     @property
     def versions(self) -> str | None:
-        """Of its packages; None when one is not installed."""
+        """Return the versions of its packages; None when one is not installed."""
         try:
             return ", ".join(f"{package} {version(package)}" for package in self.packages)
         except PackageNotFoundError:
@@ -66,7 +66,7 @@ def main() -> None:
 
 
 def run_in_turns(peers: tuple[Peer, ...], rounds: int, messages: int) -> dict[Peer, list[Run]]:
-    """All runs of the peers that are installed, one a round."""
+    """Return all runs of the installed peers, one a round."""
     there = [peer for peer in peers if peer.versions is not None]
     runs: dict[Peer, list[Run]] = {peer: [] for peer in there}
     for number in range(rounds):
@@ -76,7 +76,7 @@ def run_in_turns(peers: tuple[Peer, ...], rounds: int, messages: int) -> dict[Pe
 
 
 def row(peer: Peer, runs: dict[Peer, list[Run]]) -> tuple[str, ...]:
-    """A peer as it stands in the table."""
+    """Return a peer's row."""
     if peer not in runs:
         return peer.name, "not installed"
     mine = runs[peer]
@@ -95,7 +95,7 @@ def row(peer: Peer, runs: dict[Peer, list[Run]]) -> tuple[str, ...]:
 
 
 def ratio(peer: Peer, other: Peer, runs: dict[Peer, list[Run]]) -> float | None:
-    """Median over the rounds of the peer's p50 over the other's; None where one did not run."""
+    """Return the median over rounds of the peer's p50 over the other's; None without runs."""
     if peer not in runs or other not in runs:
         return None
     pairs = zip(runs[peer], runs[other], strict=True)
@@ -103,7 +103,7 @@ def ratio(peer: Peer, other: Peer, runs: dict[Peer, list[Run]]) -> float | None:
 
 
 def verdict(peer: Peer, other: Peer, bar: float, runs: dict[Peer, list[Run]]) -> str:
-    """Whether the peer's p50 is at most `bar` times the other's."""
+    """Return whether the peer's p50 is at most `bar` times the other's, as text."""
     found = ratio(peer, other, runs)
     if found is None:
         return f"{peer.name}: nothing to hold against {other.name}"

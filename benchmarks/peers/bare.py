@@ -1,4 +1,4 @@
-"""pyzmq and msgpack with nothing around them: PUB to SUB, one blocking receive a message."""
+"""pyzmq and msgpack alone: PUB to SUB, one blocking receive a message."""
 
 import time
 from collections.abc import Iterable, Iterator
@@ -12,7 +12,7 @@ from protocol.sockets import Context
 
 
 def publish(wire: Wire, numbers: Iterable[int]) -> None:
-    """Send a message a number."""
+    """Send a message for each number."""
     context: Context = zmq.Context()
     socket = curve.serve(context.socket(zmq.PUB), wire.keys)
     socket.bind(f"tcp://127.0.0.1:{wire.port}")
@@ -22,7 +22,7 @@ def publish(wire: Wire, numbers: Iterable[int]) -> None:
 
 
 def subscribe(wire: Wire) -> Iterator[Arrival]:
-    """Messages as they come."""
+    """Yield messages as they arrive."""
     context: Context = zmq.Context()
     socket = curve.join(context.socket(zmq.SUB), wire.keys)
     socket.subscribe(b"")

@@ -7,12 +7,12 @@ from protocol.sockets import Socket
 
 
 def make_keys() -> Keys:
-    """Keys for a server and the one client that it knows."""
+    """Return keys for a server and its one client."""
     return Keys(*zmq.curve_keypair(), *zmq.curve_keypair())
 
 
 def serve(socket: Socket, keys: Keys | None) -> Socket:
-    """The socket, encrypting as the server; as it is without keys."""
+    """Make the socket encrypt as the server; without keys leave it as it is."""
     if keys is not None:
         socket.setsockopt(zmq.CURVE_SERVER, 1)
         socket.setsockopt(zmq.CURVE_SECRETKEY, keys.server_secret)
@@ -20,7 +20,7 @@ def serve(socket: Socket, keys: Keys | None) -> Socket:
 
 
 def join(socket: Socket, keys: Keys | None) -> Socket:
-    """The socket, encrypting as the client; as it is without keys."""
+    """Make the socket encrypt as the client; without keys leave it as it is."""
     if keys is not None:
         socket.setsockopt(zmq.CURVE_SERVERKEY, keys.server_public)
         socket.setsockopt(zmq.CURVE_PUBLICKEY, keys.client_public)

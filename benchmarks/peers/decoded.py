@@ -1,4 +1,4 @@
-"""The least of telepulse that gives a sample: wait as a display, receive, decode; no session."""
+"""The least of telepulse that yields a sample: wait as a display, receive, decode; no session."""
 
 import time
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ publish = ours.publish
 
 
 def subscribe(wire: Wire) -> Iterator[Arrival]:
-    """Frames as they are decoded."""
+    """Yield frames as they are decoded."""
     context: sockets.Context = zmq.Context()
     data = curve.join(sockets.unconnected(context, zmq.SUB), wire.keys)
     data.connect(ours.data_address(wire))

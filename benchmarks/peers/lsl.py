@@ -7,7 +7,7 @@ from benchmarks.peers.message import Arrival, Wire
 
 RATE_HZ = 1_000
 RESOLVE_S = 20.0
-# Streams are found on this machine alone, and no other program's.
+# Finds streams of this machine only, and none of other programs.
 CONFIG = """
 [ports]
 IPv6 = disable
@@ -22,7 +22,7 @@ level = -2
 
 
 def publish(wire: Wire, numbers: Iterable[int]) -> None:
-    """Send a sample a number; its channels are the number and the time."""
+    """Send a sample for each number; its channels are the number and the time."""
     _configure(wire)
     import pylsl
 
@@ -34,7 +34,7 @@ def publish(wire: Wire, numbers: Iterable[int]) -> None:
 
 
 def subscribe(wire: Wire) -> Iterator[Arrival]:
-    """Messages as they come."""
+    """Yield messages as they arrive."""
     _configure(wire)
     import pylsl
 

@@ -1,4 +1,4 @@
-"""What every peer's publisher sends and its subscriber gives back."""
+"""Interface of every peer's publisher and subscriber."""
 
 import struct
 from typing import NamedTuple
@@ -9,7 +9,7 @@ FIELDS = struct.Struct("<qqf")
 
 
 class Keys(NamedTuple):
-    """CURVE keys of both ends, as `zmq.curve_keypair` gives them."""
+    """CURVE keys of both ends, as `zmq.curve_keypair` returns them."""
 
     server_public: bytes
     server_secret: bytes
@@ -18,14 +18,14 @@ class Keys(NamedTuple):
 
 
 class Wire(NamedTuple):
-    """Where the two processes meet: a port of 127.0.0.1 and the next one; keys if encrypted."""
+    """The address of both processes: a port of 127.0.0.1 and the next one; keys if encrypted."""
 
     port: int
     keys: Keys | None
 
 
 class Arrival(NamedTuple):
-    """A message: its number, when it was about to be encoded, when its value could be used.
+    """A message: its number, the time before encoding, the time when its value could be used.
 
     Both times are of CLOCK_MONOTONIC, which processes of one machine share.
     """

@@ -1,4 +1,4 @@
-"""telepulse: a frame through our own sockets and session until it lies in the jitter buffer."""
+"""telepulse: a frame through its sockets and session until it is in the jitter buffer."""
 
 import time
 from collections.abc import Iterable, Iterator
@@ -20,12 +20,12 @@ SESSION = 1
 PERIOD_NS = 1_000_000
 DESCRIPTION = StreamDescription("peer", PERIOD_NS, 1, (Channel("pulse"),), ElasticLayer())
 LATE_TARGET = 0.01
-# Requests may leave so much later than they are due.
+# Requests may be sent so much later than they are due.
 WAIT_NS = 10_000_000
 
 
 def publish(wire: Wire, numbers: Iterable[int]) -> None:
-    """Answer the display and send a frame a number, whose time is when it is to be encoded."""
+    """Answer the display and send a frame for each number, with the time before encoding."""
     context: sockets.Context = zmq.Context()
     data = curve.serve(sockets.unconnected(context, zmq.PUB), wire.keys)
     control = curve.serve(sockets.unconnected(context, zmq.ROUTER), wire.keys)
@@ -43,18 +43,18 @@ def publish(wire: Wire, numbers: Iterable[int]) -> None:
 
 
 class StampedBuffer(JitterBuffer):
-    """A jitter buffer that says when the last frame was in it, by CLOCK_MONOTONIC."""
+    """A jitter buffer that records when the last frame was in it, by CLOCK_MONOTONIC."""
 
     put_ns = 0
 
     def put(self, frame: Frame) -> None:
-        """Take a frame. Raises WireError."""
+        """Add a frame. Raises WireError."""
         super().put(frame)
         self.put_ns = time.monotonic_ns()
 
 
 def subscribe(wire: Wire) -> Iterator[Arrival]:
-    """Frames as they are in the buffer, by the loop of `DisplayNode` without its ticks."""
+    """Yield frames as they are in the buffer, by the loop of `DisplayNode` without ticks."""
     context: sockets.Context = zmq.Context()
     data = curve.join(sockets.unconnected(context, zmq.SUB), wire.keys)
     control = curve.join(sockets.unconnected(context, zmq.DEALER), wire.keys)
@@ -81,5 +81,5 @@ def subscribe(wire: Wire) -> Iterator[Arrival]:
 
 
 def data_address(wire: Wire) -> str:
-    """Of the sensing node; its control is one port higher."""
+    """Return the address of the sensing node; its control is one port higher."""
     return f"tcp://127.0.0.1:{wire.port}"

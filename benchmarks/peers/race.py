@@ -1,4 +1,4 @@
-"""One run of one peer: a publisher's process, a subscriber's, and what came across."""
+"""One run of one peer: a publisher's process, a subscriber's, and the arrivals."""
 
 import time
 from array import array
@@ -17,17 +17,18 @@ from benchmarks.peers.message import Arrival, Wire
 from telepulse.processes import free_addresses
 
 PERIOD_NS = 1_000_000
-# Connecting, and the first messages of a process, are not what is measured.
+# Connecting, and the first messages of a process, are not measured.
 WARM_UP = 300
 PATIENCE_S = 30.0
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """What a subscriber saw: delays in ns, messages missing and out of order, its CPU time in ns.
+    """Results of a subscriber.
 
-    delays_ns: until a value can be used. done_ns: until its subscriber has done all it does with
-    it. CPU time is of all its threads, from the end of the warm-up to the last message.
+    Delays in ns, messages missing and out of order, its CPU time in ns. delays_ns: until a value
+    can be used. done_ns: until its subscriber has finished with it. CPU time is of all its
+    threads, from the end of the warm-up to the last message.
     """
 
     delays_ns: NDArray[np.int64]
@@ -38,7 +39,7 @@ class Run:
 
 
 def run(module: str, curve: bool, messages: int) -> Run:
-    """Run a peer by its module in this package. Raises RuntimeError when nothing comes across."""
+    """Run a peer by its module in this package. Raises RuntimeError when nothing arrives."""
     address = free_addresses(1)[0]
     wire = Wire(int(address.rpartition(":")[2]), make_keys() if curve else None)
     spawn = get_context("spawn")
@@ -69,7 +70,7 @@ def publish(module: str, wire: Wire) -> None:
 
 
 def paced() -> Iterator[int]:
-    """Numbers, each when it is due."""
+    """Yield numbers, each when it is due."""
     due_ns = time.monotonic_ns()
     for number in count():
         due_ns += PERIOD_NS
@@ -78,12 +79,12 @@ def paced() -> Iterator[int]:
 
 
 def subscribe(module: str, wire: Wire, messages: int, result: Connection) -> None:
-    """Receive the warm-up and then so many messages, and hand the figures over."""
+    """Receive the warm-up and then so many messages, and return the figures."""
     result.send(measure(import_module(f"benchmarks.peers.{module}").subscribe(wire), messages))
 
 
 def measure(arrivals: Iterator[Arrival], messages: int) -> Run:
-    """The figures of `messages` arrivals after the warm-up."""
+    """Return the figures of `messages` arrivals after the warm-up."""
     for _ in range(WARM_UP):
         newest = next(arrivals).sequence
     delays_ns, done_ns, lost, disordered = array("q"), array("q"), 0, 0

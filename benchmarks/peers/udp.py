@@ -1,4 +1,4 @@
-"""Raw UDP: the least that a message between two processes of Python costs."""
+"""Raw UDP: the least cost of a message between two Python processes."""
 
 import time
 from collections.abc import Iterable, Iterator
@@ -8,7 +8,7 @@ from benchmarks.peers.message import FIELDS, VALUE, Arrival, Wire
 
 
 def publish(wire: Wire, numbers: Iterable[int]) -> None:
-    """Send a message a number."""
+    """Send a message for each number."""
     sender = socket(AF_INET, SOCK_DGRAM)
     address = ("127.0.0.1", wire.port)
     for sequence in numbers:
@@ -16,7 +16,7 @@ def publish(wire: Wire, numbers: Iterable[int]) -> None:
 
 
 def subscribe(wire: Wire) -> Iterator[Arrival]:
-    """Messages as they come."""
+    """Yield messages as they arrive."""
     receiver = socket(AF_INET, SOCK_DGRAM)
     receiver.bind(("127.0.0.1", wire.port))
     while True:

@@ -1,4 +1,4 @@
-"""Eclipse Zenoh: two peers on a TCP connection, no message waiting for others to share a batch."""
+"""Eclipse Zenoh: two peers on a TCP connection, without batching."""
 
 import json
 import time
@@ -10,7 +10,7 @@ KEY = "telepulse/force"
 
 
 def publish(wire: Wire, numbers: Iterable[int]) -> None:
-    """Send a message a number."""
+    """Send a message for each number."""
     import zenoh
 
     session = zenoh.open(zenoh.Config.from_json5(_config("listen", wire)))
@@ -20,10 +20,10 @@ def publish(wire: Wire, numbers: Iterable[int]) -> None:
 
 
 def subscribe(wire: Wire) -> Iterator[Arrival]:
-    """Messages as they come."""
+    """Yield messages as they arrive."""
     import zenoh
 
-    # Both end when nothing refers to them.
+    # Both end with their last reference.
     session = zenoh.open(zenoh.Config.from_json5(_config("connect", wire)))
     force = session.declare_subscriber(KEY)
     for sample in force:

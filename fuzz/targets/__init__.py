@@ -1,7 +1,7 @@
-"""What is fuzzed, one file a target.
+"""The targets, one file each.
 
 A target has `seeds()`, small inputs to begin with, most of them valid, and `try_one(data)`, which
-raises what must not be. `MSGPACK = True`: its inputs are msgpack, and are changed as such.
+raises when a property does not hold. `MSGPACK = True`: its inputs are mutated as msgpack.
 """
 
 import pkgutil

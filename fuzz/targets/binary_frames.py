@@ -1,5 +1,7 @@
-"""Frames of a sensor board; the first byte says whether the rest is on the line as it is, or is
-the content of a frame whose CRC and COBS are right.
+"""Frames of a sensor board.
+
+The first byte chooses between raw bytes of the line, and the content of a frame with a valid CRC
+and COBS encoding.
 """
 
 import math
@@ -16,7 +18,7 @@ _HEAD = struct.Struct("<BII")
 
 
 def seeds() -> list[bytes]:
-    """Frames of each format, as they are and as contents; one of what is no number."""
+    """Return frames of each format, raw and as contents; one with NaN."""
     lines, contents = [], []
     for sample_format in FORMATS:
         encoder = FrameEncoder(sample_format)
@@ -30,7 +32,7 @@ def seeds() -> list[bytes]:
 
 
 def try_one(data: bytes) -> None:
-    """Any bytes in pieces of any size, or any contents."""
+    """Decode any bytes in pieces of any size, or any contents."""
     if data:
         line = _framed(data[1:]) if data[0] & 1 else data[1:]
         check_decoder(FrameDecoder(PERIOD_NS), line, 1 + (data[0] >> 1) * 3)

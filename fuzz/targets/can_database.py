@@ -1,4 +1,4 @@
-"""CAN databases: what cantools reads of a file, and what we look for in it."""
+"""CAN databases: cantools' reading of a file, and our look-up in it."""
 
 from contextlib import suppress
 
@@ -19,12 +19,12 @@ _SCENE = validate(_TABLE, CanScene, where="fuzz")
 
 
 def seeds() -> list[bytes]:
-    """A database."""
+    """Return a database."""
     return [DATABASE.encode()]
 
 
 def try_one(data: bytes) -> None:
-    """A file that is no database, or one by which any message can be taken."""
+    """Read a file; either it is refused, or any message can be decoded by it."""
     (_FOLDER / "film.dbc").write_bytes(data)
     with suppress(SourceError):
         decoder = CanDecoder(_SCENE, _FOLDER)

@@ -28,12 +28,12 @@ _TABLE = {
     **{"signal": "Force", "counter": "Count", "rate": "1 kHz", "unit": "N"},
 }
 _DECODER = CanDecoder(validate(_TABLE, CanScene, where="fuzz"), _FOLDER)
-# Time in µs, so that no more than what an interface can say is said; length and flags.
+# Time in µs, within the range of an interface; length and flags.
 _HEAD = struct.Struct("<qB")
 
 
 def seeds() -> list[bytes]:
-    """Messages with each page, and one that is an error."""
+    """Return messages with each page, and one that is an error."""
     numbered = (
         _HEAD.pack(1_000 * n, 8) + struct.pack("<Bf", n == 3, 0.25) + n.to_bytes(3, "little")
         for n in range(6)
@@ -42,7 +42,7 @@ def seeds() -> list[bytes]:
 
 
 def try_one(data: bytes) -> None:
-    """Messages of any content and time."""
+    """Decode messages of any content and time."""
     _DECODER.reset()
     _DECODER.rejected.clear()
     check_fed(_DECODER, _messages(data))

@@ -1,4 +1,4 @@
-"""What a CiA 402 drive may say: its TPDOs, its emergencies, and its answers about its objects."""
+"""Messages of a CiA 402 drive: its TPDOs, emergencies, and answers about objects."""
 
 import struct
 from collections import Counter
@@ -46,7 +46,7 @@ _BUS = _Bus()
 
 
 def _node() -> Cia402Node:
-    # What has been said comes by `hear`, in this thread; none listens beside it.
+    # Messages are delivered by `hear` in this thread, not by a listener.
     with (
         patch.object(cia402_node, "open_bus", lambda _: _BUS),
         patch.object(cia402_node, "SDO_TIMEOUT_S", 1e-4),
@@ -64,7 +64,7 @@ _NODE = _node()
 
 
 def seeds() -> list[bytes]:
-    """Each TPDO, an emergency, and answers that are whole, expedited, segmented or an abort."""
+    """Return each TPDO, an emergency, and answers: expedited, segmented, an abort."""
     said = [
         b"\x00" + struct.pack("<Hi", 0x27, -5) + b"\0\0",
         b"\x01" + struct.pack("<iH", 100, 0) + b"\0\0",
@@ -80,9 +80,9 @@ def seeds() -> list[bytes]:
 
 
 def try_one(data: bytes) -> None:
-    """It is heard or counted; an object is a number or a DriveError.
+    """Receive pieces; each is stored or counted, and an object is a number or a DriveError.
 
-    A piece is a byte, which says what, and up to eight of data.
+    A piece is a byte that chooses its kind, and up to eight of data.
     """
     pieces = [data[start : start + PIECE] for start in range(0, len(data), PIECE)]
     _BUS.answers = [piece[1:] for piece in pieces if piece[0] & 0x80]

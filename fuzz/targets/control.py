@@ -22,7 +22,7 @@ DESCRIPTION = StreamDescription(
 
 
 def seeds() -> list[bytes]:
-    """One message of each kind."""
+    """Return one message of each kind."""
     messages = (
         Hello("display"),
         Welcome(7, 250, DESCRIPTION),
@@ -35,7 +35,7 @@ def seeds() -> list[bytes]:
 
 
 def try_one(data: bytes) -> None:
-    """What is taken comes back from its own encoding, and a layer can be matched."""
+    """Decode a message; if accepted it survives its own encoding, and its layer can be matched."""
     with refusals():
         message = decode_control(data)
         # NaN is not equal to itself, but its text is.

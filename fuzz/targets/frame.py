@@ -9,14 +9,14 @@ MSGPACK = True
 
 
 def seeds() -> list[bytes]:
-    """One frame of each sample format."""
+    """Return one frame of each sample format."""
     values = np.array([[0.5, 0.25], [-1.25, 0.125]])
     frames = [Frame(7, 1000, 1 << 60, 1_000_000, values.astype(f)) for f in ("<f4", "<f8")]
     return [encode_frame(frame) for frame in frames]
 
 
 def try_one(data: bytes) -> None:
-    """What is taken is finite and comes back from its own encoding."""
+    """Decode a frame; if accepted it is finite and survives its own encoding."""
     with refusals():
         frame = decode_frame(data)
         assert np.isfinite(frame.values).all()

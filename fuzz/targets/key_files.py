@@ -1,4 +1,4 @@
-"""Key files and allow-lists, and the questions that ZeroMQ asks about a key."""
+"""Key files and allow-lists, and ZeroMQ's authentication requests."""
 
 from fuzz.refusals import check_line
 from fuzz.scratch import scratch_folder
@@ -17,7 +17,7 @@ _FILE.touch(mode=0o600)
 
 
 def seeds() -> list[bytes]:
-    """A secret key, a public one, a list of two, and a request; its parts end in a line's end."""
+    """Return a secret key, a public one, a list of two, and a request in lines."""
     lines = [f"{kind} wrist {'1' * 64}\n".encode() for kind in (SECRET, PUBLIC)]
     other = f"# them\n\n{PUBLIC} finger {'a' * 64}\n".encode()
     request = [ZAP_VERSION, b"1", ZAP_DOMAIN, b"127.0.0.1", b"", b"CURVE", b"k" * KEY_BYTES]
@@ -25,7 +25,7 @@ def seeds() -> list[bytes]:
 
 
 def try_one(data: bytes) -> None:
-    """Keys of 32 bytes, or a KeyFileError of one line; a request is judged, and answered."""
+    """Read keys: 32 bytes, or a KeyFileError of one line; a request is judged and answered."""
     _FILE.write_bytes(data)
     for read in (_read_pair, _read_public, _read_allowed):
         try:

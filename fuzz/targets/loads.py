@@ -12,7 +12,7 @@ _FILE = scratch_folder() / "loads.csv"
 
 
 def seeds() -> list[bytes]:
-    """Tables with and without a header, units and comments."""
+    """Return tables with and without a header, units and comments."""
     return [
         b"0,0\n1,44\n2,88\n",
         b"# a film\nload (kg), reading_mV\n0.1,44\n\n0.2,88\n",
@@ -21,7 +21,7 @@ def seeds() -> list[bytes]:
 
 
 def try_one(data: bytes) -> None:
-    """A file that cannot be read, or finite numbers."""
+    """Read a file: it is refused, or has finite numbers."""
     _FILE.write_bytes(data)
     with suppress(SourceError):
         loads = read_loads(_FILE, None, None)

@@ -11,13 +11,13 @@ CHUNK = 8
 
 
 def seeds() -> list[bytes]:
-    """Samples on time, and some that are no numbers."""
+    """Return samples on time, and some that are not numbers."""
     values = [0.0, 0.5, float("nan"), 1e31, -0.5] * 4
     return [b"".join(_SAMPLE.pack(value, 1e-3 * n) for n, value in enumerate(values))]
 
 
 def try_one(data: bytes) -> None:
-    """Any values at any times."""
+    """Convert any values at any times."""
     check_fed(LslDecoder(0), _chunks(data))
 
 

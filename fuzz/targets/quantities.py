@@ -1,4 +1,4 @@
-"""Quantities, ratios, links and measures of real time as people write them."""
+"""Quantities, ratios, links and real-time measures as text."""
 
 import math
 from contextlib import suppress
@@ -17,13 +17,13 @@ MEASURES = "fifo=40,lock,cpu=2-3,cpu=0,gc,slack,strict"
 
 
 def seeds() -> list[bytes]:
-    """A quantity of each unit, and links."""
+    """Return a quantity of each unit, and links."""
     quantities = [f"{n}.5e-{n} {unit}" for units in UNITS.values() for n, unit in enumerate(units)]
     return [text.encode() for text in (*quantities, "1 %", *LINKS, MEASURES)]
 
 
 def try_one(data: bytes) -> None:
-    """What is read is finite; a link comes back from its own text."""
+    """Parse a text; the result is finite, and a link survives its own text."""
     text = data.decode("utf-8", "replace")
     for dimension in UNITS:
         with suppress(ValueError):

@@ -1,4 +1,4 @@
-"""Recordings: the first byte says of which kind the file is and how it is read."""
+"""Recordings as sources: the first byte chooses the kind of file and how it is read."""
 
 import io
 from contextlib import suppress
@@ -28,7 +28,7 @@ _SCENES = [
 
 
 def seeds() -> list[bytes]:
-    """Return one file of each kind, read in each way, and what cannot be scaled or sent."""
+    """Return one file of each kind, read in each way, and some that cannot be scaled or sent."""
     table = np.array([[0.1, 1], [0.2, 2], [0.3, 4]], "<f4")
     npy, npz = io.BytesIO(), io.BytesIO()
     np.save(npy, table)
@@ -50,7 +50,7 @@ def seeds() -> list[bytes]:
 
 
 def try_one(data: bytes) -> None:
-    """A file that cannot be read, or samples that a frame can carry."""
+    """Read a file: it is refused, or has samples that a frame can carry."""
     if data:
         scene = _SCENES[data[0] % len(_SCENES)]
         (_FOLDER / scene.path).write_bytes(data[1:])

@@ -1,4 +1,4 @@
-"""Scene files: all sections, and what is built of them without hardware."""
+"""Scene files: all sections, and the objects built from them without hardware."""
 
 from fuzz.refusals import check_line
 from fuzz.scratch import scratch_folder
@@ -10,12 +10,12 @@ _FILE = scratch_folder() / "scene.toml"
 
 
 def seeds() -> list[bytes]:
-    """The scenes that we ship."""
+    """Return the shipped scenes."""
     return [find_scene(name).read_bytes() for name in scene_names()]
 
 
 def try_one(data: bytes) -> None:
-    """A scene, or one line that says what is wrong."""
+    """Load a scene, or refuse it in one line."""
     _FILE.write_bytes(data)
     try:
         load_scene(_FILE)

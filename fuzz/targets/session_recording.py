@@ -1,4 +1,4 @@
-"""Recordings of a session (MCAP): the session that would be played again is looked for."""
+"""Recordings of a session (MCAP): the search for the session to replay."""
 
 import io
 import json
@@ -19,12 +19,12 @@ WELCOME = 1
 
 
 def seeds() -> list[bytes]:
-    """A stream with a frame, in chunks and without."""
+    """Return a stream with a frame, in chunks and without."""
     return [_recording(chunks=chunks) for chunks in (True, False)]
 
 
 def try_one(data: bytes) -> None:
-    """A file that cannot be read, or a session whose frames are all valid."""
+    """Read a file: it is refused, or has a session whose frames are all valid."""
     _FILE.write_bytes(data)
     with suppress(SourceError):
         session = longest_session(_FILE)

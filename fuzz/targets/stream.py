@@ -1,4 +1,4 @@
-"""A display's receiver that hears well-formed lies: pieces of three bytes, what and how far off."""
+"""False but well-formed messages to a receiver: three bytes choose the kind and the error."""
 
 import struct
 
@@ -10,7 +10,7 @@ TIME, FRAME, REPLY, WELCOME, BYE, ANOTHER_TIME = range(6)
 
 
 def seeds() -> list[bytes]:
-    """A stream that is joined, played and ended; one that is lost, reordered and steps."""
+    """Return a stream that is joined, played and ended; one with losses, reordering and steps."""
     joined = [(WELCOME, 1), *[(TIME, 20), (REPLY, 0)] * 6]
     played = [*joined, *[(FRAME, 0), (TIME, 8)] * 20, (BYE, 0), (TIME, 500)]
     hard = [*joined, (FRAME, 0), (FRAME, 8), (FRAME, -16), (TIME, 40), (ANOTHER_TIME, 5)]
@@ -19,7 +19,7 @@ def seeds() -> list[bytes]:
 
 
 def try_one(data: bytes) -> None:
-    """Whatever is said, every sample stays accounted for."""
+    """Send the messages; every sample stays accounted for."""
     play = StreamPlay()
     steps = (
         *(play.pass_time, play.frame, play.clock_reply, play.welcome, play.bye),

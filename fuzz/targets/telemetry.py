@@ -1,4 +1,4 @@
-"""Traces and statuses of a display, what it has heard, and every reader of them."""
+"""Traces, statuses and captured messages of a display, and every reader of them."""
 
 import msgpack
 import numpy as np
@@ -23,7 +23,7 @@ MSGPACK = True
 
 
 def seeds() -> list[bytes]:
-    """A trace, two statuses, and what was heard."""
+    """Return a trace, two statuses, and captured messages."""
     writer = TraceWriter()
     traces = [
         writer.add(TickState(tick, tick, tick, 0.5, 0.4, True)) for tick in range(TRACE_TICKS)
@@ -38,7 +38,7 @@ def seeds() -> list[bytes]:
 
 
 def try_one(data: bytes) -> None:
-    """A trace's columns are of one length; a status can be shown."""
+    """Decode and draw; a trace's columns have one length, and a status can be shown."""
     with refusals():
         trace = read_trace(data)
         assert {np.shape(column) for column in trace} == {np.shape(trace.now_ns)}

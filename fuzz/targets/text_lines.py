@@ -1,4 +1,4 @@
-"""Lines of text from a sensor board; the first byte says how they are read and cut."""
+"""Lines of text from a sensor board; the first byte chooses how they are read and cut."""
 
 from fuzz.packets import check_decoder
 from pulse_sensors.text_lines import TextDecoder, TimeUnit
@@ -8,14 +8,14 @@ UNITS: tuple[TimeUnit | None, ...] = (None, "us", "ms", "s")
 
 
 def seeds() -> list[bytes]:
-    """Lines with and without a time, and as plotters like them."""
+    """Return lines with and without a time, and in the format of plotters."""
     untimed = b"\n0.25\n0.5\r\nforce:1e-3;2\n"
     timed = b"\n1000,0.5\n2000 0.25\n3000\t1\n9000;1\n10000,1\n"
     return [bytes([0]) + untimed, *(bytes([unit, 7]) + timed for unit in (1, 2, 3, 5))]
 
 
 def try_one(data: bytes) -> None:
-    """Any bytes, in pieces of any size."""
+    """Decode any bytes, in pieces of any size."""
     if data:
         how = data[0]
         decoder = TextDecoder(PERIOD_NS, how >> 2 & 3, UNITS[how & 3])

@@ -1,4 +1,4 @@
-"""Answers of a TMCL module to one request after the other, on a serial line."""
+"""Answers of a TMCL module to successive requests, on a serial line."""
 
 from contextlib import suppress
 from unittest.mock import patch
@@ -15,7 +15,7 @@ from telepulse.emulators.tmcl import DATAGRAM, checksum
 
 
 class _Port:
-    """A serial port whose bytes come after a request, whatever that is."""
+    """A serial port that delivers given bytes after any request."""
 
     data = b""
     # Before the request.
@@ -38,14 +38,17 @@ with patch.object(serial, "serial_for_url", lambda *_, **__: _PORT):
 
 
 def seeds() -> list[bytes]:
-    """Replies that succeed, that fail, and to another command; of one the checksum is wrong."""
-    told = ((100, 6, 5), (100, 6, -5), (3, 6, 0), (100, 5, 0), (77, 6, 9))
-    bodies = [DATAGRAM.pack(2, 1, *reply, 0)[:-1] for reply in told]
+    """Return replies that succeed, that fail, to another command, and with a wrong checksum."""
+    replies = ((100, 6, 5), (100, 6, -5), (3, 6, 0), (100, 5, 0), (77, 6, 9))
+    bodies = [DATAGRAM.pack(2, 1, *reply, 0)[:-1] for reply in replies]
     return [body + b"\0" for body in bodies] + [bodies[0] + b"\1"]
 
 
 def try_one(data: bytes) -> None:
-    """A number, or a DriveError. A checksum of 0 is made the right one: it cannot be guessed."""
+    """Read answers: each is a number or a DriveError.
+
+    A checksum of 0 is replaced by the right one, which cannot be guessed.
+    """
     for start in range(0, len(data), DATAGRAM_BYTES):
         reply = data[start : start + DATAGRAM_BYTES]
         if len(reply) == DATAGRAM_BYTES and not reply[-1]:

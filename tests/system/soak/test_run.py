@@ -21,13 +21,13 @@ from soak.network import loopback
 from soak.report import print_verdict, write_verdict
 from soak.run import Run
 from soak.scenario import Scenario
-from soak.schedule import MORTAL, SENSING, Episode, Fault
+from soak.schedule import RESTARTED, SENSING, Episode, Fault
 from soak.verdict import judge_none
 from telepulse.scene import load_scene
 from tests.support.nodes import RADIAL, run
 
 EPISODE = Episode(
-    (Fault("kill sensing", SENSING, 0.0, 0.2), Fault("freeze display", MORTAL, 0.1, 0.3)), 2.0
+    (Fault("kill sensing", SENSING, 0.0, 0.2), Fault("freeze display", RESTARTED, 0.1, 0.3)), 2.0
 )
 
 OPTIONS = ("--realtime", "slack")
@@ -48,14 +48,14 @@ def test_a_soak_finds_every_sample_and_leaves_nothing_behind(tmp_path: Path) -> 
     scene = load_scene(RADIAL)
     with loopback(seed=1) as network:
         keys = Keyring(tmp_path / "keys").make()
-        stage = Scenario(network, RADIAL, folder, longest_s=60.0, keys=keys, options=OPTIONS)
-        under_test = Run(stage, 1, 60.0, scene.display.tick_ns, print)
+        scenario = Scenario(network, RADIAL, folder, longest_s=60.0, keys=keys, options=OPTIONS)
+        under_test = Run(scenario, 1, 60.0, scene.display.tick_ns, print)
         try:
             asyncio.run(under_test.play())
         finally:
-            stage.clear()
+            scenario.clear()
         checks = {check.name: check for check in verdict(under_test, scene.display, 75.0)}
-    addresses = [stage.calm_address, *network.addresses]
+    addresses = [scenario.calm_address, *network.addresses]
     assert left_behind(under_test.namespaces, addresses, str(folder)) == [f"the folder {folder}"]
 
     # What a busy machine cannot change.
@@ -74,9 +74,9 @@ def test_a_soak_finds_every_sample_and_leaves_nothing_behind(tmp_path: Path) -> 
         assert checks[f"force of {role}"].ok
     assert "felt again: freeze display + kill sensing" in checks
     printed = [path.read_text("utf-8") for path in folder.glob("*.err")]
-    assert sum("real-time: slack" in text for text in printed) == len(stage.all_lives)
-    lives = [(life.role, life.ending) for life in stage.all_lives if life.role == "sensing"]
-    assert lives == [("sensing", "killed"), ("sensing", "stopped")]
+    assert sum("real-time: slack" in text for text in printed) == len(scenario.all_nodes)
+    nodes = [(node.role, node.ending) for node in scenario.all_nodes if node.role == "sensing"]
+    assert nodes == [("sensing", "killed"), ("sensing", "stopped")]
 
     text = StringIO()
     failed = judge_none("zombies", ["one"])

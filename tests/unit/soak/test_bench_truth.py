@@ -1,4 +1,4 @@
-"""Claims of a bench, against a motor's record; each check fails a fabricated lie."""
+"""Claims of a bench, against a motor's record; each check fails a fabricated error."""
 
 from dataclasses import replace
 
@@ -51,7 +51,7 @@ def test_a_soak_whose_bench_was_never_felt_is_not_passed() -> None:
 
 
 @pytest.mark.parametrize(
-    ("lie", "checks"),
+    ("error", "checks"),
     [
         (replace(TRUE, claims=[claim(1_000, "withdrawn")]), ["finger", LEFT]),
         (replace(TRUE, claims=[claim(2_000, "not pressed", "playing")]), ["finger"]),
@@ -64,8 +64,8 @@ def test_a_soak_whose_bench_was_never_felt_is_not_passed() -> None:
          ["finger", "ends", LEFT]),
     ],
 )  # fmt: skip
-def test_a_bench_that_lies_fails(lie: Round, checks: list[str]) -> None:
-    assert failed(lie) == checks
+def test_a_bench_that_lies_fails(error: Round, checks: list[str]) -> None:
+    assert failed(error) == checks
 
 
 def test_a_tip_that_comes_back_after_it_was_withdrawn_is_a_lie() -> None:

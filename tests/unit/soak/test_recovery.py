@@ -3,10 +3,10 @@ import pytest
 from soak.faults import Done
 from soak.felt import FeltLog
 from soak.recovery import Played, beside, gaps_s, recoveries
-from soak.schedule import ENDURING, GUEST, MORTAL, Fault
+from soak.schedule import CONTINUOUS, RESTARTED, TEMPORARY, Fault
 
 S = 1_000_000_000
-BOTH = (ENDURING, MORTAL)
+BOTH = (CONTINUOUS, RESTARTED)
 
 
 def log(*spells_s: tuple[float, float]) -> FeltLog:
@@ -20,14 +20,14 @@ def done(kind: str, over_s: float, *displays: str, for_s: float = 2.0) -> Done:
 
 
 FELT = {
-    ENDURING: log((0, 10.1), (13.4, 60)),
-    MORTAL: log((0, 10.1), (12.9, 60)),
-    GUEST: log((30.8, 34.0)),
+    CONTINUOUS: log((0, 10.1), (13.4, 60)),
+    RESTARTED: log((0, 10.1), (12.9, 60)),
+    TEMPORARY: log((30.8, 34.0)),
 }
 
 
 def test_each_display_is_judged_by_what_was_done_to_it() -> None:
-    kill, cut = done("kill sensing", 12.5, *BOTH), done("cut", 13.0, ENDURING)
+    kill, cut = done("kill sensing", 12.5, *BOTH), done("cut", 13.0, CONTINUOUS)
     found = recoveries([Played((kill, cut), 10 * S, 17 * S)], FELT)
     assert found == {
         "cut + kill sensing": [pytest.approx(0.4)],
@@ -36,17 +36,17 @@ def test_each_display_is_judged_by_what_was_done_to_it() -> None:
 
 
 def test_a_guest_joins_and_the_others_must_not_notice() -> None:
-    visit = Played((done("guest", 30.0, GUEST, for_s=4.0),), 29 * S, 40 * S)
-    assert recoveries([visit], FELT) == {"guest": [pytest.approx(0.8)]}
+    visit = Played((done("temporary display", 30.0, TEMPORARY, for_s=4.0),), 29 * S, 40 * S)
+    assert recoveries([visit], FELT) == {"temporary display": [pytest.approx(0.8)]}
     assert beside([visit], FELT) == [0.0, 0.0]
     # It left before it felt anything, which with a fault beside it proves nothing.
-    brief = Played((done("guest", 30.0, GUEST, for_s=0.5),), 29 * S, 40 * S)
-    assert recoveries([brief], FELT) == {"guest": [None]}
-    pair = Played((*brief.done, done("cut", 31.0, MORTAL)), 29 * S, 40 * S)
+    brief = Played((done("temporary display", 30.0, TEMPORARY, for_s=0.5),), 29 * S, 40 * S)
+    assert recoveries([brief], FELT) == {"temporary display": [None]}
+    pair = Played((*brief.done, done("cut", 31.0, RESTARTED)), 29 * S, 40 * S)
     assert recoveries([pair], FELT) == {"cut": [0.0]}
 
 
 def test_a_display_beside_a_fault_is_known_by_its_gaps() -> None:
-    cut = Played((done("cut", 13.0, ENDURING),), 10 * S, 17 * S)
+    cut = Played((done("cut", 13.0, CONTINUOUS),), 10 * S, 17 * S)
     assert beside([cut], FELT) == [pytest.approx(2.8)]
-    assert gaps_s([cut], FELT[ENDURING]) == [pytest.approx(3.3)]
+    assert gaps_s([cut], FELT[CONTINUOUS]) == [pytest.approx(3.3)]

@@ -7,7 +7,7 @@ from soak.schedule import (
     BENCH_WATCHDOG_S,
     ENDING_DECKS,
     KINDS,
-    MORTAL,
+    RESTARTED,
     SENSING_ENDS,
     Episode,
     Fault,
@@ -55,7 +55,7 @@ def test_two_faults_at_once_overlap_and_are_done_to_different_parts() -> None:
 
 def test_only_the_mortal_display_is_ever_killed() -> None:
     ends = [x for x in faults(1, 400) if x.kind in ("kill display", "restart display")]
-    assert {fault.target for fault in ends} == {MORTAL}
+    assert {fault.target for fault in ends} == {RESTARTED}
 
 
 def test_there_is_time_to_be_felt_again_after_every_episode() -> None:

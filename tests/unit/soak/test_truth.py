@@ -1,4 +1,4 @@
-"""Each check of truth passes what is so and fails a fabricated lie."""
+"""Each check of truth passes what is so and fails a fabricated error."""
 
 from dataclasses import replace
 from typing import Any
@@ -69,7 +69,7 @@ def test_statuses_that_are_so_pass() -> None:
 
 
 @pytest.mark.parametrize(
-    ("lie", "check"),
+    ("error", "check"),
     [
         (claim("playing", full=False), "state"),
         (claim("stale", full=True), "state"),
@@ -86,8 +86,8 @@ def test_statuses_that_are_so_pass() -> None:
         (claim(availability=Availability(10.0, 0.1, 0, 0.9, 0, 0, 0, 0, 0.1, 0.9)), "figures"),
     ],
 )
-def test_a_status_that_lies_fails(lie: StatusClaim, check: str) -> None:
-    assert failed(lie) == [check]
+def test_a_status_that_lies_fails(error: StatusClaim, check: str) -> None:
+    assert failed(error) == [check]
 
 
 def test_nan_is_found_in_a_status_wherever_it_is() -> None:
@@ -149,7 +149,7 @@ SILENT = "no telemetry: since 5 s; finger: unknown, before that: pressed with 24
 
 
 @pytest.mark.parametrize(
-    ("text", "at_ms", "seen", "lies"),
+    ("text", "at_ms", "seen", "errors"),
     [
         (shown("playing: "), 10_100, PLAYING, []),
         (shown("stale: ", rate="–", felt="0.0 mN", finger="not pressed"), 10_100, AT_REST, []),
@@ -172,8 +172,8 @@ SILENT = "no telemetry: since 5 s; finger: unknown, before that: pressed with 24
         (shown(f"playing 5.0 s ago: {SILENT}", rate="–", finger=""), 9_900, PLAYING, [AGE]),
     ],
 )  # fmt: skip
-def test_a_line_of_a_terminal(text: str, at_ms: int, seen: TickRecord, lies: list[str]) -> None:
-    assert line(text, at_ms, seen) == lies
+def test_a_line_of_a_terminal(text: str, at_ms: int, seen: TickRecord, errors: list[str]) -> None:
+    assert line(text, at_ms, seen) == errors
 
 
 def test_the_heart_rate_of_an_impostor_is_nobodys() -> None:

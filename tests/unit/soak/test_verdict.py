@@ -5,6 +5,7 @@ import pytest
 
 from soak.accounts import Reckoning
 from soak.felt import FeltLog
+from soak.schedule import TEMPORARY
 from soak.verdict import (
     AGAIN_BAR_S,
     MEMORY_BAR_MB_PER_H,
@@ -127,7 +128,7 @@ def test_force_and_slew_beyond_their_limits_fail(
 
 
 def test_what_nobody_felt_is_not_called_safe() -> None:
-    assert [check.ok for check in judge_safety("guest", FeltLog(1_000_000), 2.5, 50.0)] == [None]
+    assert [check.ok for check in judge_safety(TEMPORARY, FeltLog(1_000_000), 2.5, 50.0)] == [None]
 
 
 def test_a_loop_is_judged_beside_the_calm_one() -> None:
