@@ -150,7 +150,7 @@ def judge_account(role: str, reckonings: Sequence[Reckoning]) -> Check:
     untold = sum(max(0, r.most - r.counted) for r in reckonings if not r.exact)
     text = (
         f"{counted} samples, {exact} of {len(reckonings)} spans exact, {lost} unaccounted,"
-        f" {invented} made up; at most {untold} sent unheard in the others"
+        f" {invented} made up; at most {untold} sent and not received in the others"
     )
     ok = lost == invented == 0 if reckonings else None
     return Check(f"account of {role}", text, "0 and 0", ok)

@@ -29,7 +29,7 @@ def test_a_miss_is_excused_by_as_much_as_the_loop_waited_meanwhile() -> None:
     assert excused([(4, 9, 4)], before, reading(20, 5.0)) == Excused()
 
 
-def test_what_was_waited_at_another_time_excuses_nothing() -> None:
+def test_waiting_at_another_time_excuses_nothing() -> None:
     readings = reading(0, 0.0), reading(20, 9.0), reading(40, 9.0), reading(60, 9.0)
     assert excused([(24, 29, 4)], *readings) == Excused()
     assert excused([(18, 29, 4)], *readings) == Excused(waited=4)
@@ -44,7 +44,7 @@ def test_stolen_time_excuses_what_waiting_does_not() -> None:
     assert excused([(4, 19, 14)], before, reading(20, 3.0, 10, processor=1)) == Excused(3, 0)
 
 
-def test_what_the_loop_waits_all_the_time_excuses_no_miss() -> None:
+def test_usual_waiting_excuses_no_miss() -> None:
     # 3 ms of each 20, and one span with 8 ms.
     waits_ms = (0, 3, 6, 9, 17, 20)
     readings = [reading(20 * number, waited_ms) for number, waited_ms in enumerate(waits_ms)]

@@ -62,12 +62,12 @@ def test_a_soak_finds_every_sample_and_leaves_nothing_behind(tmp_path: Path) -> 
     for name in ("bad ends", "clock steps", "faults latched", "account of calm display"):
         assert checks[name].ok, checks[name]
     # Nothing that was claimed is untrue, and something was claimed of each kind.
-    for role in ("calm display", "enduring", "mortal"):
+    for role in ("calm display", "continuous", "restarted"):
         for claim in ("state", "finger", "figures", "availability"):
             assert checks[f"{claim} of {role}"].ok, checks[f"{claim} of {role}"]
         assert checks[f"terminal of {role}: state and force"].ok is not None
     assert checks["exit statuses and summaries"].ok
-    for role in ("enduring", "mortal"):
+    for role in ("continuous", "restarted"):
         account = checks[f"account of {role}"]
         assert account.ok, account
         assert not account.found.startswith("0 samples")
@@ -89,7 +89,7 @@ def test_a_soak_finds_every_sample_and_leaves_nothing_behind(tmp_path: Path) -> 
     assert table["passed"] is False
     (episode,) = table["episodes"]
     assert [fault["kind"] for fault in episode["faults"]] == ["kill sensing", "freeze display"]
-    assert episode["longest_gap_s"]["mortal"] > 0.2
+    assert episode["longest_gap_s"]["restarted"] > 0.2
     assert len(table["processes"]) == 6
     with pytest.raises(OutputError):
         write_verdict(under_test, [], 1.0, tmp_path / "no" / "soak.json")
@@ -103,7 +103,7 @@ def child() -> Iterator["subprocess.Popen[bytes]"]:
     child.communicate()
 
 
-def test_what_is_left_behind_is_seen(child: "subprocess.Popen[bytes]", tmp_path: Path) -> None:
+def test_leftover_processes_are_found(child: "subprocess.Popen[bytes]", tmp_path: Path) -> None:
     (process,) = left_behind(set(), [], str(tmp_path / "none"))
     assert process.startswith("a process, ")
     child.kill()

@@ -16,28 +16,28 @@ def marks(*rows: tuple[float, str, int]) -> list[Mark]:
     return [Mark(round(at_s * S), state, total) for at_s, state, total in rows]
 
 
-TOLD = marks((5, "playing", 4_900), (10.3, "ended", 10_000), (15, "ended", 10_000))
+REPORTED = marks((5, "playing", 4_900), (10.3, "ended", 10_000), (15, "ended", 10_000))
 
 
-def test_a_session_whose_end_was_told_is_accounted_for_to_the_sample() -> None:
-    (found,) = reckon(TOLD, [FIRST], [])
+def test_a_session_whose_end_was_reported_is_accounted_for_to_the_sample() -> None:
+    (found,) = reckon(REPORTED, [FIRST], [])
     assert (found.counted, found.exact, found.off) == (10_000, True, 0)
 
 
 @pytest.mark.parametrize(("total", "off"), [(9_999, 1), (10_001, -1), (1, 9_999)])
 def test_one_sample_more_or_less_is_noticed(total: int, off: int) -> None:
-    (found,) = reckon([TOLD[0], Mark(11 * S, "ended", total)], [FIRST], [])
+    (found,) = reckon([REPORTED[0], Mark(11 * S, "ended", total)], [FIRST], [])
     assert found.off == off
 
 
 def test_it_may_say_that_it_ended_before_all_was_played() -> None:
-    early = [Mark(10 * S + MS, "ended", 9_950), *TOLD[1:]]
-    (found,) = reckon([TOLD[0], *early], [FIRST], [])
+    early = [Mark(10 * S + MS, "ended", 9_950), *REPORTED[1:]]
+    (found,) = reckon([REPORTED[0], *early], [FIRST], [])
     assert found.off == 0
 
 
 def killed(total: int) -> list[Mark]:
-    return [*TOLD, *marks((29, "playing", 18_900), (31.9, "stale", total), (33, "starting", total))]
+    return [*REPORTED, *marks((29, "playing", 18_900), (31.9, "stale", total), (33, "starting", total))]
 
 
 def test_a_killed_sessions_tail_may_be_missing_and_nothing_before_it() -> None:
@@ -55,7 +55,7 @@ def test_without_a_fault_there_is_no_excuse_for_a_missing_tail() -> None:
     assert open_end.off == 500
 
 
-def test_after_a_killed_session_the_next_told_end_sums_up_both() -> None:
+def test_after_a_killed_session_the_next_reported_end_sums_up_both() -> None:
     rows = [*killed(20_000), *marks((41, "ended", 28_000))]
     _, both = reckon(rows, [FIRST, KILLED, LAST], [KILL])
     assert (both.counted, both.off) == (18_000, 0)

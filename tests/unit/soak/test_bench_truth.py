@@ -41,7 +41,7 @@ def failed(*rounds: Round) -> list[str]:
     ]
 
 
-def test_a_bench_that_claims_what_is_so_passes() -> None:
+def test_right_statements_of_a_bench_pass() -> None:
     assert failed(TRUE) == []
     assert [check.ok for check in judge_bench([TRUE], ["one was not felt"])] == [True] * 4
 
@@ -64,11 +64,11 @@ def test_a_soak_whose_bench_was_never_felt_is_not_passed() -> None:
          ["finger", "ends", LEFT]),
     ],
 )  # fmt: skip
-def test_a_bench_that_lies_fails(error: Round, checks: list[str]) -> None:
+def test_a_wrong_statement_of_a_bench_fails(error: Round, checks: list[str]) -> None:
     assert failed(error) == checks
 
 
-def test_a_tip_that_comes_back_after_it_was_withdrawn_is_a_lie() -> None:
+def test_a_tip_that_comes_back_after_it_was_withdrawn_fails() -> None:
     again_n = FORCES_N.copy()
     again_n[5_000:5_100] = 0.02
     assert failed(replace(TRUE, force_n=again_n)) == ["finger", LEFT]

@@ -23,7 +23,7 @@ def log(*traces: Trace) -> FeltLog:
     return result
 
 
-def test_a_touch_goes_on_over_a_late_trace_and_ends_where_ticks_are_missing() -> None:
+def test_a_spell_continues_over_a_late_trace_and_ends_where_ticks_are_missing() -> None:
     felt = log(
         trace(0, [0.1] * 100),
         trace(120, [0.1] * 100),
@@ -34,7 +34,7 @@ def test_a_touch_goes_on_over_a_late_trace_and_ends_where_ticks_are_missing() ->
     assert felt.ticks == 400
 
 
-def test_slews_are_per_second_across_traces_and_missed_ticks_are_told_apart() -> None:
+def test_slews_are_per_second_across_traces_and_missed_ticks_are_distinguished() -> None:
     felt = log(trace(0, [0.0] * 150), trace(150, [0.02] * 50))
     assert felt.felt_slew_n_per_s == pytest.approx(20.0)
     felt.add(trace(203, [0.5] * 3))
@@ -49,7 +49,7 @@ def test_between_two_processes_there_is_no_slew() -> None:
     assert felt.felt_n == (0.0, 0.5)
 
 
-def test_what_is_no_number_is_counted_and_hides_nothing() -> None:
+def test_nan_is_counted_and_hides_no_force() -> None:
     felt = log(trace(0, [0.1, float("nan"), -0.2, float("inf"), 0.3]))
     assert felt.not_finite == 2
     assert felt.felt_n == (-0.2, 0.3)

@@ -35,7 +35,7 @@ def test_each_display_is_judged_by_what_was_done_to_it() -> None:
     }
 
 
-def test_a_guest_joins_and_the_others_must_not_notice() -> None:
+def test_a_temporary_display_joins_and_the_others_must_not_notice() -> None:
     visit = Played((done("temporary display", 30.0, TEMPORARY, for_s=4.0),), 29 * S, 40 * S)
     assert recoveries([visit], FELT) == {"temporary display": [pytest.approx(0.8)]}
     assert beside([visit], FELT) == [0.0, 0.0]

@@ -53,7 +53,7 @@ def test_two_faults_at_once_overlap_and_are_done_to_different_parts() -> None:
         assert 0 <= second.after_s <= first.for_s
 
 
-def test_only_the_mortal_display_is_ever_killed() -> None:
+def test_only_the_restarted_display_is_ever_killed() -> None:
     ends = [x for x in faults(1, 400) if x.kind in ("kill display", "restart display")]
     assert {fault.target for fault in ends} == {RESTARTED}
 

@@ -51,7 +51,7 @@ def test_a_step_alone_is_no_slope() -> None:
     assert found.low <= 0.0
 
 
-def test_lives_share_a_slope_and_not_a_level() -> None:
+def test_processes_share_a_slope_and_not_a_level() -> None:
     lines = [
         (TIMES_S[:100], 40.0 + 0.02 * TIMES_S[:100] + noise(0.05)[:100]),
         (TIMES_S[150:], 25.0 + 0.02 * TIMES_S[150:] + noise(0.05)[150:]),
@@ -62,12 +62,12 @@ def test_lives_share_a_slope_and_not_a_level() -> None:
     assert found.low < 0.02 < found.high
 
 
-def test_what_never_changes_has_no_slope_and_no_doubt() -> None:
+def test_a_constant_has_slope_zero_without_uncertainty() -> None:
     found = slope([(TIMES_S, np.full(len(TIMES_S), 12.0))])
     assert found is not None
     assert (found.low, found.median, found.high) == (0.0, 0.0, 0.0)
 
 
-def test_a_few_samples_tell_nothing() -> None:
+def test_a_few_samples_have_no_slope() -> None:
     assert slope([]) is None
     assert slope([(TIMES_S[:29], TIMES_S[:29])]) is None

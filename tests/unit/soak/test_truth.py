@@ -50,14 +50,14 @@ def claim(state: str = "playing", at_ms: int = 0, full: bool = True, **changes: 
 
 def verdicts(*claims: StatusClaim) -> dict[str, bool | None]:
     """Return the verdicts on state, finger, figures and availability."""
-    return {x.name.split()[0]: x.ok for x in judge_statuses("mortal", [claims], MS)}
+    return {x.name.split()[0]: x.ok for x in judge_statuses("restarted", [claims], MS)}
 
 
 def failed(*claims: StatusClaim) -> list[str]:
     return [name for name, ok in verdicts(*claims).items() if ok is False]
 
 
-def test_statuses_that_are_so_pass() -> None:
+def test_right_statuses_pass() -> None:
     assert failed(
         claim(),
         claim("stale", full=False),
@@ -86,7 +86,7 @@ def test_statuses_that_are_so_pass() -> None:
         (claim(availability=Availability(10.0, 0.1, 0, 0.9, 0, 0, 0, 0, 0.1, 0.9)), "figures"),
     ],
 )
-def test_a_status_that_lies_fails(error: StatusClaim, check: str) -> None:
+def test_a_wrong_status_fails(error: StatusClaim, check: str) -> None:
     assert failed(error) == [check]
 
 
@@ -128,7 +128,7 @@ def line(text: str, at_ms: int, seen: TickRecord, *impostors: tuple[int, int]) -
     """Names of the checks that a line of a terminal fails."""
     found = read_line(text, at_ms * MS)
     assert found is not None, text
-    checks = judge_lines("mortal", [found], seen, WRIST_PER_MIN, impostors)
+    checks = judge_lines("restarted", [found], seen, WRIST_PER_MIN, impostors)
     return [check.name.partition(": ")[2] for check in checks if check.ok is False]
 
 
@@ -176,7 +176,7 @@ def test_a_line_of_a_terminal(text: str, at_ms: int, seen: TickRecord, errors: l
     assert line(text, at_ms, seen) == errors
 
 
-def test_the_heart_rate_of_an_impostor_is_nobodys() -> None:
+def test_a_heart_rate_is_not_judged_after_an_impostor() -> None:
     text = shown("playing: ", rate="13 /min")
     assert line(text, 10_100, PLAYING, (5 * S, 6 * S)) == []
 
@@ -215,7 +215,7 @@ def test_an_interruption_is_named_once(
     named_ms: list[tuple[int, int]], recorded_ms: list[tuple[int, int]], ok: bool
 ) -> None:
     recorded = [(a * MS, b * MS, b - a) for a, b in recorded_ms]
-    assert judge_events("mortal", [counting(*named_ms)], recorded).ok is ok
+    assert judge_events("restarted", [counting(*named_ms)], recorded).ok is ok
 
 
 @pytest.mark.parametrize(
@@ -233,12 +233,12 @@ def test_a_stall_ends_by_a_ramp(gap: tuple[int, int, bool], lost: int, ok: bool 
     first, *_, last = counting()
     claims = [first, replace(last, ticks=last.ticks - lost)]
     gaps = [(gap[0] * MS, gap[1] * MS, gap[2])]
-    assert judge_stalls("mortal", [claims], gaps, 102 * MS).ok is ok
+    assert judge_stalls("restarted", [claims], gaps, 102 * MS).ok is ok
 
 
 def test_an_interruption_is_not_judged_where_a_trace_did_not_arrive() -> None:
     claims = [replace(each, ticks=each.ticks - 20 * (each.ticks > 900)) for each in counting()]
-    assert judge_events("mortal", [claims], [(250 * MS, 1_000 * MS, 9)]).ok
+    assert judge_events("restarted", [claims], [(250 * MS, 1_000 * MS, 9)]).ok
 
 
 @pytest.mark.parametrize(
@@ -258,7 +258,7 @@ def test_an_exit_status_is_that_of_the_summary(
 ) -> None:
     final = replace(claim(**last), final=True)
     written = summary(faults=faults)
-    assert judge_ends([("mortal", status, written, final)]).ok is ok
+    assert judge_ends([("restarted", status, written, final)]).ok is ok
 
 
 def test_the_record_keeps_interruptions_within_a_process() -> None:

@@ -93,11 +93,11 @@ def test_a_soak_without_a_fault_is_not_passed() -> None:
 def test_one_sample_unaccounted_for_or_made_up_fails() -> None:
     right = Reckoning(counted=1_000, least=1_000, most=1_000)
     open_end = Reckoning(counted=900, least=850, most=1_005)
-    assert judge_account("mortal", [right, open_end]).ok
-    assert "105 sent unheard" in judge_account("mortal", [right, open_end]).found
+    assert judge_account("restarted", [right, open_end]).ok
+    assert "105 sent and not received" in judge_account("restarted", [right, open_end]).found
     for wrong in (replace(right, counted=999), replace(open_end, counted=1_006)):
-        assert judge_account("mortal", [right, wrong]).ok is False
-    assert judge_account("mortal", []).ok is None
+        assert judge_account("restarted", [right, wrong]).ok is False
+    assert judge_account("restarted", []).ok is None
 
 
 def felt(**figures: object) -> FeltLog:
@@ -124,21 +124,21 @@ def felt(**figures: object) -> FeltLog:
 def test_force_and_slew_beyond_their_limits_fail(
     figures: dict[str, object], ok: list[bool]
 ) -> None:
-    assert [check.ok for check in judge_safety("mortal", felt(**figures), 2.5, 50.0)] == ok
+    assert [check.ok for check in judge_safety("restarted", felt(**figures), 2.5, 50.0)] == ok
 
 
-def test_what_nobody_felt_is_not_called_safe() -> None:
+def test_a_force_that_was_not_felt_is_not_judged_safe() -> None:
     assert [check.ok for check in judge_safety(TEMPORARY, FeltLog(1_000_000), 2.5, 50.0)] == [None]
 
 
 def test_a_loop_is_judged_beside_the_calm_one() -> None:
     calm = LoopFigures(ticks=99_000, misses=1_000, tick_p99_us=200.0)
-    as_calm = [check.ok for check in judge_loop("mortal", calm, calm)]
+    as_calm = [check.ok for check in judge_loop("restarted", calm, calm)]
     slow = LoopFigures(ticks=96_000, misses=4_000, tick_p99_us=501.0)
     assert as_calm == [True, True]
-    assert [check.ok for check in judge_loop("mortal", slow, calm)] == [False, False]
+    assert [check.ok for check in judge_loop("restarted", slow, calm)] == [False, False]
     never = LoopFigures(ticks=0, misses=0, tick_p99_us=0.0)
-    assert [check.ok for check in judge_loop("mortal", never, calm)] == [False, False]
+    assert [check.ok for check in judge_loop("restarted", never, calm)] == [False, False]
 
 
 def test_a_busy_host_gives_no_verdict() -> None:
@@ -147,7 +147,7 @@ def test_a_busy_host_gives_no_verdict() -> None:
         assert judge_calm_loop(calm)[0].ok is ok
 
 
-def test_who_stands_beside_a_fault_feels_no_more_of_it_than_the_calm_pair() -> None:
+def test_an_undisturbed_display_has_no_longer_gaps_than_the_calm_pair() -> None:
     for gaps_s, calm_s, ok in (
         ([0.0, 0.1], [0.0], True),
         ([0.0, 0.2], [0.05], False),
@@ -157,6 +157,6 @@ def test_who_stands_beside_a_fault_feels_no_more_of_it_than_the_calm_pair() -> N
         assert judge_untouched(gaps_s, calm_s)[1].ok is ok
 
 
-def test_there_must_be_none_of_what_there_must_be_none_of() -> None:
+def test_an_entry_in_a_list_that_must_be_empty_fails() -> None:
     assert judge_none("zombies", []).ok
     assert judge_none("zombies", ["one"]).ok is False
