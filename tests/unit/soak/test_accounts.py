@@ -37,7 +37,10 @@ def test_it_may_say_that_it_ended_before_all_was_played() -> None:
 
 
 def killed(total: int) -> list[Mark]:
-    return [*REPORTED, *marks((29, "playing", 18_900), (31.9, "stale", total), (33, "starting", total))]
+    return [
+        *REPORTED,
+        *marks((29, "playing", 18_900), (31.9, "stale", total), (33, "starting", total)),
+    ]
 
 
 def test_a_killed_sessions_tail_may_be_missing_and_nothing_before_it() -> None:
