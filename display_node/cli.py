@@ -30,7 +30,6 @@ from protocol.cli_options import (
     VersionOption,
     client_keys,
     hold_measures,
-    level_options,
     one_line_errors,
     plain_console,
     server_keys,
@@ -177,6 +176,8 @@ def display(
         told = provenance.to_bytes()
         # A drive on its way home comes to rest, whatever ends this process.
         interrupt_on_signals()
+        log_options = [] if log_level is None else ["--log-level", log_level]
+        log_options += ["--quiet"] if quiet else []
         with (
             start_metrics(PROGRAM, metrics) as served,
             closing(DisplayNode(section, connect, telemetry, keys, readers, told)) as node,
@@ -185,13 +186,14 @@ def display(
                 node.await_recorder,
                 record,
                 own,
-                level_options(log_level, quiet),
+                log_options,
             ) as recording,
         ):
             freeze_objects()
             # The last: what can fail without the drive has failed before it moves.
             with connected(section, path.parent, without_film) as hardware:
-                served.follow(node.telemetry_address, own)
+                if served is not None:
+                    served.send(address=node.telemetry_address, key=own and str(own))
                 if hardware is not None:
                     node.use(hardware)
                 draw = screen and not quiet

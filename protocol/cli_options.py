@@ -25,6 +25,7 @@ logger = logging.getLogger(__name__)
 
 USAGE_ERROR = 2
 LONGEST_S = 1e9
+ALLOWED = "allowed"
 BENCH_IS_CLEAR = "Is the bench clear of fingers?"
 
 StopAfterOption = Annotated[
@@ -50,8 +51,7 @@ VersionOption = Annotated[
     ),
 ]
 QuietOption = Annotated[
-    bool,
-    typer.Option("--quiet", help="Print no summary; log only warnings and errors."),
+    bool, typer.Option("--quiet", help="Print no summary; log only warnings and errors.")
 ]
 LogLevelOption = Annotated[
     str | None,
@@ -89,12 +89,33 @@ NamedOption = Annotated[
     str | None,
     typer.Option(metavar="NAME", help="Choose this one of several that --discover finds."),
 ]
-
-
-def level_options(log_level: str | None, quiet: bool) -> list[str]:
-    """Return the options with which another program of ours logs as this one does."""
-    level = [] if log_level is None else ["--log-level", log_level]
-    return [*level, *(["--quiet"] if quiet else [])]
+KeyOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE.key", help="This node's secret key; make one by: telepulse keys new NAME."
+    ),
+]
+PeerOption = Annotated[
+    Path | None, typer.Option(metavar="FILE.pub", help="Public key of the node to connect to.")
+]
+AllowOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Public keys that may connect; by default the file 'allowed' beside the key.",
+    ),
+]
+InsecureOption = Annotated[
+    bool, typer.Option("--insecure", help="Allow links beyond this machine without keys.")
+]
+MetricsOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="[ADDRESS:]PORT",
+        help="Serve this node's figures to Prometheus over HTTP, on this machine alone unless an"
+        " address is given; port 0 picks a free one.",
+    ),
+]
 
 
 @contextmanager
@@ -143,29 +164,6 @@ def with_measures(summary: Summary, grant: RealtimeGrant) -> Summary:
     return replace(summary, loop=replace(summary.loop, realtime=list(grant.granted)))
 
 
-ALLOWED = "allowed"
-
-KeyOption = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE.key", help="This node's secret key; make one by: telepulse keys new NAME."
-    ),
-]
-PeerOption = Annotated[
-    Path | None, typer.Option(metavar="FILE.pub", help="Public key of the node to connect to.")
-]
-AllowOption = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Public keys that may connect; by default the file 'allowed' beside the key.",
-    ),
-]
-InsecureOption = Annotated[
-    bool, typer.Option("--insecure", help="Allow links beyond this machine without keys.")
-]
-
-
 def server_keys(
     address: str, key: Path | None, allow: Path | None, insecure: bool
 ) -> ServerKeys | None:
@@ -173,12 +171,11 @@ def server_keys(
 
     Raises ProtectionError where keys are required or the options do not fit; KeyFileError.
     """
+    if key is None and allow is not None:
+        raise ProtectionError(f"--allow {allow} needs this node's own key: --key FILE.key")
+    _check_insecure(key is not None, [address], insecure, "--key keys/NAME.key")
     if key is None:
-        if allow is not None:
-            raise ProtectionError(f"--allow {allow} needs this node's own key: --key FILE.key")
-        _require_keys(address, insecure, "--key keys/NAME.key")
         return None
-    _refuse_insecure(insecure)
     if allow is not None and not allow.exists():
         raise ProtectionError(f"--allow {allow}: there is no such file")
     allowed = allow or key.with_name(ALLOWED)
@@ -196,11 +193,10 @@ def client_keys(
     """
     for address in addresses:
         control_address(address)
-    if key is None and peer is None:
-        for address in addresses:
-            _require_keys(address, insecure, "--key keys/NAME.key --peer keys/PEER.pub")
+    keyed = key is not None or peer is not None
+    _check_insecure(keyed, addresses, insecure, "--key keys/NAME.key --peer keys/PEER.pub")
+    if not keyed:
         return None
-    _refuse_insecure(insecure)
     if key is None:
         raise ProtectionError(f"--peer {peer} needs this node's own key: --key FILE.key")
     if peer is None:
@@ -221,63 +217,34 @@ def telemetry_keys(
     return client_keys([address], key, peer, insecure)
 
 
-def _require_keys(address: str, insecure: bool, options: str) -> None:
-    if beyond_loopback(address) and not insecure:
-        raise ProtectionError(
-            f"{address} reaches beyond this machine without keys; make them by"
-            f" 'telepulse keys new NAME' and give {options}, or do without by --insecure"
-        )
-
-
-def _refuse_insecure(insecure: bool) -> None:
-    if insecure:
+def _check_insecure(keyed: bool, addresses: Sequence[str], insecure: bool, options: str) -> None:
+    """Check that a link is either protected, on this machine, or meant to be neither."""
+    if keyed and insecure:
         raise ProtectionError("--insecure does without keys, and --key is given: choose one")
-
-
-MetricsOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="[ADDRESS:]PORT",
-        help="Serve this node's figures to Prometheus over HTTP, on this machine alone unless an"
-        " address is given; port 0 picks a free one.",
-    ),
-]
-
-
-class MetricsSidecar:
-    """The process that serves a node's figures, if metrics are wanted."""
-
-    def __init__(self, sidecar: Sidecar | None) -> None:
-        """None: nothing is served."""
-        self._sidecar = sidecar
-
-    def __bool__(self) -> bool:
-        return self._sidecar is not None
-
-    def follow(self, telemetry_address: str, key: Path | None = None) -> None:
-        """Serve the telemetry of an address; key: the node's own, where the telemetry needs one."""
-        if self._sidecar is not None:
-            own = None if key is None else str(key)
-            self._sidecar.send(address=telemetry_address, key=own)
+    for address in addresses:
+        if beyond_loopback(address) and not keyed and not insecure:
+            raise ProtectionError(
+                f"{address} reaches beyond this machine without keys; make them by"
+                f" 'telepulse keys new NAME' and give {options}, or do without by --insecure"
+            )
 
 
 @contextmanager
-def start_metrics(program: str, where: str | None) -> Iterator[MetricsSidecar]:
-    """Serve metrics at `where` (None: not at all) within a `with`.
+def start_metrics(program: str, where: str | None) -> Iterator[Sidecar | None]:
+    """Serve metrics at `where` within a `with`, by a process that is yielded; None: not at all.
 
-    Enter it before anything moves. Raises SidecarError where the port is taken, or the library or
-    the package that serves them is missing.
+    Enter it before anything moves, and send the process the `address` of the telemetry to serve,
+    and the node's own `key` (None without). Raises SidecarError where the port is taken, or the
+    library or the package that serves metrics is missing.
     """
     if where is None:
-        yield MetricsSidecar(None)
+        yield None
         return
-    arguments = ("metrics server", sidecar_module("metrics"), program, where)
-    with start_sidecar(*arguments) as sidecar:
-        logger.info(f"metrics on {sidecar.ready_message}")
-        if beyond_loopback(
-            sidecar.ready_message.replace("http", "tcp", 1).removesuffix("/metrics")
-        ):
+    with start_sidecar("metrics server", sidecar_module("metrics"), program, where) as sidecar:
+        url = sidecar.ready_message
+        logger.info(f"metrics on {url}")
+        if beyond_loopback(url.replace("http", "tcp", 1).removesuffix("/metrics")):
             logger.warning(
                 "all who can reach that port can read them: HTTP has neither keys nor encryption"
             )
-        yield MetricsSidecar(sidecar)
+        yield sidecar

@@ -118,7 +118,8 @@ def sense(
                 keys=keys,
                 telemetry_address=TELEMETRY if served else None,
             )
-            served.follow(node.telemetry_address)
+            if served is not None:
+                served.send(address=node.telemetry_address, key=None)
             announce_node()
         stop_on_signals(node.stop)
         logger.info(
