@@ -4,6 +4,7 @@ import logging
 import os
 import stat
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from protocol.errors import KeyFileError
@@ -22,32 +23,23 @@ class AllowList:
     """Allow-list of a running node, read again after each change until that succeeds.
 
     While a changed list cannot be read, no new peer may connect; after 10 s none may stay. The
-    caller cuts the connections of the keys that `poll` returns.
+    caller cuts the connections of the keys that `poll` returns. Raises KeyFileError when the list
+    cannot be used now.
 
-    Parameters
+    Attributes
     ----------
-    path : Path
-        The list's file.
-
-    Raises
-    ------
-    KeyFileError
-        When the list cannot be used now.
+    allowed : mapping
+        Keys that may connect, with their names.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._stamp = _stamp(path)
-        self._allowed = self._read()
-        self._once_allowed = set(self._allowed)
+        self.allowed: Mapping[bytes, PublicKey] = self._read()
+        self._once_allowed = set(self.allowed)
         self._poll_ns = 0
         self._unreadable_since_ns: int | None = None
         self._reason = ""
-
-    @property
-    def allowed(self) -> Mapping[bytes, PublicKey]:
-        """Keys that may connect, with their names."""
-        return self._allowed
 
     @property
     def readable(self) -> bool:
@@ -78,7 +70,12 @@ class AllowList:
         if not self.readable:
             self._unreadable_since_ns, self._reason = None, ""
             logger.info(f"{self._path} is read again")
-        return self._replace(allowed)
+        gone = [public for key, public in self.allowed.items() if key not in allowed]
+        for public in gone:
+            logger.warning(f"{public.name} is allowed no more")
+        self.allowed = allowed
+        self._once_allowed |= allowed.keys()
+        return [public.key for public in gone]
 
     def _fail(self, reason: str, now_ns: int) -> list[bytes]:
         limit_s = UNREADABLE_AT_MOST_NS // 1_000_000_000
@@ -90,18 +87,10 @@ class AllowList:
                 f"{reason}; until it can be read no new peer may connect, and after {limit_s} s"
                 " none may stay"
             )
-        if now_ns - self._unreadable_since_ns < UNREADABLE_AT_MOST_NS or not self._allowed:
+        if now_ns - self._unreadable_since_ns < UNREADABLE_AT_MOST_NS or not self.allowed:
             return []
         logger.warning(f"{self._path} could not be read for {limit_s} s: all peers are cut off")
-        gone, self._allowed = list(self._allowed), {}
-        return gone
-
-    def _replace(self, allowed: dict[bytes, PublicKey]) -> list[bytes]:
-        gone = [key for key in self._allowed if key not in allowed]
-        for key in gone:
-            logger.warning(f"{self._allowed[key].name} is allowed no more")
-        self._allowed = allowed
-        self._once_allowed |= allowed.keys()
+        gone, self.allowed = list(self.allowed), {}
         return gone
 
     def _read(self) -> dict[bytes, PublicKey]:
@@ -121,16 +110,16 @@ def read_allowed(path: Path) -> dict[bytes, PublicKey]:
 
 def allow(path: Path, public: PublicKey) -> None:
     """Add a key. Raises KeyFileError, also when the key or its name is on the list already."""
-    lines = _read(path)
-    for known in (known for _, known in lines if known is not None):
+    lines, name = _read(path), public.name
+    for _, known in lines:
         if known == public:
-            raise KeyFileError(f"{public.name} is allowed already in {path}")
-        if known.name == public.name:
+            raise KeyFileError(f"{name} is allowed already in {path}")
+        if known is not None and known.name == name:
             raise KeyFileError(
-                f"{path} allows another key of the name {public.name}; remove that first:"
-                f" telepulse keys revoke {public.name}"
+                f"{path} allows another key of the name {name}; remove that first:"
+                f" telepulse keys revoke {name}"
             )
-        if known.key == public.key:
+        if known is not None and known.key == public.key:
             raise KeyFileError(f"{path} allows this key already, by the name {known.name}")
     _replace(path, [*(line for line, _ in lines), public.line])
 
@@ -186,10 +175,9 @@ def _replace(path: Path, lines: list[str]) -> None:
         raise KeyFileError(f"{path}: cannot write: {error.strerror}") from None
 
 
-def _stamp(path: Path) -> tuple[int, int, int, int] | None:
-    """Return a value that changes with the file or its mode; None where there is no access."""
-    try:
+def _stamp(path: Path) -> tuple[int, ...]:
+    """Return a value that changes with the file or its mode; empty where there is no access."""
+    with suppress(OSError):
         status = os.stat(path)
-    except OSError:
-        return None
-    return status.st_mtime_ns, status.st_ctime_ns, status.st_size, status.st_ino
+        return status.st_mtime_ns, status.st_ctime_ns, status.st_size, status.st_ino
+    return ()

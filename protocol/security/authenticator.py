@@ -21,7 +21,7 @@ from protocol.host.process import connections_that_fit
 from protocol.security.allow_list import AllowList
 from protocol.security.budgets import ConnectionBudget
 from protocol.security.connection_table import ConnectionTable, network_address
-from protocol.security.keys import KEY_BYTES, ServerKeys
+from protocol.security.keys import KEY_BYTES, PublicKey, ServerKeys
 from protocol.security.socket_monitor import HANDSHAKE, NO_KEY, NOT_AUTHENTIC, REPLAYED
 
 logger = logging.getLogger(__name__)
@@ -30,8 +30,7 @@ ZAP_ENDPOINT = "inproc://zeromq.zap.01"
 ZAP_DOMAIN = b"telepulse"
 ZAP_VERSION = b"1.0"
 # Refused peers that are named in the log, and addresses that are stored of a key.
-MAX_NAMED = 1_000
-MAX_ADDRESSES = 100
+MAX_NAMED, MAX_ADDRESSES = 1_000, 100
 EVERYWHERE = "everywhere"
 # Requests answered in a call, each after a key exchange: some 0.3 ms of a loop.
 MAX_ANSWERS = 16
@@ -85,7 +84,7 @@ class Authenticator:
     context : zmq.Context
         The sockets' context.
     keys : ServerKeys or None
-        This node's key and allow-list; None without keys.
+        This node's key and allow-list, which raises KeyFileError where it cannot be used.
     most : int, optional
         Connections in all; by default as many as this process has files for.
 
@@ -95,18 +94,10 @@ class Authenticator:
         Sockets to wait for, beside the protected ones.
     rejected : Counter
         Refusals by cause.
-
-    Raises
-    ------
-    KeyFileError
-        When the allow-list cannot be used.
     """
 
     def __init__(
-        self,
-        context: sockets.Context,
-        keys: ServerKeys | None,
-        most: int | None = None,
+        self, context: sockets.Context, keys: ServerKeys | None, most: int | None = None
     ) -> None:
         self._context = context
         self.sockets: list[sockets.Socket] = []
@@ -151,7 +142,7 @@ class Authenticator:
         if self._keys is not None:
             self._cut_revoked(now_ns)
             for envelope, empty, *request in sockets.receive_all(self._zap, MAX_ANSWERS):
-                user = self._user_of(self._keys, request)
+                user = self._user_of(self._keys.own.public, request)
                 sockets.send(self._zap, envelope, empty, *encode_zap_reply(request, user))
 
     def _cut_revoked(self, now_ns: int) -> None:
@@ -165,20 +156,17 @@ class Authenticator:
             if not any(table.behind for table in self._tables):
                 self._to_cut.clear()
 
-    def _user_of(self, keys: ServerKeys, parts: list[bytes]) -> str | None:
+    def _user_of(self, own: PublicKey, parts: list[bytes]) -> str | None:
         """Return the name of the peer that may connect; count the refusal of any other."""
         request = decode_zap_request(parts)
         if request is None:
             self._refuse(HANDSHAKE, "")
             return None
         # A peer with the node's own secret key is the node itself.
-        own = keys.own.public
         public = own if request.key == own.key else self._list.allowed.get(request.key)
-        if public is not own and not self._list.readable:
-            self._refuse(LIST_UNREADABLE, request.address, request.key)
-            return None
-        if public is None:
+        if public is None or (public is not own and not self._list.readable):
             cause = REVOKED_KEY if self._list.once_allowed(request.key) else UNKNOWN_KEY
+            cause = cause if self._list.readable else LIST_UNREADABLE
             self._refuse(cause, request.address, request.key)
             return None
         addresses = self._addresses.setdefault(request.key, set())

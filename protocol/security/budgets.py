@@ -150,7 +150,8 @@ class SubscriptionBudget:
                 return
             frame = self._socket.recv(zmq.NOBLOCK, copy=False)
             message = frame.bytes
-            if message[:1] in (b"\0", b"\1") and self._publishes(message[1:]):
+            published = any(topic.startswith(message[1:]) for topic in self._topics)
+            if message[:1] in (b"\0", b"\1") and published:
                 yield message
             else:
                 self._charge(frame, len(message))
@@ -159,9 +160,6 @@ class SubscriptionBudget:
         """Charge the waiting subscriptions, for a caller that does not use them."""
         for _ in self.receive():
             pass
-
-    def _publishes(self, topic: bytes) -> bool:
-        return any(published.startswith(topic) for published in self._topics)
 
     def _charge(self, frame: zmq.Frame, size_bytes: int) -> None:
         try:
@@ -172,10 +170,9 @@ class SubscriptionBudget:
         owner, spent_bytes = self._spent.get(descriptor, (address, 0))
         spent_bytes = size_bytes + (spent_bytes if owner == address else 0)
         self._spent[descriptor] = (address, spent_bytes)
-        if spent_bytes > FOREIGN_BYTES:
-            self._refuse(descriptor, network_address(address))
-
-    def _refuse(self, descriptor: int, address: str) -> None:
+        if spent_bytes <= FOREIGN_BYTES:
+            return
+        address = network_address(address)
         self.rejected[SUBSCRIPTION] += 1
         cut(descriptor, address)
         if address not in self._named and len(self._named) < MAX_NAMED:

@@ -110,6 +110,11 @@ class ConnectionTable:
         """Number of connections that are open and were not cut."""
         return len(self._open) - len(self._cut)
 
+    @property
+    def most_pending(self) -> int:
+        """Upper bound of the number of pending connections, at no cost."""
+        return len(self._pending)
+
     def pending(self) -> list[tuple[int, int, str]]:
         """Return order, descriptor and address of each connection without a ZeroMQ handshake."""
         return [
@@ -117,11 +122,6 @@ class ConnectionTable:
             for descriptor, order in self._pending.items()
             if descriptor in self._open and descriptor not in self._cut
         ]
-
-    @property
-    def most_pending(self) -> int:
-        """Upper bound of the number of pending connections, at no cost."""
-        return len(self._pending)
 
     def newest_from(self, address: str, most: int) -> list[int]:
         """Return the descriptors of up to `most` newest connections from an address."""
@@ -194,15 +194,11 @@ class ConnectionTable:
 
 
 def network_address(address: str) -> str:
-    """Return an IP address as it is, and "" for anything else.
-
-    Over ipc, ZeroMQ gives a user and a process in place of an address.
-    """
-    try:
+    """Return an IP address as it is, and "" for the user and process that ZeroMQ gives over ipc."""
+    with suppress(ValueError):
         ipaddress.ip_address(address)
-    except ValueError:
-        return ""
-    return address
+        return address
+    return ""
 
 
 def cut(descriptor: int, address: str) -> None:

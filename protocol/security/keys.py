@@ -126,8 +126,7 @@ def create(path: Path, text: str, mode: int) -> None:
 
 def read_pair(path: Path) -> KeyPair:
     """Read a secret key file. Raises KeyFileError, also when others may read it."""
-    text, mode = read_text(path)
-    kind, name, key = _parse(path, text)
+    kind, name, key, mode = _read(path)
     if kind == PUBLIC:
         raise KeyFileError(f"{path} is a public key; give the secret one, {name}.key")
     if os.name == "posix" and mode & (stat.S_IRWXG | stat.S_IRWXO):
@@ -137,7 +136,7 @@ def read_pair(path: Path) -> KeyPair:
 
 def read_public(path: Path) -> PublicKey:
     """Read a public key file. Raises KeyFileError."""
-    kind, name, key = _parse(path, read_text(path)[0])
+    kind, name, key, _ = _read(path)
     if kind == SECRET:
         raise KeyFileError(
             f"{path} is a secret key, which never leaves its machine; give the public one,"
@@ -170,12 +169,13 @@ def parse_public(line: str) -> PublicKey:
     return PublicKey(name, key)
 
 
-def _parse(path: Path, text: str) -> tuple[str, str, bytes]:
+def _read(path: Path) -> tuple[str, str, bytes, int]:
+    text, mode = read_text(path)
     lines = text.splitlines()
     try:
         if len(lines) != 1:
             raise ValueError("it is not one line")
-        return _words(lines[0])
+        return *_words(lines[0]), mode
     except ValueError as error:
         raise KeyFileError(f"{path} holds no key: {error}") from None
 

@@ -76,13 +76,6 @@ class HandshakeMonitor:
 
     ZeroMQ itself retries for ever without a report.
 
-    Parameters
-    ----------
-    context : zmq.Context
-        The sockets' context.
-    keys : ClientKeys or None
-        Keys of the connections; None without.
-
     Attributes
     ----------
     rejected : Counter
@@ -144,10 +137,10 @@ class HandshakeMonitor:
             logger.warning(f"{endpoint} {self._reason(cause)}")
 
     def _reason(self, cause: str) -> str:
+        if self._keys is None and cause == NO_KEY:
+            return "requires a key; give --key and --peer"
         if self._keys is None:
-            return {
-                NO_KEY: "requires a key; give --key and --peer",
-            }.get(cause, "is no node, or breaks off as soon as it is connected")
+            return "is no node, or breaks off as soon as it is connected"
         own, peer = self._keys.own.name, self._keys.peer.name
         return {
             REFUSED_KEY: f"does not allow the key of {own}; there: telepulse keys allow {own}.pub",
