@@ -10,7 +10,7 @@ import os
 import re
 import select
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import suppress
 from types import MappingProxyType
 from typing import Protocol, cast
 
@@ -19,17 +19,26 @@ import zmq
 from protocol.errors import AddressError
 from protocol.wire.messages import MAX_FRAME_BYTES
 
-# The kernel probes a silent peer. ZeroMQ's own heartbeats end the whole process when a peer goes
-# that had filled our queue (libzmq 4.3.5, its issues 3937 and 4364).
-KEEPALIVE_S = 2
-KEEPALIVE_PROBES = 4
-# A peer that acknowledges nothing, or has no room, for so long has stopped reading. Longer than a
-# display waits on a silent connection.
-STUCK_MS = 5_000
-RECONNECT_MS = 20
+RECONNECT_MS, LINGER_MS = 20, 500
 HIGH_WATER_FRAMES = 1_000
-LINGER_MS = 500
 MAX_MESSAGES = 200
+_OPTIONS: dict[int, int] = {
+    zmq.LINGER: LINGER_MS,
+    zmq.SNDHWM: HIGH_WATER_FRAMES,
+    zmq.RCVHWM: HIGH_WATER_FRAMES,
+    # The kernel probes a silent peer. ZeroMQ's own heartbeats end the whole process when a peer
+    # goes that had filled our queue (libzmq 4.3.5, its issues 3937 and 4364).
+    zmq.TCP_KEEPALIVE: 1,
+    zmq.TCP_KEEPALIVE_IDLE: 2,
+    zmq.TCP_KEEPALIVE_INTVL: 2,
+    zmq.TCP_KEEPALIVE_CNT: 4,
+    # A peer that acknowledges nothing, or has no room, for so long has stopped reading. Longer than
+    # a display waits on a silent connection.
+    zmq.TCP_MAXRT: 5_000,
+    zmq.RECONNECT_IVL: RECONNECT_MS,
+    # Above the decoders' limit, so that an oversized message is counted, not only cut off.
+    zmq.MAXMSGSIZE: 4 * MAX_FRAME_BYTES,
+}
 # A publisher receives subscriptions only (protocol/security/budgets.py).
 _FOR_SUBSCRIPTIONS: dict[int, int] = {
     # Every subscription is reported: otherwise one peer's topics hide behind another's.
@@ -91,25 +100,16 @@ def bind(
     security: LinkSecurity | None = None,
     limits: Mapping[int, int] = MappingProxyType({}),
 ) -> Socket:
-    """Return a socket of `kind` bound to `address`.
+    """Return a socket of `kind` bound to a tcp:// or ipc:// `address`. Raises AddressError.
 
     Parameters
     ----------
-    context : zmq.Context
-        The socket's context.
     kind : int
         The socket's type; an XPUB socket gets options for `SubscriptionBudget`.
-    address : str
-        tcp:// or ipc:// address.
     security : LinkSecurity, optional
         Authenticates the peers (`Authenticator`).
     limits : mapping, optional
         Socket options for the queue of each peer that replace the default ones.
-
-    Raises
-    ------
-    AddressError
-        When the address cannot be bound.
     """
     socket = _socket_for(context, kind, address)
     if kind == zmq.XPUB:
@@ -118,27 +118,18 @@ def bind(
         socket.setsockopt(option, value)
     if security is not None:
         security.protect(socket)
+    # The file of an ipc address is its user's alone: libzmq 4.3.5 ends the process when it has no
+    # file descriptor for an ipc connection (ipc_listener.cpp), which any other user could cause.
+    mask = os.umask(0o077) if address.startswith("ipc://") else None
     try:
-        with _own_file() if address.startswith("ipc://") else nullcontext():
-            socket.bind(address)
+        socket.bind(address)
     except zmq.ZMQError as error:
         socket.close(0)
         raise AddressError(f"cannot bind {address}: {_reason(error)}") from None
-    return socket
-
-
-@contextmanager
-def _own_file() -> Iterator[None]:
-    """Restrict the file of an ipc address to its user, within a `with`.
-
-    libzmq 4.3.5 ends the process when it has no file descriptor for an ipc connection
-    (ipc_listener.cpp), which any user that may connect could cause.
-    """
-    before = os.umask(0o077)
-    try:
-        yield
     finally:
-        os.umask(before)
+        if mask is not None:
+            os.umask(mask)
+    return socket
 
 
 def connect(
@@ -162,34 +153,17 @@ def unconnected(context: Context, kind: int, security: LinkSecurity | None = Non
     socket = context.socket(kind)
     if security is not None:
         security.protect(socket)
-    socket.setsockopt(zmq.LINGER, LINGER_MS)
-    socket.setsockopt(zmq.SNDHWM, HIGH_WATER_FRAMES)
-    socket.setsockopt(zmq.RCVHWM, HIGH_WATER_FRAMES)
-    socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
-    socket.setsockopt(zmq.TCP_KEEPALIVE_IDLE, KEEPALIVE_S)
-    socket.setsockopt(zmq.TCP_KEEPALIVE_INTVL, KEEPALIVE_S)
-    socket.setsockopt(zmq.TCP_KEEPALIVE_CNT, KEEPALIVE_PROBES)
-    socket.setsockopt(zmq.TCP_MAXRT, STUCK_MS)
-    socket.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
-    # Above the decoders' limit, so that an oversized message is counted, not only cut off.
-    socket.setsockopt(zmq.MAXMSGSIZE, 4 * MAX_FRAME_BYTES)
+    for option, value in _OPTIONS.items():
+        socket.setsockopt(option, value)
     return socket
 
 
 def reconnect(socket: Socket, old: str | None, new: str, answer_ns: int = 0) -> None:
-    """Connect to `new` instead of `old`; the two may be the same.
+    """Connect a socket of `unconnected` to `new` instead of `old` (None at first), or the same.
 
     ZeroMQ reconnects by itself, but not after a peer broke the protocol, for example by a message
-    above the size limit.
-
-    Parameters
-    ----------
-    socket : zmq.Socket
-        A socket of `unconnected`.
-    old, new : str
-        Addresses; `old` is None before the first connection.
-    answer_ns : int
-        Time after which an unanswered request to connect is repeated; 0: as the kernel does.
+    above the size limit. A request to connect that is not answered within `answer_ns` is repeated;
+    0: as the kernel does.
     """
     if old is not None:
         disconnect(socket, old)

@@ -22,7 +22,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.clock.one_way import MAX_SKEW, Floats, OffsetRegression, OneWaySkew, fit_lines
+from protocol.clock.one_way import (
+    MAX_SKEW,
+    Floats,
+    OffsetRegression,
+    OneWaySkew,
+    contradiction,
+    fit_lines,
+)
 
 # Exchanges of a block.
 BLOCK = 16
@@ -72,16 +79,8 @@ _MEMORY = np.dtype(
 class ClockExchange(NamedTuple):
     """The four timestamps of a request and its reply, in ns.
 
-    Attributes
-    ----------
-    t1_ns : int
-        The request leaves, local clock.
-    t2_ns : int
-        The request arrives, remote clock.
-    t3_ns : int
-        The reply leaves, remote clock.
-    t4_ns : int
-        The reply arrives, local clock.
+    The request leaves at t1 (local clock) and arrives at t2 (remote clock); the reply leaves at t3
+    (remote clock) and arrives at t4 (local clock).
     """
 
     t1_ns: int
@@ -130,11 +129,10 @@ def block_offset(
         The block's exchanges.
     origin : ClockExchange
         Times count from its t4, offsets from its offset.
-    skew : float
-        Present estimate of remote over local clock, less 1. It is removed from the delays, so that
-        they can be ordered.
-    skew_error : float
-        Possible error of `skew`. Round trips are lengthened by what it may have shortened them.
+    skew, skew_error : float
+        Present estimate of remote over local clock, less 1, and its possible error. The skew is
+        removed from the delays, so that they can be ordered; round trips are lengthened by what the
+        error may have shortened them.
     """
     count = len(exchanges)
     # Differences of integers first: they are exact as floats, whatever the clocks show.
@@ -247,7 +245,6 @@ class ClockEstimator:
         self.asymmetry_bound_ns = 0
 
     def _contradicts(self, exchange: ClockExchange) -> bool:
-        """Return whether an exchange differs from the estimate by more than both errors."""
         error_ns = abs(exchange.offset_ns - self.offset_ns(exchange.t4_ns))
         allowed_ns = exchange.round_trip_ns // 2 + self.uncertainty_ns(exchange.t4_ns)
         return error_ns > allowed_ns + self.asymmetry_bound_ns + STEP_LEAST_NS
@@ -314,7 +311,9 @@ class ClockEstimator:
         offset_ns = lines.at(since_ns)
         # The scatter of few blocks is itself uncertain.
         error_ns = lines.error_at(since_ns) * (1 + 4 / blocks)
-        bias_ns = _bias_ns(offset_ns, error_ns)
+        # Delays may vary more in one direction than in the other.
+        apart_ns = contradiction(offset_ns, error_ns)
+        bias_ns = apart_ns + UNSEEN_SHARE * apart_ns[-1]
         level = int(np.argmin(error_ns + bias_ns))
         self._level, self._reference_ns = level, now_ns
         self._offset_ns = self._origin.offset_ns + round(float(offset_ns[level]))
@@ -347,17 +346,5 @@ def _with_one_way_skew(lines: OffsetRegression, one_way: OneWaySkew) -> OffsetRe
     beyond = np.maximum(apart - AGREE * np.hypot(lines.skew_error, one_way.error), 0)
     variance = lines.skew_error**2
     share = variance / (variance + (one_way.error + DISAGREE * beyond) ** 2)
-    return lines._replace(
-        skew=lines.skew + share * (one_way.skew - lines.skew),
-        skew_error=lines.skew_error * np.sqrt(1 - share),
-    )
-
-
-def _bias_ns(offset_ns: Floats, error_ns: Floats) -> Floats:
-    """Return the bias of each level where delays vary more in one direction than in the other.
-
-    It shows as a difference from the level of the shortest delays beyond both errors.
-    """
-    apart_ns = np.abs(offset_ns - offset_ns[0]) - 2 * np.hypot(error_ns, error_ns[0])
-    bias_ns: Floats = np.maximum(apart_ns, 0) + UNSEEN_SHARE * max(float(apart_ns[-1]), 0)
-    return bias_ns
+    skew = lines.skew + share * (one_way.skew - lines.skew)
+    return lines._replace(skew=skew, skew_error=lines.skew_error * np.sqrt(1 - share))

@@ -17,18 +17,9 @@ NOISE_POINTS = 4.0
 
 
 class OffsetRegression(NamedTuple):
-    """Lines offset(t) = offset_ns + skew (t - middle_ns); arrays of shape (lines,).
+    """Lines offset(t) = offset_ns + skew (t - middle_ns), with their standard errors.
 
-    Attributes
-    ----------
-    middle_ns : ndarray
-        Weighted mean of the points' times.
-    offset_ns : ndarray
-        Offset there.
-    skew : ndarray
-        Slope.
-    offset_error_ns, skew_error : ndarray
-        Their standard errors.
+    Each array has shape (lines,); middle_ns is the weighted mean of the points' times.
     """
 
     middle_ns: Floats
@@ -59,10 +50,8 @@ def fit_lines(
     ----------
     t_ns : ndarray, shape (points,)
         Times.
-    offset_ns : ndarray, shape (points, lines)
-        Offsets.
-    weight : ndarray, shape (points, lines)
-        Weights; the best points have 1.
+    offset_ns, weight : ndarray, shape (points, lines)
+        Offsets and their weights; the best points have 1.
     noise_ns : ndarray, shape (lines,), or float
         Expected standard deviation of a point of weight 1.
     usual_skew : float
@@ -92,6 +81,12 @@ def fit_lines(
         np.sqrt(variance / total),
         np.sqrt(variance / information),
     )
+
+
+def contradiction(values: Floats, errors: Floats) -> Floats:
+    """Return by how much each value differs from the first beyond two of both standard errors."""
+    apart: Floats = np.abs(values - values[0]) - 2 * np.hypot(errors, errors[0])
+    return np.maximum(apart, 0)
 
 
 BLOCK = 64
@@ -177,15 +172,10 @@ class OneWaySkew:
         weight = 1 / (1 + ((late_ns - short_ns) / (6 * scatter_ns)) ** 2)
         lines = fit_lines(t_ns, lead_ns, weight, scatter_ns, MAX_SKEW)
         error = CORRELATION * lines.skew_error * (1 + 4 / self._known)
-        error += _bias(lines.skew, error)
+        # A contradiction to the shortest delays shows a change of load.
+        error += contradiction(lines.skew, error)
         level = int(np.argmin(error))
         self.skew, self.error = float(lines.skew[level]), float(error[level])
-
-
-def _bias(skew: Floats, error: Floats) -> Floats:
-    """Return each level's contradiction to the shortest delays, which shows a change of load."""
-    bias: Floats = np.maximum(np.abs(skew - skew[0]) - 2 * np.hypot(error, error[0]), 0)
-    return bias
 
 
 BLOCK_NS = 250_000_000
@@ -204,7 +194,11 @@ ROUNDS = 3
 
 
 class DeviceClock:
-    """Estimator of a device's clock. Pure: all times are arguments, in integer ns.
+    """Estimator of a device's clock from its timestamps and their arrivals, in integer ns. Pure.
+
+    The device answers no requests. Its samples arrive late and in batches, never early, so arrival
+    minus device time has a lower edge, and the clock is a line along that edge. The least delay on
+    the way cannot be told from an offset of the clock; it remains in the times that are returned.
 
     Attributes
     ----------
@@ -272,16 +266,12 @@ class DeviceClock:
         self._skew = 0.0
         self._edge.clear()
         self._early = self._late_blocks = 0
-        self._start_block(arrival_ns)
-
-    def _start_block(self, now_ns: int) -> None:
-        self._block_began_ns = now_ns
-        self._least_late_ns = 1 << 63
+        self._block_began_ns, self._least_late_ns = arrival_ns, 1 << 63
 
     def _close_block(self, now_ns: int) -> None:
         device_ns, arrival_ns = self._least
         late_ns = self._least_late_ns
-        self._start_block(now_ns)
+        self._block_began_ns, self._least_late_ns = now_ns, 1 << 63
         self._late_blocks = self._late_blocks + 1 if self.ready and late_ns > LATE_NS else 0
         if self._late_blocks >= LATE_BLOCKS:
             self._step(device_ns, arrival_ns)
