@@ -24,12 +24,15 @@ def integrators(out: FolderOption = Path("out/integrators"), json: TablesOption 
     Takes about half a minute. python-control takes part where it is installed.
     """
     # Imported here: matplotlib and scipy take long to import, and other commands do without.
-    from telepulse.reports.studies.integrator_report import report_integrators
-    from telepulse.reports.studies.integrator_scores import IntegratorEffort, score_integrators
+    from telepulse.reports.studies import integrator_study as study
     from telepulse.reports.studies.sweep import in_one_thread
 
-    effort = IntegratorEffort()
-    publish(lambda: report_integrators(in_one_thread(score_integrators, effort), effort), out, json)
+    effort = study.IntegratorEffort()
+    publish(
+        lambda: study.report_integrators(in_one_thread(study.score_integrators, effort), effort),
+        out,
+        json,
+    )
 
 
 @app.command()
@@ -42,13 +45,10 @@ def playout(
 
     Uses all cores; takes about a minute on two.
     """
-    from telepulse.reports.studies import playout_scores
-    from telepulse.reports.studies.playout_report import CURVES, report_playout
+    from telepulse.reports.studies import playout_study as study
 
-    effort = playout_scores.PlayoutEffort(curves=CURVES)
-    publish(
-        lambda: report_playout(playout_scores.score_playout(effort, scheduler), effort), out, json
-    )
+    effort = study.PlayoutEffort(curves=study.CURVES)
+    publish(lambda: study.report_playout(study.score_playout(effort, scheduler), effort), out, json)
 
 
 @app.command()
@@ -61,12 +61,11 @@ def prediction(
 
     Uses all cores; takes about a minute on two. Recordings take part where heartpy is installed.
     """
-    from telepulse.reports.studies import prediction_scores
-    from telepulse.reports.studies.prediction_report import report_prediction
+    from telepulse.reports.studies import prediction_study as study
 
-    effort = prediction_scores.PredictionEffort()
+    effort = study.PredictionEffort()
     publish(
-        lambda: report_prediction(prediction_scores.score_predictors(effort, scheduler), effort),
+        lambda: study.report_prediction(study.score_predictors(effort, scheduler), effort),
         out,
         json,
     )

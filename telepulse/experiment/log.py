@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
@@ -19,12 +19,6 @@ from protocol.errors import OutputError, TelepulseError
 from telepulse.experiment.interval import PlayedInterval, error_share
 from telepulse.experiment.psychometrics import IntervalErrors, Proportion
 from telepulse.experiment.session import Kind, SessionTable, Trial
-
-# From this rating on, X was close: the paper asked whether it was "close to a direct touch".
-CLOSE = 4
-
-# Keys that may differ between the sessions of one experiment.
-FREE_KEYS = {"title", "trials", "catch", "seed"}
 
 
 class LogError(TelepulseError, ValueError):
@@ -93,13 +87,11 @@ class ResumedSession(_Line):
     provenance: dict[str, Any] = Field(default_factory=dict)
 
 
-_LINE: TypeAdapter[SessionHeader | AnsweredTrial | ResumedSession] = TypeAdapter(
-    SessionHeader | AnsweredTrial | ResumedSession
-)
+LogLine = SessionHeader | AnsweredTrial | ResumedSession
+_LINE: TypeAdapter[LogLine] = TypeAdapter(LogLine)
 
 
-@dataclass(frozen=True, slots=True)
-class SessionLog:
+class SessionLog(NamedTuple):
     """A log that was read. whole_bytes: length up to the end of its last whole line."""
 
     path: Path
@@ -127,24 +119,21 @@ def read_log(path: Path) -> SessionLog:
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror}") from None
     whole_bytes = data.rfind(b"\n") + 1
-    lines = [_parse(path, n, line) for n, line in enumerate(data[:whole_bytes].splitlines(), 1)]
+    lines: list[LogLine] = []
+    for number, line in enumerate(data[:whole_bytes].splitlines(), 1):
+        try:
+            lines.append(_LINE.validate_json(line))
+        except ValidationError:
+            raise LogError(f"{path}: line {number}: not a line of a session's log") from None
     if not lines or not isinstance(lines[0], SessionHeader):
         raise LogError(f"{path}: not a log: its first line is not that of a session")
     header = lines[0]
     answered = tuple(line for line in lines if isinstance(line, AnsweredTrial))
-    if [line.index for line in answered] != list(range(len(answered))) or len(answered) > len(
-        header.trials
-    ):
+    indices = [line.index for line in answered]
+    if indices != list(range(len(header.trials)))[: len(indices)]:
         raise LogError(f"{path}: its trials are not in order; was it edited?")
     session = validate(header.tables.get("session"), SessionTable, where=f"{path}: session:")
     return SessionLog(path, header, session, answered, whole_bytes)
-
-
-def _parse(path: Path, number: int, line: bytes) -> SessionHeader | AnsweredTrial | ResumedSession:
-    try:
-        return _LINE.validate_json(line)
-    except ValidationError:
-        raise LogError(f"{path}: line {number}: not a line of a session's log") from None
 
 
 class SessionLogFile:
@@ -171,7 +160,7 @@ class SessionLogFile:
         """Close the file."""
         self._file.close()
 
-    def write(self, line: SessionHeader | AnsweredTrial | ResumedSession) -> None:
+    def write(self, line: LogLine) -> None:
         """Append a line. Raises OutputError."""
         try:
             self._file.write(line.model_dump_json().encode() + b"\n")
@@ -217,11 +206,8 @@ class TrialOutcome:
 
     def force_mn(self, on_link: bool, field: str) -> float:
         """Return the mean force error of the intervals over the link, or the direct ones, in mN."""
-        values = [
-            getattr(p, field)
-            for p in self.answered.played
-            if p.on_link is on_link and getattr(p, field) is not None
-        ]
+        played = [p for p in self.answered.played if p.on_link is on_link]
+        values = [value for p in played if (value := getattr(p, field)) is not None]
         return 1e3 * float(np.mean(values)) if values else float("nan")
 
 
@@ -265,7 +251,6 @@ def gather(logs: Sequence[SessionLog], with_spoilt: bool = False) -> SessionResu
     with_spoilt: count spoilt trials with the others. They count as well where there are no others.
     """
     first = logs[0]
-    names = [log.path.stem for log in logs]
     for log in logs[1:]:
         mine, theirs = log.session, first.session
         if (mine.kind, mine.conditions) != (theirs.kind, theirs.conditions):
@@ -273,30 +258,26 @@ def gather(logs: Sequence[SessionLog], with_spoilt: bool = False) -> SessionResu
         if what := _difference(log, first):
             raise LogError(f"{log.path}: {what}; report them apart")
     found = tuple(
-        TrialOutcome(name, log.header.trials[answered.index], answered)
-        for name, log in zip(names, logs, strict=True)
+        TrialOutcome(log.path.stem, log.header.trials[answered.index], answered)
+        for log in logs
         for answered in log.answered
     )
-    spoilt = tuple(outcome for outcome in found if outcome.spoilt)
+    if all(o.trial.condition is None for o in found):
+        raise LogError(f"{first.path}: no trial of a condition is answered yet")
     clean = tuple(outcome for outcome in found if not outcome.spoilt)
     # Without a clean trial, the spoilt ones are reported, as spoilt.
-    pooled = with_spoilt or not any(o.trial.condition is not None for o in clean)
-    outcomes = found if pooled else clean
-    if not any(o.trial.condition is not None for o in outcomes):
-        raise LogError(f"{first.path}: no trial of a condition is answered yet")
+    pooled = with_spoilt or all(o.trial.condition is None for o in clean)
     return SessionResults(
         kind=first.session.kind,
         title=first.session.title or first.path.stem,
         conditions=tuple(condition.name for condition in first.session.conditions),
-        subjects=tuple(dict.fromkeys(names)),
-        outcomes=outcomes,
+        subjects=tuple(dict.fromkeys(log.path.stem for log in logs)),
+        outcomes=found if pooled else clean,
         trials=sum(len(log.header.trials) for log in logs),
-        spoilt=spoilt,
+        spoilt=tuple(outcome for outcome in found if outcome.spoilt),
         pooled=pooled,
         who=first.header.subject,
-        thresholds=tuple(
-            sorted({log.header.threshold for log in logs if log.header.threshold is not None})
-        ),
+        thresholds=tuple(sorted({t for log in logs if (t := log.header.threshold) is not None})),
         versions=tuple(sorted({log.version for log in logs})),
     )
 
@@ -307,8 +288,10 @@ def _difference(log: SessionLog, first: SessionLog) -> str:
         return f"answered by {log.header.subject}, {first.path} by {first.header.subject}"
     if log.header.tables.get("scene") != first.header.tables.get("scene"):
         return f"another scene than in {first.path}"
-    mine, theirs = (each.session.model_dump() for each in (log, first))
-    differing = [key for key in mine if key not in FREE_KEYS and mine[key] != theirs[key]]
+    # These keys may differ between the sessions of one experiment.
+    free = {"title", "trials", "catch", "seed"}
+    mine, theirs = (each.session.model_dump(exclude=free) for each in (log, first))
+    differing = [key for key in mine if mine[key] != theirs[key]]
     return f"another {', '.join(differing)} than in {first.path}" if differing else ""
 
 
@@ -320,5 +303,6 @@ def share_correct(outcomes: Iterable[TrialOutcome]) -> Proportion:
 
 def share_close(outcomes: Iterable[TrialOutcome]) -> Proportion:
     """Return the proportion rated close to a direct touch, or the same."""
-    hits = [o.rating >= CLOSE for o in outcomes]
+    # The paper asked whether it was "close to a direct touch", which is the rating of 4.
+    hits = [o.rating >= 4 for o in outcomes]
     return Proportion(sum(hits), len(hits))

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,7 +11,17 @@ from telepulse.experiment.psychometrics import CHANCE, PAPER, Threshold, mean_of
 from telepulse.reports.document import Plot
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+Groups = Sequence[tuple[str, list[TrialOutcome]]]
+GUESSING: dict[str, Any] = {"color": "C1", "linestyle": "--", "linewidth": 1.2}
+
+
+def _name_rows(axes: "Axes", names: Sequence[str], margin: float = 0.5) -> None:
+    axes.set_yticks(range(len(names)), names)
+    axes.set_ylim(len(names) - margin, margin - 1)
+    axes.grid(axis="y", visible=False)
 
 
 def shares(results: SessionResults) -> Plot:
@@ -20,21 +30,16 @@ def shares(results: SessionResults) -> Plot:
     def draw(figure: "Figure") -> None:
         axes = figure.add_subplot()
         groups = [(name, share_correct(found)) for name, found in results.by_condition()]
-        groups += [
-            ("all of them", share_correct(results.tested)),
-            ("the paper's\nsix subjects", PAPER),
-        ]
+        groups.append(("all of them", share_correct(results.tested)))
+        groups.append(("the paper's\nsix subjects", PAPER))
         for row, (_, found) in enumerate(groups):
             low, high = found.interval
             off = [[100 * (found.share - low)], [100 * (high - found.share)]]
             colour, mark = ("C2", "s") if found is PAPER else ("C0", "o")
             axes.errorbar(100 * found.share, row, xerr=off, fmt=mark, color=colour, capsize=4)
-        axes.set_yticks(range(len(groups)), [name for name, _ in groups])
-        axes.set_ylim(len(groups) - 0.5, -0.5)
-        axes.grid(axis="y", visible=False)
-        axes.axvline(100 * CHANCE, color="C1", linestyle="--", linewidth=1.2)
-        axes.set_xlabel("% right, with the exact 95 % interval; dashed: guessing")
-        axes.set_xlim(0, 102)
+        _name_rows(axes, [name for name, _ in groups])
+        axes.axvline(100 * CHANCE, **GUESSING)
+        axes.set(xlabel="% right, with the exact 95 % interval; dashed: guessing", xlim=(0, 102))
 
     return Plot(
         "experiment-shares",
@@ -55,23 +60,16 @@ def psychometric(results: SessionResults, threshold: Threshold | None) -> Plot:
             share, found = float(np.nanmean(apart)), share_correct(outcomes)
             low, high = found.interval
             largest = max(largest, share)
-            axes.errorbar(
-                100 * share,
-                100 * found.share,
-                yerr=[[100 * (found.share - low)], [100 * (high - found.share)]],
-                fmt="o",
-                capsize=4,
-                label=name,
-            )
+            off = [[100 * (found.share - low)], [100 * (high - found.share)]]
+            axes.errorbar(100 * share, 100 * found.share, yerr=off, fmt="o", capsize=4, label=name)
         if threshold is not None and threshold.low > 0 and math.isfinite(threshold.high):
             at = np.linspace(0, 1.15 * largest, 200)
             curve = [100 * proportion_correct(x / threshold.value) for x in at]
             axes.plot(100 * at, curve, color="C4", label="fitted observer", zorder=0)
-        axes.axhline(100 * CHANCE, color="C1", linestyle="--", linewidth=1.2)
-        axes.set_ylim(0, 104)
+        axes.axhline(100 * CHANCE, **GUESSING)
+        axes.set(ylim=(0, 104), ylabel="% right")
         axes.set_xlim(left=-2 * largest)
         axes.set_xlabel("difference of the aligned force error, % of the pulse from peak to peak")
-        axes.set_ylabel("% right")
         figure.legend(loc="outside lower center", ncols=3, fontsize="small")
 
     return Plot(
@@ -82,7 +80,7 @@ def psychometric(results: SessionResults, threshold: Threshold | None) -> Plot:
     )
 
 
-def ratings(results: SessionResults, groups: Sequence[tuple[str, list[TrialOutcome]]]) -> Plot:
+def ratings(groups: Groups) -> Plot:
     """Plot every rating by condition, and their means."""
 
     def draw(figure: "Figure") -> None:
@@ -97,11 +95,9 @@ def ratings(results: SessionResults, groups: Sequence[tuple[str, list[TrialOutco
             off = [[mean.value - mean.low], [mean.high - mean.value]]
             axes.errorbar(mean.value, row, xerr=off, fmt="D", color="C1", capsize=4)
         names = [f"{name}\n{100 * share_close(found).share:.0f} % close" for name, found in groups]
-        axes.set_yticks(range(len(groups)), names)
-        axes.set_ylim(len(groups) - 0.4, -0.6)
+        _name_rows(axes, names, 0.4)
         axes.set_xlim(0.6, 5.4)
         axes.set_xticks(range(1, 6), ["1 nothing\nlike it", "2", "3", "4 close", "5 the same"])
-        axes.grid(axis="y", visible=False)
 
     return Plot(
         "experiment-ratings",
@@ -131,7 +127,7 @@ def course(results: SessionResults) -> Plot:
                 times = [(o.answered.index + 1, o.answered.response_s or np.nan) for o in mine]
                 panels[1].plot(*zip(*times, strict=True), "o", markersize=4)
         if results.kind == "abx":
-            above.axhline(100 * CHANCE, color="C1", linestyle="--", linewidth=1.2)
+            above.axhline(100 * CHANCE, **GUESSING)
             above.set_ylim(0, 104)
         above.set_ylabel("% right so far" if results.kind == "abx" else "rating")
         if timed:
@@ -156,20 +152,16 @@ def errors(results: SessionResults) -> Plot:
     def draw(figure: "Figure") -> None:
         axes = figure.add_subplot()
         spread = np.random.default_rng(0)
-        groups = list(results.by_condition())
-        for row, (_, outcomes) in enumerate(groups):
-            for on_link, colour, mark in ((False, "C0", "o"), (True, "C1", "^")):
+        ways = ((False, "direct", "C0", "o"), (True, "over the link", "C1", "^"))
+        for row, (_, outcomes) in enumerate(results.by_condition()):
+            for on_link, what, colour, mark in ways:
                 played = [p for o in outcomes for p in o.answered.played if p.on_link is on_link]
                 milli = [1e3 * p.aligned_n for p in played if p.aligned_n is not None]
                 at = row + (0.15 if on_link else -0.15) + spread.uniform(-0.08, 0.08, len(milli))
-                what = "over the link" if on_link else "direct"
                 label = None if row else what
                 axes.plot(milli, at, mark, color=colour, markersize=5, alpha=0.7, label=label)
-        axes.set_yticks(range(len(groups)), [name for name, _ in groups])
-        axes.set_ylim(len(groups) - 0.5, -0.5)
-        axes.set_xscale("log")
-        axes.set_xlabel("aligned force RMSE of an interval (mN)")
-        axes.grid(axis="y", visible=False)
+        _name_rows(axes, [name for name, _ in results.by_condition()])
+        axes.set(xscale="log", xlabel="aligned force RMSE of an interval (mN)")
         figure.legend(loc="outside lower center", ncols=2, fontsize="small")
 
     return Plot("experiment-errors", "Aligned force error of every interval that was felt.", draw)

@@ -7,7 +7,6 @@ strategy of Macmillan and Creelman, *Detection Theory*, ch. 9. At the threshold 
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from random import Random
 from typing import NamedTuple
 
@@ -22,21 +21,15 @@ from telepulse.reports.document import Chapter, Report, Table
 CHANCE = 0.5
 LEVEL = 0.05
 MOST_TRIALS = 5_000
-RESAMPLED = 10_000
 Floats = NDArray[np.float64]
 MAX_D_PRIME = 20.0
 THRESHOLD_STEPS = 4_000
 THRESHOLD_DECADES = 3
 # Half of the 95 % point of chi square with one degree of freedom.
 LOG_LIKELIHOOD_DROP = 1.920729
-BEST_RATING = 5
-SHARES = (0.55, 0.6, 2 / 3, 0.75, 0.8, 0.9, 0.95)
-COUNTS = (6, 10, 16, 20, 32, 50, 100)
-POWERS = (0.8, 0.9)
 
 
-@dataclass(frozen=True, slots=True)
-class Proportion:
+class Proportion(NamedTuple):
     """A number of hits in a number of trials."""
 
     hits: int
@@ -63,8 +56,7 @@ PAPER = Proportion(4, 6)
 """The paper's section 5.4: 66 % of six subjects felt it close to a direct touch."""
 
 
-@dataclass(frozen=True, slots=True)
-class Mean:
+class Mean(NamedTuple):
     """A mean, and the 95 % percentile interval of its bootstrap."""
 
     value: float
@@ -74,7 +66,7 @@ class Mean:
 
 def mean_of(values: Sequence[float]) -> Mean:
     """Return the mean of one value or more; the same values give the same interval."""
-    drawn = np.random.default_rng(0).choice(np.asarray(values), (RESAMPLED, len(values)))
+    drawn = np.random.default_rng(0).choice(np.asarray(values), (10_000, len(values)))
     low, high = np.quantile(drawn.mean(axis=1), (LEVEL / 2, 1 - LEVEL / 2))
     return Mean(float(np.mean(values)), float(low), float(high))
 
@@ -131,8 +123,7 @@ def d_prime(share: float) -> float:
     return float(brentq(lambda d: proportion_correct(d) - share, 0.0, MAX_D_PRIME))
 
 
-@dataclass(frozen=True, slots=True)
-class Threshold:
+class Threshold(NamedTuple):
     """The error at which d' is 1, with its 95 % profile likelihood interval.
 
     low and high are 0 and infinity where the answers set no bound.
@@ -181,15 +172,10 @@ class SimulatedObserver:
 
     def rate(self, reference: float, x: float) -> int:
         """Return the rating of X: 5 within one threshold of the reference, 4 within two, to 1."""
-        return max(1, BEST_RATING - int(abs(self._feel(x) - self._feel(reference))))
+        return max(1, 5 - int(abs(self._feel(x) - self._feel(reference))))
 
     def _feel(self, error: float) -> float:
         return error / self._threshold + self._random.gauss(0, 1)
-
-
-def build_plan() -> Report:
-    """Return the tables of trials and power, from exact binomial sums."""
-    return Report("How many trials", (Chapter("Trials", (), (_needed(), _counts())),))
 
 
 def percent(share: float) -> str:
@@ -197,39 +183,42 @@ def percent(share: float) -> str:
     return f"{100 * share:.3g} %"
 
 
-def _needed() -> Table:
-    rows = tuple(
-        (
-            percent(share),
-            f"{d_prime(share):.2f}",
-            *(_or_more(trials_needed(share, wanted)) for wanted in POWERS),
-        )
-        for share in SHARES
-    )
-    return Table(
-        "Trials that a subject needs to pass for more than guessing, p ≤ 5 %",
-        ("right", "d'", "4 times of 5", "9 times of 10"),
-        rows,
-        "ABX, one-sided exact binomial test; with more trials the power is never lower.",
-    )
+def build_plan() -> Report:
+    """Return the tables of trials and power, from exact binomial sums."""
 
+    def needed(share: float, wanted_power: float) -> str:
+        trials = trials_needed(share, wanted_power)
+        return "more than 5000" if trials is None else str(trials)
 
-def _or_more(trials: int | None) -> str:
-    return "more than 5000" if trials is None else str(trials)
-
-
-def _counts() -> Table:
-    rows = tuple(
-        (
-            str(trials),
-            f"{hits_needed(trials)}" if hits_needed(trials) <= trials else "none",
-            *(percent(power(trials, share)) for share in (PAPER.share, 0.75, 0.9)),
-        )
-        for trials in COUNTS
+    shares = [
+        {
+            "right": percent(share),
+            "d'": f"{d_prime(share):.2f}",
+            "4 times of 5": needed(share, 0.8),
+            "9 times of 10": needed(share, 0.9),
+        }
+        for share in (0.55, 0.6, 2 / 3, 0.75, 0.8, 0.9, 0.95)
+    ]
+    counts = [
+        {
+            "trials": str(trials),
+            "right for p ≤ 5 %": str(hits) if (hits := hits_needed(trials)) <= trials else "none",
+            "passes at 2/3": percent(power(trials, PAPER.share)),
+            "at 3/4": percent(power(trials, 0.75)),
+            "at 9/10": percent(power(trials, 0.9)),
+        }
+        for trials in (6, 10, 16, 20, 32, 50, 100)
+    ]
+    tables = (
+        Table.of(
+            "Trials that a subject needs to pass for more than guessing, p ≤ 5 %",
+            shares,
+            "ABX, one-sided exact binomial test; with more trials the power is never lower.",
+        ),
+        Table.of(
+            "What a number of trials can show",
+            counts,
+            "Probability of passing with a true share of right answers. The paper had six.",
+        ),
     )
-    return Table(
-        "What a number of trials can show",
-        ("trials", "right for p ≤ 5 %", "passes at 2/3", "at 3/4", "at 9/10"),
-        rows,
-        "Probability of passing with a true share of right answers. The paper had six.",
-    )
+    return Report("How many trials", (Chapter("Trials", tables=tables),))

@@ -31,7 +31,7 @@ from telepulse.experiment.psychometrics import (
 from telepulse.reports.document import Chapter, Report, Table, provenance_table
 
 NONE = "–"
-POOLED, DIRECT = "all of them", "no link (catch)"
+DIRECT = "no link (catch)"
 
 
 def build_report(logs: Sequence[SessionLog], with_spoilt: bool = False) -> Report:
@@ -42,30 +42,25 @@ def build_report(logs: Sequence[SessionLog], with_spoilt: bool = False) -> Repor
     results = gather(logs, with_spoilt)
     answers = _abx_chapter(results) if results.kind == "abx" else _rating_chapter(results)
     labels, (first, *others) = _labels(results), answers.tables
+    if results.spoilt:
+        spoilt = [
+            (o.subject, str(o.answered.index + 1), o.trial.condition or DIRECT, o.spoilt)
+            for o in results.spoilt
+        ]
+        others.append(Table("Spoilt trials", ("subject", "trial", "condition", "why"), spoilt))
     # A terminal shows tables alone: the labels stand under the first one as well.
     first = replace(first, note=" ".join([*labels, first.note]))
-    answers = replace(
-        answers,
-        paragraphs=(*labels, *answers.paragraphs),
-        tables=(first, *others, *_spoilt_table(results)),
-    )
-    return Report(
-        f"Experiment: {results.title}",
-        (
-            answers,
-            _course_chapter(results),
-            _errors_chapter(results),
-            _paper_chapter(),
-            *_provenance(logs),
-        ),
-    )
-
-
-def _provenance(logs: Sequence[SessionLog]) -> list[Chapter]:
-    """Return what produced each session, where its log has it."""
-    made = [(log.path.stem, log.header.provenance) for log in logs if log.header.provenance]
-    tables = tuple(provenance_table(name, provenance) for name, provenance in made)
-    return [Chapter("Provenance of the sessions", tables=tables)] if tables else []
+    paragraphs = (*labels, *answers.paragraphs)
+    answers = replace(answers, paragraphs=paragraphs, tables=(first, *others))
+    # What produced each session, where its log has it.
+    made = [
+        provenance_table(log.path.stem, log.header.provenance)
+        for log in logs
+        if log.header.provenance
+    ]
+    provenance = [Chapter("Provenance of the sessions", tables=made)] if made else []
+    chapters = (answers, _course_chapter(results), _errors_chapter(results), _paper_chapter())
+    return Report(f"Experiment: {results.title}", (*chapters, *provenance))
 
 
 def _labels(results: SessionResults) -> list[str]:
@@ -102,39 +97,35 @@ def _labels(results: SessionResults) -> list[str]:
     return labels
 
 
-def _spoilt_table(results: SessionResults) -> list[Table]:
-    if not results.spoilt:
-        return []
-    rows = tuple(
-        (o.subject, str(o.answered.index + 1), o.trial.condition or DIRECT, o.spoilt)
-        for o in results.spoilt
-    )
-    return [Table("Spoilt trials", ("subject", "trial", "condition", "why"), rows)]
-
-
 def threshold_of(outcomes: Sequence[TrialOutcome]) -> Threshold | None:
     """Return the maximum likelihood threshold of ABX answers, as a share of the pulse."""
-    return fit_threshold(
-        [
-            (o.errors, o.answered.answer == "A")
-            for o in outcomes
-            if not any(map(math.isnan, o.errors))
-        ]
-    )
+    felt = [o for o in outcomes if not any(map(math.isnan, o.errors))]
+    return fit_threshold([(o.errors, o.answered.answer == "A") for o in felt])
 
 
 def _abx_chapter(results: SessionResults) -> Chapter:
     tables = [_right_table(results), _threshold_table(results)]
-    if results.of(None):
-        tables.append(_catch_table(results))
     if len(results.subjects) > 1:
         tables.insert(1, _subject_table(results))
-    return Chapter(
-        "Right answers",
-        (_answered(results), _abx_words(share_correct(results.tested))),
-        tuple(tables),
-        (plots.shares(results), plots.psychometric(results, threshold_of(results.outcomes))),
+    if catch := results.of(None):
+        called_a = _cells(Proportion(sum(o.answered.answer == "A" for o in catch), len(catch)))
+        tables.append(
+            Table(
+                "Catch trials: A, B and X without a link",
+                ("answer", "trials", "share", "95 %"),
+                [("X called A", *called_a[:3])],
+                "There is no right answer; far from a half, the subject prefers a key.",
+            )
+        )
+    found = share_correct(results.tested)
+    low, high = found.interval
+    words = (
+        f"X was identified in {found.hits} of {found.of} trials, {percent(found.share)}; the"
+        f" true share is between {percent(low)} and {percent(high)} (exact, 95 %), and guessing"
+        f" does as well with p = {_p(found.p_value)}."
     )
+    drawn = (plots.shares(results), plots.psychometric(results, threshold_of(results.outcomes)))
+    return Chapter("Right answers", (_answered(results), words), tables, drawn)
 
 
 def _answered(results: SessionResults) -> str:
@@ -146,28 +137,21 @@ def _answered(results: SessionResults) -> str:
     return f"{count} of {results.trials} trials are answered, by {who}."
 
 
-def _abx_words(found: Proportion) -> str:
-    low, high = found.interval
-    return (
-        f"X was identified in {found.hits} of {found.of} trials, {percent(found.share)}; the"
-        f" true share is between {percent(low)} and {percent(high)} (exact, 95 %), and guessing"
-        f" does as well with p = {_p(found.p_value)}."
-    )
-
-
 def _right_table(results: SessionResults) -> Table:
-    groups = [*results.by_condition(), (POOLED, results.tested)]
     rows = []
-    for name, outcomes in groups:
+    for name, outcomes in (*results.by_condition(), ("all of them", results.tested)):
         direct, link = (
             _mean(o.force_mn(on, "aligned_n") for o in outcomes) for on in (False, True)
         )
         found = share_correct(outcomes)
-        rows.append((name, *_cells(found), _d(found), f"{direct:.2f}", f"{link:.2f}"))
+        at, low, high = (d_prime(share) for share in (found.share, *found.interval))
+        above = "∞" if math.isinf(high) else f"{high:.1f}"
+        d = f"over {low:.1f}" if math.isinf(at) else f"{at:.1f} ({low:.1f}–{above})"
+        rows.append((name, *_cells(found), d, f"{direct:.2f}", f"{link:.2f}"))
     return Table(
         "X identified",
         ("condition", "right", "share", "95 %", "p", "d' (95 %)", "direct mN", "link mN"),
-        tuple(rows),
+        rows,
         "Exact interval (Clopper-Pearson); p: by guessing as many or more, not corrected for the"
         " number of conditions. d' of the differencing strategy. mN: aligned force RMSE. Trials"
         " of one subject are no independent sample of people.",
@@ -175,12 +159,8 @@ def _right_table(results: SessionResults) -> Table:
 
 
 def _cells(found: Proportion) -> tuple[str, str, str, str]:
-    return (
-        f"{found.hits} of {found.of}",
-        percent(found.share),
-        _between(found),
-        _p(found.p_value),
-    )
+    hits = f"{found.hits} of {found.of}"
+    return hits, percent(found.share), _between(found), _p(found.p_value)
 
 
 def _between(found: Proportion) -> str:
@@ -192,27 +172,18 @@ def _p(value: float) -> str:
     return "< 0.001" if value < 1e-3 else f"{value:.3f}"
 
 
-def _d(found: Proportion) -> str:
-    at, low, high = (d_prime(share) for share in (found.share, *found.interval))
-    if math.isinf(at):
-        return f"over {low:.1f}"
-    return f"{at:.1f} ({low:.1f}–{'∞' if math.isinf(high) else f'{high:.1f}'})"
-
-
 def _subject_table(results: SessionResults) -> Table:
-    rows, passed = [], 0
-    for subject in results.subjects:
-        mine = [o for o in results.tested if o.subject == subject]
-        if mine:
-            found = share_correct(mine)
-            rows.append((subject, *_cells(found)))
-            passed += found.p_value <= LEVEL
+    by_subject = {
+        subject: [o for o in results.tested if o.subject == subject] for subject in results.subjects
+    }
+    shares = {subject: share_correct(found) for subject, found in by_subject.items() if found}
+    passed = sum(found.p_value <= LEVEL for found in shares.values())
     return Table(
         "Each subject",
         ("subject", "right", "share", "95 %", "p"),
-        tuple(rows),
-        f"{passed} of {len(rows)} pass for more than guessing (p ≤ 5 %), where one in twenty would"
-        " by guessing.",
+        [(subject, *_cells(found)) for subject, found in shares.items()],
+        f"{passed} of {len(shares)} pass for more than guessing (p ≤ 5 %), where one in twenty"
+        " would by guessing.",
     )
 
 
@@ -224,7 +195,7 @@ def _threshold_table(results: SessionResults) -> Table:
     return Table(
         "Threshold: force error at which d' is 1, in % of the pulse from peak to peak",
         ("subject", "threshold", "95 %"),
-        tuple((name, *_threshold_cells(threshold_of(found))) for name, found in groups),
+        [(name, *_threshold_cells(threshold_of(found))) for name, found in groups],
         "Likeliest for a differencing observer of the aligned force error; 95 % by profile"
         " likelihood. – where the answers set no bound.",
     )
@@ -240,40 +211,20 @@ def _threshold_cells(found: Threshold | None) -> tuple[str, str]:
     return f"{100 * found.value:.2g} %", f"{100 * found.low:.2g} to {100 * found.high:.2g} %"
 
 
-def _catch_table(results: SessionResults) -> Table:
-    called_a = [o.answered.answer == "A" for o in results.of(None)]
-    found = Proportion(sum(called_a), len(called_a))
-    row = ("X called A", f"{found.hits} of {found.of}", percent(found.share), _between(found))
-    return Table(
-        "Catch trials: A, B and X without a link",
-        ("answer", "trials", "share", "95 %"),
-        (row,),
-        "There is no right answer; far from a half, the subject prefers a key.",
-    )
-
-
 def _rating_chapter(results: SessionResults) -> Chapter:
     groups = list(results.by_condition())
     if results.of(None):
         groups.append((DIRECT, results.of(None)))
     rows = []
     for name, outcomes in groups:
-        mean, found = mean_of([o.rating for o in outcomes]), share_close(outcomes)
-        rows.append(
-            (
-                name,
-                str(len(outcomes)),
-                f"{mean.value:.2f} ({mean.low:.2f} to {mean.high:.2f})",
-                f"{found.hits} of {found.of}",
-                percent(found.share),
-                _between(found),
-                _milli(_mean(o.force_mn(True, "aligned_n") for o in outcomes)),
-            )
-        )
+        mean, close = mean_of([o.rating for o in outcomes]), _cells(share_close(outcomes))
+        interval = f"{mean.value:.2f} ({mean.low:.2f} to {mean.high:.2f})"
+        link_mn = _milli(_mean(o.force_mn(True, "aligned_n") for o in outcomes))
+        rows.append((name, str(len(outcomes)), interval, *close[:3], link_mn))
     table = Table(
         "How close X was to the direct touch, 5 (the same) to 1",
         ("condition", "trials", "mean (95 %)", "close", "share", "95 %", "link mN"),
-        tuple(rows),
+        rows,
         "Close: rated 4 or 5, with its exact interval. Of the mean: percentile bootstrap, too"
         " narrow for few trials. mN: aligned force RMSE. X without a link is the hidden reference.",
     )
@@ -282,9 +233,7 @@ def _rating_chapter(results: SessionResults) -> Chapter:
         f"Over the link {found.hits} of {found.of}, {percent(found.share)}, were rated close to the"
         f" direct touch; exact 95 % interval {_between(found)}."
     )
-    return Chapter(
-        "Ratings", (_answered(results), words), (table,), (plots.ratings(results, groups),)
-    )
+    return Chapter("Ratings", (_answered(results), words), (table,), (plots.ratings(groups),))
 
 
 def _course_chapter(results: SessionResults) -> Chapter:
@@ -295,7 +244,7 @@ def _course_chapter(results: SessionResults) -> Chapter:
         words += (
             f" Time to the answer: median {np.median(times):.1f} s, longest {max(times):.1f} s."
         )
-    return Chapter("In the course of the session", (words,), (), (plots.course(results),))
+    return Chapter("In the course of the session", (words,), plots=(plots.course(results),))
 
 
 def _errors_chapter(results: SessionResults) -> Chapter:
@@ -314,7 +263,7 @@ def _errors_chapter(results: SessionResults) -> Chapter:
     table = Table(
         "What was played, mean of its intervals in mN",
         ("intervals", "count", "aligned", "in phase", "over 25 Hz", "sensed", "misses"),
-        tuple(rows),
+        rows,
         "Aligned: RMSE against the pulse of the instant played; in phase: against that very moment."
         " Over 25 Hz: RMS felt, and what was sensed of it. Misses: ticks that did not begin in"
         " time, of all intervals.",
@@ -332,8 +281,9 @@ def _milli(value: float) -> str:
 
 
 def _paper_chapter() -> Chapter:
+    columns = ("study", "close", "share", "95 %", "p of a coin")
     row = ("paper, section 5.4", *_cells(PAPER))
-    table = Table("The paper's figure", ("study", "close", "share", "95 %", "p of a coin"), (row,))
+    table = Table("The paper's figure", columns, [row])
     return Chapter(
         "The paper's six subjects",
         (

@@ -1,9 +1,9 @@
 """The session file, and the trials drawn for it: link, A, B and X of each, in order."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from random import Random
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
@@ -17,14 +17,7 @@ from protocol.wire.stream import Name
 from telepulse.scene import Scene, load_scene
 from telepulse.simulation.link_model import LinkScene, parse_link
 
-# A display has joined and plays after this time without a link. A link adds these multiples of its
-# delay and jitter.
-JOINED_NS = 800_000_000
-DELAYS, JITTERS = 4, 6
-
 Kind = Literal["abx", "rating"]
-Felt = Annotated[Nanoseconds, Field(ge=100_000_000, le=60_000_000_000)]
-Settle = Annotated[Nanoseconds, Field(ge=0, le=60_000_000_000)]
 Count = Annotated[int, Field(strict=True, ge=1, le=10_000)]
 
 
@@ -60,8 +53,8 @@ class SessionTable(Section):
     title: str = ""
     trials: Count = 16
     catch: Annotated[int, Field(strict=True, ge=0, le=10_000)] = 0
-    interval_ns: Felt = 4_000_000_000
-    settle_ns: Settle = 500_000_000
+    interval_ns: Annotated[Nanoseconds, Field(ge=100_000_000, le=60_000_000_000)] = 4_000_000_000
+    settle_ns: Annotated[Nanoseconds, Field(ge=0, le=60_000_000_000)] = 500_000_000
     replays: Count | None = None
     seed: Annotated[int, Field(strict=True, ge=0)] | None = None
 
@@ -75,14 +68,15 @@ class SessionTable(Section):
 
     @property
     def joined_ns(self) -> int:
-        """Time from which a display plays the stream over any of the links, in ns."""
+        """Time from which a display plays the stream over any of the links, in ns.
+
+        0.8 s without a link, which adds multiples of its delay and jitter.
+        """
         links = [condition.link for condition in self.conditions]
-        waits_ns = [DELAYS * link.delay_ns + JITTERS * link.jitter_ns for link in links]
-        return JOINED_NS + max(waits_ns)
+        return 800_000_000 + max(4 * link.delay_ns + 6 * link.jitter_ns for link in links)
 
 
-@dataclass(frozen=True, slots=True)
-class SessionPlan:
+class SessionPlan(NamedTuple):
     """A session file that was read.
 
     tables: the file's and its scene's, by name, for the log. direct: the scene without a link;
@@ -104,20 +98,13 @@ def load_plan(path: Path) -> SessionPlan:
     scene = load_scene(scene_path)
     document = load_document(scene_path)
     direct = replace(scene, link=LinkScene())
-    impaired = {
-        condition.name: replace(
-            scene,
-            link=condition.link,
-            display=_display(document["display"], condition, f"{path}: {condition.name!r}:"),
-        )
-        for condition in session.conditions
-    }
+    impaired = {}
+    for condition in session.conditions:
+        given = condition.model_dump(include={"compensation", "predictor"}, exclude_none=True)
+        where = f"{path}: {condition.name!r}:"
+        display = validate({**document["display"], **given}, DisplayScene, where)
+        impaired[condition.name] = replace(scene, link=condition.link, display=display)
     return SessionPlan(session, redact({"session": written, "scene": document}), direct, impaired)
-
-
-def _display(table: dict[str, Any], condition: Condition, where: str) -> DisplayScene:
-    given = condition.model_dump(include={"compensation", "predictor"}, exclude_none=True)
-    return validate({**table, **given}, DisplayScene, where)
 
 
 Letter = Literal["A", "B", "X"]
@@ -154,14 +141,12 @@ def draw_trials(session: SessionTable, seed: int) -> tuple[Trial, ...]:
     names: list[str | None] = [c.name for c in session.conditions for _ in range(session.trials)]
     names += [None] * session.catch
     random.shuffle(names)
-    return tuple(_draw(session, name, random) for name in names)
-
-
-def _draw(session: SessionTable, condition: str | None, random: Random) -> Trial:
-    pulse_seed = random.getrandbits(31)
-    if session.kind == "rating":
-        return Trial(condition=condition, direct="A", x="B", pulse_seed=pulse_seed)
-    direct, x = random.choice("AB"), random.choice("AB")
-    return Trial.model_validate(
-        {"condition": condition, "direct": direct, "x": x, "pulse_seed": pulse_seed}
-    )
+    trials = []
+    for name in names:
+        trial: dict[str, Any] = {"condition": name, "pulse_seed": random.getrandbits(31)}
+        if session.kind == "rating":
+            trial |= {"direct": "A", "x": "B"}
+        else:
+            trial |= {"direct": random.choice("AB"), "x": random.choice("AB")}
+        trials.append(Trial.model_validate(trial))
+    return tuple(trials)

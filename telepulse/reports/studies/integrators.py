@@ -11,9 +11,8 @@ the display's, so that it also runs in decimals.
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from decimal import Decimal, getcontext, localcontext
-from typing import Generic, Literal, TypeVar
+from typing import Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,10 +26,10 @@ DERIVATIVE_FILTER_HZ = 200.0
 Number = TypeVar("Number", float, Decimal)
 Step = Callable[[Number], Number]
 Matrix = list[list[Decimal]]
+Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class Plant(Generic[Number]):
+class Plant(NamedTuple, Generic[Number]):
     """The parameters of eq 22: m in kg, c in N·s/m, k in N/m, as printed."""
 
     m: Number
@@ -40,7 +39,7 @@ class Plant(Generic[Number]):
 
 def explicit_euler(plant: Plant[Number], tick_s: Number, substeps: int) -> Step[Number]:
     """Step force and rate by the slopes at the sub-step's beginning; order 1."""
-    m, c, k = plant.m, plant.c, plant.k
+    m, c, k = plant
     h = tick_s / substeps
     force = rate = tick_s * 0
 
@@ -55,7 +54,7 @@ def explicit_euler(plant: Plant[Number], tick_s: Number, substeps: int) -> Step[
 
 def semi_implicit_euler(plant: Plant[Number], tick_s: Number, substeps: int) -> Step[Number]:
     """Step the rate, then the force by the new rate; order 1, keeps an oscillation's energy."""
-    m, c, k = plant.m, plant.c, plant.k
+    m, c, k = plant
     h = tick_s / substeps
     force = rate = tick_s * 0
 
@@ -71,7 +70,7 @@ def semi_implicit_euler(plant: Plant[Number], tick_s: Number, substeps: int) -> 
 
 def rk4(plant: Plant[Number], tick_s: Number, substeps: int) -> Step[Number]:
     """Step by the classical Runge-Kutta method; order 4."""
-    m, c, k = plant.m, plant.c, plant.k
+    m, c, k = plant
     h = tick_s / substeps
     half, sixth = h / 2, h / 6
     force = rate = tick_s * 0
@@ -101,7 +100,7 @@ def shipped(plant: Plant[float], tick_s: float) -> Step[float]:
 
 def exact_hold(plant: Plant[Decimal], tick_s: Decimal) -> Step[Decimal]:
     """Step by the exact zero-order hold in the decimal context's digits."""
-    (a11, a12, b1), (a21, a22, b2) = held_matrix(plant, tick_s)[:2]
+    (a11, a12, b1), (a21, a22, b2), _ = held_matrix(plant, tick_s)
     force = rate = Decimal(0)
 
     def step(volts: Decimal) -> Decimal:
@@ -117,12 +116,8 @@ def held_matrix(plant: Plant[Decimal], tick_s: Decimal) -> Matrix:
 
     The exponential of eq 22's matrix, by scaling and squaring of a Taylor series.
     """
-    zero = Decimal(0)
-    system = [
-        [zero, tick_s, zero],
-        [-plant.k / plant.m * tick_s, -plant.c / plant.m * tick_s, tick_s / plant.m],
-        [zero, zero, zero],
-    ]
+    zero, (m, c, k) = Decimal(0), plant
+    system = [[zero, tick_s, zero], [-k / m * tick_s, -c / m * tick_s, tick_s / m], [zero] * 3]
     halvings = 0
     while max(abs(x) for row in system for x in row) > 1:
         system = [[x / 2 for x in row] for row in system]
@@ -140,65 +135,59 @@ def held_matrix(plant: Plant[Decimal], tick_s: Decimal) -> Matrix:
 
 
 def _product(a: Matrix, b: Matrix) -> Matrix:
-    columns = list(zip(*b, strict=True))
-    return [
-        [sum((x * y for x, y in zip(row, column, strict=True)), Decimal(0)) for column in columns]
-        for row in a
-    ]
+    def dot(row: Sequence[Decimal], column: Sequence[Decimal]) -> Decimal:
+        return sum((x * y for x, y in zip(row, column, strict=True)), Decimal(0))
+
+    return [[dot(row, column) for column in zip(*b, strict=True)] for row in a]
 
 
 Solver = Literal["RK45", "DOP853", "Radau"]
-Matrices = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
 def solve_ivp_steps(plant: Plant[float], tick_s: float, method: Solver, rtol: float) -> Step[float]:
     """Call scipy's solve_ivp each tick; its absolute tolerance is `rtol` too."""
     from scipy.integrate import solve_ivp
 
-    m, c, k = plant.m, plant.c, plant.k
-    state = [0.0, 0.0]
+    m, c, k = plant
 
-    def step(volts: float) -> float:
-        nonlocal state
-
-        def slopes(_: float, at: NDArray[np.float64]) -> tuple[float, float]:
+    def advance(state: list[float], volts: float) -> Floats:
+        def slopes(_: float, at: Floats) -> tuple[float, float]:
             return at[1], (volts - c * at[1] - k * at[0]) / m
 
         solved = solve_ivp(slopes, (0.0, tick_s), state, method=method, rtol=rtol, atol=rtol)
-        state = solved.y[:, -1].tolist()
-        return float(state[0])
+        return solved.y[:, -1]
 
-    return step
+    return _from_rest(advance)
 
 
 def lsim_steps(plant: Plant[float], tick_s: float) -> Step[float]:
     """Call scipy's lsim each tick."""
     from scipy.signal import lsim
 
-    system = _state_space(plant)
-    times_s, state = [0.0, tick_s], [0.0, 0.0]
-
-    def step(volts: float) -> float:
-        nonlocal state
-        _, _, states = lsim(system, [volts, volts], times_s, state, interp=False)
-        state = states[-1].tolist()
-        return float(state[0])
-
-    return step
+    system, times_s = _state_space(plant), [0.0, tick_s]
+    return _from_rest(
+        lambda state, volts: lsim(system, [volts, volts], times_s, state, interp=False)[2][-1]
+    )
 
 
 def control_steps(plant: Plant[float], tick_s: float) -> Step[float]:
     """Call python-control's forced_response each tick. Raises ImportError without it."""
-    import control
+    from control import forced_response, ss
 
-    system = control.ss(*_state_space(plant))
-    times_s, state = [0.0, tick_s], [0.0, 0.0]
+    system, times_s = ss(*_state_space(plant)), [0.0, tick_s]
+    return _from_rest(
+        lambda state, volts: forced_response(system, times_s, [volts, volts], state).states[:, -1]
+    )
+
+
+def _from_rest(advance: Callable[[list[float], float], Floats]) -> Step[float]:
+    """Return the stepper that advances (force, rate) by a library's function."""
+    state: list[float] = [0.0, 0.0]
 
     def step(volts: float) -> float:
         nonlocal state
-        response = control.forced_response(system, times_s, [volts, volts], state)
-        state = response.states[:, -1].tolist()
-        return float(state[0])
+        state = advance(state, volts).tolist()
+        return state[0]
 
     return step
 
@@ -213,15 +202,11 @@ def lsim_whole(plant: Plant[float], tick_s: float, voltages: Sequence[float]) ->
     return force_n
 
 
-def _state_space(plant: Plant[float]) -> Matrices:
+def _state_space(plant: Plant[float]) -> tuple[Floats, Floats, Floats, Floats]:
     """Return A, B, C, D of eq 22 with the state (force, rate)."""
-    m, c, k = plant.m, plant.c, plant.k
-    return (
-        np.array([[0, 1], [-k / m, -c / m]]),
-        np.array([[0], [1 / m]]),
-        np.array([[1.0, 0]]),
-        np.array([[0.0]]),
-    )
+    m, c, k = plant
+    slopes, gains = np.array([[0, 1], [-k / m, -c / m]]), np.array([[0], [1 / m]])
+    return slopes, gains, np.array([[1.0, 0]]), np.array([[0.0]])
 
 
 PAPER_PLANT = Plant(ACTUATOR.m, ACTUATOR.c, ACTUATOR.k)
@@ -238,8 +223,7 @@ def pulse_from_rest(scene: SyntheticScene, seconds: float, tick_s: float) -> lis
     return risen_n
 
 
-@dataclass(frozen=True, slots=True)
-class DiscretePid(Generic[Number]):
+class DiscretePid(NamedTuple, Generic[Number]):
     """A discrete PID's gains a tick, from an error in N to a voltage in V."""
 
     proportional: Number
@@ -298,26 +282,14 @@ def decimals(numbers: Iterable[float]) -> list[Decimal]:
     return [Decimal(number) for number in numbers]
 
 
-def decimal_plant(plant: Plant[float]) -> Plant[Decimal]:
-    """Convert a plant to decimals, digit for digit."""
-    return Plant(*decimals((plant.m, plant.c, plant.k)))
-
-
-def decimal_pid(pid: DiscretePid[float]) -> DiscretePid[Decimal]:
-    """Convert a PID to decimals, digit for digit."""
-    return DiscretePid(*decimals((pid.proportional, pid.integral, pid.derivative, pid.keep)))
-
-
 def loop_radius(plant: Plant[float], tick_s: float) -> float:
     """Return the spectral radius of the closed loop over a tick; below 1 it is stable."""
     with localcontext(prec=40):
-        held = held_matrix(decimal_plant(plant), Decimal(tick_s))
-    (a11, a12, b1), (a21, a22, b2) = ([float(x) for x in row] for row in held[:2])
+        held = held_matrix(Plant(*decimals(plant)), Decimal(tick_s))
     pid, columns = paper_pid(tick_s), []
     # The map is linear: its columns are the images of the unit states.
     for force, rate, *state in np.eye(5).tolist():
         volts, kept = pid_step(pid, (state[0], state[1], state[2]), -force)
-        columns.append(
-            [a11 * force + a12 * rate + b1 * volts, a21 * force + a22 * rate + b2 * volts, *kept]
-        )
+        moved = np.array(held[:2], np.float64) @ [force, rate, volts]
+        columns.append([*moved, *kept])
     return float(np.abs(np.linalg.eigvals(np.array(columns).T)).max())

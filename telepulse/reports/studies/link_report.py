@@ -1,11 +1,11 @@
 """The study of links as a report: choice of delay, error against delay, late samples, costs."""
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 from display_node.prediction import PredictorName
 from telepulse.reports.document import Chapter, Plot, Report, Table
 from telepulse.reports.studies.link_scores import (
-    AUTO,
     DELAYS_MS,
     PREDICTORS,
     PROTOTYPE,
@@ -21,19 +21,26 @@ if TYPE_CHECKING:
 # Stands for buffering alone: it is never trusted, so that auto plays what has arrived.
 BUFFERED: PredictorName = "hold"
 BEST: PredictorName = "stack"
-STYLES = ("o-", "s--", "^-")
 
 
 def report_links(scores: LinkScores, effort: LinkEffort) -> Report:
     """Return the report on scores that took this effort."""
+    costs = [
+        {"predictor": name, "tick (µs)": f"{cost_us:.0f}"}
+        for name, cost_us in scores.costs_us.items()
+    ]
+    cost = Chapter(
+        "Cost",
+        (
+            "Processor time of one simulated millisecond, all of it predicted: both nodes, the link"
+            " and the scoring. The difference from hold is the predictor's cost.",
+        ),
+        (Table.of("Cost of a tick", costs),),
+    )
+    chapters = (_choice_chapter(scores, effort), _curves_chapter(scores))
     return Report(
         "Links: how much to buffer and how much to predict",
-        (
-            _choice_chapter(scores, effort),
-            _curves_chapter(scores),
-            _policies_chapter(scores),
-            _costs_chapter(scores),
-        ),
+        (*chapters, _policies_chapter(scores), cost),
     )
 
 
@@ -41,14 +48,9 @@ def least_in_phase(
     scores: LinkScores, link: str, predictor: PredictorName
 ) -> tuple[float, LinkResult]:
     """Return the perceived delay in ms with the least error in phase, and its result."""
-    return min(
-        (
-            (delay_ms, result)
-            for delay_ms, result in scores.results[link][predictor].items()
-            if delay_ms is not None
-        ),
-        key=lambda tried: tried[1].in_phase_n,
-    )
+    curve = scores.results[link][predictor]
+    tried = [(delay_ms, result) for delay_ms, result in curve.items() if delay_ms is not None]
+    return min(tried, key=lambda one: one[1].in_phase_n)
 
 
 def advice(scores: LinkScores, link: str) -> str:
@@ -66,67 +68,50 @@ def advice(scores: LinkScores, link: str) -> str:
 
 
 def _choice_chapter(scores: LinkScores, effort: LinkEffort) -> Chapter:
-    return Chapter(
-        "Choice of the perceived delay",
-        (
-            "With the perceived delay E the finger feels the pulse of E ago. Samples that have"
-            " arrived by then are played, the rest is predicted from the newest one. In phase:"
-            " error against the pulse at that very instant; aligned: against the pulse of E ago.",
-            *(advice(scores, link) for link in scores.results),
-            f"Both nodes in virtual time, a radial pulse with heart-rate variability in frames of"
-            f" 5 ms, {len(effort.seeds)} times {effort.seconds:g} s by another seed, after"
-            f" {effort.settle_seconds:g} s to learn in. NRMSE: over the pulse's standard deviation;"
-            " JND: a tenth of its peak to peak. The stack learns this one kind of pulse;"
-            " arrhythmia is in `telepulse study prediction`. auto trusts the stack only after"
-            " some time, if at all: its mean E may still be falling to 0.",
-        ),
-        (_choice_table(scores),),
-    )
-
-
-def _choice_table(scores: LinkScores) -> Table:
     rows = []
     for link, by_predictor in scores.results.items():
         for predictor, curve in by_predictor.items():
             delay_ms, best = least_in_phase(scores, link, predictor)
-            rows.append((link, predictor, f"{delay_ms:g}", *_cells(best)))
             auto = curve[None]
-            rows.append((link, predictor, f"{AUTO}: {auto.delay_ms:.1f}", *_cells(auto)))
-    return Table(
+            rows.append(_choice(link, predictor, f"{delay_ms:g}", best))
+            rows.append(_choice(link, predictor, f"auto: {auto.delay_ms:.1f}", auto))
+    paragraphs = (
+        "With the perceived delay E the finger feels the pulse of E ago. Samples that have arrived"
+        " by then are played, the rest is predicted from the newest one. In phase: error against"
+        " the pulse at that very instant; aligned: against the pulse of E ago.",
+        *(advice(scores, link) for link in scores.results),
+        f"Both nodes in virtual time, a radial pulse with heart-rate variability in frames of"
+        f" 5 ms, {len(effort.seeds)} times {effort.seconds:g} s by another seed, after"
+        f" {effort.settle_seconds:g} s to learn in. NRMSE: over the pulse's standard deviation;"
+        " JND: a tenth of its peak to peak. The stack learns this one kind of pulse; arrhythmia is"
+        " in `telepulse study prediction`. auto trusts the stack only after some time, if at all:"
+        " its mean E may still be falling to 0.",
+    )
+    table = Table.of(
         "The delay with the least error in phase, and the choice of auto",
-        (
-            "link",
-            "predictor",
-            "E (ms)",
-            "predicted (ms)",
-            "of ticks",
-            "in phase NRMSE",
-            "in phase (mN)",
-            "in phase (JND)",
-            "aligned (mN)",
-            "above 25 Hz",
-            "felt",
-            "lost",
-        ),
-        tuple(rows),
+        rows,
         "Predicted: mean age of the newest sample over the played instant, and share of ticks."
         " Above 25 Hz: energy of the felt force over the pulse's. Felt: share of the time; the rest"
         " was faded out for want of samples.",
     )
+    return Chapter("Choice of the perceived delay", paragraphs, (table,))
 
 
-def _cells(outcome: LinkResult) -> tuple[str, ...]:
-    return (
-        f"{outcome.horizon_ms:.1f}",
-        f"{outcome.predicted:.0%}",
-        f"{outcome.in_phase:.3f}",
-        _mn(outcome.in_phase_n),
-        f"{outcome.in_phase_jnd:.2f}",
-        _mn(outcome.aligned_n),
-        f"{outcome.roughness:.1f}",
-        f"{outcome.felt:.1%}",
-        f"{outcome.lost:.1%}",
-    )
+def _choice(link: str, predictor: str, delay: str, result: LinkResult) -> dict[str, str]:
+    return {
+        "link": link,
+        "predictor": predictor,
+        "E (ms)": delay,
+        "predicted (ms)": f"{result.horizon_ms:.1f}",
+        "of ticks": f"{result.predicted:.0%}",
+        "in phase NRMSE": f"{result.in_phase:.3f}",
+        "in phase (mN)": _mn(result.in_phase_n),
+        "in phase (JND)": f"{result.in_phase_jnd:.2f}",
+        "aligned (mN)": _mn(result.aligned_n),
+        "above 25 Hz": f"{result.roughness:.1f}",
+        "felt": f"{result.felt:.1%}",
+        "lost": f"{result.lost:.1%}",
+    }
 
 
 def _mn(force_n: float) -> str:
@@ -134,106 +119,63 @@ def _mn(force_n: float) -> str:
 
 
 def _curves_chapter(scores: LinkScores) -> Chapter:
-    links = list(scores.results)
-    return Chapter(
-        "Error against the buffered delay",
-        ("The buffered and the predicted time add up to the network's delay.",),
-        tuple(_curve_table(scores, link) for link in links),
-        tuple(
-            Plot(
-                f"link-{number}",
-                f"{link}: error in phase and aligned against the perceived delay. Stars: auto.",
-                lambda figure, link=link: _draw(figure, scores, link),  # type: ignore[misc]
-            )
-            for number, link in enumerate(links, 1)
-        ),
-    )
-
-
-def _curve_table(scores: LinkScores, link: str) -> Table:
-    by_predictor = scores.results[link]
-    rows = []
-    for delay_ms, outcome in by_predictor[BUFFERED].items():
-        if delay_ms is not None:
-            errors = (by_predictor[predictor][delay_ms] for predictor in PREDICTORS)
-            rows.append(
-                (
-                    f"{delay_ms:g}",
-                    f"{outcome.horizon_ms:.1f}",
-                    f"{outcome.longest_ms:.0f}",
-                    f"{outcome.predicted:.0%}",
-                    *(f"{error.in_phase:.3f} / {error.aligned:.3f}" for error in errors),
-                )
-            )
-    return Table(
-        f"{link}: NRMSE in phase / aligned",
-        ("E (ms)", "predicted (ms)", "at most", "of ticks", *PREDICTORS),
-        tuple(rows),
-    )
+    tables, plots = [], []
+    for number, (link, curves) in enumerate(scores.results.items(), 1):
+        rows = [
+            {
+                "E (ms)": f"{delay_ms:g}",
+                "predicted (ms)": f"{result.horizon_ms:.1f}",
+                "at most": f"{result.longest_ms:.0f}",
+                "of ticks": f"{result.predicted:.0%}",
+            }
+            | {
+                predictor: f"{curve[delay_ms].in_phase:.3f} / {curve[delay_ms].aligned:.3f}"
+                for predictor, curve in curves.items()
+            }
+            for delay_ms, result in curves[BUFFERED].items()
+            if delay_ms is not None
+        ]
+        tables.append(Table.of(f"{link}: NRMSE in phase / aligned", rows))
+        caption = f"{link}: error in phase and aligned against the perceived delay. Stars: auto."
+        plots.append(Plot(f"link-{number}", caption, partial(_draw, scores=scores, link=link)))
+    words = "The buffered and the predicted time add up to the network's delay."
+    return Chapter("Error against the buffered delay", (words,), tables, plots)
 
 
 def _draw(figure: "Figure", scores: LinkScores, link: str) -> None:
-    in_phase, aligned = figure.subplots(1, 2, sharey=True)
-    for style, (predictor, curve) in zip(STYLES, scores.results[link].items(), strict=True):
-        tried = {delay_ms: each for delay_ms, each in curve.items() if delay_ms is not None}
-        auto = curve[None]
-        for axes, errors, chosen in (
-            (in_phase, [each.in_phase for each in tried.values()], auto.in_phase),
-            (aligned, [each.aligned for each in tried.values()], auto.aligned),
-        ):
+    panels = figure.subplots(1, 2, sharey=True)
+    for style, predictor in zip(("o-", "s--", "^-"), PREDICTORS, strict=True):
+        tried = dict(scores.results[link][predictor])
+        auto = tried.pop(None)
+        for axes, error in zip(panels, ("in_phase", "aligned"), strict=True):
+            errors = [getattr(each, error) for each in tried.values()]
             (line,) = axes.plot(list(tried), errors, style, label=predictor)
+            chosen = getattr(auto, error)
             axes.plot(auto.delay_ms, chosen, "*", markersize=14, color=line.get_color())
-    for axes, title in ((in_phase, "in phase"), (aligned, "aligned")):
-        axes.set_title(title)
-        axes.set_yscale("log")
-        axes.set_xlabel("perceived delay E (ms)")
-    in_phase.set_ylabel("NRMSE")
-    figure.legend(*in_phase.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    for axes, title in zip(panels, ("in phase", "aligned"), strict=True):
+        axes.set(title=title, yscale="log", xlabel="perceived delay E (ms)")
+    panels[0].set_ylabel("NRMSE")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
 
 
 def _policies_chapter(scores: LinkScores) -> Chapter:
-    columns = tuple(f"E = {delay_ms} ms" for delay_ms in DELAYS_MS)
-    rows = [("prototype's recording", name, "–", *_errors(PROTOTYPE[name])) for name in PROTOTYPE]
-    rows += [
-        (pulse, name, f"{each.classic_delay_ms}", *_errors(errors))
+    ours = [
+        (pulse, name, f"{each.classic_delay_ms}", errors)
         for pulse, each in scores.policies.items()
         for name, errors in each.errors.items()
     ]
-    return Chapter(
-        "Late samples",
-        (
-            "Fresh is the display's policy: a late sample is never discarded but feeds the"
-            " predictor. A classic jitter buffer delivers every sample after one fixed delay and"
-            " discards the 1 % that come later; the same predictor continues from there."
-            f" Over the link “{TCP}” as for the prototype, whose own link and recording are not"
-            " here. heartpy's recording is included where heartpy is installed.",
-        ),
-        (
-            Table(
-                "NRMSE of the played values against the pulse of E ago",
-                ("pulse", "late samples", "classic delay (ms)", *columns),
-                tuple(rows),
-            ),
-        ),
+    printed = [("prototype's recording", name, "–", errors) for name, errors in PROTOTYPE.items()]
+    rows = [
+        {"pulse": pulse, "late samples": name, "classic delay (ms)": delay}
+        | {f"E = {at} ms": f"{error:.3f}" for at, error in zip(DELAYS_MS, errors, strict=True)}
+        for pulse, name, delay, errors in printed + ours
+    ]
+    words = (
+        "Fresh is the display's policy: a late sample is never discarded but feeds the predictor."
+        " A classic jitter buffer delivers every sample after one fixed delay and discards the 1 %"
+        " that come later; the same predictor continues from there."
+        f" Over the link “{TCP}” as for the prototype, whose own link and recording are not here."
+        " heartpy's recording is included where heartpy is installed."
     )
-
-
-def _errors(errors: tuple[float, ...]) -> tuple[str, ...]:
-    return tuple(f"{error:.3f}" for error in errors)
-
-
-def _costs_chapter(scores: LinkScores) -> Chapter:
-    return Chapter(
-        "Cost",
-        (
-            "Processor time of one simulated millisecond, all of it predicted: both nodes, the link"
-            " and the scoring. The difference from hold is the predictor's cost.",
-        ),
-        (
-            Table(
-                "Cost of a tick",
-                ("predictor", "tick (µs)"),
-                tuple((name, f"{cost_us:.0f}") for name, cost_us in scores.costs_us.items()),
-            ),
-        ),
-    )
+    table = Table.of("NRMSE of the played values against the pulse of E ago", rows)
+    return Chapter("Late samples", (words,), (table,))

@@ -18,6 +18,7 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,14 +31,11 @@ from protocol.wire.telemetry import TickState
 from sensing_node.scene import build_source
 from telepulse.reports.studies.prediction_pulses import RATE_HZ, SCORED_FROM_S, Pulse, pulses
 from telepulse.reports.studies.sweep import in_one_thread, sweep
-from telepulse.scene import Scene, load_scene
+from telepulse.scene import load_scene
 from telepulse.simulation.link_model import MessageLink, parse_link
 from telepulse.simulation.virtual_time import Simulation
 
-SCENE = "radial"
-AUTO = "auto"
 PREDICTORS: tuple[PredictorName, ...] = ("hold", "linear", "stack")
-COST_ROUNDS = 2
 # Late-sample policies.
 DELAYS_MS = (0, 40, 80)
 FRAME = 5
@@ -52,9 +50,6 @@ PROTOTYPE = {
     CLASSIC: (0.264, 0.251, 0.229),
     HOLD: (0.770, 0.310, 0.261),
 }
-# The prototype played an arterial recording; heartpy's first is what we have.
-POLICY_SETS = ("variability", "heartpy data")
-POLICY_SECONDS = 60.0
 
 Nrmse = tuple[float, ...]
 
@@ -68,8 +63,7 @@ class LinkEffort:
     seeds: tuple[int, ...] = (1, 2)
 
 
-@dataclass(frozen=True, slots=True)
-class LinkSpec:
+class LinkSpec(NamedTuple):
     """A link as `parse_link` reads it, and the perceived delays in ms to run on it."""
 
     text: str
@@ -87,8 +81,7 @@ LINKS: dict[str, LinkSpec] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class LinkCase:
+class LinkCase(NamedTuple):
     """A link as `parse_link` reads it, a predictor, a perceived delay E and a seed.
 
     delay_ms is None where the display chooses E. The seed is the link's and the pulse's.
@@ -100,7 +93,7 @@ class LinkCase:
     seed: int = 1
 
     def __str__(self) -> str:
-        delay = AUTO if self.delay_ms is None else f"{self.delay_ms:g} ms"
+        delay = "auto" if self.delay_ms is None else f"{self.delay_ms:g} ms"
         return f"{self.predictor} at E = {delay} over {self.link}, seed {self.seed}"
 
 
@@ -161,16 +154,14 @@ class LinkResult:
 Curve = dict[float | None, LinkResult]
 
 
-@dataclass(frozen=True, slots=True)
-class PolicyErrors:
+class PolicyErrors(NamedTuple):
     """NRMSE of each late-sample policy at each of `DELAYS_MS`; the classic buffer's delay."""
 
     errors: dict[str, Nrmse]
     classic_delay_ms: int
 
 
-@dataclass(frozen=True, slots=True)
-class LinkScores:
+class LinkScores(NamedTuple):
     """Results by link and predictor, policies by pulse, and costs by predictor.
 
     A cost is the processor time in µs of a simulated millisecond, both nodes and the link.
@@ -195,21 +186,22 @@ def score_links(
         for delay_ms in (*link.delays_ms, None)
         for seed in effort.seeds
     ]
-    found = dict(zip(cases, sweep(partial(run_link, effort=effort), cases, scheduler), strict=True))
-
-    def curve(link: LinkSpec, predictor: PredictorName) -> Curve:
-        return {
-            delay_ms: pooled(
-                found[LinkCase(link.text, predictor, delay_ms, seed)] for seed in effort.seeds
-            )
-            for delay_ms in (*link.delays_ms, None)
-        }
-
+    ran = sweep(partial(run_link, effort=effort), cases, scheduler)
+    by_case = dict(zip(cases, ran, strict=True))
     results = {
-        name: {predictor: curve(link, predictor) for predictor in PREDICTORS}
+        name: {
+            predictor: {
+                delay_ms: pooled(
+                    by_case[LinkCase(link.text, predictor, delay_ms, seed)] for seed in effort.seeds
+                )
+                for delay_ms in (*link.delays_ms, None)
+            }
+            for predictor in PREDICTORS
+        }
         for name, link in links.items()
     }
-    sets = [pulse for pulse in pulses(POLICY_SECONDS, seed=1) if pulse.name in POLICY_SETS]
+    # The prototype played an arterial recording; heartpy's first is what we have.
+    sets = [each for each in pulses(60.0, seed=1) if each.name in ("variability", "heartpy data")]
     policies = sweep(partial(run_policies, link=LINKS[TCP].text), sets, scheduler)
     return LinkScores(
         results,
@@ -220,23 +212,32 @@ def score_links(
 
 
 def costs_us(effort: LinkEffort) -> dict[PredictorName, float]:
-    """Return the least processor time of a simulated millisecond in some rounds, all predicted.
+    """Return the least processor time of a simulated millisecond in two rounds, all predicted.
 
     The predictors take turns, so that a busy moment of the machine affects all alike.
     """
-    taken: dict[PredictorName, list[float]] = {predictor: [] for predictor in PREDICTORS}
-    seconds = effort.settle_seconds + effort.seconds
-    for _ in range(COST_ROUNDS):
-        for predictor in PREDICTORS:
-            began_s = time.process_time()
-            run_link(LinkCase(LINKS[FAR].text, predictor, 0.0), effort)
-            taken[predictor].append((time.process_time() - began_s) / seconds * 1e3)
-    return {predictor: min(each) for predictor, each in taken.items()}
+    least_us: dict[PredictorName, float] = dict.fromkeys(PREDICTORS, math.inf)
+    for predictor in PREDICTORS * 2:
+        began_s = time.process_time()
+        run_link(LinkCase(LINKS[FAR].text, predictor, 0.0), effort)
+        taken_s = time.process_time() - began_s
+        cost_us = taken_s / (effort.settle_seconds + effort.seconds) * 1e3
+        least_us[predictor] = min(least_us[predictor], cost_us)
+    return least_us
 
 
 def run_link(case: LinkCase, effort: LinkEffort) -> LinkResult:
     """Simulate a case. Raises SceneError."""
-    scene = _scene(case)
+    scene = load_scene(find_scene("radial"))
+    source = scene.sensing.source.model_copy(update={"seed": case.seed})
+    delay_ns = None if case.delay_ms is None else round(case.delay_ms * 1e6)
+    display = {"predictor": case.predictor, "compensation_ns": delay_ns}
+    scene = replace(
+        scene,
+        sensing=scene.sensing.model_copy(update={"source": source}),
+        display=scene.display.model_copy(update=display),
+        link=parse_link(case.link),
+    )
     simulation = Simulation(scene, case.seed)
     delays_ns, horizons_ns = [], []
 
@@ -247,8 +248,15 @@ def run_link(case: LinkCase, effort: LinkEffort) -> LinkResult:
             horizons_ns.append(max(0, tick.instant_ns - newest_ns))
 
     summary = simulation.run(effort.settle_seconds + effort.seconds, effort.settle_seconds, watch)
-    samples, errors = summary.samples, summary.force_rmse_n
-    horizon_ns, pulse_n = np.array(horizons_ns), _pulse_n(scene, effort)
+    samples, errors, horizon_ns = summary.samples, summary.force_rmse_n, np.array(horizons_ns)
+    # The force that should be felt in the scored time.
+    sensed = build_source(scene.sensing, scene.path.parent)
+    rate_hz = 1e9 / sensed.period_ns
+    sensed.take(round(effort.settle_seconds * rate_hz))
+    wrist_n = sensed.take(round(effort.seconds * rate_hz))[:, scene.display.channel]
+    pulse_n = wrist_n * matching_force_ratio(
+        scene.sensing.layer.layer(), scene.display.layer.layer()
+    )
     return LinkResult(
         in_phase_n=errors.in_phase or math.nan,
         aligned_n=errors.aligned or math.nan,
@@ -276,29 +284,6 @@ def pooled(results: Iterable[LinkResult]) -> LinkResult:
     return replace(LinkResult(**values), longest_ms=max(one.longest_ms for one in several))
 
 
-def _scene(case: LinkCase) -> Scene:
-    scene = load_scene(find_scene(SCENE))
-    source = scene.sensing.source.model_copy(update={"seed": case.seed})
-    delay_ns = None if case.delay_ms is None else round(case.delay_ms * 1e6)
-    display = {"predictor": case.predictor, "compensation_ns": delay_ns}
-    return replace(
-        scene,
-        sensing=scene.sensing.model_copy(update={"source": source}),
-        display=scene.display.model_copy(update=display),
-        link=parse_link(case.link),
-    )
-
-
-def _pulse_n(scene: Scene, effort: LinkEffort) -> NDArray[np.float64]:
-    """Return the force in N that should be felt in the scored time."""
-    source = build_source(scene.sensing, scene.path.parent)
-    rate_hz = 1e9 / source.period_ns
-    source.take(round(effort.settle_seconds * rate_hz))
-    wrist_n = source.take(round(effort.seconds * rate_hz))[:, scene.display.channel]
-    ratio = matching_force_ratio(scene.sensing.layer.layer(), scene.display.layer.layer())
-    return np.asarray(ratio * wrist_n, dtype=np.float64)
-
-
 def run_policies(pulse: Pulse, link: str, seed: int = 1) -> PolicyErrors:
     """Play a pulse over a link by each policy; scored as in `telepulse study prediction`."""
     arrived = arrivals_ms(len(pulse.sensed) // FRAME, link, seed)
@@ -308,14 +293,16 @@ def run_policies(pulse: Pulse, link: str, seed: int = 1) -> PolicyErrors:
         sent + classic_ms if arrival - sent <= classic_ms else None
         for sent, arrival in zip(taken.tolist(), arrived.tolist(), strict=True)
     ]
-    return PolicyErrors(
-        {
-            FRESH: _policy_nrmse(pulse, arrived.tolist(), build_predictor("stack", TICK_NS)),
-            CLASSIC: _policy_nrmse(pulse, delivered, build_predictor("stack", TICK_NS)),
-            HOLD: _policy_nrmse(pulse, arrived.tolist(), build_predictor("hold", TICK_NS)),
-        },
-        classic_ms,
-    )
+    policies: dict[str, tuple[Sequence[int | None], PredictorName]] = {
+        FRESH: (arrived.tolist(), "stack"),
+        CLASSIC: (delivered, "stack"),
+        HOLD: (arrived.tolist(), "hold"),
+    }
+    errors = {
+        name: _policy_nrmse(pulse, known_at, build_predictor(predictor, TICK_NS))
+        for name, (known_at, predictor) in policies.items()
+    }
+    return PolicyErrors(errors, classic_ms)
 
 
 def arrivals_ms(frames: int, link: str, seed: int) -> NDArray[np.int64]:
@@ -327,7 +314,7 @@ def arrivals_ms(frames: int, link: str, seed: int) -> NDArray[np.int64]:
         if arrival_ns is None:
             raise ValueError(f"{link}: frames are lost, so that they have no delay")
         arrived_ns.append(arrival_ns)
-    return np.array([-(-arrival_ns // TICK_NS) for arrival_ns in arrived_ns])
+    return -(-np.array(arrived_ns) // TICK_NS)
 
 
 def _policy_nrmse(pulse: Pulse, known_at: Sequence[int | None], predictor: Predictor) -> Nrmse:

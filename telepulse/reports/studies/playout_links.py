@@ -9,7 +9,7 @@ its delay is above the delay it is played with.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,7 @@ Milliseconds = NDArray[np.float64]
 Draw = Callable[[np.random.Generator, int], Milliseconds]
 
 
-@dataclass(frozen=True, slots=True)
-class DelayTrace:
+class DelayTrace(NamedTuple):
     """Instant and delay of each frame in ns, shape (frames,); frame i arrives at their sum."""
 
     name: str
@@ -164,8 +163,7 @@ LEAST_MS, MOST_MS = 10.0, 1e5
 RESOLUTION = 1.05
 
 
-@dataclass(frozen=True, slots=True)
-class MovingDelay:
+class MovingDelay(NamedTuple):
     """A delay for every frame, shape (frames,), its mean in ms and the share late."""
 
     path_ms: Milliseconds
@@ -173,8 +171,7 @@ class MovingDelay:
     late: float
 
 
-@dataclass(frozen=True, slots=True)
-class Optimum:
+class Optimum(NamedTuple):
     """Bound on the mean of every moving delay within the late share, and the best path found.
 
     The two differ where the costs' hull is not reached by any one path (a duality gap).

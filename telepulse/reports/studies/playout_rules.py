@@ -7,8 +7,7 @@ every frame. Written from the papers' equations. Delays and times in ns.
 from bisect import bisect_left, insort
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -30,8 +29,7 @@ class DelayRule(Protocol):
 MakeRule = Callable[[float], DelayRule]
 
 
-@dataclass(frozen=True, slots=True)
-class PlayedTrace:
+class PlayedTrace(NamedTuple):
     """Mean delay in ms at which a trace's frames were played, and the share that came late."""
 
     delay_ms: float

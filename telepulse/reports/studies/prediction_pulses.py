@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +29,7 @@ BREATHS_HZ = 0.25
 BREATH = 0.1
 
 
-@dataclass(frozen=True, slots=True)
-class Beats:
+class Beats(NamedTuple):
     """Intervals in s from each beat to the next, and amplitudes over the usual one."""
 
     intervals_s: Floats
@@ -48,8 +48,7 @@ class Pulse:
         return self.name
 
 
-@dataclass(frozen=True, slots=True)
-class RecordedStretch:
+class RecordedStretch(NamedTuple):
     """A stretch of a recording in the package heartpy."""
 
     file: str
@@ -119,13 +118,6 @@ def drawn(
     return pulse
 
 
-def breathing(pulse: Floats) -> Floats:
-    """Add a respiratory wave to the pulse."""
-    t_s = np.arange(len(pulse)) / RATE_HZ
-    wave = math.sqrt(2) * np.sin(2 * np.pi * BREATHS_HZ * t_s)
-    return np.asarray(pulse + BREATH * pulse.std() * wave)
-
-
 def synthetic_pulses(seconds: float, seed: int, predictive_shape: bool = True) -> dict[str, Floats]:
     """Return eight pulses by name, before the chain."""
 
@@ -137,6 +129,11 @@ def synthetic_pulses(seconds: float, seed: int, predictive_shape: bool = True) -
 
     def wide(beats: Beats, preset: str = "wide") -> Floats:
         return drawn(beats, preset, seconds, NOMINAL_BEAT_S, predictive_shape)
+
+    def breathing(pulse: Floats) -> Floats:
+        t_s = np.arange(len(pulse)) / RATE_HZ
+        wave = math.sqrt(2) * np.sin(2 * np.pi * BREATHS_HZ * t_s)
+        return np.asarray(pulse + BREATH * pulse.std() * wave)
 
     ramp = make_rhythm(rng(4), seconds, 0.0, lambda t_s: 60 + 60 * min(t_s / seconds, 1))
     return {
@@ -169,28 +166,22 @@ def recorded_pulses(seconds: float) -> dict[str, Floats]:
     package = find_spec("heartpy")
     if package is None or package.origin is None:
         return {}
-    folder = Path(package.origin).parent / "data"
-    return {name: _recorded(folder, each, seconds) for name, each in RECORDED.items()}
-
-
-def _recorded(folder: Path, recorded: RecordedStretch, seconds: float) -> Floats:
-    first = round(recorded.from_s * recorded.rate_hz)
-    last = first + round(seconds * recorded.rate_hz)
-    values = load_column(folder / recorded.file, recorded.column).values[first:last]
-    given_s = np.arange(len(values)) / recorded.rate_hz
-    return np.asarray(np.interp(np.arange(0, given_s[-1], 1 / RATE_HZ), given_s, values))
+    pulses = {}
+    for name, (file, column, rate_hz, from_s) in RECORDED.items():
+        first = round(from_s * rate_hz)
+        recorded = load_column(Path(package.origin).parent / "data" / file, column).values
+        values = recorded[first : first + round(seconds * rate_hz)]
+        given_s = np.arange(len(values)) / rate_hz
+        pulses[name] = np.interp(np.arange(0, given_s[-1], 1 / RATE_HZ), given_s, values)
+    return pulses
 
 
 def through_chain(pulse: Floats) -> Floats:
     """Apply a first-order high-pass and a fourth-order Butterworth low-pass, settled at first."""
     from scipy.signal import butter, sosfilt, sosfilt_zi
 
-    sections = np.concatenate(
-        [
-            butter(1, HIGH_PASS_HZ, "highpass", fs=RATE_HZ, output="sos"),
-            butter(4, LOW_PASS_HZ, fs=RATE_HZ, output="sos"),
-        ]
-    )
+    high = butter(1, HIGH_PASS_HZ, "highpass", fs=RATE_HZ, output="sos")
+    sections = np.concatenate([high, butter(4, LOW_PASS_HZ, fs=RATE_HZ, output="sos")])
     filtered, _ = sosfilt(sections, pulse, zi=sosfilt_zi(sections) * pulse[0])
     return np.asarray(filtered)
 

@@ -1,14 +1,9 @@
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from display_node.control.safety import SafetyScene
-from telepulse.cli.main import app
-from telepulse.reports.document import THEMES
 from telepulse.reports.studies import link_scores
 from telepulse.reports.studies.link_report import advice, least_in_phase, report_links
 from telepulse.reports.studies.link_scores import (
@@ -20,12 +15,10 @@ from telepulse.reports.studies.link_scores import (
     LinkEffort,
     LinkResult,
     LinkScores,
-    LinkSpec,
     arrivals_ms,
     pooled,
     run_link,
     run_policies,
-    score_links,
 )
 from telepulse.reports.studies.prediction_pulses import Pulse, synthetic_pulses
 
@@ -142,26 +135,3 @@ def test_the_report_compares_the_two_choices() -> None:
         ("here", "stack", "0"),
         ("here", "stack", "auto: 20.0"),
     ]
-
-
-def test_the_command_plays_prints_its_tables_and_writes_page_pictures_and_json(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    tiny = LinkEffort(seconds=1, settle_seconds=1, seeds=(1,))
-    links = {"far": LinkSpec(FAR, (0.0, 80.0))}
-    monkeypatch.setattr(link_scores, "pulses", lambda *_, **__: [])
-    monkeypatch.setattr(
-        link_scores, "score_links", lambda _, scheduler: score_links(tiny, scheduler, links)
-    )
-    out, table = tmp_path / "new", tmp_path / "tables.json"
-    result = CliRunner().invoke(app, ["study", "link", "--out", str(out), "--json", str(table)])
-    assert result.exit_code == 0, result.output
-    assert result.output.endswith(f"report: {out / 'index.html'}\n")
-    for theme in THEMES:
-        assert (out / f"link-1-{theme.name}.png").read_bytes().startswith(b"\x89PNG")
-    choice, curves, _, cost = json.loads(table.read_text(encoding="utf-8"))["chapters"]
-    rows = choice["tables"][0]["rows"]
-    assert [row["predictor"] for row in rows[::2]] == list(PREDICTORS)
-    assert all(row["E (ms)"].startswith("auto: 4") for row in rows[1::2])
-    assert [row["E (ms)"] for row in curves["tables"][0]["rows"]] == ["0", "80"]
-    assert [row["predictor"] for row in cost["tables"][0]["rows"]] == list(PREDICTORS)

@@ -1,20 +1,16 @@
-import json
-from pathlib import Path
-
 import pytest
-from typer.testing import CliRunner
 
-from telepulse.cli.main import app
-from telepulse.reports.document import THEMES, Report
-from telepulse.reports.studies import playout_scores
+from telepulse.reports.document import Report
 from telepulse.reports.studies.playout_links import GAUSSIAN, TCP
-from telepulse.reports.studies.playout_report import TARGETS, compare_targets, report_playout
-from telepulse.reports.studies.playout_scores import (
+from telepulse.reports.studies.playout_study import (
     OURS,
     RULES,
+    TARGETS,
     PlayoutEffort,
     PlayoutScores,
     RuleOnLink,
+    compare_targets,
+    report_playout,
     score_playout,
     score_rule,
 )
@@ -72,43 +68,7 @@ def test_the_verdict_is_counted_from_the_ratios(scores: PlayoutScores, report: R
     assert [(link, optimum) for link, optimum, *_ in judged] == [
         (link, optimum) for link, optimum, _ in TARGETS if link in LITTLE.links
     ]
-    reached = sum(ratio <= bar for _, _, bar, ratio in judged)
-    shown = [row[3] for row in report.chapters[0].tables[-1].rows]
-    assert shown.count("met") == reached
-    sentence = report.chapters[0].paragraphs[0]
-    assert sentence.startswith(
-        f"All {reached} targets"
-        if reached == len(judged)
-        else f"{reached} of {len(judged)} targets"
-    )
-
-
-def test_the_command_prints_its_tables_and_writes_page_pictures_and_json(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scores: PlayoutScores
-) -> None:
-    monkeypatch.setattr(playout_scores, "score_playout", lambda *_: scores)
-    out, table = tmp_path / "new" / "folder", tmp_path / "tables.json"
-    result = CliRunner().invoke(app, ["study", "playout", "--out", str(out), "--json", str(table)])
-    assert result.exit_code == 0, result.output
-    assert "NetEQ-like" in result.output
-    assert result.output.endswith(f"report: {out / 'index.html'}\n")
-    for theme in THEMES:
-        assert (out / f"playout-1-{theme.name}.png").read_bytes().startswith(b"\x89PNG")
-    written = json.loads(table.read_text(encoding="utf-8"))
-    assert written["chapters"][0]["tables"][0]["rows"][2]["rule"] == OURS
-
-
-@pytest.mark.parametrize("option", ["--out", "--json"])
-def test_what_cannot_be_written_is_one_line_before_the_work(
-    option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(playout_scores, "score_playout", lambda *_: pytest.fail("it worked"))
-    file = tmp_path / "file"
-    file.touch()
-    result = CliRunner().invoke(
-        app, ["study", "playout", "--out", str(tmp_path), option, str(file / "below")]
-    )
-    assert result.exit_code == 2
-    assert result.stdout == ""
-    assert result.stderr.startswith(f"telepulse: {file / 'below'}: cannot be written")
-    assert result.stderr.count("\n") == 1
+    met = sum(ratio <= target for _, _, target, ratio in judged)
+    assert [row[3] for row in report.chapters[0].tables[-1].rows].count("met") == met
+    count = f"All {met}" if met == len(judged) else f"{met} of {len(judged)}"
+    assert report.chapters[0].paragraphs[0].startswith(f"{count} targets")

@@ -11,8 +11,8 @@ from telepulse.reports.studies.playout_links import (
     best_moving,
     make_trace,
 )
-from telepulse.reports.studies.playout_report import CONSTANT, TARGETS
 from telepulse.reports.studies.playout_rules import play
+from telepulse.reports.studies.playout_study import CONSTANT, TARGETS
 
 # A third of the study's; bursts come every 12 s, and need all of it.
 SECONDS, BURSTS_SECONDS = 100.0, 300.0

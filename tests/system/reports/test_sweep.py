@@ -6,15 +6,13 @@ from functools import partial
 from urllib.parse import urlsplit
 
 import pytest
-from typer.testing import CliRunner
 
 from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError, SweepError
-from telepulse.cli.main import app
 from telepulse.reports.studies import sweep as sweep_module
 from telepulse.reports.studies.link_scores import LinkCase, LinkEffort, run_link
 from telepulse.reports.studies.playout_links import GAUSSIAN
-from telepulse.reports.studies.playout_scores import PlayoutEffort, score_playout
+from telepulse.reports.studies.playout_study import PlayoutEffort, score_playout
 from telepulse.reports.studies.sweep import THREADS, in_one_thread, sweep
 from tests.support.nodes import free_address, process
 
@@ -123,14 +121,3 @@ def test_without_dask_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(SweepError, match=r"pip install 'telepulse\[cluster\]'"):
         sweep(math.sqrt, [4], "tcp://127.0.0.1:8786")
-
-
-@pytest.mark.parametrize("study", ["playout", "prediction", "link"])
-def test_every_swept_study_takes_a_scheduler(study: str, tmp_path: os.PathLike[str]) -> None:
-    result = CliRunner().invoke(
-        app, ["study", study, "--out", str(tmp_path), "--scheduler", "nowhere"]
-    )
-    assert result.exit_code == 2
-    assert result.stdout == ""
-    assert result.stderr.startswith("telepulse: nowhere: no Dask scheduler there: ")
-    assert result.stderr.count("\n") == 1

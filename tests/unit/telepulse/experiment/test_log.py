@@ -94,7 +94,7 @@ def test_a_spoilt_trial_is_named_and_left_out_unless_asked_for(
     chapter = build_report([made]).chapters[0]
     assert any("1 answered trial is spoilt" in text for text in chapter.paragraphs)
     (table,) = [table for table in chapter.tables if table.title == "Spoilt trials"]
-    assert table.rows == (("anna", "2", "plain", why),)
+    assert table.rows == [("anna", "2", "plain", why)]
     assert len(gather([made], with_spoilt=True).outcomes) == 2
     alone = gather([log(found, "bo", [spoilt])])
     assert (len(alone.outcomes), alone.pooled) == (1, True)

@@ -19,13 +19,13 @@ from telepulse.reports.studies.playout_rules import (
 MS = 1_000_000
 
 
-def asked_ms(rule: DelayRule, delays_ms: Iterable[float], start_ms: int = 0) -> list[float]:
+def set_ms(rule: DelayRule, delays_ms: Iterable[float], start_ms: int = 0) -> list[float]:
     """The delay in ms after each frame, one every 5 ms."""
-    asked = []
+    delays = []
     for number, delay_ms in enumerate(delays_ms):
         rule.observe(round(delay_ms * MS), round((start_ms + 5 * number + delay_ms) * MS))
-        asked.append((rule.delay_ns or 0) / MS)
-    return asked
+        delays.append((rule.delay_ns or 0) / MS)
+    return delays
 
 
 def gaussian(mean_ms: float = 20, count: int = 20_000) -> Iterable[float]:
@@ -36,7 +36,7 @@ def gaussian(mean_ms: float = 20, count: int = 20_000) -> Iterable[float]:
 @pytest.mark.parametrize("make", [Ramjee1, Ramjee4])
 def test_ramjees_ask_for_mean_and_beta_mean_deviations(make: type[Ramjee1 | Ramjee4]) -> None:
     for beta in (0.0, 4.0):
-        settled_ms = np.mean(asked_ms(make(beta), gaussian())[5000:])
+        settled_ms = np.mean(set_ms(make(beta), gaussian())[5000:])
         # A Gaussian's mean deviation is √(2/π) of its standard deviation; a mean that follows
         # each delay by 1 − α is nearer to it.
         alpha = make.ALPHA
@@ -47,67 +47,64 @@ def test_ramjees_ask_for_mean_and_beta_mean_deviations(make: type[Ramjee1 | Ramj
 
 def test_ramjee_1_takes_seconds_to_follow_and_4_takes_frames() -> None:
     for rule, frames in ((Ramjee1(0), 347), (Ramjee4(0), 6)):
-        asked_ms(rule, [20.0] * 100)
-        after_ms = asked_ms(rule, [60.0] * 1000, 500)
+        set_ms(rule, [20.0] * 100)
+        after_ms = set_ms(rule, [60.0] * 1000, 500)
         # Half of the way: (ln 2) / (1 − α) frames.
         assert next(i for i, ms in enumerate(after_ms) if ms > 40) == pytest.approx(frames, abs=2)
 
 
 def test_ramjee_4_follows_a_spike_and_leaves_it() -> None:
     rule = Ramjee4(0)
-    asked_ms(rule, [20.0] * 200)
+    set_ms(rule, [20.0] * 200)
     spike_ms = [170.0 - 5 * number for number in range(30)]
-    during_ms = asked_ms(rule, spike_ms, 1000)
+    during_ms = set_ms(rule, spike_ms, 1000)
     assert during_ms[0] == 170
     assert during_ms[3] == pytest.approx(155, abs=20)
-    assert asked_ms(rule, [20.0] * 100, 1200)[-1] == pytest.approx(20, abs=0.1)
+    assert set_ms(rule, [20.0] * 100, 1200)[-1] == pytest.approx(20, abs=0.1)
 
 
 def test_moon_sets_the_percentile_of_the_last_10_000() -> None:
     delays_ms = list(gaussian())
     rule = MoonPercentile(0.01)
-    assert asked_ms(rule, delays_ms)[-1] == pytest.approx(
+    assert set_ms(rule, delays_ms)[-1] == pytest.approx(
         np.quantile(delays_ms[-10_000:], 0.99), abs=0.02
     )
     # Half of the window is enough to see nothing else.
-    assert asked_ms(rule, [50.0] * 5000, 100_000)[-1] == 50
+    assert set_ms(rule, [50.0] * 5000, 100_000)[-1] == 50
 
 
 def test_moon_plays_a_spike_with_each_of_its_delays_and_does_not_count_them() -> None:
     rule = MoonPercentile(0.01)
-    before_ms = asked_ms(rule, gaussian())[-1]
+    before_ms = set_ms(rule, gaussian())[-1]
     spike_ms = [300.0, 200.0, 100.0]
-    assert asked_ms(rule, spike_ms, 100_000) == spike_ms
-    assert asked_ms(rule, gaussian(count=300), 100_100)[-1] == pytest.approx(before_ms, abs=0.5)
+    assert set_ms(rule, spike_ms, 100_000) == spike_ms
+    assert set_ms(rule, gaussian(count=300), 100_100)[-1] == pytest.approx(before_ms, abs=0.5)
 
 
 def test_neteq_sets_whole_buckets_over_the_smallest() -> None:
     rule = NetEqLike(0.05)
-    assert asked_ms(rule, [20.0] * 50)[-1] == 20 + 80
-    assert asked_ms(rule, [20.0] * 2000, 250)[-1] == 20 + 20
+    assert set_ms(rule, [20.0] * 50)[-1] == 20 + 80
+    assert set_ms(rule, [20.0] * 2000, 250)[-1] == 20 + 20
     # Of every 500 ms, the largest counts: one of 100 frames is enough.
     spiky_ms = [65.0 if number % 100 == 50 else 20.0 for number in range(20_000)]
-    assert asked_ms(NetEqLike(0.05), spiky_ms)[-1] == 20 + 60
+    assert set_ms(NetEqLike(0.05), spiky_ms)[-1] == 20 + 60
 
 
 def test_neteq_follows_a_longer_path_after_2_s_and_a_shorter_one_at_once() -> None:
     rule = NetEqLike(0.05)
-    asked_ms(rule, [20.0] * 2000)
-    longer_ms = asked_ms(rule, [50.0] * 500, 10_000)
+    set_ms(rule, [20.0] * 2000)
+    longer_ms = set_ms(rule, [50.0] * 500, 10_000)
     assert longer_ms[380] < 90
     assert longer_ms[420] >= 70
-    assert asked_ms(rule, [30.0] * 2, 12_500)[-1] - longer_ms[-1] == -20
+    assert set_ms(rule, [30.0] * 2, 12_500)[-1] - longer_ms[-1] == -20
 
 
 def test_a_fixed_delay_is_the_first_and_a_reserve() -> None:
-    assert asked_ms(FixedDelay(7 * MS), [20.0, 90.0, 5.0]) == [27.0] * 3
+    assert set_ms(FixedDelay(7 * MS), [20.0, 90.0, 5.0]) == [27.0] * 3
 
 
-MS = 1_000_000
-
-
-class Told:
-    """A rule that says the next of a row of delays after every frame."""
+class Scripted:
+    """A rule that sets the next of a row of delays after every frame."""
 
     def __init__(self, *delays_ms: float) -> None:
         self._delays_ms = list(delays_ms)
@@ -117,9 +114,9 @@ class Told:
         self.delay_ns = round(self._delays_ms.pop(0) * MS)
 
 
-def felt_ms(trace: DelayTrace, *asked_ms: float) -> list[float]:
-    asked_ns = np.array([round(ms * MS) for ms in asked_ms])
-    felt: list[float] = (felt_delays_ns(trace, asked_ns) / MS).tolist()
+def felt_ms(trace: DelayTrace, *set_ms: float) -> list[float]:
+    set_ns = np.array([round(ms * MS) for ms in set_ms])
+    felt: list[float] = (felt_delays_ns(trace, set_ns) / MS).tolist()
     return felt
 
 
@@ -136,8 +133,8 @@ def test_a_constant_delay_is_felt_and_what_is_above_it_is_late() -> None:
 def test_a_delay_that_grows_for_a_late_frame_does_not_save_what_was_due_already() -> None:
     # The frame sent at 10 ms arrives at 60 with the next eight.
     trace = in_order("", np.array([10.0, 10, 50, 10, 10, 10, 10, 10, 10, 10, 10, 10, 10, 10]))
-    asked_ms = [12.0, 12, *[60.0] * 12]
-    felt = np.array(felt_ms(trace, *asked_ms))
+    set_ms = [12.0, 12, *[60.0] * 12]
+    felt = np.array(felt_ms(trace, *set_ms))
     late = trace.delay_ns / MS > felt
     # By 60 ms all that was sent until 48 had been due.
     assert np.flatnonzero(late).tolist() == [2, 3, 4, 5, 6, 7, 8, 9]
@@ -154,8 +151,8 @@ def test_a_delay_that_shrinks_plays_what_it_passes_over_at_once() -> None:
 def test_a_warped_playout_goes_up_by_20_ms_a_second() -> None:
     frames = 800
     trace = in_order("", np.full(frames, 10.0))
-    at_once = play(Told(10, *[50.0] * (frames - 1)), trace)
-    warped = play(Told(10, *[50.0] * (frames - 1)), trace, warped=True)
+    at_once = play(Scripted(10, *[50.0] * (frames - 1)), trace)
+    warped = play(Scripted(10, *[50.0] * (frames - 1)), trace, warped=True)
     assert at_once.delay_ms == pytest.approx(50, abs=0.2)
     # 40 ms take 2 s of the 4, in which 98 % of 400 frames are played, 20 ms off on average; the
     # first is played before any of it.

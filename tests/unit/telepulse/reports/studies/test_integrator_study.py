@@ -2,8 +2,13 @@ import math
 
 import pytest
 
-from telepulse.reports.studies.integrator_report import ROUNDING, beaten_by, verdict
-from telepulse.reports.studies.integrator_scores import IntegratorPoint, costs_us
+from telepulse.reports.studies.integrator_study import (
+    ROUNDING,
+    IntegratorPoint,
+    beaten_by,
+    costs_us,
+    verdict,
+)
 from telepulse.reports.studies.integrators import Step
 
 FAST = IntegratorPoint("fast", "fast", 1e-3, 0.1)
@@ -18,27 +23,30 @@ def test_the_frontier_is_what_no_other_point_beats() -> None:
     assert beaten_by(WORSE, points) == [MIDDLE]
 
 
-def test_errors_at_rounding_are_equal_so_that_only_speed_counts() -> None:
-    slower = IntegratorPoint("slower", "slower", ROUNDING * 1e-3, 11.0)
-    assert beaten_by(slower, [EXACT, slower]) == [EXACT]
-    assert beaten_by(EXACT, [EXACT, slower]) == []
+@pytest.mark.parametrize(
+    ("better", "worse"),
+    [
+        # Errors at rounding are equal, so that only speed counts.
+        (EXACT, IntegratorPoint("slower", "slower", ROUNDING * 1e-3, 11.0)),
+        # At equal cost the more accurate wins.
+        (MIDDLE, IntegratorPoint("coarser", "coarser", 1e-5, MIDDLE.cost_us)),
+        (FAST, IntegratorPoint("diverged", "diverged", math.inf, 0.5)),
+    ],
+)
+def test_one_of_two_points_beats_the_other(better: IntegratorPoint, worse: IntegratorPoint) -> None:
+    assert beaten_by(worse, [better, worse]) == [better]
+    assert beaten_by(better, [better, worse]) == []
 
 
-def test_at_equal_cost_the_more_accurate_wins() -> None:
-    coarser = IntegratorPoint("coarser", "coarser", 1e-5, MIDDLE.cost_us)
-    assert beaten_by(coarser, [coarser, MIDDLE]) == [MIDDLE]
-    assert beaten_by(MIDDLE, [coarser, MIDDLE]) == []
-
-
-def test_points_that_are_equal_do_not_beat_each_other() -> None:
-    twin = IntegratorPoint("twin", "twin", MIDDLE.error, MIDDLE.cost_us)
-    assert beaten_by(MIDDLE, [MIDDLE, twin]) == []
-
-
-def test_a_diverged_point_is_on_the_frontier_only_if_it_is_the_fastest() -> None:
-    diverged = IntegratorPoint("diverged", "diverged", math.inf, 0.5)
-    assert beaten_by(diverged, [diverged, FAST]) == [FAST]
-    assert beaten_by(diverged, [diverged, MIDDLE]) == []
+@pytest.mark.parametrize(
+    "other",
+    [
+        IntegratorPoint("twin", "twin", MIDDLE.error, MIDDLE.cost_us),
+        IntegratorPoint("diverged", "diverged", math.inf, 0.5),
+    ],
+)
+def test_equal_and_faster_points_are_not_beaten(other: IntegratorPoint) -> None:
+    assert beaten_by(MIDDLE, [MIDDLE, other]) == beaten_by(other, [MIDDLE, other]) == []
 
 
 def test_the_verdict_names_better_points() -> None:

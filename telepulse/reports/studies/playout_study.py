@@ -1,0 +1,378 @@
+"""The study of playout: every rule on every link, beside the optima.
+
+Mean delay at 1 % late, targets, rules at their defaults, and delay against the share late.
+"""
+
+import itertools
+import math
+from collections.abc import Callable, Container, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
+
+from display_node.reception.playout import LATE_TARGET, DelayEstimator
+from telepulse.reports.document import Chapter, Plot, Report, Table
+from telepulse.reports.studies.playout_links import (
+    BURSTS,
+    DENSE,
+    FAST,
+    FRAME_NS,
+    GAUSSIAN,
+    LINKS,
+    RANDOM,
+    ROUTE,
+    SECONDS,
+    SHORT_BURSTS,
+    SLOW,
+    SPIKES,
+    TCP,
+    best_constant_ms,
+    best_moving,
+    cheapest,
+    make_trace,
+)
+from telepulse.reports.studies.playout_rules import (
+    FixedDelay,
+    MakeRule,
+    MoonPercentile,
+    NetEqLike,
+    PlayedTrace,
+    Ramjee1,
+    Ramjee4,
+    play,
+)
+from telepulse.reports.studies.sweep import sweep
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MS = 1e6
+FRAME_MS = FRAME_NS / MS
+# Prices of a late share, in ms, for the optimum's curve.
+PRICES_MS = (10.0, 30.0, 100.0, 300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0)
+
+
+class TunedRule(NamedTuple):
+    """A rule and its one parameter, from the setting with fewest late frames to that with most."""
+
+    make: MakeRule
+    parameter: str
+    fewest: float
+    most: float
+    default: float
+
+
+def _fixed(reserve_ms: float) -> FixedDelay:
+    return FixedDelay(round(reserve_ms * MS))
+
+
+OURS = "ours"
+RULES: dict[str, TunedRule] = {
+    OURS: TunedRule(partial(DelayEstimator, warp=math.inf), "late target", 1e-4, 0.3, LATE_TARGET),
+    "Ramjee 1": TunedRule(Ramjee1, "β", 60.0, 0.5, 4.0),
+    "Ramjee 4": TunedRule(Ramjee4, "β", 60.0, 0.5, 4.0),
+    "Moon percentile": TunedRule(MoonPercentile, "late target", 1e-4, 0.3, 0.01),
+    "NetEQ-like": TunedRule(NetEqLike, "late target", 1e-4, 0.999, 0.05),
+    "fixed": TunedRule(_fixed, "reserve in ms", 600.0, 1.0, 40.0),
+}
+CONSTANT, MOVING = "best constant", "best moving, 5 %"
+# Required at most: mean delay at 1 % late over an optimum's.
+TARGETS = (
+    (GAUSSIAN, CONSTANT, 1.05),
+    (SPIKES, CONSTANT, 1.05),
+    (GAUSSIAN, MOVING, 1.15),
+    (ROUTE, MOVING, 1.15),
+    (FAST, MOVING, 1.15),
+    (SLOW, MOVING, 1.15),
+    (BURSTS, MOVING, 1.2),
+    (RANDOM, MOVING, 1.6),
+    (TCP, MOVING, 1.7),
+)
+# In two tables, for a terminal's width.
+GROUPS = {
+    "steady": (GAUSSIAN, SPIKES, ROUTE, FAST, SLOW),
+    "unsteady": (BURSTS, RANDOM, TCP, SHORT_BURSTS, DENSE),
+}
+CURVES = (GAUSSIAN, BURSTS, TCP)
+STYLES = ("o-", "s--", "^-", "v--", "P-", "x:", "D-")
+
+
+@dataclass(frozen=True, slots=True)
+class PlayoutEffort:
+    """Amount of computing: settings over a parameter's whole range, then bisections."""
+
+    seconds: float = SECONDS
+    scan: int = 4
+    bisections: int = 5
+    links: tuple[str, ...] = tuple(LINKS)
+    curves: tuple[str, ...] = ()
+    late: float = LATE_TARGET
+
+
+class RuleScore(NamedTuple):
+    """One rule on one link.
+
+    `tuned`, at `setting`, has the least delay with at most the share late if that was `reached`,
+    and otherwise the fewest late frames. `default` is at the rule's default, `warped` the same as
+    the display would play it. `tried` holds every setting that was played, by its late share.
+    """
+
+    tuned: PlayedTrace
+    setting: float
+    reached: bool
+    default: PlayedTrace
+    warped: PlayedTrace
+    tried: tuple[PlayedTrace, ...]
+
+
+class LinkScore(NamedTuple):
+    """A link's smallest delay and both optima in ms, from the whole trace.
+
+    moving_ms is a bound, found_ms the mean of the path that was found. `curve` holds the moving
+    optimum at several prices of lateness.
+    """
+
+    smallest_ms: float
+    constant_ms: float
+    moving_ms: float
+    found_ms: float
+    curve: tuple[PlayedTrace, ...]
+
+
+class PlayoutScores(NamedTuple):
+    """Scores of the links, and of the rules by link and name."""
+
+    links: dict[str, LinkScore]
+    rules: dict[str, dict[str, RuleScore]]
+
+
+class RuleOnLink(NamedTuple):
+    """A case: the name of a rule and of a link."""
+
+    rule: str
+    link: str
+
+    def __str__(self) -> str:
+        return f"{self.rule} on {self.link}"
+
+
+def score_playout(effort: PlayoutEffort, scheduler: str | None = None) -> PlayoutScores:
+    """Play every rule on every link, on all cores or a Dask cluster; deterministic.
+
+    Raises SweepError.
+    """
+    cases = [RuleOnLink(name, link) for link in effort.links for name in RULES]
+    links = sweep(partial(score_link, effort=effort), effort.links, scheduler)
+    played = iter(sweep(partial(score_rule, effort=effort), cases, scheduler))
+    rules = {link: {name: next(played) for name in RULES} for link in effort.links}
+    return PlayoutScores(dict(zip(effort.links, links, strict=True)), rules)
+
+
+def score_link(link: str, effort: PlayoutEffort) -> LinkScore:
+    """Compute the optima of a link."""
+    delay_ms = make_trace(link, effort.seconds).delay_ns / MS
+    optimum = best_moving(delay_ms, effort.late, FRAME_MS)
+    prices_ms = PRICES_MS if link in effort.curves else ()
+    paths = [cheapest(delay_ms, price_ms, FRAME_MS) for price_ms in prices_ms]
+    curve = [PlayedTrace(path.delay_ms, path.late) for path in paths]
+    return LinkScore(
+        float(delay_ms.min()),
+        best_constant_ms(delay_ms, effort.late),
+        optimum.bound_ms,
+        optimum.best.delay_ms,
+        (PlayedTrace(optimum.bound_ms, effort.late), *curve),
+    )
+
+
+def score_rule(case: RuleOnLink, effort: PlayoutEffort) -> RuleScore:
+    """Tune a rule on a link, and play it at its default."""
+    rule, trace = RULES[case.rule], make_trace(case.link, effort.seconds)
+
+    def at(setting: float) -> PlayedTrace:
+        return play(rule.make(setting), trace)
+
+    tried = _search(at, rule, effort)
+    within = {setting: played for setting, played in tried.items() if played.late <= effort.late}
+    if within:
+        setting = min(within, key=lambda one: within[one].delay_ms)
+    else:
+        setting = min(tried, key=lambda one: tried[one].late)
+    # Our estimator gets the display's slew limit; the others have no such parameter.
+    follower = DelayEstimator(rule.default) if case.rule == OURS else rule.make(rule.default)
+    return RuleScore(
+        tuned=tried[setting],
+        setting=setting,
+        reached=bool(within),
+        default=at(rule.default),
+        warped=play(follower, trace, warped=True),
+        tried=tuple(sorted(tried.values(), key=lambda played: played.late)),
+    )
+
+
+def _search(
+    at: Callable[[float], PlayedTrace], rule: TunedRule, effort: PlayoutEffort
+) -> dict[float, PlayedTrace]:
+    """Try settings evenly over the parameter's logarithm, then bisect to the permitted share."""
+    few, many = math.log(rule.fewest), math.log(rule.most)
+    scanned = [few + (many - few) * step / (effort.scan - 1) for step in range(effort.scan)]
+    tried = {math.exp(one): at(math.exp(one)) for one in scanned}
+    over = [one for one in scanned if tried[math.exp(one)].late > effort.late]
+    if not over or over[0] == few:
+        return tried
+    many, few = over[0], scanned[scanned.index(over[0]) - 1]
+    for _ in range(effort.bisections):
+        middle = (few + many) / 2
+        played = tried[math.exp(middle)] = at(math.exp(middle))
+        if played.late <= effort.late:
+            few = middle
+        else:
+            many = middle
+    return tried
+
+
+def report_playout(scores: PlayoutScores, effort: PlayoutEffort) -> Report:
+    """Return the report on scores that took this effort."""
+    drawn = [link for link, score in scores.links.items() if len(score.curve) > 1]
+    plots = [
+        Plot(
+            f"playout-{number}",
+            f"{link}: mean delay against the share late, a point a setting of each rule."
+            " Lower left is better. The line without marks is the best moving delay.",
+            partial(_draw, scores=scores, link=link),
+        )
+        for number, link in enumerate(drawn, 1)
+    ]
+    curves = Chapter("Delay against the share late", plots=plots)
+    chapters = (_frontier_chapter(scores, effort), _default_chapter(scores), curves)
+    return Report("Playout: delay against late frames", chapters)
+
+
+def compare_targets(scores: PlayoutScores) -> list[tuple[str, str, float, float]]:
+    """Return link, optimum, target and our ratio of mean delays, for each link that was played."""
+    return [
+        (link, optimum, target, _ratio(scores, link, optimum))
+        for link, optimum, target in TARGETS
+        if link in scores.links
+    ]
+
+
+def _optimum_ms(score: LinkScore, optimum: str) -> float:
+    return score.constant_ms if optimum == CONSTANT else score.moving_ms
+
+
+def _ratio(scores: PlayoutScores, link: str, optimum: str, least_ms: float = 0.0) -> float:
+    """Return our mean delay over the optimum's, both without a least delay in ms."""
+    ours_ms = scores.rules[link][OURS].tuned.delay_ms
+    return (ours_ms - least_ms) / (_optimum_ms(scores.links[link], optimum) - least_ms)
+
+
+def _frontier_chapter(scores: PlayoutScores, effort: PlayoutEffort) -> Chapter:
+    def against(delay_ms: float, link: str) -> str:
+        return f"{delay_ms:.1f} ({delay_ms / scores.links[link].moving_ms:.2f})"
+
+    def best(optimum: str, link: str) -> str:
+        return against(_optimum_ms(scores.links[link], optimum), link)
+
+    def tuned(rule: str, link: str) -> str:
+        score = scores.rules[link][rule]
+        missed = "" if score.reached else f" at {score.tuned.late:.1%}"
+        return against(score.tuned.delay_ms, link) + missed
+
+    gaps = [score.found_ms / score.moving_ms - 1 for score in scores.links.values()]
+    judged = compare_targets(scores)
+    missed = [f"{link} / {optimum}" for link, optimum, target, ratio in judged if ratio > target]
+    met = f"{len(judged) - len(missed)} of {len(judged)} targets are met; missed: "
+    paragraphs = (
+        met + "; ".join(missed) + "." if missed else f"All {len(judged)} targets are met.",
+        f"Each link is a trace of {effort.seconds:g} s with a frame every 5 ms; every rule"
+        " sees the same delays. An instant is played once, when it is first the delay in use"
+        " ago: a delay that grows because a frame came late cannot save that frame. Here a"
+        " delay may change at once, as the published rules have it. Each rule's own parameter"
+        " is set for the least mean delay with at most the share late.",
+        "Both optima are computed from the whole trace. The moving one may change by 5 % of"
+        " time; its row is a lower bound of all such paths (the paths that were found are at"
+        f" most {max(gaps):.1%} above it).",
+    )
+    rows = {optimum: partial(best, optimum) for optimum in (CONSTANT, MOVING)} | {
+        name: partial(tuned, name) for name in RULES
+    }
+    title = "Mean delay in ms (over the best moving delay)"
+    note = "Tuned to the share late. Where no setting is within it, the share late is given."
+    tables = (*_tables(title, scores.links, rows, note), _targets_table(scores))
+    return Chapter(f"At {effort.late:.0%} late", paragraphs, tables)
+
+
+def _tables(
+    title: str, links: Container[str], rows: Mapping[str, Callable[[str], str]], note: str = ""
+) -> list[Table]:
+    """Return a table for each group of links, with a row a rule and a column a link."""
+    present = {kind: [link for link in group if link in links] for kind, group in GROUPS.items()}
+    return [
+        Table(
+            f"{title}: {kind} links",
+            ("rule", *group),
+            [(name, *map(cell, group)) for name, cell in rows.items()],
+            note,
+        )
+        for kind, group in present.items()
+        if group
+    ]
+
+
+def _targets_table(scores: PlayoutScores) -> Table:
+    rows = []
+    for link, optimum, target, ratio in compare_targets(scores):
+        over_smallest = _ratio(scores, link, optimum, scores.links[link].smallest_ms)
+        rows.append(
+            (
+                f"{link} / {optimum}",
+                f"{target:.2f}",
+                f"{ratio:.3f}",
+                "met" if ratio <= target else "missed",
+                f"{over_smallest:.3f}",
+            )
+        )
+    return Table(
+        "Targets",
+        ("link / optimum", "bar", "ratio", "verdict", "over smallest"),
+        rows,
+        "Bar: the target. Ratio: our mean delay over the optimum's. Over smallest: the same without"
+        " the trace's smallest delay in both, which no rule can avoid; it has no target.",
+    )
+
+
+def _default_chapter(scores: PlayoutScores) -> Chapter:
+    def cell(rule: str, way: str, link: str) -> str:
+        played: PlayedTrace = getattr(scores.rules[link][rule], way)
+        return f"{played.delay_ms:.1f} {played.late:.1%}"
+
+    tables = []
+    for way, how in (("default", "changed at once"), ("warped", "as a display plays it")):
+        rows = {name: partial(cell, name, way) for name in RULES}
+        tables += _tables(f"Mean delay in ms and share late, {how}", scores.links, rows)
+    defaults = [f"{name} {rule.parameter} {rule.default:g}" for name, rule in RULES.items()]
+    paragraphs = (
+        f"Defaults: {', '.join(defaults)}.",
+        "A display warps its time by 2 % at most, so its delay rises by at most 20 ms a"
+        " second. Our estimator gets this limit and covers bursts that it would be too slow to"
+        " follow.",
+    )
+    return Chapter("At default settings", paragraphs, tables)
+
+
+def _draw(figure: "Figure", scores: PlayoutScores, link: str) -> None:
+    from matplotlib import rcParams
+
+    axes = figure.add_subplot()
+    curve = sorted(scores.links[link].curve, key=lambda played: played.late)
+    best_ms, late = zip(*curve, strict=True)
+    axes.plot(late, best_ms, color=rcParams["text.color"], label=MOVING)
+    for style, (name, score) in zip(
+        itertools.cycle(STYLES), scores.rules[link].items(), strict=False
+    ):
+        delays_ms, late = zip(*score.tried, strict=True)
+        axes.plot(late, delays_ms, style, markersize=4, label=name)
+    axes.set_xscale("symlog", linthresh=1e-3)
+    axes.set(xlim=(0, 0.3), ylim=(curve[-1].delay_ms * 0.9, 2.5 * scores.links[link].constant_ms))
+    axes.set(xlabel="share of late frames", ylabel="mean delay (ms)")
+    figure.legend(loc="outside lower center", ncols=4, fontsize="small")
