@@ -118,6 +118,13 @@ def drawn(
     return pulse
 
 
+def breathing(pulse: Floats) -> Floats:
+    """Add a respiratory wave to the pulse."""
+    t_s = np.arange(len(pulse)) / RATE_HZ
+    wave = math.sqrt(2) * np.sin(2 * np.pi * BREATHS_HZ * t_s)
+    return np.asarray(pulse + BREATH * pulse.std() * wave)
+
+
 def synthetic_pulses(seconds: float, seed: int, predictive_shape: bool = True) -> dict[str, Floats]:
     """Return eight pulses by name, before the chain."""
 
@@ -129,11 +136,6 @@ def synthetic_pulses(seconds: float, seed: int, predictive_shape: bool = True) -
 
     def wide(beats: Beats, preset: str = "wide") -> Floats:
         return drawn(beats, preset, seconds, NOMINAL_BEAT_S, predictive_shape)
-
-    def breathing(pulse: Floats) -> Floats:
-        t_s = np.arange(len(pulse)) / RATE_HZ
-        wave = math.sqrt(2) * np.sin(2 * np.pi * BREATHS_HZ * t_s)
-        return np.asarray(pulse + BREATH * pulse.std() * wave)
 
     ramp = make_rhythm(rng(4), seconds, 0.0, lambda t_s: 60 + 60 * min(t_s / seconds, 1))
     return {
