@@ -34,13 +34,7 @@ MAX_ENCODED_BYTES = (_HEAD.size + 4 * MAX_SAMPLES + _CRC_BYTES) * 255 // 254 + 1
 
 
 class FrameEncoder:
-    """Encoder of a board's samples, which it numbers from 0.
-
-    Raises
-    ------
-    SourceError
-        Without the cobs package.
-    """
+    """Encoder of a board's samples, numbered from 0. Raises SourceError without cobs."""
 
     def __init__(self, sample_format: SampleFormat) -> None:
         self._cobs = library("cobs.cobs", 'framing = "binary"')
@@ -69,21 +63,7 @@ class FrameDecoder:
 
     Noise costs the frame that it touches; if it hides the zero byte between two, the next one
     too. Bytes before the first zero byte may be the end of a frame that was not received whole.
-
-    Parameters
-    ----------
-    period_ns : int
-        Nominal time between samples.
-
-    Attributes
-    ----------
-    rejected : Counter
-        Invalid frames, by cause.
-
-    Raises
-    ------
-    SourceError
-        Without the cobs package.
+    Raises SourceError without the cobs package.
     """
 
     def __init__(self, period_ns: int) -> None:

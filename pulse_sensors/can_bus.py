@@ -78,23 +78,8 @@ class CanBus:
 class CanDecoder:
     """Decoder of a signal's values; their time is the interface's.
 
-    Parameters
-    ----------
-    scene : CanScene
-    folder : Path
-        Folder of the scene file.
-
-    Attributes
-    ----------
-    frame_id, extended : int, bool
-        Id of the message that carries the signal.
-    rejected : Counter
-        Messages without a sample that should have one, by cause.
-
-    Raises
-    ------
-    SourceError
-        For a database that cannot be read or does not fit the scene.
+    `folder` is the scene file's. Raises SourceError for a database that cannot be read or does not
+    fit the scene. frame_id, extended: of the message that carries the signal.
     """
 
     def __init__(self, scene: CanScene, folder: Path) -> None:

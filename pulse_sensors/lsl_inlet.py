@@ -76,13 +76,7 @@ class LslInlet:
 
 
 class LslDecoder:
-    """Decoder of one channel of chunks; their time is the sending host's LSL clock.
-
-    Attributes
-    ----------
-    rejected : Counter
-        Samples that are no numbers, by cause.
-    """
+    """Decoder of one channel of chunks; their time is the sending host's LSL clock."""
 
     def __init__(self, channel: int) -> None:
         self._channel = channel

@@ -58,9 +58,9 @@ def is_usable(value: float) -> bool:
 
 
 def unit_contradiction(stated: str | None, unit: str) -> str | None:
-    """Return that a device states another unit of force or voltage than the scene, and what to set.
+    """Return that a device states another unit than the scene, and what to set; else None.
 
-    None where they agree. Counts are not compared: their scale is a calibration of its own.
+    Counts are not compared: their scale is a calibration of its own.
     """
     known = FORCES | VOLTAGES
     if stated not in known or unit not in known or stated == unit:
@@ -69,10 +69,7 @@ def unit_contradiction(stated: str | None, unit: str) -> str | None:
 
 
 def rate_contradiction(stated_hz: float, rate_hz: float) -> str | None:
-    """Return that a stream declares another rate than the scene; None where they agree.
-
-    A stream that declares 0 Hz declares no rate.
-    """
+    """Return that a stream declares another rate than the scene, 0 Hz being none; else None."""
     if not stated_hz or abs(rate_hz / stated_hz - 1) <= DECLARED_RATE_TOLERANCE:
         return None
     return f"its rate is {stated_hz:g} Hz, the scene says {rate_hz:g}"
@@ -127,18 +124,9 @@ class RateCheck:
 class RecordedColumn:
     """One column of a recording's file.
 
-    Attributes
-    ----------
-    values : ndarray, shape (samples,)
-        In the file's unit.
-    number : int
-        Its place in the file, from 0.
-    name : str
-        Its name in the file; empty where it has none.
-    others : tuple of str
-        Names of the other columns.
-    rising : dict
-        Columns beside it whose values never fall, as times do not, by name or number.
+    values: in the file's unit, shape (samples,). number: its place, from 0. name: empty where the
+    file has none. others: names of the other columns. rising: columns beside it whose values never
+    fall, as times do not, by name or number.
     """
 
     values: NDArray[np.float64]
@@ -175,21 +163,12 @@ def constant_column(column: RecordedColumn) -> str | None:
 def examine(
     column: RecordedColumn, force_n: NDArray[np.float64], unit: str, rate_hz: float, rest_n: float
 ) -> tuple[str | None, list[str]]:
-    """Examine a recording by its file and its scene.
-
-    Parameters
-    ----------
-    column : RecordedColumn
-        The values, with what stands beside them in the file.
-    force_n : ndarray, shape (samples,)
-        Their forces in N.
-    unit, rate_hz, rest_n
-        Of the scene: `unit`, `rate` in Hz and `preload` in N.
+    """Examine a recording's forces, shape (samples,), with its file and its scene's keys.
 
     Returns
     -------
     refusal : str or None
-        Why they cannot be a pulse, and what to set.
+        Why they cannot be a pulse's, and what to set.
     warnings : list of str
         What is doubtful about them, where they are not refused.
     """
@@ -332,13 +311,7 @@ def _steps(times: NDArray[np.float64]) -> tuple[float, int]:
 
 
 class SampleCheck:
-    """Count of samples that cannot be a pulse's; the first of each kind is logged.
-
-    Parameters
-    ----------
-    period_ns : int
-        Time between samples.
-    """
+    """Count of samples that cannot be a pulse's; the first of each kind is logged."""
 
     def __init__(self, period_ns: int) -> None:
         self._period_s = period_ns * 1e-9

@@ -68,7 +68,7 @@ def one_channel(
     missing: int = 0,
     restarted: bool = False,
 ) -> SampleBlock:
-    """Return a block of a decoder's values; see `SampleBlock`."""
+    """Return a decoder's values as a block that is not placed yet."""
     column = np.array(values, np.float64)[:, np.newaxis]
     return SampleBlock(column, missing, device_ns=device_ns, restarted=restarted)
 
@@ -112,15 +112,7 @@ COUNTER_TOLERANCE_NS = 50_000_000
 
 
 class SampleCounter:
-    """Losses from a device's count of its samples. Pure.
-
-    Parameters
-    ----------
-    modulus : int
-        The count wraps to 0 at this number.
-    period_ns : int
-        Nominal time between samples.
-    """
+    """Losses from a device's count of its samples, which wraps to 0 at `modulus`. Pure."""
 
     def __init__(self, modulus: int, period_ns: int) -> None:
         self._modulus = modulus
@@ -128,19 +120,10 @@ class SampleCounter:
         self._next = 0
 
     def missing(self, first: int, count: int, passed_ns: int | None) -> int | None:
-        """Return the number of samples lost before `count` new ones.
+        """Return the number of samples lost before `count` new ones, numbered from `first` on.
 
-        Parameters
-        ----------
-        first : int
-            Number of the first new sample.
-        passed_ns : int, optional
-            Time from the last sample before to the last of these; None where none is known.
-
-        Returns
-        -------
-        int or None
-            None where count and time contradict each other.
+        passed_ns: time from the last sample before to the last of these; None where unknown.
+        Returns None where count and time contradict each other.
         """
         jump = (first - self._next) % self._modulus
         self._next = first + count
@@ -168,11 +151,6 @@ class Timeline:
     A delay-locked loop predicts the time of the next sample; each measured time corrects
     prediction and period by a part of the error. The resulting times never step back.
 
-    Parameters
-    ----------
-    period_ns : int
-        Nominal time between samples.
-
     References
     ----------
     F. Adriaensen, "Using a DLL to filter time", 2005.
@@ -193,15 +171,8 @@ class Timeline:
     def place(self, count: int, missing: int, last_ns: int) -> tuple[int, int, int] | None:
         """Place `count` samples, the last of which was measured at `last_ns`.
 
-        Parameters
-        ----------
-        missing : int
-            Samples known to be lost before them; a jump of the time reveals more.
-
-        Returns
-        -------
-        first_ns, end_ns, missing : int
-            As in `SampleBlock`; None for samples so late that their place is in the past.
+        missing: samples known to be lost before them; a jump of the time reveals more. Returns
+        `first_ns`, `end_ns` and `missing` of a `SampleBlock`; None where their time has passed.
         """
         if self._origin_ns is None:
             self._origin_ns = last_ns - (count - 1) * self._nominal_ns
@@ -244,14 +215,8 @@ def _bounded(value: float, share: float, of: float) -> float:
 class Placement:
     """Conversion of one sensor's blocks to newtons on the host's clock. Pure.
 
-    Attributes
-    ----------
-    samples, missing : int
-        Samples placed so far, and samples lost before them.
-    restarts : int
-        Restarts of the device's clock.
-    behind : int
-        Blocks refused because their time has passed.
+    samples, missing: placed so far, and lost before them. restarts: of the device's clock. behind:
+    blocks that were refused because their time has passed.
     """
 
     def __init__(self, table: SensorTable) -> None:

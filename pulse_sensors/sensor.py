@@ -66,19 +66,7 @@ class Decoder(Protocol):
 class Sensor:
     """A live sensor, read from its construction to `close`.
 
-    Parameters
-    ----------
-    port, decoder : Port, Decoder
-        The device, and what its data mean.
-    table : SensorTable
-        Rate and scale.
-    clock : callable
-        Host's clock in ns.
-
-    Raises
-    ------
-    SourceError
-        When the device is not there.
+    clock: the host's, in ns. Raises SourceError when the device is not there.
     """
 
     def __init__(
@@ -195,18 +183,8 @@ def open_sensor(
 ) -> Sensor:
     """Open the sensor of a scene, for the caller to close.
 
-    Parameters
-    ----------
-    scene : SerialScene, CanScene or LslScene
-    folder : Path
-        Folder of the scene file.
-    clock : callable
-        Host's clock in ns.
-
-    Raises
-    ------
-    SourceError
-        When the device is not there, or a library is missing.
+    `folder` is the scene file's, `clock` the host's in ns. Raises SourceError when the device is
+    not there, or a library is missing.
     """
     match scene:
         case SerialScene():

@@ -32,14 +32,7 @@ class LineTimes:
     """Times of lines that come one a period, or nearly: they reveal lost lines and wrong digits.
 
     A time shortly after the last one is accepted at once. Another one is accepted when the next
-    follows it: lines were lost before it, or the device has restarted.
-
-    Parameters
-    ----------
-    period_ns : int
-        Nominal time between lines; the true one is learnt.
-    quantum_ns : int
-        Grain of the times.
+    follows it: lines were lost before it, or the device has restarted. The true period is learnt.
     """
 
     def __init__(self, period_ns: int, quantum_ns: int) -> None:
@@ -51,15 +44,7 @@ class LineTimes:
     def take(self, now_us: int, unreadable: int) -> tuple[int, int, bool]:
         """Return a line's `device_ns`, `missing` and `restarted`, as in `SampleBlock`.
 
-        Parameters
-        ----------
-        unreadable : int
-            Lines right before it that could not be read.
-
-        Raises
-        ------
-        WireError
-            For a time that is not, or not yet, accepted.
+        unreadable: lines right before it. Raises WireError for a time that is not accepted yet.
         """
         passed_ns = self._time.since_last_ns(now_us)
         if self._time.last_us is not None and not self._follows(passed_ns, unreadable):
@@ -93,14 +78,9 @@ class TextDecoder:
     period_ns : int
         Nominal time between samples.
     column : int
-        Which number of a line is the value, from 0, the time not counted.
+        Number of a line that is the value, from 0, the time not counted.
     time_unit : {"us", "ms", "s"}, optional
         Unit of a line's first number; None where lines have no time.
-
-    Attributes
-    ----------
-    rejected : Counter
-        Lines without a sample, by cause.
     """
 
     def __init__(self, period_ns: int, column: int, time_unit: TimeUnit | None) -> None:

@@ -41,12 +41,7 @@ class RequestBudget:
 
     Once the budget is used up, the node reads no control message for 5 ms. The messages stay
     where they are: a flooding peer is held up by its own full connection, and ZeroMQ reads one
-    message of each connection in turn, so that the other displays are answered.
-
-    Attributes
-    ----------
-    held : int
-        How often reading was held back.
+    message of each connection in turn, so that the other displays are answered. held: how often.
     """
 
     def __init__(self) -> None:
@@ -77,16 +72,8 @@ class RequestBudget:
 class Client:
     """A display that has sent a message.
 
-    Attributes
-    ----------
-    name : str
-        As it names itself; empty before it does.
-    seen_ns : int
-        Time of its last message.
-    report : DisplayReport, optional
-        Its last report.
-    confirmed : bool
-        True when it has confirmed the whole stream.
+    name: empty before it names itself. seen_ns: time of its last message. confirmed: it has
+    confirmed the whole stream.
     """
 
     name: str
@@ -104,15 +91,7 @@ class Client:
 
 
 class ControlServer:
-    """Server of one session's control messages. Pure.
-
-    Attributes
-    ----------
-    clients : dict
-        The displays, by the envelope of their messages.
-    rejected : Counter
-        Messages that were refused, by cause.
-    """
+    """Server of one session's control messages, and its clients by their envelope. Pure."""
 
     def __init__(self, description: StreamDescription, session: int) -> None:
         self._description = description

@@ -34,13 +34,7 @@ class SampleSource(Protocol):
 
 
 class PacedSource:
-    """Feed of a source's samples: sample i falls due at start_ns + i · period_ns.
-
-    Attributes
-    ----------
-    exhausted : bool
-        True when the source has ended.
-    """
+    """Feed of a source's samples: sample i falls due at start_ns + i · period_ns."""
 
     def __init__(self, samples: SampleSource, start_ns: int) -> None:
         self._samples = samples
@@ -112,14 +106,8 @@ class ReplaySource:
     """Feed of an earlier session's frames: the same samples, as far apart in time as they were.
 
     Samples that the recording lacks between two frames keep their sequence numbers: displays
-    count them as lost.
-
-    Parameters
-    ----------
-    description : StreamDescription
-        Of the session.
-    frames : iterable of Frame
-        Of one session, ordered by first_sample; samples that one repeats are left out.
+    count them as lost. The frames are one session's, ordered by first_sample; samples that one
+    repeats are left out.
     """
 
     def __init__(self, description: StreamDescription, frames: Iterable[Frame]) -> None:
@@ -178,10 +166,7 @@ def feed_of(source: Source, start_ns: int) -> PacedSource | LiveSource | ReplayS
 class Framer:
     """Numbering of one session's samples, and their cut into frames of at most `batch` samples.
 
-    Attributes
-    ----------
-    samples_sent : int
-        Of the session so far, with those that are missing.
+    samples_sent: of the session so far, with those that are missing.
     """
 
     def __init__(self, description: StreamDescription, session: int) -> None:

@@ -62,17 +62,7 @@ def queue_limits(description: StreamDescription) -> dict[int, int]:
 
 
 class Telemetry:
-    """Publisher of the node's status, once a second, for readers on this machine.
-
-    Raises AddressError where `address` cannot be bound.
-
-    Attributes
-    ----------
-    address : str
-        Address that is bound.
-    rejected : Counter
-        Refused readers, by cause.
-    """
+    """Publisher of the node's status, once a second. Raises AddressError."""
 
     def __init__(self, context: sockets.Context, address: str) -> None:
         self._authenticator = Authenticator(context, None, most=MAX_READERS)
@@ -101,9 +91,6 @@ class SensingNode:
 
     Parameters
     ----------
-    source : Source
-    description : StreamDescription
-        Sent to every display.
     address : str
         Address of the data; control uses the next port.
     clock : callable
@@ -116,7 +103,6 @@ class SensingNode:
     Raises
     ------
     AddressError, KeyFileError
-        When an address cannot be bound, or a key cannot be read.
     """
 
     def __init__(

@@ -1,7 +1,4 @@
-"""What a host reports of itself that matters to a real-time loop, and the verdict on its ticks.
-
-The host is only read, never changed.
-"""
+"""What a host reports of itself that matters to a real-time loop; it is read, never changed."""
 
 import importlib.metadata
 import os
@@ -9,14 +6,12 @@ import platform
 import re
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import zmq
 
-from display_node.doctor.jitter import Ticks
-from display_node.scoring.deadlines import ALARM_SHARE, GAP_NS
 from protocol.host.process import spans
 
 CPU = Path("/sys/devices/system/cpu")
@@ -25,6 +20,9 @@ PREEMPTION = re.compile(r"\bPREEMPT(?:_RT| RT|_DYNAMIC)?\b")
 EXTRA = re.compile(r"([\w.-]+).*extra == ['\"]([\w-]+)['\"]")
 # Those a node of one host can need; others are for reports and studies.
 EXTRAS = ("sensors", "drives", "record")
+SLOW_WAKE_US = 100
+QUICK_CLOCKS = ("tsc", "arch_sys_counter", "kvm-clock", "riscv_clocksource", "timebase")
+UNKNOWN = "no word of it"
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +54,9 @@ class Host:
 
 def read_host() -> Host:
     """Read this host. What it does not say is left out."""
+    meminfo = _text(Path("/proc/meminfo"))
+    idle = [_text(path) for path in CPU.glob("cpu0/cpuidle/state*/latency")]
+    swap = re.search(r"^SwapTotal:\s+(\d+) kB", meminfo, re.MULTILINE)
     return Host(
         system=f"{platform.system()} {platform.release()} on {platform.machine()}",
         preemption=preemption_of(platform.version()),
@@ -64,11 +65,11 @@ def read_host() -> Host:
         isolated=_text(CPU / "isolated"),
         quota=_quota(),
         governors=sorted({_text(path) for path in CPU.glob("cpu*/cpufreq/scaling_governor")}),
-        idle_us=max(map(_number, CPU.glob("cpu0/cpuidle/state*/latency")), default=None),
+        idle_us=max((int(text) for text in idle if text.isdigit()), default=None),
         clocksource=_text(Path("/sys/devices/system/clocksource/clocksource0/current_clocksource"))
         or None,
         clock_resolution_ns=time.get_clock_info("monotonic").resolution * 1e9,
-        swap_kib=_swap_kib(_text(Path("/proc/meminfo"))),
+        swap_kib=int(swap[1]) if swap else 0,
         limits=_limits(),
         realtime_share=_realtime_share(),
         python=f"{platform.python_implementation()} {platform.python_version()}",
@@ -79,7 +80,7 @@ def read_host() -> Host:
 
 
 def preemption_of(version: str) -> str | None:
-    """How preemptible a Linux kernel is, by its version line; None where it does not say."""
+    """Return how preemptible a Linux kernel is by its version line; None where it does not say."""
     found = PREEMPTION.search(version)
     return found[0].replace(" ", "_") if found else None
 
@@ -89,30 +90,55 @@ def describe(host: Host) -> list[tuple[str, str]]:
     cpus = spans(frozenset(host.cpus)) or "any"
     if host.quota is not None:
         cpus += f", for the time of {host.quota:g}"
+    if host.isolated:
+        cpus += f", isolated {host.isolated}"
+    power = list(host.governors)
+    if host.idle_us is not None:
+        power.append(f"{host.idle_us} µs to wake from the deepest sleep")
+    share = UNKNOWN
+    if host.realtime_share is not None:
+        share = f"{host.realtime_share:.0%} of a processor for those with a priority"
+    limits = []
+    for name, limit in host.limits.items():
+        shown = f"{limit / (1 << 20):g} MiB" if limit is not None and "MEM" in name else limit
+        limits.append(f"{name} {'unlimited' if limit is None else shown}")
     missing = [f"{name} (without {', '.join(gone)})" for name, gone in host.extras.items() if gone]
-    limits = [
-        f"{name} {'unlimited' if limit is None else _bytes(limit) if 'MEM' in name else limit}"
-        for name, limit in host.limits.items()
-    ]
-    wake = "" if host.idle_us is None else f"{host.idle_us} µs to wake from the deepest sleep"
     return [
         ("system", f"{host.system}, {host.preemption or 'no word of preemption'}"),
         ("inside", ", ".join(host.virtual) or "neither a virtual machine nor a container"),
-        ("may run on", cpus + (f", isolated {host.isolated}" if host.isolated else "")),
-        ("power", ", ".join([*host.governors, *([wake] if wake else [])]) or "no word of it"),
+        ("may run on", cpus),
+        ("power", ", ".join(power) or UNKNOWN),
         ("clock", f"{host.clocksource or 'unknown'}, in {host.clock_resolution_ns:g} ns"),
         ("swap", f"{host.swap_kib >> 10} MiB" if host.swap_kib else "none"),
         ("limits", ", ".join(limits) or "no word of them"),
-        (
-            "real-time share",
-            "no word of it"
-            if host.realtime_share is None
-            else f"{host.realtime_share:.0%} of a processor for those with a priority",
-        ),
+        ("real-time share", share),
         ("python", host.python),
-        ("zeromq", host.zeromq + (", CURVE" if host.curve else ", without CURVE")),
+        ("zeromq", f"{host.zeromq}, {'CURVE' if host.curve else 'without CURVE'}"),
         ("extras", ", ".join(missing) or "all there"),
     ]
+
+
+def advice_on(host: Host) -> Iterator[str]:
+    """Yield what would help this host, the weightiest first."""
+    if host.quota is not None and host.quota < 2:
+        yield (
+            f"the control group stops this process when it has had {host.quota:g} processors'"
+            " time: lift cpu.max (docker run without --cpus)"
+        )
+    if host.governors and host.governors != ["performance"]:
+        yield (
+            f"processors change their speed ({', '.join(host.governors)}):"
+            " cpupower frequency-set -g performance"
+        )
+    if host.idle_us is not None and host.idle_us >= SLOW_WAKE_US:
+        yield (
+            f"a processor takes {host.idle_us} µs to wake from its deepest sleep:"
+            " boot with processor.max_cstate=1, or cpupower idle-set -D 50"
+        )
+    if host.clocksource is not None and host.clocksource not in QUICK_CLOCKS:
+        yield f"each look at the clock is a slow one ({host.clocksource}, not tsc)"
+    if not host.curve:
+        yield "this ZeroMQ cannot encrypt: install pyzmq's own wheel, or libsodium"
 
 
 def stolen() -> tuple[int, int]:
@@ -135,7 +161,7 @@ def _virtual() -> list[str]:
 
 
 def _quota() -> float | None:
-    """Processors' time that the control group allows, of either version of control groups."""
+    """Return the processors' time that a control group of either version allows."""
     for line in _text(Path("/proc/self/cgroup")).splitlines():
         _, controllers, path = line.split(":", 2)
         if not controllers:
@@ -170,7 +196,7 @@ def _limits() -> dict[str, int | None]:
 
 
 def _missing(requirements: list[str]) -> dict[str, list[str]]:
-    """By extra, which of its packages are not installed."""
+    """Return by extra which of its packages are not installed."""
     missing: dict[str, list[str]] = {}
     for requirement in requirements:
         found = EXTRA.match(requirement)
@@ -183,115 +209,9 @@ def _missing(requirements: list[str]) -> dict[str, list[str]]:
     return missing
 
 
-def _bytes(count: int) -> str:
-    return f"{count / (1 << 20):g} MiB"
-
-
-def _swap_kib(meminfo: str) -> int:
-    found = re.search(r"^SwapTotal:\s+(\d+) kB", meminfo, re.MULTILINE)
-    return int(found[1]) if found else 0
-
-
-def _number(path: Path) -> int:
-    text = _text(path)
-    return int(text) if text.isdigit() else 0
-
-
 def _text(path: Path) -> str:
     """Return the text of a kernel's file; empty where it cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip()
     except OSError:
         return ""
-
-
-BARE, TOGETHER = "bare", "together"
-IDLE, LOADED = "nothing", "load"
-# Of the ticks beside a load, with all that is granted.
-OK_MISSED = 1e-3
-SLOW_WAKE_US = 100
-STOLEN = 1e-2
-QUICK_CLOCKS = ("tsc", "arch_sys_counter", "kvm-clock", "riscv_clocksource", "timebase")
-
-Table = Mapping[tuple[str, str], Ticks]
-
-
-@dataclass(frozen=True, slots=True)
-class HostFindings:
-    """Create the findings of a doctor's run.
-
-    ticks: by measure, and by what ran beside them. option: the value to pass to --realtime, None
-    where nothing is granted. refusals: lines. stolen: share of time that a hypervisor took away
-    meanwhile.
-    """
-
-    tick_ns: int
-    ticks: Table
-    option: str | None
-    refusals: Sequence[str]
-    stolen: float
-
-
-@dataclass(frozen=True, slots=True)
-class HostVerdict:
-    """status: ok, look or fail; reason: a line; advice: lines, the weightiest first."""
-
-    status: str
-    reason: str
-    advice: list[str]
-
-
-def judge(host: Host, findings: HostFindings) -> HostVerdict:
-    """Judge whether this host keeps a loop on time, and what would help."""
-    bare = findings.ticks[BARE, LOADED]
-    best = findings.ticks.get((TOGETHER, LOADED), bare)
-    share = best.missed / best.due if best.due else 1.0
-    latest_ms = (best.late_us.maximum or 0.0) * 1e-3
-    stood_still = latest_ms * 1e6 > GAP_NS
-    status = "ok" if share <= OK_MISSED else "look" if share <= ALARM_SHARE else "fail"
-    how = f"with --realtime {findings.option}" if best is not bare else "with no measure"
-    reason = f"beside a load, {how}, {best.missed} of {best.due} ticks were missed"
-    if best is not bare:
-        reason += f" (bare {bare.missed} of {bare.due})"
-    reason += f", the latest began {latest_ms:.1f} ms late"
-    if stood_still:
-        status = "fail"
-        reason += f": longer than the watchdog of a drive ({GAP_NS * 1e-6:.0f} ms)"
-    return HostVerdict(
-        status,
-        reason,
-        [*_of_stolen_time(findings), *_of_host(host), *findings.refusals],
-    )
-
-
-def _of_stolen_time(findings: HostFindings) -> list[str]:
-    if findings.stolen <= STOLEN:
-        return []
-    return [
-        f"the hypervisor gave {findings.stolen:.1%} of the time to others: nothing set here"
-        " helps against that; take a machine of its own, or pin its processors"
-    ]
-
-
-def _of_host(host: Host) -> list[str]:
-    advice = []
-    if host.quota is not None and host.quota < 2:
-        advice.append(
-            f"the control group stops this process when it has had {host.quota:g} processors'"
-            " time: lift cpu.max (docker run without --cpus)"
-        )
-    if host.governors and host.governors != ["performance"]:
-        advice.append(
-            f"processors change their speed ({', '.join(host.governors)}):"
-            " cpupower frequency-set -g performance"
-        )
-    if host.idle_us is not None and host.idle_us >= SLOW_WAKE_US:
-        advice.append(
-            f"a processor takes {host.idle_us} µs to wake from its deepest sleep:"
-            " boot with processor.max_cstate=1, or cpupower idle-set -D 50"
-        )
-    if host.clocksource is not None and host.clocksource not in QUICK_CLOCKS:
-        advice.append(f"each look at the clock is a slow one ({host.clocksource}, not tsc)")
-    if not host.curve:
-        advice.append("this ZeroMQ cannot encrypt: install pyzmq's own wheel, or libsodium")
-    return advice

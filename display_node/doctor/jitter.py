@@ -1,24 +1,36 @@
-"""How late ticks begin: the loop's own wait at a scene's tick, with measures and without."""
+"""How late ticks begin, with each real-time measure and without, and the verdict on it."""
 
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 
+import zmq
+
+from display_node.doctor.host import Host, advice_on, stolen
+from display_node.scoring.deadlines import ALARM_SHARE, GAP_NS
 from protocol import sockets
 from protocol.histogram import Histogram
 from protocol.host.child_process import ChildProcess
-from protocol.host.realtime import Pacer, RealtimeRequest, hold
+from protocol.host.realtime import Pacer, RealtimeGrant, RealtimeRequest, hold, parse_realtime
 
-# It ends with who started it, however that ends.
+# It ends with the process that started it, however that ends.
 BUSY = """
 import os, sys
 while os.getppid() == int(sys.argv[1]):
     pass
 """
+MAX_ROUNDS = 4
+LEAST_SLOT_S = 0.1
+BARE, TOGETHER = "bare", "together"
+IDLE, LOADED = "nothing", "load"
+# Share of the ticks beside a load, with all that is granted.
+OK_MISSED = 1e-3
+STOLEN = 1e-2
 
 Work = Callable[[int, int], object]
+"""Work of a tick: takes the time in ns at which it was due, and the ticks since the last."""
 
 
 @dataclass(slots=True)
@@ -37,10 +49,7 @@ class Ticks:
 def run_ticks(
     ticks: Ticks, tick_ns: int, seconds: float, descriptors: Sequence[int], work: Work
 ) -> None:
-    """Wait for ticks as a display does, and call `work` in each.
-
-    work: takes the time in ns at which the tick was due, and the number of ticks since the last.
-    """
+    """Wait for ticks as a display does, and call `work` in each."""
     pacer = Pacer(tick_ns, time.monotonic_ns())
     end_ns = pacer.due_ns + round(seconds * 1e9)
     # Until nothing is due any more: a wait that ends after the end is the latest of all.
@@ -55,28 +64,98 @@ def run_ticks(
     ticks.missed += pacer.missed
 
 
-def run_in_turns(
-    wishes: dict[str, RealtimeRequest],
-    rounds: int,
-    slot_s: float,
-    tick_ns: int,
-    descriptors: Sequence[int],
-    work: Work,
-) -> dict[str, Ticks]:
-    """Ticks with each of the wishes held, by turns, so that all of them meet the same host."""
-    found = {name: Ticks() for name in wishes}
-    for _ in range(rounds):
-        for name, asked in wishes.items():
-            with hold(asked):
-                run_ticks(found[name], tick_ns, slot_s, descriptors, work)
-    return found
-
-
 @contextmanager
 def busy_processes(count: int) -> Iterator[None]:
-    """As many processes that compute without a pause."""
+    """Run so many processes that compute without a pause, within a `with`."""
     with ExitStack() as stack:
         for _ in range(count):
             arguments = ("-S", "-c", BUSY, str(os.getpid()))
             stack.enter_context(ChildProcess("busy process", *arguments))
         yield
+
+
+@dataclass(frozen=True, slots=True)
+class HostFindings:
+    """Findings of a doctor's run.
+
+    ticks: by measure, and by what ran beside them. option: the value to pass to --realtime, None
+    where nothing is granted. stolen: share of time that a hypervisor took away meanwhile.
+    """
+
+    tick_ns: int
+    ticks: Mapping[tuple[str, str], Ticks]
+    option: str | None
+    refusals: Sequence[str]
+    stolen: float
+
+
+def measure(
+    tick_ns: int, work: Work, held: RealtimeGrant, seconds: float, processors: int, isolated: str
+) -> HostFindings:
+    """Measure ticks bare, with each granted measure, and with all of them.
+
+    They take turns, so that all of them meet the same host. A processor is chosen only where one
+    is isolated: another one is no better by itself.
+    """
+    chosen = [name for name in held.granted if isolated or not name.startswith("cpu")]
+    wanted = {BARE: RealtimeRequest()} | {name: parse_realtime(name) for name in held.granted}
+    if chosen:
+        wanted[TOGETHER] = parse_realtime(",".join(chosen))
+    each_s = seconds / (2 * len(wanted))
+    rounds = min(max(round(each_s / LEAST_SLOT_S), 1), MAX_ROUNDS)
+    ticks = {(name, beside): Ticks() for beside in (IDLE, LOADED) for name in wanted}
+    context: sockets.Context = zmq.Context()
+    try:
+        silent = sockets.unconnected(context, zmq.SUB)
+        descriptors = sockets.descriptors([silent])
+        stolen_before, all_before = stolen()
+        for beside, busy in ((LOADED, processors), (IDLE, 0)):
+            with busy_processes(busy):
+                for name, request in list(wanted.items()) * rounds:
+                    with hold(request):
+                        slot = ticks[name, beside]
+                        run_ticks(slot, tick_ns, each_s / rounds, descriptors, work)
+        stolen_after, all_after = stolen()
+    finally:
+        context.destroy(linger=0)
+    return HostFindings(
+        tick_ns=tick_ns,
+        ticks=ticks,
+        option=",".join(chosen) or None,
+        refusals=[str(refusal) for refusal in held.refused],
+        stolen=(stolen_after - stolen_before) / max(1, all_after - all_before),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class HostVerdict:
+    """status: ok, look or fail; reason: a line; advice: lines, the weightiest first."""
+
+    status: str
+    reason: str
+    advice: list[str]
+
+
+def judge(host: Host, findings: HostFindings) -> HostVerdict:
+    """Judge whether this host keeps a loop on time, and what would help."""
+    bare = findings.ticks[BARE, LOADED]
+    best = findings.ticks.get((TOGETHER, LOADED), bare)
+    share = best.missed / best.due if best.due else 1.0
+    latest_ms = (best.late_us.maximum or 0.0) * 1e-3
+    status = "ok" if share <= OK_MISSED else "look" if share <= ALARM_SHARE else "fail"
+    how = f"with --realtime {findings.option}" if best is not bare else "with no measure"
+    reason = f"beside a load, {how}, {best.missed} of {best.due} ticks were missed"
+    if best is not bare:
+        reason += f" (bare {bare.missed} of {bare.due})"
+    reason += f", the latest began {latest_ms:.1f} ms late"
+    if latest_ms * 1e6 > GAP_NS:
+        status = "fail"
+        reason += f": longer than the watchdog of a drive ({GAP_NS * 1e-6:.0f} ms)"
+    advice = [*advice_on(host), *findings.refusals]
+    if findings.stolen > STOLEN:
+        advice.insert(
+            0,
+            f"the hypervisor gave {findings.stolen:.1%} of the time to others: nothing set here"
+            " helps against that; take a machine of its own, or pin its processors",
+        )
+    return HostVerdict(status, reason, advice)

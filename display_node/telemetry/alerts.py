@@ -45,57 +45,45 @@ def alerts(
         For how long nothing came from the display, in ns. After 2 s nothing that may have changed
         meanwhile is claimed any more.
     """
-    faults = summary.get("faults", [])
+    faults, rejected = summary.get("faults", []), summary.get("rejected", {})
     silent = silent_ns > SILENT_AFTER_NS and not final
     finger = "" if silent else finger_note(summary)
     found = [Alert(f"fault: {fault}", f"{advise(fault)}{finger}") for fault in latched(faults)]
     if silent:
-        return [*found, _no_telemetry(summary, silent_ns)]
+        known = summary.get("finger")
+        before = f", before that: {known}" if known else ""
+        text = f"since {silent_ns * 1e-9:.0f} s; finger: unknown{before}"
+        return [*found, Alert("no telemetry", text)]
     if final:
         return found
     for prefix in (FILM_NOTE, SENSING_NOTE):
         notes = [fault.removeprefix(prefix) for fault in faults if fault.startswith(prefix)]
         if notes:
             found.append(Alert(prefix.removesuffix(": "), "; ".join(notes)))
-    if summary.get("rejected", {}).get(REVOKED) and state != "playing":
+    if rejected.get(REVOKED) and state != "playing":
         found.append(Alert("revoked", CAUSE_MEANINGS[REVOKED]))
-    if refusals := _refused_connections(state, summary):
-        found.append(Alert(NOT_CONNECTED, "; ".join(explain_causes(refusals))))
-    if state == "stale":
-        found.append(Alert("stale", f"no samples to play{finger}"))
-    stiffness = summary.get("finger_stiffness")
-    if stiffness is not None and not LEAST_STIFFNESS <= stiffness <= MOST_STIFFNESS:
-        found.append(Alert(STIFFNESS, _implausible_stiffness(stiffness)))
-    late = deadline_alarm(summary.get("loop", {}))
-    return found if late is None else [*found, Alert("deadline misses", late)]
-
-
-def _implausible_stiffness(stiffness: float) -> str:
-    """Return what a stiffness that no finger has may come from, and what to do."""
-    few = stiffness < 1
-    return (
-        f"{stiffness:.2f} times the scene's fingertip, implausible for a finger: the film reads too"
-        f" {'little' if few else 'much'} (telepulse calibrate) or the motor goes"
-        f" {'less' if few else 'further'} than it counts (telepulse bench)"
-    )
-
-
-def _refused_connections(state: str, summary: Mapping[str, Any]) -> dict[str, int]:
-    """Return why a display that plays nothing does not get in, by cause and count."""
-    if state not in ("waiting", "stale"):
-        return {}
-    rejected = summary.get("rejected", {})
-    return {
+    refused = {
         cause: rejected[cause]
         for cause, least in CONNECTION_CAUSES.items()
         if rejected.get(cause, 0) >= least
     }
-
-
-def _no_telemetry(summary: Mapping[str, Any], silent_ns: int) -> Alert:
-    finger = summary.get("finger")
-    before = f", before that: {finger}" if finger else ""
-    return Alert("no telemetry", f"since {silent_ns * 1e-9:.0f} s; finger: unknown{before}")
+    if refused and state in ("waiting", "stale"):
+        found.append(Alert(NOT_CONNECTED, "; ".join(explain_causes(refused))))
+    if state == "stale":
+        found.append(Alert("stale", f"no samples to play{finger}"))
+    stiffness = summary.get("finger_stiffness")
+    if stiffness is not None and not LEAST_STIFFNESS <= stiffness <= MOST_STIFFNESS:
+        film, motor = ("little", "less") if stiffness < 1 else ("much", "further")
+        found.append(
+            Alert(
+                STIFFNESS,
+                f"{stiffness:.2f} times the scene's fingertip, implausible for a finger: the film"
+                f" reads too {film} (telepulse calibrate) or the motor goes {motor} than it counts"
+                " (telepulse bench)",
+            )
+        )
+    late = deadline_alarm(summary.get("loop", {}))
+    return found if late is None else [*found, Alert("deadline misses", late)]
 
 
 def finger_note(summary: Mapping[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""The recorder beside a display: a process of its own that is there before the drive moves."""
+"""The recorder of a display: a process of its own that runs before the drive moves."""
 
 import logging
 import os
@@ -40,39 +40,17 @@ def start_recorder(
     The recorder listens when the `with` begins, so that its first tick is recorded; the outcome
     is known when the `with` has ended. A display that fails before its first tick leaves no file.
 
-    address: of the telemetry. await_recorder: waits so many seconds until a recorder listens, and
-    returns whether one does. key: opens the telemetry, where it is protected.
-    log_options: the recorder's, of its log.
-
-    Raises SystemExit with the recorder's status where it refuses to begin, OutputError where it
-    does not listen in time, and SidecarError where no recorder is installed.
+    await_recorder: waits so many seconds until a recorder listens, and returns whether one does.
+    Raises SystemExit, OutputError or SidecarError where the recorder refuses to begin, does not
+    listen in time, or is not installed.
     """
     recording = RecorderProcess()
     if path is None:
         yield recording
         return
-    process = _start(address, await_recorder, path, key, log_options)
-    try:
-        yield recording
-    except BaseException:
-        process.terminate()
-        _end(process, path)
-        raise
-    recording.whole = _end(process, path)
-
-
-def _start(
-    address: str,
-    await_recorder: Callable[[float], bool],
-    path: Path,
-    key: Path | None,
-    log_options: Sequence[str],
-) -> ChildProcess:
-    """Start the recorder and wait until it listens."""
     process = ChildProcess(
         *("recorder", "-m", sidecar_module("recorder"), address, str(path)),
-        *("--until-silent", str(SILENT_AFTER_S)),
-        *("--display-pid", str(os.getpid())),
+        *("--until-silent", str(SILENT_AFTER_S), "--display-pid", str(os.getpid())),
         *(("--key", str(key)) if key else ("--insecure",)),
         *log_options,
     )
@@ -81,18 +59,23 @@ def _start(
         if process.poll() is not None:
             raise SystemExit(process.returncode or USAGE_ERROR)
         if time.monotonic() > until_s:
-            process.kill()
-            process.wait()
+            _kill(process)
             raise OutputError(f"{path}: the recorder does not start")
-    return process
-
-
-def _end(process: ChildProcess, path: Path) -> bool:
-    """Wait for the recorder to end. Return whether it recorded all; it prints what it missed."""
     try:
-        return process.wait(ENDS_WITHIN_S) == 0
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-        logger.warning(f"{path}: the recorder did not end")
-        return False
+        yield recording
+    except BaseException:
+        process.terminate()
+        raise
+    finally:
+        # It prints itself what it missed.
+        try:
+            recording.whole = process.wait(ENDS_WITHIN_S) == 0
+        except subprocess.TimeoutExpired:
+            _kill(process)
+            recording.whole = False
+            logger.warning(f"{path}: the recorder did not end")
+
+
+def _kill(process: ChildProcess) -> None:
+    process.kill()
+    process.wait()

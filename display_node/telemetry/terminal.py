@@ -5,6 +5,7 @@ terminal, a line a second elsewhere. It ends with the display, or with the proce
 KEY is the display's own secret key file, where its telemetry is protected.
 """
 
+import itertools
 import math
 import os
 import signal
@@ -26,7 +27,6 @@ from rich.text import Text
 from display_node.scoring.heart_rate import heart_rate_per_min
 from display_node.telemetry.age import TelemetryAge
 from display_node.telemetry.alerts import Alert, alerts
-from display_node.telemetry.braille_plot import braille_plot, limits
 from protocol import sockets
 from protocol.errors import WireError
 from protocol.figures import Surface
@@ -37,15 +37,16 @@ from protocol.wire.telemetry import STATUS, TRACE, Status, Trace, read_status, r
 
 FRAMES_PER_S = 8
 LINE_EVERY_S = 1.0
-# Of the ticks: one each 10 ms, for 6 s.
+# One tick each 10 ms is kept, for 6 s.
 KEEP_NS, APART_NS = 6_000_000_000, 10_000_000
-PLOT_S = 3.0
-RUN = "of the run so far"
-# Of a status line: a log or a journal shows it without wrapping.
+PLOTTED_TICKS = 300
+PLOT_COLUMNS, PLOT_ROWS = 64, 6
+BRAILLE_BITS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
+# A log or a journal shows a status line of this width without wrapping.
 LINE_WIDTH = 120
 # Room of the alerts in a status line beside its figures; each is printed in full when it begins.
 ALERTS_WIDTH = 45
-# Rows of the moment by importance where a line has no room for all: what the finger feels first.
+# Figures by importance where a line has no room for all: what the finger feels first.
 IMPORTANCE = ("force felt", "finger", "force target", "heart rate")
 # Statuses come five times a second; an older one is not shown as current.
 CURRENT_NS = 1_000_000_000
@@ -61,25 +62,21 @@ class TerminalTick(NamedTuple):
 
 
 class TerminalView:
-    """The state of a display, and how it looks.
+    """The state of a display as a line or a panel.
 
-    local: the display's address is on this machine.
+    local: the display's address is on this machine. unreadable: messages that could not be read.
     """
 
     def __init__(self, local: bool = False) -> None:
         self._ticks: deque[TerminalTick] = deque(maxlen=KEEP_NS // APART_NS + 1)
         self._age = TelemetryAge(local)
         self.status: Status | None = None
-        # Messages that could not be read.
         self.unreadable = 0
         # Alerts that `new_alerts` has returned and that last.
         self._named: set[str] = set()
 
     def take(self, message: Sequence[bytes], now_ns: int = 0) -> Trace | None:
-        """Take a telemetry message; return the trace where it is one.
-
-        The message has a topic and data, and came at `now_ns` of this process's clock.
-        """
+        """Take a telemetry message that arrived at `now_ns`; return the trace where it is one."""
         try:
             match message:
                 case [topic, data] if topic == TRACE:
@@ -98,15 +95,14 @@ class TerminalView:
         return None
 
     def add_trace(self, trace: Trace) -> None:
-        """Take ticks; of each 10 ms one is kept, for 6 s. A clock that falls begins afresh."""
+        """Take ticks; where their clock falls, the earlier ones are removed."""
         columns = (trace.now_ns, trace.target_n, trace.felt_n, trace.scored)
-        for tick in map(
-            TerminalTick._make, zip(*(column.tolist() for column in columns), strict=True)
-        ):
-            if self._ticks and tick.now_ns < self._ticks[-1].now_ns:
-                self._ticks.clear()
-            if not self._ticks or tick.now_ns - self._ticks[-1].now_ns >= APART_NS:
-                self._ticks.append(tick)
+        for row in zip(*(column.tolist() for column in columns), strict=True):
+            tick, ticks = TerminalTick(*row), self._ticks
+            if ticks and tick.now_ns < ticks[-1].now_ns:
+                ticks.clear()
+            if not ticks or tick.now_ns - ticks[-1].now_ns >= APART_NS:
+                ticks.append(tick)
         while self._ticks and self._ticks[0].now_ns < self._ticks[-1].now_ns - KEEP_NS:
             self._ticks.popleft()
 
@@ -125,28 +121,27 @@ class TerminalView:
         """
         if self.status is None:
             return "waiting for the display"
-        # The state stands before them.
-        state = f"{self.status.state}: "
-        wrong = "; ".join(
-            f"{name}: {text}".removeprefix(state) for name, text in self._alerts(now_ns)
-        )
-        now = {name: f"{name} {value}" for name, value in self._now_rows(now_ns)}
-        run = [f"{name} {value}" for name, value in self._run_rows()]
+        rows = self._now_rows(now_ns)
         start = f"{_printable(self._state(now_ns))}: "
-        free = LINE_WIDTH - len(start) - len(", ".join(now.values()))
+
+        def with_figures(names: Sequence[str]) -> str:
+            return start + ", ".join(f"{name} {value}" for name, value in rows if name in names)
+
+        # An alert need not repeat the state.
+        state = f"{self.status.state}: "
+        texts = [f"{alert.name}: {alert.text}" for alert in self._alerts(now_ns)]
+        wrong = "; ".join(text.removeprefix(state) for text in texts)
         if wrong:
-            start += f"{_cut(wrong, max(ALERTS_WIDTH, free - 2))}; "
-        start, fitting = _cut(start, LINE_WIDTH), set[str]()
-        # With the ", " before each but the first.
-        room = LINE_WIDTH - len(start) + 2
+            free = LINE_WIDTH - len(with_figures(IMPORTANCE)) - len("; ")
+            start += f"{_cut(wrong, max(ALERTS_WIDTH, free))}; "
+        start = _cut(start, LINE_WIDTH)
+        shown: list[str] = []
         for name in IMPORTANCE:
-            if name in now and len(now[name]) + 2 <= room:
-                fitting.add(name)
-                room -= len(now[name]) + 2
-        line = start + ", ".join(text for name, text in now.items() if name in fitting)
-        for part in run:
-            if len(line) + len(part) + 2 <= LINE_WIDTH:
-                line += f", {part}"
+            shown += [name] if len(with_figures([*shown, name])) <= LINE_WIDTH else []
+        line = with_figures(shown)
+        for name, value in self._run_rows():
+            longer = f"{line}, {name} {value}"
+            line = longer if len(longer) <= LINE_WIDTH else line
         return line
 
     def new_alerts(self, now_ns: int = 0) -> list[str]:
@@ -164,16 +159,16 @@ class TerminalView:
         now, run = (Table(show_header=False, box=None, pad_edge=False) for _ in range(2))
         rows = self._now_rows(now_ns)
         half = (len(rows) + 1) // 2
-        for left, right in zip(rows[:half], [*rows[half:], ("", "")], strict=False):
-            texts = [(left[0], ""), (left[1], value_style), ("  ", "")]
-            texts += [(right[0], ""), (right[1], value_style)]
-            now.add_row(*(Text(text, style) for text, style in texts))
+        for left, right in itertools.zip_longest(rows[:half], rows[half:], fillvalue=("", "")):
+            (name, value), (name_2, value_2) = left, right
+            now.add_row(name, Text(value, value_style), "  ", name_2, Text(value_2, value_style))
         for name, value in self._run_rows():
             run.add_row(Text(name), Text(value, value_style))
-        stream = _printable(self.status.stream)
-        title = Text(f"telepulse · {stream or 'no stream'} · {self._state(now_ns)}")
+        stream = _printable(self.status.stream) or "no stream"
+        title = Text(f"telepulse · {stream} · {self._state(now_ns)}")
         wrong = [Text(f"{name}: {text}", "bold red") for name, text in self._alerts(now_ns)]
-        whole = Group(*wrong, now, Text(), *self._plot(current), Text(RUN, "dim"), run)
+        of_the_run = Text("of the run so far", "dim")
+        whole = Group(*wrong, now, Text(), *self._plot(current), of_the_run, run)
         return Panel(whole, title=title, expand=False, style="" if current else "dim")
 
     def _alerts(self, now_ns: int) -> list[Alert]:
@@ -194,15 +189,15 @@ class TerminalView:
         return state if age_ns < CURRENT_NS else f"{state} {age_ns * 1e-9:.1f} s ago"
 
     def _now_rows(self, now_ns: int) -> list[tuple[str, str]]:
-        """Return what holds at this moment; a heart rate only of a pulse that is felt now."""
+        """Return the figures of this moment; a heart rate only of a pulse that is felt now."""
         current = self._age_ns(now_ns) < CURRENT_NS
         rate = self.heart_rate_per_min if current else None
         last = self._ticks[-1] if self._ticks else None
         finger = None if self.status is None else self.status.summary.get("finger")
         return [
-            ("heart rate", _show(rate, "/min", 0)),
-            ("force target", _show(None if last is None else last.target_n, "mN", 1, 1e3)),
-            ("force felt", _show(None if last is None else last.felt_n, "mN", 1, 1e3)),
+            ("heart rate", "–" if rate is None else f"{rate:.0f} /min"),
+            ("force target", _millinewtons(None if last is None else last.target_n)),
+            ("force felt", _millinewtons(None if last is None else last.felt_n)),
             *([("finger", _printable(finger))] if finger and current else []),
         ]
 
@@ -214,23 +209,58 @@ class TerminalView:
         return [*((row.name, row.text) for row in rows), *unreadable]
 
     def _plot(self, current: bool) -> list[RenderableType]:
-        ticks = list(self._ticks)[-(round(PLOT_S * 1e9) // APART_NS) :]
+        ticks = list(self._ticks)[-PLOTTED_TICKS:]
         felt_n, target_n = [tick.felt_n for tick in ticks], [tick.target_n for tick in ticks]
-        ends = limits(felt_n, target_n)
-        if len(ticks) < 2 or ends is None:
+        known_n = [force_n for force_n in felt_n + target_n if math.isfinite(force_n)]
+        if len(ticks) < 2 or not known_n:
             return [Text("no pulse yet", "dim")]
-        low, high = ends
+        low, high = min(known_n), max(known_n)
+        rows = braille_plot(felt_n, target_n, low, high)
         return [
             Text("felt (line) over target (dots), last 3 s", "dim"),
-            *braille_plot(felt_n, target_n, low, high, "cyan" if current else "dim"),
+            *(Text(row, "cyan" if current else "dim") for row in rows),
             Text(f"{low * 1e3:.0f} to {high * 1e3:.0f} mN", "dim"),
         ]
 
 
-def _show(value: float | None, unit: str, digits: int = 1, scale: float = 1.0) -> str:
-    if value is None:
+def braille_plot(
+    line: Sequence[float], dots: Sequence[float], low: float, high: float
+) -> list[str]:
+    """Draw two curves of finite values or NaN as rows of characters, each of 2 × 4 dots.
+
+    A NaN is a gap. low, high: values of the lowest and the highest row of dots.
+    """
+    columns, rows = 2 * PLOT_COLUMNS, 4 * PLOT_ROWS
+
+    def heights(curve: Sequence[float]) -> list[int | None]:
+        """Return the curve at each column as a row counted from the top, None in a gap."""
+        at = np.interp(np.linspace(0, len(curve) - 1, columns), np.arange(len(curve)), curve)
+        share = (at - low) / (high - low) if high > low else np.where(np.isnan(at), at, 0.0)
+        return [
+            None if math.isnan(part) else rows - 1 - round(min(max(part, 0.0), 1.0) * (rows - 1))
+            for part in share.tolist()
+        ]
+
+    cells = [[0] * PLOT_COLUMNS for _ in range(PLOT_ROWS)]
+    line_y, dots_y = heights(line), heights(dots)
+    for x, (here, dot) in enumerate(zip(line_y, dots_y, strict=True)):
+        marked = set[int]()
+        if here is not None:
+            # The line runs down or up to where the column before it ended.
+            before = line_y[max(x - 1, 0)]
+            before = here if before is None else before
+            marked.update(range(min(before + 1, here), max(before, here + 1)))
+        if x % 3 == 0 and dot is not None:
+            marked.add(dot)
+        for y in marked:
+            cells[y // 4][x // 2] |= BRAILLE_BITS[x % 2][y % 4]
+    return ["".join(chr(0x2800 + cell) for cell in row) for row in cells]
+
+
+def _millinewtons(force_n: float | None) -> str:
+    if force_n is None:
         return "–"
-    return "unknown" if math.isnan(value) else f"{value * scale:.{digits}f} {unit}"
+    return "unknown" if math.isnan(force_n) else f"{force_n * 1e3:.1f} mN"
 
 
 def _cut(text: str, width: int) -> str:
@@ -258,11 +288,10 @@ def watch(
     meanwhile: Callable[[], bool] = lambda: True,
     keys: ClientKeys | None = None,
 ) -> Status | None:
-    """Follow a display's telemetry until it ends; its last status, None if it never spoke.
+    """Follow a display's telemetry until it ends; return its last status, None without one.
 
-    on_trace gets every trace as well; draw: show the state; meanwhile: called several times a
-    second, ends the watch by returning False, as does nothing else while a display is silent;
-    keys: where the telemetry is protected. What cannot be read is counted and shown.
+    on_trace receives every trace. meanwhile is called several times a second, and ends the watch by
+    returning False; a silent display does not end it.
     """
     if draw:
         # Loads scipy, for 1 s or more: within a line it would grow old, once connected the

@@ -69,25 +69,10 @@ class RecordingScene(SensitivityTable):
 
 
 class RecordedSource:
-    """A recorded pulse.
+    """A recorded pulse, from the scene file's folder; `warnings` has what is doubtful about it.
 
-    Parameters
-    ----------
-    scene : RecordingScene
-    folder : Path
-        Folder of the scene file.
-    plausible : bool
-        Refuse values that cannot be a pulse's by this scene.
-
-    Attributes
-    ----------
-    warnings : list of str
-        What is doubtful about the recording.
-
-    Raises
-    ------
-    SourceError
-        For a file that cannot be read, scaled or, where asked, believed.
+    Raises SourceError for a file that cannot be read or scaled and, where it must be `plausible`,
+    for values that cannot be a pulse's by this scene.
     """
 
     channels = (Channel("pulse"),)
@@ -118,19 +103,9 @@ class RecordedSource:
 
 
 def load_column(path: Path, column: int | str) -> RecordedColumn:
-    """Return one column of a file.
+    """Return one column, by its number from 0 or its name, of a .csv, .txt, .npy or .npz file.
 
-    Parameters
-    ----------
-    path : Path
-        A .csv, .txt, .npy or .npz file.
-    column : int or str
-        Number from 0, or name.
-
-    Raises
-    ------
-    SourceError
-        Where the file cannot be read, or the column is missing or holds no usable numbers.
+    Raises SourceError where the file cannot be read, or the column is missing or unusable.
     """
     try:
         match path.suffix.lower():
