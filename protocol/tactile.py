@@ -8,7 +8,7 @@ and an ADC.
 
 import math
 from dataclasses import dataclass
-from typing import Self, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,14 +39,6 @@ class Film:
     def volts_per_newton(self) -> float:
         """Sensitivity (g31 + g32) / (2 π r), from eqs 2, 4 and 5."""
         return (self.g31 + self.g32) / (2 * math.pi * self.radius_m)
-
-    def volts(self, force_n: Floats) -> Floats:
-        """Film voltage in V under a force in N (eqs 2-4)."""
-        return force_n * self.volts_per_newton
-
-    def newtons(self, volts: Floats) -> Floats:
-        """Force in N that makes a film voltage in V (eqs 5, 8, 21)."""
-        return volts / self.volts_per_newton
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,17 +98,6 @@ def half_space_stress(
     return common * ratio**2, common
 
 
-def plane_strain(
-    sigma_x_pa: Floats, sigma_z_pa: Floats, young_modulus_pa: float, poisson_ratio: float
-) -> tuple[Floats, Floats]:
-    """Strains (εx, εz) of the two stresses in Pa under plane strain (eqs 13-14)."""
-    nu = poisson_ratio
-    along, across = (1 - nu**2) / young_modulus_pa, nu * (1 + nu) / young_modulus_pa
-    strain_x = along * sigma_x_pa - across * sigma_z_pa
-    strain_z = along * sigma_z_pa - across * sigma_x_pa
-    return strain_x, strain_z
-
-
 def matching_force_ratio(sensing: ElasticLayer, display: ElasticLayer) -> float:
     """Force at the finger per force at the wrist that makes both strains equal (eqs 17-20)."""
     return sensing.strain_per_newton / display.strain_per_newton
@@ -143,11 +124,6 @@ class Calibration:
             )
         if not math.isfinite(self.offset_volts):
             raise ValueError(f"offset_volts is {self.offset_volts}; it must be finite")
-
-    @classmethod
-    def of_film(cls, film: Film) -> Self:
-        """Return the line that eq 21 gives for a film."""
-        return cls(film.volts_per_newton)
 
     def volts(self, force_n: Floats) -> Floats:
         """Voltage in V under a force in N."""
@@ -187,13 +163,10 @@ class Adc:
         Raises ValueError for NaN: no converter gives one, so what feeds it is at fault.
         """
         step, half = self.step_volts, 1 << (self.bits - 1)
-        if isinstance(volts, np.ndarray):
-            if np.isnan(volts).any():
-                raise ValueError("a voltage is NaN")
-            codes = np.clip(np.rint(volts / step), -half, half - 1)
-            return codes * step
-        if math.isnan(volts):
+        if np.isnan(volts).any() if isinstance(volts, np.ndarray) else math.isnan(volts):
             raise ValueError("a voltage is NaN")
+        if isinstance(volts, np.ndarray):
+            return np.clip(np.rint(volts / step), -half, half - 1) * step
         return round(min(max(volts / step, -half), half - 1)) * step
 
     def clips(self, volts: NDArray[np.float64]) -> NDArray[np.bool_]:
