@@ -91,15 +91,7 @@ class AvailabilityCounter:
 def availability_text(shares: Mapping[str, Any]) -> str | None:
     """Return the shares that are not 0 in one phrase whose figures add up to 100.0 %.
 
-    Parameters
-    ----------
-    shares : mapping
-        `Availability` as a summary's JSON has it.
-
-    Returns
-    -------
-    str or None
-        None before the first tick.
+    shares: `Availability` as a summary's JSON has it. Returns None before the first tick.
     """
     known = {name: share for key, name in STATE_NAMES.items() if (share := shares.get(key))}
     if shares.get("seconds") is None or not known:
@@ -199,16 +191,10 @@ def _limit(name: str, key: str) -> Any:
 class Limits:
     """Figures of each limit.
 
-    Attributes
-    ----------
-    force, negative, slew : Limited
-        Bounds on the force to be felt (`safety`): the force limit; a force below 0 N by more than
-        1 mN, which cannot be played; the slew limit at full strength, ramps and fades left out.
-    travel : Limited
-        The end of the actuator's travel towards the finger; on a real bench also the braking
-        before it.
-    film, adc : Limited
-        Ranges of the modelled feedback film's ADC and of the sensing node's ADC.
+    force, negative and slew bound the force to be felt (`safety`): the force limit; a force below
+    0 N by more than 1 mN, which cannot be played; the slew limit at full strength, ramps and fades
+    left out. travel: the end of the actuator's travel towards the finger, on a real bench also the
+    braking before it. film, adc: ranges of the modelled film's ADC and of the sensing node's ADC.
     """
 
     force: Limited = _limit("force limit", "force")
@@ -248,15 +234,7 @@ class LimitCounter:
             self._limited = bool(limited[-1])
 
     def limited(self, period_s: float, total_ticks: int) -> Limited:
-        """Return the figures so far.
-
-        Parameters
-        ----------
-        period_s : float
-            Time of one tick or sample, in s.
-        total_ticks : int
-            All ticks of the run, at a limit or not.
-        """
+        """Return the figures so far, of `total_ticks` ticks or samples of a period in s."""
         share = self.ticks / total_ticks if total_ticks else 0.0
         return Limited(self.times, self.ticks * period_s, share)
 
@@ -264,10 +242,7 @@ class LimitCounter:
 def limit_texts(limits: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """Return one phrase for each limit that was reached, the one that held longest first.
 
-    Parameters
-    ----------
-    limits : mapping
-        `Limits` as a summary's JSON has it: a table of times, seconds and share for each key.
+    limits: `Limits` as a summary's JSON has it: times, seconds and share for each key.
     """
     found = []
     for key, name in LIMIT_NAMES.items():

@@ -28,16 +28,9 @@ class Surface(StrEnum):
 
 
 class Unit(NamedTuple):
-    """Unit of a figure.
+    """Unit of a figure: its name in JSON, and how it is shown in a text, with the number's form.
 
-    Attributes
-    ----------
-    name, shown : str
-        Unit in JSON, and in a text.
-    form : str
-        Format of the number in a text.
-    factor, base : float
-        From the JSON's unit to the shown one, and to Prometheus's base unit.
+    factor, base: from the JSON's unit to the shown one, and to Prometheus's base unit.
     """
 
     name: str
@@ -69,46 +62,21 @@ RATIO = Unit("ratio", "", ".2f")
 class Figure:
     """A figure of the summary, or what the figures of one table share.
 
-    Attributes
-    ----------
-    meaning : str
-        What it is, for the reference and for Prometheus.
-    text : str
-        Its words in a row, "{}" for the value.
-    unit : Unit or None
-        None: the unit of its table, else a count.
-    row : str
-        Name of its row for people; empty for the row of its table.
-    joint : str
-        What stands between it and the part before it in the row.
-    noun : tuple of str
-        Noun of a count, in the singular and the plural.
-    zero : bool
-        Whether a 0 is shown.
-    of : str
-        Key of the share of the run that this is a share of.
-    lead : bool
-        Whether a live page shows it large, before the first figure of its row.
-    show : callable or None
-        Returns the text of a value that is no number, None where it is not shown. Of a table: one
-        phrase in place of its figures' texts.
-    headline : callable or None
-        Returns what a live page shows large of such a value.
-    metric : str
-        Name of its metric without prefix and suffix; empty for that of its table.
-    counter : bool
-        Whether the metric is a counter; else it is a gauge, or a quantile by its label `quantile`.
-    labels : mapping
-        Labels of the metric, which tell figures of one name apart.
-    label : str
-        Label for the names in a map of counts, or for the texts of a list.
-    help : str
-        Help text of the metric; empty for `meaning`.
-    absent : mapping
-        Surfaces without the figure, each with the reason.
-    key, type, phrase
-        Set by `figures_of`: its keys in the JSON, joined by dots; its type; its table, where that
-        is shown as one phrase.
+    meaning: for the reference and for Prometheus. text: its words in a row, "{}" for the value;
+    joint stands before them, unless they are the row's first. unit: None for that of its table,
+    else a count, whose noun is given in the singular and the plural. row: name of its row, empty
+    for that of its table. zero: a 0 is shown. of: key of the share of the run that this is a share
+    of. lead: a live page shows it large, before the first figure of its row.
+
+    show returns the text of a value that is no number (None: not shown), or of a whole table one
+    phrase in place of its figures' texts; headline, what a live page shows large of it.
+
+    metric: name without prefix and suffix, empty for that of its table; a counter, a quantile (by
+    its label) or a gauge. labels tell figures of one name apart; label is that of the names in a
+    map, or of the texts of a list; help replaces the meaning.
+
+    absent: surfaces without the figure, each with the reason. Set by `figures_of`: key, the keys in
+    the JSON joined by dots; type; phrase, its table where that is shown as one phrase.
     """
 
     meaning: str = ""
@@ -169,12 +137,8 @@ def figure(
 ) -> Any:
     """Return the field of a figure, with the arguments of `Figure`.
 
-    Parameters
-    ----------
-    metric : str
-        Metric as Prometheus writes it: 'samples_total{outcome="played"}' is a counter.
-    factory : callable
-        Returns the value before any is known: an empty list or map, else None.
+    metric: as Prometheus writes it: 'samples_total{outcome="played"}' is a counter. factory:
+    returns the value before any is known: an empty list or map, else None.
     """
     described = _described(metric, meaning=meaning, text=text, unit=unit, **arguments)
     return field(default_factory=factory, metadata=described)

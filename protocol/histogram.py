@@ -8,18 +8,7 @@ class Histogram:
     """Counts of values in equal bins from 0 up to `end`, and of those beyond.
 
     A quantile is exact to one bin within the range. Beyond it, only that it is above `end` is
-    known. Maximum and mean are exact.
-
-    Attributes
-    ----------
-    end : float
-        End of the range, in the unit of the values.
-    count : int
-        Values counted.
-    not_numbers : int
-        NaN, which are counted here alone.
-    maximum : float or None
-        Largest value; None without any.
+    known. Maximum (None without values) and mean are exact. NaN are counted in `not_numbers` alone.
     """
 
     __slots__ = ("_bin_width", "_counts", "_total", "count", "end", "maximum", "not_numbers")

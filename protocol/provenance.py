@@ -1,13 +1,9 @@
 """Provenance: what produced a figure, for summaries, recordings and reports.
 
 It names the scene as it was in effect, the version, the host and the command. Of keys it holds the
-paths that the command line names, never what is in them. Passwords and the like are left out
-(`protocol/provenance.py`).
-
-Removal of secrets from what results carry: passwords in addresses, and options that name one.
-
-A scene may name an adapter by an address with a password, or give its interface a token among its
-options. Results are passed on to people who are to have neither.
+paths that the command line names, never what is in them. A scene may name an adapter by an address
+with a password, or give its interface a token among its options: both are left out, since results
+are passed on to people who are to have neither.
 """
 
 import dataclasses
@@ -45,12 +41,8 @@ _NAMED_VALUE = re.compile(
 def redact(value: Any) -> Any:
     """Return a value of plain types without the secrets in it.
 
-    Parameters
-    ----------
-    value
-        Text, a number, or tables and lists of such. Of a table's entries with a secret's name the
-        value is replaced; in text, the user and password of an address, and `name=value` with a
-        secret's name.
+    Of a table's entries with a secret's name the value is replaced; in text, the user and password
+    of an address, and `name=value` with a secret's name.
     """
     if isinstance(value, Mapping):
         return {
@@ -84,8 +76,8 @@ def redact_command(arguments: list[str]) -> list[str]:
     return found
 
 
+# The topic of telemetry under which a display publishes its own.
 PROVENANCE = b"provenance"
-"""The topic of telemetry under which a display publishes its own."""
 MAX_BYTES = 1 << 20
 _ROOT = Path(__file__).parents[1]
 _GIT_WITHIN_S = 2.0
@@ -95,20 +87,10 @@ _GIT_WITHIN_S = 2.0
 class Provenance:
     """The origin of a run's results.
 
-    Attributes
-    ----------
-    command : list of str
-        The command line, as it was given.
-    commit : str or None
-        Of the checkout that runs, with "-dirty" where it was changed; None outside a checkout.
-    start_utc : str
-        When the command began, ISO 8601.
-    scene : dict
-        The scene as written: its path, the files that it extends and all their tables, merged.
-    effective : dict
-        The sections that are used, with all defaults, by name; units are in the names.
-    seeds : dict
-        Seeds of what is random, by what they are of.
+    command: the command line as given. commit: of the checkout that runs, with "-dirty" where it
+    was changed; None outside a checkout. start_utc: when the command began, ISO 8601. scene: its
+    path, the files that it extends and all their tables, merged, as written. effective: the
+    sections that are used, with all defaults. seeds: of what is random, by what they are of.
     """
 
     version: str
@@ -149,15 +131,20 @@ def collect(
 ) -> Provenance:
     """Collect the provenance of this process; call it once, before a loop.
 
-    scene, sections: the scene's file, and its sections as validated, by name. Raises SceneError
-    where the file cannot be read.
+    sections: those of the scene as validated, by name. Raises SceneError where its file cannot be
+    read.
     """
-    written = {} if scene is None else _scene(scene)
+    written: dict[str, Any] = {}
+    if scene is not None:
+        parents = [str(file) for file, _ in read_chain(scene)[1:]]
+        written = {"path": str(scene), **({"extends": parents} if parents else {})}
+        written["tables"] = load_document(scene)
     effective = {name: part.model_dump(mode="json") for name, part in (sections or {}).items()}
-    found = dict(seeds or {})
-    source = effective.get("sensing", {}).get("source", {})
-    if isinstance(source.get("seed"), int):
-        found.setdefault("source", source["seed"])
+    seed = effective.get("sensing", {}).get("source", {}).get("seed")
+    found = {"source": seed} if isinstance(seed, int) else {}
+    program = Path(sys.argv[0])
+    # `python -m telepulse` runs the package's `__main__.py`.
+    name = program.parent.name if program.name == "__main__.py" else program.name
     return Provenance(
         version=version("telepulse"),
         commit=_commit(),
@@ -165,17 +152,11 @@ def collect(
         host=platform.node(),
         platform=platform.platform(),
         python=platform.python_version(),
-        command=[_program(), *redact_command(sys.argv[1:])],
+        command=[name, *redact_command(sys.argv[1:])],
         scene=redact(written),
         effective=redact(effective),
-        seeds=found,
+        seeds=found | dict(seeds or {}),
     )
-
-
-def _scene(path: Path) -> dict[str, Any]:
-    parents = [str(file) for file, _ in read_chain(path)[1:]]
-    inherited = {"extends": parents} if parents else {}
-    return {"path": str(path), **inherited, "tables": load_document(path)}
 
 
 def read_provenance(data: bytes) -> dict[str, str]:
@@ -195,12 +176,6 @@ def read_provenance(data: bytes) -> dict[str, str]:
 
 
 _TABLE: TypeAdapter[dict[str, Any]] = TypeAdapter(dict[str, Any])
-
-
-def _program() -> str:
-    path = Path(sys.argv[0])
-    # `python -m telepulse` runs the package's `__main__.py`.
-    return path.parent.name if path.name == "__main__.py" else path.name
 
 
 def _commit() -> str | None:

@@ -102,14 +102,9 @@ class ClockExchange(NamedTuple):
 class BlockOffset(NamedTuple):
     """Offset and round trip of a block of exchanges, for each of `LEVELS`.
 
-    Attributes
-    ----------
-    t_ns : float
-        Middle of the block, local clock.
-    offset_ns, round_trip_ns : ndarray, shape (levels,)
-        From the means of the shortest delays of each direction.
-    noise_ns : float
-        Standard error of the mean of all offsets, estimated from the shortest round trips.
+    t_ns: middle of the block, local clock. offset_ns, round_trip_ns, shape (levels,): from the
+    means of the shortest delays of each direction. noise_ns: standard error of the mean of all
+    offsets, estimated from the shortest round trips.
     """
 
     t_ns: float

@@ -108,12 +108,7 @@ CORRELATION = 1.3
 class OneWaySkew:
     """Estimator of skew from one-way messages. Pure: all times are arguments, in integer ns.
 
-    Attributes
-    ----------
-    skew : float
-        Remote over local clock rate, less 1.
-    error : float
-        Its standard error, infinite at first.
+    skew: remote over local clock rate, less 1. error: its standard error, infinite at first.
     """
 
     def __init__(self) -> None:
@@ -127,16 +122,9 @@ class OneWaySkew:
         self._known = 0
 
     def add(self, sent_ns: int, arrived_ns: int, skew: float) -> None:
-        """Add a message.
+        """Add a message by its times of sending (remote clock) and arrival (local clock).
 
-        Parameters
-        ----------
-        sent_ns : int
-            When it was sent, remote clock.
-        arrived_ns : int
-            When it arrived, local clock.
-        skew : float
-            Present estimate, removed from the delays so that they can be ordered.
+        skew: present estimate, removed from the delays so that they can be ordered.
         """
         if self._first is None:
             self._first = sent_ns, arrived_ns
@@ -199,11 +187,7 @@ class DeviceClock:
     The device answers no requests. Its samples arrive late and in batches, never early, so arrival
     minus device time has a lower edge, and the clock is a line along that edge. The least delay on
     the way cannot be told from an offset of the clock; it remains in the times that are returned.
-
-    Attributes
-    ----------
-    steps : int
-        Number of steps or restarts of the device's clock; each starts the estimate again.
+    steps: number of steps or restarts of the device's clock; each starts the estimate again.
     """
 
     def __init__(self) -> None:

@@ -1,9 +1,7 @@
-"""Quantities as people write them ("40 ms", "0.3 N", "75 /min") read into SI numbers.
+"""Quantities as people write them ("40 ms", "0.3 N", "75 /min") read into SI numbers, and counts.
 
 A scene file carries the unit in the value, the code carries it in the name: the key
 `delay = "40 ms"` becomes the field `delay_ns`.
-
-Counts in words.
 """
 
 import math
@@ -14,15 +12,7 @@ from pydantic import BeforeValidator
 
 
 def count_text(count: int, singular: str, plural: str | None = None) -> str:
-    """Return a count with its noun: "1 sample", "2 samples".
-
-    Parameters
-    ----------
-    count
-        How many there are.
-    singular, plural
-        The noun; without a plural, the singular and an s.
-    """
+    """Return a count with its noun: "1 sample", "2 samples"; the plural adds an s by default."""
     return f"{count} {singular if count == 1 else plural or singular + 's'}"
 
 
@@ -48,10 +38,9 @@ _SHOWN = 80
 
 
 def parse_quantity(text: object, dimension: str) -> float:
-    """Read a number and its unit into SI.
+    """Read a number and its unit, such as "40 ms", into SI; `dimension` is a key of `UNITS`.
 
-    `text` is such as "40 ms"; `dimension` a key of `UNITS`. Raises ValueError with one line
-    that says what is allowed when the number or its unit is missing or does not fit.
+    Raises ValueError with one line that names what is allowed.
     """
     units = UNITS[dimension]
     match = _NUMBER.fullmatch(text) if isinstance(text, str) else None
@@ -60,16 +49,15 @@ def parse_quantity(text: object, dimension: str) -> float:
             f"{shown(text)} is no {dimension}: a {dimension} is a number and one of"
             f" {', '.join(units)}"
         )
-    number, unit = match.groups()
-    return _sane(float(number) * units[unit], text)
+    return _sane(float(match[1]) * units[match[2]], text)
 
 
 def parse_ratio(text: object) -> float:
     """Read a plain number or a percentage ("1 %") as a ratio. Raises ValueError otherwise."""
     match = _NUMBER.fullmatch(str(text)) if isinstance(text, int | float | str) else None
-    if match is None or match.group(2) not in ("", "%"):
+    if match is None or match[2] not in ("", "%"):
         raise ValueError(f"{shown(text)} is no ratio: write 0.01 or '1 %'")
-    return _sane(float(match.group(1)) * (0.01 if match.group(2) == "%" else 1.0), text)
+    return _sane(float(match[1]) * (0.01 if match[2] else 1.0), text)
 
 
 def shown(value: object) -> str:
@@ -80,7 +68,7 @@ def shown(value: object) -> str:
 def in_unit_of(value: float, text: object) -> str:
     """Return a value in the code's unit as text, in the unit that `text` has."""
     match = _NUMBER.fullmatch(text) if isinstance(text, str) else None
-    unit = match.group(2) if match else ""
+    unit = match[2] if match else ""
     for dimension, units in UNITS.items():
         if unit in units:
             ours = 1e-9 if dimension == "time" else 1.0
@@ -96,17 +84,12 @@ def _sane(value: float, text: object) -> float:
 
 
 def _reader(dimension: str) -> BeforeValidator:
-    def read(text: object) -> float:
-        return parse_quantity(text, dimension)
-
-    return BeforeValidator(read)
+    return BeforeValidator(lambda text: parse_quantity(text, dimension))
 
 
-def _nanoseconds(text: object) -> int:
-    return round(parse_quantity(text, "time") * 1e9)
-
-
-Nanoseconds = Annotated[int, BeforeValidator(_nanoseconds)]
+Nanoseconds = Annotated[
+    int, BeforeValidator(lambda text: round(parse_quantity(text, "time") * 1e9))
+]
 Hertz = Annotated[float, _reader("frequency")]
 BitsPerSecond = Annotated[float, _reader("bit rate")]
 Metres = Annotated[float, _reader("length")]

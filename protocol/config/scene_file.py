@@ -20,8 +20,8 @@ from protocol.errors import SceneError
 
 SECTIONS = ("sensing", "display", "link")
 EXTENDS = "extends"
+# Files that a scene may consist of.
 MAX_CHAIN = 8
-"""How many files a scene may consist of."""
 Tables = dict[str, Any]
 
 _HERE = Path(__file__).parents[1]
@@ -37,17 +37,9 @@ def scene_names() -> list[str]:
 
 
 def find_scene(name: str) -> Path:
-    """Return the path of a scene.
+    """Return the path of a scene, from a path or the name of a scene that comes with telepulse.
 
-    Parameters
-    ----------
-    name
-        A path to a scene file, or the name of a scene that comes with telepulse.
-
-    Raises
-    ------
-    SceneError
-        When there is no scene of that name.
+    Raises SceneError when there is no scene of that name.
     """
     path = Path(name)
     if path.suffix == ".toml" or path.name != name:
@@ -60,18 +52,10 @@ def find_scene(name: str) -> Path:
 
 
 def read_chain(path: Path) -> list[tuple[Path, Tables]]:
-    """Read a scene file and those that it extends.
+    """Read a scene file and those that it extends: each file and its tables, the scene first.
 
-    Returns
-    -------
-    chain
-        Each file and its tables as written, without `extends`: the scene itself first.
-
-    Raises
-    ------
-    SceneError
-        When a file cannot be read, has an unknown section, extends itself over others, or the
-        chain has more than `MAX_CHAIN` files.
+    The tables are as written, without `extends`. Raises SceneError when a file cannot be read, has
+    an unknown section, extends itself over others, or the chain has more than `MAX_CHAIN` files.
     """
     chain: list[tuple[Path, Tables]] = []
     files = set[Path]()
@@ -103,13 +87,12 @@ def merge(inherited: Tables, own: Tables) -> Tables:
     merged = dict(inherited)
     for key, value in own.items():
         old = merged.get(key)
-        inherits = isinstance(old, dict) and isinstance(value, dict) and _same_kind(old, value)
-        merged[key] = merge(old or {}, value) if inherits else value
+        merged[key] = value
+        if isinstance(old, dict) and isinstance(value, dict):
+            kind = old.get("kind")
+            if value.get("kind", kind) == kind:
+                merged[key] = merge(old, value)
     return merged
-
-
-def _same_kind(inherited: Tables, own: Tables) -> bool:
-    return "kind" not in own or own["kind"] == inherited.get("kind")
 
 
 def load_toml(path: Path, what: str) -> Tables:

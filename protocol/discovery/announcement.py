@@ -28,20 +28,9 @@ ALL_INTERFACES = ("*", "0.0.0.0")
 class Announcement:
     """A sensing node as it is announced.
 
-    Attributes
-    ----------
-    name : str
-        Instance name, unique on its network.
-    stream : str
-        Name of its stream.
-    node : str
-        Identity that stays the same after a restart, in hexadecimal digits.
-    addresses : tuple of str
-        IPv4 addresses of its host.
-    port : int
-        Port of data; control is one higher.
-    fingerprint : str or None
-        Fingerprint of its public key; None without keys.
+    name: instance name, unique on its network. stream: name of its stream. node: identity that
+    stays the same after a restart, in hexadecimal digits. addresses: IPv4 addresses of its host.
+    port: of data; control is one higher. fingerprint: of its public key; None without keys.
     """
 
     name: str
@@ -85,10 +74,7 @@ def read_announcement(
 ) -> Announcement:
     """Decode the announcement of an instance of the service.
 
-    Raises
-    ------
-    WireError
-        With the cause "version" for a node of another version, else "malformed".
+    Raises WireError with the cause "version" for a node of another version, else "malformed".
     """
     name = instance.removesuffix("." + SERVICE)
     if name == instance or not name or not name.isprintable() or len(name) > MAX_LABEL_BYTES:
@@ -167,19 +153,8 @@ def announced_addresses(
 ) -> list[str]:
     """Return the addresses to announce for a node that is bound to `host`.
 
-    Parameters
-    ----------
-    host : str
-        Address or interface that the node is bound to, or "*".
-    own : iterable of IPv4Interface
-        This machine's addresses.
-    interfaces : dict
-        Addresses of each interface, by its name.
-
-    Raises
-    ------
-    DiscoveryError
-        When there are none.
+    host: address or interface, or "*". own: this machine's addresses. interfaces: addresses of each
+    interface, by its name. Raises DiscoveryError when there are none.
     """
     own = list(own)
     if host in ALL_INTERFACES:

@@ -36,15 +36,8 @@ UNREACHABLE, TOO_MANY = "unreachable", "too_many"
 class Browser:
     """Search by threads of its own, from construction until the end of a `with`.
 
-    Attributes
-    ----------
-    refused : Counter
-        Announcements that are not valid, by cause.
-
-    Raises
-    ------
-    DiscoveryError
-        When no network here carries multicast.
+    refused: counts of announcements that are not valid, by cause. Raises DiscoveryError when no
+    network here carries multicast.
     """
 
     def __init__(self) -> None:

@@ -1,12 +1,10 @@
 """Processes of ours: Python programs that run on their own, and those beside a node (sidecars).
 
-A child does not search the current folder for modules (`python -P`): a `protocol.py` or a
-`telepulse.py` that somebody keeps there would be imported in place of ours.
-
-A sidecar does work that would hold up a node's loop. It is ready before the node moves, receives
-messages from it, and ends with it however that ends. The two exchange lines of JSON over pipes: the
-sidecar sends once that it is ready, or why it cannot start; its standard input closes when the node
-ends, `kill -9` included.
+A child does not search the current folder for modules (`python -P`): a `protocol.py` that somebody
+keeps there would be imported in place of ours. A sidecar does work that would hold up a node's
+loop. It is ready before the node moves, receives messages from it, and ends with it however that
+ends. The two exchange lines of JSON over pipes: the sidecar sends once that it is ready, or why it
+cannot start; its standard input closes when the node ends, `kill -9` included.
 """
 
 import json
@@ -41,16 +39,8 @@ def python_command(*arguments: str) -> list[str]:
 class ChildProcess(subprocess.Popen[str]):
     """A process that this interpreter runs; within a `with`, it is killed at the end.
 
-    Parameters
-    ----------
-    name
-        Its name in errors.
-    *arguments
-        Of the interpreter: "-m", a module and that module's arguments.
-    own_session
-        Ctrl-C at the terminal does not reach it: this process ends it.
-    **options
-        As of `subprocess.Popen`.
+    name: in errors. arguments: of the interpreter: "-m", a module and that module's. own_session:
+    Ctrl-C at the terminal does not reach it, this process ends it. options: `subprocess.Popen`'s.
     """
 
     def __init__(
@@ -68,10 +58,7 @@ class ChildProcess(subprocess.Popen[str]):
     def read_line(self, within_s: float, log: bool = False) -> str:
         """Return the next line that the process prints, or writes to its log, without its end.
 
-        Raises
-        ------
-        ProcessError
-            When it ends before, or prints none in time and is killed.
+        Raises ProcessError when it ends before, or prints none in time and is killed.
         """
         stream = self.stderr if log else self.stdout
         assert stream is not None
@@ -117,19 +104,10 @@ class ChildProcess(subprocess.Popen[str]):
         return self.returncode
 
     def await_end(self, within_s: float, may_end_with: int = 0) -> None:
-        """Wait for the process to end.
+        """Wait up to `within_s` for the process to end.
 
-        Parameters
-        ----------
-        within_s
-            The longest wait, in seconds.
-        may_end_with
-            A further exit status that is no failure.
-
-        Raises
-        ------
-        ProcessError
-            When it does not end in time, or fails; with its last error line.
+        Raises ProcessError with its last error line when it does not end in time, or with another
+        status than 0 and `may_end_with`.
         """
         try:
             _, errors = self.communicate(timeout=within_s)
@@ -150,24 +128,9 @@ class ChildProcess(subprocess.Popen[str]):
 class Sidecar:
     """A process that runs beside the node, ready once this is constructed.
 
-    Parameters
-    ----------
-    name : str
-        Its name in the node's log, such as "announcer".
-    module : str
-        Module that it runs, which calls `run_as_sidecar`.
-    *arguments : str
-        Its command-line arguments.
-
-    Attributes
-    ----------
-    ready_message : str
-        Text that it sent when it was ready.
-
-    Raises
-    ------
-    SidecarError
-        With its reason, when it cannot start.
+    name: in the node's log, such as "announcer". module: what it runs with the arguments; it calls
+    `run_as_sidecar`. ready_message: the text that it sent when it was ready. Raises SidecarError
+    with its reason when it cannot start.
     """
 
     def __init__(self, name: str, module: str, *arguments: str) -> None:
@@ -226,15 +189,8 @@ class Sidecar:
 def sidecar_module(name: str) -> str:
     """Return the module to run for a sidecar that a package above the nodes provides.
 
-    Parameters
-    ----------
-    name
-        Of an entry point in the group `SIDECARS`, such as "metrics".
-
-    Raises
-    ------
-    SidecarError
-        When no installed package provides it.
+    name: of an entry point in the group `SIDECARS`, such as "metrics". Raises SidecarError when no
+    installed package provides it.
     """
     for entry in entry_points(group=SIDECARS, name=name):
         return entry.module

@@ -68,17 +68,8 @@ class StderrHandler(logging.Handler):
 def configure_logging(level: str | None = None, quiet: bool = False) -> None:
     """Log to standard error, one line a record; call it again to change the level.
 
-    Parameters
-    ----------
-    level
-        One of `LEVELS`. None: "warning" where `quiet`, else "info".
-    quiet
-        Whether the program was asked to be quiet.
-
-    Raises
-    ------
-    OptionError
-        Where there is no such level.
+    level: one of `LEVELS`; None: "warning" where the program is to be quiet, else "info". Raises
+    OptionError where there is no such level.
     """
     name = level or ("warning" if quiet else "info")
     if name not in LEVELS:
@@ -104,13 +95,9 @@ class QueuedStream(io.TextIOBase):
     """A text stream whose `write` returns at once, whatever becomes of the text.
 
     Text that finds the queue full, or that cannot be written, is dropped and its lines are counted.
-    The count is written as a line of its own as soon as output is possible again.
-
-    Parameters
-    ----------
-    target
-        The stream whose file descriptor, encoding and terminal are used. Its own buffer is not: a
-        buffer with text left in it would block the interpreter's end.
+    The count is written as a line of its own as soon as output is possible again. Of `target`, file
+    descriptor, encoding and terminal are used. Its own buffer is not: a buffer with text left in it
+    would block the interpreter's end.
     """
 
     def __init__(self, target: TextIO) -> None:

@@ -46,14 +46,8 @@ class Pacer:
     """Pacing of a loop that ticks at a fixed period. Pure: the caller waits.
 
     A tick that begins after the next one was due stands for both. Ticks stay on the grid of the
-    first one, however late each begins.
-
-    Attributes
-    ----------
-    due_ns
-        When the next tick is due, in ns; the first one a period after the construction.
-    missed
-        Ticks that did not begin within their period.
+    first one, due a period after the construction, however late each begins. due_ns: when the next
+    tick is due. missed: ticks that did not begin within their period.
     """
 
     def __init__(self, tick_ns: int, now_ns: int) -> None:
@@ -77,18 +71,9 @@ class Pacer:
 class RealtimeRequest:
     """Measures to request of the operating system.
 
-    Attributes
-    ----------
-    fifo : int or None
-        The loop's priority under SCHED_FIFO, 1 to 98; None for none.
-    lock : bool
-        Keep memory in RAM.
-    cpus : frozenset of int
-        Processors on which alone the loop runs; empty for any.
-    slack : bool
-        Fire timers when due.
-    strict : bool
-        Refuse to start unless all is granted.
+    fifo: the loop's priority under SCHED_FIFO, 1 to 98. lock: keep memory in RAM. cpus: processors
+    on which alone the loop runs; empty for any. slack: fire timers when due. strict: refuse to
+    start unless all is granted.
     """
 
     fifo: int | None = None

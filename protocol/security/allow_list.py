@@ -23,13 +23,8 @@ class AllowList:
     """Allow-list of a running node, read again after each change until that succeeds.
 
     While a changed list cannot be read, no new peer may connect; after 10 s none may stay. The
-    caller cuts the connections of the keys that `poll` returns. Raises KeyFileError when the list
-    cannot be used now.
-
-    Attributes
-    ----------
-    allowed : mapping
-        Keys that may connect, with their names.
+    caller cuts the connections of the keys that `poll` returns. allowed: keys that may connect,
+    with their names. Raises KeyFileError when the list cannot be used now.
     """
 
     def __init__(self, path: Path) -> None:

@@ -78,15 +78,8 @@ class Authenticator:
 
     With keys, the allow-list decides. Without, every peer may connect. In both cases the number
     of connections is bounded, so that one peer that connects repeatedly costs the others nothing.
-
-    Parameters
-    ----------
-    context : zmq.Context
-        The sockets' context.
-    keys : ServerKeys or None
-        This node's key and allow-list, which raises KeyFileError where it cannot be used.
-    most : int, optional
-        Connections in all; by default as many as this process has files for.
+    most: connections in all; by default as many as this process has files for. Raises KeyFileError
+    where the allow-list cannot be used.
 
     Attributes
     ----------

@@ -23,12 +23,7 @@ MAX_NAMED = 100
 class TokenBucket:
     """Bound on how often something may happen: a rate, and a burst above it. Pure.
 
-    Parameters
-    ----------
-    rate_per_s : float
-        Tokens that come back in a second, at least 0.
-    burst : float
-        Most tokens, and tokens at the beginning.
+    rate_per_s: tokens that come back in a second. burst: most tokens, and tokens at the beginning.
     """
 
     def __init__(self, rate_per_s: float, burst: float) -> None:
@@ -60,11 +55,8 @@ class ConnectionBudget:
     connections, the oldest from the address with most of them are cut; of established ones, the
     newest from the address with most. One address alone never keeps the others out.
 
-    Parameters
-    ----------
-    most : int
-        Connections that may be open. Half of them may be pending (no ZeroMQ handshake yet),
-        three quarters may come from one address.
+    most: connections that may be open. Half of them may be pending (no ZeroMQ handshake yet),
+    three quarters may come from one address.
     """
 
     def __init__(self, most: int) -> None:
@@ -117,19 +109,8 @@ class SubscriptionBudget:
 
     ZeroMQ stores each subscription of each peer, about 50 bytes for each letter, and has no
     option that bounds them. `sockets.bind` makes it read one short subscription of a connection
-    at a time; here each connection has a budget of bytes, beyond which it is cut.
-
-    Parameters
-    ----------
-    socket : zmq.Socket
-        The bound XPUB socket.
-    topics : sequence of bytes
-        Topics that are published; b"" stands for every topic, subscribed to as a whole.
-
-    Attributes
-    ----------
-    rejected : Counter
-        Subscriptions beyond the budget, by cause.
+    at a time; here each connection has a budget of bytes, beyond which it is cut and counted in
+    `rejected`. topics: those that are published; b"" for every topic, subscribed to as a whole.
     """
 
     def __init__(self, socket: sockets.Socket, topics: Sequence[bytes]) -> None:

@@ -46,14 +46,8 @@ class ConnectionTable:
     ZeroMQ does not report which pending connection has succeeded, and not always which has failed:
     the oldest pending one is assumed. So the counts are right, though not always at once.
 
-    Attributes
-    ----------
-    socket : zmq.Socket
-        Readable when events wait.
-    behind : bool
-        True while more events may wait than the last call has read.
-    by_address : Counter
-        Open connections by address, without those that were cut.
+    socket: readable when events wait. behind: more events may wait than the last call has read.
+    by_address: counts of open connections, without those that were cut.
     """
 
     def __init__(self, context: Context, bound: Socket) -> None:

@@ -37,10 +37,7 @@ _HANDSHAKE_EVENTS = (
 class SocketMonitor:
     """Monitor of chosen events on one socket, from before it binds or connects.
 
-    Attributes
-    ----------
-    socket : zmq.Socket
-        Readable when events wait.
+    socket: readable when events wait.
     """
 
     def __init__(self, context: Context, watched: Socket, events: int) -> None:
@@ -74,12 +71,7 @@ def cause_of(value: int) -> str:
 class HandshakeMonitor:
     """Monitor of connecting sockets: counts failed handshakes and reports each reason once.
 
-    ZeroMQ itself retries for ever without a report.
-
-    Attributes
-    ----------
-    rejected : Counter
-        Failed handshakes by cause.
+    ZeroMQ itself retries for ever without a report. rejected: failed handshakes by cause.
     """
 
     def __init__(self, context: Context, keys: ClientKeys | None) -> None:

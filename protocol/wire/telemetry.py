@@ -31,18 +31,9 @@ _SUMMARY = TypeAdapter(Summary)
 class PlaybackStatus(NamedTuple):
     """How a display plays the stream.
 
-    Attributes
-    ----------
-    channel : int
-        Channel that it plays.
-    force_ratio : float
-        Force at the finger per force at the wrist that makes both strains equal.
-    strain_per_newton : float
-        Strain of the layer under the finger, in 1/N.
-    predictor : str
-        Name of the predictor.
-    stale_after_ns : int
-        Time without samples after which the stream is stale.
+    channel: the one that it plays. force_ratio: force at the finger per force at the wrist that
+    makes both strains equal. strain_per_newton: of the layer under the finger, in 1/N. predictor:
+    its name. stale_after_ns: time without samples after which the stream is stale.
     """
 
     channel: Annotated[int, Field(ge=0, lt=MAX_CHANNELS)]
@@ -55,14 +46,8 @@ class PlaybackStatus(NamedTuple):
 class Status(NamedTuple):
     """Status of a node: a state, its stream, its running summary.
 
-    Attributes
-    ----------
-    session : int or None
-        Session of the stream; None while there is none.
-    displays : int or None
-        Displays connected to a sensing node; None for a display.
-    playing : PlaybackStatus or None
-        Of a display that has the stream's description.
+    session: of the stream; None while there is none. displays: those connected to a sensing node;
+    None for a display. playing: of a display that has the stream's description.
     """
 
     state: str
@@ -236,14 +221,8 @@ SUBSCRIBED, UNSUBSCRIBED = b"\1" + HEARD, b"\0" + HEARD
 class CapturedMessage(NamedTuple):
     """A message received from the sensing node.
 
-    Attributes
-    ----------
-    arrived_ns : int
-        Arrival on the display's clock.
-    path : int
-        Number of the data connection, or CONTROL.
-    data : bytes
-        Its bytes, cut above a frame's limit.
+    arrived_ns: on the display's clock. path: number of the data connection, or CONTROL. data: its
+    bytes, cut above a frame's limit.
     """
 
     arrived_ns: int
@@ -254,16 +233,8 @@ class CapturedMessage(NamedTuple):
 class CapturedMessages(NamedTuple):
     """Consecutive messages, with their place among all that a display's run publishes.
 
-    Attributes
-    ----------
-    run : int
-        Random number of the run.
-    now_ns, wall_ns : int
-        One instant on the display's clock and in Unix time.
-    traces, statuses : int
-        Numbers of traces and statuses published so far.
-    before : int
-        Number of messages received before these.
+    run: random number of the run. now_ns, wall_ns: one instant on the display's clock and in Unix
+    time. traces, statuses: published so far. before: messages received before these.
     """
 
     run: int

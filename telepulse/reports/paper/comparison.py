@@ -186,7 +186,7 @@ def _draw_calibration(figure: "Figure") -> None:
     force_n = np.array([0.01, published.CALIBRATION_FORCE_N])
     for film in (WRIST_FILM, FINGER_FILM):
         name = f"eq 21, r = {1e3 * film.radius_m:g} mm"
-        axes.plot(force_n, 1e3 * film.volts(force_n), label=name)
+        axes.plot(force_n, 1e3 * (force_n * film.volts_per_newton), label=name)
     slope, end_mv = published.CALIBRATION_MV_PER_N, published.CALIBRATION_MV
     axes.plot(force_n, slope * force_n, label=f"Fig. 4, about {slope:g} mV/N")
     axes.plot(force_n[1], end_mv, "o", label="Fig. 4, end point as printed")
@@ -288,7 +288,7 @@ def _film_rows() -> Rows:
         1e3 * ((film.g31 + film.g32) * stress_pa * thickness_m)
         for stress_pa, thickness_m in zip(stresses_pa, thicknesses_m, strict=True)
     )
-    gain = film.newtons(WRIST_FILM.volts(1.0))
+    gain = WRIST_FILM.volts_per_newton / film.volts_per_newton
     mismatch = (gain - 1) * deviation_n("paper")
     return [
         (
