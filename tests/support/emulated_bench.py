@@ -83,23 +83,19 @@ class EmulatedBench:
         self.scene.write_text(text, encoding="utf-8")
 
     def start_board(self) -> None:
-        """Start the sensor board at the wrist, behind USB of 4 ms."""
         words = ("emulate", "sensor", self.source, "--link", self.folder / "board")
         self._start("board", "telepulse", *words, "--delivery-ms", "4")
 
     def start_drive(self) -> None:
-        """Start the drive at the finger, with its film."""
         serial = ("--link", self.folder / "drive") if self.kind == "tmcl" else ()
         film = ("--film-link", self.folder / "film", "--trace", self.folder / "motor.csv")
         words = ("emulate", self.kind, self.scene, *serial, *film, *self.drive_options)
         self._start("drive", "telepulse", *words)
 
     def start_sensing(self) -> None:
-        """Start the sensing node."""
         self._start("sensing", "sensing_node.cli", self.scene, "--bind", self._address)
 
     def start_display(self) -> None:
-        """Start the display node."""
         words = (self.scene, "--connect", self._address, "--telemetry", self.telemetry)
         json_file = self.folder / "display.json"
         volume = "--quiet" if self.output is None else "--no-screen"
@@ -134,7 +130,6 @@ class EmulatedBench:
         return summary
 
     def motor(self) -> MotorTrace:
-        """Return the motor's record until `end`."""
         rows = np.genfromtxt(
             self.folder / "motor.csv",
             delimiter=",",
@@ -149,7 +144,6 @@ class EmulatedBench:
         return MotorTrace(rows["time_ns"], rows["speed_m_per_s"], rows["force_n"], trouble_ns)
 
     def log(self) -> str:
-        """Return all that the processes have printed."""
         return (self.folder / "log").read_text("utf-8")
 
     def _start(self, name: str, module: str, *words: object) -> None:
@@ -165,7 +159,6 @@ class EmulatedBench:
             os.setpriority(os.PRIO_PROCESS, process.pid, NICE)
 
     def kill(self) -> None:
-        """Kill all processes."""
         for process in self.processes.values():
             if process.poll() is None:
                 process.kill()

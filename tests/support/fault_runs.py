@@ -11,7 +11,8 @@ from protocol.errors import TelepulseError
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 from telepulse.emulators.fault_injection import FaultKind, parse_fault
 from telepulse.emulators.motor import MotorState
-from tests.support.threaded_bench import MS, ThreadedBench
+from tests.support.sender import MS
+from tests.support.threaded_bench import ThreadedBench
 
 KINDS = ("tmcl", "cia402")
 LIMIT_N = 2.5

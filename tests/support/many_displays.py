@@ -48,13 +48,11 @@ class Listener:
 
     @property
     def over(self) -> bool:
-        """Return whether the stream has ended and all that arrived of it is played."""
         buffer, now_ns = self.receiver.buffer, time.monotonic_ns()
         return buffer.ended and self.receiver.over(now_ns, PLAYED_AFTER_NS)
 
 
 def main() -> None:
-    """Receive until the stream has ended."""
     address, count = sys.argv[1], int(sys.argv[2])
     context: sockets.Context = zmq.Context()
     displays = [Listener(context, address, f"displays-{number}") for number in range(count)]

@@ -52,11 +52,9 @@ class Node:
         self.process.communicate()
 
     def pause(self) -> None:
-        """Stop it without ending it."""
         self.process.send_signal(signal.SIGSTOP)
 
     def resume(self) -> None:
-        """Let it continue."""
         self.process.send_signal(signal.SIGCONT)
 
     def step_clock(self) -> None:
@@ -64,21 +62,17 @@ class Node:
         self.process.send_signal(STEP)
 
     def end(self) -> Summary:
-        """Ask it to end and return its summary."""
         self.process.terminate()
         return self.summary()
 
     def summary(self) -> Summary:
-        """Wait for its end and return its summary; a display ends with the stream."""
         return self.process.await_summary(ENDS_WITHIN_S)
 
     def rss_bytes(self) -> int:
-        """Return its resident memory."""
         return rss_bytes(self.process.pid)
 
 
 def rss_bytes(pid: int) -> int:
-    """Return the resident memory of a process."""
     pages = Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]
     return int(pages) * os.sysconf("SC_PAGE_SIZE")
 

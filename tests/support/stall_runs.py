@@ -13,7 +13,8 @@ from dataclasses import dataclass, field
 
 from telepulse.emulators.motor import MotorState
 from tests.support.fault_runs import TOUCH_N, bench_scene, paper_pulse
-from tests.support.threaded_bench import MS, ThreadedBench
+from tests.support.sender import MS
+from tests.support.threaded_bench import ThreadedBench
 from tests.support.virtual_time import VirtualThread
 
 SHORTEST_S, LONGEST_S = 0.02, 10.0

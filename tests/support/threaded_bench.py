@@ -12,7 +12,6 @@ from typing import Any
 from unittest.mock import patch
 
 import can
-import numpy as np
 
 from display_node.display import Display
 from display_node.drives import Drive, build_drive
@@ -20,19 +19,15 @@ from display_node.drives.scene import Cia402Scene, DriveScene, TmclScene
 from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
 from protocol.host.realtime import Pacer
-from protocol.tactile import ElasticLayer
-from protocol.wire.messages import Frame, encode_control, encode_frame
-from protocol.wire.stream import Channel, StreamDescription
 from pulse_sensors.sensor import Sensor
 from pulse_sensors.serial_port import SerialScene
-from sensing_node.control_server import ControlServer
 from telepulse.emulators.cia402 import EmulatedCia402Node
 from telepulse.emulators.drive_run import EmulatedFilm
 from telepulse.emulators.motor import EmulatedMotor, MotorState
 from telepulse.emulators.tmcl import DatagramSplitter, EmulatedTmclModule
+from tests.support.sender import MS, Sender
 from tests.support.virtual_time import VirtualEvent, VirtualThread, VirtualTime
 
-MS = 1_000_000
 # The modules that wait or read the clock.
 VIRTUAL = (
     "display_node.drives",
@@ -46,8 +41,6 @@ NETWORK_NS = 2 * MS
 LINE_NS = 200_000
 # The kernel's buffer of a serial port.
 PORT_BYTES = 4096
-# Offset of the sensing node's clock.
-AHEAD_NS = 5_000_000_000
 
 
 class Pipe:
@@ -58,13 +51,11 @@ class Pipe:
         self._arrived = VirtualEvent(world)
 
     def write(self, data: bytes) -> None:
-        """Add bytes."""
         self._data += data[: PORT_BYTES - len(self._data)]
         self._arrived.set()
 
     @property
     def waiting(self) -> int:
-        """Return the number of bytes that have arrived."""
         return len(self._data)
 
     def read(self, size: int, timeout_s: float) -> bytes:
@@ -86,19 +77,17 @@ class FilmPort:
         self.silent = False
 
     def open(self) -> None:
-        """Do nothing: the port is open."""
+        pass
 
     def write(self, data: bytes) -> None:
-        """Add bytes from the board."""
         if not self.silent:
             self._pipe.write(data)
 
     def read(self) -> bytes:
-        """See `pulse_sensors.serial_port.SerialPort.read`."""
         return self._pipe.read(PORT_BYTES, 0.1)
 
     def close(self) -> None:
-        """Do nothing: nothing is held."""
+        pass
 
 
 class ModulePort:
@@ -109,18 +98,12 @@ class ModulePort:
         self._datagrams = DatagramSplitter()
         self._replies = Pipe(world)
         self.timeout_s = 0.01
-        self.unplugged = False
 
     def write(self, data: bytes) -> None:
-        """Send a request, which arrives after the line's delay."""
-        if self.unplugged:
-            raise OSError(5, "unplugged")
         self._world.at(self._world.now_ns + LINE_NS, lambda: self._receive(bytes(data)))
 
     def read(self, size: int) -> bytes:
         """Wait for so many bytes until the timeout."""
-        if self.unplugged:
-            raise OSError(5, "unplugged")
         data, until_ns = b"", self._world.now_ns + round(self.timeout_s * 1e9)
         while len(data) < size and self._world.now_ns < until_ns:
             data += self._replies.read(size - len(data), (until_ns - self._world.now_ns) * 1e-9)
@@ -128,26 +111,21 @@ class ModulePort:
 
     @property
     def in_waiting(self) -> int:
-        """Return the number of bytes that have arrived."""
         return self._replies.waiting
 
     def reset_input_buffer(self) -> None:
-        """Drop the bytes that have arrived."""
         self._replies.read(PORT_BYTES, 0.0)
 
     def close(self) -> None:
-        """Do nothing: nothing is held."""
+        pass
 
     def poll(self) -> None:
-        """Send the replies that are due."""
         for reply in self._module.injector.due_answers(self._world.now_ns):
             self._world.at(
                 self._world.now_ns + LINE_NS, lambda data=reply: self._replies.write(data)
             )
 
     def _receive(self, data: bytes) -> None:
-        if self.unplugged:
-            return
         now_ns = self._world.now_ns
         for request in self._datagrams.feed(data, now_ns):
             reply = self._module.reply(request, now_ns)
@@ -157,7 +135,7 @@ class ModulePort:
 
 
 class CanEnd(can.BusABC):
-    """One end of a CAN bus of two nodes, read by a `Notifier`. unplugged: nothing can be sent."""
+    """One end of a CAN bus of two nodes, read by a `Notifier`."""
 
     def __init__(self, at_drive: bool) -> None:
         super().__init__(channel="virtual time")
@@ -165,12 +143,8 @@ class CanEnd(can.BusABC):
         self.at_drive = at_drive
         self.far: CanEnd | None = None
         self.notifier: Notifier | None = None
-        self.unplugged = False
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Deliver a frame to the far end."""
-        if self.unplugged:
-            raise can.CanOperationError("unplugged")
         if self.far is not None and self.far.notifier is not None:
             # The sender may reuse the message.
             data, identifier = bytes(msg.data), msg.arbitration_id
@@ -178,7 +152,6 @@ class CanEnd(can.BusABC):
             self.far.notifier.receive(frame)
 
     def shutdown(self) -> None:
-        """Mark it as shut down."""
         self._is_shutdown = True
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
@@ -206,7 +179,6 @@ class Notifier:
             world.thread(self._run, name="notifier")
 
     def receive(self, frame: can.Message) -> None:
-        """Accept a frame from the bus."""
         if self._at_drive or self._world.current is not None:
             self._deliver(frame)
         else:
@@ -214,7 +186,6 @@ class Notifier:
             self._arrived.set()
 
     def stop(self, timeout: float = 5) -> None:
-        """End the thread."""
         self._stopped = True
         self._arrived.set()
 
@@ -228,42 +199,6 @@ class Notifier:
     def _deliver(self, frame: can.Message) -> None:
         for listener in self._listeners:
             listener(frame)
-
-
-class Wrist:
-    """The sensing node: its frames, and its answers to control messages.
-
-    force_n: the force at a time in ms since the stream began.
-    """
-
-    def __init__(self, force_n: Callable[[int], float], session: int = 7) -> None:
-        self._force_n = force_n
-        self._description = StreamDescription(
-            "virtual pulse", MS, BATCH, (Channel("pulse"),), ElasticLayer()
-        )
-        self._session = session
-        self._server = ControlServer(self._description, session)
-        self._sent = 0
-        self._time_ms = 0
-
-    def frame(self, now_ns: int) -> bytes:
-        """Return the next frame, whose last sample is taken now."""
-        width = self._description.bytes_per_sample
-        values = [[self._force_n(self._time_ms + number)] for number in range(BATCH)]
-        first_ns = now_ns + AHEAD_NS - (BATCH - 1) * MS
-        frame = Frame(self._session, self._sent, first_ns, MS, np.array(values, f"<f{width}"))
-        self._sent += BATCH
-        self.advance()
-        return encode_frame(frame)
-
-    def advance(self) -> None:
-        """Advance the pulse by one frame."""
-        self._time_ms += BATCH
-
-    def answer(self, request: bytes, now_ns: int) -> bytes | None:
-        """Return the answer to a control message, if it has one."""
-        reply = self._server.answer((b"display",), request, now_ns + AHEAD_NS, self._sent)
-        return encode_control(reply) if reply is not None else None
 
 
 @dataclass
@@ -304,7 +239,7 @@ class ThreadedBench:
         self.motor.trace = self.watch
         self.film = FilmPort(world)
         self._board = EmulatedFilm(self.motor, self.film)  # type: ignore[arg-type]
-        self.wrist = Wrist(self.force_n)
+        self._sender, self._streamed_ms = Sender(), 0
         self._frames: deque[tuple[int, bytes]] = deque()
         self._answers: deque[tuple[int, bytes]] = deque()
         self._stopping = False
@@ -318,9 +253,9 @@ class ThreadedBench:
         else:
             assert isinstance(self.drive_scene, TmclScene)
             module = EmulatedTmclModule(self.drive_scene, self.motor)
-            self.port = ModulePort(world, module)
-            patches.enter_context(patch("serial.serial_for_url", lambda *_, **__: self.port))
-            world.every(MS, self.port.poll)
+            port = ModulePort(world, module)
+            patches.enter_context(patch("serial.serial_for_url", lambda *_, **__: port))
+            world.every(MS, port.poll)
         world.every(MS, self._poll_motor)
         world.every(BATCH * MS, self._send_frame)
         return self
@@ -335,28 +270,23 @@ class ThreadedBench:
         self.loop = self.world.thread(self._loop, name="loop")
 
     def stop(self) -> None:
-        """End the loop, and close the bench as the display node does."""
         self._stopping = True
         if self.loop is not None:
             self.loop.join()
         self.call(self.hardware.close)
 
     def run(self, ms: float) -> None:
-        """Let time pass."""
         self.world.run(self.world.now_ns + round(ms * MS))
 
     @property
     def faults(self) -> list[str]:
-        """Return the display's faults."""
         return self.display.safety.faults
 
     @property
     def threads(self) -> list[VirtualThread]:
-        """Return the process's threads: the loop, and those that the product has started."""
         return list(self.world.threads)
 
     def call(self, function: Callable[[], object]) -> None:
-        """Call a function in a thread of the process, and wait for its end."""
         raised: list[Exception] = []
 
         def run() -> None:
@@ -391,7 +321,6 @@ class ThreadedBench:
     def _connect_can(self, scene: Cia402Scene) -> None:
         ours, drives = CanEnd(at_drive=False), CanEnd(at_drive=True)
         ours.far, drives.far = drives, ours
-        self.bus = ours
         self._patches.callback(ours.shutdown)
         self._patches.callback(drives.shutdown)
 
@@ -411,11 +340,13 @@ class ThreadedBench:
             self.motor.forces_n.clear()
 
     def _send_frame(self) -> None:
+        now_ns = self.world.now_ns
         if self.sending:
-            arrives_ns = self.world.now_ns + NETWORK_NS
-            self._frames.append((arrives_ns, self.wrist.frame(self.world.now_ns)))
-        else:
-            self.wrist.advance()
+            forces_n = [self.force_n(self._streamed_ms + number) for number in range(BATCH)]
+            frame = self._sender.frame_of(now_ns, forces_n)
+            self._frames.append((now_ns + NETWORK_NS, frame))
+        # The pulse continues while nothing is sent.
+        self._streamed_ms += BATCH
 
     def _loop(self) -> None:
         """Run the loop of `display_node.node.DisplayNode.run`, without sockets."""
@@ -447,6 +378,6 @@ class ThreadedBench:
             self.fault_ns = self.world.now_ns
         for request in self.display.requests(self.world.monotonic_ns()):
             sent_ns = self.world.now_ns
-            answer = self.wrist.answer(encode_control(request), sent_ns + NETWORK_NS)
+            answer = self._sender.answer(request, sent_ns + NETWORK_NS)
             if answer is not None and self.sending:
                 self._answers.append((sent_ns + 2 * NETWORK_NS, answer))

@@ -39,20 +39,16 @@ class VirtualThread:
         self.ended = VirtualEvent(world)
 
     def start(self) -> None:
-        """Run it as soon as the current thread waits."""
         self._world.threads.append(self)
         self._world.wake(self, self.waits)
 
     def join(self, timeout: float | None = None) -> None:
-        """Wait for its end."""
         self.ended.wait(timeout)
 
     def is_alive(self) -> bool:
-        """Return whether it has not ended."""
         return not self.ended.is_set()
 
     def go_on(self) -> None:
-        """Run it until it waits; called by `VirtualTime`."""
         self._greenlet.switch()
 
     def _run(self, target: Callable[..., object], args: Sequence[Any]) -> None:
@@ -72,22 +68,18 @@ class VirtualEvent:
         self._waiting: list[tuple[VirtualThread, int]] = []
 
     def is_set(self) -> bool:
-        """Return whether it is set."""
         return self._is_set
 
     def set(self) -> None:
-        """Set it, and wake the threads that wait for it."""
         self._is_set = True
         for thread, wait in self._waiting:
             self._world.wake(thread, wait)
         self._waiting.clear()
 
     def clear(self) -> None:
-        """Clear it."""
         self._is_set = False
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until it is set, `timeout` seconds at most."""
         world = self._world
         until_ns = None if timeout is None else world.now_ns + max(0, round(timeout * 1e9))
         while not self._is_set and (until_ns is None or world.now_ns < until_ns):
@@ -115,7 +107,6 @@ class VirtualLock:
         self.release()
 
     def acquire(self, timeout: float | None = None) -> bool:
-        """Wait until it is free, `timeout` seconds at most, and hold it."""
         # It may be taken again before who was woken by its release runs.
         while not self._free.is_set():
             if not self._free.wait(timeout) and timeout is not None:
@@ -124,7 +115,6 @@ class VirtualLock:
         return True
 
     def release(self) -> None:
-        """Release it."""
         self._free.set()
 
 
@@ -150,7 +140,6 @@ class VirtualTime:
         heapq.heappush(self._due, (time_ns, -1, next(self._order), None, happen))
 
     def every(self, period_ns: int, happen: Callable[[], None]) -> None:
-        """Call a function periodically."""
 
         def again() -> None:
             happen()
@@ -159,7 +148,6 @@ class VirtualTime:
         self.at(self.now_ns + period_ns, again)
 
     def run(self, until_ns: int) -> None:
-        """Advance to a time."""
         while self._due and self._due[0][0] <= until_ns:
             self.step(until_ns)
         self.now_ns = until_ns
@@ -202,7 +190,6 @@ class VirtualTime:
         self._interruption = (readings, begin)
 
     def wake(self, thread: VirtualThread, wait: int) -> None:
-        """End a thread's wait now, if it is still that one."""
         self._push(self.now_ns, thread, wait)
 
     def _push(self, time_ns: int, thread: VirtualThread, wait: int) -> None:
@@ -217,7 +204,6 @@ class VirtualTime:
         self.hub.switch()
 
     def monotonic_ns(self) -> int:
-        """See `time.monotonic_ns`."""
         look_ns = self.now_ns
         if self.current is not None and self._interruption is not None:
             readings, begin = self._interruption
@@ -229,15 +215,12 @@ class VirtualTime:
         return look_ns
 
     def monotonic(self) -> float:
-        """See `time.monotonic`."""
         return self.monotonic_ns() * 1e-9
 
     def sleep(self, seconds: float) -> None:
-        """See `time.sleep`."""
         VirtualEvent(self).wait(seconds)
 
     def thread(self, target: Callable[..., object], *args: object, name: str = "") -> VirtualThread:
-        """Start a thread."""
         started = VirtualThread(self, target, args, name)
         started.start()
         return started
@@ -283,13 +266,10 @@ class _Threads:
         name: str = "",
         daemon: bool = False,
     ) -> VirtualThread:
-        """See `threading.Thread`."""
         return VirtualThread(self._world, target, args, name)
 
     def Event(self) -> VirtualEvent:  # noqa: N802
-        """See `threading.Event`."""
         return VirtualEvent(self._world)
 
     def Lock(self) -> VirtualLock:  # noqa: N802
-        """See `threading.Lock`."""
         return VirtualLock(self._world)

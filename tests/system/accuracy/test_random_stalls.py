@@ -4,8 +4,9 @@ import pytest
 
 from telepulse.emulators.motor import MotorState
 from tests.support.fault_runs import KINDS, TOUCH_N, bench_scene, paper_pulse
+from tests.support.sender import MS
 from tests.support.stall_runs import MOST_READINGS, StallRun
-from tests.support.threaded_bench import MS, ThreadedBench
+from tests.support.threaded_bench import ThreadedBench
 
 # `make bench ARGS=random_stalls` runs hours.
 SECONDS = 30.0

@@ -36,38 +36,37 @@ def line(mb_per_h: float = 0.0, handles_per_h: float = 0.0, start_mb: float = 40
     )
 
 
-def passed(*lines: Line) -> list[bool | None]:
-    return [check.ok for check in judge_usage("sensing", lines)]
-
-
-def test_a_leak_fails_and_steady_memory_does_not() -> None:
-    assert passed(line()) == [True, True, True]
-    assert passed(line(mb_per_h=0.9 * MEMORY_BAR_MB_PER_H)) == [True, True, True]
-    assert passed(line(mb_per_h=1.2 * MEMORY_BAR_MB_PER_H)) == [False, True, True]
-
-
-def test_handles_that_grow_fail_and_so_does_memory_that_is_large() -> None:
-    assert passed(line(handles_per_h=60.0)) == [True, False, True]
-    assert passed(line(start_mb=MEMORY_MAX_MB + 1.0)) == [False, True, True]
-
-
 def first(line: Line, count: int) -> Line:
     columns = (line.times_s, line.memory_mb, line.handles, line.threads)
     return Line(*(column[:count] for column in columns), warm=10)
 
 
-def test_a_short_run_proves_nothing() -> None:
-    assert [check.ok for check in judge_usage("sensing", [])] == [None] * 3
-    assert passed(first(line(mb_per_h=1_000.0), 39)) == [None] * 3
-    # A minute of a little above the bar, beneath the noise of memory.
-    assert passed(first(line(mb_per_h=1.1 * MEMORY_BAR_MB_PER_H), 41)) == [True, True, True]
+BAR = MEMORY_BAR_MB_PER_H
+WARMING = line()
+WARMING.memory_mb[:10] -= np.linspace(20.0, 0.0, 10)
 
 
-def test_what_grows_while_it_warms_up_is_no_leak_and_too_much_is_too_much_at_once() -> None:
-    early = line()
-    early.memory_mb[:10] -= np.linspace(20.0, 0.0, 10)
-    assert passed(early) == [True, True, True]
-    assert passed(first(line(start_mb=MEMORY_MAX_MB + 1.0), 20)) == [False, None, None]
+@pytest.mark.parametrize(
+    ("lines", "memory", "others"),
+    [
+        ([line()], True, [True, True]),
+        ([line(mb_per_h=0.9 * BAR)], True, [True, True]),
+        ([line(mb_per_h=1.2 * BAR)], False, [True, True]),
+        ([line(handles_per_h=60.0)], True, [False, True]),
+        ([line(start_mb=MEMORY_MAX_MB + 1.0)], False, [True, True]),
+        ([WARMING], True, [True, True]),
+        # A short run proves nothing, but for memory that is too large.
+        ([], None, [None, None]),
+        ([first(line(mb_per_h=1_000.0), 39)], None, [None, None]),
+        ([first(line(start_mb=MEMORY_MAX_MB + 1.0), 20)], False, [None, None]),
+        # A minute of a little above the bar, beneath the noise of memory.
+        ([first(line(mb_per_h=1.1 * BAR), 41)], True, [True, True]),
+    ],
+)
+def test_growth_after_the_warm_up_and_too_large_a_size_fail(
+    lines: list[Line], memory: bool | None, others: list[bool | None]
+) -> None:
+    assert [check.ok for check in judge_usage("sensing", lines)] == [memory, *others]
 
 
 @pytest.mark.parametrize(
@@ -127,34 +126,38 @@ def test_force_and_slew_beyond_their_limits_fail(
     assert [check.ok for check in judge_safety("restarted", felt(**figures), 2.5, 50.0)] == ok
 
 
-def test_a_force_that_was_not_felt_is_not_judged_safe() -> None:
+def test_a_force_that_was_not_felt_is_not_judged() -> None:
     assert [check.ok for check in judge_safety(TEMPORARY, FeltLog(1_000_000), 2.5, 50.0)] == [None]
 
 
-def test_a_loop_is_judged_beside_the_calm_one() -> None:
-    calm = LoopFigures(ticks=99_000, misses=1_000, tick_p99_us=200.0)
-    as_calm = [check.ok for check in judge_loop("restarted", calm, calm)]
-    slow = LoopFigures(ticks=96_000, misses=4_000, tick_p99_us=501.0)
-    assert as_calm == [True, True]
-    assert [check.ok for check in judge_loop("restarted", slow, calm)] == [False, False]
-    never = LoopFigures(ticks=0, misses=0, tick_p99_us=0.0)
-    assert [check.ok for check in judge_loop("restarted", never, calm)] == [False, False]
+CALM = LoopFigures(ticks=99_000, misses=1_000, tick_p99_us=200.0)
 
 
-def test_a_busy_host_gives_no_verdict() -> None:
-    for misses, ok in ((1_000, True), (1_100, False)):
-        calm = LoopFigures(ticks=99_000, misses=misses, tick_p99_us=200.0)
-        assert judge_calm_loop(calm)[0].ok is ok
+@pytest.mark.parametrize(
+    ("figures", "ok"),
+    [
+        (CALM, True),
+        (LoopFigures(ticks=96_000, misses=4_000, tick_p99_us=501.0), False),
+        (LoopFigures(ticks=0, misses=0, tick_p99_us=0.0), False),
+    ],
+)
+def test_a_loop_is_judged_beside_the_calm_one(figures: LoopFigures, ok: bool) -> None:
+    assert [check.ok for check in judge_loop("restarted", figures, CALM)] == [ok, ok]
 
 
-def test_an_undisturbed_display_has_no_longer_gaps_than_the_calm_pair() -> None:
-    for gaps_s, calm_s, ok in (
-        ([0.0, 0.1], [0.0], True),
-        ([0.0, 0.2], [0.05], False),
-        ([0.2], [0.3], True),
-        ([], [], True),
-    ):
-        assert judge_untouched(gaps_s, calm_s)[1].ok is ok
+@pytest.mark.parametrize(("misses", "ok"), [(1_000, True), (1_100, False)])
+def test_the_calm_loop_has_a_bar(misses: int, ok: bool) -> None:
+    assert judge_calm_loop(replace(CALM, misses=misses))[0].ok is ok
+
+
+@pytest.mark.parametrize(
+    ("gaps_s", "calm_s", "ok"),
+    [([0.0, 0.1], [0.0], True), ([0.0, 0.2], [0.05], False), ([0.2], [0.3], True), ([], [], True)],
+)
+def test_an_undisturbed_display_has_no_longer_gaps_than_the_calm_pair(
+    gaps_s: list[float], calm_s: list[float], ok: bool
+) -> None:
+    assert judge_untouched(gaps_s, calm_s)[1].ok is ok
 
 
 def test_an_entry_in_a_list_that_must_be_empty_fails() -> None:
