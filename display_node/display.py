@@ -29,8 +29,22 @@ REPORT_EVERY_NS = 1_000_000_000
 class Display:
     """One display: receives a stream and plays it on its actuator.
 
-    score: keep the running errors against what was received. feedback: the real film's
-    readings, in place of those of the scene's models; may be set until the first tick.
+    Parameters
+    ----------
+    score
+        Whether to keep the running errors against what was received.
+    feedback
+        The real film's readings, in place of those of the scene's models; may be set until the
+        first tick.
+
+    Attributes
+    ----------
+    force_ratio
+        Force at the finger per force at the wrist that makes both strains equal.
+    felt
+        State of the last tick.
+    ticks
+        Number of ticks that were run.
     """
 
     def __init__(
@@ -52,7 +66,7 @@ class Display:
         self._target = DelayLine(lead_ticks) if lead_ticks else None
         self._playout = PlayoutClock()
         self._beginnings = 0
-        self._force_ratio = 1.0
+        self.force_ratio = 1.0
         self._group_delay_ns = self._lead_ns = self._reach_ns = self._reserve_ns = 0
         self._next_report_ns = 0
         self._delays = PlayedDelays()
@@ -87,18 +101,12 @@ class Display:
         return self._loop.output
 
     @property
-    def force_ratio(self) -> float:
-        """Force at the finger per force at the wrist that makes both strains equal."""
-        return self._force_ratio
-
-    @property
     def playing(self) -> PlaybackStatus | None:
         """Channel, force ratio and predictor with which the stream is played; None before it is."""
         if self.receiver.description is None:
             return None
         scene, strain_per_newton = self._scene, self._layer.strain_per_newton
-        stale_after_ns = scene.safety.stale_after_ns
-        ratio = self._force_ratio
+        ratio, stale_after_ns = self.force_ratio, scene.safety.stale_after_ns
         return PlaybackStatus(
             scene.channel, ratio, strain_per_newton, scene.predictor, stale_after_ns
         )
@@ -123,18 +131,16 @@ class Display:
             return
         self._concealment.observe(frame)
         if self.fidelity is not None:
-            self.fidelity.add_reference(
-                frame, self._scene.channel, self._force_ratio, self._group_delay_ns
-            )
+            channel = self._scene.channel
+            self.fidelity.add_reference(frame, channel, self.force_ratio, self._group_delay_ns)
 
     def on_control(self, data: bytes, now_ns: int) -> None:
         """Take a control message."""
         self.receiver.on_control(data, now_ns)
-        beginnings = self.receiver.beginnings
-        if beginnings != self._beginnings and self.receiver.description is not None:
+        beginnings, description = self.receiver.beginnings, self.receiver.description
+        if beginnings != self._beginnings and description is not None:
             self._beginnings = beginnings
-            description = self.receiver.description
-            self._force_ratio = matching_force_ratio(description.layer, self._layer)
+            self.force_ratio = matching_force_ratio(description.layer, self._layer)
             self._group_delay_ns = description.group_delay_ns
             self._lead_ns = description.group_delay_ns + self._loop.lead_ns
             self._playout = PlayoutClock()
@@ -193,10 +199,10 @@ class Display:
             self.fidelity.add_output(
                 felt.sensing_now_ns - before_ns, felt.instant_ns - before_ns, felt_n
             )
-        if hardware is not None:
-            fault = hardware.command(loop.output, safety.faults)
-            if fault is not None:
-                safety.fault(fault)
+        if hardware is not None and (
+            (fault := hardware.command(loop.output, safety.faults)) is not None
+        ):
+            safety.fault(fault)
         return felt
 
     def _build_concealment(self) -> Concealment:
@@ -231,7 +237,7 @@ class Display:
             self._concealment.judge(now_ns, sensing_now_ns + self._reach_ns - newest_ns)
         if newest_ns is None or (not wrist_n and sampled_ns < newest_ns):
             return [0.0] * count, False
-        ratio = self._force_ratio
+        ratio = self.force_ratio
         predicted_ns = 0 if wrist_n else sampled_ns - newest_ns
         if not wrist_n:
             error_n = self._concealment.error_n(predicted_ns)
@@ -260,16 +266,11 @@ class Display:
             force_rmse_n=_or_nan(aligned),
         )
 
-    def _finger(self) -> str | None:
-        """Describe the models' finger; a real bench measures its own."""
-        if self.feedback is not None:
-            return None
-        return describe_finger(FingerState(self.felt.felt_n, measured_by="model, no drive"))
-
     def summary(
         self, deadline_misses: int | None = None, tick_us: TickTime | None = None
     ) -> Summary:
         """Return the summary so far; the loop's figures come from whoever runs it."""
+        finger = FingerState(self.felt.felt_n, measured_by="model, no drive")
         summary = replace(
             self.receiver.summary(self.felt.now_ns),
             playout_delay_ms=self._delays.playout_delay_ms,
@@ -281,7 +282,8 @@ class Display:
             loop=Loop(self.ticks, deadline_misses, tick_us or TickTime()),
             rejected=dict(self.receiver.rejected),
             faults=list(self.safety.faults),
-            finger=self._finger(),
+            # A real bench measures its own.
+            finger=describe_finger(finger) if self.feedback is None else None,
             finger_stiffness=self._loop.finger_stiffness,
         )
         return self.fidelity.scored(summary) if self.fidelity is not None else summary

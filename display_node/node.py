@@ -54,7 +54,10 @@ def connected(
     without_film
         Whether a drive may press a finger with no film under it.
 
-    Raises SceneError, SourceError and DriveError.
+    Raises
+    ------
+    SceneError, SourceError, DriveError
+        The scene lacks something; the film's sensor, or the drive, does not answer.
     """
     if scene.drive is None:
         yield None
@@ -90,12 +93,25 @@ class DisplayNode:
     ) -> None:
         """Connect to the sensing node, and bind the telemetry.
 
-        addresses: of the one sensing node, each over a network of its own. keys: the sensing node's
-        and our own. telemetry_keys: of readers of the telemetry; None admits everybody who can
-        reach it. provenance: of this run, for recorders.
+        Parameters
+        ----------
+        addresses
+            Of the one sensing node, each over a network of its own.
+        keys
+            The sensing node's and our own.
+        telemetry_keys
+            Of readers of the telemetry; None admits everybody who can reach it.
+        provenance
+            Of this run, for recorders.
 
-        Raises SceneError for a force loop that is not stable, AddressError when an address cannot
-        be used, KeyFileError.
+        Raises
+        ------
+        SceneError
+            The force loop is not stable.
+        AddressError
+            An address cannot be used.
+        KeyFileError
+            A key cannot be read.
         """
         paths = max(scene.paths, len(addresses))
         self._scene = scene = scene.model_copy(update={"paths": paths})
@@ -112,13 +128,12 @@ class DisplayNode:
         self._context: sockets.Context = zmq.Context()
         try:
             self._connection = Connection(self._context, addresses, paths, keys)
-            gate = Authenticator(self._context, telemetry_keys)
-            telemetry = sockets.bind(self._context, zmq.XPUB, telemetry_address, gate)
-            self._telemetry = Publisher(telemetry, secrets.randbits(62), gate, provenance)
+            self._readers = readers = Authenticator(self._context, telemetry_keys)
+            telemetry = sockets.bind(self._context, zmq.XPUB, telemetry_address, readers)
+            self._telemetry = Publisher(telemetry, secrets.randbits(62), readers, provenance)
         except BaseException:
             self.close()
             raise
-        self._gate = gate
         self.telemetry_address = self._telemetry.address
 
     def use(self, hardware: Hardware) -> None:
@@ -191,8 +206,11 @@ class DisplayNode:
 
     def _tick(self, now_ns: int, elapsed_ticks: int) -> None:
         felt = self._display.tick(now_ns, elapsed_ticks)
-        if len(self._display.safety.faults) > self._named_faults:
-            self._name_faults()
+        faults = self._display.safety.faults
+        if len(faults) > self._named_faults:
+            for fault in faults[self._named_faults :]:
+                logger.error(f"fault: {fault}: {advise(fault)}")
+            self._named_faults = len(faults)
         if self._connection.poll(now_ns):
             self._display.receiver.introduce()
         control = self._connection.control.socket
@@ -201,51 +219,41 @@ class DisplayNode:
         if self._telemetry.add(felt):
             self._telemetry.status(self._status(final=False))
 
-    def _name_faults(self) -> None:
-        """Log the faults that were latched since the last time, with what to do."""
-        faults = self._display.safety.faults
-        for fault in faults[self._named_faults :]:
-            logger.error(f"fault: {fault}: {advise(fault)}")
-        self._named_faults = len(faults)
-
     def _summary(self) -> Summary:
-        tick_us = self._tick_us
+        display, connection, hardware = self._display, self._connection, self._hardware
+        deadlines, tick_us = self._deadlines, self._tick_us
         beyond = tick_us.beyond(p50=0.5, p99=0.99)
         times = TickTime(tick_us.quantile(0.5), tick_us.quantile(0.99), beyond)
-        summary, routes = self._display.summary(self._pacer.missed, times), self._connection.routes
-        rejected = Counter(summary.rejected) + self._connection.rejected + self._telemetry.rejected
-        rejected += self._gate.rejected
-        loop = replace(
-            summary.loop,
-            late_us=_lateness(self._late_us),
-            late=self._deadlines.alarm,
-            last_5s=self._deadlines.last_5s,
-            worst_5s=self._deadlines.worst_5s,
+        summary = display.summary(self._pacer.missed, times)
+        rejected = Counter(summary.rejected) + connection.rejected + self._telemetry.rejected
+        rejected += self._readers.rejected
+        summary = replace(
+            summary,
+            loop=replace(
+                summary.loop,
+                late_us=_lateness(self._late_us),
+                late=deadlines.alarm,
+                last_5s=deadlines.last_5s,
+                worst_5s=deadlines.worst_5s,
+            ),
+            rejected=dict(rejected),
+            reconnections=connection.reconnections,
         )
-        reconnections = self._connection.reconnections
-        summary = replace(summary, loop=loop, rejected=dict(rejected), reconnections=reconnections)
-        if self._hardware is not None:
-            ticks = self._display.ticks
+        if hardware is not None:
+            travel = hardware.at_end.limited(self._scene.tick_ns * 1e-9, display.ticks)
+            stiffness = summary.finger_stiffness if hardware.measures_force else None
             summary = replace(
                 summary,
-                limited=replace(
-                    summary.limited,
-                    travel=self._hardware.at_end.limited(self._scene.tick_ns * 1e-9, ticks),
-                ),
-                hardware=dict(self._hardware.counts),
-                finger_stiffness=(
-                    summary.finger_stiffness if self._hardware.measures_force else None
-                ),
-                finger=describe_finger(self._hardware.finger(time.monotonic_ns())),
-                faults=[
-                    *summary.faults,
-                    *(f"{FILM_NOTE}{note}" for note in self._hardware.faults()),
-                ],
+                limited=replace(summary.limited, travel=travel),
+                hardware=dict(hardware.counts),
+                finger_stiffness=stiffness,
+                finger=describe_finger(hardware.finger(time.monotonic_ns())),
+                faults=summary.faults + [f"{FILM_NOTE}{note}" for note in hardware.faults()],
             )
-        if len(routes) == 1:
-            return summary
-        first = {route.address: route.won for route in routes}
-        return replace(summary, frames=replace(summary.frames, first=first))
+        if len(connection.routes) > 1:
+            first = {route.address: route.won for route in connection.routes}
+            summary = replace(summary, frames=replace(summary.frames, first=first))
+        return summary
 
     def _status(self, final: bool) -> bytes:
         return self._display.pack_status(self._summary(), final)

@@ -213,9 +213,8 @@ class FilmPlausibility:
         places = [position_m for _, position_m in self._positions]
         fault = None
         if places:
-            fault = self._contradiction(force_n, min(places), max(places)) or self._frozen(
-                force_n, max(places[-1], PLACE_M)
-            )
+            fault = self._contradiction(force_n, min(places), max(places))
+            fault = fault or self._frozen(force_n, max(places[-1], PLACE_M))
         if fault is None or not self._plausible_ns:
             self._plausible_ns = taken_ns
         return fault if taken_ns - self._plausible_ns > WITHIN_NS else None
