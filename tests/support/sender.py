@@ -1,10 +1,14 @@
 """A sensing side for tests: makes the bytes a display receives, in virtual time."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
 from display_node.display import Display
+from display_node.reception.receiver import Receiver
+from display_node.scene import DisplayScene
+from protocol.config.scene import load_section
 from protocol.wire.messages import (
     ClockReply,
     ClockRequest,
@@ -20,6 +24,17 @@ from tests.support.streams import description
 
 MS = 1_000_000
 AHEAD_NS = 5_000_000_000
+SCENES = Path(__file__).parents[2] / "scenes"
+
+
+def display_scene(name: str, **changes: object) -> DisplayScene:
+    """The display of one of our scenes, with changes."""
+    scene = load_section(SCENES / f"{name}.toml", "display", DisplayScene)
+    return scene.model_copy(update=changes)
+
+
+def display(name: str = "radial", **changes: object) -> Display:
+    return Display(display_scene(name, **changes), "test")
 
 
 @dataclass
@@ -40,6 +55,19 @@ class Sender:
             case _:
                 return None
 
+    def serve(
+        self, node: Display | Receiver, now_ns: int, step_ns: int = 0, until_ms: int = 0
+    ) -> None:
+        """Answer what a display asks now; the sender's clock has stepped by `step_ns`.
+
+        until_ms: go on each ms until then.
+        """
+        for at_ns in range(now_ns, max(until_ms * MS, now_ns + 1), MS):
+            for request in node.requests(at_ns):
+                answer = self.answer(request, at_ns + step_ns)
+                if answer is not None:
+                    node.on_control(answer, at_ns)
+
     def frame(self, now_ns: int, force_n: float, count: int = 5) -> bytes:
         """A frame whose last sample is taken at now_ns of the display's clock."""
         return self.frame_of(now_ns, [force_n] * count)
@@ -56,7 +84,7 @@ class Sender:
 
 
 def run(
-    display: Display, sender: Sender | None, from_ms: int, to_ms: int, force_n: float = 0.3
+    under_test: Display, sender: Sender | None, from_ms: int, to_ms: int, force_n: float = 0.3
 ) -> list[float]:
     """Tick from one time to the other, 5 samples every 5 ms arriving; felt force by tick.
 
@@ -65,11 +93,11 @@ def run(
     felt = []
     for ms in range(from_ms, to_ms):
         now_ns = ms * MS
-        felt.append(display.tick(now_ns).felt_n)
-        for request in display.requests(now_ns):
-            answer = sender.answer(request, now_ns) if sender else None
-            if answer is not None:
-                display.on_control(answer, now_ns)
-        if sender and ms % 5 == 0:
-            display.on_frame(sender.frame(now_ns, force_n), now_ns)
+        felt.append(under_test.tick(now_ns).felt_n)
+        if sender is None:
+            under_test.requests(now_ns)
+            continue
+        sender.serve(under_test, now_ns)
+        if ms % 5 == 0:
+            under_test.on_frame(sender.frame(now_ns, force_n), now_ns)
     return felt

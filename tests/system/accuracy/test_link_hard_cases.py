@@ -1,16 +1,13 @@
 """The whole display, in virtual time, on what links and peers do at their worst."""
 
-from pathlib import Path
 from random import Random
 
 import numpy as np
 import pytest
 
-from display_node.display import Display
-from display_node.scene import DisplayScene
-from protocol.config.scene import load_section
 from protocol.summary_tables import SampleCounts
 from protocol.wire.messages import Bye, Frame, Welcome, encode_control, encode_frame
+from tests.support.sender import display
 from tests.support.streams import description
 from tests.support.virtual_link import (
     AHEAD_NS,
@@ -23,14 +20,8 @@ from tests.support.virtual_link import (
     pulse_n,
 )
 
-SCENES = Path(__file__).parents[3] / "scenes"
 # Half a microstep, and what 1 ms of a straight line between samples leaves.
 EXACT_N = 1e-4
-
-
-def display(**changes: object) -> Display:
-    scene = load_section(SCENES / "radial.toml", "display", DisplayScene)
-    return Display(scene.model_copy(update=changes), "test")
 
 
 def assert_accounted(link: VirtualLink) -> SampleCounts:

@@ -1,5 +1,4 @@
 import math
-from pathlib import Path
 
 import msgpack
 import numpy as np
@@ -9,7 +8,7 @@ from hypothesis import strategies as st
 
 from display_node.display import Display
 from display_node.scene import DisplayScene
-from protocol.config.scene import load_section, validate
+from protocol.config.scene import validate
 from protocol.errors import SceneError
 from protocol.tactile import ElasticLayer
 from protocol.wire.messages import (
@@ -22,16 +21,10 @@ from protocol.wire.messages import (
     encode_frame,
 )
 from protocol.wire.telemetry import TraceWriter, read_status, read_trace
-from tests.support.sender import AHEAD_NS, MS, Sender, run
+from tests.support.sender import MS, Sender, display, display_scene, run
 from tests.support.streams import description
 
-SCENES = Path(__file__).parents[3] / "scenes"
 LIMIT_N = 2.5
-
-
-def display(name: str = "radial", **changes: object) -> Display:
-    scene = load_section(SCENES / f"{name}.toml", "display", DisplayScene)
-    return Display(scene.model_copy(update=changes), "test")
 
 
 def test_a_steady_force_is_felt_to_half_a_microstep() -> None:
@@ -108,16 +101,16 @@ def test_an_end_of_which_nothing_is_missing_is_not_waited_for() -> None:
     assert under_test.summary().samples.lost == 0
 
 
-@pytest.mark.parametrize("force_n", [1e30, -1e30, 100.0, -100.0, 3.4e38])
-def test_no_force_a_peer_sends_passes_the_limit(force_n: float) -> None:
-    felt = run(display(), Sender(), 0, 3000, force_n=force_n)
+SOFT = ElasticLayer(young_modulus_pa=1e-3, thickness_m=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("force_n", "layer"),
+    [*((force_n, ElasticLayer()) for force_n in (1e30, -1e30, 100, -100, 3.4e38)), (0.3, SOFT)],
+)
+def test_no_force_or_layer_of_a_peer_passes_the_limit(force_n: float, layer: ElasticLayer) -> None:
+    felt = run(display(), Sender(stream=description(layer=layer)), 0, 3000, force_n)
     assert min(felt) >= 0
-    assert max(felt) <= LIMIT_N
-
-
-def test_no_layer_a_peer_claims_passes_the_limit() -> None:
-    soft = ElasticLayer(young_modulus_pa=1e-3, thickness_m=1e-9)
-    felt = run(display(), Sender(stream=description(layer=soft)), 0, 3000)
     assert max(felt) <= LIMIT_N
 
 
@@ -136,7 +129,7 @@ def test_no_sequence_of_forces_passes_the_limit_or_the_slew(forces: list[float])
 
 
 def test_the_papers_actuator_faults_when_it_overshoots_its_limit() -> None:
-    scene = load_section(SCENES / "paper.toml", "display", DisplayScene)
+    scene = display_scene("paper")
     ringing = scene.controller.model_copy(update={"kd": 0.0})
     strict = scene.safety.model_copy(update={"force_limit_n": 0.3, "overforce": 1.0})
     parts = {"controller": ringing, "safety": strict}
@@ -170,10 +163,8 @@ def test_no_compensation_predicts_what_has_not_arrived() -> None:
         under_test.tick(ms * MS)
         if ms % 5 == 0:
             t_ns = (ms - 4 + np.arange(5)) * MS
-            ramp = (0.3 + 0.1 * (t_ns - 1000 * MS) * 1e-9).astype("<f4")[:, np.newaxis]
-            frame = Frame(7, sender.sent, int(t_ns[0]) + AHEAD_NS, MS, ramp)
-            sender.sent += 5
-            under_test.on_frame(encode_frame(frame), ms * MS)
+            ramp = 0.3 + 0.1 * (t_ns - 1000 * MS) * 1e-9
+            under_test.on_frame(sender.frame_of(ms * MS, ramp.tolist()), ms * MS)
     # Samples are up to 5 ms old, yet the force on a straight ramp is that of this instant.
     assert under_test.felt.target_n == pytest.approx(0.3 + 0.1 * 0.999, abs=1e-4)
     assert (under_test.summary().samples.late or 0) > 900
@@ -257,7 +248,8 @@ def test_no_clock_a_peer_claims_breaks_the_loop_or_its_telemetry(
         t_ns = min(max(claimed_ns + drift * now_ns, -(2**63)), 2**63 - 1)
         for request in under_test.requests(now_ns):
             if isinstance(request, ClockRequest):
-                under_test.on_control(_raw_clock_reply(now_ns, t_ns), now_ns)
+                reply = msgpack.packb([1, "clock", 7, now_ns, t_ns, t_ns])
+                under_test.on_control(reply, now_ns)
         if ms % 5 == 0:
             frame = Frame(7, ms, t_ns, MS, np.full((5, 1), 0.3, "<f4"))
             under_test.on_frame(encode_frame(frame), now_ns)
@@ -276,7 +268,3 @@ def test_sessions_that_claim_enormous_counts_do_not_break_the_telemetry() -> Non
         ):
             under_test.on_control(msgpack.packb([1, *message]), session * MS)
     read_status(under_test.pack_status(under_test.summary(), final=False))
-
-
-def _raw_clock_reply(t1_ns: int, t_ns: int) -> bytes:
-    return bytes(msgpack.packb([1, "clock", 7, t1_ns, t_ns, t_ns]))

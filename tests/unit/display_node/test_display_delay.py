@@ -1,26 +1,15 @@
 """What the perceived delay E is made of: the chain's group delay, the loop's horizon."""
 
 import math
-from pathlib import Path
 
-import numpy as np
 import pytest
 
 from display_node.display import Display
-from display_node.scene import DisplayScene
-from protocol.config.scene import load_section
-from protocol.wire.messages import Frame, encode_frame
-from tests.support.sender import AHEAD_NS, MS, Sender
+from tests.support.sender import MS, Sender, display
 from tests.support.streams import description
 
-SCENES = Path(__file__).parents[3] / "scenes"
 GROUP_DELAY_MS = 12
 RUN_MS = 3000
-
-
-def display(name: str = "bench", **changes: object) -> Display:
-    scene = load_section(SCENES / f"{name}.toml", "display", DisplayScene)
-    return Display(scene.model_copy(update=changes), "test")
 
 
 def pulse_n(at_ms: float) -> float:
@@ -40,16 +29,10 @@ def playing(under_test: Display, group_delay_ms: int = 0) -> list[tuple[float, f
         at = under_test.tick(now_ns)
         if ms >= RUN_MS - 1500:
             felt.append((float(ms), at.playout_delay_ns / MS, at.felt_n))
-        for request in under_test.requests(now_ns):
-            answer = sender.answer(request, now_ns)
-            if answer is not None:
-                under_test.on_control(answer, now_ns)
+        sender.serve(under_test, now_ns)
         if ms % 5 == 0:
-            taken_ms = ms - 4 + np.arange(5)
-            values = np.array([[pulse_n(t_ms - group_delay_ms)] for t_ms in taken_ms.tolist()])
-            first_ns = (ms - 4) * MS + AHEAD_NS
-            under_test.on_frame(encode_frame(Frame(7, sender.sent, first_ns, MS, values)), now_ns)
-            sender.sent += 5
+            forces_n = [pulse_n(t_ms - group_delay_ms) for t_ms in range(ms - 4, ms + 1)]
+            under_test.on_frame(sender.frame_of(now_ns, forces_n), now_ns)
     return felt
 
 
@@ -58,7 +41,7 @@ def playing(under_test: Display, group_delay_ms: int = 0) -> list[tuple[float, f
 def test_the_pulse_that_is_felt_is_e_old_however_slow_its_chain(
     compensation_ns: int | None, group_delay_ms: int
 ) -> None:
-    under_test = display(compensation_ns=compensation_ns)
+    under_test = display("bench", compensation_ns=compensation_ns)
     felt = playing(under_test, group_delay_ms)
     for at_ms, delay_ms, felt_n in felt:
         # The pulse of now − E is in the sample that was taken at now − E + 12 ms.
@@ -74,7 +57,7 @@ def test_the_pulse_that_is_felt_is_e_old_however_slow_its_chain(
 
 
 def test_auto_covers_the_chains_delay_too() -> None:
-    prompt, slow = display(), display()
+    prompt, slow = display("bench"), display("bench")
     (*_, (_, prompt_ms, _)), (*_, (_, slow_ms, _)) = playing(prompt), playing(slow, GROUP_DELAY_MS)
     assert slow_ms - prompt_ms == pytest.approx(GROUP_DELAY_MS, abs=0.01)
     for under_test, delay_ms in ((prompt, prompt_ms), (slow, slow_ms)):
@@ -83,7 +66,7 @@ def test_auto_covers_the_chains_delay_too() -> None:
 
 
 def test_what_no_sample_holds_yet_is_predicted_and_not_counted_as_covered() -> None:
-    under_test = display(compensation_ns=0)
+    under_test = display("bench", compensation_ns=0)
     felt = playing(under_test, GROUP_DELAY_MS)
     summary = under_test.summary()
     # The newest sample is 0 to 5 ms old, and the pulse in it 12 ms more.

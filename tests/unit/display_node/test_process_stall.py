@@ -4,18 +4,13 @@ What the sensing node sent meanwhile has queued, and comes in at once, by and by
 """
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from display_node.display import Display
 from display_node.node import LEAST_READ
-from display_node.scene import DisplayScene
-from protocol.config.scene import load_section
-from tests.support.sender import MS, Sender, run
+from tests.support.sender import MS, Sender, display, run
 
-RADIAL = Path(__file__).parents[3] / "scenes" / "radial.toml"
 BEGIN_MS, FORCE_N = 1_500, 0.3
 # The scene's: stale_after, fade and ramp.
 STALE_MS, FADE_MS, RAMP_MS = 60, 40, 300
@@ -29,9 +24,9 @@ def played_after(stall_ms: int, read_a_tick: int, cut_ms: int = 0) -> Iterator[t
     read_a_tick: messages that are received before each tick. cut_ms: of a connection that was lost
     by the stall with all that had queued, and is made anew after so long.
     """
-    display, sender = Display(load_section(RADIAL, "display", DisplayScene), "test"), Sender()
-    run(display, sender, 0, BEGIN_MS, FORCE_N)
-    assert display.state == "playing"
+    under_test, sender = display(), Sender()
+    run(under_test, sender, 0, BEGIN_MS, FORCE_N)
+    assert under_test.state == "playing"
     over_ms = BEGIN_MS + stall_ms
     stall = range(BEGIN_MS, over_ms)
     queue = [sender.frame(ms * MS, FORCE_N) for ms in stall if ms % 5 == 0]
@@ -41,14 +36,11 @@ def played_after(stall_ms: int, read_a_tick: int, cut_ms: int = 0) -> Iterator[t
         if ms % 5 == 0 and ms >= over_ms + cut_ms:
             queue.append(sender.frame(ms * MS, FORCE_N))
         for frame in queue[:read_a_tick]:
-            display.on_frame(frame, ms * MS)
+            under_test.on_frame(frame, ms * MS)
         queue = queue[read_a_tick:]
-        felt_n = display.tick(ms * MS, stall_ms if ms == over_ms else 1).felt_n
-        yield display.safety.gain, felt_n
-        for request in display.requests(ms * MS):
-            answer = sender.answer(request, ms * MS)
-            if answer is not None:
-                display.on_control(answer, ms * MS)
+        felt_n = under_test.tick(ms * MS, stall_ms if ms == over_ms else 1).felt_n
+        yield under_test.safety.gain, felt_n
+        sender.serve(under_test, ms * MS)
 
 
 @pytest.mark.parametrize("stall_ms", STALLS_MS)

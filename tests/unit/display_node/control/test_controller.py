@@ -1,11 +1,22 @@
 import math
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from display_node.control.controller import ControllerScene, StepperController
+from display_node.control.controller import (
+    HEADROOM,
+    WORST_S,
+    ControllerScene,
+    StallGuard,
+    StepperController,
+)
 from display_node.plant.contact import ContactLaw
 from display_node.plant.film import FilmTable
 from display_node.plant.stepper import StepperScene
+from protocol.config.scene_file import find_scene
+from telepulse.scene import load_scene
+from tests.support.scene_loops import BEAT_S, PEAK_N, press, stalls_always, stalls_at_times
 
 TICK_S = 1e-3
 LAW = ContactLaw(5e-3, 0.05e9 / 0.75, 1e3)
@@ -61,3 +72,74 @@ def test_feed_forward_is_the_references_own_speed() -> None:
 def test_without_feed_forward_only_the_error_at_the_ticks_end_counts() -> None:
     under_test = controller(kp=100, error="position")
     assert under_test.output([0.9, 0.3], 0.3) == pytest.approx(0, abs=1e-9)
+
+
+SCENES = ("radial", "real_bench", "tmcl_bench")
+
+
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(("longest_stall_ticks", "bar_mn"), [(6, 50.0), (20, 150.0), (45, 200.0)])
+def test_a_host_that_stalls_again_and_again_does_not_press_far_beyond_the_pulse(
+    name: str, longest_stall_ticks: int, bar_mn: float
+) -> None:
+    """Without the guard it is the force limit, 2.5 N, and an RMSE of over 800 mN."""
+    scene = load_scene(find_scene(name)).display
+    most_n, rmse_n = press(scene, stalls_always(longest_stall_ticks), 20.0)
+    assert 0.5 * PEAK_N < most_n < HEADROOM * PEAK_N
+    assert rmse_n < bar_mn * 1e-3
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_stalls_that_were_not_foreseen_stay_within_the_beats_own_rise(name: str) -> None:
+    scene = load_scene(find_scene(name)).display
+    most_n, _ = press(scene, stalls_at_times(45), 30.0)
+    rise_n = PEAK_N * math.pi / BEAT_S * 45 * scene.tick_ns * 1e-9
+    assert most_n < HEADROOM * PEAK_N + rise_n
+
+
+def test_a_host_that_keeps_its_time_is_not_slowed(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = load_scene(find_scene("radial")).display
+    guarded = press(scene, stalls_always(0), 3.0)
+    monkeypatch.setattr(StallGuard, "tick", lambda *_: None)
+    assert guarded == press(scene, stalls_always(0), 3.0)
+
+
+@given(st.floats(0.05, 2.0), st.floats(0.0, 1.0), st.integers(2, 100), st.integers(0, 5000))
+def test_a_speed_held_for_as_long_as_a_stall_of_late_stays_below_the_headroom(
+    peak_n: float, share: float, ticks: int, later_ticks: int
+) -> None:
+    guard = StallGuard(LAW, TICK_S, 0.0)
+    guard.tick(ticks, peak_n)
+    for _ in range(later_ticks):
+        guard.tick(0, peak_n)
+    screw_m = LAW.position(share * peak_n)
+    remembered_s = (ticks + 1) * TICK_S * math.exp(-later_ticks * TICK_S / WORST_S)
+    assert guard.limiting == (remembered_s >= 2 * TICK_S)
+    reached_n = LAW.force(screw_m + guard.fastest(screw_m) * remembered_s)
+    assert reached_n == pytest.approx(HEADROOM * peak_n, rel=1e-6)
+
+
+def test_beyond_the_headroom_it_may_only_go_back() -> None:
+    guard = StallGuard(LAW, TICK_S, 0.0)
+    guard.tick(10, 0.5)
+    assert guard.fastest(LAW.position(0.7)) == 0.0
+
+
+def test_play_is_taken_up_before_the_first_touch() -> None:
+    guard = StallGuard(LAW, TICK_S, 1e-5)
+    guard.tick(9, 0.0)
+    assert guard.fastest(0.0) == pytest.approx(1e-5 / 10e-3)
+
+
+def test_a_command_is_made_for_as_long_as_it_is_held_on_average_in_time() -> None:
+    """An instant meets a hold of 9 ticks as often as nine of one."""
+    guard = StallGuard(LAW, TICK_S, 0.0)
+    assert guard.held_s == TICK_S
+    for _ in range(100):
+        guard.tick(8, 0.5)
+        for _ in range(9):
+            guard.tick(0, 0.5)
+    assert guard.held_s == pytest.approx(5 * TICK_S, rel=0.1)
+    for _ in range(2000):
+        guard.tick(0, 0.5)
+    assert guard.held_s == pytest.approx(TICK_S, rel=1e-3)

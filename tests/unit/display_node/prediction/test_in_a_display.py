@@ -2,27 +2,17 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
 from display_node.display import Display
 from display_node.prediction import PredictorName
-from display_node.scene import DisplayScene
-from protocol.config.scene import load_section
 from protocol.wire.telemetry import TRACE_TICKS, TraceWriter, read_trace
 from telepulse.scene import load_scene
 from telepulse.simulation.link_model import parse_link
 from telepulse.simulation.virtual_time import simulate
-from tests.support.sender import Sender, run
-
-RADIAL = Path(__file__).parents[4] / "scenes" / "radial.toml"
-
-
-def display(predictor: PredictorName, compensation_ns: int) -> Display:
-    scene = load_section(RADIAL, "display", DisplayScene)
-    changes = {"predictor": predictor, "compensation_ns": compensation_ns}
-    return Display(scene.model_copy(update=changes), "test")
+from tests.support.nodes import RADIAL
+from tests.support.sender import Sender, display, run
 
 
 def pulse_n(ms: int) -> float:
@@ -52,7 +42,7 @@ def test_the_stack_is_nearer_the_present_pulse_than_linear_over_a_late_link() ->
 
 @pytest.mark.parametrize("predictor", ["hold", "stack"])
 def test_telemetry_tells_the_error_that_the_predictor_expects(predictor: PredictorName) -> None:
-    under_test, writer = display(predictor, 0), TraceWriter()
+    under_test, writer = display(predictor=predictor, compensation_ns=0), TraceWriter()
     play(under_test, Sender(), 0, 4_000)
     traces = [writer.add(under_test.felt) for _ in range(TRACE_TICKS)]
     expected_n = read_trace(traces[-1] or b"").predictor_error_n
@@ -63,13 +53,13 @@ def test_telemetry_tells_the_error_that_the_predictor_expects(predictor: Predict
 
 
 def test_what_has_arrived_expects_no_error() -> None:
-    under_test = display("stack", 40_000_000)
+    under_test = display(predictor="stack", compensation_ns=40_000_000)
     play(under_test, Sender(), 0, 4_000)
     assert math.isnan(under_test.felt.predictor_error_n)
 
 
 def test_another_session_is_learnt_anew() -> None:
-    under_test = display("stack", 0)
+    under_test = display(predictor="stack", compensation_ns=0)
     play(under_test, Sender(session=7), 0, 4_000)
     assert under_test.felt.predictor_error_n > 0
     play(under_test, Sender(session=8), 4_000, 6_000)

@@ -23,11 +23,7 @@ from tests.support.streams import description
 def joined(sender: Sender, paths: int = 1, channel: int = 0) -> Receiver:
     """A receiver that knows the stream and its clock at 100 ms."""
     receiver = Receiver("test", channel, late_target=0.01, paths=paths)
-    for now_ns in range(0, 101 * MS, MS):
-        for request in receiver.requests(now_ns):
-            answer = sender.answer(request, now_ns)
-            if answer is not None:
-                receiver.on_control(answer, now_ns)
+    sender.serve(receiver, 0, until_ms=101)
     return receiver
 
 
@@ -112,10 +108,7 @@ def test_frames_tell_the_clock_of_its_skew() -> None:
         sender = Sender()
         receiver = joined(sender)
         for ms in range(101, 5_000):
-            for request in receiver.requests(ms * MS):
-                answer = sender.answer(request, ms * MS)
-                if answer is not None:
-                    receiver.on_control(answer, ms * MS)
+            sender.serve(receiver, ms * MS)
             if ms % every_ms == 0:
                 receiver.on_frame(sender.frame(ms * MS, 0.3), ms * MS)
         certain_ns.append(receiver.clock.uncertainty_ns(60_000 * MS))
@@ -248,10 +241,7 @@ def test_a_step_of_the_sensing_clock_costs_three_exchanges(step_ms: int) -> None
         if ms % 5 == 0:
             frame = sender.frame(ms * MS + stepped_ns, 0.3)
             refused += receiver.on_frame(frame, ms * MS) is None
-        for request in receiver.requests(ms * MS):
-            reply = sender.answer(request, ms * MS + stepped_ns)
-            if reply is not None:
-                receiver.on_control(reply, ms * MS)
+        sender.serve(receiver, ms * MS, stepped_ns)
     assert (receiver.clock_steps, receiver.sessions, receiver.beginnings) == (1, 1, 2)
     assert receiver.ready
     # 3 exchanges 20 ms apart.
@@ -266,11 +256,8 @@ def test_a_step_of_the_sensing_clock_costs_three_exchanges(step_ms: int) -> None
 def test_a_small_step_is_followed_without_a_break() -> None:
     sender = Sender()
     receiver = joined(sender)
-    for ms in range(101, 1000):
-        for request in receiver.requests(ms * MS):
-            reply = sender.answer(request, ms * MS + (50 * MS if ms >= 500 else 0))
-            if reply is not None:
-                receiver.on_control(reply, ms * MS)
+    sender.serve(receiver, 101 * MS, until_ms=500)
+    sender.serve(receiver, 500 * MS, 50 * MS, until_ms=1000)
     assert (receiver.clock_steps, receiver.beginnings) == (1, 1)
     assert receiver.clock.remote_ns(0) == AHEAD_NS + 50 * MS
 
