@@ -1,6 +1,6 @@
-"""Whatever is given for an option: exit status 2, the reason on stderr, and no traceback."""
+"""Invalid options: exit status 2, the reason on stderr, and no traceback."""
 
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from display_node.cli import app as display_node
-from protocol.errors import AddressError, SceneError, TelepulseError
+from protocol.errors import AddressError, TelepulseError
 from protocol.host.realtime import parse_realtime
 from protocol.sockets import beyond_loopback, control_address
 from sensing_node.cli import app as sensing_node
@@ -25,7 +25,7 @@ addresses = words | words.map("tcp://{}".format) | words.map("tcp://127.0.0.1:{}
 
 
 def refused(app: Any, *arguments: str) -> str:
-    """What a command says that cannot begin."""
+    """Return the error message of a command that does not start."""
     result = CliRunner().invoke(app, arguments)
     assert isinstance(result.exception, SystemExit), repr(result.exception)
     assert result.exit_code == 2
@@ -34,10 +34,10 @@ def refused(app: Any, *arguments: str) -> str:
     return result.stderr
 
 
-def is_number(text: str) -> bool:
+def valid(parse: Callable[[str], object], text: str) -> bool:
     try:
-        float(text)
-    except ValueError:
+        parse(text)
+    except (ValueError, TelepulseError):
         return False
     return True
 
@@ -48,40 +48,27 @@ def is_number(text: str) -> bool:
     ids=["demo", "simulate", "sensing-node"],
 )
 @settings(max_examples=15)
-@given(seconds=numbers | words.filter(lambda text: not is_number(text)))
-def test_seconds_that_are_none(command: tuple[Any, str], seconds: str) -> None:
+@given(seconds=numbers | words.filter(lambda text: not valid(float, text)))
+def test_invalid_seconds_are_refused(command: tuple[Any, str], seconds: str) -> None:
     app, name = command
     assert "--seconds" in refused(app, name, "--seconds", seconds)
 
 
+@pytest.mark.parametrize(
+    ("parse", "app", "arguments"),
+    [
+        (parse_link, telepulse, ("simulate", "--link")),
+        (parse_realtime, sensing_node, (str(RADIAL), "--realtime")),
+    ],
+    ids=["link", "real-time measures"],
+)
 @settings(max_examples=25)
 @given(text=words)
-def test_a_link_that_is_none(text: str) -> None:
-    assume(not _is_link(text))
-    assert "--link" in refused(telepulse, "simulate", "--link", text)
-
-
-def _is_link(text: str) -> bool:
-    try:
-        parse_link(text)
-    except SceneError:
-        return False
-    return True
-
-
-@settings(max_examples=25)
-@given(text=words)
-def test_measures_of_real_time_that_are_none(text: str) -> None:
-    assume(not _is_asked(text))
-    assert "--realtime" in refused(sensing_node, str(RADIAL), "--realtime", text)
-
-
-def _is_asked(text: str) -> bool:
-    try:
-        parse_realtime(text)
-    except TelepulseError:
-        return False
-    return True
+def test_invalid_links_and_real_time_measures_are_refused(
+    parse: Callable[[str], object], app: Any, arguments: tuple[str, ...], text: str
+) -> None:
+    assume(not valid(parse, text))
+    assert arguments[-1] in refused(app, *arguments, text)
 
 
 @settings(max_examples=100)
@@ -98,24 +85,22 @@ def test_any_address_has_a_control_address_or_is_refused(address: str) -> None:
 
 @settings(max_examples=15)
 @given(data=st.binary(max_size=100))
-def test_a_file_that_is_no_scene(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
-    path = _file(tmp_path_factory, "scene.toml", data)
+def test_a_file_that_is_no_scene_is_refused(
+    tmp_path_factory: pytest.TempPathFactory, data: bytes
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "scene.toml"
+    path.write_bytes(data)
     for app in (display_node, sensing_node):
         assert str(path) in refused(app, str(path)).replace("\n", "")
 
 
 @settings(max_examples=15)
 @given(data=st.binary(max_size=60) | st.text(",;0123456789.\n", max_size=20).map(str.encode))
-def test_a_file_that_is_no_table_of_loads(
+def test_a_file_of_loads_is_read_or_refused(
     tmp_path_factory: pytest.TempPathFactory, data: bytes
 ) -> None:
-    path = _file(tmp_path_factory, "loads.csv", data)
+    path = tmp_path_factory.getbasetemp() / "loads.csv"
+    path.write_bytes(data)
     result = CliRunner().invoke(telepulse, ["calibrate", str(path)])
     assert result.exit_code in (0, 2)
     assert result.exception is None or isinstance(result.exception, SystemExit)
-
-
-def _file(factory: pytest.TempPathFactory, name: str, data: bytes) -> Path:
-    path = factory.getbasetemp() / name
-    path.write_bytes(data)
-    return path
