@@ -15,18 +15,17 @@ from typing import Any
 import can
 import numpy as np
 from pytrinamic.connections.tmcl_interface import TmclInterface
-from pytrinamic.tmcl import TMCLRequest
 
 from benchmarks.measure import show
 from display_node.drives import build_drive
 from display_node.drives.axis import build_axis
 from display_node.drives.cia402.drive import Cia402Drive
 from display_node.drives.cia402.node import Cia402Node
-from display_node.drives.cia402.state_machine import Control
+from display_node.drives.cia402.state_machine import Control, Mode
 from display_node.drives.drive import Drive
 from display_node.drives.scene import Cia402Scene, TmclScene
 from display_node.drives.tmcl.line import TmclLine
-from display_node.drives.tmcl.parameters import Command
+from display_node.drives.tmcl.module import Command
 from display_node.plant.stepper import StepperScene
 from protocol.wire.stream import LayerTable
 from telepulse.commissioning.rig import TMCL_BITS
@@ -111,7 +110,7 @@ def pdos_to_nobody() -> Iterator[dict[str, Call]]:
     with can.Bus(**bus), can.Bus(**bus) as bare:  # type: ignore[arg-type]
 
         def tell(cyclic: bool) -> None:
-            node.cyclic = cyclic
+            node.mode = Mode.CYCLIC_VELOCITY if cyclic else Mode.PROFILE_VELOCITY
             node.command(Control.ENABLE, 1_000)
 
         yield {
@@ -170,7 +169,7 @@ def tmcl_calls() -> Iterator[dict[str, Call]]:
         ):
             open_things.callback(server.close)
             open_things.enter_context(polled(partial(server.serve, 0.005)))
-        lines = TmclLine(on_pty), TmclLine(on_can)
+        lines = TmclLine(on_pty, Counter()), TmclLine(on_can, Counter())
         drive = build_drive(boxed, ACTUATOR, LAYER, FORCE_LIMIT_N)
         yield {
             "TMCL drive: command (mailbox)": Commands(drive),
@@ -201,7 +200,6 @@ class Commands:
 
 def written(drive: Cia402Drive) -> None:
     """Set the drive's acceleration."""
-    assert drive._node is not None
     drive._node.write(0x6083, 0, 1_000)
 
 
@@ -212,8 +210,21 @@ def rotate(line: TmclLine) -> None:
 
 def rotate_and_log(line: TmclLine) -> None:
     """Send the same as PyTrinamic's own interfaces do."""
-    request = TMCLRequest(1, Command.ROTATE_RIGHT, 0, 0, 1)
-    TmclInterface.send_request(line._interface, request)
+    MakersInterface(line).send(Command.ROTATE_RIGHT, 0, 0, 1)
+
+
+class MakersInterface(TmclInterface):  # type: ignore[misc]
+    """PyTrinamic's own exchange on the carrier of a line."""
+
+    def __init__(self, line: TmclLine) -> None:
+        super().__init__()
+        self._carrier = line.carrier
+
+    def _send(self, host_id: int, module_id: int, data: bytes) -> None:
+        self._carrier.send(data)
+
+    def _recv(self, host_id: int, module_id: int) -> bytes:
+        return self._carrier.receive()
 
 
 def motor(touch_m: float) -> EmulatedMotor:

@@ -12,6 +12,10 @@ from protocol.tactile import ElasticLayer
 
 # Positions and velocities of a drive have 32 bits.
 LARGEST = 2**31 - 1
+# Between a command and the motor's reaction.
+REACTION_S = 2e-3
+# So far from first touch nothing is felt of the tip; half the distance to home where that is less.
+CLEAR_M = 0.5e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,54 +61,6 @@ class Units:
         return self.direction * position / self.per_step * self.step_m + self.home_m
 
 
-class SoftLimits:
-    """The usable part of the travel, and the speed that it allows.
-
-    Parameters
-    ----------
-    lowest_m, furthest_m
-        Ends of the travel in m from first touch.
-    acceleration_m_per_s2
-        The drive's acceleration and deceleration.
-    reaction_s
-        Time in s from a command to its effect, besides the age of the position.
-    """
-
-    def __init__(
-        self, lowest_m: float, furthest_m: float, acceleration_m_per_s2: float, reaction_s: float
-    ) -> None:
-        self._lowest_m = lowest_m
-        self._furthest_m = furthest_m
-        self._acceleration = acceleration_m_per_s2
-        self._reaction_s = reaction_s
-
-    def bound(self, speed_m_per_s: float, position_m: float, age_s: float) -> float:
-        """Return the speed that still stops before an end; 0 for no number.
-
-        Until the drive reacts the tip may go on at the full speed v, then it brakes: v t + v²/2a
-        must not exceed the distance that is left. Since the position was reported, age_s ago, the
-        tip may have been faster than v, but not twice as fast: speeds so bounded fall by no more
-        than a factor of e in a time of t, which is twice the age or more.
-        """
-        if speed_m_per_s > 0:
-            return min(speed_m_per_s, self._fastest(self._furthest_m - position_m, age_s))
-        if speed_m_per_s < 0:
-            return -min(-speed_m_per_s, self._fastest(position_m - self._lowest_m, age_s))
-        return 0.0
-
-    def _fastest(self, distance_m: float, age_s: float) -> float:
-        if not distance_m > 0:
-            return 0.0
-        late_s, braking = 2 * age_s + self._reaction_s, self._acceleration
-        return braking * (math.sqrt(late_s * late_s + 2 * distance_m / braking) - late_s)
-
-
-# Between a command and the motor's reaction.
-REACTION_S = 2e-3
-# So far from first touch nothing is felt of the tip; half the distance to home where that is less.
-CLEAR_M = 0.5e-3
-
-
 @dataclass(frozen=True, slots=True)
 class Axis:
     """The mechanics of a drive; positions in m from first touch.
@@ -113,6 +69,8 @@ class Axis:
     ----------
     lowest_m, furthest_m
         Ends of the travel: home, and the greatest depth.
+    reaction_s
+        Time in s from a command to its effect, besides the age of the position.
     search_s
         Greatest duration of the search for home, there and back over the whole stroke.
     clear_m
@@ -120,14 +78,29 @@ class Axis:
     """
 
     units: Units
-    soft_limits: SoftLimits
     lowest_m: float
     furthest_m: float
     max_speed_m_per_s: float
     max_acceleration_m_per_s2: float
     microsteps: int
+    reaction_s: float
     search_s: float
     clear_m: float
+
+    def bounded(self, speed_m_per_s: float, position_m: float, age_s: float) -> float:
+        """Return the speed in m/s that still stops before an end of the travel; 0 for no number.
+
+        Until the drive reacts the tip may go on at the full speed v, then it brakes: v t + v²/2a
+        must not exceed the distance that is left. Since the position was reported, age_s ago, the
+        tip may have been faster than v, but not twice as fast: speeds so bounded fall by no more
+        than a factor of e in a time of t, which is twice the age or more.
+        """
+        to_end_m = self.furthest_m - position_m if speed_m_per_s > 0 else position_m - self.lowest_m
+        if not (abs(speed_m_per_s) > 0 and to_end_m > 0):
+            return 0.0
+        late_s, braking = 2 * age_s + self.reaction_s, self.max_acceleration_m_per_s2
+        fastest = braking * (math.sqrt(late_s * late_s + 2 * to_end_m / braking) - late_s)
+        return min(max(speed_m_per_s, -fastest), fastest)
 
 
 def build_axis(
@@ -140,28 +113,22 @@ def build_axis(
     """
     pressing_m = actuator.contact(layer).position(min(actuator.thrust_n, force_limit_n))
     # Counted in whole microsteps, the tip may be almost one further than the count.
-    furthest_m = min(actuator.stroke_m - scene.touch_m, pressing_m - actuator.step_m)
-    if scene.furthest_m is not None:
-        furthest_m = min(furthest_m, scene.furthest_m)
-    units = Units(
-        step_m=actuator.step_m,
-        per_step=scene.position_scale if isinstance(scene, Cia402Scene) else 1.0,
-        per_step_rate=scene.velocity_scale,
-        direction=-1 if scene.inverted else 1,
-        home_m=-scene.touch_m,
-    )
-    # A command may be the last one, and then it holds until the drive's watchdog ends it.
-    reaction_s = REACTION_S + scene.watchdog_ns * 1e-9
+    ends_m = [actuator.stroke_m - scene.touch_m, pressing_m - actuator.step_m]
     return Axis(
-        units=units,
-        soft_limits=SoftLimits(
-            -scene.touch_m, furthest_m, actuator.max_acceleration_m_per_s2, reaction_s
+        units=Units(
+            step_m=actuator.step_m,
+            per_step=scene.position_scale if isinstance(scene, Cia402Scene) else 1.0,
+            per_step_rate=scene.velocity_scale,
+            direction=-1 if scene.inverted else 1,
+            home_m=-scene.touch_m,
         ),
         lowest_m=-scene.touch_m,
-        furthest_m=furthest_m,
+        furthest_m=min(ends_m + ([] if scene.furthest_m is None else [scene.furthest_m])),
         max_speed_m_per_s=actuator.max_speed_m_per_s,
         max_acceleration_m_per_s2=actuator.max_acceleration_m_per_s2,
         microsteps=actuator.microsteps,
+        # A command may be the last one, and then it holds until the drive's watchdog ends it.
+        reaction_s=REACTION_S + scene.watchdog_ns * 1e-9,
         search_s=5.0 + 2 * actuator.stroke_m / scene.homing_speed_m_per_s,
         clear_m=-min(CLEAR_M, scene.touch_m / 2),
     )

@@ -1,51 +1,102 @@
-"""The interface of a real drive to the force loop, whatever bus it is on."""
+"""A real drive as the force loop sees it, and what all kinds of drive share.
 
+A drive is brought to first touch by `start`, takes speeds by `command`, and has a thread of its own
+that withdraws the tip after a fault: the loop may hang, and a fault needs no tick.
+"""
+
+import math
+import threading
+import time
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import suppress
 from typing import Protocol
 
-from display_node.drives.withdrawal import WithdrawalOutcome
+from display_node.drives.axis import Axis
+from display_node.drives.scene import DriveScene
+from display_node.drives.supervisor import DriveStatus, PassableLock, Supervisor
+from protocol.errors import DriveError
+
+# Between two commands on the way to first touch or to rest.
+PERIOD_S = 2e-3
+# Time constant of the approach: slower than any drive reports its position.
+TIME_CONSTANT_S = 0.1
+REST_WITHIN_S = 1.0
+# From home towards the finger: further than any switch needs to open.
+OPENED_M = 0.3e-3
+# Of a search for home, beyond the whole travel: the switch's own, and the error of `touch`.
+SEARCH_MARGIN_M = 1e-3
+# Up to first touch the tip presses nothing; a film that reads so much more is pressed.
+PRESSED_N = 0.1
+# Kind of DriveError, and what to do. A wrong `inverted` or two swapped wires make every withdrawal
+# a press. The drive's own count shows neither, so the home switch and the film have to.
+WRONG_WAY = "wrong way"
+ADVICE = "look at [display.drive] inverted and at the motor's wiring"
 
 
-@dataclass(frozen=True, slots=True)
-class DriveStatus:
-    """The last report of a drive.
+class TouchGuard:
+    """End of a motion away from the finger, or up to first touch, that presses the film."""
+
+    def __init__(self, force_n: Callable[[], float | None]) -> None:
+        """Take a function that returns the film's newest reading in N, None without one."""
+        self._force_n = force_n
+        self._least_n = force_n()
+
+    def __call__(self) -> None:
+        """Raise DriveError where the film reads much more than its least reading until now."""
+        force_n = self._force_n()
+        if force_n is None:
+            return
+        if self._least_n is None or force_n < self._least_n:
+            self._least_n = force_n
+        elif force_n > self._least_n + PRESSED_N:
+            rise_mn = (force_n - self._least_n) * 1e3
+            raise DriveError(
+                WRONG_WAY, f"the film reads {rise_mn:.0f} mN more before first touch; {ADVICE}"
+            )
+
+
+def bound_search(axis: Axis, began_m: float, position_m: float) -> None:
+    """Raise DriveError where a search for home has counted further than home can be away."""
+    most_m = axis.furthest_m - axis.lowest_m + SEARCH_MARGIN_M
+    if abs(position_m - began_m) > most_m:
+        raise DriveError(
+            WRONG_WAY,
+            f"no home switch on {most_m * 1e3:.1f} mm, from wherever the tip stood;"
+            f" {ADVICE}, and at touch and furthest",
+        )
+
+
+class DriveDevice(Protocol):
+    """A drive on its line. Its methods but `close` raise DriveError.
 
     Attributes
     ----------
-    position_m
-        Tip position in m from first touch, positive into the finger.
-    fault
-        Fault that ended the following of commands until `Drive.start` is called again, or None.
-    moving
-        The drive reports a speed.
-    received_ns
-        Time of the position on the monotonic clock; 0 before any.
-    withdrawal
-        State of the withdrawal since the fault; None without a fault, and where the drive was not
-        moving by commands.
-    answered_ns
-        Time of the drive's last answer of any kind.
-    held_back
-        The last command was slowed before the far end of the travel.
+    position_m, speed_m_per_s
+        Last reported position in m from first touch, and last reported speed.
     """
 
     position_m: float
     speed_m_per_s: float
-    fault: str | None
-    moving: bool
-    received_ns: int
-    withdrawal: WithdrawalOutcome | None = None
-    answered_ns: int = 0
-    held_back: bool = False
+
+    def configure(self) -> None:
+        """Check and set up the drive, enable it and read its position."""
+
+    def home(self, guard: Callable[[], None]) -> None:
+        """Find the zero of positions, and wait for it; guard may end the search by raising."""
+
+    def end_search(self) -> None:
+        """Come to rest, and take speeds again."""
+
+    def arm_watchdog(self) -> None:
+        """Have the drive stop by itself when commands stop, from the next one on."""
+
+    def close(self) -> None:
+        """Stop the drive as well as its line allows, and close the line. Never raises."""
 
 
-def no_film() -> None:
-    """Return no reading, where no film lies under the finger."""
-
-
-class Drive(Protocol):
+class Drive(ABC):
     """A stepper's drive that takes speeds.
 
     Attributes
@@ -54,9 +105,22 @@ class Drive(Protocol):
         Errors on the bus that the next message made good, by name.
     """
 
-    counts: Counter[str]
+    # Greatest time between two steps of the drive's own thread.
+    step_s: float
 
-    def start(self, force_n: Callable[[], float | None] = no_film) -> None:
+    def __init__(self, scene: DriveScene, axis: Axis) -> None:
+        self._axis = axis
+        self._homing_speed = scene.homing_speed_m_per_s
+        self._device: DriveDevice | None = None
+        self._thread: threading.Thread | None = None
+        self._woken = threading.Event()
+        self._closing = False
+        self._supervisor = Supervisor(axis, scene.watchdog_ns)
+        # Of the supervisor and the commands, between the loop's thread and the drive's own.
+        self._lock = PassableLock()
+        self.counts: Counter[str] = Counter()
+
+    def start(self, force_n: Callable[[], float | None] = lambda: None) -> None:
         """Connect, check, enable, home, verify the direction and go to first touch; blocks.
 
         Parameters
@@ -67,9 +131,43 @@ class Drive(Protocol):
         Raises
         ------
         DriveError
-            Where any of it fails; the drive is closed then.
+            Where any of it fails. A tip that went the wrong way goes back before; the drive is
+            closed then.
         """
+        self.close()
+        self._device = device = self._connect()
+        home_m = began_m = self._axis.lowest_m
+        guard = TouchGuard(force_n)
+        try:
+            device.configure()
+            began_m = device.position_m
+            device.home(guard)
+            began_m = device.position_m
+            device.arm_watchdog()
+            self._follow(device)
+            opened_m = min(OPENED_M, -home_m / 2)
+            self._move_to(home_m + opened_m, guard)
+            # Where it is not reported, that the search has found it is the only evidence.
+            if self._home_switch():
+                raise DriveError(
+                    WRONG_WAY,
+                    f"the home switch is closed {opened_m * 1e3:.2g} mm from home, towards the"
+                    f" finger; {ADVICE}",
+                )
+            self._move_to(0.0, guard)
+            self._pause()
+        except BaseException as error:  # Ctrl-C, too, must not leave it moving.
+            if isinstance(error, DriveError) and error.kind == WRONG_WAY:
+                with suppress(DriveError):  # the first error is raised anyway
+                    if self._thread is None:
+                        device.end_search()
+                        self._follow(device)
+                    self._move_to(began_m)
+            self.close()
+            raise
+        self._supervisor.verified = True
 
+    @abstractmethod
     def command(self, speed_m_per_s: float) -> None:
         """Run at this speed, positive into the finger, from now on, within the soft limits.
 
@@ -80,18 +178,112 @@ class Drive(Protocol):
 
     def report_film(self, force_n: float, taken_ns: int) -> None:
         """Take a reading of the film in N, by which a withdrawal is judged as well."""
+        with self._lock:
+            self._supervisor.report_film(force_n, taken_ns)
 
     def status(self) -> DriveStatus:
         """Return what the drive reported last, without a request."""
+        with self._lock:
+            if self._device is None:
+                return self._supervisor.status(0.0)
+            self._read_reports(time.monotonic_ns())
+            return self._supervisor.status(self._device.speed_m_per_s)
 
     def travel_m(self, now_ns: int) -> float:
         """Return the travel in m that was commanded until a time, from any origin."""
+        with self._lock:
+            return self._supervisor.travel_m(now_ns)
 
     def withdraw(self, reason: str) -> None:
         """Take the tip off the finger from now on, and keep it there until `start`.
 
         Never waits for the drive. The reason becomes the fault, unless there is one.
         """
+        with self._lock:
+            self._supervisor.fail(reason, time.monotonic_ns())
+        self._woken.set()
 
     def close(self) -> None:
         """Bring the drive to rest, disable and disconnect it. Never raises."""
+        if self._device is None:
+            return
+        deadline_s = time.monotonic() + REST_WITHIN_S
+        while (status := self.status()).fault is None and time.monotonic() < deadline_s:
+            self.command(0.0)
+            if not status.moving:
+                break
+            time.sleep(PERIOD_S)
+        if self._thread is not None:
+            self._closing = True
+            self._woken.set()
+            self._thread.join()
+            self._thread = None
+        self._supervisor.fault = self._supervisor.fault or "closed"
+        self._device.close()
+        self._device = None
+
+    @abstractmethod
+    def _connect(self) -> DriveDevice:
+        """Open the drive's line. Raises DriveError."""
+
+    @abstractmethod
+    def _step(self) -> None:
+        """Do the work of the drive's own thread: at least withdraw after a fault."""
+
+    @abstractmethod
+    def _home_switch(self) -> bool | None:
+        """Return whether the home switch is closed; None where home is not by it or unreported."""
+
+    def _read_reports(self, now_ns: int) -> None:  # noqa: B027
+        """Pass new reports of the device to the supervisor, where `_step` does not do it."""
+
+    def _follow(self, device: DriveDevice) -> None:
+        """Begin to send commands, and to check that they come."""
+        now_ns = time.monotonic_ns()
+        self._supervisor.arm(now_ns)
+        self._supervisor.report(device.position_m, now_ns)
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._closing:
+            self._woken.wait(self.step_s)
+            self._woken.clear()
+            self._step()
+
+    def _pause(self) -> None:
+        """Rest, and expect no command before the next one."""
+        with self._lock:
+            self._supervisor.pause()
+
+    def _move_to(self, position_m: float, guard: Callable[[], None] = lambda: None) -> None:
+        """Move to within a step of a position by speed commands, and rest there; blocks.
+
+        guard is called all along, and may end the motion by raising. Raises DriveError.
+        """
+        speed_m_per_s, step_m = self._homing_speed, self._axis.units.step_m
+        travel_m = abs(position_m - self.status().position_m)
+        deadline_s = time.monotonic() + 2.0 + 2 * travel_m / speed_m_per_s
+        deadline_s += math.log(max(travel_m / step_m, 1.0))
+        sent_m_per_s = 0.0
+        while True:
+            guard()
+            status = self.status()
+            if status.fault is not None:
+                raise DriveError("fault", f"on its way to first touch: {status.fault}")
+            # On a busy host or line reports are late, and the tip has gone on since.
+            age_s = (time.monotonic_ns() - status.received_ns) * 1e-9
+            left_m = position_m - status.position_m - sent_m_per_s * age_s
+            if abs(left_m) <= step_m:
+                size = 0.0
+            else:
+                size = min(speed_m_per_s, max(abs(left_m) / TIME_CONSTANT_S, 10 * step_m))
+            sent_m_per_s = math.copysign(size, left_m)
+            self.command(sent_m_per_s)
+            if not size and not status.moving:
+                return
+            if time.monotonic() > deadline_s:
+                text = f"{left_m * 1e3:.3f} mm before first touch, and no nearer"
+                raise DriveError("not there", text)
+            time.sleep(PERIOD_S)

@@ -23,6 +23,25 @@ DRIFT_S = 5.0
 DRIFT_M = 2e-3
 
 
+class _Leg(NamedTuple):
+    """A change of speed: its time, travel in m and speed in m/s by then, and the speed sent."""
+
+    sent_ns: int
+    travel_m: float
+    speed: float
+    sent: float
+
+    def after(self, seconds: float, acceleration: float) -> tuple[float, float]:
+        """Return travel in m and speed in m/s so many seconds later."""
+        change = self.sent - self.speed
+        ramp_s = abs(change) / acceleration
+        if seconds < ramp_s:
+            reached = self.speed + math.copysign(acceleration * seconds, change)
+            return self.travel_m + 0.5 * (self.speed + reached) * seconds, reached
+        ramped_m = 0.5 * (self.speed + self.sent) * ramp_s
+        return self.travel_m + ramped_m + self.sent * (seconds - ramp_s), self.sent
+
+
 class CommandedPosition:
     """Integral of the speeds that a drive was sent, each reached by a ramp; any origin."""
 
@@ -53,25 +72,6 @@ class CommandedPosition:
         travels = [self.travel_m(from_ns), self.travel_m(to_ns)]
         travels += [leg.travel_m for leg in tuple(self._legs) if from_ns < leg.sent_ns < to_ns]
         return min(travels), max(travels)
-
-
-class _Leg(NamedTuple):
-    """A change of speed: its time, travel in m and speed in m/s by then, and the speed sent."""
-
-    sent_ns: int
-    travel_m: float
-    speed: float
-    sent: float
-
-    def after(self, seconds: float, acceleration: float) -> tuple[float, float]:
-        """Return travel in m and speed in m/s so many seconds later."""
-        change = self.sent - self.speed
-        ramp_s = abs(change) / acceleration
-        if seconds < ramp_s:
-            reached = self.speed + math.copysign(acceleration * seconds, change)
-            return self.travel_m + 0.5 * (self.speed + reached) * seconds, reached
-        ramped_m = 0.5 * (self.speed + self.sent) * ramp_s
-        return self.travel_m + ramped_m + self.sent * (seconds - ramp_s), self.sent
 
 
 class FollowingError:
@@ -109,18 +109,17 @@ class FollowingError:
 
     def report(self, position_m: float, received_ns: int) -> None:
         """Take a reported position in m from first touch, and when it was received."""
-        if math.isnan(self._origin_m):
-            self._origin_m = position_m - self._commanded.travel_m(received_ns)
-            self._last_ns = self._good_ns = received_ns
-            self._last_m = self._commanded.travel_m(received_ns)
-            return
-        low_m, high_m = self._commanded.bounds_m(received_ns - LATE_NS, received_ns)
-        travel_m = position_m - self._origin_m
-        self.error_m = travel_m - min(max(travel_m, low_m), high_m)
         commanded_m = self._commanded.travel_m(received_ns)
-        drift = (received_ns - self._last_ns) * 1e-9 / DRIFT_S
-        drift += abs(commanded_m - self._last_m) / DRIFT_M
-        self._origin_m += self.error_m * min(drift, 1.0)
+        if math.isnan(self._origin_m):
+            self._origin_m = position_m - commanded_m
+            self._good_ns = received_ns
+        else:
+            low_m, high_m = self._commanded.bounds_m(received_ns - LATE_NS, received_ns)
+            travel_m = position_m - self._origin_m
+            self.error_m = travel_m - min(max(travel_m, low_m), high_m)
+            drift = (received_ns - self._last_ns) * 1e-9 / DRIFT_S
+            drift += abs(commanded_m - self._last_m) / DRIFT_M
+            self._origin_m += self.error_m * min(drift, 1.0)
         self._last_ns, self._last_m = received_ns, commanded_m
         if abs(self.error_m) <= TOLERANCE_M:
             self._good_ns = received_ns

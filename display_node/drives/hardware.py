@@ -16,6 +16,7 @@ FIRST_SAMPLE_WITHIN_S = 5.0
 POLL_S = 0.01
 # The longest withdrawal: a stroke that nothing confirms, at the slow speed.
 WITHDRAWN_WITHIN_S = 1.5
+_FAILED = (WithdrawalOutcome.UNCONFIRMED, WithdrawalOutcome.WRONG_WAY)
 
 
 class Hardware:
@@ -27,6 +28,8 @@ class Hardware:
     ----------
     feedback
         The film's readings, as the display takes them.
+    measures_force
+        True where a film measures the force; without, the model of contact stands for it.
     at_end
         Counter of ticks in which the drive was slowed before the far end of its travel.
     """
@@ -57,26 +60,31 @@ class Hardware:
         self._plausibility = FilmPlausibility(actuator, layer)
         self._rising = rising
         self._film_fault: str | None = None
-        self._drive = drive
-        self._sensor = sensor
-        # The drive's last status.
+        self._drive, self._sensor = drive, sensor
+        # The drive's last status, and the travel that was commanded until the last tick.
         self._status = drive.status()
+        self._travel_m: float | None = None
         self._received_ns = 0
         self.at_end = LimitCounter()
         self._began_ns = time.monotonic_ns()
-        # Travel that was commanded until the last tick.
-        self._travel_m: float | None = None
         self._tick_ns = tick_ns
         self._watchdog_ns = watchdog_ns
         self.feedback = feedback
+        self.measures_force = sensor is not None
 
     def start(self) -> None:
         """Wait for the film's first sample, then bring the drive to first touch; blocks.
 
         Raises DriveError, and SourceError when no sample comes: then the drive has not moved.
         """
-        if self._sensor is not None:
-            self._await_film(self._sensor)
+        deadline_s = time.monotonic() + FIRST_SAMPLE_WITHIN_S
+        while self.measures_force and self._read_film() is None:
+            if time.monotonic() > deadline_s:
+                raise SourceError(
+                    f"[display.feedback] no sample within {FIRST_SAMPLE_WITHIN_S:g} s:"
+                    " is the film's sensor the right one, and on?"
+                )
+            time.sleep(POLL_S)
         self._drive.start(self._film_n)
         # What touched the film until now was no press of ours.
         self._film_fault = None
@@ -84,7 +92,7 @@ class Hardware:
 
     def read(self) -> str | None:
         """Take new samples and the drive's status; return the fault, if there is one."""
-        newest = self._read_film(self._sensor) if self._sensor is not None else None
+        newest = self._read_film()
         # After the film, by which a withdrawal is judged.
         self._status = status = self._drive.status()
         if self._sensor is None:
@@ -118,9 +126,7 @@ class Hardware:
     def command(self, speed_m_per_s: float, faults: list[str]) -> str | None:
         """Command a speed until the next tick, or after a fault the withdrawal.
 
-        Returns
-        -------
-        The fault of a withdrawal that failed.
+        Returns the fault of a withdrawal that failed.
         """
         # A drive at fault takes no command; how it bounded the last one no longer counts.
         self.at_end.add(self._status.held_back and not faults)
@@ -129,8 +135,7 @@ class Hardware:
             return None
         self._drive.withdraw(faults[0])
         outcome = self._status.withdrawal
-        failed = outcome in (WithdrawalOutcome.UNCONFIRMED, WithdrawalOutcome.WRONG_WAY)
-        return f"withdrawal: {outcome.value}" if outcome is not None and failed else None
+        return f"withdrawal: {outcome.value}" if outcome in _FAILED else None
 
     def finger(self, now_ns: int) -> FingerState:
         """Return what is measured at the finger now."""
@@ -138,40 +143,25 @@ class Hardware:
         status, newest = self._status, self.feedback.newest
         since_ns = self._began_ns if newest is None else newest[0]
         known = newest is not None and self.feedback.alive(now_ns)
-        blind = self._sensor is None and status.withdrawal in (
-            WithdrawalOutcome.UNCONFIRMED,
-            WithdrawalOutcome.WRONG_WAY,
-        )
+        blind = not self.measures_force and status.withdrawal in _FAILED
         return FingerState(
             force_n=newest[1] if newest is not None and known and not blind else None,
             unknown_s=(now_ns - since_ns) * 1e-9,
-            measured_by="" if self._sensor is not None else "by the drive's position",
+            measured_by="" if self.measures_force else "by the drive's position",
             outcome=status.withdrawal,
             answers=now_ns - status.answered_ns <= self._watchdog_ns,
         )
 
-    def _await_film(self, sensor: Sensor) -> None:
-        deadline_s = time.monotonic() + FIRST_SAMPLE_WITHIN_S
-        while self._read_film(sensor) is None:
-            if time.monotonic() > deadline_s:
-                raise SourceError(
-                    f"[display.feedback] no sample within {FIRST_SAMPLE_WITHIN_S:g} s:"
-                    " is the film's sensor the right one, and on?"
-                )
-            time.sleep(POLL_S)
-
     def _film_n(self) -> float | None:
         """Return the newest reading of the film; None without one."""
-        if self._sensor is None:
-            return None
-        self._read_film(self._sensor)
-        newest = self.feedback.newest
+        self._read_film()
+        newest = self.feedback.newest if self.measures_force else None
         return None if newest is None else newest[1]
 
-    def _read_film(self, sensor: Sensor) -> tuple[int, float] | None:
-        """Hand on the film's new samples; return the newest, None where none came."""
+    def _read_film(self) -> tuple[int, float] | None:
+        """Pass on the film's new samples; return the newest, None where none came."""
         samples = self.feedback.samples
-        for reading in sensor.poll():
+        for reading in [] if self._sensor is None else self._sensor.poll():
             for taken_ns, force_n in zip(reading.times_ns, reading.force_n, strict=True):
                 self.feedback.add(taken_ns, force_n)
                 self._film_fault = self._film_fault or self._rising.fault(force_n, taken_ns)
@@ -180,11 +170,6 @@ class Hardware:
             return None
         self._drive.report_film(newest[1], newest[0])
         return newest
-
-    @property
-    def measures_force(self) -> bool:
-        """True where a film measures the force; without, the model of contact stands for it."""
-        return self._sensor is not None
 
     @property
     def counts(self) -> Counter[str]:
@@ -208,10 +193,9 @@ class Hardware:
         self._drive.withdraw("ended")
         deadline_s = time.monotonic() + WITHDRAWN_WITHIN_S
         self._status = self._drive.status()
-        while (
-            self._status.withdrawal is WithdrawalOutcome.UNDER_WAY
-            and time.monotonic() <= deadline_s
-        ):
+        while self._status.withdrawal is WithdrawalOutcome.UNDER_WAY:
+            if time.monotonic() > deadline_s:
+                return
             time.sleep(POLL_S)
             self.read()
 

@@ -1,11 +1,15 @@
 """The `drive` table: bus, units and homing of the real drive. Its mechanics are in `actuator`."""
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
 from protocol.config.quantities import BitsPerSecond, Metres, MetresPerSecond, Nanoseconds
 from protocol.config.scene import Section
+from protocol.errors import DriveError
+
+if TYPE_CHECKING:
+    import can
 
 Scale = Annotated[float, Field(gt=0, le=1e9)]
 
@@ -92,3 +96,35 @@ class Cia402Scene(DriveScene):
 
 
 DriveTable = Annotated[TmclScene | Cia402Scene, Field(discriminator="kind")]
+
+
+def open_bus(scene: DriveScene) -> "can.BusABC":
+    """Open the CAN bus of a scene by python-can. Raises DriveError."""
+    import can
+
+    try:
+        return can.Bus(
+            interface=scene.interface,
+            channel=scene.channel,
+            bitrate=round(scene.bitrate_bit_per_s),
+            **scene.options,  # type: ignore[arg-type]
+        )
+    # Interfaces come from many makers, and each fails in its own way.
+    except Exception as error:
+        raise DriveError(
+            "unplugged",
+            f"CAN bus {scene.interface} {scene.channel} cannot be opened: {error}",
+        ) from None
+
+
+def is_noise(error: Exception) -> bool:
+    """Return whether a bus could not decode a frame, rather than being gone."""
+    # Some interfaces wrap the cause in an error of python-can.
+    cause = error.__cause__ or error
+    return isinstance(cause, ValueError | IndexError) and not isinstance(cause, OSError)
+
+
+def discard_spoilt_line(bus: Any) -> None:
+    """Discard a line that noise has spoilt: an slcan interface keeps it, and fails at it again."""
+    if hasattr(bus, "flush"):
+        bus.flush()

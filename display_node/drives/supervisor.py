@@ -9,9 +9,9 @@ calls by a `PassableLock`.
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 from display_node.drives.axis import Axis
-from display_node.drives.drive import DriveStatus
 from display_node.drives.following_error import CommandedPosition, FollowingError
 from display_node.drives.withdrawal import Withdrawal, WithdrawalOutcome
 
@@ -59,6 +59,39 @@ class PassableLock:
                 self._lock.release()
 
 
+@dataclass(frozen=True, slots=True)
+class DriveStatus:
+    """The last report of a drive.
+
+    Attributes
+    ----------
+    position_m
+        Tip position in m from first touch, positive into the finger.
+    fault
+        Fault that ended the following of commands until `Drive.start` is called again, or None.
+    moving
+        The drive reports a speed.
+    received_ns
+        Time of the position on the monotonic clock; 0 before any.
+    withdrawal
+        State of the withdrawal since the fault; None without a fault, and where the drive was not
+        moving by commands.
+    answered_ns
+        Time of the drive's last answer of any kind.
+    held_back
+        The last command was slowed before the far end of the travel.
+    """
+
+    position_m: float
+    speed_m_per_s: float
+    fault: str | None
+    moving: bool
+    received_ns: int
+    withdrawal: WithdrawalOutcome | None = None
+    answered_ns: int = 0
+    held_back: bool = False
+
+
 class Supervisor:
     """Bounds the speed of one drive, latches its first fault and withdraws its tip.
 
@@ -93,11 +126,6 @@ class Supervisor:
         self.position_ns = self.answered_ns = 0
 
     @property
-    def outcome(self) -> WithdrawalOutcome | None:
-        """State of the withdrawal; None where there is none."""
-        return None if self.withdrawal is None else self.withdrawal.outcome
-
-    @property
     def commanded_ns(self) -> int:
         """Time of the loop's last command; 0 before the first."""
         return self._command[1]
@@ -114,17 +142,9 @@ class Supervisor:
         """Rest, and expect no command before the loop's first one."""
         self._command = (0.0, 0)
 
-    def end(self, fault: str) -> None:
-        """Take no more commands: the drive is being closed."""
-        self.fault = self.fault or fault
-
     def command(self, speed_m_per_s: float, now_ns: int) -> None:
         """Take the loop's speed, positive into the finger; the latest one counts."""
         self._command = (speed_m_per_s, now_ns)
-
-    def answered(self, now_ns: int) -> None:
-        """Note that the drive answers."""
-        self.answered_ns = now_ns
 
     def report(self, position_m: float, now_ns: int) -> None:
         """Take a position that the drive reported, in m from first touch."""
@@ -154,13 +174,12 @@ class Supervisor:
         if self.fault is not None:
             return
         if self.verified:
-            commanded_m = self._following.position_m(now_ns)
             # NaN before the first report: then the reported position stands alone.
-            furthest_m = min(max(self.position_m, commanded_m), self._axis.furthest_m)
+            furthest_m = max(self.position_m, self._following.position_m(now_ns))
             self.withdrawal = Withdrawal(
                 now_ns,
-                furthest_m,
-                self._commanded.travel_m(now_ns),
+                min(furthest_m, self._axis.furthest_m),
+                self.travel_m(now_ns),
                 self._axis.clear_m,
                 trusted=not self._following.failed,
             )
@@ -170,7 +189,7 @@ class Supervisor:
     def mark_unsent(self, now_ns: int) -> None:
         """Note that a command may not have reached the drive: its travel does not count."""
         if self.withdrawal is not None:
-            self.withdrawal.restart(now_ns, self._commanded.travel_m(now_ns))
+            self.withdrawal.restart(now_ns, self.travel_m(now_ns))
 
     def check_silence(self, now_ns: int, silence: str = "no answer") -> None:
         """Fail where no command or no answer has come for the watchdog's time.
@@ -182,7 +201,7 @@ class Supervisor:
         self._stepped_ns = max(now_ns, self._stepped_ns)
         if self.fault is not None:
             return
-        _, commanded_ns = self._command
+        commanded_ns = self.commanded_ns
         uncommanded_ns = max(stalled_ns, now_ns - commanded_ns if commanded_ns else 0)
         silent_ns = now_ns - self.answered_ns
         if uncommanded_ns > self._watchdog_ns:
@@ -193,7 +212,7 @@ class Supervisor:
     def velocity(self, now_ns: int) -> int:
         """Return the velocity to send now, in the drive's units; then call `sent`."""
         if self.withdrawal is not None:
-            speed = self.withdrawal.speed_m_per_s(now_ns, self._commanded.travel_m(now_ns))
+            speed = self.withdrawal.speed_m_per_s(now_ns, self.travel_m(now_ns))
         elif self.fault is not None:
             speed = 0.0
         else:
@@ -214,7 +233,7 @@ class Supervisor:
             self.fault,
             speed_m_per_s != 0,
             self.position_ns,
-            self.outcome,
+            None if self.withdrawal is None else self.withdrawal.outcome,
             self.answered_ns,
             self._held_back,
         )
@@ -224,18 +243,13 @@ class Supervisor:
         return self._commanded.travel_m(now_ns)
 
     def _within_limits(self, speed_m_per_s: float, now_ns: int) -> float:
-        """Return the speed within the limits of speed and travel.
-
-        Soft limits hold for the reported and for the commanded position: where a report is wrong,
-        the commands alone do not lead beyond them.
-        """
         axis, limit = self._axis, self._axis.max_speed_m_per_s
         wanted = min(max(speed_m_per_s, -limit), limit)
-        age_s = (now_ns - self.position_ns) * 1e-9
-        bounded = axis.soft_limits.bound(wanted, self.position_m, age_s)
+        bounded = axis.bounded(wanted, self.position_m, (now_ns - self.position_ns) * 1e-9)
+        # Where a report is wrong, the commands alone do not lead beyond the limits either.
         commanded_m = self._following.position_m(now_ns)
         # NaN before the first report.
         if commanded_m == commanded_m:
-            bounded = axis.soft_limits.bound(bounded, commanded_m, 0.0)
+            bounded = axis.bounded(bounded, commanded_m, 0.0)
         self._held_back = 0 <= bounded < wanted
         return bounded

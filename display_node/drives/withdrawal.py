@@ -94,11 +94,8 @@ class Withdrawal:
         if self.outcome is WithdrawalOutcome.UNCONFIRMED and silent_ns > SILENT_NS:
             # The drive answers again, and may not have received what was commanded meanwhile.
             self.restart(received_ns, self._travel_m)
-        if (
-            not self._trusted
-            or received_ns <= self._began_ns
-            or self.outcome is WithdrawalOutcome.WRONG_WAY
-        ):
+        wrong_way = self.outcome is WithdrawalOutcome.WRONG_WAY
+        if wrong_way or not self._trusted or received_ns <= self._began_ns:
             return
         if self._may_turn(received_ns, TURN_NS):
             self._peak_m = max(self._peak_m, position_m)
@@ -142,23 +139,20 @@ class Withdrawal:
             self._turning_ns = now_ns
             self.restart(now_ns, travel_m)
         self._sent_ns = now_ns
-        if self.outcome is WithdrawalOutcome.UNDER_WAY:
+        travelled = self._began_m - travel_m >= self._unconfirmed_m
+        if self.outcome is WithdrawalOutcome.UNDER_WAY and travelled:
             # Until a position can be expected, and as long as positions come after that.
-            since_ns = (
-                max(self._counted_ns, self._received_ns) if self.confirmed else self._counted_ns
-            )
-            bounded = not (self._trusted and now_ns - since_ns < PATIENCE_NS)
-            if bounded and self._began_m - travel_m >= self._unconfirmed_m:
+            since_ns = max(self._counted_ns, self._received_ns if self.confirmed else 0)
+            if not self._trusted or now_ns - since_ns >= PATIENCE_NS:
                 relieved = self._relieved and self._last_n <= PRESSED_N
                 clear = relieved or self._last_m <= self._clear_m
                 self.outcome = (
                     WithdrawalOutcome.WITHDRAWN if clear else WithdrawalOutcome.UNCONFIRMED
                 )
-        if self.outcome is WithdrawalOutcome.UNCONFIRMED and self._last_n > PRESSED_N:
-            return -SLOW_M_PER_S
-        if self.outcome is not WithdrawalOutcome.UNDER_WAY:
-            return 0.0
-        return -(FAST_M_PER_S if self.confirmed else SLOW_M_PER_S)
+        if self.outcome is WithdrawalOutcome.UNDER_WAY:
+            return -FAST_M_PER_S if self.confirmed else -SLOW_M_PER_S
+        pressed = self.outcome is WithdrawalOutcome.UNCONFIRMED and self._last_n > PRESSED_N
+        return -SLOW_M_PER_S if pressed else 0.0
 
     def _may_turn(self, taken_ns: int, within_ns: int) -> bool:
         """Return whether an older command explains a motion towards the finger at that time."""
@@ -190,42 +184,30 @@ class FingerState:
     answers: bool = True
 
 
+_DURING = {
+    WithdrawalOutcome.UNDER_WAY: "withdrawing",
+    WithdrawalOutcome.UNCONFIRMED: "the drive does not confirm its withdrawal",
+    WithdrawalOutcome.WRONG_WAY: "withdrawal stopped as it went towards the finger",
+}
+
+
 def describe_finger(state: FingerState) -> str:
     """Describe the finger's measured state in the sentence that every surface shows.
 
     Examples: "withdrawn"; "pressed with 245 mN, the drive does not answer"; "force unknown since
     3 s, withdrawing".
     """
-    force = _force(state)
+    force_n, by = state.force_n, f" ({state.measured_by})" if state.measured_by else ""
+    pressed = force_n is not None and abs(force_n) >= TOUCH_N
+    if force_n is None:
+        force = f"force unknown since {state.unknown_s:.0f} s"
+    else:
+        force = f"pressed with {force_n * 1e3:.0f} mN{by}" if pressed else f"not pressed{by}"
     if not state.answers:
         return f"{force}, the drive does not answer"
-    match state.outcome:
-        case WithdrawalOutcome.WITHDRAWN:
-            return _withdrawn(state, force)
-        case WithdrawalOutcome.UNDER_WAY:
-            return f"{force}, withdrawing"
-        case WithdrawalOutcome.UNCONFIRMED:
-            return f"{force}, the drive does not confirm its withdrawal"
-        case WithdrawalOutcome.WRONG_WAY:
-            return f"{force}, withdrawal stopped as it went towards the finger"
-        case _:
-            return force
-
-
-def _force(state: FingerState) -> str:
-    force_n = state.force_n
+    if state.outcome is not WithdrawalOutcome.WITHDRAWN:
+        return force if state.outcome is None else f"{force}, {_DURING[state.outcome]}"
+    # By the drive's position; the film may contradict it.
     if force_n is None:
-        return f"force unknown since {state.unknown_s:.0f} s"
-    by = f" ({state.measured_by})" if state.measured_by else ""
-    if abs(force_n) < TOUCH_N:
-        return f"not pressed{by}"
-    return f"pressed with {force_n * 1e3:.0f} mN{by}"
-
-
-def _withdrawn(state: FingerState, force: str) -> str:
-    """Describe a withdrawal that the position shows; the film may contradict it."""
-    if state.force_n is None:
         return f"withdrawn by the drive's position, {force}"
-    if abs(state.force_n) < TOUCH_N:
-        return "withdrawn"
-    return f"{force}, although the drive reports the tip withdrawn"
+    return f"{force}, although the drive reports the tip withdrawn" if pressed else "withdrawn"

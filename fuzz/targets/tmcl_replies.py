@@ -1,14 +1,14 @@
 """Answers of a TMCL module to successive requests, on a serial line."""
 
+from collections import Counter
 from contextlib import suppress
 from unittest.mock import patch
 
 import serial
 
 from display_node.drives.scene import TmclScene
-from display_node.drives.tmcl.interfaces import DATAGRAM_BYTES
-from display_node.drives.tmcl.line import TmclLine
-from display_node.drives.tmcl.parameters import Command, Parameter
+from display_node.drives.tmcl.line import DATAGRAM_BYTES, TmclLine
+from display_node.drives.tmcl.module import Command, Parameter
 from protocol.config.scene import validate
 from protocol.errors import DriveError
 from telepulse.emulators.tmcl import DATAGRAM, checksum
@@ -34,7 +34,8 @@ class _Port:
 
 _PORT = _Port()
 with patch.object(serial, "serial_for_url", lambda *_, **__: _PORT):
-    _LINE = TmclLine(validate({"kind": "tmcl", "port": "fuzz"}, TmclScene, where="fuzz"))
+    _SCENE = validate({"kind": "tmcl", "port": "fuzz"}, TmclScene, where="fuzz")
+    _LINE = TmclLine(_SCENE, Counter())
 
 
 def seeds() -> list[bytes]:

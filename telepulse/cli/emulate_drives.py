@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from display_node.drives.can_bus import open_bus
+from display_node.drives.scene import open_bus
 from display_node.drives.scene import Cia402Scene, DriveScene, TmclScene
 from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene

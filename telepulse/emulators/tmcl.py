@@ -12,8 +12,7 @@ import time
 from typing import TYPE_CHECKING, Literal
 
 from display_node.drives.scene import TmclScene
-from display_node.drives.tmcl.parameters import (
-    SUCCESS,
+from display_node.drives.tmcl.module import (
     Command,
     DriverFlag,
     ErrorFlag,
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     import can
 
 DATAGRAM = struct.Struct(">BBBBiB")
+SUCCESS = 100
 WRONG_CHECKSUM, INVALID_COMMAND, WRONG_TYPE, INVALID_VALUE = 1, 2, 3, 4
 # The low 16 bits are version 1.0, the high ones the module's number; no module has 9999.
 VERSION = 9999 << 16 | 1 << 8

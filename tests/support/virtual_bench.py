@@ -11,8 +11,7 @@ from pathlib import Path
 
 from display_node.display import Display
 from display_node.drives.axis import Axis, build_axis
-from display_node.drives.drive import DriveStatus, no_film
-from display_node.drives.supervisor import Supervisor
+from display_node.drives.supervisor import DriveStatus, Supervisor
 from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
@@ -57,7 +56,7 @@ class VirtualDrive:
     def travel_m(self, now_ns: int) -> float:
         return self.supervisor.travel_m(now_ns)
 
-    def start(self, force_n: Callable[[], float | None] = no_film) -> None:
+    def start(self, force_n: Callable[[], float | None] = lambda: None) -> None:
         """Do nothing: it stands at first touch already."""
 
     def command(self, speed_m_per_s: float) -> None:

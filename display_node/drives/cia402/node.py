@@ -5,65 +5,68 @@ import math
 import struct
 import time
 from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib.resources import files
-from typing import TYPE_CHECKING
+from typing import Any
 
 from display_node.drives.axis import Axis
-from display_node.drives.can_bus import BusErrors, open_bus
-from display_node.drives.cia402.state_machine import Control, Mode, State, state_of
-from display_node.drives.scene import Cia402Scene
+from display_node.drives.cia402.state_machine import (
+    ERRORS,
+    HERE,
+    HOMING_ATTAINED,
+    HOMING_ERROR,
+    NEGATIVE_SWITCH,
+    POSITIVE_SWITCH,
+    Control,
+    Mode,
+    State,
+    state_of,
+    towards_enabled,
+)
+from display_node.drives.drive import bound_search
+from display_node.drives.scene import Cia402Scene, discard_spoilt_line, is_noise, open_bus
 from display_node.drives.supervisor import PassableLock
 from protocol.errors import DriveError
 
-if TYPE_CHECKING:
-    import can
-    from canopen.pdo import PdoMap
-
-PROFILE = 402
 SYNC = 0x80
 EMERGENCY, TPDO1, TPDO2, RPDO1, HEARTBEAT = 0x80, 0x180, 0x280, 0x200, 0x700
-OPERATIONAL = b"\x05"
 BY_SYNC, BY_EVENT = 1, 255
 # Greatest time between two TPDOs, so that silence differs from rest.
 EVENT_MS = 10
+ENABLE_WITHIN_S = 2.0
 SDO_TIMEOUT_S = 0.5
-NOTIFIER_CYCLE_S = 0.1
 POLL_S = 0.002
+# A bus that is gone fails at every read.
+LOST_PAUSE_S = 0.05
 QUICK_STOP_ON_ABORT = 3
-COMMAND = struct.Struct("<Hi")
-STATE_TPDO = struct.Struct("<Hi")
+COMMAND = STATE_TPDO = struct.Struct("<Hi")
 SPEED_TPDO = struct.Struct("<iH")
 # No axis is so many times faster than its fastest, nor, once homed, so many times its travel away.
 IMPLAUSIBLE = 10
 
 # Errors are raised or counted here; a program that wants canopen's log can still have it.
-QUIET = logging.NullHandler()
-
-ERRORS = {
-    0x4210: "overtemperature",
-    0x4310: "overtemperature",
-    0x7121: "motor blocked",
-    0x8130: "it missed our heartbeat",
-    0x8611: "following error",
-}
+logging.getLogger("canopen").addHandler(logging.NullHandler())
 
 
 class Cia402Node:
-    """One drive and its last reports. Methods raise DriveError.
+    """One drive and its last reports; see `DriveDevice`. Methods raise DriveError.
 
     Attributes
     ----------
-    statusword, state, error_code, position_m, speed_m_per_s
-        By its TPDOs.
+    mode
+        Velocity mode in which the drive takes commands.
+    statusword, state, error_code
+        By its TPDOs, as are position and speed.
     received_ns
         Time of the last TPDO on the monotonic clock.
     counts
         "malformed" TPDOs and emergencies, "implausible" TPDOs, whose values are not used, frames
-        that a CAN adapter sends "garbled", and a bus that was "not closed".
+        that a CAN adapter sends "garbled", a drive that was "not disabled", with the kind of error,
+        and a bus that was "not closed".
     """
 
     def __init__(self, scene: Cia402Scene, axis: Axis, counts: Counter[str]) -> None:
-        """Open the bus."""
         try:
             import can
             import canopen
@@ -71,7 +74,6 @@ class Cia402Node:
             raise DriveError(
                 "unplugged", f"canopen is missing ({error}); pip install 'telepulse[drives]'"
             ) from None
-        logging.getLogger("canopen").addHandler(QUIET)
         self._name = f"node {scene.node} on {scene.interface} {scene.channel}"
         self._scene = scene
         self._axis = axis
@@ -83,123 +85,152 @@ class Cia402Node:
         self.received_ns = self._implausible_ns = 0
         # Before homing the drive's count has any origin.
         self._implausible_m = math.inf
-        self.cyclic = True
+        self.mode = Mode.CYCLIC_VELOCITY
+        # Error by which the bus cannot be read any more.
+        self._lost: Exception | None = None
         # Made once: making a message costs a third of sending it.
-        self._command = can.Message(
-            arbitration_id=RPDO1 + scene.node, is_extended_id=False, data=bytes(COMMAND.size)
-        )
-        self._sync = can.Message(arbitration_id=SYNC, is_extended_id=False)
-        self._heartbeat = can.Message(
-            arbitration_id=HEARTBEAT + scene.host, is_extended_id=False, data=OPERATIONAL
+        self._command, self._sync, self._heartbeat = (
+            can.Message(arbitration_id=identifier, is_extended_id=False, data=data)
+            for identifier, data in (
+                (RPDO1 + scene.node, bytes(COMMAND.size)),
+                (SYNC, b""),
+                (HEARTBEAT + scene.host, b"\x05"),  # operational
+            )
         )
         self._bus = open_bus(scene)
         self._network = canopen.Network(self._bus)
-        self._network.NOTIFIER_CYCLE = NOTIFIER_CYCLE_S
+        self._network.NOTIFIER_CYCLE = 0.1
         # canopen's own threads send as well.
         self._sending = PassableLock(self._network.send_lock)
         sheet = str(files("display_node.drives.cia402") / "cia402.eds")
         self._node = canopen.RemoteNode(scene.node, sheet)
         self._node.sdo.RESPONSE_TIMEOUT = SDO_TIMEOUT_S
         self._network.add_node(self._node)
-        self._network.subscribe(TPDO1 + scene.node, self._on_state)
-        self._network.subscribe(TPDO2 + scene.node, self._on_speed)
         # The library's own listener keeps all emergencies, and fails at one that is cut short.
         self._network.unsubscribe(EMERGENCY + scene.node, self._node.emcy.on_emcy)
-        self._network.subscribe(EMERGENCY + scene.node, self._on_emergency)
-        self._errors = BusErrors(self._network, counts)
-        # Anything that python-can's notifier can call will do.
-        self._network.listeners.append(self._errors)  # type: ignore[arg-type]
+        for identifier, take in (
+            (TPDO1, self._on_state),
+            (TPDO2, self._on_speed),
+            (EMERGENCY, self._on_emergency),
+        ):
+            self._network.subscribe(identifier + scene.node, take)
+        # Without it the network's thread would end with a traceback.
+        self._network.listeners[0].on_error = self._on_bus_error  # type: ignore[method-assign]
         self._network.connect()
 
     @property
     def error(self) -> str:
         """The name of its last error code."""
-        code = self.error_code
-        return ERRORS.get(code, f"error 0x{code:04X}") if code else "no error code"
+        return ERRORS.get(self.error_code, f"error 0x{self.error_code:04X}")
 
     @property
     def silence(self) -> str:
         """The name of a fault where nothing plausible has come for a while."""
-        if self._implausible_ns > self.received_ns:
-            return "garbled: no plausible TPDO"
-        return "no answer"
+        implausible = self._implausible_ns > self.received_ns
+        return "garbled: no plausible TPDO" if implausible else "no answer"
 
     def configure(self) -> None:
-        """Check the profile, set PDOs, limits and mode, and start the PDOs."""
-        scene, axis = self._scene, self._axis
+        """See `DriveDevice.configure`: profile, PDOs, limits, mode; operation is enabled."""
+        scene = self._scene
         self._node.nmt.state = "PRE-OPERATIONAL"
         profile = self.read(0x1000) & 0xFFFF
-        if profile != PROFILE:
-            raise DriveError("refused", f"{self._name} has profile {profile}, not {PROFILE}")
-        self.cyclic = self._chosen_mode() is Mode.CYCLIC_VELOCITY
-        receive, state, speed = self._node.rpdo[1], self._node.tpdo[1], self._node.tpdo[2]
-        self._map(receive, (0x6040, 0x60FF), BY_SYNC if self.cyclic else BY_EVENT)
-        self._map(state, (0x6041, 0x6064), BY_EVENT)
-        self._map(speed, (0x606C, 0x603F), BY_EVENT)
-        per_second = scene.velocity_scale / axis.units.step_m
-        acceleration = min(round(axis.max_acceleration_m_per_s2 * per_second), 0xFFFF_FFFF)
+        if profile != 402:
+            raise DriveError("refused", f"{self._name} has profile {profile}, not 402")
+        supported = self.read(0x6502)
+        modes = {"cyclic": Mode.CYCLIC_VELOCITY, "profile": Mode.PROFILE_VELOCITY}
+        wanted = modes.values() if scene.mode == "auto" else [modes[scene.mode]]
+        fitting = [mode for mode in wanted if supported & mode.supported_bit]
+        if not fitting:
+            text = f"{self._name} has no velocity mode that fits mode = {scene.mode!r}"
+            raise DriveError("refused", f"{text} (0x6502 is 0x{supported:X})")
+        self.mode = fitting[0]
+        by_sync = self.mode is Mode.CYCLIC_VELOCITY
+        self._map(self._node.rpdo[1], (0x6040, 0x60FF), BY_SYNC if by_sync else BY_EVENT)
+        self._map(self._node.tpdo[1], (0x6041, 0x6064), BY_EVENT)
+        self._map(self._node.tpdo[2], (0x606C, 0x603F), BY_EVENT)
         for index in (0x6083, 0x6084, 0x6085):
-            self.write_optional(index, 0, acceleration)
+            self.write_optional(index, 0, self._acceleration)
         self.write_optional(0x60C2, 1, min(round(scene.period_ns / 1e5), 255))
         self.write_optional(0x60C2, 2, -4)
         self._node.nmt.state = "OPERATIONAL"
+        self._select(self.mode)
+        control = Control.DISABLE_VOLTAGE
+        deadline_s = time.monotonic() + ENABLE_WITHIN_S
+        while not self.received_ns or self.state is not State.ENABLED:
+            if time.monotonic() > deadline_s:
+                state_text = self.state.text if self.received_ns else "it sends no TPDO"
+                raise DriveError("not enabled", f"still {state_text}, {self.error}")
+            control = towards_enabled(self.state, control)
+            self.command(control, 0)
+            time.sleep(POLL_S)
 
-    def limit_travel(self) -> None:
-        """Set the drive's own soft limits, and ignore positions far beyond them. After homing."""
-        ends = (self._axis.lowest_m, self._axis.furthest_m)
+    def home(self, guard: Callable[[], None]) -> None:
+        """See `DriveDevice.home`; then the drive has its own soft limits."""
+        scene, axis = self._scene, self._axis
+        switch = POSITIVE_SWITCH if scene.inverted else NEGATIVE_SWITCH
+        method = scene.homing_method
+        if method is None:
+            method = switch if scene.homing == "switch" else HERE
+        speed = abs(axis.units.velocity(scene.homing_speed_m_per_s))
+        self.write(0x6098, 0, method)
+        self.write_optional(0x6099, 1, speed)
+        self.write_optional(0x6099, 2, max(1, speed // 4))
+        self.write_optional(0x609A, 0, self._acceleration)
+        self._select(Mode.HOMING)
+        self.command(Control.ENABLE, 0)
+        self.command(Control.START_HOMING, 0)
+        deadline_s = time.monotonic() + axis.search_s
+        began_ns, began_m = time.monotonic_ns(), self.position_m
+        while self.received_ns < began_ns or self.statusword & HOMING_ATTAINED != HOMING_ATTAINED:
+            guard()
+            bound_search(axis, began_m, self.position_m)
+            if self.state is not State.ENABLED:
+                raise DriveError("not homed", f"{self.state.text} on its way home, {self.error}")
+            if self.statusword & HOMING_ERROR:
+                raise DriveError("not homed", f"homing method {method} fails")
+            if time.monotonic() > deadline_s:
+                raise DriveError("not homed", f"no home within {axis.search_s:.0f} s")
+            time.sleep(POLL_S)
+        self.end_search()
+        ends = (axis.lowest_m, axis.furthest_m)
         self._implausible_m = IMPLAUSIBLE * (ends[1] - ends[0])
-        for subindex, end in enumerate(sorted(map(self._axis.units.position, ends)), 1):
+        for subindex, end in enumerate(sorted(map(axis.units.position, ends)), 1):
             self.write_optional(0x607D, subindex, end)
 
+    def end_search(self) -> None:
+        """See `DriveDevice.end_search`."""
+        self.command(Control.ENABLE, 0)
+        self._select(self.mode)
+
     def arm_watchdog(self) -> None:
-        """Have the drive stop by itself when heartbeats stop, from the next one on."""
+        """See `DriveDevice.arm_watchdog`: a watchdog on our heartbeats."""
         watchdog_ms = round(self._scene.watchdog_ns / 1e6)
         self.write(0x1016, 1, 0)
         self.write(0x1016, 1, self._scene.host << 16 | watchdog_ms)
         self.write_optional(0x6007, 0, QUICK_STOP_ON_ABORT)
-
-    def disarm_watchdog(self) -> None:
-        """Have the drive expect no heartbeats."""
-        self.write(0x1016, 1, 0)
-
-    def select(self, mode: Mode) -> None:
-        """Set a mode of operation, and check that the drive takes it."""
-        self.write(0x6060, 0, mode)
-        deadline_s = time.monotonic() + SDO_TIMEOUT_S
-        while self.read(0x6061) != mode:
-            if time.monotonic() > deadline_s:
-                raise DriveError("refused", f"{self._name} does not take mode {mode}")
-            time.sleep(POLL_S)
-
-    def select_velocity(self) -> None:
-        """Set the mode in which the drive takes speeds."""
-        self.select(Mode.CYCLIC_VELOCITY if self.cyclic else Mode.PROFILE_VELOCITY)
 
     def command(self, control: Control, velocity: int) -> int:
         """Send a controlword and a target velocity; return the time of sending in ns."""
         COMMAND.pack_into(self._command.data, 0, control, velocity)
         self._send(self._command)
         sent_ns = time.monotonic_ns()
-        if self.cyclic:
+        if self.mode is Mode.CYCLIC_VELOCITY:
             self._send(self._sync)
         return sent_ns
-
-    def _send(self, message: "can.Message") -> None:
-        # Each python-can interface has errors of its own.
-        try:
-            if self._errors.lost is not None:
-                raise self._errors.lost
-            with self._sending.passing():
-                self._bus.send(message, self._scene.watchdog_ns * 1e-9)
-        except Exception as error:
-            raise DriveError("unplugged", f"{self._name}: {error}") from None
 
     def send_heartbeat(self) -> None:
         """Send one heartbeat."""
         self._send(self._heartbeat)
 
     def close(self) -> None:
-        """Close the bus. Never raises: a bus that is gone already is counted."""
+        """See `DriveDevice.close`; where the drive is not reached, its watchdog stops it."""
+        try:
+            self.command(Control.SHUTDOWN, 0)
+            self.command(Control.DISABLE_VOLTAGE, 0)
+            self.write(0x1016, 1, 0)
+        except DriveError as error:
+            self.counts[f"not disabled: {error.kind}"] += 1
+        # A bus that is gone already is counted.
         for leave in (self._rest, self._network.disconnect):
             try:
                 leave()
@@ -208,11 +239,13 @@ class Cia402Node:
 
     def read(self, index: int, subindex: int = 0) -> int:
         """Read an object of the drive, by SDO."""
-        return int(self._sdo(index, subindex, None))
+        with self._answering(f"0x{index:04X}:{subindex}"):
+            return int(self._variable(index, subindex).raw)
 
     def write(self, index: int, subindex: int, value: int) -> None:
         """Write an object of the drive, by SDO."""
-        self._sdo(index, subindex, value)
+        with self._answering(f"0x{index:04X}:{subindex}"):
+            self._variable(index, subindex).raw = value
 
     def write_optional(self, index: int, subindex: int, value: int) -> None:
         """Write an object that not every drive has, or allows to be written."""
@@ -222,51 +255,60 @@ class Cia402Node:
             if error.kind != "refused":
                 raise
 
-    def _sdo(self, index: int, subindex: int, value: int | None) -> int:
+    def _variable(self, index: int, subindex: int) -> Any:
+        entry: Any = self._node.sdo[index]
+        return entry[subindex] if subindex else entry
+
+    @contextmanager
+    def _answering(self, what: str) -> Iterator[None]:
+        """Raise DriveError for what SDOs raise."""
         from canopen import SdoAbortedError, SdoCommunicationError
 
-        entry = self._node.sdo[index]
         try:
-            variable = entry[subindex] if subindex else entry
-            if value is None:
-                return int(variable.raw)
-            variable.raw = value
-            return value
+            yield
         except SdoAbortedError as error:
-            text = f"{self._name} refuses 0x{index:04X}:{subindex}: {error}"
-            raise DriveError("refused", text) from None
+            raise DriveError("refused", f"{self._name} refuses {what}: {error}") from None
         except SdoCommunicationError:
-            text = f"no answer from {self._name} about 0x{index:04X}:{subindex}"
-            raise DriveError("no answer", text) from None
+            raise DriveError("no answer", f"no answer from {self._name} about {what}") from None
         except Exception as error:
             raise DriveError("unplugged", f"{self._name}: {error}") from None
+
+    @property
+    def _acceleration(self) -> int:
+        per_second = self._scene.velocity_scale / self._axis.units.step_m
+        return min(round(self._axis.max_acceleration_m_per_s2 * per_second), 0xFFFF_FFFF)
 
     def _rest(self) -> None:
         self._node.nmt.state = "PRE-OPERATIONAL"
 
-    def _chosen_mode(self) -> Mode:
-        supported = self.read(0x6502)
-        for name, mode in (("cyclic", Mode.CYCLIC_VELOCITY), ("profile", Mode.PROFILE_VELOCITY)):
-            if self._scene.mode in ("auto", name) and supported & mode.supported_bit:
-                return mode
-        text = f"{self._name} has no velocity mode that fits mode = {self._scene.mode!r}"
-        raise DriveError("refused", f"{text} (0x6502 is 0x{supported:X})")
+    def _select(self, mode: Mode) -> None:
+        """Set a mode of operation, and check that the drive takes it."""
+        self.write(0x6060, 0, mode)
+        deadline_s = time.monotonic() + SDO_TIMEOUT_S
+        while self.read(0x6061) != mode:
+            if time.monotonic() > deadline_s:
+                raise DriveError("refused", f"{self._name} does not take mode {mode}")
+            time.sleep(POLL_S)
 
-    def _map(self, pdo: "PdoMap", indices: tuple[int, ...], transmission: int) -> None:
-        from canopen import SdoAbortedError, SdoCommunicationError
+    def _send(self, message: Any) -> None:
+        # Each python-can interface has errors of its own.
+        try:
+            if self._lost is not None:
+                raise self._lost
+            with self._sending.passing():
+                self._bus.send(message, self._scene.watchdog_ns * 1e-9)
+        except Exception as error:
+            raise DriveError("unplugged", f"{self._name}: {error}") from None
 
+    def _map(self, pdo: Any, indices: tuple[int, ...], transmission: int) -> None:
         pdo.cob_id, pdo.enabled = pdo.predefined_cob_id, True
         pdo.trans_type = transmission
         pdo.event_timer = EVENT_MS if pdo.pdo_node is self._node.tpdo else None
         pdo.clear()
         for index in indices:
             pdo.add_variable(index)
-        try:
+        with self._answering("the PDOs"):
             pdo.save()
-        except SdoAbortedError as error:
-            raise DriveError("refused", f"{self._name} refuses the PDOs: {error}") from None
-        except SdoCommunicationError:
-            raise DriveError("no answer", f"no answer from {self._name} about PDOs") from None
 
     def _on_state(self, _: int, data: bytearray, __: float) -> None:
         if len(data) != STATE_TPDO.size:
@@ -297,3 +339,13 @@ class Cia402Node:
             self.counts["malformed"] += 1
         elif code := int.from_bytes(data[:2], "little"):
             self.error_code = code
+
+    def _on_bus_error(self, exc: Exception) -> None:
+        """Ignore and count a frame that cannot be decoded; keep the error of a bus that is gone."""
+        if is_noise(exc):
+            discard_spoilt_line(self._bus)
+            self._network.notifier.exception = None  # type: ignore[union-attr]
+            self.counts["garbled"] += 1
+        else:
+            self._lost = exc
+            time.sleep(LOST_PAUSE_S)

@@ -53,6 +53,17 @@ HOMING_ERROR = 0x2000
 # Homing methods (0x6098): to the negative or positive limit switch; the present position.
 NEGATIVE_SWITCH, POSITIVE_SWITCH, HERE = 17, 18, 35
 
+HEARTBEAT_ERROR = 0x8130
+# Error codes (0x603F).
+ERRORS = {
+    0: "no error code",
+    0x4210: "overtemperature",
+    0x4310: "overtemperature",
+    0x7121: "motor blocked",
+    HEARTBEAT_ERROR: "it missed our heartbeat",
+    0x8611: "following error",
+}
+
 _NEXT = {
     State.SWITCH_ON_DISABLED: Control.SHUTDOWN,
     State.READY: Control.SWITCH_ON,
@@ -64,11 +75,8 @@ _NEXT = {
 
 def state_of(statusword: int) -> State | None:
     """Return a statusword's state; None where CiA 402 has no such state."""
-    for state in State:
-        mask, bits = state.value
-        if statusword & mask == bits:
-            return state
-    return None
+    fitting = (state for state in State if statusword & state.value[0] == state.value[1])
+    return next(fitting, None)
 
 
 def towards_enabled(state: State, last: Control) -> Control:

@@ -1,32 +1,145 @@
-"""The line of a TMCL module: requests, their replies, and the errors of both."""
+"""The line of a TMCL module: datagrams on a serial port by URL or on any CAN bus, and their errors.
 
+The codec is the maker's PyTrinamic. Its interfaces open serial devices by name, and the CAN
+channels can0 to can7 alone. They also format every request and reply for a log, whether one is kept
+or not: that is most of the cost of an exchange (decision 19). So the exchange is here.
+"""
+
+import math
 import os
+import time
 from collections import Counter
-from typing import TYPE_CHECKING
 
-from display_node.drives.can_bus import is_noise, open_bus
-from display_node.drives.scene import TmclScene
+import can
+import serial
+from pytrinamic.tmcl import TMCLReply, TMCLRequest, TMCLStatus
+
+from display_node.drives.scene import TmclScene, discard_spoilt_line, is_noise, open_bus
 from protocol.errors import DriveError
 
-if TYPE_CHECKING:
-    from display_node.drives.tmcl.interfaces import CanLine, SerialLine
+DATAGRAM_BYTES = 9
+# More than waits on any line after two failed requests.
+DRAIN_BYTES = 4096
+DRAIN_FRAMES = 64
+ELEVEN_BITS = 0x7FF
+# Replies to other requests that are ignored before the right one.
+MOST_STRAY = 2
+
+
+class SerialLine:
+    """Datagrams of 9 bytes on a serial line, the last of them a checksum."""
+
+    def __init__(self, scene: TmclScene) -> None:
+        try:
+            self._port = serial.serial_for_url(
+                scene.port,
+                scene.baud,
+                timeout=scene.reply_timeout_ns * 1e-9,
+                write_timeout=scene.watchdog_ns * 1e-9,
+                # Two programs that command one drive contradict each other.
+                exclusive=True,
+            )
+        except (OSError, ValueError) as error:
+            number = getattr(error, "errno", None)
+            reason = os.strerror(number) if number else error
+            raise DriveError("unplugged", f"{scene.port} cannot be opened: {reason}") from None
+
+    def send(self, data: bytes) -> None:
+        """Send a request; an OSError that is a timeout means that it was not sent."""
+        try:
+            self._port.write(data)
+        except serial.SerialTimeoutException:
+            raise TimeoutError from None
+
+    def receive(self) -> bytes:
+        """Return the next reply; empty where none comes in time."""
+        data: bytes = self._port.read(DATAGRAM_BYTES)
+        return data if len(data) == DATAGRAM_BYTES else b""
+
+    def discard(self) -> int:
+        """Discard replies that wait unrequested; return their number."""
+        waiting: int = self._port.in_waiting
+        if waiting:
+            self._port.reset_input_buffer()
+        return math.ceil(waiting / DATAGRAM_BYTES)
+
+    def drain(self) -> None:
+        """Discard what still comes, for as long as a reply may take."""
+        self._port.read(DRAIN_BYTES)
+        self._port.reset_input_buffer()
+
+    def close(self) -> None:
+        """Close the port."""
+        self._port.close()
+
+
+class CanLine:
+    """Frames of 7 bytes: the identifier is the address, and CAN has a checksum of its own."""
+
+    def __init__(self, scene: TmclScene) -> None:
+        self._bus = open_bus(scene)
+        self._bus.set_filters([{"can_id": scene.host, "can_mask": ELEVEN_BITS, "extended": False}])
+        self._timeout_s = scene.reply_timeout_ns * 1e-9
+
+    def send(self, data: bytes) -> None:
+        """See `SerialLine.send`."""
+        frame = can.Message(arbitration_id=data[0], is_extended_id=False, data=data[1:8])
+        try:
+            self._bus.send(frame, timeout=self._timeout_s)
+        except can.CanError as error:
+            # The error of an slcan interface whose port has taken too long.
+            if isinstance(error.__cause__, serial.SerialTimeoutException):
+                raise TimeoutError from None
+            raise
+
+    def receive(self) -> bytes:
+        """See `SerialLine.receive`."""
+        deadline_s = time.monotonic() + self._timeout_s
+        while (left_s := deadline_s - time.monotonic()) > 0:
+            frame = self._bus.recv(left_s)
+            if frame is not None and len(frame.data) == DATAGRAM_BYTES - 2:
+                return bytes([frame.arbitration_id, *frame.data])
+        return b""
+
+    def discard(self) -> int:
+        """See `SerialLine.discard`."""
+        for discarded in range(DRAIN_FRAMES):
+            if self._bus.recv(0.0) is None:
+                return discarded
+        return DRAIN_FRAMES
+
+    def drain(self) -> None:
+        """See `SerialLine.drain`."""
+        discard_spoilt_line(self._bus)
+        for _ in range(DRAIN_FRAMES):
+            if self._bus.recv(self._timeout_s) is None:
+                break
+
+    def close(self) -> None:
+        """Close the bus."""
+        self._bus.shutdown()
 
 
 class TmclLine:
-    """One request at a time, each waiting for its reply; the codec is the maker's PyTrinamic.
+    """One request at a time, each waiting for its reply.
 
     Attributes
     ----------
+    carrier
+        The serial line or CAN bus.
     counts
         Replies that were missing ("no answer"), "garbled" (a wrong checksum) or "wrong" (of another
         module or command), which are ignored.
     """
 
-    def __init__(self, scene: TmclScene) -> None:
+    def __init__(self, scene: TmclScene, counts: Counter[str]) -> None:
         """Open the line. Raises DriveError."""
         self._name = scene.port or f"{scene.interface} {scene.channel}"
-        self._interface = _open(scene)
-        self.counts: Counter[str] = Counter()
+        self._host, self._module = scene.host, scene.module
+        self.carrier: SerialLine | CanLine = (
+            CanLine(scene) if scene.port is None else SerialLine(scene)
+        )
+        self.counts = counts
 
     def request(self, command: int, kind: int, motor: int, value: int = 0) -> int:
         """Send a request and return the signed value of its reply.
@@ -36,76 +149,66 @@ class TmclLine:
         After one of the first three, what comes within another reply's time is discarded. A reply
         that is later still differs from the next one by its command alone.
         """
-        import can
-        from pytrinamic.tmcl import TMCLReplyChecksumError, TMCLReplyStatusError, TMCLStatus
-
-        interface = self._interface
-        stray = interface.stray
         try:
-            reply = interface.send(command, kind, motor, value)
+            reply = self._exchange(TMCLRequest(self._module, command, kind, motor, value))
         except TimeoutError:
-            if (wrong := interface.stray_reply) is None:
-                return self._miss("no answer", f"no answer to command {command}")
-            named = "an answer by {1} to {0}, about command {2}"
-            text = named.format(wrong.reply_address, wrong.module_address, wrong.command)
-            return self._miss("wrong", text)
-        except TMCLReplyChecksumError:
-            return self._miss("garbled", "an answer's checksum is wrong")
-        except TMCLReplyStatusError as error:
-            status = TMCLStatus.get_name(error.status_code).lower()
-            text = f"{self._name}: command {command}, type {kind} is refused: {status}"
-            raise DriveError("refused", text) from None
+            reply = None
         except (OSError, can.CanError, ValueError, IndexError) as error:
             if is_noise(error):
                 return self._miss("garbled", "an answer cannot be read")
             raise DriveError("unplugged", f"{self._name}: {error}") from None
-        finally:
-            if interface.stray > stray:
-                self.counts["wrong"] += interface.stray - stray
+        if reply is None:
+            return self._miss("no answer", f"no answer to command {command}")
+        if not reply.is_checksum_correct():
+            return self._miss("garbled", "an answer's checksum is wrong")
+        if not self._answers(reply, command):
+            addresses = f"{reply.module_address} to {reply.reply_address}"
+            return self._miss("wrong", f"an answer by {addresses}, about command {reply.command}")
+        if not reply.is_valid():
+            status = TMCLStatus.get_name(reply.status).lower()
+            text = f"{self._name}: command {command}, type {kind} is refused: {status}"
+            raise DriveError("refused", text)
         number: int = reply.value
         return number - (1 << 32) if number >= 1 << 31 else number
 
-    def close(self) -> None:
-        """Close the line."""
-        self._interface.close()
+    def _exchange(self, request: TMCLRequest) -> TMCLReply | None:
+        """Return the reply to a request, else the last reply to something else, else None.
+
+        What waits already, and a reply to another request, is counted and ignored: the request
+        before may have been answered twice. A reply with a wrong checksum ends the exchange.
+        """
+        reply, stray = None, self.carrier.discard()
+        try:
+            self.carrier.send(request.to_buffer())
+            for _ in range(MOST_STRAY + 1):
+                data = self.carrier.receive()
+                if not data:
+                    break
+                reply = TMCLReply.from_buffer(data)
+                if not reply.is_checksum_correct() or self._answers(reply, request.command):
+                    break
+                stray += 1
+        finally:
+            if stray:
+                self.counts["wrong"] += stray
+        return reply
+
+    def _answers(self, reply: TMCLReply, command: int) -> bool:
+        theirs = (reply.reply_address, reply.module_address, reply.command)
+        return bool(theirs == (self._host, self._module, command))
 
     def _miss(self, kind: str, text: str) -> int:
-        import can
-
+        """Count an error and wait until the line is silent. Raises DriveError."""
         if kind != "wrong":  # each of those is counted already
             self.counts[kind] += 1
         try:
-            self._interface.drain()
+            self.carrier.drain()
         except (OSError, can.CanError, ValueError, IndexError) as error:
             if not is_noise(error):
                 raise DriveError("unplugged", f"{self._name}: {error}") from None
             self.counts["garbled"] += 1
         raise DriveError(kind, f"{self._name}: {text}")
 
-
-def _open(scene: TmclScene) -> "SerialLine | CanLine":
-    try:
-        from display_node.drives.tmcl.interfaces import CanLine, SerialLine
-    except ImportError as error:
-        raise DriveError(
-            "unplugged", f"PyTrinamic is missing ({error}); pip install 'telepulse[drives]'"
-        ) from None
-    import serial
-
-    timeout_s = scene.reply_timeout_ns * 1e-9
-    if scene.port is None:
-        return CanLine(open_bus(scene), scene.host, scene.module, timeout_s)
-    try:
-        port = serial.serial_for_url(
-            scene.port,
-            scene.baud,
-            timeout=timeout_s,
-            write_timeout=scene.watchdog_ns * 1e-9,
-            # Two programs that command one drive contradict each other.
-            exclusive=True,
-        )
-    except (OSError, ValueError) as error:
-        number = getattr(error, "errno", None)
-        reason = os.strerror(number) if number else error
-        raise DriveError("unplugged", f"{scene.port} cannot be opened: {reason}") from None
-    return SerialLine(port, scene.host, scene.module)
+    def close(self) -> None:
+        """Close the line."""
+        self.carrier.close()

@@ -1,24 +1,17 @@
-"""Requests to a TMCL module, one after the other: configuration, homing, commands and reports."""
+"""A TMCL module and one of its motors: configuration, homing, commands and reports, by requests.
+
+Instructions and parameters are numbered as in the firmware manuals.
+"""
 
 import math
 import time
+from collections import Counter
 from collections.abc import Callable
+from enum import IntEnum, IntFlag
 
 from display_node.drives.axis import Axis
-from display_node.drives.homing import WRONG_WAY, SearchBound
+from display_node.drives.drive import WRONG_WAY, bound_search
 from display_node.drives.scene import TmclScene
-from display_node.drives.tmcl.line import TmclLine
-from display_node.drives.tmcl.parameters import (
-    LEFT_SWITCH,
-    RIGHT_SWITCH,
-    STOPPING,
-    Command,
-    DriverFlag,
-    ErrorFlag,
-    Global,
-    Parameter,
-    Search,
-)
 from protocol.errors import DriveError
 
 TRIES = 3
@@ -31,25 +24,97 @@ SEARCH_POLL_S = 0.01
 REST_POLLS = 100
 
 
+class Command(IntEnum):
+    """Instructions."""
+
+    ROTATE_RIGHT = 1
+    ROTATE_LEFT = 2
+    MOTOR_STOP = 3
+    SET_AXIS = 5
+    GET_AXIS = 6
+    SET_GLOBAL = 9
+    GET_GLOBAL = 10
+    REFERENCE_SEARCH = 13
+    FIRMWARE_VERSION = 136
+
+
+class Parameter(IntEnum):
+    """Axis parameters."""
+
+    ACTUAL_POSITION = 1
+    ACTUAL_SPEED = 3
+    MAX_SPEED = 4
+    MAX_ACCELERATION = 5
+    RIGHT_SWITCH_STATE = 10
+    LEFT_SWITCH_STATE = 11
+    MICROSTEPS = 140
+    SEARCH_MODE = 193
+    SEARCH_SPEED = 194
+    SWITCH_SPEED = 195
+    ERROR_FLAGS = 207
+    DRIVER_FLAGS = 208
+
+
+class Global(IntEnum):
+    """Global parameters of bank 0: ms without a request after which the motor is stopped."""
+
+    SERIAL_HEARTBEAT = 68
+    CAN_HEARTBEAT = 82
+
+
+class Search(IntEnum):
+    """Types of the reference search's instruction."""
+
+    START = 0
+    STOP = 1
+    STATUS = 2
+
+
+# Reference search: the left switch alone; the right one instead of the left.
+LEFT_SWITCH, RIGHT_SWITCH = 1, 65
+
+
+class ErrorFlag(IntFlag):
+    """Reason for which the module stopped the motor (axis parameter 207)."""
+
+    STALL = 1
+    DEVIATION = 2
+
+
+class DriverFlag(IntFlag):
+    """Errors of the driver chip (axis parameter 208) that stop the motor: bits of a TMC26x."""
+
+    OVERTEMPERATURE = 2
+    SHORT_A = 8
+    SHORT_B = 16
+
+
 class TmclModule:
-    """One motor of a module and its last reports; `halt` and `close` alone never raise DriveError.
+    """One motor of a module and its last reports; see `DriveDevice`.
 
     Attributes
     ----------
-    position_m, position_ns
-        Last reported position in m from first touch, and its time on the monotonic clock.
+    position_ns
+        Time of the last reported position on the monotonic clock.
     received_ns
         Time of the module's last answer.
     switch, switch_closed, switch_ns
         Axis parameter of the home switch, its last value and the time of that.
+    switch_requested
+        The home switch shall be read.
     """
 
-    def __init__(self, scene: TmclScene, axis: Axis) -> None:
-        """Open the line."""
+    def __init__(self, scene: TmclScene, axis: Axis, counts: Counter[str]) -> None:
+        """Open the line. Raises DriveError."""
+        try:
+            from display_node.drives.tmcl.line import TmclLine
+        except ImportError as error:
+            raise DriveError(
+                "unplugged", f"PyTrinamic is missing ({error}); pip install 'telepulse[drives]'"
+            ) from None
         self._scene = scene
         self._axis = axis
-        self._line = TmclLine(scene)
-        self.counts = self._line.counts
+        self._line = TmclLine(scene, counts)
         self.position_m, self.position_ns = axis.lowest_m, 0
         self.speed_m_per_s = 0.0
         self.received_ns = 0
@@ -60,7 +125,7 @@ class TmclModule:
         self.switch_ns = 0
 
     def configure(self) -> None:
-        """Stop the motor, and set the scene's limits of speed and acceleration."""
+        """See `DriveDevice.configure`; the motor is stopped."""
         scene, axis = self._scene, self._axis
         self._retry(Command.FIRMWARE_VERSION, 1)
         self._retry(Command.MOTOR_STOP)
@@ -72,9 +137,10 @@ class TmclModule:
         self._retry(Command.GET_AXIS, Parameter.ERROR_FLAGS)
         self.read(Parameter.ERROR_FLAGS)
         self.read(Parameter.DRIVER_FLAGS)
+        self.read(Parameter.ACTUAL_POSITION)
 
     def home(self, guard: Callable[[], None]) -> None:
-        """Find the zero of positions, and wait until it is found; guard may end it by raising."""
+        """See `DriveDevice.home`."""
         scene, axis = self._scene, self._axis
         if scene.homing == "none" and scene.homing_method is None:
             self._set(Parameter.ACTUAL_POSITION, 0)
@@ -87,11 +153,28 @@ class TmclModule:
             # Before it moves: the travel of the search counts from here.
             self.read(Parameter.ACTUAL_POSITION)
             self._retry(Command.REFERENCE_SEARCH, Search.START)
-            self._await_home(time.monotonic() + axis.search_s, guard)
+            try:
+                self._await_home(time.monotonic() + axis.search_s, guard)
+            except DriveError as error:
+                if error.kind in ("not homed", WRONG_WAY):
+                    self._retry(Command.REFERENCE_SEARCH, Search.STOP)
+                raise
         self.read(Parameter.ACTUAL_POSITION)
 
+    def _await_home(self, deadline_s: float, guard: Callable[[], None]) -> None:
+        began_m = self.position_m
+        while self._retry(Command.REFERENCE_SEARCH, Search.STATUS):
+            guard()
+            self.read(Parameter.ACTUAL_POSITION)
+            bound_search(self._axis, began_m, self.position_m)
+            self.read(Parameter.ERROR_FLAGS)
+            if time.monotonic() > deadline_s:
+                text = f"no home switch within {self._axis.search_s:.0f} s"
+                raise DriveError("not homed", text)
+            time.sleep(SEARCH_POLL_S)
+
     def arm_watchdog(self) -> None:
-        """Have the module stop the motor by itself when requests stop."""
+        """See `DriveDevice.arm_watchdog`."""
         watchdog_ms = round(self._scene.watchdog_ns / 1e6)
         on_serial = self._scene.port is not None
         heartbeat = Global.SERIAL_HEARTBEAT if on_serial else Global.CAN_HEARTBEAT
@@ -118,13 +201,14 @@ class TmclModule:
                 self.switch_closed, self.switch_ns = bool(number), self.received_ns
             case Parameter.ACTUAL_SPEED:
                 self.speed_m_per_s = self._axis.units.speed_m_per_s(number)
-            case Parameter.ERROR_FLAGS if number & (ErrorFlag.STALL | ErrorFlag.DEVIATION):
-                raise DriveError("fault", _named(ErrorFlag(number & 3)))
-            case Parameter.DRIVER_FLAGS if number & STOPPING:
-                raise DriveError("fault", _named(DriverFlag(number & STOPPING)))
+            case Parameter.ERROR_FLAGS | Parameter.DRIVER_FLAGS:
+                kind = ErrorFlag if parameter is Parameter.ERROR_FLAGS else DriverFlag
+                names = [flag.name for flag in kind if flag.name and number & flag]
+                if names:
+                    raise DriveError("fault", ", ".join(names).lower().replace("_", " "))
 
-    def halt(self) -> None:
-        """Stop the motor as well as the line allows, and read its position.
+    def end_search(self) -> None:
+        """Stop the motor as well as the line allows, and read its position. Never raises.
 
         Where requests do not reach it, its heartbeat stops it.
         """
@@ -142,25 +226,9 @@ class TmclModule:
                 return
 
     def close(self) -> None:
-        """Close the line."""
+        """See `DriveDevice.close`."""
+        self.end_search()
         self._line.close()
-
-    def _await_home(self, deadline_s: float, guard: Callable[[], None]) -> None:
-        bound = SearchBound(self._axis, self.position_m)
-        try:
-            while self._retry(Command.REFERENCE_SEARCH, Search.STATUS):
-                guard()
-                self.read(Parameter.ACTUAL_POSITION)
-                bound(self.position_m)
-                self.read(Parameter.ERROR_FLAGS)
-                if time.monotonic() > deadline_s:
-                    text = f"no home switch within {self._axis.search_s:.0f} s"
-                    raise DriveError("not homed", text)
-                time.sleep(SEARCH_POLL_S)
-        except DriveError as error:
-            if error.kind in ("not homed", WRONG_WAY):
-                self._retry(Command.REFERENCE_SEARCH, Search.STOP)
-            raise
 
     def _set(self, parameter: Parameter, value: int) -> None:
         self._retry(Command.SET_AXIS, parameter, value)
@@ -175,7 +243,3 @@ class TmclModule:
             except DriveError as error:
                 if error.kind not in TRANSIENT or time.monotonic() > until_s:
                     raise
-
-
-def _named(flags: ErrorFlag | DriverFlag) -> str:
-    return ", ".join(flag.name.lower().replace("_", " ") for flag in flags if flag.name)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from display_node.drives import hardware
-from display_node.drives.drive import DriveStatus
+from display_node.drives.supervisor import DriveStatus
 from display_node.drives.withdrawal import WithdrawalOutcome
 from display_node.node import DisplayNode, connected
 from display_node.scene import DisplayScene

@@ -12,7 +12,7 @@ import pytest
 from display_node.drives.axis import build_axis
 from display_node.drives.tmcl.drive import TmclDrive
 from display_node.drives.tmcl.line import TmclLine
-from display_node.drives.tmcl.parameters import Command, Parameter
+from display_node.drives.tmcl.module import Command, Parameter
 from display_node.drives.withdrawal import WithdrawalOutcome
 from protocol.errors import DriveError
 from telepulse.emulators.tmcl import DATAGRAM, EmulatedTmclModule, checksum

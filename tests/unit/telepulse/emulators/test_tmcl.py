@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from pytrinamic.tmcl import TMCLReply, TMCLRequest
 
 from display_node.drives.scene import TmclScene
-from display_node.drives.tmcl.parameters import Command, Parameter, Search
+from display_node.drives.tmcl.module import Command, Parameter, Search
 from display_node.plant.stepper import StepperScene
 from protocol.wire.stream import LayerTable
 from telepulse.emulators.motor import EmulatedMotor
