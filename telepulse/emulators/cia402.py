@@ -177,6 +177,7 @@ class EmulatedCia402Drive:
 
     def _fail(self, error_code: int) -> None:
         self._motor.run(0.0)
+        self._homed = 0
         self.error_code = error_code
         self.state = State.FAULT
 

@@ -5,7 +5,6 @@ parameters and flags that our driver uses. Not modelled: TMCL programs, position
 other motors of a module, and the time that a real line takes for a datagram.
 """
 
-import math
 import select
 import struct
 import time
@@ -13,6 +12,8 @@ from typing import TYPE_CHECKING, Literal
 
 from display_node.drives.scene import TmclScene
 from display_node.drives.tmcl.module import (
+    LEFT_SWITCH,
+    RIGHT_SWITCH,
     Command,
     DriverFlag,
     ErrorFlag,
@@ -33,8 +34,6 @@ WRONG_CHECKSUM, INVALID_COMMAND, WRONG_TYPE, INVALID_VALUE = 1, 2, 3, 4
 VERSION = 9999 << 16 | 1 << 8
 # After a pause this long in the middle of a datagram, the next byte begins a new one.
 PAUSE_NS = 5_000_000
-# Axis parameters: the state of each limit switch, 1 for closed.
-RIGHT_SWITCH_STATE, LEFT_SWITCH_STATE = 10, 11
 
 AnswerMode = Literal["right", "wrong", "garbled", "late", "none"]
 
@@ -72,7 +71,7 @@ class EmulatedTmclModule:
     late_s : float
         Delay of an answer where they are late.
     injector : FaultInjector
-        The motor's.
+        The motor's; it has the answers that are to be sent.
     """
 
     def __init__(self, scene: TmclScene, motor: EmulatedMotor) -> None:
@@ -81,7 +80,7 @@ class EmulatedTmclModule:
         self.injector = motor.injector
         self._direction = -1 if scene.inverted else 1
         self._axis: dict[int, int] = {
-            Parameter.SEARCH_MODE: 1,
+            Parameter.SEARCH_MODE: LEFT_SWITCH,
             Parameter.SEARCH_SPEED: self._units(5e3),
             Parameter.SWITCH_SPEED: self._units(1e3),
             Parameter.MAX_SPEED: self._units(1e6),
@@ -89,9 +88,14 @@ class EmulatedTmclModule:
             Parameter.MICROSTEPS: 4,
         }
         self._global = {int(Global.SERIAL_HEARTBEAT): 0, int(Global.CAN_HEARTBEAT): 0}
-        self._errors = ErrorFlag(0)
         self.answer_mode: AnswerMode = "right"
         self.late_s = 0.03
+
+    def receive(self, request: bytes, now_ns: int) -> None:
+        """Take 9 bytes of request, and queue the answer at the fault injector."""
+        if reply := self.reply(request, now_ns):
+            late_s = self.late_s if self.answer_mode == "late" else 0.0
+            self.injector.queue_answer(reply, now_ns + round(late_s * 1e9))
 
     def reply(self, request: bytes, now_ns: int) -> bytes:
         """Return the 9 bytes of reply to 9 bytes of request; none to another module's."""
@@ -104,9 +108,6 @@ class EmulatedTmclModule:
         else:
             self._motor.feed()
             status, value = self._execute(command, kind, motor, value)
-        return self._datagram(status, command, value)
-
-    def _datagram(self, status: int, command: int, value: int) -> bytes:
         if self.answer_mode == "wrong":
             command ^= 0x40
         body = DATAGRAM.pack(self._scene.host, self._scene.module, status, command, value, 0)[:-1]
@@ -115,14 +116,13 @@ class EmulatedTmclModule:
 
     def _execute(self, command: int, kind: int, motor: int, value: int) -> tuple[int, int]:
         """Execute a command; return status and value of the reply."""
-        for_motor = command not in (
-            Command.SET_GLOBAL,
-            Command.GET_GLOBAL,
-            Command.FIRMWARE_VERSION,
-        )
-        if for_motor and motor != self._scene.motor:
-            return INVALID_VALUE, value
         match command:
+            case Command.SET_GLOBAL | Command.GET_GLOBAL:
+                return self._global_parameter(command, kind, motor, value)
+            case Command.FIRMWARE_VERSION:
+                return SUCCESS, VERSION
+            case _ if motor != self._scene.motor:
+                return INVALID_VALUE, value
             case Command.ROTATE_RIGHT | Command.ROTATE_LEFT:
                 sign = 1 if command == Command.ROTATE_RIGHT else -1
                 self._motor.run(self._rate_hz(sign * value))
@@ -132,31 +132,27 @@ class EmulatedTmclModule:
                 return self._set_axis(kind, value), value
             case Command.GET_AXIS:
                 return self._get_axis(kind)
-            case Command.SET_GLOBAL | Command.GET_GLOBAL:
-                return self._global_parameter(command, kind, motor, value)
             case Command.REFERENCE_SEARCH:
                 return self._search(kind)
-            case Command.FIRMWARE_VERSION:
-                return SUCCESS, VERSION
             case _:
                 return INVALID_COMMAND, value
         return SUCCESS, value
 
     def _set_axis(self, kind: int, value: int) -> int:
-        if kind == Parameter.ACTUAL_POSITION:
-            if value:
-                return INVALID_VALUE
+        if kind == Parameter.ACTUAL_POSITION and not value:
             self._motor.zero()
             return SUCCESS
-        if kind not in self._axis:
+        if kind not in (Parameter.ACTUAL_POSITION, *self._axis):
             return WRONG_TYPE
-        if value < 0 or (kind == Parameter.MICROSTEPS and value > 8):
+        most = {Parameter.ACTUAL_POSITION: 0, Parameter.MICROSTEPS: 8}.get(Parameter(kind), value)
+        if not 0 <= value <= most:
             return INVALID_VALUE
         self._axis[kind] = value
         return SUCCESS
 
     def _get_axis(self, kind: int) -> tuple[int, int]:
         motor = self._motor
+        home = Parameter.RIGHT_SWITCH_STATE if self._direction < 0 else Parameter.LEFT_SWITCH_STATE
         match kind:
             case Parameter.ACTUAL_POSITION:
                 return SUCCESS, self._direction * motor.position_steps
@@ -169,8 +165,7 @@ class EmulatedTmclModule:
                     # Reading clears these two.
                     motor.reset()
                 return SUCCESS, flag
-            case _ if kind in (RIGHT_SWITCH_STATE, LEFT_SWITCH_STATE):
-                home = RIGHT_SWITCH_STATE if self._scene.inverted else LEFT_SWITCH_STATE
+            case Parameter.RIGHT_SWITCH_STATE | Parameter.LEFT_SWITCH_STATE:
                 return SUCCESS, int(kind == home and motor.at_switch)
             case Parameter.DRIVER_FLAGS:
                 return SUCCESS, DriverFlag.OVERTEMPERATURE * (motor.fault == "overtemperature")
@@ -191,7 +186,8 @@ class EmulatedTmclModule:
     def _search(self, kind: int) -> tuple[int, int]:
         match kind:
             case Search.START:
-                if self._axis[Parameter.SEARCH_MODE] & 64 != (64 if self._scene.inverted else 0):
+                on_right = self._axis[Parameter.SEARCH_MODE] & (LEFT_SWITCH ^ RIGHT_SWITCH)
+                if bool(on_right) != self._scene.inverted:
                     # The other side has no switch.
                     return INVALID_VALUE, 0
                 speeds = (self._axis[Parameter.SEARCH_SPEED], self._axis[Parameter.SWITCH_SPEED])
@@ -207,9 +203,8 @@ class EmulatedTmclModule:
 
     def _rate_hz(self, velocity: int) -> float:
         """Return the motor's rate for the module's number; positive into the finger."""
-        rate_hz = velocity / self._scene.velocity_scale
-        fastest_hz = self._axis[Parameter.MAX_SPEED] / self._scene.velocity_scale
-        return self._direction * math.copysign(min(abs(rate_hz), fastest_hz), rate_hz)
+        fastest = self._axis[Parameter.MAX_SPEED]
+        return self._direction * min(max(velocity, -fastest), fastest) / self._scene.velocity_scale
 
     def _units(self, rate_hz: float) -> int:
         return round(rate_hz * self._scene.velocity_scale)
@@ -224,11 +219,11 @@ class EmulatedSerialLine:
         self._datagrams = DatagramSplitter()
 
     def serve(self, wait_s: float) -> None:
-        """Answer the requests that come within `wait_s`."""
+        """Take the requests that come within `wait_s`, and send the answers that are due."""
         readable, _, _ = select.select([self._port], [], [], wait_s)
         if readable:
             for request in self._datagrams.feed(self._port.read(), time.monotonic_ns()):
-                _answer(self._module, request)
+                self._module.receive(request, time.monotonic_ns())
         for reply in self._module.injector.due_answers(time.monotonic_ns()):
             self._port.write(reply)
 
@@ -247,14 +242,14 @@ class EmulatedCanLine:
         bus.set_filters([{"can_id": scene.module, "can_mask": 0x7FF, "extended": False}])
 
     def serve(self, wait_s: float) -> None:
-        """Answer the next request, if one comes within `wait_s`."""
+        """Take the next request, if one comes within `wait_s`, and send the answers due."""
         import can
 
         frame = self._bus.recv(wait_s)
         # A bus that also delivers our own frames does so with the host's identifier.
         if frame is not None and len(frame.data) >= 7:
             request = self._address + bytes(frame.data[:7])
-            _answer(self._module, request + bytes([checksum(request)]))
+            self._module.receive(request + bytes([checksum(request)]), time.monotonic_ns())
         for reply in self._module.injector.due_answers(time.monotonic_ns()):
             data, identifier = reply[1:8], reply[0]
             self._bus.send(can.Message(arbitration_id=identifier, is_extended_id=False, data=data))
@@ -262,12 +257,3 @@ class EmulatedCanLine:
     def close(self) -> None:
         """Leave the bus."""
         self._bus.shutdown()
-
-
-def _answer(module: EmulatedTmclModule, request: bytes) -> None:
-    """Queue the reply to a request at the module's fault injector."""
-    reply = module.reply(request, time.monotonic_ns())
-    if module.answer_mode == "late":
-        time.sleep(module.late_s)
-    if reply:
-        module.injector.queue_answer(reply, time.monotonic_ns())

@@ -1,33 +1,37 @@
-"""Drives and their emulators, in one process and on real lines."""
+"""Drives and their emulators: in virtual time on lines in memory, or on real lines of one process.
+
+Both give a `Bench`; on a real line the emulator is polled by a thread.
+"""
 
 import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 import can
 
-from display_node.drives.axis import build_axis
-from display_node.drives.cia402.drive import Cia402Drive
+from display_node.drives import build_drive
 from display_node.drives.drive import Drive
 from display_node.drives.scene import Cia402Scene, TmclScene
-from display_node.drives.tmcl.drive import TmclDrive
 from display_node.plant.stepper import StepperScene
 from protocol.wire.stream import LayerTable
 from telepulse.emulators.cia402 import ALL_MODES, EmulatedCia402Node
-from telepulse.emulators.motor import EmulatedMotor
+from telepulse.emulators.motor import TICK_NS, EmulatedMotor
 from telepulse.emulators.pty_port import PtyPort
 from telepulse.emulators.slcan import SlcanBus
 from telepulse.emulators.tmcl import EmulatedCanLine, EmulatedSerialLine, EmulatedTmclModule
+from tests.support.virtual_lines import cia402_line, tmcl_line
+from tests.support.virtual_time import VirtualTime
 
 LAYER = LayerTable().layer()
 FORCE_LIMIT_N = 2.5
 # Of a machine so busy that a thread waits for its turn: far longer than a bench's 50 ms.
 PATIENT = {"watchdog": "800 ms", "homing_speed": "20 mm/s", "touch": "0.6 mm"}
 LONGEST_WAIT_S = 20.0
+VIRTUAL = ("display_node.drives", "telepulse.emulators")
 
 
 def stepper(**keys: Any) -> StepperScene:
@@ -35,177 +39,145 @@ def stepper(**keys: Any) -> StepperScene:
 
 
 def tmcl_scene(**keys: Any) -> TmclScene:
-    table = {"kind": "tmcl", "reply_timeout": "100 ms", **PATIENT, **keys}
-    return TmclScene.model_validate(table)
+    return TmclScene.model_validate({"kind": "tmcl", **keys})
 
 
 def cia402_scene(**keys: Any) -> Cia402Scene:
-    table = {"kind": "cia402", "interface": "virtual", "channel": uuid.uuid4().hex}
-    return Cia402Scene.model_validate({**table, **PATIENT, **keys})
-
-
-def emulated_motor(scene: TmclScene | Cia402Scene, actuator: StepperScene) -> EmulatedMotor:
-    law = actuator.contact(LAYER)
-    return EmulatedMotor(actuator, law, scene.touch_m, time.monotonic_ns())
-
-
-@contextmanager
-def polled(poll: Callable[[], object]) -> Iterator[Callable[[], None]]:
-    """Call `poll` in a thread; yield a function that ends it before the end of the block."""
-    over = threading.Event()
-
-    def run() -> None:
-        while not over.is_set():
-            poll()
-
-    def end() -> None:
-        over.set()
-        thread.join()
-
-    thread = threading.Thread(target=run)
-    thread.start()
-    try:
-        yield end
-    finally:
-        end()
+    table = {"kind": "cia402", "interface": "virtual", "channel": "c", **keys}
+    return Cia402Scene.model_validate(table)
 
 
 @dataclass
 class Bench:
-    """A drive, and what is at the other end of its line."""
+    """A drive, and what is at the other end of its line.
 
-    drive: Drive
-    motor: EmulatedMotor
-    emulator: Any
-    unplug: Callable[[], None]
+    line: of a TMCL module in virtual time its port; of a CiA 402 drive our end of the bus; the
+    pseudo-terminal on real lines. bus: what python-can opens in virtual time.
+    """
+
+    scene: TmclScene | Cia402Scene
     actuator: StepperScene
+    motor: EmulatedMotor
+    emulator: Any = None
     line: Any = None
+    bus: Any = None
+    clock: Any = time
 
-    def keep(self, rate_hz: float, until: Callable[[], bool]) -> None:
+    def __post_init__(self) -> None:
+        self.drive: Drive = build_drive(self.scene, self.actuator, LAYER, FORCE_LIMIT_N)
+
+    def wait(self, until: Callable[[], object], step: Callable[[], object] = bool) -> None:
+        """Take steps until something holds."""
+        deadline_s = self.clock.monotonic() + LONGEST_WAIT_S
+        while not until():
+            assert self.clock.monotonic() < deadline_s, self.drive.status()
+            step()
+            self.clock.sleep(0.002)
+
+    def keep(self, rate_hz: float, until: Callable[[], object]) -> None:
         """Command a signed step rate over and over until something holds."""
         speed_m_per_s = rate_hz * self.actuator.step_m
+        self.wait(until, lambda: self.drive.command(speed_m_per_s))
 
-        def step() -> bool:
-            self.drive.command(speed_m_per_s)
-            return until()
+    def start(self, rate_hz: float = 0.0, tip_m: float = 0.0) -> None:
+        """Start the drive; press at a rate until the tip is as deep as that."""
+        self.drive.start()
+        if rate_hz:
+            self.keep(rate_hz, lambda: self.motor.rate_hz > 0 and self.motor.tip_m > tip_m)
 
-        wait(step)
+    @property
+    def fault(self) -> str:
+        return self.drive.status().fault or ""
 
     @property
     def at_rest(self) -> bool:
         return self.motor.rate_hz == 0.0
 
 
-def wait(until: Callable[[], bool]) -> None:
-    deadline_s = time.monotonic() + LONGEST_WAIT_S
-    while not until():
-        assert time.monotonic() < deadline_s, "waited for nothing"
-        time.sleep(0.002)
+def emulated_motor(
+    scene: TmclScene | Cia402Scene, actuator: StepperScene, now_ns: int
+) -> EmulatedMotor:
+    return EmulatedMotor(actuator, actuator.contact(LAYER), scene.touch_m, now_ns)
 
 
 @contextmanager
-def tmcl_bench(
-    on_can: bool = False,
-    actuator: StepperScene | None = None,
-    by_slcan: bool = False,
-    **keys: Any,
+def virtual_bench(
+    kind: str, actuator: StepperScene | None = None, modes: Any = ALL_MODES, **keys: Any
 ) -> Iterator[Bench]:
-    actuator = actuator or stepper()
-    if by_slcan:
-        port = PtyPort(None)
-        at_port = {"interface": "slcan", "channel": str(port.path)}
-        scene = tmcl_scene(**at_port, options={"sleep_after_open": 0.0}, **keys)
-        motor = emulated_motor(scene, actuator)
-        module = EmulatedTmclModule(scene, motor)
-        line: EmulatedCanLine | EmulatedSerialLine = EmulatedCanLine(module, scene, SlcanBus(port))
-    elif on_can:
-        channel = uuid.uuid4().hex
-        scene = tmcl_scene(interface="virtual", channel=channel, **keys)
-        bus = can.Bus(interface="virtual", channel=channel)
-        motor = emulated_motor(scene, actuator)
-        module = EmulatedTmclModule(scene, motor)
-        line = EmulatedCanLine(module, scene, bus)
+    """A bench in virtual time; kind: "tmcl", "tmcl-can" or "cia402"."""
+    scene: TmclScene | Cia402Scene
+    keys = {"homing_speed": "20 mm/s", "touch": "0.6 mm", **keys}
+    if kind == "cia402":
+        scene = cia402_scene(**keys)
+    elif kind == "tmcl-can":
+        scene = tmcl_scene(interface="virtual", channel="c", **keys)
     else:
-        port = PtyPort(None)
-        scene = tmcl_scene(port=str(port.path), **keys)
-        motor = emulated_motor(scene, actuator)
-        module = EmulatedTmclModule(scene, motor)
-        line = EmulatedSerialLine(module, port)
-    plugged = True
-
-    def poll() -> None:
-        if plugged:
-            line.serve(0.002)
+        scene = tmcl_scene(port="virtual", **keys)
+    world, actuator = VirtualTime(), actuator or stepper()
+    with world.substituted(VIRTUAL), ExitStack() as open_things:
+        motor = emulated_motor(scene, actuator, world.now_ns)
+        bench = Bench(scene, actuator, motor, clock=world)
+        if isinstance(scene, Cia402Scene):
+            line = cia402_line(world, scene, motor, modes)
+            bench.emulator, bench.line = open_things.enter_context(line)
         else:
-            time.sleep(0.002)
-        motor.advance(time.monotonic_ns())
-
-    def unplug() -> None:
-        nonlocal plugged
-        if plugged:
-            plugged = False
-            time.sleep(0.01)
-            line.close()
-
-    drive = TmclDrive(scene, build_axis(scene, actuator, LAYER, FORCE_LIMIT_N))
-    with polled(poll) as end:
-        try:
-            yield Bench(drive, motor, module, unplug, actuator, line)
-        finally:
-            drive.close()
-            end()
-            unplug()
-
-
-def at_the_far_end(scene: Cia402Scene | TmclScene) -> can.BusABC:
-    """The bus that an emulated drive is on."""
-    return can.Bus(interface=scene.interface, channel=scene.channel)
-
-
-@contextmanager
-def slcan_bench(**keys: Any) -> Iterator[Bench]:
-    """A CiA 402 drive behind an adapter on a pseudo-terminal."""
-    port = PtyPort(None)
-    table = {"interface": "slcan", "channel": str(port.path)}
-    options = {"options": {"sleep_after_open": 0.0}}
-    with cia402_bench(far_end=lambda _: SlcanBus(port), **table, **options, **keys) as bench:
+            lines = tmcl_line(world, scene, motor)
+            bench.emulator, bench.line, bench.bus = open_things.enter_context(lines)
+        world.every(TICK_NS, lambda: motor.advance(world.now_ns))
         yield bench
+        bench.drive.close()
 
 
 @contextmanager
-def cia402_bench(
-    actuator: StepperScene | None = None,
-    modes: Any = ALL_MODES,
-    far_end: Callable[[Cia402Scene], can.BusABC] = at_the_far_end,
-    **keys: Any,
-) -> Iterator[Bench]:
-    actuator = actuator or stepper()
-    scene = cia402_scene(**keys)
-    motor = emulated_motor(scene, actuator)
-    bus = far_end(scene)
-    node = EmulatedCia402Node(scene, motor, bus, modes)
+def polled(poll: Callable[[], object]) -> Iterator[None]:
+    """Call `poll` in a thread until the end of the block."""
+    over = threading.Event()
 
-    def poll() -> None:
-        time.sleep(0.001)
-        node.poll()
+    def run() -> None:
+        while not over.is_set():
+            poll()
 
-    drive = Cia402Drive(scene, build_axis(scene, actuator, LAYER, FORCE_LIMIT_N))
-    with polled(poll) as end:
-        try:
-            yield Bench(drive, motor, node, bus.shutdown, actuator)
-        finally:
-            drive.close()
-            end()
-            node.close()
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
 
 
 @contextmanager
-def shared_bus() -> Iterator[tuple[Bench, can.BusABC]]:
-    """A CiA 402 drive that has started, and another node's end of its bus."""
-    channel = uuid.uuid4().hex
-    with (
-        cia402_bench(channel=channel) as bench,
-        can.Bus(interface="virtual", channel=channel) as bus,
-    ):
-        bench.drive.start()
-        yield bench, bus
+def real_bench(kind: str, **keys: Any) -> Iterator[Bench]:
+    """A bench on a real line; kind: "tmcl", "tmcl-can", "cia402" or one of the last by "-slcan"."""
+    port, channel, bus = PtyPort(None), uuid.uuid4().hex, None
+    if "slcan" in kind:
+        channel, bus = str(port.path), SlcanBus(port)
+        keys |= {"interface": "slcan", "options": {"sleep_after_open": 0.0}}
+    elif kind != "tmcl":
+        bus = can.Bus(interface="virtual", channel=channel)
+        keys |= {"interface": "virtual"}
+    scene: TmclScene | Cia402Scene
+    if kind == "tmcl":
+        scene = tmcl_scene(port=str(port.path), reply_timeout="100 ms", **PATIENT, **keys)
+    elif kind.startswith("tmcl"):
+        scene = tmcl_scene(channel=channel, reply_timeout="100 ms", **PATIENT, **keys)
+    else:
+        scene = cia402_scene(channel=channel, **PATIENT, **keys)
+    actuator = stepper()
+    motor = emulated_motor(scene, actuator, time.monotonic_ns())
+    bench = Bench(scene, actuator, motor, line=port)
+    if isinstance(scene, Cia402Scene):
+        node = bench.emulator = EmulatedCia402Node(scene, motor, bus)
+        poll, close = lambda: (time.sleep(0.001), node.poll()), node.close
+    else:
+        module = bench.emulator = EmulatedTmclModule(scene, motor)
+        line = (
+            EmulatedSerialLine(module, port) if bus is None else EmulatedCanLine(module, scene, bus)
+        )
+        poll, close = lambda: (line.serve(0.002), motor.advance(time.monotonic_ns())), line.close
+    with closing(bench.drive), polled(poll):
+        yield bench
+        bench.drive.close()
+    close()
+    if bus is not None:
+        bus.shutdown()

@@ -6,8 +6,8 @@ from collections import Counter, deque
 import numpy as np
 import pytest
 
-from display_node.drives.supervisor import DriveStatus
 from display_node.drives.following_error import CommandedPosition
+from display_node.drives.supervisor import DriveStatus
 from display_node.drives.withdrawal import WithdrawalOutcome
 from display_node.plant.stepper import Stepper, StepperScene
 from display_node.scene import DisplayScene

@@ -35,7 +35,7 @@ respiration_rate = "15 /min"
 CLEAR = "Is the bench clear of fingers? [y/N]"
 ENDS_WITHIN_S = 60.0
 # What reaches a TMCL module; ours as well, as another test may have imported it already.
-LINE = ("pytrinamic.tmcl", "display_node.drives.tmcl.interfaces")
+LINE = ("pytrinamic.tmcl", "display_node.drives.tmcl.line")
 
 
 @dataclass

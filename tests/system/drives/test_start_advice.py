@@ -3,6 +3,7 @@
 import os
 import pty
 import re
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -53,7 +54,7 @@ def test_a_serial_port_that_cannot_be_opened(
     error: Exception, advice: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(serial, "serial_for_url", failing(error))
-    text = refused(lambda: TmclLine(tmcl_scene(port="/dev/ttyACM7")))
+    text = refused(lambda: TmclLine(tmcl_scene(port="/dev/ttyACM7"), Counter()))
     assert text.startswith("/dev/ttyACM7 cannot be opened: ")
     assert advice in text
 
@@ -61,9 +62,9 @@ def test_a_serial_port_that_cannot_be_opened(
 def test_a_serial_port_that_another_program_uses() -> None:
     master, slave = pty.openpty()
     port = os.ttyname(slave)
-    first = TmclLine(tmcl_scene(port=port))
+    first = TmclLine(tmcl_scene(port=port), Counter())
     try:
-        text = refused(lambda: TmclLine(tmcl_scene(port=port)))
+        text = refused(lambda: TmclLine(tmcl_scene(port=port), Counter()))
     finally:
         first.close()
         os.close(master)
@@ -84,7 +85,7 @@ def test_a_can_bus_that_cannot_be_opened(
     error: Exception, advice: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(can, "Bus", failing(error))
-    text = refused(lambda: TmclLine(tmcl_scene(interface="socketcan", channel="can7")))
+    text = refused(lambda: TmclLine(tmcl_scene(interface="socketcan", channel="can7"), Counter()))
     assert text.startswith("CAN bus socketcan can7 cannot be opened: ")
     assert advice in text
 

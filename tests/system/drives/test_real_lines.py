@@ -1,0 +1,128 @@
+"""Drives on real lines: pseudo-terminals, CAN buses, slcan adapters, sockets, and noise on them.
+
+What a drive does apart from its line is in tests/unit/display_node/drives, in virtual time.
+"""
+
+import os
+import pty
+import socket
+import threading
+import tty
+from collections import Counter
+from contextlib import closing
+
+import pytest
+
+from display_node.drives import build_drive
+from display_node.drives.scene import Cia402Scene, TmclScene
+from display_node.drives.tmcl.line import TmclLine
+from display_node.drives.tmcl.module import Command, Parameter
+from display_node.drives.withdrawal import WithdrawalOutcome
+from protocol.errors import DriveError
+from telepulse.emulators.tmcl import DATAGRAM, EmulatedTmclModule
+from tests.support.drive_benches import (
+    FORCE_LIMIT_N,
+    LAYER,
+    cia402_scene,
+    emulated_motor,
+    real_bench,
+    stepper,
+    tmcl_scene,
+)
+
+RATE_HZ = 400.0
+
+
+@pytest.mark.parametrize("kind", ["tmcl", "tmcl-can", "tmcl-slcan", "cia402", "cia402-slcan"])
+def test_a_drive_starts_follows_and_withdraws_when_commands_end(kind: str) -> None:
+    with real_bench(kind) as bench:
+        bench.start()
+        for rate_hz in (RATE_HZ, -RATE_HZ):
+            bench.keep(rate_hz, lambda wanted=rate_hz: bench.motor.rate_hz == pytest.approx(wanted))
+        bench.keep(RATE_HZ, lambda: bench.motor.tip_m > 0.05e-3)
+        bench.wait(lambda: bench.fault)
+        bench.wait(lambda: bench.drive.status().withdrawal is WithdrawalOutcome.WITHDRAWN)
+        bench.wait(lambda: bench.at_rest)
+        assert bench.motor.tip_m < -0.2e-3
+
+
+@pytest.mark.parametrize("kind", ["tmcl-slcan", "cia402-slcan"])
+def test_noise_from_a_can_adapter_is_counted_and_the_drive_goes_on(kind: str) -> None:
+    with real_bench(kind) as bench:
+        bench.start(RATE_HZ)
+        for noise in (b"\xff\xfe\r", b"t18\r", b"t181Z\r", b"T12\a", b"t1818" + b"Q" * 40):
+            counted = bench.drive.counts["garbled"]
+            bench.line.write(noise)
+            bench.keep(RATE_HZ / 4, lambda before=counted: bench.drive.counts["garbled"] > before)
+            # By then it has discarded what came with the noise, and is answered again.
+            garbled_ns = bench.clock.monotonic_ns()
+            bench.keep(RATE_HZ / 4, lambda at=garbled_ns: bench.drive.status().received_ns > at)
+        bench.keep(0.0, lambda: not bench.drive.status().moving)
+        assert bench.fault == ""
+
+
+@pytest.mark.parametrize(
+    ("scene", "words"),
+    [
+        (tmcl_scene(port="/dev/no-such-port"), "/dev/no-such-port cannot be opened"),
+        (
+            tmcl_scene(interface="no-such-interface", channel="x"),
+            "no-such-interface x cannot be opened",
+        ),
+        (cia402_scene(interface="no-such-interface"), "no-such-interface c cannot be opened"),
+    ],
+)
+def test_a_line_that_is_not_there_is_named_in_one_line(
+    scene: TmclScene | Cia402Scene, words: str
+) -> None:
+    with pytest.raises(DriveError, match=words) as error:
+        build_drive(scene, stepper(), LAYER, FORCE_LIMIT_N).start()
+    assert "\n" not in str(error.value)
+
+
+def test_noise_is_no_answer() -> None:
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    noise = bytes((17 * i) & 0xFF for i in range(256))
+
+    def babble() -> None:
+        while os.read(master, 64) != b"over":
+            os.write(master, noise)
+
+    thread = threading.Thread(target=babble)
+    thread.start()
+    line = TmclLine(tmcl_scene(port=os.ttyname(slave)), Counter())
+    try:
+        for _ in range(5):
+            with pytest.raises(DriveError) as error:
+                line.request(Command.GET_AXIS, Parameter.ACTUAL_POSITION, 0)
+            assert error.value.kind in ("garbled", "wrong", "refused")
+        assert line.counts.total() == 5
+    finally:
+        line.carrier.send(b"over")
+        thread.join()
+        line.close()
+        os.close(master)
+        os.close(slave)
+
+
+def test_a_module_behind_a_network_port_is_reached_by_url() -> None:
+    scene = tmcl_scene(port="x")
+    module = EmulatedTmclModule(scene, emulated_motor(scene, stepper(), 0))
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            peer, _ = server.accept()
+            with peer:
+                while data := peer.recv(DATAGRAM.size, socket.MSG_WAITALL):
+                    peer.sendall(module.reply(data, 0))
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        url = f"socket://127.0.0.1:{server.getsockname()[1]}"
+        with closing(
+            TmclLine(tmcl_scene(port=url, watchdog="800 ms", reply_timeout="100 ms"), Counter())
+        ) as line:
+            assert line.request(Command.SET_AXIS, Parameter.MICROSTEPS, 0, 6) == 6
+            assert line.request(Command.GET_AXIS, Parameter.MICROSTEPS, 0) == 6
+        thread.join()

@@ -1,0 +1,232 @@
+"""A CiA 402 drive and faults on its bus, in virtual time."""
+
+from collections.abc import Iterator
+from unittest.mock import patch
+
+import can
+import pytest
+
+from display_node.drives import build_drive
+from display_node.drives.cia402 import node as cia402_node
+from display_node.drives.cia402.node import EMERGENCY, SPEED_TPDO, STATE_TPDO, TPDO1, TPDO2
+from display_node.drives.cia402.state_machine import Control, Mode, State, state_of, towards_enabled
+from display_node.drives.withdrawal import WithdrawalOutcome
+from protocol.errors import DriveError
+from telepulse.emulators.motor import EmulatedMotor
+from tests.support.drive_benches import (
+    FORCE_LIMIT_N,
+    LAYER,
+    Bench,
+    cia402_scene,
+    stepper,
+    virtual_bench,
+)
+
+RATE_HZ = 400.0
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    with virtual_bench("cia402") as bench:
+        yield bench
+
+
+def send(bench: Bench, identifier: int, *messages: bytes) -> None:
+    """Send frames as the drive."""
+    for data in messages:
+        bench.line.far.send(can.Message(arbitration_id=identifier + 1, data=data))
+
+
+def test_every_statusword_is_one_state() -> None:
+    for word in range(1 << 16):
+        assert sum(word & mask == bits for mask, bits in (s.value for s in State)) <= 1
+    assert state_of(0x0637) is State.ENABLED
+    assert state_of(0x0650) is State.SWITCH_ON_DISABLED
+    assert state_of(0x0218) is State.FAULT
+    assert state_of(0x0001) is None
+
+
+def test_from_a_fault_the_controlwords_lead_to_operation_enabled() -> None:
+    led, control = [], Control.DISABLE_VOLTAGE
+    states = [State.FAULT] * 3
+    states += [State.SWITCH_ON_DISABLED, State.READY, State.SWITCHED_ON, State.ENABLED]
+    for state in states:
+        control = towards_enabled(state, control)
+        led.append(int(control))
+    # The reset's bit rises again where the first rise was not received.
+    assert led == [0x80, 0x00, 0x80, 0x06, 0x07, 0x0F, 0x0F]
+    assert towards_enabled(State.QUICK_STOP, Control.QUICK_STOP) == Control.DISABLE_VOLTAGE
+
+
+def test_a_silent_drive_is_a_fault_and_is_commanded_off_the_finger(bench: Bench) -> None:
+    bench.start(RATE_HZ, 0.05e-3)
+    bench.emulator.silent = True
+    bench.keep(RATE_HZ, lambda: bench.fault)
+    assert "no answer" in bench.fault
+    bench.wait(lambda: bench.drive.status().withdrawal is WithdrawalOutcome.UNCONFIRMED)
+    bench.wait(lambda: bench.at_rest)
+    assert bench.motor.tip_m < -0.2e-3
+    bench.emulator.silent = False
+    bench.start()
+    assert bench.fault == ""
+
+
+@pytest.mark.parametrize(
+    ("abort_option", "state"), [(3, State.SWITCH_ON_DISABLED), (1, State.FAULT)]
+)
+def test_a_drive_that_missed_our_heartbeat_is_enabled_again_and_withdraws(
+    bench: Bench, abort_option: int, state: State
+) -> None:
+    """Its own watchdog is first where this process stands still."""
+    bench.start(RATE_HZ, 0.05e-3)
+    bench.emulator.drive.abort_option = abort_option
+    with patch.object(bench.line, "send"):
+        bench.wait(lambda: bench.emulator.drive.state is state)
+        assert bench.at_rest
+    bench.wait(lambda: bench.drive.status().withdrawal is WithdrawalOutcome.WITHDRAWN)
+    bench.wait(lambda: bench.at_rest)
+    assert bench.motor.tip_m < -0.2e-3
+
+
+def test_without_cyclic_velocity_the_drive_runs_in_profile_velocity() -> None:
+    with virtual_bench("cia402", modes=(Mode.PROFILE_VELOCITY,)) as bench:
+        bench.start()
+        assert bench.emulator.drive.mode == Mode.PROFILE_VELOCITY
+        bench.keep(RATE_HZ, lambda: bench.motor.rate_hz == pytest.approx(RATE_HZ))
+
+
+@pytest.mark.parametrize(
+    ("keys", "broken", "words"),
+    [
+        (
+            {"modes": (Mode.PROFILE_VELOCITY,), "mode": "cyclic"},
+            "",
+            "no velocity mode that fits mode = 'cyclic'",
+        ),
+        ({"homing_method": 1}, "", "homing method 1 fails"),
+        ({}, "select", "does not take mode 9"),
+        ({}, "control", "still switch on disabled, no error code"),
+        ({}, "statusword", "it sends no TPDO, no error code"),
+    ],
+)
+def test_a_drive_that_cannot_be_used_is_refused(
+    keys: dict[str, object], broken: str, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """broken: a part of the drive that does nothing."""
+    with virtual_bench("cia402", **keys) as bench:
+        drive = bench.emulator.drive
+        if broken == "statusword":
+            # A statusword of no state.
+            monkeypatch.setattr(type(drive), "statusword", 0x0001)
+        elif broken:
+            monkeypatch.setattr(drive, broken, lambda *_: None)
+        with pytest.raises(DriveError, match=words):
+            bench.drive.start()
+        assert bench.fault
+
+
+def test_another_profile_is_refused(bench: Bench) -> None:
+    with (
+        patch.object(cia402_node.Cia402Node, "read", lambda *_: 401),
+        pytest.raises(DriveError, match="has profile 401, not 402"),
+    ):
+        bench.drive.start()
+
+
+def test_a_drive_that_is_disabled_on_its_way_home_is_named(bench: Bench) -> None:
+    def force_n() -> float:
+        if bench.motor.homing:
+            bench.motor.fail("overtemperature")
+        return 0.0
+
+    with pytest.raises(DriveError, match="fault on its way home, overtemperature"):
+        bench.drive.start(force_n)
+
+
+def test_a_search_without_an_end_is_ended(bench: Bench) -> None:
+    with (
+        patch.object(EmulatedMotor, "homing", True),
+        pytest.raises(DriveError, match="no home within 15 s"),
+    ):
+        bench.drive.start()
+
+
+def test_nobody_at_the_address_is_named_in_one_line(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cia402_node, "SDO_TIMEOUT_S", 1e-3)
+    axis = (stepper(), LAYER, FORCE_LIMIT_N)
+    other = build_drive(cia402_scene(node=9), *axis)
+    with pytest.raises(DriveError, match="no answer from node 9") as error:
+        other.start()
+    assert "\n" not in str(error.value)
+    assert error.value.kind == "no answer"
+    assert other.counts == {"not disabled: no answer": 1}
+
+
+def test_malformed_messages_are_counted_and_not_used(bench: Bench) -> None:
+    bench.start()
+    send(bench, TPDO1, *(bytes(size) for size in (0, 1, 2, 3, 4, 5, 7)))
+    send(bench, TPDO2, bytes(5))
+    send(bench, EMERGENCY, b"", b"\x10", bytes(2), bytes(5))
+    bench.keep(0.0, lambda: bench.drive.counts["malformed"] == 10)
+    assert bench.fault == ""
+
+
+def test_implausible_messages_are_counted_and_not_used(bench: Bench) -> None:
+    bench.start()
+    # A statusword of no state, a position and a speed far beyond the axis.
+    send(bench, TPDO1, STATE_TPDO.pack(0x0001, 0), STATE_TPDO.pack(0x0637, -(2**31)))
+    send(bench, TPDO2, SPEED_TPDO.pack(2**31 - 1, 0x4310))
+    bench.keep(0.0, lambda: bench.drive.counts["implausible"] == 3)
+    assert bench.fault == ""
+    assert not bench.drive.status().moving
+
+
+def test_a_drive_that_sends_nothing_plausible_is_a_fault(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench.start()
+    monkeypatch.setattr(type(bench.emulator.drive), "statusword", 0x0001)
+    bench.keep(0.0, lambda: bench.fault)
+    assert bench.fault.startswith("garbled: no plausible TPDO for ")
+
+
+def test_an_emergency_names_the_fault(bench: Bench) -> None:
+    bench.start()
+    send(bench, EMERGENCY, (0x1234).to_bytes(2, "little") + bytes(6))
+    send(bench, TPDO1, STATE_TPDO.pack(0x0218, 0))
+    bench.wait(lambda: bench.fault)
+    assert bench.fault == "fault: error 0x1234"
+
+
+def test_emergencies_without_end_are_not_kept(bench: Bench) -> None:
+    bench.start()
+    # Its producer is the listener of the library that would keep them.
+    with patch("canopen.emcy.EmcyConsumer.on_emcy") as kept:
+        send(bench, EMERGENCY, *[bytes(8)] * 200, b"")
+        bench.keep(0.0, lambda: bench.drive.counts["malformed"] == 1)
+        kept.assert_not_called()
+
+
+def test_noise_from_a_can_adapter_is_counted_and_the_drive_goes_on(bench: Bench) -> None:
+    bench.start(RATE_HZ)
+    (listener, *_) = bench.line.notifier.listeners
+    for error in (ValueError("an odd line"), IndexError("a short line")):
+        listener.on_error(error)
+    assert bench.drive.counts == {"garbled": 2}
+    bench.keep(0.0, lambda: not bench.drive.status().moving)
+    assert bench.fault == ""
+    bench.clock.thread(listener.on_error, OSError("it is gone"))
+    bench.keep(0.0, lambda: bench.fault)
+    assert bench.fault == "unplugged: node 1 on virtual c: it is gone"
+
+
+def test_a_closed_bus_is_a_fault_and_is_counted(bench: Bench) -> None:
+    bench.start(RATE_HZ)
+    bench.line.unplugged = True
+    bench.keep(RATE_HZ, lambda: bench.fault)
+    assert "unplugged" in bench.fault
+    bench.drive.command(RATE_HZ * bench.actuator.step_m)
+    bench.drive.close()
+    assert bench.drive.counts == {"not disabled: unplugged": 1, "not closed": 1}

@@ -1,0 +1,240 @@
+"""Behaviour that every kind of drive has, on emulated drives in virtual time."""
+
+from collections.abc import Iterator
+
+import pytest
+
+from display_node.drives.axis import build_axis
+from display_node.drives.drive import OPENED_M, SEARCH_MARGIN_M, TouchGuard, bound_search
+from display_node.drives.supervisor import Supervisor
+from display_node.drives.withdrawal import WithdrawalOutcome
+from protocol.errors import DriveError
+from telepulse.emulators.fault_injection import FaultKind, InjectedFault
+from tests.support.drive_benches import (
+    FORCE_LIMIT_N,
+    LAYER,
+    Bench,
+    stepper,
+    tmcl_scene,
+    virtual_bench,
+)
+
+KINDS = ("tmcl", "tmcl-can", "cia402")
+RATE_HZ = 400.0
+
+
+@pytest.fixture(params=KINDS)
+def kind(request: pytest.FixtureRequest) -> str:
+    name: str = request.param
+    return name
+
+
+@pytest.fixture
+def bench(kind: str) -> Iterator[Bench]:
+    with virtual_bench(kind) as bench:
+        yield bench
+
+
+def withdrawn(bench: Bench) -> float:
+    """Wait for the end of a withdrawal; the tip's place in m then."""
+    bench.wait(lambda: bench.drive.status().withdrawal is WithdrawalOutcome.WITHDRAWN)
+    bench.wait(lambda: bench.at_rest)
+    return bench.motor.tip_m
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {},
+        {"inverted": True, "velocity_scale": 0.5, "touch": "0.4 mm"},
+        {"homing": "none"},
+        {"homing_method": 17},
+        {"mode": "profile"},
+    ],
+    ids=["defaults", "inverted, other units", "home is here", "by its method", "profile velocity"],
+)
+def test_a_drive_homes_comes_to_first_touch_and_runs_at_the_commanded_rate(
+    kind: str, keys: dict[str, object]
+) -> None:
+    if "tmcl" in kind and keys.keys() & {"mode", "homing_method"}:
+        keys = {"homing_method": 1} if "homing_method" in keys else {}
+    with virtual_bench(kind, **keys) as bench:
+        bench.start()
+        status, step_m = bench.drive.status(), bench.actuator.step_m
+        assert (status.fault, status.moving) == (None, False)
+        assert abs(status.position_m) < 1.5 * step_m
+        # Where the tip stood at the beginning, half way to the finger, is home without homing.
+        home_m = 0.3e-3 if keys.get("homing") == "none" else 0.0
+        # The switch is read every millisecond, at 5 mm/s: 8 steps.
+        assert bench.motor.tip_m == pytest.approx(home_m, abs=10 * step_m)
+        for rate_hz in (RATE_HZ, -RATE_HZ):
+            bench.keep(rate_hz, lambda wanted=rate_hz: bench.motor.rate_hz == pytest.approx(wanted))
+        bench.keep(0.0, lambda: bench.at_rest and not bench.drive.status().moving)
+        place_m = bench.drive.status().position_m + home_m
+        assert place_m == pytest.approx(bench.motor.tip_m, abs=10 * step_m)
+
+
+def test_a_drive_does_not_move_before_start_nor_after_close(bench: Bench) -> None:
+    for fault in ("not started", "closed"):
+        place_m = bench.motor.tip_m
+        bench.drive.command(RATE_HZ * bench.actuator.step_m)
+        bench.clock.sleep(0.1)
+        assert bench.fault == fault
+        assert bench.motor.tip_m == place_m
+        bench.start(RATE_HZ)
+        bench.drive.close()
+        bench.wait(lambda: bench.at_rest)
+
+
+def test_the_soft_limit_holds_the_tip_back(kind: str) -> None:
+    with virtual_bench(kind, furthest="0.2 mm") as bench:
+        bench.start(1e6, 0.17e-3)
+        bench.keep(1e6, lambda: bench.drive.status().held_back)
+        assert bench.motor.tip_m <= 0.2e-3
+        bench.keep(-RATE_HZ, lambda: bench.motor.tip_m < 0.1e-3)
+
+
+@pytest.mark.parametrize("fault", ["overtemperature", "following error", "stall"])
+def test_after_a_fault_of_the_drive_the_tip_withdraws_as_soon_as_the_drive_obeys(
+    bench: Bench, fault: str
+) -> None:
+    bench.start(RATE_HZ, 0.05e-3)
+    bench.motor.fail(fault)  # type: ignore[arg-type]
+    bench.keep(RATE_HZ, lambda: bench.fault)
+    words = {"following error": ("following error", "deviation"), "stall": ("stall", "blocked")}
+    assert any(word in bench.fault for word in words.get(fault, (fault,)))
+    bench.motor.reset()
+    bench.wait(lambda: bench.drive.status().withdrawal is not WithdrawalOutcome.UNDER_WAY)
+    bench.wait(lambda: bench.at_rest)
+    assert bench.motor.tip_m < 0
+    bench.start(RATE_HZ)
+
+
+def test_without_commands_for_the_watchdogs_time_the_tip_withdraws(bench: Bench) -> None:
+    bench.start(RATE_HZ, 0.05e-3)
+    bench.wait(lambda: bench.fault)
+    assert bench.fault.startswith("no command for 5")
+    assert withdrawn(bench) < -0.2e-3
+    bench.drive.command(RATE_HZ * bench.actuator.step_m)
+    assert bench.at_rest
+
+
+def test_a_withdrawn_tip_stays_off_the_finger(bench: Bench) -> None:
+    bench.start(RATE_HZ, 0.1e-3)
+    bench.drive.withdraw("stopped")
+    away_m = withdrawn(bench)
+    assert away_m < -0.2e-3
+    for _ in range(100):
+        bench.drive.command(RATE_HZ * bench.actuator.step_m)
+        bench.clock.sleep(0.002)
+    assert bench.fault == "stopped"
+    assert bench.motor.tip_m == away_m
+
+
+def test_the_film_confirms_a_withdrawal(bench: Bench) -> None:
+    bench.start(RATE_HZ, 0.2e-3)
+    bench.drive.withdraw("stopped")
+    film = lambda: bench.drive.report_film(bench.motor.force_n, bench.clock.now_ns)  # noqa: E731
+    bench.wait(lambda: bench.drive.status().withdrawal is WithdrawalOutcome.WITHDRAWN, film)
+    assert bench.motor.force_n == 0.0
+
+
+@pytest.mark.parametrize("film", [True, False], ids=["film", "no film"])
+def test_a_reversed_motor_is_refused_before_it_presses(kind: str, film: bool) -> None:
+    """The wires of the shaft are swapped from the start; its drive counts as commanded."""
+    with virtual_bench(kind, touch="2 mm") as bench:
+        bench.motor.injector.begin(InjectedFault(FaultKind.REVERSED), bench.clock.now_ns)
+        forces_n = [0.0]
+
+        def force_n() -> float | None:
+            forces_n.append(bench.motor.force_n)
+            return forces_n[-1] if film else None
+
+        with pytest.raises(DriveError, match="inverted") as error:
+            bench.drive.start(force_n)
+        assert error.value.kind == "wrong way"
+        assert bench.fault
+        bench.wait(lambda: bench.at_rest)
+        if film:
+            assert max(forces_n) < 0.4
+            assert bench.motor.force_n < 0.1
+
+
+def test_a_home_switch_that_stays_closed_is_the_wrong_way(kind: str) -> None:
+    """The motor turns the wrong way from the end of its search on."""
+    with virtual_bench(kind, touch="0.3 mm") as bench:
+        searched = []
+
+        def watch() -> None:
+            if bench.motor.homing or searched == [False]:
+                searched[:] = [not bench.motor.homing]
+                if not bench.motor.homing:
+                    fault = InjectedFault(FaultKind.REVERSED)
+                    bench.motor.injector.begin(fault, bench.clock.now_ns)
+
+        bench.clock.every(1_000_000, watch)
+        with pytest.raises(DriveError, match=r"the home switch is closed 0\.15 mm from home"):
+            bench.drive.start()
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), DriveError("no answer", "it is off")])
+def test_a_start_that_is_ended_otherwise_leaves_the_tip_where_it_is(
+    bench: Bench, error: BaseException
+) -> None:
+    places_m = []
+
+    def force_n() -> float:
+        places_m.append(bench.motor.tip_m)
+        if len(places_m) > 3:
+            raise error
+        return 0.0
+
+    with pytest.raises(type(error)):
+        bench.drive.start(force_n)
+    bench.wait(lambda: bench.at_rest)
+    assert bench.fault in ("closed", "not started")
+    assert bench.motor.tip_m == pytest.approx(places_m[-1], abs=0.1e-3)
+
+
+def test_a_drive_that_fails_on_its_way_to_first_touch_is_closed(bench: Bench) -> None:
+    looks = [0]
+
+    def force_n() -> float:
+        looks[0] += 1
+        if bench.motor.homing:
+            looks[0] = 0
+        if looks[0] == 20:
+            bench.motor.fail("overtemperature")
+        return 0.0
+
+    with pytest.raises(DriveError, match="on its way to first touch: fault: overtemperature"):
+        bench.drive.start(force_n)
+    assert bench.drive.status().withdrawal is None
+
+
+def test_a_tip_that_does_not_come_nearer_is_given_up(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Supervisor, "velocity", lambda supervisor, now_ns: 0)
+    with pytest.raises(DriveError, match=r"0\.2.. mm before first touch, and no near") as error:
+        bench.drive.start()
+    assert error.value.kind == "not there"
+
+
+def test_a_film_that_is_pressed_before_first_touch_ends_the_motion() -> None:
+    readings = iter([0.30, 0.28, 0.31, None, 0.37, 0.39])
+    guard = TouchGuard(lambda: next(readings))
+    for _ in range(4):
+        guard()
+    with pytest.raises(DriveError, match="the film reads 110 mN more before first touch"):
+        guard()
+
+
+def test_a_search_for_home_goes_no_further_than_home_can_be() -> None:
+    axis = build_axis(tmcl_scene(port="x"), stepper(), LAYER, FORCE_LIMIT_N)
+    assert -axis.lowest_m > OPENED_M
+    most_m = axis.furthest_m - axis.lowest_m + SEARCH_MARGIN_M
+    bound_search(axis, 1e-3, 1e-3 - 0.99 * most_m)
+    for place_m in (1e-3 - 1.01 * most_m, 1e-3 + 1.01 * most_m):
+        with pytest.raises(DriveError, match="no home switch on"):
+            bound_search(axis, 1e-3, place_m)
