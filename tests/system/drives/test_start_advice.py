@@ -5,8 +5,10 @@ import pty
 import re
 from collections import Counter
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import can
 import pytest
@@ -16,10 +18,14 @@ from typer.testing import CliRunner
 from display_node.cli import app
 from display_node.drives.tmcl.line import TmclLine
 from display_node.fault_advice import OTHERWISE, START_ADVICE, advised, start_advice
-from protocol.errors import DriveError
+from display_node.node import DisplayNode, connected
+from display_node.scene import DisplayScene
+from protocol.config.scene import load_section
+from protocol.errors import DriveError, SceneError
 from tests.support.drive_benches import tmcl_scene
 from tests.support.log_lines import strays
-from tests.support.nodes import ROOT
+from tests.support.nodes import ROOT, free_address
+from tests.support.virtual_bench import SCENES, VirtualBench
 from tests.system.commissioning.test_bench_command import drive_scene
 
 DRIVES = ROOT / "display_node" / "drives"
@@ -126,3 +132,35 @@ def test_display_node_names_what_where_and_what_to_do(tmp_path: Path) -> None:
     assert port is not None
     assert line.startswith(f"display-node: {port[1]} cannot be opened: No such file or directory; ")
     assert "check `port` in [display.drive] and the cable" in line
+
+
+@pytest.fixture
+def bench_scene() -> DisplayScene:
+    return load_section(SCENES / "tmcl_bench.toml", "display", DisplayScene)
+
+
+def test_a_node_judges_its_loop_once_before_its_drive_moves(
+    bench_scene: DisplayScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judged = Mock()
+    monkeypatch.setattr("display_node.control.force_loop.refuse_unstable", judged)
+    with closing(DisplayNode(bench_scene, [free_address()], "tcp://127.0.0.1:*")) as node:
+        assert judged.call_count == 1
+        node.use(VirtualBench(lambda ms: 0.3).hardware)
+    # Once more by the virtual bench's own display.
+    assert judged.call_count == 2
+
+
+def test_a_drive_without_a_film_is_refused_unless_that_is_wanted(bench_scene: DisplayScene) -> None:
+    """Before anything is opened: this scene's ports are not there."""
+    blind = bench_scene.model_copy(update={"feedback": None})
+    with (
+        pytest.raises(SceneError, match=r"\[display\.feedback\] is missing.*--without-film"),
+        connected(blind, SCENES),
+    ):
+        pass
+    with (
+        pytest.raises(DriveError, match="cannot be opened"),
+        connected(blind, SCENES, without_film=True),
+    ):
+        pass

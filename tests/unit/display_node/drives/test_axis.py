@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from display_node.drives.axis import LARGEST, SoftLimits, Units, build_axis
+from display_node.drives.axis import LARGEST, Axis, Units, build_axis
 from display_node.plant.stepper import StepperScene
 from telepulse.emulators.motor import TICK_NS, EmulatedMotor
 from tests.support.drive_benches import FORCE_LIMIT_N, LAYER, stepper, tmcl_scene
@@ -31,6 +31,7 @@ def test_no_number_overflows_what_a_drive_can_take(value: float) -> None:
     assert abs(UNITS.position(value)) <= LARGEST
 
 
+AXIS = Axis(UNITS, -0.002, 0.003, 0.4, 20.0, 16, reaction_s=0.05, search_s=5.0, clear_m=-5e-4)
 WATCHDOG_NS = 50_000_000
 
 
@@ -42,45 +43,44 @@ WATCHDOG_NS = 50_000_000
 def test_a_bounded_speed_points_the_same_way_and_is_no_faster(
     wanted: float, position_m: float, age_s: float
 ) -> None:
-    bounded = SoftLimits(-0.002, 0.003, 20.0, 0.05).bound(wanted, position_m, age_s)
+    bounded = AXIS.bounded(wanted, position_m, age_s)
     assert abs(bounded) <= abs(wanted)
     assert bounded * wanted >= 0
 
 
-def test_what_is_beyond_an_end_may_only_come_back() -> None:
-    travel = SoftLimits(-0.002, 0.003, 20.0, 0.05)
-    assert travel.bound(0.1, 0.0031, 0.0) == 0.0
-    assert travel.bound(-0.1, -0.0021, 0.0) == 0.0
-    assert travel.bound(-0.1, 0.0031, 0.0) < 0.0
-    assert travel.bound(0.1, -0.0021, 0.0) > 0.0
+def test_beyond_an_end_only_the_way_back_is_allowed() -> None:
+    assert AXIS.bounded(0.1, 0.0031, 0.0) == 0.0
+    assert AXIS.bounded(-0.1, -0.0021, 0.0) == 0.0
+    assert AXIS.bounded(-0.1, 0.0031, 0.0) < 0.0
+    assert AXIS.bounded(0.1, -0.0021, 0.0) > 0.0
 
 
 @pytest.mark.parametrize("speed", [math.nan, 0.0])
-def test_no_number_is_no_motion(speed: float) -> None:
-    assert SoftLimits(-1, 1, 20.0, 0.05).bound(speed, 0.0, 0.0) == 0.0
-    assert SoftLimits(-1, 1, 20.0, 0.05).bound(1.0, math.nan, 0.0) == 0.0
+def test_a_speed_or_position_that_is_no_number_is_no_motion(speed: float) -> None:
+    assert AXIS.bounded(speed, 0.0, 0.0) == 0.0
+    assert AXIS.bounded(1.0, math.nan, 0.0) == 0.0
 
 
 @pytest.mark.parametrize("direction", [1, -1])
-@pytest.mark.parametrize("heard_ms_ago", [0, 10, 40])
+@pytest.mark.parametrize("age_ms", [0, 10, 40])
 @pytest.mark.parametrize("killed_after_ms", [3, 10, 40, 100, 400])
 def test_whenever_the_commands_end_the_watchdog_stops_the_tip_before_the_end_of_its_travel(
-    killed_after_ms: int, heard_ms_ago: int, direction: int
+    killed_after_ms: int, age_ms: int, direction: int
 ) -> None:
     scene = tmcl_scene(port="x", watchdog="50 ms", touch="2 mm", reply_timeout="10 ms")
     actuator = stepper()
     axis = build_axis(scene, actuator, LAYER, FORCE_LIMIT_N)
-    motor = at_first_touch(actuator)
+    motor, began_ns = at_first_touch(actuator)
     motor.set_watchdog(WATCHDOG_NS)
     tips_m = [motor.tip_m]
     for tick in range(1, killed_after_ms + 200):
         if tick <= killed_after_ms:
-            known_m = tips_m[max(0, len(tips_m) - 1 - heard_ms_ago)]
+            known_m = tips_m[max(0, len(tips_m) - 1 - age_ms)]
             wanted = direction * axis.max_speed_m_per_s
-            speed = axis.soft_limits.bound(wanted, known_m, heard_ms_ago * 1e-3)
+            speed = axis.bounded(wanted, known_m, age_ms * 1e-3)
             motor.run(axis.units.velocity(speed))
             motor.feed()
-        motor.advance((motor_ms(motor) + 1) * TICK_NS)
+        motor.advance(began_ns + tick * TICK_NS)
         tips_m.append(motor.tip_m)
     assert motor.rate_hz == 0.0
     assert axis.lowest_m - actuator.step_m <= min(tips_m)
@@ -89,16 +89,13 @@ def test_whenever_the_commands_end_the_watchdog_stops_the_tip_before_the_end_of_
     assert max(abs(tip_m) for tip_m in tips_m) > 20e-6
 
 
-def motor_ms(motor: EmulatedMotor) -> int:
-    return motor._now_ns // TICK_NS
-
-
-def at_first_touch(actuator: StepperScene) -> EmulatedMotor:
-    """A motor that stands at first touch, as after a drive's start."""
-    motor = EmulatedMotor(actuator, actuator.contact(LAYER), 2e-3, now_ns=0)
+def at_first_touch(actuator: StepperScene) -> tuple[EmulatedMotor, int]:
+    """A motor that stands at first touch, as after a drive's start, and the time."""
+    motor, now_ns = EmulatedMotor(actuator, actuator.contact(LAYER), 2e-3, now_ns=0), 0
     while motor.tip_m < 0:
         motor.run(min(1600.0, -motor.tip_m / actuator.step_m * 50 + 100))
-        motor.advance((motor_ms(motor) + 1) * TICK_NS)
+        now_ns += TICK_NS
+        motor.advance(now_ns)
     motor.run(0.0)
-    motor.advance((motor_ms(motor) + 10) * TICK_NS)
-    return motor
+    motor.advance(now_ns + 10 * TICK_NS)
+    return motor, now_ns + 10 * TICK_NS

@@ -5,9 +5,10 @@ import random
 import pytest
 
 from display_node.drives.axis import Axis, build_axis
-from display_node.drives.supervisor import Supervisor
+from display_node.drives.supervisor import PATIENCE_S, PassableLock, Supervisor
 from display_node.drives.withdrawal import WithdrawalOutcome
 from tests.support.drive_benches import FORCE_LIMIT_N, LAYER, stepper, tmcl_scene
+from tests.support.virtual_time import VirtualTime
 
 MS = 1_000_000
 WATCHDOG_NS = 50 * MS
@@ -53,14 +54,10 @@ class Bench:
         return supervisor
 
 
-def test_before_it_is_armed_and_after_its_end_it_rests() -> None:
+def test_before_it_is_armed_it_rests() -> None:
     supervisor = Supervisor(axis(), WATCHDOG_NS)
     supervisor.command(0.01, MS)
     assert (supervisor.fault, supervisor.velocity(MS)) == ("not started", 0)
-    supervisor.arm(MS)
-    supervisor.end("closed")
-    supervisor.command(0.01, 2 * MS)
-    assert (supervisor.fault, supervisor.velocity(2 * MS)) == ("closed", 0)
 
 
 @pytest.mark.parametrize("stalled_ms", [51, 100, 400, 10_000])
@@ -72,7 +69,7 @@ def test_a_host_that_stood_still_withdraws(stalled_ms: int) -> None:
     bench.speed = 0.0
     supervisor = bench.run(200)
     assert supervisor.fault == f"no command for {stalled_ms + 1} ms"
-    assert supervisor.outcome is WithdrawalOutcome.WITHDRAWN
+    assert supervisor.status(0.0).withdrawal is WithdrawalOutcome.WITHDRAWN
     assert bench.tip_m < -0.4e-3
 
 
@@ -103,7 +100,7 @@ def test_a_position_that_stands_still_is_a_following_error_and_is_not_gone_by() 
     assert "following error" in str(supervisor.fault)
     # 150 µm, as long as positions may be late, and as long as it must last.
     assert bench.furthest_m < bench.frozen_m + 1.2e-3
-    assert supervisor.outcome is WithdrawalOutcome.UNCONFIRMED
+    assert supervisor.status(0.0).withdrawal is WithdrawalOutcome.UNCONFIRMED
     assert bench.tip_m < -0.5e-3
 
 
@@ -129,7 +126,7 @@ def test_before_its_direction_is_verified_a_fault_leaves_it_at_rest() -> None:
     bench.supervisor.fail("wrong way", bench.now_ms * MS)
     bench.run(100)
     assert bench.speeds[-100:] == [0.0] * 100
-    assert bench.supervisor.outcome is None
+    assert bench.supervisor.withdrawal is None
 
 
 def test_the_first_fault_stays() -> None:
@@ -145,3 +142,33 @@ def test_the_limits_of_the_travel_are_reported() -> None:
     assert not bench.run(10, 5e-3).status(0.0).held_back
     assert bench.run(300, 60e-3).status(0.0).held_back
     assert not bench.run(50, -5e-3).status(0.0).held_back
+
+
+def test_a_lock_is_passed_while_its_holder_stands_still_and_then_excludes_again() -> None:
+    world, entries = VirtualTime(now_ns=0), list[tuple[str, float]]()
+    with world.substituted(("display_node.drives.supervisor",)):
+        lock = PassableLock()
+
+    def loop() -> None:
+        for held_s in (1.0, 0.02):
+            with lock:
+                entries.append(("loop", world.monotonic()))
+                world.sleep(held_s)
+            world.sleep(0.001)
+
+    def drive() -> None:
+        world.sleep(0.5)
+        for _ in range(2):
+            with lock.passing():
+                entries.append(("drive", world.monotonic()))
+        for sleep_s in (0.4505, 0.0095):
+            world.sleep(sleep_s)
+            with lock.passing():
+                entries.append(("drive", world.monotonic()))
+
+    world.thread(loop)
+    world.thread(drive).join()
+    # The first waits for PATIENCE_S, the second not at all, the last for the loop's release.
+    times_s = [0.0, 0.5 + PATIENCE_S, 0.5 + PATIENCE_S, 1.0005, 1.001, 1.021]
+    assert [name for name, _ in entries] == ["loop", *["drive"] * 3, "loop", "drive"]
+    assert [time_s for _, time_s in entries] == pytest.approx(times_s)

@@ -1,28 +1,23 @@
 """The bench behind a display: what it does with a fault, in virtual time."""
 
-import math
 import re
 import time
 from collections import Counter
 from collections.abc import Callable
-from contextlib import closing
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
-from display_node.drives import hardware
 from display_node.drives.supervisor import DriveStatus
 from display_node.drives.withdrawal import WithdrawalOutcome
-from display_node.node import DisplayNode, connected
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
-from protocol.errors import DriveError, SceneError, SourceError
+from protocol.errors import SceneError, SourceError
 from pulse_sensors.samples import SampleBlock
-from tests.support.nodes import free_address
 from tests.support.sender import MS, Sender
 from tests.support.streams import synthetic
 from tests.support.virtual_bench import SCENES, TICK_MS, VirtualBench
+from tests.support.virtual_time import VirtualTime
 
 STILL_MM_PER_S = 1e-3
 BAR_MS = 100
@@ -49,21 +44,19 @@ def ended_after_ms(bench: VirtualBench, from_ms: int, pressing: bool = False) ->
     return last_ns // MS - from_ms
 
 
-def test_the_pulse_is_followed_through_drive_and_film(pulse_n: Callable[[float], float]) -> None:
-    bench = VirtualBench(pulse_n)
-    bench.run(6_000)
-    assert rmse_n(bench) < 0.4e-3
-
-
-@pytest.mark.parametrize("late_us", [lambda ms: 300, lambda ms: ms * 7919 % 1000])
-def test_commands_that_come_late_cost_little(
-    pulse_n: Callable[[float], float], late_us: Callable[[int], int]
+@pytest.mark.parametrize(
+    ("late_us", "most_mn"),
+    [(lambda ms: 0, 0.4), (lambda ms: 300, 0.45), (lambda ms: ms * 7919 % 1000, 0.45)],
+    ids=["in time", "0.3 ms late", "up to 1 ms late"],
+)
+def test_the_pulse_is_followed_through_drive_and_film(
+    pulse_n: Callable[[float], float], late_us: Callable[[int], int], most_mn: float
 ) -> None:
-    """By their times the display knows where the tip has gone meanwhile."""
+    """By the commands' times the display knows where the tip has gone meanwhile."""
     bench = VirtualBench(pulse_n)
     bench.command_late_ns = lambda ms: 1_000 * late_us(ms)
     bench.run(6_000)
-    assert rmse_n(bench) < 0.45e-3
+    assert rmse_n(bench) < most_mn * 1e-3
 
 
 def test_missed_ticks_cost_little(pulse_n: Callable[[float], float]) -> None:
@@ -127,7 +120,7 @@ def hang(bench: VirtualBench) -> None:
     ids=["feedback lost", "stale stream", "drive fault", "process hangs"],
 )
 @pytest.mark.parametrize("from_ms", [2_000, 2_130, 2_311, 2_502, 2_777])
-def test_after_a_fault_it_rests_or_has_left_the_finger_within_100_ms(
+def test_after_a_fault_the_tip_rests_or_is_off_the_finger_within_100_ms(
     pulse_n: Callable[[float], float],
     happens: Callable[[VirtualBench], None],
     pressing: bool,
@@ -199,7 +192,7 @@ def test_a_loop_that_hangs_alone_leaves_the_withdrawal_to_the_drives_thread(
     assert bench.moments[-1].force_n == 0
 
 
-def test_a_long_overrun_is_a_fault_whatever_the_drive_says(
+def test_a_long_overrun_is_a_fault_whatever_the_drive_reports(
     pulse_n: Callable[[float], float],
 ) -> None:
     bench = VirtualBench(pulse_n)
@@ -279,7 +272,7 @@ def test_after_a_fault_and_a_restart_the_force_comes_back_by_a_ramp(
     assert felt_n[-1] == pytest.approx(0.5, abs=2e-3)
 
 
-def test_what_goes_wrong_is_counted_and_told() -> None:
+def test_errors_are_counted_and_named() -> None:
     bench = VirtualBench(lambda ms: 0.3)
     bench.drive.counts["superseded"] = 3
     bench.film.rejected["garbled"] = 2
@@ -290,7 +283,7 @@ def test_what_goes_wrong_is_counted_and_told() -> None:
     assert bench.hardware.faults() == ["the film is torn"]
 
 
-def test_when_it_is_closed_the_tip_leaves_the_finger(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_closing_takes_the_tip_off_the_finger(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = VirtualBench(lambda ms: 0.5)
     bench.run(2_000)
     assert bench.moments[-1].force_n > 0.4
@@ -306,82 +299,58 @@ def test_when_it_is_closed_the_tip_leaves_the_finger(monkeypatch: pytest.MonkeyP
     assert bench.film.closed
 
 
-def test_a_node_judges_its_loop_once_before_its_drive_moves(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    bench, judged = VirtualBench(lambda ms: 0.3), Mock()
-    monkeypatch.setattr("display_node.control.force_loop.refuse_unstable", judged)
-    with closing(DisplayNode(bench.scene, [free_address()], "tcp://127.0.0.1:*")) as node:
-        assert judged.call_count == 1
-        node.use(bench.hardware)
-    assert judged.call_count == 1
-
-
-class Quiet(VirtualBench):
-    """A film whose first sample comes with the third look at it, or never."""
-
-    looks = 0
-
-    def poll(self) -> list[SampleBlock]:
-        self.looks += 1
-        now_ns = time.monotonic_ns()
-        return [SampleBlock(np.array([[0.1]]), 0, now_ns, now_ns + MS)] if self.looks >= 3 else []
-
-
 @pytest.fixture
 def scene() -> DisplayScene:
     return load_section(SCENES / "tmcl_bench.toml", "display", DisplayScene)
 
 
-def test_it_starts_with_the_films_first_sample(scene: DisplayScene) -> None:
-    bench = Quiet(lambda ms: 0.3)
-    started = scene.hardware(bench.drive, bench)  # type: ignore[arg-type]
-    started.start()
+class QuietFilm:
+    """A film whose first sample comes with some look at it."""
+
+    def __init__(self, world: VirtualTime, first: int) -> None:
+        self._world, self._first = world, first
+        self.rejected: Counter[str] = Counter()
+        self.looks = 0
+
+    def poll(self) -> list[SampleBlock]:
+        self.looks += 1
+        now_ns = self._world.now_ns + self.looks
+        block = SampleBlock(np.array([[0.1]]), 0, now_ns, now_ns + MS)
+        return [block] if self.looks >= self._first else []
+
+
+@pytest.mark.parametrize("first", [3, 10_000])
+def test_a_bench_starts_with_the_films_first_sample(scene: DisplayScene, first: int) -> None:
+    bench, world = VirtualBench(lambda ms: 0.3), VirtualTime()
+    film = QuietFilm(world, first)
+    with world.substituted(("display_node.drives.hardware",)):
+        started = scene.hardware(bench.drive, film)  # type: ignore[arg-type]
+        if first == 10_000:
+            with pytest.raises(SourceError, match="no sample within 5 s"):
+                started.start()
+            return
+        started.start()
     # The first sample is there before the drive moves.
-    assert bench.looks == 4
+    assert film.looks == 4
     assert started.feedback.samples == 2
 
 
-def test_without_a_first_sample_it_does_not_start(
-    scene: DisplayScene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(hardware, "FIRST_SAMPLE_WITHIN_S", 0.05)
-    bench = Quiet(lambda ms: 0.3)
-    bench.looks = -10_000
-    with pytest.raises(SourceError, match=r"no sample within 0\.05 s"):
-        scene.hardware(bench.drive, bench).start()  # type: ignore[arg-type]
-
-
-def test_without_a_sensor_the_drive_says_where_it_presses(scene: DisplayScene) -> None:
+def test_without_a_sensor_the_drives_position_gives_the_force(scene: DisplayScene) -> None:
     bench = VirtualBench(lambda ms: 0.5)
     bench.run(2_000)
-    told = scene.hardware(bench.drive, sensor=None)
-    told.read()
-    told.read()
-    read_n = told.feedback.read(bench.now_ms * MS)
+    found = scene.hardware(bench.drive, sensor=None)
+    found.read()
+    found.read()
+    read_n = found.feedback.read(bench.now_ms * MS)
     assert read_n == pytest.approx(bench.drive.motor.force_n, rel=1e-6)
-    assert not math.isnan(read_n)
-    # The same report, seen again, is no second sample.
-    assert told.feedback.samples == 1
-    assert told.counts == Counter()
+    # The same report, read again, is no second sample.
+    assert found.feedback.samples == 1
+    assert found.counts == Counter()
+    finger = found.finger(bench.now_ms * MS)
+    assert (finger.force_n, finger.measured_by) == (read_n, "by the drive's position")
 
 
 def test_a_scene_without_a_drive_is_refused(scene: DisplayScene) -> None:
     bench = VirtualBench(lambda ms: 0.3)
     with pytest.raises(SceneError, match="drive"):
         scene.model_copy(update={"drive": None}).hardware(bench.drive, None)
-
-
-def test_a_drive_without_a_film_is_refused_unless_that_is_wanted(scene: DisplayScene) -> None:
-    """Before anything is opened: this scene's ports are not there."""
-    blind = scene.model_copy(update={"feedback": None})
-    with (
-        pytest.raises(SceneError, match=r"\[display\.feedback\] is missing.*--without-film"),
-        connected(blind, SCENES),
-    ):
-        pass
-    with (
-        pytest.raises(DriveError, match="cannot be opened"),
-        connected(blind, SCENES, without_film=True),
-    ):
-        pass
