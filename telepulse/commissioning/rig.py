@@ -5,9 +5,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from display_node.drives.drive import Drive
+from display_node.drives.drive import PERIOD_S, Drive
 from display_node.drives.hardware import WITHDRAWN_WITHIN_S
-from display_node.drives.drive import PERIOD_S
 from display_node.drives.scene import Cia402Scene, TmclScene
 from display_node.drives.withdrawal import WithdrawalOutcome
 from display_node.plant.film import FeedbackFilm
