@@ -45,7 +45,7 @@ def send_copies(port: str) -> None:
 
     sockets.send = send_many
     limits = node.queue_limits
-    node.queue_limits = lambda stream: {**limits(stream), zmq.SNDHWM: 100_000}
+    node.queue_limits = lambda description: {**limits(description), zmq.SNDHWM: 100_000}
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ import uuid
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import can
@@ -149,7 +150,8 @@ def polled(poll: Callable[[], object]) -> Iterator[None]:
 @contextmanager
 def real_bench(kind: str, **keys: Any) -> Iterator[Bench]:
     """A bench on a real line; kind: "tmcl", "tmcl-can", "cia402" or one of the last by "-slcan"."""
-    port, channel, bus = PtyPort(None), uuid.uuid4().hex, None
+    port, channel = PtyPort(None), uuid.uuid4().hex
+    bus: Any = None
     if "slcan" in kind:
         channel, bus = str(port.path), SlcanBus(port)
         keys |= {"interface": "slcan", "options": {"sleep_after_open": 0.0}}
@@ -168,14 +170,16 @@ def real_bench(kind: str, **keys: Any) -> Iterator[Bench]:
     bench = Bench(scene, actuator, motor, line=port)
     if isinstance(scene, Cia402Scene):
         node = bench.emulator = EmulatedCia402Node(scene, motor, bus)
-        poll, close = lambda: (time.sleep(0.001), node.poll()), node.close
+        parts: list[Callable[[], object]] = [partial(time.sleep, 0.001), node.poll]
+        close = node.close
     else:
         module = bench.emulator = EmulatedTmclModule(scene, motor)
         line = (
             EmulatedSerialLine(module, port) if bus is None else EmulatedCanLine(module, scene, bus)
         )
-        poll, close = lambda: (line.serve(0.002), motor.advance(time.monotonic_ns())), line.close
-    with closing(bench.drive), polled(poll):
+        parts = [partial(line.serve, 0.002), lambda: motor.advance(time.monotonic_ns())]
+        close = line.close
+    with closing(bench.drive), polled(lambda: [part() for part in parts]):
         yield bench
         bench.drive.close()
     close()

@@ -226,11 +226,11 @@ class ThreadedBench:
     fault_ns: int | None = None
 
     def __post_init__(self) -> None:
-        assert isinstance(self.scene.actuator, StepperScene)
-        assert self.scene.drive is not None
         if not self.with_film:
             self.scene = self.scene.model_copy(update={"feedback": None})
-        self.drive_scene: DriveScene = self.scene.drive  # type: ignore[assignment]
+        assert isinstance(self.scene.actuator, StepperScene)
+        assert self.scene.drive is not None
+        self.drive_scene: DriveScene = self.scene.drive
         world, actuator = self.world, self.scene.actuator
         stiffness = self.finger * actuator.fingertip_n_per_m
         finger = actuator.model_copy(update={"fingertip_n_per_m": stiffness})

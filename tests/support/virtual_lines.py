@@ -4,6 +4,7 @@ import math
 from collections import deque
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from functools import partial
 from typing import Any
 from unittest.mock import patch
 
@@ -84,9 +85,7 @@ class ModulePort:
     def poll(self) -> None:
         """Send the replies that are due."""
         for reply in self._module.injector.due_answers(self._world.now_ns):
-            self._world.at(
-                self._world.now_ns + LINE_NS, lambda data=reply: self.replies.write(data)
-            )
+            self._world.at(self._world.now_ns + LINE_NS, partial(self.replies.write, reply))
 
     def _receive(self, data: bytes) -> None:
         if not self.unplugged:
