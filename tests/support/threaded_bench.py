@@ -8,10 +8,6 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from typing import Any
-from unittest.mock import patch
-
-import can
 
 from display_node.display import Display
 from display_node.drives import Drive, build_drive
@@ -21,12 +17,11 @@ from display_node.scene import DisplayScene
 from protocol.host.realtime import Pacer
 from pulse_sensors.sensor import Sensor
 from pulse_sensors.serial_port import SerialScene
-from telepulse.emulators.cia402 import EmulatedCia402Node
 from telepulse.emulators.drive_run import EmulatedFilm
 from telepulse.emulators.motor import EmulatedMotor, MotorState
-from telepulse.emulators.tmcl import DatagramSplitter, EmulatedTmclModule
 from tests.support.sender import MS, Sender
-from tests.support.virtual_time import VirtualEvent, VirtualThread, VirtualTime
+from tests.support.virtual_lines import PORT_BYTES, Pipe, cia402_line, tmcl_line
+from tests.support.virtual_time import VirtualThread, VirtualTime
 
 # The modules that wait or read the clock.
 VIRTUAL = (
@@ -37,34 +32,6 @@ VIRTUAL = (
 )
 BATCH = 5
 NETWORK_NS = 2 * MS
-# A serial line to a module on USB, in each direction.
-LINE_NS = 200_000
-# The kernel's buffer of a serial port.
-PORT_BYTES = 4096
-
-
-class Pipe:
-    """Bytes in transit to a reader; what does not fit is dropped, as by a kernel's buffer."""
-
-    def __init__(self, world: VirtualTime) -> None:
-        self._data = b""
-        self._arrived = VirtualEvent(world)
-
-    def write(self, data: bytes) -> None:
-        self._data += data[: PORT_BYTES - len(self._data)]
-        self._arrived.set()
-
-    @property
-    def waiting(self) -> int:
-        return len(self._data)
-
-    def read(self, size: int, timeout_s: float) -> bytes:
-        """Wait for any bytes, and return up to `size` of them."""
-        if not self._data:
-            self._arrived.clear()
-            self._arrived.wait(timeout_s)
-        data, self._data = self._data[:size], self._data[size:]
-        return data
 
 
 class FilmPort:
@@ -88,117 +55,6 @@ class FilmPort:
 
     def close(self) -> None:
         pass
-
-
-class ModulePort:
-    """The serial port to an emulated TMCL module, in place of pyserial's."""
-
-    def __init__(self, world: VirtualTime, module: EmulatedTmclModule) -> None:
-        self._world, self._module = world, module
-        self._datagrams = DatagramSplitter()
-        self._replies = Pipe(world)
-        self.timeout_s = 0.01
-
-    def write(self, data: bytes) -> None:
-        self._world.at(self._world.now_ns + LINE_NS, lambda: self._receive(bytes(data)))
-
-    def read(self, size: int) -> bytes:
-        """Wait for so many bytes until the timeout."""
-        data, until_ns = b"", self._world.now_ns + round(self.timeout_s * 1e9)
-        while len(data) < size and self._world.now_ns < until_ns:
-            data += self._replies.read(size - len(data), (until_ns - self._world.now_ns) * 1e-9)
-        return data
-
-    @property
-    def in_waiting(self) -> int:
-        return self._replies.waiting
-
-    def reset_input_buffer(self) -> None:
-        self._replies.read(PORT_BYTES, 0.0)
-
-    def close(self) -> None:
-        pass
-
-    def poll(self) -> None:
-        for reply in self._module.injector.due_answers(self._world.now_ns):
-            self._world.at(
-                self._world.now_ns + LINE_NS, lambda data=reply: self._replies.write(data)
-            )
-
-    def _receive(self, data: bytes) -> None:
-        now_ns = self._world.now_ns
-        for request in self._datagrams.feed(data, now_ns):
-            reply = self._module.reply(request, now_ns)
-            if reply:
-                self._module.injector.queue_answer(reply, now_ns)
-        self.poll()
-
-
-class CanEnd(can.BusABC):
-    """One end of a CAN bus of two nodes, read by a `Notifier`."""
-
-    def __init__(self, at_drive: bool) -> None:
-        super().__init__(channel="virtual time")
-        self.channel_info = "virtual time"
-        self.at_drive = at_drive
-        self.far: CanEnd | None = None
-        self.notifier: Notifier | None = None
-
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        if self.far is not None and self.far.notifier is not None:
-            # The sender may reuse the message.
-            data, identifier = bytes(msg.data), msg.arbitration_id
-            frame = can.Message(arbitration_id=identifier, is_extended_id=False, data=data)
-            self.far.notifier.receive(frame)
-
-    def shutdown(self) -> None:
-        self._is_shutdown = True
-
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        return None, False
-
-
-class Notifier:
-    """The replacement of `can.Notifier`: a thread that passes frames to the listeners.
-
-    Frames to the drive are passed on at once, as is an SDO's answer, which arrives while its
-    request is being sent.
-    """
-
-    exception: Exception | None = None
-
-    def __init__(self, world: VirtualTime, bus: CanEnd, listeners: list[Any]) -> None:
-        self._world = world
-        self._listeners = listeners
-        self._at_drive = bus.at_drive
-        self._frames: deque[can.Message] = deque()
-        self._arrived = VirtualEvent(world)
-        self._stopped = False
-        bus.notifier = self
-        if not self._at_drive:
-            world.thread(self._run, name="notifier")
-
-    def receive(self, frame: can.Message) -> None:
-        if self._at_drive or self._world.current is not None:
-            self._deliver(frame)
-        else:
-            self._frames.append(frame)
-            self._arrived.set()
-
-    def stop(self, timeout: float = 5) -> None:
-        self._stopped = True
-        self._arrived.set()
-
-    def _run(self) -> None:
-        while not self._stopped:
-            self._arrived.wait()
-            self._arrived.clear()
-            while self._frames:
-                self._deliver(self._frames.popleft())
-
-    def _deliver(self, frame: can.Message) -> None:
-        for listener in self._listeners:
-            listener(frame)
 
 
 @dataclass
@@ -249,13 +105,11 @@ class ThreadedBench:
         world, patches = self.world, self._patches
         patches.enter_context(world.substituted(VIRTUAL))
         if isinstance(self.drive_scene, Cia402Scene):
-            self._connect_can(self.drive_scene)
+            line = cia402_line(world, self.drive_scene, self.motor)
+            patches.enter_context(line)
         else:
             assert isinstance(self.drive_scene, TmclScene)
-            module = EmulatedTmclModule(self.drive_scene, self.motor)
-            port = ModulePort(world, module)
-            patches.enter_context(patch("serial.serial_for_url", lambda *_, **__: port))
-            world.every(MS, port.poll)
+            patches.enter_context(tmcl_line(world, self.drive_scene, self.motor))
         world.every(MS, self._poll_motor)
         world.every(BATCH * MS, self._send_frame)
         return self
@@ -317,20 +171,6 @@ class ThreadedBench:
             raise
         self.display = Display(scene, "virtual", score=False)
         self.display.use(self.hardware)
-
-    def _connect_can(self, scene: Cia402Scene) -> None:
-        ours, drives = CanEnd(at_drive=False), CanEnd(at_drive=True)
-        ours.far, drives.far = drives, ours
-        self._patches.callback(ours.shutdown)
-        self._patches.callback(drives.shutdown)
-
-        def notifier(bus: CanEnd, listeners: list[Any], timeout: float = 1.0) -> Notifier:
-            return Notifier(self.world, bus, listeners)
-
-        self._patches.enter_context(patch("can.Notifier", notifier))
-        self._patches.enter_context(patch("can.Bus", lambda **_: ours))
-        node = EmulatedCia402Node(scene, self.motor, drives)
-        self.world.every(MS, node.poll)
 
     def _poll_motor(self) -> None:
         self.motor.advance(self.world.now_ns)
