@@ -149,7 +149,7 @@ def display(
     nothing by itself: the display withdraws, and shows the fault and what to do until it is
     stopped.
     """
-    console = plain_console(quiet)
+    console = plain_console(quiet, json)
     with one_line_errors(PROGRAM):
         configure_logging(log_level, quiet)
         allow_connections()

@@ -14,6 +14,7 @@ from rich.console import Console
 
 from protocol.errors import ProtectionError, TelepulseError
 from protocol.host.child_process import Sidecar, sidecar_module, start_sidecar
+from protocol.host.output import STDOUT
 from protocol.host.realtime import RealtimeGrant, RealtimeRequest, hold
 from protocol.provenance import Provenance
 from protocol.run_summary import Summary, print_summary, write_json
@@ -34,7 +35,8 @@ StopAfterOption = Annotated[
 ]
 DurationOption = Annotated[float, typer.Option(min=1, max=LONGEST_S, help="Seconds of pulse.")]
 JsonOption = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Write the closing summary here as JSON.")
+    Path | None,
+    typer.Option(metavar="FILE", help="Write the closing summary here as JSON; -: print only it."),
 ]
 
 
@@ -128,9 +130,12 @@ def one_line_errors(program: str) -> Iterator[None]:
         raise SystemExit(USAGE_ERROR) from None
 
 
-def plain_console(quiet: bool = False) -> Console:
-    """Return a console that prints text as it is: without markup, as peers send text, uncut."""
-    return Console(quiet=quiet, markup=False, emoji=False, soft_wrap=True)
+def plain_console(quiet: bool = False, json: Path | None = None) -> Console:
+    """Return a console that prints text as it is: without markup, as peers send text, uncut.
+
+    It is quiet, too, where the JSON of the command goes to standard output.
+    """
+    return Console(quiet=quiet or json == STDOUT, markup=False, emoji=False, soft_wrap=True)
 
 
 def sum_up(

@@ -94,7 +94,7 @@ def sense(
     Exit status: 0 at the end of the stream, 2 when the scene, the source or the address
     cannot be used; the reason is one line on stderr.
     """
-    console = plain_console(quiet)
+    console = plain_console(quiet, json)
     with ExitStack() as until_the_end:
         with one_line_errors(PROGRAM):
             configure_logging(log_level, quiet)

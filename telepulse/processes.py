@@ -5,7 +5,9 @@ It builds on `protocol.host.child_process`, which both nodes use for the process
 
 import itertools
 import json
+import logging
 import random
+import re
 from contextlib import ExitStack
 from pathlib import Path
 from socket import AF_INET, SOCK_STREAM, socket
@@ -15,6 +17,8 @@ from pydantic import TypeAdapter
 
 from protocol.host.child_process import ChildProcess
 from protocol.run_summary import Summary
+
+logger = logging.getLogger(__name__)
 
 HOST = "127.0.0.1"
 # Below the ports that systems give to outgoing connections: a node that connects to one of those
@@ -41,6 +45,14 @@ def free_addresses(count: int) -> list[str]:
 
 
 _SUMMARY = TypeAdapter(Summary)
+# A record of a process's log that its user should see.
+_WARNING = re.compile(r"^\d\d:\d\d:\d\d\.\d{3} (WARNING|ERROR|CRITICAL) (.*)$", re.MULTILINE)
+
+
+def log_warnings(name: str, errors: str) -> None:
+    """Log the warnings and errors of a process's log, under the process's name."""
+    for level, text in _WARNING.findall(errors):
+        logger.log(logging.getLevelNamesMapping()[level], f"{name}: {text}")
 
 
 class NodeProcess(ChildProcess):
@@ -61,23 +73,15 @@ class NodeProcess(ChildProcess):
     """
 
     def __init__(
-        self,
-        name: str,
-        module: str,
-        *arguments: str,
-        summary: Path,
-        **options: Any,
+        self, name: str, module: str, *arguments: str, summary: Path, **options: Any
     ) -> None:
         super().__init__(name, "-m", module, *arguments, "--json", str(summary), **options)
         self._summary = summary
 
     def await_summary(self, within_s: float, may_end_with: int = 0) -> Summary:
-        """Wait for the node to end and return its summary.
+        """Wait for the node to end, log its warnings and return its summary.
 
-        Raises
-        ------
-        ProcessError
-            When it does not end in time, or fails; see `await_end`.
+        Raises ProcessError when it does not end in time, or fails; see `await_end`.
         """
-        self.await_end(within_s, may_end_with)
+        log_warnings(self.name, self.await_end(within_s, may_end_with))
         return _SUMMARY.validate_python(json.loads(self._summary.read_text(encoding="utf-8")))

@@ -103,8 +103,8 @@ class ChildProcess(subprocess.Popen[str]):
             self.communicate()
         return self.returncode
 
-    def await_end(self, within_s: float, may_end_with: int = 0) -> None:
-        """Wait up to `within_s` for the process to end.
+    def await_end(self, within_s: float, may_end_with: int = 0) -> str:
+        """Wait up to `within_s` for the process to end; return what it wrote to a piped stderr.
 
         Raises ProcessError with its last error line when it does not end in time, or with another
         status than 0 and `may_end_with`.
@@ -115,6 +115,7 @@ class ChildProcess(subprocess.Popen[str]):
             raise ProcessError(f"the {self.name} did not end within {within_s:.0f} s") from None
         if self.returncode not in (0, may_end_with):
             raise self._failure(f"ended with status {self.returncode}", errors)
+        return errors or ""
 
     def _failure(self, what: str, errors: str | None = None) -> ProcessError:
         """Return the error that names what happened and the process's last error line."""

@@ -230,12 +230,17 @@ def unblocked_output() -> Iterator[None]:
             raise SystemExit(1) from None
 
 
+# The file that stands for standard output.
+STDOUT = Path("-")
+
+
 def check_writable(path: Path | None) -> None:
     """Check before a run that its result can be written to `path`; None is no file.
 
+    `STDOUT` always can.
     A file of that name is left as it is. Raises OutputError.
     """
-    if path is None:
+    if path is None or path == STDOUT:
         return
     with _refusals(path):
         if not path.parent.is_dir():
@@ -251,8 +256,11 @@ def check_writable(path: Path | None) -> None:
 def write_whole(path: Path, text: str) -> None:
     """Write a text file in one step: a reader finds the old file or the whole new one.
 
-    A pipe or a device is written to directly. Raises OutputError.
+    A pipe or a device is written to directly, and `STDOUT` printed. Raises OutputError.
     """
+    if path == STDOUT:
+        print(text, end="")
+        return
     with _refusals(path):
         if _is_special(path):
             path.write_text(text, encoding="utf-8")

@@ -8,12 +8,12 @@ from typing import Annotated
 import typer
 
 from display_node.scene import DisplayScene
-from protocol.cli_options import BENCH_IS_CLEAR, one_line_errors, plain_console
+from protocol.cli_options import BENCH_IS_CLEAR, LogLevelOption, one_line_errors, plain_console
 from protocol.config.quantities import parse_quantity
 from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError
-from protocol.host.output import check_writable
+from protocol.host.output import check_writable, configure_logging
 from protocol.provenance import collect
 from sensing_node.scene import SensingScene
 from telepulse.cli.options import (
@@ -55,6 +55,7 @@ def bench(
         typer.Option(metavar="SCENE.toml", help="Write the scene here, with the found keys."),
     ] = None,
     json: TablesOption = None,
+    log_level: LogLevelOption = None,
 ) -> None:
     """Check sensors and drive before a finger is on them, and identify the actuator.
 
@@ -66,9 +67,10 @@ def bench(
     from telepulse.commissioning.scene_edit import as_toml, check_editable, write_scene
     from telepulse.commissioning.tuning import as_toml as gains_as_toml
 
-    console, findings = plain_console(), bench_check.BenchFindings()
+    console, findings = plain_console(json=json), bench_check.BenchFindings()
 
     def check() -> Report:
+        configure_logging(log_level)
         check_writable(write)
         path, force_n = find_scene(scene), _force_n(force)
         sensing, display = None, None

@@ -65,7 +65,7 @@ def calibrate(
         return report_calibration(name, taken, line)
 
     publish(fit, out, json)
-    plain_console().print("\nfor the sensor's table in a scene:\n\n" + found[0])
+    plain_console(json=json).print("\nfor the sensor's table in a scene:\n\n" + found[0])
 
 
 def _from_scene(scene: str, at: Place, loads: str) -> LoadReadings:

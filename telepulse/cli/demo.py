@@ -1,4 +1,4 @@
-"""`telepulse demo`: both nodes as real processes on this machine, with a summary at the end.
+"""`telepulse demo` and `simulate`: run both nodes, as real processes or in virtual time.
 
 On one machine both ends can be measured: the demo subscribes to the sensing node and to the
 display's telemetry, and scores the felt force against the sensed one.
@@ -7,6 +7,7 @@ display's telemetry, and scores the felt force against the sensed one.
 import logging
 import tempfile
 import time
+from collections import Counter
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -30,7 +31,7 @@ from protocol.cli_options import (
     sum_up,
 )
 from protocol.config.scene_file import find_scene
-from protocol.errors import OutputError, TelepulseError
+from protocol.errors import ProcessError, TelepulseError
 from protocol.host.child_process import ChildProcess
 from protocol.host.output import check_writable, configure_logging
 from protocol.host.process import stop_on_signals
@@ -39,12 +40,13 @@ from protocol.tactile import matching_force_ratio
 from protocol.wire.messages import decode_frame
 from protocol.wire.telemetry import Trace
 from sensing_node.scene import open_source
-from telepulse.cli.options import PROGRAM, LinkOption, SceneArgument
-from telepulse.cli.view import MISSING, bokeh_is_there
-from telepulse.processes import NodeProcess, free_addresses
+from telepulse.cli.options import PROGRAM, LinkOption, SceneArgument, SeedOption
+from telepulse.cli.view import check_bokeh
+from telepulse.processes import NodeProcess, free_addresses, log_warnings
 from telepulse.scene import DEFAULT_SCENE, Scene, load_scene, scene_provenance
+from telepulse.simulation import virtual_time
 from telepulse.simulation.link_model import LinkScene, parse_link
-from telepulse.simulation.reference_force import ReferenceForce
+from telepulse.simulation.virtual_time import ReferenceForce
 
 logger = logging.getLogger(__name__)
 
@@ -54,8 +56,28 @@ ENDS_WITHIN_S = 10.0
 HEAD_START_S = 0.7
 
 
-class DemoError(TelepulseError, RuntimeError):
-    """The two nodes' sample counts differ."""
+def simulate(
+    scene: SceneArgument = DEFAULT_SCENE,
+    seconds: DurationOption = 60.0,
+    seed: SeedOption = 1,
+    link: LinkOption = None,
+    json: JsonOption = None,
+    log_level: LogLevelOption = None,
+) -> None:
+    """Run a scene in virtual time: the nodes' own modules, without sockets and without waiting.
+
+    The same scene and seed give the same figures, many times faster than real time. Exit status 3:
+    the display latched a fault; it is named on stderr.
+    """
+    with one_line_errors(PROGRAM):
+        configure_logging(log_level)
+        check_writable(json)
+        loaded = _load(scene, link)
+        provenance = scene_provenance(loaded, {"link": seed})
+        summary = virtual_time.simulate(loaded, seconds, seed)
+    title = f"simulation of {loaded.path.stem}, {seconds:g} s"
+    sum_up(PROGRAM, summary, title, plain_console(json=json), json, provenance)
+    end_at_faults(PROGRAM, summary.faults)
 
 
 def demo(
@@ -86,18 +108,21 @@ def demo(
     Exit status: 0 at the end of the pulse, 2 when an argument cannot be used, 3 when the display
     latched a fault; the reason is a line on stderr.
     """
-    console = plain_console()
+    console = plain_console(json=json)
     with one_line_errors(PROGRAM):
         configure_logging(log_level)
         check_writable(json)
-        path = find_scene(scene)
-        loaded = load_scene(path)
-        if link:
-            loaded = replace(loaded, link=parse_link(link))
+        loaded = _load(scene, link)
         provenance = scene_provenance(loaded)
         summary = run_demo(loaded, seconds, ui, page, console)
-    sum_up(PROGRAM, summary, f"demo of {path.stem}, {seconds:g} s", console, json, provenance)
+    title = f"demo of {loaded.path.stem}, {seconds:g} s"
+    sum_up(PROGRAM, summary, title, console, json, provenance)
     end_at_faults(PROGRAM, summary.faults)
+
+
+def _load(scene: str, link: str | None) -> Scene:
+    loaded = load_scene(find_scene(scene))
+    return replace(loaded, link=parse_link(link)) if link else loaded
 
 
 def run_demo(
@@ -106,16 +131,18 @@ def run_demo(
     """Run both nodes for `seconds` of pulse, over the scene's link.
 
     page: serve the live page too; None: where it can be, with `draw`. Raises SceneError,
-    SourceError, ProcessError, DemoError, or OutputError where the page is required and cannot be.
+    SourceError, ProcessError, or OutputError where the page is required and cannot be.
     """
-    path, link = scene.path, scene.link
-    truth = ReferenceForce(scene.sensing, scene.path.parent)
+    path = scene.path
+    truth = ReferenceForce(scene.sensing, path.parent)
     # The display, which may move a drive, is started before the sensing node.
-    with open_source(scene.sensing, scene.path.parent):
+    with open_source(scene.sensing, path.parent):
         pass
-    impaired = link != LinkScene()
-    sensing_address, link_address, telemetry_address = free_addresses(3)
-    display_address = link_address if impaired else sensing_address
+    sensing_address, display_address, telemetry_address = free_addresses(3)
+    impaired = scene.link != LinkScene()
+    if not impaired:
+        display_address = sensing_address
+    longest = ("--seconds", str(seconds + ENDS_WITHIN_S))
     with tempfile.TemporaryDirectory(prefix="telepulse-") as folder, ExitStack() as stack:
         # Before anything else, so that the page shows the beginning.
         served = None
@@ -123,8 +150,7 @@ def run_demo(
             served = _open_page(stack, telemetry_address, bool(page), console)
         display = NodeProcess(
             *("display node", "display_node.cli", str(path), "--connect", display_address),
-            *("--telemetry", telemetry_address, "--once", "--quiet"),
-            *("--seconds", str(seconds + ENDS_WITHIN_S)),
+            *("--telemetry", telemetry_address, "--once", "--quiet", *longest),
             summary=Path(folder, "display.json"),
             stdout=PIPE,
             stderr=PIPE,
@@ -133,9 +159,9 @@ def run_demo(
         relay = None
         if impaired:
             relay = ChildProcess(
-                *("link between the nodes", "-m", "telepulse", "link"),
+                *("link between the nodes", "-m", "telepulse", "link", *longest),
                 *("--connect", sensing_address, "--bind", display_address),
-                *("--link", link.text(), "--seconds", str(seconds + ENDS_WITHIN_S)),
+                *("--link", scene.link.text()),
                 stdout=PIPE,
                 stderr=PIPE,
             )
@@ -160,11 +186,13 @@ def run_demo(
             watch(telemetry_address, console, scorer.felt, draw, meanwhile)
         if served is not None and served.poll() is not None:
             logger.warning("the live page ended before the demo did")
-        if relay is not None and relay.poll():
-            relay.await_end(ENDS_WITHIN_S)
+        if relay is not None:
+            # One that has failed by itself keeps its status.
+            relay.terminate()
+            log_warnings(relay.name, relay.await_end(ENDS_WITHIN_S))
         sensed = sensing.await_summary(ENDS_WITHIN_S)
         played = display.await_summary(ENDS_WITHIN_S, may_end_with=FAULT_STATUS)
-        return _compose(sensed, played, scorer.fidelity)
+        return _compose(sensed, played, scorer.tracking_error)
 
 
 def _open_page(
@@ -175,8 +203,7 @@ def _open_page(
     required: raise OutputError or ProcessError instead.
     """
     try:
-        if not bokeh_is_there():
-            raise OutputError(MISSING)
+        check_bokeh()
         page = ChildProcess(
             *("live page", "-m", "telepulse", "view", telemetry), stdout=PIPE, stderr=PIPE
         )
@@ -195,56 +222,51 @@ class _Scorer:
 
     def __init__(self, scene: Scene, truth: ReferenceForce, sensing_address: str) -> None:
         layer = scene.display.layer.layer()
-        self._channel = scene.display.channel
-        self._truth = truth
+        self._channel, self._truth = scene.display.channel, truth
         self._ratio = matching_force_ratio(scene.sensing.layer.layer(), layer)
         self._context: sockets.Context = zmq.Context()
         self._data = sockets.connect(self._context, zmq.SUB, sensing_address)
         self._data.subscribe(b"")
-        self.fidelity = TrackingError(layer.strain_per_newton)
+        self.tracking_error = TrackingError(layer.strain_per_newton)
 
     def __enter__(self) -> "_Scorer":
         return self
 
     def __exit__(self, *_: object) -> None:
         self.listen()
-        self.fidelity.finish()
+        self.tracking_error.finish()
         self._context.destroy(linger=0)
 
     def listen(self) -> None:
         """Add the frames that the sensing node has sent."""
         for (message,) in sockets.receive_all(self._data):
             true_frame = self._truth.of(decode_frame(message))
-            self.fidelity.add_reference(true_frame, self._channel, self._ratio)
+            self.tracking_error.add_reference(true_frame, self._channel, self._ratio)
 
     def felt(self, trace: Trace) -> None:
         """Add the felt force of a trace of the display."""
-        for now_ns, instant_ns, force_n, scored in zip(
-            *(column.tolist() for column in (trace.now_ns, trace.instant_ns, trace.felt_n)),
-            trace.scored.tolist(),
-            strict=True,
-        ):
+        columns = (trace.now_ns, trace.instant_ns, trace.felt_n, trace.scored)
+        for *tick, scored in zip(*(column.tolist() for column in columns), strict=True):
             if scored:
-                self.fidelity.add_output(now_ns, instant_ns, force_n)
+                self.tracking_error.add_output(*tick)
 
 
-def _compose(sensing: Summary, display: Summary, fidelity: TrackingError) -> Summary:
+def _compose(sensing: Summary, display: Summary, tracking_error: TrackingError) -> Summary:
     """Return the display's summary with the true errors.
 
-    Raises DemoError where the two nodes' sample counts differ.
+    Raises ProcessError where the two nodes' sample counts differ.
     """
     sent = sensing.samples.sent
     if display.clock.offset_ms is None:
-        raise DemoError("the display received nothing from the sensing node")
+        raise ProcessError("the display received nothing from the sensing node")
     accounted = (display.samples.sent or 0) + (display.samples.before_joining or 0)
     if sent != accounted:
-        raise DemoError(
+        raise ProcessError(
             f"the sensing node sent {sent} samples, the display accounts for {accounted}"
         )
-    causes = {*display.rejected, *sensing.rejected}
     return replace(
-        fidelity.scored(display),
-        rejected={c: display.rejected.get(c, 0) + sensing.rejected.get(c, 0) for c in causes},
+        tracking_error.scored(display),
+        rejected=dict(Counter(display.rejected) + Counter(sensing.rejected)),
         limited=replace(display.limited, adc=sensing.limited.adc),
         faults=display.faults + [f"{SENSING_NOTE}{note}" for note in sensing.faults],
     )

@@ -24,7 +24,7 @@ def discover(
     "node" when it is started again; its key is shown as a fingerprint. Anybody can announce
     anything: only its key proves which node it is (display-node --peer).
     """
-    console = plain_console()
+    console = plain_console(json=json)
     with one_line_errors(PROGRAM):
         check_writable(json)
         # Imported here: it needs a library that other commands do without.

@@ -9,13 +9,14 @@ import typer
 
 from protocol.cli_options import (
     BENCH_IS_CLEAR,
+    LogLevelOption,
     RealtimeOption,
     hold_measures,
     one_line_errors,
     plain_console,
 )
 from protocol.config.quantities import parse_ratio
-from protocol.host.output import create_file, unblocked_output
+from protocol.host.output import configure_logging, create_file, unblocked_output
 from protocol.host.process import freeze_objects, stop_on_signals
 from protocol.host.realtime import check_strict, parse_realtime
 from telepulse.cli.options import PROGRAM, FolderOption, TablesOption, YesOption, publish
@@ -74,6 +75,7 @@ def run(
         ),
     ] = False,
     realtime: RealtimeOption = None,
+    log_level: LogLevelOption = None,
 ) -> None:
     """Run a session: the subject feels A, B and X on the scene's actuator, and answers by keys.
 
@@ -99,6 +101,7 @@ def run(
 
     console = plain_console()
     with one_line_errors(PROGRAM), ExitStack() as stack:
+        configure_logging(log_level)
         asked = parse_realtime(realtime)
         check_strict(asked)
         plan = load_plan(session)

@@ -1,5 +1,6 @@
-"""`telepulse link`."""
+"""`telepulse link` and `relay`: pass a stream on, over a worse link or to many displays."""
 
+import logging
 import threading
 from typing import Annotated
 
@@ -8,19 +9,28 @@ import typer
 from protocol.cli_options import (
     AllowOption,
     InsecureOption,
+    JsonOption,
     KeyOption,
     LogLevelOption,
     PeerOption,
+    QuietOption,
     StopAfterOption,
     client_keys,
     one_line_errors,
+    plain_console,
     server_keys,
+    sum_up,
 )
-from protocol.host.output import configure_logging
+from protocol.host.output import check_writable, configure_logging
 from protocol.host.process import allow_connections, freeze_objects, stop_on_signals
+from protocol.provenance import collect
+from protocol.sockets import control_address
 from telepulse.cli.options import PROGRAM, LinkOption, SeedOption
 from telepulse.netem.link_proxy import LinkProxy
+from telepulse.relay import Relay
 from telepulse.simulation.link_model import LinkScene, parse_link
+
+logger = logging.getLogger(__name__)
 
 
 def link(
@@ -55,3 +65,58 @@ def link(
         timer.start()
     freeze_objects()
     proxy.run()
+
+
+def relay(
+    connect: Annotated[
+        str,
+        typer.Option(
+            help="Address of the sensing node or of a further relay; it need not be there yet."
+        ),
+    ],
+    bind: Annotated[
+        str,
+        typer.Option(help="Address for displays to connect to; control uses the next port."),
+    ],
+    seconds: StopAfterOption = None,
+    json: JsonOption = None,
+    quiet: QuietOption = False,
+    log_level: LogLevelOption = None,
+    key: KeyOption = None,
+    peer: PeerOption = None,
+    allow: AllowOption = None,
+    insecure: InsecureOption = False,
+) -> None:
+    r"""Pass one sensing node's stream on to many displays, on another machine.
+
+    The sensing node sends each frame once to a relay, however many displays are behind it.
+    Displays connect to the relay as they would to the sensing node, and exchange clock requests and
+    status with the sensing node itself. Up to three relays may follow one another; any number may
+    stand side by side.
+
+        telepulse relay --connect tcp://SENSING:5555 --bind tcp://*:5655 \
+            --key keys/relay.key --peer keys/wrist.pub
+
+    The sensing node allows the relay's key, the relay those of its displays: each display that the
+    relay allows receives the stream. A display gives the relay's public key as its --peer.
+
+    Exit status: 0 at Ctrl-C or SIGTERM, 2 when an address or a key cannot be used; the reason is
+    one line on stderr.
+    """
+    console = plain_console(quiet, json)
+    with one_line_errors(PROGRAM):
+        configure_logging(log_level, quiet)
+        allow_connections()
+        check_writable(json)
+        control = control_address(bind)
+        control_address(connect)
+        # Without --peer the sensing node is on this machine, and has no keys.
+        upstream = client_keys([connect], key if peer else None, peer, insecure)
+        downstream = server_keys(bind, key, allow, insecure)
+        node = Relay(connect, bind, upstream, downstream)
+        provenance = collect()
+    stop_on_signals(node.stop)
+    logger.info(f"relaying {connect} on {bind} (control {control})")
+    freeze_objects()
+    summary = node.run(seconds)
+    sum_up(PROGRAM, summary, "relay", console, json, provenance)

@@ -1,4 +1,4 @@
-"""The command line of telepulse, assembled from one file a command."""
+"""The command line of telepulse, assembled from its commands."""
 
 from collections.abc import Callable
 
@@ -9,38 +9,24 @@ from protocol.host.output import configure_logging, unblocked_output
 from telepulse.cli import emulate, experiment, keys, scenes, study
 from telepulse.cli.bench import bench
 from telepulse.cli.calibrate import calibrate
-from telepulse.cli.demo import demo
+from telepulse.cli.demo import demo, simulate
 from telepulse.cli.discover import discover
-from telepulse.cli.export import export
-from telepulse.cli.link import link
-from telepulse.cli.lsl import lsl
+from telepulse.cli.link import link, relay
 from telepulse.cli.options import PROGRAM
 from telepulse.cli.paper import paper
-from telepulse.cli.record import record
-from telepulse.cli.relay import relay
-from telepulse.cli.replay import replay
-from telepulse.cli.report import report
-from telepulse.cli.simulate import simulate
+from telepulse.cli.record import export, record, replay, report
 from telepulse.cli.tune import tune
-from telepulse.cli.view import view
+from telepulse.cli.view import lsl, view
 
 # Those that run beside nodes or as one: a terminal that does not read must not hold them up.
 LIVE: tuple[Callable[..., None], ...] = (demo, link, bench, relay, record, replay, view, lsl)
-COMMANDS: tuple[Callable[..., None], ...] = (
-    simulate,
-    paper,
-    tune,
-    calibrate,
-    discover,
-    export,
-    report,
-)
+OTHERS = (simulate, paper, tune, calibrate, discover, export, report)
 GROUPS = (scenes, study, emulate, experiment, keys)
 
 app = typer.Typer(rich_markup_mode="markdown", no_args_is_help=True)
 for live in LIVE:
     app.command()(unblocked_output()(live))
-for command in COMMANDS:
+for command in OTHERS:
     app.command()(command)
 for group in GROUPS:
     app.add_typer(group.app, name=group.__name__.rpartition(".")[2])

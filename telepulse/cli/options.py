@@ -51,7 +51,8 @@ SilenceOption = Annotated[
 ]
 FolderOption = Annotated[Path, typer.Option(metavar="FOLDER", help="Write the report here.")]
 TablesOption = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Write the tables here as JSON.")
+    Path | None,
+    typer.Option(metavar="FILE", help="Write the tables here as JSON; -: print only them."),
 ]
 
 
@@ -61,7 +62,7 @@ def publish(build: Callable[[], Report], out: Path | None, json: Path | None) ->
     Without `out` there is no page, and nothing to draw it is needed. What cannot be written is
     said before the work.
     """
-    console = plain_console()
+    console = plain_console(json=json)
     with one_line_errors(PROGRAM):
         check_writable(json)
         if out is not None:

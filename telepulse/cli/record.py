@@ -1,23 +1,43 @@
-"""`telepulse record`; `display-node --record` runs this module as its recorder."""
+"""`telepulse record`, `replay`, `export` and `report`: make recordings and use them.
 
+`display-node --record` runs this module as its recorder.
+"""
+
+import logging
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from protocol.cli_options import (
+    AllowOption,
     InsecureOption,
+    JsonOption,
     KeyOption,
     LogLevelOption,
     PeerOption,
     QuietOption,
     StopAfterOption,
     one_line_errors,
+    plain_console,
+    server_keys,
+    sum_up,
     telemetry_keys,
 )
-from protocol.host.output import configure_logging, unblocked_output
-from protocol.host.process import stop_on_signals
-from telepulse.cli.options import NOT_WHOLE, PROGRAM, AddressArgument, SilenceOption
+from protocol.host.output import check_writable, configure_logging, unblocked_output
+from protocol.host.process import allow_connections, freeze_objects, stop_on_signals
+from protocol.provenance import collect
+from telepulse.cli.options import (
+    NOT_WHOLE,
+    PROGRAM,
+    AddressArgument,
+    FileArgument,
+    SilenceOption,
+    TablesOption,
+    publish,
+)
+
+logger = logging.getLogger(__name__)
 
 
 def record(
@@ -52,6 +72,102 @@ def record(
     stop_on_signals(recorder.stop)
     if not recorder.run(seconds, until_silent, display_pid):
         raise SystemExit(NOT_WHOLE)
+
+
+def replay(
+    file: FileArgument,
+    bind: Annotated[str, typer.Option(help="Address to stream from, as of a sensing node.")] = (
+        "tcp://127.0.0.1:5555"
+    ),
+    seconds: StopAfterOption = None,
+    json: JsonOption = None,
+    quiet: QuietOption = False,
+    log_level: LogLevelOption = None,
+    key: KeyOption = None,
+    allow: AllowOption = None,
+    insecure: InsecureOption = False,
+) -> None:
+    """Play a recording as a sensing node: the same samples, as far apart as they were.
+
+    The stream's name, rate, layer and frames are the recorded ones; samples that the recording
+    lacks count as lost. Of several sessions, the longest is played. Any display can listen.
+
+    Exit status: 0 at the end of the recording, 2 when it cannot be read or the address not be
+    used; the reason is one line on stderr.
+    """
+    from sensing_node.feeds import ReplaySource
+    from sensing_node.node import SensingNode
+    from telepulse.recording.session import longest_session
+
+    console = plain_console(quiet, json)
+    with one_line_errors(PROGRAM):
+        configure_logging(log_level, quiet)
+        allow_connections()
+        check_writable(json)
+        keys = server_keys(bind, key, allow, insecure)
+        session = longest_session(file)
+        description = session.description
+        source = ReplaySource(description, session.frames())
+        node = SensingNode(source, description, bind, keys=keys)
+        provenance = collect()
+    stop_on_signals(node.stop)
+    length_s = session.samples * description.period_ns * 1e-9
+    logger.info(f"playing {description.name!r} of {file} on {bind}: {length_s:.1f} s")
+    freeze_objects()
+    summary = node.run(seconds)
+    sum_up(PROGRAM, summary, "replay", console, json, provenance)
+
+
+def export(
+    file: FileArgument,
+    to: Annotated[
+        Literal["csv", "parquet", "edf", "mcap"],
+        typer.Option(
+            help="csv, parquet: a table a topic; edf: the forces as signals; mcap: a whole file."
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="PATH", help="A folder for tables, else a file; not there yet."),
+    ] = None,
+    log_level: LogLevelOption = None,
+) -> None:
+    """Write a recording as tables, as signals, or one that was cut short as a whole file.
+
+    csv, parquet: samples, ticks, clock and events in a new folder. edf: force at the wrist and
+    force felt of the longest session as EDF+, events and losses as annotations. mcap: what can be
+    read of a recording whose recorder was killed, with the index that Foxglove needs.
+    """
+    from telepulse.recording.edf import export_edf
+    from telepulse.recording.export import export_csv, export_mcap, export_parquet
+
+    export_to, suffix = {
+        "csv": (export_csv, ""),
+        "parquet": (export_parquet, ".parquet"),
+        "edf": (export_edf, ".edf"),
+        "mcap": (export_mcap, ".whole.mcap"),
+    }[to]
+    with one_line_errors(PROGRAM):
+        configure_logging(log_level)
+        plain_console().print(export_to(file, out or file.with_suffix(suffix)))
+
+
+def report(
+    file: FileArgument,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Write it here; else beside the file.")
+    ] = None,
+    json: TablesOption = None,
+) -> None:
+    """Write a report of a recording: figures, forces, delays, loss, clocks, loop, heart rate.
+
+    A page with plots, by default in the folder FILE-report, and its tables in the terminal. The
+    figures are computed from what was recorded, and stand beside the display's own.
+    """
+    from telepulse.recording.report import build_recording_report
+
+    folder = out or file.with_name(f"{file.stem}-report")
+    publish(lambda: build_recording_report(file), folder, json)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ def tune(scene: SceneArgument = DEFAULT_SCENE, json: TablesOption = None) -> Non
     # Imported here: scipy takes long to import, and other commands do without.
     from telepulse.commissioning.tuning import as_toml, design, judge, refuse, report_design
 
-    console = plain_console()
+    console = plain_console(json=json)
     with one_line_errors(PROGRAM):
         check_writable(json)
         loaded = load_scene(find_scene(scene))

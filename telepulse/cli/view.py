@@ -1,4 +1,4 @@
-"""`telepulse view`."""
+"""`telepulse view` and `lsl`: show a display live, in a browser or to tools of LSL."""
 
 import ipaddress
 import os
@@ -22,16 +22,16 @@ from protocol.cli_options import (
 from protocol.errors import AddressError, OutputError, ProtectionError
 from protocol.host.output import configure_logging
 from protocol.host.process import stop_on_signals
-from telepulse.cli.options import PROGRAM, AddressArgument
+from telepulse.cli.options import NOT_WHOLE, PROGRAM, AddressArgument, SilenceOption
 
 # The display's loop goes first.
 NICENESS = 10
-MISSING = "Bokeh is missing; pip install 'telepulse[view]'"
 
 
-def bokeh_is_there() -> bool:
-    """Return whether the extra that draws the page is installed."""
-    return find_spec("bokeh") is not None
+def check_bokeh() -> None:
+    """Raise OutputError where the extra that draws the page is missing."""
+    if find_spec("bokeh") is None:
+        raise OutputError("Bokeh is missing; pip install 'telepulse[view]'")
 
 
 def view(
@@ -63,8 +63,7 @@ def view(
     console = plain_console(quiet)
     with one_line_errors(PROGRAM):
         configure_logging(log_level, quiet)
-        if not bokeh_is_there():
-            raise OutputError(MISSING)
+        check_bokeh()
         _check_host(host, insecure)
         keys = telemetry_keys(address, key, peer, insecure)
         from telepulse.view.server import PageServer
@@ -93,3 +92,32 @@ def _check_host(host: str, insecure: bool) -> None:
         raise ProtectionError(
             f"--host {host} shows the page to all who reach this machine; --insecure allows it"
         )
+
+
+def lsl(
+    address: AddressArgument,
+    seconds: StopAfterOption = None,
+    until_silent: SilenceOption = None,
+    quiet: QuietOption = False,
+    log_level: LogLevelOption = None,
+    key: KeyOption = None,
+    peer: PeerOption = None,
+    insecure: InsecureOption = False,
+) -> None:
+    """Publish a display's stream to the Lab Streaming Layer, where LabRecorder finds it.
+
+    Three streams: "telepulse wrist", the force of each channel as it came; "telepulse finger",
+    target and felt force of each tick; "telepulse events", events as markers. Ends with the
+    display. With --key alone, the key is the display's own.
+
+    Exit status: 0, 1 when telemetry was missed, which it prints, 2 when it cannot begin.
+    """
+    from telepulse.lsl_outlet import LslOutlet
+
+    with one_line_errors(PROGRAM):
+        configure_logging(log_level, quiet)
+        keys = telemetry_keys(address, key, peer, insecure)
+        outlet = LslOutlet(address, keys)
+    stop_on_signals(outlet.stop)
+    if not outlet.run(seconds, until_silent):
+        raise SystemExit(NOT_WHOLE)

@@ -1,21 +1,31 @@
-"""Two namespaces and the emulated links between them, as a context manager."""
+"""Two namespaces and the emulated links between them, and runs of the two real nodes over them."""
 
 import json
-from collections.abc import Iterator, Sequence
+import tempfile
+import time
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from subprocess import PIPE
 from typing import IO
 
 from protocol.errors import ProcessError
 from protocol.host.child_process import ChildProcess
+from protocol.run_summary import Summary
 from telepulse.netem.forwarder import DROP, ForwarderCounts, PacketFilter, write_filters
 from telepulse.netem.namespace import EmulatorError, Namespace
+from telepulse.processes import NodeProcess
 from telepulse.simulation.link_model import LinkScene
 
 # Addresses inside the two namespaces, with one network for each link.
 SENSING_ADDRESS, DISPLAY_ADDRESS = "10.77.{}.1", "10.77.{}.2"
 ANSWERS_WITHIN_S = 30.0
+PORT = 5555
+# The display has connected before the pulse begins.
+HEAD_START_S = 1.0
+# Time after the pulse for TCP's retransmissions, and for the slowest start of both nodes.
+ENDS_WITHIN_S = 20.0
 
 
 @dataclass(slots=True)
@@ -56,29 +66,21 @@ def emulate(*scenes: LinkScene, seed: int = 1) -> Iterator[EmulatedLink]:
         closing(Namespace([SENSING_ADDRESS.format(number) for number in numbers])) as sensing,
         closing(Namespace([DISPLAY_ADDRESS.format(number) for number in numbers])) as display,
     ):
-        forwarder = _start_forwarder(sensing.tuns, display.tuns, scenes, seed)
+        tuns = (*sensing.tuns, *display.tuns)
+        arguments = (str(seed), *map(str, tuns), *(scene.text() for scene in scenes))
+        forwarder = ChildProcess(
+            *("forwarder of the emulated link", "-m", "telepulse.netem", *arguments),
+            stdin=PIPE,
+            stdout=PIPE,
+            stderr=PIPE,
+            pass_fds=tuns,
+        )
         with forwarder:
             assert forwarder.stdin is not None
             link = EmulatedLink(sensing, display, _receive(forwarder)["began_ns"], forwarder.stdin)
             yield link
             forwarder.close_input()
             link.carried = ForwarderCounts(**_receive(forwarder))
-
-
-def _start_forwarder(
-    near: Sequence[int], far: Sequence[int], scenes: Sequence[LinkScene], seed: int
-) -> ChildProcess:
-    tuns = (*near, *far)
-    arguments = (str(seed), *map(str, tuns), *(scene.text() for scene in scenes))
-    command = ("-m", "telepulse.netem", *arguments)
-    return ChildProcess(
-        "forwarder of the emulated link",
-        *command,
-        stdin=PIPE,
-        stdout=PIPE,
-        stderr=PIPE,
-        pass_fds=tuns,
-    )
 
 
 def _receive(forwarder: ChildProcess) -> dict[str, int]:
@@ -88,3 +90,54 @@ def _receive(forwarder: ChildProcess) -> dict[str, int]:
     except ProcessError as error:
         raise EmulatorError(str(error)) from None
     return table
+
+
+@dataclass(frozen=True, slots=True)
+class NodesOutcome:
+    """Both nodes' summaries of a run, and the counts of the links."""
+
+    sensing: Summary
+    display: Summary
+    carried: ForwarderCounts | None
+
+
+def run_nodes(
+    path: Path,
+    *links: LinkScene,
+    seconds: float,
+    seed: int = 1,
+    telemetry: str = "tcp://127.0.0.1:*",
+) -> NodesOutcome:
+    """Run both nodes with the scene at `path`, a namespace each, for `seconds` of pulse.
+
+    The display connects to an address on each of `links`, which replace the scene's link.
+    telemetry: address to publish on; ipc is reachable from outside the namespace. Raises
+    EmulatorError or ProcessError.
+    """
+    with (
+        tempfile.TemporaryDirectory(prefix="telepulse-") as folder,
+        emulate(*links, seed=seed) as emulated,
+    ):
+        addresses = [f"tcp://{address}:{PORT}" for address in emulated.sensing.addresses]
+        connect = [option for address in addresses for option in ("--connect", address)]
+        common = (str(path), "--quiet", "--insecure", "--seconds")
+        with emulated.display.entered():
+            display = NodeProcess(
+                *("display node", "display_node.cli", *common, str(seconds + ENDS_WITHIN_S)),
+                *(*connect, "--once", "--telemetry", telemetry),
+                summary=Path(folder, "display.json"),
+                stderr=PIPE,
+            )
+        with display:
+            time.sleep(HEAD_START_S)
+            with emulated.sensing.entered():
+                sensing = NodeProcess(
+                    *("sensing node", "sensing_node.cli", *common, str(seconds)),
+                    *("--bind", f"tcp://*:{PORT}"),
+                    summary=Path(folder, "sensing.json"),
+                    stderr=PIPE,
+                )
+            with sensing:
+                sensed = sensing.await_summary(seconds + ENDS_WITHIN_S)
+                played = display.await_summary(ENDS_WITHIN_S)
+    return NodesOutcome(sensed, played, emulated.carried)

@@ -58,47 +58,33 @@ class LinkProxy:
         self._subscribers = SubscriptionBudget(self._data_out, (b"",))
         self._control_out = sockets.bind(context, zmq.ROUTER, control_out, self._authenticator)
 
-    @property
-    def lost_frames(self) -> int:
-        """Count of data frames that the link has lost."""
-        return self._down.lost_data
-
     def stop(self) -> None:
         """Make `run` return after the present message."""
         self._stopping = True
 
     def run(self) -> None:
         """Pass messages on until stopped."""
-        readable = [
-            self._data_in,
-            self._control_in,
-            self._control_out,
-            *self._authenticator.sockets,
-        ]
+        inputs = (self._data_in, self._control_in, self._control_out)
+        readable = [*inputs, *self._authenticator.sockets]
         try:
             while not self._stopping:
                 self._authenticator.poll(time.monotonic_ns())
                 self._receive()
-                wait_ns = self._deliver()
-                sockets.wait_readable(readable, wait_ns)
+                sockets.wait_readable(readable, self._deliver())
         finally:
             self._context.destroy(linger=sockets.LINGER_MS)
 
     def _receive(self) -> None:
         self._subscribers.poll()
-        for parts in sockets.receive_all(self._data_in):
-            due_ns = self._down.data_arrival_ns(time.monotonic_ns(), _size_bytes(parts))
-            if due_ns is not None:
-                self._schedule(due_ns, self._data_out, parts)
-        for parts in sockets.receive_all(self._control_in):
-            due_ns = self._down.control_arrival_ns(time.monotonic_ns(), _size_bytes(parts))
-            self._schedule(due_ns, self._control_out, parts)
-        for parts in sockets.receive_all(self._control_out):
-            due_ns = self._up.control_arrival_ns(time.monotonic_ns(), _size_bytes(parts))
-            self._schedule(due_ns, self._control_in, parts)
-
-    def _schedule(self, due_ns: int, socket: sockets.Socket, parts: list[bytes]) -> None:
-        heapq.heappush(self._waiting, (due_ns, next(self._order), socket, parts))
+        for from_, onto, arrival_ns in (
+            (self._data_in, self._data_out, self._down.data_arrival_ns),
+            (self._control_in, self._control_out, self._down.control_arrival_ns),
+            (self._control_out, self._control_in, self._up.control_arrival_ns),
+        ):
+            for parts in sockets.receive_all(from_):
+                due_ns = arrival_ns(time.monotonic_ns(), sum(map(len, parts)))
+                if due_ns is not None:
+                    heapq.heappush(self._waiting, (due_ns, next(self._order), onto, parts))
 
     def _deliver(self) -> int:
         """Send the due messages; return the time in ns until the next one."""
@@ -109,7 +95,3 @@ class LinkProxy:
             _, _, socket, parts = heapq.heappop(self._waiting)
             sockets.send(socket, *parts)
         return IDLE_NS
-
-
-def _size_bytes(parts: list[bytes]) -> int:
-    return sum(map(len, parts))

@@ -33,10 +33,9 @@ def open_tun(name: str, address: str) -> int:
     try:
         flags = _IFF_TUN | _IFF_NO_PI
         fcntl.ioctl(descriptor, _TUNSETIFF, struct.pack("16sH14x", name.encode(), flags))
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
-            _request(control, _SIOCSIFADDR, name, _internet(address))
-            _request(control, _SIOCSIFNETMASK, name, _internet(_NETMASK))
-            _request(control, _SIOCSIFMTU, name, struct.pack("i", MTU_BYTES))
+        _set(name, _SIOCSIFADDR, _internet(address))
+        _set(name, _SIOCSIFNETMASK, _internet(_NETMASK))
+        _set(name, _SIOCSIFMTU, struct.pack("i", MTU_BYTES))
         bring_up(name)
     except OSError:
         os.close(descriptor)
@@ -46,12 +45,12 @@ def open_tun(name: str, address: str) -> int:
 
 def bring_up(name: str) -> None:
     """Bring an interface of the present network namespace up. Raises OSError."""
+    _set(name, _SIOCSIFFLAGS, struct.pack("h", _IFF_UP | _IFF_RUNNING))
+
+
+def _set(name: str, request: int, value: bytes) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
-        _request(control, _SIOCSIFFLAGS, name, struct.pack("h", _IFF_UP | _IFF_RUNNING))
-
-
-def _request(control: socket.socket, number: int, name: str, value: bytes) -> None:
-    fcntl.ioctl(control, number, struct.pack("16s24s", name.encode(), value))
+        fcntl.ioctl(control, request, struct.pack("16s24s", name.encode(), value))
 
 
 def _internet(address: str) -> bytes:
@@ -78,7 +77,7 @@ def unavailable() -> str | None:
     try:
         os.close(os.open(TUN_PATH, os.O_RDWR))
         with _back_afterwards():
-            _unshare()
+            _check(_libc.unshare(_CLONE_NEWNET))
     except OSError as error:
         return f"the link emulator needs {TUN_PATH} and network namespaces: {error.strerror}"
     return None
@@ -95,7 +94,7 @@ class Namespace:
         self._descriptors = ExitStack()
         try:
             with _back_afterwards():
-                _unshare()
+                _check(_libc.unshare(_CLONE_NEWNET))
                 self._namespace = self._kept(os.open(_OURS, os.O_RDONLY))
                 bring_up("lo")
                 self.tuns = tuple(
@@ -136,10 +135,6 @@ def _back_afterwards() -> Iterator[None]:
     finally:
         _check(_libc.setns(home, _CLONE_NEWNET))
         os.close(home)
-
-
-def _unshare() -> None:
-    _check(_libc.unshare(_CLONE_NEWNET))
 
 
 def _check(outcome: int) -> None:

@@ -9,22 +9,23 @@ import itertools
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 from display_node.display import Display
 from display_node.drives.hardware import Hardware
 from display_node.fault_advice import SENSING_NOTE
 from display_node.scoring.tracking_error import TrackingError
 from protocol.run_summary import Summary
-from protocol.wire.messages import Bye, Control, encode_control, encode_frame
+from protocol.wire.messages import Bye, Control, Frame, encode_control, encode_frame
 from protocol.wire.telemetry import TickState
 from pulse_sensors.plausibility import SampleCheck
 from sensing_node.conditioning import faults_of, limits_of
 from sensing_node.control_server import ControlServer
 from sensing_node.feeds import Framer, PacedSource
-from sensing_node.scene import build_source, describe_stream
+from sensing_node.scene import SensingScene, build_source, describe_stream
+from sensing_node.sources.synthetic import SyntheticScene
 from telepulse.scene import Scene
 from telepulse.simulation.link_model import MessageLink
-from telepulse.simulation.reference_force import ReferenceForce
 
 # The sensing clock of a simulation runs this far ahead: a confusion of the clocks shows.
 SENSING_CLOCK_AHEAD_NS = 3_600_000_000_000
@@ -34,6 +35,40 @@ DRAIN_LIMIT_NS = 15_000_000_000
 
 Event = Callable[[bytes, int], None]
 """An action on some bytes, given a time."""
+
+
+class ReferenceForce:
+    """The true values of the frames of one session, from a second copy of their source.
+
+    The truth is the output of an ideal film at the samples' own times: without mains hum, notch,
+    anti-alias filter and ADC. No film measures a static force, so a charge amplifier and its
+    hold-down force are part of the truth.
+    """
+
+    def __init__(self, scene: SensingScene, folder: Path) -> None:
+        """`folder` is the scene file's. Raises SourceError or SceneError."""
+        source, conditioning = scene.source, scene.conditioning
+        if isinstance(source, SyntheticScene):
+            source = source.model_copy(update={"hum_n": 0.0})
+        if conditioning is not None:
+            conditioning = conditioning.without_losses()
+        true_scene = scene.model_copy(update={"source": source, "conditioning": conditioning})
+        self._source = None if true_scene == scene else build_source(true_scene, folder)
+        self._taken = 0
+
+    def of(self, frame: Frame) -> Frame:
+        """Return the frame with the true values; the frame itself where the chain is ideal.
+
+        Frames come in order; some may be missing. Raises ValueError for one that comes late.
+        """
+        if self._source is None:
+            return frame
+        missed = frame.first_sample - self._taken
+        if missed < 0:
+            raise ValueError(f"sample {frame.first_sample} comes after {self._taken - 1}")
+        values = self._source.take(missed + len(frame.values))[missed:]
+        self._taken += missed + len(values)
+        return frame._replace(values=values)
 
 
 class Simulation:

@@ -1,6 +1,6 @@
 """Web server of the live page, with one telemetry client, in a process of its own.
 
-Needs the extra `view` (Bokeh), which the caller has checked (`bokeh_is_there`).
+Needs the extra `view` (Bokeh), which the caller has checked (`telepulse.cli.view.check_bokeh`).
 """
 
 import logging

@@ -1,6 +1,8 @@
 """What the three programs have in common."""
 
+import json
 from importlib.metadata import version
+from pathlib import Path
 
 import pytest
 import typer
@@ -55,3 +57,27 @@ def test_a_node_refuses_a_scene_that_has_no_such_name(app: typer.Typer) -> None:
     result = CliRunner().invoke(app, ["radail"])
     assert result.exit_code == 2
     assert ": radail: no such scene; known by name: " in result.stderr
+
+
+def test_json_alone_goes_to_standard_output_for_a_dash(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(PROGRAMS[0], ["simulate", "--seconds", "1", "--json", "-"])
+    assert json.loads(result.stdout)["samples"]["sent"] == 1000
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("simulate",),
+        ("export", "a.mcap", "--to", "csv"),
+        ("bench",),
+        ("experiment", "run", "a.toml", "--log", "a.jsonl"),
+    ],
+)
+def test_a_level_that_the_log_does_not_have_is_refused(command: tuple[str, ...]) -> None:
+    result = CliRunner().invoke(PROGRAMS[0], [*command, "--log-level", "loud"])
+    assert result.exit_code == 2
+    assert result.stderr == ("telepulse: --log-level loud: there are debug, info, warning, error\n")

@@ -12,8 +12,7 @@ from protocol.wire.messages import Frame
 from sensing_node.feeds import Framer, PacedSource
 from sensing_node.scene import SensingScene, build_source, describe_stream
 from telepulse.scene import Scene, load_scene
-from telepulse.simulation.reference_force import ReferenceForce
-from telepulse.simulation.virtual_time import simulate
+from telepulse.simulation.virtual_time import ReferenceForce, simulate
 from tests.support.nodes import RADIAL, ROOT
 
 RESTLESS = {"kind": "synthetic", "heart_rate_variability": "5 %", "noise": "1 mN"}
