@@ -34,10 +34,7 @@ TRIES = 9
 class FrameReorderer:
     """Buffer that holds a frame back while an earlier one may still arrive.
 
-    Attributes
-    ----------
-    lost : int
-        Samples that did not arrive in time.
+    lost: samples that did not arrive in time.
     """
 
     def __init__(self) -> None:
@@ -171,10 +168,7 @@ class LslStreams:
 class LslForwarder:
     """Forwarder of one display.
 
-    Attributes
-    ----------
-    passed : Counter
-        Samples of the wrist, ticks and events passed to LSL.
+    passed: samples of the wrist, ticks and events passed to LSL.
     """
 
     def __init__(self, outlets: LslStreams) -> None:

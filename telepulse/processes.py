@@ -58,18 +58,9 @@ def log_warnings(name: str, errors: str) -> None:
 class NodeProcess(ChildProcess):
     """A node's process, which writes its closing summary to a file.
 
-    Parameters
-    ----------
-    name
-        Its name in errors.
-    module
-        The node's command line: "sensing_node.cli" or "display_node.cli".
-    arguments
-        Of that command.
-    summary
-        The file of its summary (`--json`).
-    options
-        Of `ChildProcess`: its streams, environment and current folder.
+    name: its name in errors. module: the node's command line: "sensing_node.cli" or
+    "display_node.cli". arguments: of that command. summary: the file of its summary (`--json`).
+    options: of `ChildProcess`: its streams, environment and current folder.
     """
 
     def __init__(

@@ -45,14 +45,9 @@ class Proxy:
 
     While the proxy runs, the sockets belong to its thread; stopped, they are the caller's again.
 
-    Attributes
-    ----------
-    requests, received : int
-        Message parts passed to the sensing node and from it, over all runs.
-    received_bytes : int
-        Bytes from the sensing node.
-    dropped : int
-        Messages dropped because the queue to the sensing node was full.
+    requests, received: message parts passed to the sensing node and from it, over all runs.
+    received_bytes: bytes from the sensing node. dropped: messages dropped because the queue to the
+    sensing node was full.
     """
 
     def __init__(
@@ -129,10 +124,7 @@ class FrameForwarder:
     The path is subscribed to while at least one display is. Like a display, it judges the path by
     its silence: a second connection is opened beside a silent one.
 
-    Attributes
-    ----------
-    received, received_bytes : int
-        Frames received; copies over two connections count once.
+    received, received_bytes: frames received; copies over two connections count once.
     """
 
     def __init__(
@@ -187,12 +179,8 @@ class FrameForwarder:
 class SilenceDetector:
     """Detects a dead connection from the counts of requests and of received messages. Pure.
 
-    Parameters
-    ----------
-    timeout_ns : int
-        Longest time from a request to the next received message.
-    once_received : bool
-        Report nothing of a connection on which nothing has been received yet.
+    timeout_ns: longest time from a request to the next received message. once_received: report
+    nothing of a connection on which nothing has been received yet.
     """
 
     def __init__(self, timeout_ns: int, once_received: bool = False) -> None:
@@ -230,18 +218,10 @@ class Relay:
     to the frames, once for all displays. A display too slow for them loses the newest, as on the
     sensing node.
 
-    Parameters
-    ----------
-    connect, bind : str
-        Address of the sensing node, and the address for displays.
-    client_keys : ClientKeys, optional
-        Keys towards the sensing node.
-    server_keys : ServerKeys, optional
-        Keys towards displays, with those that may connect.
+    connect, bind: address of the sensing node, and the address for displays. client_keys: keys
+    towards the sensing node. server_keys: keys towards displays, with those that may connect.
 
-    Raises
-    ------
-    AddressError, KeyFileError
+    Raises AddressError or KeyFileError.
     """
 
     def __init__(

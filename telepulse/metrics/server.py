@@ -200,10 +200,7 @@ def for_own_site(app: WSGIApplication, site: Site) -> Callable[..., Iterable[byt
 class MetricsServer(Collector):
     """Server that answers from its creation on; `follow` gives it a node to report.
 
-    Attributes
-    ----------
-    url : str
-        Address of the metrics.
+    url: address of the metrics.
     """
 
     def __init__(self, program: str, host: str, port: int) -> None:

@@ -83,12 +83,8 @@ class ForwarderCounts:
 class Forwarder:
     """Forwards IPv4 packets between pairs of TUN devices.
 
-    Parameters
-    ----------
-    pairs : sequence of (int, int)
-        For each link the descriptor of its device at the sensing node, and at the display.
-    links : sequence of str
-        The links as `parse_link` reads them.
+    pairs: for each link the descriptor of its device at the sensing node, and at the display.
+    links: the links as `parse_link` reads them.
     """
 
     def __init__(self, pairs: Sequence[tuple[int, int]], links: Sequence[str], seed: int) -> None:

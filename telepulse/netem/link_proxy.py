@@ -21,16 +21,10 @@ IDLE_NS = 50_000_000
 class LinkProxy:
     """Proxy between a sensing node at `connect` and displays that connect to `bind`.
 
-    Parameters
-    ----------
-    client_keys : ClientKeys, optional
-        Keys towards the sensing node.
-    server_keys : ServerKeys, optional
-        Keys towards displays, with those that may connect.
+    client_keys: keys towards the sensing node. server_keys: keys towards displays, with those that
+    may connect.
 
-    Raises
-    ------
-    AddressError, KeyFileError
+    Raises AddressError or KeyFileError.
     """
 
     def __init__(

@@ -96,12 +96,8 @@ class AlignedBlock(NamedTuple):
 class ForceAlignment:
     """Alignment of felt force with the pulse at the wrist, session by session, in blocks.
 
-    Attributes
-    ----------
-    errors : TrackingError
-        The display's own measure of errors.
-    ratio : float or None
-        Wanted force at the finger per force at the wrist; None before the first status.
+    errors: the display's own measure of errors. ratio: wanted force at the finger per force at the
+    wrist; None before the first status.
     """
 
     def __init__(self) -> None:
@@ -174,12 +170,8 @@ class ForceAlignment:
 class ForceHistory:
     """Forces of a recording: errors over time, two stretches, heart rates.
 
-    Attributes
-    ----------
-    first, worst : list of AlignedBlock
-        The first stretch at full strength, and the one around the largest error.
-    heart : list
-        Time in s, heart rates per minute at the wrist and at the finger.
+    first, worst: the first stretch at full strength, and the one around the largest error. heart:
+    time in s, heart rates per minute at the wrist and at the finger.
     """
 
     def __init__(self) -> None:

@@ -19,10 +19,7 @@ class RetryingFile:
 
     A piece that is written in part is truncated again, so the file always ends with a whole piece.
 
-    Attributes
-    ----------
-    waiting_bytes, waiting : int
-        Bytes and messages that are not on the disk.
+    waiting_bytes, waiting: bytes and messages that are not on the disk.
     """
 
     def __init__(self, path: Path) -> None:
@@ -107,12 +104,8 @@ MAX_RUNS = 100
 class McapWriter:
     """Writer of one recording. A full disk raises nothing: it is retried, and drops are counted.
 
-    Attributes
-    ----------
-    written : Counter
-        Messages accepted, by topic.
-    dropped : int
-        Messages that fitted neither on the disk nor in memory.
+    written: messages accepted, by topic. dropped: messages that fitted neither on the disk nor in
+    memory.
     """
 
     def __init__(self, path: Path) -> None:

@@ -41,17 +41,9 @@ class RecordingReader:
 
     The attributes are complete once all messages were read.
 
-    Attributes
-    ----------
-    whole : bool
-        The recording has its end.
-    damaged, cut_bytes : int
-        Chunks with a wrong checksum, which are left out, and bytes at the end of the file that
-        cannot be read.
-    begin_ns, end_ns : int
-        Unix time of the first and last message.
-    provenance : list of dict
-        Of each run of the display, as text by key.
+    whole: the recording has its end. damaged, cut_bytes: chunks with a wrong checksum, which are
+    left out, and bytes at the end of the file that cannot be read. begin_ns, end_ns: Unix time of
+    the first and last message. provenance: of each run of the display, as text by key.
     """
 
     def __init__(self, path: Path) -> None:

@@ -140,12 +140,7 @@ class GilbertElliott:
     The periods depend on the seed and the time alone, not on the traffic. Times may be queried
     in any order.
 
-    Parameters
-    ----------
-    share : float
-        Share of all time that is bad, in (0, 1).
-    mean_ns : int
-        Mean length of a bad period.
+    share: share of all time that is bad, in (0, 1). mean_ns: mean length of a bad period.
     """
 
     def __init__(self, share: float, mean_ns: int, random: Random, start_ns: int) -> None:
@@ -174,10 +169,7 @@ class Direction:
     Packets are offered in the order of their sending. They are independent of one another, except
     for the queue of the rate limit, and may overtake one another.
 
-    Parameters
-    ----------
-    start_ns : int
-        Time at which the link begins.
+    start_ns: time at which the link begins.
     """
 
     def __init__(self, scene: LinkScene, seed: int, start_ns: int = 0) -> None:

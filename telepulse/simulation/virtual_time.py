@@ -74,19 +74,10 @@ class ReferenceForce:
 class Simulation:
     """One run of a scene in virtual time; the same scene and seed give the same summary.
 
-    Parameters
-    ----------
-    begin_ns : int
-        The display's clock at the beginning of the link.
-    hardware : Hardware, optional
-        The real bench to play on.
+    begin_ns: the display's clock at the beginning of the link. hardware: the real bench to play on.
 
-    Raises
-    ------
-    SceneError
-        For a force loop that is not stable.
-    SourceError
-        For a source that cannot be built.
+    Raises SceneError for a force loop that is not stable. Raises SourceError for a source that
+    cannot be built.
     """
 
     def __init__(

@@ -56,14 +56,8 @@ class Entry(NamedTuple):
 class TelemetryDecoder:
     """Decoder that follows one display, from run to run.
 
-    Attributes
-    ----------
-    missed : Counter
-        Messages of each kind that the display published and that did not arrive.
-    ended : bool
-        The display has sent its last status.
-    provenance : dict or None
-        Of the display's run; None until it arrived.
+    missed: messages of each kind that the display published and that did not arrive. ended: the
+    display has sent its last status. provenance: of the display's run; None until it arrived.
     """
 
     def __init__(self) -> None:

@@ -10,6 +10,8 @@ import typing
 from typing import Any
 
 from protocol.run_summary import Summary
+from protocol.wire.stream import StreamDescription
+from protocol.wire.telemetry import PlaybackStatus
 
 Schema = dict[str, Any]
 INTEGER, NUMBER, STRING, BOOLEAN = ({"type": t} for t in ("integer", "number", "string", "boolean"))
@@ -22,25 +24,24 @@ def _object(**properties: Schema) -> Schema:
     return {"type": "object", "properties": properties}
 
 
-def _array(items: Schema) -> Schema:
-    return {"type": "array", "items": items}
-
-
 def _each(schema: Schema, *names: str) -> dict[str, Schema]:
     return dict.fromkeys(names, schema)
 
 
 def _of(kind: Any) -> Schema:
-    """Return the schema of a type of a summary's field."""
+    """Return the schema of a type: a table of fields, or the type of a field in one."""
     if isinstance(kind, types.UnionType):
         (kind,) = [part for part in typing.get_args(kind) if part is not types.NoneType]
-    if dataclasses.is_dataclass(kind):
+    if dataclasses.is_dataclass(kind) or hasattr(kind, "_fields"):
         hints = typing.get_type_hints(kind)
         return _object(**{name: _of(hint) for name, hint in hints.items()})
-    if typing.get_origin(kind) is list:
-        return _array(_of(*typing.get_args(kind)))
+    origin, parts = typing.get_origin(kind), typing.get_args(kind)
+    if origin in (list, tuple):
+        return {"type": "array", "items": _of(parts[0])}
+    if origin is typing.Literal:
+        return _PLAIN[type(parts[0])]
     # Counts by free names.
-    return _object() if typing.get_origin(kind) is dict else _PLAIN[kind]
+    return _object() if origin is dict else _PLAIN[kind]
 
 
 FRAME, TICK, STATUS = "/frame", "/tick", "/status"
@@ -61,7 +62,7 @@ SCHEMAS: dict[str, tuple[str, Schema]] = {
         _object(
             **_each(INTEGER, "arrived_ns", "path", "session", "first_sample", "t_first_ns"),
             **_each(INTEGER, "period_ns", "channels", "bytes_per_sample"),
-            force_n=_array(NUMBER),
+            force_n=_of(list[float]),
             newest_n=NUMBER,
             data=BYTES,
         ),
@@ -82,12 +83,7 @@ SCHEMAS: dict[str, tuple[str, Schema]] = {
             **_each(STRING, "state", "stream"),
             final=BOOLEAN,
             **_each(INTEGER, "session", "displays"),
-            playing=_object(
-                channel=INTEGER,
-                **_each(NUMBER, "force_ratio", "strain_per_newton"),
-                predictor=STRING,
-                stale_after_ns=INTEGER,
-            ),
+            playing=_of(PlaybackStatus),
             summary=_of(Summary),
         ),
     ),
@@ -95,14 +91,7 @@ SCHEMAS: dict[str, tuple[str, Schema]] = {
         "telepulse.Stream",
         _object(
             **_each(INTEGER, "arrived_ns", "session", "samples_sent"),
-            name=STRING,
-            **_each(INTEGER, "period_ns", "batch"),
-            channels=_array(_object(name=STRING, unit=STRING)),
-            layer=_object(
-                **_each(NUMBER, "young_modulus_pa", "thickness_m"),
-                **_each(NUMBER, "poisson_ratio", "contact_length_m"),
-            ),
-            **_each(INTEGER, "bytes_per_sample", "group_delay_ns"),
+            **_of(StreamDescription)["properties"],
             data=BYTES,
         ),
     ),

@@ -4,22 +4,22 @@ import os
 import signal
 import socket
 import subprocess
+import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from urllib.error import HTTPError, URLError
 from urllib.parse import urlsplit
 from urllib.request import Request, urlopen
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from prometheus_client import CollectorRegistry, make_wsgi_app
 from prometheus_client.parser import text_string_to_metric_families
 
-from protocol.errors import AddressError
 from protocol.figures import COUNT, Surface
 from protocol.run_summary import REGISTRY
-from telepulse.metrics.server import parse_address
+from telepulse.metrics import server as http
+from telepulse.metrics.server import MAX_REQUESTS, MetricsHTTPServer
 from tests.support.keyring import Keyring
 from tests.support.log_lines import unusual
 from tests.support.nodes import RADIAL, ROOT, free_address, process, read_json, run
@@ -203,25 +203,38 @@ def test_beyond_this_machine_the_node_warns_who_may_read() -> None:
         assert "neither keys nor encryption" in node.stderr.readline()
 
 
-@pytest.mark.parametrize(
-    ("text", "where"),
-    [
-        ("9100", ("127.0.0.1", 9100)),
-        ("0", ("127.0.0.1", 0)),
-        ("192.0.2.7:9100", ("192.0.2.7", 9100)),
-        ("[::1]:9100", ("::1", 9100)),
-        ("localhost:9100", ("localhost", 9100)),
-    ],
-)
-def test_where_metrics_are_served(text: str, where: tuple[str, int]) -> None:
-    assert parse_address(text) == where
-
-
-@given(st.text() | st.integers().map(str) | st.integers().map("host:{}".format))
-def test_an_address_is_one_or_refused(text: str) -> None:
+@contextmanager
+def serving() -> Iterator[MetricsHTTPServer]:
+    server = MetricsHTTPServer("127.0.0.1", 0, make_wsgi_app(CollectorRegistry()))
+    thread = threading.Thread(target=server.serve_forever, args=(0.01,))
+    thread.start()
     try:
-        host, port = parse_address(text)
-    except AddressError:
-        return
-    assert host
-    assert 0 <= port <= 65_535
+        yield server
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()
+
+
+def answers(server: MetricsHTTPServer) -> bool:
+    try:
+        with urlopen(f"http://127.0.0.1:{server.server_port}/", timeout=PATIENCE_S) as answer:
+            return bool(answer.status == 200)
+    except (URLError, OSError):
+        return False
+
+
+def test_connections_that_send_nothing_are_few_and_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(http._Handler, "timeout", 1.0)
+    with serving() as server, ExitStack() as held:
+        threads = threading.active_count()
+        for _ in range(5 * MAX_REQUESTS):
+            held.enter_context(socket.create_connection(("127.0.0.1", server.server_port)))
+        assert threading.active_count() - threads <= MAX_REQUESTS
+        until(lambda: answers(server))
+
+
+def test_the_server_binds_where_names_are_not_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(socket, "getfqdn", lambda *_: pytest.fail("a name was looked up"))
+    with serving() as server:
+        assert answers(server)

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
 import zmq
@@ -18,47 +19,34 @@ from protocol.sockets import Context, Socket, control_address
 from protocol.wire.messages import encode_frame
 from telepulse.relay import Relay
 from tests.support.frames import frame
-from tests.support.hostile_peers import port_of
-from tests.support.middleman import Middleman
+from tests.support.middleman import middleman
 from tests.support.nodes import free_address
 
 PATIENCE_S = 20.0
 
 
-class Running:
-    """A relay that runs in a thread; summary: once it has ended."""
-
-    def __init__(
-        self,
-        connect: str,
-        bind: str,
-        client_keys: ClientKeys | None = None,
-        server_keys: ServerKeys | None = None,
-    ) -> None:
-        self.summary: Summary | None = None
-        self._relay = Relay(connect, bind, client_keys, server_keys)
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
-
-    def end(self) -> Summary:
-        """Stop it; what it summed up."""
-        self._relay.stop()
-        self._thread.join(PATIENCE_S)
-        assert self.summary is not None
-        return self.summary
-
-    def _run(self) -> None:
-        self.summary = self._relay.run()
-
-
 @contextmanager
-def relaying(*arguments: str, **keys: object) -> Iterator[Running]:
-    """A relay that does not outlive the block."""
-    relay = Running(*arguments, **keys)  # type: ignore[arg-type]
+def relaying(
+    connect: str,
+    bind: str,
+    client_keys: ClientKeys | None = None,
+    server_keys: ServerKeys | None = None,
+) -> Iterator[Callable[[], Summary]]:
+    """A relay in a thread, and the function that ends it and returns what it sums up."""
+    relay = Relay(connect, bind, client_keys, server_keys)
+    summaries: list[Summary] = []
+    thread = threading.Thread(target=lambda: summaries.append(relay.run()))
+    thread.start()
+
+    def end() -> Summary:
+        relay.stop()
+        thread.join(PATIENCE_S)
+        return summaries[0]
+
     try:
-        yield relay
+        yield end
     finally:
-        relay.end()
+        end()
 
 
 class Sensing:
@@ -119,7 +107,7 @@ def test_frames_questions_and_answers_pass_a_chain_of_three_each_envelope_an_add
     with (
         relaying(addresses[0], addresses[1]),
         relaying(addresses[1], addresses[2]),
-        relaying(addresses[2], addresses[3]) as last,
+        relaying(addresses[2], addresses[3]) as end,
     ):
         display.control.send(b"question")
         *envelope, question = sensing.asked()
@@ -133,7 +121,7 @@ def test_frames_questions_and_answers_pass_a_chain_of_three_each_envelope_an_add
         while received[-1] != b"10099":
             received.append(display.data.recv())
         assert received[-100:] == [b"%d" % (10_000 + number) for number in range(100)]
-        frames = last.end().frames.received
+        frames = end().frames.received
         assert frames is not None
         assert 101 <= frames <= 100 + 10_000 - first
 
@@ -141,7 +129,7 @@ def test_frames_questions_and_answers_pass_a_chain_of_three_each_envelope_an_add
 def test_nobody_asks_nothing_is_sent(context: Context) -> None:
     inner, outer = free_address(), free_address()
     data = sockets.bind(context, zmq.XPUB, inner)
-    with relaying(inner, outer) as relay:
+    with relaying(inner, outer) as end:
         assert not data.poll(300)
         one, another = Raw(context, outer), Raw(context, outer)
         # Asked for once, whoever wants it.
@@ -153,7 +141,7 @@ def test_nobody_asks_nothing_is_sent(context: Context) -> None:
         assert not data.poll(100)
         another.data.unsubscribe(b"")
         assert data.recv() == b"\0"
-        assert relay.end().frames.received
+        assert end().frames.received
 
 
 def test_a_sensing_node_that_is_started_again_is_heard_again(context: Context) -> None:
@@ -165,13 +153,9 @@ def test_a_sensing_node_that_is_started_again_is_heard_again(context: Context) -
             display.control.send(b"question")
             assert sensing.asked()[-1] == b"question"
             sensing.close()
-            sensing = Sensing(context, eventually_free(inner))
-
-
-def eventually_free(address: str) -> str:
-    """The address, once what was bound to it has let go."""
-    time.sleep(0.1)
-    return address
+            # What was bound to the address lets it go.
+            time.sleep(0.1)
+            sensing = Sensing(context, inner)
 
 
 def test_a_relay_that_is_started_again_is_a_cut_that_has_ended(context: Context) -> None:
@@ -194,7 +178,12 @@ def test_what_is_asked_and_not_answered_makes_it_connect_anew(
         first, *_ = sensing.asked()
         # Its connection breaks for good: one message above the limit ends it.
         sensing.control.send_multipart([first, b"", bytes(4 * 65_536 + 1)])
-        eventually(lambda: display.control.send(b"again") or asked_by_another(sensing, first))
+
+        def another() -> bool:
+            display.control.send(b"again")
+            return bool(sensing.control.poll(50)) and sensing.asked()[0] != first
+
+        eventually(another)
         assert any("silent" in line for line in logged)
 
 
@@ -219,12 +208,7 @@ def test_where_frames_alone_fall_silent_they_come_over_a_second_connection(
 ) -> None:
     inner, outer, public = free_address(), free_address(), free_address()
     sensing, display = Sensing(context, inner), Raw(context, outer)
-    line, control, dead = (
-        middleman(public, inner),
-        middleman(*map(control_address, (public, inner))),
-        DeadOnes(),
-    )
-    line.down = dead
+    dead = DeadOnes()
     frames = (encode_frame(frame(5 * number)) for number in itertools.count())
 
     def play() -> object:
@@ -236,41 +220,35 @@ def test_where_frames_alone_fall_silent_they_come_over_a_second_connection(
         assert display.control.recv() == b"answer"
         return display.data.poll(5) and display.data.recv()
 
-    try:
-        with relaying(public, outer) as relay:
-            eventually(play)
-            # Frames come regularly, so that their length is known.
-            for _ in range(50):
-                play()
-            dead.cut()
-            while play():
-                pass
-            from_s = time.monotonic()
-            eventually(play)
-            silent_s = time.monotonic() - from_s
-            reconnections = relay.end().reconnections
+    ports = [urlsplit(address).port or 0 for address in (public, inner)]
+    with (
+        middleman(*ports) as line,
+        middleman(*(port + 1 for port in ports)),
+        relaying(public, outer) as end,
+    ):
+        line.down = dead
+        eventually(play)
+        # Frames come regularly, so that their length is known.
+        for _ in range(50):
+            play()
+        dead.cut()
+        while play():
+            pass
+        from_s = time.monotonic()
+        eventually(play)
+        silent_s = time.monotonic() - from_s
+        reconnections = end().reconnections
         # As long as a display takes, and far less than the 10 s without a known length.
         assert silent_s < 5
         assert reconnections.opened
         assert reconnections.control == 0
-    finally:
-        line.close()
-        control.close()
-
-
-def middleman(listen: str, onto: str) -> Middleman:
-    return Middleman(port_of(listen), port_of(onto))
-
-
-def asked_by_another(sensing: Sensing, first: bytes) -> bool:
-    return bool(sensing.control.poll(50)) and sensing.asked()[0] != first
 
 
 def test_a_display_that_reads_nothing_costs_no_more_than_its_queue(context: Context) -> None:
     inner, outer = free_address(), free_address()
     sensing, reader = Sensing(context, inner), Raw(context, outer)
     frame = bytes(50_000)
-    with relaying(inner, outer) as relay:
+    with relaying(inner, outer) as end:
         asleep = sockets.connect(context, zmq.SUB, outer)
         asleep.setsockopt(zmq.RCVHWM, 1)
         asleep.subscribe(b"")
@@ -284,7 +262,7 @@ def test_a_display_that_reads_nothing_costs_no_more_than_its_queue(context: Cont
                 most_bytes = max(most_bytes, resident_bytes())
         # 200 MB were sent; 50 MB are a queue.
         assert most_bytes - before_bytes < 2 * sockets.HIGH_WATER_FRAMES * len(frame)
-        frames = relay.end().frames.received
+        frames = end().frames.received
         assert frames is not None
         assert frames >= 4_000
 
@@ -306,7 +284,7 @@ def test_with_keys_it_lets_in_whom_it_allows_and_is_let_in_where_it_is_allowed(
     sensing.setsockopt(zmq.RCVTIMEO, int(PATIENCE_S * 1000))
     sensing.bind(control_address(inner))
     upstream, downstream = ClientKeys(own, wrist.public), ServerKeys(own, allowed)
-    with relaying(inner, outer, client_keys=upstream, server_keys=downstream) as relay:
+    with relaying(inner, outer, client_keys=upstream, server_keys=downstream) as end:
         odd = Raw(context, outer, ClientKeys(stranger, own.public))
         keyless = Raw(context, outer)
         friend = Raw(context, outer, ClientKeys(finger, own.public))
@@ -318,7 +296,7 @@ def test_with_keys_it_lets_in_whom_it_allows_and_is_let_in_where_it_is_allowed(
         assert friend.control.recv() == b"answer"
         revoke(allowed, "finger")
         eventually(lambda: refused(logged, finger))
-        summary = relay.end()
+        summary = end()
     assert summary.rejected["unknown_key"] >= 1
     # Whichever side sees first that one of them has no key.
     assert {"no_key", "handshake"} & set(summary.rejected)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from prometheus_client import CollectorRegistry, generate_latest
@@ -9,10 +10,11 @@ from prometheus_client.metrics_core import Metric
 from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.registry import Collector
 
+from protocol.errors import AddressError
 from protocol.run_summary import Summary
 from protocol.summary_tables import Clock, FrameCounts, Lateness, Loop, OneWayDelay, SampleCounts
 from protocol.wire.telemetry import Status
-from telepulse.metrics.server import SILENT_AFTER_NS, NodeState, families
+from telepulse.metrics.server import SILENT_AFTER_NS, NodeState, families, parse_address
 
 SECOND_NS = 1_000_000_000
 Scraped = dict[tuple[str, tuple[tuple[str, str], ...]], float]
@@ -129,3 +131,27 @@ def test_any_text_is_exported_unchanged(
     found = scraped(families("display-node", told(summary, stream=stream), SECOND_NS))
     got = {dict(labels)["cause"]: n for (name, labels), n in found.items() if "rejected" in name}
     assert got == causes
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        ("9100", ("127.0.0.1", 9100)),
+        ("0", ("127.0.0.1", 0)),
+        ("192.0.2.7:9100", ("192.0.2.7", 9100)),
+        ("[::1]:9100", ("::1", 9100)),
+        ("localhost:9100", ("localhost", 9100)),
+    ],
+)
+def test_where_metrics_are_served(text: str, where: tuple[str, int]) -> None:
+    assert parse_address(text) == where
+
+
+@given(st.text() | st.integers().map(str) | st.integers().map("host:{}".format))
+def test_an_address_is_one_or_refused(text: str) -> None:
+    try:
+        host, port = parse_address(text)
+    except AddressError:
+        return
+    assert host
+    assert 0 <= port <= 65_535
