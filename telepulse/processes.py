@@ -24,7 +24,7 @@ HOST = "127.0.0.1"
 # Below the ports that systems give to outgoing connections: a node that connects to one of those
 # before its peer has bound it can be given that very port, and then connects to itself.
 PORTS = range(15_000, 32_000, 2)
-# None is given again soon: who was given it need not have bound it yet.
+# None is returned again soon: its first user need not have bound it yet.
 _ports = itertools.cycle(random.SystemRandom().sample(PORTS, len(PORTS)))
 
 

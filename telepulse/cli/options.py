@@ -60,7 +60,7 @@ def publish(build: Callable[[], Report], out: Path | None, json: Path | None) ->
     """Build a report, write its page into `out` and its tables to `json`, and print them.
 
     Without `out` there is no page, and nothing to draw it is needed. What cannot be written is
-    said before the work.
+    refused before the work.
     """
     console = plain_console(json=json)
     with one_line_errors(PROGRAM):

@@ -53,7 +53,7 @@ def view(
     """Show a display live in a browser: forces, strains, errors, delays, clocks, alarms.
 
     A process of its own that reads the display's telemetry, as a recorder does; the display's
-    loop does not notice. The first line says the page's address. The display may start later,
+    loop does not notice. The first line is the page's address. The display may start later,
     end and come back.
 
     With --key alone, the key is the display's own.
@@ -69,7 +69,7 @@ def view(
         from telepulse.view.server import PageServer
 
         page = PageServer(address, host, port, keys)
-    # Takes a second, in which nobody's page should stand still.
+    # Takes a second, in which no page should stand still.
     import scipy.signal  # noqa: F401
 
     if hasattr(os, "nice"):

@@ -1,4 +1,4 @@
-"""A display's telemetry without a display: says what a test wants, over a real socket."""
+"""A display's telemetry without a display: published as a test requires, over a real socket."""
 
 import math
 import time
@@ -41,7 +41,7 @@ WELCOME = encode_control(Welcome(SESSION, 0, description()))
 
 
 class TelemetryPublisher:
-    """Publishes ticks of 1 ms and frames of five samples, numbered, as fast as it is asked."""
+    """Publishes ticks of 1 ms and frames of five samples, numbered, as fast as required."""
 
     def __init__(
         self, context: sockets.Context, address: str, keys: ServerKeys | None = None
@@ -50,11 +50,11 @@ class TelemetryPublisher:
         # A short queue, for a test of what happens when it is full.
         socket.setsockopt(zmq.SNDHWM, QUEUE)
         socket.setsockopt(zmq.SNDBUF, 8_192)
-        self.gate = None if keys is None else Authenticator(context, keys)
-        if self.gate is not None:
-            self.gate.protect(socket)
+        self.authenticator = None if keys is None else Authenticator(context, keys)
+        if self.authenticator is not None:
+            self.authenticator.protect(socket)
         socket.bind(address)
-        self.publisher = Publisher(socket, run=1, gate=self.gate)
+        self.publisher = Publisher(socket, run=1, gate=self.authenticator)
         self.frames = self.ticks = 0
         self.sent_ns: list[int] = []
 

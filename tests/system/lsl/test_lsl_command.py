@@ -31,14 +31,14 @@ RESOLVE_S = 30.0
 class Source(TelemetryPublisher):
     """A publisher whose frames have a clock, and come at its pace."""
 
-    def tell_clock(self, session: int = SESSION) -> None:
-        """The sensing clock: at its first sample now, as many replies as it takes to believe it."""
+    def send_clock(self, session: int = SESSION) -> None:
+        """Send replies until the clock is accepted; its first sample is now."""
         self.ahead_ns = FIRST_NS + self.ticks * MS - time.monotonic_ns()
         for _ in range(4):
             self.receive(CONTROL, clock_reply(time.monotonic_ns(), self.ahead_ns, session))
             time.sleep(0.025)
 
-    def speak_for(self, ms: int, session: int = SESSION) -> None:
+    def publish_for(self, ms: int, session: int = SESSION) -> None:
         for _ in range(ms // 20):
             self.publish(20, session)
             time.sleep(0.02)
@@ -46,10 +46,10 @@ class Source(TelemetryPublisher):
 
 @contextmanager
 def streaming(address: str, pylsl: Any) -> Iterator[tuple[Source, Any, Any]]:
-    """A source, an outlet process that has heard its stream, and inlets of wrist and finger."""
+    """A source, an outlet process that reads it, and inlets of wrist and finger."""
     with publishing(address, kind=Source) as source, process(MODULE, "lsl", address) as outlet:
         source.begin()
-        source.tell_clock()
+        source.send_clock()
         source.publish(40)
         inlets = [inlet(pylsl, address, part) for part in ("wrist", "finger", "events")]
         yield source, outlet, inlets
@@ -90,11 +90,11 @@ def test_an_inlet_gets_the_same_samples_as_far_apart(
         assert info.desc().child("acquisition").child_value("manufacturer") == "telepulse"
         assert finger.info().get_channel_labels() == ["target", "felt"]
         first = source.frames
-        source.speak_for(400)
+        source.publish_for(400)
         # A frame is lost on its way to the display; those after it wait for it a while.
         source.frames += 1
         source.ticks += BATCH
-        source.speak_for(800)
+        source.publish_for(800)
         frames = [n for n in range(first, source.frames) if n != first + 400 // BATCH]
         values, times_s = pulled(wrist, BATCH * len(frames))
         expected = np.concatenate([numbered_frame(n).values for n in frames])
@@ -123,23 +123,23 @@ def test_a_session_that_begins_anew_goes_on_in_the_same_stream(
 ) -> None:
     pylsl, address = lsl_on_loopback(tmp_path, monkeypatch), free_address()
     with streaming(address, pylsl) as (source, outlet, (wrist, _, events)):
-        source.speak_for(100)
+        source.publish_for(100)
         before, _ = pulled(wrist, 100)
         source.welcome(SESSION + 1)
         source.frames = source.ticks = 0
-        source.tell_clock(SESSION + 1)
-        source.speak_for(200, SESSION + 1)
+        source.send_clock(SESSION + 1)
+        source.publish_for(200, SESSION + 1)
         values, _ = pulled(wrist, 200)
         expected = np.concatenate([numbered_frame(n).values for n in range(200 // BATCH)])
         np.testing.assert_array_equal(values.astype("<f4"), expected)
         assert len(before) == 100
-        told: list[str] = []
+        events_received: list[str] = []
 
-        def said() -> bool:
-            told.extend(text for (text,) in events.pull_chunk(timeout=0.0)[0])
-            return f"session: 'test pulse', session {SESSION + 1}" in told
+        def received() -> bool:
+            events_received.extend(text for (text,) in events.pull_chunk(timeout=0.0)[0])
+            return f"session: 'test pulse', session {SESSION + 1}" in events_received
 
-        until(said)
+        until(received)
         source.status("ended", final=True)
         output, errors = outlet.communicate(timeout=30)
         assert (outlet.returncode, unusual(errors), output) == (0, "", "")

@@ -139,17 +139,17 @@ def test_a_killed_server_is_reported_and_the_node_goes_on(tmp_path: Path) -> Non
         until(lambda: wrist.figure("up") == 1)
         os.kill(wrist.server, signal.SIGKILL)
         assert wrist.node.stderr is not None
-        while "ended" not in (said := wrist.node.stderr.readline()):
-            assert said
+        while "ended" not in (line := wrist.node.stderr.readline()):
+            assert line
         wrist.node.terminate()
         assert wrist.node.wait(PATIENCE_S) == 0
         _, errors = wrist.node.communicate()
-    assert "WARNING the metrics server has ended with status -9" in said
+    assert "WARNING the metrics server has ended with status -9" in line
     assert unusual(errors) == ""
     assert read_json(json)["samples"]["sent"] > 0
 
 
-def test_a_node_held_up_has_no_figures_until_it_speaks_and_killed_no_server() -> None:
+def test_a_node_held_up_has_no_figures_until_its_next_status_and_killed_no_server() -> None:
     with served(SENSING, "--bind", free_address()) as wrist:
         until(lambda: wrist.figure("samples_sent_total"))
         wrist.node.send_signal(signal.SIGSTOP)

@@ -2,6 +2,8 @@
 
 import csv
 import json
+import re
+import shutil
 import sys
 from collections.abc import Callable
 from datetime import UTC, datetime
@@ -22,7 +24,7 @@ from telepulse.recording.reader import RecordingReader
 from telepulse.recording.report import build_recording_report
 from telepulse.telemetry.decoder import TelemetryDecoder
 from telepulse.telemetry.schema import FRAME
-from tests.support.nodes import RADIAL, run
+from tests.support.nodes import RADIAL, ROOT, run
 from tests.support.recordings import AHEAD_NS, BATCH, BEGIN_NS, DELAY_TICKS, GAIN, UNIX_NS, record
 
 MODULE = "telepulse"
@@ -36,11 +38,22 @@ TO: dict[str, Callable[[Path, Path], str]] = {
 LOST = {100, *range(300, 320)}
 
 
+PRINTS = {
+    "csv": r"3000 ticks, 0\.\d{3} mN off at most\n",
+    "parquet": r"2890 samples, 0\.\d{4} to 0\.\d{4} N\n",
+    "mcap.reader": r"\d+ session 'radial pulse', session 1\n\d+ begin the recording\n(?s:.*)",
+    "edfio": r"Force pulse 1000\.0 Hz .* at most\nForce felt (?s:.*) s state: ended.*\n",
+}
+BLOCKS = re.findall(
+    r"```python\n(.*?)```", (ROOT / "docs/analysis.md").read_text(encoding="utf-8"), re.DOTALL
+)
+
+
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording of 3 s with losses and its provenance."""
     folder = tmp_path_factory.mktemp("recording")
-    plain, path = folder / "plain.mcap", folder / "a.mcap"
+    plain, path = folder / "plain.mcap", folder / "pulse.mcap"
     record(plain, 3, LOST)
     decoder, writer = TelemetryDecoder(), McapWriter(path)
     assert decoder.decode(PROVENANCE, collect(RADIAL).to_bytes()) == []
@@ -52,6 +65,15 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
             writer.flush()
     writer.close()
     return path
+
+
+@pytest.fixture(scope="module")
+def exports(recording: Path) -> Path:
+    """The folder with the recording, pulse.mcap, and its exports."""
+    folder = recording.parent
+    for kind, suffix in (("csv", ""), ("parquet", ".parquet"), ("edf", ".edf")):
+        TO[kind](recording, folder / f"pulse{suffix}")
+    return folder
 
 
 @pytest.fixture
@@ -73,8 +95,8 @@ def sensed_n(path: Path) -> dict[int, float]:
 
 
 def test_parquet_holds_what_csv_holds_with_types_and_units(recording: Path, tmp_path: Path) -> None:
-    said = [TO[kind](recording, tmp_path / kind).split(": ")[1] for kind in ("csv", "parquet")]
-    assert said[0] == said[1]
+    counts = [TO[kind](recording, tmp_path / kind).split(": ")[1] for kind in ("csv", "parquet")]
+    assert counts[0] == counts[1]
     for name in TABLES:
         with (tmp_path / "csv" / f"{name}.csv").open(newline="", encoding="utf-8") as file:
             header, *rows = csv.reader(file)
@@ -113,7 +135,7 @@ def test_many_rows_are_written_in_groups(
 def test_edf_holds_forces_at_their_times_with_losses_and_events(
     recording: Path, tmp_path: Path
 ) -> None:
-    said = export_edf(recording, tmp_path / "a.edf")
+    line = export_edf(recording, tmp_path / "a.edf")
     edf = edfio.read_edf(tmp_path / "a.edf")
     assert (edf.local_patient_identification, edf.reserved) == ("X X X X", "EDF+C")
     wrist, felt = edf.signals
@@ -123,7 +145,7 @@ def test_edf_holds_forces_at_their_times_with_losses_and_events(
     assert begin.timestamp() == pytest.approx((UNIX_NS + BEGIN_NS) * 1e-9, abs=2e-3)
     sensed = sensed_n(recording)
     step_mn = (wrist.physical_max - wrist.physical_min) / 65_535
-    assert f"Force pulse {step_mn:.2g} mN" in said
+    assert f"Force pulse {step_mn:.2g} mN" in line
     at = np.array([number for number in sensed if number < len(wrist.data)])
     expected_mn = 1e3 * np.array([sensed[number] for number in at])
     np.testing.assert_allclose(wrist.data[at], expected_mn, atol=0.51 * step_mn)
@@ -131,7 +153,7 @@ def test_edf_holds_forces_at_their_times_with_losses_and_events(
     later = at[(at + DELAY_TICKS > 200) & (at + DELAY_TICKS < 2_900)]
     expected_mn = 1e3 * GAIN * np.array([sensed[number] for number in later])
     np.testing.assert_allclose(felt.data[later + DELAY_TICKS], expected_mn, atol=2 * step_mn)
-    # A line where little is missing, no value where it is more than a line can tell.
+    # A line where little is missing, no value where it is more than a line can show.
     alone, hole = 100 * BATCH, slice(300 * BATCH, 320 * BATCH)
     between = np.linspace(wrist.data[alone - 1], wrist.data[alone + BATCH], BATCH + 2)
     assert (felt.digital == LOWEST).sum() < 200
@@ -215,10 +237,11 @@ def test_all_tables_have_one_time_base_and_each_column_names_its_clock(
                 assert "clock" in column["description"] or "Unix" in column["description"], name
 
 
-def test_the_command_writes_beside_the_recording(recording: Path) -> None:
-    result = run(MODULE, "export", str(recording), "--to", "parquet")
+def test_the_command_writes_beside_the_recording(recording: Path, tmp_path: Path) -> None:
+    path = shutil.copy(recording, tmp_path / "a.mcap")
+    result = run(MODULE, "export", str(path), "--to", "parquet")
     assert (result.returncode, result.stderr) == (0, "")
-    folder = recording.with_suffix(".parquet")
+    folder = path.with_suffix(".parquet")
     assert f"{folder}: 2890 samples, 3000 ticks, 60 clock" in result.stdout
     assert {file.name for file in folder.iterdir()} == {
         "provenance.json",
@@ -243,3 +266,19 @@ def test_what_is_not_installed_is_named(
     with pytest.raises(OutputError, match=rf"needs {library}.*telepulse\[analysis\]"):
         to(recording, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("library", "prints"), PRINTS.items())
+def test_the_code_that_loads_each_format_does_it(
+    library: str,
+    prints: str,
+    exports: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert len(BLOCKS) == len(PRINTS)
+    loads = rf"(import|from|from pyarrow import) {library}\b"
+    (code,) = (block for block in BLOCKS if re.search(loads, block))
+    monkeypatch.chdir(exports)
+    exec(code, {})
+    assert re.fullmatch(prints, capsys.readouterr().out)

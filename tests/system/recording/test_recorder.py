@@ -63,7 +63,7 @@ def recording(
         yield display, recorder
 
 
-def speak_for(display: TelemetryPublisher, seconds: float) -> None:
+def publish_for(display: TelemetryPublisher, seconds: float) -> None:
     """A display's telemetry at its real pace, late ticks made good."""
     start_s, before = time.monotonic(), display.ticks
     while (passed_s := time.monotonic() - start_s) < seconds:
@@ -80,7 +80,7 @@ def test_all_that_a_display_publishes_is_in_the_file(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with recording(path) as (display, recorder):
         display.begin()
-        speak_for(display, 1.0)
+        publish_for(display, 1.0)
         display.receive(-1, bye(5 * display.frames))
         output, errors = end(display, recorder)
         assert (recorder.returncode, unusual(errors)) == (0, "")
@@ -108,7 +108,7 @@ def test_killed_it_loses_at_most_its_last_second(seed: int, tmp_path: Path) -> N
         path = tmp_path / f"{attempt}.mcap"
         with recording(path) as (display, recorder):
             display.begin()
-            speak_for(display, chance.uniform(1.1, 1.6))
+            publish_for(display, chance.uniform(1.1, 1.6))
             killed_ns = time.monotonic_ns()
             recorder.kill()
             recorder.wait()
@@ -125,12 +125,12 @@ def test_what_a_slow_recorder_misses_is_counted_and_shown(tmp_path: Path) -> Non
     path = tmp_path / "a.mcap"
     with recording(path) as (display, recorder):
         display.begin()
-        speak_for(display, 0.3)
+        publish_for(display, 0.3)
         recorder.send_signal(signal.SIGSTOP)
         # Far more than sockets and their queues hold.
         display.publish(20_000)
         recorder.send_signal(signal.SIGCONT)
-        speak_for(display, 0.5)
+        publish_for(display, 0.5)
         _, errors = end(display, recorder)
         assert recorder.returncode == 1
     numbers = frames_of(path)
@@ -148,7 +148,7 @@ def test_a_full_disk_is_reported_once_and_retried_until_nothing_is_missing(tmp_p
         # Whole chunks up to the limit, readable while it is full.
         assert 0 < len(frames_of(path)) < display.frames
         limit(recorder, resource.RLIM_INFINITY)
-        speak_until_larger(display, path, full_bytes)
+        publish_until_larger(display, path, full_bytes)
         _, errors = end(display, recorder)
         assert recorder.returncode == 0
     assert errors.count("File too large") == 1
@@ -179,21 +179,21 @@ def limit(process: "subprocess.Popen[str]", size_bytes: int) -> None:
 
 
 def fill_up(display: TelemetryPublisher, recorder: "subprocess.Popen[str]", path: Path) -> int:
-    """Speak until the recorder has written some, and on after it can write no more; the limit."""
+    """Publish until the recorder has written some, and on after it can write no more; the limit."""
     display.begin()
-    speak_until_larger(display, path, 5_000)
+    publish_until_larger(display, path, 5_000)
     full_bytes = path.stat().st_size + 5_000
     limit(recorder, full_bytes)
-    speak_for(display, 0.8)
+    publish_for(display, 0.8)
     assert path.stat().st_size <= full_bytes
     return full_bytes
 
 
-def speak_until_larger(display: TelemetryPublisher, path: Path, size_bytes: int) -> None:
+def publish_until_larger(display: TelemetryPublisher, path: Path, size_bytes: int) -> None:
     end_s = time.monotonic() + PATIENCE_S
     while not path.exists() or path.stat().st_size <= size_bytes:
         assert time.monotonic() < end_s, "nothing is written"
-        speak_for(display, 0.1)
+        publish_for(display, 0.1)
 
 
 def can_mount() -> bool:
@@ -219,10 +219,10 @@ def test_a_small_disk_that_is_really_full_and_has_room_again(tmp_path: Path) -> 
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
         display.begin()
-        speak_for(display, 1.5)
+        publish_for(display, 1.5)
         # The mount is the recorder's own: it is seen through its process.
         Path(f"/proc/{recorder.pid}/root{disk}/ballast").unlink()
-        speak_for(display, 0.6)
+        publish_for(display, 0.6)
         _, errors = end(display, recorder)
     assert recorder.returncode == 0, errors
     assert errors.count("No space left on device") == 1
@@ -236,7 +236,7 @@ def test_a_late_recorder_gets_the_streams_description(tmp_path: Path) -> None:
         display.publish(100)
         with process(MODULE, "record", address, str(path)) as recorder:
             assert display.publisher.await_recorder(PATIENCE_S)
-            speak_for(display, 0.2)
+            publish_for(display, 0.2)
             end(display, recorder)
             assert recorder.returncode == 0
     messages, _ = read(path)
@@ -257,7 +257,7 @@ def test_protected_telemetry_is_for_allowed_keys_and_others_get_the_reason(tmp_p
     ):
         display.begin()
         while refused.poll() is None:
-            speak_for(display, 0.1)
+            publish_for(display, 0.1)
         _, errors = end(display, recorder)
         assert (recorder.returncode, unusual(errors)) == (0, "")
         assert refused.returncode == 1
@@ -265,18 +265,18 @@ def test_protected_telemetry_is_for_allowed_keys_and_others_get_the_reason(tmp_p
     assert frames_of(path) == list(range(display.frames))
 
 
-def test_who_is_let_in_later_is_recorded_from_then_on(tmp_path: Path) -> None:
+def test_a_key_that_is_allowed_later_is_recorded_from_then_on(tmp_path: Path) -> None:
     path, ring = tmp_path / "a.mcap", Keyring(tmp_path / "keys")
     ring.allow("somebody")
     keys = ("--key", ring.path("notes"), "--peer", ring.path("wrist", "pub"))
     with recording(path, *keys, ring=ring) as (display, recorder):
         display.welcome()
-        while not display.gate.rejected:
-            speak_for(display, 0.1)
+        while not display.authenticator.rejected:
+            publish_for(display, 0.1)
         ring.allow("notes")
         while not display.publisher.heard.wanted:
-            speak_for(display, 0.1)
-        speak_for(display, 0.3)
+            publish_for(display, 0.1)
+        publish_for(display, 0.3)
         _, errors = end(display, recorder)
         assert recorder.returncode == 0, errors
     assert errors.count("telepulse keys allow notes.pub") == 1
@@ -320,7 +320,7 @@ def test_beside_a_display_it_waits_for_the_first_message_however_long_a_drive_ho
         display.begin()
         time.sleep(1.0)
         assert recorder.poll() is None
-        speak_for(display, 0.2)
+        publish_for(display, 0.2)
         _, errors = end(display, recorder)
         assert (recorder.returncode, unusual(errors)) == (0, "")
     assert frames_of(path)

@@ -116,9 +116,9 @@ def test_one_that_breaks_off_is_reported_as_far_as_it_goes(tmp_path: Path) -> No
     path, cut = tmp_path / "a.mcap", tmp_path / "cut.mcap"
     record(path, 8)
     cut.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
-    said = build_recording_report(cut).chapters[0]
-    assert any("The recording: breaks off after 5.2 s" in text for text in said.paragraphs)
-    assert "last status, since it never ended" in said.tables[0].note
+    chapter = build_recording_report(cut).chapters[0]
+    assert any("The recording: breaks off after 5.2 s" in text for text in chapter.paragraphs)
+    assert "last status, since it never ended" in chapter.tables[0].note
 
 
 def test_one_that_never_played_is_reported(tmp_path: Path) -> None:
@@ -154,9 +154,9 @@ def test_ticks_that_were_left_out_are_missed_ones(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     record(path, 2)
     findings = RunFindings()
-    for number, told in enumerate(in_tick_order(RecordingReader(path))):
-        if told.topic != TICK or number % 100:
-            findings.take(told)
+    for number, entry in enumerate(in_tick_order(RecordingReader(path))):
+        if entry.topic != TICK or number % 100:
+            findings.take(entry)
     assert findings.ticks + findings.summary().loop.deadline_misses == 2_000
     assert findings.ticks < 1_990
 

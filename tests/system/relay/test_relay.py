@@ -57,7 +57,7 @@ class Sensing:
         self.control = sockets.bind(context, zmq.ROUTER, control_address(address))
         self.control.setsockopt(zmq.RCVTIMEO, int(PATIENCE_S * 1000))
 
-    def asked(self) -> list[bytes]:
+    def question(self) -> list[bytes]:
         """The next question, with its envelope."""
         return self.control.recv_multipart()
 
@@ -78,9 +78,9 @@ class Raw:
             socket.setsockopt(zmq.RCVTIMEO, int(PATIENCE_S * 1000))
 
 
-def published(data: Socket, heard: Socket, texts: Iterator[bytes]) -> bytes:
+def published(data: Socket, received: Socket, texts: Iterator[bytes]) -> bytes:
     """Return what arrives first of messages that are published one after the other."""
-    return eventually(lambda: data.send(next(texts)) or (heard.poll(20) and heard.recv()))
+    return eventually(lambda: data.send(next(texts)) or (received.poll(20) and received.recv()))
 
 
 def eventually(look: Callable[[], object]) -> bytes:
@@ -110,7 +110,7 @@ def test_frames_questions_and_answers_pass_a_chain_of_three_each_envelope_an_add
         relaying(addresses[2], addresses[3]) as end,
     ):
         display.control.send(b"question")
-        *envelope, question = sensing.asked()
+        *envelope, question = sensing.question()
         assert (len(envelope), question) == (4, b"question")
         sensing.control.send_multipart([*envelope, b"answer"])
         assert display.control.recv() == b"answer"
@@ -126,7 +126,7 @@ def test_frames_questions_and_answers_pass_a_chain_of_three_each_envelope_an_add
         assert 101 <= frames <= 100 + 10_000 - first
 
 
-def test_nobody_asks_nothing_is_sent(context: Context) -> None:
+def test_without_subscriptions_nothing_is_sent(context: Context) -> None:
     inner, outer = free_address(), free_address()
     data = sockets.bind(context, zmq.XPUB, inner)
     with relaying(inner, outer) as end:
@@ -144,14 +144,14 @@ def test_nobody_asks_nothing_is_sent(context: Context) -> None:
         assert end().frames.received
 
 
-def test_a_sensing_node_that_is_started_again_is_heard_again(context: Context) -> None:
+def test_a_sensing_node_that_is_started_again_is_received_again(context: Context) -> None:
     inner, outer = free_address(), free_address()
     sensing, display = Sensing(context, inner), Raw(context, outer)
     with relaying(inner, outer):
         for _ in range(2):
             published(sensing.data, display.data, numbered())
             display.control.send(b"question")
-            assert sensing.asked()[-1] == b"question"
+            assert sensing.question()[-1] == b"question"
             sensing.close()
             # What was bound to the address lets it go.
             time.sleep(0.1)
@@ -165,7 +165,7 @@ def test_a_relay_that_is_started_again_is_a_cut_that_has_ended(context: Context)
         with relaying(inner, outer):
             published(sensing.data, display.data, iter([text] * 10_000))
             display.control.send(text)
-            assert sensing.asked()[-1] == text
+            assert sensing.question()[-1] == text
 
 
 def test_what_is_asked_and_not_answered_makes_it_connect_anew(
@@ -175,13 +175,13 @@ def test_what_is_asked_and_not_answered_makes_it_connect_anew(
     sensing, display = Sensing(context, inner), Raw(context, outer)
     with relaying(inner, outer):
         display.control.send(b"question")
-        first, *_ = sensing.asked()
+        first, *_ = sensing.question()
         # Its connection breaks for good: one message above the limit ends it.
         sensing.control.send_multipart([first, b"", bytes(4 * 65_536 + 1)])
 
         def another() -> bool:
             display.control.send(b"again")
-            return bool(sensing.control.poll(50)) and sensing.asked()[0] != first
+            return bool(sensing.control.poll(50)) and sensing.question()[0] != first
 
         eventually(another)
         assert any("silent" in line for line in logged)
@@ -215,7 +215,7 @@ def test_where_frames_alone_fall_silent_they_come_over_a_second_connection(
         """Send a frame, ask and answer; what was received of the frames."""
         sensing.data.send(next(frames))
         display.control.send(b"question")
-        *envelope, _ = sensing.asked()
+        *envelope, _ = sensing.question()
         sensing.control.send_multipart([*envelope, b"answer"])
         assert display.control.recv() == b"answer"
         return display.data.poll(5) and display.data.recv()
@@ -271,7 +271,7 @@ def resident_bytes() -> int:
     return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * 4096
 
 
-def test_with_keys_it_lets_in_whom_it_allows_and_is_let_in_where_it_is_allowed(
+def test_with_keys_it_admits_allowed_keys_and_is_admitted_where_its_own_is_allowed(
     context: Context, tmp_path: Path, logged: list[str]
 ) -> None:
     wrist, own, finger, stranger = (pair(tmp_path, n) for n in ("wrist", "own", "finger", "odd"))

@@ -11,17 +11,11 @@ from typing import Any
 
 import pytest
 
-from display_node.fault_advice import advise
-from protocol.run_summary import Summary
 from tests.support.browser import Page, Visit
 from tests.support.nodes import RADIAL, free_address, start
-from tests.support.telemetry_publisher import publishing
 from tests.support.waiting import until
-from tests.system.view.test_server import serving
 
 MODULE = "telepulse"
-FAULT = "drive: no answer for 403 ms"
-FINGER = "pressed with 245 mN, the drive does not answer"
 # Where to put the pictures of the documentation: TELEPULSE_SCREENSHOTS=docs/images
 PICTURES = os.environ.get("TELEPULSE_SCREENSHOTS")
 # For them the nodes have a priority: the browser draws in software, on the same processors.
@@ -123,22 +117,22 @@ def test_the_page_moves_and_shows_what_is_felt(bench: Bench, visit: Visit) -> No
         page.wait_for_function("document.getElementById('in_phase').textContent !== '–'")
         page.wait_for_function("document.getElementById('heart').textContent !== '–'")
         plot = page.locator("#plot-force")
-        before, newest, ticks = plot.screenshot(), page.evaluate(NEWEST), said(page, "loop-note")
+        before, newest, ticks = plot.screenshot(), page.evaluate(NEWEST), text_of(page, "loop-note")
         page.wait_for_function(f"{NEWEST} !== {newest}")
         page.wait_for_function(f"document.getElementById('loop-note').textContent !== '{ticks}'")
         until(lambda: plot.screenshot() != before)
-        assert said(page, "stream") == "radial pulse"
-        assert said(page, "predictor") == "linear"
+        assert text_of(page, "stream") == "radial pulse"
+        assert text_of(page, "predictor") == "linear"
         # On a busy machine a tick or two may be bounded.
-        assert re.fullmatch(r"never|0\.\d s", said(page, "at-a-limit"))
+        assert re.fullmatch(r"never|0\.\d s", text_of(page, "at-a-limit"))
         # 75 of the scene, where the loop is not held up.
-        assert 40 < float(said(page, "heart").removesuffix(" /min")) < 150
+        assert 40 < float(text_of(page, "heart").removesuffix(" /min")) < 150
         if PICTURES:
             page.wait_for_timeout(10_000)
         keep(page, "view.png")
 
 
-def said(page: Page, id: str) -> str:
+def text_of(page: Page, id: str) -> str:
     text: str = page.locator(f"#{id}").inner_text()
     return text
 
@@ -172,9 +166,9 @@ def test_a_display_that_stands_still_is_grey_and_has_its_age(bench: Bench, visit
         bright = page.evaluate(COLOUR_OF_STATE)
         with bench.still("display"):
             page.locator("body.old").wait_for()
-            assert re.fullmatch(r"\d+\.\d s ago", said(page, "state-note"))
+            assert re.fullmatch(r"\d+\.\d s ago", text_of(page, "state-note"))
             assert page.evaluate(COLOUR_OF_STATE) != bright
-            assert said(page, "heart") == "–"
+            assert text_of(page, "heart") == "–"
             keep(page, "view-still.png")
         page.locator("body:not(.old)").wait_for()
         await_state(page, "playing")
@@ -186,7 +180,7 @@ def test_a_display_that_goes_and_comes_back(bench: Bench, visit: Visit) -> None:
         await_state(page, "playing")
         bench.end("display")
         await_state(page, "ended")
-        assert "last state" in said(page, "state-note")
+        assert "last state" in text_of(page, "state-note")
         assert page.evaluate(NEWEST) is not None
         bench.play()
         await_state(page, "playing")
@@ -272,25 +266,3 @@ def test_the_last_state_stays_when_the_demo_has_ended(visit: Visit) -> None:
     finally:
         demo.kill()
         demo.communicate()
-
-
-def test_a_fault_is_named_once_with_what_to_do_and_what_is_measured(visit: Visit) -> None:
-    address = free_address()
-    with publishing(address) as publisher, serving(address) as server, visit(server.url) as page:
-        publisher.begin()
-        publisher.publish(400)
-        note = page.locator("#state-note")
-
-        def shown() -> bool:
-            """Publish on, as a display does: what is not current has its age instead."""
-            for _ in range(20):
-                publisher.tick()
-            publisher.status("fault", Summary(faults=[FAULT], finger=FINGER))
-            return str(note.inner_text()).endswith(f"; finger: {FINGER}")
-
-        until(shown)
-        assert page.locator("#state").inner_text() == "fault"
-        alarm = page.locator(f"#alarms li[data-name='fault: {FAULT}']")
-        assert alarm.inner_text().startswith(f"fault: {FAULT} – {advise(FAULT)}")
-        assert page.locator("#events li", has_text=f"fault: {FAULT}: {advise(FAULT)}").count() == 1
-        assert "at rest" not in page.locator("body").inner_text()

@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 import pytest
 import zmq
 
+from display_node.fault_advice import advise
 from protocol.run_summary import Summary
 from protocol.sockets import Context
 from protocol.wire.telemetry import (
@@ -24,9 +25,10 @@ from protocol.wire.telemetry import (
     pack_status,
 )
 from telepulse.view import server
-from telepulse.view import server as admission
 from telepulse.view.server import PageServer
+from tests.support.browser import Visit
 from tests.support.nodes import free_address
+from tests.support.telemetry_publisher import publishing
 from tests.support.waiting import until
 
 
@@ -57,7 +59,7 @@ def pull_session() -> Any:
     return pytest.importorskip("bokeh.client").pull_session
 
 
-def test_several_may_look_and_who_leaves_is_forgotten(pull_session: Any) -> None:
+def test_several_viewers_are_counted_until_they_leave(pull_session: Any) -> None:
     with serving(free_address()) as page:
         first, second = (pull_session(url=page.url) for _ in range(2))
         assert page.viewers == 2
@@ -133,9 +135,9 @@ def test_pages_are_few_and_those_that_do_not_read_are_closed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(server, "PING_EVERY_S", 0.5)
-    monkeypatch.setattr(admission, "OPENED_AT_ONCE", 100)
+    monkeypatch.setattr(server, "OPENED_AT_ONCE", 100)
     with serving(free_address()) as page:
-        held = [websocket(page, token_of(page)) for _ in range(admission.MAX_VIEWERS)]
+        held = [websocket(page, token_of(page)) for _ in range(server.MAX_VIEWERS)]
         assert all(" 101 " in line for line, _ in held)
         status, body = get(page, "/")
         assert (status, body.count("\n")) == (503, 1)
@@ -148,9 +150,9 @@ def test_pages_are_few_and_those_that_do_not_read_are_closed(
 
 def test_pages_that_are_opened_again_and_again_wait() -> None:
     with serving(free_address()) as page:
-        statuses = [get(page, "/")[0] for _ in range(2 * admission.MAX_VIEWERS)]
-    assert statuses[: admission.OPENED_AT_ONCE] == [200] * admission.OPENED_AT_ONCE
-    assert statuses.count(503) >= admission.MAX_VIEWERS
+        statuses = [get(page, "/")[0] for _ in range(2 * server.MAX_VIEWERS)]
+    assert statuses[: server.OPENED_AT_ONCE] == [200] * server.OPENED_AT_ONCE
+    assert statuses.count(503) >= server.MAX_VIEWERS
 
 
 def test_telemetry_that_has_queued_is_as_old_as_it_is(pull_session: Any, context: Context) -> None:
@@ -163,21 +165,47 @@ def test_telemetry_that_has_queued_is_as_old_as_it_is(pull_session: Any, context
             assert display.poll(20_000)
             display.recv()
         sent_ns = time.monotonic_ns() - 5 * 10**9
-        heard, trace = CaptureWriter(1), TraceWriter()
-        heard.wanted = True
+        capture, trace = CaptureWriter(1), TraceWriter()
+        capture.wanted = True
         trace.add(TickState(now_ns=sent_ns, felt_n=0.356, scored=True))
-        for message in heard.take(sent_ns, time.time_ns() - 5 * 10**9):
+        for message in capture.take(sent_ns, time.time_ns() - 5 * 10**9):
             display.send_multipart((HEARD, message))
         display.send_multipart((TRACE, trace.rest() or b""))
         display.send_multipart((STATUS, pack_status("playing", "pulse", Summary(), final=False)))
 
-        def said() -> dict[str, Any]:
+        def shown() -> dict[str, Any]:
             session = pull_session(url=page.url)
             words: dict[str, Any] = session.document.roots[0].tags[0].data["shown"][0]
             session.close()
             return words
 
-        until(lambda: said()["state"] == "playing")
-        words = said()
+        until(lambda: shown()["state"] == "playing")
+        words = shown()
         assert re.fullmatch(r"\d+\.\d s ago", words["note"]), words["note"]
         assert 5.0 <= float(words["note"].split()[0]) < 30.0
+
+
+FAULT = "drive: no answer for 403 ms"
+FINGER = "pressed with 245 mN, the drive does not answer"
+
+
+def test_a_fault_is_named_once_with_what_to_do_and_what_is_measured(visit: Visit) -> None:
+    address = free_address()
+    with publishing(address) as publisher, serving(address) as server, visit(server.url) as page:
+        publisher.begin()
+        publisher.publish(400)
+        note = page.locator("#state-note")
+
+        def shown() -> bool:
+            """Publish on, as a display does: what is not current has its age instead."""
+            for _ in range(20):
+                publisher.tick()
+            publisher.status("fault", Summary(faults=[FAULT], finger=FINGER))
+            return str(note.inner_text()).endswith(f"; finger: {FINGER}")
+
+        until(shown)
+        assert page.locator("#state").inner_text() == "fault"
+        alarm = page.locator(f"#alarms li[data-name='fault: {FAULT}']")
+        assert alarm.inner_text().startswith(f"fault: {FAULT} – {advise(FAULT)}")
+        assert page.locator("#events li", has_text=f"fault: {FAULT}: {advise(FAULT)}").count() == 1
+        assert "at rest" not in page.locator("body").inner_text()

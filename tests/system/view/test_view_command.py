@@ -67,6 +67,6 @@ def test_protected_telemetry_is_opened_by_the_displays_own_key(tmp_path: Path) -
         publishing(address, keyring.server()) as publisher,
         process(MODULE, "view", address, "--key", keyring.path("wrist")) as page,
     ):
-        # The page has asked for all that is heard, which only who is let in can.
+        # The publisher begins once an allowed key has subscribed to all topics.
         publisher.begin()
         assert page.poll() is None

@@ -23,9 +23,9 @@ def keys(*arguments: str, status: int = 0) -> str:
 
 
 def test_a_node_is_made_let_in_listed_and_revoked() -> None:
-    told = keys("new", "finger")
+    printed = keys("new", "finger")
     for word in ("keys/finger.key", "--key", "finger.pub", "keys allow", "--peer"):
-        assert word in told
+        assert word in printed
     assert keys("allow", "keys/finger.pub") == "keys/allowed allows finger\n"
     public = Path("keys/finger.pub").read_text().split()[2]
     assert keys("list") == f"{public}  finger\n"
@@ -36,13 +36,13 @@ def test_a_node_is_made_let_in_listed_and_revoked() -> None:
 
 def test_another_folder_and_another_list() -> None:
     keys("new", "finger", "--folder", "ward/keys")
-    keys("allow", "ward/keys/finger.pub", "--list", "ward/guests")
-    assert "finger" in keys("list", "--list", "ward/guests")
+    keys("allow", "ward/keys/finger.pub", "--list", "ward/displays")
+    assert "finger" in keys("list", "--list", "ward/displays")
     assert not Path("ward/keys/allowed").exists()
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "reason"),
     [
         (("new", "finger"), "keys/finger.key is there already, and is not overwritten"),
         (("new", "../finger"), "'../finger': not a name"),
@@ -51,12 +51,12 @@ def test_another_folder_and_another_list() -> None:
         (("revoke", "thumb"), "keys/allowed does not allow thumb; it allows nobody"),
     ],
 )
-def test_what_cannot_be_done_is_one_line(arguments: tuple[str, ...], said: str) -> None:
+def test_what_cannot_be_done_is_one_line(arguments: tuple[str, ...], reason: str) -> None:
     keys("new", "finger")
     before = {path: path.read_bytes() for path in Path("keys").iterdir()}
     line = keys(*arguments, status=2)
     assert line.startswith("telepulse: ")
-    assert said in line
+    assert reason in line
     assert line.count("\n") == 1
     assert {path: path.read_bytes() for path in Path("keys").iterdir()} == before
 

@@ -41,7 +41,7 @@ def scraped(metrics: Iterator[Metric]) -> Scraped:
     return found
 
 
-def told(summary: Summary, state: str = "playing", stream: str = "my pulse") -> NodeState:
+def node_state(summary: Summary, state: str = "playing", stream: str = "my pulse") -> NodeState:
     status = Status(state, stream, summary.to_dict(), False, session=0xABC)
     return NodeState(status, sent_ns=SECOND_NS, heart_rate_per_min=75.0)
 
@@ -57,7 +57,7 @@ def test_figures_come_in_base_units_and_counts_as_counters() -> None:
         faults=["17 samples missing from /dev/ttyACM0"],
         finger="pressed with 245 mN, the drive does not answer",
     )
-    found = scraped(families("display-node", told(summary), 3 * SECOND_NS))
+    found = scraped(families("display-node", node_state(summary), 3 * SECOND_NS))
     for name, labels, value in [
         ("up", {}, 1),
         ("status_age_seconds", {}, 2),
@@ -87,7 +87,7 @@ def test_figures_come_in_base_units_and_counts_as_counters() -> None:
 
 
 def test_what_there_is_none_of_is_not_there() -> None:
-    found = scraped(families("sensing-node", told(Summary(), "streaming"), SECOND_NS))
+    found = scraped(families("sensing-node", node_state(Summary(), "streaming"), SECOND_NS))
     names = {name for name, _ in found}
     assert not any("samples" in name or "clock" in name for name in names)
     # Nothing is felt of a pulse that is not played.
@@ -97,10 +97,10 @@ def test_what_there_is_none_of_is_not_there() -> None:
 def test_a_node_that_is_silent_has_no_figures_only_their_age() -> None:
     summary = Summary(samples=SampleCounts(1000, 990, 7, 3, 0))
     last_ns = SECOND_NS + SILENT_AFTER_NS
-    speaking = scraped(families("display-node", told(summary), last_ns))
-    silent = scraped(families("display-node", told(summary), last_ns + 1))
-    assert speaking["telepulse_up", ()] == 1
-    assert ("telepulse_samples_sent_total", ()) in speaking
+    alive = scraped(families("display-node", node_state(summary), last_ns))
+    silent = scraped(families("display-node", node_state(summary), last_ns + 1))
+    assert alive["telepulse_up", ()] == 1
+    assert ("telepulse_samples_sent_total", ()) in alive
     assert silent["telepulse_up", ()] == 0
     assert silent["telepulse_status_age_seconds", ()] > 5
     assert {name for name, _ in silent} == {
@@ -111,7 +111,7 @@ def test_a_node_that_is_silent_has_no_figures_only_their_age() -> None:
     }
 
 
-def test_before_its_first_word_a_node_is_not_up() -> None:
+def test_before_its_first_status_a_node_is_not_up() -> None:
     found = scraped(families("display-node", None, 0, unreadable=3))
     assert found["telepulse_up", ()] == 0
     assert found["telepulse_unreadable_statuses_total", ()] == 3
@@ -128,7 +128,7 @@ def test_any_text_is_exported_unchanged(
     stream, *faults = (" ".join(text.split()) for text in (stream, *faults))
     causes = {" ".join(cause.split()): count for cause, count in causes.items()}
     summary = Summary(rejected=causes, faults=faults)
-    found = scraped(families("display-node", told(summary, stream=stream), SECOND_NS))
+    found = scraped(families("display-node", node_state(summary, stream=stream), SECOND_NS))
     got = {dict(labels)["cause"]: n for (name, labels), n in found.items() if "rejected" in name}
     assert got == causes
 

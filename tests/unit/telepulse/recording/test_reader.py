@@ -189,13 +189,13 @@ def test_a_field_that_is_not_telepulses_is_one_line_or_left_out(
             fields[name] = value
 
     change(good, path, spoil)
-    said = f"{path}: a message is not telepulse's"
+    refusal = f"{path}: a message is not telepulse's"
     try:
         READERS[reader](path, path.with_name("out"))
     except SourceError as error:
-        said = str(error)
-    assert said.startswith(f"{path}: a message is not telepulse's")
-    assert "\n" not in said
+        refusal = str(error)
+    assert refusal.startswith(f"{path}: a message is not telepulse's")
+    assert "\n" not in refusal
 
 
 @pytest.mark.parametrize("reader", READERS)

@@ -76,10 +76,10 @@ def test_a_true_frame_is_the_frame_but_for_its_values() -> None:
 def test_missing_frames_do_not_shift_what_is_true() -> None:
     scene = sensing(FILTERS)
     sent = frames(scene)
-    heard = [*sent[30:50], *sent[51:]]
+    received = [*sent[30:50], *sent[51:]]
     expected = samples(sensing())
     np.testing.assert_allclose(
-        truth(scene, heard), np.concatenate([expected[150:250], expected[255:]]), rtol=1e-12
+        truth(scene, received), np.concatenate([expected[150:250], expected[255:]]), rtol=1e-12
     )
 
 

@@ -98,7 +98,7 @@ frames = st.builds(
     st.integers(0, 3_000).map(lambda ms: ms * MS + AHEAD_NS) | times_ns,
     *(st.just(MS), samples),
 )
-heard = st.builds(
+captures = st.builds(
     heard_message, frames, times_ns, times_ns, st.just(WALL_NS) | times_ns, st.integers(1, 2)
 )
 EMPTY = TRACE, msgpack.packb([b"", b""])
@@ -109,7 +109,7 @@ def garbage(data: bytes) -> Message:
 
 
 messages = st.lists(
-    traces | rising_traces | statuses | heard | st.just(EMPTY) | st.binary().map(garbage),
+    traces | rising_traces | statuses | captures | st.just(EMPTY) | st.binary().map(garbage),
     max_size=12,
 )
 
@@ -137,9 +137,9 @@ def readers_after(*messages: Message) -> TelemetryReaders:
 
 @settings(deadline=None, max_examples=60)
 @given(messages)
-def test_every_reader_goes_on(said: list[Message]) -> None:
+def test_every_reader_goes_on(published: list[Message]) -> None:
     with little_memory():
-        readers = readers_after(*preamble(), *said)
+        readers = readers_after(*preamble(), *published)
         readers.draw()
 
 
