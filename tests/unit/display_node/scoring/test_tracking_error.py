@@ -1,6 +1,6 @@
 import math
 import tracemalloc
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 import pytest
@@ -16,7 +16,6 @@ DELAY_NS = 43 * MS
 STRAIN_PER_NEWTON = ElasticLayer().strain_per_newton
 Times = NDArray[np.int64]
 Forces = NDArray[np.float64]
-Wave = Callable[[Times], Forces]
 
 
 def pulse_n(t_ns: Times) -> Forces:
@@ -38,24 +37,30 @@ def frames(t_ns: Times, size: int = 5) -> list[Times]:
     return np.split(t_ns, range(size, len(t_ns), size))
 
 
-def tell(fidelity: TrackingError, pieces: Iterable[Times], wave: Wave = pulse_n) -> None:
+def add_reference(error: TrackingError, pieces: Iterable[Times]) -> None:
     for t_ns in pieces:
-        fidelity.add_reference_force(t_ns, wave(t_ns))
+        error.add_reference_force(t_ns, pulse_n(t_ns))
 
 
-def feel(
-    fidelity: TrackingError, ticks_ns: Times, forces_n: Forces, delay_ns: int = DELAY_NS
+def add_output(
+    error: TrackingError, ticks_ns: Times, forces_n: Forces, delay_ns: int = DELAY_NS
 ) -> None:
     for now_ns, force_n in zip(ticks_ns.tolist(), forces_n.tolist(), strict=True):
-        fidelity.add_output(now_ns, now_ns - delay_ns, force_n)
+        error.add_output(now_ns, now_ns - delay_ns, force_n)
 
 
-def scored(ticks_ns: Times, felt_n: Forces, truth_s: float = 6.0) -> TrackingError:
-    fidelity = TrackingError(STRAIN_PER_NEWTON)
-    tell(fidelity, frames(sample_times_ns(truth_s)))
-    feel(fidelity, ticks_ns, felt_n)
-    fidelity.finish()
-    return fidelity
+def scored(
+    ticks_ns: Times,
+    felt_n: Forces,
+    reference: Sequence[Times] | None = None,
+    delay_ns: int = DELAY_NS,
+) -> TrackingError:
+    """Score a felt force by a reference of 6 s, or by the given pieces of one."""
+    error = TrackingError(STRAIN_PER_NEWTON)
+    add_reference(error, frames(sample_times_ns(6.0)) if reference is None else reference)
+    add_output(error, ticks_ns, felt_n, delay_ns)
+    error.finish()
+    return error
 
 
 def rms(values: Forces) -> float:
@@ -64,15 +69,15 @@ def rms(values: Forces) -> float:
 
 def test_a_delayed_pulse_is_aligned_but_out_of_phase() -> None:
     ticks_ns = tick_times_ns(1.0, 5.0)
-    fidelity = scored(ticks_ns, pulse_n(ticks_ns - DELAY_NS))
+    error = scored(ticks_ns, pulse_n(ticks_ns - DELAY_NS))
     expected_n = 0.15 * 2 * math.sin(math.pi * 1.25 * DELAY_NS * 1e-9) / math.sqrt(2)
-    force, strain = fidelity.force_rmse_n, fidelity.strain_rmse
+    force, strain = error.force_rmse_n, error.strain_rmse
     # What is left is the linear interpolation of 1 kHz samples.
     assert force.aligned == pytest.approx(0, abs=2e-6)
     assert force.in_phase == pytest.approx(expected_n, rel=1e-4)
     assert strain.aligned == pytest.approx(abs(STRAIN_PER_NEWTON) * force.aligned)
     assert strain.in_phase == pytest.approx(abs(STRAIN_PER_NEWTON) * expected_n, rel=1e-4)
-    assert fidelity.within_jnd == 1.0
+    assert error.within_jnd == 1.0
 
 
 def test_it_agrees_with_numpy_on_noise() -> None:
@@ -82,11 +87,11 @@ def test_it_agrees_with_numpy_on_noise() -> None:
     at_ms = (t_ns - T0_NS) / MS
     aligned_n = felt_n - np.interp((ticks_ns - DELAY_NS - T0_NS) / MS, at_ms, pulse_n(t_ns))
     in_phase_n = felt_n - np.interp((ticks_ns - T0_NS) / MS, at_ms, pulse_n(t_ns))
-    fidelity = scored(ticks_ns, felt_n)
-    assert fidelity.force_rmse_n.aligned == pytest.approx(rms(aligned_n), rel=1e-9)
-    assert fidelity.force_rmse_n.in_phase == pytest.approx(rms(in_phase_n), rel=1e-9)
+    error = scored(ticks_ns, felt_n)
+    assert error.force_rmse_n.aligned == pytest.approx(rms(aligned_n), rel=1e-9)
+    assert error.force_rmse_n.in_phase == pytest.approx(rms(in_phase_n), rel=1e-9)
     within = np.mean(np.abs(aligned_n) < 0.03)
-    assert fidelity.within_jnd == pytest.approx(within, abs=1e-3)
+    assert error.within_jnd == pytest.approx(within, abs=1e-3)
 
 
 def test_within_jnd_is_the_share_below_10_percent_of_peak_to_peak() -> None:
@@ -97,88 +102,70 @@ def test_within_jnd_is_the_share_below_10_percent_of_peak_to_peak() -> None:
     assert scored(ticks_ns, felt_n).within_jnd == 0.75
 
 
-def test_nothing_is_known_before_anything_was_scored() -> None:
-    fidelity = TrackingError(STRAIN_PER_NEWTON)
-    feel(fidelity, tick_times_ns(1.0, 5.0), np.zeros(4000))
-    fidelity.finish()
-    assert fidelity.force_rmse_n.aligned is None
-    assert fidelity.strain_rmse.in_phase is None
-    assert fidelity.within_jnd is None
+@pytest.mark.parametrize("samples", [0, 1])
+def test_nothing_is_known_without_a_reference(samples: int) -> None:
+    reference = [sample_times_ns(0.001)] * samples
+    error = scored(tick_times_ns(0.0, 5.0), np.zeros(5000), reference)
+    assert error.force_rmse_n.aligned is None
+    assert error.strain_rmse.in_phase is None
+    assert error.within_jnd is None
 
 
 def test_the_errors_are_known_while_it_runs() -> None:
     ticks_ns = tick_times_ns(1.0, 5.0)
-    fidelity = TrackingError(STRAIN_PER_NEWTON)
-    tell(fidelity, frames(sample_times_ns(6.0), size=100))
-    feel(fidelity, ticks_ns, pulse_n(ticks_ns - DELAY_NS) + 0.01)
-    assert fidelity.force_rmse_n.aligned == pytest.approx(0.01, rel=1e-3)
-    assert fidelity.within_jnd == 1.0
+    error = TrackingError(STRAIN_PER_NEWTON)
+    add_reference(error, frames(sample_times_ns(6.0), size=100))
+    add_output(error, ticks_ns, pulse_n(ticks_ns - DELAY_NS) + 0.01)
+    assert error.force_rmse_n.aligned == pytest.approx(0.01, rel=1e-3)
+    assert error.within_jnd == 1.0
 
 
-def test_truth_that_comes_after_the_felt_force_is_waited_for() -> None:
+def test_a_reference_that_comes_after_the_felt_force_is_waited_for() -> None:
     # In the order of a display: the error in phase needs samples that have yet to arrive.
     ticks_ns = tick_times_ns(2.0, 14.0)
     felt_n = pulse_n(ticks_ns)
-    fidelity, late_ns = TrackingError(STRAIN_PER_NEWTON), 1900 * MS
+    error, late_ns = TrackingError(STRAIN_PER_NEWTON), 1900 * MS
     pending = frames(sample_times_ns(16.0))
     for now_ns, force_n in zip(ticks_ns.tolist(), felt_n.tolist(), strict=True):
         while pending and pending[0][-1] + late_ns <= now_ns:
-            tell(fidelity, [pending.pop(0)])
-        fidelity.add_output(now_ns, now_ns - DELAY_NS, force_n)
-    tell(fidelity, pending)
-    fidelity.finish()
-    assert fidelity.force_rmse_n.in_phase == pytest.approx(0, abs=2e-6)
+            add_reference(error, [pending.pop(0)])
+        error.add_output(now_ns, now_ns - DELAY_NS, force_n)
+    add_reference(error, pending)
+    error.finish()
+    assert error.force_rmse_n.in_phase == pytest.approx(0, abs=2e-6)
     expected_n = 0.15 * 2 * math.sin(math.pi * 1.25 * DELAY_NS * 1e-9) / math.sqrt(2)
-    assert fidelity.force_rmse_n.aligned == pytest.approx(expected_n, rel=1e-3)
+    assert error.force_rmse_n.aligned == pytest.approx(expected_n, rel=1e-3)
 
 
-def test_truth_out_of_order_is_put_right() -> None:
+def test_a_reference_out_of_order_is_sorted() -> None:
     ticks_ns = tick_times_ns(1.0, 5.0)
     felt_n = pulse_n(ticks_ns) + np.random.default_rng(4).normal(0, 0.03, len(ticks_ns))
     shuffled = frames(sample_times_ns(6.0))
     np.random.default_rng(1).shuffle(shuffled)
-    fidelity = TrackingError(STRAIN_PER_NEWTON)
-    tell(fidelity, shuffled)
-    feel(fidelity, ticks_ns, felt_n)
-    fidelity.finish()
-    in_order = scored(ticks_ns, felt_n)
-    assert fidelity.force_rmse_n == in_order.force_rmse_n
-    assert fidelity.within_jnd == in_order.within_jnd
+    found, in_order = scored(ticks_ns, felt_n, shuffled), scored(ticks_ns, felt_n)
+    assert found.force_rmse_n == in_order.force_rmse_n
+    assert found.within_jnd == in_order.within_jnd
 
 
 @pytest.mark.parametrize(("gap_ms", "is_scored"), [(50, True), (70, False), (900, False)])
-def test_where_truth_is_missing_nothing_is_scored(gap_ms: int, is_scored: bool) -> None:
+def test_where_the_reference_is_missing_nothing_is_scored(gap_ms: int, is_scored: bool) -> None:
     t_ns = sample_times_ns(6.0)
     gap_ns = (T0_NS + 3000 * MS, T0_NS + (3000 + gap_ms) * MS)
     here = (t_ns <= gap_ns[0]) | (t_ns >= gap_ns[1])
     ticks_ns = tick_times_ns(1.0, 5.0)
     felt_n = pulse_n(ticks_ns)
     felt_n[(ticks_ns > gap_ns[0]) & (ticks_ns < gap_ns[1])] += 100.0
-    fidelity = TrackingError(STRAIN_PER_NEWTON)
-    tell(fidelity, frames(t_ns[here], size=1))
-    feel(fidelity, ticks_ns, felt_n, delay_ns=0)
-    fidelity.finish()
-    assert fidelity.force_rmse_n.aligned is not None
-    assert (fidelity.force_rmse_n.aligned > 1) == is_scored
+    error = scored(ticks_ns, felt_n, frames(t_ns[here], size=1), delay_ns=0)
+    assert error.force_rmse_n.aligned is not None
+    assert (error.force_rmse_n.aligned > 1) == is_scored
 
 
-def test_before_and_after_all_truth_nothing_is_scored() -> None:
+def test_before_and_after_the_reference_nothing_is_scored() -> None:
     ticks_ns = tick_times_ns(-1.0, 9.0)
     inside = (ticks_ns > T0_NS) & (ticks_ns < T0_NS + 5999 * MS)
-    fidelity = TrackingError(STRAIN_PER_NEWTON)
-    tell(fidelity, frames(sample_times_ns(6.0)))
-    feel(fidelity, ticks_ns, np.where(inside, pulse_n(ticks_ns), 100.0), delay_ns=0)
-    fidelity.finish()
-    assert fidelity.force_rmse_n.aligned == pytest.approx(0, abs=2e-6)
-    assert fidelity.force_rmse_n.in_phase == pytest.approx(0, abs=2e-6)
-
-
-def test_one_sample_of_truth_scores_nothing() -> None:
-    fidelity = TrackingError(STRAIN_PER_NEWTON)
-    tell(fidelity, [sample_times_ns(0.001)])
-    feel(fidelity, tick_times_ns(0.0, 1.0), np.zeros(1000))
-    fidelity.finish()
-    assert fidelity.force_rmse_n.aligned is None
+    error = scored(ticks_ns, np.where(inside, pulse_n(ticks_ns), 100.0), delay_ns=0)
+    assert error.force_rmse_n.aligned == pytest.approx(0, abs=2e-6)
+    assert error.force_rmse_n.in_phase == pytest.approx(0, abs=2e-6)
 
 
 def grown_bytes(run: Callable[[int], None], minutes: int = 10) -> int:
@@ -196,39 +183,32 @@ def grown_bytes(run: Callable[[int], None], minutes: int = 10) -> int:
 
 @pytest.mark.parametrize("felt_share", [1.0, 0.3, 0.0], ids=["felt", "a fault after 18 s", "never"])
 def test_memory_does_not_grow_in_ten_minutes(felt_share: float) -> None:
-    fidelity = TrackingError(STRAIN_PER_NEWTON)
+    error = TrackingError(STRAIN_PER_NEWTON)
     first_ns, force_n = T0_NS + np.arange(25, dtype=np.int64) * MS, np.linspace(0.3, 0.4, 25)
 
     def one_minute(minute: int) -> None:
         for frame in range(minute * 2400, (minute + 1) * 2400):
-            fidelity.add_reference_force(first_ns + frame * 25 * MS, force_n.copy())
+            error.add_reference_force(first_ns + frame * 25 * MS, force_n.copy())
             now_ns = T0_NS + frame * 25 * MS
             if felt_share == 1.0 or frame < 2400 * felt_share:
-                fidelity.add_output(now_ns, now_ns - DELAY_NS, 0.3)
+                error.add_output(now_ns, now_ns - DELAY_NS, 0.3)
 
     # Ten minutes are 9.6 MB of truth.
     assert grown_bytes(one_minute) < 500_000
-    fidelity.finish()
-    assert (fidelity.within_jnd is None) == (felt_share == 0.0)
+    error.finish()
+    assert (error.within_jnd is None) == (felt_share == 0.0)
 
 
-def test_what_was_felt_before_a_fault_is_scored_however_long_it_lasts() -> None:
-    fidelity = TrackingError(STRAIN_PER_NEWTON)
+def test_a_force_before_a_fault_is_scored_and_an_unknown_one_is_not() -> None:
     ticks_ns = tick_times_ns(1.0, 2.0)
     pieces = frames(sample_times_ns(120.0))
-    tell(fidelity, pieces[:400])
-    feel(fidelity, ticks_ns, pulse_n(ticks_ns - DELAY_NS) + 0.01)
-    tell(fidelity, pieces[400:])
-    fidelity.finish()
-    assert fidelity.force_rmse_n.aligned == pytest.approx(0.01, rel=1e-3)
-
-
-def test_a_force_that_is_unknown_is_not_scored() -> None:
-    fidelity = TrackingError(STRAIN_PER_NEWTON)
-    ticks_ns = tick_times_ns(1.0, 2.0)
-    tell(fidelity, frames(sample_times_ns(120.0))[:400])
     felt_n = pulse_n(ticks_ns - DELAY_NS) + 0.01
+    error = TrackingError(STRAIN_PER_NEWTON)
+    add_reference(error, pieces[:400])
+    add_output(error, ticks_ns, felt_n)
+    # The fault lasts for two minutes.
+    add_reference(error, pieces[400:])
+    error.finish()
     felt_n[::7] = math.nan
-    feel(fidelity, ticks_ns, felt_n)
-    fidelity.finish()
-    assert fidelity.force_rmse_n.aligned == pytest.approx(0.01, rel=1e-3)
+    for found in (error, scored(ticks_ns, felt_n, pieces[:400])):
+        assert found.force_rmse_n.aligned == pytest.approx(0.01, rel=1e-3)

@@ -23,7 +23,6 @@ from protocol.wire.telemetry import (
     TickState,
     Trace,
     TraceWriter,
-    pack_status,
     read_status,
     read_trace,
 )
@@ -80,25 +79,21 @@ def test_a_figure_that_is_no_measurement_is_read_as_unknown(name: str, value: fl
     assert math.isnan(column[-1])
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300])
-def test_a_target_that_is_no_force_is_refused(value: float) -> None:
-    with pytest.raises(WireError, match="target"):
-        trace_of(target_n=value)
-
-
 @pytest.mark.parametrize(
-    "changes", [{"now_ns": 3}, {"now_ns": 2**62}, {"instant_ns": -(2**63)}], ids=str
+    ("changes", "reason"),
+    [
+        *(({"target_n": value}, "target") for value in (math.nan, math.inf, -math.inf, 1e300)),
+        ({"now_ns": 3}, "time"),
+        ({"now_ns": 2**62}, "time"),
+        ({"instant_ns": -(2**63)}, "time"),
+    ],
+    ids=str,
 )
-def test_times_that_fall_or_are_out_of_range_are_refused(changes: dict[str, int]) -> None:
-    with pytest.raises(WireError, match="time"):
+def test_a_target_that_is_no_force_and_times_that_fall_or_are_out_of_range_are_refused(
+    changes: dict[str, float], reason: str
+) -> None:
+    with pytest.raises(WireError, match=reason):
         trace_of(**changes)
-
-
-@pytest.mark.parametrize("number", [2**53, 2**63])
-def test_a_summary_that_counts_beyond_all_measure_is_refused(number: int) -> None:
-    whole = Summary(samples=SampleCounts(sent=number))
-    with pytest.raises(WireError, match="out of range"):
-        read_status(pack_status("playing", "", whole, final=False))
 
 
 @pytest.mark.parametrize("figure", [math.nan, math.inf, -math.inf, 1e300])
@@ -108,20 +103,15 @@ def test_a_summarys_figure_that_is_no_measurement_is_absent(figure: float) -> No
     assert status.summary["within_jnd"] is None
 
 
-def test_the_status_comes_through() -> None:
-    scene = load_section(RADIAL, "display", DisplayScene)
-    display = Display(scene, "test")
+def test_a_status_is_read_as_it_was_packed() -> None:
+    display = Display(load_section(RADIAL, "display", DisplayScene), "test")
+    status = read_status(display.pack_status(display.summary(), final=True))
+    assert (status.state, status.stream, status.final) == ("waiting", "", True)
     run(display, Sender(), 0, 1500)
     summary = display.summary()
     status = read_status(display.pack_status(summary, final=False))
     assert (status.state, status.stream, status.final) == ("playing", "test pulse", False)
     assert status.summary == summary.to_dict()
-
-
-def test_the_status_comes_through_before_there_is_a_stream() -> None:
-    display = Display(load_section(RADIAL, "display", DisplayScene), "test")
-    status = read_status(display.pack_status(display.summary(), final=True))
-    assert (status.state, status.stream, status.final) == ("waiting", "", True)
 
 
 good_trace = traces([TickState()] * TRACE_TICKS)[0]
@@ -145,60 +135,65 @@ def test_bytes_are_read_or_refused(read: Callable[[bytes], object], data: bytes)
         assert isinstance(read(data), tuple)
 
 
-@pytest.mark.parametrize(
-    "value",
-    [
-        [b"\0" * 48, b"\0" * 16],
-        [b"\0" * 24, b"\0" * 32],
-        [b"\0" * 23, b"\0" * 16],
-        [b"\0" * 24],
-        ["a", "b"],
-        [None, None],
-        17,
-    ],
-)
-def test_what_is_no_trace_is_refused(value: object) -> None:
-    with pytest.raises(WireError):
-        read_trace(msgpack.packb(value))
+def status_of(summary: object) -> list[object]:
+    return ["playing", "stream", summary, True, None, None, None]
 
 
 @pytest.mark.parametrize(
-    "value",
+    ("read", "value", "reason"),
     [
-        "abcd",
-        {"a": 1, "b": 2, "c": 3, "d": 4},
-        [1, "stream", {}, True],
-        ["playing", None, {}, True],
-        ["playing", "stream", [], True],
-        ["playing", "stream", {}, 1],
-        ["playing", "stream", {}],
-        None,
+        *(
+            (read_trace, value, None)
+            for value in (
+                [b"\0" * 48, b"\0" * 16],
+                [b"\0" * 24, b"\0" * 32],
+                [b"\0" * 23, b"\0" * 16],
+                [b"\0" * 24],
+                ["a", "b"],
+                [None, None],
+                17,
+            )
+        ),
+        *(
+            (read_status, value, None)
+            for value in (
+                "abcd",
+                {"a": 1, "b": 2, "c": 3, "d": 4},
+                [1, "stream", {}, True],
+                ["playing", None, {}, True],
+                ["playing", "stream", [], True],
+                ["playing", "stream", {}, 1],
+                ["playing", "stream", {}],
+                None,
+            )
+        ),
+        *(
+            (read_status, status_of(summary), "a status' summary")
+            for summary in (
+                {"samples": None},
+                {"samples": {"late": "many"}},
+                {"loop": []},
+                {"rejected": {"crc": "x"}},
+                {"faults": "none"},
+                {"clock": {"offset_ms": {}}},
+            )
+        ),
+        *(
+            (read_status, status_of(Summary(samples=SampleCounts(sent=sent)).to_dict()), "range")
+            for sent in (2**53, 2**63)
+        ),
     ],
 )
-def test_what_is_no_status_is_refused(value: object) -> None:
-    with pytest.raises(WireError):
-        read_status(msgpack.packb(value))
-
-
-@pytest.mark.parametrize(
-    "summary",
-    [
-        {"samples": None},
-        {"samples": {"late": "many"}},
-        {"loop": []},
-        {"rejected": {"crc": "x"}},
-        {"faults": "none"},
-        {"clock": {"offset_ms": {}}},
-    ],
-)
-def test_a_status_with_what_is_no_summary_is_refused(summary: object) -> None:
-    with pytest.raises(WireError, match="a status' summary"):
-        read_status(msgpack.packb(["playing", "stream", summary, True, None, None, None]))
+def test_an_invalid_message_is_refused(
+    read: Callable[[bytes], object], value: object, reason: str | None | None
+) -> None:
+    with pytest.raises(WireError, match=reason):
+        read(msgpack.packb(value))
 
 
 def test_a_status_has_every_key_of_a_summary() -> None:
-    told = {"samples": {"late": 3}, "of a later version": 1}
-    status = read_status(msgpack.packb(["playing", "stream", told, True, None, None, None]))
+    summary = {"samples": {"late": 3}, "of a later version": 1}
+    status = read_status(msgpack.packb(status_of(summary)))
     assert status.summary == Summary(samples=SampleCounts(late=3)).to_dict()
 
 

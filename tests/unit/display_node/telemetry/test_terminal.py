@@ -1,0 +1,211 @@
+import io
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+
+from display_node.telemetry.terminal import TerminalView
+from protocol.counters import Limited, Limits
+from protocol.errors import CAUSE_MEANINGS
+from protocol.run_summary import Summary
+from protocol.summary_tables import (
+    AlignedErrors,
+    Compensation,
+    Loop,
+    OneWayDelay,
+    PlayoutDelay,
+    Roughness,
+    SampleCounts,
+)
+from protocol.wire.telemetry import STATUS, TRACE, Status, Trace, pack_status
+
+BEAT_S = 0.8
+SECOND_NS = 1_000_000_000
+SUMMARY = Summary(
+    samples=SampleCounts(1000, 990, 7, 3, 0),
+    one_way_delay_ms=OneWayDelay(1.25, 4.5, 9.0),
+    playout_delay_ms=PlayoutDelay(12.5, 14.0),
+    compensation=Compensation(0.375),
+    roughness=Roughness(6e-4, 5e-4, 1.44),
+    strain_rmse=AlignedErrors(1.5e-9, 2e-8),
+    loop=Loop(1000, 42),
+).to_dict()
+FINAL = pack_status("ended", "my pulse", Summary(), final=True)
+
+
+def pulse(seconds: float, start_s: float = 0.0) -> Trace:
+    t_s = np.arange(0, seconds, 1e-3)
+    phase = (t_s % BEAT_S) - 0.2
+    force_n = 0.3 + 0.3 * np.exp(-0.5 * (phase / 0.05) ** 2)
+    now_ns = ((t_s + start_s) * 1e9).astype(np.int64)
+    return Trace(now_ns, now_ns, force_n, force_n, np.ones(len(t_s), bool))
+
+
+def view(state: str = "playing", seconds: float = 6, **changes: object) -> TerminalView:
+    """A view of a pulse of so many seconds, with changes to the summary of its status."""
+    under_test = TerminalView()
+    under_test.add_trace(pulse(seconds))
+    under_test.status = Status(state, "my pulse", SUMMARY | changes, False)
+    return under_test
+
+
+def printed(under_test: TerminalView, now_ns: int = 0, styles: bool = False) -> str:
+    console = Console(width=100, record=True, file=io.StringIO(), force_terminal=styles or None)
+    console.print(under_test.panel(now_ns))
+    return console.export_text(styles=styles)
+
+
+def test_panel_and_line_show_the_state() -> None:
+    text = printed(view())
+    for figure in (
+        *("my pulse", "playing", "75 /min", "1.500e-09", "1.25 ms", "4.50 ms", "12.50 ms"),
+        *("37.5 %", "energy ratio 1.44", "7", "3", "42"),
+    ):
+        assert figure in text
+    line = view().line()
+    assert "\n" not in line
+    assert line.startswith("playing: heart rate 75 /min, force target")
+
+
+def test_a_fault_is_named_with_what_to_do_in_line_and_panel() -> None:
+    under_test = view("fault", 0, faults=["feedback lost"], finger="pressed with 245 mN")
+    alert = (
+        "fault: feedback lost: check the film's sensor and its cable; then start the display"
+        " again; finger: pressed with 245 mN"
+    )
+    assert under_test.new_alerts() == [alert]
+    assert under_test.new_alerts() == []
+    line = under_test.line()
+    assert line.startswith("fault: feedback lost: check the film's")
+    assert line.endswith("finger pressed with 245 mN")
+    assert alert in " ".join(printed(under_test).replace("│", " ").split())
+
+
+def test_a_revoked_display_is_named_until_it_plays_again() -> None:
+    rejected = {"revoked": 4}
+    line = view("stale", 0, rejected=rejected).line()
+    assert "stale: revoked: the other node allowed this" in line
+    assert "revoked" not in view(rejected=rejected).line()
+
+
+def test_a_limit_is_shown_once_it_was_reached() -> None:
+    assert "at a limit" not in printed(view())
+    limits = Limits(force=Limited(312, 4.1, 0.205), travel=Limited(1, 0.5, 0.025))
+    limited: Mapping[str, Any] = Summary(limited=limits).to_dict()["limited"]
+    assert "force limit 312 times, 4.1 s (20.5 % of the run)" in printed(view(limited=limited))
+
+
+@pytest.mark.parametrize(
+    ("state", "rejected", "named"),
+    [
+        ("waiting", {"refused_key": 1}, True),
+        ("stale", {"not_authentic": 319}, True),
+        ("waiting", {"handshake": 3}, True),
+        # A node that ends breaks off.
+        ("stale", {"handshake": 2}, False),
+        ("playing", {"refused_key": 9}, False),
+        ("waiting", {"session": 4}, False),
+    ],
+)
+def test_a_display_whose_connection_is_refused_shows_why(
+    state: str, rejected: dict[str, int], named: bool
+) -> None:
+    under_test = view(state, 0, rejected=rejected)
+    ((cause, count),) = rejected.items()
+    alert = f"not connected: {count} {cause}: {CAUSE_MEANINGS[cause]}"
+    assert (alert in under_test.new_alerts()) == named
+    assert ("not connected" in under_test.line()) == named
+
+
+def test_the_plot_is_a_line_without_holes() -> None:
+    rows = [
+        [ord(c) - 0x2800 for c in line if 0x2800 <= ord(c) <= 0x28FF]
+        for line in printed(view(seconds=3)).splitlines()
+        if any(0x2801 <= ord(c) <= 0x28FF for c in line)
+    ]
+    columns = np.array(rows).T
+    assert columns.shape == (64, 6)
+    assert (columns.max(axis=1) > 0).all()
+
+
+def test_before_anything_is_known_the_view_says_so() -> None:
+    under_test = TerminalView()
+    assert "waiting" in printed(under_test)
+    assert "waiting" in under_test.line()
+    under_test.status = Status("waiting", "", Summary().to_dict(), False)
+    assert "no pulse yet" in printed(under_test)
+
+
+def test_the_heart_rate_is_of_the_last_seconds_at_full_strength() -> None:
+    under_test = TerminalView()
+    for start_s in range(0, 120, 2):
+        under_test.add_trace(pulse(2, start_s))
+    assert under_test.heart_rate_per_min == pytest.approx(60 / BEAT_S, rel=0.3)
+    # A clock that falls begins the pulse again.
+    under_test.add_trace(pulse(3))
+    assert under_test.heart_rate_per_min == pytest.approx(60 / BEAT_S, rel=0.02)
+    trace = pulse(6)
+    under_test.add_trace(trace._replace(scored=trace.now_ns < 5_900_000_000))
+    assert under_test.heart_rate_per_min is None
+
+
+def test_unreadable_telemetry_is_counted_and_shown() -> None:
+    under_test = TerminalView()
+    for message in ((TRACE, b"?"), (STATUS, b"?"), (STATUS,), (STATUS, FINAL, b"")):
+        assert under_test.take(message) is None
+    assert under_test.take((STATUS, FINAL)) is None
+    assert "telemetry not readable" in printed(under_test)
+    assert under_test.unreadable == 4
+
+
+@pytest.mark.parametrize("name", ["[red]evil[/red]", "\x1b[31mevil", "[/]"])
+def test_the_texts_of_a_status_cannot_draw_on_the_screen(name: str) -> None:
+    under_test = view(faults=[name], finger=name, rejected={name: 1})
+    assert under_test.status is not None
+    under_test.status = under_test.status._replace(stream=name)
+    text = printed(under_test)
+    assert "\x1b" not in text + under_test.line()
+    assert "evil" in text or "[/]" in text
+
+
+def test_a_state_that_is_not_current_has_its_age_and_no_heart_rate() -> None:
+    under_test = view()
+    status = pack_status("playing", "my pulse", Summary(), final=False)
+    under_test.take((STATUS, status), 10 * SECOND_NS)
+    assert under_test.line(10 * SECOND_NS).startswith("playing: heart rate 75 /min")
+    late_ns = 12_300_000_000
+    line = under_test.line(late_ns)
+    assert line.startswith("playing 2.3 s ago: no telemetry: since 2 s; finger:")
+    assert "playing 2.3 s ago" in printed(under_test, late_ns)
+    # Grey: every figure is dim, none is bold.
+    styled = printed(under_test, late_ns, styles=True)
+    assert "\x1b[2m" in styled
+    assert "\x1b[1m" not in styled
+    # A display that has ended is not old.
+    under_test.take((STATUS, FINAL), 0)
+    assert under_test.line(60 * SECOND_NS).startswith("ended: ")
+
+
+@given(
+    st.text(max_size=200),
+    st.lists(st.text(max_size=300), max_size=4),
+    st.text(max_size=300),
+    st.floats(allow_infinity=False),
+    st.integers(0, 1 << 53),
+)
+def test_a_status_line_has_at_most_120_characters(
+    state: str, faults: list[str], finger: str, force_n: float, count: int
+) -> None:
+    under_test, ticks = TerminalView(), np.arange(2) * 10_000_000
+    force = np.full(2, force_n)
+    under_test.add_trace(Trace(ticks, ticks, force, force, np.ones(2, bool)))
+    counts = SampleCounts(count, count, count, count, count)
+    summary = Summary(samples=counts, faults=faults, finger=finger).to_dict()
+    under_test.status = Status(state, "stream", summary, False)
+    for now_ns in (0, 10**17):
+        assert len(under_test.line(now_ns)) <= 120
+        assert "\n" not in under_test.line(now_ns)
