@@ -35,3 +35,13 @@ def received(sensor: Sensor, count: int) -> list[SampleBlock]:
 
     until(enough)
     return blocks
+
+
+def await_log(sensor: Sensor, logged: list[str], count: int = 1) -> None:
+    """Poll until so many messages are logged."""
+
+    def enough() -> bool:
+        sensor.poll()
+        return len(logged) >= count
+
+    until(enough)

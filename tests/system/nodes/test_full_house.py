@@ -1,4 +1,4 @@
-"""More displays than a sensing node knows."""
+"""More displays than a sensing node serves."""
 
 import signal
 
@@ -15,25 +15,26 @@ from tests.support.sensing_client import PATIENCE_MS
 TOO_MANY = 5
 
 
-def test_who_comes_when_it_is_full_is_not_answered_and_those_who_are_there_still_are(
+def test_a_full_node_answers_its_displays_and_no_further_one(
     context: Context,
 ) -> None:
     address = free_address()
-    # As a relay passes them on: an address before what each display says.
+    # A relay passes on an address before the message of each display.
     relay = context.socket(zmq.DEALER)
     relay.setsockopt(zmq.RCVTIMEO, PATIENCE_MS)
     relay.connect(control_address(address))
     with process("sensing_node.cli", str(RADIAL), "--bind", address) as node:
-        for number in range(MAX_CLIENTS):
-            relay.send_multipart([b"\0%04d" % number, encode(Hello(f"display {number}"))])
+        for number in range(MAX_CLIENTS + TOO_MANY):
+            display = b"\0%04d" % number
+            relay.send_multipart([display, encode(Hello(f"display {number}"))])
+            if number >= MAX_CLIENTS:
+                continue
             sender, welcome = relay.recv_multipart()
-            assert sender == b"\0%04d" % number
+            assert sender == display
             message = decode_control(welcome)
             assert isinstance(message, Welcome)
-            # So that none is waited for at the end.
+            # The node does not wait for it at the end.
             relay.send_multipart([sender, encode(Bye(message.session, 0))])
-        for number in range(MAX_CLIENTS, MAX_CLIENTS + TOO_MANY):
-            relay.send_multipart([b"\0%04d" % number, encode(Hello(f"display {number}"))])
         relay.send_multipart([b"\0%04d" % 0, encode(ClockRequest(7))])
         sender, reply = relay.recv_multipart()
         assert sender == b"\0%04d" % 0

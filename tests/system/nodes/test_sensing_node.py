@@ -40,9 +40,8 @@ def address() -> str:
 
 @pytest.fixture
 def client(address: str) -> Iterator[Client]:
-    client = Client(address)
-    yield client
-    client.close()
+    with closing(Client(address)) as client:
+        yield client
 
 
 def end(node: "subprocess.Popen[str]", number: int = signal.SIGTERM) -> str:
@@ -109,7 +108,7 @@ def test_exactly_the_samples_of_the_asked_seconds_are_sent(
     assert read_json(summary)["samples"]["sent"] == sent
 
 
-def test_the_chains_delay_and_samples_beyond_the_adcs_range_are_told(
+def test_the_chains_delay_and_samples_beyond_the_adcs_range_are_reported(
     address: str, tmp_path: Path
 ) -> None:
     # 5 mV are 0.114 N at Fig. 4's sensitivity: below all of the pulse.
@@ -250,7 +249,7 @@ def test_a_display_may_have_any_name(address: str) -> None:
 
 
 @pytest.mark.parametrize("taken", ["data", "control"])
-def test_a_port_in_use_is_one_line(address: str, taken: str) -> None:
+def test_a_port_in_use_is_refused_in_one_line(address: str, taken: str) -> None:
     held = address if taken == "data" else control_address(address)
     with socket.create_server((HOST, int(held.rpartition(":")[2]))):
         result = run(MODULE, str(RADIAL), "--bind", address)
@@ -260,35 +259,35 @@ def test_a_port_in_use_is_one_line(address: str, taken: str) -> None:
     assert result.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize("address", ["localhost:5555", "tcp://*:65535", "udp://h:1", "ipc://"])
-def test_a_wrong_address_is_one_line(address: str) -> None:
-    result = run(MODULE, str(RADIAL), "--bind", address)
-    assert result.returncode == 2
-    assert result.stderr.startswith(f"sensing-node: {address}: ")
-    assert result.stderr.count("\n") == 1
+RECORDING = 'kind = "recording"\npath = "{}"\nrate = "1 kHz"\nunit = "N"'
 
 
-def test_a_missing_scene_or_recording_is_one_line(tmp_path: Path) -> None:
-    missing = tmp_path / "none.toml"
-    keys = 'kind = "recording"\npath = "none.csv"\nrate = "1 kHz"\nunit = "N"'
-    for scene, said in [
-        (missing, f"sensing-node: {missing}: no such scene file\n"),
-        (scene_file(tmp_path, keys), f"sensing-node: {tmp_path}/none.csv: no such recording\n"),
-    ]:
-        result = run(MODULE, str(scene))
-        assert (result.returncode, result.stderr) == (2, said)
-        assert result.stdout == ""
-
-
-def test_a_recording_in_the_wrong_unit_is_refused_in_one_line(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("source", "arguments", "line"),
+    [
+        *(
+            (None, ("--bind", wrong), f"{wrong}: ")
+            for wrong in ("localhost:5555", "tcp://*:65535", "udp://h:1", "ipc://")
+        ),
+        (None, ("none.toml",), "none.toml: no such scene file\n"),
+        (RECORDING.format("none.csv"), (), "{}/none.csv: no such recording\n"),
+        (
+            RECORDING.format("pulse.npy"),
+            (),
+            '{}/pulse.npy: reaches 400 N in unit "N", and a pulse stays below 20 N;'
+            ' set unit = "mN", if it is in that\n',
+        ),
+    ],
+)
+def test_a_wrong_address_scene_or_recording_is_refused_in_one_line(
+    tmp_path: Path, source: str | None, arguments: tuple[str, ...], line: str
+) -> None:
     np.save(tmp_path / "pulse.npy", 300 + 100 * np.sin(np.arange(100)))
-    keys = 'kind = "recording"\npath = "pulse.npy"\nrate = "1 kHz"\nunit = "N"'
-    result = run(MODULE, str(scene_file(tmp_path, keys)))
+    scene = str(RADIAL if source is None else scene_file(tmp_path, source))
+    result = run(MODULE, *(() if arguments == ("none.toml",) else (scene,)), *arguments)
     assert (result.returncode, result.stdout) == (2, "")
-    assert result.stderr == (
-        f'sensing-node: {tmp_path}/pulse.npy: reaches 400 N in unit "N", and a pulse stays below'
-        ' 20 N; set unit = "mN", if it is in that\n'
-    )
+    assert result.stderr.startswith(f"sensing-node: {line.format(tmp_path)}")
+    assert result.stderr.count("\n") == 1
 
 
 def test_a_scene_without_a_chain_does_not_load_scipy() -> None:
@@ -303,7 +302,7 @@ def test_a_scene_without_a_chain_does_not_load_scipy() -> None:
     assert result.stdout == "False\n"
 
 
-def test_beyond_loopback_it_starts_with_keys_or_where_it_is_told_to_do_without(
+def test_beyond_loopback_the_node_starts_only_with_keys_or_insecure(
     address: str,
 ) -> None:
     everywhere = address.replace(HOST, "*")
@@ -317,21 +316,19 @@ def test_beyond_loopback_it_starts_with_keys_or_where_it_is_told_to_do_without(
     assert (insecure.stderr, refused.stdout) == ("", "")
 
 
-def test_it_stays_until_a_display_has_the_whole_stream(address: str, client: Client) -> None:
+@pytest.mark.parametrize("confirmed", [True, False])
+def test_the_node_stays_until_each_display_has_the_whole_stream_but_not_for_ever(
+    address: str, client: Client, confirmed: bool
+) -> None:
     with process(MODULE, str(RADIAL), "--bind", address, "--seconds", "0.5") as node:
         client.join()
         bye = decode_control(client.control.recv())
         assert isinstance(bye, Bye)
-        # One that joins now, or comes back over another connection, is told as well.
-        with closing(Client(address)) as other:
-            other.join("other")
-            assert other.bye() == bye
-        assert node.poll() is None
-        client.control.send(encode_control(bye))
-        assert node.wait(PATIENCE_MS / 1000) == 0
-
-
-def test_it_does_not_stay_for_ever(address: str, client: Client) -> None:
-    with process(MODULE, str(RADIAL), "--bind", address, "--seconds", "0.5") as node:
-        client.join()
+        if confirmed:
+            # One that joins now, or comes back over another connection, receives it as well.
+            with closing(Client(address)) as other:
+                other.join("other")
+                assert other.bye() == bye
+            assert node.poll() is None
+            client.control.send(encode_control(bye))
         assert node.wait(PATIENCE_MS / 1000) == 0

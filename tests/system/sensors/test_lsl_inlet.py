@@ -1,4 +1,3 @@
-import time
 from contextlib import closing
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from pulse_sensors import lsl_inlet
 from pulse_sensors.lsl_inlet import LslScene
 from pulse_sensors.sensor import open_sensor
 from tests.support.lsl_loopback import lsl_on_loopback
+from tests.support.sample_blocks import await_log, forces
 from tests.support.waiting import until
 
 
@@ -29,23 +29,17 @@ def test_a_stream_is_found_read_and_named_when_lost(
         open_sensor(scene(channel=2), Path())
     with pytest.raises(SourceError, match="its rate is 1000 Hz, the scene says 500"):
         open_sensor(scene(rate="500 Hz"), Path())
-    force_n: list[float] = []
     with closing(open_sensor(scene(channel=1), Path())) as sensor:
         until(outlets[0].have_consumers)
+        force_n: list[float] = []
 
         def enough() -> bool:
             outlets[0].push_sample([0.0, 250.0])
-            force_n.extend(f for reading in sensor.poll() for f in reading.force_n)
+            force_n.extend(forces(sensor.poll()))
             return len(force_n) >= 100
 
         until(enough)
         assert set(force_n) == {0.25}
         outlets.clear()
-
-        def gone() -> bool:
-            sensor.poll()
-            time.sleep(0.01)
-            return bool(logged)
-
-        until(gone)
+        await_log(sensor, logged)
         assert logged == ["LSL stream telepulse test has gone: the stream has been lost."]

@@ -11,18 +11,19 @@ from pulse_sensors import sensor as module
 from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.samples import SampleBlock, one_channel
 from pulse_sensors.sensor import Sensor
+from tests.support.sample_blocks import forces, received
 from tests.support.waiting import until
 
 TABLE = validate({"rate": "1 kHz", "unit": "N"}, SensorTable, "scene")
 
 
-class Given:
-    """A port that gives what it is told: values to read, or errors to raise."""
+class GivenPort:
+    """A port with given values to read, or errors to raise."""
 
     name = "the port"
 
-    def __init__(self, *told: object, opens: int = 2) -> None:
-        self._told = list(told)
+    def __init__(self, *given: object, opens: int = 2) -> None:
+        self._given = list(given)
         self._opens = opens
         self.openings = 0
         self.empty = threading.Event()
@@ -33,14 +34,14 @@ class Given:
             raise SourceError("not now")
 
     def read(self) -> object:
-        if not self._told:
+        if not self._given:
             self.empty.wait(0.01)
             self.empty.set()
             return None
-        told = self._told.pop(0)
-        if isinstance(told, Exception):
-            raise told
-        return told
+        given = self._given.pop(0)
+        if isinstance(given, Exception):
+            raise given
+        return given
 
     def close(self) -> None:
         pass
@@ -60,43 +61,37 @@ class AsIs:
         self.resets += 1
 
 
+@pytest.fixture(autouse=True)
+def reopened_soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "REOPEN_EVERY_S", 0.001)
+
+
 @pytest.mark.parametrize("error", [OSError("pulled"), TypeError("driver"), RuntimeError("driver")])
-def test_whatever_a_driver_raises_the_device_has_gone_and_comes_back(
-    error: Exception, monkeypatch: pytest.MonkeyPatch, logged: list[str]
+def test_after_any_error_of_a_driver_the_device_is_gone_and_comes_back(
+    error: Exception, logged: list[str]
 ) -> None:
-    monkeypatch.setattr(module, "REOPEN_EVERY_S", 0.01)
-    port, decoder = Given(0.1, error, 0.2), AsIs()
+    port, decoder = GivenPort(0.1, error, 0.2), AsIs()
     with closing(Sensor(port, decoder, TABLE)) as sensor:
-        readings = []
-
-        def both() -> bool:
-            readings.extend(sensor.poll())
-            return len(readings) == 2
-
-        until(both)
-        assert [reading.force_n for reading in readings] == [[0.1], [0.2]]
+        assert forces(received(sensor, 2)) == [0.1, 0.2]
     assert logged == [f"the port has gone: {error}", "the port is back"]
     assert (port.openings, decoder.resets) == (2, 1)
 
 
-def test_a_device_that_stays_away_is_tried_again_until_closed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(module, "REOPEN_EVERY_S", 0.001)
-    port = Given(OSError("pulled"), opens=1)
+def test_a_device_that_stays_away_is_tried_again_until_closed() -> None:
+    port = GivenPort(OSError("pulled"), opens=1)
     with closing(Sensor(port, AsIs(), TABLE)) as sensor:
         until(lambda: port.openings > 5)
         assert sensor.poll() == []
-        (never, gone) = sensor.faults()[::-1]
+        gone, never = sensor.faults()
         assert never == "no sample came from the port"
         assert gone.startswith("the port was gone 1 time, for ")
 
 
-def test_what_nobody_fetches_is_counted_and_no_memory_grows(
+def test_data_that_are_not_polled_are_counted_and_no_memory_grows(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(module, "MAX_WAITING", 10)
-    port = Given(*range(1, 26))
+    port = GivenPort(*range(1, 26))
     with closing(Sensor(port, AsIs(), TABLE)) as sensor:
         until(port.empty.is_set)
         assert len(sensor.poll()) == 10
@@ -106,7 +101,7 @@ def test_what_nobody_fetches_is_counted_and_no_memory_grows(
 
 def test_a_rate_that_lasts_and_is_not_the_scenes_is_reported_once(logged: list[str]) -> None:
     now_ns = itertools.count(0, 1_250_000)
-    port = Given(*range(1, 5_001))
+    port = GivenPort(*range(1, 5_001))
     with closing(Sensor(port, AsIs(), TABLE, clock=lambda: next(now_ns))) as sensor:
 
         def all_fetched() -> bool:
@@ -117,7 +112,7 @@ def test_a_rate_that_lasts_and_is_not_the_scenes_is_reported_once(logged: list[s
     assert logged == ["the port sends 800 Hz, the scene says 1000 Hz: check its rate"]
 
 
-def test_a_device_that_is_not_there_is_told_at_once() -> None:
-    port = Given(opens=0)
+def test_a_device_that_is_not_there_is_refused_at_once() -> None:
+    port = GivenPort(opens=0)
     with pytest.raises(SourceError, match="not now"):
         Sensor(port, AsIs(), TABLE)
