@@ -27,22 +27,10 @@ def deadline_alarm(loop: Mapping[str, Any]) -> str | None:
 
 
 class DeadlineWatch:
-    """Judges a loop's missed ticks over the last 5 s.
+    """Judge of a loop's missed ticks over the last 5 s, by its period and the longest gap allowed.
 
-    A single missed tick is not felt. The alarm is raised while more than 1 % of the ticks of the
-    last 5 s were missed, and for 5 s after a gap longer than a drive's watchdog.
-
-    Parameters
-    ----------
-    tick_ns
-        Period of the loop in ns.
-    gap_ns
-        Longest time without a tick that raises no alarm, in ns.
-
-    Attributes
-    ----------
-    alarm
-        Whether the alarm is on.
+    A single missed tick is not felt. The alarm is on while more than 1 % of the ticks of the last
+    5 s were missed, and for 5 s after a gap longer than a drive's watchdog.
     """
 
     def __init__(self, tick_ns: int, gap_ns: int = GAP_NS) -> None:
@@ -50,8 +38,7 @@ class DeadlineWatch:
         self._gap_ns = gap_ns
         # Time of each late tick of the window, in ns, and how many ticks it came after the last.
         self._late: deque[tuple[int, int]] = deque()
-        self._missed = self._most_missed = 0
-        self._longest_ticks = 0
+        self._missed = self._most_missed = self._longest_ticks = 0
         self._stood_still_ns = -math.inf
         self.alarm = False
 

@@ -16,15 +16,15 @@ def heart_rate_per_min(t_s: NDArray[np.float64], force_n: NDArray[np.float64]) -
 
     Parameters
     ----------
-    t_s
+    t_s : ndarray, shape (n,)
         Times in s, evenly spaced but for holes.
-    force_n
-        Force of the pulse in N, same shape; NaN where none was felt or none is known.
+    force_n : ndarray, shape (n,)
+        Force of the pulse in N; NaN where it is not felt or not known.
 
     Returns
     -------
-    Beats per minute; None where that stretch has fewer than two beats, and where the newest
-    value is NaN.
+    float or None
+        None where that stretch has fewer than two beats, or the newest value is NaN.
     """
     from scipy.signal import find_peaks
 

@@ -1,11 +1,11 @@
 """Errors of the felt force: running RMSE, aligned and in phase (eqs 23-25), and roughness.
 
-Truth and felt force come in as they are known, both on the sensing clock; a felt force is
-scored when the truth around its instant is there. Used by the display on what it received, and
-by a demo or simulation on what was really sensed.
+Reference and felt force are added as they become known, both on the sensing clock; a felt force is
+scored once the reference around its instant is there. The display scores against what it received,
+a demo or simulation against what was really sensed.
 
-Roughness is how much of the felt force is above 25 Hz, beside what was sensed there. The pulse
-itself ends below; what is above is noise, and the jumps that prediction adds.
+Roughness is the energy of the felt force above 25 Hz, beside that of the sensed one. The pulse
+itself ends below; above are noise, and the jumps that prediction adds.
 """
 
 import math
@@ -22,6 +22,7 @@ ABOVE_HZ = 25.0
 # Half the filter's length; its edge is ±14 Hz wide, and a pulse's slow part 70 dB down.
 REACH_S = 0.1
 Floats = NDArray[np.float64]
+Times = NDArray[np.int64]
 
 
 class RoughnessMeter:
@@ -31,16 +32,14 @@ class RoughnessMeter:
         self._kernel = np.empty(0)
         self._period_ns = 0
         self._last_ns = 0
-        self._felt_n, self._sensed_n = np.empty(0), np.empty(0)
+        self._felt_n = self._sensed_n = np.empty(0)
         self._felt = self._sensed = 0.0
         self._count = 0
 
-    def add(self, now_ns: NDArray[np.int64], felt_n: Floats, sensed_n: Floats) -> None:
-        """Add consecutive ticks; each call continues the last one.
+    def add(self, now_ns: Times, felt_n: Floats, sensed_n: Floats) -> None:
+        """Add consecutive ticks, shape (n,); each call continues the last one.
 
-        NaN stands for a tick without a sensed force, or whose felt force is unknown.
-
-        Around a NaN, and where ticks are missing, nothing is counted.
+        Nothing is counted around NaN, an unknown force, and where ticks are missing.
         """
         if len(now_ns) < 2:
             return
@@ -48,7 +47,7 @@ class RoughnessMeter:
         # Ticks are read on a clock that is corrected now and then.
         if abs(period_ns - self._period_ns) > 0.1 * self._period_ns:
             self._period_ns, self._kernel = period_ns, high_pass(period_ns * 1e-9)
-            self._felt_n, self._sensed_n = np.empty(0), np.empty(0)
+            self._felt_n = self._sensed_n = np.empty(0)
         missing = np.diff(now_ns, prepend=self._last_ns) > 1.5 * period_ns
         missing |= ~np.isfinite(felt_n)
         felt_n = np.where(np.isfinite(felt_n), felt_n, 0.0)
@@ -70,18 +69,14 @@ class RoughnessMeter:
     @property
     def roughness(self) -> Roughness:
         """So far; nothing before 0.2 s in one piece, or with ticks too slow for 25 Hz."""
-        if not self._count:
-            return Roughness()
         ratio = self._felt / self._sensed if self._sensed else None
-        felt_n, sensed_n = (math.sqrt(sum_ / self._count) for sum_ in (self._felt, self._sensed))
-        return Roughness(felt_n, sensed_n, ratio)
+        return Roughness(_root(self._felt, self._count), _root(self._sensed, self._count), ratio)
 
 
 def high_pass(period_s: float) -> Floats:
-    """Return a symmetric high-pass above 25 Hz for samples `period_s` apart.
+    """Return a symmetric high-pass above 25 Hz: an all-pass minus a windowed sinc (Blackman).
 
-    It is an all-pass minus a windowed sinc (Blackman). Empty where so slow a rate holds nothing
-    above 25 Hz.
+    Empty where samples `period_s` apart hold nothing above 25 Hz.
     """
     if 2 * ABOVE_HZ * period_s >= 1:
         return np.empty(0)
@@ -94,32 +89,32 @@ def high_pass(period_s: float) -> Floats:
 
 
 BLOCK = 256
-# Felt forces wait this many ticks for the truth of their instant to arrive.
+# Felt forces wait this many ticks for the reference of their instant to arrive.
 PATIENCE = 2_048
-# Truth that no felt force asks for (a display at fault) is forgotten after this.
+# A reference without a felt force (a display at fault) is removed after this.
 KEEP_NS = 30_000_000_000
 MAX_PIECES = 1_024
-# Truth further apart than this (a cut link) is not interpolated: nothing is scored there.
+# A reference further apart (a cut link) is not interpolated: nothing is scored there.
 MAX_GAP_NS = 60_000_000
 JND = 0.10
 SPAN_NS = 2_000_000_000
 
 
 class TrackingError:
-    """Accumulates both errors and the roughness; strain_per_newton is the local layer's."""
+    """Accumulator of both errors and the roughness; strain_per_newton is the local layer's."""
 
     def __init__(self, strain_per_newton: float) -> None:
         self._strain_per_newton = abs(strain_per_newton)
-        self._t_ns: list[NDArray[np.int64]] = []
-        self._target_n: list[NDArray[np.float64]] = []
+        self._t_ns: list[Times] = []
+        self._target_n: list[Floats] = []
         self._felt: list[tuple[int, int, float]] = []
         self._aligned = self._in_phase = 0.0
         self._aligned_count = self._in_phase_count = 0
         self._within = 0
         self._roughness = RoughnessMeter()
 
-    def add_reference_force(self, t_ns: NDArray[np.int64], target_n: NDArray[np.float64]) -> None:
-        """Add the force wanted at the finger, of consecutive samples taken at t_ns; may be late."""
+    def add_reference_force(self, t_ns: Times, target_n: Floats) -> None:
+        """Add the force wanted at the finger, of consecutive samples, shape (n,); may be late."""
         self._t_ns.append(t_ns)
         self._target_n.append(target_n)
         if len(self._t_ns) > MAX_PIECES:
@@ -131,10 +126,9 @@ class TrackingError:
     def add_reference(
         self, frame: Frame, channel: int, force_ratio: float, group_delay_ns: int = 0
     ) -> None:
-        """Add a frame of the pulse.
+        """Add a frame of the pulse, whose samples are `group_delay_ns` behind it.
 
-        force_ratio: the right force at the finger for a unit of force at the wrist. group_delay_ns:
-        delay of a sample behind the pulse.
+        force_ratio: the right force at the finger for a unit of force at the wrist.
         """
         first_ns = frame.t_first_ns - group_delay_ns
         end_ns = first_ns + len(frame.values) * frame.period_ns
@@ -142,13 +136,9 @@ class TrackingError:
         self.add_reference_force(t_ns, frame.values[:, channel].astype(np.float64) * force_ratio)
 
     def add_output(self, now_ns: int, instant_ns: int, force_n: float) -> None:
-        """Add the force at the finger at `now_ns`, when the pulse of `instant_ns` is played.
-
-        NaN where the force is unknown; nothing is scored then.
-        """
-        felt = self._felt
-        felt.append((now_ns, instant_ns, force_n))
-        if len(felt) >= PATIENCE + BLOCK:
+        """Add the force at `now_ns`, when the pulse of `instant_ns` is played; NaN if unknown."""
+        self._felt.append((now_ns, instant_ns, force_n))
+        if len(self._felt) >= PATIENCE + BLOCK:
             self._score_oldest()
 
     def finish(self) -> None:
@@ -166,25 +156,17 @@ class TrackingError:
     @property
     def strain_rmse(self) -> AlignedErrors:
         """RMSE of the strain: the force's by the local layer."""
-        force = self.force_rmse_n
-        return AlignedErrors(
-            None if force.aligned is None else force.aligned * self._strain_per_newton,
-            None if force.in_phase is None else force.in_phase * self._strain_per_newton,
-        )
+        force, factor = self.force_rmse_n, self._strain_per_newton
+        errors = (force.aligned, force.in_phase)
+        return AlignedErrors(*(None if error is None else error * factor for error in errors))
 
     @property
     def within_jnd(self) -> float | None:
-        """Return the share of the judged time with an error below 10 % of the pulse's height.
-
-        The height is the pulse's peak to peak.
-        """
+        """Share of the judged time with an error below 10 % of the pulse's peak to peak."""
         return self._within / self._aligned_count if self._aligned_count else None
 
     def scored(self, summary: Summary) -> Summary:
-        """Return the summary with the errors and the roughness found here.
-
-        The share of the run that could be judged is added to it.
-        """
+        """Return the summary with errors, roughness, and the share of the run that was judged."""
         ticks = (summary.loop.ticks or 0) + (summary.loop.deadline_misses or 0)
         judged = min(1.0, self._aligned_count / ticks) if ticks else None
         return replace(
@@ -201,9 +183,7 @@ class TrackingError:
         if not self._t_ns:
             return
         t_ns, target_n = self._gathered(until_ns=block[0][1] - SPAN_NS)
-        now_ns = np.array([now for now, _, _ in block])
-        instant_ns = np.array([instant for _, instant, _ in block])
-        felt_n = np.array([force for _, _, force in block])
+        now_ns, instant_ns, felt_n = map(np.array, zip(*block, strict=True))
         sensed_n = interpolate(instant_ns, t_ns, target_n)
         self._roughness.add(now_ns, felt_n, sensed_n)
         aligned = felt_n - sensed_n
@@ -215,8 +195,8 @@ class TrackingError:
         self._in_phase_count += len(in_phase)
         self._within += int(np.count_nonzero(np.abs(aligned) < JND * np.ptp(target_n)))
 
-    def _gathered(self, until_ns: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """All truth in order of time, forgetting what is older than `until_ns`."""
+    def _gathered(self, until_ns: int) -> tuple[Times, Floats]:
+        """Return the reference in order of time, and remove what is older than `until_ns`."""
         t_ns, target_n = np.concatenate(self._t_ns), np.concatenate(self._target_n)
         if np.any(t_ns[1:] < t_ns[:-1]):
             order = np.argsort(t_ns, kind="stable")
@@ -227,10 +207,8 @@ class TrackingError:
         return t_ns, target_n
 
 
-def interpolate(
-    at_ns: NDArray[np.int64], t_ns: NDArray[np.int64], values: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Linear interpolation; NaN outside of t_ns and inside of gaps."""
+def interpolate(at_ns: Times, t_ns: Times, values: Floats) -> Floats:
+    """Interpolate linearly; NaN outside of t_ns and inside of gaps."""
     if len(t_ns) < 2:
         return np.full(len(at_ns), np.nan)
     right = np.searchsorted(t_ns, at_ns, side="right")
@@ -238,7 +216,7 @@ def interpolate(
     right = np.clip(right, 1, len(t_ns) - 1)
     gap_ns = t_ns[right] - t_ns[right - 1]
     share = (at_ns - t_ns[right - 1]) / np.maximum(gap_ns, 1)
-    result: NDArray[np.float64] = values[right - 1] + share * (values[right] - values[right - 1])
+    result: Floats = values[right - 1] + share * (values[right] - values[right - 1])
     result[~inside | (gap_ns > MAX_GAP_NS)] = np.nan
     return result
 

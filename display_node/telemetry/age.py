@@ -16,11 +16,10 @@ class TelemetryAge:
     the display's stamp and not from its receipt. A status has no stamp: it follows a trace of the
     same tick, and holds until the newest of the traces that follow without a break. The clock of
     another machine has an unknown offset: there, the age counts from the earliest receipt that the
-    shortest transit of the last one to two minutes allows.
+    shortest transit of the last one to two minutes allows. local: the address is on this machine.
     """
 
     def __init__(self, local: bool = False) -> None:
-        """local: the display's address is on this machine."""
         self._local = local
         # The newest trace, and the one until which the newest status holds.
         self._stamped_ns: int | None = None
@@ -29,11 +28,10 @@ class TelemetryAge:
         self._least_ns: int | None = None
         self._before_ns: int | None = None
         self._window_ends_ns = 0
-        # Of a status before the first trace.
         self._received_ns: int | None = None
 
     def take_trace(self, stamped_ns: int, received_ns: int) -> None:
-        """Take a trace whose newest tick is stamped `stamped_ns`, received at `received_ns`."""
+        """Take a trace whose newest tick is stamped `stamped_ns`."""
         if self._stamped_ns is not None and stamped_ns < self._stamped_ns:
             # Another clock: its machine was started again.
             self._least_ns = self._before_ns = self._status_ns = None
@@ -51,7 +49,7 @@ class TelemetryAge:
             self._least_ns = difference_ns
 
     def take_status(self, received_ns: int) -> None:
-        """Take a status, received at `received_ns`."""
+        """Take a status."""
         self._status_ns, self._received_ns = self._stamped_ns, received_ns
 
     def age_ns(self, now_ns: int) -> int | None:
@@ -60,11 +58,9 @@ class TelemetryAge:
             return None
         if self._status_ns is None:
             return max(0, now_ns - self._received_ns)
-        return max(0, now_ns - self._status_ns - self._offset_ns())
-
-    def _offset_ns(self) -> int:
-        """Return this clock less the display's, with the shortest transit where it is another."""
+        # This clock less the display's, with the shortest transit where it is another.
         known = [least for least in (self._least_ns, self._before_ns) if least is not None]
-        least_ns = min(known, default=0)
-        same = self._local and 0 <= least_ns <= LONGEST_QUEUED_NS
-        return 0 if same else least_ns
+        offset_ns = min(known, default=0)
+        if self._local and 0 <= offset_ns <= LONGEST_QUEUED_NS:
+            offset_ns = 0
+        return max(0, now_ns - self._status_ns - offset_ns)

@@ -1,4 +1,4 @@
-"""The telemetry's socket: publishes traces, statuses and, to who asks, what was heard."""
+"""Traces, statuses and, on request, captured messages of a display, over one socket."""
 
 import time
 
@@ -19,13 +19,13 @@ from protocol.wire.telemetry import (
 )
 
 LOOK_EVERY_S = 0.01
-ASKED = b"\1" + PROVENANCE
 
 
 class Publisher:
-    """The publications of a display, over one bound XPUB socket.
+    """Publisher of a display's telemetry over one bound XPUB socket.
 
-    rejected: what its readers were refused, by cause.
+    run: a random number of this run of the display. gate: authenticator of readers. provenance: is
+    sent to readers that request it. rejected: refusals of readers, by cause.
     """
 
     def __init__(
@@ -35,16 +35,11 @@ class Publisher:
         gate: Authenticator | None = None,
         provenance: bytes = b"",
     ) -> None:
-        """Publish on a bound socket.
-
-        run: a random number of this run of the display. gate: authenticator of readers. provenance:
-        is sent to readers that request it.
-        """
         self._socket = socket
-        self._gate = gate
-        self._subscribers = SubscriptionBudget(socket, (TRACE, STATUS, HEARD, PROVENANCE))
+        self._authenticator = gate
+        self._subscriptions = SubscriptionBudget(socket, (TRACE, STATUS, HEARD, PROVENANCE))
         self._provenance = provenance
-        self.rejected = self._subscribers.rejected
+        self.rejected = self._subscriptions.rejected
         self._trace = TraceWriter()
         self.heard = CaptureWriter(run)
         self.address = socket.getsockopt_string(zmq.LAST_ENDPOINT)
@@ -67,32 +62,32 @@ class Publisher:
         rest = self._trace.rest()
         if rest is not None:
             self._publish_trace(rest)
-        self._publish_heard()
+        self._publish_captured()
         self.status(status)
 
     def await_recorder(self, seconds: float) -> bool:
-        """Wait for a reader that asks for what was heard; False when none came in time."""
+        """Wait for a reader that requests captured messages; return False without one in time."""
         until_s = time.monotonic() + seconds
         while not self.heard.wanted and time.monotonic() < until_s:
-            self._follow_readers()
+            self._serve_readers()
             time.sleep(LOOK_EVERY_S)
         return self.heard.wanted
 
     def _publish_trace(self, trace: bytes) -> None:
-        self._publish_heard()
+        self._publish_captured()
         sockets.send(self._socket, TRACE, trace)
         self.heard.traces += 1
 
-    def _publish_heard(self) -> None:
-        self._follow_readers()
+    def _publish_captured(self) -> None:
+        self._serve_readers()
         if self.heard.wanted:
             for message in self.heard.take(time.monotonic_ns(), time.time_ns()):
                 sockets.send(self._socket, HEARD, message)
 
-    def _follow_readers(self) -> None:
-        if self._gate is not None:
-            self._gate.poll(time.monotonic_ns())
-        for subscription in self._subscribers.receive():
+    def _serve_readers(self) -> None:
+        if self._authenticator is not None:
+            self._authenticator.poll(time.monotonic_ns())
+        for subscription in self._subscriptions.receive():
             self.heard.follow(subscription)
-            if subscription == ASKED and self._provenance:
+            if subscription == b"\1" + PROVENANCE and self._provenance:
                 sockets.send(self._socket, PROVENANCE, self._provenance)
