@@ -1,239 +1,258 @@
-"""Admission on real sockets; the gate is polled by hand."""
+"""Authentication and connection budgets on real sockets; the authenticator is polled by hand."""
 
 import socket as plain
+import sys
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
+from contextlib import ExitStack
 
 import pytest
 import zmq
 
 from protocol import sockets
 from protocol.errors import KeyFileError
-from protocol.security import authenticator as gate_module
+from protocol.security import authenticator as authenticator_module
 from protocol.security.allow_list import UNREADABLE_AT_MOST_NS, revoke
-from protocol.security.authenticator import Authenticator
-from protocol.security.keys import ClientKeys
+from protocol.security.authenticator import TOO_MANY, Authenticator
+from protocol.security.budgets import BEHIND_NS, ConnectionBudget
+from protocol.security.connection_table import MAX_EVENTS, ConnectionTable
+from protocol.security.keys import ClientKeys, ServerKeys
 from protocol.sockets import Context, Socket
 from tests.support.keyring import Keyring
+from tests.support.waiting import PATIENCE_S
 
-PATIENCE_S = 20.0
 QUIET_S = 0.3
+MOST = 40
+HERE, THERE = "127.0.0.1", "127.0.0.2"
+ADDRESSES = ["tcp://127.0.0.1:*", "tcp://[::1]:*", "tcp://[::]:*", "ipc"]
+linux = pytest.mark.skipif(sys.platform != "linux", reason="needs 127.0.0.2 and filters")
 
 
-class Listener:
-    """A SUB socket and the numbers it has heard."""
+class Subscriber:
+    """A SUB socket and the numbers it has received."""
 
     def __init__(self, socket: Socket) -> None:
         self.socket = socket
-        self.heard: list[int] = []
+        self.received: list[int] = []
 
-    def listen(self) -> None:
-        while self.socket.poll(0):
-            self.heard.append(int(self.socket.recv()))
+    def receive(self) -> None:
+        self.received += [int(message) for message in sockets.receive_each(self.socket)]
 
 
-class Hall:
-    """A guarded PUB socket that says a number whenever it is looked after, and its listeners."""
+class Publisher:
+    """A bound PUB socket with an authenticator that sends consecutive numbers to subscribers."""
 
-    def __init__(self, context: Context, keyring: Keyring, address: str) -> None:
+    def __init__(
+        self, context: Context, keys: ServerKeys | None, address: str, most: int | None = None
+    ) -> None:
         self._context = context
-        self._listeners: list[Listener] = []
-        self.gate = Authenticator(context, keyring.server())
-        self.data = sockets.bind(context, zmq.PUB, address, self.gate)
+        self._subscribers: list[Subscriber] = []
+        self._strangers = ExitStack()
+        self.authenticator = Authenticator(context, keys, most)
+        self.rejected = self.authenticator.rejected
+        self.data = sockets.bind(context, zmq.PUB, address, self.authenticator)
         self.address = self.data.getsockopt_string(zmq.LAST_ENDPOINT)
         self.sent = 0
 
-    def listener(self, keys: ClientKeys | None, whence: str = "") -> Listener:
+    @property
+    def port(self) -> int:
+        return int(self.address.rpartition(":")[2])
+
+    def subscribe(self, keys: ClientKeys | None, source: str = "") -> Subscriber:
         socket = sockets.unconnected(self._context, zmq.SUB, keys)
         socket.setsockopt(zmq.IPV6, "[" in self.address)
         socket.subscribe(b"")
-        # Over IPv4, too, to where both are listened to.
-        address = self.address.replace("[::]", "127.0.0.1")
-        socket.connect(address.replace("tcp://", f"tcp://{whence}"))
-        self._listeners.append(Listener(socket))
-        return self._listeners[-1]
+        # Where both are bound, IPv4 is used.
+        address = self.address.replace("[::]", HERE).replace("0.0.0.0", HERE)
+        socket.connect(address.replace("tcp://", f"tcp://{source}:0;" if source else "tcp://"))
+        self._subscribers.append(Subscriber(socket))
+        return self._subscribers[-1]
 
-    def tend(self) -> None:
-        self.gate.poll(time.monotonic_ns())
-        sockets.send(self.data, b"%d" % self.sent)
-        self.sent += 1
-        for listener in self._listeners:
-            listener.listen()
-        time.sleep(0.002)
+    def connect_stranger(self, source: str = HERE) -> plain.socket:
+        one = plain.create_connection((HERE, self.port), timeout=5, source_address=(source, 0))
+        return self._strangers.enter_context(one)
 
-    def tend_until(self, done: Callable[[], object]) -> None:
+    def poll_until(self, done: Callable[[], object]) -> None:
         end_s = time.monotonic() + PATIENCE_S
         while not done():
-            assert time.monotonic() < end_s, self.gate.rejected
-            self.tend()
+            assert time.monotonic() < end_s, self.rejected
+            self.authenticator.poll(time.monotonic_ns())
+            sockets.send(self.data, b"%d" % self.sent)
+            self.sent += 1
+            for subscriber in self._subscribers:
+                subscriber.receive()
+            time.sleep(0.002)
 
-    def tend_for(self, seconds: float) -> None:
+    def poll_for(self, seconds: float) -> None:
         end_s = time.monotonic() + seconds
-        self.tend_until(lambda: time.monotonic() > end_s)
+        self.poll_until(lambda: time.monotonic() > end_s)
+
+    def close(self) -> None:
+        self._strangers.close()
 
 
 @pytest.fixture
-def keyring(tmp_path: Path) -> Keyring:
-    keyring = Keyring(tmp_path / "keys")
-    keyring.allow("finger")
-    return keyring
-
-
-@pytest.fixture(params=["tcp://127.0.0.1:*", "tcp://[::1]:*", "tcp://[::]:*", "ipc"])
-def hall(request: pytest.FixtureRequest, context: Context, keyring: Keyring) -> Iterator[Hall]:
-    address = request.param
+def publisher(
+    request: pytest.FixtureRequest, context: Context, keyring: Keyring
+) -> Iterator[Publisher]:
+    address = getattr(request, "param", "tcp://127.0.0.1:*")
     if address == "ipc":
         if not zmq.has("ipc"):
             pytest.skip("no ipc here")
-        address = f"ipc://{keyring.folder}/hall"
+        address = f"ipc://{keyring.folder}/data"
     try:
-        yield Hall(context, keyring, address)
+        yield Publisher(context, keyring.server(), address)
     except OSError:
         pytest.skip(f"{address} cannot be bound here")
 
 
-def test_who_is_allowed_hears_it(hall: Hall, keyring: Keyring, logged: list[str]) -> None:
-    listener = hall.listener(keyring.client("finger"))
-    hall.tend_until(lambda: listener.heard)
-    assert hall.gate.rejected == {}
+@pytest.fixture
+def small(context: Context) -> Iterator[Publisher]:
+    """Yield a publisher without keys that may have few connections."""
+    publisher = Publisher(context, None, "tcp://*:*", most=MOST)
+    yield publisher
+    publisher.close()
+
+
+@pytest.mark.parametrize("publisher", ADDRESSES, indirect=True)
+def test_an_allowed_key_receives(publisher: Publisher, keyring: Keyring, logged: list[str]) -> None:
+    subscriber = publisher.subscribe(keyring.client("finger"))
+    publisher.poll_until(lambda: subscriber.received)
+    assert publisher.rejected == {}
     assert logged == []
 
 
+@pytest.mark.parametrize("publisher", ADDRESSES, indirect=True)
 @pytest.mark.parametrize(
-    ("cause", "who"),
+    ("cause", "keys_of"),
     [
         ("unknown_key", lambda ring: ring.client("stranger")),
         ("no_key", lambda ring: None),
         ("not_authentic", lambda ring: ring.client("finger", peer="stranger")),
     ],
 )
-def test_who_is_not_allowed_hears_nothing_and_is_counted(
-    hall: Hall,
+def test_a_peer_that_is_not_allowed_receives_nothing_and_is_counted(
+    publisher: Publisher,
     keyring: Keyring,
     cause: str,
-    who: Callable[[Keyring], ClientKeys | None],
+    keys_of: Callable[[Keyring], ClientKeys | None],
     logged: list[str],
 ) -> None:
-    listener = hall.listener(who(keyring))
-    hall.tend_until(lambda: hall.gate.rejected[cause])
-    hall.tend_for(QUIET_S)
-    assert listener.heard == []
-    # Who has not the right keys knows as soon as the node does, and now and then hangs up first.
+    subscriber = publisher.subscribe(keys_of(keyring))
+    publisher.poll_until(lambda: publisher.rejected[cause])
+    publisher.poll_for(QUIET_S)
+    assert subscriber.received == []
+    # A peer without the right keys detects it as soon as the node does, and may hang up first.
     counted = {cause} if cause == "unknown_key" else {cause, "handshake"}
-    assert set(hall.gate.rejected) <= counted
-    # Once; or a second time, with its address, where it had left before that was asked for.
-    assert 1 <= len(logged) <= (1 if cause == "unknown_key" else 2 * len(hall.gate.rejected))
+    assert set(publisher.rejected) <= counted
+    # Once; or a second time, with its address, where it had left before that was read.
+    assert 1 <= len(logged) <= (1 if cause == "unknown_key" else 2 * len(publisher.rejected))
     assert all(line.startswith("refused ") for line in logged)
     if cause == "unknown_key":
-        host = "a peer:" if hall.address.startswith("ipc") else hall.address.split("/")[2]
+        ipc = publisher.address.startswith("ipc")
+        host = "a peer:" if ipc else publisher.address.split("/")[2]
         assert host.rpartition(":")[0].strip("[]") in logged[0]
         assert keyring.pair("stranger").public.key.hex() in logged[0]
 
 
 def test_a_hundred_attempts_are_counted_each_and_logged_once(
-    context: Context, keyring: Keyring, logged: list[str]
+    publisher: Publisher, keyring: Keyring, logged: list[str]
 ) -> None:
-    hall = Hall(context, keyring, "tcp://127.0.0.1:*")
-    stranger = hall.listener(keyring.client("stranger"))
+    stranger, rejected = publisher.subscribe(keyring.client("stranger")), publisher.rejected
     for attempt in range(1, 101):
-        hall.tend_until(lambda attempt=attempt: hall.gate.rejected["unknown_key"] == attempt)
+        publisher.poll_until(lambda attempt=attempt: rejected["unknown_key"] == attempt)
         if attempt < 100:
-            sockets.reconnect(stranger.socket, hall.address, hall.address)
-    assert hall.gate.rejected["unknown_key"] == 100
+            sockets.reconnect(stranger.socket, publisher.address, publisher.address)
+    assert rejected["unknown_key"] == 100
     # It may leave before it has its answer, too.
     assert len([line for line in logged if line.endswith(" is not allowed")]) == 1
     assert len(logged) <= 2
 
 
-def test_who_is_revoked_is_cut_off_and_who_is_not_goes_on(
-    hall: Hall, keyring: Keyring, logged: list[str]
+@pytest.mark.parametrize("publisher", ADDRESSES, indirect=True)
+def test_a_revoked_key_is_cut_off_and_the_others_go_on(
+    publisher: Publisher, keyring: Keyring, logged: list[str]
 ) -> None:
     keyring.allow("thumb")
-    stays, goes = (hall.listener(keyring.client(name)) for name in ("finger", "thumb"))
-    hall.tend_until(lambda: stays.heard and goes.heard)
+    stays, goes = (publisher.subscribe(keyring.client(name)) for name in ("finger", "thumb"))
+    publisher.poll_until(lambda: stays.received and goes.received)
     revoke(keyring.allowed, "thumb")
-    hall.tend_until(lambda: hall.gate.rejected["revoked_key"] >= 1)
-    told, back = len(goes.heard), hall.sent
-    hall.tend_until(lambda: stays.heard[-1] > back)
-    hall.tend_for(QUIET_S)
-    assert len(goes.heard) == told
+    publisher.poll_until(lambda: publisher.rejected["revoked_key"] >= 1)
+    before, back = len(goes.received), publisher.sent
+    publisher.poll_until(lambda: stays.received[-1] > back)
+    publisher.poll_for(QUIET_S)
+    assert len(goes.received) == before
     assert logged[0] == "thumb is allowed no more"
     assert len([line for line in logged if line.endswith(" is allowed no more")]) == 2
     # A cut may meet one that just connects anew.
-    assert set(hall.gate.rejected) <= {"revoked_key", "handshake"}
+    assert set(publisher.rejected) <= {"revoked_key", "handshake"}
 
 
-def test_only_connections_from_where_the_revoked_key_was_seen_are_cut(
-    context: Context, keyring: Keyring
+@linux
+def test_only_connections_from_addresses_of_the_revoked_key_are_cut(
+    publisher: Publisher, keyring: Keyring
 ) -> None:
-    if not _can_bind("127.0.0.2"):
-        pytest.skip("127.0.0.2 is not this machine's here")
     keyring.allow("thumb")
-    hall = Hall(context, keyring, "tcp://127.0.0.1:*")
-    near = hall.listener(keyring.client("finger"))
-    far = hall.listener(keyring.client("thumb"), whence="127.0.0.2:0;")
-    hall.tend_until(lambda: near.heard and far.heard)
+    near = publisher.subscribe(keyring.client("finger"))
+    far = publisher.subscribe(keyring.client("thumb"), source=THERE)
+    publisher.poll_until(lambda: near.received and far.received)
     revoke(keyring.allowed, "thumb")
-    hall.tend_until(lambda: hall.gate.rejected["revoked_key"] >= 1)
-    end = hall.sent
-    hall.tend_until(lambda: near.heard[-1] > end)
-    assert near.heard == list(range(near.heard[0], near.heard[-1] + 1))
-    assert far.heard[-1] < end
+    publisher.poll_until(lambda: publisher.rejected["revoked_key"] >= 1)
+    end = publisher.sent
+    publisher.poll_until(lambda: near.received[-1] > end)
+    assert near.received == list(range(near.received[0], near.received[-1] + 1))
+    assert far.received[-1] < end
 
 
-def test_who_is_allowed_while_it_runs_gets_in(context: Context, keyring: Keyring) -> None:
-    hall = Hall(context, keyring, "tcp://127.0.0.1:*")
-    early = hall.listener(keyring.client("thumb"))
-    hall.tend_until(lambda: hall.gate.rejected["unknown_key"] == 1)
+def test_a_key_that_is_allowed_during_the_run_connects(
+    publisher: Publisher, keyring: Keyring
+) -> None:
+    early = publisher.subscribe(keyring.client("thumb"))
+    publisher.poll_until(lambda: publisher.rejected["unknown_key"] == 1)
     keyring.allow("thumb")
-    # One that was refused does not knock again by itself; a display connects anew.
-    hall.tend_for(1.2)
-    sockets.reconnect(early.socket, hall.address, hall.address)
-    hall.tend_until(lambda: early.heard)
+    # A refused peer does not connect again by itself; a display does.
+    publisher.poll_for(1.2)
+    sockets.reconnect(early.socket, publisher.address, publisher.address)
+    publisher.poll_until(lambda: early.received)
 
 
-def test_a_revocation_in_a_list_that_could_not_be_read_at_first_counts_once_it_can(
-    context: Context, keyring: Keyring, logged: list[str]
+def test_a_revocation_in_an_unreadable_list_counts_once_the_list_is_readable(
+    publisher: Publisher, keyring: Keyring, logged: list[str]
 ) -> None:
     keyring.allow("thumb")
-    hall = Hall(context, keyring, "tcp://127.0.0.1:*")
-    goes = hall.listener(keyring.client("thumb"))
-    hall.tend_until(lambda: goes.heard)
+    goes = publisher.subscribe(keyring.client("thumb"))
+    publisher.poll_until(lambda: goes.received)
     keyring.allowed.write_text(keyring.pair("finger").public.line + "\n")
     keyring.allowed.chmod(0o664)
-    hall.tend_until(lambda: any("chmod go-w" in line for line in logged))
-    late = hall.listener(keyring.client("finger"))
-    hall.tend_until(lambda: hall.gate.rejected["list_unreadable"])
+    publisher.poll_until(lambda: any("chmod go-w" in line for line in logged))
+    late = publisher.subscribe(keyring.client("finger"))
+    publisher.poll_until(lambda: publisher.rejected["list_unreadable"])
     keyring.allowed.chmod(0o644)
-    hall.tend_until(lambda: hall.gate.rejected["revoked_key"])
+    publisher.poll_until(lambda: publisher.rejected["revoked_key"])
     assert "thumb is allowed no more" in logged
-    assert late.heard == []
+    assert late.received == []
 
 
-def test_nobody_stays_while_the_list_cannot_be_read(
-    context: Context, keyring: Keyring, logged: list[str]
+def test_all_but_the_node_itself_are_cut_while_the_list_cannot_be_read(
+    publisher: Publisher, keyring: Keyring, logged: list[str]
 ) -> None:
-    hall = Hall(context, keyring, "tcp://127.0.0.1:*")
-    listener = hall.listener(keyring.client("finger"))
-    own = hall.listener(keyring.client("wrist"))
-    hall.tend_until(lambda: listener.heard and own.heard)
+    other, own = (publisher.subscribe(keyring.client(name)) for name in ("finger", "wrist"))
+    publisher.poll_until(lambda: other.received and own.received)
     keyring.allowed.write_text("nonsense\n")
-    hall.tend_until(lambda: logged)
+    publisher.poll_until(lambda: logged)
     # In place of 10 s of waiting.
-    hall.gate.poll(time.monotonic_ns() + UNREADABLE_AT_MOST_NS)
-    hall.tend_until(lambda: hall.gate.rejected["list_unreadable"])
-    heard, back = len(listener.heard), hall.sent
-    hall.tend_until(lambda: own.heard[-1] > back)
-    assert len(listener.heard) == heard
+    publisher.authenticator.poll(time.monotonic_ns() + UNREADABLE_AT_MOST_NS)
+    publisher.poll_until(lambda: publisher.rejected["list_unreadable"])
+    before, back = len(other.received), publisher.sent
+    publisher.poll_until(lambda: own.received[-1] > back)
+    assert len(other.received) == before
 
 
-def test_a_list_that_is_taken_away_allows_nobody(context: Context, keyring: Keyring) -> None:
-    hall = Hall(context, keyring, "tcp://127.0.0.1:*")
-    listener = hall.listener(keyring.client("finger"))
-    hall.tend_until(lambda: listener.heard)
+def test_a_list_that_is_removed_allows_nobody(publisher: Publisher, keyring: Keyring) -> None:
+    subscriber = publisher.subscribe(keyring.client("finger"))
+    publisher.poll_until(lambda: subscriber.received)
     keyring.allowed.unlink()
-    hall.tend_until(lambda: hall.gate.rejected["revoked_key"] >= 1)
+    publisher.poll_until(lambda: publisher.rejected["revoked_key"] >= 1)
 
 
 def test_a_list_that_is_unusable_at_the_start_is_an_error(
@@ -244,51 +263,130 @@ def test_a_list_that_is_unusable_at_the_start_is_an_error(
         Authenticator(context, keyring.server())
 
 
-def test_without_a_gate_that_answers_nobody_gets_in(context: Context, keyring: Keyring) -> None:
-    hall = Hall(context, keyring, "tcp://127.0.0.1:*")
-    hall.gate.sockets[0].close(0)
-    listener = hall.listener(keyring.client("finger"))
+def test_no_peer_connects_without_an_answer_of_the_authenticator(
+    publisher: Publisher, keyring: Keyring
+) -> None:
+    publisher.authenticator.sockets[0].close(0)
+    subscriber = publisher.subscribe(keyring.client("finger"))
     end_s = time.monotonic() + QUIET_S
     while time.monotonic() < end_s:
-        sockets.send(hall.data, b"0")
+        sockets.send(publisher.data, b"0")
         time.sleep(0.002)
-    assert not listener.socket.poll(0)
+    assert not subscriber.socket.poll(0)
 
 
-def test_a_flood_that_nobody_looks_after_holds_up_no_connection(
-    context: Context, keyring: Keyring, logged: list[str]
+def test_a_flood_while_the_authenticator_is_not_polled_blocks_no_connection(
+    publisher: Publisher, keyring: Keyring, logged: list[str]
 ) -> None:
     """ZeroMQ's thread would wait for a monitor that is not read, and with it all connections."""
-    hall = Hall(context, keyring, "tcp://127.0.0.1:*")
-    listener = hall.listener(keyring.client("finger"))
-    hall.tend_until(lambda: listener.heard)
-    port = int(hall.address.rpartition(":")[2])
+    subscriber = publisher.subscribe(keyring.client("finger"))
+    publisher.poll_until(lambda: subscriber.received)
     for _ in range(1500):
-        with plain.create_connection(("127.0.0.1", port)) as one:
+        with plain.create_connection((HERE, publisher.port)) as one:
             one.send(b"GET / HTTP/1.1\r\n\r\n")
-    listener.listen()
-    sockets.send(hall.data, b"-1")
-    assert listener.socket.poll(PATIENCE_S * 1000)
-    assert listener.socket.recv() == b"-1"
-    hall.tend_until(lambda: hall.gate.rejected["handshake"] == 1500)
+    subscriber.receive()
+    sockets.send(publisher.data, b"-1")
+    assert subscriber.socket.poll(PATIENCE_S * 1000)
+    assert subscriber.socket.recv() == b"-1"
+    publisher.poll_until(lambda: publisher.rejected["handshake"] == 1500)
     assert len(logged) <= 2
 
 
-def test_no_more_refused_peers_are_named_than_can_be_read(
-    context: Context, keyring: Keyring, monkeypatch: pytest.MonkeyPatch, logged: list[str]
+def test_a_bounded_number_of_refused_peers_is_named(
+    publisher: Publisher, keyring: Keyring, monkeypatch: pytest.MonkeyPatch, logged: list[str]
 ) -> None:
-    monkeypatch.setattr(gate_module, "MAX_NAMED", 3)
-    hall = Hall(context, keyring, "tcp://127.0.0.1:*")
+    monkeypatch.setattr(authenticator_module, "MAX_NAMED", 3)
     for number in range(6):
-        hall.listener(keyring.client(f"stranger{number}"))
-        hall.tend_until(lambda number=number: hall.gate.rejected["unknown_key"] > number)
+        publisher.subscribe(keyring.client(f"stranger{number}"))
+        publisher.poll_until(lambda number=number: publisher.rejected["unknown_key"] > number)
     assert len(logged) == 4
     assert logged[-1].startswith("more peers are refused")
 
 
-def _can_bind(host: str) -> bool:
+def is_closed(one: plain.socket) -> bool:
+    one.setblocking(False)
     try:
-        plain.create_server((host, 0)).close()
-    except OSError:
+        # ZeroMQ greets each connection; then nothing follows, or the end.
+        while one.recv(100):
+            pass
+    except BlockingIOError:
         return False
+    except ConnectionError:
+        pass
     return True
+
+
+@linux
+def test_the_oldest_silent_connections_are_cut(small: Publisher, logged: list[str]) -> None:
+    strangers = [small.connect_stranger() for _ in range(2 * MOST)]
+    cut = 2 * MOST - MOST // 2
+    small.poll_until(lambda: small.rejected[TOO_MANY] == cut)
+    small.poll_until(lambda: sum(map(is_closed, strangers)) == cut)
+    assert [is_closed(one) for one in strangers] == [True] * cut + [False] * (MOST // 2)
+    assert len(logged) == 1
+    assert logged[0].startswith(f"refused {HERE}: more connections than")
+
+
+@linux
+def test_silent_connections_keep_no_peer_of_another_address_out(small: Publisher) -> None:
+    early = small.subscribe(None, source=THERE)
+    small.poll_until(lambda: early.received)
+    for _ in range(2 * MOST):
+        small.connect_stranger()
+    small.poll_until(lambda: small.rejected[TOO_MANY])
+    late, back = small.subscribe(None, source=THERE), small.sent
+    small.poll_until(lambda: late.received and early.received[-1] > back)
+
+
+@linux
+def test_silent_connections_at_one_socket_keep_no_peer_of_another_socket_out(
+    context: Context, small: Publisher
+) -> None:
+    """Nor from the same address: the oldest are cut, of all sockets."""
+    later = sockets.bind(context, zmq.PUB, f"tcp://{HERE}:*", small.authenticator)
+    address, small.address = small.address, later.getsockopt_string(zmq.LAST_ENDPOINT)
+    for _ in range(2 * MOST):
+        small.connect_stranger()
+    small.poll_until(lambda: small.rejected[TOO_MANY])
+    small.address = address
+    subscriber = small.subscribe(None, source=HERE)
+    small.poll_until(lambda: subscriber.received)
+
+
+@linux
+def test_one_address_does_not_take_all_connections(small: Publisher) -> None:
+    first = small.subscribe(None, source=THERE)
+    many = [small.subscribe(None, source=HERE) for _ in range(MOST)]
+    small.poll_until(lambda: small.rejected[TOO_MANY] >= MOST - MOST * 3 // 4)
+    late, back = small.subscribe(None, source=THERE), small.sent
+    small.poll_until(lambda: late.received and first.received[-1] > back)
+    for one in many:
+        one.socket.close(0)
+
+
+@linux
+def test_a_call_reads_a_bounded_number_of_events_and_pauses_a_socket_that_is_behind(
+    context: Context,
+) -> None:
+    bound = sockets.unconnected(context, zmq.PUB)
+    table, budget = ConnectionTable(context, bound), ConnectionBudget(MOST)
+    port = bound.bind_to_random_port(f"tcp://{HERE}")
+    for _ in range(5 * MAX_EVENTS):
+        plain.create_connection((HERE, port)).close()
+
+    def poll_until(behind: bool) -> None:
+        end_s = time.monotonic() + PATIENCE_S
+        while table.behind is not behind:
+            assert time.monotonic() < end_s
+            table.failures()
+            budget.enforce([table], time.monotonic_ns())
+
+    poll_until(behind=True)
+    assert table.connections <= MAX_EVENTS
+    budget.enforce([table], time.monotonic_ns() + BEHIND_NS)
+    late = plain.socket()
+    late.settimeout(0.1)
+    with late, pytest.raises(TimeoutError):
+        late.connect((HERE, port))
+    poll_until(behind=False)
+    plain.create_connection((HERE, port), timeout=PATIENCE_S).close()

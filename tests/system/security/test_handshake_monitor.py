@@ -1,6 +1,5 @@
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 import zmq
@@ -13,47 +12,43 @@ from protocol.security.socket_monitor import HandshakeMonitor
 from protocol.sockets import Context
 from tests.support.keyring import Keyring
 from tests.support.nodes import free_address
+from tests.support.waiting import PATIENCE_S
 
-PATIENCE_S = 20.0
 
-
-class Visitor:
-    """Connects to an address and listens to why it cannot."""
+class Connecting:
+    """Two sockets that connect to an address, with a monitor."""
 
     def __init__(self, context: Context, address: str, keys: ClientKeys | None) -> None:
-        self.refusals = HandshakeMonitor(context, keys)
+        self.monitor = HandshakeMonitor(context, keys)
         self.sockets = [sockets.unconnected(context, zmq.SUB, keys) for _ in range(2)]
         self._now_ns = 0
         for socket in self.sockets:
-            self.refusals.watch(socket)
+            self.monitor.watch(socket)
             socket.subscribe(b"")
             socket.connect(address)
 
-    def tend_until(self, done: Callable[[], object], gate: Authenticator | None = None) -> None:
+    def poll_until(
+        self, done: Callable[[], object], authenticator: Authenticator | None = None
+    ) -> None:
         end_s = time.monotonic() + PATIENCE_S
         while not done():
-            assert time.monotonic() < end_s, self.refusals.rejected
-            if gate is not None:
-                gate.poll(time.monotonic_ns())
+            assert time.monotonic() < end_s, self.monitor.rejected
+            if authenticator is not None:
+                authenticator.poll(time.monotonic_ns())
             self._now_ns += 1_000_000_000
-            self.refusals.poll(self._now_ns)
+            self.monitor.poll(self._now_ns)
             time.sleep(0.002)
-
-
-@pytest.fixture
-def keyring(tmp_path: Path) -> Keyring:
-    return Keyring(tmp_path / "keys")
 
 
 @pytest.mark.parametrize(
     ("own", "peer", "cause", "reason"),
     [
-        ("finger", "wrist", "refused_key", "does not allow the key of finger; there: telepulse"),
+        ("thumb", "wrist", "refused_key", "does not allow the key of thumb; there: telepulse"),
         ("finger", "other", "handshake", "breaks off: it is not other, whose public key"),
         ("", "", "no_key", "requires a key; give --key and --peer"),
     ],
 )
-def test_who_is_refused_is_told_why_once(
+def test_a_refused_display_logs_the_reason_once(
     context: Context,
     keyring: Keyring,
     own: str,
@@ -63,54 +58,53 @@ def test_who_is_refused_is_told_why_once(
     logged: list[str],
 ) -> None:
     address = free_address()
-    gate = Authenticator(context, keyring.server())
-    sockets.bind(context, zmq.PUB, address, gate)
-    visitor = Visitor(context, address, keyring.client(own, peer) if own else None)
+    authenticator = Authenticator(context, keyring.server())
+    sockets.bind(context, zmq.PUB, address, authenticator)
+    display = Connecting(context, address, keyring.client(own, peer) if own else None)
     # ZeroMQ itself tries again where the other breaks off, and no more where it is refused.
     often = 8 if cause == "handshake" else 2
-    visitor.tend_until(lambda: visitor.refusals.rejected[cause] >= often, gate)
-    # The other may break off before it is heard why.
-    assert set(visitor.refusals.rejected) <= {cause, "handshake"}
+    display.poll_until(lambda: display.monitor.rejected[cause] >= often, authenticator)
+    # The other may break off before the reason is read.
+    assert set(display.monitor.rejected) <= {cause, "handshake"}
     lines = [line for line in logged if line.startswith(address)]
     assert all(line.startswith(f"{address} {reason}") for line in lines)
     assert len(lines) <= 1
 
 
-def test_who_was_let_in_and_is_refused_later_is_told_that_it_was_revoked(
+def test_a_key_that_was_accepted_and_is_refused_later_is_reported_as_revoked(
     context: Context, keyring: Keyring, logged: list[str]
 ) -> None:
     address = free_address()
-    keyring.allow("finger")
-    gate = Authenticator(context, keyring.server())
-    socket = sockets.bind(context, zmq.PUB, address, gate)
-    visitor = Visitor(context, address, keyring.client("finger"))
-    waiting = list(visitor.sockets)
+    authenticator = Authenticator(context, keyring.server())
+    socket = sockets.bind(context, zmq.PUB, address, authenticator)
+    display = Connecting(context, address, keyring.client("finger"))
+    waiting = list(display.sockets)
 
     def both_receive() -> bool:
         sockets.send(socket, b"a frame")
         waiting[:] = [each for each in waiting if not list(sockets.receive_all(each))]
         return not waiting
 
-    visitor.tend_until(both_receive, gate)
+    display.poll_until(both_receive, authenticator)
     revoke(keyring.allowed, "finger")
-    visitor.tend_until(lambda: visitor.refusals.rejected["revoked"] >= 2, gate)
+    display.poll_until(lambda: display.monitor.rejected["revoked"] >= 2, authenticator)
     (line,) = (line for line in logged if line.startswith(address))
     assert line.startswith(f"{address} has revoked the key of finger")
-    assert "refused_key" not in visitor.refusals.rejected
+    assert "refused_key" not in display.monitor.rejected
 
 
 @pytest.mark.parametrize("keyed", [True, False])
-def test_what_is_no_node_with_keys_is_told_of(
+def test_a_node_without_keys_is_reported_to_a_display_with_keys(
     context: Context, keyring: Keyring, keyed: bool, logged: list[str]
 ) -> None:
     address = free_address()
     sockets.bind(context, zmq.PUB, address)
-    visitor = Visitor(context, address, keyring.client("finger") if keyed else None)
+    display = Connecting(context, address, keyring.client("finger") if keyed else None)
     if keyed:
-        visitor.tend_until(lambda: visitor.refusals.rejected["no_key"] >= 2)
+        display.poll_until(lambda: display.monitor.rejected["no_key"] >= 2)
         (line,) = logged
         assert line.startswith(f"{address} has no keys; start it with --key")
     else:
-        visitor.tend_until(lambda: time.monotonic() % 1 < 0.5)
+        display.poll_until(lambda: time.monotonic() % 1 < 0.5)
         assert logged == []
-        assert visitor.refusals.rejected == {}
+        assert display.monitor.rejected == {}

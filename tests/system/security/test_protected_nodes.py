@@ -16,24 +16,14 @@ from tests.support.keyring import Keyring
 from tests.support.live_display import await_state, await_status, subscribe
 from tests.support.log_lines import strays
 from tests.support.nodes import RADIAL, assert_accounted, free_address, process, read_json
+from tests.support.waiting import PATIENCE_S
 
 SENSING, DISPLAY = "sensing_node.cli", "display_node.cli"
-PATIENCE_S = 20.0
-
-
-@pytest.fixture
-def keyring(tmp_path: Path) -> Keyring:
-    keyring = Keyring(tmp_path / "keys")
-    keyring.allow("finger")
-    return keyring
 
 
 def sensing(keyring: Keyring, address: str, seconds: float, json: Path) -> tuple[str, ...]:
-    keys = ("--key", keyring.path("wrist"))
-    return (
-        *(str(RADIAL), "--bind", address, "--seconds", str(seconds), "--json", str(json)),
-        *keys,
-    )
+    options = ("--seconds", str(seconds), "--json", str(json), "--key", keyring.path("wrist"))
+    return (str(RADIAL), "--bind", address, *options)
 
 
 def display(
@@ -61,50 +51,44 @@ def test_with_keys_over_ipc_a_display_plays_all_of_the_stream(
     assert_accounted(samples)
     assert samples["played"] > 500
     assert read_json(played)["rejected"] == {}
-    # A display that asks again hangs up on its first request, maybe in the midst of a handshake.
+    # A display that repeats its request closes the first connection, maybe during its handshake.
     assert set(read_json(sensed)["rejected"]) <= {"handshake"}
 
 
-class Intruder:
-    """Asks for the stream and for answers, and keeps what it gets."""
+class RawDisplay:
+    """Requests the stream, and keeps what it receives."""
 
     def __init__(self, context: Context, address: str, keys: ClientKeys | None) -> None:
         self.control = sockets.connect(context, zmq.DEALER, control_address(address), keys)
         self.data = sockets.connect(context, zmq.SUB, address, keys)
         self.data.subscribe(b"")
-        self.heard: list[bytes] = []
+        self.received: list[bytes] = []
 
-    def ask(self) -> None:
+    def request(self) -> None:
         sockets.send(self.control, encode_control(Hello("who")))
         for socket in (self.control, self.data):
-            self.heard += sockets.receive_each(socket)
+            self.received += sockets.receive_each(socket)
 
 
-def test_who_is_not_allowed_gets_no_frame_and_no_answer(
+def test_a_peer_that_is_not_allowed_gets_no_frame_and_no_answer(
     context: Context, keyring: Keyring, tmp_path: Path
 ) -> None:
     address, json = free_address(), tmp_path / "sensed.json"
-    allowed = Intruder(context, address, keyring.client("finger"))
-    intruders = [
-        Intruder(context, address, keys)
-        for keys in (
-            keyring.client("stranger"),
-            keyring.client("finger", peer="stranger"),
-            None,
-        )
-    ]
+    allowed = RawDisplay(context, address, keyring.client("finger"))
+    strangers = keyring.client("stranger"), keyring.client("finger", peer="stranger"), None
+    intruders = [RawDisplay(context, address, keys) for keys in strangers]
     with process(SENSING, *sensing(keyring, address, 3, json)) as node:
         while node.poll() is None:
             for one in (allowed, *intruders):
-                one.ask()
+                one.request()
             time.sleep(0.02)
         _, errors = node.communicate()
-    assert len(allowed.heard) > 100
-    assert [one.heard for one in intruders] == [[], [], []]
+    assert len(allowed.received) > 100
+    assert [one.received for one in intruders] == [[], [], []]
     rejected = read_json(json)["rejected"]
     assert set(rejected) <= {"unknown_key", "not_authentic", "no_key", "handshake", "unexpected"}
-    # Data and control; who has a wrong key of the node tries again and again. Who has none may
-    # hang up before it is turned away.
+    # Data and control; a peer with a wrong key of the node tries again and again. One without may
+    # hang up before it is refused.
     assert rejected["unknown_key"] >= 2
     assert rejected["not_authentic"] > 5
     assert rejected.get("no_key", 0) + rejected.get("handshake", 0) >= 2
@@ -112,7 +96,7 @@ def test_who_is_not_allowed_gets_no_frame_and_no_answer(
     assert strays(errors) == ""
 
 
-def test_a_revoked_display_is_cut_off_and_told_while_the_other_goes_on(
+def test_a_revoked_display_is_cut_off_and_reports_it_while_the_other_goes_on(
     context: Context, keyring: Keyring, tmp_path: Path
 ) -> None:
     address = free_address()
@@ -121,13 +105,16 @@ def test_a_revoked_display_is_cut_off_and_told_while_the_other_goes_on(
     telemetry = {name: free_address() for name in ("finger", "thumb")}
     readers = {name: subscribe(context, at) for name, at in telemetry.items()}
     jsons = {name: tmp_path / f"{name}.json" for name in telemetry}
-    options = {
-        name: ("--telemetry", telemetry[name], "--json", str(jsons[name]), "--once")
+    commands = {
+        name: display(
+            *(keyring, name, address, "--once"),
+            *("--telemetry", telemetry[name], "--json", str(jsons[name])),
+        )
         for name in telemetry
     }
     with (
-        process(DISPLAY, *display(keyring, "finger", address, *options["finger"])) as stays,
-        process(DISPLAY, *display(keyring, "thumb", address, *options["thumb"])) as goes,
+        process(DISPLAY, *commands["finger"]) as stays,
+        process(DISPLAY, *commands["thumb"]) as goes,
         process(SENSING, *sensing(keyring, address, 8, sensed)) as node,
     ):
         for reader in readers.values():
@@ -137,19 +124,19 @@ def test_a_revoked_display_is_cut_off_and_told_while_the_other_goes_on(
         await_status(readers["thumb"], lambda status: status.state == "stale")
         cut_s = time.monotonic() - revoked_s
         await_status(readers["thumb"], lambda status: "revoked" in status.summary["rejected"])
-        heard = await_state(readers["thumb"], "stale").summary["frames"]["received"]
+        received = await_state(readers["thumb"], "stale").summary["frames"]["received"]
         assert node.wait(PATIENCE_S) == 0
         assert stays.wait(PATIENCE_S) == 0
         goes.terminate()
-        output, told = goes.communicate(timeout=PATIENCE_S)
-        _, said = node.communicate()
-    # The list is looked at each second; stale is what has been silent for a while.
+        output, display_log = goes.communicate(timeout=PATIENCE_S)
+        _, sensing_log = node.communicate()
+    # The list is read each second, and a stream is stale after some silence.
     assert cut_s < 10
-    assert read_json(jsons["thumb"])["frames"]["received"] == heard
-    assert told.count(" has revoked the key of thumb: ") == 1
+    assert read_json(jsons["thumb"])["frames"]["received"] == received
+    assert display_log.count(" has revoked the key of thumb: ") == 1
     assert "revoked: the other node allowed this node's key" in output
-    assert said.count("thumb is allowed no more") == 1
-    assert said.count("refused 127.0.0.1: key ") == 1
+    assert sensing_log.count("thumb is allowed no more") == 1
+    assert sensing_log.count("refused 127.0.0.1: key ") == 1
     rejected = read_json(sensed)["rejected"]
     assert "revoked_key" in rejected
     assert set(rejected) <= {"revoked_key", "handshake"}
@@ -159,7 +146,7 @@ def test_a_revoked_display_is_cut_off_and_told_while_the_other_goes_on(
 
 
 @pytest.mark.smoke
-def test_a_display_that_does_not_get_in_says_why_once(keyring: Keyring, tmp_path: Path) -> None:
+def test_a_display_that_is_refused_logs_the_reason_once(keyring: Keyring, tmp_path: Path) -> None:
     address = free_address()
     jsons = [tmp_path / "wrong.json", tmp_path / "none.json"]
     wrong = display(keyring, "finger", address, "--json", str(jsons[0]), peer="stranger")
@@ -169,9 +156,9 @@ def test_a_display_that_does_not_get_in_says_why_once(keyring: Keyring, tmp_path
         process(DISPLAY, *wrong, "--seconds", "4") as one,
         process(DISPLAY, *none, "--seconds", "4") as other,
     ):
-        said, told = ("".join(n.communicate(timeout=2 * PATIENCE_S)) for n in (one, other))
-    assert said.count("breaks off: it is not stranger, whose public key --peer gives") == 1
-    assert told.count("requires a key; give --key and --peer") == 1
+        first, second = ("".join(n.communicate(timeout=2 * PATIENCE_S)) for n in (one, other))
+    assert first.count("breaks off: it is not stranger, whose public key --peer gives") == 1
+    assert second.count("requires a key; give --key and --peer") == 1
     assert read_json(jsons[0])["rejected"]["handshake"] >= 3
     assert read_json(jsons[1])["rejected"]["no_key"] >= 3
 

@@ -1,4 +1,4 @@
-"""Strangers without a key, and a system that grants little: a node goes on, or does not begin."""
+"""Strangers without a key, and low resource limits: a node goes on, or does not start."""
 
 import errno
 import os
@@ -49,7 +49,7 @@ def limited(
 
 @contextmanager
 def strangers(port: int) -> Iterator[None]:
-    """Connect many times without a word."""
+    """Connect many times and send nothing."""
     with ExitStack() as until_the_end:
         for _ in range(STRANGERS):
             one = until_the_end.enter_context(plain.socket())
@@ -59,9 +59,9 @@ def strangers(port: int) -> Iterator[None]:
 
 
 @needs_rights
-def test_strangers_do_not_end_a_node_that_has_a_priority(context: Context, tmp_path: Path) -> None:
-    keyring = Keyring(tmp_path / "keys")
-    keyring.allow("finger")
+def test_strangers_do_not_end_a_node_that_has_a_priority(
+    context: Context, keyring: Keyring, tmp_path: Path
+) -> None:
     address, telemetry = (free_address().replace("127.0.0.1", "*") for _ in range(2))
     here = [at.replace("*", "127.0.0.1") for at in (address, telemetry)]
     options = ("--realtime", "fifo=40", "--key", keyring.path("wrist"))
@@ -111,7 +111,7 @@ def port_of(address: str) -> int:
     ("limit", "value", "advice"),
     [("RLIMIT_NOFILE", 14, "ulimit -n 4096"), ("RLIMIT_AS", 450 << 20, "ulimit -v unlimited")],
 )
-def test_where_the_system_grants_too_little_a_node_does_not_begin(
+def test_a_node_does_not_start_below_its_resource_limits(
     module: str, limit: str, value: int, advice: str
 ) -> None:
     node = limited(limit, value, module)
@@ -140,7 +140,7 @@ def test_another_user_does_not_end_a_node_with_few_files_over_an_ipc_address() -
                     found.append(one.connect_ex(str(path)))
                 assert node.poll() is None
             assert set(found) == {errno.EACCES}
-            # Its own user is let in.
+            # Its own user connects.
             with plain.socket(plain.AF_UNIX) as own:
                 own.connect(str(path))
                 own.settimeout(PATIENCE_S)
