@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
-import msgpack
 import numpy as np
 import zmq
 from numpy.typing import NDArray
@@ -19,14 +18,14 @@ from protocol import sockets
 from protocol.host.child_process import ChildProcess
 from protocol.run_summary import Summary
 from protocol.wire.messages import Frame, encode_frame
-from protocol.wire.telemetry import TRACE_TICKS, TickState
+from protocol.wire.telemetry import TRACE_TICKS, TickState, pack_status
 
 TICK_NS = 1_000_000
 TICKS_A_FRAME = 5
 TICKS = 20_000
 START_S = 30.0
 Reader = Callable[[str], AbstractContextManager[bool]]
-END = bytes(msgpack.packb(["ended", "", Summary().to_dict(), True]))
+END = pack_status("ended", "", Summary(), final=True)
 
 
 def main() -> None:
@@ -66,7 +65,7 @@ def publish(publisher: Publisher, ticks: int) -> NDArray[np.float64]:
     """Run ticks of a millisecond; return the time that the telemetry of each took, in µs."""
     chance = np.random.default_rng(1)
     force_n = 0.4 + 0.1 * np.sin(np.arange(TICKS) * 0.008) + 1e-3 * chance.standard_normal(TICKS)
-    status = bytes(msgpack.packb(["playing", "pulse", Summary().to_dict(), False]))
+    status = pack_status("playing", "pulse", Summary(), final=False)
     cost_us = np.empty(ticks)
     start_ns = time.monotonic_ns()
     for tick in range(ticks):
