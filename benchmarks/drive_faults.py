@@ -157,7 +157,7 @@ def nothing(bench: Bench) -> None:
     """Give no more commands, as a process that hangs or is killed."""
 
 
-NO_COMMAND = "no command any more"
+NO_COMMAND = "no further command"
 TMCL_EVENTS = {
     "over-temperature": break_motor,
     "no replies": answer("none"),
@@ -168,6 +168,6 @@ TMCL_EVENTS = {
 }
 CIA402_EVENTS = {
     "over-temperature": break_motor,
-    "it falls silent": fall_silent,
+    "silent drive": fall_silent,
     NO_COMMAND: nothing,
 }

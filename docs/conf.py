@@ -1,4 +1,4 @@
-"""How Sphinx builds these pages: `python -m sphinx -W --keep-going -n docs out/docs`."""
+"""Sphinx configuration: `python -m sphinx -W --keep-going -n docs out/docs`."""
 
 import sys
 from importlib.metadata import version as installed_version
@@ -33,7 +33,7 @@ html_show_sphinx = html_copy_source = False
 
 
 def setup(app: Sphinx) -> None:
-    """Leave out what Python says of a named tuple's fields: their meaning is in its docstring."""
+    """Leave out Python's own text on a named tuple's fields: the docstring has their meaning."""
     app.connect("autodoc-skip-member", _is_an_alias)
 
 

@@ -1,1 +1,1 @@
-"""What these pages have beyond Sphinx: tables that are written from the code."""
+"""Sphinx extensions of these pages: tables generated from the code."""

@@ -1,4 +1,4 @@
-"""What `--help` of a command says, of its sub-commands too, as a page."""
+"""The `--help` of a command and its sub-commands, as a page."""
 
 import re
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ _LIMITS = re.compile(r"\s*\[((?:default|required|env var|[-0-9.e+x]+[<>]=?)[^\]]
 
 
 def write(target: str, program: str) -> str:
-    """Usage, text, arguments and options of the typer application at `target`."""
+    """Return usage, text, arguments and options of the typer application at `target`."""
     app = load(target)
     assert isinstance(app, typer.Typer)
     return "\n".join(_chapter(typer.main.get_command(app), program, "##"))

@@ -1,10 +1,10 @@
-"""Table of each fault that a display latches and what to do about it, from its surfaces' table."""
+"""Table of each fault that a display latches, and its remedy."""
 
 from display_node.fault_advice import ADVICE, AGAIN, OTHERWISE
 
 
 def write() -> str:
-    """Return a table of the words in a fault's text and the advice."""
+    """Return a table of the words in a fault's text and the remedy."""
     rows = (f"| {words} | {advice} |" for words, advice in (*ADVICE, ("anything else", OTHERWISE)))
     return "\n".join(
         [

@@ -41,8 +41,10 @@ _PLAIN = {
 
 
 def write(*words: str) -> str:
-    """For pairs of a model and its name in the file: a heading, a table and what the code says of
-    it, and the same for each table in it. A table that stood before is referred to."""
+    """Return heading, table and docstring for each pair of a model and its name in the file.
+
+    The same follows for each table in it; a table shown before is referred to.
+    """
     lines: list[str] = []
     shown: dict[type[Section], str] = {}
     for target, name in zip(words[::2], words[1::2], strict=True):
@@ -86,7 +88,7 @@ def _row(key: str, field_name: str, field: FieldInfo, is_table: bool) -> str:
 
 
 def _takes_auto(field: FieldInfo) -> bool:
-    """Whether "auto" may be written, which the code has as None."""
+    """Return whether "auto" may be written, which the code represents as None."""
     readers = [part.func for part in field.metadata if isinstance(part, BeforeValidator)]
     with suppress(ValueError, TypeError):
         return any(reader("auto") is None for reader in readers)  # type: ignore[call-arg]
@@ -94,7 +96,7 @@ def _takes_auto(field: FieldInfo) -> bool:
 
 
 def _explained(section: type[Section]) -> str:
-    """The docstring in one line: its pairs `key: meaning` are about the rows above."""
+    """Return the docstring in one line: its pairs `key: meaning` are about the rows above."""
     return " ".join((section.__doc__ or "").split())
 
 
@@ -112,7 +114,7 @@ def _tables(annotation: Any) -> Iterator[type[Section]]:
 
 
 def _dimension(key: str, field_name: str, field: FieldInfo) -> str | None:
-    """From the field's name; a new suffix fails the build rather than be left out."""
+    """Return the dimension by the field's name; a new suffix fails the build."""
     if key != field_name:
         return DIMENSIONS[field_name.removeprefix(f"{key}_")]
     readers = [getattr(part, "func", None) for part in _metadata(field)]
@@ -120,14 +122,14 @@ def _dimension(key: str, field_name: str, field: FieldInfo) -> str | None:
 
 
 def _metadata(field: FieldInfo) -> Iterator[Any]:
-    """What is said of a field: also inside `Annotated[...] | None`."""
+    """Return the metadata of a field, also inside `Annotated[...] | None`."""
     yield from field.metadata
     for part in get_args(field.annotation):
         yield from getattr(part, "__metadata__", ())
 
 
 def _choices(annotation: Any) -> str:
-    """The values that may be written, or the kind of them."""
+    """Return the permitted values, or their kind."""
     if get_origin(annotation) is Literal:
         return ", ".join(_code(value) for value in get_args(annotation))
     if get_origin(annotation) in (Union, types.UnionType):
@@ -162,7 +164,7 @@ def _flat(parts: Iterator[Any]) -> Iterator[Any]:
 
 
 def _written(value: Any, dimension: str | None) -> Any:
-    """A value of the code as a scene has it: in the largest unit that leaves at least 1."""
+    """Return a value as a scene states it: in the largest unit that leaves at least 1."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return value
     if dimension is None:

@@ -16,7 +16,7 @@ _KINDS = {
 
 
 def write() -> str:
-    """Return the tables of all figures, and of those that a surface leaves out."""
+    """Return the tables of all figures, and of those that an output omits."""
     rows = (
         f"| `{figure.key}` | {_kind(figure.type, figure.unit)} | {figure.meaning} |"
         f" {figure.row} | {_metric(figure)} |"

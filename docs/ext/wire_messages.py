@@ -1,4 +1,4 @@
-"""The fields of each message on the wire, with the types and ranges that are taken."""
+"""The fields of each message on the wire, with their types and ranges."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -10,7 +10,7 @@ from protocol.wire.stream import StreamDescription
 
 
 def write() -> str:
-    """Tables of the control messages and of the stream description that a welcome ends with."""
+    """Return tables of the control messages and of the stream description in a welcome."""
     return "\n".join([*_control(), *_description()])
 
 
@@ -42,7 +42,7 @@ def _map(heading: str, schema: dict[str, Any]) -> Iterator[str]:
 
 
 def _allowed(rule: dict[str, Any]) -> str:
-    """A rule of JSON Schema in words."""
+    """Return a rule of JSON Schema in words."""
     if "$ref" in rule:
         return f"map, see {rule['$ref'].rpartition('/')[2]}"
     if "const" in rule or "enum" in rule:
