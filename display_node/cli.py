@@ -110,8 +110,7 @@ def display(
     without_film: Annotated[
         bool,
         typer.Option(
-            "--without-film",
-            help="Let a drive press with no film under the finger to measure it.",
+            "--without-film", help="Let a drive press with no film under the finger to measure it."
         ),
     ] = False,
     doctor: Annotated[
@@ -182,11 +181,7 @@ def display(
             start_metrics(PROGRAM, metrics) as served,
             closing(DisplayNode(section, connect, telemetry, keys, readers, told)) as node,
             start_recorder(
-                node.telemetry_address,
-                node.await_recorder,
-                record,
-                own,
-                log_options,
+                node.telemetry_address, node.await_recorder, record, own, log_options
             ) as recording,
         ):
             freeze_objects()

@@ -63,10 +63,7 @@ class SampleBlock:
 
 
 def one_channel(
-    values: Sequence[float],
-    device_ns: int | None = None,
-    missing: int = 0,
-    restarted: bool = False,
+    values: Sequence[float], device_ns: int | None = None, missing: int = 0, restarted: bool = False
 ) -> SampleBlock:
     """Return a decoder's values as a block that is not placed yet."""
     column = np.array(values, np.float64)[:, np.newaxis]

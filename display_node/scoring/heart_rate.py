@@ -37,9 +37,7 @@ def heart_rate_per_min(t_s: NDArray[np.float64], force_n: NDArray[np.float64]) -
     spacing_s = (t_s[-1] - t_s[0]) / (len(t_s) - 1)
     low, high = np.percentile(force_n, [5, 99])
     peaks, _ = find_peaks(
-        force_n,
-        prominence=0.5 * (high - low),
-        distance=max(1, round(SHORTEST_BEAT_S / spacing_s)),
+        force_n, prominence=0.5 * (high - low), distance=max(1, round(SHORTEST_BEAT_S / spacing_s))
     )
     if len(peaks) < 2:
         return None

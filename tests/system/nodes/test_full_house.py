@@ -15,9 +15,7 @@ from tests.support.sensing_client import PATIENCE_MS
 TOO_MANY = 5
 
 
-def test_a_full_node_answers_its_displays_and_no_further_one(
-    context: Context,
-) -> None:
+def test_a_full_node_answers_its_displays_and_no_further_one(context: Context) -> None:
     address = free_address()
     # A relay passes on an address before the message of each display.
     relay = context.socket(zmq.DEALER)

@@ -302,9 +302,7 @@ def test_a_scene_without_a_chain_does_not_load_scipy() -> None:
     assert result.stdout == "False\n"
 
 
-def test_beyond_loopback_the_node_starts_only_with_keys_or_insecure(
-    address: str,
-) -> None:
+def test_beyond_loopback_the_node_starts_only_with_keys_or_insecure(address: str) -> None:
     everywhere = address.replace(HOST, "*")
     arguments = (str(RADIAL), "--bind", everywhere, "--seconds", "0.1", "--quiet")
     refused, insecure = run(MODULE, *arguments), run(MODULE, *arguments, "--insecure")

@@ -150,23 +150,15 @@ def test_an_invalid_frame_is_counted_by_its_cause(data: bytes, cause: str) -> No
         # 15 frames are lost, and the time agrees.
         (b"".join(frames(30)[:2] + frames(30)[17:]), [0, 0, 60, *[0] * 12], [0], {}),
         # The counter jumps without the time.
-        (
-            raw(0x11, SAMPLES, 0, 3_000) + raw(0x11, SAMPLES, 1_000_000, 7_000),
-            [0, 0],
-            [0],
-            {"counter": 1},
-        ),
+        (raw(0x11, SAMPLES, 0, 3_000) + raw(0x11, SAMPLES, 1_000_000, 7_000), [0, 0], [0],
+         {"counter": 1}),
         # Counter and time wrap to 0.
-        (
-            raw(0x11, SAMPLES, TURN - 4, TURN - 1_000) + raw(0x11, SAMPLES, 0, 3_000),
-            [0] * 2,
-            [0],
-            {},
-        ),
+        (raw(0x11, SAMPLES, TURN - 4, TURN - 1_000) + raw(0x11, SAMPLES, 0, 3_000), [0] * 2, [0],
+         {}),
         # The board restarts.
         (b"".join(frames(3, first_ms=500_000) + frames(3)), [0] * 6, [0, 3], {}),
     ],
-)
+)  # fmt: skip
 def test_counter_and_time_reveal_losses_and_restarts(
     data: bytes, missing: list[int], restarted: list[int], rejected: dict[str, int]
 ) -> None:

@@ -68,29 +68,19 @@ ONLY_RISES = "only ever rises, as time does and no pulse"
         ({"force": PULSE_N * -1e3}, {}, ABOVE),
         ({"force": PULSE_N * 1e3}, {"unit": "V", "film_radius": "9 mm"}, "if it is in that"),
         ({"force": PULSE_N * 1e9}, {}, 'set unit, or unit = "raw" with peak_to_peak'),
-        (
-            {"force": PULSE_N * 1e3},
-            {"unit": "V", "sensitivity": "44 mV/N"},
-            'set unit = "mV", if it is in that',
-        ),
+        ({"force": PULSE_N * 1e3}, {"unit": "V", "sensitivity": "44 mV/N"},
+         'set unit = "mV", if it is in that'),
         (
             {"force": PULSE_N - PULSE_N.mean()},
             {},
             "is below 0 N for 57 % of the samples, which no display can play;"
             ' set preload = "0.1 N" or more',
         ),
-        (
-            {"force": PULSE_N},
-            {**RAW, "preload": "0 N"},
-            "which no display can play",
-        ),
+        ({"force": PULSE_N}, {**RAW, "preload": "0 N"}, "which no display can play"),
         ({"force": -PULSE_N}, {}, "set inverted = true"),
         ({"time": TIMES_S, "force": PULSE_N}, {}, f'column 0 ("time") {ONLY_RISES}'),
-        (
-            {"t": TIMES_S // 0.02, "i": TIMES_S, "adc": PULSE_N},
-            {},
-            'set column = "adc", or the one with the force',
-        ),
+        ({"t": TIMES_S // 0.02, "i": TIMES_S, "adc": PULSE_N}, {},
+         'set column = "adc", or the one with the force'),
         ({"time": TIMES_S}, {}, f'column 0 ("time") {ONLY_RISES}'),
         *(
             (
@@ -101,7 +91,7 @@ ONLY_RISES = "only ever rises, as time does and no pulse"
             for keys in ({}, RAW)
         ),
     ],
-)
+)  # fmt: skip
 def test_a_recording_that_cannot_be_a_pulse_is_refused(
     tmp_path: Path, columns: Keys, keys: Keys, text: str
 ) -> None:
@@ -111,11 +101,8 @@ def test_a_recording_that_cannot_be_a_pulse_is_refused(
 @pytest.mark.parametrize(
     ("columns", "keys", "text"),
     [
-        (
-            {"force": PULSE_N},
-            {"unit": "mN"},
-            'is 0.3 mN from peak to peak, which nobody feels: is unit = "N" right?',
-        ),
+        ({"force": PULSE_N}, {"unit": "mN"},
+         'is 0.3 mN from peak to peak, which nobody feels: is unit = "N" right?'),
         (
             {"force": DIPPING_N},
             {},
@@ -135,7 +122,7 @@ def test_a_recording_that_cannot_be_a_pulse_is_refused(
             " it",
         ),
     ],
-)
+)  # fmt: skip
 def test_a_doubtful_recording_is_warned_of(
     tmp_path: Path, columns: Keys, keys: Keys, text: str
 ) -> None:
@@ -157,14 +144,10 @@ DATES = [(BEGIN + datetime.timedelta(seconds=float(t))).isoformat() for t in TIM
 @pytest.mark.parametrize(
     ("name", "times"),
     [
-        ("time", TIMES_S),
-        ("t (ms)", TIMES_S * 1e3),
-        ("timestamp_us", TIMES_S * 1e6 + 1.7e15),
-        ("elapsed", TIMES_S + 5),
-        ("time", np.floor(TIMES_S)),
-        ("datetime", DATES),
+        ("time", TIMES_S), ("t (ms)", TIMES_S * 1e3), ("timestamp_us", TIMES_S * 1e6 + 1.7e15),
+        ("elapsed", TIMES_S + 5), ("time", np.floor(TIMES_S)), ("datetime", DATES),
     ],
-)
+)  # fmt: skip
 def test_the_scenes_rate_is_compared_with_the_files_own_times(
     tmp_path: Path, name: str, times: object
 ) -> None:

@@ -37,14 +37,11 @@ def values(blocks: list[Decoded]) -> list[float]:
 @pytest.mark.parametrize(
     ("text", "column", "value"),
     [
-        (b"0.25\n", 0, 0.25),
-        (b" 0.25 \r\n", 0, 0.25),
-        (b"+2.5e-1\r", 0, 0.25),
-        (b"1,0.25\n", 1, 0.25),
-        (b"1;\t0.25 ; 7\n", 1, 0.25),
+        (b"0.25\n", 0, 0.25), (b" 0.25 \r\n", 0, 0.25), (b"+2.5e-1\r", 0, 0.25),
+        (b"1,0.25\n", 1, 0.25), (b"1;\t0.25 ; 7\n", 1, 0.25),
         (b"force:0.25,temperature:31\n", 0, 0.25),
     ],
-)
+)  # fmt: skip
 def test_a_line_is_read_as_sketches_print_it(text: bytes, column: int, value: float) -> None:
     assert untimed(text, column) == ([Decoded((value,))], {})
 

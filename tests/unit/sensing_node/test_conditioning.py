@@ -82,28 +82,22 @@ def test_the_end_of_the_source_is_the_chains_end() -> None:
 @pytest.mark.parametrize(
     ("keys", "frequency_hz", "expected"),
     [
-        (CHARGE, 0.1, math.sqrt(0.5)),
-        (CHARGE, 1.0, 1 / math.hypot(1, 0.1)),
-        (CHARGE, 20.0, 1.0),
-        (MAINS, 50.0, 0.0),
-        ({"mains": "60 Hz"}, 60.0, 0.0),
-        (MAINS, 60.0, 0.965),
+        (CHARGE, 0.1, math.sqrt(0.5)), (CHARGE, 1.0, 1 / math.hypot(1, 0.1)), (CHARGE, 20.0, 1.0),
+        (MAINS, 50.0, 0.0), ({"mains": "60 Hz"}, 60.0, 0.0), (MAINS, 60.0, 0.965),
         (MAINS, 10.0, 1.0),
         # −3 dB at f with f − 50²/f = ±50/Q, as an analogue notch has it.
         (MAINS, 52.562, math.sqrt(0.5)),
         (MAINS | {"mains_quality": 2}, 39.0388, math.sqrt(0.5)),
         # A grid that is 0.2 Hz off.
         (MAINS, 50.2, 0.0797),
-        (MAINS | {"mains_quality": 30}, 50.2, 0.233),
-        (LOW_PASS, 40.0, math.sqrt(0.5)),
+        (MAINS | {"mains_quality": 30}, 50.2, 0.233), (LOW_PASS, 40.0, math.sqrt(0.5)),
         (LOW_PASS, 5.0, 1.0),
         (LOW_PASS, 80.0, 1 / math.hypot(1, OCTAVE**4)),
         (LOW_PASS | {"anti_alias_order": 1}, 80.0, 1 / math.hypot(1, OCTAVE)),
         (LOW_PASS | {"anti_alias_order": 8}, 80.0, 1 / math.hypot(1, OCTAVE**8)),
-        (LOW_PASS, 500.0, 0.0),
-        (CHARGE | MAINS | LOW_PASS, 50.0, 0.0),
+        (LOW_PASS, 500.0, 0.0), (CHARGE | MAINS | LOW_PASS, 50.0, 0.0),
     ],
-)
+)  # fmt: skip
 def test_the_chain_leaves_this_share_of_a_frequency(
     keys: dict[str, Any], frequency_hz: float, expected: float
 ) -> None:
@@ -181,18 +175,14 @@ def best_shift_ms(force_n: NDArray[np.float64], delayed_n: NDArray[np.float64]) 
 @pytest.mark.parametrize(
     ("keys", "delay_ms"),
     [
-        (LOW_PASS, 10.5),
-        (LOW_PASS | {"anti_alias_order": 1}, 3.9),
+        (LOW_PASS, 10.5), (LOW_PASS | {"anti_alias_order": 1}, 3.9),
         ({"anti_alias": "20 Hz"}, 21.9),
         ({"anti_alias": "15 Hz", "anti_alias_order": 8}, 58.2),
-        ({"anti_alias": "200 Hz", "anti_alias_order": 2}, 1.1),
-        (MAINS, 0.3),
-        (MAINS | {"mains_quality": 1}, 3.5),
-        (MAINS | LOW_PASS, 10.8),
-        (CHARGE, 0.0),
+        ({"anti_alias": "200 Hz", "anti_alias_order": 2}, 1.1), (MAINS, 0.3),
+        (MAINS | {"mains_quality": 1}, 3.5), (MAINS | LOW_PASS, 10.8), (CHARGE, 0.0),
         (WHOLE | {"adc_bits": 24}, 10.8),
     ],
-)
+)  # fmt: skip
 def test_the_stated_delay_is_the_shift_that_fits_the_pulse_best(
     keys: dict[str, Any], delay_ms: float
 ) -> None:

@@ -66,13 +66,10 @@ def test_defaults_are_the_papers_or_usual() -> None:
 @pytest.mark.parametrize(
     ("rate", "batch", "samples"),
     [
-        ("1 kHz", "100 us", 1),
-        ("10 Hz", "5 ms", 1),
-        ("1 kHz", "7.4 ms", 7),
-        ("4096 Hz", "1 s", 4096),
-        ("100 kHz", "5 ms", 500),
+        ("1 kHz", "100 us", 1), ("10 Hz", "5 ms", 1), ("1 kHz", "7.4 ms", 7),
+        ("4096 Hz", "1 s", 4096), ("100 kHz", "5 ms", 500),
     ],
-)
+)  # fmt: skip
 def test_a_batch_is_rounded_to_whole_samples(rate: str, batch: str, samples: int) -> None:
     section = scene(**source(rate=rate), batch=batch)
     assert describe_stream(section, build_source(section, Path())).batch == samples
@@ -87,8 +84,7 @@ def test_a_batch_of_too_many_samples_is_refused() -> None:
 @pytest.mark.parametrize(
     ("table", "key", "message"),
     [
-        ({}, "source", "missing"),
-        ({"source": {}}, "source", "kind"),
+        ({}, "source", "missing"), ({"source": {}}, "source", "kind"),
         ({"source": {"kind": "guitar"}}, "source", "recording"),
         (source(colour="red"), "source.colour", "unknown key"),
         (source() | {"bath": "5 ms"}, "bath", "unknown key"),
@@ -112,31 +108,19 @@ def test_a_batch_of_too_many_samples_is_refused() -> None:
         ({"source": RECORDING | {"unit": "kg"}}, "source.unit", "'mN'"),
         ({"source": RECORDING | {"repeat": "twice"}}, "source.repeat", "'loop' or 'once'"),
         ({"source": RECORDING | {"column": -1}}, "source.column", "-1"),
-        (
-            {"source": RECORDING | {"peak_to_peak": "0.3 N"}},
-            "source",
-            'peak_to_peak is for unit raw, not "N"',
-        ),
-        (
-            {"source": RECORDING | {"film_radius": "9 mm"}},
-            "source",
-            'film_radius is for unit V or mV, not "N"',
-        ),
-        (
-            {"source": RECORDING | {"unit": "V", "film_radius": "9 mm", "sensitivity": "1 V/N"}},
-            "source",
-            "give one of them",
-        ),
+        ({"source": RECORDING | {"peak_to_peak": "0.3 N"}}, "source",
+         'peak_to_peak is for unit raw, not "N"'),
+        ({"source": RECORDING | {"film_radius": "9 mm"}}, "source",
+         'film_radius is for unit V or mV, not "N"'),
+        ({"source": RECORDING | {"unit": "V", "film_radius": "9 mm", "sensitivity": "1 V/N"}},
+         "source", "give one of them"),
         ({"source": SERIAL | {"framing": "morse"}}, "source.framing", "'text' or 'binary'"),
         ({"source": SERIAL | {"device_time": "min"}}, "source.device_time", "'us', 'ms' or 's'"),
         ({"source": SERIAL | {"prot": "x"}}, "source.prot", "unknown key; did you mean port?"),
-        (
-            {"source": SERIAL | {"framing": "binary", "column": 1}},
-            "source",
-            'column is for framing "text"',
-        ),
+        ({"source": SERIAL | {"framing": "binary", "column": 1}}, "source",
+         'column is for framing "text"'),
     ],
-)
+)  # fmt: skip
 def test_a_wrong_scene_is_refused_in_one_line_that_names_the_key(
     table: dict[str, Any], key: str, message: str
 ) -> None:

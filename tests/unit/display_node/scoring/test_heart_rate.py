@@ -44,15 +44,10 @@ def test_variable_beats_give_their_median() -> None:
 @pytest.mark.parametrize(
     "forces_n",
     [
-        np.zeros(0),
-        np.zeros(1),
-        np.array([0.1, 0.5]),
-        np.full(6000, 0.3),
-        np.linspace(0, 1, 6000),
+        np.zeros(0), np.zeros(1), np.array([0.1, 0.5]), np.full(6000, 0.3), np.linspace(0, 1, 6000),
         pulse_n(0.5),
-    ],
-    ids=["nothing", "one sample", "two samples", "flat", "a ramp", "one beat"],
-)
+    ], ids=["nothing", "one sample", "two samples", "flat", "a ramp", "one beat"],
+)  # fmt: skip
 def test_no_rate_without_two_beats(forces_n: NDArray[np.float64]) -> None:
     assert heart_rate_per_min(times_s(forces_n), forces_n) is None
 

@@ -83,12 +83,9 @@ def test_a_figure_that_is_no_measurement_is_read_as_unknown(name: str, value: fl
     ("changes", "reason"),
     [
         *(({"target_n": value}, "target") for value in (math.nan, math.inf, -math.inf, 1e300)),
-        ({"now_ns": 3}, "time"),
-        ({"now_ns": 2**62}, "time"),
-        ({"instant_ns": -(2**63)}, "time"),
-    ],
-    ids=str,
-)
+        ({"now_ns": 3}, "time"), ({"now_ns": 2**62}, "time"), ({"instant_ns": -(2**63)}, "time"),
+    ], ids=str,
+)  # fmt: skip
 def test_a_target_that_is_no_force_and_times_that_fall_or_are_out_of_range_are_refused(
     changes: dict[str, float], reason: str
 ) -> None:

@@ -161,22 +161,16 @@ def test_another_suffix_is_refused(tmp_path: Path, name: str) -> None:
         ("time,force\n0,1\n1\n2,3\n", 1, "line 3: no column 1; it has 1"),
         ("time,force\n0,1\n1,high\n2,3\n", "force", "line 3: 'high' is not a number"),
         ("time,force\n\n0,1\n1,\n2,3\n", 1, "line 4: '' is not a number"),
-        (
-            "1\n2\nnan\n4\n",
-            0,
-            "1 value is NaN or beyond 1e+30, the first is sample 2; cut or fill them",
-        ),
-        (
-            "1\n-inf\nnan\n1e31\n",
-            0,
-            "3 values are NaN or beyond 1e+30, the first is sample 1; cut or fill them",
-        ),
+        ("1\n2\nnan\n4\n", 0,
+         "1 value is NaN or beyond 1e+30, the first is sample 2; cut or fill them"),
+        ("1\n-inf\nnan\n1e31\n", 0,
+         "3 values are NaN or beyond 1e+30, the first is sample 1; cut or fill them"),
         ("", 0, "is empty, or its first line is"),
         ("force\n", 0, "number of samples is 0; it must be 2 or more"),
         ("force\n1\n", 0, "number of samples is 1; it must be 2 or more"),
         ("9" * 200_000, 0, "cannot be read: field larger than field limit (131072)"),
     ],
-)
+)  # fmt: skip
 def test_a_csv_file_that_cannot_be_used_is_refused(
     tmp_path: Path, text: str, column: int | str, message: str
 ) -> None:
