@@ -14,29 +14,7 @@ from display_node.node import DisplayNode, connected
 from display_node.reception.connection import discovered
 from display_node.scene import DisplayScene
 from display_node.telemetry.recorder_process import start_recorder
-from protocol.cli_options import (
-    AllowOption,
-    DiscoverOption,
-    InsecureOption,
-    JsonOption,
-    KeyOption,
-    LogLevelOption,
-    MetricsOption,
-    NamedOption,
-    PeerOption,
-    QuietOption,
-    RealtimeOption,
-    StopAfterOption,
-    VersionOption,
-    client_keys,
-    hold_measures,
-    one_line_errors,
-    plain_console,
-    server_keys,
-    start_metrics,
-    sum_up,
-    with_measures,
-)
+from protocol import cli_options as options
 from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene, scene_names
 from protocol.errors import DiscoveryError, ProtectionError, SceneError
@@ -51,7 +29,6 @@ from protocol.host.process import (
 from protocol.host.realtime import RealtimeRequest, check_strict, parse_realtime
 from protocol.provenance import collect
 from protocol.run_summary import Summary
-from protocol.security.keys import ServerKeys
 from protocol.sockets import beyond_loopback
 
 logger = logging.getLogger(__name__)
@@ -81,13 +58,13 @@ def display(
             " wins, and while one is cut the others go on."
         ),
     ] = [HERE],  # noqa: B006
-    discover: DiscoverOption = False,
-    named: NamedOption = None,
-    seconds: StopAfterOption = None,
+    discover: options.DiscoverOption = False,
+    named: options.NamedOption = None,
+    seconds: options.StopAfterOption = None,
     once: Annotated[
         bool, typer.Option("--once", help="Stop when the stream has ended and was played.")
     ] = False,
-    json: JsonOption = None,
+    json: options.JsonOption = None,
     telemetry: Annotated[
         str, typer.Option(help="Address to publish telemetry on; * picks a free port.")
     ] = "tcp://127.0.0.1:*",
@@ -99,14 +76,14 @@ def display(
         Path | None,
         typer.Option(metavar="FILE.mcap", help="Record all of this run: see telepulse record."),
     ] = None,
-    quiet: QuietOption = False,
-    log_level: LogLevelOption = None,
-    key: KeyOption = None,
-    peer: PeerOption = None,
-    allow: AllowOption = None,
-    insecure: InsecureOption = False,
-    realtime: RealtimeOption = None,
-    metrics: MetricsOption = None,
+    quiet: options.QuietOption = False,
+    log_level: options.LogLevelOption = None,
+    key: options.KeyOption = None,
+    peer: options.PeerOption = None,
+    allow: options.AllowOption = None,
+    insecure: options.InsecureOption = False,
+    realtime: options.RealtimeOption = None,
+    metrics: options.MetricsOption = None,
     without_film: Annotated[
         bool,
         typer.Option(
@@ -121,7 +98,7 @@ def display(
             " are with and without it. SCENE may be left out.",
         ),
     ] = False,
-    version: VersionOption = False,
+    version: options.VersionOption = False,
 ) -> None:
     """Feel a remote pulse: play a sensing node's stream on the local actuator.
 
@@ -148,8 +125,8 @@ def display(
     nothing by itself: the display withdraws, and shows the fault and what to do until it is
     stopped.
     """
-    console = plain_console(quiet, json)
-    with one_line_errors(PROGRAM):
+    console = options.plain_console(quiet, json)
+    with options.one_line_errors(PROGRAM):
         configure_logging(log_level, quiet)
         allow_connections()
         check_writable(json)
@@ -158,28 +135,36 @@ def display(
             return
         if scene is None:
             raise SceneError("no scene: display-node SCENE plays one")
-        asked = parse_realtime(realtime)
-        check_strict(asked)
+        request = parse_realtime(realtime)
+        check_strict(request)
         if discover or named is not None:
             if connect != [HERE]:
                 raise DiscoveryError(
                     "--discover finds the address, and --connect is given: choose one"
                 )
             connect = discovered(named, peer, seconds)
-        keys = client_keys(connect, key, peer, insecure)
-        readers = _telemetry_keys(telemetry, key, allow, insecure)
+        keys = options.client_keys(connect, key, peer, insecure)
+        # Telemetry that stays on this machine needs no keys.
+        readers = None
+        if beyond_loopback(telemetry):
+            readers = options.server_keys(telemetry, key, allow, insecure)
+        elif allow is not None:
+            raise ProtectionError(
+                f"--allow is for telemetry beyond this machine, and {telemetry} stays on it"
+            )
         path = find_scene(scene)
         section = load_section(path, "display", DisplayScene)
         own = key if readers else None
         provenance = collect(path, {"display": section})
-        told = provenance.to_bytes()
         # A drive on its way home comes to rest, whatever ends this process.
         interrupt_on_signals()
         log_options = [] if log_level is None else ["--log-level", log_level]
         log_options += ["--quiet"] if quiet else []
         with (
-            start_metrics(PROGRAM, metrics) as served,
-            closing(DisplayNode(section, connect, telemetry, keys, readers, told)) as node,
+            options.start_metrics(PROGRAM, metrics) as served,
+            closing(
+                DisplayNode(section, connect, telemetry, keys, readers, provenance.to_bytes())
+            ) as node,
             start_recorder(
                 node.telemetry_address, node.await_recorder, record, own, log_options
             ) as recording,
@@ -192,24 +177,11 @@ def display(
                 if hardware is not None:
                     node.use(hardware)
                 draw = screen and not quiet
-                summary = _run(node, connect, seconds, once, draw, own, asked)
-    sum_up(PROGRAM, summary, "display node", console, json, provenance)
+                summary = _run(node, connect, seconds, once, draw, own, request)
+    options.sum_up(PROGRAM, summary, "display node", console, json, provenance)
     end_at_faults(PROGRAM, summary.faults)
     if not recording.whole:
         raise SystemExit(NOT_WHOLE)
-
-
-def _telemetry_keys(
-    telemetry: str, key: Path | None, allow: Path | None, insecure: bool
-) -> ServerKeys | None:
-    """Keys for telemetry: it goes without on this machine. Raises ProtectionError, KeyFileError."""
-    if beyond_loopback(telemetry):
-        return server_keys(telemetry, key, allow, insecure)
-    if allow is not None:
-        raise ProtectionError(
-            f"--allow is for telemetry beyond this machine, and {telemetry} stays on it"
-        )
-    return None
 
 
 def _run(
@@ -219,7 +191,7 @@ def _run(
     once: bool,
     screen: bool,
     key: Path | None,
-    asked: RealtimeRequest,
+    request: RealtimeRequest,
 ) -> Summary:
     """Run the node, beside the process that draws its state; `key` opens the telemetry to it."""
     stop_on_signals(node.stop)
@@ -231,8 +203,8 @@ def _run(
             "screen", "-m", "display_node.telemetry.terminal", *arguments, own_session=False
         )
     # After these processes are started, which would have some of the measures as well.
-    with hold_measures(PROGRAM, asked) as grant:
-        summary = with_measures(node.run(seconds, once), grant)
+    with options.hold_measures(PROGRAM, request) as grant:
+        summary = options.with_measures(node.run(seconds, once), grant)
     if watcher is not None:
         with watcher, suppress(subprocess.TimeoutExpired):
             watcher.wait(SCREEN_ENDS_WITHIN_S)

@@ -6,26 +6,7 @@ from typing import Annotated
 
 import typer
 
-from protocol.cli_options import (
-    AllowOption,
-    AnnounceOption,
-    InsecureOption,
-    JsonOption,
-    KeyOption,
-    LogLevelOption,
-    MetricsOption,
-    QuietOption,
-    RealtimeOption,
-    StopAfterOption,
-    VersionOption,
-    hold_measures,
-    one_line_errors,
-    plain_console,
-    server_keys,
-    start_metrics,
-    sum_up,
-    with_measures,
-)
+from protocol import cli_options as options
 from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene, scene_names
 from protocol.discovery.announcer import start_announcer
@@ -60,17 +41,17 @@ def sense(
             " for this machine alone, or ipc://PATH. Control uses the next port."
         ),
     ] = "tcp://127.0.0.1:5555",
-    seconds: StopAfterOption = None,
-    json: JsonOption = None,
-    quiet: QuietOption = False,
-    log_level: LogLevelOption = None,
-    key: KeyOption = None,
-    allow: AllowOption = None,
-    insecure: InsecureOption = False,
-    realtime: RealtimeOption = None,
-    metrics: MetricsOption = None,
-    announce: AnnounceOption = False,
-    version: VersionOption = False,
+    seconds: options.StopAfterOption = None,
+    json: options.JsonOption = None,
+    quiet: options.QuietOption = False,
+    log_level: options.LogLevelOption = None,
+    key: options.KeyOption = None,
+    allow: options.AllowOption = None,
+    insecure: options.InsecureOption = False,
+    realtime: options.RealtimeOption = None,
+    metrics: options.MetricsOption = None,
+    announce: options.AnnounceOption = False,
+    version: options.VersionOption = False,
 ) -> None:
     """Stream the pulse of a source to every display that asks for it.
 
@@ -94,20 +75,20 @@ def sense(
     Exit status: 0 at the end of the stream, 2 when the scene, the source or the address
     cannot be used; the reason is one line on stderr.
     """
-    console = plain_console(quiet, json)
+    console = options.plain_console(quiet, json)
     with ExitStack() as until_the_end:
-        with one_line_errors(PROGRAM):
+        with options.one_line_errors(PROGRAM):
             configure_logging(log_level, quiet)
             allow_connections()
             check_writable(json)
-            asked = parse_realtime(realtime)
-            check_strict(asked)
+            request = parse_realtime(realtime)
+            check_strict(request)
             control = control_address(bind)
-            keys = server_keys(bind, key, allow, insecure)
+            keys = options.server_keys(bind, key, allow, insecure)
             path = find_scene(scene)
             section = load_section(path, "sensing", SensingScene)
             provenance = collect(path, {"sensing": section})
-            served = until_the_end.enter_context(start_metrics(PROGRAM, metrics))
+            served = until_the_end.enter_context(options.start_metrics(PROGRAM, metrics))
             announce_node = until_the_end.enter_context(
                 start_announcer(announce, bind, section.stream, keys)
             )
@@ -130,9 +111,9 @@ def sense(
             delay_ms = description.group_delay_ns * 1e-6
             logger.info(f"the conditioning chain delays the pulse by {delay_ms:.1f} ms")
         freeze_objects()
-        with hold_measures(PROGRAM, asked) as grant:
-            summary = with_measures(node.run(seconds), grant)
-    sum_up(PROGRAM, summary, "sensing node", console, json, provenance)
+        with options.hold_measures(PROGRAM, request) as grant:
+            summary = options.with_measures(node.run(seconds), grant)
+    options.sum_up(PROGRAM, summary, "sensing node", console, json, provenance)
 
 
 def main() -> None:
