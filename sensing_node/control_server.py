@@ -24,7 +24,7 @@ REQUESTS_AT_ONCE = 4_000.0
 HELD_NS = 5_000_000
 FORGET_AFTER_NS = 5_000_000_000
 MAX_CLIENTS = 1_000
-# A display asks for the clock 50 times a second, and at once for all that waited in a cut.
+# A display sends 50 clock requests a second, and at once all that waited while it was cut off.
 ANSWERS_PER_S, ANSWERS_AT_ONCE = 200.0, 2_000.0
 # Each relay on the way adds an address to the envelope.
 MAX_HOPS = 4

@@ -1,6 +1,6 @@
 """From a source to frames: blocks of samples as they fall due, numbered and cut into batches.
 
-A source that knows its samples ahead gives them by `take`, and `PacedSource` lets them fall due.
+A source whose samples are known in advance has `take`; `PacedSource` releases them when due.
 A live sensor and an earlier session give blocks of themselves.
 """
 

@@ -27,7 +27,7 @@ UNKNOWN = "no word of it"
 
 @dataclass(frozen=True, slots=True)
 class Host:
-    """What could be read; None or empty where a host does not say.
+    """Properties of a host; None or empty where they could not be read.
 
     cpus: those this process may use; quota: of processors that its control group allows; idle_us:
     what waking from the deepest sleep costs; limits: of this process, by name, None for no limit.
@@ -53,7 +53,7 @@ class Host:
 
 
 def read_host() -> Host:
-    """Read this host. What it does not say is left out."""
+    """Read this host; leave out what it does not report."""
     meminfo = _text(Path("/proc/meminfo"))
     idle = [_text(path) for path in CPU.glob("cpu0/cpuidle/state*/latency")]
     swap = re.search(r"^SwapTotal:\s+(\d+) kB", meminfo, re.MULTILINE)
@@ -80,7 +80,7 @@ def read_host() -> Host:
 
 
 def preemption_of(version: str) -> str | None:
-    """Return how preemptible a Linux kernel is by its version line; None where it does not say."""
+    """Return how preemptible a Linux kernel is by its version line, if stated."""
     found = PREEMPTION.search(version)
     return found[0].replace(" ", "_") if found else None
 
