@@ -23,8 +23,7 @@ from telepulse.cli.options import PROGRAM, FolderOption, TablesOption, YesOption
 from telepulse.reports.document import Report
 
 app = typer.Typer(
-    no_args_is_help=True,
-    help="Blinded trials: can a finger tell the link from direct playback?",
+    no_args_is_help=True, help="Blinded trials: can a finger tell the link from direct playback?"
 )
 SessionArgument = Annotated[Path, typer.Argument(metavar="SESSION.toml", show_default=False)]
 

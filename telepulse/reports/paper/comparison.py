@@ -22,12 +22,7 @@ from telepulse.reports.paper.published import (
     WRIST_FILM,
     scientific,
 )
-from telepulse.reports.paper.pulse_spectrum import (
-    SLOW_RESPIRATION_HZ,
-    beats,
-    deviation_n,
-    spectra,
-)
+from telepulse.reports.paper.pulse_spectrum import SLOW_RESPIRATION_HZ, beats, deviation_n, spectra
 from telepulse.reports.paper.stepper import Floats, run_scene
 from telepulse.scene import load_scene
 

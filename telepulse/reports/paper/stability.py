@@ -299,14 +299,13 @@ def chapter() -> Chapter:
         summary=f"{summary} All are on the page.",
     )
     method = (
-        "Every case runs the display's own code: the force loop that it builds, between Safety"
-        " and the film, or its models. A verdict is computed from the run. Stable: felt force"
-        f" finite, never beyond {BOUND_N:g} N, and in the end within a microstep (on eq 22,"
-        " 1 %) of the wanted force, plus the error of the scene's film. Refused: an error with"
-        " a reason, or a fault that brings the finger to rest for good. Limit cycle: more than"
-        " one microstep from peak to peak round a constant force. Fails with a named reason:"
-        " an error or a fault without a usable message, or without coming to rest. Silently"
-        " wrong: everything else."
+        "Every case runs the display's own code: the force loop that it builds, between Safety and"
+        " the film, or its models. A verdict is computed from the run. Stable: felt force finite,"
+        f" never beyond {BOUND_N:g} N, and in the end within a microstep (on eq 22, 1 %) of the"
+        " wanted force, plus the error of the scene's film. Refused: an error with a reason, or a"
+        " fault that brings the finger to rest for good. Limit cycle: more than one microstep from"
+        " peak to peak round a constant force. Fails with a named reason: an error or a fault"
+        " without a usable message, or without coming to rest. Silently wrong: everything else."
     )
     caption = (
         "The paper's gains in mV by eq 21 over the tick rate, derivative without a filter. The"

@@ -353,9 +353,8 @@ def _default_chapter(scores: PlayoutScores) -> Chapter:
     defaults = [f"{name} {rule.parameter} {rule.default:g}" for name, rule in RULES.items()]
     paragraphs = (
         f"Defaults: {', '.join(defaults)}.",
-        "A display warps its time by 2 % at most, so its delay rises by at most 20 ms a"
-        " second. Our estimator gets this limit and covers bursts that it would be too slow to"
-        " follow.",
+        "A display warps its time by 2 % at most, so its delay rises by at most 20 ms a second. Our"
+        " estimator gets this limit and covers bursts that it would be too slow to follow.",
     )
     return Chapter("At default settings", paragraphs, tables)
 

@@ -104,9 +104,7 @@ def test_where_both_follow_they_agree(rates: list[RateResult]) -> None:
             assert each.shipped_n == pytest.approx(each.explicit_n, rel=0.01)
 
 
-def test_the_delay_margin_predicts_the_effect_of_a_tick_of_delay(
-    rates: list[RateResult],
-) -> None:
+def test_the_delay_margin_predicts_the_effect_of_a_tick_of_delay(rates: list[RateResult]) -> None:
     nothing_n = PEAK_TO_PEAK_N * deviation_n("paper")
     lost = {(each.gains, each.rate_hz) for each in rates if each.late_n > nothing_n}
     assert lost == {("simulation", 100), ("experiment", 100), ("experiment", 200)}
