@@ -16,11 +16,11 @@ from protocol.cli_options import (
     plain_console,
 )
 from protocol.config.quantities import parse_ratio
+from protocol.errors import SceneError
 from protocol.host.output import configure_logging, create_file, unblocked_output
 from protocol.host.process import freeze_objects, stop_on_signals
 from protocol.host.realtime import check_strict, parse_realtime
 from telepulse.cli.options import PROGRAM, FolderOption, TablesOption, YesOption, publish
-from telepulse.reports.document import Report
 
 app = typer.Typer(
     no_args_is_help=True, help="Blinded trials: can a finger tell the link from direct playback?"
@@ -90,7 +90,6 @@ def run(
     from telepulse.experiment.person import Keyboard, Person
     from telepulse.experiment.report import build_report
     from telepulse.experiment.run import (
-        check_drive,
         check_playable,
         open_log,
         run_session,
@@ -104,8 +103,11 @@ def run(
         asked = parse_realtime(realtime)
         check_strict(asked)
         plan = load_plan(session)
-        if observer is None:
-            check_drive(plan, without_drive)
+        if observer is None and not without_drive and plan.direct.display.drive is None:
+            raise SceneError(
+                f"{plan.direct.path}: names no [display.drive], so nobody would feel anything:"
+                " --without-drive runs its models, to try a session"
+            )
         file, header, done = open_log(log, plan, observer, resume)
         stack.enter_context(closing(file))
         if observer is not None:
@@ -154,10 +156,7 @@ def report(
     from telepulse.experiment.log import read_log
     from telepulse.experiment.report import build_report
 
-    def build() -> Report:
-        return build_report([read_log(path) for path in logs], spoilt)
-
-    publish(build, out, json)
+    publish(lambda: build_report([read_log(path) for path in logs], spoilt), out, json)
 
 
 @app.command()

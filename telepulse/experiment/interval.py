@@ -17,7 +17,6 @@ from display_node.control.safety import Safety
 from display_node.display import Display
 from display_node.drives.hardware import Hardware
 from display_node.scoring.deadlines import GAP_NS
-from protocol.summary_tables import AlignedErrors, Roughness
 from sensing_node.sources.synthetic import SyntheticScene
 from telepulse.experiment.session import Letter, SessionPlan, Trial
 from telepulse.scene import Scene
@@ -29,8 +28,6 @@ FOREPERIOD_NS = 1_000_000_000
 REST_NS = 150_000_000
 # An interval with a larger share of missed ticks does not represent its condition.
 MOST_MISSED = 0.01
-# Ticks of an interval in a log without their count.
-TICKS_PER_S = 1_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +102,8 @@ class PlayedInterval(BaseModel):
 
     @property
     def _tick_count(self) -> int:
-        return self.ticks or max(1, round(self.felt_s * TICKS_PER_S))
+        # A log of before ticks were counted has those of 1 kHz.
+        return self.ticks or max(1, round(self.felt_s * 1_000))
 
 
 def draw_interval(
@@ -161,8 +159,8 @@ class IntervalPlayback:
         self._close_ns = self._open_ns + interval.felt_ns
         self._rest_ns = scene.safety.fade_ns + REST_NS
         self._simulation.begin((self._close_ns + self._rest_ns - begin_ns) * 1e-9)
-        self._all_ticks, self._longest_ticks = 0, 1
-        self._scored_ticks, self._least_n, self._most_n = 0, math.inf, -math.inf
+        self._all_ticks, self._longest_ticks, self._scored_ticks = 0, 1, 0
+        self._least_n, self._most_n = math.inf, -math.inf
         self.deadline_misses = 0
 
     @property
@@ -190,8 +188,7 @@ class IntervalPlayback:
     def played(self) -> PlayedInterval:
         """Return the record of this interval."""
         summary, interval = self._simulation.end(), self._interval
-        force: AlignedErrors = summary.force_rmse_n
-        rough: Roughness = summary.roughness
+        force, rough = summary.force_rmse_n, summary.roughness
         return PlayedInterval(
             letter=interval.letter,
             on_link=interval.on_link,
@@ -211,10 +208,15 @@ class IntervalPlayback:
 
 
 def play_in_virtual_time(interval: Interval) -> PlayedInterval:
-    """Play an interval on the scene's models in virtual time. Raises SceneError or SourceError."""
+    """Play an interval on the scene's models in virtual time, whatever drive the scene has.
+
+    Raises SceneError or SourceError.
+    """
+    display = interval.scene.display.model_copy(update={"drive": None, "feedback": None})
+    interval = replace(interval, scene=replace(interval.scene, display=display))
     playing, now_ns = IntervalPlayback(interval, 0), 0
     while playing.tick(now_ns):
-        now_ns += interval.scene.display.tick_ns
+        now_ns += display.tick_ns
     return playing.played()
 
 

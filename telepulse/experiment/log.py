@@ -33,6 +33,10 @@ def now() -> str:
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
+Answer = Literal["A", "B", 1, 2, 3, 4, 5]
+"""The letter that X was identified as, or the rating."""
+
+
 class _Line(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -66,14 +70,14 @@ class SessionHeader(_Line):
 class AnsweredTrial(_Line):
     """A trial.
 
-    answer: the letter that X was identified as, or the rating; response_s: from the begin of the
-    trial, None of a simulated observer; played: every interval felt, in order.
+    response_s: from the begin of the trial, None of a simulated observer; played: every interval
+    felt, in order.
     """
 
     line: Literal["trial"] = "trial"
     time: str
     index: int = Field(ge=0)
-    answer: Literal["A", "B", 1, 2, 3, 4, 5]
+    answer: Answer
     response_s: float | None
     played: tuple[PlayedInterval, ...] = Field(min_length=1)
 
@@ -105,11 +109,6 @@ class SessionLog(NamedTuple):
         """Version that wrote the log, with its commit where it is known."""
         commit = self.header.provenance.get("commit")
         return f"{self.header.version} ({commit})" if commit else self.header.version
-
-    @property
-    def finished(self) -> bool:
-        """True where all trials are answered."""
-        return len(self.answered) == len(self.header.trials)
 
 
 def read_log(path: Path) -> SessionLog:

@@ -7,8 +7,7 @@ import sys
 import time
 from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, NamedTuple
 
 from display_node.display import Display
 from display_node.drives.hardware import Hardware
@@ -17,12 +16,12 @@ from protocol.config.quantities import count_text
 from protocol.errors import BenchError, SourceError
 from protocol.host.realtime import Pacer
 from telepulse.experiment.interval import Interval, IntervalPlayback, PlayedInterval
-from telepulse.experiment.log import AnsweredTrial, now
+from telepulse.experiment.log import Answer, AnsweredTrial, now
 from telepulse.experiment.session import LETTERS, Kind, Letter, SessionPlan
 
 NAME = "experiment"
 STOP_KEY = "q"
-ANSWERS: dict[str, dict[str, Literal["A", "B", 1, 2, 3, 4, 5]]] = {
+ANSWERS: dict[str, dict[str, Answer]] = {
     "abx": {"1": "A", "2": "B"},
     "rating": {"1": 1, "2": 2, "3": 3, "4": 4, "5": 5},
 }
@@ -41,30 +40,13 @@ DrawInterval = Callable[[Letter, int], Interval]
 """Returns the nth playing of a letter."""
 
 
-@dataclass(frozen=True, slots=True)
-class Present:
-    """Present an interval to the subject, for the nth time."""
+class Action(NamedTuple):
+    """Action of a key: present a letter for the nth time, answer the trial, or print a hint."""
 
-    letter: Letter
-    nth: int
-
-
-@dataclass(frozen=True, slots=True)
-class Response:
-    """Answer the trial."""
-
-    value: Literal["A", "B", 1, 2, 3, 4, 5]
-
-
-@dataclass(frozen=True, slots=True)
-class Hint:
-    """Print the reason why a key has no effect."""
-
-    text: str
-
-
-class EndSession:
-    """End the session."""
+    present: Letter | None = None
+    nth: int = 0
+    answer: Answer | None = None
+    hint: str = ""
 
 
 class Dialogue:
@@ -75,27 +57,26 @@ class Dialogue:
         self._replays = replays
         self._presented: Counter[str] = Counter()
 
-    def press(self, key: str) -> Present | Response | Hint | EndSession:
-        """Return the action of a key."""
+    def press(self, key: str) -> Action | None:
+        """Return the action of a key, None where it ends the session."""
         letters = {letter.lower(): letter for letter in LETTERS[self._kind]}
-        if key == STOP_KEY:
-            return EndSession()
-        if key in letters:
-            return self._present(letters[key])
         answers = ANSWERS[self._kind]
+        if key == STOP_KEY:
+            return None
+        if key in letters:
+            letter = letters[key]
+            count = self._presented[letter]
+            if self._replays is not None and count >= self._replays:
+                felt = count_text(count, "time")
+                return Action(hint=f"{letter} was felt {felt}; no more in this trial")
+            self._presented[letter] += 1
+            return Action(present=letter, nth=count + 1)
         if key not in answers:
-            return Hint(HELP[self._kind])
+            return Action(hint=HELP[self._kind])
         missing = [letter for letter in letters.values() if not self._presented[letter]]
         if missing:
-            return Hint(f"feel {' and '.join(missing)} first")
-        return Response(answers[key])
-
-    def _present(self, letter: Letter) -> Present | Hint:
-        count = self._presented[letter]
-        if self._replays is not None and count >= self._replays:
-            return Hint(f"{letter} was felt {count_text(count, 'time')}; no more in this trial")
-        self._presented[letter] += 1
-        return Present(letter, count + 1)
+            return Action(hint=f"feel {' and '.join(missing)} first")
+        return Action(answer=answers[key])
 
 
 class Keyboard:
@@ -192,24 +173,23 @@ class Person:
         count = len(session.conditions) * session.trials + session.catch
         self._show(f"\ntrial {index + 1} of {count}.  {HELP[session.kind]}")
         began_s = time.monotonic()
-        while (key := self._await_key()) is not None:
-            action = dialogue.press(key)
-            if isinstance(action, EndSession):
-                break
-            if isinstance(action, Hint):
-                self._show(action.text)
-            elif isinstance(action, Present):
-                self._show(f"{action.letter} ...")
-                interval = self._play(draw(action.letter, action.nth))
+        while (key := self._await_key()) is not None and (
+            action := dialogue.press(key)
+        ) is not None:
+            if action.hint:
+                self._show(action.hint)
+            elif action.present is not None:
+                self._show(f"{action.present} ...")
+                interval = self._play(draw(action.present, action.nth))
                 if interval is None:
                     break
                 played.append(interval)
-                self._show(f"{action.letter} is over")
-            elif isinstance(action, Response):
+                self._show(f"{action.present} is over")
+            elif action.answer is not None:
                 return AnsweredTrial(
                     time=now(),
                     index=index,
-                    answer=action.value,
+                    answer=action.answer,
                     response_s=round(time.monotonic() - began_s, 3),
                     played=tuple(played),
                 )

@@ -1,17 +1,13 @@
 """The run of a session, from its first trial or from its first one without an answer."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from random import SystemRandom
-from typing import Literal
 
-from protocol.errors import SceneError
 from telepulse.experiment.interval import (
     IntervalPlayback,
-    PlayedInterval,
     draw_interval,
     error_share,
     play_in_virtual_time,
@@ -42,10 +38,7 @@ def open_log(
     A log that is resumed must have the same session, scene and observer. Raises LogError or
     OutputError.
     """
-    drive = plan.direct.display.drive
-    felt_on: Literal["drive", "models"] = (
-        "models" if drive is None or threshold is not None else "drive"
-    )
+    made_up = plan.direct.display.drive is None or threshold is not None
     if not resume:
         seed = plan.session.seed
         seed = SystemRandom().getrandbits(31) if seed is None else seed
@@ -56,7 +49,7 @@ def open_log(
             seed=seed,
             threshold=threshold,
             trials=draw_trials(plan.session, seed),
-            felt_on=felt_on,
+            felt_on="models" if made_up else "drive",
             provenance=scene_provenance(plan.direct, {"session": seed}).to_dict(),
         )
         file = SessionLogFile(path)
@@ -71,23 +64,14 @@ def open_log(
     return file, log.header, len(log.answered)
 
 
-def check_drive(plan: SessionPlan, without_drive: bool) -> None:
-    """Refuse a person a scene without a drive, unless it is intended. Raises SceneError."""
-    if plan.direct.display.drive is None and not without_drive:
-        raise SceneError(
-            f"{plan.direct.path}: names no [display.drive], so nobody would feel anything:"
-            " --without-drive runs its models, to try a session"
-        )
-
-
 def check_playable(plan: SessionPlan, header: SessionHeader) -> None:
     """Check that an interval of each condition can be played. Raises SceneError or SourceError."""
-    first = {trial.condition: index for index, trial in reversed(list(enumerate(header.trials)))}
-    for index in first.values():
-        for letter in LETTERS[plan.session.kind]:
-            IntervalPlayback(
-                draw_interval(plan, header.seed, index, header.trials[index], letter, 1), 0
-            )
+    checked = set()
+    for index, trial in enumerate(header.trials):
+        if trial.condition not in checked:
+            checked.add(trial.condition)
+            for letter in LETTERS[plan.session.kind]:
+                IntervalPlayback(draw_interval(plan, header.seed, index, trial, letter, 1), 0)
 
 
 def run_session(
@@ -110,7 +94,7 @@ def simulated_subject(plan: SessionPlan, threshold: float, seed: int) -> Subject
     def answer(index: int, draw: DrawInterval) -> AnsweredTrial:
         # An observer for each trial: a resumed session has the same answers as an unbroken one.
         observer = SimulatedObserver(threshold, seed * 100_000 + index)
-        played = [_play(draw, letter) for letter in LETTERS[kind]]
+        played = [play_in_virtual_time(draw(letter, 1)) for letter in LETTERS[kind]]
         a, b, x = (error_share(played, letter) for letter in ("A", "B", "X"))
         value = observer.identify(IntervalErrors(a, b, x)) if kind == "abx" else observer.rate(a, x)
         return AnsweredTrial.model_validate(
@@ -118,10 +102,3 @@ def simulated_subject(plan: SessionPlan, threshold: float, seed: int) -> Subject
         )
 
     return answer
-
-
-def _play(draw: DrawInterval, letter: str) -> PlayedInterval:
-    interval = draw(letter, 1)  # type: ignore[arg-type]
-    scene = interval.scene
-    display = scene.display.model_copy(update={"drive": None, "feedback": None})
-    return play_in_virtual_time(replace(interval, scene=replace(scene, display=display)))

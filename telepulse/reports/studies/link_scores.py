@@ -15,8 +15,8 @@ hold
 
 import math
 import time
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -97,8 +97,7 @@ class LinkCase(NamedTuple):
         return f"{self.predictor} at E = {delay} over {self.link}, seed {self.seed}"
 
 
-@dataclass(frozen=True, slots=True)
-class LinkResult:
+class LinkResult(NamedTuple):
     """Errors and delays of a case.
 
     Attributes
@@ -117,8 +116,8 @@ class LinkResult:
         Share of the time in which the pulse was felt, not faded out for want of samples.
     roughness
         Energy of the felt force above 25 Hz over the pulse's.
-    late, lost
-        Shares of the samples.
+    lost
+        Share of the samples.
     """
 
     in_phase_n: float
@@ -131,7 +130,6 @@ class LinkResult:
     predicted: float
     felt: float
     roughness: float
-    late: float
     lost: float
 
     @property
@@ -188,17 +186,16 @@ def score_links(
     ]
     ran = sweep(partial(run_link, effort=effort), cases, scheduler)
     by_case = dict(zip(cases, ran, strict=True))
+
+    def curve(link: LinkSpec, predictor: PredictorName) -> Curve:
+        result: Curve = {}
+        for delay_ms in (*link.delays_ms, None):
+            cases = [LinkCase(link.text, predictor, delay_ms, seed) for seed in effort.seeds]
+            result[delay_ms] = pooled([by_case[case] for case in cases])
+        return result
+
     results = {
-        name: {
-            predictor: {
-                delay_ms: pooled(
-                    by_case[LinkCase(link.text, predictor, delay_ms, seed)] for seed in effort.seeds
-                )
-                for delay_ms in (*link.delays_ms, None)
-            }
-            for predictor in PREDICTORS
-        }
-        for name, link in links.items()
+        name: {each: curve(link, each) for each in PREDICTORS} for name, link in links.items()
     }
     # The prototype played an arterial recording; heartpy's first is what we have.
     sets = [each for each in pulses(60.0, seed=1) if each.name in ("variability", "heartpy data")]
@@ -268,20 +265,18 @@ def run_link(case: LinkCase, effort: LinkEffort) -> LinkResult:
         predicted=float(np.mean(horizon_ns > 0)),
         felt=len(delays_ns) * scene.display.tick_ns * 1e-9 / effort.seconds,
         roughness=summary.roughness.energy_ratio or math.nan,
-        late=(samples.late or 0) / (samples.sent or 1),
         lost=(samples.lost or 0) / (samples.sent or 1),
     )
 
 
-def pooled(results: Iterable[LinkResult]) -> LinkResult:
+def pooled(results: Sequence[LinkResult]) -> LinkResult:
     """Pool the results of several seeds: forces by root mean square, the rest by the mean."""
-    several = list(results)
     values = {}
-    for field in fields(LinkResult):
-        column = np.array([getattr(result, field.name) for result in several])
-        is_force = field.name.endswith("_n")
-        values[field.name] = float(np.sqrt(np.mean(column**2)) if is_force else column.mean())
-    return replace(LinkResult(**values), longest_ms=max(one.longest_ms for one in several))
+    for name in LinkResult._fields:
+        column = np.array([getattr(result, name) for result in results])
+        is_force = name.endswith("_n")
+        values[name] = float(np.sqrt(np.mean(column**2)) if is_force else column.mean())
+    return LinkResult(**values)._replace(longest_ms=max(one.longest_ms for one in results))
 
 
 def run_policies(pulse: Pulse, link: str, seed: int = 1) -> PolicyErrors:

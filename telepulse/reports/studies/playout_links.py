@@ -9,6 +9,7 @@ its delay is above the delay it is played with.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,6 @@ FRAME_NS = 5_000_000
 SECONDS = 300.0
 DELAY_MS = 20.0
 JITTER_MS = 3.0
-CAP_MS = 500.0
 
 Nanoseconds = NDArray[np.int64]
 Milliseconds = NDArray[np.float64]
@@ -28,7 +28,6 @@ Draw = Callable[[np.random.Generator, int], Milliseconds]
 class DelayTrace(NamedTuple):
     """Instant and delay of each frame in ns, shape (frames,); frame i arrives at their sum."""
 
-    name: str
     sent_ns: Nanoseconds
     delay_ns: Nanoseconds
 
@@ -57,51 +56,39 @@ def route_change(rng: np.random.Generator, count: int) -> Milliseconds:
     return delay_ms
 
 
-def drift(ppm: float) -> Draw:
+def drift(rng: np.random.Generator, count: int, ppm: float) -> Milliseconds:
     """Let the sensing node's clock, assumed to be in step, drift by this many µs a second.
 
     Counted up from 0 or down to 0, so that the mean of the added delay is the same.
     """
-
-    def draw(rng: np.random.Generator, count: int) -> Milliseconds:
-        drift_ms = np.arange(count) * (FRAME_NS * 1e-6) * ppm * 1e-6
-        return gaussian(rng, count) + drift_ms - min(float(drift_ms[-1]), 0.0)
-
-    return draw
+    drift_ms = np.arange(count) * (FRAME_NS * 1e-6) * ppm * 1e-6
+    return gaussian(rng, count) + drift_ms - min(float(drift_ms[-1]), 0.0)
 
 
-def bursts(good_s: float, bad_s: float, extra_ms: float) -> Draw:
-    """Add Markov (Gilbert) bursts: a state that adds `extra_ms` comes and goes.
+def bursts(rng: np.random.Generator, count: int, good_s: float, bad_s: float) -> Milliseconds:
+    """Add Markov (Gilbert) bursts: a state that adds 30 ms comes and goes.
 
     It lasts `bad_s` on average and stays away for `good_s`, both geometrically distributed.
     """
-
-    def draw(rng: np.random.Generator, count: int) -> Milliseconds:
-        # Durations in turns, good first; more than enough of them.
-        pairs = 2 + int(2 * count / (_frames(good_s) + _frames(bad_s)) + 40)
-        durations = np.empty(2 * pairs, dtype=np.int64)
-        durations[0::2] = rng.geometric(1 / _frames(good_s), pairs)
-        durations[1::2] = rng.geometric(1 / _frames(bad_s), pairs)
-        bad = np.repeat(np.arange(2 * pairs) % 2, durations)[:count]
-        return gaussian(rng, count) + extra_ms * bad
-
-    return draw
+    # Durations in turns, good first; more than enough of them.
+    pairs = 2 + int(2 * count / (_frames(good_s) + _frames(bad_s)) + 40)
+    durations = np.empty(2 * pairs, dtype=np.int64)
+    durations[0::2] = rng.geometric(1 / _frames(good_s), pairs)
+    durations[1::2] = rng.geometric(1 / _frames(bad_s), pairs)
+    bad = np.repeat(np.arange(2 * pairs) % 2, durations)[:count]
+    return gaussian(rng, count) + 30.0 * bad
 
 
-def random_spikes(rate_hz: float) -> Draw:
+def random_spikes(rng: np.random.Generator, count: int, rate_hz: float) -> Milliseconds:
     """Delay frames at random, `rate_hz` times a second.
 
     By at least 10 ms, Pareto-distributed with a tail index of 1.5 (mean 30 ms) and cut at
     500 ms. The frames sent meanwhile wait with them.
     """
-
-    def draw(rng: np.random.Generator, count: int) -> Milliseconds:
-        delay_ms = gaussian(rng, count)
-        held = rng.random(count) < rate_hz * FRAME_NS * 1e-9
-        heights_ms = 10.0 * (1 + rng.pareto(1.5, count))
-        return delay_ms + np.where(held, np.minimum(heights_ms, CAP_MS), 0.0)
-
-    return draw
+    delay_ms = gaussian(rng, count)
+    held = rng.random(count) < rate_hz * FRAME_NS * 1e-9
+    heights_ms = 10.0 * (1 + rng.pareto(1.5, count))
+    return delay_ms + np.where(held, np.minimum(heights_ms, 500.0), 0.0)
 
 
 def tcp_stalls(rng: np.random.Generator, count: int) -> Milliseconds:
@@ -127,13 +114,13 @@ LINKS: dict[str, Draw] = {
     GAUSSIAN: gaussian,
     SPIKES: spikes,
     ROUTE: route_change,
-    FAST: drift(200.0),
-    SLOW: drift(-200.0),
-    BURSTS: bursts(10.0, 2.0, 30.0),
-    RANDOM: random_spikes(0.5),
+    FAST: partial(drift, ppm=200.0),
+    SLOW: partial(drift, ppm=-200.0),
+    BURSTS: partial(bursts, good_s=10.0, bad_s=2.0),
+    RANDOM: partial(random_spikes, rate_hz=0.5),
     TCP: tcp_stalls,
-    SHORT_BURSTS: bursts(2.0, 0.2, 30.0),
-    DENSE: random_spikes(1.0),
+    SHORT_BURSTS: partial(bursts, good_s=2.0, bad_s=0.2),
+    DENSE: partial(random_spikes, rate_hz=1.0),
 }
 
 
@@ -141,14 +128,14 @@ def make_trace(name: str, seconds: float = SECONDS) -> DelayTrace:
     """Make the trace of a link in `LINKS`, a frame every 5 ms; the same for the same seconds."""
     count = _frames(seconds)
     rng = np.random.default_rng([2026, list(LINKS).index(name)])
-    return in_order(name, LINKS[name](rng, count))
+    return in_order(LINKS[name](rng, count))
 
 
-def in_order(name: str, delay_ms: Milliseconds) -> DelayTrace:
+def in_order(delay_ms: Milliseconds) -> DelayTrace:
     """Make a trace from each frame's own delay, shape (frames,); frames wait for earlier ones."""
     sent_ns = np.arange(len(delay_ms), dtype=np.int64) * FRAME_NS
     arrived_ns = np.maximum.accumulate(sent_ns + np.round(delay_ms * 1e6).astype(np.int64))
-    return DelayTrace(name, sent_ns, arrived_ns - sent_ns)
+    return DelayTrace(sent_ns, arrived_ns - sent_ns)
 
 
 def _frames(seconds: float) -> int:

@@ -112,13 +112,12 @@ class PlayoutEffort:
 class RuleScore(NamedTuple):
     """One rule on one link.
 
-    `tuned`, at `setting`, has the least delay with at most the share late if that was `reached`,
+    `tuned` has the least delay with at most the share late if that was `reached`,
     and otherwise the fewest late frames. `default` is at the rule's default, `warped` the same as
     the display would play it. `tried` holds every setting that was played, by its late share.
     """
 
     tuned: PlayedTrace
-    setting: float
     reached: bool
     default: PlayedTrace
     warped: PlayedTrace
@@ -185,49 +184,39 @@ def score_link(link: str, effort: PlayoutEffort) -> LinkScore:
 
 
 def score_rule(case: RuleOnLink, effort: PlayoutEffort) -> RuleScore:
-    """Tune a rule on a link, and play it at its default."""
+    """Tune a rule on a link, and play it at its default.
+
+    Settings are tried evenly over the parameter's logarithm, then by bisection to the permitted
+    share.
+    """
     rule, trace = RULES[case.rule], make_trace(case.link, effort.seconds)
-
-    def at(setting: float) -> PlayedTrace:
-        return play(rule.make(setting), trace)
-
-    tried = _search(at, rule, effort)
-    within = {setting: played for setting, played in tried.items() if played.late <= effort.late}
+    few, many = math.log(rule.fewest), math.log(rule.most)
+    scanned = [few + (many - few) * step / (effort.scan - 1) for step in range(effort.scan)]
+    tried = [play(rule.make(math.exp(setting)), trace) for setting in scanned]
+    over = [number for number, played in enumerate(tried) if played.late > effort.late]
+    if over and over[0] > 0:
+        few, many = scanned[over[0] - 1], scanned[over[0]]
+        for _ in range(effort.bisections):
+            middle = (few + many) / 2
+            tried.append(play(rule.make(math.exp(middle)), trace))
+            if tried[-1].late <= effort.late:
+                few = middle
+            else:
+                many = middle
+    within = [played for played in tried if played.late <= effort.late]
     if within:
-        setting = min(within, key=lambda one: within[one].delay_ms)
+        tuned = min(within, key=lambda played: played.delay_ms)
     else:
-        setting = min(tried, key=lambda one: tried[one].late)
+        tuned = min(tried, key=lambda played: played.late)
     # Our estimator gets the display's slew limit; the others have no such parameter.
     follower = DelayEstimator(rule.default) if case.rule == OURS else rule.make(rule.default)
     return RuleScore(
-        tuned=tried[setting],
-        setting=setting,
+        tuned=tuned,
         reached=bool(within),
-        default=at(rule.default),
+        default=play(rule.make(rule.default), trace),
         warped=play(follower, trace, warped=True),
-        tried=tuple(sorted(tried.values(), key=lambda played: played.late)),
+        tried=tuple(sorted(tried, key=lambda played: played.late)),
     )
-
-
-def _search(
-    at: Callable[[float], PlayedTrace], rule: TunedRule, effort: PlayoutEffort
-) -> dict[float, PlayedTrace]:
-    """Try settings evenly over the parameter's logarithm, then bisect to the permitted share."""
-    few, many = math.log(rule.fewest), math.log(rule.most)
-    scanned = [few + (many - few) * step / (effort.scan - 1) for step in range(effort.scan)]
-    tried = {math.exp(one): at(math.exp(one)) for one in scanned}
-    over = [one for one in scanned if tried[math.exp(one)].late > effort.late]
-    if not over or over[0] == few:
-        return tried
-    many, few = over[0], scanned[scanned.index(over[0]) - 1]
-    for _ in range(effort.bisections):
-        middle = (few + many) / 2
-        played = tried[math.exp(middle)] = at(math.exp(middle))
-        if played.late <= effort.late:
-            few = middle
-        else:
-            many = middle
-    return tried
 
 
 def report_playout(scores: PlayoutScores, effort: PlayoutEffort) -> Report:

@@ -9,7 +9,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from multiprocessing import get_context
 from typing import TypeVar
 
@@ -20,7 +20,6 @@ Result = TypeVar("Result")
 CONNECT_S = 10
 # OpenBLAS and its like read it once, when they are loaded: hence processes of their own.
 THREADS = "OMP_NUM_THREADS"
-MISSING = "a sweep on a cluster needs Dask: pip install 'telepulse[cluster]'"
 
 
 def in_one_thread(function: Callable[[Case], Result], case: Case) -> Result:
@@ -30,7 +29,7 @@ def in_one_thread(function: Callable[[Case], Result], case: Case) -> Result:
 
 
 @contextmanager
-def _one_thread_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
+def _one_thread_pool(processes: int) -> Iterator[Executor]:
     before = os.environ.get(THREADS)
     os.environ[THREADS] = "1"
     try:
@@ -65,7 +64,9 @@ def sweep(
     """
     if not cases:
         return []
-    with _workers(len(cases), scheduler) as workers:
+    processes = min(len(cases), os.cpu_count() or 1)
+    pool = _one_thread_pool(processes) if scheduler is None else _cluster(scheduler)
+    with pool as workers:
         jobs = [workers.submit(function, case) for case in cases]
         try:
             return [_result(job, case) for job, case in zip(jobs, cases, strict=True)]
@@ -85,19 +86,15 @@ def _result(job: Future[Result], case: object) -> Result:
         raise SweepError(f"{case}: {type(error).__name__}: {error}") from error
 
 
-def _workers(cases: int, scheduler: str | None) -> AbstractContextManager[Executor]:
-    if scheduler is None:
-        return _one_thread_pool(min(cases, os.cpu_count() or 1))
-    return _cluster(scheduler)
-
-
 @contextmanager
 def _cluster(scheduler: str) -> Iterator[Executor]:
     """Yield the workers of a cluster; Dask itself gives each one thread of linear algebra."""
     try:
         from distributed import Client
     except ImportError:
-        raise SweepError(MISSING) from None
+        raise SweepError(
+            "a sweep on a cluster needs Dask: pip install 'telepulse[cluster]'"
+        ) from None
     try:
         asyncio.run(_check_reachable(scheduler))
     except (OSError, ValueError) as error:

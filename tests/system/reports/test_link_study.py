@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -36,7 +34,6 @@ OUTCOME = LinkResult(
     predicted=0.5,
     felt=1.0,
     roughness=1.0,
-    late=0.0,
     lost=0.01,
 )
 
@@ -47,9 +44,9 @@ def made_up() -> LinkScores:
     for predictor in PREDICTORS:
         at_once = 0.01 if predictor == "stack" else 0.06
         curves[predictor] = {
-            0.0: replace(OUTCOME, in_phase_n=at_once, horizon_ms=44.0),
+            0.0: OUTCOME._replace(in_phase_n=at_once, horizon_ms=44.0),
             40.0: OUTCOME,
-            None: replace(OUTCOME, in_phase_n=0.045, aligned_n=0.0002),
+            None: OUTCOME._replace(in_phase_n=0.045, aligned_n=0.0002),
         }
     return LinkScores({"here": curves}, {}, dict.fromkeys(PREDICTORS, 20.0))
 
@@ -91,7 +88,7 @@ def test_a_faded_pulse_is_not_felt_and_not_scored() -> None:
 
 
 def test_seeds_are_pooled_by_mean_squares_and_the_longest_horizon() -> None:
-    both = pooled([OUTCOME, replace(OUTCOME, in_phase_n=0.04, lost=0.03, longest_ms=70.0)])
+    both = pooled([OUTCOME, OUTCOME._replace(in_phase_n=0.04, lost=0.03, longest_ms=70.0)])
     assert both.in_phase_n == pytest.approx(np.sqrt((0.03**2 + 0.04**2) / 2))
     assert both.lost == pytest.approx(0.02)
     assert both.longest_ms == 70

@@ -46,7 +46,7 @@ def test_a_trace_is_the_same_every_time(name: str) -> None:
 
 
 def test_a_frame_that_waits_for_another_arrives_with_it() -> None:
-    trace: DelayTrace = in_order("", np.array([20.0, 40.0, 20.0, 20.0, 20.0, 20.0]))
+    trace: DelayTrace = in_order(np.array([20.0, 40.0, 20.0, 20.0, 20.0, 20.0]))
     assert (trace.delay_ns / MS).tolist() == [20, 40, 35, 30, 25, 20]
 
 

@@ -122,7 +122,7 @@ def felt_ms(trace: DelayTrace, *set_ms: float) -> list[float]:
 
 def test_a_constant_delay_is_felt_and_what_is_above_it_is_late() -> None:
     delays_ms = np.random.default_rng(1).normal(20, 3, 2000)
-    trace = in_order("", delays_ms)
+    trace = in_order(delays_ms)
     played = play(FixedDelay(round(7 * MS)), trace)
     used_ns = trace.delay_ns[0] + 7 * MS
     assert played.delay_ms == pytest.approx(used_ns / MS)
@@ -132,7 +132,7 @@ def test_a_constant_delay_is_felt_and_what_is_above_it_is_late() -> None:
 
 def test_a_delay_that_grows_for_a_late_frame_does_not_save_what_was_due_already() -> None:
     # The frame sent at 10 ms arrives at 60 with the next eight.
-    trace = in_order("", np.array([10.0, 10, 50, 10, 10, 10, 10, 10, 10, 10, 10, 10, 10, 10]))
+    trace = in_order(np.array([10.0, 10, 50, 10, 10, 10, 10, 10, 10, 10, 10, 10, 10, 10]))
     set_ms = [12.0, 12, *[60.0] * 12]
     felt = np.array(felt_ms(trace, *set_ms))
     late = trace.delay_ns / MS > felt
@@ -142,7 +142,7 @@ def test_a_delay_that_grows_for_a_late_frame_does_not_save_what_was_due_already(
 
 
 def test_a_delay_that_shrinks_plays_what_it_passes_over_at_once() -> None:
-    trace = in_order("", np.full(8, 10.0))
+    trace = in_order(np.full(8, 10.0))
     # At 20 ms, with the third frame, 40 ms become 11: what was sent until 9 ms is due at once.
     felt = felt_ms(trace, 40, 40, 11, 11, 11, 11, 11, 11)
     assert felt == [20, 15, 11, 11, 11, 11, 11, 11]
@@ -150,7 +150,7 @@ def test_a_delay_that_shrinks_plays_what_it_passes_over_at_once() -> None:
 
 def test_a_warped_playout_goes_up_by_20_ms_a_second() -> None:
     frames = 800
-    trace = in_order("", np.full(frames, 10.0))
+    trace = in_order(np.full(frames, 10.0))
     at_once = play(Scripted(10, *[50.0] * (frames - 1)), trace)
     warped = play(Scripted(10, *[50.0] * (frames - 1)), trace, warped=True)
     assert at_once.delay_ms == pytest.approx(50, abs=0.2)
