@@ -55,7 +55,7 @@ def test_one_interval_after_the_other_is_pressed_by_the_motor(tmp_path: Path) ->
     scene = str(bench_scene(tmp_path))
     found = plan(tmp_path, condition("plain", LINK), scene=scene, interval="0.5 s")
     trial = Trial(condition="plain", direct="A", x="B", pulse_seed=3)
-    heard: list[PlayedInterval] = []
+    felt: list[PlayedInterval] = []
     letters: tuple[Letter, ...] = ("A", "X", "A")
     for letter in letters:
         interval = draw_interval(found, 1, 0, trial, letter, 1)
@@ -68,12 +68,12 @@ def test_one_interval_after_the_other_is_pressed_by_the_motor(tmp_path: Path) ->
             bench.drive.now_ns = bench.film.now_ns = bench.drive.told_ns = now_ns
             on = playing.tick(now_ns)
         assert playing.display.safety.faults == []
-        heard.append(playing.played())
+        felt.append(playing.played())
         opened_ns = begin_ns + interval.foreperiod_ns
         assert force_between(bench, begin_ns, opened_ns).max() < 0.01
         assert force_between(bench, opened_ns, now_ns).max() > 0.2
         assert force_between(bench, now_ns - 20 * MS, now_ns).max() < 0.01
-    errors_n = [played.aligned_n or 0 for played in heard]
+    errors_n = [played.aligned_n or 0 for played in felt]
     # The film says what was 8 ms ago: scored against the pulse of now it would be 10 mN off.
     assert errors_n[0] < 3e-3
     assert errors_n[2] < 3e-3

@@ -107,31 +107,33 @@ def terminal(session: Path, *options: str) -> Iterator[tuple["subprocess.Popen[b
         os.close(theirs)
 
 
-def said(child: "subprocess.Popen[bytes]", wanted: bytes) -> bytes:
-    """Output until something is said."""
+def read_until(child: "subprocess.Popen[bytes]", wanted: bytes) -> bytes:
+    """Output until some words have come."""
     assert child.stdout is not None
-    heard = b""
-    while wanted not in heard:
+    output = b""
+    while wanted not in output:
         line = child.stdout.readline()
-        assert line, heard
-        heard += line
-    return heard
+        assert line, output
+        output += line
+    return output
 
 
 def test_a_person_answers_by_keys_and_stops_in_the_midst_of_an_interval(tmp_path: Path) -> None:
     session = write(tmp_path / "s.toml", PLAIN, kind="rating", interval="0.5 s")
     with terminal(session, "--log", "log.jsonl") as (child, keys):
-        said(child, b"trial 1 of 2")
+        read_until(child, b"trial 1 of 2")
         # An arrow key ends with an A, and is none.
         os.write(keys, b"\x1b[A")
         os.write(keys, b"ax4")
-        heard = said(child, b"trial 2 of 2")
-        assert heard.count(b"is over") == 2
+        output = read_until(child, b"trial 2 of 2")
+        assert output.count(b"is over") == 2
         os.write(keys, b"A")
-        said(child, b"A ...")
+        read_until(child, b"A ...")
         os.write(keys, b"q")
-        heard = said(child, b"stopped; continue: telepulse experiment run s.toml --log log.jsonl")
-        assert b"is over" not in heard
+        output = read_until(
+            child, b"stopped; continue: telepulse experiment run s.toml --log log.jsonl"
+        )
+        assert b"is over" not in output
         assert child.wait(20) == 0
     (answered,) = read_log(tmp_path / "log.jsonl").answered
     assert answered.answer == 4
@@ -141,8 +143,7 @@ def test_a_person_answers_by_keys_and_stops_in_the_midst_of_an_interval(tmp_path
     assert any(p.felt_s > 0 for p in answered.played)
 
 
-def test_nothing_is_said_of_what_x_is_before_the_end(tmp_path: Path) -> None:
-    """Two sessions that differ in what A, B and X are say the same, byte by byte."""
+def test_the_output_before_the_end_does_not_depend_on_what_x_is(tmp_path: Path) -> None:
     outputs, children = [], []
     for number in range(2):
         (folder := tmp_path / str(number)).mkdir()
@@ -230,7 +231,7 @@ def test_a_report_of_ratings(tmp_path: Path) -> None:
         (("new", "s.toml"), "s.toml: is there already; name another file"),
     ],
 )
-def test_what_cannot_be_done_is_said_in_one_line(
+def test_what_cannot_be_done_is_refused_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], reason: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -262,12 +263,12 @@ def test_the_example_and_the_plan_are_printed(tmp_path: Path) -> None:
     assert "The paper had six." in result.output
 
 
-def test_a_session_ends_safely_when_it_is_told_to(tmp_path: Path) -> None:
+def test_a_session_ends_safely_on_sigterm(tmp_path: Path) -> None:
     session = write(tmp_path / "s.toml", interval="30 s")
     with terminal(session, "--log", "log.jsonl") as (child, keys):
-        said(child, b"trial 1 of 2")
+        read_until(child, b"trial 1 of 2")
         os.write(keys, b"a")
-        said(child, b"A ...")
+        read_until(child, b"A ...")
         child.send_signal(signal.SIGTERM)
-        said(child, b"stopped; continue")
+        read_until(child, b"stopped; continue")
         assert child.wait(20) == 0

@@ -81,27 +81,21 @@ def of(results: list[CaseResult], case: str, *words: str) -> list[CaseResult]:
 # The paper's gains.
 
 
-def test_the_shipped_pid_follows_at_every_rate(rates: list[RateResult]) -> None:
+def test_the_shipped_pid_follows_at_every_rate_and_the_explicit_one_where_its_poles_allow(
+    rates: list[RateResult],
+) -> None:
     assert len(rates) == 4 * len(RATES_HZ)
     for each in rates:
         assert each.refused is None
         assert each.shipped_radius < 1
         assert each.shipped_n < 2e-3, each
-
-
-def test_the_explicit_pid_diverges_just_where_its_poles_say(rates: list[RateResult]) -> None:
-    for each in rates:
         assert math.isinf(each.explicit_n) == (each.explicit_radius > 1), each
-    bare = {(each.gains, each.rate_hz): each for each in rates if each.filter_hz > 1e4}
-    assert math.isinf(bare["simulation", 1_000].explicit_n)
-    assert bare["experiment", 1_000].explicit_n < 2e-3
-    assert math.isinf(bare["experiment", 200].explicit_n)
-
-
-def test_where_both_follow_they_agree(rates: list[RateResult]) -> None:
-    for each in rates:
         if each.rate_hz == 10_000 and each.gains == "experiment":
             assert each.shipped_n == pytest.approx(each.explicit_n, rel=0.01)
+    bare_n = {(each.gains, each.rate_hz): each.explicit_n for each in rates if each.filter_hz > 1e4}
+    assert math.isinf(bare_n["simulation", 1_000])
+    assert bare_n["experiment", 1_000] < 2e-3
+    assert math.isinf(bare_n["experiment", 200])
 
 
 def test_the_delay_margin_predicts_the_effect_of_a_tick_of_delay(rates: list[RateResult]) -> None:
@@ -109,10 +103,7 @@ def test_the_delay_margin_predicts_the_effect_of_a_tick_of_delay(rates: list[Rat
     lost = {(each.gains, each.rate_hz) for each in rates if each.late_n > nothing_n}
     assert lost == {("simulation", 100), ("experiment", 100), ("experiment", 200)}
     for each in rates:
-        if each.late_n > nothing_n:
-            assert each.delay_ticks < 1.025
-        else:
-            assert each.delay_ticks > 1.025
+        assert (each.delay_ticks < 1.025) == (each.late_n > nothing_n)
 
 
 # Every other case.
@@ -218,23 +209,20 @@ def test_on_eq_22_a_hundredth_is_settled() -> None:
     assert judged(1.011 * HELD_N, loop=loop) == WRONG
 
 
-def test_an_unstable_loop_is_refused_by_the_display_itself() -> None:
-    ringing = make_setup({"kp": 390, "error": "position"}, {**STEPPER, "rotor_resonance": "100 Hz"})
+def test_an_unstable_loop_is_refused_by_the_display_itself_and_otherwise_a_defect(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rotor: dict[str, object] = {**STEPPER, "rotor_resonance": "100 Hz"}
+    ringing = make_setup({"kp": 390, "error": "position"}, rotor)
     with pytest.raises(SceneError, match="not stable"):
         ringing.loop()
-    outcome = evaluate(HardCase("", "", ringing))
-    assert outcome.verdict is REFUSED
-    assert "\n" not in outcome.reason
-
-
-def test_an_unstable_loop_that_is_not_refused_is_a_defect(monkeypatch: pytest.MonkeyPatch) -> None:
+    result = evaluate(HardCase("", "", ringing))
+    assert result.verdict is REFUSED
+    assert "\n" not in result.reason
     monkeypatch.setattr("display_node.control.force_loop.refuse_unstable", lambda *_: None)
-    rotor = {**STEPPER, "rotor_resonance": "100 Hz", "rotor_damping": 0.0}
-    outcome = evaluate(
-        HardCase("", "", make_setup({"kp": 100, "error": "position"}, rotor), with_safety=False)
-    )
-    assert outcome.verdict is WRONG
-    assert outcome.reason == "felt beyond 2.7 N"
+    undamped = make_setup({"kp": 100, "error": "position"}, rotor | {"rotor_damping": 0.0})
+    result = evaluate(HardCase("", "", undamped, with_safety=False))
+    assert (result.verdict, result.reason) == (WRONG, "felt beyond 2.7 N")
 
 
 def test_a_cycle_of_two_microsteps_is_measured_and_rest_is_none() -> None:

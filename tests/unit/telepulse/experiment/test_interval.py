@@ -33,7 +33,7 @@ def forces(interval: Interval, stop_ns: int | None = None) -> list[tuple[int, fl
     return felt
 
 
-def test_neither_begin_nor_length_tells_the_link(tmp_path: Path) -> None:
+def test_begin_and_length_do_not_depend_on_the_link(tmp_path: Path) -> None:
     for interval in intervals(tmp_path, SLOW, interval="0.4 s").values():
         felt = forces(interval)
         pressed_ns = [now_ns for now_ns, force_n in felt if force_n > 0.002]
@@ -83,7 +83,7 @@ def test_a_direct_interval_is_as_good_as_the_loop_and_one_over_a_bad_link_is_not
     assert 0.2 < direct.pulse_n < 0.4
 
 
-def test_a_subject_who_stops_is_let_go_at_once(tmp_path: Path) -> None:
+def test_a_stopped_interval_ends_at_once(tmp_path: Path) -> None:
     interval = intervals(tmp_path, interval="5 s")["A"]
     stop_ns = interval.foreperiod_ns + 1_000_000_000
     felt = forces(interval, stop_ns)

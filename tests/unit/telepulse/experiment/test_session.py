@@ -25,7 +25,7 @@ def test_a_scene_is_found_from_the_folder_of_the_session(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("keys", "conditions", "said"),
+    ("keys", "conditions", "reason"),
     [
         ({"trails": 3}, (), "trails: unknown key; did you mean trials?"),
         ({"trials": 0}, (), "trials: must be greater than or equal to 1, got 0"),
@@ -37,13 +37,13 @@ def test_a_scene_is_found_from_the_folder_of_the_session(tmp_path: Path) -> None
         ({"scene": "nowhere"}, (), "nowhere: no such scene; known by name: "),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line(
-    tmp_path: Path, keys: dict[str, object], conditions: tuple[str, ...], said: str
+def test_a_wrong_session_file_is_refused_in_one_line(
+    tmp_path: Path, keys: dict[str, object], conditions: tuple[str, ...], reason: str
 ) -> None:
     path = write(tmp_path / "s.toml", *conditions, **keys)  # type: ignore[arg-type]
     with pytest.raises(SceneError) as caught:
         load_plan(path)
-    assert said in str(caught.value)
+    assert reason in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
@@ -61,7 +61,7 @@ def test_each_condition_has_its_trials_in_an_order_that_the_seed_gives(tmp_path:
     assert trials == draw_trials(session, 1) != draw_trials(session, 2)
 
 
-def test_what_x_is_cannot_be_told_from_what_it_was(tmp_path: Path) -> None:
+def test_x_does_not_depend_on_earlier_trials(tmp_path: Path) -> None:
     trials = draw_trials(plan(tmp_path, trials=4_000).session, 1)
     for field in ("x", "direct"):
         drawn = [getattr(trial, field) == "A" for trial in trials]
