@@ -1,40 +1,81 @@
-"""Data frames on the wire."""
+"""Frames and control messages: their bytes, round trips, and refusals of whatever a peer sends."""
 
+import math
+import tracemalloc
+from collections.abc import Callable
 from typing import Any
 
 import msgpack
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from protocol.errors import WireError
-from protocol.wire.messages import MAX_FRAME_BYTES, Frame, decode_frame, encode_frame
+from protocol.tactile import ElasticLayer
+from protocol.wire.messages import (
+    MAX_CONTROL_BYTES,
+    MAX_FRAME_BYTES,
+    VERSION,
+    Bye,
+    ClockReply,
+    Control,
+    DisplayReport,
+    Frame,
+    Hello,
+    Welcome,
+    decode_control,
+    decode_frame,
+    encode_control,
+    encode_frame,
+)
+from protocol.wire.stream import Channel, StreamDescription
 from tests.support.message_examples import (
+    CONTROL,
+    DESCRIPTION,
     FLOAT32_BYTES,
     FLOAT32_FRAME,
     FLOAT64_BYTES,
     FLOAT64_FRAME,
 )
 
-FIELDS = ("version", "session", "first", "t_first", "period", "channels", "width", "payload")
-INT63 = 2**63
+Decoder = Callable[[bytes], Frame | Control]
+VALID: dict[str, tuple[Decoder, bytes]] = {
+    "float32": (decode_frame, FLOAT32_BYTES),
+    "float64": (decode_frame, FLOAT64_BYTES),
+    **{name: (decode_control, data) for name, (_, data) in CONTROL.items()},
+}
+each_message = pytest.mark.parametrize(("decode", "data"), VALID.values(), ids=VALID)
+each_decoder = pytest.mark.parametrize("decode", [decode_frame, decode_control])
 DTYPES: list[np.dtype[Any]] = [np.dtype("<f4"), np.dtype("<f8")]
+REPORT = [1, "report", 7, "me", 90, 6, 4, 1.5, 2.5, 40.0, 0.25]
+CLOCK = [1, "clock", 7, 1, 2, 3]
+BYE = [1, "bye", 7, 5000]
+WELCOME = [1, "welcome", 7, 0, DESCRIPTION.to_wire()]
+
+
+def cause_of(decode: Decoder, data: bytes) -> str:
+    with pytest.raises(WireError) as caught:
+        decode(data)
+    assert "\n" not in str(caught.value)
+    return caught.value.cause
+
+
+def packed(value: object) -> bytes:
+    return msgpack.packb(value)  # type: ignore[no-any-return]
 
 
 def changed(**fields: object) -> bytes:
-    """The float32 frame with other fields."""
-    table: dict[str, object] = dict(zip(FIELDS, msgpack.unpackb(FLOAT32_BYTES), strict=True))
-    return msgpack.packb(list((table | fields).values()))  # type: ignore[no-any-return]
+    """Return the float32 frame with other fields."""
+    names = ("version", "session", "first", "t_first", "period", "channels", "width", "payload")
+    table: dict[str, object] = dict(zip(names, msgpack.unpackb(FLOAT32_BYTES), strict=True))
+    return packed(list((table | fields).values()))
 
 
-def cause_of(data: bytes) -> str:
-    with pytest.raises(WireError) as caught:
-        decode_frame(data)
-    assert "\n" not in str(caught.value)
-    return caught.value.cause
+def replaced(fields: list[Any], position: int, value: object) -> bytes:
+    return packed([*fields[:position], value, *fields[position + 1 :]])
 
 
 def assert_same(one: Frame, other: Frame) -> None:
@@ -44,31 +85,65 @@ def assert_same(one: Frame, other: Frame) -> None:
 
 
 @pytest.mark.parametrize(
-    ("frame", "data"),
-    [(FLOAT32_FRAME, FLOAT32_BYTES), (FLOAT64_FRAME, FLOAT64_BYTES)],
-    ids=["float32", "float64"],
+    ("frame", "data"), [(FLOAT32_FRAME, FLOAT32_BYTES), (FLOAT64_FRAME, FLOAT64_BYTES)]
 )
-def test_a_frame_has_these_very_bytes(frame: Frame, data: bytes) -> None:
+def test_a_frame_has_these_bytes(frame: Frame, data: bytes) -> None:
     assert encode_frame(frame) == data
     assert_same(decode_frame(data), frame)
 
 
+@pytest.mark.parametrize(("message", "data"), CONTROL.values(), ids=CONTROL)
+def test_a_control_message_has_these_bytes(message: Control, data: bytes) -> None:
+    assert encode_control(message) == data
+    decoded = decode_control(data)
+    assert type(decoded) is type(message)
+    # By the bytes, as NaN is not equal to itself.
+    assert encode_control(decoded) == data
+
+
 @given(
-    session=st.integers(0, INT63 - 1),
-    first_sample=st.integers(0, 2**53 - 1),
-    t_first_ns=st.integers(-(2**62), 2**62 - 1),
-    period_ns=st.integers(1, 10_000_000_000),
-    values=hnp.arrays(
-        st.sampled_from(DTYPES),
-        st.tuples(st.integers(1, 40), st.integers(1, 64)),
-        elements=st.floats(-1e6, 1e6, width=32),
-    ),
+    st.builds(
+        Frame,
+        session=st.integers(0, 2**63 - 1),
+        first_sample=st.integers(0, 2**53 - 1),
+        t_first_ns=st.integers(-(2**62), 2**62 - 1),
+        period_ns=st.integers(1, 10_000_000_000),
+        values=hnp.arrays(
+            st.sampled_from(DTYPES),
+            st.tuples(st.integers(1, 40), st.integers(1, 64)),
+            elements=st.floats(-1e6, 1e6, width=32),
+        ),
+    )
 )
-def test_what_is_encoded_is_what_is_decoded(
-    session: int, first_sample: int, t_first_ns: int, period_ns: int, values: NDArray[Any]
-) -> None:
-    frame = Frame(session, first_sample, t_first_ns, period_ns, values)
+def test_a_frame_is_decoded_as_it_was_encoded(frame: Frame) -> None:
     assert_same(decode_frame(encode_frame(frame)), frame)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        Hello(""),
+        Hello("žilice " * 10),
+        Bye(2**63 - 1, 0),
+        ClockReply(0, -(2**62), 2**62 - 1, 0),
+        DisplayReport(0, "me", 1, 2, 3, 0.1, 0.2, 0.3, 0.4),
+        Welcome(
+            1,
+            2,
+            StreamDescription(
+                name="x" * 80,
+                period_ns=10_000_000_000,
+                batch=4096,
+                channels=tuple(Channel(f"{i}" * 40) for i in range(64)),
+                layer=ElasticLayer(1e5, 1e-3, 0.0, 0.02),
+                bytes_per_sample=8,
+            ),
+        ),
+    ],
+    ids=lambda message: type(message).__name__,
+)
+def test_a_control_message_is_decoded_as_it_was_encoded(message: Control) -> None:
+    assert decode_control(encode_control(message)) == message
 
 
 @pytest.mark.parametrize(
@@ -80,9 +155,7 @@ def test_what_is_encoded_is_what_is_decoded(
     ],
     ids=["big-endian", "column by column", "every second sample"],
 )
-def test_samples_travel_one_after_the_other_however_they_lie_in_memory(
-    values: NDArray[Any],
-) -> None:
+def test_samples_are_encoded_in_order_however_they_lie_in_memory(values: NDArray[Any]) -> None:
     decoded = decode_frame(encode_frame(FLOAT32_FRAME._replace(values=values))).values
     assert decoded.dtype == np.dtype("<f4")
     np.testing.assert_array_equal(decoded, values)
@@ -98,101 +171,245 @@ def test_a_frame_as_large_as_allowed_is_taken_and_one_byte_more_is_not() -> None
         if (data := changed(payload=bytes(4 * samples), session=session, first=first))
     }
     assert len(decode_frame(sizes[MAX_FRAME_BYTES]).values) > 16_370
-    assert cause_of(sizes[MAX_FRAME_BYTES + 1]) == "oversized"
+    assert cause_of(decode_frame, sizes[MAX_FRAME_BYTES + 1]) == "oversized"
 
 
-@pytest.mark.parametrize("data", [FLOAT32_BYTES, FLOAT64_BYTES], ids=["float32", "float64"])
-def test_a_frame_cut_short_anywhere_is_truncated(data: bytes) -> None:
-    assert {cause_of(data[:length]) for length in range(len(data))} == {"truncated"}
+@pytest.mark.parametrize(
+    ("decode", "limit"), [(decode_frame, MAX_FRAME_BYTES), (decode_control, MAX_CONTROL_BYTES)]
+)
+def test_an_oversized_message_is_refused_before_it_is_read(decode: Decoder, limit: int) -> None:
+    assert cause_of(decode, b"\xc1" * (limit + 1)) == "oversized"
 
 
-def test_bytes_behind_a_frame_are_refused() -> None:
-    assert cause_of(FLOAT32_BYTES + b"\x00") == "not_msgpack"
+@each_message
+def test_a_message_cut_short_anywhere_is_truncated(decode: Decoder, data: bytes) -> None:
+    assert {cause_of(decode, data[:length]) for length in range(len(data))} == {"truncated"}
+    assert cause_of(decode, data + b"\x00") == "not_msgpack"
 
 
-@pytest.mark.parametrize("version", [0, 2, -1, 2**64 - 1, True, 1.0, "1", None, [1], b"\x01"])
-def test_another_version_is_refused_as_such(version: object) -> None:
-    assert cause_of(changed(version=version)) == "version"
+@each_message
+def test_another_version_is_refused_as_such(decode: Decoder, data: bytes) -> None:
+    fields = msgpack.unpackb(data)[1:]
+    for version in (0, 2, -1, 2**64 - 1, True, 1.0, "1", None, [1], b"\x01"):
+        assert cause_of(decode, packed([version, *fields])) == "version"
+    # Also where the other fields have changed.
+    assert cause_of(decode, packed([2, "a format", "of the future"])) == "version"
 
 
-def test_the_version_is_told_even_where_the_other_fields_have_changed_too() -> None:
-    assert cause_of(msgpack.packb([2, "a format", "of the future"])) == "version"
+@each_message
+def test_a_field_too_few_or_too_many_is_malformed(decode: Decoder, data: bytes) -> None:
+    fields = msgpack.unpackb(data)
+    for wrong in (fields[:-1], [*fields, fields[-1]], fields[:1], [], fields * 3):
+        assert cause_of(decode, packed(wrong)) == "malformed"
+
+
+@each_decoder
+@pytest.mark.parametrize("message", [{"version": 1}, "frame", 1, None, True, b"\x01"], ids=repr)
+def test_a_message_that_is_no_array_is_malformed(message: object, decode: Decoder) -> None:
+    assert cause_of(decode, packed(message)) == "malformed"
 
 
 NOT_INTS = [True, False, 1.0, "1", None, b"\x01", [1], {"a": 1}]
 
 
-@pytest.mark.parametrize("value", NOT_INTS, ids=repr)
-@pytest.mark.parametrize("field", ["session", "first", "t_first", "period", "channels", "width"])
-def test_what_is_no_int_is_malformed(field: str, value: object) -> None:
-    assert cause_of(changed(**{field: value})) == "malformed"
-
-
-@pytest.mark.parametrize("payload", [1, None, "text", [0.5], True, 0.5], ids=repr)
-def test_a_payload_that_is_no_bytes_is_malformed(payload: object) -> None:
-    assert cause_of(changed(payload=payload)) == "malformed"
-
-
 @pytest.mark.parametrize(
-    ("field", "value"),
+    ("field", "values"),
     [
-        ("session", -1),
-        ("session", INT63),
-        ("first", -1),
-        ("first", 2**53),
-        ("t_first", 2**62),
-        ("t_first", 2**64 - 1),
-        ("period", 0),
-        ("period", -1_000_000),
-        ("period", 10_000_000_001),
-        ("channels", 0),
-        ("channels", -1),
-        ("channels", 65),
-        ("channels", 2**63),
-        ("width", 0),
-        ("width", 2),
-        ("width", -4),
-        ("width", 16),
+        ("session", [*NOT_INTS, -1, 2**63]),
+        ("first", [*NOT_INTS, -1, 2**53]),
+        ("t_first", [*NOT_INTS, 2**62, 2**64 - 1]),
+        ("period", [*NOT_INTS, 0, -1_000_000, 10_000_000_001]),
+        ("channels", [*NOT_INTS, 0, -1, 65, 2**63]),
+        ("width", [*NOT_INTS, 0, 2, -4, 16]),
+        ("payload", [1, None, "text", [0.5], True, 0.5, b""]),
     ],
 )
-def test_a_field_out_of_its_range_is_malformed(field: str, value: int) -> None:
-    # Whole samples for any of these channels and widths, so that nothing else is wrong.
-    assert cause_of(changed(**{"payload": bytes(16 * 65), field: value})) == "malformed"
+def test_a_frames_field_of_another_type_or_out_of_range_is_malformed(
+    field: str, values: list[object]
+) -> None:
+    for value in values:
+        # Whole samples for any of these channels and widths, so that nothing else is wrong.
+        data = changed(**{"payload": bytes(16 * 65), field: value})
+        assert cause_of(decode_frame, data) == "malformed", value
 
 
 @pytest.mark.parametrize(
     ("size", "channels", "width"),
-    [(0, 1, 4), (1, 1, 4), (7, 1, 4), (9, 1, 4), (4, 1, 8), (12, 2, 4), (8, 3, 4), (8, 64, 4)],
+    [(1, 1, 4), (7, 1, 4), (9, 1, 4), (4, 1, 8), (12, 2, 4), (8, 3, 4), (8, 64, 4)],
 )
 def test_a_payload_of_no_whole_number_of_samples_is_malformed(
     size: int, channels: int, width: int
 ) -> None:
     data = changed(payload=bytes(size), channels=channels, width=width)
-    assert cause_of(data) == "malformed"
+    assert cause_of(decode_frame, data) == "malformed"
 
 
-@pytest.mark.parametrize("samples", [np.empty((0, 1), "<f4"), np.empty((0, 64), "<f8")])
-def test_a_frame_without_samples_is_malformed(samples: NDArray[Any]) -> None:
-    assert cause_of(encode_frame(FLOAT32_FRAME._replace(values=samples))) == "malformed"
-
-
-@pytest.mark.parametrize("count", [0, 1, 7, 9, 20])
-def test_a_frame_has_eight_fields(count: int) -> None:
-    fields = (msgpack.unpackb(FLOAT32_BYTES) * 3)[:count]
-    assert cause_of(msgpack.packb(fields)) == "malformed"
-
-
-@pytest.mark.parametrize("message", [{"version": 1}, "frame", 1, None, True, b"\x01"], ids=repr)
-def test_what_is_no_array_is_malformed(message: object) -> None:
-    assert cause_of(msgpack.packb(message)) == "malformed"
-
-
-@pytest.mark.parametrize("dtype", ["<f4", "<f8"])
+@pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("place", [(0, 0), (1, 1), (2, 2)])
-def test_one_sample_that_is_no_number_spoils_the_frame(
-    place: tuple[int, int], value: float, dtype: str
+def test_a_frame_with_one_sample_that_is_not_finite_is_refused(
+    place: tuple[int, int], value: float, dtype: np.dtype[Any]
 ) -> None:
     values = np.zeros((3, 3), dtype)
     values[place] = value
-    assert cause_of(encode_frame(FLOAT32_FRAME._replace(values=values))) == "not_finite"
+    data = encode_frame(FLOAT32_FRAME._replace(values=values))
+    assert cause_of(decode_frame, data) == "not_finite"
+
+
+@pytest.mark.parametrize("kind", ["", "Hello", "frame", "x" * 60_000, None, 1, True, b"hello", []])
+def test_an_unknown_kind_is_malformed(kind: object) -> None:
+    assert cause_of(decode_control, packed([1, kind, "me"])) == "malformed"
+
+
+BAD_COUNTS = [True, False, 7.0, "7", None, b"\x07", [7], -1, 2**63]
+BAD_TIMES = [True, 1.0, "1", None, 2**63, 2**64 - 1]
+BAD_NUMBERS = [True, "1.5", None, [1.5]]
+BAD_NAMES = ["x" * 81, "x" * 60_000, "a\nb", "\x1b[2J", "\x00", b"me", 7, None, ["me"]]
+
+
+@pytest.mark.parametrize(
+    ("fields", "positions", "values"),
+    [
+        (BYE, [2, 3], BAD_COUNTS),
+        (WELCOME, [2, 3], BAD_COUNTS),
+        (CLOCK, [2], BAD_COUNTS),
+        (REPORT, [2, 4, 5, 6], BAD_COUNTS),
+        ([1, "clock?", 5], [2], BAD_TIMES),
+        (CLOCK, [3, 4, 5], BAD_TIMES),
+        (REPORT, [7, 8, 9, 10], BAD_NUMBERS),
+        (REPORT, [3], BAD_NAMES),
+        ([1, "hello", "me"], [2], BAD_NAMES),
+        (WELCOME, [4], [None, "pulse", 5, [1, 2], True]),
+    ],
+)
+def test_a_control_field_of_another_type_or_out_of_range_is_malformed(
+    fields: list[object], positions: list[int], values: list[object]
+) -> None:
+    for position in positions:
+        for value in values:
+            data = replaced(fields, position, value)
+            assert cause_of(decode_control, data) == "malformed", (position, value)
+
+
+def test_a_whole_number_serves_as_a_measure_and_nan_as_an_unknown_one() -> None:
+    report = decode_control(replaced(REPORT, 9, 40))
+    assert report == DisplayReport(7, "me", 90, 6, 4, 1.5, 2.5, 40, 0.25)
+    unknown = decode_control(replaced(REPORT, 9, math.nan))
+    assert isinstance(unknown, DisplayReport)
+    assert math.isnan(unknown.playout_delay_ms)
+
+
+@pytest.mark.parametrize("description", [{}, {"name": "x"}, {"a": 1}])
+def test_an_invalid_description_has_a_cause_of_its_own(description: object) -> None:
+    assert cause_of(decode_control, replaced(WELCOME, 4, description)) == "description"
+
+
+CAUSES = {"truncated", "not_msgpack", "malformed", "version", "description", "not_finite"}
+values = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**63), 2**64 - 1)
+    | st.floats()
+    | st.text()
+    | st.binary(),
+    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text(), inner, max_size=5),
+    max_leaves=20,
+)
+kinds = st.sampled_from(["hello", "welcome", "bye", "clock?", "clock", "report"])
+descriptions = st.dictionaries(st.text() | st.sampled_from(["name", "batch", "layer"]), values)
+fields = (
+    st.lists(values, max_size=12)
+    | st.builds(lambda kind, rest: [kind, *rest], kinds, st.lists(values, max_size=10))
+    | descriptions.map(lambda description: ["welcome", 7, 0, description])
+)
+altered = st.builds(
+    lambda valid, position, byte: (
+        valid[: position % len(valid)] + bytes([byte]) + valid[position % len(valid) + 1 :]
+    ),
+    st.sampled_from([data for _, data in VALID.values()]),
+    st.integers(0, 300),
+    st.integers(0, 255),
+)
+
+
+@each_decoder
+@settings(max_examples=500)
+@given(
+    data=st.binary(max_size=300)
+    | values.map(packed)
+    | fields.map(lambda rest: packed([VERSION, *rest]))
+    | altered
+)
+@example(data=b"")
+@example(data=b"\x91\x01")
+def test_any_bytes_are_a_valid_message_or_refused(decode: Decoder, data: bytes) -> None:
+    try:
+        message = decode(data)
+    except WireError as error:
+        refusal = error
+    else:
+        assert_valid(message)
+        return
+    assert refusal.cause in CAUSES
+
+
+def assert_valid(message: Frame | Control) -> None:
+    if not isinstance(message, Frame):
+        encode_control(message)
+        return
+    assert message.session >= 0
+    assert message.first_sample >= 0
+    assert message.period_ns > 0
+    assert message.values.size > 0
+    assert np.isfinite(message.values).all()
+
+
+HUGE = b"\xff\xff\xff\xff"
+ODD = {
+    "an array of 2^32 - 1, empty": b"\xdd" + HUGE,
+    "a map of 2^32 - 1, empty": b"\xdf" + HUGE,
+    "bytes of 2^32 - 1, empty": b"\xc6" + HUGE,
+    "a text of 2^32 - 1, empty": b"\xdb" + HUGE,
+    "an extension of 2^32 - 1, empty": b"\xc9" + HUGE + b"\x05",
+    "a huge array in a field": b"\x98\x01\xdd" + HUGE,
+    "a huge array in a description": b"\x95\x01\xa7welcome\x07\x00\x81\xa1a\xdd" + HUGE,
+    "an array as long as the message": b"\xdc\xff\xf0" + bytes(MAX_FRAME_BYTES - 100),
+    "nested arrays without content": (b"\xdc\xff\xf0" * 1000).ljust(MAX_FRAME_BYTES, b"\x00"),
+    "nested maps without content": (b"\xde\xff\xf0\xa0" * 1000).ljust(MAX_FRAME_BYTES, b"\x00"),
+    "nesting beyond msgpack's stack": b"\x91" * (MAX_FRAME_BYTES - 1) + b"\x90",
+    "nesting just within msgpack's stack": b"\x91" * 1000 + b"\x90",
+    "nesting where the kind is": b"\x92\x01" + b"\x91" * 1000 + b"\x90",
+    "nesting where the description is": b"\x95\x01\xa7welcome\x07\x00\x81\xa4name"
+    + b"\x91" * 1000
+    + b"\x90",
+    "a nested map": b"\x92\x01" + b"\x81\xa1a" * 1000 + b"\x90",
+    "an extension": msgpack.packb([VERSION, msgpack.ExtType(5, b"x")]),
+    "an extension for a name": msgpack.packb([VERSION, "hello", msgpack.ExtType(5, b"x")]),
+    "a timestamp": msgpack.packb([VERSION, msgpack.Timestamp(1, 2)]),
+    "a timestamp for the version": b"\x92\xd6\xff" + HUGE + b"\x01",
+    "a timestamp of too many ns": b"\x92\x01\xc7\x0c\xff" + b"\xff" * 12,
+    "a timestamp of the wrong length": b"\x92\x01\xc7\x03\xff" + b"\xff" * 3,
+    "a text that is no UTF-8": b"\x93\x01\xa5hello\xa2\xff\xfe",
+    "a surrogate in a text": b"\x93\x01\xa5hello\xa3\xed\xa0\x80",
+    "a list for a key": b"\x93\x01\x81\x91\x01\x01\x01",
+    "a number for a key": b"\x95\x01\xa7welcome\x07\x00\x81\x01\x01",
+    "bytes for a key": b"\x95\x01\xa7welcome\x07\x00\x81\xc4\x02\xff\xfe\x01",
+    "a key of 60 kB": msgpack.packb([VERSION, "welcome", 7, 0, {"k" * 60_000: 1}]),
+    "60 kB where the version is": msgpack.packb(["v" * 60_000]),
+    "the byte that msgpack never uses": b"\xc1",
+}
+
+
+@each_decoder
+@pytest.mark.parametrize("data", ODD.values(), ids=ODD)
+def test_a_hostile_message_is_refused_at_the_cost_of_its_own_size(
+    data: bytes, decode: Decoder
+) -> None:
+    tracemalloc.start()
+    try:
+        with pytest.raises(WireError):
+            decode(data)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 1_000_000
