@@ -1,6 +1,8 @@
 import json
 import os
 import signal
+import subprocess
+import sys
 from contextlib import closing
 from typing import Any
 
@@ -9,7 +11,7 @@ import zmq
 
 from protocol.cli_options import with_measures
 from protocol.errors import RealtimeError
-from protocol.host.process import helper_threads
+from protocol.host.process import FILES, helper_threads
 from protocol.host.realtime import hold, parse_realtime
 from protocol.run_summary import Summary
 from tests.support.rights import needs_rights, with_rights, without_rights
@@ -196,3 +198,26 @@ def test_elsewhere_than_on_linux_it_is_said_that_there_is_none() -> None:
         "this system has no such thing",
         "any",
     ]
+
+
+PROGRAM = """
+import resource
+from protocol.host.process import allow_connections
+resource.setrlimit(resource.RLIMIT_NOFILE, ({present}, {most}))
+allow_connections()
+print(*resource.getrlimit(resource.RLIMIT_NOFILE))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no such limit")
+@pytest.mark.parametrize(
+    ("present", "most", "then"), [(128, 10_000, FILES), (128, 256, 256), (9_000, 10_000, 9_000)]
+)
+def test_the_limit_of_open_files_is_raised_as_far_as_it_may_be(
+    present: int, most: int, then: int
+) -> None:
+    program = PROGRAM.format(present=present, most=most)
+    result = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert result.stdout.split() == [str(then), str(most)]

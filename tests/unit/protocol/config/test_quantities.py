@@ -7,65 +7,31 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
 from protocol.config import quantities
-from protocol.config.quantities import UNITS, in_unit_of, parse_quantity, parse_ratio
+from protocol.config.quantities import UNITS, count_text, in_unit_of, parse_quantity, parse_ratio
 
-# Written out once more, so that a slip of the pen in the table does not go unseen.
-ONE_OF_EACH = [
-    ("time", "ns", 1e-9),
-    ("time", "us", 1e-6),
-    ("time", "µs", 1e-6),
-    ("time", "ms", 1e-3),
-    ("time", "s", 1),
-    ("time", "min", 60),
-    ("frequency", "/min", 1 / 60),
-    ("frequency", "Hz", 1),
-    ("frequency", "kHz", 1e3),
-    ("frequency", "MHz", 1e6),
-    ("bit rate", "bit/s", 1),
-    ("bit rate", "kbit/s", 1e3),
-    ("bit rate", "Mbit/s", 1e6),
-    ("length", "nm", 1e-9),
-    ("length", "um", 1e-6),
-    ("length", "µm", 1e-6),
-    ("length", "mm", 1e-3),
-    ("length", "cm", 1e-2),
-    ("length", "m", 1),
-    ("force", "mN", 1e-3),
-    ("force", "N", 1),
-    ("force rate", "mN/s", 1e-3),
-    ("force rate", "N/s", 1),
-    ("pressure", "Pa", 1),
-    ("pressure", "kPa", 1e3),
-    ("pressure", "MPa", 1e6),
-    ("pressure", "GPa", 1e9),
-    ("speed", "mm/s", 1e-3),
-    ("speed", "m/s", 1),
-    ("acceleration", "mm/s^2", 1e-3),
-    ("acceleration", "m/s^2", 1),
-    ("acceleration", "mm/s²", 1e-3),
-    ("acceleration", "m/s²", 1),
-    ("stiffness", "N/m", 1),
-    ("stiffness", "N/mm", 1e3),
-    ("voltage", "uV", 1e-6),
-    ("voltage", "µV", 1e-6),
-    ("voltage", "mV", 1e-3),
-    ("voltage", "V", 1),
-    ("sensitivity", "mV/N", 1e-3),
-    ("sensitivity", "V/N", 1),
-    ("angle", "°", math.pi / 180),
-    ("angle", "deg", math.pi / 180),
-    ("angle", "rad", 1),
-]
+# Written out once more, so that a slip in the product's table does not go unseen.
+EACH_UNIT = {
+    "time": {"ns": 1e-9, "us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1, "min": 60},
+    "frequency": {"/min": 1 / 60, "Hz": 1, "kHz": 1e3, "MHz": 1e6},
+    "bit rate": {"bit/s": 1, "kbit/s": 1e3, "Mbit/s": 1e6},
+    "length": {"nm": 1e-9, "um": 1e-6, "µm": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1},
+    "force": {"mN": 1e-3, "N": 1},
+    "force rate": {"mN/s": 1e-3, "N/s": 1},
+    "pressure": {"Pa": 1, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9},
+    "speed": {"mm/s": 1e-3, "m/s": 1},
+    "acceleration": {"mm/s^2": 1e-3, "m/s^2": 1, "mm/s²": 1e-3, "m/s²": 1},
+    "stiffness": {"N/m": 1, "N/mm": 1e3},
+    "voltage": {"uV": 1e-6, "µV": 1e-6, "mV": 1e-3, "V": 1},
+    "sensitivity": {"mV/N": 1e-3, "V/N": 1},
+    "angle": {"°": math.pi / 180, "deg": math.pi / 180, "rad": 1},
+}
 
 
-@pytest.mark.parametrize(("dimension", "unit", "factor"), ONE_OF_EACH)
-def test_every_unit(dimension: str, unit: str, factor: float) -> None:
-    assert parse_quantity(f"2.5 {unit}", dimension) == pytest.approx(2.5 * factor, rel=1e-15)
-
-
-def test_every_unit_is_tested() -> None:
-    known = {(dimension, unit) for dimension, units in UNITS.items() for unit in units}
-    assert known == {(dimension, unit) for dimension, unit, _ in ONE_OF_EACH}
+@pytest.mark.parametrize("dimension", UNITS)
+def test_every_unit_is_converted(dimension: str) -> None:
+    assert UNITS[dimension].keys() == EACH_UNIT[dimension].keys()
+    for unit, factor in EACH_UNIT[dimension].items():
+        assert parse_quantity(f"2.5 {unit}", dimension) == pytest.approx(2.5 * factor, rel=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -221,3 +187,13 @@ def test_a_limit_is_written_in_the_unit_it_is_compared_with(
     value: float, like: object, text: str
 ) -> None:
     assert in_unit_of(value, like) == text
+
+
+def test_one_is_singular_and_all_others_are_plural() -> None:
+    assert [count_text(count, "sample") for count in (0, 1, 2)] == [
+        "0 samples",
+        "1 sample",
+        "2 samples",
+    ]
+    assert count_text(1, "deadline miss", "deadline misses") == "1 deadline miss"
+    assert count_text(5, "deadline miss", "deadline misses") == "5 deadline misses"
