@@ -1,15 +1,21 @@
+"""Free addresses: whose ports nobody holds, nor was just given."""
+
 import itertools
 import socket as plain
 from pathlib import Path
+from socket import AF_INET, SOCK_STREAM, socket
+from urllib.parse import urlsplit
 
 import pytest
 import zmq
 
 from protocol import sockets
+from protocol.errors import AddressError
 from protocol.sockets import MAX_MESSAGES, Context, Socket
 from protocol.wire.messages import MAX_FRAME_BYTES
+from telepulse.processes import HOST, free_addresses
 
-# Longer than any test may take: who waits for it in vain fails by pytest's own timeout.
+# Longer than any test may take: a test that waits in vain fails by pytest's own timeout.
 FOREVER_NS = 3_600_000_000_000
 LOOPBACK = "tcp://127.0.0.1:*"
 
@@ -33,7 +39,7 @@ def assert_delivers(one: Socket, other: Socket) -> None:
 
 
 def meet(publisher: Socket, subscriber: Socket) -> None:
-    """Publish until the subscriber hears it, and let it hear all of that."""
+    """Publish until the subscriber receives it, and drain the subscriber."""
     while not list(sockets.receive_all(subscriber)):
         sockets.send(publisher, b"hello?")
         sockets.wait_readable([subscriber], 1_000_000)
@@ -46,17 +52,13 @@ def meet(publisher: Socket, subscriber: Socket) -> None:
 
 def test_a_message_keeps_its_parts(context: Context) -> None:
     one, other = pair(context)
+    assert list(sockets.receive_all(one)) == list(sockets.receive_all(other)) == []
     assert sockets.send(one, b"first", b"", b"third")
     assert sockets.send(one, b"alone")
     assert list(sockets.receive_all(other)) == [[b"first", b"", b"third"], [b"alone"]]
 
 
-def test_nothing_waits_where_nothing_was_sent(context: Context) -> None:
-    one, other = pair(context)
-    assert list(sockets.receive_all(one)) == list(sockets.receive_all(other)) == []
-
-
-def test_each_part_is_a_message_where_messages_have_one(context: Context) -> None:
+def test_receive_each_yields_each_part_as_a_message(context: Context) -> None:
     one, other = pair(context)
     assert list(sockets.receive_each(other)) == []
     assert sockets.send(one, b"first", b"", b"third")
@@ -66,7 +68,7 @@ def test_each_part_is_a_message_where_messages_have_one(context: Context) -> Non
     assert [len(list(sockets.receive_each(other))) for _ in range(3)] == [MAX_MESSAGES, 5, 0]
 
 
-def test_sockets_read_to_their_end_are_waited_for_without_asking_them(context: Context) -> None:
+def test_wait_drained_sees_each_message_of_a_drained_socket(context: Context) -> None:
     one, other = pair(context, LOOPBACK)
     waited_for = sockets.descriptors([other])
     for number in range(200):
@@ -99,7 +101,7 @@ def test_many_messages_all_come_in_their_order(context: Context, address: str) -
     assert received == list(range(count))
 
 
-def test_what_is_published_reaches_every_subscriber(context: Context) -> None:
+def test_a_published_message_reaches_every_subscriber(context: Context) -> None:
     publisher = sockets.bind(context, zmq.PUB, LOOPBACK)
     subscribers = [sockets.connect(context, zmq.SUB, endpoint(publisher)) for _ in range(3)]
     for subscriber in subscribers:
@@ -112,7 +114,7 @@ def test_what_is_published_reaches_every_subscriber(context: Context) -> None:
         while b"499" not in received:
             sockets.wait_readable([subscriber], FOREVER_NS)
             received += [data for (data,) in sockets.receive_all(subscriber)]
-        # Those who met the publisher first heard the others meet it.
+        # The first subscribers also received the greetings of the others.
         assert [data for data in received if data.isdigit()] == [b"%d" % i for i in range(500)]
 
 
@@ -151,18 +153,18 @@ def test_waiting_ends_without_a_message_too(context: Context, timeout_ns: int) -
     sockets.wait_readable([], timeout_ns)
 
 
-def test_sending_to_nobody_queues_to_the_high_water_mark_and_then_says_so(
+def test_sending_without_a_peer_queues_to_the_high_water_mark_and_then_fails(
     context: Context,
 ) -> None:
-    with plain.socket() as deaf:
-        deaf.bind(("127.0.0.1", 0))
-        address = f"tcp://127.0.0.1:{deaf.getsockname()[1]}"
-        lonely = sockets.connect(context, zmq.DEALER, address)
-        sent = [sockets.send(lonely, b"x") for _ in range(sockets.HIGH_WATER_FRAMES + 10)]
+    with plain.socket() as unread:
+        unread.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{unread.getsockname()[1]}"
+        dealer = sockets.connect(context, zmq.DEALER, address)
+        sent = [sockets.send(dealer, b"x") for _ in range(sockets.HIGH_WATER_FRAMES + 10)]
         assert sent == [True] * sockets.HIGH_WATER_FRAMES + [False] * 10
 
 
-def test_what_a_peer_said_last_is_heard_after_it_has_gone(context: Context) -> None:
+def test_the_last_message_of_a_peer_is_received_after_it_has_gone(context: Context) -> None:
     dying: Context = zmq.Context()
     try:
         router = sockets.bind(dying, zmq.ROUTER, "tcp://127.0.0.1:*")
@@ -180,7 +182,7 @@ def test_what_a_peer_said_last_is_heard_after_it_has_gone(context: Context) -> N
     assert list(sockets.receive_all(listener)) == [[b"bye"]]
 
 
-def test_a_stream_on_a_file_has_both_its_addresses(context: Context, tmp_path: Path) -> None:
+def test_both_addresses_of_a_stream_over_ipc_deliver(context: Context, tmp_path: Path) -> None:
     address = f"ipc://{tmp_path}/pulse"
     for place in (address, sockets.control_address(address)):
         assert_delivers(*pair(context, place))
@@ -195,7 +197,7 @@ def test_ipv6(context: Context) -> None:
     assert_delivers(*pair(context, "tcp://[::1]:*"))
 
 
-def test_a_peer_that_breaks_the_limit_is_heard_again_after_connecting_once_more(
+def test_a_peer_that_exceeded_the_size_limit_is_received_again_after_reconnect(
     context: Context,
 ) -> None:
     publisher = sockets.bind(context, zmq.PUB, LOOPBACK)
@@ -214,10 +216,64 @@ def test_a_peer_that_breaks_the_limit_is_heard_again_after_connecting_once_more(
     meet(publisher, subscriber)
 
 
-def test_connecting_once_more_to_what_was_never_connected(context: Context) -> None:
+def test_reconnect_from_an_address_that_was_never_connected(context: Context) -> None:
     publisher = sockets.bind(context, zmq.PUB, LOOPBACK)
     other = sockets.bind(context, zmq.PUB, LOOPBACK)
     subscriber = sockets.connect(context, zmq.SUB, endpoint(other))
     subscriber.subscribe(b"")
     sockets.reconnect(subscriber, "tcp://127.0.0.1:1", endpoint(publisher))
     meet(publisher, subscriber)
+
+
+def test_a_taken_port_is_one_line_with_address_and_cause(context: Context) -> None:
+    first = sockets.bind(context, zmq.PUB, "tcp://127.0.0.1:*")
+    address = first.getsockopt_string(zmq.LAST_ENDPOINT)
+    with pytest.raises(AddressError) as caught:
+        sockets.bind(context, zmq.PUB, address)
+    line = str(caught.value)
+    assert line == f"cannot bind {address}: Address already in use; another program holds it"
+
+
+@pytest.mark.parametrize(
+    ("address", "cause"),
+    [
+        ("nonsense", "Invalid argument"),
+        ("tcp://127.0.0.1", "Invalid argument"),
+        ("udp://127.0.0.1:5555", "protocol"),
+        ("tcp://192.0.2.1:5555", "this machine does not have it"),
+        ("tcp://no-such-interface:5555", "this machine does not have it"),
+        ("ipc:///no/such/folder/pulse", "No such file or directory"),
+        ("ipc://" + "x" * 200, "File name too long"),
+        ("tcp://127.0.0.1:65536", "no such port"),
+        ("tcp://127.0.0.1:99999", "no such port"),
+    ],
+)
+def test_an_address_that_cannot_be_bound(context: Context, address: str, cause: str) -> None:
+    with pytest.raises(AddressError, match=cause) as caught:
+        sockets.bind(context, zmq.PUB, address)
+    assert address in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "address", ["nonsense", "tcp://", "tcp://127.0.0.1", "udp://127.0.0.1:5", "tcp://h:99999"]
+)
+def test_an_address_that_cannot_be_connected(context: Context, address: str) -> None:
+    with pytest.raises(AddressError, match=address) as caught:
+        sockets.connect(context, zmq.SUB, address)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_port_is_given_twice_in_a_row_though_nobody_binds_it() -> None:
+    # By chance alone, 500 of 8500 would be different ones in one run of a million.
+    given = [address for _ in range(500) for address in free_addresses(1)]
+    assert len(set(given)) == len(given)
+
+
+def test_the_port_and_the_next_can_be_bound() -> None:
+    for address in free_addresses(3):
+        port = urlsplit(address).port
+        assert port is not None
+        with socket(AF_INET, SOCK_STREAM) as data, socket(AF_INET, SOCK_STREAM) as control:
+            data.bind((HOST, port))
+            control.bind((HOST, port + 1))
