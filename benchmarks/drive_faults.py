@@ -15,9 +15,9 @@ from benchmarks.drives import ACTUATOR, CAN_BUS, FORCE_LIMIT_N, LAYER, motor
 from benchmarks.measure import show
 from display_node.drives import Drive, build_drive
 from display_node.drives.scene import Cia402Scene, TmclScene
+from telepulse.emulators import PtyPort
 from telepulse.emulators.cia402 import EmulatedCia402Node
 from telepulse.emulators.motor import EmulatedMotor
-from telepulse.emulators.pty_port import PtyPort
 from telepulse.emulators.tmcl import EmulatedSerialLine, EmulatedTmclModule
 from tests.support.drive_benches import polled
 

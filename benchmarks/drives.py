@@ -29,9 +29,9 @@ from display_node.drives.tmcl.module import Command
 from display_node.plant.stepper import StepperScene
 from protocol.wire.stream import LayerTable
 from telepulse.commissioning.rig import TMCL_BITS
+from telepulse.emulators import PtyPort
 from telepulse.emulators.cia402 import EmulatedCia402Node
 from telepulse.emulators.motor import EmulatedMotor
-from telepulse.emulators.pty_port import PtyPort
 from telepulse.emulators.slcan import SlcanBus
 from telepulse.emulators.tmcl import EmulatedCanLine, EmulatedSerialLine, EmulatedTmclModule
 from tests.support.drive_benches import polled

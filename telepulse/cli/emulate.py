@@ -1,33 +1,91 @@
-"""`telepulse emulate`: one command a piece of hardware."""
+"""`telepulse emulate`: hardware that is not there, one command a piece."""
 
 import threading
 import time
-from contextlib import closing
+from collections.abc import Callable
+from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import typer
 
+from display_node.drives.scene import Cia402Scene, DriveScene, TmclScene, open_bus
+from display_node.plant.stepper import StepperScene
+from display_node.scene import DisplayScene
 from protocol.cli_options import LogLevelOption, StopAfterOption, one_line_errors, plain_console
 from protocol.config.quantities import count_text
 from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene
+from protocol.errors import SceneError
 from protocol.host.output import configure_logging
 from protocol.host.process import freeze_objects, stop_on_signals
 from pulse_sensors.binary_frames import MAX_SAMPLES, SampleFormat
-from telepulse.cli import emulate_drives as drive_commands
+from sensing_node.scene import SensingScene
 from telepulse.cli.options import PROGRAM
+from telepulse.emulators import PtyPort
+from telepulse.emulators.drive_run import FILM_SILENT, MOTOR_FAULTS, DriveRun
+from telepulse.emulators.fault_injection import FaultKind, InjectedFault, parse_fault
+from telepulse.emulators.motor import EmulatedMotor
+from telepulse.emulators.sensor_board import BoardBehaviour, build_board, play, source_table
 from telepulse.scene import DEFAULT_SCENE
 
-FOREVER_S = 1e9
-app = typer.Typer(no_args_is_help=True, help="Hardware that is not there, speaking its real bytes.")
-app.command()(drive_commands.tmcl)
-app.command()(drive_commands.cia402)
+if TYPE_CHECKING:
+    import can
 
-LinkOption = Annotated[
-    Path | None,
-    typer.Option(metavar="PATH", help="Make this link to the port, for a scene to name."),
+    from telepulse.emulators.tmcl import AnswerMode
+
+FOREVER_S = 1e9
+POLL_S = 0.001
+# Faults of the line to a TMCL module, by how it answers.
+ANSWERS: dict[str, "AnswerMode"] = {
+    "silent": "none",
+    "late": "late",
+    "wrong": "wrong",
+    "garbled": "garbled",
+}
+TMCL_FAULTS = (*MOTOR_FAULTS, FILM_SILENT, *ANSWERS, "unplugged")
+CIA402_FAULTS = (*MOTOR_FAULTS, FILM_SILENT, "silent", "unplugged")
+UNREPORTED = tuple(kind.value for kind in FaultKind)
+SceneT = TypeVar("SceneT", bound=DriveScene)
+
+app = typer.Typer(no_args_is_help=True, help="Hardware that is not there, speaking its real bytes.")
+
+
+DriveArgument = Annotated[
+    str, typer.Argument(help="A scene whose [display.drive] is of this kind, as file or name.")
 ]
+_TO_PORT = "Make this link to the port, for a scene to name."
+BoardLink = Annotated[Path | None, typer.Option(metavar="PATH", help=_TO_PORT)]
+_TO_DRIVE = (
+    "Make PATH the serial port, of the module or of an slcan adapter with the drive behind it, for"
+    " the scene to name."
+)
+DriveLink = Annotated[Path | None, typer.Option(metavar="PATH", help=_TO_DRIVE)]
+_TO_FILM = (
+    "Make PATH a serial port on which a sensor board sends the force under the finger, in"
+    ' framing = "binary".'
+)
+FilmLink = Annotated[Path | None, typer.Option(metavar="PATH", help=_TO_FILM)]
+_SIZE = (
+    "Size of a fault that has one, with its unit: --fault delayed --size '45 ms', --fault gain"
+    " --size 0.3."
+)
+SizeOption = Annotated[str | None, typer.Option("--size", help=_SIZE)]
+_AFTER = "Begin of the fault, from the first press on the finger."
+AfterOption = Annotated[float, typer.Option("--fault-after", min=0, metavar="SECONDS", help=_AFTER)]
+_FROM_START = "Begin the fault at the start, in place of --fault-after."
+FromStartOption = Annotated[bool, typer.Option("--fault-from-start", help=_FROM_START)]
+_TRACE = "Write a CSV line every ms: place, speed, force under the finger, fault."
+TraceOption = Annotated[Path | None, typer.Option(metavar="FILE", help=_TRACE)]
+
+
+def _fault_option(names: tuple[str, ...]) -> Any:
+    return typer.Option(
+        "--fault",
+        metavar="NAME",
+        help=f"Fault that begins at --fault-after: {', '.join(names)}; or one that the drive does"
+        f" not report: {', '.join(UNREPORTED)}.",
+    )
 
 
 @app.command()
@@ -35,7 +93,7 @@ def sensor(
     scene: Annotated[str, typer.Argument(help="Its source is what the board senses.")] = (
         DEFAULT_SCENE
     ),
-    link: LinkOption = None,
+    link: BoardLink = None,
     framing: Annotated[
         Literal["binary", "text", "untimed"],
         typer.Option(help="Frames, lines of time and value, or lines of a value alone."),
@@ -63,11 +121,6 @@ def sensor(
     delivers them in batches, noise spoils bytes. Stopping it pulls the cable; started again with
     the same --link, it is plugged in again.
     """
-    # A board brings the sources' import times; other emulators do without.
-    from sensing_node.scene import SensingScene
-    from telepulse.emulators.pty_port import PtyPort
-    from telepulse.emulators.sensor_board import BoardBehaviour, build_board, play, source_table
-
     console = plain_console()
     stopped = threading.Event()
     behaviour = BoardBehaviour(
@@ -93,3 +146,149 @@ def sensor(
         f"{count_text(board.sampled, 'sample')} sent,"
         f" {count_text(port.dropped, 'byte')} that nobody read"
     )
+
+
+@app.command()
+def tmcl(
+    scene: DriveArgument,
+    link: DriveLink = None,
+    film_link: FilmLink = None,
+    fault: Annotated[str | None, _fault_option(TMCL_FAULTS)] = None,
+    size: SizeOption = None,
+    fault_after: AfterOption = 0.0,
+    fault_from_start: FromStartOption = False,
+    trace: TraceOption = None,
+    seconds: StopAfterOption = None,
+    log_level: LogLevelOption = None,
+) -> None:
+    """Be a TMCL stepper module: on a serial port of its own, or on the scene's CAN bus.
+
+    A physical model of the scene's [display.actuator] turns under a finger, with a home switch,
+    the module's heartbeat, its limits and its faults.
+    """
+    # python-can brings its import time; other commands do without.
+    from telepulse.emulators.tmcl import EmulatedCanLine, EmulatedSerialLine, EmulatedTmclModule
+
+    with one_line_errors(PROGRAM), ExitStack() as open_things:
+        configure_logging(log_level)
+        injected = _injected_fault(fault, size, TMCL_FAULTS)
+        drive, motor = _load(scene, TmclScene)
+        module = EmulatedTmclModule(drive, motor)
+        line: EmulatedSerialLine | EmulatedCanLine
+        if drive.port is not None:
+            port = PtyPort(link)
+            line, place = EmulatedSerialLine(module, port), str(port.path)
+        else:
+            line = EmulatedCanLine(module, drive, _bus(drive, link))
+            place = f"CAN {drive.interface} {drive.channel}, identifier {drive.module}"
+        cable = open_things.enter_context(ExitStack())
+        cable.callback(line.close)
+        serve: Callable[[float], None] = line.serve
+
+        def begin_fault(name: str) -> None:
+            nonlocal serve
+            if name in ANSWERS:
+                module.answer_mode = ANSWERS[name]
+            else:
+                serve = time.sleep
+                cable.close()
+
+        def poll() -> None:
+            serve(POLL_S)
+            motor.advance(time.monotonic_ns())
+
+        run = DriveRun(motor, film_link, trace, open_things)
+        _say(f"TMCL module on {place}", film_link)
+        after_s = None if fault_from_start else fault_after
+        run.run(poll, begin_fault, fault, injected, after_s, seconds)
+
+
+@app.command()
+def cia402(
+    scene: DriveArgument,
+    interface: Annotated[
+        str | None, typer.Option(help="CAN interface as python-can names it; else the scene's.")
+    ] = None,
+    channel: Annotated[str | None, typer.Option(help="Channel of the CAN interface.")] = None,
+    link: DriveLink = None,
+    film_link: FilmLink = None,
+    fault: Annotated[str | None, _fault_option(CIA402_FAULTS)] = None,
+    size: SizeOption = None,
+    fault_after: AfterOption = 0.0,
+    fault_from_start: FromStartOption = False,
+    trace: TraceOption = None,
+    seconds: StopAfterOption = None,
+    log_level: LogLevelOption = None,
+) -> None:
+    """Be a CANopen drive of profile CiA 402 on a CAN bus.
+
+    A physical model of the scene's [display.actuator] turns under a finger, with a home switch,
+    software limits, heartbeat monitoring and faults. --fault silent: it receives and sends nothing.
+    """
+    from telepulse.emulators.cia402 import EmulatedCia402Node
+
+    with one_line_errors(PROGRAM), ExitStack() as open_things:
+        configure_logging(log_level)
+        injected = _injected_fault(fault, size, CIA402_FAULTS)
+        drive, motor = _load(scene, Cia402Scene)
+        changes = {"interface": interface, "channel": channel or (str(link) if link else None)}
+        drive = drive.model_copy(update={key: to for key, to in changes.items() if to})
+        node = EmulatedCia402Node(drive, motor, _bus(drive, link))
+        cable = open_things.enter_context(ExitStack())
+        cable.callback(node.close)
+
+        def begin_fault(name: str) -> None:
+            node.silent = True
+            if name == "unplugged":
+                cable.close()
+
+        def poll() -> None:
+            time.sleep(POLL_S)
+            node.poll()
+
+        run = DriveRun(motor, film_link, trace, open_things)
+        _say(f"CiA 402 node {drive.node} on CAN {drive.interface} {drive.channel}", film_link)
+        after_s = None if fault_from_start else fault_after
+        run.run(poll, begin_fault, fault, injected, after_s, seconds)
+
+
+def _injected_fault(
+    fault: str | None, size: str | None, names: tuple[str, ...]
+) -> InjectedFault | None:
+    """Return the fault of a name that nothing reports; None for any other. Raises SceneError."""
+    if fault in UNREPORTED:
+        return parse_fault(FaultKind(fault), size)
+    if fault is not None and fault not in names:
+        raise SceneError(f"--fault: no {fault!r}; there are {', '.join((*names, *UNREPORTED))}")
+    if size is not None:
+        raise SceneError(f"--size: {fault or 'no --fault'} has none")
+    return None
+
+
+def _load(name: str, kind: type[SceneT]) -> tuple[SceneT, EmulatedMotor]:
+    """Return the scene's drive, and a motor of its actuator."""
+    path = find_scene(name)
+    display = load_section(path, "display", DisplayScene)
+    if not isinstance(display.drive, kind):
+        wanted = "tmcl" if kind is TmclScene else "cia402"
+        raise SceneError(f'{path}: [display.drive] kind = "{wanted}" is needed here')
+    if not isinstance(display.actuator, StepperScene):
+        raise SceneError(f'{path}: a drive needs [display.actuator] kind = "stepper"')
+    law = display.actuator.contact(display.layer.layer())
+    now_ns = time.monotonic_ns()
+    return display.drive, EmulatedMotor(display.actuator, law, display.drive.touch_m, now_ns)
+
+
+def _bus(drive: DriveScene, link: Path | None) -> "can.BusABC":
+    """Return the scene's bus; for an slcan adapter, the bus behind an emulated one."""
+    if drive.interface == "slcan":
+        from telepulse.emulators.slcan import SlcanBus
+
+        return SlcanBus(PtyPort(link))
+    if link is not None:
+        raise SceneError(f"--link: CAN by {drive.interface} has no serial port; slcan has one")
+    return open_bus(drive)
+
+
+def _say(what: str, film_link: Path | None) -> None:
+    plain_console().print(what + (f"; film on {film_link}" if film_link else ""))

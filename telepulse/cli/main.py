@@ -7,15 +7,13 @@ import typer
 from protocol.cli_options import VersionOption
 from protocol.host.output import configure_logging, unblocked_output
 from telepulse.cli import emulate, experiment, keys, scenes, study
-from telepulse.cli.bench import bench
-from telepulse.cli.calibrate import calibrate
+from telepulse.cli.commissioning import bench, calibrate, tune
 from telepulse.cli.demo import demo, simulate
 from telepulse.cli.discover import discover
 from telepulse.cli.link import link, relay
 from telepulse.cli.options import PROGRAM
 from telepulse.cli.paper import paper
 from telepulse.cli.record import export, record, replay, report
-from telepulse.cli.tune import tune
 from telepulse.cli.view import lsl, view
 
 # Those that run beside nodes or as one: a terminal that does not read must not hold them up.

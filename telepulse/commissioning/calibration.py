@@ -6,7 +6,8 @@ The loads come from a CSV file, or are put on a live sensor one after the other.
 import csv
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -27,17 +28,14 @@ Array = NDArray[np.float64]
 LoadUnit = Literal["N", "mN", "g", "kg"]
 ReadingUnit = Literal["V", "mV", "counts"]
 
-STANDARD_GRAVITY = 9.80665
-# Weights press with their mass times standard gravity; volts are kept in volts.
-LOADS: dict[str, float] = {
-    "N": 1.0,
-    "mN": 1e-3,
-    "g": 1e-3 * STANDARD_GRAVITY,
-    "kg": STANDARD_GRAVITY,
-}
+# Units in N: weights press with their mass times standard gravity. Volts are kept in volts.
+LOADS: dict[str, float] = {"N": 1.0, "mN": 1e-3, "g": 9.80665e-3, "kg": 9.80665}
 READINGS: dict[str, float] = {"V": 1.0, "mV": 1e-3, "counts": 1.0}
-LOAD_NAMES = ("load", "force", "weight", "mass")
-READING_NAMES = ("reading", "voltage", "volts", "output", "counts")
+# The names of the columns in a header, and their units.
+COLUMNS = (
+    ("load", ("load", "force", "weight", "mass"), LOADS),
+    ("reading", ("reading", "voltage", "volts", "output", "counts"), READINGS),
+)
 _HEADER = re.compile(r"\s*([A-Za-z]+)(?:[\s_]*[\[(]?([A-Za-z]+)[\])]?)?\s*")
 # A number above this may become infinite by its unit's factor.
 LARGEST = 1e30
@@ -78,12 +76,20 @@ def read_loads(
         raise SourceError(f"{path}: cannot be read: {error}") from None
     if not rows:
         raise SourceError(f"{path}: it is empty")
-    columns, header_units = (0, 1), ("", "")
+    columns, units = (0, 1), ("", "")
     if not _is_number(rows[0][1][0]):
-        columns, header_units = _read_header(path, *rows.pop(0))
-    load_in = load_unit or header_units[0] or "N"
-    reading_in = reading_unit or header_units[1] or "mV"
-    pairs = np.array(list(_pairs(path, rows, columns))).reshape(-1, 2)
+        columns, units = _read_header(path, *rows.pop(0))
+    load_in, reading_in = load_unit or units[0] or "N", reading_unit or units[1] or "mV"
+    pairs = np.empty((len(rows), 2))
+    for pair, (number, row) in zip(pairs, rows, strict=True):
+        if len(row) <= max(columns):
+            raise SourceError(f"{path}:{number}: {len(row)} columns; load and reading are needed")
+        for i, column in enumerate(columns):
+            if not _is_number(row[column]):
+                raise SourceError(
+                    f"{path}:{number}: {row[column].strip()!r:.40} is not a number that can be used"
+                )
+            pair[i] = float(row[column])
     return LoadReadings(
         pairs[:, 0] * LOADS[load_in],
         pairs[:, 1] * READINGS[reading_in],
@@ -97,7 +103,7 @@ def _read_header(
     """Return the columns of load and reading, and their units where the header names them."""
     cells = [_HEADER.fullmatch(cell) for cell in row]
     found = []
-    for what, names, known in (("load", LOAD_NAMES, LOADS), ("reading", READING_NAMES, READINGS)):
+    for what, names, known in COLUMNS:
         matches = ((i, m[2] or "") for i, m in enumerate(cells) if m and m[1].lower() in names)
         column, unit = next(matches, (-1, ""))
         if column < 0:
@@ -106,22 +112,8 @@ def _read_header(
             allowed = ", ".join(known)
             raise SourceError(f"{path}:{number}: unknown unit {unit!r}; known: {allowed}")
         found.append((column, unit))
-    (load, load_unit), (reading, reading_unit) = found
-    return (load, reading), (load_unit, reading_unit)
-
-
-def _pairs(
-    path: Path, rows: list[tuple[int, list[str]]], columns: tuple[int, int]
-) -> Iterator[tuple[float, float]]:
-    for number, row in rows:
-        if len(row) <= max(columns):
-            raise SourceError(f"{path}:{number}: {len(row)} columns; load and reading are needed")
-        for column in columns:
-            if not _is_number(row[column]):
-                raise SourceError(
-                    f"{path}:{number}: {row[column].strip()!r:.40} is not a number that can be used"
-                )
-        yield float(row[columns[0]]), float(row[columns[1]])
+    load, reading = found
+    return (load[0], reading[0]), (load[1], reading[1])
 
 
 def _is_number(cell: str) -> bool:
@@ -156,14 +148,11 @@ def take_loads(
         raise SceneError(f'the sensor\'s unit is "{scene.unit}": it is calibrated already')
     # With the unit N, the sensor's own numbers come through unscaled.
     raw = scene.model_copy(update={"unit": "N", "preload_n": 0.0})
-    sensor = open_sensor(raw, folder)
-    try:
-        readings = []
+    readings = []
+    with closing(open_sensor(raw, folder)) as sensor:
         for load_n in loads_n:
             ask(load_n)
             readings.append(_settled_reading(sensor, load_n))
-    finally:
-        sensor.close()
     return LoadReadings(
         np.array(loads_n),
         np.array(readings) * READINGS[scene.unit],
@@ -195,9 +184,10 @@ class CalibrationLine:
     """Least squares line: reading = slope · load + offset, in the readings' unit and N.
 
     slope_error, offset_error: standard errors. residual_n: residual of each reading as a force,
-    in the order of the loads. hysteresis_n: largest difference between the means of rising and
-    falling loads. repeatability_n: standard deviation of readings at the same load, reached the
-    same way. Both are None where no load came so.
+    in the order of the loads; rms_n: their RMS, for the two degrees of freedom of the line.
+    hysteresis_n: largest difference between the means of rising and falling loads.
+    repeatability_n: standard deviation of readings at the same load, reached the same way. Both
+    are None where no load came so.
     """
 
     slope: float
@@ -206,18 +196,9 @@ class CalibrationLine:
     offset_error: float
     r_squared: float
     residual_n: Array
+    rms_n: float
     hysteresis_n: float | None
     repeatability_n: float | None
-
-    @property
-    def rms_n(self) -> float:
-        """RMS residual, for the two degrees of freedom that the line takes."""
-        return float(np.sqrt(np.sum(self.residual_n**2) / (len(self.residual_n) - 2)))
-
-    @property
-    def largest_n(self) -> float:
-        """Largest residual."""
-        return float(np.max(np.abs(self.residual_n)))
 
 
 def fit_line(load_n: Array, reading: Array) -> CalibrationLine:
@@ -246,6 +227,7 @@ def fit_line(load_n: Array, reading: Array) -> CalibrationLine:
         offset_error=spread * float(np.sqrt(1 / count + load_n.mean() ** 2 / power)),
         r_squared=1 - float(off @ off) / float(np.sum((reading - reading.mean()) ** 2)),
         residual_n=off / slope,
+        rms_n=float(np.sqrt(np.sum((off / slope) ** 2) / (count - 2))),
         hysteresis_n=_hysteresis_n(load_n, off / slope),
         repeatability_n=_repeatability_n(load_n, off / slope),
     )
@@ -296,33 +278,24 @@ def scene_lines(loads: LoadReadings, line: CalibrationLine) -> str:
 
 def report_calibration(name: str, loads: LoadReadings, line: CalibrationLine) -> Report:
     """Return the report of a calibration."""
-    scale, unit = _display_unit(loads)
+    scale, unit = (1e3, "mV") if loads.unit == "V" else (1.0, "counts")
     fitted = line.slope * loads.load_n + line.offset
+    columns = zip(loads.load_n, loads.reading, fitted, line.residual_n, strict=True)
     rows = tuple(
         (f"{load:.4g} N", f"{reading * scale:.5g}", f"{fit * scale:.5g}", f"{off * 1e3:+.2f} mN")
-        for load, reading, fit, off in zip(
-            loads.load_n, loads.reading, fitted, line.residual_n, strict=True
-        )
+        for load, reading, fit, off in columns
     )
     table = Table(f"loads of {name}", ("load", f"reading, {unit}", "line", "residual"), rows)
-    chapter = Chapter(
-        "Line", tables=(table, _line_table(loads, line)), plots=(_line_plot(loads, line),)
-    )
-    return Report(f"Calibration of {name}", (chapter,))
-
-
-def _line_table(loads: LoadReadings, line: CalibrationLine) -> Table:
-    scale, unit = _display_unit(loads)
 
     def milli(value_n: float | None) -> str:
         return "no load came twice so" if value_n is None else f"{value_n * 1e3:.2f} mN"
 
-    rows = (
+    figures = (
         ("slope", f"{line.slope * scale:.5g} ± {line.slope_error * scale:.2g} {unit}/N"),
         ("offset", f"{line.offset * scale:.4g} ± {line.offset_error * scale:.2g} {unit}"),
         ("R²", f"{line.r_squared:.6f}"),
         ("off the line, RMS", milli(line.rms_n)),
-        ("off the line, largest", milli(line.largest_n)),
+        ("off the line, largest", milli(float(np.max(np.abs(line.residual_n))))),
         ("hysteresis", milli(line.hysteresis_n)),
         ("repeatability", milli(line.repeatability_n)),
     )
@@ -332,16 +305,9 @@ def _line_table(loads: LoadReadings, line: CalibrationLine) -> Table:
             f"; Fig. 4 has {FIG_4_VOLTS_PER_NEWTON * 1e3:.0f} mV/N, eq 21 gives a 9 mm film"
             f" {Film(RADIUS_M).volts_per_newton * 1e3:.0f} mV/N without an amplifier"
         )
-    return Table("line", ("", ""), rows, note=note)
+    tables = (table, Table("line", ("", ""), figures, note=note))
 
-
-def _display_unit(loads: LoadReadings) -> tuple[float, str]:
-    return (1e3, "mV") if loads.unit == "V" else (1.0, "counts")
-
-
-def _line_plot(loads: LoadReadings, line: CalibrationLine) -> Plot:
     def draw(figure: "Figure") -> None:
-        scale, unit = _display_unit(loads)
         ends_n = np.array([loads.load_n.min(), loads.load_n.max()])
         reading, off = figure.subplots(2, sharex=True, height_ratios=(3, 1))
         reading.plot(ends_n, (line.slope * ends_n + line.offset) * scale, label="line")
@@ -352,4 +318,5 @@ def _line_plot(loads: LoadReadings, line: CalibrationLine) -> Plot:
         off.axhline(0.0, linewidth=1.0)
         off.set(xlabel="load in N", ylabel="residual in mN")
 
-    return Plot("line", "Readings under reference loads, and the line through them.", draw)
+    plot = Plot("line", "Readings under reference loads, and the line through them.", draw)
+    return Report(f"Calibration of {name}", (Chapter("Line", tables=tables, plots=(plot,)),))

@@ -1,21 +1,18 @@
 """The run of an emulated drive: its motor, the film under its finger, one fault, and a trace."""
 
-import logging
 import math
+import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TextIO
 
 from protocol.errors import OutputError
 from protocol.host.process import freeze_objects, stop_on_signals
+from telepulse.emulators import PtyPort
 from telepulse.emulators.fault_injection import InjectedFault
 from telepulse.emulators.motor import TICK_NS, EmulatedMotor, MotorFault, MotorState
-from telepulse.emulators.pty_port import PtyPort
 from telepulse.emulators.sensor_board import binary
-
-logger = logging.getLogger(__name__)
 
 FRAME = 4
 TRACE_HEADER = "time_ns,tip_m,speed_m_per_s,force_n,trouble\n"
@@ -51,7 +48,7 @@ class EmulatedFilm:
 
 
 class DriveRun:
-    """Polls an emulated drive, begins one fault, and records the motor every millisecond.
+    """The run of an emulated drive: its motor, the film under its finger, one fault, and a trace.
 
     Files and ports are closed by `resources`. Raises OutputError.
     """
@@ -71,7 +68,10 @@ class DriveRun:
             resources.callback(port.close)
             self._film = EmulatedFilm(motor, port)
         if trace is not None:
-            self._file = resources.enter_context(_opened(trace))
+            try:
+                self._file = resources.enter_context(trace.open("w", encoding="utf-8"))
+            except OSError as error:
+                raise OutputError(f"{trace}: cannot be written: {error.strerror}") from None
             self._file.write(TRACE_HEADER)
             motor.trace = self._write
 
@@ -84,29 +84,16 @@ class DriveRun:
         after_s: float | None,
         seconds: float | None,
     ) -> None:
-        """Poll until stopped, or for `seconds`.
+        """Poll the drive until stopped, or for `seconds`.
 
-        Parameters
-        ----------
-        begin_fault : callable
-            Begins a fault of the drive's line, which is neither the motor's nor the film's.
-        fault : str or None
-            Name of the fault.
-        injected : InjectedFault or None
-            The fault, where it is one that nothing reports.
-        after_s : float or None
-            Begin of the fault, from the first press of the tip; None: from the start.
+        The fault begins after_s after the first press of the tip; None: at the start. begin_fault
+        begins one of the drive's line; `injected` is one that nothing reports.
         """
-        stopping = False
-
-        def stop() -> None:
-            nonlocal stopping
-            stopping = True
-
-        stop_on_signals(stop)
+        stopped = threading.Event()
+        stop_on_signals(stopped.set)
         freeze_objects()
         began_s, pressed_s = time.monotonic(), math.inf
-        while not stopping:
+        while not stopped.is_set():
             now_s = time.monotonic()
             if self._motor.force_n > PRESSING_N:
                 pressed_s = min(pressed_s, now_s)
@@ -131,10 +118,3 @@ class DriveRun:
         time_ns, tip_m, speed_m_per_s, force_n = state
         row = f"{time_ns},{tip_m:.9f},{speed_m_per_s:.9f},{force_n:.9f},{self._active_fault}\n"
         self._file.write(row)
-
-
-def _opened(path: Path) -> TextIO:
-    try:
-        return path.open("w", encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror}") from None

@@ -14,7 +14,7 @@ import numpy as np
 from pulse_sensors.binary_frames import FrameEncoder, SampleFormat
 from sensing_node.feeds import SampleSource
 from sensing_node.scene import SensingScene, build_source
-from telepulse.emulators.pty_port import PtyPort
+from telepulse.emulators import PtyPort
 
 # Force of one count of an integer sample: an int16 reaches 3.2 N.
 NEWTONS_PER_COUNT = 1e-4

@@ -11,7 +11,7 @@ from typing import Any
 
 import can
 
-from telepulse.emulators.pty_port import PtyPort
+from telepulse.emulators import PtyPort
 
 OK, REFUSED = b"\r", b"\a"
 VERSION, SERIAL_NUMBER, STATUS = b"V1013\r", b"NA123\r", b"F00\r"

@@ -21,8 +21,8 @@ from display_node.drives.tmcl.module import (
     Parameter,
     Search,
 )
+from telepulse.emulators import PtyPort
 from telepulse.emulators.motor import EmulatedMotor
-from telepulse.emulators.pty_port import PtyPort
 
 if TYPE_CHECKING:
     import can

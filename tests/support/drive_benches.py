@@ -19,9 +19,9 @@ from display_node.drives.drive import Drive
 from display_node.drives.scene import Cia402Scene, TmclScene
 from display_node.plant.stepper import StepperScene
 from protocol.wire.stream import LayerTable
+from telepulse.emulators import PtyPort
 from telepulse.emulators.cia402 import ALL_MODES, EmulatedCia402Node
 from telepulse.emulators.motor import TICK_NS, EmulatedMotor
-from telepulse.emulators.pty_port import PtyPort
 from telepulse.emulators.slcan import SlcanBus
 from telepulse.emulators.tmcl import EmulatedCanLine, EmulatedSerialLine, EmulatedTmclModule
 from tests.support.virtual_lines import cia402_line, tmcl_line

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pulse_sensors.sensor import open_sensor
-from telepulse.emulators.pty_port import PtyPort
+from telepulse.emulators import PtyPort
 from telepulse.emulators.slcan import LONGEST, SlcanAdapter, SlcanBus
 from tests.support.can_messages import DATABASE, can_scene, film_message
 from tests.support.sample_blocks import forces, received

@@ -17,7 +17,7 @@ from protocol.errors import SourceError
 from pulse_sensors.binary_frames import FrameEncoder
 from pulse_sensors.sensor import Sensor, open_sensor
 from pulse_sensors.serial_port import SerialPort, SerialScene
-from telepulse.emulators.pty_port import PtyPort
+from telepulse.emulators import PtyPort
 from telepulse.emulators.sensor_board import binary, timed_line
 from tests.support.nodes import free_address, read_json, run
 from tests.support.sample_blocks import await_log, forces, received

@@ -1,4 +1,4 @@
-"""`telepulse bench`: check a bench before a finger is on it."""
+"""`telepulse bench`, `calibrate` and `tune`: before a finger is on a bench."""
 
 from dataclasses import replace
 from enum import Enum
@@ -15,6 +15,8 @@ from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError
 from protocol.host.output import check_writable, configure_logging
 from protocol.provenance import collect
+from pulse_sensors.force_scale import SensorTable
+from pulse_sensors.sensor import SensorScene
 from sensing_node.scene import SensingScene
 from telepulse.cli.options import (
     PROGRAM,
@@ -24,8 +26,18 @@ from telepulse.cli.options import (
     YesOption,
     publish,
 )
-from telepulse.reports.document import Report
-from telepulse.scene import DEFAULT_SCENE
+from telepulse.commissioning.calibration import (
+    LoadUnit,
+    ReadingUnit,
+    fit_line,
+    parse_loads,
+    read_loads,
+    report_calibration,
+    scene_lines,
+    take_loads,
+)
+from telepulse.reports.document import Report, print_tables, write_json
+from telepulse.scene import DEFAULT_SCENE, load_scene
 
 WARNING = (
     "The drive will move and press with up to {force}. Keep fingers away: put a dummy of rubber"
@@ -78,7 +90,9 @@ def bench(
             sensing = load_section(path, "sensing", SensingScene)
         if only is not Side.SENSING:
             display = load_section(path, "display", DisplayScene)
-            _within_limits(force_n, display)
+            if force_n > (limit_n := display.safety.force_limit_n):
+                reason = f"{force_n:g} N is above the scene's force_limit, {limit_n:g} N"
+                raise SceneError(f"--force: {reason}")
             check_editable(path, write)
         sections = {"sensing": sensing, "display": display}
         used = {name: section for name, section in sections.items() if section is not None}
@@ -87,7 +101,9 @@ def bench(
             bench_check.check_wrist(findings, sensing, path.parent, seconds)
         if display is not None:
             if display.drive is not None and not yes:
-                _ask(force)
+                print(WARNING.format(force=force))
+                if not typer.confirm(BENCH_IS_CLEAR):
+                    raise SystemExit(1)
             bench_check.check_display(findings, display, path.parent, force_n, seconds)
             bench_check.check_loop(findings, path)
         return replace(bench_check.report_bench(path.stem, findings), provenance=provenance)
@@ -107,12 +123,6 @@ def bench(
         raise SystemExit(1)
 
 
-def _ask(force: str) -> None:
-    print(WARNING.format(force=force))
-    if not typer.confirm(BENCH_IS_CLEAR):
-        raise SystemExit(1)
-
-
 def _force_n(text: str) -> float:
     try:
         force_n = parse_quantity(text, "force")
@@ -123,7 +133,86 @@ def _force_n(text: str) -> float:
     return force_n
 
 
-def _within_limits(force_n: float, display: DisplayScene) -> None:
-    limit_n = display.safety.force_limit_n
-    if force_n > limit_n:
-        raise SceneError(f"--force: {force_n:g} N is above the scene's force_limit, {limit_n:g} N")
+class Place(Enum):
+    """Which of a scene's sensors is calibrated."""
+
+    WRIST = "wrist"
+    FINGER = "finger"
+
+
+def calibrate(
+    table: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="LOADS.csv", help="Loads and readings, a header with units or none."
+        ),
+    ] = None,
+    scene: Annotated[str | None, typer.Option(help="Read this scene's sensor instead.")] = None,
+    at: Annotated[Place, typer.Option(help="Which of its sensors.")] = Place.WRIST,
+    loads: Annotated[
+        str, typer.Option(metavar="'0, 0.5, 1 N'", help="What will be put on it, in this order.")
+    ] = "0, 0.5, 1, 1.5, 2, 2.5, 2, 1.5, 1, 0.5, 0 N",
+    load_unit: Annotated[
+        LoadUnit | None, typer.Option(help="Of the file; g and kg are weights. Else N.")
+    ] = None,
+    reading_unit: Annotated[ReadingUnit | None, typer.Option(help="Of the file. Else mV.")] = None,
+    out: PageOption = None,
+    json: TablesOption = None,
+) -> None:
+    """Fit the straight line of Fig. 4 from reference loads, with residuals and R².
+
+    From a file, or from a sensor under loads that you put on one by one.
+    """
+    found: list[str] = []
+
+    def fit() -> Report:
+        if scene is not None:
+            path, loads_n = find_scene(scene), parse_loads(loads)
+            name, taken = scene, take_loads(_sensor(path, at), path.parent, loads_n, _ask_for)
+        elif table is not None:
+            name, taken = table.stem, read_loads(table, load_unit, reading_unit)
+        else:
+            raise SceneError("what shall be calibrated? Give a file of loads, or --scene")
+        line = fit_line(taken.load_n, taken.reading)
+        found.append(scene_lines(taken, line))
+        return report_calibration(name, taken, line)
+
+    publish(fit, out, json)
+    plain_console(json=json).print("\nfor the sensor's table in a scene:\n\n" + found[0])
+
+
+def _sensor(path: Path, at: Place) -> SensorScene:
+    if at is Place.FINGER:
+        film = load_section(path, "display", DisplayScene).feedback
+        if film is None:
+            raise SceneError(f"{path}: [display.feedback] is missing: which sensor reads the film?")
+        return film
+    source = load_section(path, "sensing", SensingScene).source
+    if not isinstance(source, SensorTable):
+        raise SceneError(f'{path}: [sensing] source: kind "{source.kind}" is not a live sensor')
+    return source
+
+
+def _ask_for(load_n: float) -> None:
+    typer.prompt(f"Put {load_n:g} N on, then press Enter", default="", show_default=False)
+
+
+def tune(scene: SceneArgument = DEFAULT_SCENE, json: TablesOption = None) -> None:
+    """Print the margins of a scene's force loop, and gains by design with theirs.
+
+    Exit status 2 when the scene's own loop is not stable: no node would run it.
+    """
+    # Imported here: scipy takes long to import, and other commands do without.
+    from telepulse.commissioning.tuning import as_toml, design, judge, refuse, report_design
+
+    console = plain_console(json=json)
+    with one_line_errors(PROGRAM):
+        check_writable(json)
+        loaded = load_scene(find_scene(scene))
+        present, proposed = judge(loaded.display, loaded.display.controller), design(loaded.display)
+        report = report_design(loaded.path.stem, present, proposed)
+        if json is not None:
+            write_json(report, json)
+        print_tables(report, console)
+        console.print(as_toml(proposed.controller), markup=False)
+        refuse(loaded.path, present)
