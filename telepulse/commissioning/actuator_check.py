@@ -125,13 +125,9 @@ def _check_stepper(
         found = identify(command, *pressed.film(pressed.stairs), MAX_LATENCY_S)
         lag_s = found.delay_s
     latency_s = _latency_s(actuator, found, contact) - film_age_s
+    tick_s = recorder.rig.tick_s
     latency, plausible = check_latency(
-        actuator,
-        found,
-        contact,
-        latency_s,
-        least_latency_s=least_latency_s,
-        tick_s=recorder.rig.tick_s,
+        actuator, found, contact, latency_s, least_latency_s=least_latency_s, tick_s=tick_s
     )
     changes = {}
     if _fits(found):

@@ -27,7 +27,6 @@ from sensing_node.scene import SensingScene, build_source
 from sensing_node.sources.synthetic import SyntheticScene
 from telepulse.commissioning.actuator_check import ActuatorFindings, check_actuator
 from telepulse.commissioning.identification import NAMES, respond, step_response
-from telepulse.commissioning.press import PressRecord
 from telepulse.commissioning.rig import (
     HardwareRig,
     ModelRig,
@@ -161,16 +160,12 @@ def check_display(
     with findings.part("actuator"):
         film_age_s = scene.film.latency_ns * 1e-9
         actuator = check_actuator(ModelRig(scene), scene, force_n, film_age_s)
-        record = _still_film(actuator.pressed)
+        # The modelled film before anything moved, a sample a batch.
+        at_s, read_n = actuator.pressed.film(actuator.pressed.still)
+        times_ns = np.round(at_s * 1e9).astype(np.int64)
+        record = SensorRecord(times_ns, read_n, times_ns, np.ones(len(at_s), np.int64))
         findings.add_still("film", record, 1e9 / scene.tick_ns, live=False)
         findings.add_actuator(actuator)
-
-
-def _still_film(pressed: PressRecord) -> SensorRecord:
-    """Return the record of a modelled film before anything moved, a sample a batch."""
-    at_s, force_n = pressed.film(pressed.still)
-    times_ns = np.round(at_s * 1e9).astype(np.int64)
-    return SensorRecord(times_ns, force_n, times_ns, np.ones(len(at_s), np.int64))
 
 
 def _check_drive(
@@ -241,16 +236,12 @@ def check_loop(findings: BenchFindings, path: Path) -> None:
     findings.designs = present, proposed
     worst = present.worst
     shown = f"Ms {worst.peak_sensitivity:.2f}, delay margin {worst.delay_s * 1e3:.3g} ms"
-    check = Check("margins", shown)
+    reason = f"a design keeps Ms below {MOST_SENSITIVITY}: see the design below"
+    most = MOST_SENSITIVITY * ROUNDING
+    check = grade("margins", shown, worst.peak_sensitivity, most, math.inf, reason)
     if worst.unfit is not None:
         check = Check("margins", shown, "fail", f"{worst.unfit}: take the gains below")
-    elif worst.peak_sensitivity > MOST_SENSITIVITY * ROUNDING:
-        reason = f"a design keeps Ms below {MOST_SENSITIVITY}: see the design below"
-        check = Check("margins", shown, "warn", reason)
     findings.add("loop", check)
-
-
-_UNITS = {"m": (1.0, ""), "c": (1.0, ""), "k": (1.0, ""), "latency": (1e3, " ms")}
 
 
 def report_bench(name: str, findings: BenchFindings) -> Report:
@@ -274,7 +265,7 @@ def _actuator_chapter(actuator: ActuatorFindings) -> Chapter:
     found = actuator.identified
     rows = []
     for name, value, half_width in zip(NAMES, found.values, found.half_widths, strict=True):
-        scale, unit = _UNITS[name]
+        scale, unit = (1e3, " ms") if name == "latency" else (1.0, "")
         remark = "not determined by the record" if name in found.undetermined else ""
         rows.append((name, f"{value * scale:.4g}{unit}", f"{half_width * scale:.2g}{unit}", remark))
     rows.append(("delay of slow changes, latency + c/k", f"{found.delay_s * 1e3:.3g} ms", "", ""))

@@ -150,11 +150,8 @@ def listen(sensor: Sensor, seconds: float) -> SensorRecord:
 
 
 def can_frame_bits(data_bytes: int) -> int:
-    """Return the most bits of a CAN frame with an 11-bit identifier (ISO 11898-1).
-
-    47 bits of frame and the pause after it, the data, and a stuffed bit after every 4 bits of the
-    stuffed part.
-    """
+    """Return the most bits of a CAN frame with an 11-bit identifier (ISO 11898-1)."""
+    # Frame and pause, the data, and a stuffed bit after every 4 bits of the stuffed part.
     return 47 + 8 * data_bytes + (34 + 8 * data_bytes - 1) // 4
 
 

@@ -12,14 +12,8 @@ Verdict = Literal["ok", "warn", "fail"]
 LEAST_SAMPLES = 200
 MAINS_HZ = (50.0, 60.0)
 HARMONICS = 3
-# A display assumes the scene's rate, and follows the deviation of a crystal.
-RATE_WARN, RATE_FAIL = 0.005, 0.02
-LOST_WARN, LOST_FAIL = 0.0, 0.01
-# Shares of a period. No filter can be designed for samples that are a whole period off.
-JITTER_WARN, JITTER_FAIL = 0.25, 1.0
 # A pulse has 0.3 N; a tenth of it is just felt (the summary's within_jnd).
 NOISE_WARN_N, NOISE_FAIL_N = 5e-3, 30e-3
-ZERO_WARN_N = 50e-3
 MAINS_WARN = 0.5
 
 
@@ -129,52 +123,30 @@ def measure(record: SensorRecord) -> SensorFigures:
 def judge_sensor(figures: SensorFigures, nominal_hz: float, live: bool = False) -> list[Check]:
     """Judge the figures against the scene's rate; live: of a real sensor, which has noise."""
     f, period_s = figures, 1 / nominal_hz
-    noise = grade(
-        "noise",
-        f"{f.noise_n * 1e3:.2f} mN RMS, {f.mains * 100:.0f} % of its power at {f.mains_hz:g} Hz",
-        f.noise_n,
-        NOISE_WARN_N,
-        NOISE_FAIL_N,
-        f"a pulse has about 0.3 N, and {NOISE_FAIL_N * 1e3:.0f} mN are just felt",
-    )
+    # Name, finding, value, bounds of "warn" and "fail", and the reason.
+    table = (
+        # A display assumes the scene's rate, and follows the deviation of a crystal.
+        ("rate", f"{f.rate_hz:.1f} Hz", abs(f.rate_hz / nominal_hz - 1), 0.005, 0.02,
+         f"the scene has {nominal_hz:g} Hz: correct it, or check the board"),
+        # Shares of a period. No filter can be designed for samples that are a whole period off.
+        ("jitter of sample times",
+         f"{f.jitter_s * 1e6:.0f} µs RMS (arrival: {f.arrival_jitter_s * 1e6:.0f} µs)",
+         f.jitter_s / period_s, 0.25, 1.0, "let the device send its own time with the samples"),
+        ("missing samples", f"{f.lost * 100:.2f} %", f.lost, 0.0, 0.01,
+         "check cable, baud rate and load"),
+        ("noise",
+         f"{f.noise_n * 1e3:.2f} mN RMS, {f.mains * 100:.0f} % of its power at {f.mains_hz:g} Hz",
+         f.noise_n, NOISE_WARN_N, NOISE_FAIL_N,
+         f"a pulse has about 0.3 N, and {NOISE_FAIL_N * 1e3:.0f} mN are just felt"),
+        ("zero", f"{f.zero_n * 1e3:.1f} mN", abs(f.zero_n), 50e-3, np.inf,
+         "nothing should press now; `telepulse calibrate` finds the zero"),
+    )  # fmt: skip
+    checks = [grade(*row) for row in table]
     if live and not f.noise_n:
         reason = "the reading never changes: is the sensor connected, and is its unit right?"
-        noise = with_warning(noise, reason)
-    checks = [
-        grade(
-            "rate",
-            f"{f.rate_hz:.1f} Hz",
-            abs(f.rate_hz / nominal_hz - 1),
-            RATE_WARN,
-            RATE_FAIL,
-            f"the scene has {nominal_hz:g} Hz: correct it, or check the board",
-        ),
-        grade(
-            "jitter of sample times",
-            f"{f.jitter_s * 1e6:.0f} µs RMS (arrival: {f.arrival_jitter_s * 1e6:.0f} µs)",
-            f.jitter_s / period_s,
-            JITTER_WARN,
-            JITTER_FAIL,
-            "let the device send its own time with the samples",
-        ),
-        grade(
-            "missing samples",
-            f"{f.lost * 100:.2f} %",
-            f.lost,
-            LOST_WARN,
-            LOST_FAIL,
-            "check cable, baud rate and load",
-        ),
-        noise,
-        grade(
-            "zero",
-            f"{f.zero_n * 1e3:.1f} mN",
-            abs(f.zero_n),
-            ZERO_WARN_N,
-            np.inf,
-            "nothing should press now; `telepulse calibrate` finds the zero",
-        ),
-    ]
+        checks = [
+            with_warning(check, reason) if check.name == "noise" else check for check in checks
+        ]
     if f.mains > MAINS_WARN and f.noise_n > NOISE_WARN_N:
         reason = "shield the film, or reject it with `mains` in [sensing.conditioning]"
         checks.append(Check("mains", f"{f.mains * 100:.0f} % of the noise", "warn", reason))
