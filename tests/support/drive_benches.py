@@ -103,9 +103,13 @@ def emulated_motor(
 
 @contextmanager
 def virtual_bench(
-    kind: str, actuator: StepperScene | None = None, modes: Any = ALL_MODES, **keys: Any
+    kind: str,
+    actuator: StepperScene | None = None,
+    modes: Any = ALL_MODES,
+    also: tuple[str, ...] = (),
+    **keys: Any,
 ) -> Iterator[Bench]:
-    """A bench in virtual time; kind: "tmcl", "tmcl-can" or "cia402"."""
+    """A bench in virtual time; kind: "tmcl", "tmcl-can" or "cia402". also: other modules in it."""
     scene: TmclScene | Cia402Scene
     keys = {"homing_speed": "20 mm/s", "touch": "0.6 mm", **keys}
     if kind == "cia402":
@@ -115,7 +119,7 @@ def virtual_bench(
     else:
         scene = tmcl_scene(port="virtual", **keys)
     world, actuator = VirtualTime(), actuator or stepper()
-    with world.substituted(VIRTUAL), ExitStack() as open_things:
+    with world.substituted((*VIRTUAL, *also)), ExitStack() as open_things:
         motor = emulated_motor(scene, actuator, world.now_ns)
         bench = Bench(scene, actuator, motor, clock=world)
         if isinstance(scene, Cia402Scene):
