@@ -56,8 +56,8 @@ def test_the_lines_are_valid_in_a_sensors_table(tmp_path: Path) -> None:
     keys = dict(line.split(" = ") for line in out.splitlines() if " = " in line)
     table = {name: float(value) for name, value in keys.items()}
     port = {"kind": "serial", "port": "x", "framing": "text", "rate": "1 kHz"}
-    scale = SerialScene.model_validate({**port, "unit": "counts", **table}).force_scale()
-    assert scale.newtons((512.0, 290.0)) == pytest.approx((0.0, 2.0), abs=0.02)
+    sensor = SerialScene.model_validate({**port, "unit": "counts", **table})
+    assert sensor.newtons(np.array([512.0, 290.0])) == pytest.approx((0.0, 2.0), abs=0.02)
 
 
 @pytest.mark.parametrize(
