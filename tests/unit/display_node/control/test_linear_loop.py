@@ -179,15 +179,8 @@ def test_margins_are_those_of_python_control(system: control.TransferFunction) -
     assert found.peak_sensitivity == pytest.approx(1 / nearest, rel=2e-3)
     assert found.pole_radius == pytest.approx(np.abs(control.feedback(system).poles()).max())
     assert found.stable == (found.pole_radius < 1)
-
-
-@pytest.mark.parametrize("system", TEXTBOOK.values(), ids=TEXTBOOK.keys())
-def test_the_disk_margin_is_one_over_the_peak_sensitivity(
-    system: control.TransferFunction,
-) -> None:
-    w = np.geomspace(NYQUIST_RAD_PER_S * 1e-4, NYQUIST_RAD_PER_S * 0.9999, 2000)
-    disk, _, _ = control.disk_margins(control.ss(system), w, skew=1.0)
-    assert 1 / margins(looped(system)).peak_sensitivity == pytest.approx(disk, rel=2e-3)
+    disk, _, _ = control.disk_margins(control.ss(system), w[w > w[-1] * 1e-4], skew=1.0)
+    assert 1 / found.peak_sensitivity == pytest.approx(disk, rel=2e-3)
 
 
 @pytest.mark.parametrize("gain", [0.01, 0.1, 0.5])
@@ -197,19 +190,10 @@ def test_an_integrators_margins_are_known_in_closed_form(gain: float) -> None:
     wt = 2 * math.asin(gain / 2)
     assert found.pole_radius == pytest.approx(1 - gain)
     assert found.phase_deg == pytest.approx(90 - math.degrees(wt / 2), abs=1e-3)
+    assert found.delay_s == pytest.approx((math.pi / 2 - wt / 2) / wt * TICK_S, rel=1e-4)
+    # At half the tick rate.
+    assert found.gain == pytest.approx(2 / gain, rel=1e-6)
     assert found.peak_sensitivity == pytest.approx(1 / (1 - gain / 2), rel=1e-4)
-
-
-@pytest.mark.parametrize("gain", [0.01, 0.1, 0.5])
-def test_an_integrators_delay_margin_is_known_in_closed_form(gain: float) -> None:
-    wt = 2 * math.asin(gain / 2)
-    expected_s = (math.pi / 2 - wt / 2) / wt * TICK_S
-    assert margins(looped(tf([gain], [1, -1]))).delay_s == pytest.approx(expected_s, rel=1e-4)
-
-
-@pytest.mark.parametrize("gain", [0.01, 0.1, 0.5])
-def test_the_gain_margin_at_half_the_tick_rate_counts(gain: float) -> None:
-    assert margins(looped(tf([gain], [1, -1]))).gain == pytest.approx(2 / gain, rel=1e-6)
 
 
 @pytest.mark.parametrize(("gain", "stable"), [(1.99, True), (2.01, False)])

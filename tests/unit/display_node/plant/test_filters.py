@@ -50,11 +50,6 @@ def test_it_is_lsims_butterworth_for_a_signal_straight_from_tick_to_tick(
 
 
 @orders
-def test_it_starts_at_rest(order: int) -> None:
-    assert run(LowPass(40.0, order, TICK_S), np.zeros(20)).tolist() == [0.0] * 20
-
-
-@orders
 def test_its_corner_is_3_db_down(order: int) -> None:
     tick_s, corner_hz = 1e-4, 40.0
     t_s = np.arange(10_000) * tick_s

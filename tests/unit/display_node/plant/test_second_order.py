@@ -54,14 +54,6 @@ def test_the_step_response_is_that_of_theory(tick_s: float) -> None:
     assert np.abs(forces - expected).max() < 1e-9
 
 
-def test_without_stiffness_a_held_voltage_makes_a_ramp() -> None:
-    m, c = 0.65, 0.61
-    t_s = np.arange(10_001) * 1e-3
-    expected = 2.0 / c * (t_s - m / c * (1 - np.exp(-c / m * t_s)))
-    forces = forces_n(np.full(10_000, 2.0), 1e-3, m, c, 0.0)
-    assert np.abs(forces - expected).max() < 1e-9 * expected.max()
-
-
 def test_without_stiffness_and_damping_it_is_a_double_integrator() -> None:
     t_s = np.arange(1001) * 1e-3
     forces = forces_n(np.full(1000, 3.0), 1e-3, 2.0, 0.0, 0.0)

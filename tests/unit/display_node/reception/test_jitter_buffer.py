@@ -1,5 +1,3 @@
-""" """
-
 import tracemalloc
 from itertools import accumulate
 
@@ -271,13 +269,20 @@ def test_memory_does_not_grow_with_the_stream() -> None:
 
 
 @pytest.mark.parametrize("order", [1, -1])
-def test_samples_that_wait_are_limited(order: int) -> None:
-    buffer = JitterBuffer(0)
-    firsts = range(0, 2 * MAX_AHEAD_SAMPLES, 4096)[::order]
-    for first in firsts[: MAX_AHEAD_SAMPLES // 4096]:
-        buffer.put(frame(first, 4096))
-    assert refusal(buffer, frame(firsts[MAX_AHEAD_SAMPLES // 4096], 4096)) == "overflow"
+def test_samples_that_wait_are_limited_and_so_is_their_memory(order: int) -> None:
+    buffer, size = JitterBuffer(0), 512
+    most = MAX_AHEAD_SAMPLES // size
+    firsts = range(0, 5 * MAX_AHEAD_SAMPLES // 2, size)[::order]
+    tracemalloc.start()
+    try:
+        for first in firsts[:most]:
+            buffer.put(frame(first, size))
+        assert {refusal(buffer, frame(first, size)) for first in firsts[most:]} == {"overflow"}
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
     assert buffer.waiting == MAX_AHEAD_SAMPLES
+    assert peak < 30_000_000
 
 
 def test_samples_that_were_played_do_not_count_against_that_limit() -> None:
