@@ -1,5 +1,3 @@
-import time
-
 import pytest
 import zmq
 
@@ -14,17 +12,17 @@ from protocol.wire.telemetry import (
     TRACE,
     TRACE_TICKS,
     CapturedMessage,
-    CapturedMessages,
     TickState,
     read_capture,
     read_trace,
 )
 from tests.support.live_display import PATIENCE_S, subscribe
 from tests.support.nodes import free_address
+from tests.support.waiting import until
 
 
 def ticks(publisher: Publisher, count: int) -> int:
-    """How many statuses are due on the way."""
+    """Add ticks; return how many statuses are due on the way."""
     return sum(publisher.add(TickState(now_ns=number)) for number in range(count))
 
 
@@ -36,25 +34,19 @@ def received(socket: zmq.Socket) -> list[tuple[bytes, bytes]]:
     return messages
 
 
-def heard_by(socket: zmq.Socket, publisher: Publisher) -> CapturedMessages:
-    """The first of what was heard that reaches a reader which has just come."""
-    end_s = time.monotonic() + PATIENCE_S
-    while time.monotonic() < end_s:
-        ticks(publisher, TRACE_TICKS)
-        if socket.poll(20):
-            return read_capture(socket.recv_multipart()[1])
-    pytest.fail("nothing came")
-
-
 @pytest.fixture
 def publisher(context: Context) -> Publisher:
     return Publisher(sockets.bind(context, zmq.XPUB, free_address()), run=1)
 
 
-def test_who_does_not_ask_for_what_was_heard_does_not_get_it(
-    publisher: Publisher, context: Context
+@pytest.fixture
+def everything(publisher: Publisher, context: Context) -> zmq.Socket:
+    return subscribe(context, publisher.address)
+
+
+def test_captured_messages_are_sent_on_request_only(
+    publisher: Publisher, everything: zmq.Socket
 ) -> None:
-    everything = subscribe(context, publisher.address)
     assert not publisher.await_recorder(0.3)
     publisher.heard.add(1, 0, b"frame")
     assert ticks(publisher, STATUS_TRACES * TRACE_TICKS) == 1
@@ -62,7 +54,7 @@ def test_who_does_not_ask_for_what_was_heard_does_not_get_it(
     assert [topic for topic, _ in received(everything)] == [TRACE] * STATUS_TRACES + [STATUS]
 
 
-def test_each_recorder_is_told_of_the_stream_however_late_it_comes(
+def test_each_recorder_receives_the_stream_description_however_late_it_comes(
     publisher: Publisher, context: Context
 ) -> None:
     publisher.heard.add(1, CONTROL, b"welcome")
@@ -71,13 +63,19 @@ def test_each_recorder_is_told_of_the_stream_however_late_it_comes(
         reader = context.socket(zmq.SUB)
         reader.subscribe(HEARD)
         reader.connect(publisher.address)
-        assert heard_by(reader, publisher).messages == [CapturedMessage(1, CONTROL, b"welcome")]
+
+        def arrived(reader: zmq.Socket = reader) -> bool:
+            ticks(publisher, TRACE_TICKS)
+            return bool(reader.poll(20))
+
+        until(arrived)
+        captured = read_capture(reader.recv_multipart()[1])
+        assert captured.messages == [CapturedMessage(1, CONTROL, b"welcome")]
 
 
 def test_the_last_ticks_and_messages_come_before_the_last_status(
-    publisher: Publisher, context: Context
+    publisher: Publisher, everything: zmq.Socket
 ) -> None:
-    everything = subscribe(context, publisher.address)
     everything.subscribe(HEARD)
     assert publisher.await_recorder(PATIENCE_S)
     ticks(publisher, TRACE_TICKS + 3)
@@ -86,7 +84,7 @@ def test_the_last_ticks_and_messages_come_before_the_last_status(
     messages = received(everything)
     traces = [read_trace(data) for topic, data in messages if topic == TRACE]
     assert [len(trace.now_ns) for trace in traces] == [TRACE_TICKS, 3]
-    heard = [read_capture(data) for topic, data in messages if topic == HEARD]
-    assert [m for part in heard for m in part.messages] == [CapturedMessage(5, 0, b"last")]
-    assert heard[-1].traces == 2
+    captured = [read_capture(data) for topic, data in messages if topic == HEARD]
+    assert [m for part in captured for m in part.messages] == [CapturedMessage(5, 0, b"last")]
+    assert captured[-1].traces == 2
     assert messages[-1] == (STATUS, b"status")

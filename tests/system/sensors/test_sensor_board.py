@@ -63,15 +63,15 @@ def test_a_boards_pulse_reaches_a_display_and_every_sample_is_accounted_for(
 ) -> None:
     scene = str(scene_file(tmp_path, framing))
     sensed, felt = tmp_path / "sensing.json", tmp_path / "display.json"
-    with board(tmp_path, "--framing", framing):
-        with (
-            process(DISPLAY, scene, "--connect", address, "--once", "--json", str(felt)) as display,
-            process(
-                SENSING, scene, "--bind", address, "--seconds", "4", "--json", str(sensed)
-            ) as sensing,
-        ):
-            assert sensing.wait(60) == 0
-            assert display.wait(60) == 0
+    display_command = (DISPLAY, scene, "--connect", address, "--once", "--json", str(felt))
+    command = (SENSING, scene, "--bind", address, "--seconds", "4", "--json", str(sensed))
+    with (
+        board(tmp_path, "--framing", framing),
+        process(*display_command) as display,
+        process(*command) as sensing,
+    ):
+        assert sensing.wait(60) == 0
+        assert display.wait(60) == 0
     sensing_summary, display_summary = read_json(sensed), read_json(felt)
     samples = display_summary["samples"]
     assert_accounted(samples)
@@ -85,11 +85,11 @@ def test_a_boards_pulse_reaches_a_display_and_every_sample_is_accounted_for(
 def test_usb_batches_do_not_show_in_the_times_on_the_wire(
     tmp_path: Path, address: str, client: Client
 ) -> None:
-    with board(tmp_path, "--delivery-ms", "16"):
-        with process(SENSING, str(scene_file(tmp_path)), "--bind", address):
-            client.join()
-            frames(client, 200)
-            seen = frames(client, 800)
+    node = (SENSING, str(scene_file(tmp_path)), "--bind", address)
+    with board(tmp_path, "--delivery-ms", "16"), process(*node):
+        client.join()
+        frames(client, 200)
+        seen = frames(client, 800)
     numbers = np.array([frame.first_sample for frame in seen])
     times_ns = np.array([frame.t_first_ns - seen[0].t_first_ns for frame in seen])
     assert np.all(np.diff(times_ns) > 0)

@@ -16,13 +16,16 @@ def followed(age: TelemetryAge, ahead_ns: int, from_ns: int, to_ns: int, delay_n
     return now_ns
 
 
-def test_before_the_first_status_there_is_no_age() -> None:
+def test_without_a_stamp_the_age_counts_from_the_receipt() -> None:
     age = TelemetryAge()
     age.take_trace(0, 0)
     assert age.age_ns(HOUR_NS) is None
+    before_the_first_trace = TelemetryAge()
+    before_the_first_trace.take_status(SECOND_NS)
+    assert before_the_first_trace.age_ns(3 * SECOND_NS) == 2 * SECOND_NS
 
 
-def test_on_this_machine_what_has_queued_is_as_old_as_its_stamp() -> None:
+def test_on_this_machine_queued_telemetry_is_as_old_as_its_stamp() -> None:
     """The display sent and froze while its reader was still importing."""
     age = TelemetryAge(local=True)
     age.take_trace(HOUR_NS, HOUR_NS + 3 * SECOND_NS)
@@ -70,12 +73,6 @@ def test_another_machine_that_was_started_again_begins_anew() -> None:
     back_ns = last_ns + 60 * SECOND_NS
     last_ns = followed(age, -back_ns, back_ns, back_ns + SECOND_NS)
     assert age.age_ns(last_ns + MS) == 0
-
-
-def test_a_status_before_the_first_trace_is_as_old_as_its_receipt() -> None:
-    age = TelemetryAge()
-    age.take_status(SECOND_NS)
-    assert age.age_ns(3 * SECOND_NS) == 2 * SECOND_NS
 
 
 def test_a_status_holds_while_traces_follow_it() -> None:
