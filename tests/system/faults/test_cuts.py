@@ -2,6 +2,7 @@
 
 import random
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -16,31 +17,67 @@ from tests.support.waiting import until
 
 WHOLE = parse_link("delay=20ms,jitter=3ms")
 CUT = parse_link("loss=100%")
-# Shorter than the time after which a display reconnects a silent network, and longer.
-CUTS_S = ((0.3, 0.45), (2.05, 2.25))
 
 pytestmark = needs_emulator
 
 
-def test_after_a_cut_the_pulse_is_felt_again_and_what_was_cut_is_lost(tmp_path: Path) -> None:
+# Actions, and ranges of times in s between them. Cuts are shorter and longer than the time after
+# which a display reconnects a silent network.
+CASES: dict[str, list[str | tuple[float, float]]] = {
+    "a short cut": [(0, 0.3), "cut", (0.3, 0.45), "unfelt", "restore"],
+    "a long cut": [(0, 0.3), "cut", (2.05, 2.25), "unfelt", "restore"],
+    "restarted in a cut": ["cut", "restart", (1.0, 2.0), "restore"],
+    "stopped in a cut": ["cut", "stop", (1.5, 1.5), "restore", "continue"],
+    # The request for the next clock reply is then answered, and TCP does not retransmit the data
+    # for seconds.
+    "stopped before a cut": [
+        *("stop", (0.1, 0.1), "cut", (2.5, 2.5), "restore", (0.2, 0.2), "continue")
+    ],
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_after_a_cut_the_pulse_is_felt_again_and_every_sample_is_accounted_for(
+    case: str, tmp_path: Path
+) -> None:
     rng = random.Random(3)
     with emulate(WHOLE) as link, node_rig(tmp_path, link) as rig:
         sensing, display, felt = rig.play()
-        for shortest_s, longest_s in CUTS_S:
 
-            def cut(shortest_s: float = shortest_s, longest_s: float = longest_s) -> int:
-                time.sleep(rng.uniform(0, 0.3))
-                link.change(CUT)
-                cut_ns = time.monotonic_ns()
-                time.sleep(rng.uniform(shortest_s, longest_s))
-                assert felt.first_ns(cut_ns, PATIENCE_S, felt=False) is not None
-                link.change(WHOLE)
-                return time.monotonic_ns()
+        def restart() -> None:
+            nonlocal display
+            display.kill()
+            display = rig.display()
 
-            assert_back_within_a_second(felt, cut)
+        def await_unfelt() -> None:
+            assert felt.first_ns(time.monotonic_ns(), PATIENCE_S, felt=False) is not None
+
+        def cut() -> int:
+            actions: dict[str, Callable[[], object]] = {
+                "cut": lambda: link.change(CUT),
+                "restore": lambda: link.change(WHOLE),
+                "stop": display.pause,
+                "continue": display.resume,
+                "restart": restart,
+                "unfelt": await_unfelt,
+            }
+            for turn in CASES[case]:
+                if isinstance(turn, str):
+                    actions[turn]()
+                else:
+                    time.sleep(rng.uniform(*turn))
+            return time.monotonic_ns()
+
+        assert_back_within_a_second(felt, cut)
+        # A whole beat.
+        rig.await_played(felt, 1_000)
         sent, summary = sensing.end(), display.summary()
     assert unaccounted(sent, summary) == 0
-    assert summary.samples.lost
+    if "stopped" in case:
+        # Which of the two depends on whether TCP still retransmitted them.
+        assert summary.samples.lost + summary.samples.late > 1_000
+    elif "restarted" not in case:
+        assert summary.samples.lost
     assert summary.faults == []
     assert_limits_kept(felt)
 
@@ -72,69 +109,6 @@ def test_after_a_cut_of_the_data_port_alone_the_display_does_not_wait_for_tcp(
     assert summary.reconnections.kept
     assert summary.rejected == {}
     assert summary.faults == []
-
-
-def test_a_display_started_during_a_cut_feels_the_pulse_soon_after(tmp_path: Path) -> None:
-    rng = random.Random(4)
-    with emulate(WHOLE) as link, node_rig(tmp_path, link) as rig:
-        sensing, display, felt = rig.play()
-
-        def cut() -> int:
-            nonlocal display
-            link.change(CUT)
-            display.kill()
-            display = rig.display()
-            time.sleep(rng.uniform(1.0, 2.0))
-            link.change(WHOLE)
-            return time.monotonic_ns()
-
-        assert_back_within_a_second(felt, cut)
-        # A whole beat.
-        rig.await_played(felt, 1_000)
-        sent, summary = sensing.end(), display.summary()
-    assert unaccounted(sent, summary) == 0
-    assert summary.faults == []
-    assert_limits_kept(felt)
-
-
-@pytest.mark.parametrize(
-    "turns",
-    [
-        ["cut", "stop", 1.5, "restore", "continue"],
-        # The request for the next clock reply is then answered, and TCP does not retransmit the
-        # data for seconds.
-        ["stop", 0.1, "cut", 2.5, "restore", 0.2, "continue"],
-    ],
-    ids=["during the cut", "before the cut"],
-)
-def test_a_display_that_was_stopped_feels_the_pulse_soon_after(
-    tmp_path: Path, turns: list[str | float]
-) -> None:
-    with emulate(WHOLE) as link, node_rig(tmp_path, link) as rig:
-        sensing, display, felt = rig.play()
-        actions = {
-            "cut": lambda: link.change(CUT),
-            "restore": lambda: link.change(WHOLE),
-            "stop": display.pause,
-            "continue": display.resume,
-        }
-
-        def cut() -> int:
-            for turn in turns:
-                if isinstance(turn, str):
-                    actions[turn]()
-                else:
-                    time.sleep(turn)
-            return time.monotonic_ns()
-
-        assert_back_within_a_second(felt, cut)
-        rig.await_played(felt, 1_000)
-        sent, summary = sensing.end(), display.summary()
-    assert unaccounted(sent, summary) == 0
-    # Which of the two depends on whether TCP still retransmitted them.
-    assert summary.samples.lost + summary.samples.late > 1_000
-    assert summary.faults == []
-    assert_limits_kept(felt)
 
 
 def test_of_two_networks_one_is_enough(tmp_path: Path) -> None:
