@@ -125,6 +125,6 @@ def assert_back_within_a_second(felt: FeltForce, fault: Callable[[], int]) -> No
 def assert_limits_kept(felt: FeltForce) -> None:
     """Neither force nor slew exceeded the scene's limits, from the first tick to the last."""
     force_n, target_n_per_s, _ = felt.peaks()
-    # The stall guard reduces the force while a host stalls (display_node/control/stall_guard.py).
+    # The stall guard reduces the force while a host stalls (`StallGuard`).
     assert 0.25 < force_n <= FORCE_LIMIT_N
     assert target_n_per_s <= SLEW_LIMIT_N_PER_S

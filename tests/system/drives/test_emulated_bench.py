@@ -1,7 +1,7 @@
 """The whole emulated bench as processes: board, sensing node, display node, drive and film.
 
 A busy machine may bring it to rest by a fault of its own making: asserted is what holds then, too.
-Times from a fault to rest are in tests/system/drives/test_hardware.py, in virtual time.
+Times from a fault to rest are in tests/unit/display_node/drives/test_hardware.py, in virtual time.
 """
 
 import signal
