@@ -86,16 +86,16 @@ def run(
     it; the reason is one line on stderr.
     """
     from display_node.node import connected
-    from telepulse.experiment.log import read_log
-    from telepulse.experiment.person import Keyboard, Person
+    from telepulse.experiment.log import open_log, read_log
     from telepulse.experiment.report import build_report
-    from telepulse.experiment.run import (
+    from telepulse.experiment.session import load_plan
+    from telepulse.experiment.subjects import (
+        Keyboard,
+        Person,
         check_playable,
-        open_log,
         run_session,
         simulated_subject,
     )
-    from telepulse.experiment.session import load_plan
 
     console = plain_console()
     with one_line_errors(PROGRAM), ExitStack() as stack:

@@ -8,7 +8,9 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
+from random import SystemRandom
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -18,7 +20,8 @@ from protocol.config.scene import validate
 from protocol.errors import OutputError, TelepulseError
 from telepulse.experiment.interval import PlayedInterval, error_share
 from telepulse.experiment.psychometrics import IntervalErrors, Proportion
-from telepulse.experiment.session import Kind, SessionTable, Trial
+from telepulse.experiment.session import Kind, SessionPlan, SessionTable, Trial, draw_trials
+from telepulse.scene import scene_provenance
 
 
 class LogError(TelepulseError, ValueError):
@@ -167,6 +170,40 @@ class SessionLogFile:
             os.fsync(self._file.fileno())
         except OSError as error:
             raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from None
+
+
+def open_log(
+    path: Path, plan: SessionPlan, threshold: float | None, resume: bool
+) -> tuple[SessionLogFile, SessionHeader, int]:
+    """Return the log to write, its header, and the number of answered trials.
+
+    A log that is resumed must have the same session, scene and observer. Raises LogError or
+    OutputError.
+    """
+    made_up = plan.direct.display.drive is None or threshold is not None
+    if not resume:
+        seed = plan.session.seed
+        seed = SystemRandom().getrandbits(31) if seed is None else seed
+        header = SessionHeader(
+            version=version("telepulse"),
+            time=now(),
+            tables=plan.tables,
+            seed=seed,
+            threshold=threshold,
+            trials=draw_trials(plan.session, seed),
+            felt_on="models" if made_up else "drive",
+            provenance=scene_provenance(plan.direct, {"session": seed}).to_dict(),
+        )
+        file = SessionLogFile(path)
+        file.write(header)
+        return file, header, 0
+    log = read_log(path)
+    if (log.header.tables, log.header.threshold) != (plan.tables, threshold):
+        raise LogError(f"{path}: session, scene or observer differ from those of its begin")
+    file = SessionLogFile(path, log.whole_bytes)
+    made = scene_provenance(plan.direct, {"session": log.header.seed}).to_dict()
+    file.write(ResumedSession(version=version("telepulse"), time=now(), provenance=made))
+    return file, log.header, len(log.answered)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,8 +14,8 @@ from protocol.config.scene_file import find_scene, load_document, to_toml
 from protocol.host.child_process import ChildProcess
 from telepulse.experiment.interval import IntervalPlayback, PlayedInterval, draw_interval
 from telepulse.experiment.log import read_log
-from telepulse.experiment.person import Keyboard, Person
 from telepulse.experiment.session import Letter, Trial
+from telepulse.experiment.subjects import Keyboard, Person
 from tests.support.emulated_bench import NICE
 from tests.support.experiment_sessions import condition, plan, write
 from tests.support.nodes import ROOT, process

@@ -15,10 +15,9 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from telepulse.cli.main import app
-from telepulse.experiment.log import SessionLog, gather, read_log, share_correct
+from telepulse.experiment.log import SessionLog, gather, open_log, read_log, share_correct
 from telepulse.experiment.psychometrics import probability_of_a
 from telepulse.experiment.report import build_report, threshold_of
-from telepulse.experiment.run import open_log
 from telepulse.experiment.session import load_plan
 from tests.support.experiment_sessions import condition, write
 from tests.support.nodes import ROOT

@@ -1,4 +1,7 @@
-"""A person at the display's bench: the dialogue of a trial by keys, and intervals in real time."""
+"""The subjects of a session, and its run: a person at the bench, and a simulated observer.
+
+A person has the dialogue of a trial by keys, and feels intervals in real time.
+"""
 
 import os
 import re
@@ -7,6 +10,7 @@ import sys
 import time
 from collections import Counter, deque
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 from display_node.display import Display
@@ -15,8 +19,16 @@ from display_node.fault_advice import advise
 from protocol.config.quantities import count_text
 from protocol.errors import BenchError, SourceError
 from protocol.host.realtime import Pacer
-from telepulse.experiment.interval import Interval, IntervalPlayback, PlayedInterval
-from telepulse.experiment.log import Answer, AnsweredTrial, now
+from telepulse.experiment.interval import (
+    Interval,
+    IntervalPlayback,
+    PlayedInterval,
+    draw_interval,
+    error_share,
+    play_in_virtual_time,
+)
+from telepulse.experiment.log import Answer, AnsweredTrial, SessionHeader, SessionLogFile, now
+from telepulse.experiment.psychometrics import IntervalErrors, SimulatedObserver
 from telepulse.experiment.session import LETTERS, Kind, Letter, SessionPlan
 
 NAME = "experiment"
@@ -38,6 +50,8 @@ POLL_S = 1e-3
 
 DrawInterval = Callable[[Letter, int], Interval]
 """Returns the nth playing of a letter."""
+Subject = Callable[[int, DrawInterval], AnsweredTrial | None]
+"""Answers a trial by its index and intervals; None ends the session."""
 
 
 class Action(NamedTuple):
@@ -266,3 +280,43 @@ def _run_ticks(tick_ns: int, tick: Callable[[int, int], bool]) -> None:
             time.sleep((pacer.due_ns - now_ns) * 1e-9)
         else:
             goes_on = tick(begun.due_ns, begun.elapsed_ticks)
+
+
+def check_playable(plan: SessionPlan, header: SessionHeader) -> None:
+    """Check that an interval of each condition can be played. Raises SceneError or SourceError."""
+    checked = set()
+    for index, trial in enumerate(header.trials):
+        if trial.condition not in checked:
+            checked.add(trial.condition)
+            for letter in LETTERS[plan.session.kind]:
+                IntervalPlayback(draw_interval(plan, header.seed, index, trial, letter, 1), 0)
+
+
+def run_session(
+    plan: SessionPlan, file: SessionLogFile, header: SessionHeader, done: int, subject: Subject
+) -> bool:
+    """Run trial after trial and log each; return whether all are answered."""
+    for index in range(done, len(header.trials)):
+        draw = partial(draw_interval, plan, header.seed, index, header.trials[index])
+        answered = subject(index, draw)
+        if answered is None:
+            return False
+        file.write(answered)
+    return True
+
+
+def simulated_subject(plan: SessionPlan, threshold: float, seed: int) -> Subject:
+    """Return an observer that feels each interval once, in virtual time, on the scene's models."""
+    kind = plan.session.kind
+
+    def answer(index: int, draw: DrawInterval) -> AnsweredTrial:
+        # An observer for each trial: a resumed session has the same answers as an unbroken one.
+        observer = SimulatedObserver(threshold, seed * 100_000 + index)
+        played = [play_in_virtual_time(draw(letter, 1)) for letter in LETTERS[kind]]
+        a, b, x = (error_share(played, letter) for letter in ("A", "B", "X"))
+        value = observer.identify(IntervalErrors(a, b, x)) if kind == "abx" else observer.rate(a, x)
+        return AnsweredTrial.model_validate(
+            {"time": now(), "index": index, "answer": value, "response_s": None, "played": played}
+        )
+
+    return answer

@@ -1,4 +1,4 @@
-from telepulse.experiment.person import Action, Dialogue
+from telepulse.experiment.subjects import Action, Dialogue
 
 
 def test_each_interval_must_be_felt_before_an_answer() -> None:
