@@ -7,7 +7,7 @@ legible on both.
 from collections.abc import Callable
 from functools import cache
 from importlib.resources import files
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from bokeh.document import Document
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from telepulse.view import text
 from telepulse.view.live import LiveState
-from telepulse.view.picture import Columns, Picture, picture
+from telepulse.view.picture import MUTED, PLOTS, Columns, PagePlot, Picture, picture
 
 REDRAW_MS = 200
 WINDOWS_S = (5, 10, 30, 60)
@@ -35,92 +35,7 @@ document.getElementById("state-note").textContent =
 """
 
 
-SENSED, FELT, MUTED = "#e8740c", "#2f7fd6", "#8a94a0"
 HEIGHT = 220
-
-
-class Curve(NamedTuple):
-    """A curve; name: of its columns in a picture; words: in the legend."""
-
-    name: str
-    words: str
-    colour: str
-    dash: str = "solid"
-
-
-class PagePlot(NamedTuple):
-    """A plot; id: on the page; axis: label; note: a line beneath."""
-
-    id: str
-    title: str
-    axis: str
-    curves: tuple[Curve, ...]
-    note: str = ""
-    wide: bool = False
-
-
-PLOTS = (
-    PagePlot(
-        "force",
-        "Force",
-        "force (mN)",
-        (Curve("wrist", "at the wrist", SENSED), Curve("finger", "at the finger", FELT)),
-        "The finger follows by the playout delay.",
-        wide=True,
-    ),
-    PagePlot(
-        "error",
-        "Error of the force felt",
-        "error (mN)",
-        (
-            Curve("in_phase", "in phase: against the pulse at that instant", SENSED),
-            Curve("aligned", "aligned: against the instant that is played", FELT),
-        ),
-        "Grey band: the just noticeable difference of force, here 10 % of the pulse's peak to peak."
-        " A finger notices differences from 7 to 10 % on.",
-        wide=True,
-    ),
-    PagePlot(
-        "strain",
-        "Compressive strain in the rubber",
-        "strain (10⁻⁶)",
-        (
-            Curve("wrist_strain", "at the wrist", SENSED),
-            Curve("finger_strain", "at the finger", FELT),
-        ),
-    ),
-    PagePlot(
-        "delay",
-        "Delays",
-        "delay (ms)",
-        (Curve("one_way", "one-way delay", SENSED), Curve("playout", "playout delay", FELT)),
-    ),
-    PagePlot(
-        "loss",
-        "Loss",
-        "samples (%)",
-        (Curve("lost", "lost", SENSED), Curve("late", "late", FELT, "dashed")),
-    ),
-    PagePlot(
-        "predictor",
-        "Predictor: the error it expects",
-        "RMS error (mN)",
-        (Curve("predictor", "where it stands in", FELT),),
-    ),
-    PagePlot(
-        "offset",
-        "Clock offset, against now",
-        "offset (ms)",
-        (
-            Curve("offset", "offset", FELT),
-            Curve("offset_low", "uncertainty", MUTED, "dashed"),
-            Curve("offset_high", "", MUTED, "dashed"),
-        ),
-    ),
-    PagePlot("skew", "Clock skew", "skew (ppm)", (Curve("skew", "sensing against display", FELT),)),
-)
-
-
 _CURVES = tuple(curve.name for plot in PLOTS for curve in plot.curves)
 
 

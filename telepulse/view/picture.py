@@ -20,6 +20,81 @@ STEPS = 4
 Columns = dict[str, Floats]
 
 
+SENSED, FELT, MUTED = "#e8740c", "#2f7fd6", "#8a94a0"
+
+
+class Curve(NamedTuple):
+    """A curve; name: of its columns in a picture; words: in the legend."""
+
+    name: str
+    words: str
+    colour: str
+    dash: str = "solid"
+
+
+class PagePlot(NamedTuple):
+    """A plot; id: on the page; axis: label, and what it shows at least; note: a line beneath."""
+
+    id: str
+    title: str
+    axis: str
+    least: tuple[float, float]
+    curves: tuple[Curve, ...]
+    note: str = ""
+    wide: bool = False
+
+
+PLOTS = (
+    PagePlot(
+        *("force", "Force", "force (mN)", (0.0, 1.0)),
+        (Curve("wrist", "at the wrist", SENSED), Curve("finger", "at the finger", FELT)),
+        "The finger follows by the playout delay.",
+        wide=True,
+    ),
+    PagePlot(
+        *("error", "Error of the force felt", "error (mN)", (-1.0, 1.0)),
+        (
+            Curve("in_phase", "in phase: against the pulse at that instant", SENSED),
+            Curve("aligned", "aligned: against the instant that is played", FELT),
+        ),
+        "Grey band: the just noticeable difference of force, here 10 % of the pulse's peak to peak."
+        " A finger notices differences from 7 to 10 % on.",
+        wide=True,
+    ),
+    PagePlot(
+        *("strain", "Compressive strain in the rubber", "strain (10⁻⁶)", (0.0, 0.01)),
+        (
+            Curve("wrist_strain", "at the wrist", SENSED),
+            Curve("finger_strain", "at the finger", FELT),
+        ),
+    ),
+    PagePlot(
+        *("delay", "Delays", "delay (ms)", (0.0, 1.0)),
+        (Curve("one_way", "one-way delay", SENSED), Curve("playout", "playout delay", FELT)),
+    ),
+    PagePlot(
+        *("loss", "Loss", "samples (%)", (0.0, 1.0)),
+        (Curve("lost", "lost", SENSED), Curve("late", "late", FELT, "dashed")),
+    ),
+    PagePlot(
+        *("predictor", "Predictor: the error it expects", "RMS error (mN)", (0.0, 1.0)),
+        (Curve("predictor", "where it stands in", FELT),),
+    ),
+    PagePlot(
+        *("offset", "Clock offset, against now", "offset (ms)", (-0.01, 0.01)),
+        (
+            Curve("offset", "offset", FELT),
+            Curve("offset_low", "uncertainty", MUTED, "dashed"),
+            Curve("offset_high", "", MUTED, "dashed"),
+        ),
+    ),
+    PagePlot(
+        *("skew", "Clock skew", "skew (ppm)", (-1.0, 1.0)),
+        (Curve("skew", "sensing against display", FELT),),
+    ),
+)
+
+
 class PictureScores(NamedTuple):
     """Scores over the window, None where there is none yet.
 
@@ -145,21 +220,13 @@ def _heart_rate(live: LiveState) -> float | None:
 
 
 def _limits(columns: dict[str, Columns], jnd_n: float | None) -> dict[str, tuple[float, float]]:
-    jnd_mn = (jnd_n or 0.0) * 1.25e3
-    curves: dict[str, tuple[tuple[str, ...], tuple[float, ...]]] = {
-        "force": (("wrist", "finger"), (0.0, 1.0)),
-        "strain": (("wrist_strain", "finger_strain"), (0.0, 0.01)),
-        "error": (("in_phase", "aligned"), (-jnd_mn, jnd_mn, -1.0, 1.0)),
-        "delay": (("one_way", "playout"), (0.0, 1.0)),
-        "loss": (("lost", "late"), (0.0, 1.0)),
-        "offset": (("offset_low", "offset_high"), (-0.01, 0.01)),
-        "skew": (("skew",), (-1.0, 1.0)),
-        "predictor": (("predictor",), (0.0, 1.0)),
-    }
-    return {
-        plot: nice(np.concatenate([*(columns[name]["y"] for name in names), least]))
-        for plot, (names, least) in curves.items()
-    }
+    band_mn = 1.25e3 * (jnd_n or 0.0)
+    limits = {}
+    for plot in PLOTS:
+        curves = [columns[curve.name]["y"] for curve in plot.curves]
+        band = (-band_mn, band_mn) if plot.id == "error" else ()
+        limits[plot.id] = nice(np.concatenate([*curves, plot.least, band]))
+    return limits
 
 
 def nice(values: Floats) -> tuple[float, float]:

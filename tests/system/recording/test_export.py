@@ -216,7 +216,9 @@ def test_reader_report_and_exports_name_how_much_of_the_end_is_missing(
     described = described_in(tmp_path / "csv")
     assert (described["whole"], described["gaps"]) == (False, [line])
     assert line in [note.text for note in edfio.read_edf(tmp_path / "edf").annotations]
-    assert f"The recording: {line}." in build_recording_report(cut).chapters[0].paragraphs
+    short = build_recording_report(cut).chapters[0]
+    assert f"The recording: {line}." in short.paragraphs
+    assert "last status, since it never ended" in short.tables[0].note
 
 
 def test_all_tables_have_one_time_base_and_each_column_names_its_clock(

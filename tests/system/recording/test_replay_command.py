@@ -121,11 +121,3 @@ def test_a_display_does_not_begin_without_its_recorder(tmp_path: Path) -> None:
     assert result.returncode == 2
     assert result.stderr.count("\n") == 1
     assert "is there already" in result.stderr
-
-
-def test_what_is_no_recording_is_one_line(tmp_path: Path) -> None:
-    path = tmp_path / "x.mcap"
-    path.write_text(json.dumps({"not": "mcap"}), encoding="utf-8")
-    result = run(MODULE, "replay", str(path))
-    assert result.returncode == 2
-    assert result.stderr == f"telepulse: {path}: is not an MCAP file\n"

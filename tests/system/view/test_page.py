@@ -103,6 +103,14 @@ def await_state(page: Page, state: str) -> None:
     page.locator("#state", has_text=re.compile(f"^{state}$")).wait_for()
 
 
+@pytest.fixture
+def page(bench: Bench, visit: Visit) -> Iterator[Page]:
+    """The page of a display that plays."""
+    with visit(bench.url) as page:
+        await_state(page, "playing")
+        yield page
+
+
 def keep(page: Page, name: str) -> None:
     if PICTURES:
         page.screenshot(path=Path(PICTURES) / name)
@@ -144,86 +152,76 @@ def stands_still(page: Page, ms: int) -> bool:
     return bool(page.evaluate(DRAWN) == before)
 
 
-def test_a_cut_link_is_an_alarm_that_goes_again(bench: Bench, visit: Visit) -> None:
-    with visit(bench.url) as page:
-        await_state(page, "playing")
-        assert page.locator("#alarms").get_attribute("aria-live") == "assertive"
-        bench.cut()
-        page.locator("#alarms", has_text="link cut").wait_for()
-        await_state(page, "stale")
-        page.wait_for_function("document.getElementById('heart').textContent === '–'")
-        keep(page, "view-cut.png")
-        bench.join()
-        await_state(page, "playing")
-        page.locator("#alarms li[data-name='link cut']").wait_for(state="detached")
-        assert page.locator("#events", has_text="state: playing").is_visible()
+def test_a_cut_link_is_an_alarm_that_goes_again(bench: Bench, page: Page) -> None:
+    assert page.locator("#alarms").get_attribute("aria-live") == "assertive"
+    bench.cut()
+    page.locator("#alarms", has_text="link cut").wait_for()
+    await_state(page, "stale")
+    page.wait_for_function("document.getElementById('heart').textContent === '–'")
+    keep(page, "view-cut.png")
+    bench.join()
+    await_state(page, "playing")
+    page.locator("#alarms li[data-name='link cut']").wait_for(state="detached")
+    assert page.locator("#events", has_text="state: playing").is_visible()
 
 
-def test_a_display_that_stands_still_is_grey_and_has_its_age(bench: Bench, visit: Visit) -> None:
-    with visit(bench.url) as page:
-        await_state(page, "playing")
-        page.locator("body:not(.old)").wait_for()
-        bright = page.evaluate(COLOUR_OF_STATE)
-        with bench.still("display"):
-            page.locator("body.old").wait_for()
-            assert re.fullmatch(r"\d+\.\d s ago", text_of(page, "state-note"))
-            assert page.evaluate(COLOUR_OF_STATE) != bright
-            assert text_of(page, "heart") == "–"
-            keep(page, "view-still.png")
-        page.locator("body:not(.old)").wait_for()
-        await_state(page, "playing")
-        assert page.evaluate(COLOUR_OF_STATE) == bright
+def test_a_display_that_stands_still_is_grey_and_has_its_age(bench: Bench, page: Page) -> None:
+    page.locator("body:not(.old)").wait_for()
+    bright = page.evaluate(COLOUR_OF_STATE)
+    with bench.still("display"):
+        page.locator("body.old").wait_for()
+        assert re.fullmatch(r"\d+\.\d s ago", text_of(page, "state-note"))
+        assert page.evaluate(COLOUR_OF_STATE) != bright
+        assert text_of(page, "heart") == "–"
+        keep(page, "view-still.png")
+    page.locator("body:not(.old)").wait_for()
+    await_state(page, "playing")
+    assert page.evaluate(COLOUR_OF_STATE) == bright
 
 
-def test_a_display_that_goes_and_comes_back(bench: Bench, visit: Visit) -> None:
-    with visit(bench.url) as page:
-        await_state(page, "playing")
-        bench.end("display")
-        await_state(page, "ended")
-        assert "last state" in text_of(page, "state-note")
-        assert page.evaluate(NEWEST) is not None
-        bench.play()
-        await_state(page, "playing")
+def test_a_display_that_goes_and_comes_back(bench: Bench, page: Page) -> None:
+    bench.end("display")
+    await_state(page, "ended")
+    assert "last state" in text_of(page, "state-note")
+    assert page.evaluate(NEWEST) is not None
+    bench.play()
+    await_state(page, "playing")
 
 
-def test_everything_is_reached_by_keyboard(bench: Bench, visit: Visit) -> None:
-    with visit(bench.url) as page:
-        await_state(page, "playing")
-        page.keyboard.press("Tab")
-        assert page.evaluate("document.activeElement.id") == "pause"
-        assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
-        page.keyboard.press("Space")
-        pause = page.locator("#pause")
-        assert pause.get_attribute("aria-pressed") == "true"
-        # What is under way when it is pressed still comes.
-        until(lambda: stands_still(page, 500))
-        assert stands_still(page, 1_500)
-        page.keyboard.press("Enter")
-        assert pause.get_attribute("aria-pressed") == "false"
-        page.keyboard.press("Tab")
-        page.keyboard.press("ArrowRight")
-        assert page.evaluate("document.activeElement.value") == "30"
-        label = "document.activeElement.nextElementSibling"
-        assert page.evaluate(f"getComputedStyle({label}).outlineStyle") == "solid"
-        page.wait_for_function(f"{SPAN} === 30")
-        until(lambda: not stands_still(page, 500))
+def test_everything_is_reached_by_keyboard(page: Page) -> None:
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.id") == "pause"
+    assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
+    page.keyboard.press("Space")
+    pause = page.locator("#pause")
+    assert pause.get_attribute("aria-pressed") == "true"
+    # What is under way when it is pressed still comes.
+    until(lambda: stands_still(page, 500))
+    assert stands_still(page, 1_500)
+    page.keyboard.press("Enter")
+    assert pause.get_attribute("aria-pressed") == "false"
+    page.keyboard.press("Tab")
+    page.keyboard.press("ArrowRight")
+    assert page.evaluate("document.activeElement.value") == "30"
+    label = "document.activeElement.nextElementSibling"
+    assert page.evaluate(f"getComputedStyle({label}).outlineStyle") == "solid"
+    page.wait_for_function(f"{SPAN} === 30")
+    until(lambda: not stands_still(page, 500))
 
 
-def test_it_is_read_in_light_and_dark(bench: Bench, visit: Visit) -> None:
+def test_it_is_read_in_light_and_dark(page: Page) -> None:
     labels = {"light": "#55606b", "dark": "#a5b0bb"}
-    with visit(bench.url) as page:
-        await_state(page, "playing")
-        for scheme in ("light", "dark"):
-            page.emulate_media(color_scheme=scheme)
-            ground = page.evaluate("getComputedStyle(document.body).backgroundColor")
-            assert (max(map(int, re.findall(r"\d+", ground))) < 60) == (scheme == "dark")
-            for selector in ("#state", "#heart", "#heart-note", "#pause", ".plots h2"):
-                assert page.evaluate(CONTRAST, selector) > 4.5
-            variable = f"{STYLE}.getPropertyValue('--bk-axis-label-text-color')"
-            assert page.evaluate(variable) == labels[scheme]
-        if PICTURES:
-            page.wait_for_timeout(10_000)
-        keep(page, "view-dark.png")
+    for scheme in ("light", "dark"):
+        page.emulate_media(color_scheme=scheme)
+        ground = page.evaluate("getComputedStyle(document.body).backgroundColor")
+        assert (max(map(int, re.findall(r"\d+", ground))) < 60) == (scheme == "dark")
+        for selector in ("#state", "#heart", "#heart-note", "#pause", ".plots h2"):
+            assert page.evaluate(CONTRAST, selector) > 4.5
+        variable = f"{STYLE}.getPropertyValue('--bk-axis-label-text-color')"
+        assert page.evaluate(variable) == labels[scheme]
+    if PICTURES:
+        page.wait_for_timeout(10_000)
+    keep(page, "view-dark.png")
 
 
 def test_a_phone_shows_it_without_scrolling_sideways(bench: Bench, visit: Visit) -> None:
