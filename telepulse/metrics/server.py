@@ -230,8 +230,7 @@ class MetricsServer(Collector):
         socket = sockets.connect(context, zmq.SUB, address, keys)
         for topic in (STATUS, TRACE):
             socket.subscribe(topic)
-        view = TerminalView()
-        age = TelemetryAge(local=not sockets.beyond_loopback(address))
+        view, age = TerminalView(), TelemetryAge(local=not sockets.beyond_loopback(address))
         while True:
             sockets.wait_readable([socket], WAIT_NS)
             for message in sockets.receive_all(socket):

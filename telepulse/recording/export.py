@@ -113,6 +113,7 @@ class CsvTable:
 
     def __init__(self, path: Path, columns: list[TableColumn]) -> None:
         """Create the file. Raises OSError."""
+        self.name, self.columns = path.name, columns
         self._file = path.open("w", newline="", encoding="utf-8")
         self._writer = csv.writer(self._file)
         self.add([column.name for column in columns])
@@ -142,6 +143,7 @@ class ParquetTable:
         import pyarrow
         from pyarrow import parquet
 
+        self.name, self.columns = path.name, columns
         kinds = {
             "integer": pyarrow.int64(),
             "number": pyarrow.float64(),
@@ -218,13 +220,29 @@ def export_parquet(path: Path, folder: Path) -> str:
 
 
 def _export_tables(path: Path, folder: Path, kind: type[CsvTable] | type[ParquetTable]) -> str:
-    reader, tables = RecordingReader(path), _Tables(folder, kind)
+    reader = RecordingReader(path)
+    tables: dict[str, CsvTable | ParquetTable] = {}
+    counts: Counter[str] = Counter()
     try:
-        with tables:
+        with ExitStack() as stack:
             for message in reader:
-                if message.topic in TABLES:
-                    tables.add(message)
-            tables.describe(path, reader)
+                topic = message.topic
+                if topic not in TABLES:
+                    continue
+                if topic not in tables:
+                    if not tables:
+                        folder.mkdir(parents=True)
+                    file = folder / (TABLES[topic] + kind.suffix)
+                    tables[topic] = kind(file, columns(message))
+                    stack.callback(tables[topic].close)
+                for row in rows(message):
+                    tables[topic].add(row)
+                    counts[topic] += 1
+            if tables:
+                described = _description(path, reader, list(tables.values()))
+                for table in tables.values():
+                    table.describe(described)
+                write_whole(folder / "provenance.json", json.dumps(described, indent=2) + "\n")
     except FileExistsError:
         raise OutputError(f"{folder}: is there already; name another by --out") from None
     except (SourceError, OutputError):
@@ -234,50 +252,26 @@ def _export_tables(path: Path, folder: Path, kind: type[CsvTable] | type[Parquet
     except (LookupError, ValueError, TypeError, ArithmeticError) as error:
         raise SourceError(f"{path}: a message is not telepulse's: {error!r:.80}") from None
     _log_gaps(path, reader)
-    return f"{folder}: " + ", ".join(f"{tables.rows[t]} {name}" for t, name in TABLES.items())
+    return f"{folder}: " + ", ".join(f"{counts[topic]} {name}" for topic, name in TABLES.items())
 
 
-class _Tables(ExitStack):
-    """Files of a folder, one a topic, created for the first message; rows: count in each."""
-
-    def __init__(self, folder: Path, kind: type[CsvTable] | type[ParquetTable]) -> None:
-        super().__init__()
-        self._folder, self._kind = folder, kind
-        self._files: dict[str, CsvTable | ParquetTable] = {}
-        self._columns: dict[str, list[TableColumn]] = {}
-        self.rows: Counter[str] = Counter()
-
-    def add(self, message: RecordedMessage) -> None:
-        """Write a message's rows. Raises OSError; LookupError, ValueError, TypeError for fields."""
-        topic = message.topic
-        if topic not in self._files:
-            if not self._files:
-                self._folder.mkdir(parents=True)
-            name = TABLES[topic] + self._kind.suffix
-            self._columns[name] = columns(message)
-            self._files[topic] = self._kind(self._folder / name, self._columns[name])
-            self.callback(self._files[topic].close)
-        for row in rows(message):
-            self._files[topic].add(row)
-            self.rows[topic] += 1
-
-    def describe(self, path: Path, reader: RecordingReader) -> None:
-        """Write provenance, gaps and the columns' descriptions. Raises OutputError."""
-        if not self._files:
-            return
-        described = {
-            "recording": str(path),
-            "whole": reader.whole,
-            "gaps": reader.gaps(),
-            "runs": [dict(run) for run in reader.provenance],
-            "columns": {
-                name: {c.name: {"unit": c.unit, "description": c.description} for c in found}
-                for name, found in self._columns.items()
-            },
-        }
-        for file in self._files.values():
-            file.describe(described)
-        write_whole(self._folder / "provenance.json", json.dumps(described, indent=2) + "\n")
+def _description(
+    path: Path, reader: RecordingReader, tables: list[CsvTable | ParquetTable]
+) -> dict[str, Any]:
+    """Return provenance, gaps and the columns' descriptions, as plain types."""
+    return {
+        "recording": str(path),
+        "whole": reader.whole,
+        "gaps": reader.gaps(),
+        "runs": [dict(run) for run in reader.provenance],
+        "columns": {
+            table.name: {
+                column.name: {"unit": column.unit, "description": column.description}
+                for column in table.columns
+            }
+            for table in tables
+        },
+    }
 
 
 MESSAGES_A_CHUNK = 5_000

@@ -206,7 +206,7 @@ def test_simulate_prints_the_same_summary(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seconds", ["nan", "inf", "-1", "0", "soon"])
-def test_no_time_is_refused(seconds: str) -> None:
+def test_a_duration_that_cannot_be_used_is_refused(seconds: str) -> None:
     result = run(MODULE, "simulate", "--seconds", seconds)
     assert result.returncode == 2
     assert "--seconds" in result.stderr
@@ -214,7 +214,7 @@ def test_no_time_is_refused(seconds: str) -> None:
 
 
 @pytest.mark.parametrize("command", ["demo", "simulate"])
-def test_a_result_that_cannot_be_written_is_said_before_the_run(
+def test_a_result_that_cannot_be_written_is_refused_before_the_run(
     command: str, tmp_path: Path
 ) -> None:
     missing = tmp_path / "nowhere" / "out.json"

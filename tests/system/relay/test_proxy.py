@@ -10,8 +10,8 @@ from protocol import sockets
 from protocol.sockets import Context, Socket
 from telepulse.relay import Proxy
 from tests.support.nodes import free_address
+from tests.support.waiting import PATIENCE_S, until
 
-PATIENCE_S = 20.0
 QUEUED = 3_000
 
 
@@ -43,11 +43,7 @@ def ends(context: Context) -> Iterator[Ends]:
 
 
 def count_until(proxy: Proxy, met: Callable[[], bool]) -> None:
-    end_s = time.monotonic() + PATIENCE_S
-    while not met():
-        assert time.monotonic() < end_s
-        time.sleep(0.01)
-        proxy.update_counts()
+    until(lambda: proxy.update_counts() or met())
 
 
 def answer(sensing: Socket, text: bytes) -> bytes:
@@ -71,7 +67,7 @@ def test_questions_and_answers_pass_and_are_counted_over_several_runs(ends: Ends
     assert ends.proxy.received_bytes == 3 * (5 + len(b"answer"))
 
 
-def test_what_comes_between_two_runs_waits(ends: Ends) -> None:
+def test_a_message_between_two_runs_waits(ends: Ends) -> None:
     ends.begin()
     ends.proxy.stop()
     ends.display.send(b"question")

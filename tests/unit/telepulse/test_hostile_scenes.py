@@ -134,7 +134,7 @@ def test_a_key_is_cut_where_it_is_long(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["delay=1ms,delay.x=3", "delay.x=3,delay=1ms"])
-def test_a_link_says_no_key_in_two_ways(text: str) -> None:
+def test_a_key_is_a_table_or_a_value(text: str) -> None:
     with pytest.raises(SceneError, match="delay is given as a table and as a value"):
         parse_link(text)
 

@@ -86,7 +86,7 @@ def test_figures_come_in_base_units_and_counts_as_counters() -> None:
     assert (labels["stream"], labels["session"]) == ("my pulse", "abc")
 
 
-def test_what_there_is_none_of_is_not_there() -> None:
+def test_figures_without_a_value_are_left_out() -> None:
     found = scraped(families("sensing-node", node_state(Summary(), "streaming"), SECOND_NS))
     names = {name for name, _ in found}
     assert not any("samples" in name or "clock" in name for name in names)

@@ -32,7 +32,7 @@ def test_a_filter_drops_by_port_direction_and_kind(
     assert rule.drops(packet(DISPLAY, DATA, SYN), "sensing") is syn
 
 
-def test_what_is_no_tcp_passes() -> None:
+def test_other_packets_than_tcp_pass() -> None:
     assert not PacketFilter().drops(packet(DATA, DISPLAY, protocol=17), "display")
     assert not PacketFilter().drops(packet(DATA, DISPLAY)[:30], "display")
 

@@ -55,7 +55,7 @@ def test_pareto_jitter_only_makes_later_with_a_heavy_tail() -> None:
         assert np.quantile(extra, share) == pytest.approx(quantile, rel=0.06)
 
 
-def test_jitter_in_bursts_is_a_link_that_stands_still_and_then_brings_all_at_once() -> None:
+def test_jitter_in_bursts_stalls_the_link_then_delivers_all_at_once() -> None:
     extra = delays_ms("delay=40ms,jitter=10ms,jitter_kind=bursts", 10 * PACKETS) - 40
     assert extra.min() == 0
     assert np.mean(extra > 0) == pytest.approx(0.1, abs=0.01)
@@ -126,13 +126,13 @@ def test_times_count_from_the_links_beginning() -> None:
     assert times[89:91] == [began_ns + 89 * MS, began_ns + 95 * MS]
 
 
-def test_the_same_seed_gives_the_same_fate() -> None:
+def test_the_same_seed_gives_the_same_arrivals() -> None:
     text = "delay=40ms,jitter=10ms,loss=10%,burst_loss.share=5%,burst_loss.length=20ms"
     assert arrivals(text, 500, seed=1) == arrivals(text, 500, seed=1)
     assert arrivals(text, 500, seed=1) != arrivals(text, 500, seed=2)
 
 
-def test_bursts_are_the_links_whatever_is_sent_over_it() -> None:
+def test_bursts_do_not_depend_on_the_traffic() -> None:
     text = "jitter=1ms,burst_loss.share=20%,burst_loss.length=20ms"
     every = [arrival is None for arrival in arrivals(text, 1000)]
     direction = Direction(parse_link(text), 1)
@@ -142,7 +142,7 @@ def test_bursts_are_the_links_whatever_is_sent_over_it() -> None:
     assert {*some.values()} == {True, False}
 
 
-def test_an_outage_ends_when_both_the_cut_and_a_burst_have_ended() -> None:
+def test_an_outage_ends_with_the_later_of_cut_and_burst() -> None:
     burst, cut = "burst_loss.share=50%,burst_loss.length=50ms", "cut.from=0s,cut.for=100ms"
     outlasted = 0
     for seed in range(20):

@@ -45,14 +45,14 @@ def samples(scene: SensingScene) -> np.ndarray[Any, Any]:
 
 
 @pytest.mark.parametrize("conditioning", [None, {}, CHARGE])
-def test_where_frames_hold_the_truth_they_are_it(conditioning: dict[str, Any] | None) -> None:
+def test_frames_of_an_ideal_chain_are_the_reference(conditioning: dict[str, Any] | None) -> None:
     scene = sensing(conditioning)
     under_test = ReferenceForce(scene, Path())
     assert all(under_test.of(frame) is frame for frame in frames(scene))
 
 
 @pytest.mark.parametrize("conditioning", [FILTERS, {"adc_bits": 8}, {"anti_alias": "40 Hz"}, None])
-def test_truth_is_the_pulse_before_the_chain_and_without_hum(
+def test_the_reference_is_the_pulse_before_the_chain_and_without_hum(
     conditioning: dict[str, Any] | None,
 ) -> None:
     scene = sensing(conditioning, hum="10 mN")
@@ -61,19 +61,19 @@ def test_truth_is_the_pulse_before_the_chain_and_without_hum(
     assert not np.allclose(np.concatenate([f.values for f in sent]), samples(sensing()), atol=1e-3)
 
 
-def test_the_static_force_is_lost_to_truth_too() -> None:
+def test_the_reference_loses_the_static_force_too() -> None:
     scene = sensing(CHARGE | FILTERS)
     np.testing.assert_array_equal(truth(scene, frames(scene)), samples(sensing(CHARGE)))
 
 
-def test_a_true_frame_is_the_frame_but_for_its_values() -> None:
+def test_a_reference_frame_differs_in_its_values_alone() -> None:
     scene = sensing(FILTERS)
     under_test = ReferenceForce(scene, Path())
     for frame in frames(scene):
         assert under_test.of(frame)[:4] == frame[:4]
 
 
-def test_missing_frames_do_not_shift_what_is_true() -> None:
+def test_missing_frames_do_not_shift_the_reference() -> None:
     scene = sensing(FILTERS)
     sent = frames(scene)
     received = [*sent[30:50], *sent[51:]]
@@ -83,7 +83,7 @@ def test_missing_frames_do_not_shift_what_is_true() -> None:
     )
 
 
-def test_a_frame_from_before_has_no_truth_left() -> None:
+def test_a_frame_out_of_order_is_refused() -> None:
     scene = sensing(FILTERS)
     under_test, sent = ReferenceForce(scene, Path()), frames(scene)
     under_test.of(sent[3])
@@ -122,7 +122,7 @@ def test_a_simulation_shifts_by_the_chains_delay() -> None:
     assert rmse_mn(conditioned({"anti_alias": "20 Hz"})) < 1.5
 
 
-def test_a_simulation_tells_what_the_adc_could_not_hold() -> None:
+def test_a_simulation_reports_samples_beyond_the_adcs_range() -> None:
     summary = simulate(conditioned({"adc_bits": 16, "adc_range": "5 mV"}), seconds=2, seed=1)
     assert summary.faults == ["sensing node: 2000 samples beyond the ADC's range"]
     assert summary.limited.adc == Limited(1, 2.0, 1.0)

@@ -56,7 +56,7 @@ def of(entries: Iterable[Entry], topic: str) -> list[Entry]:
     return [entry for entry in entries if entry.topic == topic]
 
 
-def test_a_frame_is_there_with_its_exact_bytes_its_samples_and_when_it_came() -> None:
+def test_a_frame_is_an_entry_with_its_bytes_samples_and_arrival() -> None:
     frame = numbered_frame(3)
     entries = HandmadeTelemetry().receive((0, encode_frame(frame)))
     (entry,) = of(entries, FRAME)
@@ -69,7 +69,7 @@ def test_a_frame_is_there_with_its_exact_bytes_its_samples_and_when_it_came() ->
     assert (fields["first_sample"], fields["t_first_ns"]) == (frame.first_sample, frame.t_first_ns)
 
 
-def test_the_stream_its_clock_and_its_end_are_there() -> None:
+def test_stream_clock_and_end_of_the_stream_are_entries() -> None:
     entries = HandmadeTelemetry().receive(
         (CONTROL, WELCOME), (CONTROL, clock_reply(NOW_NS - 400_000, 7_000_000)), (CONTROL, bye(25))
     )
@@ -252,7 +252,7 @@ summaries = st.dictionaries(st.sampled_from([*Summary().to_dict()]), plain)
         max_size=4,
     )
 )
-def test_whatever_comes_is_taken_down_or_counted(messages: list[tuple[bytes, bytes]]) -> None:
+def test_any_message_is_decoded_or_counted(messages: list[tuple[bytes, bytes]]) -> None:
     telemetry = HandmadeTelemetry()
     telemetry.receive()
     for topic, data in messages:

@@ -137,7 +137,7 @@ def readers_after(*messages: Message) -> TelemetryReaders:
 
 @settings(deadline=None, max_examples=60)
 @given(messages)
-def test_every_reader_goes_on(published: list[Message]) -> None:
+def test_every_reader_survives_any_telemetry(published: list[Message]) -> None:
     with little_memory():
         readers = readers_after(*preamble(), *published)
         readers.draw()

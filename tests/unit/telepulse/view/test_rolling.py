@@ -43,7 +43,7 @@ def test_a_thinned_curve_keeps_its_extremes_and_order(count: int, first: int) ->
         assert thin_values.min() <= inner.min()
 
 
-def test_what_was_drawn_stays_as_it_is_while_it_moves() -> None:
+def test_a_curve_keeps_its_points_while_it_moves() -> None:
     values = np.random.default_rng(1).normal(size=3_000)
     t_ns = np.arange(3_000, dtype=np.int64)
     drawn = [
@@ -54,7 +54,7 @@ def test_what_was_drawn_stays_as_it_is_while_it_moves() -> None:
     assert both <= drawn[1]
 
 
-def test_values_that_there_are_none_of_leave_a_gap() -> None:
+def test_nan_values_leave_a_gap() -> None:
     values = np.ones(2_000)
     values[500:1_000] = np.nan
     _, thinned = thin(0, np.arange(2_000, dtype=np.int64), values, 200, 10)

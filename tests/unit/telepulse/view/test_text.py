@@ -64,7 +64,7 @@ def test_a_share_stands_beside_the_part_that_it_is_of() -> None:
     assert shown["concealed"] == ("1.2 %", "of the time played (17.0 % of the run)")
 
 
-def test_what_is_not_current_has_its_age_and_no_heart_rate() -> None:
+def test_figures_that_are_not_current_have_their_age_and_no_heart_rate() -> None:
     display = SimulatedDisplay(LiveState())
     display.go(6)
     now, late = 0, 2_300_000_000
@@ -103,7 +103,7 @@ def test_the_last_state_is_marked_as_the_last() -> None:
     assert state(display.live)[0] == "fault"
 
 
-def test_a_fault_claims_of_the_finger_what_was_measured_and_no_more() -> None:
+def test_a_fault_is_shown_with_what_was_measured_at_the_finger_alone() -> None:
     display = SimulatedDisplay(LiveState())
     display.go(1)
     display.status("fault", faults=["feedback lost"])
@@ -114,7 +114,7 @@ def test_a_fault_claims_of_the_finger_what_was_measured_and_no_more() -> None:
     assert state(display.live)[1] == "the pulse is felt"
 
 
-def test_all_is_well_while_it_plays(display: SimulatedDisplay) -> None:
+def test_there_is_no_alarm_while_it_plays(display: SimulatedDisplay) -> None:
     assert names(display) == []
 
 
