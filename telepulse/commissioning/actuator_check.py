@@ -2,12 +2,10 @@
 
 import copy
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from display_node.plant.contact import ContactLaw
-from display_node.plant.film import FilmTable
 from display_node.plant.second_order import SecondOrderScene
 from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
@@ -91,61 +89,37 @@ def check_actuator(
         For a press that was stopped, or a record that determines nothing.
     """
     recorder = PressRecorder(rig, GUARD * force_n, scene.safety.feedback_within_ns * 1e-9)
-    if isinstance(scene.actuator, SecondOrderScene):
-        return _check_voltage(recorder, scene, scene.actuator, force_n)
-    return _check_stepper(recorder, scene, scene.actuator, force_n, film_age_s, least_latency_s)
-
-
-def _check_voltage(
-    recorder: PressRecorder, scene: DisplayScene, actuator: SecondOrderScene, force_n: float
-) -> ActuatorFindings:
-    pressed = press_voltage(recorder, actuator, force_n)
-    command = through_film(pressed.command(pressed.stairs, held=True), scene.film)
-    found = identify(command, *pressed.film(pressed.stairs), MAX_LATENCY_S)
-    keys = {key: f"{value:.4g}" for key, value in zip("mck", found.values, strict=False)}
-    changes = {"display.actuator": keys} if _fits(found) else {}
-    return ActuatorFindings(pressed, command, found, None, (_check_fit(found),), changes)
-
-
-def _check_stepper(
-    recorder: PressRecorder,
-    scene: DisplayScene,
-    actuator: StepperScene,
-    force_n: float,
-    film_age_s: float,
-    least_latency_s: float,
-) -> ActuatorFindings:
+    actuator, film = scene.actuator, scene.film
+    if isinstance(actuator, SecondOrderScene):
+        pressed = press_voltage(recorder, actuator, force_n)
+        command = through_film(pressed.command(pressed.stairs, held=True), film)
+        found = identify(command, *pressed.film(pressed.stairs), MAX_LATENCY_S)
+        keys = {key: f"{value:.4g}" for key, value in zip("mck", found.values, strict=False)}
+        changes = {"display.actuator": keys} if _fits(found) else {}
+        return ActuatorFindings(pressed, command, found, None, (_check_fit(found),), changes)
     pressed = press_stepper(recorder, actuator, force_n)
+    # Filtered from the begin of the press, so that the filter is settled when the stairs begin.
+    begin_s = recorder.commanded_s[0]
+    travel = pressed.command(PressPhase(begin_s, pressed.stairs.end_s), held=False)
+    first = round((pressed.stairs.begin_s - begin_s) / travel.tick_s)
     law, lag_s = actuator.contact(scene.layer.layer()), 0.0
     for _ in range(ROUNDS):
-        contact = fit_contact(pressed, law, scene.film, lag_s)
+        contact = fit_contact(pressed, law, film, lag_s)
         fitted = copy.copy(law)
         fitted.finger_m_per_n = 1 / contact.finger_n_per_m
-        command = _stairs_command(pressed, contact, fitted, scene.film)
+        seen = through_film(contact.pressed_n(fitted, travel), film)
+        command = ActuatorInput(seen.values[first:], seen.tick_s, held=False)
         found = identify(command, *pressed.film(pressed.stairs), MAX_LATENCY_S)
         lag_s = found.delay_s
     latency_s = _latency_s(actuator, found, contact) - film_age_s
-    tick_s = recorder.rig.tick_s
     latency, plausible = check_latency(
-        actuator, found, contact, latency_s, least_latency_s=least_latency_s, tick_s=tick_s
+        actuator, found, contact, latency_s, least_latency_s=least_latency_s, tick_s=rig.tick_s
     )
     changes = {}
     if _fits(found):
         changes = _changes(actuator, found, contact, latency_s if plausible else None)
     checks = (_check_fit(found), _check_travel(found), *check_contact(actuator, contact), latency)
     return ActuatorFindings(pressed, command, found, contact, checks, changes)
-
-
-def _stairs_command(
-    pressed: PressRecord, contact: ContactFit, law: ContactLaw, film: FilmTable
-) -> ActuatorInput:
-    """Return the commanded force of the staircase, behind the film's filter."""
-    begin_s = pressed.recorder.commanded_s[0]
-    travel = pressed.command(PressPhase(begin_s, pressed.stairs.end_s), held=False)
-    # Filtered from the begin of the press, so that the filter is settled when the stairs begin.
-    seen = through_film(contact.pressed_n(law, travel), film)
-    first = round((pressed.stairs.begin_s - begin_s) / seen.tick_s)
-    return ActuatorInput(seen.values[first:], seen.tick_s, held=False)
 
 
 def _fits(found: IdentifiedModel) -> bool:
@@ -242,15 +216,13 @@ def check_contact(actuator: StepperScene, contact: ContactFit) -> tuple[Check, C
     )
     if contact.unexplained > UNEXPLAINED_FAIL:
         reason = f"the ramp is not a finger's: {contact.unexplained * 100:.0f} % unexplained"
-        return (
-            Check(finger.name, finger.found, "fail", reason),
-            Check(play.name, play.found, "fail", reason),
-        )
+        finger, play = (replace(each, verdict="fail", reason=reason) for each in (finger, play))
+        return finger, play
     if contact.finger_half_width > MAX_HALF_WIDTH * contact.finger_n_per_m:
         finger = with_warning(finger, "the ramp does not determine it: press with more force")
     if contact.play_m < -tolerance_m:
         reason = "below 0: the way back presses more than the way in; look at film and zero"
-        play = Check(play.name, play.found, "warn", reason)
+        play = replace(play, verdict="warn", reason=reason)
     return finger, play
 
 

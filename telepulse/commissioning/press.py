@@ -151,8 +151,17 @@ def press_stepper(recorder: PressRecorder, scene: StepperScene, force_n: float) 
     down = _ramp(recorder, -slow, low_n / 2)
     _ramp(recorder, slow, low_n)
     step_m = _pressing_travel_m(recorder, up, low_n) / STEPS
-    stairs = _stairs(recorder, step_m, scene.max_acceleration_m_per_s2 / 2)
-    _return(recorder, 10 * slow)
+    begin_s, rng, tick_s = recorder.now_s, np.random.default_rng(SEED), recorder.rig.tick_s
+    for _ in range(STEPS):
+        recorder.hold(rng.uniform(*DWELL_S))
+        recorder.run(profile(step_m, scene.max_acceleration_m_per_s2 / 2, tick_s))
+    recorder.hold(DWELL_S[1])
+    stairs = PressPhase(begin_s, recorder.now_s)
+    # Back to where the press began.
+    travel_m = float(recorder.travel_m[-1])
+    ticks = max(1, math.ceil(abs(travel_m) / (10 * slow) / tick_s))
+    recorder.run([-travel_m / (ticks * tick_s)] * ticks)
+    recorder.hold(STILL_S / 4)
     return PressRecord(recorder, still, up, down, stairs)
 
 
@@ -213,23 +222,6 @@ def _pressing_travel_m(recorder: PressRecorder, up: PressPhase, from_n: float) -
     below = np.flatnonzero(force_n - recorder.zero_n < from_n)
     from_s = at_s[below[-1]] if len(below) else 0.0
     return float(travel.values[-1] - np.interp(from_s, travel.time_s, travel.values))
-
-
-def _stairs(recorder: PressRecorder, step_m: float, acceleration: float) -> PressPhase:
-    begin_s, rng = recorder.now_s, np.random.default_rng(SEED)
-    for _ in range(STEPS):
-        recorder.hold(rng.uniform(*DWELL_S))
-        recorder.run(profile(step_m, acceleration, recorder.rig.tick_s))
-    recorder.hold(DWELL_S[1])
-    return PressPhase(begin_s, recorder.now_s)
-
-
-def _return(recorder: PressRecorder, speed_m_per_s: float) -> None:
-    """Go back to where the press began."""
-    travel_m, tick_s = float(recorder.travel_m[-1]), recorder.rig.tick_s
-    ticks = max(1, math.ceil(abs(travel_m) / speed_m_per_s / tick_s))
-    recorder.run([-travel_m / (ticks * tick_s)] * ticks)
-    recorder.hold(STILL_S / 4)
 
 
 @dataclass(frozen=True, slots=True)

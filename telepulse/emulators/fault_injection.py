@@ -142,8 +142,7 @@ class FaultInjector:
         size_steps = self._size / self._step_m
         match self._kind:
             case FaultKind.POSITION_FROZEN:
-                if self._frozen_steps is None:
-                    self._frozen_steps = steps
+                self._frozen_steps = steps if self._frozen_steps is None else self._frozen_steps
                 return self._frozen_steps
             case FaultKind.POSITION_JUMP:
                 return steps + round(size_steps)
@@ -159,8 +158,7 @@ class FaultInjector:
             case FaultKind.FILM_ZERO:
                 return 0.0
             case FaultKind.FILM_FROZEN:
-                if self._frozen_n is None:
-                    self._frozen_n = force_n
+                self._frozen_n = force_n if self._frozen_n is None else self._frozen_n
                 return self._frozen_n
             case FaultKind.FILM_SCALED:
                 return self._size * force_n
