@@ -1,14 +1,11 @@
-"""The emulated TMCL module, byte by byte, and what PyTrinamic's codec says to the same bytes."""
+"""The emulated TMCL module, byte by byte, beside PyTrinamic's codec."""
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pytrinamic.tmcl import TMCLReply, TMCLRequest
 
-from display_node.drives.scene import TmclScene
 from display_node.drives.tmcl.module import Command, Parameter, Search
-from display_node.plant.stepper import StepperScene
-from protocol.wire.stream import LayerTable
 from telepulse.emulators.motor import EmulatedMotor
 from telepulse.emulators.tmcl import (
     INVALID_COMMAND,
@@ -18,19 +15,23 @@ from telepulse.emulators.tmcl import (
     DatagramSplitter,
     EmulatedTmclModule,
 )
+from tests.support.drive_benches import emulated_motor, stepper, tmcl_scene
 
-ACTUATOR = StepperScene.model_validate({"kind": "stepper"})
-LAW = ACTUATOR.contact(LayerTable().layer())
 GET_POSITION = bytes.fromhex("01 06 01 00 00 00 00 00 08")
 AT_ZERO = bytes.fromhex("02 01 64 06 00 00 00 00 6d")
 ROTATE_1000 = bytes.fromhex("01 01 00 00 00 00 03 e8 ed")
 ROTATE_BACK = bytes.fromhex("01 01 00 00 ff ff fc 18 14")
 
 
+def module_and_motor(**keys: object) -> tuple[EmulatedTmclModule, EmulatedMotor]:
+    scene = tmcl_scene(port="x", **keys)
+    motor = emulated_motor(scene, stepper(), 0)
+    return EmulatedTmclModule(scene, motor), motor
+
+
 @pytest.fixture
 def module() -> EmulatedTmclModule:
-    scene = TmclScene.model_validate({"kind": "tmcl", "port": "x"})
-    return EmulatedTmclModule(scene, EmulatedMotor(ACTUATOR, LAW, 2e-3, now_ns=0))
+    return module_and_motor()[0]
 
 
 def request(command: int, kind: int = 0, motor: int = 0, value: int = 0) -> bytes:
@@ -66,13 +67,13 @@ def test_golden_replies(module: EmulatedTmclModule) -> None:
         (request(Command.ROTATE_RIGHT, value=1000)[:-1] + b"\0", WRONG_CHECKSUM),
     ],
 )
-def test_what_it_cannot_do_it_refuses(module: EmulatedTmclModule, data: bytes, status: int) -> None:
+def test_unknown_requests_are_refused(module: EmulatedTmclModule, data: bytes, status: int) -> None:
     reply = TMCLReply.from_buffer(module.reply(data, 0))
     assert reply.status == status
     assert reply.is_checksum_correct()
 
 
-def test_it_does_not_hear_what_is_for_another_module(module: EmulatedTmclModule) -> None:
+def test_a_request_to_another_module_is_not_answered(module: EmulatedTmclModule) -> None:
     assert module.reply(b"\2" + GET_POSITION[1:-1] + b"\x09", 0) == b""
 
 
@@ -97,9 +98,7 @@ def test_after_noise_anywhere_and_a_pause_it_answers_again(
 
 @given(st.binary(max_size=200), st.integers(1, 9))
 def test_no_bytes_break_it_and_none_that_are_no_request_move_it(data: bytes, cut: int) -> None:
-    scene = TmclScene.model_validate({"kind": "tmcl", "port": "x"})
-    motor = EmulatedMotor(ACTUATOR, LAW, 2e-3, now_ns=0)
-    module, datagrams, valid = EmulatedTmclModule(scene, motor), DatagramSplitter(), 0
+    (module, motor), datagrams, valid = module_and_motor(), DatagramSplitter(), 0
     for start in range(0, len(data), cut):
         for whole in datagrams.feed(data[start : start + cut], 0):
             reply = module.reply(whole, 0)
@@ -109,10 +108,9 @@ def test_no_bytes_break_it_and_none_that_are_no_request_move_it(data: bytes, cut
 
 
 MS = 1_000_000
-RIGHT_LIMIT_STATE, LEFT_LIMIT_STATE = 10, 11
 
 
-def asked(module: EmulatedTmclModule, now_ns: int, command: int, kind: int, value: int = 0) -> int:
+def answer(module: EmulatedTmclModule, now_ns: int, command: int, kind: int, value: int = 0) -> int:
     reply = TMCLReply.from_buffer(module.reply(request(command, kind, value=value), now_ns))
     assert reply.is_valid()
     number: int = reply.value
@@ -121,25 +119,24 @@ def asked(module: EmulatedTmclModule, now_ns: int, command: int, kind: int, valu
 
 @pytest.mark.parametrize("inverted", [False, True])
 def test_limit_switch_states_report_the_home_switch_on_its_side(inverted: bool) -> None:
-    scene = TmclScene.model_validate({"kind": "tmcl", "port": "x", "inverted": inverted})
-    motor = EmulatedMotor(ACTUATOR, LAW, 2e-3, now_ns=0)
-    module = EmulatedTmclModule(scene, motor)
-    sides = (RIGHT_LIMIT_STATE, LEFT_LIMIT_STATE)
-    assert [asked(module, 0, Command.GET_AXIS, side) for side in sides] == [0, 0]
+    module, motor = module_and_motor(inverted=inverted)
+    sides = (Parameter.RIGHT_SWITCH_STATE, Parameter.LEFT_SWITCH_STATE)
+    assert [answer(module, 0, Command.GET_AXIS, side) for side in sides] == [0, 0]
     away = Command.ROTATE_RIGHT if inverted else Command.ROTATE_LEFT
-    asked(module, 0, away, 0, 8_000)
-    states = [asked(module, 2_000 * MS, Command.GET_AXIS, side) for side in sides]
+    answer(module, 0, away, 0, 8_000)
+    states = [answer(module, 2_000 * MS, Command.GET_AXIS, side) for side in sides]
     assert motor.at_switch
     assert states == [int(inverted), int(not inverted)]
 
 
-def test_after_a_missed_heartbeat_it_obeys_the_next_command(module: EmulatedTmclModule) -> None:
-    asked(module, 0, Command.SET_GLOBAL, 68, 50)
-    asked(module, 0, Command.ROTATE_RIGHT, 0, 1_000)
-    assert asked(module, 40 * MS, Command.GET_AXIS, Parameter.ACTUAL_SPEED) == 1_000
-    module._motor.advance(200 * MS)
-    assert module._motor.tripped
-    assert module._motor.rate_hz == 0.0
-    asked(module, 201 * MS, Command.ROTATE_LEFT, 0, 1_000)
-    module._motor.advance(210 * MS)
-    assert module._motor.rate_hz == pytest.approx(-1_000)
+def test_after_a_missed_heartbeat_it_obeys_the_next_command() -> None:
+    module, motor = module_and_motor()
+    answer(module, 0, Command.SET_GLOBAL, 68, 50)
+    answer(module, 0, Command.ROTATE_RIGHT, 0, 1_000)
+    assert answer(module, 40 * MS, Command.GET_AXIS, Parameter.ACTUAL_SPEED) == 1_000
+    motor.advance(200 * MS)
+    assert motor.tripped
+    assert motor.rate_hz == 0.0
+    answer(module, 201 * MS, Command.ROTATE_LEFT, 0, 1_000)
+    motor.advance(210 * MS)
+    assert motor.rate_hz == pytest.approx(-1_000)
