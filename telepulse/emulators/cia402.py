@@ -14,8 +14,9 @@ from typing import Any
 import can
 import canopen
 
-from display_node.drives.cia402.node import HEARTBEAT, RPDO1, SYNC
+from display_node.drives.cia402.node import HEARTBEAT, QUICK_STOP_ON_ABORT, RPDO1, SYNC
 from display_node.drives.cia402.state_machine import (
+    HEARTBEAT_ERROR,
     HERE,
     HOMING_ATTAINED,
     HOMING_ERROR,
@@ -33,7 +34,15 @@ ALL_MODES = (Mode.PROFILE_VELOCITY, Mode.CYCLIC_VELOCITY)
 TPDO_S = 0.01
 NOTIFIER_CYCLE_S = 0.1
 LAST_SYNC_TYPE = 240
-DIGITAL_INPUTS = 0x60FD
+# Objects that change by themselves, by the drive's attributes.
+_OBJECTS = {
+    0x603F: "error_code",
+    0x6041: "statusword",
+    0x6061: "mode",
+    0x6064: "position",
+    0x606C: "velocity",
+    0x60FD: "digital_inputs",
+}
 _IDENTIFIER = struct.Struct(">H")
 # State after a controlword.
 _TRANSITIONS: dict[tuple[State, int], State] = {
@@ -47,8 +56,6 @@ _TRANSITIONS: dict[tuple[State, int], State] = {
 }
 VOLTAGE_ENABLED = 0x10
 ERROR_CODES = {"overtemperature": 0x4310, "following error": 0x8611, "stall": 0x7121}
-HEARTBEAT_ERROR = 0x8130
-QUICK_STOP_ON_ABORT = 3
 # Bits of the digital inputs (0x60FD): a limit switch that is closed.
 NEGATIVE_LIMIT, POSITIVE_LIMIT = 1, 2
 
@@ -138,8 +145,9 @@ class EmulatedCia402Drive:
     def control(self, word: int, velocity: int) -> None:
         """Apply a controlword with a target velocity in the drive's units."""
         before, self._control = self._control, word
+        rising = word & ~before
         if self.state is State.FAULT:
-            if word & ~before & Control.RESET_FAULT:
+            if rising & Control.RESET_FAULT:
                 self._motor.reset()
                 self.error_code = 0
                 self.state = State.SWITCH_ON_DISABLED
@@ -154,22 +162,19 @@ class EmulatedCia402Drive:
         if self.state is not State.ENABLED:
             self._motor.run(0.0)
         elif self.mode == Mode.HOMING:
-            if word & ~before & (Control.START_HOMING ^ Control.ENABLE):
+            if rising & (Control.START_HOMING ^ Control.ENABLE):
                 self._home()
         elif self.mode in self._modes:
             self._motor.run(self._direction * velocity / self._scene.velocity_scale)
 
     def _home(self) -> None:
         away = POSITIVE_SWITCH if self._direction < 0 else NEGATIVE_SWITCH
+        self._homed = HOMING_ATTAINED if self._method in (HERE, away) else HOMING_ERROR
         if self._method == HERE:
             self._motor.zero()
         elif self._method == away:
             speeds = (self._search, self._leave)
             self._motor.home(*(speed / self._scene.velocity_scale for speed in speeds))
-        else:
-            self._homed = HOMING_ERROR
-            return
-        self._homed = HOMING_ATTAINED
 
     def _quick_stop(self) -> None:
         self._motor.run(0.0)
@@ -265,17 +270,9 @@ class EmulatedCia402Node:
 
     def _value(self, index: int) -> int | None:
         """Return the value of an object of the drive that changes by itself."""
-        drive = self.drive
-        values = {
-            0x603F: drive.error_code,
-            0x6041: drive.statusword,
-            0x6061: drive.mode,
-            0x6064: drive.position,
-            0x606C: drive.velocity,
-            DIGITAL_INPUTS: drive.digital_inputs,
-            0x6502: self._supported,
-        }
-        return values.get(index)
+        name = _OBJECTS.get(index, "")
+        value: int | None = self._supported if index == 0x6502 else getattr(self.drive, name, None)
+        return value
 
     def _on_read(self, index: int, subindex: int, od: Any) -> int | None:
         if self.silent:

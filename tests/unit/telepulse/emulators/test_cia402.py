@@ -3,6 +3,7 @@
 import pytest
 
 from display_node.drives.cia402.state_machine import (
+    HEARTBEAT_ERROR,
     HERE,
     HOMING_ATTAINED,
     HOMING_ERROR,
@@ -12,12 +13,7 @@ from display_node.drives.cia402.state_machine import (
     Mode,
     State,
 )
-from telepulse.emulators.cia402 import (
-    HEARTBEAT_ERROR,
-    NEGATIVE_LIMIT,
-    POSITIVE_LIMIT,
-    EmulatedCia402Drive,
-)
+from telepulse.emulators.cia402 import NEGATIVE_LIMIT, POSITIVE_LIMIT, EmulatedCia402Drive
 from tests.support.drive_benches import cia402_scene, emulated_motor, stepper
 
 MS = 1_000_000
