@@ -1,4 +1,4 @@
-"""Check that a command could be run: its program takes these words, and what it names is there."""
+"""Check that a command could be run: its program accepts the words, and the named files exist."""
 
 import re
 import shlex
@@ -22,13 +22,13 @@ APPLICATIONS = {
     "sensing-node": sensing_node.cli.app,
     "display-node": display_node.cli.app,
 }
-# What a page writes where a reader has a value of his own.
+# Words that stand for a reader's own value.
 PLACEHOLDERS = {"PORT": "5600", "PRIORITY": "40", "SECONDS": "1"}
 RECIPES = {*OTHERS, "ruff", "mypy", "lint-imports", "touch", "rm", "mkdir"}
 
 
 def check(command: str) -> None:
-    """Raise AssertionError where it could not be run as it stands."""
+    """Raise AssertionError if it could not be run as written."""
     try:
         _check(command)
     except Exception as error:
@@ -55,7 +55,7 @@ def _check(command: str) -> None:
 
 
 def recipes(arguments: list[str]) -> list[str]:
-    """Return what `make` would run, installing left out."""
+    """Return the commands that `make` would run, without installation."""
     made = subprocess.run(
         ["make", "--dry-run", "--no-print-directory", *arguments],
         cwd=ROOT,
@@ -75,8 +75,8 @@ def _filled(word: str) -> str:
 
 
 def _parse(command: Any, name: str, words: list[str]) -> None:
-    """Let the real command line read the words, down to the sub-command, and run nothing."""
-    # Some of these act when they are parsed.
+    """Parse the words by the real command line, down to the sub-command, without running it."""
+    # Some of these act when parsed.
     if words in ([], ["--help"], ["--version"], ["--install-completion"]) or words[-1:] == [""]:
         return
     context = command.make_context(name, list(words))

@@ -1,4 +1,4 @@
-"""Commands on the pages that a reader types: the way each is run here, or why it is not."""
+"""Commands on the pages: how each is run here, or why it is not."""
 
 import json
 import shutil
@@ -27,12 +27,12 @@ LINK = "delay=40ms,jitter=10ms,loss=1%"
 
 
 def carry(what: str, where: str) -> Do:
-    """Take a file from one machine's folder to another's."""
+    """Copy a file from one machine's folder to another's."""
     return lambda folder: shutil.copy(folder / what, folder / where) and None
 
 
 def felt(where: str) -> Do:
-    """See in a summary that a pulse was played."""
+    """Check in a summary that a pulse was played."""
 
     def look(folder: Path) -> None:
         assert json.loads((folder / where).read_text(encoding="utf-8"))["samples"]["played"] > 0
@@ -41,13 +41,13 @@ def felt(where: str) -> Do:
 
 
 def loads(folder: Path) -> None:
-    """Reference loads and what a film said of them."""
+    """Write reference loads and a film's readings."""
     text = "load (g), reading_mV\n0, 0.1\n50, 22\n100, 43.5\n150, 65\n200, 86.4\n"
     (folder / "loads.csv").write_text(text, encoding="utf-8")
 
 
 def snippets_of(page: str) -> Do:
-    """Run a page's Python where the commands have written what it reads."""
+    """Run a page's Python in the folder of the commands' output."""
 
     def run(folder: Path) -> None:
         codes = [block.text for block in blocks() if (block.page, block.language) == (page, PYTHON)]
@@ -59,7 +59,7 @@ def snippets_of(page: str) -> Do:
 
 
 def on_air(command: str, more: str = "", at: str = ".") -> list[Step | Stop | Do]:
-    """A display that plays a pulse, and is ended by Ctrl-C."""
+    """Run a display until it plays, and end it by Ctrl-C."""
     return [Step(command, more=more, at=at, shows="playing"), Stop(command)]
 
 
@@ -175,8 +175,8 @@ SESSIONS: dict[str, list[Step | Stop | Do]] = {
     ],
 }
 
-# Why it is not run here, and where the like of it is. It is held against the real command line all
-# the same, and what it names must be there.
+# The reason why it is not run here, and the test of a similar command. The real command line still
+# parses it, and the named tests must exist.
 BENCH = "half a minute; tests/system/commissioning/test_bench_command.py"
 FUZZ = "a minute and more; tests/system/hostile/test_fuzz_runner.py"
 MULTICAST = "needs a network that carries multicast; tests/system/discovery"

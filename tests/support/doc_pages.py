@@ -1,4 +1,4 @@
-"""What stands in the pages: their blocks of commands, tables and code."""
+"""The pages: their blocks of commands, tables and code."""
 
 import re
 from collections.abc import Iterator
@@ -10,9 +10,9 @@ from markdown_it import MarkdownIt
 from tests.support.nodes import ROOT
 
 PROGRAMS = ("telepulse", "sensing-node", "display-node", "make", "python", "pip", "docker")
-# A reader's own.
+# Programs that are not telepulse's.
 OTHERS = ("source", "pre-commit", "curl")
-# What `telepulse lsl` calls its streams.
+# Names of the streams of `telepulse lsl`.
 NAMES = ("telepulse wrist", "telepulse finger", "telepulse events")
 PYTHON = "python"
 SHELLS = ("console", "sh", "shell", "bash")
@@ -29,25 +29,25 @@ class Block:
 
     @property
     def place(self) -> str:
-        """Where it is, for a failure's line."""
+        """Return its place, for the message of a failure."""
         return f"{self.page}:{self.line}"
 
     @property
     def is_shell(self) -> bool:
-        """Whether it holds commands: it says so, or begins with a program."""
+        """Return whether it holds commands: by its language, or by a program at its begin."""
         if self.language:
             return self.language in SHELLS
         return self.text.strip().removeprefix("$ ").split()[0] in (*PROGRAMS, *OTHERS)
 
 
 def pages() -> list[Path]:
-    """Every page that a reader is shown."""
+    """Return every page."""
     named = [ROOT / name for name in ("README.md", "CONTRIBUTING.md")]
     return [*(page for page in named if page.exists()), *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def blocks() -> Iterator[Block]:
-    """Every block of every page."""
+    """Yield every block of every page."""
     for page in pages():
         name = str(page.relative_to(ROOT))
         for token in MarkdownIt().parse(page.read_text(encoding="utf-8")):
@@ -57,7 +57,7 @@ def blocks() -> Iterator[Block]:
 
 
 def commands(block: Block) -> Iterator[str]:
-    """The commands of a shell block, on one line each, without prompts, comments and output."""
+    """Yield the commands of a shell block, one line each, without prompts, comments, output."""
     prompted = any(line.startswith("$ ") for line in block.text.splitlines())
     for line in block.text.replace("\\\n", " ").splitlines():
         if prompted and not line.startswith("$ "):
@@ -67,7 +67,7 @@ def commands(block: Block) -> Iterator[str]:
 
 
 def commands_in_text() -> Iterator[str]:
-    """Commands that stand in a sentence or a table, as `code`."""
+    """Yield commands that stand as `code` in a sentence or a table."""
     for page in pages():
         for token in MarkdownIt().enable("table").parse(page.read_text(encoding="utf-8")):
             for child in token.children or ():

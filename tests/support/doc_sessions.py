@@ -1,4 +1,4 @@
-"""Runs commands as a reader would: in a folder, one after the other, some beside the next."""
+"""Run commands as a reader would: in a folder, one after the other, some in parallel."""
 
 import os
 import re
@@ -23,9 +23,12 @@ LONGEST_S = 60
 
 @dataclass(frozen=True)
 class Step:
-    """A command as it stands in a page. `more` is appended, and nothing else is changed but the
-    places of `Session`; `at` is the folder it is typed in. With `shows`, it runs on beside the
-    next steps once it has said that, a pattern, and is ended by Ctrl-C."""
+    """A command as written on a page.
+
+    `more` is appended; otherwise only the places of `Session` are replaced. `at` is the folder in
+    which it is run. With `shows`, it keeps running beside the next steps once it has printed that
+    pattern, and is ended by Ctrl-C.
+    """
 
     command: str
     more: str = ""
@@ -36,7 +39,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Stop:
-    """Ctrl-C in the terminal where this command runs."""
+    """Ctrl-C in the terminal of this command."""
 
     command: str
 
@@ -45,7 +48,7 @@ Do = Callable[[Path], None]
 
 
 class Session:
-    """A folder with the scenes in it, and what runs there."""
+    """A folder with the scenes in it, and the running commands."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -66,13 +69,13 @@ class Session:
         self._running: dict[str, tuple[subprocess.Popen[str], Path]] = {}
 
     def placed(self, text: str) -> str:
-        """A command with this session's ports, hosts and folders."""
+        """Return a command with this session's ports, hosts and folders."""
         for place, ours in self.places.items():
             text = re.sub(place, ours, text)
         return text
 
     def play(self, steps: Sequence[Step | Stop | Do]) -> None:
-        """All steps; what still runs at the end is stopped, the last one first."""
+        """Run all steps; stop what still runs at the end, the last one first."""
         with ExitStack() as until_the_end:
             for step in steps:
                 if isinstance(step, Step):
@@ -115,7 +118,7 @@ class Session:
             assert _has(heard, pattern), _said(line, heard)
 
     def _stop(self, command: str) -> None:
-        """End it by Ctrl-C if it still runs; nothing that the pages show ends badly."""
+        """End it by Ctrl-C if it still runs; its exit status must be 0."""
         if command not in self._running:
             return
         child, heard = self._running.pop(command)

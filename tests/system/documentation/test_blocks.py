@@ -1,4 +1,4 @@
-"""Every block of the pages is of a kind that a test can hold to its word."""
+"""Every block of the pages is of a kind that a test can check."""
 
 import ast
 import json
@@ -22,18 +22,18 @@ from tests.support.nodes import ROOT
 
 BLOCKS = list(blocks())
 SECTIONS = {"sensing": SensingScene, "display": DisplayScene, "link": LinkScene}
-# Shown, and nothing that could be run or read: bytes, output, what another program's file has.
+# Neither runnable nor readable: bytes, output, files of other programs.
 SHOWN = {
     ("docs/wire.md", "[1, session, first_sample"),
     ("docs/fuzzing.md", "frame "),
     ("docs/realtime.md", "USER - rtprio"),
     ("docs/discovery.md", "looking for a sensing node"),
 }
-# Code that cannot run here, by its first words: parsed alone.
+# Code that cannot run here, by its first words: it is only parsed.
 UNRUN = {"with emulate(": "needs root and iperf3; tests/telepulse/emulator"}
-# These read what the page's commands have written: said.py runs them after those.
+# Its snippets read the output of its commands: `doc_output.py` runs them after those.
 READS = "docs/analysis.md"
-# In a page's snippet, what would take too long in a test.
+# Values of snippets that would take too long in a test.
 SHORTER = {"SECONDS = 60": "SECONDS = 2"}
 
 
@@ -50,7 +50,7 @@ def is_python(text: str) -> bool:
 
 
 def tables(text: str) -> list[dict[str, Any]]:
-    """A block of TOML; where it shows one table in two ways, both."""
+    """Return the tables of a block of TOML, which may show one table in two ways."""
     try:
         return [tomllib.loads(text)]
     except tomllib.TOMLDecodeError:
@@ -58,7 +58,7 @@ def tables(text: str) -> list[dict[str, Any]]:
 
 
 def kind(block: Block) -> str:
-    """What a block is. Raises where it is nothing that these tests know."""
+    """Return the kind of a block. Raises where it is none that these tests know."""
     if block.is_shell:
         return "shell"
     if block.language.startswith(("{", "text", "promql")):
@@ -74,7 +74,7 @@ def kind(block: Block) -> str:
 
 
 @pytest.mark.parametrize("block", BLOCKS, ids=lambda block: block.place)
-def test_a_block_is_what_it_looks_like(block: Block) -> None:
+def test_a_block_is_valid_in_its_language(block: Block) -> None:
     match kind(block):
         case "toml":
             for table in tables(block.text):
@@ -86,7 +86,7 @@ def test_a_block_is_what_it_looks_like(block: Block) -> None:
 
 
 def check_scene(table: dict[str, Any], where: str) -> None:
-    """A table of a scene is one when it is put into a scene that ships."""
+    """Check that a table is valid within a shipped scene."""
     base = "real_bench" if "observer" in str(table) else "radial"
     scene = load_document(find_scene(base))
     for section, schema in SECTIONS.items():
@@ -95,7 +95,7 @@ def check_scene(table: dict[str, Any], where: str) -> None:
 
 
 def merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
-    """`above` into `below`; a table with a kind of its own takes the other's place."""
+    """Merge `above` into `below`; a table with another kind replaces the whole table."""
     if "kind" in above:
         return above
     result = dict(below)
@@ -122,7 +122,7 @@ def test_a_snippet_runs_and_prints_what_the_page_shows(block: Block, tmp_path: P
 
 
 def test_the_site_links_to_no_page_that_is_gone() -> None:
-    """README and CONTRIBUTING are no part of the site, whose own links Sphinx checks."""
+    """README and CONTRIBUTING are not part of the site, whose links Sphinx checks."""
     for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"):
         page = ROOT / name
         targets = re.findall(r"\]\(([^)#:]+)\)", page.read_text(encoding="utf-8"))

@@ -1,5 +1,4 @@
-"""Every command that a page tells a reader to type is run, or held against the real command line
-and named with the reason why it is not run."""
+"""Every command on a page is run, or parsed by the real command line and listed with a reason."""
 
 import re
 from pathlib import Path
@@ -23,7 +22,7 @@ def test_every_command_is_run_or_named_with_a_reason() -> None:
     assert unknown == {}
 
 
-def test_no_reason_is_left_of_a_command_that_is_gone() -> None:
+def test_every_reason_belongs_to_a_command() -> None:
     assert set(UNRUN) - set(TYPED) == set()
     assert set(UNRUN) & RUN == set()
     named = [path for reason in UNRUN.values() for path in re.findall(r"tests/\S+", reason)]
@@ -31,11 +30,11 @@ def test_no_reason_is_left_of_a_command_that_is_gone() -> None:
 
 
 @pytest.mark.parametrize("command", sorted(UNRUN))
-def test_what_is_not_run_could_be(command: str) -> None:
+def test_commands_that_are_not_run_are_valid(command: str) -> None:
     check(command)
 
 
-def test_commands_in_sentences_could_be_run() -> None:
+def test_commands_in_sentences_are_valid() -> None:
     found = list(commands_in_text())
     assert len(found) > 50
     for command in found:
@@ -46,7 +45,7 @@ def test_commands_in_sentences_could_be_run() -> None:
 @pytest.mark.timeout(300)
 @pytest.mark.usefixtures("goes_first")
 @pytest.mark.parametrize("name", SESSIONS)
-def test_a_reader_can_type_it(name: str, tmp_path: Path) -> None:
+def test_a_session_of_commands_succeeds(name: str, tmp_path: Path) -> None:
     Session(tmp_path).play(SESSIONS[name])
 
 
@@ -63,11 +62,11 @@ def test_a_reader_can_type_it(name: str, tmp_path: Path) -> None:
         "python -m benchmark",
     ],
 )
-def test_what_is_no_command_is_found(command: str) -> None:
+def test_invalid_commands_are_found(command: str) -> None:
     with pytest.raises(AssertionError):
         check(command)
 
 
-def test_comments_prompts_and_output_are_no_commands() -> None:
+def test_comments_prompts_and_output_are_not_commands() -> None:
     block = Block("page.md", 1, "console", "$ telepulse demo \\\n  --no-ui  # here\nout put\n")
     assert list(commands(block)) == ["telepulse demo --no-ui"]

@@ -1,4 +1,4 @@
-"""The project's descriptions of itself are well-formed and true."""
+"""The project's metadata is well-formed and consistent."""
 
 import re
 import subprocess
@@ -34,7 +34,7 @@ def test_the_hooks_are_well_formed_and_local() -> None:
     assert {hook["language"] for hook in repositories[0]["hooks"]} == {"system"}
 
 
-def test_the_hooks_run_what_make_test_runs() -> None:
+def test_the_hooks_run_the_checks_of_make_test() -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8").replace("$(BIN)", ".venv/bin")
     assert "\ntest: check\n" in makefile
     recipe = makefile.split("\ncheck:")[1].split("\n\n")[0]

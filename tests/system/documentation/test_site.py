@@ -1,4 +1,4 @@
-"""The site is built without a warning, and needs nothing but itself."""
+"""The site builds without a warning, and needs no other host."""
 
 import re
 import subprocess
@@ -13,7 +13,7 @@ from sensing_node.scene import SensingScene
 from tests.support.nodes import ROOT
 from tests.unit.documentation.test_docs import keys
 
-# What a browser fetches by itself; a link that is followed by hand may lead anywhere.
+# Fetched by the browser itself; other links may lead anywhere.
 FETCHED = {
     ("script", "src"),
     ("img", "src"),
@@ -25,7 +25,7 @@ NOT_FETCHED = {"canonical", "next", "prev", "search", "index", "author"}
 
 
 class Fetches(HTMLParser):
-    """What a page makes a browser fetch."""
+    """The addresses that a page makes a browser fetch."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -39,7 +39,7 @@ class Fetches(HTMLParser):
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The built site; a warning fails the build."""
+    """Build the site; a warning fails the build."""
     folder = tmp_path_factory.mktemp("site")
     build = subprocess.run(
         [
@@ -73,7 +73,7 @@ def test_a_browser_fetches_nothing_from_elsewhere(site: Path) -> None:
     assert foreign == []
 
 
-def test_the_generated_pages_say_what_the_code_says(site: Path) -> None:
+def test_the_generated_pages_follow_the_code(site: Path) -> None:
     def words(name: str) -> str:
         page = (site / "reference" / f"{name}.html").read_text(encoding="utf-8")
         return re.sub(r"<[^>]+>", "", page)

@@ -1,4 +1,4 @@
-"""`python -m fuzz`: what it says of a target that holds, and of those that do not."""
+"""`python -m fuzz`: its output for a target that holds, and for those that do not."""
 
 import importlib.util
 import re
@@ -28,7 +28,7 @@ def fuzz(*arguments: str, cwd: Path = ROOT) -> "subprocess.CompletedProcess[str]
 
 
 @needs_atheris
-def test_a_target_that_holds(tmp_path: Path) -> None:
+def test_a_target_without_a_crash(tmp_path: Path) -> None:
     ended = fuzz("--only", "frame", "--seconds", "1", "--out", str(tmp_path))
     assert ended.returncode == 0, ended.stdout + ended.stderr
     row, verdict = ended.stdout.splitlines()[1:]
@@ -51,7 +51,7 @@ BROKEN = {
 
 @needs_atheris
 @pytest.mark.parametrize(("reason", "code"), BROKEN.items(), ids=BROKEN)
-def test_a_target_that_does_not_hold(reason: str, code: str, tmp_path: Path) -> None:
+def test_a_crash_is_reported_with_its_input(reason: str, code: str, tmp_path: Path) -> None:
     package = tmp_path / "fuzz"
     package.mkdir()
     for source in (ROOT / "fuzz").glob("*.py"):
@@ -76,7 +76,7 @@ def test_a_target_that_does_not_hold(reason: str, code: str, tmp_path: Path) -> 
     assert replayed.returncode != 0
 
 
-def test_a_target_that_is_none() -> None:
+def test_an_unknown_target_is_refused() -> None:
     ended = fuzz("--only", "nothing")
     assert ended.returncode == 2
     assert ended.stderr.startswith("fuzz: no target nothing; known: binary_frames, ")

@@ -1,6 +1,6 @@
-"""Whatever others wrote, in bytes or files: a value or the declared error, and little memory.
+"""Foreign bytes and files: a value or the declared error, at little memory.
 
-What is read, and what must hold of it, is in fuzz/targets/, which the fuzzer runs as well.
+The targets and their properties are in fuzz/targets/, which the fuzzer runs as well.
 """
 
 import importlib
@@ -34,7 +34,7 @@ values = st.recursive(
 
 @cache
 def target(name: str) -> Any:
-    """Loaded, and tried once, so that no input is blamed for what is only made once."""
+    """Load a target and try its seeds, so that no input is charged for one-time set-up."""
     loaded = importlib.import_module(f"fuzz.targets.{name}")
     for seed in loaded.seeds():
         loaded.try_one(seed)
@@ -42,7 +42,7 @@ def target(name: str) -> Any:
 
 
 def bounded(try_one: Callable[[bytes], None], data: bytes) -> None:
-    """Try an input, at the cost of a few megabytes at most."""
+    """Try an input, and check its peak of memory."""
     tracemalloc.start()
     try:
         try_one(data)
@@ -54,7 +54,7 @@ def bounded(try_one: Callable[[bytes], None], data: bytes) -> None:
 
 @st.composite
 def mutations(draw: st.DrawFn, seeds: list[bytes]) -> bytes:
-    """A seed in which a few places were cut out, written over, said twice or mixed with others."""
+    """Draw a seed with a few places cut out, overwritten, repeated or mixed with others."""
     data = draw(st.sampled_from(seeds))
     for _ in range(draw(st.integers(1, 4))):
         start = draw(st.integers(0, len(data)))
@@ -72,7 +72,7 @@ def mutations(draw: st.DrawFn, seeds: list[bytes]) -> bytes:
 @pytest.mark.parametrize("name", NAMES)
 @settings(max_examples=EXAMPLES)
 @given(data=st.data())
-def test_changed_inputs(name: str, data: st.DataObject) -> None:
+def test_mutated_inputs(name: str, data: st.DataObject) -> None:
     loaded = target(name)
     bounded(loaded.try_one, data.draw(mutations(loaded.seeds())))
 
@@ -125,5 +125,5 @@ PROMISES = {
 
 @pytest.mark.parametrize("name", ["control", "frame", "telemetry"])
 @pytest.mark.parametrize("data", PROMISES.values(), ids=PROMISES)
-def test_a_length_that_is_not_true_costs_nothing(name: str, data: bytes) -> None:
+def test_a_false_length_costs_nothing(name: str, data: bytes) -> None:
     bounded(target(name).try_one, data)

@@ -18,7 +18,7 @@ PACKAGES = ("protocol", "pulse_sensors", "sensing_node", "display_node", "telepu
 
 
 def keys(schema: type[BaseModel]) -> Iterator[str]:
-    """Every key a section of a scene can have, its tables' too."""
+    """Yield every key of a scene's section, those of its tables included."""
     for name, field in schema.model_fields.items():
         yield field.alias or name
         for inner in tables(field.annotation):
@@ -71,7 +71,7 @@ def test_nothing_claims_that_the_finger_is_at_rest() -> None:
     assert [path for path in texts if "finger is at rest" in path.read_text(encoding="utf-8")] == []
 
 
-def test_the_safety_case_rests_on_tests_that_there_are() -> None:
+def test_the_safety_case_names_existing_tests() -> None:
     text = (ROOT / "docs" / "safety_case.md").read_text(encoding="utf-8")
     named = set(re.findall(r"`(test_\w+\.py)::(test_\w+)`", text))
     assert len(named) > 10
