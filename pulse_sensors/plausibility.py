@@ -203,8 +203,7 @@ def _refuse_rate(column: RecordedColumn, rate_hz: float) -> str | None:
 
     Where the name of a column does not state the unit, the one that comes closest is assumed.
     """
-    for name, times in _time_columns(column):
-        step, _ = _steps(times)
+    for name, step, _, rounding in _time_columns(column):
         found = _UNIT.search(name)
         unit = found[1].lower().replace("µ", "u") if found else None
         seconds = SECONDS.values() if unit is None else (SECONDS.get(unit, 1.0),)
@@ -213,7 +212,6 @@ def _refuse_rate(column: RecordedColumn, rate_hz: float) -> str | None:
             continue
         own_hz = min(rates_hz, key=lambda own: abs(math.log(own / rate_hz)))
         # Rounded times, to whole seconds say, determine the rate no better than this.
-        rounding = _ordinary(times) / (times[-1] - times[0])
         if abs(own_hz / rate_hz - 1) <= RATE_TOLERANCE + rounding:
             return None
         return (
@@ -224,12 +222,33 @@ def _refuse_rate(column: RecordedColumn, rate_hz: float) -> str | None:
 
 
 def _warn_of_gaps(column: RecordedColumn) -> Iterator[str]:
-    for name, times in _time_columns(column):
-        if gaps := _steps(times)[1]:
+    for name, _, gaps, _ in _time_columns(column):
+        if gaps:
             yield (
                 f'column "{name}" has {count_text(gaps, "gap")}; what comes after one is played'
                 " right after what was before it"
             )
+
+
+def _time_columns(column: RecordedColumn) -> Iterator[tuple[str, float, int, float]]:
+    """Yield the columns that hold times, by their name or their even steps.
+
+    Each has its name, its mean step without gaps, the number of gaps, and the usual step as a
+    share of the whole time. Steps of exactly 1 may as well number the samples.
+    """
+    for name, times in column.rising.items():
+        steps = np.diff(times)
+        rises = steps[steps > 0]
+        if len(times) < FEW_SAMPLES or not len(rises):
+            continue
+        usual = float(np.median(rises))
+        if not _TIME_NAME.search(name):
+            low, high = np.quantile(steps, [0.1, 0.9])
+            if not 0.5 * usual < low <= high < 2 * usual or np.all(steps == 1):
+                continue
+        in_row = steps <= GAP_STEPS * usual
+        gaps = int(np.count_nonzero(~in_row))
+        yield name, float(steps[in_row].mean()), gaps, usual / (times[-1] - times[0])
 
 
 def _refuse_forces(force_n: NDArray[np.float64], unit: str, rest_n: float) -> str | None:
@@ -276,38 +295,6 @@ def _share_below(force_n: NDArray[np.float64]) -> float:
 def _preload(needed_n: float) -> float:
     """Return a preload that suffices, in whole steps of 50 mN."""
     return round(math.ceil(needed_n / 0.05) * 0.05, 2)
-
-
-def _time_columns(column: RecordedColumn) -> Iterator[tuple[str, NDArray[np.float64]]]:
-    """Yield the columns that hold times, by their name or their even steps.
-
-    Steps of exactly 1 may as well number the samples, and then say nothing of the rate.
-    """
-    for name, times in column.rising.items():
-        ordinary = _ordinary(times)
-        if len(times) < FEW_SAMPLES or not ordinary:
-            continue
-        if _TIME_NAME.search(name) or _are_even(np.diff(times), ordinary):
-            yield name, times
-
-
-def _are_even(steps: NDArray[np.float64], ordinary: float) -> bool:
-    low, high = np.quantile(steps, [0.1, 0.9])
-    return bool(0.5 * ordinary < low <= high < 2 * ordinary and not np.all(steps == 1))
-
-
-def _ordinary(times: NDArray[np.float64]) -> float:
-    """Return the usual step between two times that differ; 0 where none do."""
-    steps = np.diff(times)
-    steps = steps[steps > 0]
-    return float(np.median(steps)) if len(steps) else 0.0
-
-
-def _steps(times: NDArray[np.float64]) -> tuple[float, int]:
-    """Return the mean step of a column of times without its gaps, and the number of gaps."""
-    steps = np.diff(times)
-    in_row = steps <= GAP_STEPS * _ordinary(times)
-    return float(steps[in_row].mean()), int(np.count_nonzero(~in_row))
 
 
 class SampleCheck:
