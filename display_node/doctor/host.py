@@ -54,19 +54,21 @@ class Host:
 
 def read_host() -> Host:
     """Read this host; leave out what it does not report."""
-    meminfo = _text(Path("/proc/meminfo"))
-    idle = [_text(path) for path in CPU.glob("cpu0/cpuidle/state*/latency")]
+    meminfo = kernel_text(Path("/proc/meminfo"))
+    idle = [kernel_text(path) for path in CPU.glob("cpu0/cpuidle/state*/latency")]
     swap = re.search(r"^SwapTotal:\s+(\d+) kB", meminfo, re.MULTILINE)
     return Host(
         system=f"{platform.system()} {platform.release()} on {platform.machine()}",
         preemption=preemption_of(platform.version()),
         virtual=_virtual(),
         cpus=sorted(os.sched_getaffinity(0)) if sys.platform == "linux" else [],
-        isolated=_text(CPU / "isolated"),
+        isolated=kernel_text(CPU / "isolated"),
         quota=_quota(),
-        governors=sorted({_text(path) for path in CPU.glob("cpu*/cpufreq/scaling_governor")}),
+        governors=sorted({kernel_text(path) for path in CPU.glob("cpu*/cpufreq/scaling_governor")}),
         idle_us=max((int(text) for text in idle if text.isdigit()), default=None),
-        clocksource=_text(Path("/sys/devices/system/clocksource/clocksource0/current_clocksource"))
+        clocksource=kernel_text(
+            Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
+        )
         or None,
         clock_resolution_ns=time.get_clock_info("monotonic").resolution * 1e9,
         swap_kib=int(swap[1]) if swap else 0,
@@ -146,13 +148,13 @@ def stolen() -> tuple[int, int]:
 
     Both are in the kernel's units since its start; zeros where it does not count.
     """
-    line = _text(Path("/proc/stat")).partition("\n")[0].split()[1:9]
+    line = kernel_text(Path("/proc/stat")).partition("\n")[0].split()[1:9]
     return (int(line[7]), sum(map(int, line))) if len(line) == 8 else (0, 0)
 
 
 def _virtual() -> list[str]:
     found = []
-    if re.search(r"^flags\b.*\bhypervisor\b", _text(Path("/proc/cpuinfo")), re.MULTILINE):
+    if re.search(r"^flags\b.*\bhypervisor\b", kernel_text(Path("/proc/cpuinfo")), re.MULTILINE):
         found.append("a virtual machine")
     marks = (Path("/.dockerenv"), Path("/run/.containerenv"))
     if any(mark.exists() for mark in marks) or "container" in os.environ:
@@ -162,13 +164,15 @@ def _virtual() -> list[str]:
 
 def _quota() -> float | None:
     """Return the processors' time that a control group of either version allows."""
-    for line in _text(Path("/proc/self/cgroup")).splitlines():
+    for line in kernel_text(Path("/proc/self/cgroup")).splitlines():
         _, controllers, path = line.split(":", 2)
         if not controllers:
-            quota, _, period = _text(CGROUP / path.strip("/") / "cpu.max").partition(" ")
+            quota, _, period = kernel_text(CGROUP / path.strip("/") / "cpu.max").partition(" ")
         elif "cpu" in controllers.split(","):
             folder = CGROUP / "cpu" / path.strip("/")
-            quota, period = (_text(folder / f"cpu.cfs_{key}_us") for key in ("quota", "period"))
+            quota, period = (
+                kernel_text(folder / f"cpu.cfs_{key}_us") for key in ("quota", "period")
+            )
         else:
             continue
         if quota.isdigit() and period.isdigit():
@@ -178,7 +182,7 @@ def _quota() -> float | None:
 
 def _realtime_share() -> float | None:
     kernel = Path("/proc/sys/kernel")
-    runtime, period = (_text(kernel / f"sched_rt_{key}_us") for key in ("runtime", "period"))
+    runtime, period = (kernel_text(kernel / f"sched_rt_{key}_us") for key in ("runtime", "period"))
     if not period.isdigit():
         return None
     return 1.0 if runtime == "-1" else int(runtime) / int(period)
@@ -209,7 +213,7 @@ def _missing(requirements: list[str]) -> dict[str, list[str]]:
     return missing
 
 
-def _text(path: Path) -> str:
+def kernel_text(path: Path) -> str:
     """Return the text of a kernel's file; empty where it cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip()

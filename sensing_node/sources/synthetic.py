@@ -65,7 +65,7 @@ class SyntheticScene(Section):
 
 
 class SyntheticSource:
-    """Gives the pulse that a `SyntheticScene` describes, in newtons."""
+    """A synthetic pulse in N, with one channel."""
 
     channels = (Channel("pulse"),)
 
@@ -76,7 +76,13 @@ class SyntheticSource:
         self.period_ns = round(1e9 / scene.rate_hz)
         self._period_s = self.period_ns * 1e-9
         self._waves = PRESETS[scene.preset]
-        self._scale_n, self._mean, self._deviation = self._normalisation()
+        # Mean and deviation of an endless row of nominal beats, and newtons per unit.
+        beat_s = 1 / scene.heart_rate_hz
+        t_s, stretch = np.arange(0, beat_s, 1e-4), math.sqrt(beat_s / NOMINAL_BEAT_S)
+        beats = [_beat(self._waves, t_s - shift * beat_s, stretch) for shift in range(-3, 4)]
+        row = np.sum(beats, axis=0)
+        self._mean, self._deviation = float(row.mean()), float(row.std())
+        self._scale_n = scene.peak_to_peak_n / float(np.ptp(row))
         widest = max(wave.width_s for wave in self._waves)
         # A beat's first wave may begin before the beat; samples are final this long before it.
         lead_s = max(0.0, *(REACH * w.width_s - w.centre_s for w in self._waves))
@@ -96,20 +102,6 @@ class SyntheticSource:
         ready = parts[0] if len(parts) == 1 else np.concatenate(parts)
         taken, self._ready = ready[:count], ready[count:]
         return taken[:, np.newaxis]
-
-    def _normalisation(self) -> tuple[float, float, float]:
-        """Newtons per unit, mean and standard deviation of an endless row of nominal beats."""
-        beat_s = 1 / self._scene.heart_rate_hz
-        stretch = math.sqrt(beat_s / NOMINAL_BEAT_S)
-        t_s = np.arange(0, beat_s, 1e-4, dtype=np.float64)
-        one = np.zeros_like(t_s)
-        for shift in range(-3, 4):
-            one += _beat(self._waves, t_s - shift * beat_s, stretch)
-        return (
-            self._scene.peak_to_peak_n / float(np.ptp(one)),
-            float(one.mean()),
-            float(one.std()),
-        )
 
     def _interval_s(self, onset_s: float) -> float:
         """Return the beat interval at a time: slow rhythm, respiratory rhythm and chance."""
@@ -131,14 +123,12 @@ class SyntheticSource:
         scene, amplitude = self._scene, 1.0
         interval_s = self._interval_s(self._beat_onset_s)
         if self._early:
-            amplitude, interval_s, self._early = (
-                ECTOPIC_AMPLITUDE,
-                interval_s * ECTOPIC_PAUSE,
-                False,
-            )
+            amplitude, self._early = ECTOPIC_AMPLITUDE, False
+            interval_s *= ECTOPIC_PAUSE
         elif scene.ectopic and self._rng.random() < scene.ectopic / (1 - scene.ectopic):
             # Drawn for the beats that are not premature themselves, hence the odds.
-            interval_s, self._early = interval_s * ECTOPIC_EARLY, True
+            self._early = True
+            interval_s *= ECTOPIC_EARLY
         # Systole shortens less than the interval: times go with its square root.
         stretch = math.sqrt(min(interval_s, 1 / scene.heart_rate_hz) / NOMINAL_BEAT_S)
         onset = round(self._beat_onset_s / self._period_s)
@@ -157,7 +147,7 @@ class SyntheticSource:
             self._pending = np.concatenate([self._pending, np.zeros(missing)])
 
     def _finish(self, end: int) -> NDArray[np.float64]:
-        """Turn pending samples up to index `end` into newtons and hand them out."""
+        """Return the pending samples up to index `end` in newtons."""
         self._extend(end)
         count = max(0, end - self._pending_first)
         shape, self._pending = self._pending[:count], self._pending[count:]
@@ -180,7 +170,7 @@ class SyntheticSource:
 def _beat(
     waves: tuple[Wave, ...], t_s: NDArray[np.floating[Any]], stretch: float
 ) -> NDArray[np.float64]:
-    """One beat at times after its onset."""
+    """Return one beat at times after its onset."""
     shape = np.zeros(len(t_s))
     for wave in waves:
         z = (t_s - wave.centre_s * stretch) / (wave.width_s * stretch)

@@ -13,7 +13,7 @@ from tests.support.rights import needs_rights, with_rights, without_rights
 QUICK = ("-m", MODULE, "--doctor", "--seconds", "0.4")
 
 
-def test_late_and_missed_ticks_are_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_late_and_missed_ticks_are_counted_separately(monkeypatch: pytest.MonkeyPatch) -> None:
     now_ns = 0
     waits_ns = iter([1_000_000, 1_000_000, 3_400_000, 9_600_000])
     worked: list[tuple[int, int]] = []
@@ -51,7 +51,7 @@ def test_the_doctor_measures_with_each_measure_and_without(tmp_path: Path) -> No
     assert "fifo=40" in doctor.stdout
 
 
-def test_what_is_not_granted_is_named_with_what_to_do(tmp_path: Path) -> None:
+def test_a_refused_measure_is_named_with_what_to_do(tmp_path: Path) -> None:
     path = tmp_path / "report.json"
     doctor = without_rights(*QUICK, "--json", str(path))
     assert (doctor.returncode, doctor.stderr) == (0, "")
@@ -78,7 +78,7 @@ def test_a_doctor_that_is_stopped_leaves_no_load_behind(number: signal.Signals) 
 
 
 def computes(process_id: str) -> bool:
-    """Whether there is such a process; nobody may have asked yet how it ended."""
+    """Return whether the process runs; one that has ended may wait for its parent as a zombie."""
     try:
         status = Path(f"/proc/{process_id}/status").read_text(encoding="utf-8")
     except OSError:
@@ -87,17 +87,18 @@ def computes(process_id: str) -> bool:
 
 
 @pytest.mark.parametrize(
-    ("scene", "said"), [("no such scene.toml", "no such scene file"), (str(RADIAL), "is a folder")]
+    ("scene", "message"),
+    [("no such scene.toml", "no such scene file"), (str(RADIAL), "is a folder")],
 )
-def test_a_doctor_that_cannot_begin_says_so_in_a_line(
-    scene: str, said: str, tmp_path: Path
+def test_a_doctor_that_cannot_begin_is_refused_in_one_line(
+    scene: str, message: str, tmp_path: Path
 ) -> None:
-    json = tmp_path if said == "is a folder" else tmp_path / "report.json"
+    json = tmp_path if message == "is a folder" else tmp_path / "report.json"
     doctor = with_rights(*QUICK, scene, "--json", str(json))
     assert doctor.returncode == 2
     (line,) = doctor.stderr.splitlines()
     assert line.startswith("display-node: ")
-    assert said in line
+    assert message in line
 
 
 def test_without_a_doctor_a_scene_is_needed() -> None:

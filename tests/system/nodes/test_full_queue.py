@@ -1,5 +1,7 @@
-"""A peer that fills our queue and goes must not take us with it; with heartbeats of ZeroMQ's own
-it would: libzmq 4.3.5 ends the process."""
+"""A peer that fills a node's queue and disconnects must not end the node.
+
+With ZeroMQ's own heartbeats it would: libzmq 4.3.5 ends the process.
+"""
 
 import time
 from subprocess import PIPE
@@ -11,7 +13,7 @@ from protocol.host.child_process import ChildProcess
 from protocol.sockets import Context
 from tests.support.nodes import free_address
 
-# It reads nothing for longer than two of the heartbeats that there were.
+# It reads nothing for longer than two heartbeats.
 NODE = """
 import sys, time, zmq
 from protocol import sockets
@@ -26,7 +28,7 @@ HEARTBEATS_S = 4.5
 FLOOD = 3 * sockets.HIGH_WATER_FRAMES
 
 
-def test_a_peer_that_goes_while_our_queue_is_full_of_its_messages(context: Context) -> None:
+def test_a_node_survives_peers_that_disconnect_while_its_queue_is_full(context: Context) -> None:
     address = free_address()
     with ChildProcess("node", "-c", NODE, address, stdin=PIPE, stdout=PIPE) as node:
         node.read_line(20)

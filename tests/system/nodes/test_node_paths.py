@@ -51,7 +51,7 @@ def test_of_two_addresses_one_may_go_without_a_sample_lost(
         assert display.wait(PATIENCE_S + 10) == 0
     result = read_json(summary)
     assert_accounted(result["samples"])
-    # The sensing node's last word came over the other address.
+    # The end of the stream came over the other address.
     assert result["samples"]["sent"] + result["samples"]["before_joining"] == 10_000
     assert result["samples"]["lost"] == 0
     assert set(result["frames"]["first"]) == {relayed, address}

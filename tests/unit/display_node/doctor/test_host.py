@@ -128,7 +128,7 @@ def test_this_host_is_read_and_shown() -> None:
 def test_a_host_without_any_file_of_the_kernel_is_read_and_shown(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(module, "_text", lambda path: "")
+    monkeypatch.setattr(module, "kernel_text", lambda path: "")
     monkeypatch.setattr(module, "CPU", Path("/no such folder"))
     host = read_host()
     assert (host.quota, host.idle_us, host.clocksource, host.realtime_share) == (None,) * 4
@@ -153,7 +153,7 @@ QUOTA, PERIOD = (f"/sys/fs/cgroup/cpu/b/cpu.cfs_{key}_us" for key in ("quota", "
 def test_a_control_groups_share_of_time_is_read(
     files: dict[str, str], processors: float | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "_text", lambda path: files.get(str(path), ""))
+    monkeypatch.setattr(module, "kernel_text", lambda path: files.get(str(path), ""))
     assert read_host().quota == processors
 
 

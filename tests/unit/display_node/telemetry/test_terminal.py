@@ -132,7 +132,7 @@ def test_the_plot_is_a_line_without_holes() -> None:
     assert (columns.max(axis=1) > 0).all()
 
 
-def test_before_anything_is_known_the_view_says_so() -> None:
+def test_without_a_status_or_a_pulse_the_view_waits() -> None:
     under_test = TerminalView()
     assert "waiting" in printed(under_test)
     assert "waiting" in under_test.line()
