@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 
 from protocol.errors import ProtectionError, TelepulseError
-from protocol.host.child_process import Sidecar, sidecar_module, start_sidecar
+from protocol.host.child_process import Sidecar, sidecar_module
 from protocol.host.output import STDOUT
 from protocol.host.realtime import RealtimeGrant, RealtimeRequest, hold
 from protocol.provenance import Provenance
@@ -245,7 +245,7 @@ def start_metrics(program: str, where: str | None) -> Iterator[Sidecar | None]:
     if where is None:
         yield None
         return
-    with start_sidecar("metrics server", sidecar_module("metrics"), program, where) as sidecar:
+    with Sidecar("metrics server", sidecar_module("metrics"), program, where) as sidecar:
         url = sidecar.ready_message
         logger.info(f"metrics on {url}")
         if beyond_loopback(url.replace("http", "tcp", 1).removesuffix("/metrics")):

@@ -95,8 +95,8 @@ def _usable(addresses: Sequence[bytes]) -> tuple[str, ...]:
     """Return the IPv4 addresses that a node can have. Raises WireError."""
     if len(addresses) > MAX_ADDRESSES:
         raise WireError("malformed", f"it has more than {MAX_ADDRESSES} addresses")
-    numbers = [ipaddress.IPv4Address(address) for address in addresses if len(address) == 4]
-    usable = sorted({n for n in numbers if not (n.is_multicast or n.is_unspecified)})
+    numbers = {ipaddress.IPv4Address(address) for address in addresses if len(address) == 4}
+    usable = [n for n in sorted(numbers) if not (n.is_multicast or n.is_unspecified)]
     if not usable:
         raise WireError("malformed", "it has no address")
     return tuple(map(str, usable))
@@ -139,13 +139,12 @@ def only_match(candidates: Sequence[Announcement]) -> Announcement:
     """Return the only candidate. Raises DiscoveryError where there are several or none."""
     if not candidates:
         raise DiscoveryError("the sensing node that was found has just gone")
-    several = sorted(candidates, key=lambda one: one.name)
-    if len(several) > 1:
-        names = ", ".join(repr(one.name) for one in several)
+    if len(candidates) > 1:
+        names = ", ".join(repr(name) for name in sorted(one.name for one in candidates))
         raise DiscoveryError(
-            f"{len(several)} sensing nodes are announced: {names}; choose one by --named NAME"
+            f"{len(candidates)} sensing nodes are announced: {names}; choose one by --named NAME"
         )
-    return several[0]
+    return candidates[0]
 
 
 def announced_addresses(
@@ -156,17 +155,13 @@ def announced_addresses(
     host: address or interface, or "*". own: this machine's addresses. interfaces: addresses of each
     interface, by its name. Raises DiscoveryError when there are none.
     """
-    own = list(own)
     if host in ALL_INTERFACES:
+        reason = "this machine is on no network"
         found = [str(one.ip) for one in own if not one.ip.is_loopback]
-    elif host in interfaces:
-        found = interfaces[host]
     else:
-        found = [str(one.ip) for one in own if str(one.ip) == host]
+        reason = "is no IPv4 address here"
+        found = interfaces.get(host) or [host for one in own if str(one.ip) == host]
     if not found:
-        reason = (
-            "this machine is on no network" if host in ALL_INTERFACES else "is no IPv4 address here"
-        )
         raise DiscoveryError(f"--announce: {host}: {reason}; there is nothing to announce")
     return found
 

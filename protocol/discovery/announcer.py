@@ -14,7 +14,7 @@ from protocol.discovery.announcement import (
     to_txt,
 )
 from protocol.errors import DiscoveryError
-from protocol.host.child_process import receive, run_as_sidecar, start_sidecar
+from protocol.host.child_process import Sidecar, receive, run_as_sidecar
 from protocol.security.keys import ServerKeys
 from protocol.sockets import control_address
 
@@ -45,7 +45,7 @@ def start_announcer(
         "key": None if keys is None else keys.own.public.key.hex(),
     }
     module = "protocol.discovery.announcer"
-    with start_sidecar("announcer", module, json.dumps(node)) as sidecar:
+    with Sidecar("announcer", module, json.dumps(node)) as sidecar:
         yield lambda: sidecar.send(begin=True)
 
 

@@ -16,7 +16,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from importlib.metadata import entry_points
-from typing import Any
+from typing import Any, Self
 
 from protocol.errors import ProcessError, SidecarError, TelepulseError
 from protocol.host.output import OUR_LOGGERS
@@ -127,7 +127,9 @@ class ChildProcess(subprocess.Popen[str]):
 
 
 class Sidecar:
-    """A process that runs beside the node, ready once this is constructed.
+    """A process that runs beside the node within a `with`, ready once this is constructed.
+
+    What it logs is logged here under its name.
 
     name: in the node's log, such as "announcer". module: what it runs with the arguments; it calls
     `run_as_sidecar`. ready_message: the text that it sent when it was ready. Raises SidecarError
@@ -159,8 +161,10 @@ class Sidecar:
         with suppress(OSError):
             self._process.write_line(json.dumps(message))
 
-    def end(self) -> None:
-        """End the process, and wait until it has ended."""
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
         self._ending = True
         self._process.close_input()
         self._reader.join(ENDS_WITHIN_S)
@@ -196,19 +200,6 @@ def sidecar_module(name: str) -> str:
     for entry in entry_points(group=SIDECARS, name=name):
         return entry.module
     raise SidecarError(f"no installed package provides {name!r}; pip install telepulse, again")
-
-
-@contextmanager
-def start_sidecar(name: str, module: str, *arguments: str) -> Iterator[Sidecar]:
-    """Run a sidecar within a `with`; what it logs is logged here under its name.
-
-    The parameters are those of `Sidecar`. Raises SidecarError.
-    """
-    sidecar = Sidecar(name, module, *arguments)
-    try:
-        yield sidecar
-    finally:
-        sidecar.end()
 
 
 @contextmanager
