@@ -109,7 +109,7 @@ def test_an_announced_node_is_found_until_it_ends_however_it_ends(place: Place) 
         assert not [one.name for one in threading.enumerate() if "zeroconf" in one.name]
 
 
-def test_who_is_no_node_is_refused_in_a_line_and_several_are_a_choice(
+def test_invalid_announcements_are_refused_and_several_nodes_are_listed(
     place: Place, tmp_path: Path
 ) -> None:
     left, right = (Announcement.of_node("pulse", host, 5555, None) for host in ("left", "right"))
@@ -143,9 +143,7 @@ def test_who_is_no_node_is_refused_in_a_line_and_several_are_a_choice(
         assert "'pulse on left', 'pulse on right'; choose one by --named NAME" in errors
 
 
-def test_an_announcement_does_not_make_a_node_of_who_has_not_its_key(
-    place: Place, tmp_path: Path
-) -> None:
+def test_an_announced_node_without_the_right_key_is_refused(place: Place, tmp_path: Path) -> None:
     ring, result = Keyring(tmp_path / "keys"), tmp_path / "display.json"
     ring.allow("finger")
     # It tells the fingerprint of wrist, at the address of who has another key, and lets us in.

@@ -135,7 +135,7 @@ def test_a_full_collection_leaves_alone_what_was_there_before_the_loop(
 
 
 @pytest.mark.parametrize("module", [MODULE, "sensing_node.cli"])
-def test_strictly_asked_and_refused_it_does_not_start(module: str) -> None:
+def test_a_node_does_not_start_when_a_strict_request_is_refused(module: str) -> None:
     node = without_rights("-m", module, str(RADIAL), "--realtime", "fifo=7,strict")
     assert node.returncode == 2
     assert node.stdout == ""
@@ -143,7 +143,7 @@ def test_strictly_asked_and_refused_it_does_not_start(module: str) -> None:
     assert "real-time: fifo=7 is not granted: RLIMIT_RTPRIO is 0; put" in node.stderr
 
 
-def test_a_misspelt_wish_is_one_line() -> None:
+def test_a_misspelt_measure_is_refused_in_one_line() -> None:
     node = with_rights("-m", MODULE, str(RADIAL), "--realtime", "lok")
     assert node.returncode == 2
     said = "display-node: --realtime: unknown measure 'lok'; did you mean lock?\n"

@@ -36,7 +36,7 @@ def told(wish: str, loop_s: float = 0, helper_s: float = 0, *, rights: bool = Tr
 
 
 @needs_rights
-def test_what_is_granted_is_what_the_kernel_says() -> None:
+def test_the_granted_measures_are_those_in_effect() -> None:
     one = max(os.sched_getaffinity(0))
     found = told(f"fifo=7,lock,cpu={one},slack")
     assert found["refused"] == []
@@ -75,7 +75,9 @@ def test_zeromqs_threads_are_found_before_they_had_the_time_to_name_themselves()
 
 @needs_rights
 @pytest.mark.parametrize(("loop_s", "helper_s"), [(1.0, 0.0), (0.0, 0.6)], ids=["loop", "helper"])
-def test_who_runs_on_without_a_pause_loses_the_priority(loop_s: float, helper_s: float) -> None:
+def test_a_thread_that_runs_without_a_pause_loses_the_priority(
+    loop_s: float, helper_s: float
+) -> None:
     found = told("slack,fifo=7", loop_s, helper_s)
     assert found["held"]["loop"] == [FIFO, 7]
     later = found["later"]
@@ -94,7 +96,7 @@ def test_a_priority_is_given_up_without_a_free_descriptor() -> None:
 
 
 @needs_rights
-def test_who_cannot_even_be_asked_to_give_it_up_is_ended_by_the_kernel() -> None:
+def test_a_process_that_handles_no_signal_is_ended_by_the_kernel() -> None:
     # A library that does not come back: Python handles no signal meanwhile.
     child = with_rights("-c", HANGS)
     assert child.returncode == -signal.SIGKILL
@@ -108,7 +110,7 @@ def test_a_loop_that_pauses_keeps_the_priority() -> None:
     assert found["said"] == []
 
 
-def test_without_rights_it_is_said_what_is_missing_and_the_rest_holds() -> None:
+def test_without_rights_each_refusal_is_explained_and_the_rest_is_granted() -> None:
     found = told("fifo=7,lock,slack", rights=False)
     assert found["granted"] == ["slack"]
     lock, fifo = found["refused"]
@@ -135,7 +137,7 @@ def test_a_processor_that_is_not_there_is_refused() -> None:
         assert "this process may use" in str(refusal)
 
 
-def test_what_is_asked_for_strictly_and_refused_is_an_error() -> None:
+def test_a_strict_request_that_is_refused_is_an_error() -> None:
     there = os.sched_getaffinity(0)
     with (
         pytest.raises(RealtimeError, match="cpu=4000 is not granted"),
@@ -189,7 +191,7 @@ print(dict(describe(read_host()))["may run on"])
 """
 
 
-def test_elsewhere_than_on_linux_it_is_said_that_there_is_none() -> None:
+def test_on_other_systems_than_linux_each_measure_is_refused() -> None:
     child = with_rights("-c", ELSEWHERE)
     assert child.stderr == ""
     assert child.stdout.splitlines() == [

@@ -264,7 +264,7 @@ def test_an_address_that_cannot_be_connected(context: Context, address: str) -> 
     assert "\n" not in str(caught.value)
 
 
-def test_no_port_is_given_twice_in_a_row_though_nobody_binds_it() -> None:
+def test_no_port_is_given_twice_in_a_row_even_if_it_is_not_bound() -> None:
     # By chance alone, 500 of 8500 would be different ones in one run of a million.
     given = [address for _ in range(500) for address in free_addresses(1)]
     assert len(set(given)) == len(given)

@@ -45,7 +45,7 @@ def test_other_errors_are_bugs_and_stay_as_they_are() -> None:
         raise KeyError("a bug")
 
 
-def test_without_an_error_nothing_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_an_error_nothing_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     with one_line_errors("display-node"):
         pass
     assert capsys.readouterr() == ("", "")
@@ -79,7 +79,7 @@ def handlers() -> Iterator[None]:
 
 @pytest.mark.usefixtures("handlers")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_asks_to_stop(number: signal.Signals) -> None:
+def test_a_signal_calls_stop(number: signal.Signals) -> None:
     stops: list[bool] = []
     stop_on_signals(lambda: stops.append(True))
     signal.raise_signal(number)
@@ -106,7 +106,7 @@ def peer(keyring: Keyring) -> Path:
 
 
 @pytest.mark.parametrize("address", [FAR, "tcp://*:5555", "tcp://wrist.example:5555"])
-def test_beyond_this_machine_it_takes_keys_or_the_word_insecure(address: str) -> None:
+def test_a_link_beyond_this_machine_requires_keys_or_insecure(address: str) -> None:
     with pytest.raises(ProtectionError, match=r"telepulse keys new NAME.*--key.*--insecure") as one:
         server_keys(address, None, None, insecure=False)
     assert str(one.value).startswith(address)

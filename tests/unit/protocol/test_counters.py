@@ -50,7 +50,7 @@ def test_what_is_printed_adds_up_to_100(ticks: list[tuple[str, int]]) -> None:
     assert sum(printed) == pytest.approx(100.0)
 
 
-def test_a_tick_that_was_missed_is_nobodys() -> None:
+def test_a_missed_tick_counts_for_no_state() -> None:
     found = counted(("playing", 1), ("playing", 3))
     assert (found.felt, found.missed) == (0.5, 0.5)
 

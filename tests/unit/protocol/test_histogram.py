@@ -44,7 +44,7 @@ def test_quantiles_rise_and_stay_below_the_maximum(values: list[float]) -> None:
     assert known[-1] <= max(values)
 
 
-def test_without_values_there_is_nothing_to_tell() -> None:
+def test_without_values_all_results_are_none() -> None:
     histogram = Histogram(BIN, BINS)
     assert histogram.count == 0
     assert histogram.mean is None

@@ -151,7 +151,7 @@ def test_a_file_that_cannot_be_written_is_refused_before_and_after(tmp_path: Pat
             assert "\n" not in str(caught.value)
 
 
-def test_a_file_that_can_be_written_is_let_be(tmp_path: Path) -> None:
+def test_checking_a_writable_file_leaves_it_as_it_is(tmp_path: Path) -> None:
     check_writable(tmp_path / "out.json")
     check_writable(None)
     assert list(tmp_path.iterdir()) == []

@@ -29,7 +29,7 @@ def heard(messages: list[tuple[int, int]], skew_ppm: float) -> OneWaySkew:
     return slope
 
 
-def test_it_says_nothing_before_enough_has_come() -> None:
+def test_the_error_is_infinite_before_there_are_enough_blocks() -> None:
     assert math.isinf(heard(arrivals(STEADY_BLOCKS * BLOCK - 1), 200).error)
     assert math.isfinite(heard(arrivals(STEADY_BLOCKS * BLOCK), 200).error)
 
@@ -41,7 +41,7 @@ def test_the_skew_is_found(skew_ppm: int) -> None:
     assert 0 < slope.error < 3e-6
 
 
-def test_the_error_holds_what_it_says() -> None:
+def test_the_skew_is_within_two_standard_errors_nine_times_of_ten() -> None:
     beyond = [
         abs(slope.skew - 50e-6) > 2 * slope.error
         for slope in (heard(arrivals(4_000, 3, seed), 50) for seed in range(40))

@@ -57,7 +57,9 @@ def test_ways_to_write_a_number(text: str, seconds: float) -> None:
 @pytest.mark.parametrize(
     "text", ["", " ", "40", 40, 40.0, True, None, ["40 ms"], "ms", "forty ms", "40 parsec"]
 )
-def test_what_is_no_quantity_is_told_what_is_one(text: object, dimension: str) -> None:
+def test_an_invalid_quantity_is_refused_with_the_units_allowed(
+    text: object, dimension: str
+) -> None:
     with pytest.raises(ValueError, match="is a number and one of") as caught:
         parse_quantity(text, dimension)
     line = str(caught.value)
@@ -132,7 +134,7 @@ def test_a_ratio_is_a_number_or_a_percentage(text: object, ratio: float) -> None
     "text",
     [math.nan, math.inf, -math.inf, "nan", "inf %", True, None, [1], "", "%", "1 ms", "one"],
 )
-def test_what_is_no_ratio_is_told_what_is_one(text: object) -> None:
+def test_an_invalid_ratio_is_refused_with_valid_ones(text: object) -> None:
     with pytest.raises(ValueError, match=r"is no ratio: write 0.01 or '1 %'"):
         parse_ratio(text)
 

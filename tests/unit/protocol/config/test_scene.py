@@ -193,7 +193,7 @@ def test_a_file_that_is_not_toml(path: Path, text: str) -> None:
     assert line_of(path, text).startswith("not TOML: ")
 
 
-def test_a_toml_error_tells_the_line(path: Path) -> None:
+def test_a_toml_error_names_the_line(path: Path) -> None:
     assert "line 2" in line_of(path, "[display]\ntick 5")
 
 

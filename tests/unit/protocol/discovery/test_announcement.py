@@ -151,7 +151,7 @@ def test_only_addresses_on_our_networks_are_used(
     assert reachable(at(*addresses), OWN) == used
 
 
-def test_what_is_bound_is_what_is_told_of() -> None:
+def test_the_addresses_that_are_bound_are_announced() -> None:
     names = {"eth0": ["192.0.2.2"]}
     assert announced_addresses("*", OWN, names) == ["192.0.2.2", "172.17.0.1"]
     assert announced_addresses("127.0.0.1", OWN, names) == ["127.0.0.1"]
@@ -162,7 +162,7 @@ def test_what_is_bound_is_what_is_told_of() -> None:
         announced_addresses("*", OWN[:1], {})
 
 
-def test_one_is_chosen_by_its_name_and_by_the_key_that_is_asked_for() -> None:
+def test_a_node_is_selected_by_its_name_and_by_its_key() -> None:
     left, right = (Announcement.of_node("pulse", host, 5555, KEY) for host in ("left", "right"))
     spoofed = Announcement.of_node("pulse", "other", 5555, None)
     found = [right, left, spoofed]

@@ -27,7 +27,7 @@ MS = 1_000_000
         ),
     ],
 )
-def test_what_is_written_is_asked_for(text: str | None, asked: RealtimeRequest) -> None:
+def test_a_realtime_option_is_parsed(text: str | None, asked: RealtimeRequest) -> None:
     assert parse_realtime(text) == asked
 
 
@@ -52,7 +52,7 @@ def test_what_is_written_is_asked_for(text: str | None, asked: RealtimeRequest) 
         ("cpu=1-99999", "cpu=1-99999: write one"),
     ],
 )
-def test_what_cannot_be_asked_for_is_said_in_a_line(text: str, said: str) -> None:
+def test_an_invalid_realtime_option_is_refused_in_one_line(text: str, said: str) -> None:
     with pytest.raises(RealtimeError) as caught:
         parse_realtime(text)
     assert str(caught.value).startswith(f"--realtime: {said}")
@@ -60,7 +60,7 @@ def test_what_cannot_be_asked_for_is_said_in_a_line(text: str, said: str) -> Non
 
 
 @given(st.text() | st.text(alphabet="fiolckgcpu=,-0123456789 "))
-def test_any_text_is_a_wish_or_refused(text: str) -> None:
+def test_any_text_is_parsed_or_refused(text: str) -> None:
     try:
         asked = parse_realtime(text)
     except RealtimeError:

@@ -16,7 +16,7 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "allowed"
 
 
-def test_nobody_is_allowed_without_a_list(path: Path) -> None:
+def test_no_key_is_allowed_without_a_list(path: Path) -> None:
     assert read_allowed(path) == {}
     path.write_text("")
     assert read_allowed(path) == {}
@@ -73,7 +73,7 @@ def test_every_key_of_a_name_is_taken_out(path: Path) -> None:
     assert read_allowed(path) == {}
 
 
-def test_who_is_not_there_cannot_be_taken_out(path: Path) -> None:
+def test_a_name_that_is_not_listed_cannot_be_revoked(path: Path) -> None:
     with pytest.raises(KeyFileError, match="it allows nobody"):
         revoke(path, "wrist")
     allow(path, WRIST)
@@ -183,7 +183,7 @@ def test_a_list_that_cannot_be_opened_just_then_is_read_later(
     assert watched.run(1) == [WRIST.key]
 
 
-def test_after_ten_seconds_without_a_list_nobody_stays(
+def test_after_ten_seconds_without_a_list_no_key_is_allowed(
     path: Path, watched: Watched, logged: list[str]
 ) -> None:
     text = path.read_text()

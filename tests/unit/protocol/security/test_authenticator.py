@@ -13,7 +13,7 @@ KEY = bytes(range(32))
 REQUEST = [b"1.0", b"17", b"telepulse", b"192.0.2.7", b"", b"CURVE", KEY]
 
 
-def test_a_request_says_whence_and_with_which_key() -> None:
+def test_a_request_has_the_address_and_the_key() -> None:
     assert decode_zap_request(REQUEST) == ZapRequest("192.0.2.7", KEY)
 
 
@@ -21,7 +21,7 @@ def test_a_request_says_whence_and_with_which_key() -> None:
     ("part", "value"),
     [(0, b"2.0"), (2, b"other"), (5, b"NULL"), (5, b"PLAIN"), (6, KEY[:-1]), (6, KEY + b"\0")],
 )
-def test_what_is_no_request_for_us_lets_nobody_in(part: int, value: bytes) -> None:
+def test_a_request_of_another_kind_is_refused(part: int, value: bytes) -> None:
     assert decode_zap_request([*REQUEST[:part], value, *REQUEST[part + 1 :]]) is None
 
 

@@ -55,7 +55,7 @@ def test_every_message_comes_through_with_its_time_and_path() -> None:
     assert taken(writer) == [CapturedMessages(9, 100, 2_000, 5, 2, 2, [])]
 
 
-def test_nothing_is_kept_while_nobody_asks_and_yet_it_is_counted() -> None:
+def test_messages_without_a_subscriber_are_counted_only() -> None:
     writer = CaptureWriter(run=9)
     writer.follow(b"\1")
     writer.follow(b"\1trace")
@@ -71,7 +71,7 @@ def test_nothing_is_kept_while_nobody_asks_and_yet_it_is_counted() -> None:
     assert (heard.before, heard.messages) == (3, [CapturedMessage(4, 0, b"d")])
 
 
-def test_who_comes_late_is_told_what_the_stream_is() -> None:
+def test_a_late_recorder_gets_the_welcome() -> None:
     writer = CaptureWriter(run=9)
     writer.add(1, CONTROL, b"welcome")
     writer.welcome(1, b"welcome")
@@ -135,7 +135,7 @@ def test_bytes_are_read_or_refused(data: bytes) -> None:
         {},
     ],
 )
-def test_what_was_not_heard_is_refused(value: object) -> None:
+def test_an_invalid_capture_is_refused(value: object) -> None:
     with pytest.raises(WireError):
         read_capture(msgpack.packb(value))
 
@@ -150,7 +150,7 @@ def test_a_sensing_nodes_status_comes_through() -> None:
     assert status.summary == SUMMARY.to_dict()
 
 
-def test_a_display_tells_what_it_plays() -> None:
+def test_a_displays_status_has_its_playback() -> None:
     playing = PlaybackStatus(1, 0.5, -4.8e-6, "stack", 60_000_000)
     status = read_status(pack_status("playing", "pulse", SUMMARY, False, 7, playing=playing))
     assert status.playing == playing
