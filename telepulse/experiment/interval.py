@@ -102,7 +102,7 @@ class PlayedInterval(BaseModel):
 
     @property
     def _tick_count(self) -> int:
-        # A log of before ticks were counted has those of 1 kHz.
+        # Logs of older versions have no count of ticks, which came at 1 kHz.
         return self.ticks or max(1, round(self.felt_s * 1_000))
 
 

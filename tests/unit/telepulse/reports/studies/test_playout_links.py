@@ -32,16 +32,12 @@ def delays_ms(name: str, seconds: float = 120) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", LINKS)
-def test_frames_come_every_5_ms_and_none_overtakes_another(name: str) -> None:
+def test_a_trace_can_be_made_again_and_no_frame_overtakes_another(name: str) -> None:
     trace = make_trace(name, 60)
     assert len(trace.sent_ns) == 12_000
     assert set(np.diff(trace.sent_ns)) == {FRAME_NS}
     assert trace.delay_ns.min() > 0
     assert np.diff(trace.arrived_ns).min() >= 0
-
-
-@pytest.mark.parametrize("name", LINKS)
-def test_a_trace_is_the_same_every_time(name: str) -> None:
     assert (make_trace(name, 5).delay_ns == make_trace(name, 5).delay_ns).all()
 
 
