@@ -25,8 +25,7 @@ from rich.table import Table
 from rich.text import Text
 
 from display_node.scoring.heart_rate import heart_rate_per_min
-from display_node.telemetry.age import TelemetryAge
-from display_node.telemetry.alerts import Alert, alerts
+from display_node.telemetry.alerts import Alert, TelemetryAge, alerts
 from protocol import sockets
 from protocol.errors import WireError
 from protocol.figures import Surface

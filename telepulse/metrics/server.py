@@ -18,7 +18,7 @@ from wsgiref.types import StartResponse, WSGIApplication, WSGIEnvironment
 
 import zmq
 
-from display_node.telemetry.age import TelemetryAge
+from display_node.telemetry.alerts import TelemetryAge
 from display_node.telemetry.terminal import TerminalView
 from protocol import sockets
 from protocol.errors import AddressError, SidecarError, WireError

@@ -20,7 +20,7 @@ from tornado.ioloop import IOLoop, PeriodicCallback
 from tornado.routing import Router
 from tornado.web import Application, RequestHandler
 
-from display_node.telemetry.age import TelemetryAge
+from display_node.telemetry.alerts import TelemetryAge
 from protocol.errors import AddressError
 from protocol.security.budgets import TokenBucket
 from protocol.security.keys import ClientKeys

@@ -2,7 +2,7 @@
 
 import pytest
 
-from display_node.telemetry.age import WINDOW_NS, TelemetryAge
+from display_node.telemetry.alerts import WINDOW_NS, TelemetryAge
 
 MS, SECOND_NS = 1_000_000, 1_000_000_000
 HOUR_NS = 3600 * SECOND_NS
