@@ -136,7 +136,7 @@ def test_a_latency_of_a_bad_fit_is_not_ok() -> None:
     ],
     ids=["plausible", "not determined", "play below 0", "not explained"],
 )
-def test_a_contact_that_the_ramp_does_not_tell_is_not_ok(
+def test_a_contact_that_the_ramp_does_not_determine_is_not_ok(
     contact: ContactFit, verdicts: list[str]
 ) -> None:
     _, actuator = bench()

@@ -135,7 +135,7 @@ def drive_scene(folder: Path) -> Path:
     return scene
 
 
-def test_nothing_moves_before_the_person_says_that_no_finger_is_there(tmp_path: Path) -> None:
+def test_nothing_moves_before_the_bench_is_confirmed_clear(tmp_path: Path) -> None:
     status, out, _ = bench(drive_scene(tmp_path), "--only", "display", answers="n\n")
     assert status == 1
     assert "Keep fingers away" in out

@@ -116,7 +116,7 @@ def test_the_latency_is_found_within_a_fifth_of_a_tick(
     assert found.zero_n == pytest.approx(0.1, abs=0.01)
 
 
-def test_what_the_record_does_not_tell_is_said() -> None:
+def test_parameters_that_the_record_does_not_determine_are_named() -> None:
     quick = SecondOrderModel(1e-9, 2e-5, 1.0, latency_s=3e-3)
     found, _ = trial(quick, stairs(1000, (60, 150), 1, held=False, tick_s=1e-3), 0.02, seed=1)
     assert "m" in found.undetermined

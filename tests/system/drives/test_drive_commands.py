@@ -129,7 +129,7 @@ def test_a_drive_with_its_film_is_there_until_it_is_stopped(
 
 
 @pytest.mark.smoke
-def test_a_killed_driver_leaves_the_finger_in_peace(tmcl_scene: Path, tmp_path: Path) -> None:
+def test_after_a_killed_driver_the_motor_rests(tmcl_scene: Path, tmp_path: Path) -> None:
     """Its own heartbeat stops the module: the force on the film stands still."""
     film = tmp_path / "film"
     arguments = ("--link", str(tmp_path / "drive"), "--film-link", str(film))
@@ -162,7 +162,7 @@ def wait_for(
         assert max(forces_n, default=0.0) < 2.5
 
 
-def test_faults_come_when_they_are_told_to(tmcl_scene: Path, tmp_path: Path) -> None:
+def test_a_fault_begins_at_its_time(tmcl_scene: Path, tmp_path: Path) -> None:
     arguments = ("--link", str(tmp_path / "drive"), "--fault", "overtemperature")
     with process(
         "telepulse", "emulate", "tmcl", str(tmcl_scene), *arguments, "--fault-after", "0.3"
@@ -207,7 +207,7 @@ def test_a_cia_402_drive_is_moved_from_another_process_and_its_end_is_named(
     ("command", "words"),
     [("cia402", 'kind = "cia402" is needed'), ("tmcl", "no-such: no such scene")],
 )
-def test_a_scene_that_does_not_fit_is_said_in_one_line(
+def test_a_scene_that_does_not_fit_is_refused_in_one_line(
     tmcl_scene: Path, command: str, words: str
 ) -> None:
     scene = str(tmcl_scene) if command == "cia402" else "no-such"

@@ -58,7 +58,7 @@ def assert_in_peace(motor: MotorTrace) -> None:
     assert not motor.speed_m_per_s[-50:].any()
 
 
-def test_a_display_that_is_told_to_end_takes_the_tip_off_the_finger(tmp_path: Path) -> None:
+def test_a_display_that_is_terminated_takes_the_tip_off_the_finger(tmp_path: Path) -> None:
     """Before that the pulse is felt through every piece, until its stream ends, and again.
 
     Nobody reads what the display prints: that holds up neither its start nor the withdrawal.
@@ -132,7 +132,7 @@ def test_a_killed_display_leaves_the_motor_to_its_watchdog(tmp_path: Path) -> No
     ("word", "finger"),
     [("film-silent", "force unknown since "), ("unplugged", "the drive does not answer")],
 )
-def test_a_bench_that_breaks_says_so_and_rests(word: str, finger: str, tmp_path: Path) -> None:
+def test_a_bench_that_breaks_reports_it_and_rests(word: str, finger: str, tmp_path: Path) -> None:
     """And says of the finger what is measured, with an exit status that tells of the fault."""
 
     def happens(bench: EmulatedBench) -> None:

@@ -45,7 +45,7 @@ def test_a_scene_names_its_drive() -> None:
         ({"kind": "cia402", "interface": "v", "channel": "c", "node": 127}, "node"),
     ],
 )
-def test_what_cannot_be_is_said_in_one_line(drive: dict[str, Any], words: str) -> None:
+def test_an_invalid_table_is_refused_in_one_line(drive: dict[str, Any], words: str) -> None:
     with pytest.raises(SceneError) as error:
         display(drive)
     assert words in str(error.value)

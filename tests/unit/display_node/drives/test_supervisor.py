@@ -92,7 +92,7 @@ def test_a_drive_that_falls_silent_is_a_fault() -> None:
     assert supervisor.fault == "no answer for 51 ms"
 
 
-def test_a_position_that_stands_still_is_a_following_error_and_is_not_gone_by() -> None:
+def test_a_position_that_stands_still_is_a_following_error_and_bounds_the_travel() -> None:
     bench = Bench()
     bench.run(20, 5e-3)
     bench.frozen_m = bench.tip_m
@@ -105,7 +105,7 @@ def test_a_position_that_stands_still_is_a_following_error_and_is_not_gone_by() 
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_drive_that_follows_is_never_blamed(seed: int) -> None:
+def test_a_drive_that_follows_is_no_fault(seed: int) -> None:
     bench, rng = Bench(), random.Random(seed)
     for _ in range(400):
         supervisor = bench.run(rng.randrange(2, 30), rng.uniform(-20e-3, 20e-3))

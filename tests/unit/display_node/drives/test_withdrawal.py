@@ -58,7 +58,9 @@ from display_node.drives.withdrawal import (
         ),
     ],
 )
-def test_it_claims_what_is_measured_and_no_more(state: FingerState, sentence: str) -> None:
+def test_the_sentence_claims_what_is_measured_and_no_more(
+    state: FingerState, sentence: str
+) -> None:
     assert describe_finger(state) == sentence
 
 
@@ -140,7 +142,7 @@ def test_a_film_that_shows_relief_ends_it_by_the_commanded_way() -> None:
     assert -tip.travel_m < 1.01 * FAST_M_PER_S * PATIENCE_NS * 1e-9
 
 
-def test_what_a_silent_drive_may_not_have_heard_is_commanded_again() -> None:
+def test_commands_that_a_silent_drive_may_have_missed_are_repeated() -> None:
     tip = Tip(gain=0.0)
     tip.reports = False
     assert tip.run(1_000) is WithdrawalOutcome.UNCONFIRMED

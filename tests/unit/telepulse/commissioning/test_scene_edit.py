@@ -93,6 +93,6 @@ def test_a_comment_goes_to_the_end_of_the_written_scene(tmp_path: Path) -> None:
         write_scene(source, tmp_path / "no" / "found.toml", {})
 
 
-def test_changes_are_shown_as_a_scene_says_them() -> None:
+def test_changes_are_shown_as_in_a_scene() -> None:
     changes: Changes = {"a.b": {"c": "1", "d": '"2 ms"'}, "e": {"f": "3"}}
     assert as_toml(changes) == '[a.b]\nc = 1\nd = "2 ms"\n\n[e]\nf = 3'

@@ -96,7 +96,7 @@ def test_its_own_soft_limits_stop_it() -> None:
     assert moved.position_steps == pytest.approx(-100, abs=2)
 
 
-def test_it_presses_as_the_law_of_contact_says_and_stalls_beyond_its_thrust() -> None:
+def test_it_presses_by_the_law_of_contact_and_stalls_beyond_its_thrust() -> None:
     moved = motor(thrust="1 N")
     moved.run(2000.0)
     ms = 0
