@@ -32,14 +32,14 @@ TOUCHING_HZ = 1_600.0
 
 
 class VirtualDrive:
-    """A drive that obeys `late_ns` after it was told, commanded by the product's supervision.
+    """A drive that obeys `late_ns` after a command, supervised as the product's drives are.
 
-    obeys: it is reached at all; answers: it is heard.
+    obeys: commands reach it. answers: its reports are received.
     """
 
     def __init__(self, motor: EmulatedMotor, axis: Axis, late_ns: int, watchdog_ns: int) -> None:
         self.motor, self._axis, self._late_ns = motor, axis, late_ns
-        self.now_ns = self.told_ns = 0
+        self.now_ns = self.reaches_ns = 0
         self.supervisor = Supervisor(axis, watchdog_ns)
         self.counts: Counter[str] = Counter()
         self.commands: list[float] = []
@@ -51,7 +51,7 @@ class VirtualDrive:
         """Stand at first touch, ready for commands."""
         self.supervisor.arm(self.now_ns)
         self.supervisor.verified = True
-        self._hear()
+        self._read_reports()
 
     def travel_m(self, now_ns: int) -> float:
         return self.supervisor.travel_m(now_ns)
@@ -66,8 +66,8 @@ class VirtualDrive:
 
     def run_thread(self, now_ns: int) -> None:
         """Do the work of the drive's own thread, once a millisecond."""
-        self.now_ns = self.told_ns = now_ns
-        self._hear()
+        self.now_ns = self.reaches_ns = now_ns
+        self._read_reports()
         self.supervisor.check_silence(now_ns)
         if self.supervisor.fault is not None:
             self._send()
@@ -76,7 +76,7 @@ class VirtualDrive:
         self.supervisor.report_film(force_n, taken_ns)
 
     def status(self) -> DriveStatus:
-        self._hear()
+        self._read_reports()
         return self.supervisor.status(self.motor.rate_hz * self._axis.units.step_m)
 
     def withdraw(self, reason: str) -> None:
@@ -85,7 +85,7 @@ class VirtualDrive:
     def close(self) -> None:
         self.closed = True
 
-    def _hear(self) -> None:
+    def _read_reports(self) -> None:
         motor = self.motor
         motor.advance(self.now_ns)
         if self.answers:
@@ -94,7 +94,7 @@ class VirtualDrive:
             self.supervisor.fail(f"fault: {motor.fault}", self.now_ns)
 
     def _send(self) -> None:
-        sent_ns = max(self.now_ns, self.told_ns)
+        sent_ns = max(self.now_ns, self.reaches_ns)
         velocity = self.supervisor.velocity(sent_ns)
         self.supervisor.sent(velocity, sent_ns)
         if not self.obeys:
@@ -227,7 +227,7 @@ class VirtualBench:
         self.drive.now_ns = self.film.now_ns = now_ns
         elapsed = max(1, (self.now_ms - self._ticked_ms) // TICK_MS)
         self._ticked_ms = self.now_ms
-        self.drive.told_ns = now_ns + self.command_late_ns(self.now_ms)
+        self.drive.reaches_ns = now_ns + self.command_late_ns(self.now_ms)
         felt: TickState = self.display.tick(now_ns, elapsed)
         self.felt.append((now_ns, felt.target_n, felt.felt_n))
         for request in self.display.requests(now_ns):

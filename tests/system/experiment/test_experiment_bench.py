@@ -65,7 +65,7 @@ def test_one_interval_after_the_other_is_pressed_by_the_motor(tmp_path: Path) ->
             bench.now_ms += TICK_MS
             now_ns = bench.now_ms * MS
             bench.drive.motor.advance(now_ns)
-            bench.drive.now_ns = bench.film.now_ns = bench.drive.told_ns = now_ns
+            bench.drive.now_ns = bench.film.now_ns = bench.drive.reaches_ns = now_ns
             on = playing.tick(now_ns)
         assert playing.display.safety.faults == []
         felt.append(playing.played())
