@@ -112,8 +112,7 @@ def open_bus(scene: DriveScene) -> "can.BusABC":
     # Interfaces come from many makers, and each fails in its own way.
     except Exception as error:
         raise DriveError(
-            "unplugged",
-            f"CAN bus {scene.interface} {scene.channel} cannot be opened: {error}",
+            "unplugged", f"CAN bus {scene.interface} {scene.channel} cannot be opened: {error}"
         ) from None
 
 

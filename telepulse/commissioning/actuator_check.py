@@ -68,11 +68,7 @@ class ActuatorFindings:
 
 
 def check_actuator(
-    rig: Rig,
-    scene: DisplayScene,
-    force_n: float,
-    film_age_s: float,
-    least_latency_s: float = 0.0,
+    rig: Rig, scene: DisplayScene, force_n: float, film_age_s: float, least_latency_s: float = 0.0
 ) -> ActuatorFindings:
     """Press with at most force_n and identify the actuator.
 

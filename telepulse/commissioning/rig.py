@@ -166,16 +166,12 @@ def exchange_s(scene: TmclScene | Cia402Scene) -> float:
 
 def check_line(scene: TmclScene | Cia402Scene, tick_s: float) -> Check:
     """Check that the line can carry a command a tick, or at least one a `period`."""
-    busy_s = exchange_s(scene)
+    busy_s, period_s = exchange_s(scene), scene.period_ns * 1e-9
     found = f"{busy_s * 1e3:.2f} ms each: at most {1 / busy_s:.0f} commands a second"
-    if busy_s > scene.period_ns * 1e-9:
-        period = f"{scene.period_ns * 1e-6:g} ms"
-        reason = f"the drive's period is {period}: a faster line, or a longer period"
-        return Check("line", found, "fail", reason)
-    if busy_s > tick_s:
-        reason = f"slower than the loop's {1 / tick_s:.0f} Hz: only the newest command is sent"
-        return Check("line", found, "warn", reason)
-    return Check("line", found)
+    reason = f"slower than the loop's {1 / tick_s:.0f} Hz: only the newest command is sent"
+    if busy_s > period_s:
+        reason = f"the drive's period is {period_s * 1e3:g} ms: a faster line, or a longer period"
+    return grade("line", found, busy_s, tick_s, period_s, reason)
 
 
 def check_answers(drive: Drive) -> Check:

@@ -182,10 +182,7 @@ def _design_second_order(scene: DisplayScene, actuator: SecondOrderScene) -> Des
 
 
 def _most_robust(
-    scene: DisplayScene,
-    controller: Callable[[float], ControllerScene],
-    low: float,
-    high: float,
+    scene: DisplayScene, controller: Callable[[float], ControllerScene], low: float, high: float
 ) -> float:
     """Return the largest argument in low … high whose loop keeps the margins, by bisection."""
     if _keeps_margins(scene, controller(high)):
@@ -216,12 +213,7 @@ def _felt_n(scene: DisplayScene, actuator: StepperScene, controller: ControllerS
 
 def _loop(scene: DisplayScene, controller: ControllerScene, force_n: float) -> LinearLoop:
     return linear_loop(
-        controller,
-        scene.actuator,
-        scene.layer.layer(),
-        scene.film,
-        scene.tick_ns * 1e-9,
-        force_n,
+        controller, scene.actuator, scene.layer.layer(), scene.film, scene.tick_ns * 1e-9, force_n
     )
 
 

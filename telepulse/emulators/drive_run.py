@@ -54,11 +54,7 @@ class DriveRun:
     """
 
     def __init__(
-        self,
-        motor: EmulatedMotor,
-        film_link: Path | None,
-        trace: Path | None,
-        resources: ExitStack,
+        self, motor: EmulatedMotor, film_link: Path | None, trace: Path | None, resources: ExitStack
     ) -> None:
         self._motor = motor
         self._film: EmulatedFilm | None = None

@@ -205,10 +205,7 @@ def tmcl_line(
     port = ModulePort(world, module)
     bus = ModuleBus(port)
     world.every(TICK_NS, port.poll)
-    with (
-        patch("serial.serial_for_url", lambda *_, **__: port),
-        patch("can.Bus", lambda **_: bus),
-    ):
+    with patch("serial.serial_for_url", lambda *_, **__: port), patch("can.Bus", lambda **_: bus):
         yield module, port, bus
 
 

@@ -148,10 +148,7 @@ def test_after_a_killed_driver_the_motor_rests(tmcl_scene: Path, tmp_path: Path)
 
 
 def wait_for(
-    decoder: FrameDecoder,
-    port: serial.Serial,
-    holds: Callable[[list[float]], bool],
-    least: int = 1,
+    decoder: FrameDecoder, port: serial.Serial, holds: Callable[[list[float]], bool], least: int = 1
 ) -> None:
     forces_n: list[float] = []
     deadline_s = time.monotonic() + LONGEST_S

@@ -161,11 +161,7 @@ def cases(bench: EmulatedBench, taken: str) -> dict[str, Case]:
         "loop": Case(("display-node", unstable, *display[2:]), "stable"),
         "drive's library": Case(display, "drive", missing=LINE),
         "film": Case(
-            (
-                "display-node",
-                bench.scene_with(f"{folder}/film", f"{folder}/no-film"),
-                *display[2:],
-            ),
+            ("display-node", bench.scene_with(f"{folder}/film", f"{folder}/no-film"), *display[2:]),
             "no-film",
         ),
         "bench's page": Case((*checks, "--out", no_file), "cannot be written"),
@@ -195,10 +191,7 @@ def test_what_fails_fails_before_the_drive_moves(
     (taken,) = free_addresses(1)
     host, port = taken.removeprefix("tcp://").split(":")
     ended: dict[str, tuple[int, str]] = {}
-    with (
-        socket.create_server((host, int(port))),
-        emulated_bench(tmp_path) as bench,
-    ):
+    with socket.create_server((host, int(port))), emulated_bench(tmp_path) as bench:
         wanted = cases(bench, taken)
         for name, case in wanted.items():
             begin_ns = time.monotonic_ns()

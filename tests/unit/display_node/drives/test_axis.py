@@ -35,11 +35,7 @@ AXIS = Axis(UNITS, -0.002, 0.003, 0.4, 20.0, 16, reaction_s=0.05, search_s=5.0, 
 WATCHDOG_NS = 50_000_000
 
 
-@given(
-    wanted=st.floats(-1, 1),
-    position_m=st.floats(-0.01, 0.01),
-    age_s=st.floats(0, 0.1),
-)
+@given(wanted=st.floats(-1, 1), position_m=st.floats(-0.01, 0.01), age_s=st.floats(0, 0.1))
 def test_a_bounded_speed_points_the_same_way_and_is_no_faster(
     wanted: float, position_m: float, age_s: float
 ) -> None:

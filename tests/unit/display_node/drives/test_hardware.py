@@ -19,6 +19,8 @@ from tests.support.streams import synthetic
 from tests.support.virtual_bench import SCENES, TICK_MS, VirtualBench
 from tests.support.virtual_time import VirtualTime
 
+Pulse = Callable[[float], float]
+Event = Callable[[VirtualBench], None]
 STILL_MM_PER_S = 1e-3
 BAR_MS = 100
 LIMIT_N = 2.5
@@ -26,7 +28,7 @@ SLEW_N_PER_S = 50.0
 
 
 @pytest.fixture(scope="module")
-def pulse_n() -> Callable[[float], float]:
+def pulse_n() -> Pulse:
     """The paper's pulse, by ms."""
     samples = synthetic(preset="paper", rate="1 kHz", peak_to_peak="0.3 N", preload="0.3 N")
     values = samples.take(8_000)[:, 0].tolist()
@@ -50,7 +52,7 @@ def ended_after_ms(bench: VirtualBench, from_ms: int, pressing: bool = False) ->
     ids=["in time", "0.3 ms late", "up to 1 ms late"],
 )
 def test_the_pulse_is_followed_through_drive_and_film(
-    pulse_n: Callable[[float], float], late_us: Callable[[int], int], most_mn: float
+    pulse_n: Pulse, late_us: Callable[[int], int], most_mn: float
 ) -> None:
     """By the commands' times the display knows where the tip has gone meanwhile."""
     bench = VirtualBench(pulse_n)
@@ -59,7 +61,7 @@ def test_the_pulse_is_followed_through_drive_and_film(
     assert rmse_n(bench) < most_mn * 1e-3
 
 
-def test_missed_ticks_cost_little(pulse_n: Callable[[float], float]) -> None:
+def test_missed_ticks_cost_little(pulse_n: Pulse) -> None:
     bench = VirtualBench(pulse_n)
     bench.command_late_ns = lambda ms: MS
     bench.run(2_000)
@@ -69,9 +71,7 @@ def test_missed_ticks_cost_little(pulse_n: Callable[[float], float]) -> None:
     assert rmse_n(bench) < 1.4e-3
 
 
-def test_a_drive_that_is_held_back_at_the_end_of_its_travel_is_counted(
-    pulse_n: Callable[[float], float],
-) -> None:
+def test_a_drive_that_is_held_back_at_the_end_of_its_travel_is_counted(pulse_n: Pulse) -> None:
     gentle, hard = VirtualBench(pulse_n), VirtualBench(lambda ms: 10 * pulse_n(ms))
     for bench in (gentle, hard):
         bench.run(3_000)
@@ -121,11 +121,7 @@ def hang(bench: VirtualBench) -> None:
 )
 @pytest.mark.parametrize("from_ms", [2_000, 2_130, 2_311, 2_502, 2_777])
 def test_after_a_fault_the_tip_rests_or_is_off_the_finger_within_100_ms(
-    pulse_n: Callable[[float], float],
-    happens: Callable[[VirtualBench], None],
-    pressing: bool,
-    fault: str | None,
-    from_ms: int,
+    pulse_n: Pulse, happens: Event, pressing: bool, fault: str | None, from_ms: int
 ) -> None:
     bench = VirtualBench(pulse_n)
     bench.run(from_ms)
@@ -140,7 +136,7 @@ def test_after_a_fault_the_tip_rests_or_is_off_the_finger_within_100_ms(
 
 
 def test_each_tick_reads_the_drives_status_once_before_and_after_a_fault(
-    pulse_n: Callable[[float], float], monkeypatch: pytest.MonkeyPatch
+    pulse_n: Pulse, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench = VirtualBench(pulse_n)
     calls, status = [0], bench.drive.status
@@ -167,7 +163,7 @@ def test_each_tick_reads_the_drives_status_once_before_and_after_a_fault(
 @pytest.mark.parametrize("stalled_ms", [70, 100, 400, 1_000, 10_000])
 @pytest.mark.parametrize("from_ms", [2_000, 2_311, 2_777])
 def test_after_a_stall_the_tip_withdraws_whichever_thread_wakes_first(
-    pulse_n: Callable[[float], float], loop_first: bool, stalled_ms: int, from_ms: int
+    pulse_n: Pulse, loop_first: bool, stalled_ms: int, from_ms: int
 ) -> None:
     bench = VirtualBench(pulse_n)
     bench.run(from_ms)
@@ -182,9 +178,7 @@ def test_after_a_stall_the_tip_withdraws_whichever_thread_wakes_first(
     assert bench.hardware.finger(bench.now_ms * MS).outcome is WithdrawalOutcome.WITHDRAWN
 
 
-def test_a_loop_that_hangs_alone_leaves_the_withdrawal_to_the_drives_thread(
-    pulse_n: Callable[[float], float],
-) -> None:
+def test_a_loop_that_hangs_alone_leaves_the_withdrawal_to_the_drives_thread(pulse_n: Pulse) -> None:
     bench = VirtualBench(pulse_n)
     bench.run(2_000)
     bench.loop_runs = False
@@ -192,9 +186,7 @@ def test_a_loop_that_hangs_alone_leaves_the_withdrawal_to_the_drives_thread(
     assert bench.moments[-1].force_n == 0
 
 
-def test_a_long_overrun_is_a_fault_whatever_the_drive_reports(
-    pulse_n: Callable[[float], float],
-) -> None:
+def test_a_long_overrun_is_a_fault_whatever_the_drive_reports(pulse_n: Pulse) -> None:
     bench = VirtualBench(pulse_n)
     bench.run(2_000)
     bench.drive.motor.set_watchdog(0)
@@ -218,9 +210,7 @@ def test_a_long_overrun_is_a_fault_whatever_the_drive_reports(
     ],
     ids=["1000 N", "±900 kN", "±900 kN each sample"],
 )
-def test_no_peer_presses_harder_or_faster_than_safety_allows(
-    force_n: Callable[[float], float],
-) -> None:
+def test_no_peer_presses_harder_or_faster_than_safety_allows(force_n: Pulse) -> None:
     bench = VirtualBench(force_n)
     bench.run(3_000)
     felt_n = np.array([moment.force_n for moment in bench.moments])
@@ -232,9 +222,7 @@ def test_no_peer_presses_harder_or_faster_than_safety_allows(
     assert bench.display.safety.faults == []
 
 
-def test_a_sensing_node_that_is_started_anew_is_felt_by_a_ramp(
-    pulse_n: Callable[[float], float],
-) -> None:
+def test_a_sensing_node_that_is_started_anew_is_felt_by_a_ramp(pulse_n: Pulse) -> None:
     bench = VirtualBench(lambda ms: 0.5)
     bench.run(2_000)
     bench.sending = False
@@ -251,9 +239,7 @@ def test_a_sensing_node_that_is_started_anew_is_felt_by_a_ramp(
 
 
 @pytest.mark.parametrize("happens", [lose_the_film, overheat, hang])
-def test_after_a_fault_and_a_restart_the_force_comes_back_by_a_ramp(
-    happens: Callable[[VirtualBench], None],
-) -> None:
+def test_after_a_fault_and_a_restart_the_force_comes_back_by_a_ramp(happens: Event) -> None:
     bench = VirtualBench(lambda ms: 0.5)
     bench.run(2_000)
     happens(bench)

@@ -127,10 +127,7 @@ def test_a_fault_is_reset_by_a_rising_edge_alone() -> None:
 
 @pytest.mark.parametrize(
     ("option", "state", "way_back"),
-    [
-        (3, State.SWITCH_ON_DISABLED, ()),
-        (1, State.FAULT, (Control.RESET_FAULT,)),
-    ],
+    [(3, State.SWITCH_ON_DISABLED, ()), (1, State.FAULT, (Control.RESET_FAULT,))],
     ids=["quick stop", "fault"],
 )
 def test_after_a_missed_heartbeat_it_rests_until_it_is_enabled_again(
