@@ -268,27 +268,22 @@ class Receiver:
 
         Times before and after the jump do not belong together, so samples that wait are given up.
         """
-        if self.buffer.ended:
-            return
+        if not self.buffer.ended:
+            self._restart(self.buffer.successor())
+
+    def _restart(self, buffer: JitterBuffer) -> None:
+        self._closed = self.account()
+        self._frames_closed, self._reordered_closed = self.frames
+        self.buffer, self.delay = buffer, DelayEstimator(self._late_target)
         self.beginnings += 1
         self.ready = False
-        self.delay = DelayEstimator(self._late_target)
-        self._closed += self.buffer.account()
-        self._frames_closed, self._reordered_closed = self.frames
-        self.buffer = self.buffer.successor()
 
     def _begin(self, session: int, description: StreamDescription) -> None:
         """Begin a new session: its samples, times and clock are unrelated to the last one's."""
-        self._closed = self.account()
-        self._frames_closed, self._reordered_closed = self.frames
+        self._restart(JitterBuffer(self._channel))
         self.session, self.description = session, description
         self.sessions += 1
-        self.beginnings += 1
-        self.ready = False
-        self._clock_requests = 0
-        self._next_clock_ns = 0
+        self._clock_requests = self._next_clock_ns = 0
         self._steps_closed = self.clock_steps
         self.clock = ClockEstimator()
-        self.delay = DelayEstimator(self._late_target)
-        self.buffer = JitterBuffer(self._channel)
         self._farewell = None

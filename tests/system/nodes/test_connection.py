@@ -5,7 +5,7 @@ import time
 import pytest
 import zmq
 
-from display_node.reception import endpoint as line
+from display_node.reception import endpoint
 from display_node.reception.connection import Connection, Lookup
 from display_node.reception.endpoint import Endpoint
 from display_node.reception.failover import DataPath
@@ -35,19 +35,38 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return names
 
 
+@pytest.fixture
+def no_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hosts answer in real time, not in the tests'."""
+    monkeypatch.setattr(HandshakeMonitor, "poll", lambda self, now_ns: [])
+
+
+def bound(context: Context) -> tuple[Socket, str]:
+    """A publisher, and its address."""
+    publisher, address = context.socket(zmq.PUB), free_address()
+    publisher.bind(address)
+    return publisher, address
+
+
+def looked_up(lookup: Lookup) -> str | None:
+    lookup.start()
+    until(lambda: not lookup.running)
+    return lookup.take()
+
+
 def control_of(connection: Connection) -> Socket:
     return connection.control.socket
 
 
-def tend_until_connected(connection: Connection, monitor: Socket) -> None:
+def poll_until_connected(connection: Connection, monitor: Socket) -> None:
     end_s = time.monotonic() + PATIENCE_S
     while not monitor.poll(5):
         assert time.monotonic() < end_s
         connection.poll(time.monotonic_ns())
 
 
-def tend(connection: Connection, from_ms: int, to_ms: int) -> list[int]:
-    """Tend in virtual time; when control was connected, in ms."""
+def poll(connection: Connection, from_ms: int, to_ms: int) -> list[int]:
+    """Poll in virtual time; when control was connected, in ms."""
     connected_ms = []
     for ms in range(from_ms, to_ms, 10):
         if connection.poll(ms * MS):
@@ -73,7 +92,7 @@ def test_names_and_numbers_are_connected_to(host: str, context: Context) -> None
     server.bind(control_address(address))
     connection = Connection(context, [address.replace("127.0.0.1", host)], 1)
     control = control_of(connection)
-    tend_until_connected(connection, control.get_monitor_socket(zmq.EVENT_HANDSHAKE_SUCCEEDED))
+    poll_until_connected(connection, control.get_monitor_socket(zmq.EVENT_HANDSHAKE_SUCCEEDED))
     control.send(b"hello")
     assert server.poll(PATIENCE_S * 1000)
     assert server.recv_multipart()[1] == b"hello"
@@ -97,7 +116,7 @@ def test_a_name_server_that_does_not_answer_holds_nothing_up(
     assert asked == ["somewhere"]
     assert not monitor.poll(0)
     answer.set()
-    tend_until_connected(connection, monitor)
+    poll_until_connected(connection, monitor)
     assert asked == ["somewhere"]
 
 
@@ -105,44 +124,38 @@ def test_a_silent_address_is_looked_up_and_connected_anew(
     context: Context, asked: list[str]
 ) -> None:
     connection = Connection(context, ["tcp://somewhere:1"], 1)
-    tend(connection, 0, 1_000)
+    poll(connection, 0, 1_000)
     assert len(asked) == 1
-    tend(connection, 1_000, 11_000)
+    poll(connection, 1_000, 11_000)
     assert 5 <= len(asked) <= 6
 
 
-def test_an_address_that_is_heard_is_let_be(context: Context, asked: list[str]) -> None:
-    address = free_address()
-    publisher = context.socket(zmq.PUB)
-    publisher.bind(address)
+def test_an_address_that_delivers_is_looked_up_once(context: Context, asked: list[str]) -> None:
+    publisher, address = bound(context)
     connection = Connection(context, [address, "tcp://silent:1"], 2)
     connection.subscribe(5 * MS, 0, 0)
-    tend(connection, 0, 100)
+    poll(connection, 0, 100)
     for ms in range(400, 60_000, 400):
         deliver(publisher, connection.routes[0].paths[0])
-        tend(connection, ms, ms + 20)
+        poll(connection, ms, ms + 20)
     assert asked.count("127.0.0.1") == 1
     assert asked.count("silent") > 20
 
 
 def test_a_silence_of_all_together_is_a_cut(
-    context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
+    context: Context, asked: list[str], no_answers: None
 ) -> None:
-    # Hosts answer in real time, not in ours.
-    monkeypatch.setattr(HandshakeMonitor, "poll", lambda self, now_ns: [])
-    address = free_address()
-    publisher = context.socket(zmq.PUB)
-    publisher.bind(address)
+    publisher, address = bound(context)
     connection = Connection(context, [address, "tcp://other:1"], 2)
     connection.subscribe(5 * MS, 0, 0)
-    tend(connection, 0, 20)
+    poll(connection, 0, 20)
     deliver(publisher, connection.routes[0].paths[0])
     # Both are connected anew, once, and control is where it was; then patience is as usual.
     control = connection.control.address
-    assert tend(connection, 20, 2_010) == [520]
+    assert poll(connection, 20, 2_010) == [520]
     assert connection.control.address == control
     assert [asked.count(name) for name in ("127.0.0.1", "other")] == [2, 2]
-    assert tend(connection, 2_010, 3_000) == [2_520]
+    assert poll(connection, 2_010, 3_000) == [2_520]
     assert connection.control.address != control
     assert [asked.count(name) for name in ("127.0.0.1", "other")] == [3, 3]
 
@@ -150,9 +163,7 @@ def test_a_silence_of_all_together_is_a_cut(
 def test_requests_to_connect_are_repeated_soon_but_now_and_then_may_take_their_time(
     context: Context,
 ) -> None:
-    address = free_address()
-    publisher = context.socket(zmq.PUB)
-    publisher.bind(address)
+    publisher, address = bound(context)
     asking = Endpoint(context.socket(zmq.SUB))
 
     def timeouts_ms(tries: int, fast_retry: bool = True) -> list[int]:
@@ -171,30 +182,25 @@ def test_requests_to_connect_are_repeated_soon_but_now_and_then_may_take_their_t
     assert timeouts_ms(12) == [900] * 10 + [0, 900]
 
 
-def test_who_stood_still_itself_does_not_wait_long_for_more_than_what_has_queued(
-    context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch, logged: list[str]
+def test_after_a_stall_of_its_own_it_waits_less_for_more_than_what_has_queued(
+    context: Context, asked: list[str], no_answers: None, logged: list[str]
 ) -> None:
-    monkeypatch.setattr(HandshakeMonitor, "poll", lambda self, now_ns: [])
-    address = free_address()
-    publisher = context.socket(zmq.PUB)
-    publisher.bind(address)
+    publisher, address = bound(context)
     connection = Connection(context, [address], 1)
     connection.subscribe(5 * MS, 0, 0)
-    tend(connection, 0, 20)
+    poll(connection, 0, 20)
     deliver(publisher, connection.routes[0].paths[0])
-    tend(connection, 20, 40)
+    poll(connection, 20, 40)
     deliver(publisher, connection.routes[0].paths[0])
-    assert tend(connection, 1_000, 1_490) == [1_150]
+    assert poll(connection, 1_000, 1_490) == [1_150]
 
 
-def test_where_one_port_answers_the_other_is_asked_again_at_once(
+def test_where_one_port_answers_the_request_to_the_other_is_repeated_at_once(
     context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Hosts answer in real time, and time stands still here.
     monkeypatch.setattr(socket_monitor, "POLL_EVERY_NS", 0)
-    address = free_address()
-    data = context.socket(zmq.PUB)
-    data.bind(address)
+    _, address = bound(context)
     connection = Connection(context, [address], 1)
     began = 0
     end_s = time.monotonic() + PATIENCE_S
@@ -205,7 +211,7 @@ def test_where_one_port_answers_the_other_is_asked_again_at_once(
     # What was asked for at the same time may be answered yet.
     assert not connection.poll(1_099 * MS)
     assert control_of(connection).getsockopt(zmq.CONNECT_TIMEOUT) == 100
-    # Of control alone, which nobody listens to, it would hear only when its patience is over.
+    # Of control alone, which nobody listens to, it would notice only when its patience is over.
     assert connection.poll(1_100 * MS)
     assert control_of(connection).getsockopt(zmq.CONNECT_TIMEOUT) == 0
     assert not connection.poll(1_101 * MS)
@@ -214,9 +220,9 @@ def test_where_one_port_answers_the_other_is_asked_again_at_once(
 def test_a_stream_of_rare_frames_is_waited_for(context: Context, asked: list[str]) -> None:
     connection = Connection(context, ["tcp://somewhere:1"], 1)
     connection.subscribe(10_000 * MS, 0, 0)
-    tend(connection, 0, 29_000)
+    poll(connection, 0, 29_000)
     assert len(asked) == 1
-    tend(connection, 29_000, 32_000)
+    poll(connection, 29_000, 32_000)
     assert len(asked) == 2
 
 
@@ -235,8 +241,8 @@ def test_control_moves_on_from_an_address_that_does_not_answer_and_stays_at_one_
     server.bind(control_address(answering))
     connection = Connection(context, [address, answering], 2)
     control = control_of(connection)
-    assert tend(connection, 0, 1_000) == [10]
-    assert tend(connection, 1_000, 3_000) == [2_010]
+    assert poll(connection, 0, 1_000) == [10]
+    assert poll(connection, 1_000, 3_000) == [2_010]
     control.send(b"clock?")
     assert server.poll(PATIENCE_S * 1000)
     peer, _ = server.recv_multipart()
@@ -244,28 +250,22 @@ def test_control_moves_on_from_an_address_that_does_not_answer_and_stays_at_one_
         server.send_multipart([peer, b"clock"])
         assert control.poll(PATIENCE_S * 1000)
         assert list(connection.control.messages()) == [b"clock"]
-        assert tend(connection, ms, ms + 400) == []
+        assert poll(connection, ms, ms + 400) == []
     # Then that one falls silent as well: it is tried once more, and the first has its turn again.
-    assert tend(connection, 10_200, 12_200) == [10_300]
+    assert poll(connection, 10_200, 12_200) == [10_300]
     assert connection.control.address == control_address(answering)
-    assert tend(connection, 12_200, 13_000) == [12_300]
+    assert poll(connection, 12_200, 13_000) == [12_300]
     assert connection.control.address == control_address(address)
 
 
-def test_a_name_nobody_knows_is_said_once(
-    monkeypatch: pytest.MonkeyPatch, logged: list[str]
-) -> None:
+def test_an_unknown_name_is_logged_once(monkeypatch: pytest.MonkeyPatch, logged: list[str]) -> None:
     def unknown(host: str, port: str, **_: object) -> list[tuple[object, ...]]:
         raise plain.gaierror(plain.EAI_NONAME, "Name or service not known")
 
     monkeypatch.setattr(plain, "getaddrinfo", unknown)
     monkeypatch.setattr(time, "sleep", lambda _: None)
     lookup = Lookup("tcp://nowhere:5555")
-    for _ in range(3):
-        lookup.start()
-        while lookup.running:
-            threading.Event().wait(0.001)
-        assert lookup.take() is None
+    assert [looked_up(lookup) for _ in range(3)] == [None] * 3
     assert logged == ["nowhere is not found: Name or service not known; trying on"]
 
 
@@ -280,12 +280,7 @@ def test_the_numbers_of_a_name_are_tried_one_after_the_other(
 
     monkeypatch.setattr(plain, "getaddrinfo", two)
     lookup = Lookup("tcp://both:5555")
-    found = []
-    for _ in range(3):
-        lookup.start()
-        while lookup.running:
-            threading.Event().wait(0.001)
-        found.append(lookup.take())
+    found = [looked_up(lookup) for _ in range(3)]
     assert found == ["tcp://127.0.0.1:5555", "tcp://[::1]:5555", "tcp://127.0.0.1:5555"]
 
 
@@ -295,9 +290,8 @@ def test_a_wrong_address_is_refused_at_once(context: Context) -> None:
 
 
 def test_a_data_path_that_is_silent_alone_gets_a_second_connection(
-    context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch, logged: list[str]
+    context: Context, asked: list[str], no_answers: None, logged: list[str]
 ) -> None:
-    monkeypatch.setattr(HandshakeMonitor, "poll", lambda self, now_ns: [])
     address = free_address()
     publisher, server = context.socket(zmq.XPUB), context.socket(zmq.ROUTER)
     publisher.setsockopt(zmq.XPUB_VERBOSE, 1)
@@ -306,7 +300,7 @@ def test_a_data_path_that_is_silent_alone_gets_a_second_connection(
     connection = Connection(context, [address], 1)
     connection.subscribe(5 * MS, 0, 0)
     (path,) = connection.routes[0].paths
-    tend(connection, 0, 20)
+    poll(connection, 0, 20)
     control_of(connection).send(b"clock?")
     peer, _ = server.recv_multipart()
     deliver(publisher, path)
@@ -316,9 +310,9 @@ def test_a_data_path_that_is_silent_alone_gets_a_second_connection(
         server.send_multipart([peer, b"clock"])
         assert control_of(connection).poll(PATIENCE_S * 1000)
         assert list(connection.control.messages()) == [b"clock"]
-        assert tend(connection, ms, ms + 10) == []
+        assert poll(connection, ms, ms + 10) == []
     assert connection.reconnections == Reconnections(opened=0, kept=0, control=0)
-    tend(connection, 320, 340)
+    poll(connection, 320, 340)
     assert connection.reconnections == Reconnections(opened=1, kept=0, control=0)
     # Over both comes the same, once.
     for _ in range(2):
@@ -331,7 +325,7 @@ def test_a_data_path_that_is_silent_alone_gets_a_second_connection(
         threading.Event().wait(0.01)
     received += path.messages()
     assert sorted(received) == sorted({b"frame %d" % number for number in range(20)})
-    tend(connection, 340, 350)
+    poll(connection, 340, 350)
     # One of them is closed, and the other goes on.
     assert not path.failover.racing
     kept = path.first is not first
@@ -340,17 +334,18 @@ def test_a_data_path_that_is_silent_alone_gets_a_second_connection(
 
 
 def test_a_connection_that_floods_is_closed_for_a_while(
-    context: Context, asked: list[str], monkeypatch: pytest.MonkeyPatch, logged: list[str]
+    context: Context,
+    asked: list[str],
+    no_answers: None,
+    monkeypatch: pytest.MonkeyPatch,
+    logged: list[str],
 ) -> None:
-    monkeypatch.setattr(HandshakeMonitor, "poll", lambda self, now_ns: [])
-    monkeypatch.setattr(line, "BURST", 200)
-    address = free_address()
-    publisher = context.socket(zmq.PUB)
-    publisher.bind(address)
+    monkeypatch.setattr(endpoint, "BURST", 200)
+    publisher, address = bound(context)
     connection = Connection(context, [address], 1)
     connection.subscribe(5 * MS, 0, 0)
     (path,) = connection.routes[0].paths
-    tend(connection, 0, 20)
+    poll(connection, 0, 20)
     deliver(publisher, path)
     received, end_s = 0, time.monotonic() + PATIENCE_S
     while path.first.address is not None:
@@ -363,10 +358,10 @@ def test_a_connection_that_floods_is_closed_for_a_while(
     assert connection.rejected["flood"] > 0
     # It is left alone, however often it is asked, and then it has another chance.
     looked_up = len(asked)
-    tend(connection, 30, 5_000)
+    poll(connection, 30, 5_000)
     assert path.first.address is None
     assert len(asked) == looked_up
-    tend(connection, 5_030, 5_060)
+    poll(connection, 5_030, 5_060)
     deliver(publisher, path)
     assert logged == [f"{address} sends far more than a stream; closed for 5 s"]
 
@@ -385,6 +380,4 @@ def test_a_system_without_a_free_thread_ends_no_loop(
             lookup.start()
             assert not lookup.running
     assert len(logged) == 1
-    lookup.start()
-    until(lambda: not lookup.running)
-    assert lookup.take() == "tcp://127.0.0.1:5555"
+    assert looked_up(lookup) == "tcp://127.0.0.1:5555"
