@@ -45,8 +45,10 @@ def free_addresses(count: int) -> list[str]:
 
 
 _SUMMARY = TypeAdapter(Summary)
-# A record of a process's log that its user should see.
-_WARNING = re.compile(r"^\d\d:\d\d:\d\d\.\d{3} (WARNING|ERROR|CRITICAL) (.*)$", re.MULTILINE)
+# A record of a process's log that its user should see; a fault is named where the run ends.
+_WARNING = re.compile(
+    r"^\d\d:\d\d:\d\d\.\d{3} (WARNING|ERROR|CRITICAL) (?!fault: )(.*)$", re.MULTILINE
+)
 
 
 def log_warnings(name: str, errors: str) -> None:
