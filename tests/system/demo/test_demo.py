@@ -115,7 +115,7 @@ def test_in_a_terminal_the_demo_draws_a_panel_with_a_pulse_trace() -> None:
     leader, follower = pty.openpty()
     environment = os.environ | {"COLUMNS": "100", "LINES": "40", "TERM": "xterm"}
     child = subprocess.Popen(
-        [sys.executable, "-m", MODULE, "demo", "--seconds", "4", "--no-page"],
+        [sys.executable, "-m", MODULE, "demo", "--seconds", "8", "--no-page"],
         cwd=ROOT,
         stdin=follower,
         stdout=follower,
