@@ -42,9 +42,14 @@ class FrameEncoder:
         self._counter = 0
 
     def frame(self, values: Sequence[float], last_us: int) -> bytes:
-        """Return a frame of 1 to 64 samples, the last taken at `last_us` in µs.
+        """Return a frame of samples.
 
-        Integer formats round the values and limit them to their range.
+        Parameters
+        ----------
+        values : sequence of float
+            1 to 64 samples; integer formats round them and limit them to their range.
+        last_us : int
+            Device's time at the last one, in µs.
         """
         dtype = _DTYPES[self._code]
         samples = np.asarray(values, dtype=np.float64)
@@ -63,7 +68,16 @@ class FrameDecoder:
 
     Noise costs the frame that it touches; if it hides the zero byte between two, the next one
     too. Bytes before the first zero byte may be the end of a frame that was not received whole.
-    Raises SourceError without the cobs package.
+
+    Parameters
+    ----------
+    period_ns : int
+        Nominal time between samples.
+
+    Raises
+    ------
+    SourceError
+        Without the cobs package.
     """
 
     def __init__(self, period_ns: int) -> None:

@@ -81,7 +81,7 @@ class SensorTable(SensitivityTable):
         return round(1e9 / self.rate_hz)
 
     def newtons(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return forces in N for values in the table's unit, of any shape."""
+        """Return forces in N, of the same shape, for values in the table's unit."""
         if self.unit == "counts":
             newtons_per_unit, zero = self.newtons_per_count or 0.0, self.zero
         elif self.unit in VOLTAGES:

@@ -119,8 +119,17 @@ class SampleCounter:
     def missing(self, first: int, count: int, passed_ns: int | None) -> int | None:
         """Return the number of samples lost before `count` new ones, numbered from `first` on.
 
-        passed_ns: time from the last sample before to the last of these; None where unknown.
-        Returns None where count and time contradict each other.
+        Parameters
+        ----------
+        first : int
+            In 0 to modulus - 1.
+        passed_ns : int, optional
+            Time from the last sample before to the last of these; None where unknown.
+
+        Returns
+        -------
+        int or None
+            At least 0; None where count and time contradict each other.
         """
         jump = (first - self._next) % self._modulus
         self._next = first + count
@@ -168,8 +177,15 @@ class Timeline:
     def place(self, count: int, missing: int, last_ns: int) -> tuple[int, int, int] | None:
         """Place `count` samples, the last of which was measured at `last_ns`.
 
-        missing: samples known to be lost before them; a jump of the time reveals more. Returns
-        `first_ns`, `end_ns` and `missing` of a `SampleBlock`; None where their time has passed.
+        Parameters
+        ----------
+        missing : int
+            Samples known to be lost before them, at least 0; a jump of the time reveals more.
+
+        Returns
+        -------
+        first_ns, end_ns, missing : int
+            As in `SampleBlock`; None in place of all three where their time has passed.
         """
         if self._origin_ns is None:
             self._origin_ns = last_ns - (count - 1) * self._nominal_ns
@@ -212,8 +228,12 @@ def _bounded(value: float, share: float, of: float) -> float:
 class Placement:
     """Conversion of one sensor's blocks to newtons on the host's clock. Pure.
 
-    samples, missing: placed so far, and lost before them. restarts: of the device's clock. behind:
-    blocks that were refused because their time has passed.
+    Attributes
+    ----------
+    samples, missing : int
+        Samples placed so far, and samples lost before them.
+    restarts, behind : int
+        Restarts of the device's clock, and blocks refused because their time has passed.
     """
 
     def __init__(self, table: SensorTable) -> None:

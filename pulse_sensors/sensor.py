@@ -183,8 +183,17 @@ def open_sensor(
 ) -> Sensor:
     """Open the sensor of a scene, for the caller to close.
 
-    `folder` is the scene file's, `clock` the host's in ns. Raises SourceError when the device is
-    not there, or a library is missing.
+    Parameters
+    ----------
+    folder : Path
+        Folder of the scene file.
+    clock : callable
+        Host's clock in ns.
+
+    Raises
+    ------
+    SourceError
+        When the device is not there, or a library is missing.
     """
     match scene:
         case SerialScene():

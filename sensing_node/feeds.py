@@ -106,8 +106,12 @@ class ReplaySource:
     """Feed of an earlier session's frames: the same samples, as far apart in time as they were.
 
     Samples that the recording lacks between two frames keep their sequence numbers: displays
-    count them as lost. The frames are one session's, ordered by first_sample; samples that one
-    repeats are left out.
+    count them as lost.
+
+    Parameters
+    ----------
+    frames : iterable of Frame
+        Of one session, ordered by first_sample; samples that one repeats are left out.
     """
 
     def __init__(self, description: StreamDescription, frames: Iterable[Frame]) -> None:

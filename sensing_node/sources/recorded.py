@@ -57,7 +57,7 @@ class RecordingScene(SensitivityTable):
         return SyntheticScene(kind="synthetic").preload_n if self.unit == "raw" else 0.0
 
     def forces(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return forces in N of a recording's values, not all of which are equal."""
+        """Return forces in N, shape (samples,), for values that are not all equal."""
         if self.inverted:
             values = -values
         if self.unit in FORCES:
@@ -69,10 +69,19 @@ class RecordingScene(SensitivityTable):
 
 
 class RecordedSource:
-    """A recorded pulse, from the scene file's folder; `warnings` has what is doubtful about it.
+    """A recorded pulse in N, with one channel; `warnings` has what is doubtful about it.
 
-    Raises SourceError for a file that cannot be read or scaled and, where it must be `plausible`,
-    for values that cannot be a pulse's by this scene.
+    Parameters
+    ----------
+    folder : Path
+        Folder of the scene file.
+    plausible : bool
+        Refuse values that cannot be a pulse's by this scene.
+
+    Raises
+    ------
+    SourceError
+        For a file that cannot be read or scaled, or whose values are refused.
     """
 
     channels = (Channel("pulse"),)
@@ -103,9 +112,19 @@ class RecordedSource:
 
 
 def load_column(path: Path, column: int | str) -> RecordedColumn:
-    """Return one column, by its number from 0 or its name, of a .csv, .txt, .npy or .npz file.
+    """Return one column of a file.
 
-    Raises SourceError where the file cannot be read, or the column is missing or unusable.
+    Parameters
+    ----------
+    path : Path
+        A .csv, .txt, .npy or .npz file.
+    column : int or str
+        Number from 0, or name.
+
+    Raises
+    ------
+    SourceError
+        Where the file cannot be read, or the column is missing or holds no usable numbers.
     """
     try:
         match path.suffix.lower():
