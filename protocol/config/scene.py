@@ -5,6 +5,7 @@ the key.
 """
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -63,7 +64,8 @@ def load_section(path: Path, name: str, schema: type[SectionT]) -> SectionT:
         return schema.model_validate(document[name])
     except ValidationError as error:
         keys, text = _first_error(error, document[name])
-        owner = next((file for file, tables in chain if _has(tables, [name, *keys])), path)
+        at = [name, *keys]
+        owner = next((file for file, tables in chain if _follow(at, tables)[0] == at), path)
         raise SceneError(f"{owner}: [{name}] {text}") from None
 
 
@@ -75,25 +77,17 @@ def validate(table: object, schema: type[SectionT], where: str) -> SectionT:
         raise SceneError(f"{where} {_first_error(error, table)[1]}") from None
 
 
-def _has(table: Any, keys: list[int | str]) -> bool:
-    for key in keys:
-        inside = isinstance(table, dict) and key in table
-        if not inside and not (isinstance(table, list) and isinstance(key, int)):
-            return False
-        table = table[key]
-    return True
-
-
 def _first_error(error: ValidationError, table: Any) -> tuple[list[int | str], str]:
     """Return the first of pydantic's errors: its keys, and a line with how many more there are."""
     first = error.errors(include_url=False)[0]
     context = first.get("ctx", {})
-    keys, written = _find(first, table)
+    keys, written = _follow(first["loc"], table)
     match first["type"]:
         case "unknown_key":
             keys.append(context["key"])
             text = "unknown key" + suggest(context["key"], context["known"])
         case "missing":
+            keys.append(first["loc"][-1])
             text = "missing; it must be given"
         case "model_type" | "model_attributes_type":
             text = f"must be a table, got {shown(written)}"
@@ -110,19 +104,17 @@ def _first_error(error: ValidationError, table: Any) -> tuple[list[int | str], s
     return keys, at + text + (f" (and {more} more)" if more else "")
 
 
-def _find(error: ErrorDetails, table: Any) -> tuple[list[int | str], Any]:
-    """Return the keys that lead through the table to the error, and the value written there.
+def _follow(location: Sequence[int | str], table: Any) -> tuple[list[int | str], Any]:
+    """Return the keys of a location that lead through the table, and the value written there.
 
     pydantic puts names of its own between them, such as which member of a union it tried.
     """
     keys: list[int | str] = []
-    for part in error["loc"]:
+    for part in location:
         inside = isinstance(table, dict) and part in table
         if inside or (isinstance(table, list) and isinstance(part, int)):
             keys.append(part)
             table = table[part]
-    if error["type"] == "missing":
-        keys.append(error["loc"][-1])
     return keys, table
 
 
