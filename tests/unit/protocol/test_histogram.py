@@ -27,16 +27,13 @@ def test_a_quantile_is_exact_to_one_bin(values: list[float]) -> None:
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=300))
-def test_count_mean_and_maximum_are_exact(values: list[float]) -> None:
+def test_count_mean_and_maximum_are_exact_and_quantiles_rise_to_the_maximum(
+    values: list[float],
+) -> None:
     histogram = filled(values)
     assert histogram.count == len(values)
     assert histogram.mean == pytest.approx(np.mean(values), abs=1e-9)
     assert histogram.maximum == max(values)
-
-
-@given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=100))
-def test_quantiles_rise_and_stay_below_the_maximum(values: list[float]) -> None:
-    histogram = filled(values)
     quantiles = [histogram.quantile(share) for share in SHARES]
     known = [quantile for quantile in quantiles if quantile is not None]
     assert len(known) == len(SHARES)
@@ -57,7 +54,9 @@ def test_a_quantile_beyond_the_range_is_a_lower_bound_and_named(largest: float) 
     histogram = filled([1.2] * 98 + [BIN * BINS, largest])
     assert histogram.quantile(0.5) == pytest.approx(1.2, abs=BIN)
     assert histogram.quantile(0.99) == BIN * BINS
-    assert histogram.beyond(p50=0.5, p98=0.98, p99=0.99, p999=0.999) == ["p99", "p999"]
+    beyond = histogram.beyond(p50=0.5, p98=0.98, p99=0.99, p999=0.999)
+    assert beyond == ["p99", "p999"]
+    assert (bound("p50", beyond), bound("p99", beyond)) == ("", "> ")
     assert histogram.maximum == largest
 
 
@@ -69,13 +68,9 @@ def test_a_quantile_is_named_beyond_where_it_is(values: list[float]) -> None:
         assert (histogram.beyond(it=share) == ["it"]) == (exact >= BIN * BINS)
 
 
-def test_what_is_no_number_is_counted_apart() -> None:
+def test_nan_is_counted_apart() -> None:
     histogram = filled([1.0, math.nan, 1.0])
     assert (histogram.count, histogram.not_numbers, histogram.mean) == (2, 1, 1.0)
-
-
-def test_a_lower_bound_has_its_sign() -> None:
-    assert (bound("p50", ["p99"]), bound("p99", ["p99"])) == ("", "> ")
 
 
 def test_negative_values_count_in_the_first_bin() -> None:

@@ -85,35 +85,27 @@ def leaves(value: Any) -> list[Any]:
     return [value]
 
 
-def test_what_does_not_apply_is_null() -> None:
+def test_figures_that_do_not_apply_are_null() -> None:
     table = Summary().to_dict()
-    assert table.pop("rejected") == {}
-    assert table.pop("hardware") == {}
-    assert table.pop("faults") == []
-    assert table["loop"].pop("realtime") == []
-    for quantiles in (table["one_way_delay_ms"], table["playout_delay_ms"]):
-        assert quantiles.pop("beyond") == []
-    for quantiles in (table["loop"]["tick_us"], table["loop"]["late_us"]):
+    assert table.pop("rejected") == table.pop("hardware") == {}
+    assert table.pop("faults") == table["loop"].pop("realtime") == []
+    delays, loop = (table["one_way_delay_ms"], table["playout_delay_ms"]), table["loop"]
+    for quantiles in (*delays, loop["tick_us"], loop["late_us"]):
         assert quantiles.pop("beyond") == []
     assert set(leaves(table)) == {None}
 
 
 def test_known_figures_are_in_the_json() -> None:
     table = FULL.to_dict()
-    assert table["samples"] == {
-        "sent": 1000,
-        "played": 950,
-        "late": 30,
-        "lost": 20,
-        "before_joining": 7,
-    }
+    samples = {"sent": 1000, "played": 950, "late": 30, "lost": 20, "before_joining": 7}
+    assert table["samples"] == samples
     assert table["loop"]["tick_us"] == {"p50": 85.0, "p99": 140.0, "beyond": []}
     assert table["rejected"] == {"truncated": 2, "duplicate": 400}
     assert table["faults"] == ["silence", "force limit"]
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_what_is_no_number_is_null(value: float) -> None:
+def test_a_figure_that_is_not_finite_is_null(value: float) -> None:
     summary = Summary(
         covered_delay_ms=value,
         force_rmse_n=AlignedErrors(aligned=value),
@@ -157,7 +149,7 @@ def test_checking_a_writable_file_leaves_it_as_it_is(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_people_read_the_same() -> None:
+def test_the_printed_rows() -> None:
     assert rows(printed(FULL)) == {
         "samples": "1000 sent = 950 played + 30 late + 20 lost",
         "joined": "after 7 samples",
@@ -209,7 +201,7 @@ def test_a_quantile_beyond_what_is_counted_is_a_lower_bound() -> None:
     assert shown["one-way delay"] == "p50 20.00 ms, p99 > 2000.00 ms, max 2500.00 ms"
 
 
-def test_one_is_not_many() -> None:
+def test_a_count_of_one_is_singular() -> None:
     shown = rows(printed(Summary(samples=SampleCounts(1, before_joining=1), loop=Loop(1, 1))))
     assert shown["loop"] == "1 tick, 1 deadline miss"
     assert shown["joined"] == "after 1 sample"
