@@ -27,9 +27,9 @@ with hold(parse_realtime("fifo=1")):
 FIFO, OTHER = os.SCHED_FIFO, [os.SCHED_OTHER, 0]
 
 
-def told(wish: str, loop_s: float = 0, helper_s: float = 0, *, rights: bool = True) -> Any:
+def measured(option: str, loop_s: float = 0, helper_s: float = 0, *, rights: bool = True) -> Any:
     run = with_rights if rights else without_rights
-    child = run("-m", CHILD, wish, str(loop_s), str(helper_s))
+    child = run("-m", CHILD, option, str(loop_s), str(helper_s))
     assert child.stderr == ""
     assert child.returncode == 0
     return json.loads(child.stdout)
@@ -38,7 +38,7 @@ def told(wish: str, loop_s: float = 0, helper_s: float = 0, *, rights: bool = Tr
 @needs_rights
 def test_the_granted_measures_are_those_in_effect() -> None:
     one = max(os.sched_getaffinity(0))
-    found = told(f"fifo=7,lock,cpu={one},slack")
+    found = measured(f"fifo=7,lock,cpu={one},slack")
     assert found["refused"] == []
     assert sorted(found["granted"]) == sorted(["fifo=7", "lock", f"cpu={one}", "slack"])
     held = found["held"]
@@ -53,7 +53,7 @@ def test_the_granted_measures_are_those_in_effect() -> None:
 @needs_rights
 def test_all_of_it_is_taken_back() -> None:
     one = max(os.sched_getaffinity(0))
-    found = told(f"fifo=7,lock,cpu={one},slack")
+    found = measured(f"fifo=7,lock,cpu={one},slack")
     before, after = found["before"], found["after"]
     assert before["loop"] == OTHER
     assert before["locked_kib"] == 0
@@ -62,7 +62,7 @@ def test_all_of_it_is_taken_back() -> None:
 
 @needs_rights
 def test_threads_of_strangers_get_no_priority() -> None:
-    assert told("fifo=7")["held"]["others"] == [OTHER]
+    assert measured("fifo=7")["held"]["others"] == [OTHER]
 
 
 def test_zeromqs_threads_are_found_before_they_had_the_time_to_name_themselves() -> None:
@@ -78,7 +78,7 @@ def test_zeromqs_threads_are_found_before_they_had_the_time_to_name_themselves()
 def test_a_thread_that_runs_without_a_pause_loses_the_priority(
     loop_s: float, helper_s: float
 ) -> None:
-    found = told("slack,fifo=7", loop_s, helper_s)
+    found = measured("slack,fifo=7", loop_s, helper_s)
     assert found["held"]["loop"] == [FIFO, 7]
     later = found["later"]
     assert later["loop"] == OTHER
@@ -105,13 +105,13 @@ def test_a_process_that_handles_no_signal_is_ended_by_the_kernel() -> None:
 
 @needs_rights
 def test_a_loop_that_pauses_keeps_the_priority() -> None:
-    found = told("fifo=7", 0.05, 0.0)
+    found = measured("fifo=7", 0.05, 0.0)
     assert found["later"]["loop"] == [FIFO, 7]
     assert found["said"] == []
 
 
 def test_without_rights_each_refusal_is_explained_and_the_rest_is_granted() -> None:
-    found = told("fifo=7,lock,slack", rights=False)
+    found = measured("fifo=7,lock,slack", rights=False)
     assert found["granted"] == ["slack"]
     lock, fifo = found["refused"]
     assert lock.startswith("real-time: lock is not granted: RLIMIT_MEMLOCK is 0 KiB")
@@ -129,8 +129,8 @@ def test_without_rights_each_refusal_is_explained_and_the_rest_is_granted() -> N
 def test_a_processor_that_is_not_there_is_refused() -> None:
     there = os.sched_getaffinity(0)
     last = max(there)
-    for wish in ("cpu=4000", f"cpu={last},cpu=4000"):
-        with hold(parse_realtime(wish)) as held:
+    for option in ("cpu=4000", f"cpu={last},cpu=4000"):
+        with hold(parse_realtime(option)) as held:
             assert held.granted == {}
             assert os.sched_getaffinity(0) == there
         (refusal,) = held.refused

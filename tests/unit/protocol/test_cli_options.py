@@ -112,7 +112,7 @@ def test_on_this_machine_it_goes_without_or_with(
 
 
 def test_keys_that_do_not_go_together_are_one_line(own: Path, peer: Path, tmp_path: Path) -> None:
-    for call, said in (
+    for call, reason in (
         (lambda: server_keys(FAR, own, None, insecure=True), "--insecure does without keys"),
         (lambda: client_keys([FAR], own, peer, insecure=True), "--insecure does without keys"),
         (lambda: client_keys([FAR], own, None, insecure=False), "needs the other node's public"),
@@ -120,9 +120,9 @@ def test_keys_that_do_not_go_together_are_one_line(own: Path, peer: Path, tmp_pa
         (lambda: server_keys(NEAR, None, peer, insecure=False), "needs this node's own key"),
         (lambda: server_keys(FAR, own, tmp_path / "no", insecure=False), "there is no such file"),
     ):
-        with pytest.raises(ProtectionError, match=said) as told:
+        with pytest.raises(ProtectionError, match=reason) as caught:
             call()
-        assert "\n" not in str(told.value)
+        assert "\n" not in str(caught.value)
 
 
 def test_key_files_and_addresses_are_looked_at_at_once(own: Path, peer: Path) -> None:

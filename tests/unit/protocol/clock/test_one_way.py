@@ -22,7 +22,7 @@ def shown_ns(local_ns: int, skew_ppm: float) -> int:
     return local_ns + 3_600 * S + round(local_ns * skew_ppm * 1e-6)
 
 
-def heard(messages: list[tuple[int, int]], skew_ppm: float) -> OneWaySkew:
+def estimated(messages: list[tuple[int, int]], skew_ppm: float) -> OneWaySkew:
     slope = OneWaySkew()
     for sent_ns, arrived_ns in messages:
         slope.add(shown_ns(sent_ns, skew_ppm), arrived_ns, slope.skew)
@@ -30,13 +30,13 @@ def heard(messages: list[tuple[int, int]], skew_ppm: float) -> OneWaySkew:
 
 
 def test_the_error_is_infinite_before_there_are_enough_blocks() -> None:
-    assert math.isinf(heard(arrivals(STEADY_BLOCKS * BLOCK - 1), 200).error)
-    assert math.isfinite(heard(arrivals(STEADY_BLOCKS * BLOCK), 200).error)
+    assert math.isinf(estimated(arrivals(STEADY_BLOCKS * BLOCK - 1), 200).error)
+    assert math.isfinite(estimated(arrivals(STEADY_BLOCKS * BLOCK), 200).error)
 
 
 @pytest.mark.parametrize("skew_ppm", [-500, 0, 200])
 def test_the_skew_is_found(skew_ppm: int) -> None:
-    slope = heard(arrivals(12_000, jitter_ms=3), skew_ppm)
+    slope = estimated(arrivals(12_000, jitter_ms=3), skew_ppm)
     assert slope.skew * 1e6 == pytest.approx(skew_ppm, abs=3)
     assert 0 < slope.error < 3e-6
 
@@ -44,7 +44,7 @@ def test_the_skew_is_found(skew_ppm: int) -> None:
 def test_the_skew_is_within_two_standard_errors_nine_times_of_ten() -> None:
     beyond = [
         abs(slope.skew - 50e-6) > 2 * slope.error
-        for slope in (heard(arrivals(4_000, 3, seed), 50) for seed in range(40))
+        for slope in (estimated(arrivals(4_000, 3, seed), 50) for seed in range(40))
     ]
     assert sum(beyond) <= 4
 
@@ -54,14 +54,14 @@ def test_the_oldest_is_forgotten() -> None:
     end_ns = early[-1][0] + EVERY_NS
     # From then on a quarter of a second longer on the way.
     late = [(end_ns + t_ns, end_ns + at_ns + 250 * MS) for t_ns, at_ns in early]
-    assert heard(early + late[: len(late) // 2], 0).skew < -1e-4
-    assert heard(early + late, 0).skew == pytest.approx(0, abs=1e-5)
+    assert estimated(early + late[: len(late) // 2], 0).skew < -1e-4
+    assert estimated(early + late, 0).skew == pytest.approx(0, abs=1e-5)
 
 
 def test_messages_close_together_count_once() -> None:
     spread = arrivals(STEADY_BLOCKS * BLOCK)
     bunched = [(t_ns + i * MS, at_ns + i * MS) for t_ns, at_ns in spread for i in (0, 1, 2)]
-    assert heard(bunched, 100).skew == heard(spread, 100).skew
+    assert estimated(bunched, 100).skew == estimated(spread, 100).skew
 
 
 def followed(frame_skew_ppm: float | None, late_ns: int = 0) -> ClockEstimator:

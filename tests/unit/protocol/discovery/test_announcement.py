@@ -53,7 +53,7 @@ GOOD = Announcement.of_node("radial pulse", "ward-3", 5555, KEY)
 
 
 @pytest.mark.parametrize(
-    ("changes", "cause", "said"),
+    ("changes", "cause", "reason"),
     [
         ({b"v": b"2"}, "version", "another version"),
         ({b"v": None}, "version", "another version"),
@@ -69,9 +69,9 @@ GOOD = Announcement.of_node("radial pulse", "ward-3", 5555, KEY)
     ],
 )
 def test_a_record_that_is_none_is_refused(
-    changes: dict[bytes, bytes | None], cause: str, said: str
+    changes: dict[bytes, bytes | None], cause: str, reason: str
 ) -> None:
-    with pytest.raises(WireError, match=said) as refused:
+    with pytest.raises(WireError, match=reason) as refused:
         read_announcement(f"{GOOD.name}.{SERVICE}", [ADDRESS], 5555, wire(GOOD) | changes)
     assert refused.value.cause == cause
 

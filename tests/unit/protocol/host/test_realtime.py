@@ -10,7 +10,7 @@ MS = 1_000_000
 
 
 @pytest.mark.parametrize(
-    ("text", "asked"),
+    ("text", "expected"),
     [
         (None, RealtimeRequest()),
         ("fifo", RealtimeRequest(fifo=40)),
@@ -27,12 +27,12 @@ MS = 1_000_000
         ),
     ],
 )
-def test_a_realtime_option_is_parsed(text: str | None, asked: RealtimeRequest) -> None:
-    assert parse_realtime(text) == asked
+def test_a_realtime_option_is_parsed(text: str | None, expected: RealtimeRequest) -> None:
+    assert parse_realtime(text) == expected
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "reason"),
     [
         ("", "unknown measure ''; known: fifo, lock, cpu, slack, strict"),
         ("fifo,", "unknown measure ''"),
@@ -52,20 +52,20 @@ def test_a_realtime_option_is_parsed(text: str | None, asked: RealtimeRequest) -
         ("cpu=1-99999", "cpu=1-99999: write one"),
     ],
 )
-def test_an_invalid_realtime_option_is_refused_in_one_line(text: str, said: str) -> None:
+def test_an_invalid_realtime_option_is_refused_in_one_line(text: str, reason: str) -> None:
     with pytest.raises(RealtimeError) as caught:
         parse_realtime(text)
-    assert str(caught.value).startswith(f"--realtime: {said}")
+    assert str(caught.value).startswith(f"--realtime: {reason}")
     assert "\n" not in str(caught.value)
 
 
 @given(st.text() | st.text(alphabet="fiolckgcpu=,-0123456789 "))
 def test_any_text_is_parsed_or_refused(text: str) -> None:
     try:
-        asked = parse_realtime(text)
+        expected = parse_realtime(text)
     except RealtimeError:
         return
-    assert asked.fifo is None or 1 <= asked.fifo <= 98
+    assert expected.fifo is None or 1 <= expected.fifo <= 98
 
 
 @pytest.mark.parametrize(

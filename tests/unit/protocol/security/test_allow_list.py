@@ -45,16 +45,16 @@ def test_what_else_is_written_there_stays(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("public", "said"),
+    ("public", "reason"),
     [
         (WRIST, "wrist is allowed already"),
         (PublicKey("wrist", FINGER.key), "another key of the name wrist"),
         (PublicKey("other", WRIST.key), "allows this key already, by the name wrist"),
     ],
 )
-def test_a_name_has_one_key_and_a_key_one_name(path: Path, public: PublicKey, said: str) -> None:
+def test_a_name_has_one_key_and_a_key_one_name(path: Path, public: PublicKey, reason: str) -> None:
     allow(path, WRIST)
-    with pytest.raises(KeyFileError, match=said):
+    with pytest.raises(KeyFileError, match=reason):
         allow(path, public)
     assert read_allowed(path) == {WRIST.key: WRIST}
 
@@ -82,7 +82,7 @@ def test_a_name_that_is_not_listed_cannot_be_revoked(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "reason"),
     [
         ("nonsense", "line 2: it is not 'telepulse-public-key NAME KEY'"),
         (WRIST.line[:-1], "line 2: its last word is not a key"),
@@ -94,14 +94,14 @@ def test_a_name_that_is_not_listed_cannot_be_revoked(path: Path) -> None:
     ],
 )
 def test_a_list_that_is_none_is_one_line_without_a_key_in_it(
-    path: Path, line: str, said: str
+    path: Path, line: str, reason: str
 ) -> None:
     path.write_text(f"{FINGER.line}\n{line}\n", encoding="utf-8")
-    with pytest.raises(KeyFileError) as told:
+    with pytest.raises(KeyFileError) as caught:
         read_allowed(path)
-    assert said in str(told.value)
-    assert "\n" not in str(told.value)
-    assert WRIST.key.hex()[:16] not in str(told.value)
+    assert reason in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert WRIST.key.hex()[:16] not in str(caught.value)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="modes are POSIX")
@@ -125,8 +125,8 @@ def test_two_commands_do_not_undo_each_other(path: Path) -> None:
     assert list(path.parent.iterdir()) == [path]
 
 
-class Watched:
-    """A list of a running node, looked at once a second of virtual time."""
+class PolledList:
+    """A list of a running node, polled once a second of virtual time."""
 
     def __init__(self, path: Path) -> None:
         self.list = AllowList(path)
@@ -141,36 +141,36 @@ class Watched:
 
 
 @pytest.fixture
-def watched(path: Path) -> Watched:
+def polled(path: Path) -> PolledList:
     allow(path, WRIST)
     allow(path, FINGER)
-    return Watched(path)
+    return PolledList(path)
 
 
-def test_a_change_is_read_once(path: Path, watched: Watched, logged: list[str]) -> None:
-    assert watched.run(3) == []
+def test_a_change_is_read_once(path: Path, polled: PolledList, logged: list[str]) -> None:
+    assert polled.run(3) == []
     revoke(path, "wrist")
-    assert watched.run(3) == [WRIST.key]
-    assert list(watched.list.allowed) == [FINGER.key]
+    assert polled.run(3) == [WRIST.key]
+    assert list(polled.list.allowed) == [FINGER.key]
     assert logged == ["wrist is allowed no more"]
 
 
-def test_a_list_is_read_until_it_can_be(path: Path, watched: Watched, logged: list[str]) -> None:
+def test_a_list_is_read_until_it_can_be(path: Path, polled: PolledList, logged: list[str]) -> None:
     path.write_text(f"{FINGER.line}\n")
     path.chmod(0o664)
-    assert watched.run(5) == []
-    assert not watched.list.readable
-    assert len(watched.list.allowed) == 2
+    assert polled.run(5) == []
+    assert not polled.list.readable
+    assert len(polled.list.allowed) == 2
     path.chmod(0o644)
-    assert watched.run(1) == [WRIST.key]
-    assert watched.list.readable
+    assert polled.run(1) == [WRIST.key]
+    assert polled.list.readable
     assert len(logged) == 3
     assert "until it can be read no new peer may connect" in logged[0]
     assert logged[1:] == [f"{path} is read again", "wrist is allowed no more"]
 
 
 def test_a_list_that_cannot_be_opened_just_then_is_read_later(
-    path: Path, watched: Watched, monkeypatch: pytest.MonkeyPatch, logged: list[str]
+    path: Path, polled: PolledList, monkeypatch: pytest.MonkeyPatch, logged: list[str]
 ) -> None:
     def no_descriptor(*_: object) -> None:
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
@@ -178,27 +178,27 @@ def test_a_list_that_cannot_be_opened_just_then_is_read_later(
     revoke(path, "wrist")
     with monkeypatch.context() as patch:
         patch.setattr(Path, "open", no_descriptor)
-        assert watched.run(2) == []
+        assert polled.run(2) == []
     assert "Too many open files" in logged[0]
-    assert watched.run(1) == [WRIST.key]
+    assert polled.run(1) == [WRIST.key]
 
 
 def test_after_ten_seconds_without_a_list_no_key_is_allowed(
-    path: Path, watched: Watched, logged: list[str]
+    path: Path, polled: PolledList, logged: list[str]
 ) -> None:
     text = path.read_text()
     path.write_text("nonsense\n")
-    assert watched.run(10) == []
-    assert set(watched.run(1)) == {WRIST.key, FINGER.key}
-    assert watched.run(20) == []
-    assert watched.list.allowed == {}
+    assert polled.run(10) == []
+    assert set(polled.run(1)) == {WRIST.key, FINGER.key}
+    assert polled.run(20) == []
+    assert polled.list.allowed == {}
     assert logged[1:] == [f"{path} could not be read for 10 s: all peers are cut off"]
     path.write_text(text)
-    assert watched.run(1) == []
-    assert len(watched.list.allowed) == 2
+    assert polled.run(1) == []
+    assert len(polled.list.allowed) == 2
 
 
-def test_a_mode_that_lets_others_write_is_a_change(path: Path, watched: Watched) -> None:
+def test_a_mode_that_lets_others_write_is_a_change(path: Path, polled: PolledList) -> None:
     path.chmod(0o666)
-    watched.run(1)
-    assert not watched.list.readable
+    polled.run(1)
+    assert not polled.list.readable

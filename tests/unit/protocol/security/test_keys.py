@@ -98,9 +98,11 @@ def test_a_secret_key_that_others_may_touch_is_refused_with_what_to_run(
 
 def test_a_secret_and_a_public_key_are_not_taken_for_each_other(tmp_path: Path) -> None:
     secret, public = new_pair(tmp_path, "wrist")
-    with pytest.raises(KeyFileError, match=r"never leaves its machine; give .* wrist\.pub") as told:
+    with pytest.raises(
+        KeyFileError, match=r"never leaves its machine; give .* wrist\.pub"
+    ) as caught:
         read_public(secret)
-    assert read_pair(secret).secret.hex() not in str(told.value)
+    assert read_pair(secret).secret.hex() not in str(caught.value)
     with pytest.raises(KeyFileError, match=r"is a public key; give the secret one, wrist\.key"):
         read_pair(public)
 
@@ -109,7 +111,7 @@ GOOD = f"telepulse-public-key wrist {'ab' * 32}\n"
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "reason"),
     [
         ("", "not one line"),
         ("\n", "not 'telepulse-public-key NAME KEY'"),
@@ -126,14 +128,14 @@ GOOD = f"telepulse-public-key wrist {'ab' * 32}\n"
         ("\0" * 50, "not 'telepulse-public-key NAME KEY'"),
     ],
 )
-def test_a_file_that_holds_no_key_is_one_line(tmp_path: Path, text: str, said: str) -> None:
+def test_a_file_that_holds_no_key_is_one_line(tmp_path: Path, text: str, reason: str) -> None:
     path = tmp_path / "wrist.pub"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(KeyFileError) as told:
+    with pytest.raises(KeyFileError) as caught:
         read_public(path)
-    assert str(told.value).startswith(str(path))
-    assert said in str(told.value)
-    assert "\n" not in str(told.value)
+    assert str(caught.value).startswith(str(path))
+    assert reason in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("end", ["", "\r\n", "  \n"])
@@ -144,12 +146,12 @@ def test_a_line_that_mail_has_changed_is_a_key_still(tmp_path: Path, end: str) -
 
 
 def test_no_file_or_none_that_can_be_read_is_one_line(tmp_path: Path) -> None:
-    for path, said in (
+    for path, reason in (
         (tmp_path / "none.key", "no such file; make keys by: telepulse keys new NAME"),
         (tmp_path, "not a file"),
     ):
         for read in (read_pair, read_public):
-            with pytest.raises(KeyFileError, match=said):
+            with pytest.raises(KeyFileError, match=reason):
                 read(path)
 
 

@@ -48,8 +48,8 @@ def test_every_message_comes_through_with_its_time_and_path() -> None:
     writer.traces, writer.statuses = 5, 2
     writer.add(1, 0, b"a")
     writer.add(2, CONTROL, b"")
-    (heard,) = taken(writer)
-    assert heard == CapturedMessages(
+    (captured,) = taken(writer)
+    assert captured == CapturedMessages(
         9, 100, 2_000, 5, 2, 0, [CapturedMessage(1, 0, b"a"), CapturedMessage(2, CONTROL, b"")]
     )
     assert taken(writer) == [CapturedMessages(9, 100, 2_000, 5, 2, 2, [])]
@@ -67,8 +67,8 @@ def test_messages_without_a_subscriber_are_counted_only() -> None:
     writer.add(3, 0, b"c")
     writer.follow(SUBSCRIBED)
     writer.add(4, 0, b"d")
-    (heard,) = taken(writer)
-    assert (heard.before, heard.messages) == (3, [CapturedMessage(4, 0, b"d")])
+    (captured,) = taken(writer)
+    assert (captured.before, captured.messages) == (3, [CapturedMessage(4, 0, b"d")])
 
 
 def test_a_late_recorder_gets_the_welcome() -> None:
@@ -93,11 +93,11 @@ def test_a_flood_is_parted_for_the_socket_and_beyond_a_limit_counted_only() -> N
         writer.add(number, 0, bytes(MAX_FRAME_BYTES))
     parts = list(writer.take(100, 2_000))
     assert all(len(part) < MAX_SOCKET_BYTES for part in parts)
-    heard = [read_capture(part) for part in parts]
-    kept = list(messages_of(heard))
+    captured = [read_capture(part) for part in parts]
+    kept = list(messages_of(captured))
     assert MAX_KEPT_BYTES // MAX_FRAME_BYTES <= len(kept) < count
     assert [message.arrived_ns for message in kept] == list(range(len(kept)))
-    for one, other in itertools.pairwise(heard):
+    for one, other in itertools.pairwise(captured):
         assert other.before == one.before + len(one.messages)
     writer.add(count, 0, b"after")
     (after,) = taken(writer)
