@@ -76,7 +76,10 @@ def test_after_a_cut_the_pulse_is_felt_again_and_every_sample_is_accounted_for(
     if "stopped" in case:
         # Which of the two depends on whether TCP still retransmitted them.
         assert summary.samples.lost + summary.samples.late > 1_000
-    elif "restarted" not in case:
+    elif case == "a short cut":
+        # TCP may still have retransmitted all of them, too late.
+        assert summary.samples.lost + summary.samples.late > 0
+    elif case == "a long cut":
         assert summary.samples.lost
     assert summary.faults == []
     assert_limits_kept(felt)
