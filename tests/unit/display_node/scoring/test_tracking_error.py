@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from display_node.scoring.tracking_error import TrackingError
+from display_node.scoring.tracking_error import RoughnessMeter, TrackingError
+from protocol.summary_tables import Roughness
 from protocol.tactile import ElasticLayer
 
 MS = 1_000_000
@@ -212,3 +213,80 @@ def test_a_force_before_a_fault_is_scored_and_an_unknown_one_is_not() -> None:
     felt_n[::7] = math.nan
     for found in (error, scored(ticks_ns, felt_n, pieces[:400])):
         assert found.force_rmse_n.aligned == pytest.approx(0.01, rel=1e-3)
+
+
+def metered(
+    felt_n: Forces, sensed_n: Forces, block: int = 256, tick_ns: int = MS
+) -> RoughnessMeter:
+    meter = RoughnessMeter()
+    now_ns = T0_NS + np.arange(len(felt_n), dtype=np.int64) * tick_ns
+    for start in range(0, len(felt_n), block):
+        part = slice(start, start + block)
+        meter.add(now_ns[part], felt_n[part], sensed_n[part])
+    return meter
+
+
+def wave_n(hz: float, amplitude_n: float = 0.001, count: int = 10_000) -> Forces:
+    return np.asarray(amplitude_n * np.sin(2 * math.pi * hz * np.arange(count) * 1e-3))
+
+
+@pytest.mark.parametrize(("hz", "share"), [(0.0, 0.0), (1.2, 0.0), (8, 0.0), (42, 1.0), (200, 1.0)])
+def test_what_is_above_25_hz_counts_and_what_is_below_does_not(hz: float, share: float) -> None:
+    noise_n = wave_n(100)
+    roughness = metered(0.3 + wave_n(hz, 0.1), noise_n).roughness
+    assert roughness.sensed_n == pytest.approx(1e-3 / math.sqrt(2), rel=1e-3)
+    assert roughness.felt_n == pytest.approx(share * 0.1 / math.sqrt(2), rel=0.01, abs=3e-5)
+
+
+def test_the_ratio_is_of_energies() -> None:
+    pulse_n = wave_n(1.2, 0.1)
+    roughness = metered(pulse_n + 3 * wave_n(60), pulse_n + wave_n(60)).roughness
+    assert roughness.energy_ratio == pytest.approx(9, rel=1e-3)
+
+
+@pytest.mark.parametrize("block", [7, 100, 256, 10_000])
+def test_pieces_make_no_difference(block: int) -> None:
+    rng = np.random.default_rng(1)
+    felt_n, sensed_n = rng.standard_normal((2, 10_000))
+    whole = metered(felt_n, sensed_n, 10_000).roughness
+    parts = metered(felt_n, sensed_n, block).roughness
+    assert parts.energy_ratio == pytest.approx(whole.energy_ratio)
+
+
+def test_a_gap_is_no_roughness() -> None:
+    meter, ticks = RoughnessMeter(), np.arange(256, dtype=np.int64) * MS
+    for part in range(20):
+        # Each piece begins 0.1 s late, and the force elsewhere.
+        now_ns = T0_NS + part * 356 * MS + ticks
+        level_n = np.full(256, 0.2 + 0.1 * (part % 2))
+        meter.add(now_ns, level_n, level_n)
+    assert meter.roughness.felt_n == pytest.approx(0, abs=1e-12)
+
+
+def test_where_nothing_was_sensed_nothing_counts() -> None:
+    felt_n, sensed_n = wave_n(60), wave_n(60)
+    felt_n[4000:5000] += np.random.default_rng(1).standard_normal(1000)
+    sensed_n[4000:5000] = np.nan
+    assert metered(felt_n, sensed_n).roughness.energy_ratio == pytest.approx(1)
+
+
+def test_a_clock_that_is_corrected_is_no_gap() -> None:
+    meter, wave = RoughnessMeter(), wave_n(60)
+    now_ns = T0_NS + np.arange(10_000, dtype=np.int64) * MS
+    now_ns += np.arange(10_000, dtype=np.int64) % 3 * 200 + np.arange(10_000) // 256 * 2_000
+    for start in range(0, 10_000, 256):
+        part = slice(start, start + 256)
+        meter.add(now_ns[part], 2 * wave[part], wave[part])
+    assert meter.roughness.energy_ratio == pytest.approx(4, rel=1e-3)
+
+
+def test_before_anything_is_known_and_with_slow_ticks_there_is_none() -> None:
+    assert metered(wave_n(60)[:150], wave_n(60)[:150]).roughness == Roughness()
+    assert metered(wave_n(3), wave_n(3), tick_ns=20 * MS).roughness == Roughness()
+
+
+def test_around_a_force_that_is_unknown_nothing_is_counted() -> None:
+    felt_n = wave_n(60)
+    felt_n[5_000:5_100] = math.nan
+    roughness = metered(felt_n, wave_n(60)).roughness
+    assert roughness.energy_ratio == pytest.approx(1.0)
