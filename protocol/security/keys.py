@@ -111,16 +111,16 @@ def create(path: Path, text: str, mode: int) -> None:
     """
     try:
         number = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
+        try:
+            with open(number, "w", encoding="ascii") as file:
+                file.write(text)
+        except OSError:
+            with suppress(OSError):
+                path.unlink()
+            raise
     except FileExistsError:
         raise KeyFileError(f"{path} is there already, and is not overwritten") from None
     except OSError as error:
-        raise KeyFileError(f"{path}: cannot write: {error.strerror}") from None
-    try:
-        with open(number, "w", encoding="ascii") as file:
-            file.write(text)
-    except OSError as error:
-        with suppress(OSError):
-            path.unlink()
         raise KeyFileError(f"{path}: cannot write: {error.strerror}") from None
 
 
