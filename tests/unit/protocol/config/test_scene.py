@@ -153,19 +153,15 @@ def test_a_long_value_is_cut(path: Path) -> None:
     assert len(line_of(path, f'[display]\nmode = "{"x" * 10_000}"')) < 200
 
 
-@pytest.mark.parametrize("text", ["display = 3", "display = []", "[[display]]"])
-def test_a_section_that_is_no_table(path: Path, text: str) -> None:
-    assert line_of(path, text).startswith("[display] must be a table, got ")
-
-
-@pytest.mark.parametrize("text", ["", 'title = "empty"', "[sensing]"])
-def test_a_missing_section(path: Path, text: str) -> None:
-    assert line_of(path, text) == "section [display] is missing"
-
-
 @pytest.mark.parametrize(
     ("text", "line"),
     [
+        ("display = 3", "[display] must be a table, got "),
+        ("display = []", "[display] must be a table, got "),
+        ("[[display]]", "[display] must be a table, got "),
+        ("", "section [display] is missing"),
+        ('title = "empty"', "section [display] is missing"),
+        ("[sensing]", "section [display] is missing"),
         ("[displya]", "displya: unknown key; did you mean display?"),
         ("[sensor]", "sensor: unknown key; did you mean sensing?"),
         ("[foo]", "foo: unknown key; known: sensing, display, link"),
@@ -173,7 +169,7 @@ def test_a_missing_section(path: Path, text: str) -> None:
         ("[display]\n[foo]", "foo: unknown key"),
     ],
 )
-def test_an_unknown_section(path: Path, text: str, line: str) -> None:
+def test_a_wrong_or_missing_section_is_named(path: Path, text: str, line: str) -> None:
     assert line_of(path, text).startswith(line)
 
 
@@ -191,38 +187,23 @@ def test_an_unknown_section(path: Path, text: str, line: str) -> None:
 )
 def test_a_file_that_is_not_toml(path: Path, text: str) -> None:
     assert line_of(path, text).startswith("not TOML: ")
-
-
-def test_a_toml_error_names_the_line(path: Path) -> None:
     assert "line 2" in line_of(path, "[display]\ntick 5")
 
 
-def read_error(path: Path) -> str:
-    with pytest.raises(SceneError) as caught:
-        load_document(path)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
+def test_a_file_that_cannot_be_read_is_refused_in_one_line(path: Path, tmp_path: Path) -> None:
+    def refusal(path: Path) -> str:
+        with pytest.raises(SceneError) as caught:
+            load_document(path)
+        assert "\n" not in str(caught.value)
+        return str(caught.value)
 
-
-def test_a_missing_file(path: Path) -> None:
-    assert read_error(path) == f"{path}: no such scene file"
-
-
-def test_a_directory(tmp_path: Path) -> None:
-    line = read_error(tmp_path)
-    assert line.startswith(f"{tmp_path}: cannot be read: ")
-    assert "directory" in line
-
-
-def test_a_file_within_a_file(path: Path) -> None:
-    path.write_text("", encoding="utf-8")
-    assert "cannot be read" in read_error(path / "inner.toml")
-
-
-@pytest.mark.parametrize("data", [b"\xff\xfe[\x00", b'title = "caf\xe9"'])
-def test_a_file_that_is_not_utf_8(path: Path, data: bytes) -> None:
-    path.write_bytes(data)
-    assert read_error(path).startswith(f"{path}: cannot be read: 'utf-8' codec")
+    assert refusal(path) == f"{path}: no such scene file"
+    assert refusal(tmp_path).startswith(f"{tmp_path}: cannot be read: ")
+    assert "directory" in refusal(tmp_path)
+    for data in (b"\xff\xfe[\x00", b'title = "caf\xe9"'):
+        path.write_bytes(data)
+        assert refusal(path).startswith(f"{path}: cannot be read: 'utf-8' codec")
+    assert "cannot be read" in refusal(path / "inner.toml")
 
 
 def test_a_table_from_elsewhere_is_named_by_its_origin() -> None:
