@@ -1,4 +1,5 @@
-"""Each impairment of a link, by its statistics over many packets, one a millisecond."""
+"""The model of a link: its scene, each impairment by its statistics over many packets, one a
+millisecond, and messages over TCP, one each 10 ms, 20 ms away: a round trip of 40 ms."""
 
 import math
 from itertools import groupby
@@ -6,11 +7,77 @@ from itertools import groupby
 import numpy as np
 import pytest
 
-from telepulse.simulation.link_model import Direction, MessageLink, parse_link
+from protocol.errors import SceneError
+from telepulse.simulation.link_model import Direction, MessageLink, TcpStream, parse_link
 
 MS = 1_000_000
 PACKETS = 40_000
 BYTES = 100
+STEP = 10
+EVERYTHING = (
+    "delay=40ms,jitter=10ms,jitter_kind=pareto,loss=1%,burst_loss.share=2%,burst_loss.length=50ms,"
+    "reorder.share=3%,reorder.by=20ms,rate=2Mbit/s,route_change.at=5s,route_change.by=-10ms,"
+    "cut.from=7s,cut.for=1.5s,transport=tcp"
+)
+
+
+def test_a_link_is_read_as_people_write_it() -> None:
+    link = parse_link("delay=40ms,jitter=10ms,loss=1%")
+    assert (link.delay_ns, link.jitter_ns, link.loss) == (40_000_000, 10_000_000, 0.01)
+    assert parse_link(" delay = 1 s ") == parse_link("delay=1000ms")
+
+
+def test_everything_a_link_can_do_is_read_and_written() -> None:
+    link = parse_link(EVERYTHING)
+    assert link.burst_loss is not None
+    assert (link.burst_loss.share, link.burst_loss.length_ns) == (0.02, 50_000_000)
+    assert link.reorder is not None
+    assert (link.reorder.share, link.reorder.by_ns) == (0.03, 20_000_000)
+    assert link.rate_bit_per_s == 2e6
+    assert link.route_change is not None
+    assert (link.route_change.at_ns, link.route_change.by_ns) == (5_000_000_000, -10_000_000)
+    assert link.cut is not None
+    assert (link.cut.from_ns, link.cut.for_ns) == (7_000_000_000, 1_500_000_000)
+    assert (link.jitter_kind, link.transport) == ("pareto", "tcp")
+
+
+@pytest.mark.parametrize("text", ["", "delay=40ms,loss=1%", "cut.from=1s,cut.for=1s", EVERYTHING])
+def test_what_is_written_is_read_as_the_same(text: str) -> None:
+    link = parse_link(text)
+    assert parse_link(link.text()) == link
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("delay=40", ["delay", "time"]),
+        ("delay=40N", ["delay", "time"]),
+        ("delay=-1ms", ["delay", "greater"]),
+        ("loss=2", ["loss", "less"]),
+        ("loss=much", ["loss", "ratio"]),
+        ("dealy=1ms", ["dealy", "unknown key", "did you mean delay?"]),
+        ("delay", ["delay", "time"]),
+        ("jitter_kind=paretto", ["jitter_kind", "gaussian", "pareto", "bursts"]),
+        ("transport=udp", ["transport", "datagram", "tcp"]),
+        ("rate=2MHz", ["rate", "bit rate", "Mbit/s"]),
+        ("rate=1bit/s", ["rate", "greater than or equal to 1000"]),
+        ("cut=3s", ["cut", "table"]),
+        ("cut=3s,cut.from=3s", ["cut", "table"]),
+        ("cut.from=3s", ["cut.for", "missing"]),
+        ("cut.from=3s,cut.to=4s", ["cut.to", "unknown key"]),
+        ("burst_loss.share=100%,burst_loss.length=50ms", ["burst_loss.share", "less than 1"]),
+        ("burst_loss.share=1%,burst_loss.length=0s", ["burst_loss.length", "greater than 0"]),
+        ("reorder.share=1%", ["reorder.by", "missing"]),
+        ("transport=tcp,loss=100%", ["tcp", "loss"]),
+    ],
+)
+def test_a_bad_link_is_one_line_that_says_what(text: str, words: list[str]) -> None:
+    with pytest.raises(SceneError) as caught:
+        parse_link(text)
+    line = str(caught.value)
+    assert "\n" not in line
+    for word in (text, *words):
+        assert word in line
 
 
 def arrivals(text: str, packets: int = PACKETS, seed: int = 1) -> list[int | None]:
@@ -168,3 +235,62 @@ def test_over_tcp_control_does_not_wait_for_data() -> None:
     assert link.control_arrival_ns(60 * MS, BYTES) == 100 * MS
     assert link.data_arrival_ns(60 * MS, BYTES) == (51 + 10 + 100 + 40) * MS
     assert link.lost_data == 0
+
+
+def tcp_delays_ms(text: str, messages: int) -> list[float]:
+    """How long each message takes to be read at the other end."""
+    stream = TcpStream(Direction(parse_link("delay=20ms," + text), 1))
+    sent_ms = range(0, STEP * messages, STEP)
+    return [stream.arrival_ns(sent * MS, 100) / MS - sent for sent in sent_ms]
+
+
+def test_without_loss_a_message_takes_the_links_delay() -> None:
+    assert tcp_delays_ms("", 100) == [20] * 100
+
+
+def test_one_lost_packet_holds_up_all_that_follow_until_it_is_repeated() -> None:
+    delays = tcp_delays_ms("cut.from=200ms,cut.for=2ms", 40)
+    # Alive at 202 ms, and noticed by the next message's acknowledgement a quarter late.
+    repeated_ms = 202 + STEP + 1.25 * 40
+    held = [repeated_ms + 20 - sent for sent in range(200, 262, STEP)]
+    assert delays == [20] * 20 + held + [20] * (20 - len(held))
+
+
+def test_in_a_long_cut_the_timeout_doubles_and_all_comes_soon_after_its_end() -> None:
+    delays = tcp_delays_ms("cut.from=200ms,cut.for=940ms", 200)
+    # It is tried after 240 ms and 480 ms later; 960 ms later would be too late, as what is sent
+    # after the cut is acknowledged before. If the timeout did not double, it would come sooner.
+    assert delays[20] == 940 + STEP + 50 + 20
+    # The others that were lost come with it, and what follows waits for them.
+    assert delays[21:119] == [delays[20] - STEP * later for later in range(1, 99)]
+    assert delays[160:] == [20] * 40
+
+
+def test_what_waits_for_a_timeout_to_come_through_follows_a_round_trip_later() -> None:
+    delays = tcp_delays_ms("cut.from=200ms,cut.for=239ms", 100)
+    # The timeout's repeat at 440 ms is the first that comes through.
+    assert delays[20] == 240 + 20
+    # What was lost after it is known to be lost when that is acknowledged.
+    assert delays[21] == 240 + 40 + 20 - STEP
+    assert delays[22] == delays[21] - STEP
+    assert delays[60:] == [20] * 40
+
+
+@pytest.mark.parametrize("jitter_kind", ["gaussian", "pareto", "bursts"])
+def test_nothing_is_lost_and_nothing_overtakes(jitter_kind: str) -> None:
+    text = f"jitter=10ms,jitter_kind={jitter_kind},loss=5%,reorder.share=5%,reorder.by=50ms"
+    stream = TcpStream(Direction(parse_link(text), 1))
+    arrivals = [stream.arrival_ns(sent * STEP * MS, 100) for sent in range(5000)]
+    assert arrivals == sorted(arrivals)
+    assert all(arrival >= sent * STEP * MS for sent, arrival in enumerate(arrivals))
+    assert arrivals[-1] < (5000 * STEP + 2000) * MS
+
+
+def test_a_sender_waits_where_the_rate_is_too_low() -> None:
+    # 100 bytes each 10 ms are 80 kbit/s.
+    assert tcp_delays_ms("rate=40kbit/s", 100) == [20 + 20 + STEP * later for later in range(100)]
+
+
+def test_a_connection_of_few_messages_finds_a_loss_by_its_timeout() -> None:
+    stream = TcpStream(Direction(parse_link("delay=20ms,cut.from=0s,cut.for=1ms"), 1))
+    assert stream.arrival_ns(0, 100) == (240 + 20) * MS
