@@ -229,19 +229,12 @@ def test_control_that_moves_to_a_longer_path_does_not_move_the_pulse() -> None:
     assert link.display.receiver.clock.steps == 0
 
 
-LIES = {
-    "the future": (900, 0),
-    "the far future": (10_000, 0),
-    "the past": (-900, 0),
-    "the far past": (-100_000, 0),
-    "a number ahead": (0, 1000),
-    "times that overlap": (-3, 0),
-}
-
-
-@pytest.mark.parametrize("lie", LIES)
-def test_a_frame_that_lies_about_time_is_overcome(lie: str) -> None:
-    shift_ms, skipped = LIES[lie]
+# The future, the far future, the past, the far past, a number ahead, times that overlap.
+@pytest.mark.parametrize(
+    ("shift_ms", "skipped"),
+    [(900, 0), (10_000, 0), (-900, 0), (-100_000, 0), (0, 1000), (-3, 0)],
+)
+def test_one_frame_of_a_false_time_is_overcome(shift_ms: int, skipped: int) -> None:
     link = VirtualLink(display())
     link.run(0, 3000)
     first = link.frames * BATCH + skipped

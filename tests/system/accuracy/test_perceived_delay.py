@@ -122,7 +122,7 @@ def test_auto_compensates_a_calm_pulse_and_buffers_a_troubled_one(
     assert steps_n.max() < 1.2 * own_n
 
 
-def test_a_predictor_that_knows_nothing_of_its_error_is_not_trusted() -> None:
+def test_a_predictor_without_an_error_estimate_is_not_trusted() -> None:
     summary = played(scene("delay=40ms", "linear"), 20, 0)
     assert summary.compensation.trusted is None
     assert summary.playout_delay_ms.mean == pytest.approx(47, abs=1)

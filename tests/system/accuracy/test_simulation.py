@@ -90,7 +90,7 @@ def test_the_sensing_clock_is_found_though_it_is_an_hour_ahead() -> None:
     assert "360000" not in shown(summary)
 
 
-def test_a_total_loss_ends_and_says_so() -> None:
+def test_a_total_loss_ends_with_nothing_played() -> None:
     summary = simulate(with_link("loss=100%"), seconds=3, seed=1)
     assert summary.samples.played == 0
     assert summary.samples.before_joining == 3000

@@ -225,7 +225,7 @@ def test_a_wrong_address_is_one_line(address: str) -> None:
 
 
 @pytest.mark.parametrize("option", ["--connect", "--telemetry"])
-def test_beyond_loopback_it_starts_with_keys_or_where_it_is_told_to_do_without(
+def test_beyond_loopback_it_starts_with_keys_or_with_insecure(
     option: str,
 ) -> None:
     address = {"--connect": "tcp://192.0.2.1:5555", "--telemetry": "tcp://*:*"}[option]

@@ -208,14 +208,14 @@ def response(case: Case, travel: float) -> NDArray[np.float64]:
 
 
 @judged
-def test_the_shipped_loop_becomes_unstable_where_its_gain_margin_says(case: Case) -> None:
+def test_the_shipped_loop_becomes_unstable_at_its_gain_margin(case: Case) -> None:
     margin = margins(case.linear()).gain
     assert np.ptp(response(case, 0.95 * margin)[3500:]) < 0.1e-3
     assert np.ptp(response(case, 1.05 * margin)[3500:]) > 0.1
 
 
 @judged
-def test_it_becomes_unstable_where_its_delay_margin_says(case: Case) -> None:
+def test_it_becomes_unstable_at_its_delay_margin(case: Case) -> None:
     loop = case.linear()
     ticks = margins(loop).delay_s / TICK_S
 

@@ -89,7 +89,7 @@ def pressing(bench: Bench, force_n: float = DESIGN_FORCE_N) -> Bench:
 
 
 @pytest.mark.parametrize("order", [1, 2, 4])
-def test_without_noise_it_knows_what_is_felt_behind_a_slow_film(order: int) -> None:
+def test_without_noise_it_estimates_the_felt_force_behind_a_slow_film(order: int) -> None:
     bench = pressing(Bench(NOISY.model_copy(update={"filter_order": order})))
     lag_n = []
     for tick in range(500):
@@ -202,7 +202,7 @@ def test_without_a_filter_the_gain_is_that_of_a_scalar_kalman_filter(wander_n: f
 
 
 @pytest.mark.parametrize(("reading_n", "bound_m"), [(1e3, MAX_OFFSET_M), (-1e3, -MAX_OFFSET_M)])
-def test_no_reading_makes_it_believe_in_another_finger(reading_n: float, bound_m: float) -> None:
+def test_no_reading_moves_the_finger_beyond_its_bounds(reading_n: float, bound_m: float) -> None:
     bench = Bench(SLOW, LEARNING)
     softness = bench.believed.finger_m_per_n
     for _ in range(3000):
@@ -251,7 +251,7 @@ def test_it_learns_how_soft_the_finger_is(fingertip_n_per_m: float) -> None:
     assert np.std(missed_n["learning"]) < 0.2 * np.std(missed_n["not"])
 
 
-def test_a_finger_at_rest_tells_nothing_of_its_softness() -> None:
+def test_at_rest_the_force_is_found_whatever_the_softness() -> None:
     # Where and how soft are one number there: it finds the force all the same.
     bench = pressing(Bench(NOISY, LEARNING, 500.0))
     for _ in range(2000):

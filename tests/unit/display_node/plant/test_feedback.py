@@ -124,7 +124,7 @@ def sampled(latency_ms: float = 4, stale_after_ms: float = 20) -> Feedback:
 @pytest.mark.parametrize(
     ("now_ms", "force_n"), [(4, 0), (4.5, 0.5), (9, 5), (12.75, 8.75), (13, 9), (14, 9), (29, 9)]
 )
-def test_it_gives_the_force_of_then(now_ms: float, force_n: float) -> None:
+def test_it_returns_the_force_at_the_fixed_age(now_ms: float, force_n: float) -> None:
     assert sampled().read(round(now_ms * MS)) == pytest.approx(force_n, abs=1e-9)
 
 

@@ -21,7 +21,7 @@ def readings(under_test: FeedbackFilm, force_n: float, ticks: int) -> list[float
 
 
 @pytest.mark.parametrize("force_n", [0.0, 0.3, -1.0, 1e9, 5e-324])
-def test_where_nothing_is_named_it_says_what_is_felt(force_n: float) -> None:
+def test_an_ideal_film_reads_the_felt_force(force_n: float) -> None:
     assert readings(film(), force_n, 3) == [force_n] * 3
 
 

@@ -59,7 +59,7 @@ def test_without_damping_it_rings_for_ever_and_no_higher(tick_s: float) -> None:
 
 @pytest.mark.parametrize("tick_s", [1e-6, 1e-3, 0.1])
 @pytest.mark.parametrize("damping", [0.2, 2.0])
-def test_at_rest_it_is_where_the_microstep_says(tick_s: float, damping: float) -> None:
+def test_at_rest_it_is_at_the_commanded_microstep(tick_s: float, damping: float) -> None:
     rotor = Rotor(RESONANCE_HZ, damping, tick_s)
     ticks = 2 + round(0.3 / tick_s)
     turned = turned_m(rotor, np.array([0.0] + [3e-6] * ticks))

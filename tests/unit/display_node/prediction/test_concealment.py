@@ -33,7 +33,7 @@ def test_a_prediction_that_stays_is_left_alone() -> None:
         assert joined(smoothing, at_ms, path, 0) == pytest.approx(path, abs=1e-12)
 
 
-def test_new_data_makes_no_jump_and_is_believed_by_and_by() -> None:
+def test_new_data_makes_no_jump_and_replaces_the_prediction_exponentially() -> None:
     smoothing = Blend(MS)
     for at_ms in range(40, 45):
         before = joined(smoothing, at_ms, straight(at_ms), 0)
@@ -45,7 +45,7 @@ def test_new_data_makes_no_jump_and_is_believed_by_and_by() -> None:
         assert missing[ticks] == pytest.approx(0.1 * math.exp(-ticks / (0.2 * 44)))
 
 
-def test_what_a_path_says_of_the_next_ticks_is_what_they_then_say() -> None:
+def test_a_path_predicts_the_force_of_the_next_ticks() -> None:
     smoothing = Blend(MS)
     joined(smoothing, 44, straight(44), 0)
     path = joined(smoothing, 45, straight(45, offset=0.1), 5)
@@ -63,7 +63,7 @@ def test_a_warped_playout_is_no_jump(warp: float) -> None:
         assert joined(smoothing, 40 + warp * tick, path, 0) == pytest.approx(path, abs=1e-12)
 
 
-def test_when_the_samples_are_there_again_it_ends_and_gives_them_as_they_are() -> None:
+def test_blending_ends_when_the_samples_are_there_again() -> None:
     smoothing = Blend(MS)
     for at_ms in range(10):
         joined(smoothing, at_ms, straight(at_ms), 0)
@@ -117,7 +117,7 @@ def frame(first: int, values: list[float]) -> Frame:
     ("predictor", "auto", "trusted"),
     [("linear", True, None), ("hold", True, None), ("stack", False, None), ("stack", True, False)],
 )
-def test_it_can_be_trusted_only_where_it_knows_its_error_and_has_a_say(
+def test_only_a_predictor_with_an_error_estimate_can_be_trusted_under_auto(
     predictor: PredictorName, auto: bool, trusted: bool | None
 ) -> None:
     stand_in = concealment(predictor, auto)

@@ -199,7 +199,7 @@ def test_an_outage_is_got_over() -> None:
     assert np.sqrt(np.mean(np.square(late))) < 0.3 * FORCE_N.std()
 
 
-def test_it_says_how_far_off_it_is() -> None:
+def test_its_expected_error_is_its_error() -> None:
     noisy_n = FORCE_N + 2e-3 * np.random.default_rng(1).standard_normal(len(FORCE_N))
     predictor = Ensemble("stack", MS)
     actual_n = np.sqrt(np.mean(errors_n(predictor, noisy_n, 12_000, 100) ** 2))
@@ -209,7 +209,7 @@ def test_it_says_how_far_off_it_is() -> None:
     assert predictor.error_n(260 * MS) is None
 
 
-def test_a_new_cell_is_heeded_from_the_second_tick_on() -> None:
+def test_a_new_cell_takes_effect_from_the_second_tick_on() -> None:
     predictor, samples = Ensemble("stack", MS), 10_000
     feed(predictor, FORCE_N[:samples])
     times_ns = [T0_NS + (samples + number) * MS for number in range(5)]

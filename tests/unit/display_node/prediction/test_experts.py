@@ -181,7 +181,7 @@ def test_rhythm_finds_the_interval(interval_s: float) -> None:
     assert rhythm.interval == pytest.approx(interval_s / 0.005, abs=1)
 
 
-def test_rhythm_knows_no_interval_of_what_has_no_beats() -> None:
+def test_rhythm_finds_no_interval_without_beats() -> None:
     rhythm = Rhythm()
     for _ in range(2_000):
         rhythm.push(0.0)

@@ -41,7 +41,7 @@ def test_the_stack_is_nearer_the_present_pulse_than_linear_over_a_late_link() ->
 
 
 @pytest.mark.parametrize("predictor", ["hold", "stack"])
-def test_telemetry_tells_the_error_that_the_predictor_expects(predictor: PredictorName) -> None:
+def test_telemetry_has_the_error_that_the_predictor_expects(predictor: PredictorName) -> None:
     under_test, writer = display(predictor=predictor, compensation_ns=0), TraceWriter()
     play(under_test, Sender(), 0, 4_000)
     traces = [writer.add(under_test.felt) for _ in range(TRACE_TICKS)]

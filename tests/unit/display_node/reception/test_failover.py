@@ -197,7 +197,7 @@ def test_a_link_that_loses_much_is_not_thrashed(loss: float) -> None:
         assert played.failover.opened == 0
 
 
-def test_a_peer_that_stands_still_is_asked_again_less_and_less_often() -> None:
+def test_a_peer_that_stalls_is_reconnected_less_and_less_often() -> None:
     failover = started()
     for ms in range(60_000):
         if failover.due(ms * MS):

@@ -90,7 +90,7 @@ def test_a_longer_path_is_followed_at_once_and_not_overshot() -> None:
     assert min(after_ms[seconds(5) :]) > before_ms + 58
 
 
-def test_a_path_longer_by_a_second_is_believed_when_it_lasts() -> None:
+def test_a_path_longer_by_a_second_is_followed_when_it_lasts() -> None:
     estimator = DelayEstimator()
     watched(estimator, [20] * seconds(10))
     longer = watched(estimator, [1020] * seconds(2), 10)
@@ -133,7 +133,7 @@ def test_no_delay_makes_it_leave_its_range(delays_ns: list[int]) -> None:
         assert -SECOND_NS <= estimator.delay_ns <= 10 * SECOND_NS
 
 
-def test_hours_of_frames_wear_nothing_out() -> None:
+def test_the_estimate_forgets_what_is_1000_s_old() -> None:
     delays_ns = (np.random.default_rng(6).normal(20, 5, 15_000) * MS).astype(int).tolist()
     old, young = DelayEstimator(), DelayEstimator()
     for number, delay_ns in enumerate(delays_ns):
@@ -249,7 +249,7 @@ def test_a_stall_below_an_outage_is_waited_for_and_released() -> None:
     assert after_ms[-1] - before_ms < 2
 
 
-def test_a_clock_that_steps_by_an_hour_is_believed_and_left_again() -> None:
+def test_a_step_of_the_clock_by_an_hour_is_followed_and_left_again() -> None:
     estimator = DelayEstimator()
     before_ms = watched(estimator, jittered_ms(10))[-1]
     stepped_ms = watched(estimator, jittered_ms(5) + 3_600_000, 10)

@@ -102,7 +102,7 @@ def test_a_duplicate_is_refused_and_disorder_is_counted() -> None:
     assert receiver.frames == (4, 1)
 
 
-def test_frames_tell_the_clock_of_its_skew() -> None:
+def test_frames_reduce_the_uncertainty_of_the_clock() -> None:
     certain_ns = []
     for every_ms in (5, 10_000):
         sender = Sender()
@@ -124,7 +124,7 @@ def test_over_several_paths_further_copies_are_no_refusals() -> None:
     assert (receiver.frames, receiver.copies, receiver.rejected) == ((1, 0), 2, {})
 
 
-def test_over_a_new_connection_it_says_its_name_before_anything_else() -> None:
+def test_over_a_new_connection_it_sends_hello_first() -> None:
     receiver = joined(sender := Sender())
     receiver.on_frame(sender.frame(500 * MS, 0.3), 500 * MS)
     receiver.introduce()
@@ -197,7 +197,7 @@ def test_a_clock_reply_counts_once() -> None:
     assert receiver.rejected == {"unasked": 4}
 
 
-def test_a_clock_reply_that_nobody_asked_for_moves_nothing() -> None:
+def test_a_clock_reply_without_a_request_changes_nothing() -> None:
     receiver = joined(Sender())
     before_ns = receiver.clock.remote_ns(200 * MS)
     for ms in range(141, 200):
@@ -272,7 +272,7 @@ def test_an_end_that_there_was_no_time_for_is_refused() -> None:
 
 
 @pytest.mark.parametrize("order", ["bye first", "bye last"])
-def test_bye_is_said_back_once_all_of_the_stream_is_here(order: str) -> None:
+def test_bye_is_returned_once_the_stream_is_complete(order: str) -> None:
     receiver = joined(sender := Sender())
     first, last = sender.frame(200 * MS, 0.3), sender.frame(205 * MS, 0.3)
     bye = encode_control(Bye(7, sender.sent))
