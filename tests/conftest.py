@@ -17,14 +17,23 @@ settings.register_profile("telepulse", deadline=None)
 settings.load_profile("telepulse")
 
 FIRST_NICENESS = -10
-SYSTEM = Path(__file__).parent / "system"
+TESTS = Path(__file__).parent
+# Minutes of computing, which a tracer would triple; what they run is covered by other tests.
+NOT_TRACED = ("golden", "unit/telepulse", "unit/soak", "unit/benchmarks", "unit/documentation")
+NOT_TRACED += tuple(
+    f"system/{capability}"
+    for capability in ("accuracy", "commissioning", "documentation", "experiment", "faults")
+    + ("recording", "relay", "reports", "soak", "view")
+)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what lies in tests/system."""
+    """Mark what lies in tests/system, and what does not count towards the core's coverage."""
     for item in items:
-        if item.path.is_relative_to(SYSTEM):
+        if item.path.is_relative_to(TESTS / "system"):
             item.add_marker(pytest.mark.system)
+        if any(item.path.is_relative_to(TESTS / folder) for folder in NOT_TRACED):
+            item.add_marker(pytest.mark.no_cover)
 
 
 @pytest.fixture
