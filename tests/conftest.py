@@ -19,11 +19,11 @@ settings.load_profile("telepulse")
 FIRST_NICENESS = -10
 TESTS = Path(__file__).parent
 # Minutes of computing, which a tracer would triple; what they run is covered by other tests.
-NOT_TRACED = ("golden", "unit/telepulse", "unit/soak", "unit/benchmarks", "unit/documentation")
-NOT_TRACED += tuple(
-    f"system/{capability}"
-    for capability in ("accuracy", "commissioning", "documentation", "experiment", "faults")
-    + ("recording", "relay", "reports", "soak", "view")
+NOT_TRACED = (
+    *("golden", "unit/telepulse", "unit/soak", "unit/benchmarks", "unit/documentation"),
+    *("system/accuracy", "system/commissioning", "system/documentation", "system/experiment"),
+    *("system/faults", "system/recording", "system/relay", "system/reports", "system/soak"),
+    "system/view",
 )
 
 

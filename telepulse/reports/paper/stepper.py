@@ -1,6 +1,7 @@
 """The paper's pulse on a physical stepper: scenes bench and real_bench, and variations of them.
 
-Each part of a real bench adds to the error, and each part of the controller takes some of it away.
+The chapter shows what each imperfection of a real bench adds to the error, and what each part of
+the controller changes.
 The paper's own experiment (section 5, Figs 17 to 20) is run the same way for the first chapter.
 """
 
@@ -46,7 +47,7 @@ class TrackingRun:
 
 
 def run_scene(scene: Scene, actual: StepperScene | None = None) -> TrackingRun:
-    """Run the first 6 s of a pulse after the finger has settled on the pulse's first force.
+    """Run the first 6 s of a pulse after the loop has settled at the pulse's first force.
 
     The scene's link and playout are left out, since the paper had none. `actual` is the real
     stepper, where it differs from the one that the controller assumes.
@@ -104,8 +105,8 @@ def real_bench() -> Scene:
     return load_scene(find_scene("real_bench"))
 
 
-def floor_n(scene: Scene) -> float:
-    """Return the RMSE in N of the nearest microstep, the least that a controller can reach."""
+def microstep_rmse_n(scene: Scene) -> float:
+    """Return the RMSE in N of the nearest microstep at every tick, the bound of any controller."""
     actuator = _stepper(scene)
     law, step_m = actuator.contact(scene.display.layer.layer()), actuator.step_m
     wanted_n = build_source(scene.sensing, scene.path.parent).take(6000)[:, 0]
@@ -113,27 +114,27 @@ def floor_n(scene: Scene) -> float:
     return float(np.sqrt(np.mean((felt_n - wanted_n) ** 2)))
 
 
-def controllers(scene: Scene) -> list[BenchResult]:
+def run_controllers(scene: Scene) -> list[BenchResult]:
     """Run the scene's bench under controllers that model more and more of it."""
     ours = scene.display.controller
-    reading: dict[str, object] = {"observer": None, "feed_forward": False}
-    papers: dict[str, object] = {"kp": 15.0, "ki": 0.15, "kd": 0.03, "error": "millivolts"}
+    on_film: dict[str, object] = {"observer": None, "feed_forward": False}
+    paper_gains: dict[str, object] = {"kp": 15.0, "ki": 0.15, "kd": 0.03, "error": "millivolts"}
     steps: dict[str, dict[str, object]] = {
-        "the paper's PID gains, on the film's reading in mV": reading | papers,
-        "proportional gain, on the film's reading": reading,
-        "and feed-forward with preview": {"observer": None},
+        "the paper's PID gains, on the film's reading in mV": on_film | paper_gains,
+        "proportional gain, on the film's reading": on_film,
+        "+ feed-forward with preview": {"observer": None},
     }
     if ours.observer is not None:
         fixed = _changed(ours.observer, {"softening": 0.0})
-        steps["and an observer in the reading's place"] = {"observer": fixed}
-        steps["and it learns the finger: the scene as shipped"] = {}
+        steps["+ observer instead of the film's reading"] = {"observer": fixed}
+        steps["+ observer adapts to the finger (as shipped)"] = {}
     return [
         _run(name, _with(scene, controller=_changed(ours, changes)))
         for name, changes in steps.items()
     ]
 
 
-def parts() -> list[tuple[BenchResult, BenchResult]]:
+def run_imperfections() -> list[tuple[BenchResult, BenchResult]]:
     """Run each part of the real bench alone: on the film's reading, and with the observer."""
     real, ideal = real_bench(), FilmTable()
     actuator, film = _stepper(real), real.display.film
@@ -160,11 +161,11 @@ def parts() -> list[tuple[BenchResult, BenchResult]]:
     ]
 
 
-def mistakes() -> list[BenchResult]:
+def run_wrong_models() -> list[BenchResult]:
     """Run the real bench with a controller whose model of it is wrong."""
     real = real_bench()
     wrong: dict[str, dict[str, float]] = {
-        "nothing": {},
+        "as modelled": {},
         "fingertip 20 % softer": {"fingertip_n_per_m": 800.0},
         "fingertip 20 % stiffer": {"fingertip_n_per_m": 1200.0},
         "fingertip half as stiff": {"fingertip_n_per_m": 500.0},
@@ -229,14 +230,14 @@ def chapter() -> Chapter:
     """Run the benches. Raises SceneError or SourceError."""
     paragraphs = (
         "Eq 22 is not a stepping motor. Here a stepping motor presses the paper's pulse, 0.3 N"
-        " from peak to peak on 0.3 N: 1/16 microsteps on a lead of 2 mm, a rigid tip of 5 mm"
-        " on 2 mm of rubber, a fingertip of 1 N/mm behind it. The clean bench has nothing"
+        " peak to peak on an offset of 0.3 N: 1/16 microsteps on a lead of 2 mm, a rigid tip of"
+        " 5 mm on 2 mm of rubber, a fingertip of 1 N/mm behind it. The clean bench has nothing"
         " else. The real bench adds 10 µm of backlash, a rotor that rings at 100 Hz"
         " (ζ 0.2), 1 mN of noise on the film, its 40 Hz filter, and a converter of 16 bits"
         " over ±10 V, which at Fig. 4's 44 mV/N is 6.9 mN a step. All errors are force RMSE"
         " over the first 6 s, as the paper's; the scenes are bench and real_bench.",
         "A stepper can do no better than one microstep: the nearest one at every tick would"
-        f" leave {1e3 * floor_n(clean_bench()):.2f} mN. The paper's experiment printed"
+        f" leave {1e3 * microstep_rmse_n(clean_bench()):.2f} mN. The paper's experiment printed"
         f" {1e3 * published.EXPERIMENT_FORCE_RMSE_N:.1f} mN.",
         "Three things reduce the error. Feed-forward: the reference's next samples are known,"
         " so the screw is driven to where contact, rotor and backlash will need it, before any"
@@ -247,8 +248,8 @@ def chapter() -> Chapter:
         " reports the motion late, and the gain works against it.",
     )
     caption = (
-        "The real bench: force at the finger with the film's reading taken for the force, and"
-        " with feed-forward and observer."
+        "The real bench: force at the finger when the controller takes the film's reading for the"
+        " force, and with feed-forward and observer."
     )
     real = real_bench()
     on_film = _changed(real.display.controller, {"observer": None, "feed_forward": False})
@@ -258,11 +259,12 @@ def chapter() -> Chapter:
 
 
 def _tables() -> list[Table]:
-    on_clean = {result.name: str(result) for result in controllers(clean_bench())}
-    on_real = controllers(real_bench())
+    on_clean = {result.name: str(result) for result in run_controllers(clean_bench())}
+    on_real = run_controllers(real_bench())
     refused = [result.refused for result in on_real if result.refused]
     wrong, others = (
-        [(each.name, str(each)) for each in results] for results in (mistakes(), other_benches())
+        [(each.name, str(each)) for each in results]
+        for results in (run_wrong_models(), other_benches())
     )
     margins = []
     for name, scene in (("clean bench", clean_bench()), ("real bench", real_bench())):
@@ -288,16 +290,19 @@ def _tables() -> list[Table]:
         Table(
             "Error that each part of the real bench adds alone",
             ("part", "with feed-forward, on the film's reading", "with the observer"),
-            [(reading.name, str(reading), str(observed)) for reading, observed in parts()],
+            [
+                (reading.name, str(reading), str(observed))
+                for reading, observed in run_imperfections()
+            ],
         ),
-        Table("A wrong model of the real bench", ("it is really", "force RMSE"), wrong),
+        Table("A wrong model of the real bench", ("the real bench has", "force RMSE"), wrong),
         Table("Other benches", ("bench", "force RMSE"), others),
         Table.of(
             "Margins of the two loops, as `telepulse tune` designs them",
             margins,
             "The observer's gains solve a Riccati equation for the film's noise and a finger"
-            " that wanders 20 µm in 1 s. kp minimises the effect of both on the felt force, as"
-            " long as Ms stays at or below 1.4 and the drive may answer 5 ticks late.",
+            " that wanders 20 µm in 1 s. kp minimises the effect of film noise and finger"
+            " motion, as long as Ms stays at or below 1.4 and the drive may answer 5 ticks late.",
         ),
     ]
 

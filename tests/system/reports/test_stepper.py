@@ -27,15 +27,15 @@ def test_the_shipped_benches_are_those_of_the_bars() -> None:
 
 def test_the_clean_bench_is_at_the_microsteps_floor() -> None:
     clean = stepper.clean_bench()
-    floor_n = stepper.floor_n(clean)
-    assert floor_n == pytest.approx(0.18e-3, abs=0.01e-3)
-    shipped = stepper.controllers(clean)[-1].force_rmse_n
+    microstep_rmse_n = stepper.microstep_rmse_n(clean)
+    assert microstep_rmse_n == pytest.approx(0.18e-3, abs=0.01e-3)
+    shipped = stepper.run_controllers(clean)[-1].force_rmse_n
     assert shipped is not None
-    assert floor_n <= shipped <= CLEAN_BAR_N
+    assert microstep_rmse_n <= shipped <= CLEAN_BAR_N
 
 
 def test_the_real_bench_is_followed_by_seeing_it_through_its_model() -> None:
-    found = stepper.controllers(stepper.real_bench())
+    found = stepper.run_controllers(stepper.real_bench())
     papers, *others = found
     assert papers.force_rmse_n is None
     assert "not stable" in papers.refused
@@ -45,12 +45,12 @@ def test_the_real_bench_is_followed_by_seeing_it_through_its_model() -> None:
 
 
 def test_no_mistake_about_the_real_bench_costs_the_bar() -> None:
-    found = rmse_n(stepper.mistakes())
+    found = rmse_n(stepper.run_wrong_models())
     assert len(found) == 11
     assert max(found.values()) <= REAL_BAR_N < published.EXPERIMENT_FORCE_RMSE_N
     # What is learnt costs nothing; what is not, shows.
-    assert found["fingertip half as stiff"] < 1.5 * found["nothing"]
-    assert found["no backlash"] > 1.5 * found["nothing"]
+    assert found["fingertip half as stiff"] < 1.5 * found["as modelled"]
+    assert found["no backlash"] > 1.5 * found["as modelled"]
 
 
 def test_a_finer_lead_and_a_better_film_reduce_the_error() -> None:
@@ -62,7 +62,7 @@ def test_a_finer_lead_and_a_better_film_reduce_the_error() -> None:
 
 
 def test_the_observer_undoes_the_films_lag() -> None:
-    parts = {reading.name: (reading, observed) for reading, observed in stepper.parts()}
+    parts = {reading.name: (reading, observed) for reading, observed in stepper.run_imperfections()}
     reading, observed = parts["film's filter, 40 Hz"]
     assert reading.force_rmse_n is not None
     assert observed.force_rmse_n is not None
