@@ -71,19 +71,17 @@ def test_an_invalid_quantity_is_refused_with_the_units_allowed(
 
 @pytest.mark.parametrize(
     ("text", "dimension"),
-    [("1 mm", "force"), ("1 N", "length"), ("1 s", "frequency"), ("1 HZ", "frequency")],
+    [
+        *[("1 mm", "force"), ("1 N", "length"), ("1 s", "frequency"), ("1 HZ", "frequency")],
+        *[("nan ms", "time"), ("inf ms", "time"), ("-inf s", "time"), ("infinity s", "time")],
+        *[("1,5 ms", "time"), ("1 2 ms", "time"), ("1 ms ms", "time"), ("0x1 ms", "time")],
+    ],
 )
-def test_a_unit_of_something_else_is_refused(text: str, dimension: str) -> None:
+def test_another_dimensions_unit_and_an_invalid_number_are_refused(
+    text: str, dimension: str
+) -> None:
     with pytest.raises(ValueError, match=f"is no {dimension}"):
         parse_quantity(text, dimension)
-
-
-@pytest.mark.parametrize(
-    "text", ["nan ms", "inf ms", "-inf s", "infinity s", "1,5 ms", "1 2 ms", "1 ms ms", "0x1 ms"]
-)
-def test_what_only_looks_like_a_number_is_refused(text: str) -> None:
-    with pytest.raises(ValueError, match="is no time"):
-        parse_quantity(text, "time")
 
 
 @pytest.mark.parametrize("text", ["1e999 s", "-1e999 s", "1e300 s", "9" * 400 + " min"])
