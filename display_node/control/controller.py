@@ -71,7 +71,7 @@ class StallGuard:
 
     Parameters
     ----------
-    play_m
+    half_backlash_m
         Travel of the screw in m beyond the tip's, to take up its backlash.
 
     Attributes
@@ -83,10 +83,10 @@ class StallGuard:
         keeps its time.
     """
 
-    def __init__(self, law: ContactLaw, tick_s: float, play_m: float) -> None:
+    def __init__(self, law: ContactLaw, tick_s: float, half_backlash_m: float) -> None:
         self._law = law
         self._tick_s = tick_s
-        self._play_m = play_m
+        self._half_backlash_m = half_backlash_m
         self._usual = math.exp(-tick_s / USUAL_S)
         self._worst = math.exp(-tick_s / WORST_S)
         # Sums of the holds and of their squares, in ticks, of which old ones count less.
@@ -115,7 +115,7 @@ class StallGuard:
 
     def fastest(self, screw_m: float) -> float:
         """Return the highest speed towards the finger in m/s, for the screw's position in m."""
-        furthest_m = self._law.position(HEADROOM * self.peak_n) + self._play_m
+        furthest_m = self._law.position(HEADROOM * self.peak_n) + self._half_backlash_m
         return max(0.0, furthest_m - screw_m) / self._longest_s
 
 

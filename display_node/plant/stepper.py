@@ -194,7 +194,7 @@ class Stepper:
         self._max_rate_hz = scene.max_speed_m_per_s / scene.step_m
         self._max_change_hz = scene.max_acceleration_m_per_s2 / scene.step_m * tick_s
         self._whole: Callable[[float], float] = round
-        self._play: Backlash | None = None
+        self._backlash: Backlash | None = None
         self._first_step, self._last_step = -math.inf, math.inf
         if linear:
             self._whole = float
@@ -205,7 +205,7 @@ class Stepper:
             furthest_m = min(scene.stroke_m, law.position(min(scene.thrust_n, force_limit_n)))
             self._first_step = -math.ceil(scene.backlash_m / scene.step_m)
             self._last_step = math.floor((furthest_m + scene.backlash_m / 2) / scene.step_m)
-            self._play = Backlash(scene.backlash_m) if scene.backlash_m else None
+            self._backlash = Backlash(scene.backlash_m) if scene.backlash_m else None
         self._rotor: Rotor | None = None
         if scene.rotor_resonance_hz is not None:
             self._rotor = Rotor(scene.rotor_resonance_hz, scene.rotor_damping, tick_s)
@@ -254,8 +254,8 @@ class Stepper:
         position_m = whole(phase) * self._step_m
         if self._rotor is not None:
             position_m = self._rotor.step(whole(before) * self._step_m, position_m)
-        if self._play is not None:
-            position_m = self._play.step(position_m)
+        if self._backlash is not None:
+            position_m = self._backlash.step(position_m)
         self.tip_m = position_m
         return position_m
 

@@ -1,4 +1,4 @@
-"""Press and identification of an actuator: the values for its scene, judged against the scene's."""
+"""Press and identification of an actuator: measured values, compared with those in the scene."""
 
 import copy
 import math
@@ -31,18 +31,18 @@ from telepulse.commissioning.scene_edit import Changes
 from telepulse.commissioning.sensor_check import Check, grade, with_warning
 
 MAX_LATENCY_S = 0.05
-# The fit of the play needs the latency, and the fit of the latency the play.
+# The fit of the backlash needs the latency, and the fit of the latency needs the backlash.
 ROUNDS = 2
-# RMS that eq 22 does not explain, over the whole change.
+# Unexplained RMS as a share of the whole force change (eq 22 of the paper).
 UNEXPLAINED_WARN, UNEXPLAINED_FAIL = 0.1, 0.3
 FINGER_WARN = 0.2
 TRAVEL_WARN, TRAVEL_FAIL = 0.05, 0.5
 # A sensor's stamps may be early by part of a tick: the time of its first byte is unknown.
 EARLY_TICKS = 0.25
-# A fit below this has ended at its bound of 0.
+# A fitted latency below this is the fit's lower bound, 0.
 TINY_LATENCY_S = 1e-6
-# Play keeps the tip where the rotor swung to, so that a latency fitted to it is less certain.
-LATENCY_WARN_TICKS, LATENCY_WARN_PLAY_TICKS = 1.0, 2.0
+# Backlash holds the tip at the rotor's overshoot, which makes the fitted latency less certain.
+LATENCY_WARN_TICKS, LATENCY_WARN_BACKLASH_TICKS = 1.0, 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class ActuatorFindings:
     Attributes
     ----------
     command : ActuatorInput
-        Commands of the staircase, behind the film's filter.
+        Commands of the staircase, after the film's filter.
     contact : ContactFit or None
         The contact under a stepper.
     changes : Changes
@@ -68,7 +68,7 @@ class ActuatorFindings:
 
 
 def check_actuator(
-    rig: Rig, scene: DisplayScene, force_n: float, film_age_s: float, least_latency_s: float = 0.0
+    rig: Rig, scene: DisplayScene, force_n: float, film_age_s: float, line_latency_s: float = 0.0
 ) -> ActuatorFindings:
     """Press with at most force_n and identify the actuator.
 
@@ -76,121 +76,134 @@ def check_actuator(
     ----------
     film_age_s : float
         The film's share of the latency; the rest is the actuator's.
-    least_latency_s : float
-        Time that a command takes on its line alone.
+    line_latency_s : float
+        Transmission time of a command on the bus or serial line; 0 for a model.
 
     Raises
     ------
     BenchError
-        For a press that was stopped, or a record that determines nothing.
+        For a press that was stopped, or a record from which no parameter can be identified.
     """
     recorder = PressRecorder(rig, GUARD * force_n, scene.safety.feedback_within_ns * 1e-9)
     actuator, film = scene.actuator, scene.film
     if isinstance(actuator, SecondOrderScene):
         pressed = press_voltage(recorder, actuator, force_n)
         command = through_film(pressed.command(pressed.stairs, held=True), film)
-        found = identify(command, *pressed.film(pressed.stairs), MAX_LATENCY_S)
-        keys = {key: f"{value:.4g}" for key, value in zip("mck", found.values, strict=False)}
-        changes = {"display.actuator": keys} if _fits(found) else {}
-        return ActuatorFindings(pressed, command, found, None, (_check_fit(found),), changes)
+        identified = identify(command, *pressed.film(pressed.stairs), MAX_LATENCY_S)
+        keys = {key: f"{value:.4g}" for key, value in zip("mck", identified.values, strict=False)}
+        changes = {"display.actuator": keys} if _fits(identified) else {}
+        return ActuatorFindings(
+            pressed, command, identified, None, (_check_fit(identified),), changes
+        )
     pressed = press_stepper(recorder, actuator, force_n)
     # Filtered from the begin of the press, so that the filter is settled when the stairs begin.
     begin_s = recorder.commanded_s[0]
     travel = pressed.command(PressPhase(begin_s, pressed.stairs.end_s), held=False)
     first = round((pressed.stairs.begin_s - begin_s) / travel.tick_s)
-    law, lag_s = actuator.contact(scene.layer.layer()), 0.0
+    contact_law, lag_s = actuator.contact(scene.layer.layer()), 0.0
     for _ in range(ROUNDS):
-        contact = fit_contact(pressed, law, film, lag_s)
-        fitted = copy.copy(law)
+        contact = fit_contact(pressed, contact_law, film, lag_s)
+        fitted = copy.copy(contact_law)
         fitted.finger_m_per_n = 1 / contact.finger_n_per_m
-        seen = through_film(contact.pressed_n(fitted, travel), film)
-        command = ActuatorInput(seen.values[first:], seen.tick_s, held=False)
-        found = identify(command, *pressed.film(pressed.stairs), MAX_LATENCY_S)
-        lag_s = found.delay_s
-    latency_s = _latency_s(actuator, found, contact) - film_age_s
+        filtered = through_film(contact.pressed_n(fitted, travel), film)
+        command = ActuatorInput(filtered.values[first:], filtered.tick_s, held=False)
+        identified = identify(command, *pressed.film(pressed.stairs), MAX_LATENCY_S)
+        lag_s = identified.delay_s
+    latency_s = _latency_s(actuator, identified, contact) - film_age_s
     latency, plausible = check_latency(
-        actuator, found, contact, latency_s, least_latency_s=least_latency_s, tick_s=rig.tick_s
+        actuator, identified, contact, latency_s, line_latency_s=line_latency_s, tick_s=rig.tick_s
     )
     changes = {}
-    if _fits(found):
-        changes = _changes(actuator, found, contact, latency_s if plausible else None)
-    checks = (_check_fit(found), _check_travel(found), *check_contact(actuator, contact), latency)
-    return ActuatorFindings(pressed, command, found, contact, checks, changes)
+    if _fits(identified):
+        changes = _changes(actuator, identified, contact, latency_s if plausible else None)
+    checks = (
+        _check_fit(identified),
+        _check_travel(identified),
+        *check_contact(actuator, contact),
+        latency,
+    )
+    return ActuatorFindings(pressed, command, identified, contact, checks, changes)
 
 
-def _fits(found: IdentifiedModel) -> bool:
+def _fits(identified: IdentifiedModel) -> bool:
     """Return whether the fit is good enough for a scene."""
-    return found.nrmse <= UNEXPLAINED_FAIL
+    return identified.nrmse <= UNEXPLAINED_FAIL
 
 
-def _latency_s(actuator: StepperScene, found: IdentifiedModel, contact: ContactFit) -> float:
-    """Return the latency of the scene's model, from a command to its motion and the film's age.
+def _latency_s(actuator: StepperScene, identified: IdentifiedModel, contact: ContactFit) -> float:
+    """Return the latency for the scene's model: time from command to motion, plus the film's age.
 
-    A rotor in the scene delays by its own 2 ζ/ω beside the latency.
+    A rotor in the scene adds a delay of 2ζ/ω to the latency.
     """
-    if _rotor_determined(found, contact):
-        return found.model.latency_s
+    if _rotor_determined(identified, contact):
+        return identified.model.latency_s
     if actuator.rotor_resonance_hz is None:
-        return found.delay_s
+        return identified.delay_s
     rotor_s = 2 * actuator.rotor_damping / (2 * math.pi * actuator.rotor_resonance_hz)
-    return found.delay_s - rotor_s
+    return identified.delay_s - rotor_s
 
 
-def _rotor_determined(found: IdentifiedModel, contact: ContactFit) -> bool:
-    """Return whether the fitted resonance is the rotor's: play hides its way back."""
-    return not {"m", "c"} & set(found.undetermined) and not contact.has_play
+def _rotor_determined(identified: IdentifiedModel, contact: ContactFit) -> bool:
+    """Return whether the fitted resonance is the rotor's.
+
+    With backlash the rotor's swing back does not reach the film.
+    """
+    return not {"m", "c"} & set(identified.undetermined) and not contact.has_backlash
 
 
 def _changes(
-    actuator: StepperScene, found: IdentifiedModel, contact: ContactFit, latency_s: float | None
+    actuator: StepperScene,
+    identified: IdentifiedModel,
+    contact: ContactFit,
+    latency_s: float | None,
 ) -> Changes:
     keys = {"fingertip": f'"{contact.finger_n_per_m:.4g} N/m"'}
-    if contact.has_play and contact.play_m > actuator.step_m:
-        keys["backlash"] = f'"{contact.play_m * 1e6:.3g} µm"'
-    if _rotor_determined(found, contact):
-        keys["rotor_resonance"] = f'"{found.model.resonance_hz:.4g} Hz"'
-        keys["rotor_damping"] = f"{found.model.damping:.3g}"
+    if contact.has_backlash and contact.backlash_m > actuator.step_m:
+        keys["backlash"] = f'"{contact.backlash_m * 1e6:.3g} µm"'
+    if _rotor_determined(identified, contact):
+        keys["rotor_resonance"] = f'"{identified.model.resonance_hz:.4g} Hz"'
+        keys["rotor_damping"] = f"{identified.model.damping:.3g}"
     if latency_s is not None:
         keys["latency"] = f'"{max(0.0, latency_s) * 1e3:.3g} ms"'
     return {"display.actuator": keys}
 
 
-def _check_fit(found: IdentifiedModel) -> Check:
+def _check_fit(identified: IdentifiedModel) -> Check:
     check = grade(
         "eq 22",
-        f"leaves {found.nrmse * 100:.1f} % of the force's change unexplained",
-        found.nrmse,
+        f"leaves {identified.nrmse * 100:.1f} % of the force's change unexplained",
+        identified.nrmse,
         UNEXPLAINED_WARN,
         UNEXPLAINED_FAIL,
         "the actuator is not of second order, or loses steps: look at the plot",
     )
-    if check.verdict == "ok" and found.undetermined:
-        names = ", ".join(found.undetermined)
-        return Check(check.name, f"{check.found}; {names}: not determined by the record")
+    if check.verdict == "ok" and identified.undetermined:
+        names = ", ".join(identified.undetermined)
+        return Check(check.name, f"{check.text}; {names}: not determined by the record")
     return check
 
 
-def _check_travel(found: IdentifiedModel) -> Check:
+def _check_travel(identified: IdentifiedModel) -> Check:
     check = grade(
         "travel",
-        f"a step moves by {100 / found.model.k:.1f} % of the commanded travel",
-        abs(1 / found.model.k - 1),
+        f"a step moves by {100 / identified.model.k:.1f} % of the commanded travel",
+        abs(1 / identified.model.k - 1),
         TRAVEL_WARN,
         TRAVEL_FAIL,
         "commands or steps are lost, or lead and microsteps are wrong",
     )
-    undetermined = "the record does not determine it" if "k" in found.undetermined else ""
-    return with_warning(check, _bad_fit(found) or undetermined)
+    undetermined = "the record does not determine it" if "k" in identified.undetermined else ""
+    return with_warning(check, _fit_warning(identified) or undetermined)
 
 
-def _bad_fit(found: IdentifiedModel) -> str:
-    if _fits(found):
+def _fit_warning(identified: IdentifiedModel) -> str:
+    if _fits(identified):
         return ""
-    return f"not valid: eq 22 leaves {found.nrmse * 100:.0f} % unexplained"
+    return f"not valid: eq 22 leaves {identified.nrmse * 100:.0f} % unexplained"
 
 
 def check_contact(actuator: StepperScene, contact: ContactFit) -> tuple[Check, Check]:
-    """Judge finger and play, and whether the ramp determines them at all."""
+    """Judge finger and backlash; warn where the ramp does not determine them."""
     expected = actuator.fingertip_n_per_m
     finger = grade(
         "finger",
@@ -201,34 +214,38 @@ def check_contact(actuator: StepperScene, contact: ContactFit) -> tuple[Check, C
         np.inf,
         f"the scene has {expected:.4g} N/m",
     )
-    tolerance_m = max(2 * contact.play_half_width, 2 * actuator.step_m)
-    play = grade(
-        "play",
-        f"{contact.play_m * 1e6:.1f} ± {contact.play_half_width * 1e6:.1f} µm",
-        abs(contact.play_m - actuator.backlash_m),
+    tolerance_m = max(2 * contact.backlash_half_width, 2 * actuator.step_m)
+    backlash = grade(
+        "backlash",
+        f"{contact.backlash_m * 1e6:.1f} ± {contact.backlash_half_width * 1e6:.1f} µm",
+        abs(contact.backlash_m - actuator.backlash_m),
         tolerance_m,
         np.inf,
         f"the scene has {actuator.backlash_m * 1e6:g} µm",
     )
     if contact.unexplained > UNEXPLAINED_FAIL:
-        reason = f"the ramp is not a finger's: {contact.unexplained * 100:.0f} % unexplained"
-        finger, play = (replace(each, verdict="fail", reason=reason) for each in (finger, play))
-        return finger, play
+        reason = f"the ramp does not fit a finger: {contact.unexplained * 100:.0f} % unexplained"
+        finger, backlash = (
+            replace(each, verdict="fail", reason=reason) for each in (finger, backlash)
+        )
+        return finger, backlash
     if contact.finger_half_width > MAX_HALF_WIDTH * contact.finger_n_per_m:
         finger = with_warning(finger, "the ramp does not determine it: press with more force")
-    if contact.play_m < -tolerance_m:
-        reason = "below 0: the way back presses more than the way in; look at film and zero"
-        play = replace(play, verdict="warn", reason=reason)
-    return finger, play
+    if contact.backlash_m < -tolerance_m:
+        reason = (
+            "below 0: force on the way out exceeds that on the way in; check the film and its zero"
+        )
+        backlash = replace(backlash, verdict="warn", reason=reason)
+    return finger, backlash
 
 
 def check_latency(
     actuator: StepperScene,
-    found: IdentifiedModel,
+    identified: IdentifiedModel,
     contact: ContactFit,
     latency_s: float,
     *,
-    least_latency_s: float,
+    line_latency_s: float,
     tick_s: float,
 ) -> tuple[Check, bool]:
     """Judge a latency from a command to its motion.
@@ -237,8 +254,8 @@ def check_latency(
     ----------
     latency_s : float
         The identified latency, without the film's share.
-    least_latency_s : float
-        Time that a command takes on its line alone; 0 for a model.
+    line_latency_s : float
+        Transmission time of a command on the bus or serial line; 0 for a model.
     tick_s : float
         Tick of the press. A latency is found to a quarter of a tick.
 
@@ -247,26 +264,26 @@ def check_latency(
     Check
         The latency against the scene's.
     bool
-        False for a value that no drive can have, which is no value for a scene.
+        False for a value that no drive can have, not to be written into a scene.
     """
     expected_s = actuator.latency_ns * 1e-9
     name, text = "drive's latency", f"{latency_s * 1e3:.2f} ms from a command to its motion"
     if latency_s < -tick_s or math.isnan(latency_s):
         reason = "the motion comes before its command: look at the film's time stamps"
         return Check(name, text, "fail", reason), False
-    if found.delay_s >= MAX_LATENCY_S - tick_s:
-        reason = f"at the longest that is searched, {MAX_LATENCY_S * 1e3:g} ms"
+    if identified.delay_s >= MAX_LATENCY_S - tick_s:
+        reason = f"longer than the search range of {MAX_LATENCY_S * 1e3:g} ms"
         return Check(name, text, "fail", reason), False
-    early_s, reason = -EARLY_TICKS * tick_s, _bad_fit(found)
+    early_s, reason = -EARLY_TICKS * tick_s, _fit_warning(identified)
     if latency_s < early_s:
         reason = reason or "the motion comes before its command: the film's time stamps are early"
-    elif latency_s < least_latency_s + early_s or latency_s < TINY_LATENCY_S < least_latency_s:
-        reason = reason or f"its line alone takes {least_latency_s * 1e3:.2f} ms"
-    elif "latency" in found.undetermined and _rotor_determined(found, contact):
+    elif latency_s < line_latency_s + early_s or latency_s < TINY_LATENCY_S < line_latency_s:
+        reason = reason or f"transmission on the line alone takes {line_latency_s * 1e3:.2f} ms"
+    elif "latency" in identified.undetermined and _rotor_determined(identified, contact):
         reason = reason or "the record does not determine it"
     if reason:
         return Check(name, text, "warn", reason), False
-    ticks = LATENCY_WARN_PLAY_TICKS if contact.has_play else LATENCY_WARN_TICKS
+    ticks = LATENCY_WARN_BACKLASH_TICKS if contact.has_backlash else LATENCY_WARN_TICKS
     off_s = abs(latency_s - expected_s)
     reason = f"the scene has {expected_s * 1e3:g} ms"
     return grade(name, text, off_s, tick_s * ticks, np.inf, reason), True

@@ -193,7 +193,7 @@ def _check_drive(
             # A command superseded before it was sent is travel that is not made.
             rig = HardwareRig(drive, sensor, max(tick_s, EXCHANGES_PER_TICK * line_s))
             try:
-                found = check_actuator(rig, scene, force_n, 0.0, least_latency_s=line_s / 2)
+                found = check_actuator(rig, scene, force_n, 0.0, line_latency_s=line_s / 2)
             except KeyboardInterrupt:
                 rig.withdraw()
                 raise
@@ -213,12 +213,12 @@ def _newest_n(sensor: Sensor) -> float | None:
 
 
 def _check_age(age_s: float) -> Check:
-    name, found = "age of a reading", f"the newest sample is up to {age_s * 1e3:.1f} ms old (99 %)"
+    name, text = "age of a reading", f"the newest sample is up to {age_s * 1e3:.1f} ms old (99 %)"
     if age_s < 0:
         reason = "younger than 0: the device's times are ahead of this machine's clock"
-        return Check(name, found, "fail", reason)
+        return Check(name, text, "fail", reason)
     reason = "let the device send smaller batches; on USB look at the adapter's latency timer"
-    return grade(name, found, age_s, FILM_AGE_WARN_S, FILM_AGE_FAIL_S, reason)
+    return grade(name, text, age_s, FILM_AGE_WARN_S, FILM_AGE_FAIL_S, reason)
 
 
 def check_loop(findings: BenchFindings, path: Path) -> None:
@@ -247,7 +247,7 @@ def check_loop(findings: BenchFindings, path: Path) -> None:
 def report_bench(name: str, findings: BenchFindings) -> Report:
     """Return the report of a bench check."""
     rows = tuple(
-        (part, check.name, check.found, check.verdict, check.reason)
+        (part, check.name, check.text, check.verdict, check.reason)
         for part, check in findings.checks
     )
     modelled = ": its models, as it names no [display.drive]" if findings.modelled else ""

@@ -1,8 +1,8 @@
 """A gentle press by plan: a slow ramp up and down, then a staircase of small steps.
 
-The steps go one way, so that no play is crossed between them, at irregular times, so that they
+The steps go one way, so that no backlash is crossed between them, at irregular times, so that they
 excite all frequencies. The film guards every tick: beyond the guard the press ends at once. The
-ramp gives the contact: stiffness, first touch and play.
+ramp gives the contact: stiffness, first touch and backlash.
 """
 
 import math
@@ -234,8 +234,8 @@ class ContactFit:
         Stiffness of the finger.
     touch_m : float
         Place of first touch, from where the press began.
-    play_m : float
-        Backlash. Below 0, the way back presses more than the way in.
+    backlash_m : float
+        Below 0, the force on the way out exceeds that on the way in.
     unexplained : float
         RMS of the fit's residuals, as a share of the standard deviation of the places.
     """
@@ -244,14 +244,14 @@ class ContactFit:
     finger_half_width: float
     touch_m: float
     touch_half_width: float
-    play_m: float
-    play_half_width: float
+    backlash_m: float
+    backlash_half_width: float
     unexplained: float
 
     @property
-    def has_play(self) -> bool:
-        """True where the play is surely above 0."""
-        return self.play_m > 2 * self.play_half_width
+    def has_backlash(self) -> bool:
+        """True where the backlash is surely above 0."""
+        return self.backlash_m > 2 * self.backlash_half_width
 
     def pressed_n(self, law: ContactLaw, travel: ActuatorInput) -> ActuatorInput:
         """Return the force at rest at each place of the screw, on its way in."""
@@ -261,7 +261,7 @@ class ContactFit:
 
 
 def fit_contact(pressed: PressRecord, law: ContactLaw, film: FilmTable, lag_s: float) -> ContactFit:
-    """Fit x = touch − play · [going back] + rubber F^(2/3) + F / finger by linear least squares.
+    """Fit x = touch − backlash · [going back] + rubber F^(2/3) + F / finger by least squares.
 
     The rubber's part is the law's. lag_s: from a command to the film's reading, without the
     film's filter, which is compensated here. Raises BenchError for a record with too few places.
@@ -287,7 +287,7 @@ def fit_contact(pressed: PressRecord, law: ContactLaw, film: FilmTable, lag_s: f
     found, *_ = np.linalg.lstsq(columns, x_m - rubber_m)
     off_m = x_m - rubber_m - columns @ found
     covariance = np.linalg.inv(columns.T @ columns) * (off_m @ off_m) / (len(x_m) - 3)
-    touch_m, play_m, softness = found.tolist()
+    touch_m, backlash_m, softness = found.tolist()
     half_widths = DEVIATIONS_95 * np.sqrt(np.diag(covariance))
     if softness <= 0:
         raise BenchError("the tip presses harder than the scene's rubber alone can; look at layer")
@@ -296,14 +296,14 @@ def fit_contact(pressed: PressRecord, law: ContactLaw, film: FilmTable, lag_s: f
         finger_half_width=float(half_widths[2] / softness**2),
         touch_m=touch_m,
         touch_half_width=float(half_widths[0]),
-        play_m=play_m,
-        play_half_width=float(half_widths[1]),
+        backlash_m=backlash_m,
+        backlash_half_width=float(half_widths[1]),
         unexplained=float(np.std(off_m) / np.std(x_m)),
     )
 
 
 def through_film(command: ActuatorInput, film: FilmTable) -> ActuatorInput:
-    """Return a command behind the film's filter; itself where there is none."""
+    """Return a command after the film's filter; itself where there is none."""
     from scipy.signal import lfilter, lfilter_zi, ss2tf
 
     low_pass = film.low_pass(command.tick_s)

@@ -19,10 +19,10 @@ MAINS_WARN = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One line of a bench check: the finding, its verdict, and the reason where it is not ok."""
+    """One line of a bench check: finding, verdict, and the reason where it is not ok."""
 
     name: str
-    found: str
+    text: str
     verdict: Verdict = "ok"
     reason: str = ""
 
@@ -31,16 +31,16 @@ def with_warning(check: Check, reason: str) -> Check:
     """Return an "ok" check as "warn" for the reason; any other check, or no reason, unchanged."""
     if not reason or check.verdict != "ok":
         return check
-    return Check(check.name, check.found, "warn", reason)
+    return Check(check.name, check.text, "warn", reason)
 
 
-def grade(name: str, found: str, value: float, warn: float, fail: float, reason: str) -> Check:
+def grade(name: str, text: str, value: float, warn: float, fail: float, reason: str) -> Check:
     """Return the check of a value that should be small, by its bounds `warn` and `fail`."""
     if not value <= fail:
-        return Check(name, found, "fail", reason)
+        return Check(name, text, "fail", reason)
     if value > warn:
-        return Check(name, found, "warn", reason)
-    return Check(name, found)
+        return Check(name, text, "warn", reason)
+    return Check(name, text)
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,14 +61,14 @@ def test_a_ringing_rotor_is_found_through_a_slow_noisy_film() -> None:
     assert found.identified.model.k == pytest.approx(1.0, abs=0.01)
 
 
-def test_play_is_found_and_then_the_rotor_is_left_as_it_was() -> None:
+def test_backlash_is_found_and_then_the_rotor_is_left_as_it_was() -> None:
     really, _ = bench("real_bench", fingertip_n_per_m=1500.0, backlash_m=14e-6)
     scene, _ = bench("real_bench")
     found = checked(really, scene)
     assert number(found, "backlash") == pytest.approx(14.0, abs=1.5)
     assert number(found, "fingertip") == pytest.approx(1500.0, rel=0.02)
     assert "rotor_resonance" not in found.changes["display.actuator"]
-    assert verdicts(found) == {"finger": "warn", "play": "warn"}
+    assert verdicts(found) == {"finger": "warn", "backlash": "warn"}
 
 
 def test_a_drive_that_loses_steps_is_named() -> None:
@@ -105,7 +105,7 @@ def judged(
     found = IdentifiedModel(SHARP, (0.0,) * 4, 0.0, nrmse, undetermined, delay_s)
     contact = ContactFit(1000.0, 2.0, 0.0, 1e-6, 0.0, 1e-6, 0.01)
     check, plausible = check_latency(
-        actuator, found, contact, latency_s, least_latency_s=LINE_S, tick_s=2e-3
+        actuator, found, contact, latency_s, line_latency_s=LINE_S, tick_s=2e-3
     )
     assert (check.reason == "") is (check.verdict == "ok")
     return check.verdict, plausible
@@ -134,7 +134,7 @@ def test_a_latency_of_a_bad_fit_is_not_ok() -> None:
         (ContactFit(1000.0, 2.0, 0.0, 1e-6, -60e-6, 1e-6, 0.01), ["ok", "warn"]),
         (ContactFit(1000.0, 2.0, 0.0, 1e-6, 0.0, 1e-6, 0.5), ["fail", "fail"]),
     ],
-    ids=["plausible", "not determined", "play below 0", "not explained"],
+    ids=["plausible", "not determined", "backlash below 0", "not explained"],
 )
 def test_a_contact_that_the_ramp_does_not_determine_is_not_ok(
     contact: ContactFit, verdicts: list[str]

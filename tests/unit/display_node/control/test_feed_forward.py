@@ -13,7 +13,7 @@ Positions = NDArray[np.float64]
 BACKLASH_M = 10e-6
 LEAST_TURN_M = BACKLASH_M / 4
 ROTOR = {"rotor_resonance": "100 Hz"}
-PLAY = {"backlash": "10 µm"}
+BACKLASH = {"backlash": "10 µm"}
 
 
 def scene(**table: object) -> StepperScene:
@@ -21,7 +21,7 @@ def scene(**table: object) -> StepperScene:
 
 
 class Bench:
-    """Runs the path of a tip on a rotor and a play that are just as the path takes them for."""
+    """Runs the path of a tip on a rotor and backlash that are just as the path takes them for."""
 
     def __init__(self, tick_s: float = 1e-3, /, **table: object) -> None:
         self.scene = scene(**table)
@@ -74,11 +74,11 @@ def up_and_down_m(*extremes_m: float, ticks: int = 100) -> Positions:
     [
         ({}, 1),
         (ROTOR, 2),
-        (PLAY, 2),
-        (ROTOR | PLAY, 3),
-        (ROTOR | PLAY | {"rotor_damping": 1.0}, 2),
+        (BACKLASH, 2),
+        (ROTOR | BACKLASH, 3),
+        (ROTOR | BACKLASH | {"rotor_damping": 1.0}, 2),
         # Half a period of this rotor is over within a tick.
-        (PLAY | {"rotor_resonance": "900 Hz"}, 2),
+        (BACKLASH | {"rotor_resonance": "900 Hz"}, 2),
     ],
 )
 def test_the_horizon_is_what_the_actuator_needs(table: dict[str, object], horizon: int) -> None:
@@ -96,7 +96,7 @@ def test_without_rotor_and_play_the_screw_is_the_tip() -> None:
     assert screw_m.tolist() == moved_m.tolist() == wanted_m.tolist()
 
 
-@pytest.mark.parametrize("table", [{}, ROTOR, PLAY, ROTOR | PLAY])
+@pytest.mark.parametrize("table", [{}, ROTOR, BACKLASH, ROTOR | BACKLASH])
 @pytest.mark.parametrize("first_m", [0.0, 0.2e-3])
 def test_all_speeds_together_are_the_screws_way(table: dict[str, object], first_m: float) -> None:
     bench = Bench(**table)
@@ -130,7 +130,7 @@ def test_the_rotors_inverse_is_undone_by_the_rotor(damping: float) -> None:
 
 
 def test_the_gap_is_taken_up_on_the_flank_that_drives() -> None:
-    screw_m, wanted_m, moved_m = Bench(**PLAY).run(swell_m())
+    screw_m, wanted_m, moved_m = Bench(**BACKLASH).run(swell_m())
     ahead_m = screw_m - wanted_m
     rising = np.gradient(wanted_m) > 0
     # Clear of the turns by the quarter of the backlash that a turn must have, and two ticks.
@@ -144,7 +144,7 @@ def test_the_gap_is_taken_up_on_the_flank_that_drives() -> None:
     assert 0 < off_m <= LEAST_TURN_M + np.abs(np.diff(wanted_m)).max()
 
 
-@pytest.mark.parametrize("table", [PLAY, ROTOR | PLAY])
+@pytest.mark.parametrize("table", [BACKLASH, ROTOR | BACKLASH])
 @pytest.mark.parametrize(("share", "crossed"), [(0.9, False), (1.3, True)])
 def test_only_a_turn_of_a_quarter_of_the_backlash_is_crossed(
     table: dict[str, object], share: float, crossed: bool
@@ -160,7 +160,7 @@ def test_only_a_turn_of_a_quarter_of_the_backlash_is_crossed(
 
 
 def test_small_turns_one_after_the_other_are_not_added_up() -> None:
-    bench = Bench(**PLAY)
+    bench = Bench(**BACKLASH)
     small_m = 0.9 * LEAST_TURN_M
     steps_m = [50e-6, 50e-6 - small_m] * 6
     screw_m, wanted_m, _ = bench.run(up_and_down_m(0, *steps_m, ticks=20))
@@ -168,7 +168,7 @@ def test_small_turns_one_after_the_other_are_not_added_up() -> None:
 
 
 def test_a_slow_way_down_is_one_turn_however_slow() -> None:
-    bench = Bench(**PLAY)
+    bench = Bench(**BACKLASH)
     screw_m, wanted_m, _ = bench.run(up_and_down_m(0, 50e-6, 40e-6, ticks=2000))
     ahead_m = screw_m - wanted_m
     changes = np.flatnonzero(np.abs(np.diff(ahead_m)) > 1e-12)
@@ -179,7 +179,7 @@ def test_a_slow_way_down_is_one_turn_however_slow() -> None:
 
 def crossing_m(**table: object) -> Positions:
     """The screw's offset from a way up to one down, the turn being sharp."""
-    gap = Gap(scene(**PLAY, **table), 1e-3)
+    gap = Gap(scene(**BACKLASH, **table), 1e-3)
     tip_m = up_and_down_m(0, 0.5e-3, 0).tolist()
     reach = 2 + gap.lead
     return np.array([gap.cross(tip_m[k : k + reach]) for k in range(len(tip_m) - reach)])

@@ -84,20 +84,20 @@ ways = st.lists(st.floats(-10, 10), min_size=1, max_size=50)
 def test_play_stays_within_its_gap_and_moves_no_more_than_it_must(
     way: list[float], width: float
 ) -> None:
-    play, before = Backlash(width), 0.0
+    backlash, before = Backlash(width), 0.0
     for driving in way:
-        driven = play.step(driving)
+        driven = backlash.step(driving)
         assert abs(driven - driving) <= width / 2 * (1 + 1e-9) + 1e-12
         # The nearest place to the last one that the gap allows: the play operator.
         assert driven == min(max(before, driving - width / 2), driving + width / 2)
         before = driven
 
 
-def test_play_is_crossed_by_its_whole_width_after_a_reversal() -> None:
-    play = Backlash(2.0)
-    assert [play.step(x) for x in (0.5, 1.0, 4.0)] == [0.0, 0.0, 3.0]
-    assert [play.step(x) for x in (3.0, 2.0, 1.5)] == [3.0, 3.0, 2.5]
-    assert [play.step(x) for x in (2.5, 3.5, 3.6)] == [2.5, 2.5, pytest.approx(2.6)]
+def test_backlash_is_crossed_by_its_whole_width_after_a_reversal() -> None:
+    backlash = Backlash(2.0)
+    assert [backlash.step(x) for x in (0.5, 1.0, 4.0)] == [0.0, 0.0, 3.0]
+    assert [backlash.step(x) for x in (3.0, 2.0, 1.5)] == [3.0, 3.0, 2.5]
+    assert [backlash.step(x) for x in (2.5, 3.5, 3.6)] == [2.5, 2.5, pytest.approx(2.6)]
 
 
 @pytest.mark.parametrize(
@@ -257,12 +257,12 @@ def test_halting_brakes_to_rest() -> None:
 
 
 @pytest.mark.parametrize("table", [{}, {"rotor_resonance": "100 Hz"}, {"backlash": "20 µm"}])
-def test_its_way_is_that_of_its_rotor_and_its_play(table: dict[str, object]) -> None:
+def test_its_way_is_that_of_its_rotor_and_its_backlash(table: dict[str, object]) -> None:
     under_test, named = stepper(**table), scene(**table)
     rotor = None
     if named.rotor_resonance_hz is not None:
         rotor = Rotor(named.rotor_resonance_hz, named.rotor_damping, TICK_S)
-    play = Backlash(named.backlash_m)
+    backlash = Backlash(named.backlash_m)
     law = named.contact(ElasticLayer())
     before_m = 0.0
     for tick in range(600):
@@ -272,7 +272,7 @@ def test_its_way_is_that_of_its_rotor_and_its_play(table: dict[str, object]) -> 
         at_m = round(under_test.screw_m / named.step_m) * named.step_m
         driving_m = at_m if rotor is None else rotor.step(before_m, at_m)
         before_m = at_m
-        assert under_test.tip_m == pytest.approx(play.step(driving_m), abs=1e-15)
+        assert under_test.tip_m == pytest.approx(backlash.step(driving_m), abs=1e-15)
         assert force_n == law.force(under_test.tip_m)
 
 
@@ -330,5 +330,5 @@ def test_a_rotor_with_play_rests_at_most_where_it_has_swung_to(
     under_test = stepper(limit_n, backlash=backlash, rotor_resonance="100 Hz")
     swung_n = [under_test.step(FORWARD) for _ in range(1000)]
     positions_m(under_test, HALT, 500)
-    # The play keeps a little of the swing; the felt force's own fault bounds the swing.
+    # Backlash keeps a little of the swing; the felt force's own fault bounds the swing.
     assert limit_n < under_test.force_n <= min(max(swung_n), 1.05 * limit_n)

@@ -112,7 +112,7 @@ def test_the_drives_answer_is_timed(late_ms: int, verdict: str) -> None:
         check = check_answers(bench.drive)
         bench.line.far.send = send
     assert check.verdict == verdict
-    assert "p99" in check.found
+    assert "p99" in check.text
 
 
 def test_a_record_has_every_samples_time(rig: HardwareRig, film: Film) -> None:
@@ -156,5 +156,5 @@ def test_a_can_frame_is_counted_with_all_its_stuffing() -> None:
 def test_the_command_rate_that_the_line_allows_is_judged(scene: TmclScene, verdict: str) -> None:
     check = check_line(scene, 1e-3)
     assert check.verdict == verdict
-    assert f"at most {1 / exchange_s(scene):.0f} commands a second" in check.found
+    assert f"at most {1 / exchange_s(scene):.0f} commands a second" in check.text
     assert bool(check.reason) == (verdict != "ok")
