@@ -1,9 +1,9 @@
-"""Figures of the summary, each described once: meaning, unit, words for people, metric.
+"""Figures of the summary, each described once: meaning, unit, display text, metric.
 
 A field of the summary's dataclasses carries a `Figure`, made by `figure`, or by `table` for a field
 that holds a table of figures. Terminal, live page, Prometheus, the report of a recording and the
-reference draw from these, so a new figure is one new field. A surface that leaves a figure out
-stands in `absent` with the reason.
+reference draw from these, so a new figure is one new field. `absent` lists each surface that
+omits the figure, with the reason.
 """
 
 import dataclasses
@@ -28,9 +28,9 @@ class Surface(StrEnum):
 
 
 class Unit(NamedTuple):
-    """Unit of a figure: its name in JSON, and how it is shown in a text, with the number's form.
+    """Unit of a figure: its name in JSON, and the name and the format of a number in a text.
 
-    factor, base: from the JSON's unit to the shown one, and to Prometheus's base unit.
+    factor: multiplies the JSON's value for the text. base: multiplies it for Prometheus.
     """
 
     name: str
@@ -60,34 +60,56 @@ RATIO = Unit("ratio", "", ".2f")
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A figure of the summary, or what the figures of one table share.
+    """A figure of the summary, or the defaults for all figures of a table.
 
-    meaning: for the reference and for Prometheus. text: its words in a row, "{}" for the value;
-    joint stands before them, unless they are the row's first. unit: None for that of its table,
-    else a count, whose noun is given in the singular and the plural. row: name of its row, empty
-    for that of its table. zero: a 0 is shown. of: key of the share of the run that this is a share
-    of. lead: a live page shows it large, before the first figure of its row.
-
-    show returns the text of a value that is no number (None: not shown), or of a whole table one
-    phrase in place of its figures' texts; headline, what a live page shows large of it.
-
-    metric: name without prefix and suffix, empty for that of its table; a counter, a quantile (by
-    its label) or a gauge. labels tell figures of one name apart; label is that of the names in a
-    map, or of the texts of a list; help replaces the meaning.
-
-    absent: surfaces without the figure, each with the reason. Set by `figures_of`: key, the keys in
-    the JSON joined by dots; type; phrase, its table where that is shown as one phrase.
+    Attributes
+    ----------
+    meaning
+        For the reference, and for Prometheus unless `help` is given.
+    text
+        Template in a row; "{}" is the value.
+    unit
+        Unit; None: that of the table, else a count.
+    row
+        Name of the row; empty: that of the table.
+    separator
+        Text before this figure, unless it is the first of its row.
+    noun
+        Singular and plural of what a count counts.
+    show_zero
+        A value of 0 is shown.
+    share_of
+        For a share: the key of `availability` whose time is the whole.
+    prominent
+        A live page shows this figure large, instead of the first one of its row.
+    show
+        Formats a value that is no number, or a whole table as one phrase; None hides it.
+    headline
+        Returns the large text of a live page.
+    metric
+        Name for Prometheus without prefix and suffix; empty: that of the table.
+    counter
+        The metric is a counter; otherwise a gauge, or a summary if labelled with a quantile.
+    labels
+        Labels of the metric.
+    label
+        Name of the label for the keys of a map or the items of a list.
+    absent
+        Surfaces that omit the figure, each with the reason.
+    key, type, phrase
+        Set by `figures_of`: the keys in the JSON, joined by dots; the field's type; the table's
+        figure, if the table is shown as one phrase.
     """
 
     meaning: str = ""
     text: str = "{}"
     unit: Unit | None = None
     row: str = ""
-    joint: str = ", "
+    separator: str = ", "
     noun: tuple[str, ...] = ()
-    zero: bool = True
-    of: str = ""
-    lead: bool = False
+    show_zero: bool = True
+    share_of: str = ""
+    prominent: bool = False
     show: Callable[[Any], str | None] | None = None
     headline: Callable[[Any], str] | None = None
     metric: str = ""
@@ -101,13 +123,13 @@ class Figure:
     phrase: "Figure | None" = None
 
     @property
-    def kind(self) -> str:
-        """Prometheus's kind of its metric."""
+    def metric_type(self) -> str:
+        """Prometheus type of the metric."""
         return "summary" if "quantile" in self.labels else "counter" if self.counter else "gauge"
 
     @property
     def name(self) -> str:
-        """Its name where it stands alone: row and words, or the row that is one phrase."""
+        """Name outside its row: row and text, or the row alone if it is one phrase."""
         words = self.text.replace("{}", self.noun[-1] if self.noun else "").strip()
         return f"{self.row}, {words}" if words and self.phrase is None else self.row
 
@@ -138,7 +160,7 @@ def figure(
     """Return the field of a figure, with the arguments of `Figure`.
 
     metric: as Prometheus writes it: 'samples_total{outcome="played"}' is a counter. factory:
-    returns the value before any is known: an empty list or map, else None.
+    returns the initial value, for example an empty list; None by default.
     """
     described = _described(metric, meaning=meaning, text=text, unit=unit, **arguments)
     return field(default_factory=factory, metadata=described)
@@ -147,13 +169,13 @@ def figure(
 def table(
     kind: type, row: str = "", unit: Unit | None = None, metric: str = "", **arguments: Any
 ) -> Any:
-    """Return the field of a dataclass of figures; the arguments are as of `figure`, for all."""
+    """Return the field of a dataclass of figures; the arguments apply to all of them."""
     described = _described(metric, row=row, unit=unit, **arguments)
     return field(default_factory=kind, metadata=described)
 
 
 def figures_of(kind: type, shared: Figure = Figure(), prefix: str = "") -> Iterator[Figure]:
-    """Yield the figures of a dataclass and of the tables in it, completed from their tables.
+    """Yield the figures of a dataclass and of its tables, with settings inherited from the table.
 
     Raises TypeError for a field without a figure.
     """
@@ -196,18 +218,18 @@ def _value_at(summary: Any, key: str) -> Any:
 
 
 class RowPart(NamedTuple):
-    """A figure in its row: its value, with its words in `text`; detail: what it is a share of."""
+    """A figure in its row: formatted value, value in its template, time it is a share of."""
 
     name: str
-    joint: str
+    separator: str
     value: str
     text: str
     detail: str = ""
-    lead: bool = False
+    prominent: bool = False
 
 
 class SummaryRow(NamedTuple):
-    """A row for people, with the parts that have a value; headline: in short, for a live page."""
+    """A row of the summary, with the parts that have a value; headline: short, for a live page."""
 
     name: str
     parts: tuple[RowPart, ...]
@@ -216,8 +238,8 @@ class SummaryRow(NamedTuple):
     @property
     def text(self) -> str:
         """All parts in one line."""
-        joined = (f"{part.joint}{part.text}{part.detail}" for part in self.parts)
-        return "".join(joined).removeprefix(self.parts[0].joint if self.parts else "")
+        joined = (f"{part.separator}{part.text}{part.detail}" for part in self.parts)
+        return "".join(joined).removeprefix(self.parts[0].separator if self.parts else "")
 
     @property
     def large(self) -> str:
@@ -235,7 +257,7 @@ class SummaryRow(NamedTuple):
 
     @property
     def _lead(self) -> RowPart:
-        return next((part for part in self.parts if part.lead), self.parts[0])
+        return next((part for part in self.parts if part.prominent), self.parts[0])
 
 
 class Registry:
@@ -280,7 +302,7 @@ def _parts(figure: Figure, summary: Mapping[str, Any]) -> tuple[RowPart, ...]:
         phrase = figure.phrase.show(figure.phrase.value(summary) or {})
         return (RowPart(figure.row, "", phrase, phrase),) if phrase else ()
     value = figure.value(summary)
-    if value is None or (value == 0 and not figure.zero):
+    if value is None or (value == 0 and not figure.show_zero):
         return ()
     if figure.show is not None:
         shown = figure.show(value)
@@ -293,12 +315,12 @@ def _parts(figure: Figure, summary: Mapping[str, Any]) -> tuple[RowPart, ...]:
     if shown is None:
         return ()
     detail = ""
-    if figure.of:
-        share = _value_at(summary, f"availability.{figure.of}")
+    if figure.share_of:
+        share = _value_at(summary, f"availability.{figure.share_of}")
         run = "" if share is None else f" ({100 * share:.1f} % of the run)"
-        detail = f" of the time {figure.of}{run}"
+        detail = f" of the time {figure.share_of}{run}"
     text = figure.text.replace("{}", shown)
-    return (RowPart(figure.name, figure.joint, shown, text, detail, figure.lead),)
+    return (RowPart(figure.name, figure.separator, shown, text, detail, figure.prominent),)
 
 
 def absent(reason: str, *surfaces: Surface, but: Surface | None = None) -> dict[Surface, str]:

@@ -102,7 +102,7 @@ class Summary:
         metric="within_jnd_ratio",
         row="within JND",
         unit=SHARE,
-        of="judged",
+        share_of="judged",
         absent=BY_THE_PAGE | FOR_24_LINES,
     )
     availability: Availability = table(

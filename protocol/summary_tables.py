@@ -52,20 +52,20 @@ class SampleCounts:
         "Samples in the buffer when their instant was played",
         "{} played",
         metric='samples_total{outcome="played"}',
-        joint=" = ",
-        lead=True,
+        separator=" = ",
+        prominent=True,
         help="Samples that have arrived.",
     )
     late: int | None = figure(
         "Samples that arrived after their instant was played",
         "{} late",
         metric='samples_total{outcome="late"}',
-        joint=" + ",
+        separator=" + ",
     )
     # Falls when a sample comes after all, so it is a gauge; so is the next one, which a frame out
     # of order may move.
     lost: int | None = figure(
-        "Samples that have not arrived", "{} lost", metric="samples_lost", joint=" + "
+        "Samples that have not arrived", "{} lost", metric="samples_lost", separator=" + "
     )
     before_joining: int | None = figure(
         "Samples sent before the display joined",
@@ -113,7 +113,7 @@ class Compensation:
         metric="predicted_ratio",
         row="concealed",
         unit=SHARE,
-        of="played",
+        share_of="played",
     )
     trusted: float | None = figure(
         "Share of the time played in which the predictor was trusted with all of the delay;"
@@ -121,7 +121,7 @@ class Compensation:
         metric="trusted_ratio",
         row="prediction trusted",
         unit=SHARE,
-        of="played",
+        share_of="played",
         absent=FOR_24_LINES | absent("Ticks are recorded with it one by one.", Surface.REPORT),
     )
 
@@ -164,7 +164,7 @@ class Clock:
         "How often a clock has jumped",
         metric="clock_steps_total",
         noun=("step", "steps"),
-        zero=False,
+        show_zero=False,
     )
 
 
@@ -259,7 +259,7 @@ class Loop:
         "Ticks that began a period late or more",
         metric="deadline_misses_total",
         noun=("deadline miss", "deadline misses"),
-        lead=True,
+        prominent=True,
     )
     tick_us: TickTime = table(
         TickTime, "tick cost", MICROSECONDS, "tick_seconds", absent=AT_THE_END | NOT_RECORDED
@@ -310,7 +310,7 @@ class FrameCounts:
         "Copies of frames over further paths",
         "{} copies over further paths",
         metric="frame_copies_total",
-        zero=False,
+        show_zero=False,
     )
     first: dict[str, int] = figure(
         "With several addresses: how many frames came first over each of them",
@@ -329,18 +329,18 @@ class Reconnections:
         "Connections for frames opened beside a silent one",
         "{} opened beside a silent connection",
         metric='reconnections_total{kind="second"}',
-        zero=False,
+        show_zero=False,
         help="Connections made while one was silent.",
     )
     kept: int | None = figure(
         "Of those, how many delivered first and took the silent one's place",
         "{} of them kept",
         metric='reconnections_total{kind="kept"}',
-        zero=False,
+        show_zero=False,
     )
     control: int | None = figure(
         "Connections for control messages made anew",
         "{} for control",
         metric='reconnections_total{kind="control"}',
-        zero=False,
+        show_zero=False,
     )

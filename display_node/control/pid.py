@@ -1,9 +1,9 @@
-"""PID with a filtered derivative and anti-windup, stable at any tick.
+"""PID with a filtered derivative and anti-windup, stable at any tick length.
 
-Backward Euler throughout, solved together with the actuator's own next step: the law acts on the
-error at the tick's end, which the actuator's model gives as a straight line in the output. So the
-paper's gains, which diverge at 1 kHz with a backward-difference derivative, are stable at every
-rate (decision 7).
+The law is integrated by backward Euler and solved together with the next step of the actuator: it
+uses the error at the end of the tick, which the actuator's model predicts as an affine function of
+the output. The paper's gains diverge at 1 kHz with a backward-difference derivative; here they are
+stable at every rate (decision 7).
 """
 
 import math
@@ -21,6 +21,8 @@ class Pid:
         Gains: output for each unit of the error, of its integral over s, of its slope per s.
     derivative_filter_hz
         Corner of the derivative's low-pass in Hz.
+    tick_s
+        Length of a tick in s.
     limit
         Greatest magnitude of the output.
     dead_band
@@ -47,49 +49,49 @@ class Pid:
         self._integral = 0.0
         self._derivative = 0.0
         self._last_error: float | None = None
-        # What nothing feeds is no state: it would be a pole at 1.
+        # A term whose gain is 0 is left out: it would add a pole at 1 to the linearised loop.
         derivative = ("_derivative", "_last_error") if kd else ()
         self.STATE: tuple[str, ...] = (*derivative, "_integral") if ki else derivative
 
     def step(
         self,
         error: float,
-        response: float = 0.0,
-        feed: float = 0.0,
-        least: float = -math.inf,
-        most: float = math.inf,
+        error_per_output: float = 0.0,
+        feed_forward: float = 0.0,
+        lower: float = -math.inf,
+        upper: float = math.inf,
     ) -> float:
         """Return the output to hold for a tick.
 
         Parameters
         ----------
         error
-            Error at the tick's end if the output is 0. No finite number gives −limit: retract.
-        response
-            Part of the error that an output of 1 takes away by then; 0 where it is not known,
-            which makes the law explicit.
-        feed
+            Error at the tick's end if the output is 0. NaN or infinity returns −limit, which
+            retracts the tip.
+        error_per_output
+            Decrease of that error per unit of output; 0, if unknown, makes the law explicit.
+        feed_forward
             Feed-forward, added to the output before the bounds.
-        least, most
+        lower, upper
             Bounds of this tick's output, besides the limit.
         """
         if not math.isfinite(error):
             return -self._limit
-        unfed = error - response * feed
+        unfed = error - error_per_output * feed_forward
         if -self._dead_band <= unfed <= self._dead_band:
-            error, unfed = response * feed, 0.0
+            error, unfed = error_per_output * feed_forward, 0.0
         last = error if self._last_error is None else self._last_error
         past = self._integral + self._keep * self._derivative - self._kd_tick * last
-        wanted = feed + (self._gain * unfed + past) / (1 + response * self._gain)
+        wanted = feed_forward + (self._gain * unfed + past) / (1 + error_per_output * self._gain)
         limit = self._limit
-        highest = limit if limit < most else most
-        lowest = -limit if -limit > least else least
+        highest = limit if limit < upper else upper
+        lowest = -limit if -limit > lower else lower
         if lowest <= wanted <= highest:
             output, free = wanted, True
         else:
             output = highest if wanted > highest else lowest
             free = (error > 0) != (wanted > output)
-        remaining = error - response * output
+        remaining = error - error_per_output * output
         if free:
             self._integral += self._ki_tick * remaining
         if self._kd_tick:

@@ -15,7 +15,7 @@ class SecondOrderScene(Section):
     """The `actuator` table of kind "second_order"; defaults are the paper's Table 4.
 
     The paper gives m in kg, c in N·s/m and k in N/m; with a force as output these cannot be
-    its units, so they are plain numbers here. voltage_limit: none in the paper.
+    its units, so they are plain numbers here. `voltage_limit` is not from the paper.
     """
 
     kind: Literal["second_order"]
@@ -26,7 +26,7 @@ class SecondOrderScene(Section):
 
 
 class SecondOrder:
-    """Eq 22 from tick to tick, under a voltage that is held for each.
+    """Eq 22 from tick to tick, with the voltage held constant during each tick.
 
     Attributes
     ----------

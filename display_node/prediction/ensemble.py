@@ -162,7 +162,7 @@ class Ensemble:
 
     def work(self) -> None:
         """Do the next piece of the work that waits, or two after a burst; once a tick."""
-        fresh = self._grid.fresh
+        fresh = self._grid.new_cells
         with np.errstate(all="ignore"):
             # Samples that were held up come in a burst: it is caught up with in double time.
             hurry = 2 if len(fresh) > 1 else 1
@@ -208,10 +208,10 @@ class Ensemble:
         self._push(cell.value)
         self._number = cell.number
         # Late samples' cells replace what had been guessed.
-        for late in self._grid.late:
+        for late in self._grid.corrections:
             mended = (late.value - self._level) / self._scale
             history.rewrite(self._number - late.number, mended)
-        self._grid.late.clear()
+        self._grid.corrections.clear()
         first, *others = self._experts
         first.observe(history)
         yield

@@ -1,7 +1,7 @@
 """The regular grid of 5 ms on which the pulse is predicted, and the history of its newest values.
 
-A cell's mean is that of the samples joined by straight lines: at high rates it averages the
-noise and what would alias, at low rates and over short gaps it interpolates.
+A cell's value is the mean over 5 ms of the piecewise-linear curve through the samples. At high
+rates this averages noise and aliasing; at low rates, and over short gaps, it interpolates.
 """
 
 from bisect import bisect_left, bisect_right, insort
@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 STEP_NS = 5_000_000
-# Further apart, nothing is known between two samples; the cells after them follow directly.
+# Over a longer gap nothing is interpolated; the numbers of the cells continue without a gap.
 MAX_GAP_NS = 100_000_000
 KEEP_NS = 1_000_000_000
 
 
 class GridCell(NamedTuple):
-    """A cell's number from 0, its end and its mean."""
+    """Number of a cell from 0, time of its end, and mean of the signal in it."""
 
     number: int
     end_ns: int
@@ -30,10 +30,10 @@ class Grid:
 
     Attributes
     ----------
-    fresh
+    new_cells
         Cells that are complete and not taken yet.
-    late
-        Corrections of older ones.
+    corrections
+        Recomputed values of cells that were taken before.
     """
 
     def __init__(self) -> None:
@@ -41,11 +41,11 @@ class Grid:
         self._first_ns = self._first_number = 0
         self._end_ns: int | None = None
         self._count = 0
-        self.fresh: deque[GridCell] = deque()
-        self.late: list[GridCell] = []
+        self.new_cells: deque[GridCell] = deque()
+        self.corrections: list[GridCell] = []
 
     def observe(self, times_ns: list[int], values: list[float]) -> None:
-        """Take samples that have newly arrived, in order among themselves; none of them twice."""
+        """Take new samples, in order of time within the call; never the same sample twice."""
         samples = self._samples
         if self._end_ns is None:
             self._begin(times_ns[-1])
@@ -62,21 +62,21 @@ class Grid:
             del samples[: bisect_left(samples, (samples[-1][0] - KEEP_NS,))]
 
     def _begin(self, end_ns: int) -> None:
-        # Cells end with a frame, so that the newest is complete as soon as its frame is here.
+        # Cells end where frames end, so that a cell is complete when its frame arrives.
         self._first_ns = self._end_ns = end_ns
         self._first_number = self._count
 
     def _complete(self) -> None:
-        """Add the cells that the newest sample completes to `fresh`."""
+        """Add the cells that the newest sample completes to `new_cells`."""
         end_ns = (self._end_ns or 0) + STEP_NS
         while end_ns <= self._samples[-1][0]:
-            self.fresh.append(GridCell(self._count, end_ns, self._mean(end_ns)))
+            self.new_cells.append(GridCell(self._count, end_ns, self._mean(end_ns)))
             self._end_ns = end_ns
             self._count += 1
             end_ns += STEP_NS
 
     def _insert(self, times_ns: list[int], values: list[float]) -> None:
-        """Put late samples in their place and correct the cells that had been guessed."""
+        """Insert late samples and recompute the cells that were interpolated without them."""
         samples = self._samples
         if times_ns[0] < samples[0][0]:
             return
@@ -91,25 +91,25 @@ class Grid:
             if end_ns - STEP_NS < samples[0][0]:
                 continue
             cell = GridCell(self._first_number + position, end_ns, self._mean(end_ns))
-            waiting = len(self.fresh) - (self._count - cell.number)
+            waiting = len(self.new_cells) - (self._count - cell.number)
             if waiting < 0:
-                self.late.append(cell)
+                self.corrections.append(cell)
             else:
-                self.fresh[waiting] = cell
+                self.new_cells[waiting] = cell
         self._complete()
 
     def _mean(self, end_ns: int) -> float:
         samples, start_ns = self._samples, end_ns - STEP_NS
         first, last = bisect_right(samples, (start_ns + 1,)), bisect_left(samples, (end_ns,))
         inner = samples[first:last]
-        t_ns, value = start_ns, self._between(first, start_ns)
+        t_ns, value = start_ns, self._interpolate(first, start_ns)
         area = 0.0
-        for next_ns, next_value in [*inner, (end_ns, self._between(last, end_ns))]:
+        for next_ns, next_value in [*inner, (end_ns, self._interpolate(last, end_ns))]:
             area += (next_ns - t_ns) * 0.5 * (value + next_value)
             t_ns, value = next_ns, next_value
         return area / STEP_NS
 
-    def _between(self, position: int, t_ns: int) -> float:
+    def _interpolate(self, position: int, t_ns: int) -> float:
         """Return the value at a time between the samples before `position` and at it."""
         after_ns, after = self._samples[min(position, len(self._samples) - 1)]
         before_ns, before = self._samples[max(position - 1, 0)]
@@ -119,7 +119,7 @@ class Grid:
 
 
 class History:
-    """The last `capacity` values, in single precision; zeros stand before the first."""
+    """The last `capacity` values in single precision; filled with zeros at the start."""
 
     def __init__(self, capacity: int) -> None:
         self._capacity = capacity
@@ -148,5 +148,5 @@ class History:
             self._values[self._end - 1 - age] = value
 
     def last(self, count: int) -> NDArray[np.float32]:
-        """Return the newest `count` values, at most `capacity`; a view, until the next push."""
+        """Return a view of the newest `count` values (at most `capacity`), valid until a push."""
         return self._values[self._end - count : self._end]

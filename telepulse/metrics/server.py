@@ -92,7 +92,7 @@ def families(
         help_text = help_texts.setdefault(figure.metric, figure.help or figure.meaning)
         for labels, value in _samples(figure, status.summary):
             name = PREFIX + figure.metric
-            metric = found.setdefault(name, Metric(name, help_text, figure.kind))
+            metric = found.setdefault(name, Metric(name, help_text, figure.metric_type))
             metric.add_sample(name + ("_total" if figure.counter else ""), labels, value)
     yield from found.values()
 

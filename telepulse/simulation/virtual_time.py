@@ -1,7 +1,7 @@
 """Both nodes and the link between them in virtual time: the same modules, no sockets, no sleep.
 
-source → frames → wire bytes → link → display, one event after the other. Ticked by a real clock,
-a simulation is a display in real time whose link is the model's.
+source → frames → wire bytes → link → display, one event after the other. With ticks from a real
+clock, a simulation runs a display in real time over the modelled link.
 """
 
 import heapq
@@ -27,14 +27,14 @@ from sensing_node.sources.synthetic import SyntheticScene
 from telepulse.scene import Scene
 from telepulse.simulation.link_model import MessageLink
 
-# The sensing clock of a simulation runs this far ahead: a confusion of the clocks shows.
+# The sensing clock of a simulation runs this far ahead, so that mixed-up clocks are obvious.
 SENSING_CLOCK_AHEAD_NS = 3_600_000_000_000
 STREAM_BEGINS_NS = 500_000_000
 SENDER = (b"simulated display",)
 DRAIN_LIMIT_NS = 15_000_000_000
 
-Event = Callable[[bytes, int], None]
-"""An action on some bytes, given a time."""
+Handler = Callable[[bytes, int], None]
+"""Handler of a message's bytes at a time in ns."""
 
 
 class ReferenceForce:
@@ -74,7 +74,8 @@ class ReferenceForce:
 class Simulation:
     """One run of a scene in virtual time; the same scene and seed give the same summary.
 
-    begin_ns: the display's clock at the beginning of the link. hardware: the real bench to play on.
+    begin_ns: time of the display's clock at which the simulation starts. hardware: a real bench to
+    play on.
 
     Raises SceneError for a force loop that is not stable. Raises SourceError for a source that
     cannot be built.
@@ -103,7 +104,7 @@ class Simulation:
         self._tracking_error = TrackingError(scene.display.layer.layer().strain_per_newton)
         self._down = MessageLink(scene.link, seed, begin_ns)
         self._up = MessageLink(scene.link, seed + 1, begin_ns)
-        self._events: list[tuple[int, int, Event, bytes]] = []
+        self._events: list[tuple[int, int, Handler, bytes]] = []
         self._order = itertools.count()
 
     def run(
@@ -112,7 +113,7 @@ class Simulation:
         settle_seconds: float = 0.0,
         watch: Callable[[TickState], None] | None = None,
     ) -> Summary:
-        """Simulate `seconds` of stream and its playing to the end.
+        """Simulate `seconds` of stream, until its last sample is played.
 
         Ticks before the stream is `settle_seconds` old are not scored. `watch` receives every
         scored tick until the stream ends.
@@ -149,7 +150,7 @@ class Simulation:
             true_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS - age_ns
             self._tracking_error.add_output(true_now_ns, state.instant_ns - age_ns, state.felt_n)
         for message in self.display.requests(now_ns):
-            self._post(self._up, now_ns, self._answer, message)
+            self._send(self._up, now_ns, self._answer, message)
         return state
 
     def end(self) -> Summary:
@@ -161,7 +162,7 @@ class Simulation:
         limited = replace(display.limited, adc=limits_of(self._source).adc)
         clock = display.clock
         if clock.offset_ms is not None:
-            # The simulation's own offset between the clocks is known; the rest is the error.
+            # The true offset is known: report the error of the estimate.
             offset_ms = clock.offset_ms - SENSING_CLOCK_AHEAD_NS * 1e-6
             clock = replace(clock, offset_ms=offset_ms)
         summary = replace(display, clock=clock, limited=limited, faults=faults)
@@ -178,7 +179,7 @@ class Simulation:
         return self._down.lost_data
 
     def _schedule_batch(self, last_ns: int) -> None:
-        """Schedule the next batch, the last one short; after the last, a bye."""
+        """Schedule the next batch, which may be short at the end; after the last, a bye."""
 
         def sense(_: bytes, now_ns: int) -> None:
             block = self._paced.read(now_ns + SENSING_CLOCK_AHEAD_NS)
@@ -198,7 +199,7 @@ class Simulation:
         ahead_ns = SENSING_CLOCK_AHEAD_NS
         if self._paced.exhausted or self._paced.due_ns(1) - ahead_ns > last_ns:
             bye = Bye(self._session, self._framer.samples_sent)
-            self._post(self._down, last_ns, self.display.on_control, bye)
+            self._send(self._down, last_ns, self.display.on_control, bye)
             return
         due_ns = min(self._paced.due_ns(self._description.batch) - ahead_ns, last_ns)
         self._schedule(due_ns, sense, b"")
@@ -207,13 +208,13 @@ class Simulation:
         sensing_now_ns = now_ns + SENSING_CLOCK_AHEAD_NS
         reply = self._control_server.answer(SENDER, data, sensing_now_ns, self._framer.samples_sent)
         if reply is not None:
-            self._post(self._down, now_ns, self.display.on_control, reply)
+            self._send(self._down, now_ns, self.display.on_control, reply)
 
-    def _post(self, link: MessageLink, now_ns: int, deliver: Event, message: Control) -> None:
+    def _send(self, link: MessageLink, now_ns: int, deliver: Handler, message: Control) -> None:
         data = encode_control(message)
         self._schedule(link.control_arrival_ns(now_ns, len(data)), deliver, data)
 
-    def _schedule(self, at_ns: int, event: Event, data: bytes) -> None:
+    def _schedule(self, at_ns: int, event: Handler, data: bytes) -> None:
         heapq.heappush(self._events, (at_ns, next(self._order), event, data))
 
 

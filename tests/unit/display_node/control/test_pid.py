@@ -75,7 +75,7 @@ def test_a_saturating_feed_does_not_keep_the_integral_from_unloading() -> None:
     for _ in range(9):
         under_test.step(1.0)
     for _ in range(5):
-        assert under_test.step(-1.0, feed=10.0) == 1.0
+        assert under_test.step(-1.0, feed_forward=10.0) == 1.0
     assert under_test.step(0.0) == pytest.approx(0.4)
 
 
@@ -96,8 +96,8 @@ def test_the_derivative_is_filtered_at_its_corner() -> None:
 
 
 def test_feed_forward_is_added_before_the_limit() -> None:
-    assert pid(kp=2).step(0.1, feed=3.0) == pytest.approx(3.2)
-    assert pid(limit=1.0, kp=2).step(0.1, feed=3.0) == 1.0
+    assert pid(kp=2).step(0.1, feed_forward=3.0) == pytest.approx(3.2)
+    assert pid(limit=1.0, kp=2).step(0.1, feed_forward=3.0) == 1.0
 
 
 @settings(deadline=None)
@@ -181,7 +181,7 @@ def test_an_error_that_is_no_number_retracts_and_leaves_no_trace(response: float
     assert under_test.step(math.nan, response) == -1e4
     for error in errors:
         assert under_test.step(error, response) == undisturbed.step(error, response)
-        assert under_test.step(math.nan, response, feed=3.0) == -1e4
+        assert under_test.step(math.nan, response, feed_forward=3.0) == -1e4
 
 
 PAPERS_SIMULATION = {"kp": 13, "ki": 0.85, "kd": 0.5}
@@ -235,6 +235,8 @@ def test_an_error_within_the_dead_band_is_none(response: float) -> None:
 def test_the_dead_band_leaves_the_feed_alone() -> None:
     under_test = pid(kp=100, dead_band=0.01)
     # What is fed makes an error of 2 within the tick and answers it: nothing is left over.
-    assert under_test.step(2.0, response=1e-3, feed=2000.0) == pytest.approx(2000.0)
-    assert under_test.step(2.005, response=1e-3, feed=2000.0) == pytest.approx(2000.0)
-    assert under_test.step(2.5, response=1e-3, feed=2000.0) > 2000.0
+    assert under_test.step(2.0, error_per_output=1e-3, feed_forward=2000.0) == pytest.approx(2000.0)
+    assert under_test.step(2.005, error_per_output=1e-3, feed_forward=2000.0) == pytest.approx(
+        2000.0
+    )
+    assert under_test.step(2.5, error_per_output=1e-3, feed_forward=2000.0) > 2000.0

@@ -7,8 +7,8 @@ from tests.support.pulse_signals import BEAT_S, MS, T0_NS, Floats, beats, expert
 
 
 def cells(grid: Grid) -> list[GridCell]:
-    taken = list(grid.fresh)
-    grid.fresh.clear()
+    taken = list(grid.new_cells)
+    grid.new_cells.clear()
     return taken
 
 
@@ -65,7 +65,9 @@ def test_what_was_guessed_is_corrected_by_late_samples() -> None:
     assert guessed != expected
     for times_ns in (frames[21], frames[20]):
         late.observe(times_ns, [bump(t_ns) for t_ns in times_ns])
-    mended = {cell.number: cell for cell in guessed} | {cell.number: cell for cell in late.late}
+    mended = {cell.number: cell for cell in guessed} | {
+        cell.number: cell for cell in late.corrections
+    }
     assert list(mended.values()) == expected
 
 
@@ -74,7 +76,7 @@ def test_a_late_sample_corrects_a_cell_that_still_waits() -> None:
     for first in (0, 5, 15):
         grid.observe([T0_NS + (first + number) * MS for number in range(5)], [0.0] * 5)
     grid.observe([T0_NS + (10 + number) * MS for number in range(5)], [1.0] * 5)
-    assert grid.late == []
+    assert grid.corrections == []
     assert [cell.value for cell in cells(grid)] == pytest.approx([0.1, 0.9, 0.0], abs=0.11)
 
 
@@ -93,7 +95,7 @@ def test_samples_from_before_all_that_is_kept_change_nothing() -> None:
     cells(grid)
     grid.observe([T0_NS - 30 * MS], [99.0])
     assert cells(grid) == []
-    assert grid.late == []
+    assert grid.corrections == []
 
 
 T_S = np.arange(6_000) * 0.005
