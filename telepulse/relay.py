@@ -30,7 +30,7 @@ _SUBSCRIBED = b"\1"
 STATISTICS = struct.Struct("=Q")
 # The proxy answers at once, unless the machine gives its thread no time.
 ANSWER_MS = 5_000
-# Interval at which the length of a frame is read from one of the frames.
+# Interval between decoded frames, from which the duration of a frame is taken.
 READ_EVERY_NS = 100_000_000
 # Timeout of a stream whose frames have an unknown length, and the longest of any stream.
 MAX_SILENT_NS = 10_000_000_000
@@ -43,7 +43,7 @@ _numbers = itertools.count()
 class Proxy:
     """ZeroMQ's own proxy between a socket for displays and one to the sensing node, in a thread.
 
-    While the proxy runs, the sockets belong to its thread; stopped, they are the caller's again.
+    While the proxy runs, the sockets belong to its thread; after `stop` the caller may use them.
 
     requests, received: message parts passed to the sensing node and from it, over all runs.
     received_bytes: bytes from the sensing node. dropped: messages dropped because the queue to the
@@ -53,7 +53,7 @@ class Proxy:
     def __init__(
         self, context: sockets.Context, displays: sockets.Socket, sensing: sockets.Socket
     ) -> None:
-        # A socket that waited for room would hold up the thread for good.
+        # Without a timeout, a full queue would block the proxy's thread forever.
         sensing.setsockopt(zmq.SNDTIMEO, 0)
         self._context, self.displays, self.sensing = context, displays, sensing
         self.requests = self.received = self.received_bytes = self.dropped = 0
@@ -121,8 +121,8 @@ class Proxy:
 class FrameForwarder:
     """Passes frames on from a data path to a bound XPUB socket.
 
-    The path is subscribed to while at least one display is. Like a display, it judges the path by
-    its silence: a second connection is opened beside a silent one.
+    The relay subscribes to the path while at least one display is subscribed. Like a display, it
+    opens a second connection beside a silent one.
 
     received, received_bytes: frames received; copies over two connections count once.
     """
@@ -163,37 +163,37 @@ class FrameForwarder:
                 self._set_timeout(len(read.values) * read.period_ns)
         self._path.take_received(now_ns)
 
-    def connect(self, now_ns: int, found: str | None) -> None:
+    def connect(self, now_ns: int, address: str | None) -> None:
         """Connect the path where needed; call it often.
 
-        found: the sensing node's address, where a look-up has just ended.
+        address: the sensing node's address, if a look-up has just ended.
         """
         if self._subscribed or self._path.first.address is None:
-            self._path.poll(now_ns, found)
+            self._path.poll(now_ns, address)
 
     def _set_timeout(self, frame_ns: int) -> None:
         longest_ns = MAX_SILENT_NS // PATIENCE_FRAMES
         self._path.failover.set_timeouts(min(frame_ns, longest_ns), ANSWER_NS)
 
 
-class SilenceDetector:
+class UnansweredDetector:
     """Detects a dead connection from the counts of requests and of received messages. Pure.
 
-    timeout_ns: longest time from a request to the next received message. once_received: report
-    nothing of a connection on which nothing has been received yet.
+    timeout_ns: longest time from a request to the next received message. after_first_message:
+    report nothing before a first message was received.
     """
 
-    def __init__(self, timeout_ns: int, once_received: bool = False) -> None:
+    def __init__(self, timeout_ns: int, after_first_message: bool = False) -> None:
         self._timeout_ns = timeout_ns
-        self._once_received = once_received
-        self._armed = not once_received
+        self._after_first_message = after_first_message
+        self._armed = not after_first_message
         self._requests = self._received = 0
         self._since_ns: int | None = None
 
     def is_silent(self, now_ns: int, requests: int, received: int) -> bool:
         """Return True where a request has had no answer for longer than the timeout.
 
-        Without requests, as without displays, nothing need be received.
+        If there are no requests, silence is not a fault.
         """
         if received != self._received:
             self._since_ns = None
@@ -206,9 +206,9 @@ class SilenceDetector:
         return now_ns - self._since_ns >= self._timeout_ns
 
     def restart(self) -> None:
-        """Begin the timeout anew: the connection is new."""
+        """Restart the timeout for a new connection."""
         self._since_ns = None
-        self._armed = not self._once_received
+        self._armed = not self._after_first_message
 
 
 class Relay:
@@ -219,7 +219,7 @@ class Relay:
     sensing node.
 
     connect, bind: address of the sensing node, and the address for displays. client_keys: keys
-    towards the sensing node. server_keys: keys towards displays, with those that may connect.
+    towards the sensing node. server_keys: keys towards displays, with the allow-list.
 
     Raises AddressError or KeyFileError.
     """
@@ -248,9 +248,9 @@ class Relay:
         self._frames = FrameForwarder(data_out, self._path, budget)
         control_out = sockets.bind(context, zmq.ROUTER, control, self._authenticator)
         self._control = Proxy(context, control_out, control_in)
-        # The first judges both connections together, the second control alone.
-        self._cut = SilenceDetector(CUT_NS, once_received=True)
-        self._unanswered = SilenceDetector(PATIENCE_NS)
+        # `_cut` watches data and control together, `_unanswered` control alone.
+        self._cut = UnansweredDetector(CUT_NS, after_first_message=True)
+        self._unanswered = UnansweredDetector(PATIENCE_NS)
         self._lookup = Lookup(connect)
         self._address: str | None = None
         self._next_check_ns = 0
@@ -288,39 +288,38 @@ class Relay:
             line.take_answer(answered)
         self._authenticator.poll(now_ns)
         # `running` is read first: the result of a look-up that ends in between is taken next time.
-        looking, found = self._lookup.running, self._lookup.take()
-        if found is not None:
-            self._connect_control(found)
-        self._frames.connect(now_ns, found)
+        looking, address = self._lookup.running, self._lookup.take()
+        if address is not None:
+            self._connect_control(address)
+        self._frames.connect(now_ns, address)
         if now_ns < self._next_check_ns:
             return
         self._next_check_ns = now_ns + CHECK_EVERY_NS
         self._control.update_counts()
         requests, answers = self._control.requests, self._control.received
-        # A display that asks for the clock wants frames as well.
+        # Displays that send clock requests expect frames as well, so data counts as an answer.
         cut = self._cut.is_silent(now_ns, requests, answers + self._frames.received)
         unanswered = self._unanswered.is_silent(now_ns, requests, answers)
         if cut:
             self._path.failover.give_up()
         wanted = self._address is None or cut or unanswered
-        if wanted and not looking and found is None:
+        if wanted and not looking and address is None:
             self._lookup.start()
 
     def _connect_control(self, address: str) -> None:
         """Connect control to `address`, and drop what is queued for the old connection.
 
-        Where no frames came on it either, the data path is given up as well.
+        If no frames arrived since the last reconnection, the data path is dropped too.
         """
         if self._address is not None:
             self._reconnections += 1
             if self._reconnections == 1:
-                logger.warning(f"{self._connect} is silent; connecting anew, as often as it is")
+                logger.warning(f"{self._connect} is silent; reconnecting until it answers")
             if self._frames.received == self._received_before:
                 self._path.failover.give_up()
         self._received_before = self._frames.received
-        # The kernel repeats a request to connect after 1 s, which is late where a cut has ended
-        # meanwhile. A path may take longer than the short timeout, so that every other attempt
-        # goes without.
+        # The kernel retries a connection only after 1 s, too late where a cut has ended, so a
+        # short timeout is set. A slow path needs longer: every second attempt has no timeout.
         answer_ns = ANSWER_NS if self._reconnections % 2 else 0
         self._control.stop()
         before, control = self._address, sockets.control_address

@@ -1,23 +1,23 @@
-from telepulse.relay import SilenceDetector
+from telepulse.relay import UnansweredDetector
 
 S = 1_000_000_000
 TIMEOUT_NS = 2 * S
 
 
 def test_without_requests_silence_is_no_fault() -> None:
-    silence = SilenceDetector(TIMEOUT_NS)
+    silence = UnansweredDetector(TIMEOUT_NS)
     assert not any(silence.is_silent(t * S, requests=0, received=0) for t in range(100))
 
 
 def test_a_request_without_an_answer_within_the_timeout_is_silence() -> None:
-    silence = SilenceDetector(TIMEOUT_NS)
+    silence = UnansweredDetector(TIMEOUT_NS)
     assert not silence.is_silent(5 * S, requests=1, received=0)
     assert not silence.is_silent(7 * S - 1, requests=9, received=0)
     assert silence.is_silent(7 * S, requests=9, received=0)
 
 
 def test_an_answer_ends_the_timeout_until_the_next_request() -> None:
-    silence = SilenceDetector(TIMEOUT_NS)
+    silence = UnansweredDetector(TIMEOUT_NS)
     silence.is_silent(0, requests=1, received=0)
     assert not silence.is_silent(S, requests=1, received=1)
     assert not silence.is_silent(50 * S, requests=1, received=1)
@@ -26,7 +26,7 @@ def test_an_answer_ends_the_timeout_until_the_next_request() -> None:
 
 
 def test_a_new_connection_has_the_whole_timeout() -> None:
-    silence = SilenceDetector(TIMEOUT_NS)
+    silence = UnansweredDetector(TIMEOUT_NS)
     silence.is_silent(0, requests=1, received=0)
     assert silence.is_silent(2 * S, requests=2, received=0)
     silence.restart()
@@ -36,7 +36,7 @@ def test_a_new_connection_has_the_whole_timeout() -> None:
 
 
 def test_a_cut_is_reported_only_after_something_was_received() -> None:
-    cut = SilenceDetector(TIMEOUT_NS, once_received=True)
+    cut = UnansweredDetector(TIMEOUT_NS, after_first_message=True)
     assert not any(cut.is_silent(t * S, requests=t, received=0) for t in range(9))
     cut.is_silent(9 * S, requests=9, received=1)
     assert not cut.is_silent(10 * S, requests=10, received=1)
