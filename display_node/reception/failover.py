@@ -7,7 +7,7 @@ silent one (as RFC 8305 does with addresses), both are read, and one is closed a
 has all that it could still bring. `Failover` decides and is pure; `DataPath` has the sockets.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from enum import Enum
 
 import zmq
@@ -225,7 +225,10 @@ class DataPath:
     def messages(self) -> Iterator[bytes]:
         """Yield the messages that wait; of those that both connections bring, one copy."""
         if not self.failover.racing:
-            yield from self.first.messages()
+            # The connection that was kept may still deliver what the other one brought before.
+            for message in self.first.messages():
+                if not self._before or hash(message) not in self._before:
+                    yield message
             return
         for line, own, other in (
             (self.first, self._of_first, self._of_second),
@@ -275,7 +278,7 @@ class DataPath:
             self.first, self._second = second, first
         if keep is not None:
             self._second.disconnect()
-            self._forget()
+            self._forget(self._before | self._of_first | self._of_second)
         return from_first + from_second > 0
 
     def poll(self, now_ns: int, found: str | None) -> bool:
@@ -321,9 +324,9 @@ class DataPath:
         self._forget()
         return sum(line.close(until_ns) for line in self.lines)
 
-    def _forget(self) -> None:
-        """Begin a race with nothing known of either connection's messages."""
+    def _forget(self, before: Iterable[int] = ()) -> None:
+        """Forget which connection has brought what; `before` are hashes of messages to drop."""
         self._of_first: set[int] = set()
         self._of_second: set[int] = set()
-        self._before: set[int] = set()
+        self._before = set(before)
         self._had: set[Endpoint] = set()

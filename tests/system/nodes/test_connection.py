@@ -381,3 +381,27 @@ def test_a_system_without_a_free_thread_ends_no_loop(
             assert not lookup.running
     assert len(logged) == 1
     assert looked_up(lookup) == "tcp://127.0.0.1:5555"
+
+
+def test_what_the_closed_connection_had_brought_is_dropped_from_the_kept_one(
+    context: Context, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = DataPath(context, None)
+    first, second = path.lines
+
+    def receive(from_first: list[bytes], from_second: list[bytes]) -> list[bytes]:
+        for line, messages in ((first, from_first), (second, from_second)):
+            monkeypatch.setattr(line, "messages", lambda brought=messages: iter(brought))
+            monkeypatch.setattr(line, "received", lambda _, brought=messages: len(brought))
+        received = list(path.messages())
+        path.take_received(0)
+        return received
+
+    path.failover.racing = True
+    assert receive([], [b"5"]) == [b"5"]
+    # The first has caught up with the second and is closed, some frames ahead by now.
+    assert receive([b"4", b"5", b"6", b"7"], []) == [b"4", b"6", b"7"]
+    assert not path.failover.racing
+    assert path.first is second
+    assert receive([], [b"6", b"7", b"8"]) == [b"8"]
+    path.close(0)
