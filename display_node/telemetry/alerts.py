@@ -1,4 +1,4 @@
-"""Alerts for the person at a display, from a status alone, and the age of that status.
+"""Alerts for the person at a display, computed from one status message, and the age of that status.
 
 Terminal, page and metrics share them. Pure.
 """
@@ -10,46 +10,56 @@ from display_node.fault_advice import FILM_NOTE, SENSING_NOTE, advise, latched
 from display_node.scoring.deadlines import deadline_alarm
 from protocol.errors import CAUSE_MEANINGS, explain_causes
 from protocol.security.socket_monitor import (
-    BREAKS,
     HANDSHAKE,
     NO_KEY,
     NOT_AUTHENTIC,
     REFUSED_KEY,
+    REPEATED_BREAKS,
     REPLAYED,
     REVOKED,
 )
 
-# Without telemetry for so long a display is taken for silent.
+# A display without telemetry for this long counts as silent.
 SILENT_AFTER_NS = 2_000_000_000
 NOT_CONNECTED, STIFFNESS = "not connected", "finger's stiffness"
-# Of the scene's fingertip: people's fingers are within 0.3 to 3, and the estimate within 10 %.
+# Ratios to the scene's fingertip stiffness. Human fingers are 0.3 to 3 times, the estimate is
+# within 10 %, so a ratio beyond these bounds is not a finger's.
 LEAST_STIFFNESS, MOST_STIFFNESS = 0.25, 4.0
-# Counts from which a link is taken for refused; a node that ends breaks off, too.
-CONNECTION_CAUSES = {REFUSED_KEY: 1, NO_KEY: 1, NOT_AUTHENTIC: 1, REPLAYED: 1, HANDSHAKE: BREAKS}
+# Counts from which a link counts as refused; HANDSHAKE needs several, since a node that shuts down
+# also breaks the handshake.
+CONNECTION_CAUSES = {
+    REFUSED_KEY: 1,
+    NO_KEY: 1,
+    NOT_AUTHENTIC: 1,
+    REPLAYED: 1,
+    HANDSHAKE: REPEATED_BREAKS,
+}
 
 
 class Alert(NamedTuple):
-    """name stays the same as long as the alert lasts; text may count."""
+    """`name` stays the same as long as the alert lasts; `text` may change, e.g. a counter in it."""
 
     name: str
     text: str
 
 
 def alerts(
-    state: str, summary: Mapping[str, Any], final: bool = False, silent_ns: int = 0
+    state: str, summary: Mapping[str, Any], is_last_status: bool = False, silent_ns: int = 0
 ) -> list[Alert]:
-    """Return what is wrong by a status.
+    """Return the alerts for a status.
 
     Parameters
     ----------
-    state, summary, final
-        Of the status. After the last one only what is latched is wrong still.
+    state, summary
+        Fields of the status.
+    is_last_status
+        True for the last status; then only latched faults are reported.
     silent_ns
-        For how long nothing came from the display, in ns. After 2 s nothing that may have changed
-        meanwhile is claimed any more.
+        Time without telemetry from the display, in ns. After 2 s without telemetry, only latched
+        faults and the silence are reported.
     """
     faults, rejected = summary.get("faults", []), summary.get("rejected", {})
-    silent = silent_ns > SILENT_AFTER_NS and not final
+    silent = silent_ns > SILENT_AFTER_NS and not is_last_status
     finger = "" if silent else finger_note(summary)
     found = [Alert(f"fault: {fault}", f"{advise(fault)}{finger}") for fault in latched(faults)]
     if silent:
@@ -57,7 +67,7 @@ def alerts(
         before = f", before that: {known}" if known else ""
         text = f"since {silent_ns * 1e-9:.0f} s; finger: unknown{before}"
         return [*found, Alert("no telemetry", text)]
-    if final:
+    if is_last_status:
         return found
     for prefix in (FILM_NOTE, SENSING_NOTE):
         notes = [fault.removeprefix(prefix) for fault in faults if fault.startswith(prefix)]
@@ -81,16 +91,18 @@ def alerts(
             Alert(
                 STIFFNESS,
                 f"{stiffness:.2f} times the scene's fingertip, implausible for a finger: the film"
-                f" reads too {film} (telepulse calibrate) or the motor goes {motor} than it counts"
-                " (telepulse bench)",
+                f" reads too {film} (telepulse calibrate) or the motor moves {motor} than its step"
+                " count says (telepulse bench)",
             )
         )
-    late = deadline_alarm(summary.get("loop", {}))
-    return found if late is None else [*found, Alert("deadline misses", late)]
+    deadline_text = deadline_alarm(summary.get("loop", {}))
+    if deadline_text is not None:
+        found.append(Alert("deadline misses", deadline_text))
+    return found
 
 
 def finger_note(summary: Mapping[str, Any]) -> str:
-    """Return the display's sentence about the finger as an addition; empty where it has none."""
+    """Return "; finger: …", or an empty string where the display reports nothing about it."""
     finger = summary.get("finger")
     return f"; finger: {finger}" if finger else ""
 

@@ -27,8 +27,8 @@ _EVENT = struct.Struct("=HI")
 MAX_EVENTS = 200
 _numbers = itertools.count()
 POLL_EVERY_NS = 10_000_000
-# A node that ends breaks off, too; repeated breaks have another reason.
-BREAKS = 3
+# A node that shuts down also breaks the handshake; repeated breaks have another reason.
+REPEATED_BREAKS = 3
 _HANDSHAKE_EVENTS = (
     zmq.EVENT_CONNECTED | zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_HANDSHAKE_FAILED_AUTH | FAILURES
 )
@@ -122,7 +122,7 @@ class HandshakeMonitor:
         self.rejected[cause] += 1
         if cause == HANDSHAKE:
             self._breaks[host] += 1
-            if self._breaks[host] < BREAKS:
+            if self._breaks[host] < REPEATED_BREAKS:
                 return
         if (cause, host) not in self._reported:
             self._reported.add((cause, host))
