@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.measure import show, time_call
 from protocol.config.scene import validate
 from protocol.host.child_process import ChildProcess
-from pulse_sensors.samples import Placement
+from pulse_sensors.samples import Timestamper
 from pulse_sensors.serial_port import SerialScene
 from sensing_node.sources.synthetic import SyntheticScene, SyntheticSource
 from telepulse.emulators.sensor_board import (
@@ -72,24 +72,24 @@ def main() -> None:
 def times(kind: Kind) -> tuple[str, ...]:
     """Return the standard deviation of the times before and after, and their error."""
     board, scene = _board(kind, 0, SKEW), validate(TABLE | kind.keys, SerialScene, "benchmark")
-    decoder, placement = scene.decoder(), Placement(scene)
+    decoder, timestamper = scene.decoder(), Timestamper(scene)
     decoder.feed(b"\0" if kind.name == "binary" else b"\n")
-    placed, arrivals_ns = [], []
+    timestamped, arrivals_ns = [], []
     while (now_ns := board.next_delivery_ns) < SECONDS * 1_000_000_000:
         for block in decoder.feed(board.deliver(now_ns)):
-            reading = placement.place(block, now_ns)
+            reading = timestamper.timestamp(block, now_ns)
             assert reading is not None
-            placed.append(reading)
+            timestamped.append(reading)
             arrivals_ns.append(now_ns)
-    ends = accumulate(len(reading.force_n) + reading.missing for reading in placed)
-    numbers = [end - len(reading.force_n) for end, reading in zip(ends, placed, strict=True)]
+    ends = accumulate(len(reading.force_n) + reading.missing for reading in timestamped)
+    numbers = [end - len(reading.force_n) for end, reading in zip(ends, timestamped, strict=True)]
     true_ns = np.array([board.taken_ns(number) for number in numbers])
     kept = true_ns > SETTLED_S * 1_000_000_000
     raw_ms = (np.array(arrivals_ns) - true_ns)[kept] * 1e-6
-    off_ms = (np.array([reading.first_ns for reading in placed]) - true_ns)[kept] * 1e-6
+    off_ms = (np.array([reading.first_ns for reading in timestamped]) - true_ns)[kept] * 1e-6
     worst_ms = abs(off_ms - off_ms.mean()).max()
     figures = (raw_ms.std(), off_ms.std(), worst_ms, off_ms.mean())
-    skew = f"{placement.skew_ppm:.1f}" if kind.name != "text" else ""
+    skew = f"{timestamper.skew_ppm:.1f}" if kind.name != "text" else ""
     return (kind.name, *(f"{figure:.3f}" for figure in figures), skew)
 
 
@@ -102,10 +102,10 @@ def decoding_us(kind: Kind) -> float:
         chunks.append((board.deliver(now_ns), now_ns))
 
     def decode() -> None:
-        decoder, placement = scene.decoder(), Placement(scene)
+        decoder, timestamper = scene.decoder(), Timestamper(scene)
         for data, now_ns in chunks:
             for block in decoder.feed(data):
-                placement.place(block, now_ns)
+                timestamper.timestamp(block, now_ns)
 
     return time_call(decode).median_us / board.sampled
 

@@ -10,7 +10,7 @@ from fuzz.refusals import check_causes
 from protocol.config.scene import validate
 from pulse_sensors.lsl_inlet import LslScene
 from pulse_sensors.plausibility import LARGEST
-from pulse_sensors.samples import Placement, SampleBlock
+from pulse_sensors.samples import SampleBlock, Timestamper
 
 TABLE = validate(
     {"kind": "lsl", "stream": "x", "rate": "1 kHz", "unit": "N"}, LslScene, where="fuzz"
@@ -34,17 +34,17 @@ def check_decoder(decoder: Decoder, data: bytes, piece: int) -> None:
 
 
 def check_fed(decoder: Decoder, pieces: Iterable[Any]) -> None:
-    """Feed one piece a millisecond; blocks are placed in order of time."""
-    placement, end_ns = Placement(TABLE), None
+    """Feed one piece a millisecond; blocks are timestamped in order of time."""
+    timestamper, end_ns = Timestamper(TABLE), None
     for number, piece in enumerate(pieces):
         for block in decoder.feed(piece):
             assert len(block.values)
             assert (np.abs(block.values) <= LARGEST).all()
             assert block.missing >= 0
-            placed = placement.place(block, number * MS)
-            if placed is not None:
-                assert placed.missing >= 0
-                assert placed.end_ns > placed.first_ns
-                assert end_ns is None or placed.first_ns >= end_ns
-                end_ns = placed.end_ns
+            timestamped = timestamper.timestamp(block, number * MS)
+            if timestamped is not None:
+                assert timestamped.missing >= 0
+                assert timestamped.end_ns > timestamped.first_ns
+                assert end_ns is None or timestamped.first_ns >= end_ns
+                end_ns = timestamped.end_ns
     check_causes(decoder.rejected)

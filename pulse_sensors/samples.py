@@ -1,7 +1,7 @@
 """Samples of a live sensor on their way from a decoder to the host's clock.
 
 A decoder makes `SampleBlock`s of a device's bytes. `DeviceTime` and `SampleCounter` follow the
-numbers that the device sends, `Timeline` finds an even time for every sample, and `Placement`
+numbers that the device sends, `Timeline` finds an even time for every sample, and `Timestamper`
 converts whole blocks.
 """
 
@@ -25,12 +25,12 @@ class SampleBlock:
     Attributes
     ----------
     values : ndarray, shape (samples, channels)
-        At least one sample, in N; before `Placement` in the sensor's own unit.
+        At least one sample, in N; before `Timestamper` in the sensor's own unit.
     missing : int
         Samples lost right before these, at least 0.
     first_ns, end_ns : int
         Host's clock at the first sample, and when the sample after the last is due; 0 before
-        `Placement`.
+        `Timestamper`.
     device_ns : int, optional
         Device's clock at the last sample; None where the device sends no time.
     restarted : bool
@@ -65,7 +65,7 @@ class SampleBlock:
 def one_channel(
     values: Sequence[float], device_ns: int | None = None, missing: int = 0, restarted: bool = False
 ) -> SampleBlock:
-    """Return a decoder's values as a block that is not placed yet."""
+    """Return a decoder's values as a block in the sensor's unit, without host timestamps."""
     column = np.array(values, np.float64)[:, np.newaxis]
     return SampleBlock(column, missing, device_ns=device_ns, restarted=restarted)
 
@@ -174,8 +174,8 @@ class Timeline:
         """Measured samples per second."""
         return 1e9 / self._period_ns
 
-    def place(self, count: int, missing: int, last_ns: int) -> tuple[int, int, int] | None:
-        """Place `count` samples, the last of which was measured at `last_ns`.
+    def timestamp(self, count: int, missing: int, last_ns: int) -> tuple[int, int, int] | None:
+        """Return the times of `count` samples, the last of which was measured at `last_ns`.
 
         Parameters
         ----------
@@ -225,13 +225,13 @@ def _bounded(value: float, share: float, of: float) -> float:
     return min(max(value, of * (1 - share)), of * (1 + share))
 
 
-class Placement:
+class Timestamper:
     """Conversion of one sensor's blocks to newtons on the host's clock. Pure.
 
     Attributes
     ----------
     samples, missing : int
-        Samples placed so far, and samples lost before them.
+        Samples timestamped so far, and samples lost before them.
     restarts, behind : int
         Restarts of the device's clock, and blocks refused because their time has passed.
     """
@@ -248,7 +248,7 @@ class Placement:
         """Rate error of the device's clock against the host's, in ppm; 0 where it sends no time."""
         return self._clock.skew_ppm
 
-    def place(self, block: SampleBlock, arrival_ns: int) -> SampleBlock | None:
+    def timestamp(self, block: SampleBlock, arrival_ns: int) -> SampleBlock | None:
         """Return a decoder's block in N at its time; None where its time has passed."""
         last_ns = arrival_ns
         if block.device_ns is not None:
@@ -259,11 +259,11 @@ class Placement:
             # Nothing arrives before it was taken, whatever the device's clock says.
             last_ns = min(self._clock.host_ns(block.device_ns), arrival_ns)
         count = len(block.values)
-        placed = self._timeline.place(count, block.missing, last_ns)
-        if placed is None:
+        times_ns = self._timeline.timestamp(count, block.missing, last_ns)
+        if times_ns is None:
             self.behind += 1
             return None
-        first_ns, end_ns, missing = placed
+        first_ns, end_ns, missing = times_ns
         self.samples += count
         self.missing += missing
         self._rate.add(self.samples, arrival_ns, self._timeline.rate_hz, whole=not missing)

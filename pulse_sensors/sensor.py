@@ -2,6 +2,15 @@
 
 The thread waits for data, stamps their arrival, and opens the device again after it was gone.
 All else happens in the caller's thread, in `Sensor.poll`.
+
+To add a sensor type:
+
+1. Write a module here like `lsl_inlet.py`, with its settings (a `SensorTable` with a `kind`), its
+   `Port` and its `Decoder`.
+2. Add the settings to the union `SensorScene` below. `source` of a sensing node
+   (`sensing_node/scene.py`) and `feedback` of a display (`display_node/scene.py`) then accept them.
+3. Build its port and its decoder in `open_sensor`.
+4. Describe its keys in `docs/scenes.md` and the device in `docs/sensors.md`.
 """
 
 import logging
@@ -18,7 +27,7 @@ from protocol.errors import SourceError
 from pulse_sensors.can_bus import CanBus, CanDecoder, CanScene
 from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.lsl_inlet import LslDecoder, LslInlet, LslScene
-from pulse_sensors.samples import Placement, SampleBlock
+from pulse_sensors.samples import SampleBlock, Timestamper
 from pulse_sensors.serial_port import SerialPort, SerialScene
 
 logger = logging.getLogger(__name__)
@@ -40,9 +49,9 @@ class Port(Protocol):
         """Open the device. Raises SourceError when it is not there or cannot be used."""
 
     def read(self) -> Any:
-        """Return what arrived, for the decoder; after a while without anything, something false.
+        """Wait for data and return it for the decoder; returns a falsy value on timeout.
 
-        Raises whatever its driver does when the device is gone.
+        Raises driver-specific exceptions when the device is gone.
         """
 
     def close(self) -> None:
@@ -57,31 +66,32 @@ class Decoder(Protocol):
         """Count of refusals by cause."""
 
     def feed(self, data: Any) -> list[SampleBlock]:
-        """Return the blocks that end in these data, not placed yet."""
+        """Return the blocks completed by this data, before timestamps and scale are applied."""
 
     def reset(self) -> None:
         """Forget the stream so far, as after the cable was unplugged."""
 
 
 class Sensor:
-    """A live sensor, read from its construction to `close`.
+    """A live sensor. Reading starts on construction and ends with `close`.
 
-    clock: the host's, in ns. Raises SourceError when the device is not there.
+    settings: rate and scale of the sensor. clock: the host's, in ns. Raises SourceError when the
+    device is not there.
     """
 
     def __init__(
         self,
         port: Port,
         decoder: Decoder,
-        table: SensorTable,
+        settings: SensorTable,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        self.period_ns = table.period_ns
+        self.period_ns = settings.period_ns
         self._port = port
         self._decoder = decoder
-        self._placement = Placement(table)
+        self._timestamper = Timestamper(settings)
         self._clock = clock
-        # Arrival in ns, and data; or why the device is gone; or None when it is back.
+        # (time in ns, data | exception: device gone | None: device back)
         self._received: deque[tuple[int, Any]] = deque()
         self._dropped = self._losses = 0
         self._rate_reported = False
@@ -93,17 +103,19 @@ class Sensor:
         self._thread.start()
 
     def poll(self) -> list[SampleBlock]:
-        """Return the placed samples that have come since the last call, in order. Never waits."""
+        """Return the calibrated, timestamped samples received since the last call. Never waits."""
         blocks = []
         while self._received:
             at_ns, data = self._received.popleft()
             if data is None or isinstance(data, Exception):
-                self._follow(at_ns, gone=data)
+                self._note_connection(at_ns, gone=data)
                 continue
-            placed = (self._placement.place(block, at_ns) for block in self._decoder.feed(data))
-            blocks += [block for block in placed if block is not None]
+            for block in self._decoder.feed(data):
+                timestamped = self._timestamper.timestamp(block, at_ns)
+                if timestamped is not None:
+                    blocks.append(timestamped)
         if blocks and not self._rate_reported:
-            fault = self._placement.lasting_rate_fault(self._port.name)
+            fault = self._timestamper.lasting_rate_fault(self._port.name)
             if fault is not None:
                 self._rate_reported = True
                 logger.warning(fault)
@@ -113,18 +125,18 @@ class Sensor:
     def rejected(self) -> Counter[str]:
         """Count of what could not be used, by cause."""
         rejected = Counter(self._decoder.rejected)
-        rejected["behind"] += self._placement.behind
+        rejected["behind"] += self._timestamper.behind
         rejected["backlog"] += self._dropped
         return +rejected
 
     @property
     def skew_ppm(self) -> float:
         """Rate error of the device's clock against the host's, in ppm; 0 where it sends no time."""
-        return self._placement.skew_ppm
+        return self._timestamper.skew_ppm
 
     def faults(self) -> list[str]:
         """Return what went wrong so far, one line each."""
-        faults = self._placement.faults(self._port.name)
+        faults = self._timestamper.faults(self._port.name)
         if self._losses:
             gone_ns = self._gone_for_ns
             if self._gone_since_ns is not None:
@@ -139,7 +151,7 @@ class Sensor:
         self._thread.join()
         self._port.close()
 
-    def _follow(self, at_ns: int, gone: Exception | None) -> None:
+    def _note_connection(self, at_ns: int, gone: Exception | None) -> None:
         """Log and count that the device is gone, or back."""
         if gone is not None:
             self._losses += 1
@@ -156,7 +168,7 @@ class Sensor:
         while not self._closing.is_set():
             try:
                 data = self._port.read()
-            except Exception as error:  # each driver raises what it does
+            except Exception as error:  # exception types differ by driver
                 self._received.append((self._clock(), error))
                 # A device that is gone may fail again when it is closed.
                 with suppress(Exception):

@@ -12,11 +12,8 @@ from protocol.config.quantities import Nanoseconds
 from protocol.config.scene import Section
 from protocol.errors import SceneError
 from protocol.wire.stream import LayerTable, Name, StreamDescription
-from pulse_sensors.can_bus import CanScene
 from pulse_sensors.force_scale import SensorTable
-from pulse_sensors.lsl_inlet import LslScene
-from pulse_sensors.sensor import open_sensor
-from pulse_sensors.serial_port import SerialScene
+from pulse_sensors.sensor import SensorScene, open_sensor
 from sensing_node.conditioning import Conditioned, ConditioningScene, faults_of
 from sensing_node.feeds import LiveSource, SampleSource, Source
 from sensing_node.sources.recorded import RecordedSource, RecordingScene
@@ -31,7 +28,7 @@ class SensingScene(Section):
     """What the sensing node does. `batch`: how much time one frame covers, rounded to samples."""
 
     source: Annotated[
-        SyntheticScene | RecordingScene | SerialScene | CanScene | LslScene,
+        SyntheticScene | RecordingScene | SensorScene,
         Field(discriminator="kind"),
     ]
     stream: Name = "pulse"

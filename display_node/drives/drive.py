@@ -2,6 +2,15 @@
 
 A drive is brought to first touch by `start`, takes speeds by `command`, and has a thread of its own
 that withdraws the tip after a fault: the loop may hang, and a fault needs no tick.
+
+To add a drive:
+
+1. Add its settings to `scene.py`: a `DriveScene` with a `kind`, also in the union `DriveTable`.
+2. Write a package like `tmcl/`, with a `DriveDevice` (the drive on its line) and a `Drive`.
+3. Build it in `build_drive` (`__init__.py`), and extend `axis.build_axis` where its units differ.
+4. Give the bench check the time of an exchange in `exchange_s` and `check_line`
+   (`telepulse/commissioning/rig.py`).
+5. Describe its keys in `docs/scenes.md`.
 """
 
 import math

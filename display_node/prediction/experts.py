@@ -1,6 +1,7 @@
 """The experts of the stack: beat analogues, a long linear filter, and a harmonic oscillator.
 
-Each predicts the history's values of the next 250 ms over a common row of horizons.
+Each predicts the history's values of the next 250 ms over a common row of horizons. How to add a
+predictor: see `display_node/prediction/__init__.py`.
 """
 
 import math

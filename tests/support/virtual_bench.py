@@ -16,7 +16,7 @@ from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
 from protocol.wire.telemetry import TickState
-from pulse_sensors.samples import Placement, SampleBlock, one_channel
+from pulse_sensors.samples import SampleBlock, Timestamper, one_channel
 from telepulse.emulators.drive_run import FRAME
 from telepulse.emulators.motor import EmulatedMotor, MotorState
 from tests.support.sender import MS, Sender
@@ -108,8 +108,8 @@ class VirtualDrive:
 class VirtualFilm:
     """The film's sensor: four samples a frame, which take a while to come."""
 
-    def __init__(self, motor: EmulatedMotor, placement: Placement) -> None:
-        self._motor, self._placement = motor, placement
+    def __init__(self, motor: EmulatedMotor, timestamper: Timestamper) -> None:
+        self._motor, self._timestamper = motor, timestamper
         self._sent = 0
         self.now_ns = 0
         self.silent = self.closed = False
@@ -122,8 +122,8 @@ class VirtualFilm:
             return found
         while len(forces_n) >= FRAME and (self._sent + FRAME) * MS + DELIVERY_NS <= self.now_ns:
             block = one_channel([forces_n.popleft() for _ in range(FRAME)], self._device_ns())
-            placed = self._placement.place(block, self._sent * MS + DELIVERY_NS)
-            found += [placed] if placed is not None else []
+            timestamped = self._timestamper.timestamp(block, self._sent * MS + DELIVERY_NS)
+            found += [timestamped] if timestamped is not None else []
         return found
 
     def _device_ns(self) -> int:
@@ -166,7 +166,7 @@ class VirtualBench:
         late_ns = scene.actuator.latency_ns - DELIVERY_NS
         assert scene.drive is not None
         self.drive = VirtualDrive(motor, axis, late_ns, scene.drive.watchdog_ns)
-        self.film = VirtualFilm(motor, Placement(scene.feedback))
+        self.film = VirtualFilm(motor, Timestamper(scene.feedback))
         self._start_display()
         self.sender = Sender()
         self._waiting: list[tuple[int, bytes]] = []

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from protocol.config.scene import validate
-from pulse_sensors.samples import JUMP_NS, Placement, SampleBlock, Timeline, one_channel
+from pulse_sensors.samples import JUMP_NS, SampleBlock, Timeline, Timestamper, one_channel
 from pulse_sensors.serial_port import SerialScene
 from telepulse.emulators.sensor_board import BoardBehaviour, SensorBoard, binary, line, timed_line
 from tests.support.sample_blocks import forces
@@ -24,29 +24,31 @@ SCENES = {
 }
 
 
-def placement(kind: str = "untimed") -> Placement:
-    return Placement(validate(SCENES[kind], SerialScene, "scene"))
+def timestamper(kind: str = "untimed") -> Timestamper:
+    return Timestamper(validate(SCENES[kind], SerialScene, "scene"))
 
 
 class Transmission(NamedTuple):
     """A board's samples as a host places them."""
 
     board: SensorBoard
-    placement: Placement
+    timestamper: Timestamper
     rejected: Counter[str]
-    placed: list[SampleBlock]
+    timestamped: list[SampleBlock]
     arrivals_ns: list[int]
 
     @property
     def samples(self) -> int:
-        return len(forces(self.placed))
+        return len(forces(self.timestamped))
 
     def off_ms(self, after_s: float) -> NDArray[np.float64]:
         """Time of each block less the true one, from `after_s` on."""
-        ends = np.cumsum([block.missing + len(block.values) for block in self.placed])
-        firsts = [end - len(b.values) for end, b in zip(ends.tolist(), self.placed, strict=True)]
+        ends = np.cumsum([block.missing + len(block.values) for block in self.timestamped])
+        firsts = [
+            end - len(b.values) for end, b in zip(ends.tolist(), self.timestamped, strict=True)
+        ]
         true_ns = np.array([self.board.taken_ns(number) for number in firsts])
-        off_ms = (np.array([block.first_ns for block in self.placed]) - true_ns) * 1e-6
+        off_ms = (np.array([block.first_ns for block in self.timestamped]) - true_ns) * 1e-6
         return np.asarray(off_ms[true_ns > START_NS + after_s * 1e9])
 
 
@@ -57,14 +59,14 @@ def transmit(kind: str, seconds: float, lost: range = range(0), **behaviour: flo
     board = SensorBoard(synthetic(), encode, given, START_NS)
     decoder = validate(SCENES[kind], SerialScene, "scene").decoder()
     decoder.feed(b"\0" if kind == "binary" else b"\n")
-    sent = Transmission(board, placement(kind), decoder.rejected, [], [])
+    sent = Transmission(board, timestamper(kind), decoder.rejected, [], [])
     delivery = 0
     while (now_ns := board.next_delivery_ns) < START_NS + seconds * SECOND_NS:
         data = board.deliver(now_ns)
         for block in decoder.feed(data) if delivery not in lost else ():
-            placed = sent.placement.place(block, now_ns)
-            assert placed is not None
-            sent.placed.append(placed)
+            timestamped = sent.timestamper.timestamp(block, now_ns)
+            assert timestamped is not None
+            sent.timestamped.append(timestamped)
             sent.arrivals_ns.append(now_ns)
         delivery += 1
     return sent
@@ -78,11 +80,11 @@ def test_usb_batches_do_not_jitter_the_times(kind: str, skew: float) -> None:
     assert np.diff(sent.arrivals_ns).max() > 14 * MS
     assert off_ms.std() < 0.1
     assert abs(off_ms).max() < 0.8
-    assert (sent.placement.missing, sent.samples) == (0, sent.board.sampled)
+    assert (sent.timestamper.missing, sent.samples) == (0, sent.board.sampled)
     true_n = synthetic().take(sent.samples)[:, 0]
-    np.testing.assert_allclose(forces(sent.placed), true_n, atol=1e-6)
+    np.testing.assert_allclose(forces(sent.timestamped), true_n, atol=1e-6)
     if kind != "untimed":
-        assert sent.placement.skew_ppm == pytest.approx(skew * 1e6, abs=5)
+        assert sent.timestamper.skew_ppm == pytest.approx(skew * 1e6, abs=5)
 
 
 def test_before_the_clock_is_known_times_are_within_one_delivery() -> None:
@@ -93,9 +95,9 @@ def test_before_the_clock_is_known_times_are_within_one_delivery() -> None:
 @pytest.mark.parametrize("lost", [range(300, 301), range(300, 310), range(300, 500)])
 def test_lost_samples_are_counted_as_missing(kind: str, lost: range) -> None:
     sent = transmit(kind, 10, lost=lost)
-    assert sent.placement.missing > 0
+    assert sent.timestamper.missing > 0
     # Text confirms a jump of the time by the line that follows, and has no counter.
-    account = sent.samples + sent.placement.missing
+    account = sent.samples + sent.timestamper.missing
     assert account == pytest.approx(sent.board.sampled, abs=1)
     assert abs(sent.off_ms(after_s=5)).max() < 1.5
 
@@ -103,22 +105,22 @@ def test_lost_samples_are_counted_as_missing(kind: str, lost: range) -> None:
 @pytest.mark.parametrize("noise", [1e-4, 1e-2])
 def test_noise_on_the_line_costs_samples_and_not_the_account(noise: float) -> None:
     sent = transmit("binary", 20, noise=noise)
-    assert 0 < sent.placement.missing < 0.6 * sent.board.sampled
-    assert abs(sent.samples + sent.placement.missing - sent.board.sampled) <= 8 * 4
+    assert 0 < sent.timestamper.missing < 0.6 * sent.board.sampled
+    assert abs(sent.samples + sent.timestamper.missing - sent.board.sampled) <= 8 * 4
     assert sum(sent.rejected.values()) > 0
     assert sent.off_ms(after_s=5).std() < 0.5
-    assert sent.placement.restarts == 0
+    assert sent.timestamper.restarts == 0
 
 
 def test_a_restarted_board_is_followed_and_named() -> None:
-    under_test = placement("binary")
+    under_test = timestamper("binary")
     for first_s, device_s in ((0, 900), (3, 0)):
         for ms in range(2000):
             block = one_channel([0.5], device_s * SECOND_NS + ms * MS, restarted=ms == 0)
             arrival_ns = START_NS + first_s * SECOND_NS + ms * MS
-            placed = under_test.place(block, arrival_ns)
-            assert placed is not None
-            assert abs(placed.first_ns - arrival_ns) < MS
+            timestamped = under_test.timestamp(block, arrival_ns)
+            assert timestamped is not None
+            assert abs(timestamped.first_ns - arrival_ns) < MS
     assert (under_test.samples, under_test.missing, under_test.restarts) == (4000, 1000, 1)
     assert under_test.faults("the board") == [
         "1000 samples missing from the board",
@@ -127,27 +129,27 @@ def test_a_restarted_board_is_followed_and_named() -> None:
 
 
 def test_no_sample_is_placed_after_its_arrival() -> None:
-    under_test = placement("binary")
+    under_test = timestamper("binary")
     for ms in range(100):
-        under_test.place(one_channel([0.5], ms * MS, restarted=ms == 0), START_NS + ms * MS)
-    ahead = under_test.place(one_channel([0.5], 9 * SECOND_NS), START_NS + 100 * MS)
+        under_test.timestamp(one_channel([0.5], ms * MS, restarted=ms == 0), START_NS + ms * MS)
+    ahead = under_test.timestamp(one_channel([0.5], 9 * SECOND_NS), START_NS + 100 * MS)
     assert ahead is not None
     assert ahead.first_ns == pytest.approx(START_NS + 100 * MS, abs=MS)
 
 
 def test_a_block_whose_time_has_passed_is_refused_and_counted() -> None:
-    under_test = placement()
-    assert under_test.place(one_channel([0.5]), START_NS) is not None
-    assert under_test.place(one_channel([0.5]), START_NS - SECOND_NS) is None
+    under_test = timestamper()
+    assert under_test.timestamp(one_channel([0.5]), START_NS) is not None
+    assert under_test.timestamp(one_channel([0.5]), START_NS - SECOND_NS) is None
     assert under_test.behind == 1
 
 
 @pytest.mark.parametrize("hz", [800, 1000])
 def test_a_rate_that_is_not_the_scenes_is_named_once_it_lasts(hz: int) -> None:
-    under_test, name = placement(), "the board"
+    under_test, name = timestamper(), "the board"
     found = []
     for number in range(5000):
-        under_test.place(one_channel([0.5]), START_NS + number * SECOND_NS // hz)
+        under_test.timestamp(one_channel([0.5]), START_NS + number * SECOND_NS // hz)
         found.append(under_test.lasting_rate_fault(name))
     fault = f"{name} sends 800 Hz, the scene says 1000 Hz: check its rate" if hz == 800 else None
     assert (found[-1], under_test.faults(name)) == (fault, [fault] if fault else [])
@@ -157,20 +159,20 @@ def test_a_rate_that_is_not_the_scenes_is_named_once_it_lasts(hz: int) -> None:
 
 
 def test_a_sensor_without_a_sample_is_named() -> None:
-    assert placement("text").faults("the board") == ["no sample came from the board"]
+    assert timestamper("text").faults("the board") == ["no sample came from the board"]
 
 
-def placed_of(
+def times_of(
     timeline: Timeline, count: int, period_ns: float, jitter_ns: float = 0
 ) -> list[tuple[int, int, int]]:
-    """Places of blocks of 4 samples, measured with jitter."""
+    """Times of blocks of 4 samples, measured with jitter."""
     rng = np.random.default_rng(1)
     last_ns = [
         START_NS + round((first + 3) * period_ns + rng.uniform(0, jitter_ns))
         for first in range(0, count, 4)
     ]
-    placed = [timeline.place(4, 0, last) for last in last_ns]
-    return [place for place in placed if place is not None]
+    times_ns = [timeline.timestamp(4, 0, last) for last in last_ns]
+    return [each for each in times_ns if each is not None]
 
 
 def at_ms(first: float, end: float, missing: int) -> tuple[float, float, int]:
@@ -179,13 +181,13 @@ def at_ms(first: float, end: float, missing: int) -> tuple[float, float, int]:
 
 def test_samples_on_time_are_placed_where_they_were_measured() -> None:
     expected = [at_ms(4 * number, 4 * number + 4, 0) for number in range(250)]
-    assert placed_of(Timeline(MS), 1000, MS) == expected
+    assert times_of(Timeline(MS), 1000, MS) == expected
 
 
 @pytest.mark.parametrize("rate_hz", [700, 990, 1000, 1000.3, 1300])
 def test_the_true_rate_is_found_and_the_jitter_removed(rate_hz: float) -> None:
     timeline = Timeline(MS)
-    placed = placed_of(timeline, 20_000, 1e9 / rate_hz, jitter_ns=8 * MS)
+    placed = times_of(timeline, 20_000, 1e9 / rate_hz, jitter_ns=8 * MS)
     assert len(placed) == 5_000
     assert timeline.rate_hz == pytest.approx(rate_hz, rel=1e-3)
     times = np.array([first_ns for first_ns, _, _ in placed[2500:]]) - START_NS
@@ -197,7 +199,7 @@ def test_the_true_rate_is_found_and_the_jitter_removed(rate_hz: float) -> None:
 def test_blocks_join_and_never_step_back_whatever_is_measured() -> None:
     timeline, rng, end_before_ns = Timeline(MS), np.random.default_rng(2), None
     for number in range(2000):
-        place = timeline.place(1, 0, START_NS + number * MS + int(rng.normal(0, 60 * MS)))
+        place = timeline.timestamp(1, 0, START_NS + number * MS + int(rng.normal(0, 60 * MS)))
         if place is None:
             continue
         first_ns, end_ns, missing = place
@@ -213,7 +215,7 @@ def test_blocks_that_all_come_far_too_early_are_placed() -> None:
     # By the time that was expected, nothing passes from the last but one to the last.
     early = ((2, 0, 0), (1, 2, 0), (1, 0, 1), (3, 1, 1), (5, 0, 2), (1, 0, 3), (2, 1, 3), (2, 0, 4))
     for count, missing, ms in early:
-        place = timeline.place(count, missing, START_NS + ms * MS)
+        place = timeline.timestamp(count, missing, START_NS + ms * MS)
         assert place is not None
         assert end_before_ns < place[1]
         end_before_ns = place[1]
@@ -222,8 +224,8 @@ def test_blocks_that_all_come_far_too_early_are_placed() -> None:
 def test_gaps_keep_their_room_and_the_past_has_none() -> None:
     known, jump, behind = Timeline(MS), Timeline(MS), Timeline(MS)
     for timeline in (known, jump, behind):
-        placed_of(timeline, 1000, MS)
-    assert known.place(1, 7, START_NS + 1007 * MS) == at_ms(1007, 1008, 7)
-    assert jump.place(1, 0, START_NS + 6000 * MS) == at_ms(6000, 6001, 5000)
-    assert behind.place(1, 0, START_NS + 999 * MS - JUMP_NS) is None
-    assert behind.place(1, 0, START_NS + 1000 * MS) == at_ms(1000, 1001, 0)
+        times_of(timeline, 1000, MS)
+    assert known.timestamp(1, 7, START_NS + 1007 * MS) == at_ms(1007, 1008, 7)
+    assert jump.timestamp(1, 0, START_NS + 6000 * MS) == at_ms(6000, 6001, 5000)
+    assert behind.timestamp(1, 0, START_NS + 999 * MS - JUMP_NS) is None
+    assert behind.timestamp(1, 0, START_NS + 1000 * MS) == at_ms(1000, 1001, 0)
