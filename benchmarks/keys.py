@@ -45,8 +45,8 @@ class Stream:
     """An authenticated PUB socket with a number every 5 ms, as frames have, and its readers."""
 
     def __init__(self, context: sockets.Context, keys: ServerKeys, address: str) -> None:
-        self.gate = Authenticator(context, keys)
-        self._data = sockets.bind(context, zmq.PUB, address, self.gate)
+        self.authenticator = Authenticator(context, keys)
+        self._data = sockets.bind(context, zmq.PUB, address, self.authenticator)
         self.address = self._data.getsockopt_string(zmq.LAST_ENDPOINT)
         self.readers: list[Reader] = []
         self._sent = 0
@@ -58,7 +58,7 @@ class Stream:
         while not done() and time.perf_counter() < end_s:
             for reader in self.readers:
                 reader.read()
-            self.gate.poll(time.monotonic_ns())
+            self.authenticator.poll(time.monotonic_ns())
             if time.perf_counter() >= next_s:
                 next_s += FRAME_S
                 self._sent += 1
@@ -114,7 +114,7 @@ def _revoke(pairs: dict[str, KeyPair], allowed: Path, phase_s: float) -> tuple[f
         stream.run_until(lambda: time.perf_counter() > settled_s)
         revoke(allowed, "goes")
         revoked_s = time.perf_counter()
-        stream.run_until(lambda: stream.gate.rejected["revoked_key"])
+        stream.run_until(lambda: stream.authenticator.rejected["revoked_key"])
         settled_s = time.perf_counter() + 1.0
         stream.run_until(lambda: time.perf_counter() > settled_s)
         return let_in_ms, (goes.last_s - revoked_s) * 1e3, stays.missed
@@ -126,6 +126,6 @@ def _look_round_us(own: KeyPair, allowed: Path) -> float:
     context: sockets.Context = zmq.Context()
     try:
         stream = Stream(context, ServerKeys(own, allowed), "tcp://127.0.0.1:*")
-        return time_call(lambda: stream.gate.poll(time.monotonic_ns())).median_us
+        return time_call(lambda: stream.authenticator.poll(time.monotonic_ns())).median_us
     finally:
         context.destroy(linger=0)

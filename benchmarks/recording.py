@@ -78,7 +78,7 @@ def publish(publisher: Publisher, ticks: int) -> NDArray[np.float64]:
         )
         began_ns = time.perf_counter_ns()
         if tick % TICKS_A_FRAME == 0:
-            publisher.heard.add(due_ns, 0, data)
+            publisher.captured.add(due_ns, 0, data)
         if publisher.add(felt):
             publisher.status(status)
         cost_us[tick] = (time.perf_counter_ns() - began_ns) * 1e-3

@@ -150,7 +150,7 @@ class DisplayNode:
         self._context.destroy(linger=0)
 
     def await_recorder(self, seconds: float) -> bool:
-        """Wait before `run` until a recorder asks for all that is heard; False when none does."""
+        """Wait before `run` for a recorder that requests all messages; False when none does."""
         return self._telemetry.await_recorder(seconds)
 
     def run(self, seconds: float | None = None, once: bool = False) -> Summary:
@@ -178,23 +178,23 @@ class DisplayNode:
 
     def _receive(self, until_ns: int) -> None:
         """Take the messages that wait; what is left then waits for the next time."""
-        display, connection, heard = self._display, self._connection, self._telemetry.heard
+        display, connection, captured = self._display, self._connection, self._telemetry.captured
         receiver = display.receiver
         for path, route in enumerate(connection.routes):
             before, _ = receiver.frames
             for number, message in enumerate(route.messages()):
                 now_ns = time.monotonic_ns()
                 display.on_frame(message, now_ns)
-                heard.add(now_ns, path, message)
+                captured.add(now_ns, path, message)
                 if now_ns >= until_ns and number >= LEAST_READ:
                     break
             route.won += receiver.frames[0] - before
         for number, message in enumerate(connection.control.messages()):
             now_ns, sessions = time.monotonic_ns(), receiver.sessions
             display.on_control(message, now_ns)
-            heard.add(now_ns, CONTROL, message)
+            captured.add(now_ns, CONTROL, message)
             if receiver.sessions > sessions:
-                heard.welcome(now_ns, message)
+                captured.welcome(now_ns, message)
             if now_ns >= until_ns and number >= LEAST_READ:
                 break
         if receiver.listening and receiver.description is not None:

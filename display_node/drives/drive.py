@@ -24,7 +24,7 @@ from typing import Protocol
 
 from display_node.drives.axis import Axis
 from display_node.drives.scene import DriveScene
-from display_node.drives.supervisor import DriveStatus, PassableLock, Supervisor
+from display_node.drives.supervisor import DriveStatus, Supervisor, TimeoutLock
 from protocol.errors import DriveError
 
 # Between two commands on the way to first touch or to rest.
@@ -126,7 +126,7 @@ class Drive(ABC):
         self._closing = False
         self._supervisor = Supervisor(axis, scene.watchdog_ns)
         # Of the supervisor and the commands, between the loop's thread and the drive's own.
-        self._lock = PassableLock()
+        self._lock = TimeoutLock()
         self.counts: Counter[str] = Counter()
 
     def start(self, force_n: Callable[[], float | None] = lambda: None) -> None:

@@ -60,7 +60,7 @@ class CommandedPosition:
 
     def travel_m(self, now_ns: int) -> float:
         """Return the travel in m until a time, as far back as speeds are kept."""
-        # By index, as another thread may record meanwhile (`PassableLock`).
+        # By index, as another thread may record meanwhile (`TimeoutLock`).
         for back in range(1, len(self._legs) + 1):
             leg = self._legs[-back]
             if now_ns >= leg.sent_ns:

@@ -3,7 +3,7 @@
 Whatever goes wrong, the tip withdraws as long as the drive obeys. The decision is here, once for
 all kinds of drive, so that it depends neither on the kind nor on which thread of the process runs
 first (decision 29). Pure: times come in, in ns on the monotonic clock; the caller serialises the
-calls by a `PassableLock`.
+calls by a `TimeoutLock`.
 """
 
 import threading
@@ -19,13 +19,13 @@ from display_node.drives.withdrawal import Withdrawal, WithdrawalOutcome
 PATIENCE_S = 0.05
 
 
-class PassableLock:
+class TimeoutLock:
     """Lock of a drive's commands, between the loop's thread and the drive's own.
 
     The loop's thread holds it by `with lock`. A loop that stalls while it holds the lock must not
-    keep the drive's thread from withdrawing the tip: that thread holds it by `with lock.passing()`,
-    which goes on without the lock where it is not released in time. Data that both may then use at
-    once is replaced in one step, and times may be older than the last.
+    keep the drive's thread from withdrawing the tip: that thread uses
+    `with lock.acquire_or_proceed()`, which proceeds without the lock after a timeout. Data that
+    both may then use at once is replaced in one step, and times may be older than the last.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class PassableLock:
 
     def __init__(self, lock: "threading.Lock | None" = None) -> None:
         self._lock = threading.Lock() if lock is None else lock
-        self._passing = False
+        self._timed_out = False
 
     def __enter__(self) -> None:
         self._lock.acquire()
@@ -44,14 +44,14 @@ class PassableLock:
         self._lock.release()
 
     @contextmanager
-    def passing(self) -> Iterator[None]:
-        """Hold the lock, or go on without it after `PATIENCE_S`.
+    def acquire_or_proceed(self) -> Iterator[None]:
+        """Acquire the lock with a timeout of `PATIENCE_S`, and proceed without it after that.
 
         Until it is released, the next calls do not wait: a withdrawal needs a command every few
         milliseconds.
         """
-        held = self._lock.acquire(timeout=0.0 if self._passing else PATIENCE_S)
-        self._passing = not held
+        held = self._lock.acquire(timeout=0.0 if self._timed_out else PATIENCE_S)
+        self._timed_out = not held
         try:
             yield
         finally:

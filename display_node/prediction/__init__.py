@@ -8,7 +8,7 @@ from bisect import insort
 from typing import Literal, Protocol
 
 PredictorName = Literal["hold", "linear", "fir", "analogue", "harmonic", "stack"]
-UNLEARNT: tuple[PredictorName, ...] = ("hold", "linear")
+WITHOUT_ERROR_ESTIMATE: tuple[PredictorName, ...] = ("hold", "linear")
 """Predictors that do not estimate their own error."""
 WINDOW_NS, REACH_NS = 10_000_000, 20_000_000
 KEEP = 32
@@ -81,7 +81,7 @@ class Linear(Predictor):
 
 def build_predictor(name: PredictorName, tick_ns: int) -> Predictor:
     """Build a predictor that has seen nothing; `work` will be called every `tick_ns`."""
-    if name in UNLEARNT:
+    if name in WITHOUT_ERROR_ESTIMATE:
         return Hold() if name == "hold" else Linear()
     # The others bring linear algebra, whose import a display without them does not pay for.
     from display_node.prediction.ensemble import Ensemble

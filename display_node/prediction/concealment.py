@@ -8,7 +8,7 @@ import math
 import statistics
 from collections import deque
 
-from display_node.prediction import UNLEARNT, PredictorName, build_predictor
+from display_node.prediction import WITHOUT_ERROR_ESTIMATE, PredictorName, build_predictor
 from protocol.wire.messages import Frame
 
 # The decay's time constant over the horizon that the old prediction had to span: the further it
@@ -175,7 +175,7 @@ class Concealment:
         self._predictor = build_predictor(predictor, tick_ns)
         self._blend = Blend(tick_ns)
         self._size = PulseSize()
-        self._trust = Trust() if auto and predictor not in UNLEARNT else None
+        self._trust = Trust() if auto and predictor not in WITHOUT_ERROR_ESTIMATE else None
         self.work = self._predictor.work
         self.error_n = self._predictor.error_n
 

@@ -31,13 +31,13 @@ class ExponentialQuantile:
         self._position = 0
         self._above = 0.0
 
-    def add(self, value_ns: int, kept: float) -> int:
+    def add(self, value_ns: int, forgetting: float) -> int:
         """Count a value of 0 or more; return the upper edge in ns of the quantile's bin.
 
-        kept: what is left of the weight of all before it, above 0 and at most 1.
+        forgetting: factor by which the weight of earlier values shrinks, above 0 and at most 1.
         """
         # To grow the weight of what comes next forgets like shrinking all old ones.
-        self._weight /= kept
+        self._weight /= forgetting
         if self._weight > 1e100:
             scale = 1 / self._weight
             self._weights = [weight * scale for weight in self._weights]
@@ -113,11 +113,12 @@ class DelayTracker:
 
     Parameters
     ----------
-    follows
-        Whether the base is lifted as soon as all delays of 50 ms were more than twice as far above
+    follows_longer_path
+        Whether the base is raised as soon as all delays of 50 ms were more than twice as far above
         it as usual; a burst of long delays is then a longer path and not jitter.
-    warp
-        How fast the playout can follow, in seconds a second; `late_share` depends on it.
+    max_slew
+        Greatest rate of change of the playout delay, in seconds a second, by which `late_share` is
+        computed.
 
     Attributes
     ----------
@@ -127,10 +128,10 @@ class DelayTracker:
         Mean of the delay asked for.
     """
 
-    def __init__(self, late_target: float, follows: bool, warp: float) -> None:
+    def __init__(self, late_target: float, follows_longer_path: bool, max_slew: float) -> None:
         self._reach = ExponentialQuantile(late_target)
-        self._longer = LongerPath(LONGER_AFTER_NS) if follows else None
-        self._warp = warp
+        self._longer = LongerPath(LONGER_AFTER_NS) if follows_longer_path else None
+        self._max_slew = max_slew
         # Falling in time, rising in delay: the first is the window's smallest.
         self._window: deque[tuple[int, int]] = deque()
         self._elapsed_ns = 0
@@ -140,48 +141,48 @@ class DelayTracker:
         self._count = self._excess_ns = self._delays_ns = self._late = 0.0
         self.late_share = self.mean_ns = 0.0
 
-    def lift(self, base_ns: int) -> None:
-        """Take a longer path's base: what was smaller is of no use any more."""
+    def set_base(self, base_ns: int) -> None:
+        """Set the base to that of a longer path; smaller delays so far are discarded."""
         self._window.clear()
         self._window.append((self._elapsed_ns, base_ns))
 
-    def observe(self, delay_ns: int, now_ns: int, elapsed_ns: int, kept: float) -> int:
+    def observe(self, delay_ns: int, now_ns: int, elapsed_ns: int, forgetting: float) -> int:
         """Take a frame `elapsed_ns` after the last one; return the delay that is asked for now.
 
-        kept: what is left of the weight of all before it.
+        forgetting: factor by which the weight of earlier values shrinks.
         """
         self._elapsed_ns += min(elapsed_ns, SILENCE_NS)
         window = self._window
         # The base that was in force when it came: a frame that this was too low for is late.
         base_ns = window[0][1] if window else delay_ns
         excess_ns = max(delay_ns - base_ns, 0)
-        reach_ns = self._reach.add(excess_ns, kept)
-        self._count = self._count * kept + 1
-        self._excess_ns = self._excess_ns * kept + excess_ns
+        reach_ns = self._reach.add(excess_ns, forgetting)
+        self._count = self._count * forgetting + 1
+        self._excess_ns = self._excess_ns * forgetting + excess_ns
         if self._longer is not None:
             limit_ns = base_ns + int(FAR_ABOVE * self._excess_ns / self._count)
             longer_ns = self._longer.base_ns(delay_ns, limit_ns, now_ns)
             if longer_ns is not None:
-                self.lift(longer_ns)
+                self.set_base(longer_ns)
         while window and window[-1][1] >= delay_ns:
             window.pop()
         window.append((self._elapsed_ns, delay_ns))
         while window[0][0] <= self._elapsed_ns - BASE_NS:
             window.popleft()
         asked_ns = released(self._delay_ns, window[0][1] + reach_ns, elapsed_ns)
-        self._score(delay_ns, asked_ns, elapsed_ns, kept)
+        self._score(delay_ns, asked_ns, elapsed_ns, forgetting)
         self._delay_ns = asked_ns
         return asked_ns
 
-    def _score(self, delay_ns: int, asked_ns: int, elapsed_ns: int, kept: float) -> None:
+    def _score(self, delay_ns: int, asked_ns: int, elapsed_ns: int, forgetting: float) -> None:
         if self._delay_ns is None:
             self._followed_ns = asked_ns
         else:
-            room_ns = self._warp * elapsed_ns
+            room_ns = self._max_slew * elapsed_ns
             missing_ns = self._delay_ns - self._followed_ns
             self._followed_ns += min(max(missing_ns, -room_ns), room_ns)
-        self._late = self._late * kept + (delay_ns > self._followed_ns)
-        self._delays_ns = self._delays_ns * kept + asked_ns
+        self._late = self._late * forgetting + (delay_ns > self._followed_ns)
+        self._delays_ns = self._delays_ns * forgetting + asked_ns
         self.late_share, self.mean_ns = self._late / self._count, self._delays_ns / self._count
 
 
@@ -216,8 +217,9 @@ class DelayEstimator:
     ----------
     late_target
         Share of samples that may be late, above 0 and below 1.
-    warp
-        The playout's greatest time-warp; infinity for a playout that jumps.
+    max_slew
+        Greatest rate of change of the playout delay, in seconds a second; infinity for a playout
+        that jumps.
 
     Attributes
     ----------
@@ -227,10 +229,10 @@ class DelayEstimator:
         Whether enough has been seen to start playing.
     """
 
-    def __init__(self, late_target: float = LATE_TARGET, warp: float = 1 / WARP_PARTS) -> None:
+    def __init__(self, late_target: float = LATE_TARGET, max_slew: float = 1 / WARP_PARTS) -> None:
         self._late_target = late_target
-        self._covering = DelayTracker(late_target, follows=False, warp=warp)
-        self._following = DelayTracker(late_target, follows=True, warp=warp)
+        self._covering = DelayTracker(late_target, follows_longer_path=False, max_slew=max_slew)
+        self._following = DelayTracker(late_target, follows_longer_path=True, max_slew=max_slew)
         self._outage = LongerPath(OUTAGE_ENDS_NS)
         self._first_ns: int | None = None
         self._last_ns = 0
@@ -251,10 +253,10 @@ class DelayEstimator:
         self._last_ns = now_ns
         self.settled = now_ns - self._first_ns >= SETTLED_NS
         # The bound keeps a silence of hours from underflowing; nothing is left of the old then.
-        kept = math.exp(-min(elapsed_ns / FORGET_NS, 100.0))
+        forgetting = math.exp(-min(elapsed_ns / FORGET_NS, 100.0))
         covering, following = self._covering, self._following
-        covering_ns = covering.observe(delay_ns, now_ns, elapsed_ns, kept)
-        following_ns = following.observe(delay_ns, now_ns, elapsed_ns, kept)
+        covering_ns = covering.observe(delay_ns, now_ns, elapsed_ns, forgetting)
+        following_ns = following.observe(delay_ns, now_ns, elapsed_ns, forgetting)
         # Following is preferred where it hardly matters: it is first to be right.
         dearer_ns = following.mean_ns - covering.mean_ns
         later = following.late_share - covering.late_share
@@ -271,8 +273,8 @@ class DelayEstimator:
         spared_ns = OUTAGE_NS if outage.since_ns is None else 0
         base_ns = outage.base_ns(delay_ns, self.delay_ns + spared_ns, now_ns)
         if base_ns is not None:
-            self._covering.lift(base_ns)
-            self._following.lift(base_ns)
+            self._covering.set_base(base_ns)
+            self._following.set_base(base_ns)
         return outage.since_ns is not None
 
 

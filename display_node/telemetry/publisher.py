@@ -24,7 +24,7 @@ LOOK_EVERY_S = 0.01
 class Publisher:
     """Publisher of a display's telemetry over one bound XPUB socket.
 
-    run: a random number of this run of the display. gate: authenticator of readers. provenance: is
+    run: a random number of this run of the display. authenticator: of its readers. provenance: is
     sent to readers that request it. rejected: refusals of readers, by cause.
     """
 
@@ -32,16 +32,16 @@ class Publisher:
         self,
         socket: sockets.Socket,
         run: int,
-        gate: Authenticator | None = None,
+        authenticator: Authenticator | None = None,
         provenance: bytes = b"",
     ) -> None:
         self._socket = socket
-        self._authenticator = gate
+        self._authenticator = authenticator
         self._subscriptions = SubscriptionBudget(socket, (TRACE, STATUS, HEARD, PROVENANCE))
         self._provenance = provenance
         self.rejected = self._subscriptions.rejected
         self._trace = TraceWriter()
-        self.heard = CaptureWriter(run)
+        self.captured = CaptureWriter(run)
         self.address = socket.getsockopt_string(zmq.LAST_ENDPOINT)
 
     def add(self, felt: TickState) -> bool:
@@ -50,12 +50,12 @@ class Publisher:
         if trace is None:
             return False
         self._publish_trace(trace)
-        return self.heard.traces % STATUS_TRACES == 0
+        return self.captured.traces % STATUS_TRACES == 0
 
     def status(self, status: bytes) -> None:
         """Publish a status."""
         sockets.send(self._socket, STATUS, status)
-        self.heard.statuses += 1
+        self.captured.statuses += 1
 
     def finish(self, status: bytes) -> None:
         """Publish what is left, and the last status."""
@@ -68,26 +68,26 @@ class Publisher:
     def await_recorder(self, seconds: float) -> bool:
         """Wait for a reader that requests captured messages; return False without one in time."""
         until_s = time.monotonic() + seconds
-        while not self.heard.wanted and time.monotonic() < until_s:
+        while not self.captured.wanted and time.monotonic() < until_s:
             self._serve_readers()
             time.sleep(LOOK_EVERY_S)
-        return self.heard.wanted
+        return self.captured.wanted
 
     def _publish_trace(self, trace: bytes) -> None:
         self._publish_captured()
         sockets.send(self._socket, TRACE, trace)
-        self.heard.traces += 1
+        self.captured.traces += 1
 
     def _publish_captured(self) -> None:
         self._serve_readers()
-        if self.heard.wanted:
-            for message in self.heard.take(time.monotonic_ns(), time.time_ns()):
+        if self.captured.wanted:
+            for message in self.captured.take(time.monotonic_ns(), time.time_ns()):
                 sockets.send(self._socket, HEARD, message)
 
     def _serve_readers(self) -> None:
         if self._authenticator is not None:
             self._authenticator.poll(time.monotonic_ns())
         for subscription in self._subscriptions.receive():
-            self.heard.follow(subscription)
+            self.captured.follow(subscription)
             if subscription == b"\1" + PROVENANCE and self._provenance:
                 sockets.send(self._socket, PROVENANCE, self._provenance)

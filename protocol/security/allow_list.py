@@ -31,7 +31,7 @@ class AllowList:
         self._path = path
         self._stamp = _stamp(path)
         self.allowed: Mapping[bytes, PublicKey] = self._read()
-        self._once_allowed = set(self.allowed)
+        self._ever_allowed = set(self.allowed)
         self._poll_ns = 0
         self._unreadable_since_ns: int | None = None
         self._reason = ""
@@ -41,9 +41,9 @@ class AllowList:
         """True while the file's present content is the one that was read."""
         return self._unreadable_since_ns is None
 
-    def once_allowed(self, key: bytes) -> bool:
+    def was_allowed(self, key: bytes) -> bool:
         """Return whether the key was on the list at some time of this run."""
-        return key in self._once_allowed
+        return key in self._ever_allowed
 
     def poll(self, now_ns: int) -> list[bytes]:
         """Read the list when it has changed, and return the keys that were revoked.
@@ -69,7 +69,7 @@ class AllowList:
         for public in gone:
             logger.warning(f"{public.name} is allowed no more")
         self.allowed = allowed
-        self._once_allowed |= allowed.keys()
+        self._ever_allowed |= allowed.keys()
         return [public.key for public in gone]
 
     def _fail(self, reason: str, now_ns: int) -> list[bytes]:

@@ -158,7 +158,7 @@ class Authenticator:
         # A peer with the node's own secret key is the node itself.
         public = own if request.key == own.key else self._list.allowed.get(request.key)
         if public is None or (public is not own and not self._list.readable):
-            cause = REVOKED_KEY if self._list.once_allowed(request.key) else UNKNOWN_KEY
+            cause = REVOKED_KEY if self._list.was_allowed(request.key) else UNKNOWN_KEY
             cause = cause if self._list.readable else LIST_UNREADABLE
             self._refuse(cause, request.address, request.key)
             return None

@@ -54,7 +54,7 @@ class TelemetryPublisher:
         if self.authenticator is not None:
             self.authenticator.protect(socket)
         socket.bind(address)
-        self.publisher = Publisher(socket, run=1, gate=self.authenticator)
+        self.publisher = Publisher(socket, run=1, authenticator=self.authenticator)
         self.frames = self.ticks = 0
         self.sent_ns: list[int] = []
 
@@ -68,9 +68,9 @@ class TelemetryPublisher:
 
     def receive(self, path: int, data: bytes) -> None:
         now_ns = time.monotonic_ns()
-        self.publisher.heard.add(now_ns, path, data)
+        self.publisher.captured.add(now_ns, path, data)
         if path == CONTROL:
-            self.publisher.heard.welcome(now_ns, data)
+            self.publisher.captured.welcome(now_ns, data)
 
     def publish(self, ms: int, session: int = SESSION) -> None:
         """So many ticks, with statuses."""

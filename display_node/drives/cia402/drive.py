@@ -49,7 +49,7 @@ class Cia402Drive(Drive):
         return self._node
 
     def _step(self) -> None:
-        with self._lock.passing():
+        with self._lock.acquire_or_proceed():
             now_ns = time.monotonic_ns()
             self._read_reports(now_ns)
             if self._supervisor.withdrawal is not None:

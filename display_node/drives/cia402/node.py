@@ -26,7 +26,7 @@ from display_node.drives.cia402.state_machine import (
 )
 from display_node.drives.drive import bound_search
 from display_node.drives.scene import Cia402Scene, discard_spoilt_line, is_noise, open_bus
-from display_node.drives.supervisor import PassableLock
+from display_node.drives.supervisor import TimeoutLock
 from protocol.errors import DriveError
 
 SYNC = 0x80
@@ -101,7 +101,7 @@ class Cia402Node:
         self._network = canopen.Network(self._bus)
         self._network.NOTIFIER_CYCLE = 0.1
         # canopen's own threads send as well.
-        self._sending = PassableLock(self._network.send_lock)
+        self._sending = TimeoutLock(self._network.send_lock)
         sheet = str(files("display_node.drives.cia402") / "cia402.eds")
         self._node = canopen.RemoteNode(scene.node, sheet)
         self._node.sdo.RESPONSE_TIMEOUT = SDO_TIMEOUT_S
@@ -295,7 +295,7 @@ class Cia402Node:
         try:
             if self._lost is not None:
                 raise self._lost
-            with self._sending.passing():
+            with self._sending.acquire_or_proceed():
                 self._bus.send(message, self._scene.watchdog_ns * 1e-9)
         except Exception as error:
             raise DriveError("unplugged", f"{self._name}: {error}") from None

@@ -81,7 +81,7 @@ class TmclDrive(Drive):
                 module.read(module.switch if module.switch_requested else parameter)
         except DriveError as error:
             self._fail(error)
-        with self._lock.passing():
+        with self._lock.acquire_or_proceed():
             supervisor = self._supervisor
             supervisor.answered_ns = module.received_ns
             if supervisor.fault and module.position_ns - self._missed_ns < AMBIGUOUS_NS:
@@ -91,7 +91,7 @@ class TmclDrive(Drive):
 
     def _send(self, now_ns: int) -> None:
         """Send the present velocity, however old the command is: that feeds the heartbeat."""
-        with self._lock.passing():
+        with self._lock.acquire_or_proceed():
             supervisor = self._supervisor
             supervisor.check_silence(now_ns)
             self._taken_ns = supervisor.commanded_ns
@@ -105,7 +105,7 @@ class TmclDrive(Drive):
         A module that obeys without an answer is thus commanded on, to its home switch.
         """
         now_ns = time.monotonic_ns()
-        with self._lock.passing():
+        with self._lock.acquire_or_proceed():
             self._supervisor.mark_unsent(now_ns)
             if error.kind in TRANSIENT:
                 self._missed_ns = now_ns

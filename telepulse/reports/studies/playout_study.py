@@ -68,7 +68,9 @@ def _fixed(reserve_ms: float) -> FixedDelay:
 
 OURS = "ours"
 RULES: dict[str, TunedRule] = {
-    OURS: TunedRule(partial(DelayEstimator, warp=math.inf), "late target", 1e-4, 0.3, LATE_TARGET),
+    OURS: TunedRule(
+        partial(DelayEstimator, max_slew=math.inf), "late target", 1e-4, 0.3, LATE_TARGET
+    ),
     "Ramjee 1": TunedRule(Ramjee1, "β", 60.0, 0.5, 4.0),
     "Ramjee 4": TunedRule(Ramjee4, "β", 60.0, 0.5, 4.0),
     "Moon percentile": TunedRule(MoonPercentile, "late target", 1e-4, 0.3, 0.01),

@@ -48,7 +48,7 @@ def test_captured_messages_are_sent_on_request_only(
     publisher: Publisher, everything: zmq.Socket
 ) -> None:
     assert not publisher.await_recorder(0.3)
-    publisher.heard.add(1, 0, b"frame")
+    publisher.captured.add(1, 0, b"frame")
     assert ticks(publisher, STATUS_TRACES * TRACE_TICKS) == 1
     publisher.status(b"status")
     assert [topic for topic, _ in received(everything)] == [TRACE] * STATUS_TRACES + [STATUS]
@@ -57,8 +57,8 @@ def test_captured_messages_are_sent_on_request_only(
 def test_each_recorder_receives_the_stream_description_however_late_it_comes(
     publisher: Publisher, context: Context
 ) -> None:
-    publisher.heard.add(1, CONTROL, b"welcome")
-    publisher.heard.welcome(1, b"welcome")
+    publisher.captured.add(1, CONTROL, b"welcome")
+    publisher.captured.welcome(1, b"welcome")
     for _ in range(2):
         reader = context.socket(zmq.SUB)
         reader.subscribe(HEARD)
@@ -79,7 +79,7 @@ def test_the_last_ticks_and_messages_come_before_the_last_status(
     everything.subscribe(HEARD)
     assert publisher.await_recorder(PATIENCE_S)
     ticks(publisher, TRACE_TICKS + 3)
-    publisher.heard.add(5, 0, b"last")
+    publisher.captured.add(5, 0, b"last")
     publisher.finish(b"status")
     messages = received(everything)
     traces = [read_trace(data) for topic, data in messages if topic == TRACE]

@@ -92,7 +92,7 @@ def test_all_that_a_display_publishes_is_in_the_file(tmp_path: Path) -> None:
     assert [m.fields["instant_ns"] for m in messages[TICK]] == [
         number * 1_000_000 for number in range(display.ticks)
     ]
-    assert len(messages[STATUS]) == display.publisher.heard.statuses
+    assert len(messages[STATUS]) == display.publisher.captured.statuses
     assert len(messages[STREAM]) == 1
     assert events_of(path) == [
         *("begin", "session", "state", "join", "end of stream", "state", "end")
@@ -274,7 +274,7 @@ def test_a_key_that_is_allowed_later_is_recorded_from_then_on(tmp_path: Path) ->
         while not display.authenticator.rejected:
             publish_for(display, 0.1)
         ring.allow("notes")
-        while not display.publisher.heard.wanted:
+        while not display.publisher.captured.wanted:
             publish_for(display, 0.1)
         publish_for(display, 0.3)
         _, errors = end(display, recorder)

@@ -5,7 +5,7 @@ import random
 import pytest
 
 from display_node.drives.axis import Axis, build_axis
-from display_node.drives.supervisor import PATIENCE_S, PassableLock, Supervisor
+from display_node.drives.supervisor import PATIENCE_S, Supervisor, TimeoutLock
 from display_node.drives.withdrawal import WithdrawalOutcome
 from tests.support.drive_benches import FORCE_LIMIT_N, LAYER, stepper, tmcl_scene
 from tests.support.virtual_time import VirtualTime
@@ -147,7 +147,7 @@ def test_the_limits_of_the_travel_are_reported() -> None:
 def test_a_lock_is_passed_while_its_holder_stands_still_and_then_excludes_again() -> None:
     world, entries = VirtualTime(now_ns=0), list[tuple[str, float]]()
     with world.substituted(("display_node.drives.supervisor",)):
-        lock = PassableLock()
+        lock = TimeoutLock()
 
     def loop() -> None:
         for held_s in (1.0, 0.02):
@@ -159,11 +159,11 @@ def test_a_lock_is_passed_while_its_holder_stands_still_and_then_excludes_again(
     def drive() -> None:
         world.sleep(0.5)
         for _ in range(2):
-            with lock.passing():
+            with lock.acquire_or_proceed():
                 entries.append(("drive", world.monotonic()))
         for sleep_s in (0.4505, 0.0095):
             world.sleep(sleep_s)
-            with lock.passing():
+            with lock.acquire_or_proceed():
                 entries.append(("drive", world.monotonic()))
 
     world.thread(loop)

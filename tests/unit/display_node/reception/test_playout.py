@@ -294,11 +294,11 @@ def test_bursts_are_followed_by_a_playout_that_can_and_covered_by_one_that_canno
     delays_ms += 30 * (np.arange(len(delays_ms)) / FRAMES_A_SECOND % 12 > 10)
     settled = slice(60 * FRAMES_A_SECOND, None)
     late, mean_ms = {}, {}
-    for warp in (math.inf, 0.02):
-        asked_ms = watched(DelayEstimator(warp=warp), delays_ms)[settled]
+    for slew in (math.inf, 0.02):
+        asked_ms = watched(DelayEstimator(max_slew=slew), delays_ms)[settled]
         # A frame is judged by the estimate before it.
-        late[warp] = (delays_ms[settled][1:] > asked_ms[:-1]).mean()
-        mean_ms[warp] = asked_ms.mean()
+        late[slew] = (delays_ms[settled][1:] > asked_ms[:-1]).mean()
+        mean_ms[slew] = asked_ms.mean()
     assert late[0.02] < 0.01
     assert late[math.inf] < 0.02
     assert mean_ms[0.02] > 54
@@ -311,7 +311,7 @@ def test_bursts_that_are_dear_to_follow_are_covered() -> None:
     delays_ms += 30 * (at_s % 1 > 0.85)
     # Their beginnings alone are more than 3 %: a following track asks for 30 ms in a burst and 30
     # more for the next one's beginning.
-    asked_ms = watched(DelayEstimator(late_target=0.03, warp=math.inf), delays_ms)
+    asked_ms = watched(DelayEstimator(late_target=0.03, max_slew=math.inf), delays_ms)
     assert asked_ms[60 * FRAMES_A_SECOND :].mean() == pytest.approx(53, abs=1.5)
 
 
