@@ -185,11 +185,7 @@ def test_summary_reports_clock_and_delays() -> None:
 
 
 def test_scene_errors_are_one_line() -> None:
-    scene = {
-        "compensation": "40 N",
-        "controller": {"kp": 1},
-        "actuator": {"kind": "second_order"},
-    }
+    scene = {"compensation": "40 N", "controller": {"kp": 1}, "actuator": {"kind": "second_order"}}
     with pytest.raises(SceneError, match=r"compensation: '40 N' is no time") as caught:
         validate(scene, DisplayScene, "scene: [display]")
     assert "\n" not in str(caught.value)

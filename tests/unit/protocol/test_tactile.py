@@ -32,8 +32,7 @@ def test_the_default_layer_is_that_of_table_3() -> None:
 
 
 @pytest.mark.parametrize(
-    ("strain", "newtons"),
-    [(9.4249e-9, 1.974e-3), (5.7802e-8, 12.106e-3), (9.961e-8, 20.863e-3)],
+    ("strain", "newtons"), [(9.4249e-9, 1.974e-3), (5.7802e-8, 12.106e-3), (9.961e-8, 20.863e-3)]
 )
 def test_the_papers_strain_errors_as_forces(strain: float, newtons: float) -> None:
     assert TABLE_3.force(-strain) == pytest.approx(newtons, rel=2e-4)

@@ -44,10 +44,7 @@ class Bench:
     """
 
     def __init__(
-        self,
-        film: FilmTable = NOISY,
-        scene: ObserverScene = KNOWN,
-        fingertip_n_per_m: float = 1e3,
+        self, film: FilmTable = NOISY, scene: ObserverScene = KNOWN, fingertip_n_per_m: float = 1e3
     ) -> None:
         quiet = film.model_copy(update={"noise_n": 0.0})
         # What the observer learns it writes into its own law.

@@ -122,8 +122,7 @@ def test_a_force_that_is_no_number_is_not_read_as_one(
 
 
 @pytest.mark.parametrize(
-    "keys",
-    [{"filter": "0 Hz"}, {"filter_order": 5}, {"noise": "-1 mN"}, {"adc_bits": 1}],
+    "keys", [{"filter": "0 Hz"}, {"filter_order": 5}, {"noise": "-1 mN"}, {"adc_bits": 1}]
 )
 def test_what_no_film_has_is_refused(keys: dict[str, object]) -> None:
     with pytest.raises(ValueError, match="validation error"):

@@ -159,8 +159,7 @@ def test_a_microstep_is_the_lead_over_3200_steps() -> None:
 
 
 commands = st.tuples(
-    st.floats(-1e7, 1e7) | st.sampled_from([-math.inf, 0.0, math.inf]),
-    st.integers(1, 40),
+    st.floats(-1e7, 1e7) | st.sampled_from([-math.inf, 0.0, math.inf]), st.integers(1, 40)
 )
 
 

@@ -32,12 +32,7 @@ def test_hold_keeps_the_newest_value(ahead_ns: int) -> None:
 
 
 @settings(deadline=None)
-@given(
-    st.floats(-1, 1),
-    st.integers(2, 32),
-    st.integers(10_000, 10 * MS),
-    st.integers(0, REACH_NS),
-)
+@given(st.floats(-1, 1), st.integers(2, 32), st.integers(10_000, 10 * MS), st.integers(0, REACH_NS))
 def test_linear_is_exact_on_a_straight_line(
     slope_per_ms: float, count: int, period_ns: int, ahead_ns: int
 ) -> None:
@@ -66,11 +61,7 @@ def test_linear_goes_on_for_20_ms_at_most(ahead_ns: int) -> None:
 
 @pytest.mark.parametrize(
     ("times_ns", "values"),
-    [
-        ([5 * MS], [0.4]),
-        ([5 * MS, 5 * MS, 5 * MS], [0.1, 0.2, 0.4]),
-        ([0, 50 * MS], [0.1, 0.4]),
-    ],
+    [([5 * MS], [0.4]), ([5 * MS, 5 * MS, 5 * MS], [0.1, 0.2, 0.4]), ([0, 50 * MS], [0.1, 0.4])],
     ids=["one sample", "equal times", "samples too far apart"],
 )
 def test_linear_holds_where_there_is_no_slope(times_ns: list[int], values: list[float]) -> None:

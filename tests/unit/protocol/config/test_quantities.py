@@ -129,8 +129,7 @@ def test_a_ratio_is_a_number_or_a_percentage(text: object, ratio: float) -> None
 
 
 @pytest.mark.parametrize(
-    "text",
-    [math.nan, math.inf, -math.inf, "nan", "inf %", True, None, [1], "", "%", "1 ms", "one"],
+    "text", [math.nan, math.inf, -math.inf, "nan", "inf %", True, None, [1], "", "%", "1 ms", "one"]
 )
 def test_an_invalid_ratio_is_refused_with_valid_ones(text: object) -> None:
     with pytest.raises(ValueError, match=r"is no ratio: write 0.01 or '1 %'"):

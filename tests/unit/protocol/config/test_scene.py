@@ -122,10 +122,7 @@ def test_a_wrong_key_or_value_is_named(path: Path, text: str, line: str) -> None
         ('lead = "1 mm"', "actuator: 'kind' is missing; it must be given"),
         ('kind = "motor"', "actuator.lead: missing; it must be given"),
         ('kind = "motor"\nlead = "1 N"', "actuator.lead: '1 N' is no length: a length is"),
-        (
-            'kind = "motor"\nlead = "-2 mm"',
-            "actuator.lead: must be greater than 0 mm, got '-2 mm'",
-        ),
+        ('kind = "motor"\nlead = "-2 mm"', "actuator.lead: must be greater than 0 mm, got '-2 mm'"),
         (
             'kind = "motor"\nlead = "2 mm"\ngian = 1',
             "actuator.gian: unknown key; known: kind, lead",

@@ -169,11 +169,7 @@ def change(
 @pytest.mark.parametrize("reader", READERS)
 @pytest.mark.parametrize(
     ("topic", "number", "name", "value"),
-    [
-        (TICK, 1_499, "now_ns", 10**30),
-        (TICK, 1_499, "felt_n", []),
-        (FRAME, 0, "data", "no base64"),
-    ],
+    [(TICK, 1_499, "now_ns", 10**30), (TICK, 1_499, "felt_n", []), (FRAME, 0, "data", "no base64")],
 )
 def test_a_field_that_is_not_telepulses_is_one_line_or_left_out(
     reader: str,

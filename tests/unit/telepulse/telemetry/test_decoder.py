@@ -16,22 +16,10 @@ from protocol.errors import CAUSE_MEANINGS
 from protocol.run_summary import Summary
 from protocol.summary_tables import Clock, Compensation, Deadlines, Loop, SampleCounts
 from protocol.wire.messages import Hello, encode_control, encode_frame
-from protocol.wire.telemetry import (
-    CONTROL,
-    HEARD,
-    TRACE,
-    TickState,
-)
+from protocol.wire.telemetry import CONTROL, HEARD, TRACE, TickState
 from protocol.wire.telemetry import STATUS as STATUS_TOPIC
 from telepulse.telemetry.decoder import Entry
-from telepulse.telemetry.schema import (
-    CLOCK,
-    EVENT,
-    FRAME,
-    REFUSED,
-    SCHEMAS,
-    STREAM,
-)
+from telepulse.telemetry.schema import CLOCK, EVENT, FRAME, REFUSED, SCHEMAS, STREAM
 from tests.support.foxglove import assert_fits, assert_readable
 from tests.support.streams import description
 from tests.support.telemetry_publisher import (

@@ -42,9 +42,7 @@ def test_what_lags_is_wrong_in_phase_and_right_aligned(display: SimulatedDisplay
     assert scores.jnd_n == pytest.approx(0.1 * RATIO * 2 * SWING_N, rel=1e-3)
 
 
-def test_two_layers_have_equal_strains_at_different_forces(
-    display: SimulatedDisplay,
-) -> None:
+def test_two_layers_have_equal_strains_at_different_forces(display: SimulatedDisplay) -> None:
     columns = picture(display.live, WINDOW_NS).columns
     peak_n = MEAN_N + SWING_N
     assert columns["wrist"]["y"].max() == pytest.approx(1e3 * peak_n, rel=1e-3)

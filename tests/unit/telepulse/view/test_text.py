@@ -149,9 +149,7 @@ def test_a_display_that_falls_silent_is_an_alarm(display: SimulatedDisplay) -> N
     assert names(display, silent_ns=3 * SECOND_NS) == []
 
 
-def test_a_fault_is_shown_with_what_to_do_and_the_finger(
-    display: SimulatedDisplay,
-) -> None:
+def test_a_fault_is_shown_with_what_to_do_and_the_finger(display: SimulatedDisplay) -> None:
     display.status("fault", faults=["feedback lost"], finger="force unknown since 3 s")
     (alarm,) = alarms(display.live, 0)
     assert alarm.text == (
