@@ -234,9 +234,7 @@ def test_no_number_a_peer_sends_breaks_the_loop_or_its_telemetry(
 
 @pytest.mark.parametrize("claimed_ns", EXTREMES)
 @pytest.mark.parametrize("drift", [0, 1000])
-def test_no_clock_a_peer_claims_breaks_the_loop_or_its_telemetry(
-    claimed_ns: int, drift: int
-) -> None:
+def test_no_clock_a_peer_claims_breaks_loop_or_telemetry(claimed_ns: int, drift: int) -> None:
     under_test, writer = display(), TraceWriter()
     under_test.on_control(encode_control(Welcome(7, 0, description())), 0)
     for ms in range(3000):

@@ -38,9 +38,7 @@ def test_every_fault_in_the_code_has_an_advice() -> None:
     }
 
 
-def test_a_fault_ends_with_its_status_and_a_line_for_each(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_fault_ends_with_its_status_and_a_line_each(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         end_at_faults("display-node", ["feedback lost", f"{FILM_NOTE}3 samples missing"])
     assert ended.value.code == FAULT_STATUS == 3

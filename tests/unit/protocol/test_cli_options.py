@@ -98,7 +98,7 @@ def test_a_link_beyond_this_machine_requires_keys_or_insecure(address: str) -> N
 
 
 @pytest.mark.parametrize("address", [NEAR, "tcp://localhost:5555", "tcp://[::1]:5555", "ipc://x"])
-def test_on_this_machine_it_goes_without_or_with(
+def test_on_this_machine_keys_are_optional(
     address: str, keyring: Keyring, own: Path, peer: Path
 ) -> None:
     assert server_keys(address, None, None, insecure=False) is None

@@ -27,9 +27,7 @@ def test_a_quantile_is_exact_to_one_bin(values: list[float]) -> None:
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=300))
-def test_count_mean_and_maximum_are_exact_and_quantiles_rise_to_the_maximum(
-    values: list[float],
-) -> None:
+def test_count_mean_and_maximum_are_exact_and_quantiles_rise_to_it(values: list[float]) -> None:
     histogram = filled(values)
     assert histogram.count == len(values)
     assert histogram.mean == pytest.approx(np.mean(values), abs=1e-9)

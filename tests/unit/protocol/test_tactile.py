@@ -116,7 +116,7 @@ def test_the_strain_of_the_stress_on_the_axis_is_the_layers(layer: ElasticLayer)
 
 @pytest.mark.parametrize("sensing", LAYERS)
 @pytest.mark.parametrize("display", LAYERS)
-def test_forces_in_the_matching_ratio_strain_both_layers_alike(
+def test_forces_in_matching_ratio_strain_layers_alike(
     sensing: ElasticLayer, display: ElasticLayer
 ) -> None:
     pulse_n = 0.3

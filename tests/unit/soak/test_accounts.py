@@ -66,7 +66,7 @@ def test_only_the_tail_of_a_killed_session_may_be_missing(
 
 
 @pytest.mark.parametrize(("total", "counted", "off"), [(28_000, 18_000, 0), (26_900, 16_900, 100)])
-def test_after_a_killed_session_the_next_reported_end_sums_up_both(
+def test_after_a_killed_session_the_next_end_sums_up_both(
     total: int, counted: int, off: int
 ) -> None:
     rows = marks(*killed(20_000), (41, "ended", total))

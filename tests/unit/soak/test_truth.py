@@ -117,9 +117,7 @@ def after(seconds: float, felt_s: float, recorded_s: float, ran_s: float) -> Sta
         (100.0, 48.0, 99.0, False),
     ],
 )
-def test_availability_is_that_of_the_ticks(
-    seconds: float, felt_s: float, ran_s: float, ok: bool
-) -> None:
+def test_availability_is_by_ticks(seconds: float, felt_s: float, ran_s: float, ok: bool) -> None:
     last = after(seconds, felt_s, recorded_s=50.0, ran_s=ran_s)
     assert verdicts(claim(), last)["availability"] is ok
 

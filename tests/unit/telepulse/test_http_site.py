@@ -44,9 +44,7 @@ def test_a_request_under_an_own_name_is_served(bound: str, host: str, origin: st
         ("127.0.0.1", "evil\r\n\x1b[2J.example", None),
     ],
 )
-def test_any_other_is_refused_in_one_printable_line(
-    bound: str, host: str, origin: str | None
-) -> None:
+def test_others_are_refused_in_one_printed_line(bound: str, host: str, origin: str | None) -> None:
     refusal = Site.at(bound).refusal(host, origin)
     assert refusal
     assert refusal.isprintable()

@@ -77,9 +77,7 @@ def quantisation_floor_n(pulse_n: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.mean((np.array(nearest_n) - pulse_n) ** 2)))
 
 
-def test_with_feed_forward_a_stepper_follows_to_its_quantisation(
-    pulse_n: NDArray[np.float64],
-) -> None:
+def test_with_feed_forward_a_stepper_is_off_by_quantisation(pulse_n: NDArray[np.float64]) -> None:
     # No drive of 0.625 µm microsteps can do better than 0.18 mN here.
     assert quantisation_floor_n(pulse_n) == pytest.approx(0.18e-3, abs=0.01e-3)
     assert rmse_n(force_loop(FOLLOWING), pulse_n) <= 0.25e-3
@@ -94,13 +92,13 @@ def test_with_feed_forward_a_stepper_follows_to_its_quantisation(
         {"kp": 0.1, "ki": 0.15, "kd": 1e-4},
     ],
 )
-def test_without_feed_forward_the_lag_is_felt(
+def test_without_feed_forward_it_lags(
     gains: dict[str, object], pulse_n: NDArray[np.float64]
 ) -> None:
     assert 5e-3 < rmse_n(force_loop(gains), pulse_n) < 50e-3
 
 
-def test_the_papers_gains_as_millivolts_follow_on_its_own_actuator(
+def test_the_papers_gains_in_millivolts_follow_on_its_actuator(
     pulse_n: NDArray[np.float64],
 ) -> None:
     assert rmse_n(force_loop(PAPERS_EXPERIMENT, SECOND_ORDER), pulse_n) < 2e-3

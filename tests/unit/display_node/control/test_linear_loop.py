@@ -234,9 +234,7 @@ def test_it_becomes_unstable_at_its_delay_margin(case: Case) -> None:
 
 @pytest.mark.parametrize(("wander", "noise"), [(1.0, 0.0), (0.0, 1.0)])
 @pytest.mark.parametrize("name", ["rotor and film", "observer, rotor and film"])
-def test_felt_noise_is_what_a_long_run_of_noise_makes(
-    name: str, wander: float, noise: float
-) -> None:
+def test_felt_noise_is_that_of_a_long_noisy_run(name: str, wander: float, noise: float) -> None:
     loop = CASES[name].linear()
     ticks, closed = 50_000, loop.closed
     rng = np.random.default_rng(7)

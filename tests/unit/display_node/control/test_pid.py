@@ -39,7 +39,7 @@ def outputs_by_sums(
     st.floats(0, 10),
     st.floats(1, 5000),
 )
-def test_pid_agrees_with_a_slow_one(
+def test_pid_agrees_with_sums(
     errors: list[float], kp: float, ki: float, kd: float, corner_hz: float
 ) -> None:
     under_test = pid(kp=kp, ki=ki, kd=kd, derivative_filter=f"{corner_hz:.6f} Hz")
@@ -165,9 +165,7 @@ def test_what_was_saturated_goes_on_as_if_it_had_only_begun(response: float) -> 
     st.lists(st.tuples(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6)), max_size=60),
     st.just(0.0) | st.floats(0, 1e6),
 )
-def test_no_response_lets_it_pass_its_limit(
-    steps: list[tuple[float, float]], response: float
-) -> None:
+def test_no_response_passes_its_limit(steps: list[tuple[float, float]], response: float) -> None:
     under_test = pid(limit=0.4, kp=15, ki=100, kd=0.5)
     for error, feed in steps:
         assert abs(under_test.step(error, response, feed)) <= 0.4

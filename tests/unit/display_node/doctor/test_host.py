@@ -108,9 +108,7 @@ def test_the_weightiest_advice_is_the_first() -> None:
         ("Darwin Kernel Version 23.1.0", None),
     ],
 )
-def test_a_kernels_version_states_how_preemptible_it_is(
-    version: str, preemption: str | None
-) -> None:
+def test_a_kernel_version_states_its_preemption(version: str, preemption: str | None) -> None:
     assert preemption_of(version) == preemption
 
 
@@ -125,9 +123,7 @@ def test_this_host_is_read_and_shown() -> None:
     assert 0 <= part <= whole
 
 
-def test_a_host_without_any_file_of_the_kernel_is_read_and_shown(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_host_without_any_kernel_file_is_read_and_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "kernel_text", lambda path: "")
     monkeypatch.setattr(module, "CPU", Path("/no such folder"))
     host = read_host()

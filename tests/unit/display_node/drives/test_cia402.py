@@ -151,7 +151,7 @@ def test_a_search_without_an_end_is_ended(bench: Bench) -> None:
         bench.drive.start()
 
 
-def test_nobody_at_the_address_is_named_in_one_line(
+def test_an_empty_address_is_named_in_one_line(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cia402_node, "SDO_TIMEOUT_S", 1e-3)
@@ -183,7 +183,7 @@ def test_implausible_messages_are_counted_and_not_used(bench: Bench) -> None:
     assert not bench.drive.status().moving
 
 
-def test_a_drive_that_sends_nothing_plausible_is_a_fault(
+def test_nothing_but_implausible_messages_is_a_fault(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench.start()

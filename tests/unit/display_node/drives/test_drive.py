@@ -53,7 +53,7 @@ def withdrawn(bench: Bench) -> float:
     ],
     ids=["defaults", "inverted, other units", "home is here", "by its method", "profile velocity"],
 )
-def test_a_drive_homes_comes_to_first_touch_and_runs_at_the_commanded_rate(
+def test_a_drive_homes_touches_and_runs_at_the_commanded_rate(
     kind: str, keys: dict[str, object]
 ) -> None:
     if "tmcl" in kind and keys.keys() & {"mode", "homing_method"}:
@@ -95,7 +95,7 @@ def test_the_soft_limit_holds_the_tip_back(kind: str) -> None:
 
 
 @pytest.mark.parametrize("fault", ["overtemperature", "following error", "stall"])
-def test_after_a_fault_of_the_drive_the_tip_withdraws_as_soon_as_the_drive_obeys(
+def test_after_a_drive_fault_the_tip_withdraws_once_the_drive_obeys(
     bench: Bench, fault: str
 ) -> None:
     bench.start(RATE_HZ, 0.05e-3)
@@ -178,9 +178,7 @@ def test_a_home_switch_that_stays_closed_is_the_wrong_way(kind: str) -> None:
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), DriveError("no answer", "it is off")])
-def test_a_start_that_is_ended_otherwise_leaves_the_tip_where_it_is(
-    bench: Bench, error: BaseException
-) -> None:
+def test_a_start_that_is_ended_leaves_the_tip_in_place(bench: Bench, error: BaseException) -> None:
     places_m = []
 
     def force_n() -> float:
@@ -212,7 +210,7 @@ def test_a_drive_that_fails_on_its_way_to_first_touch_is_closed(bench: Bench) ->
     assert bench.drive.status().withdrawal is None
 
 
-def test_a_tip_that_does_not_come_nearer_is_given_up(
+def test_a_tip_that_comes_no_nearer_is_given_up(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Supervisor, "velocity", lambda supervisor, now_ns: 0)

@@ -58,9 +58,7 @@ from display_node.drives.withdrawal import (
         ),
     ],
 )
-def test_the_sentence_claims_what_is_measured_and_no_more(
-    state: FingerState, sentence: str
-) -> None:
+def test_the_sentence_claims_only_what_is_measured(state: FingerState, sentence: str) -> None:
     assert describe_finger(state) == sentence
 
 

@@ -87,7 +87,7 @@ def test_the_rubber_is_41_kn_per_m_on_a_rigid_stop_at_half_a_newton() -> None:
         ("1 N/mm", 6, 1.8e-3),
     ],
 )
-def test_the_force_of_a_microstep_at_half_a_newton(
+def test_a_microsteps_force_at_half_a_newton(
     fingertip: str, lead_mm: int, microstep_n: float
 ) -> None:
     law, step_m = stepper(lead_mm, fingertip)

@@ -112,9 +112,7 @@ def test_noise_and_rounding_add_as_squares() -> None:
 
 @pytest.mark.parametrize("keys", [{}, {"noise": "1 mN"}, {"filter": "40 Hz"}, {"adc_bits": 16}])
 @pytest.mark.parametrize("force_n", [math.nan, math.inf, -math.inf])
-def test_a_force_that_is_no_number_is_not_read_as_one(
-    keys: dict[str, object], force_n: float
-) -> None:
+def test_a_force_that_is_no_number_reads_as_none(keys: dict[str, object], force_n: float) -> None:
     under_test = film(**keys)
     under_test.read(0.3)
     assert not math.isfinite(under_test.read(force_n))

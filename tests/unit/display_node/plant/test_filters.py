@@ -39,7 +39,7 @@ def run(low_pass: LowPass, values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @orders
 @pytest.mark.parametrize("corner_hz", [5.0, 40.0, 2000.0])
-def test_it_is_lsims_butterworth_for_a_signal_straight_from_tick_to_tick(
+def test_it_is_lsims_butterworth_for_piecewise_straight_signals(
     order: int, corner_hz: float
 ) -> None:
     values = np.random.default_rng(1).normal(0, 1, 500)

@@ -81,9 +81,7 @@ ways = st.lists(st.floats(-10, 10), min_size=1, max_size=50)
 
 @settings(deadline=None)
 @given(ways, st.floats(0.01, 5))
-def test_play_stays_within_its_gap_and_moves_no_more_than_it_must(
-    way: list[float], width: float
-) -> None:
+def test_play_stays_in_its_gap_and_moves_only_as_it_must(way: list[float], width: float) -> None:
     backlash, before = Backlash(width), 0.0
     for driving in way:
         driven = backlash.step(driving)
@@ -288,9 +286,7 @@ def test_a_rotor_rings_after_a_halt_and_comes_to_rest() -> None:
 
 @pytest.mark.parametrize("limit_n", [0.3, 2.5])
 @pytest.mark.parametrize("backlash", ["3 µm", "20 µm", "1 mm"])
-def test_with_backlash_the_whole_range_is_reached_and_no_more(
-    backlash: str, limit_n: float
-) -> None:
+def test_with_backlash_exactly_the_whole_range_is_reached(backlash: str, limit_n: float) -> None:
     under_test = stepper(limit_n, backlash=backlash)
     positions_m(under_test, FORWARD, 1000)
     microstep_n = 1e3 * scene().step_m
@@ -323,9 +319,7 @@ def test_at_rest_a_rotor_never_presses_harder_than_the_limit(
 
 @pytest.mark.parametrize("limit_n", [0.3, 2.5])
 @pytest.mark.parametrize("backlash", ["3 µm", "20 µm"])
-def test_a_rotor_with_play_rests_at_most_where_it_has_swung_to(
-    backlash: str, limit_n: float
-) -> None:
+def test_a_rotor_with_play_rests_within_its_swing(backlash: str, limit_n: float) -> None:
     under_test = stepper(limit_n, backlash=backlash, rotor_resonance="100 Hz")
     swung_n = [under_test.step(FORWARD) for _ in range(1000)]
     positions_m(under_test, HALT, 500)

@@ -239,7 +239,7 @@ def test_a_pulse_that_has_changed_is_measured_anew() -> None:
     ("carried_ms", "trusted", "wanted_ms"),
     [(60, False, 60), (60, True, 0), (0, True, 0), (450, True, 50), (450, False, 450)],
 )
-def test_trust_takes_off_no_more_than_what_is_slewed(
+def test_trust_takes_off_at_most_what_is_slewed(
     carried_ms: int, trusted: bool, wanted_ms: int
 ) -> None:
     assert auto_delay_ns(carried_ms * MS, trusted) == wanted_ms * MS

@@ -51,9 +51,7 @@ def test_its_own_error_estimate_is_its_error() -> None:
         assert stack.rms(horizon) == pytest.approx(rms[-1][horizon], rel=0.1)
 
 
-def test_an_expert_that_was_silent_for_long_does_not_upset_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_expert_that_was_long_silent_does_not_upset_it(monkeypatch: pytest.MonkeyPatch) -> None:
     # 8000 steps of so short a memory are as a day of the usual one.
     monkeypatch.setattr("display_node.prediction.ensemble.FORGET", 0.9)
     stack, rng = Stack(np.array([1.0, 0.0])), np.random.default_rng(3)

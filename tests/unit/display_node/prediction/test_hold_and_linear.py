@@ -33,7 +33,7 @@ def test_hold_keeps_the_newest_value(ahead_ns: int) -> None:
 
 @settings(deadline=None)
 @given(st.floats(-1, 1), st.integers(2, 32), st.integers(10_000, 10 * MS), st.integers(0, REACH_NS))
-def test_linear_is_exact_on_a_straight_line(
+def test_linear_is_exact_on_a_line(
     slope_per_ms: float, count: int, period_ns: int, ahead_ns: int
 ) -> None:
     times_ns, values = line(slope_per_ms, count, period_ns)

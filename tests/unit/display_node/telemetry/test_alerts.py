@@ -35,9 +35,7 @@ def test_on_this_machine_queued_telemetry_is_as_old_as_its_stamp() -> None:
 
 @pytest.mark.parametrize("local", [True, False])
 @pytest.mark.parametrize("ahead_ns", [-HOUR_NS, HOUR_NS])
-def test_over_another_clock_the_age_is_beyond_the_shortest_transit(
-    local: bool, ahead_ns: int
-) -> None:
+def test_over_another_clock_age_is_beyond_the_shortest_transit(local: bool, ahead_ns: int) -> None:
     """A tunnel's address is on this machine as well, and its display's clock is not."""
     age = TelemetryAge(local)
     last_ns = followed(age, ahead_ns, HOUR_NS, HOUR_NS + 2 * SECOND_NS, delay_ns=30 * MS)

@@ -111,9 +111,7 @@ def test_a_limit_is_shown_once_it_was_reached() -> None:
         ("waiting", {"session": 4}, False),
     ],
 )
-def test_a_display_whose_connection_is_refused_shows_why(
-    state: str, rejected: dict[str, int], named: bool
-) -> None:
+def test_a_refused_connection_shows_why(state: str, rejected: dict[str, int], named: bool) -> None:
     under_test = view(state, 0, rejected=rejected)
     ((cause, count),) = rejected.items()
     alert = f"not connected: {count} {cause}: {CAUSE_MEANINGS[cause]}"

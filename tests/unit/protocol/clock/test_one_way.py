@@ -86,9 +86,7 @@ def test_frames_that_agree_make_the_offset_surer() -> None:
 
 
 @pytest.mark.parametrize(("frame_skew_ppm", "late_ns"), [(0, 0), (600, 0), (100, 60 * MS)])
-def test_frames_that_contradict_the_exchanges_move_little(
-    frame_skew_ppm: float, late_ns: int
-) -> None:
+def test_frames_that_contradict_exchanges_move_little(frame_skew_ppm: float, late_ns: int) -> None:
     alone, together = followed(None), followed(frame_skew_ppm, late_ns)
     assert together.skew_ppm == pytest.approx(alone.skew_ppm, abs=0.5)
     assert abs(together.offset_ns(60 * S) - alone.offset_ns(60 * S)) < 0.02 * MS

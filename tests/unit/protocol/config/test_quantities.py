@@ -57,9 +57,7 @@ def test_ways_to_write_a_number(text: str, seconds: float) -> None:
 @pytest.mark.parametrize(
     "text", ["", " ", "40", 40, 40.0, True, None, ["40 ms"], "ms", "forty ms", "40 parsec"]
 )
-def test_an_invalid_quantity_is_refused_with_the_units_allowed(
-    text: object, dimension: str
-) -> None:
+def test_an_invalid_quantity_is_refused_with_the_units(text: object, dimension: str) -> None:
     with pytest.raises(ValueError, match="is a number and one of") as caught:
         parse_quantity(text, dimension)
     line = str(caught.value)
@@ -77,9 +75,7 @@ def test_an_invalid_quantity_is_refused_with_the_units_allowed(
         *[("1,5 ms", "time"), ("1 2 ms", "time"), ("1 ms ms", "time"), ("0x1 ms", "time")],
     ],
 )
-def test_another_dimensions_unit_and_an_invalid_number_are_refused(
-    text: str, dimension: str
-) -> None:
+def test_another_unit_and_an_invalid_number_are_refused(text: str, dimension: str) -> None:
     with pytest.raises(ValueError, match=f"is no {dimension}"):
         parse_quantity(text, dimension)
 
@@ -163,9 +159,7 @@ def test_a_ratio_beyond_all_use_is_refused(text: object) -> None:
         ("Ratio", "1 %", 0.01),
     ],
 )
-def test_each_type_of_a_scenes_field_reads_its_dimension(
-    name: str, text: str, value: float
-) -> None:
+def test_each_type_of_a_scene_field_reads_its_unit(name: str, text: str, value: float) -> None:
     read = TypeAdapter(getattr(quantities, name)).validate_python(text)
     assert read == pytest.approx(value, rel=1e-15)
     assert type(read) is type(value)
@@ -182,9 +176,7 @@ def test_each_type_of_a_scenes_field_reads_its_dimension(
         (80, "a name", "80"),
     ],
 )
-def test_a_limit_is_written_in_the_unit_it_is_compared_with(
-    value: float, like: object, text: str
-) -> None:
+def test_a_limit_is_written_in_the_compared_unit(value: float, like: object, text: str) -> None:
     assert in_unit_of(value, like) == text
 
 

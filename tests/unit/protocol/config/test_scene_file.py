@@ -41,7 +41,7 @@ def refusal(path: Path) -> str:
     return str(caught.value)
 
 
-def test_a_scene_is_found_by_its_name_and_by_its_path(
+def test_a_scene_is_found_by_name_and_by_path(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert find_scene("radial").read_text() == RADIAL.read_text()
@@ -108,9 +108,7 @@ def test_an_error_names_the_file_that_has_the_key(tmp_path: Path) -> None:
         ("3", "extends: must be a scene's name or file, got 3"),
     ],
 )
-def test_a_parent_that_cannot_be_extended_is_refused(
-    extends: str, reason: str, tmp_path: Path
-) -> None:
+def test_an_invalid_parent_is_refused(extends: str, reason: str, tmp_path: Path) -> None:
     path = write(tmp_path / "a.toml", f"extends = {extends}\n")
     assert refusal(path).startswith(f"{path}: {reason.format(folder=tmp_path)}")
 

@@ -68,7 +68,7 @@ GOOD = Announcement.of_node("radial pulse", "ward-3", 5555, KEY)
         ({b"key": b"g" * 32}, "malformed", "key"),
     ],
 )
-def test_a_record_that_is_none_is_refused(
+def test_an_invalid_record_is_refused(
     changes: dict[bytes, bytes | None], cause: str, reason: str
 ) -> None:
     with pytest.raises(WireError, match=reason) as refused:
@@ -91,7 +91,7 @@ def test_a_record_that_is_none_is_refused(
         (f"a.{SERVICE}", [ADDRESS], 65_535),
     ],
 )
-def test_a_service_that_is_none_is_refused(
+def test_an_invalid_service_is_refused(
     instance: str, addresses: list[bytes], port: int | None
 ) -> None:
     with pytest.raises(WireError):
@@ -145,7 +145,7 @@ OWN = [IPv4Interface(one) for one in ("127.0.0.1/8", "192.0.2.2/24", "172.17.0.1
         (("203.0.113.9",), []),
     ],
 )
-def test_only_addresses_on_our_networks_are_used(
+def test_only_addresses_on_own_networks_are_used(
     addresses: tuple[str, ...], used: list[str]
 ) -> None:
     assert reachable(at(*addresses), OWN) == used

@@ -12,9 +12,7 @@ from protocol.host.output import check_writable, configure_logging, write_whole
 ours, library = logging.getLogger("sensing_node.node"), logging.getLogger("zeroconf")
 
 
-def test_a_record_is_one_line_with_time_and_level_whatever_it_holds(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_any_record_is_one_line_with_time_and_level(capsys: pytest.CaptureFixture[str]) -> None:
     configure_logging()
     ours.warning("anna\n12:00:00.000 ERROR \x1b[31mfault joined, 100 %")
     line = capsys.readouterr().err

@@ -59,9 +59,7 @@ def test_a_name_has_one_key_and_a_key_one_name(path: Path, public: PublicKey, re
     assert read_allowed(path) == {WRIST.key: WRIST}
 
 
-def test_a_key_that_stands_twice_is_refused_as_revoking_one_would_leave_the_other(
-    path: Path,
-) -> None:
+def test_a_key_that_is_listed_twice_is_refused(path: Path) -> None:
     path.write_text(f"{WRIST.line}\n{PublicKey('other', WRIST.key).line}\n")
     with pytest.raises(KeyFileError, match="line 2: this key stands there already"):
         read_allowed(path)
@@ -93,9 +91,7 @@ def test_a_name_that_is_not_listed_cannot_be_revoked(path: Path) -> None:
         ("#" * 2_000_000, "is not a file of keys"),
     ],
 )
-def test_a_list_that_is_none_is_one_line_without_a_key_in_it(
-    path: Path, line: str, reason: str
-) -> None:
+def test_an_invalid_list_is_one_line_without_a_key(path: Path, line: str, reason: str) -> None:
     path.write_text(f"{FINGER.line}\n{line}\n", encoding="utf-8")
     with pytest.raises(KeyFileError) as caught:
         read_allowed(path)
@@ -183,7 +179,7 @@ def test_a_list_that_cannot_be_opened_just_then_is_read_later(
     assert polled.run(1) == [WRIST.key]
 
 
-def test_after_ten_seconds_without_a_list_no_key_is_allowed(
+def test_after_10_s_without_a_list_no_key_is_allowed(
     path: Path, polled: PolledList, logged: list[str]
 ) -> None:
     text = path.read_text()

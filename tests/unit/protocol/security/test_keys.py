@@ -38,7 +38,7 @@ def test_two_pairs_are_not_the_same(tmp_path: Path) -> None:
 
 @POSIX
 @pytest.mark.usefixtures("umask_0")
-def test_only_the_owner_may_read_a_secret_key_from_its_first_byte(
+def test_only_the_owner_may_ever_read_a_secret_key(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     modes = []
@@ -85,9 +85,7 @@ def test_a_name_that_is_none_is_refused(tmp_path: Path, name: str) -> None:
 
 @POSIX
 @pytest.mark.parametrize("mode", [0o640, 0o604, 0o660, 0o602, 0o644, 0o777])
-def test_a_secret_key_that_others_may_touch_is_refused_with_what_to_run(
-    tmp_path: Path, mode: int
-) -> None:
+def test_a_secret_key_open_to_others_is_refused_with_what_to_run(tmp_path: Path, mode: int) -> None:
     secret, _ = new_pair(tmp_path, "wrist")
     secret.chmod(mode)
     with pytest.raises(KeyFileError, match=f"run: chmod 600 {secret}"):

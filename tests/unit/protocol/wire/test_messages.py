@@ -224,7 +224,7 @@ NOT_INTS = [True, False, 1.0, "1", None, b"\x01", [1], {"a": 1}]
         ("payload", [1, None, "text", [0.5], True, 0.5, b""]),
     ],
 )
-def test_a_frames_field_of_another_type_or_out_of_range_is_malformed(
+def test_a_frame_field_of_wrong_type_or_range_is_malformed(
     field: str, values: list[object]
 ) -> None:
     for value in values:
@@ -237,9 +237,7 @@ def test_a_frames_field_of_another_type_or_out_of_range_is_malformed(
     ("size", "channels", "width"),
     [(1, 1, 4), (7, 1, 4), (9, 1, 4), (4, 1, 8), (12, 2, 4), (8, 3, 4), (8, 64, 4)],
 )
-def test_a_payload_of_no_whole_number_of_samples_is_malformed(
-    size: int, channels: int, width: int
-) -> None:
+def test_a_payload_of_a_broken_sample_is_malformed(size: int, channels: int, width: int) -> None:
     data = changed(payload=bytes(size), channels=channels, width=width)
     assert cause_of(decode_frame, data) == "malformed"
 
@@ -402,9 +400,7 @@ ODD = {
 
 @each_decoder
 @pytest.mark.parametrize("data", ODD.values(), ids=ODD)
-def test_a_hostile_message_is_refused_at_the_cost_of_its_own_size(
-    data: bytes, decode: Decoder
-) -> None:
+def test_refusing_a_hostile_message_costs_only_its_size(data: bytes, decode: Decoder) -> None:
     tracemalloc.start()
     try:
         with pytest.raises(WireError):

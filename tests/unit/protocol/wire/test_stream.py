@@ -88,9 +88,7 @@ def test_what_must_not_be_missing(missing: str) -> None:
         ({"colour": "red"}, "colour"),
     ],
 )
-def test_what_cannot_be_described_is_refused_by_its_place(
-    change: dict[str, Any], place: str
-) -> None:
+def test_an_invalid_field_is_refused_by_its_place(change: dict[str, Any], place: str) -> None:
     with pytest.raises(WireError) as caught:
         description_from_wire(WIRE | change)
     assert caught.value.cause == "description"

@@ -39,7 +39,7 @@ def test_every_program_can_be_completed_by_a_shell(app: typer.Typer) -> None:
         (PROGRAMS[2], "display-node rad", ["radial"]),
     ],
 )
-def test_a_shell_completes_commands_and_names_of_scenes(
+def test_a_shell_completes_commands_and_scenes(
     app: typer.Typer, line: str, words: list[str]
 ) -> None:
     program = line.split()[0]
@@ -59,7 +59,7 @@ def test_a_node_refuses_a_scene_that_has_no_such_name(app: typer.Typer) -> None:
     assert ": radail: no such scene; known by name: " in result.stderr
 
 
-def test_json_alone_goes_to_standard_output_for_a_dash(
+def test_a_dash_writes_json_alone_to_stdout(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

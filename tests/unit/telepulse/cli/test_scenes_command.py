@@ -19,7 +19,7 @@ def test_every_scene_is_listed_with_its_title() -> None:
     assert "40 ms away" in next(line for line in lines if line.startswith("wan "))
 
 
-def test_a_copy_is_the_scene_and_overwrites_nothing(
+def test_a_copy_is_equal_and_overwrites_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

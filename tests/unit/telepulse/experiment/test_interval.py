@@ -58,9 +58,7 @@ def test_x_has_the_same_beats_and_other_chances(tmp_path: Path) -> None:
     assert b.aligned_n != x.aligned_n
 
 
-def test_playing_again_is_drawn_anew_and_the_foreperiod_is_anywhere_in_a_beat(
-    tmp_path: Path,
-) -> None:
+def test_playing_again_is_drawn_anew_and_begins_anywhere_in_a_beat(tmp_path: Path) -> None:
     found = plan(tmp_path)
     trial = draw_trials(found.session, 1)[0]
     drawn = [draw_interval(found, 1, 0, trial, "X", nth) for nth in range(100)]
@@ -70,9 +68,7 @@ def test_playing_again_is_drawn_anew_and_the_foreperiod_is_anywhere_in_a_beat(
     assert 0.9 * FOREPERIOD_NS < max(waits_ns) < FOREPERIOD_NS
 
 
-def test_a_direct_interval_is_as_good_as_the_loop_and_one_over_a_bad_link_is_not(
-    tmp_path: Path,
-) -> None:
+def test_a_direct_interval_is_as_good_as_the_loop_and_a_bad_link_is_not(tmp_path: Path) -> None:
     found = intervals(tmp_path, interval="1 s")
     direct, impaired = play_in_virtual_time(found["A"]), play_in_virtual_time(found["B"])
     assert not direct.on_link

@@ -121,9 +121,7 @@ words = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
 
 
 @given(stream=words, faults=st.lists(words), causes=st.dictionaries(words, st.integers(0, 2**53)))
-def test_any_text_is_exported_unchanged(
-    stream: str, faults: list[str], causes: dict[str, int]
-) -> None:
+def test_any_text_is_exported_as_is(stream: str, faults: list[str], causes: dict[str, int]) -> None:
     # The parser splits lines where Python does; Prometheus does at "\n" alone.
     stream, *faults = (" ".join(text.split()) for text in (stream, *faults))
     causes = {" ".join(cause.split()): count for cause, count in causes.items()}

@@ -45,9 +45,7 @@ def check(blocks: list[AlignedBlock], ticks: int) -> None:
 @pytest.mark.parametrize("channel", [0, 1])
 @pytest.mark.parametrize("ratio", [1.0, 0.25])
 @pytest.mark.parametrize("seconds", [1, 4])
-def test_ticks_are_scored_also_before_the_first_status(
-    seconds: int, ratio: float, channel: int
-) -> None:
+def test_ticks_before_the_first_status_are_scored(seconds: int, ratio: float, channel: int) -> None:
     alignment = run(seconds, ratio, channel)
     assert alignment.errors.force_rmse_n.aligned == pytest.approx(1e-3)
 

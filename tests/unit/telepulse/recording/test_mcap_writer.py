@@ -72,9 +72,7 @@ def test_pieces_are_on_the_disk_once_they_are_committed(path: Path, disk: Disk) 
 
 
 @pytest.mark.parametrize("trouble", ["full", "not kept"])
-def test_only_whole_pieces_stand_there_and_the_rest_follows_in_order(
-    trouble: str, path: Path, disk: Disk
-) -> None:
+def test_pieces_are_written_whole_and_in_order(trouble: str, path: Path, disk: Disk) -> None:
     file = RetryingFile(path)
     file.write(b"first")
     assert file.commit(1) is None
@@ -96,9 +94,7 @@ def test_only_whole_pieces_stand_there_and_the_rest_follows_in_order(
 
 
 @pytest.mark.parametrize("name", ["there", "nowhere/a", "."])
-def test_a_file_that_cannot_be_made_is_one_line_and_no_file_is_overwritten(
-    name: str, tmp_path: Path
-) -> None:
+def test_an_unusable_path_is_one_line_and_nothing_is_overwritten(name: str, tmp_path: Path) -> None:
     (tmp_path / "there").write_bytes(b"precious")
     with pytest.raises(OutputError) as caught:
         RetryingFile(tmp_path / name)

@@ -55,7 +55,7 @@ def test_a_whole_recording_is_read_whole(path: Path, ends: list[int]) -> None:
     assert (reader.whole, reader.damaged) == (True, 0)
 
 
-def test_cut_anywhere_all_chunks_before_are_read_and_nothing_else(
+def test_cut_anywhere_only_the_chunks_before_are_read(
     path: Path, ends: list[int], tmp_path: Path
 ) -> None:
     cut, data = tmp_path / "cut.mcap", path.read_bytes()
@@ -82,7 +82,7 @@ def test_a_damaged_chunk_is_left_out_and_counted(path: Path, ends: list[int]) ->
     assert numbers == [*range(TICKS_A_CHUNK), *range(2 * TICKS_A_CHUNK, 3 * TICKS_A_CHUNK)]
 
 
-def test_one_that_was_cut_becomes_whole_again(
+def test_a_cut_one_is_made_whole(
     path: Path, ends: list[int], tmp_path: Path, logged: list[str]
 ) -> None:
     copy = tmp_path / "b.mcap"
@@ -195,7 +195,7 @@ def test_a_field_that_is_not_telepulses_is_one_line_or_left_out(
 
 
 @pytest.mark.parametrize("reader", READERS)
-def test_a_recording_whose_felt_force_becomes_unknown_is_read(
+def test_a_felt_force_that_becomes_unknown_is_read(
     reader: str, good: list[RecordedMessage], path: Path
 ) -> None:
     def forget(of: str, at: int, fields: dict[str, Any]) -> None:
@@ -206,7 +206,7 @@ def test_a_recording_whose_felt_force_becomes_unknown_is_read(
     READERS[reader](path, path.with_name("out"))
 
 
-def test_a_display_that_plays_a_channel_that_is_not_there_is_one_line(
+def test_a_played_channel_that_is_missing_is_one_line(
     good: list[RecordedMessage], path: Path
 ) -> None:
     def misplay(of: str, at: int, fields: dict[str, Any]) -> None:

@@ -52,7 +52,7 @@ def test_frames_of_an_ideal_chain_are_the_reference(conditioning: dict[str, Any]
 
 
 @pytest.mark.parametrize("conditioning", [FILTERS, {"adc_bits": 8}, {"anti_alias": "40 Hz"}, None])
-def test_the_reference_is_the_pulse_before_the_chain_and_without_hum(
+def test_the_reference_is_the_pulse_before_chain_and_hum(
     conditioning: dict[str, Any] | None,
 ) -> None:
     scene = sensing(conditioning, hum="10 mN")

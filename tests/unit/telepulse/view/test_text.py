@@ -207,9 +207,7 @@ def test_the_deadline_alarm_names_the_rate_and_the_longest_gap(display: Simulate
 
 
 @pytest.mark.parametrize("name", ["clock step", "missed"])
-def test_a_single_occurrence_is_shown_for_five_seconds(
-    display: SimulatedDisplay, name: str
-) -> None:
+def test_a_single_occurrence_is_shown_for_5_seconds(display: SimulatedDisplay, name: str) -> None:
     display.event(name, "it happened", "WARNING")
     assert names(display) == [name]
     display.go(5.1)

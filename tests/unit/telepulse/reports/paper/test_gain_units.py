@@ -60,9 +60,7 @@ def test_the_printed_errors_as_forces() -> None:
     assert MEASURED_STRAIN.force_n / MEASURED_FORCE.force_n == pytest.approx(0.58, abs=0.005)
 
 
-def test_eq_21_in_millivolts_gives_each_printed_error_at_another_height(
-    film_mv: UnitErrors,
-) -> None:
+def test_eq_21_in_millivolts_gives_each_error_at_another_height(film_mv: UnitErrors) -> None:
     heights_n = [film_mv.peak_to_peak_n(printed) for printed in PRINTED]
     assert heights_n == pytest.approx([0.888, 3.20, 1.86], rel=0.004)
     assert heights_n[0] * film_mv.experiment == pytest.approx(5.8e-3, abs=5e-5)

@@ -148,9 +148,7 @@ def test_a_constant_error_gives_the_three_terms_of_table_5() -> None:
 
 
 @pytest.mark.parametrize(("tick_s", "stable"), [(1e-4, True), (1e-3, True), (1e-2, False)])
-def test_the_loop_is_stable_where_its_spectral_radius_is_below_1(
-    tick_s: float, stable: bool
-) -> None:
+def test_the_loop_is_stable_at_a_spectral_radius_below_1(tick_s: float, stable: bool) -> None:
     pulse_n = pulse_from_rest(SCENE, 1.0, tick_s)
     forces_n, _ = close_loop(shipped(PAPER_PLANT, tick_s), paper_pid(tick_s), pulse_n)
     assert (loop_radius(PAPER_PLANT, tick_s) < 1) == stable
