@@ -63,14 +63,11 @@ def test_a_long_saturation_leaves_no_windup(gains: dict[str, float], sign: int) 
     assert sign * back < 0
 
 
-def test_a_saturating_proportion_does_not_charge_the_integral() -> None:
+def test_saturation_does_not_charge_the_integral_nor_keep_it_from_unloading() -> None:
     under_test = pid(limit=1.0, kp=10, ki=100)
     for _ in range(1000):
         assert under_test.step(5.0) == 1.0
     assert under_test.step(0.0) == 0.0
-
-
-def test_a_saturating_feed_does_not_keep_the_integral_from_unloading() -> None:
     under_test = pid(limit=1.0, ki=100)
     for _ in range(9):
         under_test.step(1.0)
@@ -135,20 +132,15 @@ def test_an_endless_gain_leaves_no_error_and_does_no_more(response: float) -> No
     assert output == pytest.approx(0.3 / response, rel=1e-5)
 
 
-def run_closed(under_test: Pid, drifts: list[float], response: float) -> list[float]:
-    """The error of a plant that adds up what it is told, and drifts; after each tick."""
-    error, errors = 0.0, []
-    for drift in drifts:
-        error += drift
-        error -= response * under_test.step(error, response)
-        errors.append(error)
-    return errors
-
-
 @pytest.mark.parametrize("response", [1e-3, 0.05])
 def test_what_was_saturated_goes_on_as_if_it_had_only_begun(response: float) -> None:
-    def from_afar(start: float) -> list[float]:
-        return run_closed(pid(limit=1.0, kp=5, ki=20), [start] + [0.0] * 3000, response)
+    def from_afar(error: float) -> list[float]:
+        """Return the error of a plant that integrates its commands, after each tick."""
+        under_test, errors = pid(limit=1.0, kp=5, ki=20), []
+        for _ in range(3001):
+            error -= response * under_test.step(error, response)
+            errors.append(error)
+        return errors
 
     far = 2 + 500 * response
     all_the_way = from_afar(far)
@@ -224,17 +216,12 @@ def test_with_a_backward_difference_the_simulations_gains_diverge_at_1_khz() -> 
 
 
 @pytest.mark.parametrize("response", [0.0, 1e-3])
-def test_an_error_within_the_dead_band_is_none(response: float) -> None:
+def test_an_error_within_the_dead_band_is_none_and_the_feed_is_left_alone(response: float) -> None:
     under_test = pid(kp=100, ki=50, kd=0.1, dead_band=0.01)
     assert [under_test.step(error, response) for error in (0.01, -0.01, 0.004)] == [0.0] * 3
     assert under_test.step(0.011, response) > 0
-
-
-def test_the_dead_band_leaves_the_feed_alone() -> None:
     under_test = pid(kp=100, dead_band=0.01)
     # What is fed makes an error of 2 within the tick and answers it: nothing is left over.
-    assert under_test.step(2.0, error_per_output=1e-3, feed_forward=2000.0) == pytest.approx(2000.0)
-    assert under_test.step(2.005, error_per_output=1e-3, feed_forward=2000.0) == pytest.approx(
-        2000.0
-    )
-    assert under_test.step(2.5, error_per_output=1e-3, feed_forward=2000.0) > 2000.0
+    for error in (2.0, 2.005):
+        assert under_test.step(error, 1e-3, feed_forward=2000.0) == pytest.approx(2000.0)
+    assert under_test.step(2.5, 1e-3, feed_forward=2000.0) > 2000.0

@@ -98,19 +98,9 @@ def test_backlash_is_crossed_by_its_whole_width_after_a_reversal() -> None:
     assert [backlash.step(x) for x in (2.5, 3.5, 3.6)] == [2.5, 2.5, pytest.approx(2.6)]
 
 
-@pytest.mark.parametrize(
-    ("output", "rate_hz"),
-    [
-        (0.002, 400.0),
-        (-0.002, -400.0),
-        (0.05, 10_000.0),
-        (0.06, 10_000.0),
-        (-math.inf, -10_000.0),
-        (0.0, 0.0),
-    ],
-)
-def test_magnitude_is_the_rate_and_sign_the_direction(output: float, rate_hz: float) -> None:
-    assert StepRate(200_000.0, 10_000.0).rate_hz(output) == pytest.approx(rate_hz)
+def test_magnitude_is_the_rate_and_sign_the_direction() -> None:
+    rates_hz = map(StepRate(200_000.0, 10_000.0).rate_hz, (0.002, -0.002, 0.05, 0.06, -math.inf, 0))
+    assert [*rates_hz] == pytest.approx([400.0, -400.0, 10_000.0, 10_000.0, -10_000.0, 0.0])
 
 
 @settings(deadline=None)
@@ -145,13 +135,10 @@ def positions_m(under_test: Stepper, rate_hz: float, ticks: int) -> list[float]:
     return positions
 
 
-def test_the_defaults_are_the_papers_tables_2a_and_2b() -> None:
+def test_the_defaults_are_the_papers_tables_and_a_microstep_is_the_lead_over_3200() -> None:
     default = scene()
     assert math.degrees(default.step_angle_rad) == pytest.approx(1.8)
     assert (default.stroke_m, default.max_speed_m_per_s, default.thrust_n) == (0.1, 0.4, 100.0)
-
-
-def test_a_microstep_is_the_lead_over_3200_steps() -> None:
     assert scene(lead="2 mm").step_m == pytest.approx(2e-3 / 3200)
     assert scene(lead="6 mm", microsteps=1).step_m == pytest.approx(6e-3 / 200)
 
@@ -209,17 +196,12 @@ def test_a_short_stroke_ends_it_before_the_limit() -> None:
     assert under_test.force_n < 1.0
 
 
-def test_rate_times_time_is_distance() -> None:
+def test_rate_times_time_is_distance_also_below_one_step_a_tick() -> None:
     under_test = stepper(limit_n=100.0)
-    at_speed = 1000.0
-    start_m = positions_m(under_test, at_speed, 10)[-1]
-    end_m = positions_m(under_test, at_speed, 2000)[-1]
+    start_m = positions_m(under_test, 1000.0, 10)[-1]
+    end_m = positions_m(under_test, 1000.0, 2000)[-1]
     assert end_m - start_m == pytest.approx(2000 * scene().step_m, rel=1e-9)
-
-
-def test_a_rate_below_one_step_a_tick_adds_up() -> None:
-    under_test = stepper()
-    positions = positions_m(under_test, 50.0, 1000)
+    positions = positions_m(stepper(), 50.0, 1000)
     assert positions[-1] == pytest.approx(50 * scene().step_m)
     assert len(set(positions)) == 51
 
@@ -236,21 +218,16 @@ def test_acceleration_and_speed_are_limited(tick_s: float) -> None:
     assert end_m - starting[-1] == pytest.approx(0.4 * 0.1, rel=1e-3)
 
 
-def test_turning_round_takes_as_long_as_braking() -> None:
-    under_test = stepper(limit_n=100.0)
-    positions_m(under_test, FORWARD, 30)
-    turning = positions_m(under_test, BACK, 60)
+def test_turning_round_takes_as_long_as_braking_to_rest() -> None:
+    turning, halting = stepper(limit_n=100.0), stepper(limit_n=100.0)
+    for under_test in (turning, halting):
+        positions_m(under_test, FORWARD, 30)
+    turned_m, halted_m = positions_m(turning, BACK, 60), positions_m(halting, HALT, 60)
     # From 0.4 m/s at 20 m/s².
-    assert turning.index(max(turning)) in (18, 19, 20)
-    assert turning[-1] < turning[19]
-
-
-def test_halting_brakes_to_rest() -> None:
-    under_test = stepper(limit_n=100.0)
-    positions_m(under_test, FORWARD, 30)
-    halting = positions_m(under_test, HALT, 60)
-    assert halting[25:] == [halting[-1]] * 35
-    assert halting[-1] > halting[0]
+    assert turned_m.index(max(turned_m)) in (18, 19, 20)
+    assert turned_m[-1] < turned_m[19]
+    assert halted_m[25:] == [halted_m[-1]] * 35
+    assert halted_m[-1] > halted_m[0]
 
 
 @pytest.mark.parametrize("table", [{}, {"rotor_resonance": "100 Hz"}, {"backlash": "20 µm"}])

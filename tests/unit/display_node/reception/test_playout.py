@@ -175,10 +175,11 @@ def test_it_comes_to_the_wanted_instant_and_stays(offset_ms: float) -> None:
         assert tick < needed or instant_ns == now_ns + offset_ns
 
 
-def test_it_follows_a_clock_that_runs_1_percent_fast() -> None:
+def test_it_follows_a_clock_that_runs_1_percent_fast_and_a_stall_is_no_jump() -> None:
     clock = PlayoutClock()
-    for tick in range(10_000):
+    for tick in (*range(10_000), 15_000):
         assert clock.instant(tick * MS, tick * (MS + MS // 100)) == tick * (MS + MS // 100)
+    assert clock.jumps == 0
 
 
 @pytest.mark.parametrize(
@@ -192,13 +193,6 @@ def test_a_jump_above_half_a_second_is_taken_and_counted(offset_ms: int, jumps: 
     assert (instant_ns == MS + offset_ms * MS) == bool(jumps)
     clock.instant(2 * MS, 2 * MS + offset_ms * MS)
     assert clock.jumps == jumps
-
-
-def test_a_stall_of_the_loop_is_no_jump() -> None:
-    clock = PlayoutClock()
-    clock.instant(0, -40 * MS)
-    assert clock.instant(5000 * MS, 4960 * MS) == 4960 * MS
-    assert clock.jumps == 0
 
 
 def released(estimator: DelayEstimator, queued_s: float, start_s: float, within_s: float) -> None:
@@ -221,19 +215,13 @@ def test_a_cut_leaves_no_trace_however_its_queue_drains(queued_s: float, within:
     assert np.abs(after_ms - before_ms).max() <= 1.5
 
 
-def test_ten_seconds_of_silence_and_then_a_burst_of_what_queued() -> None:
+@pytest.mark.parametrize("queued_s", [0, 10], ids=["all was lost", "all queued"])
+def test_ten_seconds_of_silence_leave_no_trace(queued_s: float) -> None:
     estimator = DelayEstimator()
     before_ms = watched(estimator, jittered_ms(20))[-1]
     # Longer than any delay that is counted, so that the first of them say nothing.
-    released(estimator, 10, 30, 0.2)
+    released(estimator, queued_s, 30, 0.2)
     after_ms = watched(estimator, jittered_ms(60), 30.3)
-    assert np.abs(after_ms - before_ms).max() <= 2
-
-
-def test_a_silence_in_which_all_was_lost_is_no_evidence() -> None:
-    estimator = DelayEstimator()
-    before_ms = watched(estimator, jittered_ms(20))[-1]
-    after_ms = watched(estimator, jittered_ms(20), 30)
     assert np.abs(after_ms - before_ms).max() <= 2
 
 
@@ -257,14 +245,9 @@ def test_a_step_of_the_clock_by_an_hour_is_followed_and_left_again() -> None:
     back_ms = watched(estimator, jittered_ms(5), 15)
     assert abs(back_ms[0] - before_ms) < 5
     assert abs(back_ms[-1] - before_ms) < 2
-
-
-def test_a_step_back_of_the_clock_by_an_hour() -> None:
-    estimator = DelayEstimator()
-    watched(estimator, jittered_ms(10))
     # Below −1 s there is no delay either: its upper edge is the lowest bin's.
-    assert watched(estimator, jittered_ms(5) - 3_600_000, 10)[-1] < 0
-    assert watched(estimator, jittered_ms(5), 15)[-1] == pytest.approx(26, abs=2)
+    assert watched(estimator, jittered_ms(5) - 3_600_000, 20)[-1] < 0
+    assert watched(estimator, jittered_ms(5), 25)[-1] == pytest.approx(26, abs=2)
 
 
 @pytest.mark.parametrize("ppm", [-500, 500])
