@@ -34,16 +34,16 @@ def _time_or_auto(value: object) -> int | None:
 
 
 class DisplayScene(Section):
-    """What the display node does.
+    """The `display` table: settings of the display node.
 
-    compensation: the perceived delay E as a time, or "auto" for the least delay the link can
-    carry with at most `late_target` of the samples late, and for none while a predictor that
-    learns is to be trusted; None stands for auto. predictor: what is felt where no sample has
-    arrived yet. channel: which of the stream's channels is felt. paths: TCP connections to the
-    sensing node; the first copy of a frame wins.
+    compensation: the perceived delay E as a time, or "auto" (stored as None) for the smallest
+    delay at which at most `late_target` of the samples are late; with a predictor that learns, E is
+    reduced while the predictor's error is small. predictor: name of the predictor that supplies
+    missing samples. channel: channel of the stream that is felt. paths: count of parallel TCP
+    connections to the sensing node; the first copy of a frame is used.
 
     drive and feedback: the real bench, in place of the models of actuator and film; without
-    feedback, where the drive says it is stands for what the film would say.
+    feedback, the force is computed from the position that the drive reports.
     """
 
     controller: ControllerScene
@@ -63,7 +63,7 @@ class DisplayScene(Section):
     @model_validator(mode="after")
     def _film_has_a_drive(self) -> "DisplayScene":
         if self.feedback is not None and self.drive is None:
-            raise ValueError("feedback is read beside a real drive: name it in [display.drive]")
+            raise ValueError("feedback requires a real drive: add [display.drive]")
         return self
 
     def force_loop(self, actual: SecondOrderScene | StepperScene | None = None) -> ForceLoop:
@@ -81,7 +81,7 @@ class DisplayScene(Section):
         )
 
     def hardware(self, drive: Drive, sensor: Sensor | None) -> Hardware:
-        """Join the real drive and the film's sensor, which may be missing, to a bench.
+        """Combine the real drive and the film's sensor, if any, into a bench.
 
         Raises SceneError for a scene that names no drive, or whose actuator is no stepper.
         """

@@ -1,7 +1,7 @@
-"""Lines of text as a sketch prints them: a value, or the device's time and a value.
+"""Lines of text as an Arduino sketch prints them: a value, or the device's time and a value.
 
-Numbers stand between blanks, commas or semicolons; a name before a colon, which plotters like,
-is skipped. Lines have no checksum: a wrong digit is detected in a time, not in a value.
+Numbers stand between blanks, commas or semicolons; a name before a colon, as plotters
+expect it, is skipped. Lines have no checksum: a wrong digit is detected in a time, not in a value.
 """
 
 import math
@@ -16,7 +16,8 @@ from pulse_sensors.samples import DeviceTime, SampleBlock, one_channel
 TimeUnit = Literal["us", "ms", "s"]
 
 MAX_LINE_BYTES = 256
-# µs in a unit, and its grain in ns: micros() on slow boards, whole milliseconds, three decimals.
+# Length of each unit in µs and resolution of its times in ns: micros() of slow boards counts in
+# 10 µs, times in ms are whole, times in s have three decimals.
 _UNITS: dict[TimeUnit, tuple[float, int]] = {
     "us": (1.0, 10_000),
     "ms": (1e3, 1_000_000),
@@ -29,10 +30,11 @@ LEARNING = 0.01
 
 
 class LineTimes:
-    """Times of lines that come one a period, or nearly: they reveal lost lines and wrong digits.
+    """Check of the times of lines sent once a period, for lost lines and wrong digits.
 
-    A time shortly after the last one is accepted at once. Another one is accepted when the next
-    follows it: lines were lost before it, or the device has restarted. The true period is learnt.
+    A time shortly after the last one is accepted. Any other time is rejected; if the next line's
+    time follows it, that line is accepted: lines were lost, or the device has restarted. The true
+    period is estimated.
     """
 
     def __init__(self, period_ns: int, quantum_ns: int) -> None:
@@ -44,7 +46,8 @@ class LineTimes:
     def take(self, now_us: int, unreadable: int) -> tuple[int, int, bool]:
         """Return a line's `device_ns`, `missing` and `restarted`, as in `SampleBlock`.
 
-        unreadable: lines right before it. Raises WireError for a time that is not accepted yet.
+        unreadable: count of rejected lines directly before it. Raises WireError for a time that is
+        not accepted yet.
         """
         passed_ns = self._time.since_last_ns(now_us)
         if self._time.last_us is not None and not self._follows(passed_ns, unreadable):
@@ -69,16 +72,16 @@ class LineTimes:
 
 
 class TextDecoder:
-    """Decoder of a device's lines, however their bytes are cut. Pure.
+    """Decoder of a device's lines, from chunks of any size. Pure.
 
-    Bytes before the first line's end may be the end of a line, and are not used.
+    Everything up to the first line end is discarded, since it may be a part of a line.
 
     Parameters
     ----------
     period_ns : int
-        Nominal time between samples.
+        Nominal time between samples in ns.
     column : int
-        Number of a line that is the value, from 0, the time not counted.
+        Index of the value among the numbers after the time, from 0.
     time_unit : {"us", "ms", "s"}, optional
         Unit of a line's first number; None where lines have no time.
     """
@@ -94,16 +97,16 @@ class TextDecoder:
         """Forget the stream so far, as after the cable was unplugged."""
         self._buffer = b""
         self._skipping = self._synchronised = False
-        # Lines since the last sample that should have been samples.
+        # Rejected lines since the last accepted one.
         self._unreadable = 0
         self._times: LineTimes | None = None
         if self._unit is not None:
             self._times = LineTimes(self._period_ns, _UNITS[self._unit][1])
 
     def feed(self, data: bytes) -> list[SampleBlock]:
-        """Return the blocks that end in these bytes.
+        """Return the blocks that these bytes complete.
 
-        Lines that follow one another are one block, with the last one's time: it arrived soonest.
+        Consecutive lines form one block with the time of the last line, which waited least.
         """
         *whole, rest = (self._buffer + data).replace(b"\r", b"\n").split(b"\n")
         # Of each block: values, time, missing and restarted.
@@ -133,7 +136,7 @@ class TextDecoder:
 
     def _reject(self, cause: str) -> None:
         self.rejected[cause] += 1
-        # The end of a line before the first one is no lost sample.
+        # A partial line at the start does not count as a lost sample.
         self._unreadable += cause != "partial"
 
     def _decode(self, line: bytes) -> tuple[float, int | None, int, bool]:

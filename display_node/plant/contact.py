@@ -21,7 +21,7 @@ class ContactLaw:
     Attributes
     ----------
     finger_m_per_n
-        Compliance 1/k, which an observer may learn.
+        Compliance 1/k, which an observer may update.
     """
 
     def __init__(
@@ -32,7 +32,7 @@ class ContactLaw:
         self.finger_m_per_n = 1 / fingertip_n_per_m
 
     def position(self, force_n: float) -> float:
-        """Return the tip position in m for a force; 0 for none."""
+        """Return the tip position in m for a force; 0 for no force."""
         if force_n <= 0:
             return 0.0
         root = math.cbrt(force_n)
@@ -49,8 +49,8 @@ class ContactLaw:
         if position_m <= 0:
             return 0.0
         rubber, finger = self._rubber, self.finger_m_per_n
-        # In the cube root u of the force: finger u³ + rubber u² = x, convex for u > 0. Each
-        # term alone bounds u from above, so Newton comes down to the root without overshoot.
+        # In the cube root u of the force: finger u³ + rubber u² = x, convex for u > 0. Without
+        # either term, u is above the root; from there Newton decreases monotonically to it.
         u = math.sqrt(position_m / rubber)
         if finger and u:
             u = min(u, math.cbrt(position_m / finger))
@@ -65,7 +65,7 @@ class ContactLaw:
 
 
 class LinearContact(ContactLaw):
-    """A contact of one stiffness in N/m that also pulls, for a loop's linear model."""
+    """Contact of constant stiffness in N/m, for negative forces too; for a loop's linear model."""
 
     def __init__(self, stiffness_n_per_m: float) -> None:
         self._stiffness_n_per_m = stiffness_n_per_m

@@ -52,7 +52,7 @@ logger = logging.getLogger(__name__)
 
 STARTS_WITHIN_S = 30.0
 ENDS_WITHIN_S = 10.0
-# The display is listening before the pulse begins.
+# Time for the display to start before the sensing node does.
 HEAD_START_S = 0.7
 
 
@@ -86,14 +86,14 @@ def demo(
     link: LinkOption = None,
     json: JsonOption = None,
     ui: Annotated[
-        bool, typer.Option(help="Show the live state: a panel, or a line a second.")
+        bool,
+        typer.Option(help="Show the live state: a panel in a terminal, else a line a second."),
     ] = True,
     page: Annotated[
         bool | None,
         typer.Option(
             "--page/--no-page",
-            help="Serve the live page for a browser, whose address is the first line; as --ui"
-            " unless given.",
+            help="Serve the live page; its address is printed first. Default: with --ui.",
             show_default=False,
         ),
     ] = None,
@@ -101,9 +101,9 @@ def demo(
 ) -> None:
     """Run both nodes on this machine over TCP, watch them live, and sum up.
 
-    A sensing node and a display node start as two processes. With --link, a third stands
-    between them and delays, jitters and loses frames. At the end, every sample sent is
-    accounted for: sent = played + late + lost.
+    A sensing node and a display node start as two processes. With an impaired link (--link, or
+    the scene's), a third process between them delays and drops frames. At the end, every sample
+    sent is accounted for: sent = played + late + lost.
 
     Exit status: 0 at the end of the pulse, 2 when an argument cannot be used, 3 when the display
     latched a fault; the reason is a line on stderr.
@@ -130,42 +130,43 @@ def run_demo(
 ) -> Summary:
     """Run both nodes for `seconds` of pulse, over the scene's link.
 
-    page: serve the live page too; None: where it can be, with `draw`. Raises SceneError,
-    SourceError, ProcessError, or OutputError where the page is required and cannot be.
+    page: True: serve the live page; None: if `draw` is set, and only warn where it cannot be
+    served. Raises SceneError, SourceError, ProcessError, or OutputError where a page that is
+    required cannot be served.
     """
     path = scene.path
     truth = ReferenceForce(scene.sensing, path.parent)
-    # The display, which may move a drive, is started before the sensing node.
+    # The source is checked before the display starts, since a display may move a drive.
     with open_source(scene.sensing, path.parent):
         pass
     sensing_address, display_address, telemetry_address = free_addresses(3)
     impaired = scene.link != LinkScene()
     if not impaired:
         display_address = sensing_address
-    longest = ("--seconds", str(seconds + ENDS_WITHIN_S))
+    time_limit = ("--seconds", str(seconds + ENDS_WITHIN_S))
     with tempfile.TemporaryDirectory(prefix="telepulse-") as folder, ExitStack() as stack:
-        # Before anything else, so that the page shows the beginning.
-        served = None
+        # The page is started first, so that it shows the beginning.
+        page_process = None
         if page or (page is None and draw):
-            served = _open_page(stack, telemetry_address, bool(page), console)
+            page_process = _open_page(stack, telemetry_address, bool(page), console)
         display = NodeProcess(
             *("display node", "display_node.cli", str(path), "--connect", display_address),
-            *("--telemetry", telemetry_address, "--once", "--quiet", *longest),
+            *("--telemetry", telemetry_address, "--once", "--quiet", *time_limit),
             summary=Path(folder, "display.json"),
             stdout=PIPE,
             stderr=PIPE,
         )
         stack.callback(display.stop)
-        relay = None
+        link_process = None
         if impaired:
-            relay = ChildProcess(
-                *("link between the nodes", "-m", "telepulse", "link", *longest),
+            link_process = ChildProcess(
+                *("link between the nodes", "-m", "telepulse", "link", *time_limit),
                 *("--connect", sensing_address, "--bind", display_address),
                 *("--link", scene.link.text()),
                 stdout=PIPE,
                 stderr=PIPE,
             )
-            stack.callback(relay.stop)
+            stack.callback(link_process.stop)
         time.sleep(HEAD_START_S)
         sensing = NodeProcess(
             *("sensing node", "sensing_node.cli", str(path), "--bind", sensing_address),
@@ -175,21 +176,21 @@ def run_demo(
             stderr=PIPE,
         )
         stack.callback(sensing.stop)
-        # Ctrl-C ends the pulse; what was sent of it is played and summed up all the same.
+        # Ctrl-C ends the pulse; samples that were sent are still played and counted.
         stop_on_signals(sensing.terminate)
         with _Scorer(scene, truth, sensing_address) as scorer:
 
-            def meanwhile() -> bool:
-                scorer.listen()
+            def keep_watching() -> bool:
+                scorer.add_sent()
                 return display.poll() is None and not sensing.poll()
 
-            watch(telemetry_address, console, scorer.felt, draw, meanwhile)
-        if served is not None and served.poll() is not None:
+            watch(telemetry_address, console, scorer.add_felt, draw, keep_watching)
+        if page_process is not None and page_process.poll() is not None:
             logger.warning("the live page ended before the demo did")
-        if relay is not None:
-            # One that has failed by itself keeps its status.
-            relay.terminate()
-            log_warnings(relay.name, relay.await_end(ENDS_WITHIN_S))
+        if link_process is not None:
+            # A link process that has failed before keeps its exit status.
+            link_process.terminate()
+            log_warnings(link_process.name, link_process.await_end(ENDS_WITHIN_S))
         sensed = sensing.await_summary(ENDS_WITHIN_S)
         played = display.await_summary(ENDS_WITHIN_S, may_end_with=FAULT_STATUS)
         return _compose(sensed, played, scorer.tracking_error)
@@ -198,9 +199,9 @@ def run_demo(
 def _open_page(
     stack: ExitStack, telemetry: str, required: bool, console: Console
 ) -> ChildProcess | None:
-    """Start the live page until `stack` closes; print its address, or why there is none.
+    """Start the live page until `stack` closes, and print its address.
 
-    required: raise OutputError or ProcessError instead.
+    Where it cannot be served, log the reason, or with `required` raise OutputError or ProcessError.
     """
     try:
         check_bokeh()
@@ -233,17 +234,17 @@ class _Scorer:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.listen()
+        self.add_sent()
         self.tracking_error.finish()
         self._context.destroy(linger=0)
 
-    def listen(self) -> None:
+    def add_sent(self) -> None:
         """Add the frames that the sensing node has sent."""
         for (message,) in sockets.receive_all(self._data):
             true_frame = self._truth.of(decode_frame(message))
             self.tracking_error.add_reference(true_frame, self._channel, self._ratio)
 
-    def felt(self, trace: Trace) -> None:
+    def add_felt(self, trace: Trace) -> None:
         """Add the felt force of a trace of the display."""
         columns = (trace.now_ns, trace.instant_ns, trace.felt_n, trace.scored)
         for *tick, scored in zip(*(column.tolist() for column in columns), strict=True):
@@ -252,7 +253,7 @@ class _Scorer:
 
 
 def _compose(sensing: Summary, display: Summary, tracking_error: TrackingError) -> Summary:
-    """Return the display's summary with the true errors.
+    """Return the display's summary with the errors against the true force.
 
     Raises ProcessError where the two nodes' sample counts differ.
     """

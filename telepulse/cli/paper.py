@@ -7,9 +7,9 @@ from telepulse.reports.document import Report
 
 
 def paper(out: FolderOption = Path("out/paper"), json: TablesOption = None) -> None:
-    """Compute the paper's figures and numbers again, and explain the differences.
+    """Recompute the results of Dargahi et al. 2008, and explain where they differ from the paper.
 
-    Prints the tables and writes a page with all plots, in seconds.
+    Prints the tables and writes a page with all plots.
     """
     publish(build_report, out, json)
 
@@ -27,6 +27,4 @@ def build_report() -> Report:
         stepper.chapter,
         stability.chapter,
     )
-    return Report(
-        "A teletaction system's paper, computed again", [chapter() for chapter in chapters]
-    )
+    return Report("Dargahi, Xie and Ji (2008), recomputed", [chapter() for chapter in chapters])

@@ -1,8 +1,8 @@
 """Export of a recording as an EDF+ file, for the viewers and tools of physiology.
 
-EDF (Kemp et al. 1992, https://www.edfplus.info) holds evenly spaced numbers of 16 bits. So the
-recording's longest session is resampled on an even grid of the sensing clock. The log names the
-step of the numbers; losses and events become annotations.
+EDF (Kemp et al. 1992, https://www.edfplus.info) stores 16-bit samples at a constant rate. So
+the recording's longest session is resampled on an even grid of the sensing clock. The log gives the
+quantisation step of each signal; losses and events become annotations.
 """
 
 import math
@@ -19,16 +19,19 @@ from protocol.errors import OutputError, SourceError
 from telepulse.recording.session import RecordedSession, felt_force, longest_session
 
 SECOND_NS = 1_000_000_000
-# The lowest number stands for no value: nothing else is so low.
-LOWEST, HIGHEST = -32_768, 32_767
-MARGIN = 0.02
+# The lowest code marks a missing value. The margin, a share of the range, keeps values above it.
+LOWEST_CODE, HIGHEST_CODE = -32_768, 32_767
+RANGE_MARGIN = 0.02
 LABEL_CHARACTERS = 16
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
 def export_edf(path: Path, file: Path) -> str:
-    """Write force at the wrist and force felt into `file`. Raises SourceError or OutputError."""
+    """Write a recording's forces into `file`, and return a line for the log.
+
+    Raises SourceError or OutputError.
+    """
     try:
         import edfio
     except ImportError as error:
@@ -45,7 +48,7 @@ def export_edf(path: Path, file: Path) -> str:
         slowest_hz = math.ceil(SECOND_NS / MAX_GAP_NS)
         raise SourceError(
             f"{path}: its rate is {description.rate_hz:g} Hz, below the {slowest_hz} Hz"
-            " of an export to edf; export it to csv"
+            " that EDF export needs; export it to csv"
         )
     t_ns, numbers, values = _samples(session)
     felt = felt_force(path, session.number)
@@ -86,18 +89,20 @@ def export_edf(path: Path, file: Path) -> str:
         edf.write(file)
     except OSError as error:
         raise OutputError(f"{file}: cannot be written: {error.strerror}") from None
+    codes = HIGHEST_CODE - LOWEST_CODE
     steps = ", ".join(
-        f"{signal.label} {(signal.physical_max - signal.physical_min) / (HIGHEST - LOWEST):.2g} mN"
+        f"{signal.label} {(signal.physical_max - signal.physical_min) / codes:.2g} mN"
         for signal in signals
     )
     return (
         f"{file}: {seconds} s at {rate_hz} Hz, {count_text(len(losses), 'loss', 'losses')}"
-        f" and {count_text(len(events), 'event')} as annotations; 16 bits, a step is: {steps}"
+        f" and {count_text(len(events), 'event')} as annotations; 16 bits;"
+        f" quantisation steps: {steps}"
     )
 
 
 def _samples(session: RecordedSession) -> tuple[Ints, Ints, Floats]:
-    """Return times, numbers and values of all samples, in order of time."""
+    """Return times, sequence numbers and values of all samples, in order of time."""
     times, numbers, values = [], [], []
     for frame in session.frames():
         at = np.arange(len(frame.values), dtype=np.int64)
@@ -108,7 +113,7 @@ def _samples(session: RecordedSession) -> tuple[Ints, Ints, Floats]:
 
 
 def _losses(t_ns: Ints, numbers: Ints, period_ns: int) -> list[tuple[float, float, str]]:
-    """Return when each gap in the numbers begins, its length in s, and its text."""
+    """Return begin and length in s of each gap in the sequence numbers, and its text."""
     return [
         (
             (int(t_ns[at] - t_ns[0]) + period_ns) * 1e-9,
@@ -123,7 +128,7 @@ def _losses(t_ns: Ints, numbers: Ints, period_ns: int) -> list[tuple[float, floa
 def _resampled(grid_ns: Ints, t_ns: Ints, force_n: Floats) -> Floats:
     """Interpolate linearly; NaN outside, and between values that are too far apart."""
     on_grid_n = interpolate(grid_ns, t_ns, force_n)
-    # The last value before a hole is kept.
+    # `interpolate` gives NaN at a sample that a gap follows: its own value is used there.
     at = np.minimum(np.searchsorted(t_ns, grid_ns), len(t_ns) - 1)
     return np.where(t_ns[at] == grid_ns, force_n[at], on_grid_n)
 
@@ -137,18 +142,18 @@ def _signal(edfio: Any, label: str, force_n: Floats, rate_hz: int) -> Any:
         label=label.encode("ascii", "replace").decode()[:LABEL_CHARACTERS],
         physical_dimension="mN",
         physical_range=(low, high),
-        digital_range=(LOWEST, HIGHEST),
+        digital_range=(LOWEST_CODE, HIGHEST_CODE),
     )
 
 
 def _range(force_mn: Floats) -> tuple[float, float]:
-    """Return a range around the values that the header's eight characters can hold."""
+    """Return limits just outside the values; each fits the 8 characters of the header."""
     if not len(force_mn):
         return -1.0, 1.0
     low, high = float(force_mn.min()), float(force_mn.max())
     width = max(high - low, 1e-3, 1e-4 * abs(low), 1e-4 * abs(high))
     power = math.floor(math.log10(width))
     unit, digits = 10.0 ** (power - 1), max(0, 1 - power)
-    low = math.floor((low - MARGIN * width) / unit) * unit
-    high = math.ceil((high + MARGIN * width) / unit) * unit
+    low = math.floor((low - RANGE_MARGIN * width) / unit) * unit
+    high = math.ceil((high + RANGE_MARGIN * width) / unit) * unit
     return round(low, digits), round(high, digits)

@@ -1,7 +1,7 @@
 """Model of a network link: the time at which each packet or message arrives, or its loss.
 
-The model is pure. It carries the messages of a simulation in virtual time, those of a proxy
-between two nodes, and the IP packets of the emulator.
+The model is pure. It is used for messages in virtual time, for those of a proxy between two nodes,
+and for the IP packets of the emulated link.
 """
 
 import math
@@ -21,8 +21,8 @@ PositiveDuration = Annotated[Nanoseconds, Field(gt=0, le=10_000_000_000)]
 LinkTime = Annotated[Nanoseconds, Field(ge=0, le=86_400_000_000_000)]
 Share = Annotated[Ratio, Field(gt=0, lt=1)]
 
-# Tail of the Pareto jitter: the share beyond x falls with its third power. Three is the smallest
-# whole number with a standard deviation, which is what `jitter` gives.
+# Tail of the Pareto jitter: P(X > x) ∝ x⁻³. 3 is the smallest integer exponent with a finite
+# standard deviation, which `jitter` gives.
 PARETO_SHAPE = 3
 _PARETO_DEVIATION = math.sqrt(PARETO_SHAPE / (PARETO_SHAPE - 2)) / (PARETO_SHAPE - 1)
 # With jitter in bursts the link stalls for a tenth of the time. A packet meets a stall with that
@@ -31,7 +31,7 @@ STALLED_SHARE = 0.1
 _STALL_DEVIATION = math.sqrt(2 * STALLED_SHARE - STALLED_SHARE**2)
 # A packet that would wait for longer in the queue of the rate limit is lost.
 QUEUE_NS = 200_000_000
-# Linux: smallest margin of a retransmission timeout over the round trip, and its largest timeout.
+# Linux: smallest retransmission timeout minus the round trip, and largest timeout.
 RTO_MARGIN_NS = 200_000_000
 MAX_RTO_NS = 120_000_000_000
 # Share of the round trip that Linux waits for packets that may only be out of order (RACK).
@@ -43,7 +43,8 @@ HEADER_BYTES = 54
 class BurstLoss(Section):
     """Loss in bursts (Gilbert-Elliott).
 
-    For `share` of the time, and `length` on average each time, nothing comes through.
+    share: fraction of the time in a burst, in which every packet is lost. length: mean duration of
+    a burst.
     """
 
     share: Share
@@ -58,14 +59,14 @@ class Reorder(Section):
 
 
 class RouteChange(Section):
-    """At `at` of the link's time, the delay grows by `by`."""
+    """A change of the delay by `by`, which may be negative, `at` a time since the link began."""
 
     at_ns: LinkTime
     by_ns: Annotated[Nanoseconds, Field(ge=-10_000_000_000, le=10_000_000_000)]
 
 
 class Cut(Section):
-    """From `from` of the link's time on, nothing comes through for `for`."""
+    """An outage that begins at `from` since the link began and lasts `for`."""
 
     from_ns: LinkTime
     for_ns: LinkTime
@@ -75,12 +76,12 @@ class LinkScene(Section):
     """Impairments of a link.
 
     jitter: standard deviation of the delay, whatever its kind; a delay is never below 0.
-    "gaussian" jitter goes both ways; "pareto" (a heavy tail) and "bursts" (the link stalls, then
-    everything arrives at once) only delay. loss: share of packets that are lost at random. rate:
-    capacity of the link; a packet that would wait in its queue for too long is lost. Times count
-    from the beginning of the link, in the simulation half a second before the stream. transport:
-    how a simulation carries messages, as "datagram"s that may be lost and overtake one another,
-    or as a "tcp" stream.
+    "gaussian" jitter may shorten or lengthen the delay; "pareto" (a heavy tail) and "bursts" (the
+    link stalls, then everything arrives at once) only lengthen it. loss: share of packets that are
+    lost at random. rate: capacity of the link; a packet that would wait in its queue for too long
+    is lost. Times count from the beginning of the link; a simulation's link begins 0.5 s before the
+    stream. transport: how a simulation carries messages, as "datagram"s that may be lost or
+    reordered, or as a "tcp" stream.
     """
 
     delay_ns: Duration = 0
@@ -97,7 +98,9 @@ class LinkScene(Section):
     @model_validator(mode="after")
     def _something_arrives(self) -> Self:
         if self.transport == "tcp" and self.loss == 1:
-            raise ValueError("over tcp nothing ever arrives where loss is 1; give less, or a cut")
+            raise ValueError(
+                "over tcp nothing ever arrives where loss is 1; use a loss below 1, or a cut"
+            )
         return self
 
     def text(self) -> str:
@@ -166,8 +169,9 @@ class GilbertElliott:
 class Direction:
     """One direction of a link; with the same seed the same packets have the same fate.
 
-    Packets are offered in the order of their sending. They are independent of one another, except
-    for the queue of the rate limit, and may overtake one another.
+    Packets are offered in the order of their sending, and may overtake one another. Random loss,
+    jitter and reordering are drawn for each packet; packets close in time share the queue of the
+    rate limit, bursts of loss and stalls.
 
     start_ns: time at which the link begins.
     """
@@ -254,16 +258,16 @@ class Direction:
 class TcpStream:
     """A TCP connection over one direction of a link, with one packet for each message.
 
-    No message is lost and none overtakes another. A lost packet, or a lost repetition of it, is
-    sent again as soon as the acknowledgement of the next packet that arrives shows the gap: after
-    the time between messages, a round trip and a reordering window (RACK, RFC 8985). Where the
-    retransmission timeout ends earlier, the packet is sent then, and the timeout doubles
-    (RFC 6298). Once a packet sent by timeout has arrived, the others lost before are sent a round
-    trip later. Every message after a gap waits for it.
+    No message is lost and none overtakes another. A lost packet is retransmitted when the
+    acknowledgement of a later packet reveals the loss: the time between messages, a round trip and
+    a reordering window after it was sent (RACK, RFC 8985). If the retransmission timeout ends
+    earlier, the packet is sent then, and the timeout doubles (RFC 6298). The same holds for a lost
+    retransmission. After a retransmission by timeout has arrived, packets lost before it are sent
+    a round trip later. Every message after a gap waits for it.
 
     The time to the next message is assumed to be the time since the last one, and the round trip
     twice the link's delay. Not modelled: lost acknowledgements, congestion window, slow start,
-    pacing, the rate that repetitions use, a sender that gives up.
+    pacing, bandwidth used by retransmissions, an aborted connection.
     """
 
     def __init__(self, direction: Direction) -> None:
@@ -288,7 +292,7 @@ class TcpStream:
         direction, arrival_ns = self._direction, None
         round_trip_ns = 2 * direction.base_ns(lost_ns)
         rto_ns = round_trip_ns + RTO_MARGIN_NS
-        # Until the acknowledgement of the next message shows the gap.
+        # Time until the acknowledgement of the next message reveals the loss.
         gap_ns = MAX_RTO_NS if self._last_sent_ns is None else lost_ns - self._last_sent_ns
         detected_after_ns = gap_ns + round(round_trip_ns * (1 + REORDERING_WINDOW))
         if lost_ns < self._repaired_ns:
@@ -309,7 +313,7 @@ class TcpStream:
 class MessageLink:
     """Data and control messages in one direction of a link, one packet for each message.
 
-    As datagrams, data may be lost and overtake; control waits for the end of a cut and is never
+    As datagrams, data may be lost or reordered; control waits for the end of a cut and is never
     lost. As tcp, data and control have a connection each.
     """
 

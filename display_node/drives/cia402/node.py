@@ -32,17 +32,17 @@ from protocol.errors import DriveError
 SYNC = 0x80
 EMERGENCY, TPDO1, TPDO2, RPDO1, HEARTBEAT = 0x80, 0x180, 0x280, 0x200, 0x700
 BY_SYNC, BY_EVENT = 1, 255
-# Greatest time between two TPDOs, so that silence differs from rest.
+# Greatest time between two TPDOs, to tell a silent drive from one at standstill.
 EVENT_MS = 10
 ENABLE_WITHIN_S = 2.0
 SDO_TIMEOUT_S = 0.5
 POLL_S = 0.002
-# A bus that is gone fails at every read.
+# Pause after a bus error: a disconnected bus fails at once on every read.
 LOST_PAUSE_S = 0.05
 QUICK_STOP_ON_ABORT = 3
 COMMAND = STATE_TPDO = struct.Struct("<Hi")
 SPEED_TPDO = struct.Struct("<iH")
-# No axis is so many times faster than its fastest, nor, once homed, so many times its travel away.
+# Reports beyond this multiple of the highest speed or, after homing, of the travel are rejected.
 IMPLAUSIBLE = 10
 
 # Errors are raised or counted here; a program that wants canopen's log can still have it.
@@ -50,20 +50,20 @@ logging.getLogger("canopen").addHandler(logging.NullHandler())
 
 
 class Cia402Node:
-    """One drive and its last reports; see `DriveDevice`. Methods raise DriveError.
+    """One drive and its last reports. Methods raise DriveError.
 
     Attributes
     ----------
     mode
         Velocity mode in which the drive takes commands.
     statusword, state, error_code
-        By its TPDOs, as are position and speed.
+        Last values reported by TPDO, as are position and speed.
     received_ns
-        Time of the last TPDO on the monotonic clock.
+        Time of the last plausible state report (TPDO1) on the monotonic clock.
     counts
-        "malformed" TPDOs and emergencies, "implausible" TPDOs, whose values are not used, frames
-        that a CAN adapter sends "garbled", a drive that was "not disabled", with the kind of error,
-        and a bus that was "not closed".
+        "malformed": TPDOs and emergencies. "implausible": TPDOs whose values are not used.
+        "garbled": frames spoilt by a CAN adapter. "not disabled", "not closed": a drive and a bus
+        that could not be shut down, with the kind of error.
     """
 
     def __init__(self, scene: Cia402Scene, axis: Axis, counts: Counter[str]) -> None:
@@ -83,7 +83,7 @@ class Cia402Node:
         self.position_m = axis.lowest_m
         self.speed_m_per_s = 0.0
         self.received_ns = self._implausible_ns = 0
-        # Before homing the drive's count has any origin.
+        # Before homing the origin of the position is arbitrary: no position is implausible.
         self._implausible_m = math.inf
         self.mode = Mode.CYCLIC_VELOCITY
         # Error by which the bus cannot be read any more.
@@ -106,7 +106,7 @@ class Cia402Node:
         self._node = canopen.RemoteNode(scene.node, sheet)
         self._node.sdo.RESPONSE_TIMEOUT = SDO_TIMEOUT_S
         self._network.add_node(self._node)
-        # The library's own listener keeps all emergencies, and fails at one that is cut short.
+        # The library's own listener keeps all emergencies, and fails at a truncated one.
         self._network.unsubscribe(EMERGENCY + scene.node, self._node.emcy.on_emcy)
         for identifier, take in (
             (TPDO1, self._on_state),
@@ -114,18 +114,18 @@ class Cia402Node:
             (EMERGENCY, self._on_emergency),
         ):
             self._network.subscribe(identifier + scene.node, take)
-        # Without it the network's thread would end with a traceback.
+        # Without this handler the network's thread would end with a traceback.
         self._network.listeners[0].on_error = self._on_bus_error  # type: ignore[method-assign]
         self._network.connect()
 
     @property
     def error(self) -> str:
-        """The name of its last error code."""
+        """Name of the drive's last error code."""
         return ERRORS.get(self.error_code, f"error 0x{self.error_code:04X}")
 
     @property
     def silence(self) -> str:
-        """The name of a fault where nothing plausible has come for a while."""
+        """Fault to report when no plausible TPDO has arrived for too long."""
         implausible = self._implausible_ns > self.received_ns
         return "garbled: no plausible TPDO" if implausible else "no answer"
 

@@ -13,7 +13,8 @@ from display_node.drives.scene import TmclScene
 from display_node.drives.tmcl.module import TRANSIENT, Parameter, TmclModule
 from protocol.errors import DriveError
 
-# Axis parameters that are read in turn: one at least every POLL_NS, more where the line has time.
+# Axis parameters that are read in turn: at least one read in POLL_NS, and one in each period of the
+# thread in which no new command waits.
 POLLED = (
     Parameter.ACTUAL_POSITION,
     Parameter.ERROR_FLAGS,
@@ -21,15 +22,15 @@ POLLED = (
     Parameter.DRIVER_FLAGS,
 )
 POLL_NS = 10_000_000
-# Between two attempts on a line that is gone.
+# Pause between two attempts while the line is disconnected.
 RETRY_S = 0.02
-# An answer names its command, not its axis parameter: so long after a missed one a position may be
-# the late answer about another parameter. A withdrawal does not use it.
+# An answer carries the number of its command, not the axis parameter. For this long after a missed
+# answer, a position may be the late answer about another parameter, and a withdrawal ignores it.
 AMBIGUOUS_NS = 200_000_000
 
 
 class TmclDrive(Drive):
-    """See `Drive`. counts: as of `TmclLine`, and commands that a newer one "superseded"."""
+    """See `Drive`. counts: those of `TmclLine`, and "superseded" commands, which were not sent."""
 
     _module: TmclModule
 
@@ -72,8 +73,8 @@ class TmclDrive(Drive):
     def _step(self) -> None:
         module, now_ns = self._module, time.monotonic_ns()
         try:
-            # A command between any two reads: an answer that comes far too late names its
-            # command, and so is never taken for the answer to another read.
+            # A rotate command goes between any two reads: an answer that is late by a whole
+            # request then meets a request with another command number, and is ignored.
             self._send(now_ns)
             if not self._woken.is_set() or now_ns - self._requested_ns >= POLL_NS:
                 self._requested_ns = now_ns
@@ -90,7 +91,7 @@ class TmclDrive(Drive):
                 supervisor.report(module.position_m, module.position_ns)
 
     def _send(self, now_ns: int) -> None:
-        """Send the present velocity, however old the command is: that feeds the heartbeat."""
+        """Send the velocity, new or not, so that the module's watchdog does not stop the motor."""
         with self._lock.acquire_or_proceed():
             supervisor = self._supervisor
             supervisor.check_silence(now_ns)
@@ -100,9 +101,10 @@ class TmclDrive(Drive):
         self._module.rotate(velocity)
 
     def _fail(self, error: DriveError) -> None:
-        """Latch an error that the next request cannot make good; the withdrawal goes on.
+        """Latch an error, unless it is transient and the module has answered lately.
 
-        A module that obeys without an answer is thus commanded on, to its home switch.
+        The withdrawal continues in either case: a module that obeys but does not answer still
+        moves to its home switch.
         """
         now_ns = time.monotonic_ns()
         with self._lock.acquire_or_proceed():

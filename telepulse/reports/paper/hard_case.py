@@ -1,7 +1,7 @@
 """Hard cases for the shipped force loop: how one is run, and how its result is judged.
 
-The verdict is computed from the felt force, from the fault that Safety reports or from the error
-that refuses the case. No case carries the verdict that is expected of it.
+The verdict is computed from the felt force, from the fault that Safety reports, or from the
+SceneError by which the loop is refused. A case does not state an expected verdict.
 """
 
 import math
@@ -30,20 +30,25 @@ Array = NDArray[np.float64]
 SceneTable = Mapping[str, object]
 TICK_S = 1e-3
 IDEAL_FILM = FilmTable()
-# A pulse's usual mean.
+# Force to hold: a typical mean of a pulse.
 HELD_N = 0.3
 # The shortest ramp, so that it does not hide what the loop itself does.
 SAFETY = SafetyScene.model_validate({"ramp": "1 ms"})
 # Felt force beyond this, pressing or pulling, is out of bounds: the fault level of Safety.
 BOUND_N = SAFETY.force_limit_n * SAFETY.overforce
-# Eq 22 has no microsteps: this share of the wanted force stands for one.
+# The paper's actuator (eq 22) has no microsteps; it has settled within this share of the force.
 SETTLED_SHARE = 0.01
+# Standard deviations of the film's noise that are allowed for.
 NOISE_DEVIATIONS = 4.0
+# Below this the force counts as 0.
 AT_REST_N = 1e-3
 
 
 class CaseVerdict(StrEnum):
-    """Verdict on a hard case. The last two are defects, the last one the worst."""
+    """Verdict on a hard case. The last two are defects, the last one the worst.
+
+    REFUSED: not started, or at rest after a fault that Safety has latched.
+    """
 
     STABLE = "stable"
     REFUSED = "refused"
@@ -53,9 +58,9 @@ class CaseVerdict(StrEnum):
 
 
 class CaseResult(NamedTuple):
-    """A row of the report: what was run, the verdict, and the figure that proves it.
+    """A row of the report: what was run, the verdict, and the measured value that supports it.
 
-    felt_n is the felt force in N at each tick's end of a loop that did run.
+    felt_n: felt force in N at the end of each tick; None if the loop did not run.
     """
 
     case: str
@@ -91,8 +96,8 @@ class LoopSetup:
     def settled_range_n(self, force_n: float, microsteps: float = 1.0) -> tuple[float, float]:
         """Return the least and greatest force in N at which the loop has settled on `force_n`.
 
-        `microsteps` and the dead band to either side, plus the error of the film's reading; on
-        eq 22, 1 %.
+        A stepper: within `microsteps` and the dead band, plus noise and quantisation of the film.
+        The paper's actuator: within 1 %.
         """
         if isinstance(self.actuator, SecondOrderScene):
             return (1 - SETTLED_SHARE) * force_n, (1 + SETTLED_SHARE) * force_n
@@ -132,7 +137,7 @@ def scene_setup(name: str) -> LoopSetup:
 
 
 def paper_setup(gains: Gains, filter_hz: float = 200.0, tick_s: float = TICK_S) -> LoopSetup:
-    """Return the paper's loop as the display runs it: error in mV by eq 21, on eq 22."""
+    """Return the paper's loop as the display runs it: error in mV (eq 21), actuator eq 22."""
     table = {"error": "millivolts", "derivative_filter": f"{filter_hz} Hz", **gains._asdict()}
     return LoopSetup(ControllerScene.model_validate(table), published.ACTUATOR, tick_s=tick_s)
 
@@ -160,17 +165,19 @@ class HardCase:
     Attributes
     ----------
     explanation
-        Reason why the case is stable; every other verdict has its own reason.
+        Reason printed with the verdict STABLE; the others take theirs from the run.
     reference
         The wanted force in N at a tick.
     reading
         The reading in N that the controller gets, from the tick and the film's own reading.
     with_safety
         Whether Safety bounds the reference and watches the reading.
-    target_n, microsteps
-        The force wanted in the end, and the distance from it at which a stepper may settle.
-    disturbed_at
-        The tick of the disturbance.
+    target_n, tolerance_microsteps
+        Final target force, and distance from it within which a stepper has settled.
+    ticks
+        Length of the run.
+    disturbance_tick
+        Tick of the disturbance.
     """
 
     case: str
@@ -182,8 +189,8 @@ class HardCase:
     with_safety: bool = True
     ticks: int = 2000
     target_n: float = HELD_N
-    microsteps: float = 1.0
-    disturbed_at: int = 0
+    tolerance_microsteps: float = 1.0
+    disturbance_tick: int = 0
 
     def run(self) -> CaseRun:
         """Run the loop from rest as the display does, tick by tick. Raises SceneError."""
@@ -205,15 +212,15 @@ def evaluate(case: HardCase) -> CaseResult:
         run = case.run()
     except SceneError as error:
         return CaseResult(case.case, case.name, CaseVerdict.REFUSED, "–", refusal_reason(error))
-    except Exception as error:  # an error without a usable message is a finding, not our crash
+    except Exception as error:  # a defect of the loop, which must not end the report
         reason = f"{type(error).__name__}: {error}"
         return CaseResult(case.case, case.name, CaseVerdict.FAILS, "–", reason)
     verdict, reason = judge(case, run)
-    # The distance from the target in the end, and the extremes since the disturbance.
-    off_n = np.abs(run.felt_n[-len(run.felt_n) // 4 :] - case.target_n).max()
-    since_n = run.felt_n[case.disturbed_at :]
-    figure = f"{force_text(float(off_n))} off, at most {force_text(float(since_n.max()))}"
-    if case.disturbed_at or since_n.min() < 0:
+    # The distance from the target at the end, and the extremes since the disturbance, if any.
+    final_error_n = np.abs(run.felt_n[-len(run.felt_n) // 4 :] - case.target_n).max()
+    since_n = run.felt_n[case.disturbance_tick :]
+    figure = f"{force_text(float(final_error_n))} off, at most {force_text(float(since_n.max()))}"
+    if case.disturbance_tick or since_n.min() < 0:
         figure += f", at least {force_text(float(since_n.min()))}"
     return CaseResult(case.case, case.name, verdict, figure, reason, run.felt_n)
 
@@ -222,28 +229,32 @@ def judge(case: HardCase, run: CaseRun) -> tuple[CaseVerdict, str]:
     """Return the verdict on a run, and its reason."""
     felt_n = run.felt_n
     end_n = felt_n[-len(felt_n) // 4 :]
-    broken = CaseVerdict.FAILS if run.faults else CaseVerdict.WRONG
+    defect = CaseVerdict.FAILS if run.faults else CaseVerdict.WRONG
     fault = f", in spite of the fault: {run.faults[0]}" if run.faults else ""
     if not np.isfinite(felt_n).all():
-        return broken, f"the felt force is not a number{fault}"
+        return defect, f"the felt force is not a number{fault}"
     if np.abs(felt_n).max() > BOUND_N:
-        return broken, f"felt beyond {BOUND_N:g} N{fault}"
+        return defect, f"felt beyond {BOUND_N:g} N{fault}"
     if run.faults:
-        # The drive needs a tick to get the command and one to turn, at most at the slew limit.
+        # The force may rise for two ticks, at most at the slew limit: one until the drive has
+        # the command, one until it reverses.
         slack_n = 2 * SAFETY.slew_limit_n_per_s * case.setup.tick_s
-        if felt_n[case.disturbed_at :].max() > felt_n[max(case.disturbed_at - 1, 0)] + slack_n:
-            return broken, f"presses harder{fault}"
+        if (
+            felt_n[case.disturbance_tick :].max()
+            > felt_n[max(case.disturbance_tick - 1, 0)] + slack_n
+        ):
+            return defect, f"presses harder{fault}"
         if np.abs(end_n).max() > AT_REST_N:
-            return broken, f"does not come to rest{fault}"
+            return defect, f"does not come to rest{fault}"
         return CaseVerdict.REFUSED, f"at rest for good after the fault: {run.faults[0]}"
-    low_n, high_n = case.setup.settled_range_n(case.target_n, case.microsteps)
+    low_n, high_n = case.setup.settled_range_n(case.target_n, case.tolerance_microsteps)
     if end_n.min() < low_n or end_n.max() > high_n:
         return CaseVerdict.WRONG, f"does not settle on {case.target_n:g} N"
     return CaseVerdict.STABLE, case.explanation
 
 
 def refusal_reason(error: Exception) -> str:
-    """Return the reason in an error's line, without the scene's key and the advice."""
+    """Return the reason in an error's line, without the leading key and the trailing advice."""
     return str(error).removeprefix("[display] controller: ").split(": lower its")[0]
 
 

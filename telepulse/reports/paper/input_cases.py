@@ -67,7 +67,7 @@ def odd_samples() -> Iterator[CaseResult]:
     for (case, odd_n), (name, setup), (place, explanation) in rows:
         alike: dict[tuple[CaseVerdict, str], tuple[list[str], list[Array]]] = {}
         for value_n in odd_n:
-            hard = HardCase(case, "", setup, explanation, ticks=1000, disturbed_at=ODD_AT)
+            hard = HardCase(case, "", setup, explanation, ticks=1000, disturbance_tick=ODD_AT)
             odd: dict[str, Any] = {place: _odd_at(value_n)}
             result = evaluate(replace(hard, **odd))
             texts, felt_n = alike.setdefault((result.verdict, result.reason), ([], []))

@@ -253,7 +253,7 @@ def _at_rest(name: str, setup: LoopSetup) -> CaseResult:
         "at most the one microstep that lies across the wanted force",
         reference=lambda _: BETWEEN_N,
         target_n=BETWEEN_N,
-        microsteps=CHATTER_MICROSTEPS,
+        tolerance_microsteps=CHATTER_MICROSTEPS,
         ticks=4000,
     )
     result = evaluate(case)

@@ -17,7 +17,7 @@ from pyarrow import parquet
 
 from protocol.errors import OutputError
 from protocol.provenance import PROVENANCE, collect
-from telepulse.recording.edf import LOWEST, export_edf
+from telepulse.recording.edf import LOWEST_CODE, export_edf
 from telepulse.recording.export import export_csv, export_mcap, export_parquet
 from telepulse.recording.mcap_writer import McapWriter
 from telepulse.recording.reader import RecordingReader
@@ -156,10 +156,10 @@ def test_edf_holds_forces_at_their_times_with_losses_and_events(
     # A line where little is missing, no value where it is more than a line can show.
     alone, hole = 100 * BATCH, slice(300 * BATCH, 320 * BATCH)
     between = np.linspace(wrist.data[alone - 1], wrist.data[alone + BATCH], BATCH + 2)
-    assert (felt.digital == LOWEST).sum() < 200
+    assert (felt.digital == LOWEST_CODE).sum() < 200
     np.testing.assert_allclose(wrist.data[alone : alone + BATCH], between[1:-1], atol=2 * step_mn)
-    assert set(wrist.digital[hole]) == {LOWEST}
-    assert set(np.flatnonzero(wrist.digital == LOWEST)) == {
+    assert set(wrist.digital[hole]) == {LOWEST_CODE}
+    assert set(np.flatnonzero(wrist.digital == LOWEST_CODE)) == {
         *range(hole.start, hole.stop),
         *range(3_000 - BATCH, 3_000),
     }

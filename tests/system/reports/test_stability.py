@@ -155,7 +155,7 @@ def judged(
     felt_n: float | list[float], *faults: str, loop: LoopSetup = FINGER, since: int = 0
 ) -> str:
     felt = np.full(100, felt_n) if isinstance(felt_n, float) else np.array(felt_n)
-    case = HardCase("", "", loop, "as it should", disturbed_at=since)
+    case = HardCase("", "", loop, "as it should", disturbance_tick=since)
     verdict, reason = judge(case, CaseRun(felt, faults))
     assert reason
     return verdict
