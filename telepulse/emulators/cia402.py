@@ -249,8 +249,8 @@ class EmulatedCia402Node:
     def poll(self) -> None:
         """Advance to the present and send due frames; call it every few milliseconds."""
         with self._lock:
-            self.drive.advance(time.monotonic_ns())
             drive, now_s = self.drive, time.monotonic()
+            drive.advance(time.monotonic_ns())
             state = (drive.statusword, drive.error_code)
             due = now_s - self._sent_s >= TPDO_S or state != self._last_sent
             if due and self._operational and not self.silent:
@@ -291,14 +291,11 @@ class EmulatedCia402Node:
                 case 0x6007, _:
                     self.drive.abort_option = value
                 case 0x1016, 1:
-                    self._monitor(value)
-
-    def _monitor(self, entry: int) -> None:
-        """Monitor a heartbeat, from the first one that comes."""
-        self._heartbeat_id = HEARTBEAT + (entry >> 16 & 0x7F)
-        self._network.subscribe(self._heartbeat_id, self._on_heartbeat)
-        self._heartbeat_ns = (entry & 0xFFFF) * 1_000_000
-        self.motor.set_watchdog(0)
+                    # A heartbeat is monitored from the first one that comes.
+                    self._heartbeat_id = HEARTBEAT + (value >> 16 & 0x7F)
+                    self._network.subscribe(self._heartbeat_id, self._on_heartbeat)
+                    self._heartbeat_ns = (value & 0xFFFF) * 1_000_000
+                    self.motor.set_watchdog(0)
 
     def _on_heartbeat(self, can_id: int, _: bytearray, __: float) -> None:
         with self._lock:

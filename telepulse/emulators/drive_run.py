@@ -65,11 +65,17 @@ class DriveRun:
             self._film = EmulatedFilm(motor, port)
         if trace is not None:
             try:
-                self._file = resources.enter_context(trace.open("w", encoding="utf-8"))
+                file = resources.enter_context(trace.open("w", encoding="utf-8"))
             except OSError as error:
                 raise OutputError(f"{trace}: cannot be written: {error.strerror}") from None
-            self._file.write(TRACE_HEADER)
-            motor.trace = self._write
+            file.write(TRACE_HEADER)
+
+            def write(state: MotorState) -> None:
+                time_ns, *values = state
+                numbers = ",".join(f"{value:.9f}" for value in values)
+                file.write(f"{time_ns},{numbers},{self._active_fault}\n")
+
+            motor.trace = write
 
     def run(
         self,
@@ -109,8 +115,3 @@ class DriveRun:
                 self._film.deliver()
             if seconds is not None and now_s - began_s >= seconds:
                 return
-
-    def _write(self, state: MotorState) -> None:
-        time_ns, tip_m, speed_m_per_s, force_n = state
-        row = f"{time_ns},{tip_m:.9f},{speed_m_per_s:.9f},{force_n:.9f},{self._active_fault}\n"
-        self._file.write(row)

@@ -8,59 +8,46 @@ import random
 from collections import deque
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
 
 from protocol.config.quantities import parse_quantity, parse_ratio
 from protocol.errors import SceneError
 
-
-class SizeRange(NamedTuple):
-    """Size that a fault may have: dimension, bounds and default, as text."""
-
-    dimension: str
-    least: str
-    most: str
-    default: str
+_RATIO = "ratio"
+_GAIN = (_RATIO, "0.3", "3", "2")
 
 
 class FaultKind(Enum):
-    """The wrong quantity. "-encoder": the reported position is the shaft's, not the command's."""
+    """The wrong quantity; and dimension, bounds and default of its size, as text, if it has one.
+
+    "-encoder": the reported position is the shaft's, not the command's.
+    """
+
+    size: tuple[str, ...]
+
+    def __new__(cls, name: str, *size: str) -> "FaultKind":
+        """Create a member whose value is its name."""
+        kind = object.__new__(cls)
+        kind._value_, kind.size = name, size
+        return kind
 
     REVERSED = "reversed"
     REVERSED_ENCODER = "reversed-encoder"
-    GAIN = "gain"
-    GAIN_ENCODER = "gain-encoder"
+    GAIN = ("gain", *_GAIN)
+    GAIN_ENCODER = ("gain-encoder", *_GAIN)
     NO_RETRACTION = "no-retraction"
     POSITION_FROZEN = "position-frozen"
-    POSITION_JUMP = "position-jump"
-    POSITION_DRIFT = "position-drift"
-    POSITION_NOISE = "position-noise"
-    DELAYED = "delayed"
-    LOST = "lost"
-    DUPLICATED = "duplicated"
-    GARBAGE = "garbage"
+    POSITION_JUMP = "position-jump", "length", "-10 mm", "10 mm", "0.5 mm"
+    POSITION_DRIFT = "position-drift", "speed", "-10 mm/s", "10 mm/s", "1 mm/s"
+    POSITION_NOISE = "position-noise", "length", "0 mm", "10 mm", "50 µm"
+    DELAYED = "delayed", "time", "0 ms", "1 s", "30 ms"
+    LOST = "lost", _RATIO, "0", "1", "0.3"
+    DUPLICATED = "duplicated", _RATIO, "0", "1", "1"
+    GARBAGE = "garbage", _RATIO, "0", "1", "0.3"
     FILM_ZERO = "film-zero"
     FILM_FROZEN = "film-frozen"
-    FILM_SCALED = "film-scaled"
-    FILM_NOISE = "film-noise"
-    FILM_LATE = "film-late"
-
-
-_RATIO = "ratio"
-SIZES: dict[FaultKind, SizeRange] = {
-    FaultKind.GAIN: SizeRange(_RATIO, "0.3", "3", "2"),
-    FaultKind.GAIN_ENCODER: SizeRange(_RATIO, "0.3", "3", "2"),
-    FaultKind.POSITION_JUMP: SizeRange("length", "-10 mm", "10 mm", "0.5 mm"),
-    FaultKind.POSITION_DRIFT: SizeRange("speed", "-10 mm/s", "10 mm/s", "1 mm/s"),
-    FaultKind.POSITION_NOISE: SizeRange("length", "0 mm", "10 mm", "50 µm"),
-    FaultKind.DELAYED: SizeRange("time", "0 ms", "1 s", "30 ms"),
-    FaultKind.LOST: SizeRange(_RATIO, "0", "1", "0.3"),
-    FaultKind.DUPLICATED: SizeRange(_RATIO, "0", "1", "1"),
-    FaultKind.GARBAGE: SizeRange(_RATIO, "0", "1", "0.3"),
-    FaultKind.FILM_SCALED: SizeRange(_RATIO, "-10", "10", "0.5"),
-    FaultKind.FILM_NOISE: SizeRange("force", "0 N", "10 N", "0.2 N"),
-    FaultKind.FILM_LATE: SizeRange("time", "0 ms", "1 s", "60 ms"),
-}
+    FILM_SCALED = "film-scaled", _RATIO, "-10", "10", "0.5"
+    FILM_NOISE = "film-noise", "force", "0 N", "10 N", "0.2 N"
+    FILM_LATE = "film-late", "time", "0 ms", "1 s", "60 ms"
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,42 +63,31 @@ def parse_fault(kind: FaultKind, size: str | None) -> InjectedFault:
 
     Raises SceneError where the kind has no size, or for a size that does not fit.
     """
-    allowed = SIZES.get(kind)
-    if allowed is None:
+    if not kind.size:
         if size is not None:
             raise SceneError(f"--size: {kind.value} has none")
         return InjectedFault(kind)
+    dimension, *bounds, default = kind.size
     try:
         value, least, most = (
-            parse_ratio(text)
-            if allowed.dimension == _RATIO
-            else parse_quantity(text, allowed.dimension)
-            for text in (size or allowed.default, allowed.least, allowed.most)
+            parse_ratio(text) if dimension == _RATIO else parse_quantity(text, dimension)
+            for text in (size or default, *bounds)
         )
     except ValueError as error:
         raise SceneError(f"--size: {error}") from None
     if not least <= value <= most:
-        raise SceneError(
-            f"--size: {kind.value} takes {allowed.least} to {allowed.most}, not {size}"
-        )
+        raise SceneError(f"--size: {kind.value} takes {' to '.join(bounds)}, not {size}")
     return InjectedFault(kind, value)
 
 
 class FaultInjector:
-    """Applies one fault between a motor, its bus and the film, from `begin` on.
-
-    Parameters
-    ----------
-    step_m : float
-        Travel of one step.
-    """
+    """Applies one fault between a motor with steps of step_m, its bus and the film."""
 
     def __init__(self, step_m: float, seed: int = 1) -> None:
         self._step_m = step_m
         self._random = random.Random(seed)
         self._begun_ns = 0
-        self._frozen_steps: int | None = None
-        self._frozen_n: float | None = None
+        self._frozen: float | None = None
         self._answers: deque[tuple[int, bytes]] = deque()
         self._kind: FaultKind | None = None
         self._size = 0.0
@@ -119,7 +95,7 @@ class FaultInjector:
     def begin(self, fault: InjectedFault, now_ns: int) -> None:
         """Apply a fault from now on."""
         self._kind, self._size, self._begun_ns = fault.kind, fault.size, now_ns
-        self._frozen_steps = self._frozen_n = None
+        self._frozen = None
 
     @property
     def motion_ratio(self) -> float:
@@ -142,8 +118,8 @@ class FaultInjector:
         size_steps = self._size / self._step_m
         match self._kind:
             case FaultKind.POSITION_FROZEN:
-                self._frozen_steps = steps if self._frozen_steps is None else self._frozen_steps
-                return self._frozen_steps
+                self._frozen = steps if self._frozen is None else self._frozen
+                return int(self._frozen)
             case FaultKind.POSITION_JUMP:
                 return steps + round(size_steps)
             case FaultKind.POSITION_DRIFT:
@@ -158,8 +134,8 @@ class FaultInjector:
             case FaultKind.FILM_ZERO:
                 return 0.0
             case FaultKind.FILM_FROZEN:
-                self._frozen_n = force_n if self._frozen_n is None else self._frozen_n
-                return self._frozen_n
+                self._frozen = force_n if self._frozen is None else self._frozen
+                return self._frozen
             case FaultKind.FILM_SCALED:
                 return self._size * force_n
             case FaultKind.FILM_NOISE:

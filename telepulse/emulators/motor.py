@@ -73,18 +73,20 @@ class EmulatedMotor:
         self._fed_ns = self._now_ns = self._command_ns = self.rested_ns = now_ns
         # Steps times ns by which the next tick moves further than its last command alone would.
         self._carry = 0.0
-        self._counted = 0.0
         self._zero_steps = 0
         self._least_steps, self._most_steps = -math.inf, math.inf
-        self.rate_hz = 0.0
-        self.tip_m = -self._touch_m
-        self.force_n = 0.0
+        self.rate_hz = self.force_n = 0.0
         self.fault: MotorFault | None = None
         self.tripped = False
         self.forces_n: deque[float] = deque(maxlen=10_000)
         self.trace: Callable[[MotorState], None] | None = None
         self.injector = FaultInjector(scene.step_m)
-        self._place(SWITCH_M + touch_m / 2)
+        while self._stepper.screw_m < SWITCH_M + touch_m / 2:
+            self._stepper.move(2e-3 / self._step_m)
+        self._stepper.move(0.0)
+        self._counted = self._stepper.screw_m / self._step_m
+        self.tip_m = self._stepper.tip_m - self._touch_m
+        self.zero()
 
     @property
     def position_steps(self) -> int:
@@ -207,12 +209,3 @@ class EmulatedMotor:
         if self.rate_hz == 0.0:
             self.run(0.0)
         return 0.0
-
-    def _place(self, travel_m: float) -> None:
-        """Move the tip to its place at the start."""
-        while self._stepper.screw_m < travel_m:
-            self._stepper.move(2e-3 / self._step_m)
-        self._stepper.move(0.0)
-        self._counted = self._stepper.screw_m / self._step_m
-        self.tip_m = self._stepper.tip_m - self._touch_m
-        self.zero()

@@ -102,27 +102,21 @@ class SensorBoard:
             force_n = self._samples.take(self._behaviour.frame)[:, 0].tolist()
             if not force_n:
                 break
-            parts.append(self._encode(force_n, self._micros(self.sampled + len(force_n) - 1)))
             self.sampled += len(force_n)
+            last_ns = (self.sampled - 1) * self._samples.period_ns
+            parts.append(self._encode(force_n, self._behaviour.begins_us + last_ns // 1_000))
             last += self._behaviour.frame
         while self.next_delivery_ns <= now_ns:
             self._plan_delivery()
-        return self._with_noise(b"".join(parts))
+        noisy = np.frombuffer(b"".join(parts), np.uint8).copy()
+        if self._behaviour.noise:
+            hit = self._rng.random(len(noisy)) < self._behaviour.noise
+            noisy[hit] = self._rng.integers(0, 256, int(hit.sum()))
+        return noisy.tobytes()
 
     def _plan_delivery(self) -> None:
         longest_ns = self._behaviour.delivery_ns
         self.next_delivery_ns += max(1, round(self._rng.uniform(longest_ns / 4, longest_ns)))
-
-    def _micros(self, number: int) -> int:
-        return self._behaviour.begins_us + number * self._samples.period_ns // 1_000
-
-    def _with_noise(self, data: bytes) -> bytes:
-        if not self._behaviour.noise:
-            return data
-        noisy = np.frombuffer(data, np.uint8).copy()
-        hit = self._rng.random(len(noisy)) < self._behaviour.noise
-        noisy[hit] = self._rng.integers(0, 256, int(hit.sum()))
-        return noisy.tobytes()
 
 
 LINES = {"text": timed_line, "untimed": line}

@@ -14,7 +14,8 @@ import can
 from telepulse.emulators import PtyPort
 
 OK, REFUSED = b"\r", b"\a"
-VERSION, SERIAL_NUMBER, STATUS = b"V1013\r", b"NA123\r", b"F00\r"
+# Version, serial number and status, by the letter that requests them.
+REPLIES = {"": OK, "V": b"V1013\r", "N": b"NA123\r", "F": b"F00\r"}
 BIT_RATES = range(9)
 # A line of the longest frame: letter, identifier, length, eight bytes.
 LONGEST = 1 + 8 + 1 + 16
@@ -62,14 +63,8 @@ class SlcanAdapter:
             raise ValueError("too long")
         text = line.decode("ascii")
         match text[:1]:
-            case "":
-                return OK, None
-            case "V":
-                return VERSION, None
-            case "N":
-                return SERIAL_NUMBER, None
-            case "F":
-                return STATUS, None
+            case letter if letter in REPLIES:
+                return REPLIES[letter], None
             case "S" if not self.is_open and int(text[1:]) in BIT_RATES:
                 return OK, None
             case "O" | "L" | "C" if len(text) == 1:

@@ -62,16 +62,10 @@ class DatagramSplitter:
 
 
 class EmulatedTmclModule:
-    """Answers requests and moves the motor.
+    """Answers requests and moves the motor; the motor's injector has the answers to be sent.
 
-    Attributes
-    ----------
-    answer_mode : AnswerMode
-        How requests are answered: "right", or a fault for the driver to find.
-    late_s : float
-        Delay of an answer where they are late.
-    injector : FaultInjector
-        The motor's; it has the answers that are to be sent.
+    answer_mode: "right", or a fault for the driver to find. late_s: delay of an answer where they
+    are late.
     """
 
     def __init__(self, scene: TmclScene, motor: EmulatedMotor) -> None:

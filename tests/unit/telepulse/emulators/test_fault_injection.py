@@ -7,7 +7,6 @@ from display_node.plant.stepper import StepperScene
 from protocol.errors import SceneError
 from protocol.wire.stream import LayerTable
 from telepulse.emulators.fault_injection import (
-    SIZES,
     FaultInjector,
     FaultKind,
     InjectedFault,
@@ -141,13 +140,13 @@ def test_a_fault_begins_when_it_is_begun() -> None:
 def test_every_kind_is_read_with_its_default_size_and_bounds(kind: FaultKind) -> None:
     fault = parse_fault(kind, None)
     assert fault.kind is kind
-    if kind not in SIZES:
+    if not kind.size:
         with pytest.raises(SceneError, match="has none"):
             parse_fault(kind, "1")
         return
-    least, most = (parse_fault(kind, text) for text in (SIZES[kind].least, SIZES[kind].most))
+    least, most = (parse_fault(kind, text) for text in kind.size[1:3])
     assert least.size <= fault.size <= most.size
-    number, *unit = SIZES[kind].most.split()
+    number, *unit = kind.size[2].split()
     with pytest.raises(SceneError, match=f"{kind.value} takes"):
         parse_fault(kind, " ".join((f"{float(number) * 1.1:g}", *unit)))
     with pytest.raises(SceneError, match="--size: "):
