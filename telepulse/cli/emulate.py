@@ -45,7 +45,7 @@ ANSWERS: dict[str, "AnswerMode"] = {
 }
 TMCL_FAULTS = (*MOTOR_FAULTS, FILM_SILENT, *ANSWERS, "unplugged")
 CIA402_FAULTS = (*MOTOR_FAULTS, FILM_SILENT, "silent", "unplugged")
-UNREPORTED = tuple(kind.value for kind in FaultKind)
+UNREPORTED: tuple[str, ...] = tuple(kind.value for kind in FaultKind)
 SceneT = TypeVar("SceneT", bound=DriveScene)
 
 app = typer.Typer(no_args_is_help=True, help="Hardware that is not there, speaking its real bytes.")

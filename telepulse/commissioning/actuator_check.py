@@ -19,7 +19,6 @@ from telepulse.commissioning.press import (
     GUARD,
     ContactFit,
     PressPhase,
-    PressRecord,
     PressRecorder,
     fit_contact,
     press_stepper,
@@ -59,7 +58,7 @@ class ActuatorFindings:
         Keys of the scene that the press determines.
     """
 
-    pressed: PressRecord
+    pressed: PressRecorder
     command: ActuatorInput
     identified: IdentifiedModel
     contact: ContactFit | None
@@ -84,10 +83,10 @@ def check_actuator(
     BenchError
         For a press that was stopped, or a record from which no parameter can be identified.
     """
-    recorder = PressRecorder(rig, GUARD * force_n, scene.safety.feedback_within_ns * 1e-9)
+    pressed = PressRecorder(rig, GUARD * force_n, scene.safety.feedback_within_ns * 1e-9)
     actuator, film = scene.actuator, scene.film
     if isinstance(actuator, SecondOrderScene):
-        pressed = press_voltage(recorder, actuator, force_n)
+        press_voltage(pressed, actuator, force_n)
         command = through_film(pressed.command(pressed.stairs, held=True), film)
         identified = identify(command, *pressed.film(pressed.stairs), MAX_LATENCY_S)
         keys = {key: f"{value:.4g}" for key, value in zip("mck", identified.values, strict=False)}
@@ -95,10 +94,10 @@ def check_actuator(
         return ActuatorFindings(
             pressed, command, identified, None, (_check_fit(identified),), changes
         )
-    pressed = press_stepper(recorder, actuator, force_n)
+    press_stepper(pressed, actuator, force_n)
     # Filtered from the begin of the press, so that the filter is settled when the stairs begin.
-    begin_s = recorder.commanded_s[0]
-    travel = pressed.command(PressPhase(begin_s, pressed.stairs.end_s), held=False)
+    begin_s = pressed.commanded_s[0]
+    travel = pressed.command(PressPhase(begin_s, pressed.stairs.end_s))
     first = round((pressed.stairs.begin_s - begin_s) / travel.tick_s)
     contact_law, lag_s = actuator.contact(scene.layer.layer()), 0.0
     for _ in range(ROUNDS):

@@ -8,6 +8,7 @@ ramp gives the contact: stiffness, first touch and backlash.
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,11 +42,19 @@ PLACE_S = 0.01
 LEAST_PLACES = 8
 
 
+class PressPhase(NamedTuple):
+    """A part of a press, by its times on the rig's clock."""
+
+    begin_s: float
+    end_s: float
+
+
 @dataclass(slots=True)
 class PressRecorder:
     """Drives a rig and records its outputs and readings.
 
     A reading above max_n, or no reading for max_silent_s, withdraws the rig and raises BenchError.
+    A press sets its phases: still, the ramp of a stepper up and down, and the staircase.
     """
 
     rig: Rig
@@ -56,6 +65,10 @@ class PressRecorder:
     film_s: list[float] = field(default_factory=list)
     film_n: list[float] = field(default_factory=list)
     zero_n: float = 0.0
+    still: PressPhase = field(init=False)
+    up: PressPhase = field(init=False)
+    down: PressPhase = field(init=False)
+    stairs: PressPhase = field(init=False)
 
     def run(self, outputs: Iterable[float]) -> None:
         """Command one output a tick."""
@@ -91,83 +104,65 @@ class PressRecorder:
         """Travel of the screw at each command since the first."""
         return np.concatenate([[0.0], np.cumsum(self.output[:-1] * np.diff(self.commanded_s))])
 
-    def _stop(self, reason: str) -> None:
-        self.rig.withdraw()
-        raise BenchError(f"stopped pressing and went back: {reason}")
-
-
-@dataclass(frozen=True, slots=True)
-class PressPhase:
-    """A part of a press, by its times on the rig's clock."""
-
-    begin_s: float
-    end_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class PressRecord:
-    """A press by its phases: still, slowly up, slowly down, the staircase.
-
-    up and down are None for an actuator that is commanded by a voltage.
-    """
-
-    recorder: PressRecorder
-    still: PressPhase
-    up: PressPhase | None
-    down: PressPhase | None
-    stairs: PressPhase
-
     def film(self, phase: PressPhase) -> tuple[Array, Array]:
         """Return times in s from the begin of the phase, and readings in N with their zero."""
-        time_s, force_n = np.array(self.recorder.film_s), np.array(self.recorder.film_n)
+        time_s, force_n = np.array(self.film_s), np.array(self.film_n)
         inside = (time_s >= phase.begin_s) & (time_s <= phase.end_s)
         return time_s[inside] - phase.begin_s, force_n[inside]
 
-    def command(self, phase: PressPhase, held: bool) -> ActuatorInput:
+    def command(self, phase: PressPhase, held: bool = False) -> ActuatorInput:
         """Return the commands of a phase, one a tick.
 
         held: the output itself, as of a voltage; otherwise the travel of the screw in m, which
         runs straight under a held speed.
         """
-        recorder, tick_s = self.recorder, self.recorder.rig.tick_s
+        tick_s = self.rig.tick_s
         count = round((phase.end_s - phase.begin_s) / tick_s) + 1
         grid_s = phase.begin_s + tick_s * np.arange(count)
         if held:
-            last = np.searchsorted(recorder.commanded_s, grid_s + tick_s / 2) - 1
-            return ActuatorInput(np.array(recorder.output)[np.maximum(last, 0)], tick_s, held=True)
-        travel_m = np.interp(grid_s, recorder.commanded_s, recorder.travel_m)
+            last = np.searchsorted(self.commanded_s, grid_s + tick_s / 2) - 1
+            return ActuatorInput(np.array(self.output)[np.maximum(last, 0)], tick_s, held=True)
+        travel_m = np.interp(grid_s, self.commanded_s, self.travel_m)
         return ActuatorInput(travel_m, tick_s, held=False)
 
+    def _stop(self, reason: str) -> None:
+        self.rig.withdraw()
+        raise BenchError(f"stopped pressing and went back: {reason}")
 
-def press_stepper(recorder: PressRecorder, scene: StepperScene, force_n: float) -> PressRecord:
+
+def press_stepper(recorder: PressRecorder, scene: StepperScene, force_n: float) -> None:
     """Press with at most about force_n, and end where the press began. Raises BenchError.
 
     The scene gives the drive's acceleration; its finger sets the speed of the slow ramp.
     """
-    still = _still(recorder)
+    _hold_still(recorder)
     slow = RAMP_N_PER_S / scene.fingertip_n_per_m
     low_n = LOWEST_SHARE * force_n
-    up = _ramp(recorder, slow, force_n)
-    down = _ramp(recorder, -slow, low_n / 2)
+    recorder.up = up = _ramp(recorder, slow, force_n)
+    recorder.down = _ramp(recorder, -slow, low_n / 2)
     _ramp(recorder, slow, low_n)
-    step_m = _pressing_travel_m(recorder, up, low_n) / STEPS
+    # Each step is a share of the ramp's travel from the low force to its end.
+    (at_s, read_n), travel = recorder.film(up), recorder.command(up)
+    below = np.flatnonzero(read_n - recorder.zero_n < low_n)
+    from_s = at_s[below[-1]] if len(below) else 0.0
+    pressing_m = float(travel.values[-1] - np.interp(from_s, travel.time_s, travel.values))
+    step_m = pressing_m / STEPS
     begin_s, rng, tick_s = recorder.now_s, np.random.default_rng(SEED), recorder.rig.tick_s
     for _ in range(STEPS):
         recorder.hold(rng.uniform(*DWELL_S))
         recorder.run(profile(step_m, scene.max_acceleration_m_per_s2 / 2, tick_s))
     recorder.hold(DWELL_S[1])
-    stairs = PressPhase(begin_s, recorder.now_s)
+    recorder.stairs = PressPhase(begin_s, recorder.now_s)
     # Back to where the press began.
     travel_m = float(recorder.travel_m[-1])
     ticks = max(1, math.ceil(abs(travel_m) / (10 * slow) / tick_s))
     recorder.run([-travel_m / (ticks * tick_s)] * ticks)
     recorder.hold(STILL_S / 4)
-    return PressRecord(recorder, still, up, down, stairs)
 
 
-def press_voltage(recorder: PressRecorder, scene: SecondOrderScene, force_n: float) -> PressRecord:
+def press_voltage(recorder: PressRecorder, scene: SecondOrderScene, force_n: float) -> None:
     """Press by a staircase of voltages, as slow as the scene's model. Raises BenchError."""
-    still = _still(recorder)
+    _hold_still(recorder)
     begin_s, rng = recorder.now_s, np.random.default_rng(SEED)
     tick_s, stiffness = recorder.rig.tick_s, max(scene.k, LEAST_K)
     period_s = 2 * math.pi * math.sqrt(scene.m / stiffness)
@@ -175,9 +170,8 @@ def press_voltage(recorder: PressRecorder, scene: SecondOrderScene, force_n: flo
         # At most half of the force: the model may swing to twice a step.
         volts = stiffness * force_n * step / (2 * STEPS)
         recorder.run([volts] * max(1, round(rng.uniform(*SLOW_DWELL) * period_s / tick_s)))
-    stairs = PressPhase(begin_s, recorder.now_s)
+    recorder.stairs = PressPhase(begin_s, recorder.now_s)
     recorder.hold(period_s)
-    return PressRecord(recorder, still, None, None, stairs)
 
 
 def profile(travel_m: float, acceleration_m_per_s2: float, tick_s: float) -> list[float]:
@@ -187,7 +181,7 @@ def profile(travel_m: float, acceleration_m_per_s2: float, tick_s: float) -> lis
     return [travel_m / (sum(shape) * tick_s) * part for part in shape]
 
 
-def _still(recorder: PressRecorder) -> PressPhase:
+def _hold_still(recorder: PressRecorder) -> None:
     begin = len(recorder.commanded_s)
     # No reading ends the press before the film's zero is known.
     guard, recorder.max_n = recorder.max_n, math.inf
@@ -195,7 +189,7 @@ def _still(recorder: PressRecorder) -> PressPhase:
     if not recorder.film_n:
         raise BenchError("no reading of the film")
     recorder.zero_n, recorder.max_n = float(np.mean(recorder.film_n)), guard
-    return PressPhase(recorder.commanded_s[begin], recorder.now_s)
+    recorder.still = PressPhase(recorder.commanded_s[begin], recorder.now_s)
 
 
 def _ramp(recorder: PressRecorder, speed_m_per_s: float, until_n: float) -> PressPhase:
@@ -212,16 +206,6 @@ def _ramp(recorder: PressRecorder, speed_m_per_s: float, until_n: float) -> Pres
         f"{where} on {SEARCH_M * 1e3:.0f} mm of travel: the film reads"
         f" {recorder.force_n * 1e3:.0f} mN; look at film, drive direction and first touch"
     )
-
-
-def _pressing_travel_m(recorder: PressRecorder, up: PressPhase, from_n: float) -> float:
-    """Return the travel of the ramp from a force to its end."""
-    pressed = PressRecord(recorder, up, up, up, up)
-    at_s, force_n = pressed.film(up)
-    travel = pressed.command(up, held=False)
-    below = np.flatnonzero(force_n - recorder.zero_n < from_n)
-    from_s = at_s[below[-1]] if len(below) else 0.0
-    return float(travel.values[-1] - np.interp(from_s, travel.time_s, travel.values))
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,22 +244,25 @@ class ContactFit:
         return ActuatorInput(force_n, travel.tick_s, held=False)
 
 
-def fit_contact(pressed: PressRecord, law: ContactLaw, film: FilmTable, lag_s: float) -> ContactFit:
+def fit_contact(
+    pressed: PressRecorder, law: ContactLaw, film: FilmTable, lag_s: float
+) -> ContactFit:
     """Fit x = touch − backlash · [going back] + rubber F^(2/3) + F / finger by least squares.
 
     The rubber's part is the law's. lag_s: from a command to the film's reading, without the
     film's filter, which is compensated here. Raises BenchError for a record with too few places.
     """
-    assert pressed.up is not None
-    assert pressed.down is not None
     both = PressPhase(pressed.up.begin_s, pressed.down.end_s)
-    seen_m = through_film(pressed.command(both, held=False), film)
+    seen_m = through_film(pressed.command(both), film)
     place_m, force_n, back = [], [], []
     for phase in (pressed.up, pressed.down):
         at_s, read_n = pressed.film(phase)
         late_s = at_s + phase.begin_s - both.begin_s - lag_s
-        place_m.append(_averaged(at_s, np.interp(late_s, seen_m.time_s, seen_m.values)))
-        force_n.append(_averaged(at_s, read_n) - pressed.recorder.zero_n)
+        _, stretch = np.unique(np.floor(at_s / PLACE_S), return_inverse=True)
+        count = np.bincount(stretch)
+        late_m = np.interp(late_s, seen_m.time_s, seen_m.values)
+        place_m.append(np.bincount(stretch, late_m) / count)
+        force_n.append(np.bincount(stretch, read_n) / count - pressed.zero_n)
         back.append(np.full(len(place_m[-1]), float(phase is pressed.down)))
     x_m, f_n, down = (np.concatenate(parts) for parts in (place_m, force_n, back))
     keep = f_n > LOWEST_SHARE * f_n.max()
@@ -313,9 +300,3 @@ def through_film(command: ActuatorInput, film: FilmTable) -> ActuatorInput:
     settled = lfilter_zi(over, under) * command.values[0]
     filtered = lfilter(over, under, command.values, zi=settled)[0]
     return ActuatorInput(filtered, command.tick_s, command.held)
-
-
-def _averaged(at_s: Array, values: Array) -> Array:
-    """Return the means over stretches of PLACE_S."""
-    _, where = np.unique(np.floor(at_s / PLACE_S), return_inverse=True)
-    return np.asarray(np.bincount(where, values) / np.bincount(where))
