@@ -203,7 +203,7 @@ def tune(scene: SceneArgument = DEFAULT_SCENE, json: TablesOption = None) -> Non
     Exit status 2 when the scene's own loop is not stable: no node would run it.
     """
     # Imported here: scipy takes long to import, and other commands do without.
-    from telepulse.commissioning.tuning import as_toml, design, judge, refuse, report_design
+    from telepulse.commissioning.tuning import as_toml, design, judge, report_design
 
     console = plain_console(json=json)
     with one_line_errors(PROGRAM):
@@ -215,4 +215,6 @@ def tune(scene: SceneArgument = DEFAULT_SCENE, json: TablesOption = None) -> Non
             write_json(report, json)
         print_tables(report, console)
         console.print(as_toml(proposed.controller), markup=False)
-        refuse(loaded.path, present)
+        if present.worst.unfit is not None:
+            reason = f"the force loop {present.worst.unfit}: take the design above"
+            raise SceneError(f"{loaded.path}: [display] controller: {reason}")

@@ -55,18 +55,10 @@ FILM_AGE_WARN_S, FILM_AGE_FAIL_S = 0.02, 0.05
 class BenchFindings:
     """The results of the checks.
 
-    Attributes
-    ----------
-    checks : list of (str, Check)
-        Each check with the part of the bench that it is of.
-    still : dict of str to SensorRecord
-        Sensor records while nothing pressed, by part.
-    changes : Changes
-        Keys of the scene that were found.
-    designs : tuple of Design or None
-        The scene's own gains and the proposed ones, on the identified actuator.
-    modelled : bool
-        True where the scene names no drive, so that its models were checked.
+    checks: each with the part of the bench that it is of. still: sensor records while nothing
+    pressed, by part. changes: keys of the scene that were found. designs: the scene's own gains
+    and the proposed ones, on the identified actuator. modelled: the scene names no drive, so that
+    its models were checked.
     """
 
     checks: list[tuple[str, Check]] = field(default_factory=list)

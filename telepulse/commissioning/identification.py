@@ -8,7 +8,7 @@ film's filter is not white.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,8 +141,8 @@ def step_response(model: SecondOrderModel) -> StepResponse:
     t_s = np.linspace(0.0, horizon_s, STEP_POINTS)
     values = np.ones(STEP_POINTS)
     values[0] = 0.0
-    undelayed = SecondOrderModel(model.m, model.c, model.k)
-    share = model.k * respond(undelayed, ActuatorInput(values, float(t_s[1]), held=True), t_s)
+    step = ActuatorInput(values, float(t_s[1]), held=True)
+    share = model.k * respond(replace(model, latency_s=0.0), step, t_s)
     reached = [t_s[np.argmax(share >= level)] for level in (0.1, 0.9)]
     outside = np.flatnonzero(np.abs(share - 1) > SETTLED)
     return StepResponse(
@@ -156,18 +156,10 @@ def step_response(model: SecondOrderModel) -> StepResponse:
 class IdentifiedModel:
     """A fitted model.
 
-    Attributes
-    ----------
-    half_widths : tuple of 4 floats
-        95 % intervals of m, c, k and latency in s, to either side.
-    zero_n : float
-        Reading of the film without force.
-    nrmse : float
-        RMS of the residuals over the standard deviation of the force.
-    undetermined : tuple of str
-        Parameters that the record does not determine.
-    delay_s : float
-        Delay of slow changes: latency and c/k together.
+    half_widths: 95 % intervals of `values`, to either side. zero_n: reading of the film without
+    force. nrmse: RMS of the residuals over the standard deviation of the force. undetermined:
+    parameters that the record does not determine. delay_s: of slow changes, latency and c/k
+    together.
     """
 
     model: SecondOrderModel
@@ -179,7 +171,7 @@ class IdentifiedModel:
 
     @property
     def values(self) -> tuple[float, float, float, float]:
-        """m, c, k and latency in s, in the order of `half_widths`."""
+        """m, c, k and latency in s."""
         return self.model.m, self.model.c, self.model.k, self.model.latency_s
 
 

@@ -212,16 +212,9 @@ def _ramp(recorder: PressRecorder, speed_m_per_s: float, until_n: float) -> Pres
 class ContactFit:
     """Contact under the actuator; each value with its 95 % interval to either side.
 
-    Attributes
-    ----------
-    finger_n_per_m : float
-        Stiffness of the finger.
-    touch_m : float
-        Place of first touch, from where the press began.
-    backlash_m : float
-        Below 0, the force on the way out exceeds that on the way in.
-    unexplained : float
-        RMS of the fit's residuals, as a share of the standard deviation of the places.
+    touch_m: place of first touch, from where the press began. backlash_m: below 0, the force on
+    the way out exceeds that on the way in. unexplained: RMS of the fit's residuals, as a share of
+    the standard deviation of the places.
     """
 
     finger_n_per_m: float

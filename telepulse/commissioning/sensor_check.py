@@ -1,6 +1,6 @@
 """Checks of a bench, and those of a sensor that nothing presses: rate, times, noise, zero. Pure."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -31,7 +31,7 @@ def with_warning(check: Check, reason: str) -> Check:
     """Return an "ok" check as "warn" for the reason; any other check, or no reason, unchanged."""
     if not reason or check.verdict != "ok":
         return check
-    return Check(check.name, check.text, "warn", reason)
+    return replace(check, verdict="warn", reason=reason)
 
 
 def grade(name: str, text: str, value: float, warn: float, fail: float, reason: str) -> Check:
@@ -47,14 +47,8 @@ def grade(name: str, text: str, value: float, warn: float, fail: float, reason: 
 class SensorRecord:
     """Samples of a sensor that nothing pressed.
 
-    Attributes
-    ----------
-    taken_ns, force_n : NDArray, shape (n,)
-        Time and force of each sample.
-    arrival_ns, batch_sizes : NDArray, shape (m,)
-        Time of arrival and number of samples of each batch.
-    missing : int
-        Samples that the sensor counted and that did not arrive.
+    taken_ns, force_n: of each sample. arrival_ns, batch_sizes: of each batch. missing: samples
+    that the sensor counted and that did not arrive.
     """
 
     taken_ns: NDArray[np.int64]
@@ -68,16 +62,10 @@ class SensorRecord:
 class SensorFigures:
     """Figures of a sensor record.
 
-    Attributes
-    ----------
-    jitter_s, arrival_jitter_s : float
-        RMS deviation of the sample times, and of the arrivals, from an even row.
-    age_s : float
-        Age of the newest sample just before the next batch, at 99 % of all batches.
-    lost : float
-        Share of samples that are missing.
-    mains_hz, mains : float
-        50 or 60 Hz, and the share of the noise's power in it and two harmonics.
+    jitter_s, arrival_jitter_s: RMS deviation of the times from an even row. age_s: of the newest
+    sample just before the next batch, at 99 % of all batches. lost: share of samples that are
+    missing. mains_hz, mains: 50 or 60 Hz, and the share of the noise's power in it and two
+    harmonics.
     """
 
     rate_hz: float

@@ -9,7 +9,6 @@ loop, as fast as the same margins allow.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 from display_node.control.controller import ControllerScene
 from display_node.control.linear_loop import (
@@ -24,7 +23,6 @@ from display_node.control.observer import DESIGN_FORCE_N, ObserverScene
 from display_node.plant.second_order import SecondOrderScene
 from display_node.plant.stepper import StepperScene
 from display_node.scene import DisplayScene
-from protocol.errors import SceneError
 from telepulse.reports.document import Chapter, Report, Table
 
 # Margins that a designed loop keeps: the Nyquist curve stays 1/1.4 from −1 (a gain margin of
@@ -95,9 +93,7 @@ def design(scene: DisplayScene) -> Design:
 
 def report_design(name: str, present: Design, proposed: Design) -> Report:
     """Return the margins of the scene's controller and of the proposed one."""
-    rows = tuple(
-        (label, *(of(design) for design in (present, proposed))) for label, of in _ROWS.items()
-    )
+    rows = tuple((label, of(present), of(proposed)) for label, of in _ROWS.items())
     table = Table(
         f"force loop of {name}",
         ("", "scene", "design"),
@@ -105,15 +101,6 @@ def report_design(name: str, present: Design, proposed: Design) -> Report:
         note="margins: the worst of hardly touching, a pulse's usual mean and the force limit",
     )
     return Report(f"Force loop of {name}", (Chapter("Margins", tables=(table,)),))
-
-
-def refuse(path: Path, present: Design) -> None:
-    """Refuse a scene whose own loop no node would run. Raises SceneError."""
-    if present.worst.unfit is not None:
-        raise SceneError(
-            f"{path}: [display] controller: the force loop {present.worst.unfit}: take the"
-            " design above"
-        )
 
 
 def as_toml(controller: ControllerScene) -> str:
@@ -185,21 +172,19 @@ def _most_robust(
     scene: DisplayScene, controller: Callable[[float], ControllerScene], low: float, high: float
 ) -> float:
     """Return the largest argument in low … high whose loop keeps the margins, by bisection."""
-    if _keeps_margins(scene, controller(high)):
+    late_s = LEAST_DELAY_TICKS * scene.tick_ns * 1e-9
+
+    def keeps(at: float) -> bool:
+        loop = margins(_loop(scene, controller(at), DESIGN_FORCE_N))
+        robust = loop.stable and loop.peak_sensitivity <= MOST_SENSITIVITY
+        return robust and loop.delay_s >= late_s
+
+    if keeps(high):
         return high
     for _ in range(BISECTIONS):
         middle = (low + high) / 2
-        if _keeps_margins(scene, controller(middle)):
-            low = middle
-        else:
-            high = middle
+        low, high = (middle, high) if keeps(middle) else (low, middle)
     return low
-
-
-def _keeps_margins(scene: DisplayScene, controller: ControllerScene) -> bool:
-    found = margins(_loop(scene, controller, DESIGN_FORCE_N))
-    late_s = LEAST_DELAY_TICKS * scene.tick_ns * 1e-9
-    return found.stable and found.peak_sensitivity <= MOST_SENSITIVITY and found.delay_s >= late_s
 
 
 def _felt_n(scene: DisplayScene, actuator: StepperScene, controller: ControllerScene) -> float:
