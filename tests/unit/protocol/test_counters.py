@@ -31,20 +31,12 @@ def counted(*ticks: tuple[str, int]) -> Availability:
     return counter.availability(played_ticks=0)
 
 
-def shares(availability: Availability) -> dict[str, float]:
-    return {name: getattr(availability, name) for name in STATE_NAMES}
-
-
 @given(runs)
 def test_the_shares_are_of_the_whole_time_and_add_up_to_it(ticks: list[tuple[str, int]]) -> None:
     found = counted(*ticks)
     assert found.seconds == pytest.approx(TICK_S * sum(elapsed for _, elapsed in ticks))
-    assert sum(shares(found).values()) == pytest.approx(1.0)
-
-
-@given(runs)
-def test_what_is_printed_adds_up_to_100(ticks: list[tuple[str, int]]) -> None:
-    text = availability_text(dataclasses.asdict(counted(*ticks)))
+    assert sum(getattr(found, name) for name in STATE_NAMES) == pytest.approx(1.0)
+    text = availability_text(dataclasses.asdict(found))
     assert text is not None
     printed = [float(percent) for percent in re.findall(r"(?<!< )(\d+\.\d) %", text)]
     assert sum(printed) == pytest.approx(100.0)
@@ -79,17 +71,13 @@ def test_interruptions_are_unknown_before_the_first_tick_and_then_none() -> None
     # A start is none, and neither are missed ticks alone.
     assert interrupted((False, 1), (True, 1), (True, 50), (True, 1)) == Interruptions(0, 0.0)
 
-
-def test_an_interruption_is_from_one_full_tick_to_the_next() -> None:
-    found = interrupted((True, 1), (True, 1), (False, 2600), (False, 1), (True, 1), (True, 1))
-    assert dataclasses.astuple(found) == pytest.approx((1, 2.602, 2.602, 0.002, 2.604))
-
-
-def test_one_that_is_not_over_does_not_count_yet() -> None:
+    # One that is not over does not count yet.
     assert interrupted((True, 1), (False, 500)) == Interruptions(0, 0.0)
 
 
-def test_several_add_up_and_the_last_has_its_times() -> None:
+def test_an_interruption_is_from_one_full_tick_to_the_next_and_several_add_up() -> None:
+    found = interrupted((True, 1), (True, 1), (False, 2600), (False, 1), (True, 1), (True, 1))
+    assert dataclasses.astuple(found) == pytest.approx((1, 2.602, 2.602, 0.002, 2.604))
     found = interrupted((True, 1), (False, 100), (True, 1), (False, 1), (True, 1))
     assert dataclasses.astuple(found) == pytest.approx((2, 0.103, 0.101, 0.102, 0.104))
 

@@ -45,10 +45,6 @@ def on_the_page(summary: Json) -> str:
     return str(page.figures(live, picture(live, 1)))
 
 
-def reported(summary: Json) -> str:
-    return str(REGISTRY.cells(summary, Surface.REPORT))
-
-
 def scraped(summary: Json) -> str:
     node = NodeState(Status("playing", "", summary, False), 0)
     return str([metric.samples for metric in families("display-node", node, 0)])
@@ -58,7 +54,7 @@ SURFACES: dict[Surface, Callable[[Json], str]] = {
     Surface.SUMMARY: printed,
     Surface.TERMINAL: panel,
     Surface.PAGE: on_the_page,
-    Surface.REPORT: reported,
+    Surface.REPORT: lambda summary: str(REGISTRY.cells(summary, Surface.REPORT)),
     Surface.METRICS: scraped,
 }
 

@@ -84,14 +84,9 @@ def test_at_every_depth_the_stress_carries_the_whole_load(depth_m: float) -> Non
     assert (sigma_x <= 0).all()
 
 
-def test_places_and_depths_broadcast() -> None:
-    sigma_x, sigma_z = half_space_stress(1.0, np.zeros((1, 5)), np.ones((4, 1)))
-    assert sigma_x.shape == sigma_z.shape == (4, 5)
-
-
-def test_far_and_near_do_not_overflow() -> None:
-    places = np.array([1e-150, 1.0, 1e70])
-    for stress in half_space_stress(1.0, places, np.array([[1e-3], [1e3]])):
+def test_places_and_depths_broadcast_and_far_and_near_do_not_overflow() -> None:
+    for stress in half_space_stress(1.0, np.array([1e-150, 1.0, 1e70]), np.array([[1e-3], [1e3]])):
+        assert stress.shape == (2, 3)
         assert np.isfinite(stress).all()
 
 
@@ -122,9 +117,6 @@ def test_forces_in_matching_ratio_strain_layers_alike(
     pulse_n = 0.3
     felt_n = pulse_n * matching_force_ratio(sensing, display)
     assert display.strain(felt_n) == pytest.approx(sensing.strain(pulse_n))
-
-
-def test_a_rubber_twice_as_stiff_takes_twice_the_force() -> None:
     assert matching_force_ratio(TABLE_3, ElasticLayer(0.1e9)) == pytest.approx(2.0)
 
 
@@ -184,24 +176,13 @@ def test_a_line_without_an_inverse_is_refused(slope: float, offset: float) -> No
 @pytest.mark.parametrize(
     ("volts", "read", "clips"),
     [
-        (0.0, 0.0, 0),
-        (0.49, 0.0, 0),
-        (0.51, 1.0, 0),
-        (-0.51, -1.0, 0),
-        (6.9, 7.0, 0),
-        (7.4, 7.0, 0),
-        (7.6, 7.0, 1),
-        (8.0, 7.0, 1),
-        (-8.0, -8.0, 0),
-        (-8.4, -8.0, 0),
-        (-8.6, -8.0, 1),
-        (1e300, 7.0, 1),
-        (-math.inf, -8.0, 1),
+        (0.0, 0.0, 0), (0.49, 0.0, 0), (0.51, 1.0, 0), (-0.51, -1.0, 0), (6.9, 7.0, 0),
+        (7.4, 7.0, 0), (7.6, 7.0, 1), (8.0, 7.0, 1), (-8.0, -8.0, 0), (-8.4, -8.0, 0),
+        (-8.6, -8.0, 1), (1e300, 7.0, 1), (-math.inf, -8.0, 1),
     ],
-)
+)  # fmt: skip
 def test_four_bits_over_8_volts(volts: float, read: float, clips: int) -> None:
-    assert ADC.step_volts == 1.0
-    assert ADC.quantise(volts) == read
+    assert (ADC.step_volts, ADC.quantise(volts)) == (1.0, read)
     assert type(ADC.quantise(volts)) is float
     np.testing.assert_array_equal(ADC.quantise(np.array([[volts, 2.2]])), [[read, 2.0]])
     clipped = ADC.clips(np.array([[volts], [0.0], [volts]]))
@@ -227,11 +208,10 @@ def test_a_ramp_meets_every_code_once() -> None:
     np.testing.assert_array_equal(codes, np.arange(-512, 512))
 
 
-def test_nan_is_never_read_as_a_voltage() -> None:
+@pytest.mark.parametrize("volts", [math.nan, np.array([0.0, math.nan])], ids=["one", "array"])
+def test_nan_is_never_read_as_a_voltage(volts: float) -> None:
     with pytest.raises(ValueError, match="a voltage is NaN"):
-        ADC.quantise(math.nan)
-    with pytest.raises(ValueError, match="a voltage is NaN"):
-        ADC.quantise(np.array([0.0, math.nan]))
+        ADC.quantise(volts)
 
 
 @pytest.mark.parametrize(

@@ -109,15 +109,12 @@ def felt(**figures: object) -> FeltLog:
 @pytest.mark.parametrize(
     ("figures", "ok"),
     [
-        ({}, [True, True]),
-        ({"catching_up_n_per_s": 500.0}, [True, True]),
-        ({"felt_n": (0.0, 2.51)}, [False, True]),
-        ({"target_n": (-0.01, 1.0)}, [False, True]),
-        ({"not_finite": 1}, [False, True]),
-        ({"target_slew_n_per_s": 50.1}, [True, False]),
+        ({}, [True, True]), ({"catching_up_n_per_s": 500.0}, [True, True]),
+        ({"felt_n": (0.0, 2.51)}, [False, True]), ({"target_n": (-0.01, 1.0)}, [False, True]),
+        ({"not_finite": 1}, [False, True]), ({"target_slew_n_per_s": 50.1}, [True, False]),
         ({"felt_slew_n_per_s": 55.0}, [True, False]),
     ],
-)
+)  # fmt: skip
 def test_force_or_slew_beyond_a_limit_fails(figures: dict[str, object], ok: list[bool]) -> None:
     assert [check.ok for check in judge_safety("restarted", felt(**figures), 2.5, 50.0)] == ok
 

@@ -63,13 +63,10 @@ def test_no_error_is_no_output(error: str) -> None:
         assert under_test.output([0.4, 0.4], 0.4) == pytest.approx(0, abs=1e-9)
 
 
-def test_feed_forward_is_the_references_own_speed() -> None:
+def test_feed_forward_is_the_references_speed_and_without_it_the_ticks_end_counts() -> None:
     under_test = controller(kp=100, error="position", feed_forward=True)
     wanted = (LAW.position(0.35) - LAW.position(0.3)) / TICK_S
     assert under_test.output([0.3, 0.35], 0.3) == pytest.approx(wanted, abs=1e-9)
-
-
-def test_without_feed_forward_only_the_error_at_the_ticks_end_counts() -> None:
     under_test = controller(kp=100, error="position")
     assert under_test.output([0.9, 0.3], 0.3) == pytest.approx(0, abs=1e-9)
 
@@ -119,13 +116,10 @@ def test_a_speed_held_for_as_long_as_a_stall_of_late_stays_below_the_headroom(
     assert reached_n == pytest.approx(HEADROOM * peak_n, rel=1e-6)
 
 
-def test_beyond_the_headroom_it_may_only_go_back() -> None:
+def test_beyond_the_headroom_it_may_only_go_back_and_play_is_taken_up_before_first_touch() -> None:
     guard = StallGuard(LAW, TICK_S, 0.0)
     guard.tick(10, 0.5)
     assert guard.fastest(LAW.position(0.7)) == 0.0
-
-
-def test_play_is_taken_up_before_the_first_touch() -> None:
     guard = StallGuard(LAW, TICK_S, 1e-5)
     guard.tick(9, 0.0)
     assert guard.fastest(0.0) == pytest.approx(1e-5 / 10e-3)

@@ -36,15 +36,8 @@ def force_loop(
     slew_limit_n_per_s: float = math.inf,
 ) -> ForceLoop:
     gains = ControllerScene.model_validate(controller)
-    return build_force_loop(
-        gains,
-        actuator,
-        ElasticLayer(),
-        FilmTable(),
-        limit_n,
-        TICK_S,
-        slew_limit_n_per_s=slew_limit_n_per_s,
-    )
+    contact = (actuator, ElasticLayer(), FilmTable(), limit_n, TICK_S)
+    return build_force_loop(gains, *contact, slew_limit_n_per_s=slew_limit_n_per_s)
 
 
 def tick(loop: ForceLoop, *reference_n: float) -> float:
@@ -71,15 +64,12 @@ def rmse_n(loop: ForceLoop, pulse_n: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.mean(error_n[2000:] ** 2)))
 
 
-def quantisation_floor_n(pulse_n: NDArray[np.float64]) -> float:
+def test_with_feed_forward_a_stepper_is_off_by_quantisation(pulse_n: NDArray[np.float64]) -> None:
     law, step_m = STEPPER.contact(ElasticLayer()), STEPPER.step_m
     nearest_n = [law.force(round(law.position(n) / step_m) * step_m) for n in pulse_n.tolist()]
-    return float(np.sqrt(np.mean((np.array(nearest_n) - pulse_n) ** 2)))
-
-
-def test_with_feed_forward_a_stepper_is_off_by_quantisation(pulse_n: NDArray[np.float64]) -> None:
     # No drive of 0.625 µm microsteps can do better than 0.18 mN here.
-    assert quantisation_floor_n(pulse_n) == pytest.approx(0.18e-3, abs=0.01e-3)
+    floor_n = np.sqrt(np.mean((np.array(nearest_n) - pulse_n) ** 2))
+    assert floor_n == pytest.approx(0.18e-3, abs=0.01e-3)
     assert rmse_n(force_loop(FOLLOWING), pulse_n) <= 0.25e-3
 
 

@@ -63,15 +63,10 @@ def test_a_reference_within_the_bounds_passes_unchanged(forces_n: list[float]) -
 @pytest.mark.parametrize(
     ("force_n", "expected_n"),
     [
-        (1.0, 1.0),
-        (100.0, LIMIT_N),
-        (1e308, LIMIT_N),
-        (math.inf, LIMIT_N),
-        (-1.0, 0.0),
-        (-math.inf, 0.0),
-        (math.nan, 0.0),
+        (1.0, 1.0), (100.0, LIMIT_N), (1e308, LIMIT_N), (math.inf, LIMIT_N), (-1.0, 0.0),
+        (-math.inf, 0.0), (math.nan, 0.0),
     ],
-)
+)  # fmt: skip
 def test_a_force_is_limited(force_n: float, expected_n: float) -> None:
     assert ticked(at_full_strength(), force_n, 100)[-1] == expected_n
 

@@ -42,15 +42,11 @@ def answer_otherwise(bench: Bench, command: int, kinds: tuple[int, ...], reply: 
 @pytest.mark.parametrize(
     ("kind", "answers", "named"),
     [
-        ("tmcl", "none", "no answer"),
-        ("tmcl", "late", "no answer"),
-        ("tmcl", "wrong", "wrong"),
-        ("tmcl", "garbled", "garbled"),
-        ("tmcl-can", "none", "no answer"),
-        ("tmcl-can", "late", "no answer"),
-        ("tmcl-can", "wrong", "wrong"),
+        ("tmcl", "none", "no answer"), ("tmcl", "late", "no answer"), ("tmcl", "wrong", "wrong"),
+        ("tmcl", "garbled", "garbled"), ("tmcl-can", "none", "no answer"),
+        ("tmcl-can", "late", "no answer"), ("tmcl-can", "wrong", "wrong"),
     ],
-)
+)  # fmt: skip
 def test_missing_and_wrong_answers_are_a_fault_and_are_counted(
     kind: str, answers: str, named: str
 ) -> None:

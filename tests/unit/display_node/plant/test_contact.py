@@ -79,14 +79,11 @@ def test_the_rubber_is_41_kn_per_m_on_a_rigid_stop_at_half_a_newton() -> None:
 @pytest.mark.parametrize(
     ("fingertip", "lead_mm", "microstep_n"),
     [
-        ("1000000000 N/mm", 1, 12.7e-3),
-        ("1000000000 N/mm", 2, 25.3e-3),
-        ("1000000000 N/mm", 6, 76e-3),
-        ("1 N/mm", 1, 0.30e-3),
-        ("1 N/mm", 2, 0.61e-3),
+        ("1000000000 N/mm", 1, 12.7e-3), ("1000000000 N/mm", 2, 25.3e-3),
+        ("1000000000 N/mm", 6, 76e-3), ("1 N/mm", 1, 0.30e-3), ("1 N/mm", 2, 0.61e-3),
         ("1 N/mm", 6, 1.8e-3),
     ],
-)
+)  # fmt: skip
 def test_a_microsteps_force_at_half_a_newton(
     fingertip: str, lead_mm: int, microstep_n: float
 ) -> None:

@@ -147,11 +147,13 @@ SECOND_NS = 1_000 * MS
 TICK_NS = 5 * MS
 
 
-def judged(trust: Trust, from_s: float, to_s: float, error_n: float | None) -> list[bool]:
-    """Whether it is trusted after each tick, for a pulse of 0.3 N."""
+def judged(
+    trust: Trust, from_s: float, to_s: float, error_n: float | None, size_n: float = 0.3
+) -> list[bool]:
+    """Return whether it is trusted after each tick."""
     said = []
     for now_ns in range(round(from_s * SECOND_NS), round(to_s * SECOND_NS), TICK_NS):
-        trust.judge(now_ns, error_n, 0.3)
+        trust.judge(now_ns, error_n, size_n)
         said.append(trust.trusted)
     return said
 
@@ -168,9 +170,13 @@ def test_trust_is_won_slowly_and_lost_at_once() -> None:
     assert judged(trust, 30.5, 37, 0.003)[-1]
 
 
-@pytest.mark.parametrize("error_n", [None, 0.0085, math.inf])
-def test_what_is_unknown_or_large_is_never_trusted(error_n: float | None) -> None:
-    assert not any(judged(Trust(), 0, 60, error_n))
+@pytest.mark.parametrize(
+    ("error_n", "size_n"), [*((e, 0.3) for e in (None, 0.0085, math.inf)), (0.0, 0.0)]
+)
+def test_without_a_pulse_or_a_small_known_error_there_is_no_trust(
+    error_n: float | None, size_n: float
+) -> None:
+    assert not any(judged(Trust(), 0, 60, error_n, size_n))
 
 
 def test_between_the_two_bounds_nothing_changes() -> None:
@@ -178,14 +184,9 @@ def test_between_the_two_bounds_nothing_changes() -> None:
     judged(friend, 0, 20, 0.003)
     assert not any(judged(stranger, 20, 60, 0.0105))
     assert all(judged(friend, 20, 60, 0.0105))
-
-
-def test_a_silence_counts_for_as_long_as_it_lasts() -> None:
-    trust = Trust()
-    judged(trust, 0, 20, 0.003)
-    # Further ahead than is predicted, no error is known.
-    trust.judge(21 * SECOND_NS, None, 0.3)
-    assert not trust.trusted
+    # Further ahead than is predicted, no error is known: a silence counts while it lasts.
+    friend.judge(61 * SECOND_NS, None, 0.3)
+    assert not friend.trusted
 
 
 @pytest.mark.parametrize(("stall_ms", "trusted"), [(20, True), (60, False)])
@@ -195,13 +196,6 @@ def test_it_matters_for_how_long_an_error_would_be_felt(stall_ms: int, trusted: 
         # A tenth of the pulse, twice a second.
         trust.judge(now_ms * MS, 0.03 if now_ms % 500 < stall_ms else 0.0, 0.3)
     assert trust.trusted is trusted
-
-
-def test_without_a_pulse_there_is_no_trust() -> None:
-    trust = Trust()
-    for now_ns in range(0, 60 * SECOND_NS, TICK_NS):
-        trust.judge(now_ns, 0.0, 0.0)
-    assert not trust.trusted
 
 
 def observe(size: PulseSize, from_s: float, to_s: float, offset_n: float = 0.0) -> None:

@@ -1,7 +1,6 @@
 """How well the clock does over links, in virtual time: the bars of 20±3 ms with 1 % loss."""
 
 from collections import deque
-from functools import cache
 
 import numpy as np
 import pytest
@@ -43,10 +42,8 @@ def shown_ns(local_ns: int, skew_ppm: float) -> int:
     return local_ns + round(local_ns * skew_ppm * 1e-6)
 
 
-@cache
-def trials(link: str) -> tuple[list[float], list[float], list[float], float]:
-    """Offset errors after 5 s and after 60 s in ms, skew errors in ppm, and how often the error
-    was within the stated uncertainty."""
+@pytest.mark.parametrize("link", LINKS)
+def test_offset_skew_and_uncertainty_meet_their_bars_after_5_s_and_60_s(link: str) -> None:
     early_ms, late_ms, ppm, within = [], [], [], []
     for seed in SEEDS:
         skew_ppm = (-200.0, 0.0, 200.0)[seed % 3]
@@ -65,26 +62,10 @@ def trials(link: str) -> tuple[list[float], list[float], list[float], float]:
         early_ms.append(next(error for t_ns, error in errors_ns if t_ns > 5 * S) / MS)
         late_ms.append(errors_ns[-1][1] / MS)
         ppm.append(abs(estimator.skew_ppm - skew_ppm))
-    return early_ms, late_ms, ppm, float(np.mean(within))
-
-
-@pytest.mark.parametrize("link", LINKS)
-def test_the_offset_is_within_1_ms_after_5_s_and_within_a_third_after_60(link: str) -> None:
-    early_ms, late_ms, _, _ = trials(link)
     assert max(early_ms) < 1.0
     assert max(late_ms) < 0.3
-
-
-@pytest.mark.parametrize("link", LINKS)
-def test_the_skew_is_within_5_ppm_after_60_s_nine_times_of_ten(link: str) -> None:
-    _, _, ppm, _ = trials(link)
     assert np.quantile(ppm, 0.9) < 5.0
-
-
-@pytest.mark.parametrize("link", LINKS)
-def test_the_stated_uncertainty_holds_and_is_below_half_a_millisecond(link: str) -> None:
-    _, _, _, within = trials(link)
-    assert within > 0.93
+    assert np.mean(within) > 0.93
     estimator = ClockEstimator()
     for exchange in exchanges(LINKS[link], 1, 0.0):
         estimator.add(exchange)

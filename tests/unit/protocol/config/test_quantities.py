@@ -37,18 +37,10 @@ def test_every_unit_is_converted(dimension: str) -> None:
 @pytest.mark.parametrize(
     ("text", "seconds"),
     [
-        ("40 ms", 0.04),
-        ("40ms", 0.04),
-        ("  40  ms ", 0.04),
-        ("+40 ms", 0.04),
-        ("-40 ms", -0.04),
-        ("4e1 ms", 0.04),
-        ("4.E+1 ms", 0.04),
-        (".5 s", 0.5),
-        ("0 s", 0),
-        ("-0.0 s", 0),
+        ("40 ms", 0.04), ("40ms", 0.04), ("  40  ms ", 0.04), ("+40 ms", 0.04), ("-40 ms", -0.04),
+        ("4e1 ms", 0.04), ("4.E+1 ms", 0.04), (".5 s", 0.5), ("0 s", 0), ("-0.0 s", 0),
     ],
-)
+)  # fmt: skip
 def test_ways_to_write_a_number(text: str, seconds: float) -> None:
     assert parse_quantity(text, "time") == pytest.approx(seconds)
 
@@ -109,17 +101,10 @@ def test_no_text_does_anything_else(text: str) -> None:
 @pytest.mark.parametrize(
     ("text", "ratio"),
     [
-        (0, 0),
-        (1, 1),
-        (0.01, 0.01),
-        (1e-7, 1e-7),
-        (-0.5, -0.5),
-        ("0.01", 0.01),
-        ("1 %", 0.01),
-        ("12.5%", 0.125),
-        (" 100 % ", 1),
+        (0, 0), (1, 1), (0.01, 0.01), (1e-7, 1e-7), (-0.5, -0.5), ("0.01", 0.01), ("1 %", 0.01),
+        ("12.5%", 0.125), (" 100 % ", 1),
     ],
-)
+)  # fmt: skip
 def test_a_ratio_is_a_number_or_a_percentage(text: object, ratio: float) -> None:
     assert parse_ratio(text) == pytest.approx(ratio, rel=1e-15)
 
@@ -141,24 +126,16 @@ def test_a_ratio_beyond_all_use_is_refused(text: object) -> None:
 @pytest.mark.parametrize(
     ("name", "text", "value"),
     [
-        ("Nanoseconds", "40 ms", 40_000_000),
-        ("Nanoseconds", "0.1 µs", 100),
-        ("Nanoseconds", "0.6 ns", 1),
-        ("Nanoseconds", "1 min", 60_000_000_000),
-        ("Hertz", "75 /min", 1.25),
-        ("Metres", "2 mm", 2e-3),
-        ("Newtons", "300 mN", 0.3),
-        ("NewtonsPerSecond", "5 mN/s", 5e-3),
-        ("Pascals", "0.05 GPa", 0.05e9),
-        ("MetresPerSecond", "400 mm/s", 0.4),
-        ("MetresPerSecond2", "9 m/s²", 9.0),
-        ("NewtonsPerMetre", "1 N/mm", 1000.0),
-        ("Volts", "500 mV", 0.5),
-        ("VoltsPerNewton", "44 mV/N", 0.044),
-        ("Radians", "1.8 °", math.pi / 100),
+        ("Nanoseconds", "40 ms", 40_000_000), ("Nanoseconds", "0.1 µs", 100),
+        ("Nanoseconds", "0.6 ns", 1), ("Nanoseconds", "1 min", 60_000_000_000),
+        ("Hertz", "75 /min", 1.25), ("Metres", "2 mm", 2e-3), ("Newtons", "300 mN", 0.3),
+        ("NewtonsPerSecond", "5 mN/s", 5e-3), ("Pascals", "0.05 GPa", 0.05e9),
+        ("MetresPerSecond", "400 mm/s", 0.4), ("MetresPerSecond2", "9 m/s²", 9.0),
+        ("NewtonsPerMetre", "1 N/mm", 1000.0), ("Volts", "500 mV", 0.5),
+        ("VoltsPerNewton", "44 mV/N", 0.044), ("Radians", "1.8 °", math.pi / 100),
         ("Ratio", "1 %", 0.01),
     ],
-)
+)  # fmt: skip
 def test_each_type_of_a_scene_field_reads_its_unit(name: str, text: str, value: float) -> None:
     read = TypeAdapter(getattr(quantities, name)).validate_python(text)
     assert read == pytest.approx(value, rel=1e-15)
@@ -168,14 +145,10 @@ def test_each_type_of_a_scene_field_reads_its_unit(name: str, text: str, value: 
 @pytest.mark.parametrize(
     ("value", "like", "text"),
     [
-        (100_000, "1 us", "100 us"),
-        (1e9, "3 s", "1 s"),
-        (0.002, "-1 mm", "2 mm"),
-        (0.5, "60 %", "0.5"),
-        (0.5, 3, "0.5"),
-        (80, "a name", "80"),
+        (100_000, "1 us", "100 us"), (1e9, "3 s", "1 s"), (0.002, "-1 mm", "2 mm"),
+        (0.5, "60 %", "0.5"), (0.5, 3, "0.5"), (80, "a name", "80"),
     ],
-)
+)  # fmt: skip
 def test_a_limit_is_written_in_the_compared_unit(value: float, like: object, text: str) -> None:
     assert in_unit_of(value, like) == text
 

@@ -173,15 +173,11 @@ def test_a_wrong_or_missing_section_is_named(path: Path, text: str, line: str) -
 @pytest.mark.parametrize(
     "text",
     [
-        "[display",
-        "tick 5",
-        "[display]\ntick = \n",
-        "[display]\n[display]",
-        "x = " + "1" * 5000,
+        "[display", "tick 5", "[display]\ntick = \n", "[display]\n[display]", "x = " + "1" * 5000,
         "x = " + "[" * 5000,
     ],
     ids=["bracket", "equals", "value", "twice", "digits", "nesting"],
-)
+)  # fmt: skip
 def test_a_file_that_is_not_toml(path: Path, text: str) -> None:
     assert line_of(path, text).startswith("not TOML: ")
     assert "line 2" in line_of(path, "[display]\ntick 5")

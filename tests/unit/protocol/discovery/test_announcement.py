@@ -122,10 +122,6 @@ def test_any_announcement_is_read_or_refused_in_one_line(
     assert 0 < len(read.addresses) <= 16
 
 
-def at(*addresses: str) -> Announcement:
-    return Announcement("a", "pulse", "0" * 16, addresses, 5555, None)
-
-
 OWN = [IPv4Interface(one) for one in ("127.0.0.1/8", "192.0.2.2/24", "172.17.0.1/16")]
 
 
@@ -148,7 +144,8 @@ OWN = [IPv4Interface(one) for one in ("127.0.0.1/8", "192.0.2.2/24", "172.17.0.1
 def test_only_addresses_on_own_networks_are_used(
     addresses: tuple[str, ...], used: list[str]
 ) -> None:
-    assert reachable(at(*addresses), OWN) == used
+    node = Announcement("a", "pulse", "0" * 16, addresses, 5555, None)
+    assert reachable(node, OWN) == used
 
 
 def test_the_addresses_that_are_bound_are_announced() -> None:

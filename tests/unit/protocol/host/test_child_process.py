@@ -1,7 +1,6 @@
 import ast
 import importlib.util
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -46,7 +45,8 @@ def test_nothing_of_telepulse_is_named_below_it(package: str) -> None:
     named = [
         f"{path.relative_to(ROOT)}: {text}"
         for path in (ROOT / package).rglob("*.py")
-        for text in strings(path)
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and isinstance(text := node.value, str)
         if is_module(text)
     ]
     assert named == []
@@ -56,12 +56,6 @@ def test_a_module_of_telepulse_is_noticed() -> None:
     assert is_module("telepulse.metrics")
     assert is_module("telepulse.cli.record")
     assert not is_module("telepulse.sidecars")
-
-
-def strings(path: Path) -> Iterator[str]:
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str):
-            yield node.value
 
 
 def is_module(text: str) -> bool:

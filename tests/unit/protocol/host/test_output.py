@@ -52,15 +52,12 @@ def test_levels_of_ours_and_of_libraries(
     for logger, expected in ((ours, levels), (library, library_levels)):
         for number in (logging.DEBUG, logging.INFO, logging.WARNING, logging.ERROR):
             logger.log(number, "message")
-        assert [
-            line.split()[1] for line in capsys.readouterr().err.splitlines()
-        ] == expected.split()
+        shown = [line.split()[1] for line in capsys.readouterr().err.splitlines()]
+        assert shown == expected.split()
 
 
 def test_an_unknown_level_is_refused() -> None:
-    with pytest.raises(
-        OptionError, match="--log-level loud: there are debug, info, warning, error"
-    ):
+    with pytest.raises(OptionError, match="level loud: there are debug, info, warning, error"):
         configure_logging("loud")
 
 

@@ -1,5 +1,6 @@
 """Frames and control messages: their bytes, round trips, and refusals of whatever a peer sends."""
 
+import itertools
 import math
 import tracemalloc
 from collections.abc import Callable
@@ -243,15 +244,12 @@ def test_a_payload_of_a_broken_sample_is_malformed(size: int, channels: int, wid
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("place", [(0, 0), (1, 1), (2, 2)])
-def test_a_frame_with_one_sample_that_is_not_finite_is_refused(
-    place: tuple[int, int], value: float, dtype: np.dtype[Any]
-) -> None:
-    values = np.zeros((3, 3), dtype)
-    values[place] = value
-    data = encode_frame(FLOAT32_FRAME._replace(values=values))
-    assert cause_of(decode_frame, data) == "not_finite"
+def test_a_frame_with_one_sample_that_is_not_finite_is_refused(dtype: np.dtype[Any]) -> None:
+    for value, place in itertools.product((np.nan, np.inf, -np.inf), (0, 1, 2)):
+        values = np.zeros((3, 3), dtype)
+        values[place, place] = value
+        data = encode_frame(FLOAT32_FRAME._replace(values=values))
+        assert cause_of(decode_frame, data) == "not_finite", (value, place)
 
 
 @pytest.mark.parametrize("kind", ["", "Hello", "frame", "x" * 60_000, None, 1, True, b"hello", []])
@@ -268,18 +266,13 @@ BAD_NAMES = ["x" * 81, "x" * 60_000, "a\nb", "\x1b[2J", "\x00", b"me", 7, None, 
 @pytest.mark.parametrize(
     ("fields", "positions", "values"),
     [
-        (BYE, [2, 3], BAD_COUNTS),
-        (WELCOME, [2, 3], BAD_COUNTS),
-        (CLOCK, [2], BAD_COUNTS),
-        (REPORT, [2, 4, 5, 6], BAD_COUNTS),
-        ([1, "clock?", 5], [2], BAD_TIMES),
-        (CLOCK, [3, 4, 5], BAD_TIMES),
-        (REPORT, [7, 8, 9, 10], BAD_NUMBERS),
-        (REPORT, [3], BAD_NAMES),
-        ([1, "hello", "me"], [2], BAD_NAMES),
+        (BYE, [2, 3], BAD_COUNTS), (WELCOME, [2, 3], BAD_COUNTS), (CLOCK, [2], BAD_COUNTS),
+        (REPORT, [2, 4, 5, 6], BAD_COUNTS), ([1, "clock?", 5], [2], BAD_TIMES),
+        (CLOCK, [3, 4, 5], BAD_TIMES), (REPORT, [7, 8, 9, 10], BAD_NUMBERS),
+        (REPORT, [3], BAD_NAMES), ([1, "hello", "me"], [2], BAD_NAMES),
         (WELCOME, [4], [None, "pulse", 5, [1, 2], True]),
     ],
-)
+)  # fmt: skip
 def test_a_control_field_of_another_type_or_out_of_range_is_malformed(
     fields: list[object], positions: list[int], values: list[object]
 ) -> None:
@@ -344,22 +337,14 @@ def test_any_bytes_are_a_valid_message_or_refused(decode: Decoder, data: bytes) 
     try:
         message = decode(data)
     except WireError as error:
-        refusal = error
+        assert error.cause in CAUSES  # noqa: PT017
+        return
+    if isinstance(message, Frame):
+        assert min(message.session, message.first_sample, message.period_ns - 1) >= 0
+        assert message.values.size > 0
+        assert np.isfinite(message.values).all()
     else:
-        assert_valid(message)
-        return
-    assert refusal.cause in CAUSES
-
-
-def assert_valid(message: Frame | Control) -> None:
-    if not isinstance(message, Frame):
         encode_control(message)
-        return
-    assert message.session >= 0
-    assert message.first_sample >= 0
-    assert message.period_ns > 0
-    assert message.values.size > 0
-    assert np.isfinite(message.values).all()
 
 
 HUGE = b"\xff\xff\xff\xff"

@@ -125,16 +125,11 @@ def test_bytes_are_read_or_refused(data: bytes) -> None:
 @pytest.mark.parametrize(
     "value",
     [
-        [1, 2, 3, 4, 5, 6],
-        [1, 2, 3, 4, 5, "6", []],
-        [1, 2, 3, 4, 5, 6, [[1, 2]]],
-        [1, 2, 3, 4, 5, 6, [[1, 2, "text"]]],
-        [1, 2, 3, 4, 5, 6, [[1, None, b""]]],
-        [1, 2, 3, 4, 5, True, []],
-        None,
-        {},
+        [1, 2, 3, 4, 5, 6], [1, 2, 3, 4, 5, "6", []], [1, 2, 3, 4, 5, 6, [[1, 2]]],
+        [1, 2, 3, 4, 5, 6, [[1, 2, "text"]]], [1, 2, 3, 4, 5, 6, [[1, None, b""]]],
+        [1, 2, 3, 4, 5, True, []], None, {},
     ],
-)
+)  # fmt: skip
 def test_an_invalid_capture_is_refused(value: object) -> None:
     with pytest.raises(WireError):
         read_capture(msgpack.packb(value))
@@ -159,19 +154,11 @@ def test_a_displays_status_has_its_playback() -> None:
 @pytest.mark.parametrize(
     "more",
     [
-        [1],
-        [1, 2],
-        [1, 2, 3],
-        ["1", 2, None],
-        [1, 2.0, None],
-        [True, 1, None],
-        [{}, [], None],
-        [1, 2, [0, 1.0, -1.0, "stack"]],
-        [1, 2, [0, 1.0, -1.0, 5, 60]],
-        [1, 2, [0, float("nan"), -1.0, "stack", 60]],
-        [1, 2, {"channel": 0}],
+        [1], [1, 2], [1, 2, 3], ["1", 2, None], [1, 2.0, None], [True, 1, None], [{}, [], None],
+        [1, 2, [0, 1.0, -1.0, "stack"]], [1, 2, [0, 1.0, -1.0, 5, 60]],
+        [1, 2, [0, float("nan"), -1.0, "stack", 60]], [1, 2, {"channel": 0}],
     ],
-)
+)  # fmt: skip
 def test_what_is_no_session_or_no_count_is_refused(more: list[object]) -> None:
     with pytest.raises(WireError):
         read_status(msgpack.packb(["playing", "pulse", {}, False, *more]))

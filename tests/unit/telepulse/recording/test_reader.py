@@ -2,7 +2,7 @@
 
 import io
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -222,10 +222,6 @@ def message(topic: str, **fields: int) -> RecordedMessage:
     return RecordedMessage(topic, 0, json.dumps(fields).encode())
 
 
-def ordered(messages: Iterable[RecordedMessage]) -> list[tuple[str, int]]:
-    return [(each.topic, next(iter(each.fields.values()), 0)) for each in in_tick_order(messages)]
-
-
 def test_a_received_message_comes_before_the_next_due_tick() -> None:
     published = [
         message(FRAME, arrived_ns=5),
@@ -235,7 +231,9 @@ def test_a_received_message_comes_before_the_next_due_tick() -> None:
         *(message(TICK, now_ns=now_ns) for now_ns in (4, 5, 21)),
     ]
     due = [(TICK, 4), (FRAME, 5), (TICK, 5), (CLOCK, 20), (TICK, 21), (FRAME, 99)]
-    assert ordered(published) == [(EVENT, 0), *due]
+    turns = in_tick_order(published)
+    ordered = [(each.topic, next(iter(each.fields.values()), 0)) for each in turns]
+    assert ordered == [(EVENT, 0), *due]
 
 
 def test_without_ticks_little_waits() -> None:

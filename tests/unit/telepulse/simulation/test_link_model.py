@@ -25,6 +25,8 @@ def test_a_link_is_read_as_people_write_it() -> None:
     link = parse_link("delay=40ms,jitter=10ms,loss=1%")
     assert (link.delay_ns, link.jitter_ns, link.loss) == (40_000_000, 10_000_000, 0.01)
     assert parse_link(" delay = 1 s ") == parse_link("delay=1000ms")
+    for text in ("", "delay=40ms,loss=1%", "cut.from=1s,cut.for=1s", EVERYTHING):
+        assert parse_link(parse_link(text).text()) == parse_link(text)
 
 
 def test_everything_a_link_can_do_is_read_and_written() -> None:
@@ -39,12 +41,6 @@ def test_everything_a_link_can_do_is_read_and_written() -> None:
     assert link.cut is not None
     assert (link.cut.from_ns, link.cut.for_ns) == (7_000_000_000, 1_500_000_000)
     assert (link.jitter_kind, link.transport) == ("pareto", "tcp")
-
-
-@pytest.mark.parametrize("text", ["", "delay=40ms,loss=1%", "cut.from=1s,cut.for=1s", EVERYTHING])
-def test_what_is_written_is_read_as_the_same(text: str) -> None:
-    link = parse_link(text)
-    assert parse_link(link.text()) == link
 
 
 @pytest.mark.parametrize(
@@ -97,10 +93,6 @@ def runs_of_loss(text: str, packets: int = PACKETS) -> list[int]:
     """How many packets in a row are lost, each time that any are."""
     fates = groupby(arrivals(text, packets), key=lambda arrival: arrival is None)
     return [len(list(run)) for lost, run in fates if lost]
-
-
-def test_a_link_without_properties_does_nothing() -> None:
-    assert arrivals("", 1000) == [sent * MS for sent in range(1000)]
 
 
 def test_gaussian_jitter_goes_both_ways_and_never_below_no_delay() -> None:
@@ -172,19 +164,17 @@ def test_a_rate_limit_queues_and_loses_what_would_wait_too_long() -> None:
     assert set(delays_ms("rate=1600kbit/s", 100)) == {0.5}
 
 
-def test_the_delay_changes_with_the_route() -> None:
+def test_the_delay_changes_with_the_route_and_is_none_without_properties() -> None:
+    assert arrivals("", 1000) == [sent * MS for sent in range(1000)]
     times = arrivals("delay=40ms,route_change.at=50ms,route_change.by=30ms", 100)
     assert times == [(sent + (40 if sent < 50 else 70)) * MS for sent in range(100)]
     shorter = arrivals("delay=40ms,route_change.at=50ms,route_change.by=-60ms", 100)
     assert shorter[49:51] == [89 * MS, 50 * MS]
 
 
-def test_nothing_comes_through_a_cut_and_all_before_and_after() -> None:
+def test_nothing_comes_through_a_cut_and_times_count_from_the_links_beginning() -> None:
     times = arrivals("delay=40ms,cut.from=50ms,cut.for=30ms", 100)
     assert [sent for sent, time in enumerate(times) if time is None] == list(range(50, 80))
-
-
-def test_times_count_from_the_links_beginning() -> None:
     began_ns = 10**15
     text = "cut.from=50ms,cut.for=30ms,route_change.at=90ms,route_change.by=5ms"
     direction = Direction(parse_link(text), 1, began_ns)
@@ -244,10 +234,6 @@ def tcp_delays_ms(text: str, messages: int) -> list[float]:
     return [stream.arrival_ns(sent * MS, 100) / MS - sent for sent in sent_ms]
 
 
-def test_without_loss_a_message_takes_the_links_delay() -> None:
-    assert tcp_delays_ms("", 100) == [20] * 100
-
-
 def test_one_lost_packet_holds_up_all_that_follow_until_it_is_repeated() -> None:
     delays = tcp_delays_ms("cut.from=200ms,cut.for=2ms", 40)
     # Alive at 202 ms, and noticed by the next message's acknowledgement a quarter late.
@@ -286,7 +272,8 @@ def test_nothing_is_lost_and_nothing_overtakes(jitter_kind: str) -> None:
     assert arrivals[-1] < (5000 * STEP + 2000) * MS
 
 
-def test_a_sender_waits_where_the_rate_is_too_low() -> None:
+def test_without_loss_a_message_takes_the_links_delay_and_waits_at_too_low_a_rate() -> None:
+    assert tcp_delays_ms("", 100) == [20] * 100
     # 100 bytes each 10 ms are 80 kbit/s.
     assert tcp_delays_ms("rate=40kbit/s", 100) == [20 + 20 + STEP * later for later in range(100)]
 
