@@ -116,8 +116,8 @@ def test_a_drive_with_its_film_is_there_until_it_is_stopped(
         with serial.Serial(str(film), timeout=0) as port:
 
             def pressed() -> bool:
-                for packet in decoder.feed(port.read(4096)):
-                    forces_n.extend(packet.values)
+                for block in decoder.feed(port.read(4096)):
+                    forces_n.extend(block.values[:, 0].tolist())
                 return bool(forces_n) and forces_n[-1] > 0.02
 
             keep(drive, 1000.0, pressed)
@@ -154,8 +154,8 @@ def wait_for(
     deadline_s = time.monotonic() + LONGEST_S
     while len(forces_n) < least or not holds(forces_n):
         assert time.monotonic() < deadline_s
-        for packet in decoder.feed(port.read(256)):
-            forces_n.extend(packet.values)
+        for block in decoder.feed(port.read(256)):
+            forces_n.extend(block.values[:, 0].tolist())
         assert max(forces_n, default=0.0) < 2.5
 
 
