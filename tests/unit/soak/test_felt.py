@@ -44,17 +44,14 @@ def test_slews_are_per_second_across_traces_and_missed_ticks_are_distinguished()
 
 def test_between_two_processes_there_is_no_slew() -> None:
     felt = log(trace(0, [0.5] * 20, target_n=0.5), trace(2_000, [0.0] * 200))
-    assert felt.target_slew_n_per_s == 0.0
-    assert felt.felt_slew_n_per_s == 0.0
+    assert (felt.target_slew_n_per_s, felt.felt_slew_n_per_s) == (0.0, 0.0)
     assert felt.felt_n == (0.0, 0.5)
 
 
 def test_nan_is_counted_and_hides_no_force() -> None:
     felt = log(trace(0, [0.1, float("nan"), -0.2, float("inf"), 0.3]))
-    assert felt.not_finite == 2
-    assert felt.felt_n == (-0.2, 0.3)
     felt.add(trace(5, [0.1]))
-    assert felt.felt_n == (-0.2, 0.3)
+    assert (felt.not_finite, felt.felt_n) == (2, (-0.2, 0.3))
 
 
 SPELLS = [(0, 1_000 * MS), (1_900 * MS, 1_950 * MS), (2_500 * MS, 9_000 * MS)]

@@ -81,9 +81,7 @@ def test_growth_after_the_warm_up_and_too_large_a_size_fail(
 def test_a_fault_felt_too_long_or_for_ever_fails(again_s: list[float | None], ok: bool) -> None:
     cut, kill, both = judge_recovery({"kill": again_s, "cut": [0.1]})
     assert (cut.ok, kill.ok, both.ok) == (True, ok, ok)
-
-
-def test_a_soak_without_a_fault_is_not_passed() -> None:
+    # A soak without a fault is not passed.
     assert [check.ok for check in judge_recovery({})] == [False]
 
 

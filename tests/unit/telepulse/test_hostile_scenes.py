@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydantic import BaseModel
 
 from display_node.display import Display
 from display_node.scene import DisplayScene
@@ -82,19 +81,16 @@ def test_a_section_with_anything_in_it(section: tuple[str, dict[str, Any]]) -> N
 def test_what_is_valid_can_be_built_or_is_refused(section: tuple[str, dict[str, Any]]) -> None:
     name, table = section
     try:
-        _build(validate(table, SCHEMAS[name], where="scene"))
+        scene = validate(table, SCHEMAS[name], where="scene")
+        if isinstance(scene, DisplayScene):
+            display = Display(scene, "test")
+            assert all(np.isfinite(display.tick(tick * scene.tick_ns).felt_n) for tick in range(3))
+        elif isinstance(scene, SensingScene):
+            source = build_source(scene, ROOT / "scenes")
+            describe_stream(scene, source)
+            assert np.isfinite(source.take(20).astype("<f4")).all()
     except (SceneError, SourceError) as error:
         check_line(error)
-
-
-def _build(section: BaseModel) -> None:
-    if isinstance(section, DisplayScene):
-        display = Display(section, "test")
-        assert all(np.isfinite(display.tick(tick * section.tick_ns).felt_n) for tick in range(3))
-    elif isinstance(section, SensingScene):
-        source = build_source(section, ROOT / "scenes")
-        describe_stream(section, source)
-        assert np.isfinite(source.take(20).astype("<f4")).all()
 
 
 @given(st.lists(st.tuples(st.sampled_from(KEYS), written | st.just("1 ms")), max_size=4))

@@ -1,5 +1,3 @@
-""" """
-
 import math
 
 import pytest
@@ -14,12 +12,10 @@ from tests.support.drive_benches import FORCE_LIMIT_N, LAYER, stepper, tmcl_scen
 UNITS = Units(step_m=1e-6, per_step=4.0, per_step_rate=0.5, direction=-1, home_m=-2e-3)
 
 
-def test_a_rate_goes_to_the_drive_in_its_units_and_direction() -> None:
+def test_rates_and_positions_go_to_the_drive_in_its_units_and_direction() -> None:
     assert UNITS.velocity(3e-3) == -1500
     assert UNITS.speed_m_per_s(-1500) == pytest.approx(3e-3)
-
-
-def test_positions_count_from_home_and_mean_metres_from_first_touch() -> None:
+    # Positions count from home, and metres from first touch.
     assert UNITS.position_m(0) == pytest.approx(-2e-3)
     assert UNITS.position_m(-8000) == pytest.approx(0.0)
     assert UNITS.position(0.0) == -8000

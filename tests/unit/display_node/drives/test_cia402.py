@@ -125,11 +125,17 @@ def test_a_drive_that_cannot_be_used_is_refused(
         assert bench.fault
 
 
-def test_another_profile_is_refused(bench: Bench) -> None:
-    with (
-        patch.object(cia402_node.Cia402Node, "read", lambda *_: 401),
-        pytest.raises(DriveError, match="has profile 401, not 402"),
-    ):
+@pytest.mark.parametrize(
+    ("part", "name", "found", "words"),
+    [
+        (cia402_node.Cia402Node, "read", lambda *_: 401, "has profile 401, not 402"),
+        (EmulatedMotor, "homing", True, "no home within 15 s"),
+    ],
+)
+def test_another_profile_and_a_search_without_an_end_are_refused(
+    bench: Bench, part: type, name: str, found: object, words: str
+) -> None:
+    with patch.object(part, name, found), pytest.raises(DriveError, match=words):
         bench.drive.start()
 
 
@@ -143,20 +149,11 @@ def test_a_drive_that_is_disabled_on_its_way_home_is_named(bench: Bench) -> None
         bench.drive.start(force_n)
 
 
-def test_a_search_without_an_end_is_ended(bench: Bench) -> None:
-    with (
-        patch.object(EmulatedMotor, "homing", True),
-        pytest.raises(DriveError, match="no home within 15 s"),
-    ):
-        bench.drive.start()
-
-
 def test_an_empty_address_is_named_in_one_line(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cia402_node, "SDO_TIMEOUT_S", 1e-3)
-    axis = (stepper(), LAYER, FORCE_LIMIT_N)
-    other = build_drive(cia402_scene(node=9), *axis)
+    other = build_drive(cia402_scene(node=9), stepper(), LAYER, FORCE_LIMIT_N)
     with pytest.raises(DriveError, match="no answer from node 9") as error:
         other.start()
     assert "\n" not in str(error.value)
@@ -164,17 +161,13 @@ def test_an_empty_address_is_named_in_one_line(
     assert other.counts == {"not disabled: no answer": 1}
 
 
-def test_malformed_messages_are_counted_and_not_used(bench: Bench) -> None:
+def test_malformed_and_implausible_messages_are_counted_and_not_used(bench: Bench) -> None:
     bench.start()
     send(bench, TPDO1, *(bytes(size) for size in (0, 1, 2, 3, 4, 5, 7)))
     send(bench, TPDO2, bytes(5))
     send(bench, EMERGENCY, b"", b"\x10", bytes(2), bytes(5))
     bench.keep(0.0, lambda: bench.drive.counts["malformed"] == 10)
     assert bench.fault == ""
-
-
-def test_implausible_messages_are_counted_and_not_used(bench: Bench) -> None:
-    bench.start()
     # A statusword of no state, a position and a speed far beyond the axis.
     send(bench, TPDO1, STATE_TPDO.pack(0x0001, 0), STATE_TPDO.pack(0x0637, -(2**31)))
     send(bench, TPDO2, SPEED_TPDO.pack(2**31 - 1, 0x4310))

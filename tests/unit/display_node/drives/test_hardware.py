@@ -260,8 +260,7 @@ def test_after_a_fault_and_a_restart_the_force_comes_back_by_a_ramp(happens: Eve
 
 def test_errors_are_counted_and_named() -> None:
     bench = VirtualBench(lambda ms: 0.3)
-    bench.drive.counts["superseded"] = 3
-    bench.film.rejected["garbled"] = 2
+    bench.drive.counts["superseded"], bench.film.rejected["garbled"] = 3, 2
     assert bench.hardware.counts == Counter({"drive superseded": 3, "film garbled": 2})
     bench.hardware.feedback.add(0, 0.1)
     assert bench.hardware.counts["film out of order"] == 1
@@ -280,9 +279,7 @@ def test_closing_takes_the_tip_off_the_finger(monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.setattr(time, "sleep", sleep)
     bench.hardware.close()
-    assert bench.drive.motor.force_n == 0
-    assert bench.drive.closed
-    assert bench.film.closed
+    assert (bench.drive.motor.force_n, bench.drive.closed, bench.film.closed) == (0, True, True)
 
 
 @pytest.fixture

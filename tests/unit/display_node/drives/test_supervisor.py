@@ -54,12 +54,6 @@ class Bench:
         return supervisor
 
 
-def test_before_it_is_armed_it_rests() -> None:
-    supervisor = Supervisor(axis(), WATCHDOG_NS)
-    supervisor.command(0.01, MS)
-    assert (supervisor.fault, supervisor.velocity(MS)) == ("not started", 0)
-
-
 @pytest.mark.parametrize("stalled_ms", [51, 100, 400, 10_000])
 def test_a_host_that_stood_still_withdraws(stalled_ms: int) -> None:
     bench = Bench()
@@ -83,8 +77,10 @@ def test_a_loop_that_falls_silent_is_a_fault_and_a_pause_is_none() -> None:
     assert again.run(500).fault is None
 
 
-def test_a_drive_that_falls_silent_is_a_fault() -> None:
+def test_before_it_is_armed_it_rests_and_a_drive_that_falls_silent_is_a_fault() -> None:
     supervisor = Supervisor(axis(), WATCHDOG_NS)
+    supervisor.command(0.01, MS)
+    assert (supervisor.fault, supervisor.velocity(MS)) == ("not started", 0)
     supervisor.arm(0)
     for ms in range(1, 60):
         supervisor.command(0.0, ms * MS)

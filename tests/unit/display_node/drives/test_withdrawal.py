@@ -1,7 +1,4 @@
-"""Taking the tip off the finger, whatever position and film report of it.
-
-The sentence about the finger.
-"""
+"""Taking the tip off the finger, whatever position and film report; the sentence about it."""
 
 import pytest
 
@@ -111,7 +108,11 @@ def test_the_wrong_way_stops_it_at_once(by_film: bool) -> None:
     assert tip.withdrawal.speed_m_per_s(300 * MS, tip.travel_m) == 0
 
 
-def test_one_reading_alone_stops_nothing() -> None:
+def test_one_position_or_reading_alone_stops_nothing() -> None:
+    tip = Tip()
+    tip.run(40)
+    tip.withdrawal.report(9e-3, 41 * MS)
+    assert tip.run(100) is WithdrawalOutcome.WITHDRAWN
     tip = Tip()
     tip.run(20)
     tip.withdrawal.report_film(0.3, 20 * MS)
@@ -164,13 +165,6 @@ def test_a_film_that_is_still_pressed_keeps_an_unconfirmed_one_going() -> None:
     tip.gain = 1.0
     tip.run(1_000, force=True)
     assert tip.position_m < 0.06e-3
-
-
-def test_one_wrong_position_alone_stops_nothing() -> None:
-    tip = Tip()
-    tip.run(40)
-    tip.withdrawal.report(9e-3, 41 * MS)
-    assert tip.run(100) is WithdrawalOutcome.WITHDRAWN
 
 
 def test_after_a_pause_of_the_host_the_tip_may_turn_again() -> None:

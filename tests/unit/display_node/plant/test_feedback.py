@@ -72,11 +72,6 @@ def rise(n_per_s: float, end_n: float = 3.5) -> str | None:
     return found
 
 
-def test_a_force_that_rises_as_commanded_is_no_fault() -> None:
-    assert rise(10.0, end_n=2.5) is None
-    assert rise(50.4, end_n=2.5) is None
-
-
 @pytest.mark.parametrize("n_per_s", [80.0, 100.0, 150.0])
 def test_one_that_rises_faster_is_named_while_there_is_time_to_turn(n_per_s: float) -> None:
     fault = rise(n_per_s)
@@ -86,7 +81,9 @@ def test_one_that_rises_faster_is_named_while_there_is_time_to_turn(n_per_s: flo
     assert at_n + n_per_s * 11e-3 < 1.25 * 2.5
 
 
-def test_a_short_jump_of_noise_is_none() -> None:
+def test_a_force_that_rises_as_commanded_and_a_short_jump_of_noise_are_no_fault() -> None:
+    assert rise(10.0, end_n=2.5) is None
+    assert rise(50.4, end_n=2.5) is None
     rising = RisingForce(2.7, 50.0, 8 * MS)
     for ms in range(200):
         assert rising.fault(0.3 + 0.1 * (ms % 7 == 0), ms * MS) is None
@@ -155,9 +152,7 @@ def test_samples_that_are_not_newer_are_counted_and_left_out() -> None:
     feedback.add(2 * MS, 99.0)
     assert (feedback.samples, feedback.out_of_order) == (10, 2)
     assert feedback.read(13 * MS) == 9.0
-
-
-def test_a_flood_is_bounded_and_the_newest_is_kept() -> None:
+    # A flood is bounded, and the newest is kept.
     feedback = Feedback(MS, 20 * MS)
     for number in range(3 * KEEP):
         feedback.add(number * 1000, float(number))

@@ -34,20 +34,15 @@ def test_a_straight_line_stays_one_at_any_rate(period_ns: int, frame: int) -> No
         assert cell.value == pytest.approx(line(cell.end_ns - STEP_NS // 2), abs=1e-9)
 
 
-def test_a_frame_of_5_ms_completes_a_cell_at_once() -> None:
-    grid = Grid()
-    for frame in range(4):
-        times_ns = [T0_NS + (5 * frame + number) * MS for number in range(5)]
-        observe_line(grid, times_ns)
-        assert [cell.end_ns for cell in cells(grid)] == ([times_ns[-1]] if frame else [])
-
-
-def test_noise_is_averaged() -> None:
-    rng, grid = np.random.default_rng(1), Grid()
+def test_a_frame_of_5_ms_completes_a_cell_at_once_and_noise_is_averaged() -> None:
+    rng, grid, taken = np.random.default_rng(1), Grid(), []
     for frame in range(400):
         times_ns = [T0_NS + (5 * frame + number) * MS for number in range(5)]
         grid.observe(times_ns, rng.standard_normal(5).tolist())
-    assert np.std([cell.value for cell in cells(grid)]) < 0.6
+        completed = cells(grid)
+        assert [cell.end_ns for cell in completed] == ([times_ns[-1]] if frame else [])
+        taken += completed
+    assert np.std([cell.value for cell in taken]) < 0.6
 
 
 def test_what_was_guessed_is_corrected_by_late_samples() -> None:
@@ -106,11 +101,8 @@ def test_fir_learns_a_sum_of_sinusoids() -> None:
     assert expert_errors(Fir(), signal, from_step=4_000).max() < 5e-3
 
 
-def test_analogue_continues_a_periodic_beat() -> None:
+def test_analogue_continues_a_beat_also_where_its_period_is_no_whole_number_of_steps() -> None:
     assert expert_errors(Analogue(), beats(T_S), from_step=2_000).max() < 0.01
-
-
-def test_analogue_continues_a_beat_whose_period_is_no_whole_number_of_steps() -> None:
     signal = beats(T_S, intervals_s=(0.8033,))
     assert expert_errors(Analogue(), signal, from_step=3_000).max() < 0.06
 
@@ -178,16 +170,14 @@ def test_harmonic_is_dropped_where_the_rhythm_is_another(ratio: float) -> None:
 def test_rhythm_finds_the_interval(interval_s: float) -> None:
     t_s = np.arange(3_000) * 0.005
     rhythm, signal = Rhythm(), beats(t_s, (interval_s,))
-    for before, after in zip(signal[:-2].tolist(), signal[2:].tolist(), strict=True):
-        rhythm.push(after - before)
-    assert rhythm.interval == pytest.approx(interval_s / 0.005, abs=1)
-
-
-def test_rhythm_finds_no_interval_without_beats() -> None:
-    rhythm = Rhythm()
+    # Without beats there is none.
     for _ in range(2_000):
         rhythm.push(0.0)
     assert rhythm.interval is None
+    rhythm = Rhythm()
+    for before, after in zip(signal[:-2].tolist(), signal[2:].tolist(), strict=True):
+        rhythm.push(after - before)
+    assert rhythm.interval == pytest.approx(interval_s / 0.005, abs=1)
 
 
 def test_history_keeps_the_newest_whatever_has_passed() -> None:

@@ -219,15 +219,12 @@ def test_where_the_first_is_up_to_date_before_the_second_it_is_kept() -> None:
     assert (failover.racing, failover.opened, failover.kept) == (False, 1, 0)
 
 
-def test_where_the_second_alone_delivers_the_first_is_given_a_second() -> None:
+def test_where_one_alone_delivers_the_other_is_given_a_second() -> None:
     failover = racing()
     for ms in range(700, 1_700, FRAME_MS):
         assert failover.second_received(ms * MS, had=False) is None
         assert failover.settle(ms * MS) is None
     assert failover.settle(1_700 * MS) is Keep.SECOND
-
-
-def test_where_the_first_is_back_and_no_second_comes_about_it_is_kept() -> None:
     failover = racing()
     for ms in range(2_000, 3_000, FRAME_MS):
         assert failover.first_received(ms * MS, had=False, count=1) is None

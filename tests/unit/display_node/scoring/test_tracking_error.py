@@ -267,6 +267,8 @@ def test_where_nothing_was_sensed_nothing_counts() -> None:
     felt_n, sensed_n = wave_n(60), wave_n(60)
     felt_n[4000:5000] += np.random.default_rng(1).standard_normal(1000)
     sensed_n[4000:5000] = np.nan
+    # Nor around a felt force that is unknown.
+    felt_n[6_000:6_100] = math.nan
     assert metered(felt_n, sensed_n).roughness.energy_ratio == pytest.approx(1)
 
 
@@ -283,10 +285,3 @@ def test_a_clock_that_is_corrected_is_no_gap() -> None:
 def test_before_anything_is_known_and_with_slow_ticks_there_is_none() -> None:
     assert metered(wave_n(60)[:150], wave_n(60)[:150]).roughness == Roughness()
     assert metered(wave_n(3), wave_n(3), tick_ns=20 * MS).roughness == Roughness()
-
-
-def test_around_a_force_that_is_unknown_nothing_is_counted() -> None:
-    felt_n = wave_n(60)
-    felt_n[5_000:5_100] = math.nan
-    roughness = metered(felt_n, wave_n(60)).roughness
-    assert roughness.energy_ratio == pytest.approx(1.0)

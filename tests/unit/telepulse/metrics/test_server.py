@@ -94,7 +94,10 @@ def test_figures_without_a_value_are_left_out() -> None:
     assert "telepulse_heart_rate_hertz" not in names
 
 
-def test_a_node_that_is_silent_has_no_figures_only_their_age() -> None:
+def test_a_node_that_is_silent_has_no_figures_and_is_not_up_nor_before_its_first_status() -> None:
+    found = scraped(families("display-node", None, 0, unreadable=3))
+    assert found["telepulse_up", ()] == 0
+    assert found["telepulse_unreadable_statuses_total", ()] == 3
     summary = Summary(samples=SampleCounts(1000, 990, 7, 3, 0))
     last_ns = SECOND_NS + SILENT_AFTER_NS
     alive = scraped(families("display-node", node_state(summary), last_ns))
@@ -109,12 +112,6 @@ def test_a_node_that_is_silent_has_no_figures_only_their_age() -> None:
         "telepulse_node_info",
         "telepulse_unreadable_statuses_total",
     }
-
-
-def test_before_its_first_status_a_node_is_not_up() -> None:
-    found = scraped(families("display-node", None, 0, unreadable=3))
-    assert found["telepulse_up", ()] == 0
-    assert found["telepulse_unreadable_statuses_total", ()] == 3
 
 
 words = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
