@@ -2,6 +2,8 @@
 
 import re
 
+from tests.support.nodes import run
+
 _RECORD = re.compile(r"^\d\d:\d\d:\d\d\.\d{3} (?P<level>[A-Z]+) (?P<message>.*)$")
 USUAL = ("DEBUG", "INFO")
 
@@ -24,3 +26,11 @@ def unusual(errors: str) -> str:
 def strays(errors: str) -> str:
     """The lines of a standard error that are no record of the log."""
     return "".join(line for line in errors.splitlines(keepends=True) if _RECORD.match(line) is None)
+
+
+def refused(module: str, *arguments: str) -> str:
+    """Return the one line in which a module of ours refuses a command line."""
+    result = run(module, *arguments)
+    found = (result.returncode, result.stdout, result.stderr.count("\n"))
+    assert found == (2, "", 1), result.stderr
+    return result.stderr

@@ -2,13 +2,14 @@
 
 import json
 import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from subprocess import PIPE
 from typing import Any
 
-from protocol.host.child_process import ChildProcess, python_command
+from protocol.host.child_process import ChildProcess
 from telepulse.processes import free_addresses
 
 ROOT = Path(__file__).parents[2]
@@ -40,14 +41,14 @@ def process(module: str, *arguments: str) -> Iterator[ChildProcess]:
 
 def run(module: str, *arguments: str, timeout_s: float = 60) -> "subprocess.CompletedProcess[str]":
     """Run a module of ours to its end."""
-    return subprocess.run(
-        python_command("-m", module, *arguments),
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=timeout_s,
-        check=False,
-    )
+    return run_python("-P", "-m", module, *arguments, timeout=timeout_s)
+
+
+def run_python(*arguments: str, **options: Any) -> "subprocess.CompletedProcess[str]":
+    """Run Python on a command line to its end; options: of `subprocess.run`."""
+    options = {"cwd": ROOT, "timeout": 60, "check": False} | options
+    command = [sys.executable, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, **options)
 
 
 def read_json(path: Path) -> dict[str, Any]:

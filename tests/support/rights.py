@@ -4,13 +4,11 @@ import ctypes
 import os
 import resource
 import subprocess
-import sys
-from collections.abc import Callable
 
 import pytest
 
 from protocol.host.process import CAP_IPC_LOCK, CAP_SYS_NICE
-from tests.support.nodes import ROOT
+from tests.support.nodes import run_python
 
 # From <linux/prctl.h>.
 PR_CAPBSET_DROP = 24
@@ -32,12 +30,12 @@ needs_rights = pytest.mark.skipif(
 
 def with_rights(*command: str) -> "subprocess.CompletedProcess[str]":
     """Run Python on a command line, with the rights that the tests have."""
-    return _run(command, None)
+    return run_python(*command)
 
 
 def without_rights(*command: str) -> "subprocess.CompletedProcess[str]":
     """Run Python as somebody who may have no priority and lock no memory."""
-    return _run(command, _give_up)
+    return run_python(*command, preexec_fn=_give_up)
 
 
 def _give_up() -> None:
@@ -47,17 +45,3 @@ def _give_up() -> None:
     for capability in (CAP_SYS_NICE, CAP_IPC_LOCK):
         # Fails where nobody has it anyway.
         libc.prctl(PR_CAPBSET_DROP, capability, 0, 0, 0)
-
-
-def _run(
-    command: tuple[str, ...], prepare: Callable[[], None] | None
-) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run(
-        [sys.executable, *command],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-        preexec_fn=prepare,
-    )

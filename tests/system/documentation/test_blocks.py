@@ -3,8 +3,6 @@
 import ast
 import json
 import re
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -18,7 +16,7 @@ from protocol.config.scene_file import find_scene, load_document
 from sensing_node.scene import SensingScene
 from telepulse.simulation.link_model import LinkScene
 from tests.support.doc_pages import PYTHON, Block, blocks
-from tests.support.nodes import ROOT
+from tests.support.nodes import ROOT, run_python
 
 BLOCKS = list(blocks())
 SECTIONS = {"sensing": SensingScene, "display": DisplayScene, "link": LinkScene}
@@ -112,9 +110,7 @@ def test_a_snippet_runs_and_prints_what_the_page_shows(block: Block, tmp_path: P
     text = block.text
     for long, short in SHORTER.items():
         text = text.replace(long, short)
-    run = subprocess.run(
-        [sys.executable, "-c", text], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    run = run_python("-c", text, cwd=tmp_path, timeout=None)
     assert run.returncode == 0, run.stderr
     after = [b for b in BLOCKS if b.page == block.page and b.line > block.line]
     if text == block.text and after and after[0].language == "text":

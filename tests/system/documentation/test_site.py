@@ -1,8 +1,6 @@
 """The site builds without a warning, and needs no other host."""
 
 import re
-import subprocess
-import sys
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -10,7 +8,7 @@ import pytest
 
 from display_node.scene import DisplayScene
 from sensing_node.scene import SensingScene
-from tests.support.nodes import ROOT
+from tests.support.nodes import ROOT, run_python
 from tests.unit.documentation.test_docs import keys
 
 # Fetched by the browser itself; other links may lead anywhere.
@@ -41,15 +39,10 @@ class Fetches(HTMLParser):
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Build the site; a warning fails the build."""
     folder = tmp_path_factory.mktemp("site")
-    build = subprocess.run(
-        [
-            *(sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-q"),
-            *("-d", str(folder / "doctrees"), str(ROOT / "docs"), str(folder / "html")),
-        ],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
+    build = run_python(
+        *("-m", "sphinx", "-W", "--keep-going", "-n", "-q"),
+        *("-d", str(folder / "doctrees"), str(ROOT / "docs"), str(folder / "html")),
+        timeout=None,
     )
     assert build.returncode == 0, build.stderr
     return folder / "html"

@@ -18,7 +18,8 @@ from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
 from protocol.host.child_process import ChildProcess
 from pulse_sensors.binary_frames import FrameDecoder
-from tests.support.nodes import ROOT, process, start
+from tests.support.log_lines import refused
+from tests.support.nodes import ROOT, process
 
 LONGEST_S = 30.0
 # Of the scene's drive, 2 mm of lead in 3200 microsteps.
@@ -208,11 +209,7 @@ def test_a_scene_that_does_not_fit_is_refused_in_one_line(
     tmcl_scene: Path, command: str, words: str
 ) -> None:
     scene = str(tmcl_scene) if command == "cia402" else "no-such"
-    child = start("telepulse", "emulate", command, scene)
-    _, errors = child.communicate(timeout=LONGEST_S)
-    assert child.returncode == 2
-    assert words in errors
-    assert len(errors.splitlines()) == 1
+    assert words in refused("telepulse", "emulate", command, scene)
 
 
 def test_a_silent_film_leaves_the_drive_as_it_is(tmcl_scene: Path, tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from display_node.cli import app as display_app
 from telepulse.cli.main import app as telepulse_app
 from telepulse.processes import free_addresses
 from tests.support.experiment_sessions import write as write_session
-from tests.support.nodes import ROOT, process
+from tests.support.nodes import ROOT, process, run_python
 from tests.support.waiting import until
 from tests.system.commissioning.test_bench_command import drive_scene
 
@@ -106,30 +106,15 @@ def run_without(folder: Path, library: str, *arguments: str) -> tuple[int, str]:
     hidden = folder / "hidden"
     hidden.mkdir(exist_ok=True)
     (hidden / f"{library}.py").write_text('raise ImportError("it is hidden")\n', encoding="utf-8")
-    result = subprocess.run(
-        [sys.executable, "-m", "display_node.cli", *arguments],
-        cwd=ROOT,
-        env={"PYTHONPATH": f"{hidden}:{ROOT}", "PATH": "/usr/bin:/bin"},
-        capture_output=True,
-        text=True,
-        timeout=ENDS_WITHIN_S,
-        check=False,
-    )
+    environment = {"PYTHONPATH": f"{hidden}:{ROOT}", "PATH": "/usr/bin:/bin"}
+    result = run_python("-m", "display_node.cli", *arguments, env=environment)
     return result.returncode, result.stderr
 
 
 def refuse_a_session(folder: Path) -> "subprocess.CompletedProcess[str]":
     """Run a session as a process, and answer that the bench is not clear."""
     words = ("experiment", "run", folder / "session.toml", "--log", folder / "answered.jsonl")
-    return subprocess.run(
-        [sys.executable, "-m", "telepulse", *map(str, words)],
-        cwd=ROOT,
-        input="n",
-        capture_output=True,
-        text=True,
-        timeout=ENDS_WITHIN_S,
-        check=False,
-    )
+    return run_python("-m", "telepulse", *map(str, words), input="n")
 
 
 def cases(bench: EmulatedBench, taken: str) -> dict[str, Case]:

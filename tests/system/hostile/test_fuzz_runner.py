@@ -3,12 +3,11 @@
 import importlib.util
 import re
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from tests.support.nodes import ROOT
+from tests.support.nodes import ROOT, run_python
 
 needs_atheris = pytest.mark.skipif(
     importlib.util.find_spec("atheris") is None,
@@ -17,14 +16,7 @@ needs_atheris = pytest.mark.skipif(
 
 
 def fuzz(*arguments: str, cwd: Path = ROOT) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run(
-        [sys.executable, "-m", "fuzz", *arguments],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        timeout=110,
-        check=False,
-    )
+    return run_python("-m", "fuzz", *arguments, cwd=cwd, timeout=110)
 
 
 @needs_atheris

@@ -21,8 +21,8 @@ from protocol.run_summary import REGISTRY
 from telepulse.metrics import server as http
 from telepulse.metrics.server import MAX_REQUESTS, MetricsHTTPServer
 from tests.support.keyring import Keyring
-from tests.support.log_lines import unusual
-from tests.support.nodes import RADIAL, ROOT, free_address, process, read_json, run
+from tests.support.log_lines import refused, unusual
+from tests.support.nodes import RADIAL, ROOT, free_address, process, read_json
 from tests.support.waiting import PATIENCE_S, until
 
 DISPLAY, SENSING = "display_node.cli", "sensing_node.cli"
@@ -178,11 +178,8 @@ def test_telemetry_with_keys_is_read_by_the_own_server(tmp_path: Path) -> None:
 def test_a_port_in_use_is_one_line_before_anything_starts() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
-        result = run(DISPLAY, str(RADIAL), "--metrics", port)
-    assert result.returncode == 2
-    assert result.stdout == ""
-    assert result.stderr.count("\n") == 1
-    assert f"--metrics: cannot bind 127.0.0.1:{port}: Address already in use" in result.stderr
+        line = refused(DISPLAY, str(RADIAL), "--metrics", port)
+    assert f"--metrics: cannot bind 127.0.0.1:{port}: Address already in use" in line
 
 
 def test_without_the_library_it_names_the_extra(tmp_path: Path) -> None:
@@ -190,10 +187,8 @@ def test_without_the_library_it_names_the_extra(tmp_path: Path) -> None:
     shadow.write_text("raise ImportError('not here')\n", encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", f"{tmp_path}:{ROOT}")
-        result = run(SENSING, str(RADIAL), "--metrics", "0")
-    assert result.returncode == 2
-    assert result.stderr.count("\n") == 1
-    assert "pip install 'telepulse[metrics]'" in result.stderr
+        line = refused(SENSING, str(RADIAL), "--metrics", "0")
+    assert "pip install 'telepulse[metrics]'" in line
 
 
 def test_beyond_this_machine_the_node_warns_who_may_read() -> None:

@@ -1,7 +1,6 @@
 import json
 import os
 import signal
-import subprocess
 import sys
 from contextlib import closing
 from typing import Any
@@ -14,6 +13,7 @@ from protocol.errors import RealtimeError
 from protocol.host.process import FILES, helper_threads
 from protocol.host.realtime import hold, parse_realtime
 from protocol.run_summary import Summary
+from tests.support.nodes import run_python
 from tests.support.rights import needs_rights, with_rights, without_rights
 
 CHILD = "tests.support.realtime_child"
@@ -219,7 +219,5 @@ def test_the_limit_of_open_files_is_raised_as_far_as_it_may_be(
     present: int, most: int, then: int
 ) -> None:
     program = PROGRAM.format(present=present, most=most)
-    result = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
+    result = run_python("-c", program, check=True)
     assert result.stdout.split() == [str(then), str(most)]

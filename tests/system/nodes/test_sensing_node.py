@@ -3,7 +3,6 @@ import secrets
 import signal
 import socket
 import subprocess
-import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -28,8 +27,8 @@ from protocol.wire.messages import (
 )
 from sensing_node.control_server import MAX_CLIENTS
 from telepulse.processes import HOST
-from tests.support.log_lines import strays
-from tests.support.nodes import RADIAL, ROOT, free_address, process, read_json, run
+from tests.support.log_lines import refused, strays
+from tests.support.nodes import RADIAL, free_address, process, read_json, run, run_python
 from tests.support.sensing_client import PATIENCE_MS, Client
 
 MODULE = "sensing_node.cli"
@@ -254,11 +253,9 @@ def test_a_display_may_have_any_name(address: str) -> None:
 def test_a_port_in_use_is_refused_in_one_line(address: str, taken: str) -> None:
     held = address if taken == "data" else control_address(address)
     with socket.create_server((HOST, int(held.rpartition(":")[2]))):
-        result = run(MODULE, str(RADIAL), "--bind", address)
-    assert result.returncode == 2
-    assert result.stderr.startswith(f"sensing-node: cannot bind {held}: ")
-    assert "in use" in result.stderr
-    assert result.stderr.count("\n") == 1
+        line = refused(MODULE, str(RADIAL), "--bind", address)
+    assert line.startswith(f"sensing-node: cannot bind {held}: ")
+    assert "in use" in line
 
 
 RECORDING = 'kind = "recording"\npath = "{}"\nrate = "1 kHz"\nunit = "N"'
@@ -286,10 +283,8 @@ def test_a_wrong_address_scene_or_recording_is_refused_in_one_line(
 ) -> None:
     np.save(tmp_path / "pulse.npy", 300 + 100 * np.sin(np.arange(100)))
     scene = str(RADIAL if source is None else scene_file(tmp_path, source))
-    result = run(MODULE, *(() if arguments == ("none.toml",) else (scene,)), *arguments)
-    assert (result.returncode, result.stdout) == (2, "")
-    assert result.stderr.startswith(f"sensing-node: {line.format(tmp_path)}")
-    assert result.stderr.count("\n") == 1
+    arguments = arguments if arguments == ("none.toml",) else (scene, *arguments)
+    assert refused(MODULE, *arguments).startswith(f"sensing-node: {line.format(tmp_path)}")
 
 
 def test_a_scene_without_a_chain_does_not_load_scipy() -> None:
@@ -299,21 +294,17 @@ def test_a_scene_without_a_chain_does_not_load_scipy() -> None:
         f"scene = load_section(Path({str(RADIAL)!r}), 'sensing', SensingScene);"
         "build_source(scene, Path()).take(10); print('scipy.signal' in sys.modules)"
     )
-    command = [sys.executable, "-c", code]
-    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
-    assert result.stdout == "False\n"
+    assert run_python("-c", code, check=True).stdout == "False\n"
 
 
 def test_beyond_loopback_the_node_starts_only_with_keys_or_insecure(address: str) -> None:
     everywhere = address.replace(HOST, "*")
     arguments = (str(RADIAL), "--bind", everywhere, "--seconds", "0.1", "--quiet")
-    refused, insecure = run(MODULE, *arguments), run(MODULE, *arguments, "--insecure")
-    assert (refused.returncode, insecure.returncode) == (2, 0)
-    assert refused.stderr.startswith(f"sensing-node: {everywhere} reaches beyond this machine")
-    assert refused.stderr.count("\n") == 1
+    line, insecure = refused(MODULE, *arguments), run(MODULE, *arguments, "--insecure")
+    assert line.startswith(f"sensing-node: {everywhere} reaches beyond this machine")
     for word in ("telepulse keys new", "--key", "--insecure"):
-        assert word in refused.stderr
-    assert (insecure.stderr, refused.stdout) == ("", "")
+        assert word in line
+    assert (insecure.returncode, insecure.stderr) == (0, "")
 
 
 @pytest.mark.parametrize("confirmed", [True, False])

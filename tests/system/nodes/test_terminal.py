@@ -2,8 +2,6 @@
 
 import io
 import itertools
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 
@@ -16,7 +14,7 @@ from display_node.telemetry.terminal import watch
 from protocol.run_summary import Summary
 from protocol.sockets import Context
 from protocol.wire.telemetry import STATUS, TRACE, TickState, TraceWriter, pack_status
-from tests.support.nodes import free_address
+from tests.support.nodes import free_address, run_python
 
 SECOND_NS = 1_000_000_000
 FINAL = pack_status("ended", "my pulse", Summary(), final=True)
@@ -101,5 +99,4 @@ def test_scipy_is_loaded_before_the_first_line() -> None:
         f" terminal.watch({free_address()!r}, Console(),"
         " meanwhile=lambda: print('scipy.signal' in sys.modules))"
     )
-    command = [sys.executable, "-c", code]
-    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "True\n"
+    assert run_python("-c", code, check=True).stdout == "True\n"
