@@ -7,13 +7,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from subprocess import PIPE
-from typing import Any
+from typing import Any, TypeVar
 
 from protocol.host.child_process import ChildProcess
 from telepulse.processes import free_addresses
 
 ROOT = Path(__file__).parents[2]
 RADIAL = ROOT / "scenes" / "radial.toml"
+Figure = TypeVar("Figure")
 
 
 def free_address() -> str:
@@ -55,6 +56,12 @@ def read_json(path: Path) -> dict[str, Any]:
     """A summary as a node wrote it."""
     table: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     return table
+
+
+def known(figure: Figure | None) -> Figure:
+    """Return a figure of a summary, which must be there."""
+    assert figure is not None
+    return figure
 
 
 def assert_accounted(samples: dict[str, int]) -> None:

@@ -1,4 +1,4 @@
-"""Children with the rights that the tests have, or without those to a priority and to memory."""
+"""Children without the rights to a priority and to locked memory."""
 
 import ctypes
 import os
@@ -26,11 +26,6 @@ def _may_have_priority() -> bool:
 needs_rights = pytest.mark.skipif(
     not _may_have_priority(), reason="needs the right to SCHED_FIFO, which root has"
 )
-
-
-def with_rights(*command: str) -> "subprocess.CompletedProcess[str]":
-    """Run Python on a command line, with the rights that the tests have."""
-    return run_python(*command)
 
 
 def without_rights(*command: str) -> "subprocess.CompletedProcess[str]":

@@ -1,5 +1,4 @@
 import dataclasses
-import importlib.util
 import io
 import re
 from pathlib import Path
@@ -13,7 +12,8 @@ from protocol.run_summary import Summary, print_summary
 from telepulse.scene import Scene, load_scene
 from telepulse.simulation.link_model import parse_link
 from telepulse.simulation.virtual_time import Simulation, simulate
-from tests.support.nodes import RADIAL, ROOT
+from tests.support.nodes import RADIAL, ROOT, known
+from tests.support.recording_files import heartpy_recording
 
 SCENES = sorted((ROOT / "scenes").glob("*.toml"))
 LIVE = [path for path in SCENES if path.stem in ("tmcl_bench", "cia402_bench")]
@@ -28,10 +28,7 @@ def with_link(text: str, path: Path = RADIAL) -> Scene:
 
 def accounted(summary: Summary) -> int:
     samples = summary.samples
-    assert samples.played is not None
-    assert samples.late is not None
-    assert samples.lost is not None
-    assert samples.sent == samples.played + samples.late + samples.lost
+    assert samples.sent == known(samples.played) + known(samples.late) + known(samples.lost)
     return samples.sent
 
 
@@ -74,8 +71,7 @@ def test_jitter_makes_disorder_and_a_stated_share_of_late_samples() -> None:
     accounted(summary)
     assert summary.samples.lost == 0
     assert summary.frames.reordered
-    assert summary.samples.late is not None
-    assert 0 < summary.samples.late / 60_000 < 0.02
+    assert 0 < known(summary.samples.late) / 60_000 < 0.02
     assert summary.within_jnd == 1.0
 
 
@@ -105,19 +101,14 @@ def test_two_different_layers_are_strained_alike(tmp_path: Path) -> None:
     path.write_text(thick + "[display]" + display, encoding="utf-8")
     summary = simulate(load_scene(path), seconds=5, seed=1)
     # Twice the thickness at the wrist is half the strain, and so half the force at the finger.
-    assert summary.strain_rmse.aligned is not None
-    assert summary.strain_rmse.aligned < 2e-9
+    assert known(summary.strain_rmse.aligned) < 2e-9
     assert summary.within_jnd == 1.0
 
 
 def test_a_real_recording_is_felt(tmp_path: Path) -> None:
-    package = importlib.util.find_spec("heartpy")
-    assert package is not None
-    assert package.origin is not None
-    recording = Path(package.origin).parent / "data" / "data.csv"
     text = re.sub(
         r"\[sensing\.source\].*?\n\n",
-        f'[sensing.source]\nkind = "recording"\npath = "{recording}"\nrate = "100 Hz"\n'
+        f'[sensing.source]\nkind = "recording"\npath = "{heartpy_recording()}"\nrate = "100 Hz"\n'
         'unit = "raw"\npeak_to_peak = "0.3 N"\npreload = "0.3 N"\n\n',
         RADIAL.read_text(encoding="utf-8"),
         flags=re.DOTALL,
@@ -127,25 +118,22 @@ def test_a_real_recording_is_felt(tmp_path: Path) -> None:
     summary = simulate(load_scene(path), seconds=20, seed=1)
     assert accounted(summary) == summary.samples.played == 2000
     assert summary.within_jnd == 1.0
-    assert summary.force_rmse_n.aligned is not None
-    assert summary.force_rmse_n.aligned < 0.5e-3
+    assert known(summary.force_rmse_n.aligned) < 0.5e-3
 
 
 def test_shares_of_time_say_of_what_part_of_the_whole_time_they_are() -> None:
     summary = simulate(with_link("delay=20ms,cut.from=2.5s,cut.for=10s"), seconds=14, seed=1)
-    times, within = summary.availability, summary.within_jnd
-    assert within is not None
-    assert times.seconds is not None
-    assert times.judged is not None
-    assert within > 0.9
+    times = summary.availability
+    seconds, judged = known(times.seconds), known(times.judged)
+    assert known(summary.within_jnd) > 0.9
     # Twice 2 s of stream, of which ramp and fade cannot be judged.
-    assert 14.5 < times.seconds < 16
-    assert 3.0 < times.judged * times.seconds < 4.0
-    assert times.felt == pytest.approx(times.judged, abs=0.01)
-    assert times.stale == pytest.approx(10 / times.seconds, abs=0.03)
+    assert 14.5 < seconds < 16
+    assert 3.0 < judged * seconds < 4.0
+    assert times.felt == pytest.approx(judged, abs=0.01)
+    assert times.stale == pytest.approx(10 / seconds, abs=0.03)
     parts = [getattr(times, name) for name in STATE_NAMES]
     assert sum(parts) == pytest.approx(1.0)
-    assert f"of the time judged ({100 * times.judged:.1f} % of the run)" in shown(summary)
+    assert f"of the time judged ({100 * judged:.1f} % of the run)" in shown(summary)
 
 
 def shown(summary: Summary) -> str:
@@ -161,12 +149,9 @@ def test_a_pulse_above_the_force_limit_is_counted_as_cut(tmp_path: Path) -> None
     limited = simulate(load_scene(path), seconds=8, seed=1).limited
     # Ten beats: each is cut at its top, and pulls once or twice between the tops.
     for limit in (limited.force, limited.negative):
-        assert limit.times is not None
-        assert 7 <= limit.times <= 20
-        assert limit.seconds is not None
-        assert limit.share == pytest.approx(limit.seconds / 9.5, rel=0.1)
-    assert limited.travel.times is not None
-    assert limited.travel.times > 0
+        assert 7 <= known(limit.times) <= 20
+        assert limit.share == pytest.approx(known(limit.seconds) / 9.5, rel=0.1)
+    assert known(limited.travel.times) > 0
 
 
 def play(text: str) -> Summary:
@@ -229,6 +214,4 @@ def test_a_cut_loses_as_much_as_was_sent_meanwhile() -> None:
 
 def test_over_tcp_a_loss_is_a_delay() -> None:
     free, lossy = (play(f"jitter=3ms,loss={loss},transport=tcp") for loss in ("0%", "2%"))
-    assert free.one_way_delay_ms.p99 is not None
-    assert lossy.one_way_delay_ms.p99 is not None
-    assert lossy.one_way_delay_ms.p99 > 2 * free.one_way_delay_ms.p99
+    assert known(lossy.one_way_delay_ms.p99) > 2 * known(free.one_way_delay_ms.p99)

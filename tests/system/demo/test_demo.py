@@ -13,6 +13,7 @@ from tests.support.log_lines import refused
 from tests.support.nodes import RADIAL, ROOT, assert_accounted, process, read_json, run, run_python
 
 MODULE = "telepulse"
+PATIENCE_S = 60.0
 KEYS = {
     "samples": {"sent", "played", "late", "lost", "before_joining"},
     "frames": {"received", "reordered", "copies", "first"},
@@ -101,9 +102,8 @@ def test_ctrl_c_ends_the_pulse_and_sums_up(tmp_path: Path) -> None:
     out = tmp_path / "out.json"
     arguments = ("--seconds", "100", "--json", str(out), "--no-page")
     with process(MODULE, "demo", *arguments) as demo:
-        assert demo.stdout is not None
-        while not demo.stdout.readline().startswith("playing:"):
-            assert demo.poll() is None
+        while not demo.read_line(PATIENCE_S).startswith("playing:"):
+            pass
         demo.send_signal(signal.SIGINT)
         output, errors = demo.communicate(timeout=20)
         assert demo.returncode == 0
@@ -138,13 +138,12 @@ def test_in_a_terminal_the_demo_draws_a_panel_with_a_pulse_trace() -> None:
 
 def test_the_first_line_says_where_the_page_is() -> None:
     with process(MODULE, "demo", "--seconds", "100") as demo:
-        assert demo.stdout is not None
-        word, _, url = demo.stdout.readline().strip().partition(" ")
+        word, _, url = demo.read_line(PATIENCE_S).partition(" ")
         assert word == "page:"
         with urllib.request.urlopen(f"{url}/", timeout=30) as answer:
             assert "<title>telepulse: live</title>" in answer.read().decode()
-        while not demo.stdout.readline().startswith("playing:"):
-            assert demo.poll() is None
+        while not demo.read_line(PATIENCE_S).startswith("playing:"):
+            pass
         demo.send_signal(signal.SIGINT)
         output, errors = demo.communicate(timeout=30)
     assert demo.returncode == 0

@@ -78,12 +78,8 @@ def place() -> Iterator[Place]:
 
 def await_line(node: ChildProcess, word: str) -> str:
     """Return the message of the record that has the word."""
-    assert node.stderr is not None
-    patience = threading.Timer(3 * PATIENCE_S, node.kill)
-    patience.start()
-    while word not in (line := node.stderr.readline()):
-        assert line, f"it never said {word!r}"
-    patience.cancel()
+    while word not in (line := node.read_line(3 * PATIENCE_S, log=True)):
+        pass
     return messages(line)[0]
 
 
@@ -184,9 +180,8 @@ def test_over_two_networks_with_keys_it_is_found_on_both(tmp_path: Path) -> None
             there.process(SENSING, str(RADIAL), *wrist) as node,
         ):
             found = await_line(display_node, "found ")
-            assert display_node.stdout is not None
-            while not display_node.stdout.readline().startswith("playing: "):
-                assert display_node.poll() is None
+            while not display_node.read_line(3 * PATIENCE_S).startswith("playing: "):
+                pass
             node.terminate()
             assert node.wait(2 * PATIENCE_S) == 0
             assert display_node.wait(2 * PATIENCE_S) == 0

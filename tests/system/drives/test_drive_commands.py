@@ -92,11 +92,6 @@ def keep(drive: Drive, rate_hz: float, until: Callable[[], bool]) -> None:
         time.sleep(0.002)
 
 
-def first_line(child: ChildProcess) -> str:
-    assert child.stdout is not None
-    return child.stdout.readline()
-
-
 @pytest.fixture
 def tmcl_scene(tmp_path: Path) -> Path:
     port = tmp_path / "drive"
@@ -109,7 +104,7 @@ def test_a_drive_with_its_film_is_there_until_it_is_stopped(
     film = tmp_path / "film"
     arguments = ("--link", str(tmp_path / "drive"), "--film-link", str(film))
     with process("telepulse", "emulate", "tmcl", str(tmcl_scene), *arguments) as child:
-        assert first_line(child) == f"TMCL module on {tmp_path / 'drive'}; film on {film}\n"
+        assert child.read_line(LONGEST_S) == f"TMCL module on {tmp_path / 'drive'}; film on {film}"
         drive = drive_of(tmcl_scene)
         drive.start()
         decoder = FrameDecoder(1_000_000)
@@ -135,10 +130,10 @@ def test_after_a_killed_driver_the_motor_rests(tmcl_scene: Path, tmp_path: Path)
     film = tmp_path / "film"
     arguments = ("--link", str(tmp_path / "drive"), "--film-link", str(film))
     with process("telepulse", "emulate", "tmcl", str(tmcl_scene), *arguments) as child:
-        first_line(child)
+        child.read_line(LONGEST_S)
         press_on = ("-c", textwrap.dedent(PRESS_ON), str(tmcl_scene))
         with ChildProcess("driver", *press_on, cwd=ROOT, stdout=PIPE) as driver:
-            assert first_line(driver) == "started\n"
+            assert driver.read_line(LONGEST_S) == "started"
             decoder = FrameDecoder(1_000_000)
             with serial.Serial(str(film), timeout=0.05) as port:
                 wait_for(decoder, port, lambda forces_n: forces_n[-1] > 0.005)
@@ -165,7 +160,7 @@ def test_a_fault_begins_at_its_time(tmcl_scene: Path, tmp_path: Path) -> None:
     with process(
         "telepulse", "emulate", "tmcl", str(tmcl_scene), *arguments, "--fault-after", "0.3"
     ) as child:
-        first_line(child)
+        child.read_line(LONGEST_S)
         drive = drive_of(tmcl_scene)
         drive.start()
         keep(drive, 400.0, lambda: drive.status().position_m > 50e-6)
@@ -190,7 +185,7 @@ def test_a_cia_402_drive_is_moved_from_another_process_and_its_end_is_named(
         keys += f'channel = "239.74.163.{2 + uuid.uuid4().int % 200}"'
     scene = scene_with(tmp_path, keys)
     with process("telepulse", "emulate", "cia402", str(scene), *options) as child:
-        assert f"CiA 402 node 1 on CAN {interface}" in first_line(child)
+        assert f"CiA 402 node 1 on CAN {interface}" in child.read_line(LONGEST_S)
         drive = drive_of(scene)
         drive.start()
         keep(drive, 400.0, lambda: drive.status().position_m > 50e-6)
@@ -217,7 +212,7 @@ def test_a_silent_film_leaves_the_drive_as_it_is(tmcl_scene: Path, tmp_path: Pat
     arguments = ("--link", str(tmp_path / "drive"), "--film-link", str(film))
     arguments += ("--trace", str(trace), "--fault", "film-silent", "--fault-after", "0")
     with process("telepulse", "emulate", "tmcl", str(tmcl_scene), *arguments) as child:
-        first_line(child)
+        child.read_line(LONGEST_S)
         drive = drive_of(tmcl_scene)
         drive.start()
         keep(drive, 400.0, lambda: drive.status().position_m > 50e-6)

@@ -3,7 +3,6 @@
 import os
 import signal
 import socket
-import subprocess
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -17,6 +16,7 @@ from prometheus_client import CollectorRegistry, make_wsgi_app
 from prometheus_client.parser import text_string_to_metric_families
 
 from protocol.figures import COUNT, Surface
+from protocol.host.child_process import ChildProcess
 from protocol.run_summary import REGISTRY
 from telepulse.metrics import server as http
 from telepulse.metrics.server import MAX_REQUESTS, MetricsHTTPServer
@@ -32,9 +32,8 @@ Labels = tuple[tuple[str, str], ...]
 class Served:
     """A node and the page of its metrics."""
 
-    def __init__(self, node: "subprocess.Popen[str]") -> None:
-        assert node.stderr is not None
-        line = node.stderr.readline()
+    def __init__(self, node: ChildProcess) -> None:
+        line = node.read_line(3 * PATIENCE_S, log=True)
         assert " INFO metrics on http://" in line, line
         self.node, self.url = node, line.split()[-1]
         children = Path(f"/proc/{node.pid}/task/{node.pid}/children").read_text().split()
@@ -138,9 +137,8 @@ def test_a_killed_server_is_reported_and_the_node_goes_on(tmp_path: Path) -> Non
     with served(SENSING, "--bind", free_address(), "--json", str(json)) as wrist:
         until(lambda: wrist.figure("up") == 1)
         os.kill(wrist.server, signal.SIGKILL)
-        assert wrist.node.stderr is not None
-        while "ended" not in (line := wrist.node.stderr.readline()):
-            assert line
+        while "ended" not in (line := wrist.node.read_line(3 * PATIENCE_S, log=True)):
+            pass
         wrist.node.terminate()
         assert wrist.node.wait(PATIENCE_S) == 0
         _, errors = wrist.node.communicate()
@@ -193,9 +191,8 @@ def test_without_the_library_it_names_the_extra(tmp_path: Path) -> None:
 
 def test_beyond_this_machine_the_node_warns_who_may_read() -> None:
     with process(SENSING, str(RADIAL), "--metrics", "0.0.0.0:0", "--bind", free_address()) as node:
-        assert node.stderr is not None
-        assert "metrics on http://0.0.0.0:" in node.stderr.readline()
-        assert "neither keys nor encryption" in node.stderr.readline()
+        assert "metrics on http://0.0.0.0:" in node.read_line(3 * PATIENCE_S, log=True)
+        assert "neither keys nor encryption" in node.read_line(3 * PATIENCE_S, log=True)
 
 
 @contextmanager

@@ -7,8 +7,8 @@ import pytest
 
 from display_node.doctor.jitter import Ticks, run_ticks
 from tests.support.live_display import MODULE, PATIENCE_S
-from tests.support.nodes import RADIAL, process, read_json
-from tests.support.rights import needs_rights, with_rights, without_rights
+from tests.support.nodes import RADIAL, process, read_json, run_python
+from tests.support.rights import needs_rights, without_rights
 
 QUICK = ("-m", MODULE, "--doctor", "--seconds", "0.4")
 
@@ -35,7 +35,7 @@ def test_late_and_missed_ticks_are_counted_separately(monkeypatch: pytest.Monkey
 @needs_rights
 def test_the_doctor_measures_with_each_measure_and_without(tmp_path: Path) -> None:
     path = tmp_path / "report.json"
-    doctor = with_rights(*QUICK, "--json", str(path), str(RADIAL))
+    doctor = run_python(*QUICK, "--json", str(path), str(RADIAL))
     assert (doctor.returncode, doctor.stderr) == (0, "")
     report = read_json(path)
     assert report["refused"] == []
@@ -94,7 +94,7 @@ def test_a_doctor_that_cannot_begin_is_refused_in_one_line(
     scene: str, message: str, tmp_path: Path
 ) -> None:
     json = tmp_path if message == "is a folder" else tmp_path / "report.json"
-    doctor = with_rights(*QUICK, scene, "--json", str(json))
+    doctor = run_python(*QUICK, scene, "--json", str(json))
     assert doctor.returncode == 2
     (line,) = doctor.stderr.splitlines()
     assert line.startswith("display-node: ")
@@ -102,6 +102,6 @@ def test_a_doctor_that_cannot_begin_is_refused_in_one_line(
 
 
 def test_without_a_doctor_a_scene_is_needed() -> None:
-    node = with_rights("-m", MODULE)
+    node = run_python("-m", MODULE)
     assert (node.returncode, node.stdout) == (2, "")
     assert node.stderr == "display-node: no scene: display-node SCENE plays one\n"

@@ -14,7 +14,7 @@ from protocol.host.process import FILES, helper_threads
 from protocol.host.realtime import hold, parse_realtime
 from protocol.run_summary import Summary
 from tests.support.nodes import run_python
-from tests.support.rights import needs_rights, with_rights, without_rights
+from tests.support.rights import needs_rights, without_rights
 
 CHILD = "tests.support.realtime_child"
 HANGS = """
@@ -28,7 +28,7 @@ FIFO, OTHER = os.SCHED_FIFO, [os.SCHED_OTHER, 0]
 
 
 def measured(option: str, loop_s: float = 0, helper_s: float = 0, *, rights: bool = True) -> Any:
-    run = with_rights if rights else without_rights
+    run = run_python if rights else without_rights
     child = run("-m", CHILD, option, str(loop_s), str(helper_s))
     assert child.stderr == ""
     assert child.returncode == 0
@@ -36,7 +36,7 @@ def measured(option: str, loop_s: float = 0, helper_s: float = 0, *, rights: boo
 
 
 @needs_rights
-def test_the_granted_measures_are_those_in_effect() -> None:
+def test_the_granted_measures_are_those_in_effect_and_all_are_taken_back() -> None:
     one = max(os.sched_getaffinity(0))
     found = measured(f"fifo=7,lock,cpu={one},slack")
     assert found["refused"] == []
@@ -46,23 +46,13 @@ def test_the_granted_measures_are_those_in_effect() -> None:
     # Network and sensors are helped, but cannot hold up a tick.
     assert held["helpers"] == held["zeromq"] == [[FIFO, 6]]
     assert held["cpus"] == [one]
-    assert held["helpers_cpus"] == found["before"]["cpus"]
+    # Threads that neither Python nor ZeroMQ has started get no priority.
+    assert held["others"] == [OTHER]
+    before = found["before"]
+    assert held["helpers_cpus"] == before["cpus"]
     assert held["locked_kib"] > 1_000
-
-
-@needs_rights
-def test_all_of_it_is_taken_back() -> None:
-    one = max(os.sched_getaffinity(0))
-    found = measured(f"fifo=7,lock,cpu={one},slack")
-    before, after = found["before"], found["after"]
-    assert before["loop"] == OTHER
-    assert before["locked_kib"] == 0
-    assert after == before
-
-
-@needs_rights
-def test_threads_of_strangers_get_no_priority() -> None:
-    assert measured("fifo=7")["held"]["others"] == [OTHER]
+    assert (before["loop"], before["locked_kib"]) == (OTHER, 0)
+    assert found["after"] == before
 
 
 def test_zeromqs_threads_are_found_before_they_had_the_time_to_name_themselves() -> None:
@@ -89,7 +79,7 @@ def test_a_thread_that_runs_without_a_pause_loses_the_priority(
 
 @needs_rights
 def test_a_priority_is_given_up_without_a_free_descriptor() -> None:
-    child = with_rights("-c", NO_DESCRIPTOR)
+    child = run_python("-c", NO_DESCRIPTOR)
     assert child.returncode == 0
     assert child.stderr == "real-time: fifo is given up: 200 ms without a pause\n"
     assert child.stdout == "[0, 0, 0]\n"
@@ -98,7 +88,7 @@ def test_a_priority_is_given_up_without_a_free_descriptor() -> None:
 @needs_rights
 def test_a_process_that_handles_no_signal_is_ended_by_the_kernel() -> None:
     # A library that does not come back: Python handles no signal meanwhile.
-    child = with_rights("-c", HANGS)
+    child = run_python("-c", HANGS)
     assert child.returncode == -signal.SIGKILL
     assert child.stdout == "held\n"
 
@@ -192,7 +182,7 @@ print(dict(describe(read_host()))["may run on"])
 
 
 def test_on_other_systems_than_linux_each_measure_is_refused() -> None:
-    child = with_rights("-c", ELSEWHERE)
+    child = run_python("-c", ELSEWHERE)
     assert child.stderr == ""
     assert child.stdout.splitlines() == [
         "",

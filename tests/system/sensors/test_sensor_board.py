@@ -14,7 +14,7 @@ from protocol.wire.messages import Frame, decode_frame
 from tests.support.log_lines import refused
 from tests.support.nodes import RADIAL, assert_accounted, free_address, process, read_json, run
 from tests.support.sensing_client import Client
-from tests.support.waiting import until
+from tests.support.waiting import PATIENCE_S, until
 
 BOARD, SENSING, DISPLAY = "telepulse", "sensing_node.cli", "display_node.cli"
 KEYS = {"binary": 'framing = "binary"', "text": 'framing = "text"\ndevice_time = "us"'}
@@ -49,8 +49,7 @@ def board_command(folder: Path, *options: str) -> tuple[str, ...]:
 def board(folder: Path, *options: str) -> Iterator["subprocess.Popen[str]"]:
     """A board that has printed where it is."""
     with process(*board_command(folder, *options)) as child:
-        assert child.stdout is not None
-        assert child.stdout.readline() == "[sensing.source]\n"
+        assert child.read_line(3 * PATIENCE_S) == "[sensing.source]"
         yield child
 
 

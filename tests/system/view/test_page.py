@@ -13,7 +13,7 @@ import pytest
 
 from tests.support.browser import Page, Visit
 from tests.support.nodes import RADIAL, free_address, start
-from tests.support.waiting import until
+from tests.support.waiting import PATIENCE_S, until
 
 MODULE = "telepulse"
 # Where to put the pictures of the documentation: TELEPULSE_SCREENSHOTS=docs/images
@@ -50,9 +50,7 @@ class Bench:
         self._sensing, self._display, self._telemetry = (free_address() for _ in range(3))
         self._running: dict[str, Any] = {}
         view = self._run("view", MODULE, "view", self._telemetry)
-        assert view.stdout is not None
-        self.url = view.stdout.readline().removeprefix("page: ").strip()
-        assert self.url, view.communicate()[1]
+        self.url = view.read_line(3 * PATIENCE_S).removeprefix("page: ")
         arguments = ("--bind", self._sensing, "--quiet", *REALTIME)
         self._run("sensing", "sensing_node.cli", str(RADIAL), *arguments)
         self.join()
@@ -251,8 +249,7 @@ def test_pages_of_other_sites_cannot_read_it(bench: Bench) -> None:
 def test_the_last_state_stays_when_the_demo_has_ended(visit: Visit) -> None:
     demo = start(MODULE, "demo", "--seconds", "100", "--no-ui", "--page")
     try:
-        assert demo.stdout is not None
-        url = demo.stdout.readline().removeprefix("page: ").strip()
+        url = demo.read_line(3 * PATIENCE_S).removeprefix("page: ")
         with visit(url) as page:
             await_state(page, "playing")
             demo.send_signal(signal.SIGINT)

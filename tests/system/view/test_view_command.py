@@ -6,6 +6,7 @@ from tests.support.keyring import Keyring
 from tests.support.log_lines import refused
 from tests.support.nodes import free_address, process, run, run_python
 from tests.support.telemetry_publisher import publishing
+from tests.support.waiting import PATIENCE_S
 
 MODULE = "telepulse"
 TELEMETRY = "tcp://127.0.0.1:5600"
@@ -28,8 +29,7 @@ def test_bad_input_is_one_line_and_status_2(arguments: tuple[str, ...], words: s
 
 def test_a_taken_port_is_refused_where_it_was_given() -> None:
     with process(MODULE, "view", free_address()) as first:
-        assert first.stdout is not None
-        port = first.stdout.readline().rpartition(":")[2].strip()
+        port = first.read_line(3 * PATIENCE_S).rpartition(":")[2]
         assert f"127.0.0.1:{port}" in refused(MODULE, "view", TELEMETRY, "--port", port)
         # Without a wish, another port is found.
         other = run(MODULE, "view", free_address(), "--seconds", "0.5")
