@@ -11,6 +11,7 @@ from hypothesis import settings
 
 from protocol.host.output import OUR_LOGGERS, StderrHandler
 from protocol.sockets import Context, Socket
+from telepulse.processes import free_addresses
 
 # A busy machine must not fail a test.
 settings.register_profile("telepulse", deadline=None)
@@ -34,6 +35,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.system)
         if any(item.path.is_relative_to(TESTS / folder) for folder in NOT_TRACED):
             item.add_marker(pytest.mark.no_cover)
+
+
+@pytest.fixture
+def address() -> str:
+    """Return a loopback address whose port and the next one are free."""
+    return free_addresses(1)[0]
 
 
 @pytest.fixture

@@ -152,8 +152,7 @@ def test_what_cannot_begin_is_one_line() -> None:
     assert "--insecure" in refused(MODULE, "lsl", "tcp://192.0.2.1:5557")
 
 
-def test_silence_ends_it_with_the_option() -> None:
-    address = free_address()
+def test_silence_ends_it_with_the_option(address: str) -> None:
     result = run(MODULE, "lsl", address, "--until-silent", "0.3")
     assert result.returncode == 1
     assert f"{address}: no telemetry came from it" in result.stderr

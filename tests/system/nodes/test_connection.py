@@ -86,8 +86,7 @@ def deliver(sender: Socket, path: DataPath | Endpoint) -> None:
 
 
 @pytest.mark.parametrize("host", ["localhost", "127.0.0.1"])
-def test_names_and_numbers_are_connected_to(host: str, context: Context) -> None:
-    address = free_address()
+def test_names_and_numbers_are_connected_to(host: str, context: Context, address: str) -> None:
     server = context.socket(zmq.ROUTER)
     server.bind(control_address(address))
     connection = Connection(context, [address.replace("127.0.0.1", host)], 1)
@@ -290,9 +289,8 @@ def test_a_wrong_address_is_refused_at_once(context: Context) -> None:
 
 
 def test_a_data_path_that_is_silent_alone_gets_a_second_connection(
-    context: Context, asked: list[str], no_answers: None, logged: list[str]
+    context: Context, asked: list[str], no_answers: None, logged: list[str], address: str
 ) -> None:
-    address = free_address()
     publisher, server = context.socket(zmq.XPUB), context.socket(zmq.ROUTER)
     publisher.setsockopt(zmq.XPUB_VERBOSE, 1)
     publisher.bind(address)

@@ -84,9 +84,8 @@ def test_a_killed_sensing_node_comes_back_and_is_felt_again(
 
 
 def test_a_killed_display_comes_back_while_the_sensing_node_goes_on(
-    context: Context,
+    context: Context, address: str
 ) -> None:
-    address = free_address()
     with process("sensing_node.cli", *sensing_arguments(address, 60)) as sensing:
         for _ in range(2):
             telemetry_address = free_address()
@@ -236,8 +235,7 @@ def test_help_reads_like_a_manual() -> None:
         assert word in text
 
 
-def test_without_a_terminal_the_screen_prints_a_line_a_second() -> None:
-    address = free_address()
+def test_without_a_terminal_the_screen_prints_a_line_a_second(address: str) -> None:
     arguments = (str(RADIAL), "--connect", address, "--once", "--seconds", "30")
     with (
         process(MODULE, *arguments) as display,

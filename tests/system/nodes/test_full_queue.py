@@ -11,7 +11,6 @@ import zmq
 from protocol import sockets
 from protocol.host.child_process import ChildProcess
 from protocol.sockets import Context
-from tests.support.nodes import free_address
 
 # It reads nothing for longer than two heartbeats.
 NODE = """
@@ -28,8 +27,9 @@ HEARTBEATS_S = 4.5
 FLOOD = 3 * sockets.HIGH_WATER_FRAMES
 
 
-def test_a_node_survives_peers_that_disconnect_while_its_queue_is_full(context: Context) -> None:
-    address = free_address()
+def test_a_node_survives_peers_that_disconnect_while_its_queue_is_full(
+    context: Context, address: str
+) -> None:
     with ChildProcess("node", "-c", NODE, address, stdin=PIPE, stdout=PIPE) as node:
         node.read_line(20)
         for _ in range(3):

@@ -28,15 +28,10 @@ from protocol.wire.messages import (
 from sensing_node.control_server import MAX_CLIENTS
 from telepulse.processes import HOST
 from tests.support.log_lines import refused, strays
-from tests.support.nodes import RADIAL, free_address, process, read_json, run, run_python
+from tests.support.nodes import RADIAL, process, read_json, run, run_python
 from tests.support.sensing_client import PATIENCE_MS, Client
 
 MODULE = "sensing_node.cli"
-
-
-@pytest.fixture
-def address() -> str:
-    return free_address()
 
 
 @pytest.fixture
@@ -328,8 +323,9 @@ def test_the_node_stays_until_each_display_has_the_whole_stream_but_not_for_ever
 TOO_MANY = 5
 
 
-def test_a_full_node_answers_its_displays_and_no_further_one(context: Context) -> None:
-    address = free_address()
+def test_a_full_node_answers_its_displays_and_no_further_one(
+    context: Context, address: str
+) -> None:
     # A relay passes on an address before the message of each display.
     relay = context.socket(zmq.DEALER)
     relay.setsockopt(zmq.RCVTIMEO, PATIENCE_MS)

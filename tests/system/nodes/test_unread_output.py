@@ -56,9 +56,8 @@ def test_a_sensing_node_whose_output_is_not_read_serves_and_ends(
 
 
 def test_a_display_whose_output_is_not_read_plays_and_ends(
-    context: Context, tmp_path: Path
+    context: Context, tmp_path: Path, address: str
 ) -> None:
-    address = free_address()
     with ExitStack() as stack:
         stack.enter_context(process(SENSING, str(RADIAL), "--bind", address, "--quiet"))
         nodes = []

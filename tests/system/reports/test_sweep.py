@@ -98,16 +98,16 @@ def test_a_worker_that_dies_is_reported() -> None:
         sweep(os._exit, [3])
 
 
-def test_no_scheduler_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    address = free_address()
+def test_no_scheduler_is_one_line(monkeypatch: pytest.MonkeyPatch, address: str) -> None:
     monkeypatch.setattr(sweep_module, "CONNECT_S", 0.3)
     with pytest.raises(SweepError, match=f"^{address}: no Dask scheduler there: .*connect") as e:
         sweep(math.sqrt, [4], address)
     assert "\n" not in str(e.value)
 
 
-def test_a_scheduler_without_workers_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    address = free_address()
+def test_a_scheduler_without_workers_is_reported(
+    monkeypatch: pytest.MonkeyPatch, address: str
+) -> None:
     with process("dask", *scheduler_at(address)) as scheduler:
         assert scheduler.stderr is not None
         while "Scheduler at" not in scheduler.stderr.readline():

@@ -72,9 +72,8 @@ def test_a_refused_display_logs_the_reason_once(
 
 
 def test_a_key_that_was_accepted_and_is_refused_later_is_reported_as_revoked(
-    context: Context, keyring: Keyring, logged: list[str]
+    context: Context, keyring: Keyring, logged: list[str], address: str
 ) -> None:
-    address = free_address()
     authenticator = Authenticator(context, keyring.server())
     socket = sockets.bind(context, zmq.PUB, address, authenticator)
     display = Connecting(context, address, keyring.client("finger"))
@@ -95,9 +94,8 @@ def test_a_key_that_was_accepted_and_is_refused_later_is_reported_as_revoked(
 
 @pytest.mark.parametrize("keyed", [True, False])
 def test_a_node_without_keys_is_reported_to_a_display_with_keys(
-    context: Context, keyring: Keyring, keyed: bool, logged: list[str]
+    context: Context, keyring: Keyring, keyed: bool, logged: list[str], address: str
 ) -> None:
-    address = free_address()
     sockets.bind(context, zmq.PUB, address)
     display = Connecting(context, address, keyring.client("finger") if keyed else None)
     if keyed:

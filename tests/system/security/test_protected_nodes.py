@@ -97,9 +97,8 @@ def test_a_peer_that_is_not_allowed_gets_no_frame_and_no_answer(
 
 
 def test_a_revoked_display_is_cut_off_and_reports_it_while_the_other_goes_on(
-    context: Context, keyring: Keyring, tmp_path: Path
+    context: Context, keyring: Keyring, tmp_path: Path, address: str
 ) -> None:
-    address = free_address()
     keyring.allow("thumb")
     sensed = tmp_path / "sensed.json"
     telemetry = {name: free_address() for name in ("finger", "thumb")}
@@ -146,8 +145,9 @@ def test_a_revoked_display_is_cut_off_and_reports_it_while_the_other_goes_on(
 
 
 @pytest.mark.smoke
-def test_a_display_that_is_refused_logs_the_reason_once(keyring: Keyring, tmp_path: Path) -> None:
-    address = free_address()
+def test_a_display_that_is_refused_logs_the_reason_once(
+    keyring: Keyring, tmp_path: Path, address: str
+) -> None:
     jsons = [tmp_path / "wrong.json", tmp_path / "none.json"]
     wrong = display(keyring, "finger", address, "--json", str(jsons[0]), peer="stranger")
     none = (str(RADIAL), "--connect", address, "--no-screen", "--json", str(jsons[1]))
@@ -164,9 +164,8 @@ def test_a_display_that_is_refused_logs_the_reason_once(keyring: Keyring, tmp_pa
 
 
 def test_telemetry_beyond_this_machine_is_for_allowed_readers_and_the_own_screen(
-    context: Context, keyring: Keyring
+    context: Context, keyring: Keyring, address: str
 ) -> None:
-    address = free_address()
     everywhere = address.replace("127.0.0.1", "*")
     keys = ("--key", keyring.path("thumb"), "--peer", keyring.path("wrist", "pub"))
     arguments = (str(RADIAL), "--connect", free_address(), *keys, "--telemetry", everywhere)

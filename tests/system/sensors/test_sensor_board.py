@@ -12,17 +12,12 @@ import pytest
 
 from protocol.wire.messages import Frame, decode_frame
 from tests.support.log_lines import refused
-from tests.support.nodes import RADIAL, assert_accounted, free_address, process, read_json, run
+from tests.support.nodes import RADIAL, assert_accounted, process, read_json, run
 from tests.support.sensing_client import Client
 from tests.support.waiting import PATIENCE_S, until
 
 BOARD, SENSING, DISPLAY = "telepulse", "sensing_node.cli", "display_node.cli"
 KEYS = {"binary": 'framing = "binary"', "text": 'framing = "text"\ndevice_time = "us"'}
-
-
-@pytest.fixture
-def address() -> str:
-    return free_address()
 
 
 @pytest.fixture

@@ -159,9 +159,10 @@ def test_pages_that_are_opened_again_and_again_wait(monkeypatch: pytest.MonkeyPa
     assert statuses.count(503) >= server.MAX_VIEWERS
 
 
-def test_telemetry_that_has_queued_is_as_old_as_it_is(pull_session: Any, context: Context) -> None:
+def test_telemetry_that_has_queued_is_as_old_as_it_is(
+    pull_session: Any, context: Context, address: str
+) -> None:
     """A page that could not read for 5 s showed what had queued as "playing"."""
-    address = free_address()
     display = context.socket(zmq.XPUB)
     display.bind(address)
     with serving(address) as page:
@@ -193,8 +194,9 @@ FAULT = "drive: no answer for 403 ms"
 FINGER = "pressed with 245 mN, the drive does not answer"
 
 
-def test_a_fault_is_named_once_with_what_to_do_and_what_is_measured(visit: Visit) -> None:
-    address = free_address()
+def test_a_fault_is_named_once_with_what_to_do_and_what_is_measured(
+    visit: Visit, address: str
+) -> None:
     with publishing(address) as publisher, serving(address) as server, visit(server.url) as page:
         publisher.begin()
         publisher.publish(400)
