@@ -20,6 +20,7 @@ from protocol.host.child_process import ChildProcess
 from pulse_sensors.binary_frames import FrameDecoder
 from tests.support.log_lines import refused
 from tests.support.nodes import ROOT, process
+from tests.support.sample_blocks import forces
 
 LONGEST_S = 30.0
 # Of the scene's drive, 2 mm of lead in 3200 microsteps.
@@ -112,8 +113,7 @@ def test_a_drive_with_its_film_is_there_until_it_is_stopped(
         with serial.Serial(str(film), timeout=0) as port:
 
             def pressed() -> bool:
-                for block in decoder.feed(port.read(4096)):
-                    forces_n.extend(block.values[:, 0].tolist())
+                forces_n.extend(forces(decoder.feed(port.read(4096))))
                 return bool(forces_n) and forces_n[-1] > 0.02
 
             keep(drive, 1000.0, pressed)
@@ -150,8 +150,7 @@ def wait_for(
     deadline_s = time.monotonic() + LONGEST_S
     while len(forces_n) < least or not holds(forces_n):
         assert time.monotonic() < deadline_s
-        for block in decoder.feed(port.read(256)):
-            forces_n.extend(block.values[:, 0].tolist())
+        forces_n += forces(decoder.feed(port.read(256)))
         assert max(forces_n, default=0.0) < 2.5
 
 

@@ -24,7 +24,6 @@ PLAYED_S = 0.5
 PATIENCE_MS = 400
 REST_WITHIN_S = 0.8
 WITHDRAWN_WITHIN_S = 20.0
-POLL_S = 0.01
 # From the first press on: the ramp is over, and the pulse is felt.
 TROUBLE_AFTER_S = "1"
 
@@ -105,10 +104,7 @@ def test_a_display_that_stood_still_takes_the_tip_off_the_finger(kind: str, tmp_
         display.send_signal(signal.SIGSTOP)
         time.sleep(REST_WITHIN_S)
         display.send_signal(signal.SIGCONT)
-        finger, deadline_s = "", time.monotonic() + WITHDRAWN_WITHIN_S
-        while finger != "withdrawn":
-            assert time.monotonic() < deadline_s, finger
-            finger = bench.await_state("fault")["finger"]
+        until(lambda: bench.await_state("fault")["finger"] == "withdrawn", WITHDRAWN_WITHIN_S)
         withdrawn_ns.append(time.monotonic_ns())
         summary = bench.end()
         assert summary["samples"]["played"] > 0
@@ -156,10 +152,7 @@ def test_a_display_that_is_ended_on_its_way_home_leaves_the_drive_at_rest(tmp_pa
             bench.start_drive()
             until((tmp_path / "film").exists)
             bench.start_display()
-            deadline_s = time.monotonic() + WITHDRAWN_WITHIN_S
-            while b"looks for its home" not in printed.read_bytes():
-                assert time.monotonic() < deadline_s, printed.read_bytes()
-                time.sleep(POLL_S)
+            until(lambda: b"looks for its home" in printed.read_bytes(), WITHDRAWN_WITHIN_S)
             bench.processes["display"].send_signal(signal.SIGTERM)
             assert bench.processes["display"].wait(WITHDRAWN_WITHIN_S) != 0
             time.sleep(REST_WITHIN_S)

@@ -9,6 +9,7 @@ from display_node.doctor.jitter import Ticks, run_ticks
 from tests.support.live_display import MODULE, PATIENCE_S
 from tests.support.nodes import RADIAL, process, read_json, run_python
 from tests.support.rights import needs_rights, without_rights
+from tests.support.waiting import until
 
 QUICK = ("-m", MODULE, "--doctor", "--seconds", "0.4")
 
@@ -71,10 +72,7 @@ def test_a_doctor_that_is_stopped_leaves_no_load_behind(number: signal.Signals) 
             time.sleep(0.01)
         doctor.send_signal(number)
         doctor.wait(PATIENCE_S)
-        end_s = time.monotonic() + PATIENCE_S
-        while any(map(computes, found)):
-            assert time.monotonic() < end_s
-            time.sleep(0.01)
+        until(lambda: not any(map(computes, found)))
 
 
 def computes(process_id: str) -> bool:

@@ -10,10 +10,7 @@ import pytest
 from display_node.scene import DisplayScene
 from protocol import provenance
 from protocol.config.scene import load_section
-from protocol.provenance import (
-    REDACTED,
-    collect,
-)
+from protocol.provenance import REDACTED, collect
 from telepulse.experiment.session import load_plan
 from tests.support.nodes import RADIAL, ROOT, run
 

@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import urlsplit
 
-import pytest
 import zmq
 
 from protocol import sockets
@@ -21,8 +20,7 @@ from telepulse.relay import Relay
 from tests.support.frames import frame
 from tests.support.middleman import middleman
 from tests.support.nodes import free_address
-
-PATIENCE_S = 20.0
+from tests.support.waiting import PATIENCE_S, until
 
 
 @contextmanager
@@ -80,18 +78,8 @@ class Raw:
 
 def published(data: Socket, received: Socket, texts: Iterator[bytes]) -> bytes:
     """Return what arrives first of messages that are published one after the other."""
-    return eventually(lambda: data.send(next(texts)) or (received.poll(20) and received.recv()))
-
-
-def eventually(look: Callable[[], object]) -> bytes:
-    """The first true value that `look` has, within patience."""
-    end_s = time.monotonic() + PATIENCE_S
-    while time.monotonic() < end_s:
-        if value := look():
-            assert isinstance(value, bytes | bool)
-            return bytes(value)
-        time.sleep(0.01)
-    pytest.fail("not within patience")
+    until(lambda: data.send(next(texts)) or received.poll(20))
+    return received.recv()
 
 
 def numbered() -> Iterator[bytes]:
@@ -183,7 +171,7 @@ def test_what_is_asked_and_not_answered_makes_it_connect_anew(
             display.control.send(b"again")
             return bool(sensing.control.poll(50)) and sensing.question()[0] != first
 
-        eventually(another)
+        until(another)
         assert any("silent" in line for line in logged)
 
 
@@ -227,7 +215,7 @@ def test_where_frames_alone_fall_silent_they_come_over_a_second_connection(
         relaying(public, outer) as end,
     ):
         line.down = dead
-        eventually(play)
+        until(play)
         # Frames come regularly, so that their length is known.
         for _ in range(50):
             play()
@@ -235,7 +223,7 @@ def test_where_frames_alone_fall_silent_they_come_over_a_second_connection(
         while play():
             pass
         from_s = time.monotonic()
-        eventually(play)
+        until(play)
         silent_s = time.monotonic() - from_s
         reconnections = end().reconnections
         # As long as a display takes, and far less than the 10 s without a known length.
@@ -295,7 +283,7 @@ def test_with_keys_it_admits_allowed_keys_and_is_admitted_where_its_own_is_allow
         sensing.send_multipart([*envelope, b"answer"])
         assert friend.control.recv() == b"answer"
         revoke(allowed, "finger")
-        eventually(lambda: refused(logged, finger))
+        until(lambda: refused(logged, finger))
         summary = end()
     assert summary.rejected["unknown_key"] >= 1
     # Whichever side sees first that one of them has no key.

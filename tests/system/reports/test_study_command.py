@@ -18,7 +18,7 @@ from telepulse.reports.studies import (
 )
 from telepulse.reports.studies.link_scores import PREDICTORS, LinkSpec
 from telepulse.reports.studies.playout_links import GAUSSIAN
-from telepulse.reports.studies.prediction_pulses import RECORDED
+from tests.system.reports.test_prediction_study import made_up
 
 SWEPT = ("playout", "prediction", "link")
 
@@ -42,20 +42,11 @@ def little_work(monkeypatch: pytest.MonkeyPatch) -> None:
     play = playout_study.PlayoutEffort(
         seconds=3, scan=2, bisections=1, links=(GAUSSIAN,), curves=(GAUSSIAN,)
     )
-    names = ("hold", "linear", "analogue 0.05 s", "fir", "harmonic", "stack")
-    errors = dict.fromkeys(names, (0.1,) * 4)
-    cost = prediction_study.PredictorCost(1.0, 2.0, 5.0)
-    sets = ("steady", "variability", "ramp", "ectopic", "fibrillation", *RECORDED)
-    scores = prediction_study.PredictionScores(
-        dict.fromkeys(sets, errors),
-        {},
-        dict.fromkeys(("hold", "linear", "fir", "analogue", "harmonic", "stack"), cost),
-    )
     monkeypatch.setattr(sweep, "in_one_thread", lambda work, _: alone(work, integrators))
     monkeypatch.setattr(link_scores, "pulses", lambda *_, **__: [])
     monkeypatch.setattr(link_scores, "score_links", lambda _, address: links(link, address, far))
     monkeypatch.setattr(playout_study, "score_playout", lambda _, address: playout(play, address))
-    monkeypatch.setattr(prediction_study, "score_predictors", lambda *_: scores)
+    monkeypatch.setattr(prediction_study, "score_predictors", lambda *_: made_up())
 
 
 @pytest.mark.parametrize(

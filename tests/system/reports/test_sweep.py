@@ -109,9 +109,8 @@ def test_a_scheduler_without_workers_is_reported(
     monkeypatch: pytest.MonkeyPatch, address: str
 ) -> None:
     with process("dask", *scheduler_at(address)) as scheduler:
-        assert scheduler.stderr is not None
-        while "Scheduler at" not in scheduler.stderr.readline():
-            assert scheduler.poll() is None
+        while "Scheduler at" not in scheduler.read_line(LONG_S, log=True):
+            pass
         monkeypatch.setattr(sweep_module, "CONNECT_S", 3)
         with pytest.raises(SweepError, match="no worker has joined; start one: dask worker"):
             sweep(math.sqrt, [4], address)

@@ -17,6 +17,7 @@ import zmq
 from protocol import sockets
 from protocol.sockets import Context
 from protocol.wire.messages import Hello, encode_control
+from tests.support.hostile_peers import port_of
 from tests.support.keyring import Keyring
 from tests.support.live_display import await_state, await_status
 from tests.support.nodes import RADIAL, ROOT, free_address, read_json
@@ -100,10 +101,6 @@ def test_strangers_do_not_end_a_node_that_has_a_priority(
         for node in nodes:
             node.kill()
             node.communicate()
-
-
-def port_of(address: str) -> int:
-    return int(address.rpartition(":")[2])
 
 
 @pytest.mark.parametrize("module", [SENSING, DISPLAY])

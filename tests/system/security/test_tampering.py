@@ -14,6 +14,7 @@ from protocol import sockets
 from protocol.security.authenticator import Authenticator
 from protocol.sockets import Context
 from protocol.wire.messages import Hello, encode_control
+from tests.support.hostile_peers import port_of
 from tests.support.keyring import Keyring
 from tests.support.live_display import await_state, await_status, subscribe
 from tests.support.middleman import (
@@ -35,10 +36,6 @@ ALTERATIONS, COUNTED_WITHIN_S = 6, 5.0
 ACCEPTED = {"truncated", "not_msgpack", "version", "malformed", "not_finite", "duplicate"}
 
 
-def port(address: str) -> int:
-    return int(address.rpartition(":")[2])
-
-
 def test_altered_and_replayed_messages_are_refused_and_the_link_recovers(
     context: Context, keyring: Keyring, tmp_path: Path
 ) -> None:
@@ -52,8 +49,8 @@ def test_altered_and_replayed_messages_are_refused_and_the_link_recovers(
     sensing = (str(RADIAL), "--bind", behind, "--key", keyring.path("wrist"), "--json", str(sensed))
     reader = subscribe(context, telemetry)
     with (
-        middleman(port(address), port(behind)) as data,
-        middleman(port(address) + 1, port(behind) + 1) as control,
+        middleman(port_of(address), port_of(behind)) as data,
+        middleman(port_of(address) + 1, port_of(behind) + 1) as control,
         process("display_node.cli", *display) as finger,
         process("sensing_node.cli", *sensing) as wrist,
     ):
@@ -109,7 +106,7 @@ def replay(between: Middleman, onto: str) -> None:
     """Send a node all that an allowed display has sent; it must send nothing of the stream."""
     down, up = max(between.recorded, key=lambda record: len(record[0]))
     received = b""
-    with socket.create_connection(("127.0.0.1", port(onto)), timeout=2) as again:
+    with socket.create_connection(("127.0.0.1", port_of(onto)), timeout=2) as again:
         again.sendall(bytes(up))
         with contextlib.suppress(OSError):
             while chunk := again.recv(1 << 16):
@@ -124,7 +121,7 @@ def test_bytes_that_are_replayed_or_reflected_to_a_display_are_refused(
     bound, address = free_address(), free_address()
     authenticator = Authenticator(context, keyring.server())
     data = sockets.bind(context, zmq.PUB, bound, authenticator)
-    with middleman(port(address), port(bound)) as between:
+    with middleman(port_of(address), port_of(bound)) as between:
         listener = subscribed(context, address, keyring)
 
         def received() -> bool:
@@ -157,7 +154,7 @@ def test_a_message_altered_on_its_way_to_the_bound_socket_is_refused(
         sockets.send(peer, bytes(MESSAGE_BYTES))
         received.extend(message for _, message in sockets.receive_all(bound_socket))
 
-    with middleman(port(address), port(bound)) as between:
+    with middleman(port_of(address), port_of(bound)) as between:
         peer = sockets.connect(context, zmq.DEALER, address, keyring.client("finger"))
         until(lambda: poll() or received)
         between.up = Once(flip_a_bit)
@@ -172,7 +169,7 @@ def test_messages_that_are_joined_on_the_way_are_refused(
     arguments = (str(RADIAL), "--bind", behind, "--key", keyring.path("wrist"))
     control = sockets.control_address(address)
     with (
-        middleman(port(control), port(behind) + 1) as between,
+        middleman(port_of(control), port_of(behind) + 1) as between,
         process("sensing_node.cli", *arguments, "--json", str(sensed)) as wrist,
     ):
         peer = sockets.connect(context, zmq.DEALER, control, keyring.client("finger"))
@@ -201,7 +198,7 @@ def test_a_nodes_bytes_reflected_to_it_get_no_frame(context: Context, keyring: K
     address = free_address()
     data = sockets.bind(context, zmq.PUB, address, authenticator)
     received, end_s = b"", time.monotonic() + QUIET_S
-    with socket.create_connection(("127.0.0.1", port(address)), timeout=0.02) as mirror:
+    with socket.create_connection(("127.0.0.1", port_of(address)), timeout=0.02) as mirror:
         while time.monotonic() < end_s:
             authenticator.poll(time.monotonic_ns())
             sockets.send(data, b"secret" * 100)
