@@ -176,10 +176,8 @@ def check_line(scene: TmclScene | Cia402Scene, tick_s: float) -> Check:
 
 def check_answers(drive: Drive) -> Check:
     """Check the time from a command to the drive's report of that speed, away and back."""
-    waits_s = []
-    for _ in range(ANSWERS // 4):
-        for speed_m_per_s in (-ANSWER_SPEED_M_PER_S, 0.0, ANSWER_SPEED_M_PER_S, 0.0):
-            waits_s.append(_answer_s(drive, speed_m_per_s))
+    directions = (-1, 0, 1, 0) * (ANSWERS // 4)
+    waits_s = [_answer_s(drive, each * ANSWER_SPEED_M_PER_S) for each in directions]
     p50_s, p99_s = np.quantile(waits_s, (0.5, 0.99))
     return grade(
         "drive's answer",

@@ -95,6 +95,15 @@ class Bench:
         return self.motor.rate_hz == 0.0
 
 
+def drive_scene(kind: str, place: str, **keys: Any) -> TmclScene | Cia402Scene:
+    """The scene of a drive on a serial port ("tmcl") or on a CAN channel (any other kind)."""
+    if kind.startswith("cia402"):
+        return cia402_scene(**{"channel": place, **keys})
+    if kind == "tmcl":
+        return tmcl_scene(port=place, **keys)
+    return tmcl_scene(**{"interface": "virtual", "channel": place, **keys})
+
+
 def emulated_motor(
     scene: TmclScene | Cia402Scene, actuator: StepperScene, now_ns: int
 ) -> EmulatedMotor:
@@ -110,14 +119,8 @@ def virtual_bench(
     **keys: Any,
 ) -> Iterator[Bench]:
     """A bench in virtual time; kind: "tmcl", "tmcl-can" or "cia402". also: other modules in it."""
-    scene: TmclScene | Cia402Scene
     keys = {"homing_speed": "20 mm/s", "touch": "0.6 mm", **keys}
-    if kind == "cia402":
-        scene = cia402_scene(**keys)
-    elif kind == "tmcl-can":
-        scene = tmcl_scene(interface="virtual", channel="c", **keys)
-    else:
-        scene = tmcl_scene(port="virtual", **keys)
+    scene = drive_scene(kind, "virtual" if kind == "tmcl" else "c", **keys)
     world, actuator = VirtualTime(), actuator or stepper()
     with world.substituted((*VIRTUAL, *also)), ExitStack() as open_things:
         motor = emulated_motor(scene, actuator, world.now_ns)
@@ -161,14 +164,10 @@ def real_bench(kind: str, **keys: Any) -> Iterator[Bench]:
         keys |= {"interface": "slcan", "options": {"sleep_after_open": 0.0}}
     elif kind != "tmcl":
         bus = can.Bus(interface="virtual", channel=channel)
-        keys |= {"interface": "virtual"}
-    scene: TmclScene | Cia402Scene
-    if kind == "tmcl":
-        scene = tmcl_scene(port=str(port.path), reply_timeout="100 ms", **PATIENT, **keys)
-    elif kind.startswith("tmcl"):
-        scene = tmcl_scene(channel=channel, reply_timeout="100 ms", **PATIENT, **keys)
-    else:
-        scene = cia402_scene(channel=channel, **PATIENT, **keys)
+    if kind.startswith("tmcl"):
+        keys["reply_timeout"] = "100 ms"
+    place = str(port.path) if kind == "tmcl" else channel
+    scene = drive_scene(kind, place, **PATIENT, **keys)
     actuator = stepper()
     motor = emulated_motor(scene, actuator, time.monotonic_ns())
     bench = Bench(scene, actuator, motor, line=port)

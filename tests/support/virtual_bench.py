@@ -121,14 +121,11 @@ class VirtualFilm:
         if self.silent:
             return found
         while len(forces_n) >= FRAME and (self._sent + FRAME) * MS + DELIVERY_NS <= self.now_ns:
-            block = one_channel([forces_n.popleft() for _ in range(FRAME)], self._device_ns())
+            self._sent += FRAME
+            block = one_channel([forces_n.popleft() for _ in range(FRAME)], self._sent * MS)
             timestamped = self._timestamper.timestamp(block, self._sent * MS + DELIVERY_NS)
             found += [timestamped] if timestamped is not None else []
         return found
-
-    def _device_ns(self) -> int:
-        self._sent += FRAME
-        return self._sent * MS
 
     def faults(self) -> list[str]:
         return ["the film is torn"] if self.silent else []
@@ -189,16 +186,11 @@ class VirtualBench:
             while self._waiting and self._waiting[0][0] <= now_ns:
                 self.display.on_frame(self._waiting.pop(0)[1], now_ns)
             self.drive.motor.advance(now_ns)
-            for thread in (self._run_loop, self._run_thread)[:: 1 if self.loop_first else -1]:
-                thread(now_ns)
-
-    def _run_loop(self, now_ns: int) -> None:
-        if self.loop_runs and self.now_ms % TICK_MS == 0:
-            self._tick(now_ns)
-
-    def _run_thread(self, now_ns: int) -> None:
-        if self.thread_runs:
-            self.drive.run_thread(now_ns)
+            for is_loop in (self.loop_first, not self.loop_first):
+                if is_loop and self.loop_runs and self.now_ms % TICK_MS == 0:
+                    self._tick(now_ns)
+                elif not is_loop and self.thread_runs:
+                    self.drive.run_thread(now_ns)
 
     def stall(self, ms: int) -> None:
         """Let time pass in which the display's process does not run, as after SIGSTOP."""
@@ -252,13 +244,10 @@ def at_touch(scene: DisplayScene) -> tuple[EmulatedMotor, Axis]:
 
 def to_touch(motor: EmulatedMotor, now_ns: int) -> int:
     """Bring the tip off the finger, and to first touch; when it is there."""
-    motor.run(-TOUCHING_HZ)
-    while motor.tip_m >= 0:
-        now_ns += MS
-        motor.advance(now_ns)
-    motor.run(TOUCHING_HZ)
-    while motor.tip_m < 0:
-        now_ns += MS
-        motor.advance(now_ns)
+    for rate_hz in (-TOUCHING_HZ, TOUCHING_HZ):
+        motor.run(rate_hz)
+        while (motor.tip_m < 0) is (rate_hz > 0):
+            now_ns += MS
+            motor.advance(now_ns)
     motor.run(0.0)
     return now_ns

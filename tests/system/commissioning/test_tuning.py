@@ -24,19 +24,21 @@ def tune(scene: str | Path, *options: str) -> tuple[int, str, str]:
     return result.exit_code, result.stdout, result.stderr
 
 
-@pytest.mark.parametrize("name", SCENES)
-def test_the_scenes_gains_are_those_of_the_design(name: str) -> None:
-    display = load_scene(find_scene(name)).display
-    assert design(display).controller == display.controller
-
-
 @pytest.mark.parametrize("name", [*SCENES, "paper"])
-def test_a_design_keeps_its_margins(name: str) -> None:
+def test_a_design_keeps_its_margins_and_gives_the_scenes_gains(name: str) -> None:
     display = load_scene(find_scene(name)).display
-    worst = design(display).worst
+    found = design(display)
+    worst = found.worst
     assert worst.stable
     assert worst.peak_sensitivity <= MOST_SENSITIVITY * 1.01
     assert worst.delay_s >= LEAST_DELAY_TICKS * display.tick_ns * 1e-9 * 0.99
+    if name != "paper":
+        assert found.controller == display.controller
+        return
+    # The paper's own gains have less margin than the design.
+    present = judge(display, display.controller).worst
+    assert present.peak_sensitivity > worst.peak_sensitivity
+    assert present.delay_s < worst.delay_s
 
 
 def test_the_design_is_the_best_within_its_margins() -> None:
@@ -85,10 +87,3 @@ def test_json_holds_the_table(tmp_path: Path) -> None:
     rows = {row[""]: row for row in table["rows"]}
     assert rows["stable"] == {"": "stable", "scene": "yes", "design": "yes"}
     assert rows["kp"]["scene"] == "390"
-
-
-def test_the_papers_gains_have_less_margin_than_the_design() -> None:
-    display = load_scene(find_scene("paper")).display
-    present, proposed = judge(display, display.controller), design(display)
-    assert present.worst.peak_sensitivity > proposed.worst.peak_sensitivity
-    assert present.worst.delay_s < proposed.worst.delay_s
