@@ -54,11 +54,8 @@ def test_the_step_response_is_that_of_theory(tick_s: float) -> None:
     assert np.abs(forces - expected).max() < 1e-9
 
 
-def test_without_stiffness_and_damping_it_is_a_double_integrator() -> None:
+def test_a_held_voltage_is_integrated_twice_without_a_spring_and_else_settles() -> None:
     t_s = np.arange(1001) * 1e-3
     forces = forces_n(np.full(1000, 3.0), 1e-3, 2.0, 0.0, 0.0)
     assert np.abs(forces - 3.0 / 2.0 * t_s**2 / 2).max() < 1e-12
-
-
-def test_a_held_voltage_settles_at_its_static_force() -> None:
     assert forces_n(np.full(600, 8.46), 0.1, *TABLE_4)[-1] == pytest.approx(2.0, rel=1e-9)

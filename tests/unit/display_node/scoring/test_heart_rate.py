@@ -26,19 +26,17 @@ def test_the_rate_of_a_pulse(rate: int, preset: str, noise: str, spacing_s: floa
     assert found == pytest.approx(rate, rel=0.02)
 
 
-def test_two_beats_are_enough() -> None:
-    forces_n = pulse_n(1.9, heart_rate="60 /min")
-    assert heart_rate_per_min(times_s(forces_n), forces_n) == pytest.approx(60, rel=0.02)
-
-
-def test_breathing_does_not_disturb_it() -> None:
-    forces_n = pulse_n(10.0, preset="paper", respiration="25 %")
-    assert heart_rate_per_min(times_s(forces_n), forces_n) == pytest.approx(75, rel=0.02)
-
-
-def test_variable_beats_give_their_median() -> None:
-    forces_n = pulse_n(60.0, heart_rate_variability="4 %", heart_rate="60 /min")
-    assert heart_rate_per_min(times_s(forces_n), forces_n) == pytest.approx(60, rel=0.03)
+@pytest.mark.parametrize(
+    ("forces_n", "rate", "rel"),
+    [
+        (pulse_n(1.9, heart_rate="60 /min"), 60, 0.02),
+        (pulse_n(10.0, preset="paper", respiration="25 %"), 75, 0.02),
+        (pulse_n(60.0, heart_rate_variability="4 %", heart_rate="60 /min"), 60, 0.03),
+    ],
+    ids=["two beats", "breathing", "variable beats"],
+)
+def test_the_rate_is_found(forces_n: NDArray[np.float64], rate: int, rel: float) -> None:
+    assert heart_rate_per_min(times_s(forces_n), forces_n) == pytest.approx(rate, rel=rel)
 
 
 @pytest.mark.parametrize(

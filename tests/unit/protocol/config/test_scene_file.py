@@ -127,9 +127,8 @@ def test_a_chain_that_is_too_long_is_refused(tmp_path: Path) -> None:
     for number in range(MAX_CHAIN):
         write(tmp_path / f"{number}.toml", f'extends = "{number + 1}.toml"\n')
     write(tmp_path / f"{MAX_CHAIN}.toml", "[display]\n")
-    assert refusal(tmp_path / "0.toml").startswith(
-        f"{tmp_path}/{MAX_CHAIN - 1}.toml: extends: more"
-    )
+    where = f"{tmp_path}/{MAX_CHAIN - 1}.toml"
+    assert refusal(tmp_path / "0.toml").startswith(f"{where}: extends: more")
     assert load_document(tmp_path / "1.toml") == {"display": {}}
 
 

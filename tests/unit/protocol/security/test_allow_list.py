@@ -32,11 +32,6 @@ def test_keys_are_added_and_taken_out(path: Path) -> None:
     assert read_allowed(path) == {}
 
 
-def test_the_list_is_public_key_files_one_after_the_other(path: Path) -> None:
-    path.write_text("".join(f"{public.line}\n" for public in (WRIST, FINGER)))
-    assert list(read_allowed(path).values()) == [WRIST, FINGER]
-
-
 def test_what_else_is_written_there_stays(path: Path) -> None:
     path.write_text(f"# the ward\n\n{WRIST.line}\n  # spare\n")
     allow(path, FINGER)
@@ -65,7 +60,9 @@ def test_a_key_that_is_listed_twice_is_refused(path: Path) -> None:
         read_allowed(path)
 
 
-def test_every_key_of_a_name_is_taken_out(path: Path) -> None:
+def test_the_list_is_public_key_files_and_every_key_of_a_name_is_taken_out(path: Path) -> None:
+    path.write_text("".join(f"{public.line}\n" for public in (WRIST, FINGER)))
+    assert list(read_allowed(path).values()) == [WRIST, FINGER]
     path.write_text(f"{WRIST.line}\n{PublicKey('wrist', FINGER.key).line}\n")
     revoke(path, "wrist")
     assert read_allowed(path) == {}

@@ -17,14 +17,9 @@ PROGRAMS = (telepulse.cli.main.app, sensing_node.cli.app, display_node.cli.app)
 
 
 @pytest.mark.parametrize("app", PROGRAMS)
-def test_every_program_prints_its_version(app: typer.Typer) -> None:
+def test_every_program_prints_its_version_and_can_be_completed_by_a_shell(app: typer.Typer) -> None:
     result = CliRunner().invoke(app, ["--version"])
-    assert result.stdout == f"telepulse {version('telepulse')}\n"
-    assert result.exit_code == 0
-
-
-@pytest.mark.parametrize("app", PROGRAMS)
-def test_every_program_can_be_completed_by_a_shell(app: typer.Typer) -> None:
+    assert (result.stdout, result.exit_code) == (f"telepulse {version('telepulse')}\n", 0)
     options = [name for part in typer.main.get_command(app).params for name in part.opts]
     assert "--install-completion" in options
 
