@@ -17,6 +17,8 @@ from display_node.drives.withdrawal import Withdrawal, WithdrawalOutcome
 
 # The loop holds the lock for microseconds, or while a full bus takes its command: 50 ms at most.
 PATIENCE_S = 0.05
+# A TMCL module's position is read every 40 ms where commands keep its line busy: five of these.
+POSITION_WITHIN_NS = 200_000_000
 
 
 class TimeoutLock:
@@ -192,7 +194,7 @@ class Supervisor:
             self.withdrawal.restart(now_ns, self.travel_m(now_ns))
 
     def check_silence(self, now_ns: int, silence: str = "no answer") -> None:
-        """Fail where no command or no answer has come for the watchdog's time.
+        """Fail where no command or no answer has come for the watchdog's time, or no position.
 
         Call it often. A pause between its own calls is the host's: no command was sent in it, and
         no answer could be received. silence: name of the fault without answers.
@@ -208,6 +210,8 @@ class Supervisor:
             self.fail(f"no command for {uncommanded_ns * 1e-6:.0f} ms", now_ns)
         elif silent_ns > self._watchdog_ns:
             self.fail(f"{silence} for {silent_ns * 1e-6:.0f} ms", now_ns)
+        elif now_ns - self.position_ns > max(POSITION_WITHIN_NS, self._watchdog_ns):
+            self.fail(f"no position for {(now_ns - self.position_ns) * 1e-6:.0f} ms", now_ns)
 
     def velocity(self, now_ns: int) -> int:
         """Return the velocity to send now, in the drive's units; then call `sent`."""

@@ -103,7 +103,9 @@ class LoopSetup:
             return (1 - SETTLED_SHARE) * force_n, (1 + SETTLED_SHARE) * force_n
         law, film = self.actuator.contact(self.layer), self.film
         x_m, step_m = law.position(force_n), microsteps * self.actuator.step_m
-        per_m = law.stiffness(force_n) if self.controller.error == "force" else 1.0
+        unit = {"force": 1.0, "millivolts": film.millivolts_per_newton}.get(self.controller.error)
+        # Of the controller's error per metre of travel.
+        per_m = unit * law.stiffness(force_n) if unit else 1.0
         step_m += self.controller.dead_band / per_m
         off_n = NOISE_DEVIATIONS * film.noise_n
         if film.adc_bits is not None:

@@ -88,6 +88,17 @@ def test_before_it_is_armed_it_rests_and_a_drive_that_falls_silent_is_a_fault() 
     assert supervisor.fault == "no answer for 51 ms"
 
 
+def test_a_drive_that_answers_without_its_position_is_a_fault() -> None:
+    supervisor = Supervisor(axis(), WATCHDOG_NS)
+    supervisor.arm(0)
+    for ms in range(1, 250):
+        supervisor.command(0.0, ms * MS)
+        supervisor.answered_ns = ms * MS
+        supervisor.check_silence(ms * MS)
+        assert (supervisor.fault is None) == (ms <= 200)
+    assert supervisor.fault == "no position for 201 ms"
+
+
 def test_a_position_that_stands_still_is_a_following_error_and_bounds_the_travel() -> None:
     bench = Bench()
     bench.run(20, 5e-3)

@@ -65,6 +65,18 @@ def test_missing_and_wrong_answers_are_a_fault_and_are_counted(
         assert bench.fault == ""
 
 
+@pytest.mark.parametrize("kind", ["tmcl", "tmcl-can"])
+def test_answers_that_are_always_late_are_a_fault_although_the_module_obeys(kind: str) -> None:
+    # Each answer about a velocity comes in time for the next velocity, but none about a position.
+    with virtual_bench(kind) as bench:
+        bench.start(RATE_HZ)
+        bench.emulator.late_s, bench.emulator.answer_mode = 0.03, "late"
+        began_ns = bench.clock.now_ns
+        bench.keep(RATE_HZ / 100, lambda: bench.fault)
+        assert bench.clock.now_ns - began_ns < 300_000_000
+        bench.wait(lambda: bench.motor.tip_m < 0 and bench.at_rest)
+
+
 def test_a_few_missing_answers_are_counted_and_nothing_else(bench: Bench) -> None:
     bench.start(RATE_HZ)
     bench.emulator.answer_mode = "garbled"
