@@ -58,7 +58,7 @@ SHORT, RATHER_SHORT = 0.1, 0.3
 # bias.
 UNSEEN_SHARE = 1 / (BLOCK - 1)
 # Weights of errors and biases, chosen for a coverage of 95 %
-# (docs/decisions/0015-the-clock-weighs-delays-by-their-scatter.md).
+# (docs/decisions/0015-clock-estimator-adapts-to-jitter.md).
 ERRORS, BIASES = 2.0, 1.5
 # In standard errors: a skew of 500 ppm occurs.
 SKEW_ERRORS = 3.0
