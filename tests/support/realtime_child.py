@@ -1,4 +1,4 @@
-"""A process that holds measures, and tells as JSON how the kernel sees it before, meanwhile and
+"""A process that holds measures, and prints as JSON its state in the kernel before, meanwhile and
 after. Given seconds, it runs on for so long without a pause, in the loop's thread or a helper's."""
 
 import ctypes
@@ -8,7 +8,7 @@ import os
 import sys
 import threading
 import time
-from contextlib import ExitStack, closing
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +20,13 @@ from protocol.host.realtime import hold, parse_realtime
 def state() -> dict[str, Any]:
     me = threading.get_native_id()
     helpers = {thread.native_id or 0 for thread in threading.enumerate()} - {me}
-    threads = {int(path.name): path for path in Path("/proc/self/task").iterdir()}
-    named = {n for n, path in threads.items() if (path / "comm").read_text().startswith("ZMQ")}
+    threads = schedules()
+    named = {n for n in threads if Path(f"/proc/{n}/comm").read_text().startswith("ZMQ")}
     return {
-        "loop": schedule(me),
-        "helpers": sorted(map(schedule, helpers)),
-        "zeromq": sorted({schedule(number) for number in named}),
-        "others": sorted({schedule(number) for number in set(threads) - helpers - named - {me}}),
+        "loop": threads[me],
+        "helpers": sorted(threads[number] for number in helpers),
+        "zeromq": sorted({threads[number] for number in named}),
+        "others": sorted({threads[number] for number in set(threads) - helpers - named - {me}}),
         "cpus": sorted(os.sched_getaffinity(me)),
         "helpers_cpus": sorted(os.sched_getaffinity(min(named))),
         "locked_kib": locked_kib(),
@@ -34,12 +34,16 @@ def state() -> dict[str, Any]:
     }
 
 
-def schedule(thread: int) -> tuple[int, int]:
-    return os.sched_getscheduler(thread), os.sched_getparam(thread).sched_priority
+def schedules(process: int | str = "self") -> dict[int, tuple[int, int]]:
+    """Return policy and priority of each thread of a process."""
+    return {
+        number: (os.sched_getscheduler(number), os.sched_getparam(number).sched_priority)
+        for number in map(int, os.listdir(f"/proc/{process}/task"))
+    }
 
 
-def locked_kib() -> int:
-    lines = Path("/proc/self/status").read_text().splitlines()
+def locked_kib(process: int | str = "self") -> int:
+    lines = Path(f"/proc/{process}/status").read_text().splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith("VmLck"))
 
 
@@ -47,17 +51,6 @@ def spin(seconds: float) -> None:
     end_s = time.monotonic() + seconds
     while time.monotonic() < end_s:
         pass
-
-
-def start_zeromq(until_the_end: ExitStack) -> None:
-    context = until_the_end.enter_context(zmq.Context())
-    until_the_end.enter_context(closing(context.socket(zmq.PUB)))
-
-
-def start_foreign_thread() -> None:
-    """A thread that neither Python nor ZeroMQ knows of, as numpy has; it sleeps for ever."""
-    libc = ctypes.CDLL(None)
-    assert libc.pthread_create(ctypes.byref(ctypes.c_ulong()), None, libc.pause, None) == 0
 
 
 def main(wish: str, loop_s: float, helper_s: float) -> None:
@@ -71,29 +64,29 @@ def main(wish: str, loop_s: float, helper_s: float) -> None:
     # A daemon: a failure below must end the process.
     helper = threading.Thread(target=help_the_loop, daemon=True)
     helper.start()
-    said: list[str] = []
+    messages: list[str] = []
     handler = logging.Handler()
-    handler.emit = lambda record: said.append(record.getMessage())  # type: ignore[method-assign]
+    handler.emit = lambda record: messages.append(record.getMessage())  # type: ignore[method-assign]
     logging.getLogger().addHandler(handler)
-    start_foreign_thread()
-    with ExitStack() as until_the_end:
-        start_zeromq(until_the_end)
+    # A thread that neither Python nor ZeroMQ has started, as numpy has; it sleeps for ever.
+    libc = ctypes.CDLL(None)
+    assert libc.pthread_create(ctypes.byref(ctypes.c_ulong()), None, libc.pause, None) == 0
+    with zmq.Context() as context, closing(context.socket(zmq.PUB)):
         time.sleep(0.05)  # its threads have their names then
-        told: dict[str, Any] = {"before": state()}
+        found: dict[str, Any] = {"before": state(), "messages": messages}
         with hold(parse_realtime(wish)) as held:
-            told["held"] = state()
+            found["held"] = state()
             may_spin.set()
             spin(loop_s)
             # Until the helper is through as well.
             time.sleep(2 * helper_s)
-            told["later"] = state()
-            told["granted"] = list(held.granted)
-            told["refused"] = [str(refusal) for refusal in held.refused]
-        told["after"] = state()
-        told["said"] = said
+            found["later"] = state()
+            found["granted"] = list(held.granted)
+            found["refused"] = [str(refusal) for refusal in held.refused]
+        found["after"] = state()
     done.set()
     helper.join()
-    json.dump(told, sys.stdout)
+    json.dump(found, sys.stdout)
 
 
 if __name__ == "__main__":
