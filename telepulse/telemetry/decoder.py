@@ -16,33 +16,13 @@ from display_node.reception.receiver import MAX_ASKED, Receiver
 from protocol.config.quantities import count_text
 from protocol.errors import WireError
 from protocol.provenance import PROVENANCE, read_provenance
-from protocol.wire.messages import (
-    Bye,
-    ClockReply,
-    Frame,
-    Welcome,
-    decode_control,
-    decode_frame,
-    encode_control,
-)
-from protocol.wire.telemetry import (
-    CONTROL,
-    HEARD,
-    TRACE,
-    CapturedMessage,
-    CapturedMessages,
-    Trace,
-    read_capture,
-    read_status,
-    read_trace,
-)
-from protocol.wire.telemetry import STATUS as STATUS_TOPIC
+from protocol.wire import messages as wire
+from protocol.wire import telemetry
 from telepulse.telemetry.events import Event, EventDetector
 from telepulse.telemetry.schema import CLOCK, EVENT, FRAME, LEVELS, REFUSED, STATUS, STREAM, TICK
 
 Fields = dict[str, Any]
 LATEST_NS = (1 << 63) - 1
-SECOND_NS = 1_000_000_000
 
 
 class Entry(NamedTuple):
@@ -63,7 +43,8 @@ class TelemetryDecoder:
     def __init__(self) -> None:
         self._run: int | None = None
         self._unix_offset_ns = self._now_ns = 0
-        self._traces = self._statuses = self._captures = 0
+        # Messages of each kind that arrived, on top of those before the run's begin here.
+        self._arrived: Counter[str] = Counter()
         self._session: int | None = None
         self._events = EventDetector()
         self.missed: Counter[str] = Counter()
@@ -83,115 +64,92 @@ class TelemetryDecoder:
         try:
             if topic == PROVENANCE:
                 self.provenance = read_provenance(data)
-            if topic == HEARD:
-                return list(self._captured(read_capture(data)))
-            if topic == TRACE:
-                self._traces += 1
-                return list(self._ticks(read_trace(data))) if self.started else []
-            if topic == STATUS_TOPIC:
-                self._statuses += 1
-                return list(self._status(data)) if self.started else []
+            if topic == telemetry.HEARD:
+                return list(self._captured(telemetry.read_capture(data)))
+            if topic == telemetry.TRACE:
+                self._arrived["traces"] += 1
+                return list(self._ticks(telemetry.read_trace(data))) if self.started else []
+            if topic == telemetry.STATUS:
+                self._arrived["statuses"] += 1
+                return list(self._status(telemetry.read_status(data))) if self.started else []
         except WireError:
             self.missed["unreadable messages"] += 1
         return []
 
     def event(self, event: Event) -> Entry:
         """Return an event as an entry, at the latest instant of the telemetry."""
-        t_ns = self._unix_ns(self._now_ns)
-        sec, nsec = divmod(t_ns, SECOND_NS)
-        fields = {
-            "timestamp": {"sec": sec, "nsec": nsec},
-            "level": LEVELS[event.level],
-            "message": event.text,
-            "name": event.name,
-            "file": "",
-            "line": 0,
-        }
-        return Entry(EVENT, t_ns, fields)
+        fields = {"level": LEVELS[event.level], "message": event.text, "name": event.name}
+        entry = self._entry(EVENT, fields | {"file": "", "line": 0})
+        sec, nsec = divmod(entry.t_ns, 1_000_000_000)
+        entry.fields["timestamp"] = {"sec": sec, "nsec": nsec}
+        return entry
 
-    def _unix_ns(self, now_ns: int) -> int:
-        return min(max(0, now_ns + self._unix_offset_ns), LATEST_NS)
+    def _entry(self, topic: str, fields: Fields) -> Entry:
+        return Entry(topic, min(max(0, self._now_ns + self._unix_offset_ns), LATEST_NS), fields)
 
-    def _captured(self, captured: CapturedMessages) -> Iterator[Entry]:
+    def _captured(self, captured: telemetry.CapturedMessages) -> Iterator[Entry]:
+        self._now_ns = captured.now_ns
+        published = Counter({"traces": captured.traces, "statuses": captured.statuses})
+        published["captured messages"] = captured.before
         if captured.run != self._run:
             text = "another run of the display" if self.started else "the recording"
-            self._run, self._now_ns = captured.run, captured.now_ns
+            self._run, self._arrived = captured.run, published
             self._unix_offset_ns = captured.wall_ns - captured.now_ns
-            self._traces, self._statuses = captured.traces, captured.statuses
-            self._captures = captured.before
             self._events = EventDetector()
             yield self.event(Event("INFO", "begin", text))
-        self._now_ns = captured.now_ns
-        yield from self._account(captured)
-        for message in captured.messages:
-            self._now_ns = message.arrived_ns
-            yield from self._message(message)
-
-    def _account(self, captured: CapturedMessages) -> Iterator[Entry]:
-        """Count what was published since the last time and did not arrive."""
-        gaps = {
-            "traces": captured.traces - self._traces,
-            "statuses": captured.statuses - self._statuses,
-            "captured messages": captured.before - self._captures,
-        }
-        self._traces, self._statuses = captured.traces, captured.statuses
-        self._captures = captured.before + len(captured.messages)
-        lost = {name: count for name, count in gaps.items() if count > 0}
+        lost = published - self._arrived
+        self._arrived = published + Counter({"captured messages": len(captured.messages)})
         if lost:
             self.missed.update(lost)
             text = ", ".join(f"{count} {name}" for name, count in lost.items())
             yield self.event(Event("WARNING", "missed", f"the recorder missed {text}"))
+        for message in captured.messages:
+            self._now_ns = message.arrived_ns
+            yield from self._message(message)
 
-    def _message(self, message: CapturedMessage) -> Iterator[Entry]:
-        arrived_ns = message.arrived_ns
-        t_ns, data = self._unix_ns(arrived_ns), b64encode(message.data).decode("ascii")
-        came = {"arrived_ns": arrived_ns, "path": message.path}
+    def _message(self, message: telemetry.CapturedMessage) -> Iterator[Entry]:
+        arrived_ns, path, data = message
+        kept = b64encode(data).decode("ascii")
+        came = {"arrived_ns": arrived_ns, "path": path, "data": kept}
         try:
-            if message.path != CONTROL:
-                frame = decode_frame(message.data)
-                yield Entry(FRAME, t_ns, {**came, **_frame_fields(frame), "data": data})
-                if frame.session == self._session:
-                    yield from map(self.event, self._events.arrive(arrived_ns))
-                return
-            control = decode_control(message.data)
-            if not isinstance(control, Welcome | ClockReply | Bye):
-                raise WireError("unexpected", "a message that only displays send")
+            control = path == telemetry.CONTROL
+            decoded = wire.decode_control(data) if control else wire.decode_frame(data)
         except WireError as error:
-            yield Entry(REFUSED, t_ns, {**came, "cause": error.cause, "data": data})
+            yield self._entry(REFUSED, came | {"cause": error.cause})
             return
-        match control:
-            case ClockReply():
-                yield Entry(CLOCK, t_ns, _clock_fields(control, arrived_ns))
-            case Welcome(session=session, samples_sent=sent, description=description):
+        match decoded:
+            case wire.Frame(session=session):
+                yield self._entry(FRAME, came | _frame_fields(decoded))
+                if session == self._session:
+                    yield from map(self.event, self._events.arrive(arrived_ns))
+            case wire.ClockReply():
+                yield self._entry(CLOCK, _clock_fields(decoded, arrived_ns))
+            case wire.Welcome(session=session, samples_sent=sent, description=description):
                 fields = {"arrived_ns": arrived_ns, "session": session, "samples_sent": sent}
-                yield Entry(STREAM, t_ns, {**fields, **description.to_wire(), "data": data})
+                yield self._entry(STREAM, fields | description.to_wire() | {"data": kept})
                 if session != self._session:
                     self._session = session
                     self._events.begin_session()
                     text = f"{description.name!a}, session {session}"
                     yield self.event(Event("INFO", "session", text))
-            case Bye(samples_sent=sent):
+            case wire.Bye(samples_sent=sent):
                 self._events.end_stream()
                 text = f"{count_text(sent, 'sample')} sent"
                 yield self.event(Event("INFO", "end of stream", text))
+            case _:  # what only displays send
+                yield self._entry(REFUSED, came | {"cause": "unexpected"})
 
-    def _ticks(self, trace: Trace) -> Iterator[Entry]:
-        columns = [column.tolist() for column in trace]
-        for values in zip(*columns, strict=True):
-            fields = dict(zip(Trace._fields, values, strict=True))
+    def _ticks(self, trace: telemetry.Trace) -> Iterator[Entry]:
+        for values in zip(*(column.tolist() for column in trace), strict=True):
+            named = zip(telemetry.Trace._fields, values, strict=True)
             # JSON has no NaN: a field without a value is left out.
-            for name in ("felt_n", "predictor_error_n"):
-                if math.isnan(fields[name]):
-                    del fields[name]
+            fields = {name: value for name, value in named if not math.isnan(value)}
             self._now_ns = fields["now_ns"]
-            yield Entry(TICK, self._unix_ns(self._now_ns), fields)
+            yield self._entry(TICK, fields)
 
-    def _status(self, data: bytes) -> Iterator[Entry]:
-        status = read_status(data)
-        fields = _without_none(status._asdict())
-        if status.playing is not None:
-            fields["playing"] = status.playing._asdict()
-        yield Entry(STATUS, self._unix_ns(self._now_ns), fields)
+    def _status(self, status: telemetry.Status) -> Iterator[Entry]:
+        playing = status.playing and status.playing._asdict()
+        yield self._entry(STATUS, _without_none(status._asdict() | {"playing": playing}))
         events = self._events.take(status.state, status.summary, self._now_ns)
         yield from map(self.event, events)
         if status.final:
@@ -199,31 +157,20 @@ class TelemetryDecoder:
             yield self.event(Event("INFO", "end", "the display has ended"))
 
 
-def _frame_fields(frame: Frame) -> Fields:
+def _frame_fields(frame: wire.Frame) -> Fields:
     """Return what a frame holds; samples in N, those of an instant side by side."""
-    values = frame.values
-    return {
-        "session": frame.session,
-        "first_sample": frame.first_sample,
-        "t_first_ns": frame.t_first_ns,
-        "period_ns": frame.period_ns,
-        "channels": values.shape[1],
-        "bytes_per_sample": values.itemsize,
-        "force_n": values.ravel().tolist(),
-        "newest_n": float(values[-1, 0]),
-    }
+    fields = frame._asdict()
+    values = fields.pop("values")
+    fields |= {"channels": values.shape[1], "bytes_per_sample": values.itemsize}
+    return fields | {"force_n": values.ravel().tolist(), "newest_n": float(values[-1, 0])}
 
 
-def _clock_fields(reply: ClockReply, t4_ns: int) -> Fields:
+def _clock_fields(reply: wire.ClockReply, t4_ns: int) -> Fields:
     """Return a clock exchange: t1, t4 on the display's clock, t2, t3 on the sensing node's."""
     ahead_ns = (reply.t2_ns - reply.t1_ns + reply.t3_ns - t4_ns) / 2
     round_trip_ns = t4_ns - reply.t1_ns - (reply.t3_ns - reply.t2_ns)
-    return {
-        **asdict(reply),
-        "t4_ns": t4_ns,
-        "offset_ms": ahead_ns * 1e-6,
-        "round_trip_ms": round_trip_ns * 1e-6,
-    }
+    in_ms = {"offset_ms": ahead_ns * 1e-6, "round_trip_ms": round_trip_ns * 1e-6}
+    return {**asdict(reply), "t4_ns": t4_ns, **in_ms}
 
 
 def _without_none(fields: Fields) -> Fields:
@@ -234,10 +181,6 @@ def _without_none(fields: Fields) -> Fields:
     }
 
 
-# More than one: a frame that came twice is a copy then, never refused.
-PATHS = 2
-
-
 class PassiveReceiver(Receiver):
     """The display's own receiver, fed with the entries of its telemetry or of a recording.
 
@@ -246,25 +189,27 @@ class PassiveReceiver(Receiver):
     """
 
     def __init__(self) -> None:
-        super().__init__("listener", 0, LATE_TARGET, PATHS)
+        # More than one path: a frame that came twice is a copy then, never refused.
+        super().__init__("listener", 0, LATE_TARGET, paths=2)
         # Each reply is accepted once, as in the display.
         self._requests_ns: deque[int] = deque(maxlen=MAX_ASKED)
 
-    def take(self, topic: str, fields: Fields) -> Frame | None:
+    def take(self, topic: str, fields: Fields) -> wire.Frame | None:
         """Process an entry; return the frame in it, if the display accepted it.
 
         Raises KeyError, ValueError or TypeError for fields that are not those of an entry.
         """
-        if topic == FRAME or (topic == REFUSED and fields["path"] != CONTROL):
+        if topic == FRAME or (topic == REFUSED and fields["path"] != telemetry.CONTROL):
             return self.on_frame(b64decode(fields["data"]), fields["arrived_ns"])
         if topic in (STREAM, REFUSED):
             self.on_control(b64decode(fields["data"]), fields["arrived_ns"])
         elif topic == CLOCK:
-            reply = ClockReply(*(fields[name] for name in ("session", "t1_ns", "t2_ns", "t3_ns")))
+            session, *times_ns = (fields[key] for key in ("session", "t1_ns", "t2_ns", "t3_ns"))
+            reply = wire.ClockReply(session, *times_ns)
             if reply.t1_ns not in self._requests_ns:
                 self._requests_ns.append(reply.t1_ns)
                 self.expect_reply(reply.t1_ns)
-            self.on_control(encode_control(reply), fields["t4_ns"])
+            self.on_control(wire.encode_control(reply), fields["t4_ns"])
         return None
 
     def play(self, instant_ns: int) -> None:
