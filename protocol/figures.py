@@ -60,64 +60,29 @@ RATIO = Unit("ratio", "", ".2f")
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A figure of the summary, or the defaults for all figures of a table.
+    """A figure of the summary, or the defaults for all figures of a table."""
 
-    Attributes
-    ----------
-    meaning
-        For the reference, and for Prometheus unless `help` is given.
-    text
-        Template in a row; "{}" is the value.
-    unit
-        Unit; None: that of the table, else a count.
-    row
-        Name of the row; empty: that of the table.
-    separator
-        Text before this figure, unless it is the first of its row.
-    noun
-        Singular and plural of what a count counts.
-    show_zero
-        A value of 0 is shown.
-    share_of
-        For a share: the key of `availability` whose time is the whole.
-    prominent
-        A live page shows this figure large, instead of the first one of its row.
-    show
-        Formats a value that is no number, or a whole table as one phrase; None hides it.
-    headline
-        Returns the large text of a live page.
-    metric
-        Name for Prometheus without prefix and suffix; empty: that of the table.
-    counter
-        The metric is a counter; otherwise a gauge, or a summary if labelled with a quantile.
-    labels
-        Labels of the metric.
-    label
-        Name of the label for the keys of a map or the items of a list.
-    absent
-        Surfaces that omit the figure, each with the reason.
-    key, type, phrase
-        Set by `figures_of`: the keys in the JSON, joined by dots; the field's type; the table's
-        figure, if the table is shown as one phrase.
-    """
-
-    meaning: str = ""
-    text: str = "{}"
-    unit: Unit | None = None
-    row: str = ""
-    separator: str = ", "
-    noun: tuple[str, ...] = ()
-    show_zero: bool = True
-    share_of: str = ""
-    prominent: bool = False
+    meaning: str = ""  # for the reference, and for Prometheus unless `help` is given
+    text: str = "{}"  # template in a row; "{}" is the value
+    unit: Unit | None = None  # None: that of the table, else a count
+    row: str = ""  # name of the row; empty: that of the table
+    separator: str = ", "  # text before this figure, unless it is the first of its row
+    noun: tuple[str, ...] = ()  # singular and plural of what a count counts
+    show_zero: bool = True  # a value of 0 is shown
+    share_of: str = ""  # for a share: the key of `availability` whose time is the whole
+    prominent: bool = False  # a live page shows it large, instead of the first one of its row
+    # Formats a value that is no number, or a whole table as one phrase; None hides it.
     show: Callable[[Any], str | None] | None = None
-    headline: Callable[[Any], str] | None = None
-    metric: str = ""
-    counter: bool = False
+    headline: Callable[[Any], str] | None = None  # returns the large text of a live page
+    metric: str = ""  # name for Prometheus without prefix and suffix; empty: that of the table
+    counter: bool = False  # else a gauge, or a summary if labelled with a quantile
     labels: Mapping[str, str] = field(default_factory=dict)
-    label: str = ""
+    label: str = ""  # name of the label for the keys of a map or the items of a list
     help: str = ""
+    # Surfaces that omit the figure, each with the reason.
     absent: Mapping[Surface, str] = field(default_factory=dict)
+    # Set by `figures_of`: the keys in the JSON, joined by dots; the field's type; the table's
+    # figure, if the table is shown as one phrase.
     key: str = ""
     type: Any = None
     phrase: "Figure | None" = None
@@ -141,12 +106,13 @@ class Figure:
 _METRIC = re.compile(r"(?P<name>\w*?)(?P<counter>_total)?(?:\{(?P<labels>.*)\})?")
 
 
-def _described(metric: str, **arguments: Any) -> dict[str, Figure]:
+def _field(factory: Callable[[], Any], metric: str, **arguments: Any) -> Any:
     match = _METRIC.fullmatch(metric)
     assert match is not None
     labels = dict(re.findall(r'(\w+)="([^"]*)"', match["labels"] or ""))
     counter = match["counter"] is not None
-    return {"figure": Figure(metric=match["name"], counter=counter, labels=labels, **arguments)}
+    described = Figure(metric=match["name"], counter=counter, labels=labels, **arguments)
+    return field(default_factory=factory, metadata={"figure": described})
 
 
 def figure(
@@ -162,16 +128,14 @@ def figure(
     metric: as Prometheus writes it: 'samples_total{outcome="played"}' is a counter. factory:
     returns the initial value, for example an empty list; None by default.
     """
-    described = _described(metric, meaning=meaning, text=text, unit=unit, **arguments)
-    return field(default_factory=factory, metadata=described)
+    return _field(factory, metric, meaning=meaning, text=text, unit=unit, **arguments)
 
 
 def table(
     kind: type, row: str = "", unit: Unit | None = None, metric: str = "", **arguments: Any
 ) -> Any:
     """Return the field of a dataclass of figures; the arguments apply to all of them."""
-    described = _described(metric, row=row, unit=unit, **arguments)
-    return field(default_factory=kind, metadata=described)
+    return _field(kind, metric, row=row, unit=unit, **arguments)
 
 
 def figures_of(kind: type, shared: Figure = Figure(), prefix: str = "") -> Iterator[Figure]:
@@ -186,20 +150,18 @@ def figures_of(kind: type, shared: Figure = Figure(), prefix: str = "") -> Itera
             note,
             key=prefix + name,
             type=value,
-            row=note.row or shared.row,
+            row=note.row or (shared.phrase or shared).row,
             unit=note.unit or shared.unit,
             metric=note.metric or shared.metric,
             labels={**shared.labels, **note.labels},
             absent={**shared.absent, **note.absent},
             phrase=shared.phrase,
         )
-        if not dataclasses.is_dataclass(value):
-            yield replace(completed, row=note.row or (shared.phrase or shared).row)
-            continue
-        assert isinstance(value, type)
-        if note.show is not None:
-            completed = replace(completed, phrase=completed)
-        yield from figures_of(value, completed, f"{prefix}{name}.")
+        if isinstance(value, type) and dataclasses.is_dataclass(value):
+            phrase = shared.phrase if note.show is None else completed
+            yield from figures_of(value, replace(completed, phrase=phrase), f"{prefix}{name}.")
+        else:
+            yield completed
 
 
 def described_fields(kind: type) -> dict[str, tuple[Any, Figure | None]]:
@@ -218,14 +180,16 @@ def _value_at(summary: Any, key: str) -> Any:
 
 
 class RowPart(NamedTuple):
-    """A figure in its row: formatted value, value in its template, time it is a share of."""
+    """A figure in its row: formatted value, and the time it is a share of."""
 
-    name: str
-    separator: str
+    figure: Figure
     value: str
-    text: str
     detail: str = ""
-    prominent: bool = False
+
+    @property
+    def text(self) -> str:
+        """The value in its template."""
+        return (self.figure.text if self.figure.phrase is None else "{}").replace("{}", self.value)
 
 
 class SummaryRow(NamedTuple):
@@ -238,8 +202,8 @@ class SummaryRow(NamedTuple):
     @property
     def text(self) -> str:
         """All parts in one line."""
-        joined = (f"{part.separator}{part.text}{part.detail}" for part in self.parts)
-        return "".join(joined).removeprefix(self.parts[0].separator if self.parts else "")
+        joined = (f"{part.figure.separator}{part.text}{part.detail}" for part in self.parts)
+        return "".join(joined).removeprefix(self.parts[0].figure.separator if self.parts else "")
 
     @property
     def large(self) -> str:
@@ -257,7 +221,7 @@ class SummaryRow(NamedTuple):
 
     @property
     def _lead(self) -> RowPart:
-        return next((part for part in self.parts if part.prominent), self.parts[0])
+        return next((part for part in self.parts if part.figure.prominent), self.parts[0])
 
 
 class Registry:
@@ -285,42 +249,31 @@ class Registry:
                 rows[figure.row] = row._replace(parts=row.parts + parts)
         return list(rows.values())
 
-    def row_names(self, surface: Surface) -> list[str]:
-        """Return the names of the rows that a surface may have."""
-        return list(dict.fromkeys(figure.row for figure in self.on(surface)))
-
     def cells(self, summary: Mapping[str, Any], surface: Surface) -> dict[str, str]:
         """Return the value of each figure of a surface, by its name; empty without one."""
         parts = (part for row in self.rows(summary, surface) for part in row.parts)
-        found = {part.name: f"{part.value}{part.detail}" for part in parts}
+        found = {part.figure.name: f"{part.value}{part.detail}" for part in parts}
         return {each.name: found.get(each.name, "") for each in self.on(surface)}
 
 
 def _parts(figure: Figure, summary: Mapping[str, Any]) -> tuple[RowPart, ...]:
-    if figure.phrase is not None:
-        assert figure.phrase.show is not None
-        phrase = figure.phrase.show(figure.phrase.value(summary) or {})
-        return (RowPart(figure.row, "", phrase, phrase),) if phrase else ()
-    value = figure.value(summary)
-    if value is None or (value == 0 and not figure.show_zero):
+    whole = figure.phrase or figure
+    value, detail = whole.value(summary), ""
+    if figure.phrase is None and (value is None or (value == 0 and not figure.show_zero)):
         return ()
-    if figure.show is not None:
-        shown = figure.show(value)
+    if whole.show is not None:
+        shown = whole.show({} if value is None else value)
     elif figure.noun:
         shown = count_text(value, *figure.noun)
     else:
         table, _, name = figure.key.rpartition(".")
         limit = bound(name, _value_at(summary, f"{table}.beyond") or ())
         shown = limit + (figure.unit or COUNT).text(value)
-    if shown is None:
-        return ()
-    detail = ""
     if figure.share_of:
         share = _value_at(summary, f"availability.{figure.share_of}")
         run = "" if share is None else f" ({100 * share:.1f} % of the run)"
         detail = f" of the time {figure.share_of}{run}"
-    text = figure.text.replace("{}", shown)
-    return (RowPart(figure.name, figure.separator, shown, text, detail, figure.prominent),)
+    return (RowPart(figure, shown, detail),) if shown else ()
 
 
 def absent(reason: str, *surfaces: Surface, but: Surface | None = None) -> dict[Surface, str]:

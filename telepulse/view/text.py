@@ -47,7 +47,7 @@ FIGURES = {
     "within": "within JND",
     "loss": "loss",
     "predictor": "predictor",
-    **{name.replace(" ", "-"): name for name in REGISTRY.row_names(Surface.PAGE)},
+    **{each.row.replace(" ", "-"): each.row for each in REGISTRY.on(Surface.PAGE)},
 }
 
 
