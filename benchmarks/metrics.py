@@ -81,7 +81,7 @@ def _play(scene: str, address: str, threads: int, summary: Path) -> tuple[Loop, 
     ) as node:
         if not threads:
             return node.await_summary(SECONDS + ENDS_WITHIN_S).loop, 0.0
-        found = re.search(r"http://\S+", node.read_line(ENDS_WITHIN_S, log=True))
+        found = re.search(r"http://\S+", node.read_line(ENDS_WITHIN_S, from_stderr=True))
         assert found is not None
         with _scraping(found[0], threads) as scrapes:
             loop = node.await_summary(SECONDS + ENDS_WITHIN_S).loop

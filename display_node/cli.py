@@ -10,7 +10,7 @@ import typer
 
 from display_node.doctor import run_doctor
 from display_node.fault_advice import end_at_faults
-from display_node.node import DisplayNode, connected
+from display_node.node import DisplayNode, start_bench
 from display_node.reception.connection import discovered
 from display_node.scene import DisplayScene
 from display_node.telemetry.recorder_process import start_recorder
@@ -21,9 +21,9 @@ from protocol.errors import DiscoveryError, ProtectionError, SceneError
 from protocol.host.child_process import ChildProcess
 from protocol.host.output import check_writable, configure_logging, unblocked_output
 from protocol.host.process import (
-    allow_connections,
     freeze_objects,
     interrupt_on_signals,
+    raise_file_limit,
     stop_on_signals,
 )
 from protocol.host.realtime import RealtimeRequest, check_strict, parse_realtime
@@ -53,9 +53,9 @@ def display(
     connect: Annotated[
         list[str],
         typer.Option(
-            help="Address of the sensing node: tcp://HOST:5555 or ipc://PATH. It need not be"
-            " there yet. Give one for each network that leads to it: the first copy of a frame"
-            " wins, and while one is cut the others go on."
+            help="Address of the sensing node: tcp://HOST:5555 or ipc://PATH. The node may start"
+            " later. Repeat the option with one address for each network path: the first copy of"
+            " each frame is used, and the stream continues while any path is up."
         ),
     ] = [HERE],  # noqa: B006
     discover: options.DiscoverOption = False,
@@ -87,15 +87,16 @@ def display(
     without_film: Annotated[
         bool,
         typer.Option(
-            "--without-film", help="Let a drive press with no film under the finger to measure it."
+            "--without-film",
+            help="Allow a drive to press although no film measures the force at the finger.",
         ),
     ] = False,
     doctor: Annotated[
         bool,
         typer.Option(
             "--doctor",
-            help="Play nothing: print what this host grants of --realtime, and how late ticks"
-            " are with and without it. SCENE may be left out.",
+            help="Play nothing: print which real-time measures this host grants, and how late"
+            " ticks are with and without them. SCENE may be left out.",
         ),
     ] = False,
     version: options.VersionOption = False,
@@ -103,8 +104,9 @@ def display(
     """Feel a remote pulse: play a sensing node's stream on the local actuator.
 
     The scene's **[display]** section names the perceived delay (`compensation`), the
-    controller, the actuator, the rubber layer under the finger and the safety limits. What the
-    wrist's layer is comes with the stream; the force is chosen so that both strains are equal.
+    controller, the actuator, the rubber layer under the finger and the safety limits. The
+    properties of the wrist's layer come with the stream; the force is chosen so that both strains
+    are equal.
 
     The sensing node may start later, stop and come back: the display waits with no
     target force, joins by itself and ramps up.
@@ -113,22 +115,22 @@ def display(
             --key keys/finger.key --peer keys/wrist.pub
 
     `telepulse keys` makes the keys. Telemetry that leaves this machine is protected by this
-    node's own key; who may read it is listed in a file as the sensing node has one (`--allow`).
+    node's own key; `--allow` names the allow-list of its readers, a file like the sensing node's.
 
     The real-time loop is alone in this process. The live state is drawn by a second process
-    from the telemetry, which other programs may read as well (`--telemetry`). Is the loop late?
-    `--doctor` says what this host can do about it, `--realtime` asks for it.
+    from the telemetry, which other programs may read as well (`--telemetry`). If ticks are late,
+    `--doctor` prints what helps on this host, and `--realtime` requests it.
 
     Exit status: 0 when stopped or at the stream's end (`--once`), 1 when something is missing in
     the recording (`--record`), 2 when the scene, an address or that file cannot be used, 3 when
-    a fault was latched before the end; the reason is a line on stderr. A latched fault ends
-    nothing by itself: the display withdraws, and shows the fault and what to do until it is
-    stopped.
+    a fault was latched before the end; the reason is a line on stderr. A latched fault does not
+    end the program: the tip is withdrawn, and the fault and what to do are shown until the
+    program is stopped.
     """
     console = options.plain_console(quiet, json)
     with options.one_line_errors(PROGRAM):
         configure_logging(log_level, quiet)
-        allow_connections()
+        raise_file_limit()
         check_writable(json)
         if doctor:
             run_doctor(None if scene is None else find_scene(scene), seconds, console, json)
@@ -156,7 +158,7 @@ def display(
         section = load_section(path, "display", DisplayScene)
         own = key if readers else None
         provenance = collect(path, {"display": section})
-        # A drive on its way home comes to rest, whatever ends this process.
+        # A signal raises KeyboardInterrupt, so that a drive on its way home is brought to rest.
         interrupt_on_signals()
         log_options = [] if log_level is None else ["--log-level", log_level]
         log_options += ["--quiet"] if quiet else []
@@ -170,8 +172,8 @@ def display(
             ) as recording,
         ):
             freeze_objects()
-            # The last: what can fail without the drive has failed before it moves.
-            with connected(section, path.parent, without_film) as hardware:
+            # Last, so that everything else that can fail does so before the drive moves.
+            with start_bench(section, path.parent, without_film) as hardware:
                 if served is not None:
                     served.send(address=node.telemetry_address, key=own and str(own))
                 if hardware is not None:
@@ -193,7 +195,7 @@ def _run(
     key: Path | None,
     request: RealtimeRequest,
 ) -> Summary:
-    """Run the node, beside the process that draws its state; `key` opens the telemetry to it."""
+    """Run the node, and a process that draws its state; `key` lets that read the telemetry."""
     stop_on_signals(node.stop)
     logger.info(f"waiting for {', '.join(connect)}; telemetry on {node.telemetry_address}")
     watcher = None
@@ -202,9 +204,9 @@ def _run(
         watcher = ChildProcess(
             "screen", "-m", "display_node.telemetry.terminal", *arguments, own_session=False
         )
-    # After these processes are started, which would have some of the measures as well.
-    with options.hold_measures(PROGRAM, request) as grant:
-        summary = options.with_measures(node.run(seconds, once), grant)
+    # Applied last, because processes started later would inherit some of the settings.
+    with options.apply_and_log_realtime(PROGRAM, request) as grant:
+        summary = options.with_realtime_settings(node.run(seconds, once), grant)
     if watcher is not None:
         with watcher, suppress(subprocess.TimeoutExpired):
             watcher.wait(SCREEN_ENDS_WITHIN_S)

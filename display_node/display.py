@@ -32,16 +32,16 @@ class Display:
     Parameters
     ----------
     score
-        Whether to keep the running errors against what was received.
+        Whether to compute the running errors of the felt force against the received one.
     feedback
-        The real film's readings, in place of those of the scene's models; may be set until the
+        Readings of a real film, which replace those of the scene's models. It may be set until the
         first tick.
 
     Attributes
     ----------
     force_ratio
         Force at the finger per force at the wrist that makes both strains equal.
-    felt
+    tick_state
         State of the last tick.
     ticks
         Number of ticks that were run.
@@ -75,21 +75,21 @@ class Display:
         self.fidelity = TrackingError(self._layer.strain_per_newton) if score else None
         self.receiver = Receiver(name, scene.channel, scene.late_target, scene.paths)
         self.safety = Safety(scene.safety, scene.tick_ns)
-        self.felt = TickState()
+        self.tick_state = TickState()
         self.ticks = 0
 
     def use(self, hardware: Hardware) -> None:
-        """Play on a real bench, started, in place of the scene's models; before the first tick."""
+        """Play on a started real bench instead of the models. Call before the first tick."""
         self._hardware, self.feedback = hardware, hardware.feedback
 
     @property
     def state(self) -> str:
-        """One word for people: waiting, starting, playing, stale, ended or fault."""
+        """State in one word: waiting, starting, playing, stale, ended or fault."""
         if self.safety.faults:
             return "fault"
         if not self.receiver.ready:
             return "waiting"
-        if self.felt.scored:
+        if self.tick_state.scored:
             return "playing"
         if self.receiver.buffer.ended:
             return "ended"
@@ -101,8 +101,8 @@ class Display:
         return self._loop.output
 
     @property
-    def playing(self) -> PlaybackStatus | None:
-        """Channel, force ratio and predictor with which the stream is played; None before it is."""
+    def playback_status(self) -> PlaybackStatus | None:
+        """Channel, force ratio and predictor that are in use; None before there is a stream."""
         if self.receiver.description is None:
             return None
         scene, strain_per_newton = self._scene, self._layer.strain_per_newton
@@ -113,16 +113,16 @@ class Display:
 
     def pack_status(self, summary: Summary, final: bool) -> bytes:
         """Encode this display's status with a summary."""
-        receiver, playing = self.receiver, self.playing
+        receiver, playing = self.receiver, self.playback_status
         stream = receiver.description.name if receiver.description else ""
         return pack_status(self.state, stream, summary, final, receiver.session, playing=playing)
 
     @property
     def over(self) -> bool:
-        """True when the session has ended and was played to its end."""
+        """True when the session has ended and all of it was played."""
         if not self.receiver.buffer.ended:
             return False
-        return self.receiver.over(self.felt.now_ns, self.felt.playout_delay_ns)
+        return self.receiver.over(self.tick_state.now_ns, self.tick_state.playout_delay_ns)
 
     def on_frame(self, data: bytes, now_ns: int) -> None:
         """Take a data message."""
@@ -146,7 +146,7 @@ class Display:
             self._playout = PlayoutClock()
             self._concealment = self._build_concealment()
             self._reach_ns = self._lead_ns + self._loop.horizon * self._tick_ns
-            # What "auto" adds for the loop itself: the sample after its horizon's end.
+            # "auto" adds this delay for the loop itself: up to the sample after the horizon's end.
             self._reserve_ns = self._reach_ns + description.period_ns
 
     def requests(self, now_ns: int) -> list[Control]:
@@ -160,10 +160,10 @@ class Display:
     def tick(self, now_ns: int, elapsed_ticks: int = 1) -> TickState:
         """Advance the force loop to `now_ns`, `elapsed_ticks` ticks after the last one.
 
-        On a real bench its drive is commanded: the controller's output, or after a fault the
-        withdrawal.
+        On a real bench, the drive is sent the controller's output, or after a fault the command to
+        withdraw.
         """
-        hardware, safety, felt, loop = self._hardware, self.safety, self.felt, self._loop
+        hardware, safety, felt, loop = self._hardware, self.safety, self.tick_state, self._loop
         if hardware is not None:
             fault = hardware.read() or hardware.overrun(elapsed_ticks)
             if fault is not None and not safety.faults:
@@ -178,11 +178,11 @@ class Display:
             safety.watch(reading_n)
         else:
             felt_n = reading_n = self.feedback.read(now_ns)
-            if (silent := self.feedback.silent(now_ns)) is not None:
+            if (silent := self.feedback.silent_fault(now_ns)) is not None:
                 safety.fault(silent)
             else:
                 safety.watch(reading_n)
-                if (late := self.feedback.late) is not None and not safety.faults:
+                if (late := self.feedback.late_fault) is not None and not safety.faults:
                     safety.fault(late)
         reference_n = safety.bound(reference_n, alive)
         loop.tick(reference_n, reading_n)
@@ -194,7 +194,7 @@ class Display:
         self._availability.add(self.state, elapsed_ticks)
         self._interruptions.add(felt.scored, elapsed_ticks)
         if felt.scored and self.fidelity is not None:
-            # A real film's reading is as old as this.
+            # A real film's reading is this old.
             before_ns = self._scene.film.latency_ns if self.feedback is not None else 0
             self.fidelity.add_output(
                 felt.sensing_now_ns - before_ns, felt.instant_ns - before_ns, felt_n
@@ -211,8 +211,8 @@ class Display:
         return Concealment(scene.predictor, scene.channel, scene.tick_ns, auto)
 
     def _reference(self, now_ns: int) -> tuple[list[float], bool]:
-        """Return the force wanted until the loop's horizon, and whether the stream is alive."""
-        receiver, felt, count = self.receiver, self.felt, self._loop.horizon + 1
+        """Return the target force until the loop's horizon, and whether the stream is alive."""
+        receiver, felt, count = self.receiver, self.tick_state, self._loop.horizon + 1
         felt.now_ns, felt.predictor_error_n = now_ns, math.nan
         felt.trusted = bool(self._concealment.trusted)
         delay_ns = receiver.delay.delay_ns
@@ -225,8 +225,8 @@ class Display:
             wanted_delay_ns = auto_delay_ns(carried_ns, felt.trusted)
         instant_ns = self._playout.instant(now_ns, sensing_now_ns - wanted_delay_ns)
         felt.sensing_now_ns, felt.instant_ns = sensing_now_ns, instant_ns
-        # The sensing chain is slow by its group delay: the pulse of an instant is in the sample
-        # that was taken so much later. And what the actuator is told now it does later.
+        # The sensing chain delays the pulse by its group delay, so the sample taken that much later
+        # shows the pulse of `instant_ns`. The actuator's lag is compensated in the same way.
         sampled_ns = instant_ns + self._lead_ns
         buffer = receiver.buffer
         buffer.advance(sampled_ns)
@@ -269,10 +269,10 @@ class Display:
     def summary(
         self, deadline_misses: int | None = None, tick_us: TickTime | None = None
     ) -> Summary:
-        """Return the summary so far; the loop's figures come from whoever runs it."""
-        finger = FingerState(self.felt.felt_n, measured_by="model, no drive")
+        """Return the summary so far; the arguments are the figures of the caller's loop."""
+        finger = FingerState(self.tick_state.felt_n, measured_by="model, no drive")
         summary = replace(
-            self.receiver.summary(self.felt.now_ns),
+            self.receiver.summary(self.tick_state.now_ns),
             playout_delay_ms=self._delays.playout_delay_ms,
             covered_delay_ms=self._delays.covered_delay_ms,
             availability=self._availability.availability(self._delays.ticks),
@@ -282,7 +282,7 @@ class Display:
             loop=Loop(self.ticks, deadline_misses, tick_us or TickTime()),
             rejected=dict(self.receiver.rejected),
             faults=list(self.safety.faults),
-            # A real bench measures its own.
+            # On a real bench, `DisplayNode` adds the measured state.
             finger=describe_finger(finger) if self.feedback is None else None,
             finger_stiffness=self._loop.finger_stiffness,
         )
@@ -291,7 +291,7 @@ class Display:
     def _limits(self) -> Limits:
         """Return how often and how long each limit has held, in ticks that were run.
 
-        With a real film, the models of actuator and film bound nothing that is felt.
+        With a real film, limits of the modelled actuator and film do not apply.
         """
         safety, loop, run = self.safety, self._loop, (self._tick_ns * 1e-9, self.ticks)
         limits = Limits(

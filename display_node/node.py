@@ -1,4 +1,4 @@
-"""The display node's shell: sockets, the clock on the wall, and one real-time loop."""
+"""The display node's shell: sockets, the monotonic clock, and one real-time loop."""
 
 import logging
 import secrets
@@ -35,29 +35,30 @@ from pulse_sensors.sensor import open_sensor
 
 logger = logging.getLogger(__name__)
 
-# Of each connection, however late it is: a host that is always late still receives all of a stream.
+# Messages read from each connection per tick, even if the tick is late: a host that is always late
+# still receives the whole stream.
 LEAST_READ = 16
-# After the end of a stream, silence is no reason to connect anew soon.
+# Least expected time between two frames once a stream has ended, when silence is normal.
 ENDED_NS = 1_000_000_000
 
 
 @contextmanager
-def connected(
+def start_bench(
     scene: DisplayScene, folder: Path, without_film: bool = False
 ) -> Iterator[Hardware | None]:
-    """Start the bench of a scene, within a `with`; None for a scene that names no drive.
+    """Start the real bench of a scene within a `with`; yield None if the scene names no drive.
 
     Parameters
     ----------
     folder
-        Of the scene's file.
+        Folder of the scene's file.
     without_film
-        Whether a drive may press a finger with no film under it.
+        Whether the drive may press although no film measures the force.
 
     Raises
     ------
     SceneError, SourceError, DriveError
-        The scene lacks something; the film's sensor, or the drive, does not answer.
+        A part is missing in the scene; the film's sensor, or the drive, does not answer.
     """
     if scene.drive is None:
         yield None
@@ -80,7 +81,7 @@ def connected(
 
 
 class DisplayNode:
-    """A display on real sockets. One thread: poll until the next tick, ingest, tick."""
+    """A display on real sockets. One thread waits for messages until the next tick, then ticks."""
 
     def __init__(
         self,
@@ -96,13 +97,14 @@ class DisplayNode:
         Parameters
         ----------
         addresses
-            Of the one sensing node, each over a network of its own.
+            Addresses of the one sensing node, one for each network path.
         keys
-            The sensing node's and our own.
+            The sensing node's public key and this node's pair.
         telemetry_keys
-            Of readers of the telemetry; None admits everybody who can reach it.
+            This node's pair and the allow-list of the telemetry's readers. None admits anybody who
+            can reach the socket.
         provenance
-            Of this run, for recorders.
+            Provenance of this run, for recorders.
 
         Raises
         ------
@@ -115,7 +117,7 @@ class DisplayNode:
         """
         paths = max(scene.paths, len(addresses))
         self._scene = scene = scene.model_copy(update={"paths": paths})
-        # Before any socket is opened: a loop that is not stable is refused here.
+        # First, because a loop that is not stable is refused here, before any socket is opened.
         self._display = Display(scene, f"display-{uuid.uuid4().hex[:6]}")
         self._hardware: Hardware | None = None
         self._stopping = False
@@ -137,7 +139,7 @@ class DisplayNode:
         self.telemetry_address = self._telemetry.address
 
     def use(self, hardware: Hardware) -> None:
-        """Play on a real bench, started, in place of the scene's models. Call it before `run`."""
+        """Play on a started real bench instead of the scene's models. Call it before `run`."""
         self._hardware = hardware
         self._display.use(hardware)
 
@@ -154,7 +156,7 @@ class DisplayNode:
         return self._telemetry.await_recorder(seconds)
 
     def run(self, seconds: float | None = None, once: bool = False) -> Summary:
-        """Run the loop until stopped, `seconds` are over, or (once) the stream has ended."""
+        """Run the loop until it is stopped, `seconds` are over, or (once) the stream has ended."""
         start_ns = time.monotonic_ns()
         end_ns = None if seconds is None else start_ns + round(seconds * 1e9)
         pacer = self._pacer = Pacer(self._scene.tick_ns, start_ns)
@@ -177,7 +179,7 @@ class DisplayNode:
             self._context.destroy(linger=sockets.LINGER_MS)
 
     def _receive(self, until_ns: int) -> None:
-        """Take the messages that wait; what is left then waits for the next time."""
+        """Take the waiting messages, at most until `until_ns`; the next call takes the rest."""
         display, connection, captured = self._display, self._connection, self._telemetry.captured
         receiver = display.receiver
         for path, route in enumerate(connection.routes):
@@ -197,7 +199,7 @@ class DisplayNode:
                 captured.welcome(now_ns, message)
             if now_ns >= until_ns and number >= LEAST_READ:
                 break
-        if receiver.listening and receiver.description is not None:
+        if receiver.accepts_frames and receiver.description is not None:
             frame_ns = receiver.description.batch * receiver.description.period_ns
             if receiver.buffer.ended:
                 frame_ns = max(frame_ns, ENDED_NS)

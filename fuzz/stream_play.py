@@ -47,7 +47,7 @@ class StreamPlay:
         for request in self.receiver.requests(self._now_ns):
             if isinstance(request, ClockRequest):
                 self._asked_ns.append(request.t1_ns)
-        if self.receiver.listening:
+        if self.receiver.accepts_frames:
             sensing_ns = self.receiver.clock.remote_ns(self._now_ns)
             self.receiver.buffer.advance(sensing_ns - 20 * MS)
         self._check()

@@ -15,7 +15,7 @@ from rich.console import Console
 from protocol.errors import ProtectionError, TelepulseError
 from protocol.host.child_process import Sidecar, sidecar_module
 from protocol.host.output import STDOUT
-from protocol.host.realtime import RealtimeGrant, RealtimeRequest, hold
+from protocol.host.realtime import RealtimeGrant, RealtimeRequest, apply_realtime
 from protocol.provenance import Provenance
 from protocol.run_summary import Summary, print_summary, write_json
 from protocol.security.allow_list import read_allowed
@@ -67,8 +67,8 @@ RealtimeOption = Annotated[
     str | None,
     typer.Option(
         metavar="fifo=40,lock,cpu=1,slack",
-        help="Real-time measures that keep the loop on time, or some of them; the node reports"
-        " what is not granted and runs without it. With 'strict' it does not start then.",
+        help="Real-time measures that keep the loop on time, or some of them. The node reports"
+        " what is not granted and runs without it; with 'strict' it refuses to start.",
     ),
 ]
 AnnounceOption = Annotated[
@@ -104,11 +104,12 @@ AllowOption = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE",
-        help="Public keys that may connect; by default the file 'allowed' beside the key.",
+        help="Allow-list: a file of the public keys that may connect. Default: the file 'allowed'"
+        " beside the key.",
     ),
 ]
 InsecureOption = Annotated[
-    bool, typer.Option("--insecure", help="Allow links beyond this machine without keys.")
+    bool, typer.Option("--insecure", help="Permit links beyond this machine without keys.")
 ]
 MetricsOption = Annotated[
     str | None,
@@ -131,9 +132,9 @@ def one_line_errors(program: str) -> Iterator[None]:
 
 
 def plain_console(quiet: bool = False, json: Path | None = None) -> Console:
-    """Return a console that prints text as it is: without markup, as peers send text, uncut.
+    """Return a console that prints text uncut and without markup, since peers may send text.
 
-    It is quiet, too, where the JSON of the command goes to standard output.
+    It prints nothing where `quiet`, or where the command's JSON goes to standard output.
     """
     return Console(quiet=quiet or json == STDOUT, markup=False, emoji=False, soft_wrap=True)
 
@@ -154,9 +155,9 @@ def sum_up(
 
 
 @contextmanager
-def hold_measures(program: str, request: RealtimeRequest) -> Iterator[RealtimeGrant]:
-    """Take the measures as `hold` does; log those granted and those refused."""
-    with one_line_errors(program), hold(request) as grant:
+def apply_and_log_realtime(program: str, request: RealtimeRequest) -> Iterator[RealtimeGrant]:
+    """Apply the settings as `apply_realtime` does; log those granted and those refused."""
+    with one_line_errors(program), apply_realtime(request) as grant:
         if grant.granted:
             logger.info(str(grant))
         for refusal in grant.refused:
@@ -164,8 +165,8 @@ def hold_measures(program: str, request: RealtimeRequest) -> Iterator[RealtimeGr
         yield grant
 
 
-def with_measures(summary: Summary, grant: RealtimeGrant) -> Summary:
-    """Return a loop's summary with the names of the measures that were granted."""
+def with_realtime_settings(summary: Summary, grant: RealtimeGrant) -> Summary:
+    """Return a loop's summary with the names of the settings that were granted."""
     return replace(summary, loop=replace(summary.loop, realtime=list(grant.granted)))
 
 
@@ -223,7 +224,7 @@ def telemetry_keys(
 
 
 def _check_insecure(keyed: bool, addresses: Sequence[str], insecure: bool, options: str) -> None:
-    """Check that a link is either protected, on this machine, or meant to be neither."""
+    """Check that a link has keys, stays on this machine, or is explicitly insecure."""
     if keyed and insecure:
         raise ProtectionError("--insecure does without keys, and --key is given: choose one")
     for address in addresses:
@@ -236,11 +237,11 @@ def _check_insecure(keyed: bool, addresses: Sequence[str], insecure: bool, optio
 
 @contextmanager
 def start_metrics(program: str, where: str | None) -> Iterator[Sidecar | None]:
-    """Serve metrics at `where` within a `with`, by a process that is yielded; None: not at all.
+    """Start a process that serves metrics at `where` within a `with`; yield it, or None.
 
-    Enter it before anything moves, and send the process the `address` of the telemetry to serve,
-    and the node's own `key` (None without). Raises SidecarError where the port is taken, or the
-    library or the package that serves metrics is missing.
+    where: address and port; None starts nothing. Enter it before a drive moves. Then send the
+    process the `address` of the telemetry and the node's own `key` (None without keys). Raises
+    SidecarError where the port is taken, or the library or the package is missing.
     """
     if where is None:
         yield None

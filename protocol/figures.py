@@ -1,9 +1,9 @@
 """Figures of the summary, each described once: meaning, unit, display text, metric.
 
-A field of the summary's dataclasses carries a `Figure`, made by `figure`, or by `table` for a field
-that holds a table of figures. Terminal, live page, Prometheus, the report of a recording and the
-reference draw from these, so a new figure is one new field. `absent` lists each surface that
-omits the figure, with the reason.
+The fields are in `protocol/run_summary.py` and, for the members of a table, in
+`protocol/summary_tables.py`; `figure` and `table` make them. Terminal, live page, Prometheus, the
+report of a recording and the reference read the same fields, so a new figure is one new field.
+`absent` lists each surface that omits the figure, with the reason.
 """
 
 import dataclasses
@@ -18,7 +18,7 @@ from protocol.histogram import bound
 
 
 class Surface(StrEnum):
-    """Where people and programs read the figures, besides the JSON."""
+    """A place where people or programs read the figures, besides the JSON."""
 
     SUMMARY = "summary printed at the end"
     TERMINAL = "live view in the terminal"
@@ -64,17 +64,17 @@ class Figure:
 
     meaning: str = ""  # for the reference, and for Prometheus unless `help` is given
     text: str = "{}"  # template in a row; "{}" is the value
-    unit: Unit | None = None  # None: that of the table, else a count
-    row: str = ""  # name of the row; empty: that of the table
+    unit: Unit | None = None  # None takes the table's; without one it is a count
+    row: str = ""  # name of the row; empty takes the table's
     separator: str = ", "  # text before this figure, unless it is the first of its row
-    noun: tuple[str, ...] = ()  # singular and plural of what a count counts
+    noun: tuple[str, ...] = ()  # singular and plural of the noun after a count
     show_zero: bool = True  # a value of 0 is shown
-    share_of: str = ""  # for a share: the key of `availability` whose time is the whole
+    share_of: str = ""  # for a share: key in `availability` of the time that is 100 %
     prominent: bool = False  # a live page shows it large, instead of the first one of its row
-    # Formats a value that is no number, or a whole table as one phrase; None hides it.
+    # Formats a value that is no number, or a whole table as one phrase; returns None to hide it.
     show: Callable[[Any], str | None] | None = None
     headline: Callable[[Any], str] | None = None  # returns the large text of a live page
-    metric: str = ""  # name for Prometheus without prefix and suffix; empty: that of the table
+    metric: str = ""  # name for Prometheus without prefix and suffix; empty takes the table's
     counter: bool = False  # else a gauge, or a summary if labelled with a quantile
     labels: Mapping[str, str] = field(default_factory=dict)
     label: str = ""  # name of the label for the keys of a map or the items of a list
@@ -99,7 +99,7 @@ class Figure:
         return f"{self.row}, {words}" if words and self.phrase is None else self.row
 
     def value(self, summary: Mapping[str, Any]) -> Any:
-        """Return its value in a summary's JSON; None where there is none."""
+        """Return the figure's value in a summary's JSON; None without one."""
         return _value_at(summary, self.key)
 
 
@@ -125,8 +125,8 @@ def figure(
 ) -> Any:
     """Return the field of a figure, with the arguments of `Figure`.
 
-    metric: as Prometheus writes it: 'samples_total{outcome="played"}' is a counter. factory:
-    returns the initial value, for example an empty list; None by default.
+    metric: name and labels as Prometheus writes them, such as 'samples_total{outcome="played"}',
+    where "_total" makes a counter. factory: returns the initial value, by default None.
     """
     return _field(factory, metric, meaning=meaning, text=text, unit=unit, **arguments)
 
@@ -180,7 +180,7 @@ def _value_at(summary: Any, key: str) -> Any:
 
 
 class RowPart(NamedTuple):
-    """A figure in its row: formatted value, and the time it is a share of."""
+    """A figure in its row: the formatted value, and what a share refers to."""
 
     figure: Figure
     value: str
@@ -193,7 +193,7 @@ class RowPart(NamedTuple):
 
 
 class SummaryRow(NamedTuple):
-    """A row of the summary, with the parts that have a value; headline: short, for a live page."""
+    """A row of the summary, with the parts that have a value; headline: text for a live page."""
 
     name: str
     parts: tuple[RowPart, ...]
@@ -207,12 +207,12 @@ class SummaryRow(NamedTuple):
 
     @property
     def large(self) -> str:
-        """What a live page shows large."""
+        """Text that a live page shows large."""
         return self.headline or self._lead.text
 
     @property
     def note(self) -> str:
-        """What a live page shows beneath."""
+        """Text that a live page shows below the large one."""
         if self.headline:
             return self.text.replace("\n", "; ")
         others = [f"{p.text}{p.detail}" for p in self.parts if p is not self._lead]
@@ -235,7 +235,7 @@ class Registry:
         yield from (figure for figure in self.figures if surface not in figure.absent)
 
     def rows(self, summary: Mapping[str, Any], surface: Surface) -> list[SummaryRow]:
-        """Return the rows of a summary's JSON on a surface; one without a value is left out."""
+        """Return the rows of a summary's JSON on a surface, without rows that have no value."""
         rows: dict[str, SummaryRow] = {}
         for figure in self.on(surface):
             if figure.phrase is not None and figure.row in rows:
@@ -250,7 +250,7 @@ class Registry:
         return list(rows.values())
 
     def cells(self, summary: Mapping[str, Any], surface: Surface) -> dict[str, str]:
-        """Return the value of each figure of a surface, by its name; empty without one."""
+        """Return the text of each figure of a surface by its name; empty without a value."""
         parts = (part for row in self.rows(summary, surface) for part in row.parts)
         found = {part.figure.name: f"{part.value}{part.detail}" for part in parts}
         return {each.name: found.get(each.name, "") for each in self.on(surface)}
@@ -271,16 +271,16 @@ def _parts(figure: Figure, summary: Mapping[str, Any]) -> tuple[RowPart, ...]:
         shown = limit + (figure.unit or COUNT).text(value)
     if figure.share_of:
         share = _value_at(summary, f"availability.{figure.share_of}")
-        run = "" if share is None else f" ({100 * share:.1f} % of the run)"
+        run = "" if share is None else f", which is {100 * share:.1f} % of the run"
         detail = f" of the time {figure.share_of}{run}"
     return (RowPart(figure, shown, detail),) if shown else ()
 
 
 def absent(reason: str, *surfaces: Surface, but: Surface | None = None) -> dict[Surface, str]:
-    """Return that figures are absent from surfaces, or from all `but` one, for a reason."""
+    """Return `Figure.absent`: absence from some surfaces, or all `but` one, with the reason."""
     return {each: reason for each in surfaces or Surface if each != but}
 
 
 def texts(values: Iterable[str], between: str = ", ") -> str | None:
-    """Return texts in one line; None without any."""
+    """Join texts into one line; return None without any."""
     return between.join(values) or None

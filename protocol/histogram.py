@@ -7,15 +7,16 @@ from collections.abc import Collection
 class Histogram:
     """Counts of values in equal bins from 0 up to `end`, and of those beyond.
 
-    A quantile is exact to one bin within the range. Beyond it, only that it is above `end` is
-    known. Maximum (None without values) and mean are exact. NaN are counted in `not_numbers` alone.
+    A quantile within the range is exact to one bin. Of a quantile beyond it, only the lower bound
+    `end` is known. Maximum (None without values) and mean are exact. NaN are counted in
+    `not_numbers` alone.
     """
 
     __slots__ = ("_bin_width", "_counts", "_total", "count", "end", "maximum", "not_numbers")
 
     def __init__(self, bin_width: float, bins: int) -> None:
         self._bin_width = bin_width
-        # The last one is of what lies beyond the range.
+        # The last bin counts the values beyond the range.
         self._counts = [0] * (bins + 1)
         self._total = 0.0
         self.end = bin_width * bins
@@ -27,7 +28,7 @@ class Histogram:
         if value >= self.end:
             position = -1
         elif value > 0.0:
-            # Rounding may lead past the last bin by one.
+            # Rounding may give the number of bins itself, one too many.
             position = min(int(value / self._bin_width), len(self._counts) - 2)
         elif math.isnan(value):
             self.not_numbers += 1
@@ -46,10 +47,10 @@ class Histogram:
         return self._total / self.count if self.count else None
 
     def quantile(self, share: float) -> float | None:
-        """Return the middle of the bin below which `share` (0 to 1) of the values lie.
+        """Return the quantile for a share of 0 to 1: the middle of its bin.
 
-        Returns `end`, a lower bound, where that is beyond the range (see `beyond`), and None
-        without any value.
+        Returns `end`, a lower bound, for a quantile beyond the range (see `beyond`); None without
+        values.
         """
         if self.maximum is None:
             return None
@@ -63,9 +64,9 @@ class Histogram:
         return self.end
 
     def beyond(self, **shares: float) -> list[str]:
-        """Return the names of those quantiles that are beyond the range: `p99=0.99`.
+        """Return the names of the quantiles beyond the range: `beyond(p50=0.5, p99=0.99)`.
 
-        Without a walk through the bins: a status is built between two ticks.
+        It does not iterate over the bins, because a status is built between two ticks.
         """
         return [name for name, share in shares.items() if self._is_beyond(share)]
 
@@ -75,5 +76,5 @@ class Histogram:
 
 
 def bound(name: str, beyond: Collection[str]) -> str:
-    """Return what stands before a quantile's figure: "> " where it is a lower bound."""
+    """Return the prefix of a quantile's figure: "> " if it is a lower bound, else empty."""
     return "> " if name in beyond else ""

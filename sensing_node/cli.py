@@ -11,7 +11,7 @@ from protocol.config.scene import load_section
 from protocol.config.scene_file import find_scene, scene_names
 from protocol.discovery.announcer import start_announcer
 from protocol.host.output import check_writable, configure_logging, unblocked_output
-from protocol.host.process import allow_connections, freeze_objects, stop_on_signals
+from protocol.host.process import freeze_objects, raise_file_limit, stop_on_signals
 from protocol.host.realtime import check_strict, parse_realtime
 from protocol.provenance import collect
 from protocol.sockets import control_address
@@ -79,7 +79,7 @@ def sense(
     with ExitStack() as until_the_end:
         with options.one_line_errors(PROGRAM):
             configure_logging(log_level, quiet)
-            allow_connections()
+            raise_file_limit()
             check_writable(json)
             request = parse_realtime(realtime)
             check_strict(request)
@@ -111,8 +111,8 @@ def sense(
             delay_ms = description.group_delay_ns * 1e-6
             logger.info(f"the conditioning chain delays the pulse by {delay_ms:.1f} ms")
         freeze_objects()
-        with options.hold_measures(PROGRAM, request) as grant:
-            summary = options.with_measures(node.run(seconds), grant)
+        with options.apply_and_log_realtime(PROGRAM, request) as grant:
+            summary = options.with_realtime_settings(node.run(seconds), grant)
     options.sum_up(PROGRAM, summary, "sensing node", console, json, provenance)
 
 

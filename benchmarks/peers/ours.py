@@ -70,7 +70,7 @@ def subscribe(wire: Wire) -> Iterator[Arrival]:
                 yield Arrival(frame.first_sample, frame.t_first_ns, buffer.put_ns)
         for message in sockets.receive_each(control):
             receiver.on_control(message, time.monotonic_ns())
-        if receiver.listening and receiver.buffer is not buffer:
+        if receiver.accepts_frames and receiver.buffer is not buffer:
             receiver.buffer = buffer
             data.subscribe(b"")
         requests = receiver.requests(time.monotonic_ns())

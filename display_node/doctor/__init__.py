@@ -1,6 +1,6 @@
 """`display-node --doctor`: what this host grants a real-time loop, and how late its ticks are.
 
-It leaves the host as it was: every measure is taken back, and of files only its report is written.
+It leaves the host as it was: each setting is undone, and the report is the only file written.
 """
 
 import dataclasses
@@ -20,7 +20,7 @@ from protocol.config.scene import load_section
 from protocol.histogram import bound
 from protocol.host.output import write_whole
 from protocol.host.process import freeze_objects
-from protocol.host.realtime import RealtimeGrant, hold, parse_realtime
+from protocol.host.realtime import RealtimeGrant, apply_realtime, parse_realtime
 
 SECONDS = 30.0
 TICKS_WIDTH = 72
@@ -39,7 +39,7 @@ def run_doctor(
     work: Work = lambda due_ns, elapsed: None  # noqa: E731
     if scene is not None:
         section = load_section(scene, "display", DisplayScene)
-        # What a waiting display does in a tick.
+        # The work of a tick while a display waits for its stream.
         tick_ns, work = section.tick_ns, Display(section, "doctor").tick
     host = read_host()
     _print_rows("this host", describe(host), console)
@@ -51,7 +51,7 @@ def run_doctor(
         f"\nticks of {tick_ns * 1e-6:g} ms, {seconds:g} s in all, beside nothing and beside"
         f" {processors} busy processes"
     )
-    # As a node does before its loop.
+    # A node does the same before its loop.
     freeze_objects()
     findings = measure(tick_ns, work, held, seconds, processors, host.isolated)
     verdict = judge(host, findings)
@@ -79,16 +79,16 @@ def run_doctor(
 
 
 def _try(host: Host) -> RealtimeGrant:
-    """Take each measure for a moment; return which were granted and which refused."""
-    measures = ["slack", "lock", "fifo"]
+    """Apply each setting for a moment; return which were granted and which refused."""
+    settings = ["slack", "lock", "fifo"]
     if host.isolated:
-        measures.append(f"cpu={host.isolated.rpartition(',')[2].rpartition('-')[2]}")
+        settings.append(f"cpu={host.isolated.rpartition(',')[2].rpartition('-')[2]}")
     elif len(host.cpus) > 1:
-        # Interrupts come to the first by default.
-        measures.append(f"cpu={host.cpus[-1]}")
+        # The last one: by default, the first processor serves the interrupts.
+        settings.append(f"cpu={host.cpus[-1]}")
     tried = RealtimeGrant()
-    for name in measures:
-        with hold(parse_realtime(name)) as held:
+    for name in settings:
+        with apply_realtime(parse_realtime(name)) as held:
             tried.granted |= held.granted
             tried.refused += held.refused
     return tried
@@ -113,7 +113,7 @@ def _print_ticks(findings: HostFindings, console: Console) -> None:
             for key, value in _figures(ticks).items()
         )
         table.add_row(name, beside, *figures)
-    # Not cut, however narrow the terminal.
+    # The table is not cut, however narrow the terminal is.
     console.print(table, width=max(console.width, TICKS_WIDTH), crop=False)
 
 

@@ -1,4 +1,4 @@
-"""What a host reports of itself that matters to a real-time loop; it is read, never changed."""
+"""Properties of a host that matter to a real-time loop; they are read, never changed."""
 
 import importlib.metadata
 import os
@@ -18,7 +18,7 @@ CPU = Path("/sys/devices/system/cpu")
 CGROUP = Path("/sys/fs/cgroup")
 PREEMPTION = re.compile(r"\bPREEMPT(?:_RT| RT|_DYNAMIC)?\b")
 EXTRA = re.compile(r"([\w.-]+).*extra == ['\"]([\w-]+)['\"]")
-# Those a node of one host can need; others are for reports and studies.
+# Extras that a node may need; the others are for reports and studies.
 EXTRAS = ("sensors", "drives", "record")
 SLOW_WAKE_US = 100
 QUICK_CLOCKS = ("tsc", "arch_sys_counter", "kvm-clock", "riscv_clocksource", "timebase")
@@ -29,8 +29,9 @@ UNKNOWN = "no word of it"
 class Host:
     """Properties of a host; None or empty where they could not be read.
 
-    cpus: those this process may use; quota: of processors that its control group allows; idle_us:
-    what waking from the deepest sleep costs; limits: of this process, by name, None for no limit.
+    cpus: processors that this process may use. quota: processors' time that its control group
+    allows. idle_us: time to wake from the deepest sleep. limits: resource limits of this process by
+    name; None for no limit.
     """
 
     system: str
@@ -82,7 +83,7 @@ def read_host() -> Host:
 
 
 def preemption_of(version: str) -> str | None:
-    """Return how preemptible a Linux kernel is by its version line, if stated."""
+    """Return the preemption model that a Linux kernel's version line names; None without one."""
     found = PREEMPTION.search(version)
     return found[0].replace(" ", "_") if found else None
 
@@ -121,7 +122,7 @@ def describe(host: Host) -> list[tuple[str, str]]:
 
 
 def advice_on(host: Host) -> Iterator[str]:
-    """Yield what would help this host, the weightiest first."""
+    """Yield what would help this host, the most effective first."""
     if host.quota is not None and host.quota < 2:
         yield (
             f"the control group stops this process when it has had {host.quota:g} processors'"
@@ -144,9 +145,9 @@ def advice_on(host: Host) -> Iterator[str]:
 
 
 def stolen() -> tuple[int, int]:
-    """Return the time that a hypervisor took away, and all time, of all processors.
+    """Return the time that a hypervisor took away, and the total time, of all processors.
 
-    Both are in the kernel's units since its start; zeros where it does not count.
+    Both are in the kernel's units since its start; zeros where the kernel does not count them.
     """
     line = kernel_text(Path("/proc/stat")).partition("\n")[0].split()[1:9]
     return (int(line[7]), sum(map(int, line))) if len(line) == 8 else (0, 0)

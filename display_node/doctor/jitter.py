@@ -1,4 +1,4 @@
-"""How late ticks begin, with each real-time measure and without, and the verdict on it."""
+"""Lateness of ticks with each real-time setting and without, and the verdict on the host."""
 
 import os
 import time
@@ -13,9 +13,15 @@ from display_node.scoring.deadlines import ALARM_SHARE, GAP_NS
 from protocol import sockets
 from protocol.histogram import Histogram
 from protocol.host.child_process import ChildProcess
-from protocol.host.realtime import Pacer, RealtimeGrant, RealtimeRequest, hold, parse_realtime
+from protocol.host.realtime import (
+    Pacer,
+    RealtimeGrant,
+    RealtimeRequest,
+    apply_realtime,
+    parse_realtime,
+)
 
-# It ends with the process that started it, however that ends.
+# A busy process polls its parent's id, so it ends even where its parent is killed.
 BUSY = """
 import os, sys
 while os.getppid() == int(sys.argv[1]):
@@ -25,8 +31,9 @@ MAX_ROUNDS = 4
 LEAST_SLOT_S = 0.1
 BARE, TOGETHER = "bare", "together"
 IDLE, LOADED = "nothing", "load"
-# Share of the ticks beside a load, with all that is granted.
+# Largest share of missed ticks, under load and with all granted settings, that is "ok".
 OK_MISSED = 1e-3
+# A larger share of time taken by the hypervisor is reported.
 STOLEN = 1e-2
 
 Work = Callable[[int, int], object]
@@ -35,14 +42,14 @@ Work = Callable[[int, int], object]
 
 @dataclass(slots=True)
 class Ticks:
-    """late_us: how late ticks began; missed: those that did not begin within their period."""
+    """late_us: lateness of ticks; missed: number of ticks that did not begin in their period."""
 
     late_us: Histogram = field(default_factory=lambda: Histogram(2.0, 5_000))
     missed: int = 0
 
     @property
     def due(self) -> int:
-        """How many ticks there should have been."""
+        """Number of ticks that were due."""
         return self.late_us.count + self.missed
 
 
@@ -52,7 +59,7 @@ def run_ticks(
     """Wait for ticks as a display does, and call `work` in each."""
     pacer = Pacer(tick_ns, time.monotonic_ns())
     end_ns = pacer.due_ns + round(seconds * 1e9)
-    # Until nothing is due any more: a wait that ends after the end is the latest of all.
+    # The loop ends only when no tick is due: a wait that ends too late is the worst lateness.
     while pacer.due_ns <= end_ns:
         now_ns = time.monotonic_ns()
         tick = pacer.begin(now_ns)
@@ -66,7 +73,7 @@ def run_ticks(
 
 @contextmanager
 def busy_processes(count: int) -> Iterator[None]:
-    """Run so many processes that compute without a pause, within a `with`."""
+    """Run `count` processes that compute without a pause, within a `with`."""
     with ExitStack() as stack:
         for _ in range(count):
             arguments = ("-S", "-c", BUSY, str(os.getpid()))
@@ -78,8 +85,8 @@ def busy_processes(count: int) -> Iterator[None]:
 class HostFindings:
     """Findings of a doctor's run.
 
-    ticks: by measure, and by what ran beside them. option: the value to pass to --realtime, None
-    where nothing is granted. stolen: share of time that a hypervisor took away meanwhile.
+    ticks: by setting, and by what ran beside them. option: the value to pass to --realtime, None
+    where nothing is granted. stolen: share of the time that a hypervisor took away.
     """
 
     tick_ns: int
@@ -92,10 +99,10 @@ class HostFindings:
 def measure(
     tick_ns: int, work: Work, held: RealtimeGrant, seconds: float, processors: int, isolated: str
 ) -> HostFindings:
-    """Measure ticks bare, with each granted measure, and with all of them.
+    """Measure ticks bare, with each granted setting, and with all of them.
 
-    They take turns, so that all of them meet the same host. A processor is chosen only where one
-    is isolated: another one is no better by itself.
+    The cases take turns, so that a change of the host's load affects all of them. The combination
+    pins the loop only to an isolated processor: pinning to another one does not help.
     """
     chosen = [name for name in held.granted if isolated or not name.startswith("cpu")]
     wanted = {BARE: RealtimeRequest()} | {name: parse_realtime(name) for name in held.granted}
@@ -112,7 +119,7 @@ def measure(
         for beside, busy in ((LOADED, processors), (IDLE, 0)):
             with busy_processes(busy):
                 for name, request in list(wanted.items()) * rounds:
-                    with hold(request):
+                    with apply_realtime(request):
                         slot = ticks[name, beside]
                         run_ticks(slot, tick_ns, each_s / rounds, descriptors, work)
         stolen_after, all_after = stolen()
@@ -129,7 +136,7 @@ def measure(
 
 @dataclass(frozen=True, slots=True)
 class HostVerdict:
-    """status: ok, look or fail; reason: a line; advice: lines, the weightiest first."""
+    """status: ok, look or fail; reason: a line; advice: lines, the most effective first."""
 
     status: str
     reason: str

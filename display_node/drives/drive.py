@@ -185,10 +185,10 @@ class Drive(ABC):
         without any is a fault, and the tip withdraws.
         """
 
-    def report_film(self, force_n: float, taken_ns: int) -> None:
+    def add_film_reading(self, force_n: float, taken_ns: int) -> None:
         """Take a reading of the film in N, by which a withdrawal is judged as well."""
         with self._lock:
-            self._supervisor.report_film(force_n, taken_ns)
+            self._supervisor.add_film_reading(force_n, taken_ns)
 
     def status(self) -> DriveStatus:
         """Return what the drive reported last, without a request."""
@@ -250,7 +250,7 @@ class Drive(ABC):
         """Begin to send commands, and to check that they come."""
         now_ns = time.monotonic_ns()
         self._supervisor.arm(now_ns)
-        self._supervisor.report(device.position_m, now_ns)
+        self._supervisor.add_position(device.position_m, now_ns)
         self._closing = False
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()

@@ -107,7 +107,7 @@ class FollowingError:
         """Return the commanded position in m from first touch; NaN before the first report."""
         return self._origin_m + self._commanded.travel_m(now_ns)
 
-    def report(self, position_m: float, received_ns: int) -> None:
+    def add_position(self, position_m: float, received_ns: int) -> None:
         """Take a reported position in m from first touch, and when it was received."""
         commanded_m = self._commanded.travel_m(received_ns)
         if math.isnan(self._origin_m):

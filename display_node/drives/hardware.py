@@ -100,9 +100,9 @@ class Hardware:
                 self._received_ns = status.received_ns
                 self.feedback.add(status.received_ns, self._contact.force(status.position_m))
         else:
-            self._plausibility.report(status.position_m, status.received_ns)
+            self._plausibility.add_position(status.position_m, status.received_ns)
             if newest is not None and status.fault is None:
-                contradiction = self._plausibility.fault(newest[1], newest[0])
+                contradiction = self._plausibility.check_reading(newest[1], newest[0])
                 return self._film_fault or contradiction
         return None if status.fault is None else f"drive: {status.fault}"
 
@@ -164,11 +164,11 @@ class Hardware:
         for reading in [] if self._sensor is None else self._sensor.poll():
             for taken_ns, force_n in zip(reading.times_ns, reading.force_n, strict=True):
                 self.feedback.add(taken_ns, force_n)
-                self._film_fault = self._film_fault or self._rising.fault(force_n, taken_ns)
+                self._film_fault = self._film_fault or self._rising.check_reading(force_n, taken_ns)
         newest = self.feedback.newest
         if newest is None or self.feedback.samples == samples:
             return None
-        self._drive.report_film(newest[1], newest[0])
+        self._drive.add_film_reading(newest[1], newest[0])
         return newest
 
     @property

@@ -148,16 +148,16 @@ class Supervisor:
         """Take the loop's speed, positive into the finger; the latest one counts."""
         self._command = (speed_m_per_s, now_ns)
 
-    def report(self, position_m: float, now_ns: int) -> None:
+    def add_position(self, position_m: float, now_ns: int) -> None:
         """Take a position that the drive reported, in m from first touch."""
         # A host that stalled must not blame the drive, whose own watchdog has stopped it.
         self.check_silence(now_ns)
         self.position_m = position_m
         self.position_ns = self.answered_ns = now_ns
         if self.withdrawal is not None:
-            self.withdrawal.report(position_m, now_ns)
+            self.withdrawal.add_position(position_m, now_ns)
         if self.fault is None:
-            self._following.report(position_m, now_ns)
+            self._following.add_position(position_m, now_ns)
             if self._following.failed:
                 error_um = self._following.error_m * 1e6
                 self.fail(
@@ -166,10 +166,10 @@ class Supervisor:
                     now_ns,
                 )
 
-    def report_film(self, force_n: float, taken_ns: int) -> None:
+    def add_film_reading(self, force_n: float, taken_ns: int) -> None:
         """Take a reading of the film under the finger, in N."""
         if self.withdrawal is not None:
-            self.withdrawal.report_film(force_n, taken_ns)
+            self.withdrawal.add_film_reading(force_n, taken_ns)
 
     def fail(self, fault: str, now_ns: int) -> None:
         """Latch a fault and begin the withdrawal; a second one changes nothing."""

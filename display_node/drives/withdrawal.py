@@ -87,7 +87,7 @@ class Withdrawal:
         self._relieved = self.confirmed = False
         self.outcome = WithdrawalOutcome.UNDER_WAY
 
-    def report(self, position_m: float, received_ns: int) -> None:
+    def add_position(self, position_m: float, received_ns: int) -> None:
         """Take a position that the drive reported, in m from first touch."""
         silent_ns, self._received_ns = received_ns - self._received_ns, received_ns
         self._last_m = position_m
@@ -109,7 +109,7 @@ class Withdrawal:
         if position_m <= self._clear_m:
             self.outcome = WithdrawalOutcome.WITHDRAWN
 
-    def report_film(self, force_n: float, taken_ns: int) -> None:
+    def add_film_reading(self, force_n: float, taken_ns: int) -> None:
         """Take a reading of the film, in N."""
         self._last_n = force_n
         if self.outcome is not WithdrawalOutcome.UNDER_WAY:

@@ -1,7 +1,7 @@
-"""Readings of the real film under the finger, at a fixed age, and the check that they can be true.
+"""Readings of the real film under the finger, at a fixed age, and checks of their plausibility.
 
-All that decides about a reading is here, with one table of reasons, `FilmFault`. Pure: times come
-in, in ns on the monotonic clock.
+All checks of a reading are here, with one table of reasons, `FilmFault`. Pure: times are arguments
+in ns on the monotonic clock.
 """
 
 import math
@@ -13,7 +13,7 @@ from protocol.tactile import ElasticLayer
 
 
 class FilmFault(StrEnum):
-    """Reasons to trust the film no more. Each is a fault that ends the pulse."""
+    """Reasons to stop using the film. Each is a fault that ends the pulse."""
 
     NOT_A_NUMBER = "feedback is not a number"
     OVERFORCE = "felt force above {limit:.3g} N"
@@ -36,9 +36,9 @@ def refuse_reading(reading_n: float, overforce_n: float) -> str | None:
 
 # Samples that are kept: enough for an age of 50 ms at 10 kHz.
 KEEP = 1_000
-# The loop is stable with readings of the age that it assumes: with a film 20 ms late it swung, and
-# pressed a finger three times as stiff as the scene's with 3.55 N of 2.5 N. Adapters deliver every
-# 16 ms, so some readings of each 100 ms are new.
+# The loop is designed for readings of a given age. With a film 20 ms late it oscillated: it pressed
+# a finger three times as stiff as the scene's with 3.55 N, where the limit was 2.5 N. Adapters
+# that deliver every 16 ms still give some readings in time within any 100 ms.
 LATE_NS = 5_000_000
 LATE_FOR_NS = 100_000_000
 LATE_READS = 20
@@ -47,15 +47,15 @@ LATE_READS = 20
 class Feedback:
     """The film's force at a fixed age.
 
-    A sensor's samples arrive in batches, each some milliseconds after it was taken. Read at a fixed
-    age, they are as regular as they were taken, and the loop is designed for their lag.
+    A sensor's samples arrive in batches, some milliseconds after they were taken. Reading them at a
+    fixed age restores their even spacing; the loop is designed for that lag.
 
     Parameters
     ----------
     latency_ns
-        The age of a reading, in ns.
+        Age of a reading, in ns.
     stale_after_ns
-        Age of the newest sample, in ns, up to which it stands for those that do not come.
+        Age in ns up to which the newest sample is used when no newer one comes.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Feedback:
         self._latency_ns = latency_ns
         self._stale_after_ns = stale_after_ns
         self._samples: deque[tuple[int, float]] = deque(maxlen=KEEP)
-        # Since when and for how long all readings have been late, how many, and their least age.
+        # Late readings in a row: time of the first, duration, number, and least age.
         self._late_since_ns = self._late_for_ns = self._late_reads = self._least_age_ns = 0
         self.samples = 0
         self.out_of_order = 0
@@ -92,13 +92,13 @@ class Feedback:
         samples = self._samples
         return bool(samples) and now_ns - samples[-1][0] <= self._stale_after_ns
 
-    def silent(self, now_ns: int) -> str | None:
-        """Return the fault of a film from which no sample has come for too long."""
+    def silent_fault(self, now_ns: int) -> str | None:
+        """Return the text of the fault if no sample has come for too long, else None."""
         return None if self.alive(now_ns) else FilmFault.SILENT.value
 
     @property
-    def late(self) -> str | None:
-        """The fault of readings that have been older than assumed for 100 ms; None without."""
+    def late_fault(self) -> str | None:
+        """Text of the fault if readings have been older than assumed for 100 ms, else None."""
         if self._late_reads < LATE_READS or self._late_for_ns < LATE_FOR_NS:
             return None
         least_ms, assumed_ms = self._least_age_ns * 1e-6, self._latency_ns * 1e-6
@@ -107,8 +107,8 @@ class Feedback:
     def read(self, now_ns: int) -> float:
         """Return the force in N of `latency_ns` ago; NaN where no sample is recent enough.
 
-        Between two samples it is on the straight line, after the newest it is that one. Times must
-        not go back.
+        The force is interpolated linearly between two samples; after the newest sample its force is
+        held. Times must not go back.
         """
         samples, then_ns = self._samples, now_ns - self._latency_ns
         if not self.alive(now_ns):
@@ -123,7 +123,7 @@ class Feedback:
         return force_n + (next_n - force_n) * (then_ns - time_ns) / (next_ns - time_ns)
 
     def _check_age(self, newest_age_ns: int, now_ns: int) -> None:
-        """Count readings that are all older than assumed."""
+        """Count consecutive readings that are older than assumed."""
         if newest_age_ns <= self._latency_ns + LATE_NS:
             self._late_reads = 0
             return
@@ -134,17 +134,17 @@ class Feedback:
         self._least_age_ns = min(self._least_age_ns, newest_age_ns)
 
 
-# A slope is taken over so long.
+# Time over which a slope is computed.
 SLOPE_NS = 8_000_000
-# From a reading to the motor's turn, beside the film's own latency.
+# Time from a reading until the motor has reversed, without the film's own latency.
 REACTION_S = 10e-3
 
 
 class RisingForce:
-    """Predicts a felt force above the fault's bound, while there is time to turn.
+    """Predicts a felt force above the fault's bound early enough to reverse the motor.
 
-    The loop's own commands rise no faster than the slew limit, and stop at the force limit. What
-    rises faster is a drive that goes further than commanded.
+    The loop's own commands rise no faster than the slew limit, and stop at the force limit. A
+    faster rise comes from a drive that moves further than commanded.
     """
 
     def __init__(self, overforce_n: float, slew_limit_n_per_s: float, latency_ns: int) -> None:
@@ -153,7 +153,7 @@ class RisingForce:
         self._ahead_s = REACTION_S + latency_ns * 1e-9
         self._samples: deque[tuple[int, float]] = deque()
 
-    def fault(self, force_n: float, taken_ns: int) -> str | None:
+    def check_reading(self, force_n: float, taken_ns: int) -> str | None:
         """Take a reading in N; return the fault that it predicts, if any."""
         samples = self._samples
         samples.append((taken_ns, force_n))
@@ -171,22 +171,22 @@ class RisingForce:
 
 # The softest finger, as a share of the scene's `fingertip`. Fingertips are 0.5 to 5 N/mm.
 SOFTEST = 0.25
-# A finger may lie so much lower than the scene's `touch` says, or follow the tip so far.
+# Tolerance of the finger's place: it may lie lower than the scene's `touch`, or follow the tip.
 PLACE_M = 0.5e-3
-# Noise, and the film's own zero.
+# Tolerance for the film's noise and zero error.
 MARGIN_N = 0.05
-# Positions and readings are of different ages, up to this; a contradiction lasts as long.
+# Positions and readings may differ in age by this time, so a contradiction must last longer.
 WITHIN_NS = 50_000_000
-# A film whose reading does not change at all while the pressing tip goes so far is frozen.
+# A film is frozen if its reading stays exactly the same while the pressing tip moves this far.
 MOVED_M = 0.15e-3
 
 
 class FilmPlausibility:
     """Comparison of the film's readings with the positions of the last 50 ms.
 
-    A film that reads zero lets the loop press up to the force limit. The contact law of the softest
-    finger that a person has gives the least force that a position presses with; a lower reading is
-    wrong. Far off the finger the film must read nothing.
+    If a broken film reads zero, the loop presses on. The contact law of the softest human finger
+    gives the least force at a position; a lower reading is wrong. With the tip far off the finger,
+    the film must read zero.
     """
 
     def __init__(self, actuator: StepperScene, layer: ElasticLayer) -> None:
@@ -196,11 +196,11 @@ class FilmPlausibility:
         self._law = softest.contact(layer)
         self._positions: deque[tuple[int, float]] = deque()
         self._plausible_ns = 0
-        # The last reading, and the places of the pressing tip while it has been the same.
+        # The last reading, and the range of the pressing tip's positions since it last changed.
         self._same_n = math.nan
         self._low_m = self._high_m = 0.0
 
-    def report(self, position_m: float, received_ns: int) -> None:
+    def add_position(self, position_m: float, received_ns: int) -> None:
         """Take a position of the drive in m from first touch."""
         positions = self._positions
         if not positions or received_ns > positions[-1][0]:
@@ -208,8 +208,8 @@ class FilmPlausibility:
         while received_ns - positions[0][0] > WITHIN_NS:
             positions.popleft()
 
-    def fault(self, force_n: float, taken_ns: int) -> str | None:
-        """Take a reading in N; return its contradiction to the positions, once it lasts 50 ms."""
+    def check_reading(self, force_n: float, taken_ns: int) -> str | None:
+        """Take a reading in N; return the fault once it has contradicted positions for 50 ms."""
         places = [position_m for _, position_m in self._positions]
         fault = None
         if places:

@@ -1,7 +1,12 @@
 """Prediction of the pulse where no sample has arrived yet.
 
-To add a predictor, write an `Expert` in `experts.py`, add its name to `PredictorName` and build it
-in `ensemble.Ensemble`. A predictor that learns nothing is a `Predictor` itself, as `Linear` below.
+To add a predictor that learns:
+
+1. Write an `Expert` in `experts.py`.
+2. Build it in `ensemble.Ensemble`.
+3. Add its name to `PredictorName`, here.
+
+A predictor that learns nothing is a `Predictor`, like `Linear`; build it in `build_predictor`.
 """
 
 from bisect import insort
@@ -15,25 +20,25 @@ KEEP = 32
 
 
 class Predictor(Protocol):
-    """Predicts one channel of one session; times are the sensing clock's. Pure and causal."""
+    """Predictor of one channel of one session; times are on the sensing clock. Pure and causal."""
 
     def observe(self, times_ns: list[int], values: list[float]) -> None:
         """Take a frame's samples, late or not; no sample comes twice."""
 
     def work(self) -> None:
-        """Do the part of the work that a tick has room for; once a tick."""
+        """Do one tick's share of the work; call it once a tick."""
         return
 
     def predict(self, instant_ns: int) -> float:
         """Return the value at an instant after the newest sample; 0 before any."""
 
     def error_n(self, horizon_ns: int) -> float | None:
-        """Return the present RMSE so far after the newest sample; None while it is unknown."""
+        """Return the expected RMSE `horizon_ns` after the newest sample; None if unknown."""
         return None
 
 
 class Hold(Predictor):
-    """Predicts that nothing changes."""
+    """Predictor that holds the newest value."""
 
     def __init__(self) -> None:
         self._newest_ns, self._value = -(1 << 64), 0.0
@@ -49,7 +54,7 @@ class Hold(Predictor):
 
 
 class Linear(Predictor):
-    """Predicts a straight line, which soon ends."""
+    """Predictor that continues the newest value linearly for 20 ms, then holds it."""
 
     def __init__(self) -> None:
         self._samples: list[tuple[int, float]] = []
@@ -65,7 +70,7 @@ class Linear(Predictor):
         del samples[:-KEEP]
 
     def predict(self, instant_ns: int) -> float:
-        """Return the newest value carried on by the slope of the last 10 ms, for at most 20 ms."""
+        """Return the newest value, continued with the slope of the last 10 ms for at most 20 ms."""
         if not self._samples:
             return 0.0
         newest_ns, newest = self._samples[-1]
@@ -83,7 +88,7 @@ def build_predictor(name: PredictorName, tick_ns: int) -> Predictor:
     """Build a predictor that has seen nothing; `work` will be called every `tick_ns`."""
     if name in WITHOUT_ERROR_ESTIMATE:
         return Hold() if name == "hold" else Linear()
-    # The others bring linear algebra, whose import a display without them does not pay for.
+    # Imported here, so that a display without these predictors does not load linear algebra.
     from display_node.prediction.ensemble import Ensemble
 
     return Ensemble(name, tick_ns)

@@ -1,7 +1,7 @@
 """The experts of the stack: beat analogues, a long linear filter, and a harmonic oscillator.
 
-Each predicts the history's values of the next 250 ms over a common row of horizons. How to add a
-predictor: see `display_node/prediction/__init__.py`.
+`display_node/prediction/__init__.py` lists the places to change when you add a predictor. Each
+expert predicts the history's values at `HORIZONS` common horizons up to 250 ms ahead.
 """
 
 import math
@@ -14,7 +14,7 @@ from scipy.linalg.blas import dger, dsymv, dsyr
 
 from display_node.prediction.grid import History
 
-# Every 10 ms up to 250 ms: the pulse ends below 40 Hz, and a cubic joins them.
+# The horizons are 10 ms apart, up to 250 ms, and a cubic joins them: the pulse ends below 40 Hz.
 SPACING, HORIZONS = 2, 25
 AHEAD = SPACING * np.arange(1, HORIZONS + 1)
 FURTHEST = SPACING * HORIZONS
@@ -22,57 +22,59 @@ Trajectories = NDArray[np.float64]
 
 
 class Expert(Protocol):
-    """Predicts a history's values `AHEAD` steps after the newest, in one or several ways.
+    """Predictor of a history's values `AHEAD` steps after the newest, as one or more trajectories.
 
     Attributes
     ----------
     names
-        Of its trajectories.
+        Names of its trajectories.
     trust
-        Weight of each at the stack's start.
+        Weight of each of them at the stack's start.
     """
 
     names: tuple[str, ...]
     trust: float
 
     def observe(self, history: History) -> None:
-        """Take the value that was pushed; call once after each push."""
+        """Take the newest value of the history; call once after each push."""
         return
 
     def predict(self, history: History) -> Trajectories:
-        """After `observe`: differences of those values from the newest, shape (names, 25).
+        """Return the predicted differences from the newest value, shape (names, 25).
 
-        Zeros, which is to hold the newest, for as long as the expert knows nothing better.
+        Call it after `observe`. Zeros, which hold the newest value, mean that the expert has not
+        learnt enough.
         """
 
     def learn(self, history: History) -> None:
-        """After `predict`: what of the work on the newest value can wait until then."""
+        """Learn from the newest value; call it after `predict`, which need not wait for it."""
         return
 
 
 LAGS = 8_000
-# Nearer lags have no 250 ms after them, and are the present beat itself.
+# Smallest lag. At smaller ones, the next 250 ms are not known yet, and the beat is the present one.
 NEAREST = 60
 MEMORIES_S = (0.05, 0.2, 0.6)
 STEP_S = 0.005
-# Weight of the slope (per step), about that of the signal: a pulse's power over its slope's.
+# Weight of the slope (per step): the ratio of a pulse's power to that of its slope, so that both
+# count about equally.
 SLOPE = 50.0
 ANALOGUES = 15
 # Kernel's width over the analogues' mean distance.
 KERNEL = 0.2
-# How much of the analogues' distance from the present value is taken off what followed them.
+# Share of the analogue's difference from the present value that is subtracted from what followed.
 OFFSET = 0.5
-# A lag counts once its distance has been summed for so long.
+# A lag is used after its distance has been summed over this number of steps.
 SETTLED = 160
-# What follows an analogue, from the analogue itself on.
+# Steps from an analogue to the values that follow it; 0 is the analogue itself.
 NEXT = np.concatenate([[0], AHEAD])
 MEMORY = np.arange(len(MEMORIES_S))[:, np.newaxis]
 
 
 class Analogue(Expert):
-    """Three trajectories: what came after the moments of the last 40 s most like the present.
+    """Three trajectories: what followed the moments of the last 40 s most similar to the present.
 
-    They differ in their memory of the present. Its distance to every lag l is recursive,
+    They differ in the memory λ. The distance of the present from every lag l is updated by
 
         D(l) ← λ D(l) + (x(t) − x(t−l))² + w (ẋ(t) − ẋ(t−l))²,
 
@@ -87,8 +89,8 @@ class Analogue(Expert):
     trust = 0.2
 
     def __init__(self) -> None:
-        # Oldest first, like the history: index i is the lag LAGS − i. Single precision: these are
-        # the longest rows of all, and what is in them is noisier than it is coarse.
+        # Oldest first, like the history: index i is the lag LAGS − i. Single precision saves time
+        # in these long rows; their noise exceeds its rounding.
         self._difference = np.zeros(LAGS, np.float32)
         self._step = np.zeros(LAGS, np.float32)
         self._distances = np.zeros((len(MEMORIES_S), LAGS), np.float32)
@@ -96,9 +98,9 @@ class Analogue(Expert):
         self._forget = np.exp(-STEP_S / np.array(MEMORIES_S, np.float32))[:, np.newaxis]
 
     def observe(self, history: History) -> None:
-        """Carry the distances on and find the analogues."""
+        """Update the distances and find the analogues."""
         past = history.last(LAGS + 1)
-        # The slope's difference is the difference's step: x and its lagged self move on together.
+        # The slopes' difference is the change of the values' difference since the last step.
         difference, step = self._step, self._difference
         np.subtract(past[:-1], past[-1], out=difference)
         step -= difference
@@ -120,7 +122,7 @@ class Analogue(Expert):
         if places is None:
             return np.zeros((len(MEMORIES_S), HORIZONS))
         nearest = self._distances[MEMORY, places]
-        # Above 0 where all distances are 0.
+        # The small constant keeps the width above 0 where all distances are 0.
         width = KERNEL / ANALOGUES * np.add.reduce(nearest, axis=1, keepdims=True) + 1e-30
         weights = np.exp((np.minimum.reduce(nearest, axis=1, keepdims=True) - nearest) / width)
         weights /= np.add.reduce(weights, axis=1, keepdims=True)
@@ -130,7 +132,10 @@ class Analogue(Expert):
 
 
 def _lowest_minima(distances: NDArray[np.float32]) -> NDArray[np.intp] | None:
-    """Return where each row's ANALOGUES lowest local minima are, few repeated; None without any."""
+    """Return the positions of each row's ANALOGUES lowest local minima.
+
+    Fewer minima are repeated. Returns None where a row has no minimum.
+    """
     middle = distances[:, 1:-1]
     is_lowest = middle < distances[:, :-2]
     is_lowest &= middle <= distances[:, 2:]
@@ -146,11 +151,11 @@ def _lowest_minima(distances: NDArray[np.float32]) -> NDArray[np.intp] | None:
     return places
 
 
-# The near past at every step; further back, means over STRIDE steps: 1.3 s.
+# Taps of the filter: the near past at every step, and further back, to 1.3 s, means over STRIDE.
 NEAR, FAR, STRIDE = 40, 55, 4
 REACH = NEAR + FAR * STRIDE + 1
 TAPS = NEAR + FAR
-# 30 s of data.
+# Forgetting factor for a memory of 30 s.
 FORGET = 1 - 1 / 6_000
 # Relative to the power of the signal, as it is normalised.
 RIDGE = 0.01
@@ -160,9 +165,9 @@ ROWS = 8 * FURTHEST
 class Fir(Expert):
     """x(t+h) − x(t) as a linear function of x(t−i) − x(t), for every horizon h.
 
-    Recursive least squares gives the ridge solution of all data at every step, and needs no solve:
-    the gain of a regressor is the same for every horizon, so it is kept until the horizon's truth
-    arrives.
+    Recursive least squares gives the ridge solution of all data at every step without solving a
+    system. The gain of a regressor is the same for every horizon, and is kept until the true value
+    at that horizon arrives.
 
     References
     ----------
@@ -175,7 +180,7 @@ class Fir(Expert):
     def __init__(self) -> None:
         self._weights = np.zeros((HORIZONS, TAPS))
         self._covariance = np.asfortranarray(np.eye(TAPS) / RIDGE)
-        # Regressors, their gains and the values they came from; the last FURTHEST rows count.
+        # Regressors, their gains, and the newest values at their time; FURTHEST rows are in use.
         self._regressors = np.zeros((ROWS, TAPS))
         self._gains = np.zeros((ROWS, TAPS))
         self._origins = np.zeros(ROWS)
@@ -200,7 +205,7 @@ class Fir(Expert):
         return np.asarray(np.einsum("ij,j->i", self._weights, self._regressor)[np.newaxis])
 
     def learn(self, history: History) -> None:
-        """Correct every horizon's weights by the newest value; then count in its regressor."""
+        """Correct every horizon's weights by the newest value, and add the newest regressor."""
         if history.count < REACH:
             return
         # The rows that predicted this value, the shortest horizon first.
@@ -211,7 +216,7 @@ class Fir(Expert):
         self._weights += self._gains[before] * errors[:, np.newaxis]
         self._keep_ridge()
         regressor = self._regressor
-        # BLAS on one triangle: the covariance cannot lose its symmetry.
+        # BLAS works on one triangle, so the covariance stays symmetric.
         spread = dsymv(1.0, self._covariance, regressor)
         power = FORGET + float(regressor @ spread)
         dsyr(-1.0 / power, spread, a=self._covariance, overwrite_a=1)
@@ -224,30 +229,30 @@ class Fir(Expert):
             self._row = FURTHEST
 
     def _keep_ridge(self) -> None:
-        """Observe one weight a step, as 0, as often as forgetting has to be made good."""
+        """Observe one weight a step as 0, which restores the forgotten part of the ridge."""
         tap = self._tap = (self._tap + 1) % TAPS
         spread = np.concatenate([self._covariance[:tap, tap], self._covariance[tap, tap:]])
         power = 1 / (RIDGE * TAPS * (1 - FORGET)) + spread[tap]
-        # In place: transposed, the weights are in the order that BLAS works in.
+        # In place: the transposed weights have the memory order of BLAS.
         dger(-1.0 / power, spread, self._weights[:, tap].copy(), a=self._weights.T, overwrite_a=1)
         dsyr(-1.0 / power, spread, a=self._covariance, overwrite_a=1)
 
 
 BEATS, FEWEST = 9, 4
 SHARE = 0.45
-# Two beats are at least so many steps apart: 250 ms.
+# Least distance of two beats in steps: 250 ms.
 REFRACTORY = 50
-# Before peaks are known: the highest slope yet, which fades with a time constant of 3 s.
+# Before peaks are known, the threshold follows the highest slope, which fades in 3 s.
 FADE = 1 - 1 / 600
 
 
 class Rhythm:
-    """The beats of a signal: when its slope rises through a share of its usual peak.
+    """Detector of a signal's beats: the slope rises through a share of its usual peak.
 
     Attributes
     ----------
     interval
-        Median of the last beats' intervals in steps of the grid; None before there are any.
+        Median of the last beats' intervals in steps of the grid; None before enough beats.
     """
 
     def __init__(self) -> None:
@@ -284,13 +289,13 @@ class Rhythm:
 
 HARMONICS = 8
 SIZE = 3 + 2 * HARMONICS
-# Of the cosines and then of the sines, which are cosines a quarter later.
+# Order and phase of each harmonic: the cosines, then the sines as cosines with a phase of π/2.
 ORDER = np.tile(np.arange(1.0, HARMONICS + 1), 2)
 LATER = np.repeat([0.0, np.pi / 2], HARMONICS)
-# Per step, in units of the signal's standard deviation: noise, and what wanders.
+# Noise and random walk per step, in units of the signal's standard deviation.
 NOISE, WANDER = 0.05, 0.01
 PHASE_WANDER, FREQUENCY_WANDER = 0.01, 3e-5
-# Diverged: the running mean square of its surprise is above this share of the signal's power.
+# The filter has diverged if its mean square error is above this share of the signal's power.
 DIVERGED = 0.5
 PATIENCE_STEPS = 400
 
@@ -298,10 +303,10 @@ PATIENCE_STEPS = 400
 class Harmonic(Expert):
     """One trajectory, of an extended Kalman filter of phase, frequency and harmonics.
 
-        x(t) = m + Σ a_k cos kθ + b_k sin kθ,  θ ← θ + ω;  m, ω, a, b wander.
+        x(t) = m + Σ a_k cos kθ + b_k sin kθ,  θ ← θ + ω;  m, ω, a, b walk randomly.
 
-    It starts at the rhythm's frequency, and is dropped when it diverges. The state is so slow that
-    it predicts from a step before, and learns last.
+    It starts at the rhythm's frequency, and is restarted when it diverges. The state changes so
+    slowly that a prediction from the state of one step before suffices.
 
     Attributes
     ----------
@@ -328,7 +333,7 @@ class Harmonic(Expert):
         return np.asarray((self._ahead - history.newest)[np.newaxis])
 
     def learn(self, history: History) -> None:
-        """Correct the state by the newest value; start, or drop it, where that is due."""
+        """Correct the state by the newest value; start it, or drop it after divergence."""
         newest, interval = history.newest, self._rhythm.interval
         if interval is None:
             return
@@ -338,7 +343,7 @@ class Harmonic(Expert):
         self.alive = self._sane(interval)
         if self.alive:
             state = self._state
-            # What `predict` will be asked for at the next step.
+            # The values that `predict` returns at the next step.
             angles = np.multiply.outer(state[0] + (1 + AHEAD) * state[1], ORDER) - LATER
             self._ahead = state[2] + np.cos(angles) @ state[3:]
 

@@ -1,8 +1,8 @@
-"""The display's sockets to its sensing node, found, connected and kept so.
+"""The display's sockets to its sensing node: look-up, connection, reconnection.
 
-ZeroMQ looks names up in the thread that moves all its messages, and a slow name server holds that
-up for seconds. So a thread of ours looks them up, which lives only while it does; ZeroMQ is given
-numbers.
+ZeroMQ resolves names in the thread that moves all its messages, and a slow name server blocks that
+thread for seconds. So a short-lived thread here resolves each name, and ZeroMQ is given numeric
+addresses.
 """
 
 import itertools
@@ -27,9 +27,10 @@ from protocol.summary_tables import Reconnections
 
 logger = logging.getLogger(__name__)
 
-# After the first that fits, for others that do.
+# Wait after the first matching node, in case a second one matches too.
 GATHER_S = 2.0
-SAY_AFTER_S = 5.0
+# A search that takes longer is logged once.
+LOG_AFTER_S = 5.0
 LOOK_EVERY_S = 0.05
 
 
@@ -39,34 +40,34 @@ def discovered(name: str | None, peer: Path | None, seconds: float | None) -> li
     Parameters
     ----------
     name
-        Its name; None accepts any.
+        The node's name; None accepts any.
     peer
-        File of its public key; None accepts any.
+        File of the node's public key; None accepts any.
     seconds
-        Longest wait for one.
+        Longest wait for a node; None waits without limit.
 
     Raises
     ------
     DiscoveryError
-        Several fit or none comes.
+        Several nodes match, or none is found in time.
     ProtectionError
-        It demands keys and there is no `peer`.
+        The node requires keys and `peer` is None.
     KeyFileError
-        The file is not a key's.
+        The file is no key file.
     """
-    # It brings the library, which others do without.
+    # Imported here because it needs zeroconf, an optional library.
     from protocol.discovery.browser import Browser
 
     known = None if peer is None else fingerprint(read_public(peer).key)
     with Browser() as look:
         logger.info("looking for a sensing node on the local network")
-        begin_s, said = time.monotonic(), False
+        begin_s, logged = time.monotonic(), False
         while not matching(look.found, name, known):
             waited_s = time.monotonic() - begin_s
             if waited_s > (math.inf if seconds is None else seconds):
                 raise DiscoveryError(f"within {seconds:g} s {_others(look.found)}")
-            if waited_s > SAY_AFTER_S and not said:
-                said = True
+            if waited_s > LOG_AFTER_S and not logged:
+                logged = True
                 logger.info(f"so far {_others(look.found)}; waiting on")
             time.sleep(LOOK_EVERY_S)
         if name is None:
@@ -77,7 +78,7 @@ def discovered(name: str | None, peer: Path | None, seconds: float | None) -> li
         logger.warning(f"{refused} announcements were not a sensing node's")
     if one.fingerprint is not None and peer is None:
         raise ProtectionError(
-            f"{one.name!r} lets in who has a key; give --key keys/NAME.key --peer keys/PEER.pub"
+            f"{one.name!r} requires keys; give --key keys/NAME.key --peer keys/PEER.pub"
         )
     addresses = [f"tcp://{address}:{one.port}" for address in one.addresses]
     logger.info(f"found {one.name!r} at {', '.join(addresses)}")
@@ -95,7 +96,7 @@ LOOK_UP_AGAIN_S = 2.0
 
 
 class Lookup:
-    """The look-up of the number behind an address's name, beside the loop."""
+    """The look-up of an address's name in a thread beside the loop."""
 
     def __init__(self, address: str) -> None:
         self._address = address
@@ -110,17 +111,17 @@ class Lookup:
         return self._thread is not None and self._thread.is_alive()
 
     def start(self) -> None:
-        """Look up; the outcome is there when `running` ends."""
-        # A daemon: a name server that does not answer must not hold up the program's end.
+        """Start a look-up; its result is available when `running` becomes False."""
+        # A daemon thread, so that a silent name server does not delay the program's end.
         self._thread = threading.Thread(target=self._run, daemon=True)
         try:
             self._thread.start()
         except RuntimeError:
-            # No thread is to be had: the loop goes on, and asks again.
+            # The loop continues without the thread, and tries again.
             self._warn(f"{self._address} cannot be looked up: no thread can be started; trying on")
 
     def take(self) -> str | None:
-        """Return the address with a number for a name, once for each look-up that found one."""
+        """Return the numeric address that a look-up has found, once; None without a new one."""
         found, self._found = self._found, None
         return found
 
@@ -135,7 +136,7 @@ class Lookup:
             self._warn(f"{host} is not found: {error.strerror}; trying on")
             time.sleep(LOOK_UP_AGAIN_S)
             return
-        # A name may stand for several numbers, not all of them reachable: one after the other.
+        # A name may have several addresses, not all reachable; they are used in turn.
         numbers = sorted({(family != socket.AF_INET, name[0]) for family, *_, name in found})
         is_ipv6, number = numbers[self._lookups % len(numbers)]
         self._lookups += 1
@@ -153,9 +154,9 @@ class Route:
     Attributes
     ----------
     lookup
-        Of the address.
+        Look-up of the address's name.
     won
-        Number of frames whose first copy came this way.
+        Number of frames whose first copy came over this address.
     """
 
     def __init__(
@@ -173,32 +174,32 @@ class Route:
             yield from path.messages()
 
     def poll(self, now_ns: int) -> None:
-        """Look the address up while nothing is received from it, and connect to what is found."""
+        """Look the address up while it is silent, and connect to the address that is found."""
         found = None if self.lookup.running else self.lookup.take()
         wanted = [path.poll(now_ns, found) for path in self.paths]
         if any(wanted) and found is None and not self.lookup.running:
             self.lookup.start()
 
 
-# How long to wait for the answer to a request to connect, at least `ANSWER_NS`: the kernel repeats
-# it only after 1 s.
+# A request to connect is repeated after this many round trips, at least `ANSWER_NS`; the kernel
+# would repeat it only after 1 s.
 ANSWER_ROUND_TRIPS = 3
-# A silence of all lines for so long: control, too, is connected anew.
+# After a silence of all lines for this time, control is connected anew as well.
 CUT_NS = 500_000_000
-# Where this process itself stood still for so long, what it receives first has only queued.
+# After a stall of this process for this time, the first messages may be old ones from a queue.
 STOOD_STILL_NS = 250_000_000
 
 
 class Connection:
     """Control and data sockets of one stream, over one address or several.
 
-    A path is a data socket, a TCP connection of its own; the addresses share out the paths.
-    Control goes over one address at a time and moves on to the next when nothing is received.
+    A path is a data socket with its own TCP connection; the paths are divided among the addresses.
+    Control uses one address at a time, and moves to the next when nothing is received.
 
     Parameters
     ----------
     paths
-        At least one for each address.
+        Number of paths, at least one for each address.
 
     Attributes
     ----------
@@ -208,7 +209,7 @@ class Connection:
     Raises
     ------
     AddressError
-        An address is none.
+        An address is not valid.
     """
 
     def __init__(
@@ -223,7 +224,7 @@ class Connection:
             for number, address in enumerate(addresses)
         ]
         self._turns = itertools.cycle(self.routes)
-        # What was last subscribed with.
+        # Frame time and answer time of the last `subscribe`.
         self._times_ns: tuple[int, int] | None = None
         self._received_ns: int | None = None
         self._polled_ns: int | None = None
@@ -237,12 +238,12 @@ class Connection:
         for line in self._lines:
             self._handshakes.watch(line.socket)
         self.rejected = self._handshakes.rejected
-        # What was reported, once.
+        # Names of lines whose flood has been logged; each is logged once.
         self._flooded: set[str] = set()
 
     @property
     def reconnections(self) -> Reconnections:
-        """Counts of connections made beside, or instead of, those that were silent."""
+        """Counts of connections opened beside, or in place of, silent ones."""
         opened = sum(path.failover.opened for path in self._paths)
         kept = sum(path.failover.kept for path in self._paths)
         return Reconnections(opened, kept, self._controls)
@@ -266,9 +267,9 @@ class Connection:
                 path.subscribe(now_ns)
 
     def poll(self, now_ns: int) -> bool:
-        """Connect what is silent, once its address is known; call each tick.
+        """Connect silent sockets whose address is known; call each tick.
 
-        Returns whether control has a new connection, over which nobody knows this display yet.
+        Returns whether control has a new connection, over which the display must introduce itself.
         """
         answered, control = self._handshakes.poll(now_ns), self.control
         for line in self._lines if answered else ():
@@ -285,7 +286,7 @@ class Connection:
         return introduce or (control.silent(now_ns) and self._move_control(now_ns))
 
     def _close_floods(self, now_ns: int) -> None:
-        """Close for a while what brings more than any stream does."""
+        """Close for a while each connection that sends more than any stream does."""
         named: list[tuple[DataPath | Endpoint, str]] = [(self.control, "control")]
         named += [(path, route.address) for route in self.routes for path in route.paths]
         for line, name in named:
@@ -299,10 +300,10 @@ class Connection:
                 )
 
     def _ask_again(self, now_ns: int) -> bool:
-        """Replace the connection whose request was lost, when the other one's is answered.
+        """Replace a connection whose request was lost, once the other one's is answered.
 
-        One of the two requests, control's or data's, was sent while the network was cut: it need
-        not be waited for. Return whether control has a new connection.
+        If only one of control and data is answered, the other's request was sent while the network
+        was cut, and is not waited for. Return whether control has a new connection.
         """
         control = self.control
         for path in self._paths:
@@ -314,19 +315,19 @@ class Connection:
                 continue
             if sockets.control_address(data.address) != control.address:
                 continue
-            # The early repetition may have been too early for this network.
+            # No fast retry: it may have come too early for this network.
             if waits is control:
                 return self._connect_control(control.address, now_ns, fast_retry=False)
             data.connect(data.address, now_ns, fast_retry=False)
         return False
 
     def _cut(self, now_ns: int) -> bool:
-        """Return whether all lines together have been silent for too long; once in a silence."""
+        """Return whether all lines have been silent for too long; True once in each silence."""
         stood_still = self._polled_ns is not None and now_ns - self._polled_ns >= STOOD_STILL_NS
         self._polled_ns = now_ns
         for path in self._paths if stood_still else ():
             path.failover.mark_suspect(now_ns)
-        # Each is asked, and none twice.
+        # A sum, because every path must be polled; `any` would stop at the first.
         received = sum(path.take_received(now_ns) for path in self._paths)
         if received + self.control.received(now_ns):
             self._received_ns = now_ns

@@ -1,22 +1,23 @@
-"""One socket to the sensing node, and when to connect it anew."""
+"""One socket to the sensing node, and the times at which it is connected anew."""
 
 from collections.abc import Iterator, Sequence
 
 from protocol import sockets
 from protocol.security.budgets import TokenBucket
 
+# Silence after which the socket is connected anew.
 PATIENCE_NS = 2_000_000_000
-# How long to wait for the answer to a request to connect. The network may be slower than it was:
-# ten requests are repeated early, then one is given all the time that it takes.
+# Wait for the answer to a request to connect. Ten requests are repeated early; then, as the network
+# may have become slower, one is not repeated.
 ANSWER_NS = 100_000_000
 FAST_RETRIES = 10
-# A hostile peer may send any number of messages. What has queued for a display that stood still
-# comes in at once: some 5 000 frames (docs/decisions/0022). At 10 to 20 µs each, the most that is
-# read in the long run takes a tenth of a core. Beyond it, the connection is closed for a while.
+# A hostile peer may send any number of messages. After a stall of the display, some 5 000 queued
+# frames come at once (docs/decisions/0022). At 10 to 20 µs each, the highest sustained rate takes a
+# tenth of a core. Above it, the connection is closed for a while.
 BURST = 10_000
 LEAST_PER_S, MOST_PER_S = 1_000.0, 5_000.0
 FLOODED_NS = 5_000_000_000
-# Long messages cost more.
+# Long messages cost more: one token, and one more for each such part.
 BYTES_PER_TOKEN = 4_096
 
 
@@ -26,11 +27,11 @@ class Endpoint:
     Attributes
     ----------
     address
-        What it is connected to; None while it is not.
+        The address that it is connected to; None while it is not.
     answer_ns
-        Time in ns after which a request to connect that nobody answers is repeated.
+        Time in ns after which an unanswered request to connect is repeated.
     asked_ns, answered
-        When the present request was made, and whether a host has answered it.
+        Time of the present request, and whether a host has answered it.
     """
 
     def __init__(self, socket: sockets.Socket) -> None:
@@ -53,16 +54,16 @@ class Endpoint:
             yield message
 
     def expect(self, messages_per_s: float) -> None:
-        """Allow for twice so many messages a second."""
+        """Permit twice this rate of messages, within the least and the highest rate."""
         self._budget.change_rate(min(MOST_PER_S, max(LEAST_PER_S, 2 * messages_per_s)))
 
     def flooded(self, now_ns: int) -> bool:
-        """Return whether more has come than is allowed; call it each tick."""
+        """Return whether more messages have come than is permitted; call it each tick."""
         spent, self._spent = self._spent, 0
         return spent > 0 and not self._budget.take(now_ns, spent)
 
     def received(self, now_ns: int) -> int:
-        """Return how many messages have come since this was called last."""
+        """Return how many messages have come since the last call."""
         received, self._received = self._received, 0
         if received:
             self._tries = 0
@@ -70,12 +71,12 @@ class Endpoint:
         return received
 
     def close(self, until_ns: int) -> int:
-        """Disconnect, and stay so until then; return how many messages were dropped."""
+        """Disconnect, and stay closed until a time; return how many messages were dropped."""
         self._closed_until_ns = until_ns
         return self.disconnect()
 
     def closed(self, now_ns: int) -> bool:
-        """Return whether it was closed and is to stay so."""
+        """Return whether it was closed and must stay closed."""
         return now_ns < self._closed_until_ns
 
     def silent(self, now_ns: int) -> bool:
@@ -85,13 +86,14 @@ class Endpoint:
         return self.address is None or now_ns >= self._silent_ns
 
     def take_answer(self, answered: Sequence[sockets.Socket]) -> None:
-        """Note which sockets' requests to connect a host has answered."""
+        """Take the sockets whose request to connect a host has answered."""
         self.answered = self.answered or self.socket in answered
 
     def connect(self, address: str, now_ns: int, fast_retry: bool = True) -> None:
         """Connect to `address` instead of the one before; the two may be the same.
 
-        fast_retry: repeat the request to connect after `answer_ns`, where that may be.
+        fast_retry: repeat the request to connect after `answer_ns`, unless `FAST_RETRIES` are used
+        up.
         """
         fast_retry = fast_retry and self._tries % (FAST_RETRIES + 1) < FAST_RETRIES
         self._tries += 1
@@ -101,12 +103,12 @@ class Endpoint:
         self._silent_ns = now_ns + PATIENCE_NS
 
     def disconnect(self) -> int:
-        """Close the connection; return how many messages were dropped that had queued on it."""
+        """Close the connection; return how many queued messages were dropped."""
         if self.address is not None:
             sockets.disconnect(self.socket, self.address)
         self.address, self.answered, self._received = None, False, 0
         return self.drop()
 
     def drop(self) -> int:
-        """Drop what has queued, and let ZeroMQ end what was closed; return how many messages."""
+        """Drop queued messages, and let ZeroMQ finish closing; return how many were dropped."""
         return sum(1 for _ in sockets.receive_each(self.socket))

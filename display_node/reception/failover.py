@@ -1,10 +1,10 @@
 """Opening of a second connection beside a silent one, and the choice of the one to keep.
 
-After a cut, TCP repeats what was lost only after as long again as the cut has lasted. A new
-connection is there within a few round trips, but on a link that only loses much, the old one may
-recover first, and it has what was sent meanwhile. So a second connection is opened beside the
-silent one (as RFC 8305 does with addresses), both are read, and one is closed as soon as the other
-has all that it could still bring. `Failover` decides and is pure; `DataPath` has the sockets.
+After a cut, TCP may take as long again as the cut has lasted until it repeats the lost data. A new
+connection takes a few round trips. But on a link that is merely lossy, the old one may recover
+first, and it delivers what was sent meanwhile. So a second connection is opened beside the silent
+one (as RFC 8305 does with addresses), and both are read. One is closed as soon as the other has
+everything that it could still deliver. `Failover` decides and is pure; `DataPath` has the sockets.
 """
 
 from collections.abc import Iterable, Iterator
@@ -17,31 +17,29 @@ from protocol import sockets
 from protocol.security.budgets import TokenBucket
 from protocol.security.keys import ClientKeys
 
-# TCP repeats what was lost 0.2 s and a round trip later, and if that is lost as well, after twice
-# as long, and so on. A silence for longer than the first of these is a cut: a new connection is
-# there sooner.
+# TCP repeats lost data after 0.2 s and a round trip; the wait doubles each time that is lost as
+# well. A longer silence than the first wait is treated as a cut: a new connection is faster.
 REPEATED_NS = 200_000_000
-# Where this process itself stood still, it first receives what has queued meanwhile, within the
-# first of these; the connection is dead if no more follows that within the second.
+# After a stall of this process, queued messages arrive within the first of these times. The
+# connection is dead if nothing follows them within the second.
 COMES_IN_WITHIN_NS = 50_000_000
 FOLLOWS_WITHIN_NS = 150_000_000
 PATIENCE_FRAMES = 3
-# A request to connect that no host has answered is made anew after so long. ZeroMQ repeats it
-# sooner, but always to the same address.
+# A request to connect is repeated after this time without an answer. ZeroMQ would repeat it sooner,
+# but always to the same address.
 UNANSWERED_NS = 2_000_000_000
-# A connection that a host has answered delivers within some six round trips, unless one of them was
-# lost; twice as long is allowed each time.
+# After a host's answer, data follows within some six round trips, unless a packet is lost. The
+# allowed time doubles at each attempt.
 STALLED_NS = 250_000_000
 STALLED_ANSWERS = 2
-# Where TCP goes on after a silence, what has queued comes by one packet, then two, then four, a
-# round trip apart. If most of it is not here after so long, a new connection is sooner up to date.
+# When TCP resumes after a silence, queued data comes as one packet, then two, then four, a round
+# trip apart. Unless MOST of it has come after this time, a new connection is faster.
 CAUGHT_UP_NS = 100_000_000
 MOST = 0.8
 LEAST_OWED = 8
-# The sensing node queues a second of frames for a display: what a connection has not delivered by
-# then comes too late.
+# The sensing node queues one second of frames for a display; anything older comes too late.
 SETTLED_NS = 1_000_000_000
-# Links that lose much, and peers that stall, are silent again and again.
+# Bound on new connections: lossy links, and peers that stall, are silent repeatedly.
 OPENED_PER_S, OPENED_AT_ONCE = 0.5, 10
 
 
@@ -53,16 +51,16 @@ class Keep(Enum):
 
 
 class Failover:
-    """The judge of one data path's two connections.
+    """Decisions about one data path's two connections.
 
     Attributes
     ----------
     racing
         Whether a second connection is open.
     opened
-        How often one was opened, or opened anew.
+        How often a second connection was opened, or opened anew.
     kept
-        How often it was kept in place of the first.
+        How often the second connection replaced the first.
     """
 
     def __init__(self) -> None:
@@ -70,10 +68,10 @@ class Failover:
         self._stalled_ns = self._stalls_after_ns = STALLED_NS
         self._budget = TokenBucket(OPENED_PER_S, OPENED_AT_ONCE)
         self._frame_ns = REPEATED_NS
-        # After a silence: messages that are still missing, and by when they should have come.
+        # After a silence: number of messages still missing, and the time by which they are due.
         self._owed, self._caught_up_ns = 0.0, 0
         self._due_ns = self._suspect_until_ns = self._first_ns = 0
-        # In a race: since when the first has been delivering again, and the second.
+        # In a race: time since which the first delivers again, and since which the second does.
         self._back_ns: int | None = None
         self._second_ns: int | None = None
         self._answered = self._known = False
@@ -91,15 +89,15 @@ class Failover:
         self._stalls_after_ns = max(STALLED_NS, STALLED_ANSWERS * answer_ns) + frame_ns
 
     def start(self, now_ns: int) -> None:
-        """Begin to expect frames: they have been asked for."""
+        """Begin to expect frames, which have been subscribed to."""
         self._known = False
         self._first_ns, self._due_ns = now_ns, now_ns + self._silence_ns
 
     def first_received(self, now_ns: int, had: bool, count: int) -> Keep | None:
         """Note that the first connection has delivered; return which to keep, if that is clear.
 
-        had: among the `count` messages was what the second had delivered before. Then the second
-        has all the rest.
+        had: among the `count` messages was one that the second has delivered already. Then the
+        second is ahead, and the first is not needed.
         """
         if not self.racing:
             self._expect_next(now_ns, count)
@@ -117,7 +115,7 @@ class Failover:
         self._due_ns = now_ns + (self._follows_ns if suspect else self._silence_ns)
         silence_ns, self._first_ns = now_ns - self._first_ns, now_ns
         owed = MOST * silence_ns / self._frame_ns
-        # Before it was asked for, nothing was owed.
+        # Nothing was owed before the subscription.
         known, self._known = self._known, True
         if known and silence_ns >= self._silence_ns // 2 and owed >= LEAST_OWED:
             self._owed, self._caught_up_ns = owed, now_ns + CAUGHT_UP_NS
@@ -128,7 +126,8 @@ class Failover:
     def second_received(self, now_ns: int, had: bool) -> Keep | None:
         """Note that the second connection has delivered; return which to keep, if that is clear.
 
-        had: among it was what the first had delivered before. Then the first is up to date.
+        had: among the messages was one that the first has delivered already. Then the first is
+        ahead, and the second is not needed.
         """
         if not self.racing:
             return None
@@ -140,7 +139,7 @@ class Failover:
         return None
 
     def settle(self, now_ns: int) -> Keep | None:
-        """Return which connection to keep where the other has had time enough."""
+        """Return which connection to keep once the other has had enough time."""
         if not self.racing:
             return None
         which, first_ns = Keep.FIRST, now_ns - self._first_ns
@@ -153,22 +152,22 @@ class Failover:
         return self._keep(which, now_ns) if over else None
 
     def mark_suspect(self, now_ns: int) -> None:
-        """Expect frames sooner, since this process stood still.
+        """Expect frames sooner, because this process has stalled.
 
-        The first connection may have died meanwhile, and the frames that it delivers may only have
-        been queued.
+        The first connection may have died meanwhile; the frames that it delivers may be old ones
+        from its queue.
         """
         if not self.racing:
             self._suspect_until_ns = now_ns + COMES_IN_WITHIN_NS
             self._due_ns = min(self._due_ns, now_ns + self._follows_ns)
 
     def give_up(self) -> None:
-        """Wait no longer for the first connection."""
+        """Stop waiting for the first connection."""
         if not self.racing:
             self._due_ns = 0
 
     def abandon(self) -> None:
-        """End a race without an outcome: both connections are closed."""
+        """End a race without an outcome, because both connections are closed."""
         self.racing = self._answered = False
         self._back_ns = self._second_ns = None
         self._owed = 0.0
@@ -199,17 +198,17 @@ class Failover:
         return which
 
 
-# Of a race: some seconds of frames. They are identified by their hashes.
+# Frames of a race that are remembered by their hashes: those of some seconds.
 MAX_REMEMBERED = 20_000
 
 
 class DataPath:
-    """Two data sockets of which one is used, and the other as well where the first is silent.
+    """Two data sockets: one is used, and the second one too while the first is silent.
 
     Attributes
     ----------
     first
-        The one that is used.
+        The socket in use.
     failover
         Decides when the second is used, and which of the two is kept.
     """
@@ -223,9 +222,9 @@ class DataPath:
         self._forget()
 
     def messages(self) -> Iterator[bytes]:
-        """Yield the messages that wait; of those that both connections bring, one copy."""
+        """Yield the waiting messages, without the copies that both connections deliver."""
         if not self.failover.racing:
-            # The connection that was kept may still deliver what the other one brought before.
+            # The kept connection may still deliver copies of what the other one delivered.
             for message in self.first.messages():
                 if not self._before or hash(message) not in self._before:
                     yield message
@@ -246,14 +245,14 @@ class DataPath:
                 yield message
 
     def subscribe(self, now_ns: int) -> None:
-        """Ask for all that is published."""
+        """Subscribe to everything that is published."""
         self._subscribed = True
         self.failover.start(now_ns)
         for line in self.lines:
             line.socket.subscribe(b"")
 
     def unsubscribe(self) -> None:
-        """Ask for nothing any more, and expect nothing; the first connection stays."""
+        """Cancel the subscription and expect nothing; the first connection stays."""
         self._subscribed = False
         self.failover.abandon()
         self._second.disconnect()
@@ -262,10 +261,7 @@ class DataPath:
             line.socket.unsubscribe(b"")
 
     def take_received(self, now_ns: int) -> bool:
-        """Return whether any frame has come since the last call.
-
-        A connection that is no longer needed is closed.
-        """
+        """Return whether any frame has come since the last call; close an unneeded connection."""
         first, second, failover = self.first, self._second, self.failover
         from_first, from_second = first.received(now_ns), second.received(now_ns)
         keep = None
@@ -282,10 +278,9 @@ class DataPath:
         return from_first + from_second > 0
 
     def poll(self, now_ns: int, found: str | None) -> bool:
-        """Connect what is to be connected; call each tick, after `take_received`.
+        """Open the connections that are due; call each tick, after `take_received`.
 
-        found: the address with a number for a name, where it has just been looked up. Returns
-        whether to look it up.
+        found: the numeric address, where it has just been looked up. Returns whether to look it up.
         """
         self._found = found or self._found
         first, second, failover = self.first, self._second, self.failover
@@ -303,9 +298,9 @@ class DataPath:
             failover.answered(now_ns)
         if not failover.due(now_ns):
             return False
-        # First where the connection was good; then where the name has led to since.
+        # The first attempt uses the address that worked; later ones use the newest look-up.
         address = self._found if second.address is not None else first.address
-        # What the last attempt brought is known, but the next has not had it.
+        # Frames of the last attempt count as copies, but not as delivered by the next attempt.
         if len(self._before) > MAX_REMEMBERED:
             self._before.clear()
         self._before |= self._of_second
@@ -314,18 +309,18 @@ class DataPath:
         return True
 
     def flooded(self, now_ns: int) -> bool:
-        """Return whether either connection has brought more than is allowed; call it each tick."""
+        """Return whether either connection has sent more than is permitted; call each tick."""
         first, second = self.lines
         return first.flooded(now_ns) | second.flooded(now_ns)
 
     def close(self, until_ns: int) -> int:
-        """Close both connections until then; return how many messages were dropped."""
+        """Close both connections until a time; return how many messages were dropped."""
         self.failover.abandon()
         self._forget()
         return sum(line.close(until_ns) for line in self.lines)
 
     def _forget(self, before: Iterable[int] = ()) -> None:
-        """Forget which connection has brought what; `before` are hashes of messages to drop."""
+        """Forget which connection delivered what; `before` are hashes of messages to drop."""
         self._of_first: set[int] = set()
         self._of_second: set[int] = set()
         self._before = set(before)

@@ -1,8 +1,8 @@
 """The jitter buffer: one session's samples in time order, and the account of each of them.
 
-All times are the sensing clock's. `advance` says which instant is being played; a sample whose
-instant has passed by then was played, one that arrives later is late, one that never arrives
-is lost. A late sample is kept all the same: it still serves the predictor.
+All times are on the sensing clock. `advance` sets the played instant. A sample that is in the
+buffer when its instant passes was played; one that arrives later is late; one that never arrives is
+lost. Late samples are kept too, because the predictor uses them.
 """
 
 from bisect import bisect_left, bisect_right
@@ -42,12 +42,12 @@ class JitterBuffer:
     Parameters
     ----------
     begin_index
-        The first sample that counts, where another buffer had those before.
+        Number of the first sample that counts, if another buffer has counted those before it.
 
     Attributes
     ----------
     frames, reordered
-        Number of frames taken, and of those that came after a later one.
+        Number of frames taken, and of those that came after a newer one.
     ended
         Whether the session's end is known.
     """
@@ -58,11 +58,11 @@ class JitterBuffer:
         self._indices: list[int] = []
         self._times: list[int] = []
         self._values: list[float] = []
-        # Samples before this list position have had their instant.
+        # The instant of the samples before this list position has passed.
         self._settled = 0
         self._settled_index: int | None = None
         self._instant_ns: int | None = None
-        # The latest instant ever played: it stays where it was when the playout jumps back.
+        # The latest instant ever played; it stays when the playout jumps back.
         self._passed_ns = NEVER_NS
         self._first_index = begin_index
         self._floor_index = begin_index or 0
@@ -113,7 +113,7 @@ class JitterBuffer:
             self._trim()
 
     def _check(self, frame: Frame, position: int, count: int) -> None:
-        """Refuse what is here already or cannot be true beside its neighbours."""
+        """Refuse samples that are present already, or whose times contradict their neighbours."""
         indices, times = self._indices, self._times
         first, t_first_ns, period_ns = frame.first_sample, frame.t_first_ns, frame.period_ns
         last = first + count - 1
@@ -142,9 +142,10 @@ class JitterBuffer:
             self._settled -= surplus
 
     def advance(self, instant_ns: int) -> None:
-        """Play the instant: settles every sample up to it.
+        """Play an instant, which settles every sample up to it.
 
-        After a jump back of the playout what was settled stays settled, and is known again.
+        After the playout jumps back, settled samples stay settled and are returned by `known`
+        again.
         """
         self._instant_ns = instant_ns
         if instant_ns <= self._passed_ns:
@@ -160,10 +161,10 @@ class JitterBuffer:
             self._settled_index = self._indices[settled - 1]
 
     def known(self, step_ns: int, count: int) -> list[float]:
-        """Return values at the instant being played and `step_ns` apart after it.
+        """Return `count` values from the played instant on, `step_ns` apart.
 
-        They are interpolated linearly. The row ends early where the newest sample ends, and is
-        empty before the first sample.
+        They are interpolated linearly. The list ends at the newest sample, and is empty before the
+        first one.
         """
         times, values, position = self._times, self._values, self._settled
         length = len(times)
@@ -188,10 +189,10 @@ class JitterBuffer:
         return result
 
     def end(self, samples_sent: int, now_ns: int | None) -> None:
-        """End the session after `samples_sent` samples; what is missing of them is lost.
+        """End the session after `samples_sent` samples; those that are missing count as lost.
 
-        now_ns: on the sensing clock, if known. Raises WireError("implausible") when that is more
-        than there was time for, or less than came.
+        now_ns: time on the sensing clock, if known. Raises WireError("implausible") where there was
+        no time for that number of samples, or more have come.
         """
         if self._indices:
             missing = samples_sent - 1 - self._indices[-1]
@@ -229,7 +230,7 @@ class JitterBuffer:
     def successor(self) -> "JitterBuffer":
         """Return an empty buffer that continues the account after the last settled sample.
 
-        Samples that wait are lost, and so are earlier ones that still come.
+        Waiting samples are lost, and so are earlier ones that come later.
         """
         account = self.account()
         if self._first_index is None:

@@ -1,8 +1,9 @@
-"""Playout: the delay that the link asks for, and the instant of the pulse that is felt now. Pure.
+"""Playout: the delay that the link requires, and the instant of the pulse that is played. Pure.
 
-The perceived delay E is the one parameter: at time t the finger feels the pulse of t − E. The delay
-of a frame is the time from its first sample to its arrival. `DelayEstimator` finds the smallest E
-that keeps late samples below a target share; `PlayoutClock` follows it without a jump.
+At time t the finger feels the pulse of t − E; E is the perceived delay, which the summary calls
+the playout delay. The delay of a frame is the time from its first sample to its arrival.
+`DelayEstimator` finds the smallest E that keeps late samples below a target share; `PlayoutClock`
+follows it without a jump.
 """
 
 import math
@@ -16,10 +17,10 @@ BINS = 11_000
 
 
 class ExponentialQuantile:
-    """The level above which a given share of what was counted lies.
+    """Quantile of a stream of values in which older values have exponentially less weight.
 
-    A histogram of 1 ms bins from 0 to 11 s. Counting costs a step or two, whatever is in it,
-    since the quantile's bin is carried on.
+    The histogram has bins of 1 ms from 0 to 11 s. The quantile's bin is remembered, so that
+    counting a value takes only a step or two. share_above: share of the weight above the quantile.
     """
 
     def __init__(self, share_above: float) -> None:
@@ -36,7 +37,7 @@ class ExponentialQuantile:
 
         forgetting: factor by which the weight of earlier values shrinks, above 0 and at most 1.
         """
-        # To grow the weight of what comes next forgets like shrinking all old ones.
+        # A growing weight of new values has the effect of shrinking the weights of all old ones.
         self._weight /= forgetting
         if self._weight > 1e100:
             scale = 1 / self._weight
@@ -63,30 +64,30 @@ class ExponentialQuantile:
 
 
 BASE_NS = 2_000_000_000
-# A silence is no evidence on the path: it ages the base by no more than this.
+# A silence gives no evidence about the path, so it ages the base by no more than this.
 SILENCE_NS = 200_000_000
-# A time-warp of at most one part in 50: 2 %.
+# The playout is at most one part in 50, 2 %, faster or slower than real time.
 WARP_PARTS = 50
-# The display cannot follow faster (its time-warp is 2 %), so there is nothing to gain.
+# The delay falls no faster, since the playout could not follow.
 RELEASE_PER_NS = 0.02
-# What the playout jumps over anyway is not worth waiting for either.
+# The playout jumps over larger differences, so the delay does too.
 JUMP_NS = 500_000_000
-# A longer path shows itself by lasting; a queue that runs empty falls, again and again.
+# On a longer path the delays stay high for this time; those of a queue that empties fall.
 LONGER_AFTER_NS = 50_000_000
 FALLING_NS = 10_000_000
 FAR_ABOVE = 2
 
 
 class LongerPath:
-    """Detector of delays that stay above a limit for a while without falling.
+    """Detector of delays that stay above a limit for some time without falling.
 
-    Frames that queued behind one another fall from each to the next, down to where they were
-    before; frames on a longer path do not.
+    The delays of queued frames fall from each frame to the next, back to the earlier level. Those
+    of frames on a longer path stay.
 
     Attributes
     ----------
     since_ns
-        Since when delays are above the limit, but not for long enough; None while they are not.
+        Time since which delays are above the limit, while that is too short; else None.
     """
 
     def __init__(self, after_ns: int) -> None:
@@ -95,7 +96,7 @@ class LongerPath:
         self._level_ns = 0
 
     def base_ns(self, delay_ns: int, limit_ns: int, now_ns: int) -> int | None:
-        """Return the longer path's base, when this frame's delay has made it certain; else None."""
+        """Return the longer path's base once this frame's delay has made it certain, else None."""
         if delay_ns <= limit_ns:
             self.since_ns = None
         elif self.since_ns is None or delay_ns < self._level_ns - FALLING_NS:
@@ -107,37 +108,38 @@ class LongerPath:
 
 
 class DelayTracker:
-    """The delay that one reading of the link asks for: its base + a quantile of delay over it.
+    """The delay that a link requires: its base plus a quantile of the delay above the base.
 
-    The base is the smallest delay of the last 2 s. Rises at once, falls by 20 ms a second.
+    The base is the smallest delay of the last 2 s. The result rises at once and falls by 20 ms a
+    second.
 
     Parameters
     ----------
     follows_longer_path
-        Whether the base is raised as soon as all delays of 50 ms were more than twice as far above
-        it as usual; a burst of long delays is then a longer path and not jitter.
+        Whether a burst of long delays is a longer path, not jitter: the base is then raised after
+        50 ms in which all delays were more than twice as far above it as usual.
     max_slew
-        Greatest rate of change of the playout delay, in seconds a second, by which `late_share` is
-        computed.
+        Greatest rate of change of the playout delay, in seconds a second, for computing
+        `late_share`.
 
     Attributes
     ----------
     late_share
-        Share of late frames, where the playout follows this tracker.
+        Share of late frames if the playout follows this tracker.
     mean_ns
-        Mean of the delay asked for.
+        Mean of the required delay.
     """
 
     def __init__(self, late_target: float, follows_longer_path: bool, max_slew: float) -> None:
         self._reach = ExponentialQuantile(late_target)
         self._longer = LongerPath(LONGER_AFTER_NS) if follows_longer_path else None
         self._max_slew = max_slew
-        # Falling in time, rising in delay: the first is the window's smallest.
+        # Sliding minimum: times and delays rise, so the first entry has the smallest delay.
         self._window: deque[tuple[int, int]] = deque()
         self._elapsed_ns = 0
         self._delay_ns: int | None = None
         self._followed_ns = 0.0
-        # Sums over frames of which old ones count less and less.
+        # Sums over frames, exponentially weighted.
         self._count = self._excess_ns = self._delays_ns = self._late = 0.0
         self.late_share = self.mean_ns = 0.0
 
@@ -147,13 +149,13 @@ class DelayTracker:
         self._window.append((self._elapsed_ns, base_ns))
 
     def observe(self, delay_ns: int, now_ns: int, elapsed_ns: int, forgetting: float) -> int:
-        """Take a frame `elapsed_ns` after the last one; return the delay that is asked for now.
+        """Take a frame `elapsed_ns` after the last one; return the delay that is required now.
 
         forgetting: factor by which the weight of earlier values shrinks.
         """
         self._elapsed_ns += min(elapsed_ns, SILENCE_NS)
         window = self._window
-        # The base that was in force when it came: a frame that this was too low for is late.
+        # The base before this frame: with it, the frame may have been late.
         base_ns = window[0][1] if window else delay_ns
         excess_ns = max(delay_ns - base_ns, 0)
         reach_ns = self._reach.add(excess_ns, forgetting)
@@ -187,20 +189,20 @@ class DelayTracker:
 
 
 def released(delay_ns: int | None, wanted_ns: int, elapsed_ns: int) -> int:
-    """Return the next delay on the way to the one wanted: up at once, down by 20 ms a second."""
+    """Return the next delay on the way to `wanted_ns`: up at once, down by 20 ms a second."""
     if delay_ns is None or wanted_ns >= delay_ns or delay_ns - wanted_ns > JUMP_NS:
         return wanted_ns
     return max(wanted_ns, delay_ns - round(RELEASE_PER_NS * elapsed_ns))
 
 
-# Every delay from a clock that is still poorly known to the longest compensation.
+# Range of delays: below 0 while the clock is poorly known, up to the longest compensation.
 LOWEST_NS = -1_000_000_000
 HIGHEST_NS = 9_999_000_000
-# A share of 1 % needs some events of its own to be seen in.
+# Long enough to contain some late frames, which are about 1 %.
 FORGET_NS = 60_000_000_000
 LATE_TARGET = 0.01
 SETTLED_NS = 250_000_000
-# Delays this far above the estimate are an outage's backlog, unless they go on for so long.
+# Delays this far above the estimate are an outage's backlog, unless they last longer.
 OUTAGE_NS = 500_000_000
 OUTAGE_ENDS_NS = 1_000_000_000
 
@@ -208,10 +210,10 @@ OUTAGE_ENDS_NS = 1_000_000_000
 class DelayEstimator:
     """The smallest delay that keeps late samples below a target share.
 
-    Two trackers read the link (see `DelayTracker`): to one, a burst of long delays is jitter that
-    has to be covered; to the other, a longer path that can be followed. Following is done where it
-    takes less delay on average and the playout is not too slow for it. What was queued while the
-    link was cut says nothing of its jitter and is left out.
+    Two trackers (`DelayTracker`) interpret a burst of long delays. One covers it with a longer
+    delay, as jitter; the other follows it, as a longer path. The second is used where its mean
+    delay is smaller and the playout is fast enough to follow. Frames that queued during a cut are
+    left out, as their delays are not jitter.
 
     Parameters
     ----------
@@ -226,7 +228,7 @@ class DelayEstimator:
     delay_ns
         The delay in ns, at most 9.999 s; None before the first frame.
     settled
-        Whether enough has been seen to start playing.
+        Whether enough frames have come to start playing.
     """
 
     def __init__(self, late_target: float = LATE_TARGET, max_slew: float = 1 / WARP_PARTS) -> None:
@@ -240,9 +242,10 @@ class DelayEstimator:
         self.settled = False
 
     def observe(self, delay_ns: int, now_ns: int) -> None:
-        """Take a frame that needed `delay_ns` from its first sample's instant to its arrival.
+        """Take a frame's delay, from its first sample's instant to its arrival.
 
-        It is below 0 while the clock offset is not well known; counted within −1 s and 10 s.
+        The delay may be below 0 while the clock offset is not well known; it is clipped to −1 s and
+        10 s.
         """
         if self._first_ns is None:
             self._first_ns = self._last_ns = now_ns
@@ -252,12 +255,12 @@ class DelayEstimator:
         elapsed_ns = now_ns - self._last_ns
         self._last_ns = now_ns
         self.settled = now_ns - self._first_ns >= SETTLED_NS
-        # The bound keeps a silence of hours from underflowing; nothing is left of the old then.
+        # The bound prevents an underflow after a silence of hours; old values then have no weight.
         forgetting = math.exp(-min(elapsed_ns / FORGET_NS, 100.0))
         covering, following = self._covering, self._following
         covering_ns = covering.observe(delay_ns, now_ns, elapsed_ns, forgetting)
         following_ns = following.observe(delay_ns, now_ns, elapsed_ns, forgetting)
-        # Following is preferred where it hardly matters: it is first to be right.
+        # Where both cost about the same, following is preferred because it adapts first.
         dearer_ns = following.mean_ns - covering.mean_ns
         later = following.late_share - covering.late_share
         follows = dearer_ns < BIN_NS and later < self._late_target
@@ -265,11 +268,11 @@ class DelayEstimator:
         self.delay_ns = min(released(self.delay_ns, wanted_ns, elapsed_ns), HIGHEST_NS)
 
     def _is_backlog(self, delay_ns: int, now_ns: int) -> bool:
-        """Return whether an outage held a frame up; a longer path shows itself by lasting."""
+        """Return whether the frame was queued during an outage, and not sent on a longer path."""
         outage = self._outage
         if self.delay_ns is None:
             return False
-        # Once a backlog has begun, all of it is left out, down to the first frame on time.
+        # Once a backlog has begun, every frame up to the first one on time belongs to it.
         spared_ns = OUTAGE_NS if outage.since_ns is None else 0
         base_ns = outage.base_ns(delay_ns, self.delay_ns + spared_ns, now_ns)
         if base_ns is not None:
@@ -279,10 +282,10 @@ class DelayEstimator:
 
 
 class PlayoutClock:
-    """The instant played, never faster or slower than a time-warp of 2 %.
+    """The played instant, which advances at most 2 % faster or slower than real time.
 
-    Changes of E and corrections of the clock offset are both slewed, so the finger feels no
-    jump; a difference above 0.5 s (a clock that stepped, a new session) is jumped and counted.
+    Changes of E and corrections of the clock offset are slewed, so the finger feels no jump. A
+    difference above 0.5 s (after a clock step, in a new session) is a jump, and is counted.
 
     Attributes
     ----------
@@ -296,9 +299,9 @@ class PlayoutClock:
         self.jumps = 0
 
     def instant(self, now_ns: int, wanted_ns: int) -> int:
-        """Return the instant to play at `now_ns`, when `wanted_ns` is where it should be.
+        """Return the instant to play at `now_ns`; `wanted_ns` is the instant that E requires.
 
-        Both clocks run at one rate within the warp; the result never goes back but by a jump.
+        The result goes back only in a jump.
         """
         if self._now_ns is None:
             self._now_ns, self._instant_ns = now_ns, wanted_ns
@@ -315,7 +318,7 @@ class PlayoutClock:
 
 
 class PlayedDelays:
-    """Statistics of the ticks while the stream was alive, `ticks` of them."""
+    """Statistics of the ticks in which the stream was alive; `ticks` is their number."""
 
     def __init__(self) -> None:
         self._playout_delay_ms = Histogram(0.5, 8_000)
@@ -329,9 +332,10 @@ class PlayedDelays:
         Parameters
         ----------
         playout_delay_ns
-            Its E in ns.
+            Playout delay E in ns.
         predicted_ns
-            How much older the newest sample is than the played instant; 0 where a sample is there.
+            Time from the newest sample to the played instant, which is predicted; 0 where samples
+            are there.
         trusted
             Whether the predictor was trusted.
         """
@@ -343,17 +347,17 @@ class PlayedDelays:
 
     @property
     def playout_delay_ms(self) -> PlayoutDelay:
-        """Perceived delay E, in ms."""
+        """Playout delay E, in ms."""
         delay_ms = self._playout_delay_ms
         return PlayoutDelay(delay_ms.mean, delay_ms.quantile(0.99), delay_ms.beyond(p99=0.99))
 
     @property
     def covered_delay_ms(self) -> float | None:
-        """Mean of what was buffered and predicted together, in ms."""
+        """Mean age of the data, in ms: the delay that playout and prediction bridge together."""
         return self._covered_ns / self.ticks * 1e-6 if self.ticks else None
 
     def compensation(self, may_trust: bool) -> Compensation:
-        """Return shares of the ticks; none of trust where the scene leaves it no say."""
+        """Return shares of the ticks; `trusted` is None where the scene does not use trust."""
         if not self.ticks:
             return Compensation()
         trusted = self._trusted / self.ticks if may_trust else None

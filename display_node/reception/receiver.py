@@ -1,7 +1,7 @@
 """The receiving half of a display: session, clock, jitter buffer, delay estimate.
 
-Bytes and their arrival times come in, requests to the sensing node come out; what cannot be
-used is counted under its cause. No sockets here.
+Bytes and their arrival times are the input, requests to the sensing node the output. A message that
+cannot be used is counted under its cause. Pure: no sockets.
 """
 
 from collections import Counter, deque
@@ -27,18 +27,19 @@ from protocol.wire.messages import (
 from protocol.wire.stream import StreamDescription
 
 HELLO_EVERY_NS = 250_000_000
-# A minute of it; more often, TCP delivers requests and replies in bunches, which is a bias.
-# The first ones at once: without the clock there is nothing to feel.
+# The first READY_AFTER clock requests are sent at once, since nothing is played before the clock is
+# known. The rest of the first minute uses the fast interval. A still shorter one would let TCP send
+# requests and replies in bunches, which biases the offset.
 CLOCK_FAST_NS = 20_000_000
 CLOCK_FAST_COUNT = 3_000
 CLOCK_EVERY_NS = 50_000_000
-# Requests that no reply has come to; what is older is forgotten.
+# Number of unanswered requests that are remembered.
 MAX_ASKED = 256
 SILENT_AFTER_NS = 1_000_000_000
 FUTURE_NS = 1_000_000_000
 OLDEST_NS = 60_000_000_000
-# After the last sample's instant, this long for late ones to come in; for the last one itself as
-# long as a sensing node stays to see it off.
+# Wait after the last sample's instant for late samples. If the last sample itself is missing, the
+# wait covers the time for which the sensing node stays to deliver it.
 GRACE_NS = 500_000_000
 LAST_GRACE_NS = 3_500_000_000
 
@@ -49,20 +50,20 @@ class Receiver:
     Parameters
     ----------
     channel
-        Which of the stream's channels is buffered, from 0.
+        The channel of the stream that is buffered, from 0.
     paths
-        Connections that frames come over; with more than one, all but the first of a frame are
-        copies, and none is refused for it.
+        Number of connections that deliver frames. With more than one, a repeated frame counts as a
+        copy and not as refused.
 
     Attributes
     ----------
     beginnings
-        Number of sessions and of clock steps within one: what came before says nothing of what
-        comes.
+        Number of sessions, and of clock steps within them. At each, everything learnt from earlier
+        samples is discarded.
     ready
-        Whether there is a stream, its clock is known, and enough has come to start playing.
+        True when playing can start: the stream, its clock and its usual delay are known.
     one_way_delay_ms
-        From a frame's last sample to its arrival, in ms.
+        Time from a frame's last sample to its arrival, in ms.
     """
 
     def __init__(self, name: str, channel: int, late_target: float, paths: int = 1) -> None:
@@ -73,7 +74,7 @@ class Receiver:
         self._next_hello_ns = self._next_clock_ns = 0
         self._in_doubt = False
         self._clock_requests = 0
-        # When each request was sent that may still be answered, oldest first.
+        # Times of sending of the requests that may still be answered, oldest first.
         self._asked_ns: deque[int] = deque(maxlen=MAX_ASKED)
         self._steps_closed = 0
         self._received_ns = 0
@@ -90,7 +91,7 @@ class Receiver:
         self._farewell: Bye | None = None
 
     def on_frame(self, data: bytes, now_ns: int) -> Frame | None:
-        """Take a data message; the frame if it was new and valid."""
+        """Take a data message; return the frame if it is new and valid."""
         try:
             frame = decode_frame(data)
             self._accept(frame, now_ns)
@@ -111,21 +112,21 @@ class Receiver:
             self.rejected[error.cause] += 1
 
     @property
-    def listening(self) -> bool:
+    def accepts_frames(self) -> bool:
         """True when frames can be used: the stream's description and its clock are known."""
         return self.session is not None and self.clock.ready
 
     def silent(self, now_ns: int) -> bool:
-        """Return whether nothing valid has come for a while."""
+        """Return whether no valid message has come for a second."""
         return now_ns - self._received_ns > SILENT_AFTER_NS
 
     def introduce(self) -> None:
-        """Send hello with the next requests: control goes over a new connection."""
+        """Send hello with the next requests, because control has a new connection."""
         self._in_doubt = True
         self._next_hello_ns = 0
 
     def requests(self, now_ns: int) -> list[Control]:
-        """Return the messages to send to the sensing node now: hello, clock, and at last bye."""
+        """Return the messages to send to the sensing node now: hello, clock request, final bye."""
         wanted: list[Control] = []
         silent = self.silent(now_ns)
         lost = self.session is None or silent or self._in_doubt
@@ -155,12 +156,12 @@ class Receiver:
 
     @property
     def clock_steps(self) -> int:
-        """Count of the steps of a clock, in all sessions so far."""
+        """Number of clock steps in all sessions so far."""
         return self._steps_closed + self.clock.steps
 
     @property
     def frames(self) -> tuple[int, int]:
-        """Frames received, and how many of them came after a later one."""
+        """Frames received, and how many of them came after a newer one."""
         return (
             self._frames_closed + self.buffer.frames,
             self._reordered_closed + self.buffer.reordered,
@@ -190,7 +191,7 @@ class Receiver:
         )
 
     def over(self, now_ns: int, playout_delay_ns: int) -> bool:
-        """Return whether, once the session has ended, all that may still come has had its time."""
+        """Return whether a session that has ended need not be waited for any longer."""
         end_ns = self.buffer.end_ns
         if end_ns is None:
             return True
@@ -244,15 +245,15 @@ class Receiver:
                 sensing_now_ns = self.clock.remote_ns(now_ns) if self.clock.ready else None
                 self.buffer.end(samples_sent, sensing_now_ns)
                 self._farewell = message
-                # A stream too short to know its delays well is played all the same.
+                # A stream that is too short for a good delay estimate is played as well.
                 self.ready = self.ready or self.buffer.frames > 0
             case _:
                 raise WireError("unexpected", "a message that only displays send")
 
     def _follow_clock(self, exchange: ClockExchange) -> None:
-        """Take a clock reply; after a step of a clock, the stream begins anew. Raises WireError."""
+        """Take a clock reply; after a clock step, begin the stream anew. Raises WireError."""
         if exchange.t1_ns not in self._asked_ns:
-            raise WireError("unasked", "a clock reply to no request of ours, or once more to one")
+            raise WireError("unasked", "a clock reply to an unknown or already answered request")
         self._asked_ns.remove(exchange.t1_ns)
         clock, now_ns = self.clock, exchange.t4_ns
         steps, expected_ns = clock.steps, clock.remote_ns(now_ns)
@@ -264,9 +265,9 @@ class Receiver:
                 self._begin_anew()
 
     def _begin_anew(self) -> None:
-        """Follow a clock that has jumped: the playout jumps with it.
+        """Let the playout jump with a clock that has jumped.
 
-        Times before and after the jump do not belong together, so samples that wait are given up.
+        Times before and after the jump are not comparable, so waiting samples are dropped.
         """
         if not self.buffer.ended:
             self._restart(self.buffer.successor())
@@ -279,7 +280,7 @@ class Receiver:
         self.ready = False
 
     def _begin(self, session: int, description: StreamDescription) -> None:
-        """Begin a new session: its samples, times and clock are unrelated to the last one's."""
+        """Begin a new session, whose samples, times and clock are unrelated to the last one's."""
         self._restart(JitterBuffer(self._channel))
         self.session, self.description = session, description
         self.sessions += 1

@@ -37,7 +37,7 @@ CONNECTION_CAUSES = {
 
 
 class Alert(NamedTuple):
-    """`name` stays the same as long as the alert lasts; `text` may change, e.g. a counter in it."""
+    """An alert. `name` stays the same while it lasts; `text` may change, e.g. a counter in it."""
 
     name: str
     text: str
@@ -102,36 +102,38 @@ def alerts(
 
 
 def finger_note(summary: Mapping[str, Any]) -> str:
-    """Return "; finger: …", or an empty string where the display reports nothing about it."""
+    """Return "; finger: …", or an empty string where the status has no state of the finger."""
     finger = summary.get("finger")
     return f"; finger: {finger}" if finger else ""
 
 
-# Of how long ago the shortest transit is used: two clocks drift by some 50 µs/s against each other.
+# The shortest transit is searched in windows of this length. Longer ones would add the clocks'
+# drift against each other, some 50 µs/s.
 WINDOW_NS = 60_000_000_000
-# A display on this machine stamps by this machine's clock, unless the address leads through a
-# tunnel. Telemetry that seems to be older than this, or of the future, has another clock.
+# A display on this machine stamps with this machine's clock, unless a tunnel leads to another one.
+# Telemetry that seems older than this, or newer than now, is stamped by another clock.
 LONGEST_QUEUED_NS = 10_000_000_000
-# Traces further apart have a stall between them, or the start of another process.
+# A larger gap between two traces is a stall, or the start of another process.
 BREAK_NS = 500_000_000
 
 
-class TelemetryAge:
-    """Age of the newest status of one display, as of the last time when it held.
+class StatusAge:
+    """Age of the newest status of one display: the time since it was last known to be valid.
 
-    Telemetry may have queued while its reader or its display stood still, so its age counts from
-    the display's stamp and not from its receipt. A status has no stamp: it follows a trace of the
-    same tick, and holds until the newest of the traces that follow without a break. The clock of
-    another machine has an unknown offset: there, the age counts from the earliest receipt that the
-    shortest transit of the last one to two minutes allows. local: the address is on this machine.
+    Telemetry may queue while its reader or its display stalls. So the age counts from the display's
+    time stamp, not from the receipt. A status has no stamp: it takes that of the trace before it,
+    and stays valid until the last trace that follows without a gap. The clock of another machine
+    has an unknown offset; it is estimated by the shortest transit of the last one to two minutes.
+
+    local: the address is on this machine.
     """
 
     def __init__(self, local: bool = False) -> None:
         self._local = local
-        # The newest trace, and the one until which the newest status holds.
+        # Stamps of the newest trace, and of the last one at which the newest status was valid.
         self._stamped_ns: int | None = None
         self._status_ns: int | None = None
-        # Least difference of receipt and stamp, in the present window and in the one before.
+        # Smallest receipt minus stamp, in the present window and in the one before.
         self._least_ns: int | None = None
         self._before_ns: int | None = None
         self._window_ends_ns = 0
@@ -140,7 +142,7 @@ class TelemetryAge:
     def take_trace(self, stamped_ns: int, received_ns: int) -> None:
         """Take a trace whose newest tick is stamped `stamped_ns`."""
         if self._stamped_ns is not None and stamped_ns < self._stamped_ns:
-            # Another clock: its machine was started again.
+            # The clock went back: the display's machine was restarted.
             self._least_ns = self._before_ns = self._status_ns = None
         elif (
             self._status_ns == self._stamped_ns is not None
@@ -165,7 +167,7 @@ class TelemetryAge:
             return None
         if self._status_ns is None:
             return max(0, now_ns - self._received_ns)
-        # This clock less the display's, with the shortest transit where it is another.
+        # This clock minus the display's, plus the shortest transit; 0 where they share one clock.
         known = [least for least in (self._least_ns, self._before_ns) if least is not None]
         offset_ns = min(known, default=0)
         if self._local and 0 <= offset_ns <= LONGEST_QUEUED_NS:

@@ -24,8 +24,8 @@ LOOK_EVERY_S = 0.01
 class Publisher:
     """Publisher of a display's telemetry over one bound XPUB socket.
 
-    run: a random number of this run of the display. authenticator: of its readers. provenance: is
-    sent to readers that request it. rejected: refusals of readers, by cause.
+    run: random number of this run of the display. authenticator: authenticates the readers.
+    provenance: sent to readers that request it. rejected: refusals of readers, by cause.
     """
 
     def __init__(
@@ -50,15 +50,15 @@ class Publisher:
         if trace is None:
             return False
         self._publish_trace(trace)
-        return self.captured.traces % STATUS_TRACES == 0
+        return self.captured.traces_published % STATUS_TRACES == 0
 
     def status(self, status: bytes) -> None:
         """Publish a status."""
         sockets.send(self._socket, STATUS, status)
-        self.captured.statuses += 1
+        self.captured.statuses_published += 1
 
     def finish(self, status: bytes) -> None:
-        """Publish what is left, and the last status."""
+        """Publish the remaining ticks and messages, and the last status."""
         rest = self._trace.rest()
         if rest is not None:
             self._publish_trace(rest)
@@ -66,7 +66,7 @@ class Publisher:
         self.status(status)
 
     def await_recorder(self, seconds: float) -> bool:
-        """Wait for a reader that requests captured messages; return False without one in time."""
+        """Wait for a reader that requests captured messages; return False if none does in time."""
         until_s = time.monotonic() + seconds
         while not self.captured.wanted and time.monotonic() < until_s:
             self._serve_readers()
@@ -76,7 +76,7 @@ class Publisher:
     def _publish_trace(self, trace: bytes) -> None:
         self._publish_captured()
         sockets.send(self._socket, TRACE, trace)
-        self.captured.traces += 1
+        self.captured.traces_published += 1
 
     def _publish_captured(self) -> None:
         self._serve_readers()

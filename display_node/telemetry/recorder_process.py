@@ -17,7 +17,7 @@ logger = logging.getLogger(__name__)
 STARTS_WITHIN_S = 30.0
 ENDS_WITHIN_S = 10.0
 LOOK_EVERY_S = 0.05
-# As long as a display may be held up and still be there.
+# Silence after which the recorder takes the display for ended; a shorter one may be a stall.
 SILENT_AFTER_S = 5.0
 
 
@@ -35,14 +35,14 @@ def start_recorder(
     key: Path | None,
     log_options: Sequence[str],
 ) -> Iterator[RecorderProcess]:
-    """Record a display's telemetry to `path` (None: not at all) within a `with`.
+    """Record a display's telemetry to `path` within a `with`; None records nothing.
 
-    The recorder listens when the `with` begins, so that its first tick is recorded; the outcome
+    The recorder has subscribed when the `with` begins, so the first tick is recorded. The outcome
     is known when the `with` has ended. A display that fails before its first tick leaves no file.
 
-    await_recorder: waits so many seconds until a recorder listens, and returns whether one does.
+    await_recorder: waits for a recorder for a time in s, and returns whether one has subscribed.
     Raises SystemExit, OutputError or SidecarError where the recorder refuses to begin, does not
-    listen in time, or is not installed.
+    subscribe in time, or is not installed.
     """
     recording = RecorderProcess()
     if path is None:
@@ -67,7 +67,7 @@ def start_recorder(
         process.terminate()
         raise
     finally:
-        # It prints itself what it missed.
+        # The recorder itself prints what is missing.
         try:
             recording.whole = process.wait(ENDS_WITHIN_S) == 0
         except subprocess.TimeoutExpired:

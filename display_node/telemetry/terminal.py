@@ -1,8 +1,8 @@
-"""The live state in a terminal, drawn from the telemetry by a process of its own.
+"""The live state in a terminal, drawn from the telemetry in a process of its own.
 
 `python -m display_node.telemetry.terminal ADDRESS [KEY]` shows a display's telemetry: a panel in a
 terminal, a line a second elsewhere. It ends with the display, or with the process that started it.
-KEY is the display's own secret key file, where its telemetry is protected.
+KEY is the file of the display's own secret key; it is needed where the telemetry is protected.
 """
 
 import itertools
@@ -25,7 +25,7 @@ from rich.table import Table
 from rich.text import Text
 
 from display_node.scoring.heart_rate import heart_rate_per_min
-from display_node.telemetry.alerts import Alert, TelemetryAge, alerts
+from display_node.telemetry.alerts import Alert, StatusAge, alerts
 from protocol import sockets
 from protocol.errors import WireError
 from protocol.figures import Surface
@@ -36,28 +36,28 @@ from protocol.wire.telemetry import STATUS, TRACE, Status, Trace, read_status, r
 
 FRAMES_PER_S = 8
 LINE_EVERY_S = 1.0
-# One tick each 10 ms is kept, for 6 s.
+# One tick in 10 ms is kept, for 6 s.
 KEEP_NS, APART_NS = 6_000_000_000, 10_000_000
 PLOTTED_TICKS = 300
 PLOT_COLUMNS, PLOT_ROWS = 64, 6
 BRAILLE_BITS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
 # A log or a journal shows a status line of this width without wrapping.
 LINE_WIDTH = 120
-# Room of the alerts in a status line beside its figures; each is printed in full when it begins.
+# Characters for the alerts in a status line; each alert is printed in full when it begins.
 ALERTS_WIDTH = 45
-# Figures by importance where a line has no room for all: what the finger feels first.
+# Figures in the order in which they get room in a line: first what the finger feels.
 IMPORTANCE = ("force felt", "finger", "force target", "heart rate")
 # Statuses come five times a second; an older one is not shown as current.
 CURRENT_NS = 1_000_000_000
 
 
 class TerminalTick(NamedTuple):
-    """A tick that is kept; felt_n is NaN where it is unknown."""
+    """A kept tick; felt_n is NaN where it is unknown."""
 
     now_ns: int
     target_n: float
     felt_n: float
-    scored: bool
+    at_full_strength: bool
 
 
 class TerminalView:
@@ -68,10 +68,10 @@ class TerminalView:
 
     def __init__(self, local: bool = False) -> None:
         self._ticks: deque[TerminalTick] = deque(maxlen=KEEP_NS // APART_NS + 1)
-        self._age = TelemetryAge(local)
+        self._age = StatusAge(local)
         self.status: Status | None = None
         self.unreadable = 0
-        # Alerts that `new_alerts` has returned and that last.
+        # Names of alerts that `new_alerts` has returned and that are still active.
         self._named: set[str] = set()
 
     def take(self, message: Sequence[bytes], now_ns: int = 0) -> Trace | None:
@@ -94,7 +94,7 @@ class TerminalView:
         return None
 
     def add_trace(self, trace: Trace) -> None:
-        """Take ticks; where their clock falls, the earlier ones are removed."""
+        """Take ticks; where their clock goes back, the earlier ticks are removed."""
         columns = (trace.now_ns, trace.target_n, trace.felt_n, trace.scored)
         for row in zip(*(column.tolist() for column in columns), strict=True):
             tick, ticks = TerminalTick(*row), self._ticks
@@ -109,14 +109,14 @@ class TerminalView:
     def heart_rate_per_min(self) -> float | None:
         """Heart rate of the pulse that is felt; None while none is felt at full strength."""
         t_s = np.array([tick.now_ns * 1e-9 for tick in self._ticks])
-        felt_n = [tick.felt_n if tick.scored else math.nan for tick in self._ticks]
+        felt_n = [tick.felt_n if tick.at_full_strength else math.nan for tick in self._ticks]
         return heart_rate_per_min(t_s, np.array(felt_n))
 
     def line(self, now_ns: int = 0) -> str:
         """Return the state at `now_ns` in one line of at most `LINE_WIDTH` characters.
 
-        Alerts are cut where the figures need their room. The figures follow by importance as far as
-        they fit, then figures of the run.
+        Alerts are shortened to leave room for the figures. The figures follow by importance, then
+        those of the run, as many as fit.
         """
         if self.status is None:
             return "waiting for the display"
@@ -144,7 +144,7 @@ class TerminalView:
         return line
 
     def new_alerts(self, now_ns: int = 0) -> list[str]:
-        """Return the alerts in full that were not there at the last call."""
+        """Return in full the alerts that were not active at the last call."""
         found = self._alerts(now_ns) if self.status is not None else []
         before, self._named = self._named, {alert.name for alert in found}
         return [f"{alert.name}: {alert.text}" for alert in found if alert.name not in before]
@@ -177,12 +177,12 @@ class TerminalView:
         return [Alert(_printable(name), _printable(text)) for name, text in found]
 
     def _age_ns(self, now_ns: int) -> int:
-        """Return the age of the status of a display that has not ended."""
+        """Return the age of the newest status; 0 once the display has ended."""
         ended = self.status is not None and self.status.final
         return 0 if ended else self._age.age_ns(now_ns) or 0
 
     def _state(self, now_ns: int) -> str:
-        """Return the display's state, with its age where it is not current."""
+        """Return the display's state, with the age of the status where it is not current."""
         assert self.status is not None
         age_ns, state = self._age_ns(now_ns), self.status.state
         return state if age_ns < CURRENT_NS else f"{state} {age_ns * 1e-9:.1f} s ago"
@@ -245,7 +245,7 @@ def braille_plot(
     for x, (here, dot) in enumerate(zip(line_y, dots_y, strict=True)):
         marked = set[int]()
         if here is not None:
-            # The line runs down or up to where the column before it ended.
+            # A vertical stroke joins the line to its end in the column before.
             before = line_y[max(x - 1, 0)]
             before = here if before is None else before
             marked.update(range(min(before + 1, here), max(before, here + 1)))
@@ -267,7 +267,7 @@ def _cut(text: str, width: int) -> str:
 
 
 def _printable(text: str) -> str:
-    """Return text from a status, which cannot draw on the screen."""
+    """Replace unprintable characters in a text from a status, which could control the terminal."""
     return "".join(character if character.isprintable() else "?" for character in text)
 
 
@@ -284,17 +284,17 @@ def watch(
     console: Console,
     on_trace: Callable[[Trace], None] | None = None,
     draw: bool = True,
-    meanwhile: Callable[[], bool] = lambda: True,
+    keep_watching: Callable[[], bool] = lambda: True,
     keys: ClientKeys | None = None,
 ) -> Status | None:
     """Follow a display's telemetry until it ends; return its last status, None without one.
 
-    on_trace receives every trace. meanwhile is called several times a second, and ends the watch by
-    returning False; a silent display does not end it.
+    on_trace receives every trace. keep_watching is called several times a second; the watch ends
+    when it returns False. A silent display does not end the watch.
     """
     if draw:
-        # Loads scipy, for 1 s or more: within a line it would grow old, once connected the
-        # telemetry would queue.
+        # Import scipy now, which takes 1 s or more. Later it would delay a status line, or
+        # telemetry would queue meanwhile.
         heart_rate_per_min(np.empty(0), np.empty(0))
     screen = TerminalView(local=not sockets.beyond_loopback(address))
     context: sockets.Context = zmq.Context()
@@ -307,7 +307,7 @@ def watch(
         live.start()
     line_s = time.monotonic()
     try:
-        while meanwhile():
+        while keep_watching():
             sockets.wait_readable([socket], 1_000_000_000 // FRAMES_PER_S)
             messages = list(sockets.receive_all(socket))
             for message in messages:
@@ -316,7 +316,7 @@ def watch(
                     on_trace(trace)
                 if screen.status is not None and screen.status.final:
                     if draw and live is None:
-                        # However it ended, the last line shows it.
+                        # The last line shows how the display ended.
                         _print_line(screen, console)
                     return screen.status
             if len(messages) == sockets.MAX_MESSAGES:
@@ -335,7 +335,7 @@ def watch(
 
 
 if __name__ == "__main__":
-    # The display ends on Ctrl-C and says so by its last status; then this ends too.
+    # Ctrl-C ends the display, and this process ends at the display's last status.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     address, *key = sys.argv[1:]
     pairs = [read_pair(Path(path)) for path in key]
@@ -343,4 +343,4 @@ if __name__ == "__main__":
     parent = os.getppid()
     console = Console(markup=False, emoji=False)
     with unblocked_output():
-        watch(address, console, meanwhile=lambda: os.getppid() == parent, keys=own)
+        watch(address, console, keep_watching=lambda: os.getppid() == parent, keys=own)

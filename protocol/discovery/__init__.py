@@ -1,5 +1,5 @@
 """Discovery of sensing nodes on the local network by DNS-SD over multicast DNS (RFC 6762, 6763).
 
-Anybody there can announce anything: an announcement gives addresses to try, and the keys alone
-decide which node answers.
+Anybody on the network can announce anything. An announcement is used only as addresses to try; the
+keys authenticate the node.
 """

@@ -1,7 +1,7 @@
 """Announcement of a sensing node as a DNS-SD service (RFC 6763): encoding, decoding, selection.
 
 The service has an instance name, a port, its host's addresses and a TXT record. Anybody on the
-network can read one, and anybody can send one. Pure: no I/O.
+network can read announcements and send them. Pure: no I/O.
 """
 
 import hashlib
@@ -16,7 +16,7 @@ from protocol.wire.messages import VERSION
 from protocol.wire.stream import MAX_NAME
 
 SERVICE = "_telepulse._tcp.local."
-# RFC 6763: an instance's name, and a string in a TXT record.
+# Limits by RFC 6763 for an instance's name, and for a string in a TXT record.
 MAX_LABEL_BYTES, MAX_STRING_BYTES = 63, 255
 MAX_PORT = 65_534
 MAX_ADDRESSES = 16
@@ -153,7 +153,7 @@ def announced_addresses(
     """Return the addresses to announce for a node that is bound to `host`.
 
     host: address or interface, or "*". own: this machine's addresses. interfaces: addresses of each
-    interface, by its name. Raises DiscoveryError when there are none.
+    interface, by its name. Raises DiscoveryError when there is no address to announce.
     """
     if host in ALL_INTERFACES:
         reason = "this machine is on no network"
@@ -169,9 +169,8 @@ def announced_addresses(
 def reachable(announcement: Announcement, own: Sequence[IPv4Interface]) -> list[str]:
     """Return the announced addresses that are on networks of this machine.
 
-    For a node on this very machine, one address is returned. Otherwise addresses that this machine
-    has itself are left out: two machines may have the same address on networks of their own
-    (container bridges).
+    For a node on this machine, one address is returned. For any other node, addresses that this
+    machine has too are left out: container bridges have the same address on many machines.
     """
     ours = {str(one.ip) for one in own}
     if ours.issuperset(announcement.addresses):

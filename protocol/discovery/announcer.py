@@ -1,4 +1,4 @@
-"""Announcement of a sensing node by a process beside it."""
+"""The announcer: a process beside a sensing node that announces the node."""
 
 import json
 import logging
@@ -27,8 +27,9 @@ def start_announcer(
 ) -> Iterator[Callable[[], None]]:
     """Prepare the announcement of the node bound to `address`, within a `with`.
 
-    Yields a function that begins it, to be called once the node's sockets are bound; it does
-    nothing unless `wanted`. Raises DiscoveryError where there is nothing to announce, SidecarError.
+    Yields a function that begins the announcement; call it once the node's sockets are bound. It
+    does nothing unless `wanted`. Raises DiscoveryError where there is no address to announce, and
+    SidecarError where the process cannot start.
     """
     if not wanted:
         yield lambda: None
@@ -50,7 +51,7 @@ def start_announcer(
 
 
 def main() -> None:
-    """Announce the node once it says so, until it ends; then withdraw the announcement."""
+    """Announce the node from its first message until it ends; then withdraw the announcement."""
     node = json.loads(sys.argv[1])
     with run_as_sidecar() as ready:
         from protocol.discovery import browser

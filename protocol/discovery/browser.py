@@ -24,20 +24,20 @@ except ImportError as error:
 __all__ = ["Browser", "ServiceInfo", "ZeroconfError", "open_multicast", "own_addresses"]
 
 MULTICAST_GROUP = ("224.0.0.251", 5353)
-# More than one network has; further names are counted only.
+# More nodes than any one network has; further names are counted only.
 MAX_NAMES = 256
-# Wait for a name's other records; a node sends them together with it.
+# Longest wait for a name's other records; a node sends them together with the name.
 REQUEST_WITHIN_MS = 500
-# Refusals that are logged; further ones are counted only.
-MAX_NAMED, MAX_SHOWN = 20, 80
+# Number of refusals that are logged (further ones are counted only), and characters of a name.
+MAX_LOGGED, NAME_CHARACTERS = 20, 80
 UNREACHABLE, TOO_MANY = "unreachable", "too_many"
 
 
 class Browser:
-    """Search by threads of its own, from construction until the end of a `with`.
+    """Search in threads of its own, from construction until the end of a `with`.
 
-    refused: counts of announcements that are not valid, by cause. Raises DiscoveryError when no
-    network here carries multicast.
+    refused: counts of announcements that are not valid, by cause. Raises DiscoveryError where no
+    network of this machine carries multicast.
     """
 
     def __init__(self) -> None:
@@ -57,7 +57,7 @@ class Browser:
 
     @property
     def found(self) -> list[Announcement]:
-        """Nodes announced now that can be reached, with only the addresses to reach them by."""
+        """Announced nodes that can be reached; `addresses` are only those that reach them."""
         return list(self._found.values())
 
     def _on_change(
@@ -92,9 +92,9 @@ class Browser:
 
     def _refuse(self, cause: str, name: str, reason: str) -> None:
         self.refused[cause] += 1
-        if self.refused.total() <= MAX_NAMED:
-            # A peer chose the name: only characters that every terminal shows.
-            shown = ascii(name.removesuffix("." + SERVICE))[1:-1][:MAX_SHOWN]
+        if self.refused.total() <= MAX_LOGGED:
+            # The name comes from the network: only ASCII that every terminal shows is printed.
+            shown = ascii(name.removesuffix("." + SERVICE))[1:-1][:NAME_CHARACTERS]
             logger.warning(f"not a sensing node: {shown}: {reason}")
 
 
@@ -125,7 +125,7 @@ def open_multicast(addresses: list[str]) -> Zeroconf:
 
 
 def _carries_multicast(address: str) -> bool:
-    """Return whether the kernel has a route to the group from there; nothing is sent."""
+    """Return whether the kernel has a route from an address to the group; nothing is sent."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(address))

@@ -1,10 +1,10 @@
-"""Processes of ours: Python programs that run on their own, and those beside a node (sidecars).
+"""Child processes: Python programs that run on their own, and processes beside a node (sidecars).
 
-A child does not search the current folder for modules (`python -P`): a `protocol.py` that somebody
-keeps there would be imported in place of ours. A sidecar does work that would hold up a node's
-loop. It is ready before the node moves, receives messages from it, and ends with it however that
-ends. The two exchange lines of JSON over pipes: the sidecar sends once that it is ready, or why it
-cannot start; its standard input closes when the node ends, `kill -9` included.
+A child does not search the current folder for modules (`python -P`): a `protocol.py` there would
+be imported in place of ours. A sidecar does work that would hold up a node's loop. It is ready
+before a drive moves, and ends with the node, even after `kill -9`, which closes its standard input.
+The two exchange lines of JSON over pipes; the first reports that the sidecar is ready, or why it
+cannot start.
 """
 
 import json
@@ -27,7 +27,7 @@ logger = logging.getLogger(__name__)
 SIDECARS = "telepulse.sidecars"
 STARTS_WITHIN_S = 30.0
 ENDS_WITHIN_S = 5.0
-# The loop comes first.
+# Sidecars run at this lower priority, so that the loop comes first.
 NICENESS = 10
 
 
@@ -39,8 +39,9 @@ def python_command(*arguments: str) -> list[str]:
 class ChildProcess(subprocess.Popen[str]):
     """A process that this interpreter runs; within a `with`, it is killed at the end.
 
-    name: in errors. arguments: of the interpreter: "-m", a module and that module's. own_session:
-    Ctrl-C at the terminal does not reach it, this process ends it. options: `subprocess.Popen`'s.
+    name: used in error messages. arguments: those of the interpreter, such as "-m", a module and
+    the module's arguments. own_session: Ctrl-C at the terminal is not sent to the child; this
+    process ends it. options: those of `subprocess.Popen`.
     """
 
     def __init__(
@@ -55,12 +56,12 @@ class ChildProcess(subprocess.Popen[str]):
         with suppress(BrokenPipeError):
             super().__exit__(*raised)
 
-    def read_line(self, within_s: float, log: bool = False) -> str:
-        """Return the next line that the process prints, or writes to its log, without its end.
+    def read_line(self, within_s: float, from_stderr: bool = False) -> str:
+        """Return the next line from the process's stdout or stderr, without the line's end.
 
-        Raises ProcessError when it ends before, or prints none in time and is killed.
+        Raises ProcessError where the process ends first, or is killed as it writes none in time.
         """
-        stream = self.stderr if log else self.stdout
+        stream = self.stderr if from_stderr else self.stdout
         assert stream is not None
         expired = threading.Event()
 
@@ -90,7 +91,7 @@ class ChildProcess(subprocess.Popen[str]):
         if self.stdin is not None:
             with suppress(BrokenPipeError):
                 self.stdin.close()
-            # `communicate` would flush it, and fail.
+            # `communicate` would flush the closed input, and fail.
             self.stdin = None
 
     def stop(self, within_s: float = ENDS_WITHIN_S) -> int:
@@ -118,7 +119,7 @@ class ChildProcess(subprocess.Popen[str]):
         return errors or ""
 
     def _failure(self, what: str, errors: str | None = None) -> ProcessError:
-        """Return the error that names what happened and the process's last error line."""
+        """Return an error that names the failure and the process's last error line."""
         if errors is None:
             self.kill()
             _, errors = self.communicate()
@@ -127,13 +128,13 @@ class ChildProcess(subprocess.Popen[str]):
 
 
 class Sidecar:
-    """A process that runs beside the node within a `with`, ready once this is constructed.
+    """A process that runs beside the node within a `with`; it is ready after construction.
 
-    What it logs is logged here under its name.
+    Its log records appear in the node's log under its name.
 
-    name: in the node's log, such as "announcer". module: what it runs with the arguments; it calls
-    `run_as_sidecar`. ready_message: the text that it sent when it was ready. Raises SidecarError
-    with its reason when it cannot start.
+    name: such as "announcer". module: the module to run; it calls `run_as_sidecar`. ready_message:
+    the text that it sent when it was ready. Raises SidecarError with its reason when it cannot
+    start.
     """
 
     def __init__(self, name: str, module: str, *arguments: str) -> None:
@@ -152,12 +153,11 @@ class Sidecar:
             self._close()
             raise
         self.ready_message = str(message["ready"])
-        # It waits in the kernel, and wakes when a line comes.
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
     def send(self, **message: Any) -> None:
-        """Send a message; nothing is sent to a process that has ended, which is logged."""
+        """Send a message. Does nothing where the process has ended; its end was logged."""
         with suppress(OSError):
             self._process.write_line(json.dumps(message))
 
@@ -171,7 +171,7 @@ class Sidecar:
         self._close()
 
     def _read(self) -> None:
-        """Log each of the process's records under its name; as "info" what a library printed."""
+        """Log the process's records under its name; other lines, as libraries print, as info."""
         assert self._process.stdout is not None
         for line in self._process.stdout:
             try:
@@ -192,9 +192,9 @@ class Sidecar:
 
 
 def sidecar_module(name: str) -> str:
-    """Return the module to run for a sidecar that a package above the nodes provides.
+    """Return the module of a sidecar that an installed package provides.
 
-    name: of an entry point in the group `SIDECARS`, such as "metrics". Raises SidecarError when no
+    name: an entry point in the group `SIDECARS`, such as "metrics". Raises SidecarError when no
     installed package provides it.
     """
     for entry in entry_points(group=SIDECARS, name=name):
@@ -204,15 +204,16 @@ def sidecar_module(name: str) -> str:
 
 @contextmanager
 def run_as_sidecar() -> Iterator[Callable[[str], None]]:
-    """Yield a callback that reports readiness; report a TelepulseError, and exit with status 1.
+    """Yield a callback that reports readiness to the node.
 
-    The process gives way to the node's loop (`nice`).
+    A TelepulseError is reported as well and ends the process with status 1. The process lowers its
+    own priority (`nice`), so that the node's loop comes first.
     """
     if hasattr(os, "nice"):
         os.nice(NICENESS)
     logging.getLogger().addHandler(_NodeHandler())
     for ours in OUR_LOGGERS:
-        # The node drops the records below its own level.
+        # All records are sent; the node drops those below its own level.
         logging.getLogger(ours).setLevel(logging.DEBUG)
     try:
         yield lambda text: print(json.dumps({"ready": text}), flush=True)

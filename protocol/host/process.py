@@ -1,10 +1,10 @@
-"""A process and its system: limits, the signals that end it, real-time measures of Linux.
+"""A process and its operating system: limits, terminating signals, real-time settings of Linux.
 
-Each display has two connections, each of them an open file. At its limit of files a process can
-neither accept nor make one, nor read its allow-list; at its limit of memory ZeroMQ ends it. So a
-node checks what it needs before it begins, and bounds its connections (`ConnectionBudget`).
+Each display has two connections, each of them an open file. At its limit of open files, a process
+can neither open a connection nor read its allow-list; at its limit of memory, ZeroMQ aborts it. So
+a node checks its limits at the start, and bounds its connections (`ConnectionBudget`).
 
-Each real-time measure is a context manager that yields what was done, and undoes it at its end.
+Each real-time setting is a context manager that yields what was done, and undoes it at its end.
 """
 
 import ctypes
@@ -21,21 +21,21 @@ from types import FrameType
 
 from protocol.errors import ProcessLimitError, RealtimeError
 
-# For a thousand displays, and to spare.
+# Enough for a thousand displays, with a reserve.
 FILES = 4_096
-# What is open besides connections: libraries, logs, processes beside a node, ZeroMQ's own; and what
-# is accepted before it can be cut.
+# Files besides connections: libraries, logs, sidecars, ZeroMQ's own, and connections that were
+# accepted but not cut yet.
 RESERVED_FILES = 64
 LEAST_FILES = 96
-# For threads and their arenas, and for as many connections as there may be.
+# Enough for threads with their arenas, and for all connections.
 LEAST_FREE_BYTES = 256 << 20
 
 
-def allow_connections() -> None:
-    """Let this process have `FILES` open, or as many as the system allows.
+def raise_file_limit() -> None:
+    """Raise this process's limit of open files to `FILES`, or as far as the system allows.
 
-    Call it before anything is bound or connected. Raises ProcessLimitError where that is too little
-    for a node, or its memory is.
+    Call it before any socket is bound or connected. Raises ProcessLimitError where a node needs a
+    higher limit of open files, or of memory.
     """
     if sys.platform == "win32":  # which has no such limits
         return
@@ -64,7 +64,7 @@ def allow_connections() -> None:
 
 
 def connections_that_fit() -> int:
-    """Return how many connections this process has files for."""
+    """Return how many connections this process may have open."""
     if sys.platform == "win32":
         return FILES - RESERVED_FILES
     import resource
@@ -74,7 +74,7 @@ def connections_that_fit() -> int:
 
 
 def interrupt_on_signals() -> None:
-    """Raise KeyboardInterrupt on the signals that end a node, while it has no loop to stop yet."""
+    """Raise KeyboardInterrupt on the signals that end a node, for the time before its loop."""
 
     def interrupt() -> None:
         raise KeyboardInterrupt
@@ -83,14 +83,14 @@ def interrupt_on_signals() -> None:
 
 
 def stop_on_signals(stop: Callable[[], None]) -> None:
-    """Call `stop` on SIGINT, SIGTERM and, unless `nohup` has it ignored, SIGHUP."""
+    """Call `stop` on SIGINT, SIGTERM and SIGHUP; the last stays ignored under `nohup`."""
 
     def handle(number: int, frame: FrameType | None) -> None:
         stop()
 
     signal.signal(signal.SIGINT, handle)
     signal.signal(signal.SIGTERM, handle)
-    # Its default ends the process at once: no drive would be withdrawn.
+    # SIGHUP's default ends the process at once, without a withdrawal of the drive.
     if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
         signal.signal(signal.SIGHUP, handle)
 
@@ -109,17 +109,17 @@ THREADS_START_WITHIN_S = 1.0
 
 
 class NotGrantedError(RealtimeError):
-    """A measure is not granted; the arguments are the reason and advice."""
+    """A real-time setting is not granted; the arguments are the reason and advice."""
 
 
 @contextmanager
 def schedule_fifo(priority: int, on_overrun: Callable[[], None]) -> Iterator[str]:
     """Run the calling thread under SCHED_FIFO, and its helper threads one step below.
 
-    A thread that runs for 0.2 s without a pause would block the machine: then the priority is given
-    up for good and `on_overrun` is called. Only for the main thread, since a signal is handled.
-    Threads that are started meanwhile inherit the priority: a thread that holds Python's lock must
-    be able to run while the loop waits for that lock.
+    A thread that runs for 0.2 s without a pause blocks the machine: the priority is then given up
+    for good, and `on_overrun` is called. Call it in the main thread, which handles signals. Threads
+    that start within the `with` inherit the priority: a thread that holds Python's lock must be
+    able to run while the loop waits for that lock.
     """
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
@@ -142,7 +142,7 @@ def schedule_fifo(priority: int, on_overrun: Callable[[], None]) -> Iterator[str
         on_overrun()
 
     try:
-        # A step below: a flood of frames must not delay a tick.
+        # One step below the loop, so that a flood of frames does not delay a tick.
         _schedule(threads, os.SCHED_FIFO, os.sched_param(max(1, priority - 1)))
         with _watched(overrun):
             beside = f", {len(threads)} threads that help it a step below" if threads else ""
@@ -153,7 +153,7 @@ def schedule_fifo(priority: int, on_overrun: Callable[[], None]) -> Iterator[str
 
 @contextmanager
 def pin(cpus: frozenset[int]) -> Iterator[str]:
-    """Run the calling thread on these processors alone; its helpers may run on any."""
+    """Run the calling thread on these processors alone; its helper threads may run on any."""
     before = os.sched_getaffinity(0)
     advice = f"this process may use {spans(frozenset(before))}"
     try:
@@ -192,14 +192,14 @@ def lock_memory() -> Iterator[str]:
 
     limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
     if limit != resource.RLIM_INFINITY and not _capable(CAP_IPC_LOCK):
-        # It would be granted below the limit, and allocations beyond it would fail later.
+        # mlockall would succeed now, and later allocations beyond the limit would fail.
         raise NotGrantedError(
             f"RLIMIT_MEMLOCK is {limit >> 10} KiB, which a node may outgrow",
             _raise_limit("memlock", "unlimited", "infinity", "-1"),
         )
     libc = ctypes.CDLL(None, use_errno=True)
-    # On fault: otherwise pages that are never used are read in too, which takes four times the
-    # memory, and starting a thread takes milliseconds to fill its stack.
+    # MCL_ONFAULT locks pages when they are used. Without it, unused pages are read in too: that
+    # takes four times the memory, and a new thread takes milliseconds to fill its stack.
     if libc.mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT):
         raise NotGrantedError(f"mlockall: {_error()}", "Linux 4.4 and later have it")
     try:
@@ -211,8 +211,8 @@ def lock_memory() -> Iterator[str]:
 def freeze_objects() -> None:
     """Exclude all objects that exist from garbage collection (`gc.freeze`).
 
-    Call it once before a loop, and before a drive moves: it takes some 20 ms. A full collection
-    in the middle of a stream would take as long, which delays 20 samples.
+    Call it once before a loop, and before a drive moves: it takes some 20 ms. Without it, a full
+    collection would take as long in the middle of a stream, which delays 20 samples.
     """
     gc.collect()
     gc.freeze()
@@ -221,7 +221,7 @@ def freeze_objects() -> None:
 def helper_threads() -> set[int]:
     """Return the threads of this process that the loop depends on: ZeroMQ's and Python's.
 
-    numpy's are left out: they spin while they wait, which must not have a priority.
+    numpy's threads are left out: they spin while they wait, and would block a processor.
     """
     tasks = _tasks()
     deadline_s = time.monotonic() + THREADS_START_WITHIN_S
@@ -239,8 +239,7 @@ def helper_threads() -> set[int]:
 def _started() -> set[int]:
     """Return the threads of this process, as far as they can be listed.
 
-    Listing /proc takes a file descriptor. Where none is left, Python's own list must suffice for
-    giving a priority up.
+    Listing /proc takes a file descriptor. Without a free one, Python's own list is used.
     """
     started = {thread.native_id or 0 for thread in threading.enumerate()} | {0}
     with suppress(OSError):
@@ -267,7 +266,7 @@ def _has_waited(task: Path) -> bool:
     return "\nvoluntary_ctxt_switches:\t0\n" not in status
 
 
-# Quoted, as other systems have no such type.
+# The type is quoted because other systems lack it.
 def _schedule(threads: set[int], policy: int, parameter: "os.sched_param") -> None:
     for thread in threads:
         with suppress(ProcessLookupError):
@@ -276,7 +275,7 @@ def _schedule(threads: set[int], policy: int, parameter: "os.sched_param") -> No
 
 @contextmanager
 def _watched(overrun: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Call `overrun` when a thread with a priority runs on for too long."""
+    """Call `overrun` when a thread with a priority runs for too long without a pause."""
     import resource  # not on every system
 
     soft, hard = resource.getrlimit(resource.RLIMIT_RTTIME)
@@ -287,7 +286,7 @@ def _watched(overrun: Callable[[int, FrameType | None], None]) -> Iterator[None]
     try:
         yield
     finally:
-        # The hard limit stays: raising it takes rights that few users have.
+        # The hard limit stays, because raising it requires a privilege.
         resource.setrlimit(resource.RLIMIT_RTTIME, (hard if soft < 0 else min(soft, hard), hard))
         signal.signal(signal.SIGXCPU, before)
 
@@ -307,7 +306,7 @@ def _no_priority(priority: int, error: OSError) -> NotGrantedError:
 
 
 def spans(cpus: frozenset[int]) -> str:
-    """Return processors as text: `0-1`, and `0-1, 3` where one is missing."""
+    """Return processors as text, such as `0-1, 3`."""
     starts = sorted(cpu for cpu in cpus if cpu - 1 not in cpus)
     ends = sorted(cpu for cpu in cpus if cpu + 1 not in cpus)
     pairs = zip(starts, ends, strict=True)

@@ -1,7 +1,7 @@
-"""A real-time loop: its pacing, and measures of the operating system held while it runs.
+"""A real-time loop: its pacing, and the operating system's settings that keep it on time.
 
-A request (`RealtimeRequest`) is parsed from text such as "fifo=40,lock,slack". `hold` takes its
-measures and yields what was granted and what was refused (`RealtimeGrant`).
+A request (`RealtimeRequest`) is parsed from text such as "fifo=40,lock,slack". `apply_realtime`
+applies its settings within a `with`, and yields which were granted or refused (`RealtimeGrant`).
 """
 
 import difflib
@@ -35,7 +35,11 @@ GIVEN_UP = " given up"
 
 
 class PacedTick(NamedTuple):
-    """A tick that begins: when it was due, how late it is, periods since the last one."""
+    """A tick that begins; where ticks were missed, it stands for them too.
+
+    due_ns: when the newest tick that it stands for was due. late_ns: time since the oldest of them
+    was due. elapsed_ticks: periods since the last tick that ran.
+    """
 
     due_ns: int
     late_ns: int
@@ -45,9 +49,9 @@ class PacedTick(NamedTuple):
 class Pacer:
     """Pacing of a loop that ticks at a fixed period. Pure: the caller waits.
 
-    A tick that begins after the next one was due stands for both. Ticks stay on the grid of the
-    first one, due a period after the construction, however late each begins. due_ns: when the next
-    tick is due. missed: ticks that did not begin within their period.
+    The first tick is due a period after construction. Later ones keep to its grid, however late
+    each begins. A tick that begins after the next one was due stands for both. due_ns: when the
+    next tick is due. missed: ticks that did not begin within their period.
     """
 
     def __init__(self, tick_ns: int, now_ns: int) -> None:
@@ -63,16 +67,17 @@ class Pacer:
         elapsed_ticks = 1 + late_ns // self._tick_ns
         self.missed += elapsed_ticks - 1
         self.due_ns += elapsed_ticks * self._tick_ns
-        # As of when it was due: speeds commanded then add up to the distance, however late it is.
+        # The loop computes with the due time: then speeds times periods add up to the distance
+        # travelled, even where ticks are late.
         return PacedTick(self.due_ns - self._tick_ns, late_ns, elapsed_ticks)
 
 
 @dataclass(frozen=True, slots=True)
 class RealtimeRequest:
-    """Measures to request of the operating system.
+    """Settings to request of the operating system.
 
     fifo: the loop's priority under SCHED_FIFO, 1 to 98. lock: keep memory in RAM. cpus: processors
-    on which alone the loop runs; empty for any. slack: fire timers when due. strict: refuse to
+    that the loop may use; empty for any. slack: fire timers when due. strict: refuse to
     start unless all is granted.
     """
 
@@ -107,7 +112,7 @@ def parse_realtime(text: str | None) -> RealtimeRequest:
                 )
             cpus.update(numbers)
         elif name == "gc":
-            raise RealtimeError("--realtime: gc is always taken by now: leave it out")
+            raise RealtimeError("--realtime: gc is now always applied: leave it out")
         elif name not in MEASURES:
             close = difflib.get_close_matches(name, MEASURES, n=1)
             advice = f"did you mean {close[0]}?" if close else f"known: {', '.join(MEASURES)}"
@@ -123,7 +128,7 @@ def parse_realtime(text: str | None) -> RealtimeRequest:
 
 
 def _numbers(text: str, least: int, most: int) -> range:
-    """Return the numbers of `3` or `2-4`; none where the text is no such range within bounds."""
+    """Return the numbers of `3` or `2-4`; none where the text is no range within the bounds."""
     first, dash, last = text.partition("-")
     ends = (first, last if dash else first)
     if not all(end.isascii() and end.isdigit() and len(end) <= 4 for end in ends):
@@ -133,8 +138,8 @@ def _numbers(text: str, least: int, most: int) -> range:
 
 
 @dataclass(frozen=True, slots=True)
-class RefusedMeasure:
-    """A measure that was requested and not granted, with the reason and advice."""
+class RefusedSetting:
+    """A setting that was requested and not granted, with the reason and advice."""
 
     name: str
     reason: str
@@ -146,10 +151,10 @@ class RefusedMeasure:
 
 @dataclass(slots=True)
 class RealtimeGrant:
-    """Measures that hold (name → what was done), and those that were refused."""
+    """Settings in force (name → what was done), and those that were refused."""
 
     granted: dict[str, str] = field(default_factory=dict)
-    refused: list[RefusedMeasure] = field(default_factory=list)
+    refused: list[RefusedSetting] = field(default_factory=list)
 
     def __str__(self) -> str:
         parts = (f"{name} ({text})" for name, text in self.granted.items())
@@ -157,12 +162,13 @@ class RealtimeGrant:
 
 
 @contextmanager
-def hold(request: RealtimeRequest) -> Iterator[RealtimeGrant]:
-    """Take the requested measures, and give them back when the `with` ends.
+def apply_realtime(request: RealtimeRequest) -> Iterator[RealtimeGrant]:
+    """Apply the requested settings within a `with`, and undo them at its end.
 
-    Call it in the main thread, which runs the loop, once its helper threads run: measures apply to
-    the calling thread, and processes started meanwhile inherit some of them. A priority that has to
-    be given up is logged. Raises RealtimeError where a strict request is not granted.
+    Call it in the main thread, which runs the loop, after its helper threads have started. Settings
+    apply to the calling thread; processes started within the `with` inherit some of them. A
+    priority that has to be given up is logged. Raises RealtimeError where a strict request is not
+    granted.
     """
     grant = RealtimeGrant()
 
@@ -173,31 +179,31 @@ def hold(request: RealtimeRequest) -> Iterator[RealtimeGrant]:
         }
         logger.warning(f"real-time: fifo is given up: {LONGEST_RUN_US // 1000} ms without a pause")
 
-    measures: dict[str, AbstractContextManager[str]] = {}
+    settings: dict[str, AbstractContextManager[str]] = {}
     if request.lock:
-        measures["lock"] = lock_memory()
+        settings["lock"] = lock_memory()
     if request.slack:
-        # Before a priority, under which the slack is none and cannot be set.
-        measures["slack"] = reduce_timer_slack()
+        # Set before the priority: under SCHED_FIFO the slack is 0 and cannot be set.
+        settings["slack"] = reduce_timer_slack()
     if request.cpus:
-        measures[f"cpu={spans(request.cpus)}"] = pin(request.cpus)
+        settings[f"cpu={spans(request.cpus)}"] = pin(request.cpus)
     if request.fifo is not None:
-        measures[f"fifo={request.fifo}"] = schedule_fifo(request.fifo, overrun)
-    with ExitStack() as until_the_end:
-        for name, measure in measures.items():
+        settings[f"fifo={request.fifo}"] = schedule_fifo(request.fifo, overrun)
+    with ExitStack() as applied:
+        for name, setting in settings.items():
             try:
                 if sys.platform != "linux":
                     raise NotGrantedError("this system has no such thing", "Linux has")
-                grant.granted[name] = until_the_end.enter_context(measure)
+                grant.granted[name] = applied.enter_context(setting)
             except NotGrantedError as error:
-                grant.refused.append(RefusedMeasure(name, *error.args))
+                grant.refused.append(RefusedSetting(name, *error.args))
         if request.strict and grant.refused:
             raise RealtimeError(str(grant.refused[0]))
         yield grant
 
 
 def check_strict(request: RealtimeRequest) -> None:
-    """Check before anything moves that a strict request is granted. Raises RealtimeError."""
+    """Check, before a drive moves, that a strict request is granted. Raises RealtimeError."""
     if request.strict:
-        with hold(request):
+        with apply_realtime(request):
             pass

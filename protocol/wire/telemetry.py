@@ -1,11 +1,11 @@
-"""Telemetry: formats of what a node publishes, for another process to show or record.
+"""Telemetry: message formats by which a node publishes its state, for display and recording.
 
 Three topics, each a multipart message [topic, msgpack]:
 
 - "trace": every tick since the last trace;
-- "status": the running summary, some times a second; a last status has final = true;
-- "heard": all that the display receives, each message as it came and when, published only while a
-  recorder asks for it. Each states how much was published before, so that gaps show.
+- "status": the running summary, several times a second; the last status has final = true;
+- "heard": every message that the display receives, with its time of arrival, published only while
+  a recorder subscribes. Each states how much was published before, so that gaps show.
 """
 
 import math
@@ -31,9 +31,10 @@ _SUMMARY = TypeAdapter(Summary)
 class PlaybackStatus(NamedTuple):
     """How a display plays the stream.
 
-    channel: the one that it plays. force_ratio: force at the finger per force at the wrist that
-    makes both strains equal. strain_per_newton: of the layer under the finger, in 1/N. predictor:
-    its name. stale_after_ns: time without samples after which the stream is stale.
+    channel: number of the played channel. force_ratio: force at the finger per force at the wrist
+    that makes both strains equal. strain_per_newton: strain of the layer under the finger per
+    force, in 1/N. predictor: its name. stale_after_ns: time without samples after which the stream
+    is stale.
     """
 
     channel: Annotated[int, Field(ge=0, lt=MAX_CHANNELS)]
@@ -44,10 +45,11 @@ class PlaybackStatus(NamedTuple):
 
 
 class Status(NamedTuple):
-    """Status of a node: a state, its stream, its running summary.
+    """Status of a node: its state, stream and running summary.
 
-    session: of the stream; None while there is none. displays: those connected to a sensing node;
-    None for a display. playing: of a display that has the stream's description.
+    session: session of the stream; None while there is none. displays: number of displays of a
+    sensing node; None for a display. playing: how a display plays the stream; None before it has
+    the stream's description.
     """
 
     state: str
@@ -123,7 +125,7 @@ STATUS_TRACES = 10
 
 @dataclass(slots=True)
 class TickState:
-    """State at the beginning of the last tick; the fields that `Trace` has are explained there."""
+    """State at the beginning of the last tick; `Trace` explains the fields that it shares."""
 
     now_ns: int = 0
     sensing_now_ns: int = 0
@@ -143,10 +145,10 @@ class TickState:
 class Trace(NamedTuple):
     """Consecutive ticks: arrays of equal length, one value a tick.
 
-    now_ns on the display's clock, never falling; instant_ns on the sensing clock; target force in
-    N; felt_n: felt force in N, NaN where it is unknown (no reading of the film); scored: whether
-    the pulse was being felt at its full strength; predictor_error_n: RMSE that the predictor
-    expects of its prediction, NaN where it made none or cannot tell; trusted: whether it is trusted
+    now_ns: time on the display's clock, never falling. instant_ns: played instant on the sensing
+    clock. target_n: target force in N. felt_n: felt force in N, NaN where it is unknown (no reading
+    of the film). scored: the pulse was felt at full strength. predictor_error_n: expected RMSE of
+    the prediction in N, NaN without a prediction or an estimate. trusted: the predictor was trusted
     with all of the delay. No number is infinite or beyond `LARGEST_N`.
     """
 
@@ -185,8 +187,8 @@ class TraceWriter:
 def read_trace(data: bytes) -> Trace:
     """Decode a trace message.
 
-    A felt force or a predictor's error that is infinite or beyond `LARGEST_N` is no measurement
-    and becomes NaN. Raises WireError, also for times that fall or are out of range.
+    A felt force or a predictor's error that is infinite or beyond `LARGEST_N` becomes NaN. Raises
+    WireError, also for times that fall or are out of range.
     """
     try:
         ints, forces = unpack(data)
@@ -210,7 +212,7 @@ HEARD = b"heard"
 CONTROL = -1
 # Overhead of a message beside its bytes.
 OVERHEAD_BYTES = 64
-# Sockets take four times a frame's greatest size.
+# Sockets accept messages of four times a frame's greatest size.
 MAX_PART_BYTES = 2 * MAX_FRAME_BYTES
 MAX_PART_MESSAGES = MAX_PART_BYTES // OVERHEAD_BYTES + 1
 # Most bytes between two traces; further messages of a flood are only counted.
@@ -221,8 +223,8 @@ SUBSCRIBED, UNSUBSCRIBED = b"\1" + HEARD, b"\0" + HEARD
 class CapturedMessage(NamedTuple):
     """A message received from the sensing node.
 
-    arrived_ns: on the display's clock. path: number of the data connection, or CONTROL. data: its
-    bytes, cut above a frame's limit.
+    arrived_ns: time of arrival on the display's clock. path: number of the data connection, or
+    CONTROL. data: the message, cut above a frame's limit.
     """
 
     arrived_ns: int
@@ -231,17 +233,17 @@ class CapturedMessage(NamedTuple):
 
 
 class CapturedMessages(NamedTuple):
-    """Consecutive messages, with their place among all that a display's run publishes.
+    """Consecutive received messages, with their place in the telemetry of a display's run.
 
     run: random number of the run. now_ns, wall_ns: one instant on the display's clock and in Unix
-    time. traces, statuses: published so far. before: messages received before these.
+    time. traces_published, statuses_published: counts so far. before: number of earlier messages.
     """
 
     run: int
     now_ns: int
     wall_ns: int
-    traces: int
-    statuses: int
+    traces_published: int
+    statuses_published: int
     before: int
     messages: list[CapturedMessage]
 
@@ -256,13 +258,13 @@ class CaptureWriter:
         self._kept_bytes = 0
         self._welcome: CapturedMessage | None = None
         self.wanted = False
-        self.traces = self.statuses = 0
+        self.traces_published = self.statuses_published = 0
 
     def follow(self, subscription: bytes) -> None:
         """Follow a subscription or cancellation, as an XPUB socket reports it."""
         if subscription == SUBSCRIBED:
             self.wanted = True
-            # A late recorder needs the stream's description, too.
+            # A recorder that subscribes late needs the stream's description, too.
             if self._welcome is not None:
                 self._keep(self._welcome)
         elif subscription == UNSUBSCRIBED:
@@ -286,12 +288,12 @@ class CaptureWriter:
         kept, self._messages, self._kept_bytes = self._messages, [], 0
         before = self._first if kept else self._heard
         while True:
-            # At least one, and then as many as a part has room for.
+            # A part holds at least one message, and as many as fit.
             sizes = accumulate(len(message.data) + OVERHEAD_BYTES for message in kept)
             fitting = takewhile(lambda size: size <= MAX_PART_BYTES, sizes)
             part = kept[: max(1, sum(1 for _ in fitting))]
-            head = (self._run, now_ns, wall_ns, self.traces, self.statuses, before)
-            yield msgpack.packb((*head, part))
+            published = (self.traces_published, self.statuses_published)
+            yield msgpack.packb((self._run, now_ns, wall_ns, *published, before, part))
             before += len(part)
             kept = kept[len(part) :]
             if not kept:

@@ -11,7 +11,7 @@ from protocol.cli_options import (
     BENCH_IS_CLEAR,
     LogLevelOption,
     RealtimeOption,
-    hold_measures,
+    apply_and_log_realtime,
     one_line_errors,
     plain_console,
 )
@@ -85,7 +85,7 @@ def run(
     Exit status: 0 when it has ended or was stopped by q, 2 when it cannot be run or a fault ends
     it; the reason is one line on stderr.
     """
-    from display_node.node import connected
+    from display_node.node import start_bench
     from telepulse.experiment.log import open_log, read_log
     from telepulse.experiment.report import build_report
     from telepulse.experiment.session import load_plan
@@ -123,12 +123,12 @@ def run(
                     raise SystemExit(1)
             freeze_objects()
             # Last, so that everything that can fail without the drive fails before it moves.
-            bench = connected(scene.display, scene.path.parent)
+            bench = start_bench(scene.display, scene.path.parent)
             hardware = stack.enter_context(bench)
             if hardware is not None:
                 person.use(hardware)
             stop_on_signals(person.stop)
-            stack.enter_context(hold_measures(PROGRAM, asked))
+            stack.enter_context(apply_and_log_realtime(PROGRAM, asked))
             subject = person.answer
         finished = run_session(plan, file, header, done, subject)
     if not finished:

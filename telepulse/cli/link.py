@@ -22,7 +22,7 @@ from protocol.cli_options import (
     sum_up,
 )
 from protocol.host.output import check_writable, configure_logging
-from protocol.host.process import allow_connections, freeze_objects, stop_on_signals
+from protocol.host.process import freeze_objects, raise_file_limit, stop_on_signals
 from protocol.provenance import collect
 from protocol.sockets import control_address
 from telepulse.cli.options import PROGRAM, LinkOption, SeedOption
@@ -52,7 +52,7 @@ def link(
     """
     with one_line_errors(PROGRAM):
         configure_logging(log_level)
-        allow_connections()
+        raise_file_limit()
         # Without --peer the sensing node is on this machine, and has no keys.
         upstream = client_keys([connect], key if peer else None, peer, insecure)
         downstream = server_keys(bind, key, allow, insecure)
@@ -106,7 +106,7 @@ def relay(
     console = plain_console(quiet, json)
     with one_line_errors(PROGRAM):
         configure_logging(log_level, quiet)
-        allow_connections()
+        raise_file_limit()
         check_writable(json)
         control = control_address(bind)
         control_address(connect)

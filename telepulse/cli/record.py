@@ -25,7 +25,7 @@ from protocol.cli_options import (
     telemetry_keys,
 )
 from protocol.host.output import check_writable, configure_logging, unblocked_output
-from protocol.host.process import allow_connections, freeze_objects, stop_on_signals
+from protocol.host.process import freeze_objects, raise_file_limit, stop_on_signals
 from protocol.provenance import collect
 from telepulse.cli.options import (
     NOT_WHOLE,
@@ -102,7 +102,7 @@ def replay(
     console = plain_console(quiet, json)
     with one_line_errors(PROGRAM):
         configure_logging(log_level, quiet)
-        allow_connections()
+        raise_file_limit()
         check_writable(json)
         keys = server_keys(bind, key, allow, insecure)
         session = longest_session(file)

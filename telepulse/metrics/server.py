@@ -18,7 +18,7 @@ from wsgiref.types import StartResponse, WSGIApplication, WSGIEnvironment
 
 import zmq
 
-from display_node.telemetry.alerts import TelemetryAge
+from display_node.telemetry.alerts import StatusAge
 from display_node.telemetry.terminal import TerminalView
 from protocol import sockets
 from protocol.errors import AddressError, SidecarError, WireError
@@ -230,7 +230,7 @@ class MetricsServer(Collector):
         socket = sockets.connect(context, zmq.SUB, address, keys)
         for topic in (STATUS, TRACE):
             socket.subscribe(topic)
-        view, age = TerminalView(), TelemetryAge(local=not sockets.beyond_loopback(address))
+        view, age = TerminalView(), StatusAge(local=not sockets.beyond_loopback(address))
         while True:
             sockets.wait_readable([socket], WAIT_NS)
             for message in sockets.receive_all(socket):
@@ -239,7 +239,7 @@ class MetricsServer(Collector):
                 except (WireError, TypeError):
                     self._unreadable += 1
 
-    def _take(self, view: TerminalView, age: TelemetryAge, topic: bytes, data: bytes) -> None:
+    def _take(self, view: TerminalView, age: StatusAge, topic: bytes, data: bytes) -> None:
         now_ns = time.monotonic_ns()
         if topic == TRACE:
             trace = read_trace(data)

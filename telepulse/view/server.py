@@ -20,7 +20,7 @@ from tornado.ioloop import IOLoop, PeriodicCallback
 from tornado.routing import Router
 from tornado.web import Application, RequestHandler
 
-from display_node.telemetry.alerts import TelemetryAge
+from display_node.telemetry.alerts import StatusAge
 from protocol.errors import AddressError
 from protocol.security.budgets import TokenBucket
 from protocol.security.keys import ClientKeys
@@ -111,7 +111,7 @@ class PageServer:
         self._live = LiveState()
         self._began_ns = time.monotonic_ns()
         self._local = not beyond_loopback(address)
-        self._age = TelemetryAge(self._local)
+        self._age = StatusAge(self._local)
         self._client = TelemetryClient(address, keys)
         self._client.subscribe()
         self._stopping = False
@@ -188,7 +188,7 @@ class PageServer:
                 self._age.take_trace(stamps_ns[-1], now_ns)
             for entry in entries:
                 if entry.topic == EVENT and entry.fields["name"] == "begin":
-                    self._age, self._began_ns = TelemetryAge(self._local), now_ns
+                    self._age, self._began_ns = StatusAge(self._local), now_ns
                 elif entry.topic == STATUS:
                     self._age.take_status(now_ns)
                 self._live.take(entry)

@@ -40,7 +40,7 @@ class Listener:
             receiver.on_frame(message, time.monotonic_ns())
         for request in receiver.requests(now_ns):
             sockets.send(self.control, encode_control(request))
-        if receiver.listening:
+        if receiver.accepts_frames:
             if not self._subscribed:
                 self.data.subscribe(b"")
                 self._subscribed = True

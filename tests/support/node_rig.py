@@ -41,7 +41,7 @@ class Node:
     def await_listening(self) -> None:
         """Wait for its first line."""
         try:
-            self.process.read_line(STARTS_WITHIN_S, log=True)
+            self.process.read_line(STARTS_WITHIN_S, from_stderr=True)
         except ProcessError as error:
             raise RigError(str(error)) from None
         self.listening_ns = time.monotonic_ns()

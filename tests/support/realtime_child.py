@@ -14,7 +14,7 @@ from typing import Any
 
 import zmq
 
-from protocol.host.realtime import hold, parse_realtime
+from protocol.host.realtime import apply_realtime, parse_realtime
 
 
 def state() -> dict[str, Any]:
@@ -74,7 +74,7 @@ def main(wish: str, loop_s: float, helper_s: float) -> None:
     with zmq.Context() as context, closing(context.socket(zmq.PUB)):
         time.sleep(0.05)  # its threads have their names then
         found: dict[str, Any] = {"before": state(), "messages": messages}
-        with hold(parse_realtime(wish)) as held:
+        with apply_realtime(parse_realtime(wish)) as held:
             found["held"] = state()
             may_spin.set()
             spin(loop_s)

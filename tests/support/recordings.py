@@ -62,10 +62,10 @@ def _telemetry(force_n: Samples, lost: Container[int]) -> Iterator[tuple[bytes, 
             for message in capture.take(now_ns, UNIX_NS + now_ns):
                 yield HEARD, message
             yield TRACE, trace
-            capture.traces += 1
+            capture.traces_published += 1
         if tick % STATUS_TICKS == STATUS_TICKS - 1:
             yield STATUS, _status("playing", final=False)
-            capture.statuses += 1
+            capture.statuses_published += 1
     yield STATUS, _status("ended", final=True)
 
 

@@ -153,7 +153,7 @@ class HandmadeTelemetry:
     def status(self, state: str, final: bool = False, **changes: object) -> list[Entry]:
         summary = Summary(**changes)  # type: ignore[arg-type]
         message = pack_status(state, "pulse", summary, final, playing=PLAYING)
-        self.capture.statuses += 1
+        self.capture.statuses_published += 1
         return self.decoder.decode(STATUS, message)
 
     def ticks(self, *felt: TickState) -> list[Entry]:
@@ -162,5 +162,5 @@ class HandmadeTelemetry:
             writer.add(tick)
         message = writer.rest()
         assert message is not None
-        self.capture.traces += 1
+        self.capture.traces_published += 1
         return self.decoder.decode(TRACE, message)

@@ -72,8 +72,8 @@ class VirtualDrive:
         if self.supervisor.fault is not None:
             self._send()
 
-    def report_film(self, force_n: float, taken_ns: int) -> None:
-        self.supervisor.report_film(force_n, taken_ns)
+    def add_film_reading(self, force_n: float, taken_ns: int) -> None:
+        self.supervisor.add_film_reading(force_n, taken_ns)
 
     def status(self) -> DriveStatus:
         self._read_reports()
@@ -89,7 +89,7 @@ class VirtualDrive:
         motor = self.motor
         motor.advance(self.now_ns)
         if self.answers:
-            self.supervisor.report(motor.tip_m, self.now_ns)
+            self.supervisor.add_position(motor.tip_m, self.now_ns)
         if motor.fault:
             self.supervisor.fail(f"fault: {motor.fault}", self.now_ns)
 

@@ -60,7 +60,7 @@ class Cia402Drive(Drive):
         supervisor.check_silence(now_ns, node.silence)
         # One TPDO has both position and state.
         if node.received_ns > supervisor.position_ns:
-            supervisor.report(node.position_m, node.received_ns)
+            supervisor.add_position(node.position_m, node.received_ns)
         state = node.state
         if state in (State.FAULT, State.REACTING):
             supervisor.fail(f"fault: {node.error}", now_ns)

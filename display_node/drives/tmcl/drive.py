@@ -88,7 +88,7 @@ class TmclDrive(Drive):
             if supervisor.fault and module.position_ns - self._missed_ns < AMBIGUOUS_NS:
                 return
             if module.position_ns > supervisor.position_ns:
-                supervisor.report(module.position_m, module.position_ns)
+                supervisor.add_position(module.position_m, module.position_ns)
 
     def _send(self, now_ns: int) -> None:
         """Send the velocity, new or not, so that the module's watchdog does not stop the motor."""

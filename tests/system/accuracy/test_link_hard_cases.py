@@ -96,7 +96,7 @@ class VirtualLink:
         first = self.first_sample + self.frames * BATCH
         frame = Frame(self.session, first, self.sensing_clock(taken_ns[0]), MS, values)
         # What is sent to nobody arrives nowhere.
-        if self.display.receiver.listening or self.display.receiver.frames[0]:
+        if self.display.receiver.accepts_frames or self.display.receiver.frames[0]:
             for delay_ns in self.delays_ns(self.frames, true_ns):
                 self.deliver(true_ns + delay_ns, "frame", encode_frame(frame))
         self.frames += 1

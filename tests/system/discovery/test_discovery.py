@@ -78,7 +78,7 @@ def place() -> Iterator[Place]:
 
 def await_line(node: ChildProcess, word: str) -> str:
     """Return the message of the record that has the word."""
-    while word not in (line := node.read_line(3 * PATIENCE_S, log=True)):
+    while word not in (line := node.read_line(3 * PATIENCE_S, from_stderr=True)):
         pass
     return messages(line)[0]
 
@@ -159,7 +159,7 @@ def test_an_announced_node_without_the_right_key_is_refused(place: Place, tmp_pa
             finger.terminate()
             assert finger.wait(PATIENCE_S) == 0
         assert status == 2
-        assert "'pulse on spoofed' lets in who has a key; give --key" in errors
+        assert "'pulse on spoofed' requires keys; give --key" in errors
     summary = read_json(result)
     assert summary["frames"]["received"] == 0
     assert summary["rejected"]["handshake"] >= 1

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from display_node.cli import app
 from display_node.drives.tmcl.line import TmclLine
 from display_node.fault_advice import OTHERWISE, START_ADVICE, advised, start_advice
-from display_node.node import DisplayNode, connected
+from display_node.node import DisplayNode, start_bench
 from display_node.scene import DisplayScene
 from protocol.config.scene import load_section
 from protocol.errors import DriveError, SceneError
@@ -156,11 +156,11 @@ def test_a_drive_without_a_film_is_refused_unless_that_is_wanted(bench_scene: Di
     blind = bench_scene.model_copy(update={"feedback": None})
     with (
         pytest.raises(SceneError, match=r"\[display\.feedback\] is missing.*--without-film"),
-        connected(blind, SCENES),
+        start_bench(blind, SCENES),
     ):
         pass
     with (
         pytest.raises(DriveError, match="cannot be opened"),
-        connected(blind, SCENES, without_film=True),
+        start_bench(blind, SCENES, without_film=True),
     ):
         pass

@@ -33,7 +33,7 @@ class Served:
     """A node and the page of its metrics."""
 
     def __init__(self, node: ChildProcess) -> None:
-        line = node.read_line(3 * PATIENCE_S, log=True)
+        line = node.read_line(3 * PATIENCE_S, from_stderr=True)
         assert " INFO metrics on http://" in line, line
         self.node, self.url = node, line.split()[-1]
         children = Path(f"/proc/{node.pid}/task/{node.pid}/children").read_text().split()
@@ -137,7 +137,7 @@ def test_a_killed_server_is_reported_and_the_node_goes_on(tmp_path: Path) -> Non
     with served(SENSING, "--bind", free_address(), "--json", str(json)) as wrist:
         until(lambda: wrist.figure("up") == 1)
         os.kill(wrist.server, signal.SIGKILL)
-        while "ended" not in (line := wrist.node.read_line(3 * PATIENCE_S, log=True)):
+        while "ended" not in (line := wrist.node.read_line(3 * PATIENCE_S, from_stderr=True)):
             pass
         wrist.node.terminate()
         assert wrist.node.wait(PATIENCE_S) == 0
@@ -191,8 +191,8 @@ def test_without_the_library_it_names_the_extra(tmp_path: Path) -> None:
 
 def test_beyond_this_machine_the_node_warns_who_may_read() -> None:
     with process(SENSING, str(RADIAL), "--metrics", "0.0.0.0:0", "--bind", free_address()) as node:
-        assert "metrics on http://0.0.0.0:" in node.read_line(3 * PATIENCE_S, log=True)
-        assert "neither keys nor encryption" in node.read_line(3 * PATIENCE_S, log=True)
+        assert "metrics on http://0.0.0.0:" in node.read_line(3 * PATIENCE_S, from_stderr=True)
+        assert "neither keys nor encryption" in node.read_line(3 * PATIENCE_S, from_stderr=True)
 
 
 @contextmanager

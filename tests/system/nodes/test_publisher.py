@@ -86,5 +86,5 @@ def test_the_last_ticks_and_messages_come_before_the_last_status(
     assert [len(trace.now_ns) for trace in traces] == [TRACE_TICKS, 3]
     captured = [read_capture(data) for topic, data in messages if topic == HEARD]
     assert [m for part in captured for m in part.messages] == [CapturedMessage(5, 0, b"last")]
-    assert captured[-1].traces == 2
+    assert captured[-1].traces_published == 2
     assert messages[-1] == (STATUS, b"status")

@@ -10,15 +10,15 @@ import zmq
 
 from protocol.errors import RealtimeError
 from protocol.host.process import FILES, helper_threads
-from protocol.host.realtime import hold, parse_realtime
+from protocol.host.realtime import apply_realtime, parse_realtime
 from tests.support.nodes import run_python
 from tests.support.rights import needs_rights, without_rights
 
 CHILD = "tests.support.realtime_child"
 HANGS = """
 import itertools
-from protocol.host.realtime import hold, parse_realtime
-with hold(parse_realtime("fifo=1")):
+from protocol.host.realtime import apply_realtime, parse_realtime
+with apply_realtime(parse_realtime("fifo=1")):
     print("held", flush=True)
     sum(itertools.repeat(0))
 """
@@ -108,14 +108,14 @@ def test_without_rights_each_refusal_is_explained_and_the_rest_is_granted() -> N
 
 @pytest.mark.parametrize("option", ["cpu=4000", f"cpu={max(THERE)},cpu=4000"])
 def test_a_processor_that_is_not_there_is_refused(option: str) -> None:
-    with hold(parse_realtime(option)) as held:
+    with apply_realtime(parse_realtime(option)) as held:
         assert held.granted == {}
         assert os.sched_getaffinity(0) == THERE
     (refusal,) = held.refused
     assert "this process may use" in str(refusal)
     with (
         pytest.raises(RealtimeError, match=r"cpu=.*4000 is not granted"),
-        hold(parse_realtime(f"slack,{option},strict")),
+        apply_realtime(parse_realtime(f"slack,{option},strict")),
     ):
         pytest.fail("it is not held")
     assert os.sched_getaffinity(0) == THERE
@@ -123,14 +123,14 @@ def test_a_processor_that_is_not_there_is_refused(option: str) -> None:
 
 NO_DESCRIPTOR = """
 import os, resource, threading, time
-from protocol.host.realtime import hold, parse_realtime
+from protocol.host.realtime import apply_realtime, parse_realtime
 
 def spin(seconds):
     end_s = time.monotonic() + seconds
     while time.monotonic() < end_s:
         pass
 
-with hold(parse_realtime("fifo=7")):
+with apply_realtime(parse_realtime("fifo=7")):
     later = threading.Thread(target=time.sleep, args=(1,))
     later.start()
     none_free = os.dup(0)
@@ -149,9 +149,9 @@ for name in dir(os):
 sys.modules["resource"] = None
 import display_node.cli, sensing_node.cli
 from display_node.doctor.host import describe, read_host
-from protocol.host.realtime import hold, parse_realtime
+from protocol.host.realtime import apply_realtime, parse_realtime
 sys.platform = "win32"
-with hold(parse_realtime("fifo,lock,cpu=0,slack")) as held:
+with apply_realtime(parse_realtime("fifo,lock,cpu=0,slack")) as held:
     print(*held.granted)
 print(*(refusal.name for refusal in held.refused))
 print(*{refusal.reason for refusal in held.refused})
@@ -172,9 +172,9 @@ def test_on_other_systems_than_linux_each_measure_is_refused() -> None:
 
 PROGRAM = """
 import resource
-from protocol.host.process import allow_connections
+from protocol.host.process import raise_file_limit
 resource.setrlimit(resource.RLIMIT_NOFILE, ({present}, {most}))
-allow_connections()
+raise_file_limit()
 print(*resource.getrlimit(resource.RLIMIT_NOFILE))
 """
 

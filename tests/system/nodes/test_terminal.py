@@ -39,7 +39,7 @@ def test_neither_silence_nor_unreadable_messages_end_the_watch(
             publisher.send_multipart(message)
         return look < 1_000
 
-    last = watch(address, Console(file=io.StringIO()), draw=False, meanwhile=look)
+    last = watch(address, Console(file=io.StringIO()), draw=False, keep_watching=look)
     assert last is not None
     assert last.final
 
@@ -70,7 +70,7 @@ def shown(context: Context, send: Callable[[zmq.Socket[bytes]], None]) -> str:
                 send(publisher)
         return ": " not in output.getvalue() and time.monotonic() < end_s
 
-    watch(address, Console(file=output, width=500), meanwhile=look)
+    watch(address, Console(file=output, width=500), keep_watching=look)
     return output.getvalue()
 
 
@@ -97,6 +97,6 @@ def test_scipy_is_loaded_before_the_first_line() -> None:
     code = (
         "import sys; from rich.console import Console; from display_node.telemetry import terminal;"
         f" terminal.watch({free_address()!r}, Console(),"
-        " meanwhile=lambda: print('scipy.signal' in sys.modules))"
+        " keep_watching=lambda: print('scipy.signal' in sys.modules))"
     )
     assert run_python("-c", code, check=True).stdout == "True\n"

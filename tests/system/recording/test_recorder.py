@@ -92,7 +92,7 @@ def test_all_that_a_display_publishes_is_in_the_file(tmp_path: Path) -> None:
     assert [m.fields["instant_ns"] for m in messages[TICK]] == [
         number * 1_000_000 for number in range(display.ticks)
     ]
-    assert len(messages[STATUS]) == display.publisher.captured.statuses
+    assert len(messages[STATUS]) == display.publisher.captured.statuses_published
     assert len(messages[STREAM]) == 1
     assert events_of(path) == [
         *("begin", "session", "state", "join", "end of stream", "state", "end")

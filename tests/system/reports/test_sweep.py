@@ -109,7 +109,7 @@ def test_a_scheduler_without_workers_is_reported(
     monkeypatch: pytest.MonkeyPatch, address: str
 ) -> None:
     with process("dask", *scheduler_at(address)) as scheduler:
-        while "Scheduler at" not in scheduler.read_line(LONG_S, log=True):
+        while "Scheduler at" not in scheduler.read_line(LONG_S, from_stderr=True):
             pass
         monkeypatch.setattr(sweep_module, "CONNECT_S", 3)
         with pytest.raises(SweepError, match="no worker has joined; start one: dask worker"):

@@ -160,7 +160,7 @@ def test_no_compensation_predicts_what_has_not_arrived() -> None:
             ramp = 0.3 + 0.1 * (t_ns - 1000 * MS) * 1e-9
             under_test.on_frame(sender.frame_of(ms * MS, ramp.tolist()), ms * MS)
     # Samples are up to 5 ms old, yet the force on a straight ramp is that of this instant.
-    assert under_test.felt.target_n == pytest.approx(0.3 + 0.1 * 0.999, abs=1e-4)
+    assert under_test.tick_state.target_n == pytest.approx(0.3 + 0.1 * 0.999, abs=1e-4)
     assert (under_test.summary().samples.late or 0) > 900
 
 

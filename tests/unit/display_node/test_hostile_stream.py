@@ -22,7 +22,7 @@ class FalseNode(RuleBasedStateMachine):
     def time_passes(self, ms: int) -> None:
         self.play.pass_time(ms)
 
-    @precondition(lambda self: not self.play.receiver.listening)
+    @precondition(lambda self: not self.play.receiver.accepts_frames)
     @rule()
     def joins(self) -> None:
         self.play.welcome(1)

@@ -134,7 +134,7 @@ def test_a_withdrawn_tip_stays_off_the_finger(bench: Bench) -> None:
 def test_the_film_confirms_a_withdrawal(bench: Bench) -> None:
     bench.start(RATE_HZ, 0.2e-3)
     bench.drive.withdraw("stopped")
-    film = lambda: bench.drive.report_film(bench.motor.force_n, bench.clock.now_ns)  # noqa: E731
+    film = lambda: bench.drive.add_film_reading(bench.motor.force_n, bench.clock.now_ns)  # noqa: E731
     bench.wait(lambda: bench.drive.status().withdrawal is WithdrawalOutcome.WITHDRAWN, film)
     assert bench.motor.force_n == 0.0
 

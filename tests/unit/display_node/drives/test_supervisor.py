@@ -43,7 +43,7 @@ class Bench:
             self.furthest_m = max(self.furthest_m, self.tip_m)
             if self.now_ms % 2:
                 place_m = self.tip_m if self.frozen_m is None else self.frozen_m
-                supervisor.report(place_m, now_ns)
+                supervisor.add_position(place_m, now_ns)
             if speed_m_per_s is not None:
                 supervisor.command(speed_m_per_s, now_ns)
             supervisor.check_silence(now_ns)

@@ -83,9 +83,9 @@ class Tip:
             self.travel_m += speed * 1e-3
             self.position_m += self.gain * speed * 1e-3
             if self.reports:
-                self.withdrawal.report(self.position_m, self.now_ms * MS)
+                self.withdrawal.add_position(self.position_m, self.now_ms * MS)
             if force:
-                self.withdrawal.report_film(max(0.0, self.position_m * 1e3), self.now_ms * MS)
+                self.withdrawal.add_film_reading(max(0.0, self.position_m * 1e3), self.now_ms * MS)
         return self.withdrawal.outcome
 
 
@@ -111,14 +111,14 @@ def test_the_wrong_way_stops_it_at_once(by_film: bool) -> None:
 def test_one_position_or_reading_alone_stops_nothing() -> None:
     tip = Tip()
     tip.run(40)
-    tip.withdrawal.report(9e-3, 41 * MS)
+    tip.withdrawal.add_position(9e-3, 41 * MS)
     assert tip.run(100) is WithdrawalOutcome.WITHDRAWN
     tip = Tip()
     tip.run(20)
-    tip.withdrawal.report_film(0.3, 20 * MS)
+    tip.withdrawal.add_film_reading(0.3, 20 * MS)
     for ms in (90, 91):
-        tip.withdrawal.report_film(9.0, ms * MS)
-    tip.withdrawal.report_film(0.0, 92 * MS)
+        tip.withdrawal.add_film_reading(9.0, ms * MS)
+    tip.withdrawal.add_film_reading(0.0, 92 * MS)
     assert tip.withdrawal.outcome is WithdrawalOutcome.UNDER_WAY
 
 
@@ -182,7 +182,7 @@ def test_what_was_commanded_before_a_pause_is_no_way_made() -> None:
     assert tip.withdrawal.speed_m_per_s(MS, 0.0) == -SLOW_M_PER_S
     tip.now_ms, tip.travel_m = 400, -SLOW_M_PER_S * 0.4
     for ms in range(2, 400):
-        tip.withdrawal.report(BEGAN_M, ms * MS)
+        tip.withdrawal.add_position(BEGAN_M, ms * MS)
     assert tip.run(100) is WithdrawalOutcome.WITHDRAWN
     assert tip.position_m == pytest.approx(CLEAR_M, abs=FAST_M_PER_S * 1e-3)
 
@@ -191,8 +191,8 @@ def test_readings_that_rise_before_anything_was_sent_stop_nothing() -> None:
     """The loop reads the film while the drive's thread stands still."""
     tip = Tip()
     for ms in range(1, 200, 4):
-        tip.withdrawal.report_film(0.3 + 1e-3 * ms, ms * MS)
-        tip.withdrawal.report(BEGAN_M + 1e-6 * ms, ms * MS)
+        tip.withdrawal.add_film_reading(0.3 + 1e-3 * ms, ms * MS)
+        tip.withdrawal.add_position(BEGAN_M + 1e-6 * ms, ms * MS)
     assert tip.withdrawal.outcome is WithdrawalOutcome.UNDER_WAY
     tip.now_ms = 200
     tip.position_m += 0.2e-3

@@ -22,8 +22,8 @@ def contradiction(position_m: float, force_n: float, ms: int = 200) -> str | Non
     film = FilmPlausibility(stepper(fingertip="1 N/mm"), LAYER)
     found = None
     for at_ms in range(0, ms, 5):
-        film.report(position_m, at_ms * MS)
-        found = film.fault(force_n, at_ms * MS)
+        film.add_position(position_m, at_ms * MS)
+        found = film.check_reading(force_n, at_ms * MS)
     return found
 
 
@@ -51,23 +51,23 @@ def test_it_must_last() -> None:
     assert contradiction(LAW.position(2.5), 0.0, ms=WITHIN_NS // MS) is None
     film = FilmPlausibility(stepper(fingertip="1 N/mm"), LAYER)
     for at_ms in range(0, 500, 5):
-        film.report(LAW.position(2.5), at_ms * MS)
+        film.add_position(LAW.position(2.5), at_ms * MS)
         right = at_ms % 40 == 0
-        assert film.fault(2.5 if right else 0.0, at_ms * MS) is None
+        assert film.check_reading(2.5 if right else 0.0, at_ms * MS) is None
 
 
 def test_a_motion_within_50_ms_is_not_held_against_it() -> None:
     film = FilmPlausibility(stepper(fingertip="1 N/mm"), LAYER)
     for at_ms in range(0, 500, 5):
-        film.report(LAW.position(2.5 if at_ms % 40 else 0.0), at_ms * MS)
-        assert film.fault(1e-4 * (at_ms % 10), at_ms * MS) is None
+        film.add_position(LAW.position(2.5 if at_ms % 40 else 0.0), at_ms * MS)
+        assert film.check_reading(1e-4 * (at_ms % 10), at_ms * MS) is None
 
 
 def rise(n_per_s: float, end_n: float = 3.5) -> str | None:
     """Return the fault on the way of a ramp to its end."""
     rising, ms, found = RisingForce(2.7, 50.0, 8 * MS), 0, None
     while found is None and n_per_s * ms * 1e-3 <= end_n:
-        found = rising.fault(n_per_s * ms * 1e-3, ms * MS)
+        found = rising.check_reading(n_per_s * ms * 1e-3, ms * MS)
         ms += 1
     return found
 
@@ -86,7 +86,7 @@ def test_a_force_that_rises_as_commanded_and_a_short_jump_of_noise_are_no_fault(
     assert rise(50.4, end_n=2.5) is None
     rising = RisingForce(2.7, 50.0, 8 * MS)
     for ms in range(200):
-        assert rising.fault(0.3 + 0.1 * (ms % 7 == 0), ms * MS) is None
+        assert rising.check_reading(0.3 + 0.1 * (ms % 7 == 0), ms * MS) is None
 
 
 def test_a_film_that_does_not_change_while_the_tip_goes_is_frozen() -> None:
@@ -95,8 +95,8 @@ def test_a_film_that_does_not_change_while_the_tip_goes_is_frozen() -> None:
     for at_ms in range(0, 600, 5):
         place_m = 0.9e-3 + 0.3e-3 * math.sin(at_ms / 50)
         for film, force_n in ((frozen, 0.55), (right, LAW.force(place_m))):
-            film.report(place_m, at_ms * MS)
-            fault = film.fault(force_n, at_ms * MS)
+            film.add_position(place_m, at_ms * MS)
+            fault = film.check_reading(force_n, at_ms * MS)
             if film is right:
                 assert fault is None
             found = found or fault
@@ -106,8 +106,8 @@ def test_a_film_that_does_not_change_while_the_tip_goes_is_frozen() -> None:
 def test_a_film_off_the_finger_may_read_the_same_for_ever() -> None:
     film = FilmPlausibility(stepper(fingertip="1 N/mm"), LAYER)
     for at_ms in range(0, 2_000, 5):
-        film.report(-0.3e-3 + 0.3e-3 * math.sin(at_ms / 50), at_ms * MS)
-        assert film.fault(0.0, at_ms * MS) is None
+        film.add_position(-0.3e-3 + 0.3e-3 * math.sin(at_ms / 50), at_ms * MS)
+        assert film.check_reading(0.0, at_ms * MS) is None
 
 
 def sampled(latency_ms: float = 4, stale_after_ms: float = 20) -> Feedback:
@@ -141,7 +141,7 @@ def test_before_the_first_sample_and_after_too_long_a_silence_it_reads_nothing()
     assert feedback.read(29 * MS) == 9.0
     assert math.isnan(feedback.read(29 * MS + 1))
     assert not feedback.alive(29 * MS + 1)
-    assert feedback.silent(29 * MS + 1) == "feedback lost"
+    assert feedback.silent_fault(29 * MS + 1) == "feedback lost"
     feedback.add(30 * MS, 3.0)
     assert feedback.read(35 * MS) == 3.0
 
@@ -166,8 +166,8 @@ def late_after_ms(ages_ms: list[float], latency_ms: int = 8, stall_ms: int = 0) 
         now_ms = 1_000 + 2 * tick + (stall_ms if tick else 0)
         feedback.add(round((now_ms - age_ms) * MS), 0.3)
         feedback.read(now_ms * MS)
-        if feedback.late is not None:
-            assert feedback.late == "feedback late: readings are 19 ms old or older, not 8 ms"
+        if feedback.late_fault is not None:
+            assert feedback.late_fault == "feedback late: readings are 19 ms old or older, not 8 ms"
             return 2 * tick
     return None
 

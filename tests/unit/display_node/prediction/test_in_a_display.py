@@ -44,7 +44,7 @@ def test_the_stack_is_nearer_the_present_pulse_than_linear_over_a_late_link() ->
 def test_telemetry_has_the_error_that_the_predictor_expects(predictor: PredictorName) -> None:
     under_test, writer = display(predictor=predictor, compensation_ns=0), TraceWriter()
     play(under_test, Sender(), 0, 4_000)
-    traces = [writer.add(under_test.felt) for _ in range(TRACE_TICKS)]
+    traces = [writer.add(under_test.tick_state) for _ in range(TRACE_TICKS)]
     expected_n = read_trace(traces[-1] or b"").predictor_error_n
     if predictor == "hold":
         assert all(map(math.isnan, expected_n))
@@ -55,13 +55,13 @@ def test_telemetry_has_the_error_that_the_predictor_expects(predictor: Predictor
 def test_what_has_arrived_expects_no_error() -> None:
     under_test = display(predictor="stack", compensation_ns=40_000_000)
     play(under_test, Sender(), 0, 4_000)
-    assert math.isnan(under_test.felt.predictor_error_n)
+    assert math.isnan(under_test.tick_state.predictor_error_n)
 
 
 def test_another_session_is_learnt_anew() -> None:
     under_test = display(predictor="stack", compensation_ns=0)
     play(under_test, Sender(session=7), 0, 4_000)
-    assert under_test.felt.predictor_error_n > 0
+    assert under_test.tick_state.predictor_error_n > 0
     play(under_test, Sender(session=8), 4_000, 6_000)
     assert under_test.receiver.sessions == 2
-    assert math.isnan(under_test.felt.predictor_error_n)
+    assert math.isnan(under_test.tick_state.predictor_error_n)

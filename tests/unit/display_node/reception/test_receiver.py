@@ -143,7 +143,7 @@ def test_a_new_session_starts_afresh_and_keeps_the_old_account() -> None:
     assert receiver.account().played == 100
     again = Sender(session=8)
     receiver.on_control(encode_control(Welcome(8, 0, again.stream)), 300 * MS)
-    assert not receiver.listening
+    assert not receiver.accepts_frames
     assert receiver.account().played == 100
     assert receiver.frames == (20, 0)
     # The old session's clock says nothing about the new one's.

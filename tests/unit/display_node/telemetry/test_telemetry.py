@@ -203,7 +203,7 @@ def test_a_film_that_falls_silent_is_a_fault_and_its_force_unknown() -> None:
         if ms < 2_000:
             feedback.add(ms * MS, 0.3)
         run(display, sender, ms, ms + 1)
-        messages.append(writer.add(display.felt))
+        messages.append(writer.add(display.tick_state))
     felt_n = np.concatenate([read_trace(message).felt_n for message in messages if message])
     assert np.isfinite(felt_n[:2_000]).all()
     assert np.isnan(felt_n[2_100:]).all()

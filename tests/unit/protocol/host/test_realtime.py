@@ -44,7 +44,7 @@ def test_a_realtime_option_is_parsed(text: str | None, expected: RealtimeRequest
         ("fifo=²", "fifo=²: a priority"),
         ("fifo,fifo=3", "fifo is there twice"),
         ("lock,lock", "lock is there twice"),
-        ("gc", "gc is always taken by now: leave it out"),
+        ("gc", "gc is now always applied: leave it out"),
         ("lock=yes", "lock takes no value, got 'yes'"),
         ("cpu", "cpu=: write one as cpu=1"),
         ("cpu=-1", "cpu=-1: write one"),

@@ -45,7 +45,7 @@ def messages_of(parts: list[CapturedMessages]) -> Iterator[CapturedMessage]:
 
 def test_every_message_comes_through_with_its_time_and_path() -> None:
     writer = wanted()
-    writer.traces, writer.statuses = 5, 2
+    writer.traces_published, writer.statuses_published = 5, 2
     writer.add(1, 0, b"a")
     writer.add(2, CONTROL, b"")
     (captured,) = taken(writer)

@@ -26,7 +26,7 @@ def forces(interval: Interval, stop_ns: int | None = None) -> list[tuple[int, fl
     """Time and force felt, tick by tick."""
     playing, now_ns, felt = IntervalPlayback(interval, 0), 0, []
     while playing.tick(now_ns):
-        felt.append((now_ns, playing.display.felt.felt_n))
+        felt.append((now_ns, playing.display.tick_state.felt_n))
         now_ns += interval.scene.display.tick_ns
         if stop_ns is not None and now_ns >= stop_ns:
             playing.stop(stop_ns)

@@ -168,8 +168,8 @@ def test_what_the_display_published_and_did_not_come_is_counted() -> None:
     telemetry.receive((CONTROL, WELCOME))
     telemetry.ticks(TickState())
     assert telemetry.decoder.missed == {}
-    telemetry.capture.traces += 4
-    telemetry.capture.statuses += 1
+    telemetry.capture.traces_published += 4
+    telemetry.capture.statuses_published += 1
     for number in range(3):
         telemetry.capture.add(NOW_NS, 0, encode_frame(numbered_frame(number)))
     list(telemetry.capture.take(NOW_NS, NOW_NS))
@@ -183,7 +183,7 @@ def test_what_the_display_published_and_did_not_come_is_counted() -> None:
 
 def test_what_came_before_the_recorder_is_not_missed_and_another_run_begins_anew() -> None:
     telemetry = HandmadeTelemetry()
-    telemetry.capture.traces = 1000
+    telemetry.capture.traces_published = 1000
     assert telemetry.ticks(TickState()) == []
     assert events(telemetry.receive()) == [("begin", "the recording")]
     telemetry.restart(2, ahead_ns=WALL_NS + 5)

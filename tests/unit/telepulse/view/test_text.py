@@ -61,7 +61,7 @@ def test_a_share_stands_beside_the_part_that_it_is_of() -> None:
         "16.0 %",
         "felt 16.0 %, starting 1.0 %, stale 83.0 % of 60.0 s",
     )
-    assert shown["concealed"] == ("1.2 %", "of the time played (17.0 % of the run)")
+    assert shown["concealed"] == ("1.2 %", "of the time played, which is 17.0 % of the run")
 
 
 def test_figures_that_are_not_current_have_their_age_and_no_heart_rate() -> None:
