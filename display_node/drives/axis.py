@@ -1,6 +1,6 @@
-"""One driven axis: its units, its travel with soft limits, and its greatest speed.
+"""One driven axis: its travel with soft limits, its greatest speed, and the drive's units.
 
-Between the tip's metres and a drive's own integers.
+`Units` converts between the tip's metres and the drive's integers.
 """
 
 import math
@@ -12,9 +12,9 @@ from protocol.tactile import ElasticLayer
 
 # Positions and velocities of a drive have 32 bits.
 LARGEST = 2**31 - 1
-# Between a command and the motor's reaction.
+# Time from a command to the motor's reaction.
 REACTION_S = 2e-3
-# So far from first touch nothing is felt of the tip; half the distance to home where that is less.
+# At this distance from first touch (or half the distance to home, if less) the tip is not felt.
 CLEAR_M = 0.5e-3
 
 
@@ -29,11 +29,11 @@ class Units:
     per_step
         The drive's position units in one step.
     per_step_rate
-        Its velocity units in one step a second.
+        The drive's velocity units in one step a second.
     direction
-        1 where the drive's positive leads into the finger, −1 where it leads away.
+        1 where the drive's positive direction leads into the finger, −1 where it leads away.
     home_m
-        Its zero, in m from first touch.
+        The drive's zero, in m from first touch.
     """
 
     step_m: float
@@ -88,12 +88,12 @@ class Axis:
     clear_m: float
 
     def bounded(self, speed_m_per_s: float, position_m: float, age_s: float) -> float:
-        """Return the speed in m/s that still stops before an end of the travel; 0 for no number.
+        """Return the speed in m/s that still stops before an end of the travel; 0 for NaN.
 
-        Until the drive reacts the tip may go on at the full speed v, then it brakes: v t + v²/2a
-        must not exceed the distance that is left. Since the position was reported, age_s ago, the
-        tip may have been faster than v, but not twice as fast: speeds so bounded fall by no more
-        than a factor of e in a time of t, which is twice the age or more.
+        Until the drive reacts, for a time t, the tip may move at the full speed v; then it brakes.
+        So v t + v²/2a must not exceed the remaining distance. Since the position was reported,
+        age_s ago, the tip may have been faster than v, but not twice as fast: bounded speeds fall
+        by at most a factor of e in a time t. Therefore t contains twice the age.
         """
         to_end_m = self.furthest_m - position_m if speed_m_per_s > 0 else position_m - self.lowest_m
         if not (abs(speed_m_per_s) > 0 and to_end_m > 0):
@@ -108,11 +108,11 @@ def build_axis(
 ) -> Axis:
     """Return the axis of a scene's drive and actuator.
 
-    Its travel is from home to where the contact law gives the force limit (or the thrust, or to
-    the stroke's end, or to `furthest`, whichever comes first).
+    Its travel begins at home. It ends where the contact law gives the force limit or the thrust, at
+    the stroke's end, or at `furthest`, whichever comes first.
     """
     pressing_m = actuator.contact(layer).position(min(actuator.thrust_n, force_limit_n))
-    # Counted in whole microsteps, the tip may be almost one further than the count.
+    # Positions count whole microsteps, so the tip may be almost one microstep further.
     ends_m = [actuator.stroke_m - scene.touch_m, pressing_m - actuator.step_m]
     return Axis(
         units=Units(
@@ -127,7 +127,7 @@ def build_axis(
         max_speed_m_per_s=actuator.max_speed_m_per_s,
         max_acceleration_m_per_s2=actuator.max_acceleration_m_per_s2,
         microsteps=actuator.microsteps,
-        # A command may be the last one, and then it holds until the drive's watchdog ends it.
+        # If a command is the last one, it lasts until the drive's watchdog ends it.
         reaction_s=REACTION_S + scene.watchdog_ns * 1e-9,
         search_s=5.0 + 2 * actuator.stroke_m / scene.homing_speed_m_per_s,
         clear_m=-min(CLEAR_M, scene.touch_m / 2),

@@ -1,14 +1,14 @@
-"""A real drive as the force loop sees it, and what all kinds of drive share.
+"""The interface of real drives to the force loop, and the parts that all kinds share.
 
-A drive is brought to first touch by `start`, takes speeds by `command`, and has a thread of its own
-that withdraws the tip after a fault: the loop may hang, and a fault needs no tick.
+`start` brings a drive to first touch, and `command` sets its speed. A thread of the drive's own
+withdraws the tip after a fault, even if the loop hangs.
 
 To add a drive:
 
 1. Add its settings to `scene.py`: a `DriveScene` with a `kind`, also in the union `DriveTable`.
-2. Write a package like `tmcl/`, with a `DriveDevice` (the drive on its line) and a `Drive`.
+2. Write a package like `tmcl/`, with a `DriveDevice` (the drive at its bus) and a `Drive`.
 3. Build it in `build_drive` (`__init__.py`), and extend `axis.build_axis` where its units differ.
-4. Give the bench check the time of an exchange in `exchange_s` and `check_line`
+4. Add the time of an exchange to `exchange_s` and `check_line` of the bench check
    (`telepulse/commissioning/rig.py`).
 5. Describe its keys in `docs/scenes.md`.
 """
@@ -27,25 +27,25 @@ from display_node.drives.scene import DriveScene
 from display_node.drives.supervisor import DriveStatus, Supervisor, TimeoutLock
 from protocol.errors import DriveError
 
-# Between two commands on the way to first touch or to rest.
+# Time between two commands on the way to first touch or to rest.
 PERIOD_S = 2e-3
-# Time constant of the approach: slower than any drive reports its position.
+# Time constant of the approach, longer than any drive's interval of position reports.
 TIME_CONSTANT_S = 0.1
 REST_WITHIN_S = 1.0
-# From home towards the finger: further than any switch needs to open.
+# Travel from home towards the finger within which every home switch opens.
 OPENED_M = 0.3e-3
-# Of a search for home, beyond the whole travel: the switch's own, and the error of `touch`.
+# A search for home may exceed the travel by this: the switch's own travel, and an error of `touch`.
 SEARCH_MARGIN_M = 1e-3
-# Up to first touch the tip presses nothing; a film that reads so much more is pressed.
+# Before first touch the tip must not press: a rise of the film's reading by this much is a press.
 PRESSED_N = 0.1
-# Kind of DriveError, and what to do. A wrong `inverted` or two swapped wires make every withdrawal
-# a press. The drive's own count shows neither, so the home switch and the film have to.
+# Kind of DriveError, and advice. With a wrong `inverted` or two swapped wires, every withdrawal
+# would press. The drive's own count does not show this, so the home switch and the film must.
 WRONG_WAY = "wrong way"
 ADVICE = "look at [display.drive] inverted and at the motor's wiring"
 
 
 class TouchGuard:
-    """End of a motion away from the finger, or up to first touch, that presses the film."""
+    """Guard of a motion that must not press the film: away from the finger, or to first touch."""
 
     def __init__(self, force_n: Callable[[], float | None]) -> None:
         """Take a function that returns the film's newest reading in N, None without one."""
@@ -53,7 +53,7 @@ class TouchGuard:
         self._least_n = force_n()
 
     def __call__(self) -> None:
-        """Raise DriveError where the film reads much more than its least reading until now."""
+        """Raise DriveError if the film reads much more than its lowest reading so far."""
         force_n = self._force_n()
         if force_n is None:
             return
@@ -67,7 +67,7 @@ class TouchGuard:
 
 
 def bound_search(axis: Axis, began_m: float, position_m: float) -> None:
-    """Raise DriveError where a search for home has counted further than home can be away."""
+    """Raise DriveError if a search for home has travelled further than home can be away."""
     most_m = axis.furthest_m - axis.lowest_m + SEARCH_MARGIN_M
     if abs(position_m - began_m) > most_m:
         raise DriveError(
@@ -78,7 +78,7 @@ def bound_search(axis: Axis, began_m: float, position_m: float) -> None:
 
 
 class DriveDevice(Protocol):
-    """A drive on its line. Its methods but `close` raise DriveError.
+    """A drive at its bus or serial line. All methods except `close` raise DriveError.
 
     Attributes
     ----------
@@ -93,13 +93,13 @@ class DriveDevice(Protocol):
         """Check and set up the drive, enable it and read its position."""
 
     def home(self, guard: Callable[[], None]) -> None:
-        """Find the zero of positions, and wait for it; guard may end the search by raising."""
+        """Find the zero of positions; blocks. `guard` is called repeatedly, and may raise."""
 
     def end_search(self) -> None:
         """Come to rest, and take speeds again."""
 
     def arm_watchdog(self) -> None:
-        """Have the drive stop by itself when commands stop, from the next one on."""
+        """Make the drive stop by itself when commands stop, from the next command on."""
 
     def close(self) -> None:
         """Stop the drive as well as its line allows, and close the line. Never raises."""
@@ -125,7 +125,7 @@ class Drive(ABC):
         self._woken = threading.Event()
         self._closing = False
         self._supervisor = Supervisor(axis, scene.watchdog_ns)
-        # Of the supervisor and the commands, between the loop's thread and the drive's own.
+        # Protects supervisor and commands, which the loop's and the drive's threads use.
         self._lock = TimeoutLock()
         self.counts: Counter[str] = Counter()
 
@@ -135,13 +135,13 @@ class Drive(ABC):
         Parameters
         ----------
         force_n
-            Returns the newest reading of the film in N, None where there is none.
+            Function that returns the film's newest reading in N, None without one.
 
         Raises
         ------
         DriveError
-            Where any of it fails. A tip that went the wrong way goes back before; the drive is
-            closed then.
+            If any step fails. The drive is then closed; a tip that went the wrong way is moved back
+            first.
         """
         self.close()
         self._device = device = self._connect()
@@ -156,7 +156,7 @@ class Drive(ABC):
             self._follow(device)
             opened_m = min(OPENED_M, -home_m / 2)
             self._move_to(home_m + opened_m, guard)
-            # Where it is not reported, that the search has found it is the only evidence.
+            # Not every drive reports its home switch; then the search's success must suffice.
             if self._home_switch():
                 raise DriveError(
                     WRONG_WAY,
@@ -165,7 +165,7 @@ class Drive(ABC):
                 )
             self._move_to(0.0, guard)
             self._pause()
-        except BaseException as error:  # Ctrl-C, too, must not leave it moving.
+        except BaseException as error:  # Ctrl-C must not leave it moving either
             if isinstance(error, DriveError) and error.kind == WRONG_WAY:
                 with suppress(DriveError):  # the first error is raised anyway
                     if self._thread is None:
@@ -178,20 +178,20 @@ class Drive(ABC):
 
     @abstractmethod
     def command(self, speed_m_per_s: float) -> None:
-        """Run at this speed, positive into the finger, from now on, within the soft limits.
+        """Run at a speed within the soft limits, positive into the finger, until the next command.
 
-        Never waits for the drive; the latest command wins. Commands before `start` or after a
-        fault are ignored. From the first one on they must keep coming: the scene's `watchdog`
-        without any is a fault, and the tip withdraws.
+        Never waits for the drive; the latest command counts. Commands before `start` or after a
+        fault are ignored. After the first one, the scene's `watchdog` time without a command is a
+        fault, and the tip is withdrawn.
         """
 
     def add_film_reading(self, force_n: float, taken_ns: int) -> None:
-        """Take a reading of the film in N, by which a withdrawal is judged as well."""
+        """Take a reading of the film in N, which also shows whether a withdrawal succeeds."""
         with self._lock:
             self._supervisor.add_film_reading(force_n, taken_ns)
 
     def status(self) -> DriveStatus:
-        """Return what the drive reported last, without a request."""
+        """Return the drive's last report, without a request."""
         with self._lock:
             if self._device is None:
                 return self._supervisor.status(0.0)
@@ -199,7 +199,7 @@ class Drive(ABC):
             return self._supervisor.status(self._device.speed_m_per_s)
 
     def travel_m(self, now_ns: int) -> float:
-        """Return the travel in m that was commanded until a time, from any origin."""
+        """Return the commanded travel in m until a time, from an arbitrary origin."""
         with self._lock:
             return self._supervisor.travel_m(now_ns)
 
@@ -241,13 +241,13 @@ class Drive(ABC):
 
     @abstractmethod
     def _home_switch(self) -> bool | None:
-        """Return whether the home switch is closed; None where home is not by it or unreported."""
+        """Return whether the home switch is closed; None if it is not used or not reported."""
 
     def _read_reports(self, now_ns: int) -> None:  # noqa: B027
         """Pass new reports of the device to the supervisor, where `_step` does not do it."""
 
     def _follow(self, device: DriveDevice) -> None:
-        """Begin to send commands, and to check that they come."""
+        """Start to send commands, and to check that they come."""
         now_ns = time.monotonic_ns()
         self._supervisor.arm(now_ns)
         self._supervisor.add_position(device.position_m, now_ns)
@@ -262,14 +262,14 @@ class Drive(ABC):
             self._step()
 
     def _pause(self) -> None:
-        """Rest, and expect no command before the next one."""
+        """Rest; the watchdog starts again with the next command."""
         with self._lock:
             self._supervisor.pause()
 
     def _move_to(self, position_m: float, guard: Callable[[], None] = lambda: None) -> None:
         """Move to within a step of a position by speed commands, and rest there; blocks.
 
-        guard is called all along, and may end the motion by raising. Raises DriveError.
+        guard is called repeatedly, and may end the motion by raising. Raises DriveError.
         """
         speed_m_per_s, step_m = self._homing_speed, self._axis.units.step_m
         travel_m = abs(position_m - self.status().position_m)
@@ -281,7 +281,7 @@ class Drive(ABC):
             status = self.status()
             if status.fault is not None:
                 raise DriveError("fault", f"on its way to first touch: {status.fault}")
-            # On a busy host or line reports are late, and the tip has gone on since.
+            # On a busy host or bus the report is old, and the tip has moved since.
             age_s = (time.monotonic_ns() - status.received_ns) * 1e-9
             left_m = position_m - status.position_m - sent_m_per_s * age_s
             if abs(left_m) <= step_m:

@@ -1,7 +1,7 @@
-"""Commanded position of a drive, and the following error of the position that it reports.
+"""Commanded position of a drive, and the following error of the reported position.
 
-CiA 402 calls the distance between the two the following error. Pure: times come in, in ns on the
-monotonic clock.
+The following error (CiA 402's term) is the distance between the two. Pure: times are arguments in
+ns on the monotonic clock.
 """
 
 import math
@@ -10,15 +10,14 @@ from typing import NamedTuple
 
 # Speed changes that are kept: 128 ms of a 1 kHz loop.
 LEGS = 128
-# From a command to a reported position that shows it: the drive's reaction, and the report's age.
+# Greatest time from a command to a report that shows it: the drive's reaction and the report's age.
 LATE_NS = 30_000_000
-# A position further than this from every place commanded within LATE_NS does not follow. At 1 N/mm
-# it stands for 150 mN.
+# Tolerated distance from the positions that were commanded within LATE_NS; 150 mN at 1 N/mm.
 TOLERANCE_M = 150e-6
-# Positions that do not follow for so long are a fault; one report may be wrong by itself.
+# A larger error is a fault after this time; a single report may be wrong.
 WITHIN_NS = 20_000_000
-# Each command reaches the drive somewhat early or late, and no drive ramps exactly as commanded:
-# the comparison forgets with time, and with travel. 7 % of the travel thus counts as following.
+# Commands take effect somewhat early or late, and no drive ramps exactly as commanded. So the error
+# decays with time and with travel; an error of 7 % of the travel is thereby tolerated.
 DRIFT_S = 5.0
 DRIFT_M = 2e-3
 
@@ -32,7 +31,7 @@ class _Leg(NamedTuple):
     sent: float
 
     def after(self, seconds: float, acceleration: float) -> tuple[float, float]:
-        """Return travel in m and speed in m/s so many seconds later."""
+        """Return travel in m and speed in m/s some seconds later."""
         change = self.sent - self.speed
         ramp_s = abs(change) / acceleration
         if seconds < ramp_s:
@@ -43,23 +42,23 @@ class _Leg(NamedTuple):
 
 
 class CommandedPosition:
-    """Integral of the speeds that a drive was sent, each reached by a ramp; any origin."""
+    """Integral of the speeds sent to a drive, each reached by a ramp; its origin is arbitrary."""
 
     def __init__(self, acceleration_m_per_s2: float = math.inf) -> None:
         self._acceleration = acceleration_m_per_s2
         self._legs: deque[_Leg] = deque([_Leg(0, 0.0, 0.0, 0.0)], maxlen=LEGS)
 
     def record(self, speed_m_per_s: float, now_ns: int) -> None:
-        """Record a speed that was sent at a time, perhaps the same again."""
+        """Record a speed that was sent at a time; it may be the same as the last one."""
         last = self._legs[-1]
-        # A thread that stalled records its command after another thread's newer one.
+        # A thread that stalled may record its command after another thread's newer one.
         now_ns = max(now_ns, last.sent_ns)
         if speed_m_per_s != last.sent:
             travel_m, speed = last.after((now_ns - last.sent_ns) * 1e-9, self._acceleration)
             self._legs.append(_Leg(now_ns, travel_m, speed, speed_m_per_s))
 
     def travel_m(self, now_ns: int) -> float:
-        """Return the travel in m until a time, as far back as speeds are kept."""
+        """Return the travel in m until a time; for a time before all kept speeds, the earliest."""
         # By index, as another thread may record meanwhile (`TimeoutLock`).
         for back in range(1, len(self._legs) + 1):
             leg = self._legs[-back]
@@ -82,9 +81,9 @@ class FollowingError:
     Attributes
     ----------
     error_m
-        Signed error of the last report, beyond what LATE_NS explains.
+        Signed error of the last report in m, beyond the range commanded within LATE_NS.
     failed
-        The error was beyond TOLERANCE_M for WITHIN_NS.
+        True once the error has exceeded TOLERANCE_M for WITHIN_NS.
     """
 
     def __init__(self, acceleration_m_per_s2: float) -> None:
@@ -92,7 +91,7 @@ class FollowingError:
         self.begin()
 
     def begin(self) -> None:
-        """Forget all reports."""
+        """Discard all reports."""
         self._origin_m = math.nan
         self._last_m = 0.0
         self._last_ns = self._good_ns = 0

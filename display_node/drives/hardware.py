@@ -14,7 +14,7 @@ from pulse_sensors.sensor import Sensor
 
 FIRST_SAMPLE_WITHIN_S = 5.0
 POLL_S = 0.01
-# The longest withdrawal: a stroke that nothing confirms, at the slow speed.
+# Longest withdrawal: a whole stroke without confirmation, at the slow speed.
 WITHDRAWN_WITHIN_S = 1.5
 _FAILED = (WithdrawalOutcome.UNCONFIRMED, WithdrawalOutcome.WRONG_WAY)
 
@@ -22,14 +22,14 @@ _FAILED = (WithdrawalOutcome.UNCONFIRMED, WithdrawalOutcome.WRONG_WAY)
 class Hardware:
     """A drive, and the sensor of the feedback film.
 
-    Without a sensor the contact law gives the film's reading, from the drive's position.
+    Without a sensor, the contact law computes the film's reading from the drive's position.
 
     Attributes
     ----------
     feedback
         The film's readings, as the display takes them.
     measures_force
-        True where a film measures the force; without, the model of contact stands for it.
+        True where a film measures the force, and not the contact law.
     at_end
         Counter of ticks in which the drive was slowed before the far end of its travel.
     """
@@ -45,12 +45,12 @@ class Hardware:
         tick_ns: int,
         watchdog_ns: int,
     ) -> None:
-        """Take over drive and sensor, which `close` closes; `DisplayScene.hardware` has the parts.
+        """Combine drive and sensor, which `close` closes. `DisplayScene.hardware` builds it.
 
         Parameters
         ----------
         feedback
-            Takes the film's samples, and is read by the display.
+            Takes the film's samples; the display reads it.
         rising
             Check of the film's slope, or of the model's where there is no sensor.
         watchdog_ns
@@ -75,7 +75,7 @@ class Hardware:
     def start(self) -> None:
         """Wait for the film's first sample, then bring the drive to first touch; blocks.
 
-        Raises DriveError, and SourceError when no sample comes: then the drive has not moved.
+        Raises DriveError. Raises SourceError when no sample comes, before the drive moves.
         """
         deadline_s = time.monotonic() + FIRST_SAMPLE_WITHIN_S
         while self.measures_force and self._read_film() is None:
@@ -86,14 +86,14 @@ class Hardware:
                 )
             time.sleep(POLL_S)
         self._drive.start(self._film_n)
-        # What touched the film until now was no press of ours.
+        # Forces on the film before first touch were not caused by the tip.
         self._film_fault = None
         self.read()
 
     def read(self) -> str | None:
         """Take new samples and the drive's status; return the fault, if there is one."""
         newest = self._read_film()
-        # After the film, by which a withdrawal is judged.
+        # Read after the film, because its readings decide about a withdrawal.
         self._status = status = self._drive.status()
         if self._sensor is None:
             if status.received_ns != self._received_ns:
@@ -107,16 +107,16 @@ class Hardware:
         return None if status.fault is None else f"drive: {status.fault}"
 
     def overrun(self, elapsed_ticks: int) -> str | None:
-        """Return the fault of a tick so long after the last that the drive has come to rest."""
+        """Return the fault if the drive came to rest because a tick is too late."""
         silent_ns = elapsed_ticks * self._tick_ns
         if silent_ns <= self._watchdog_ns:
             return None
         return f"loop overrun: no command for {silent_ns * 1e-6:.0f} ms"
 
     def deviation_m(self, now_ns: int, speed_m_per_s: float, elapsed_ticks: int) -> float:
-        """Return by how much the drive went further since the last tick than `speed_m_per_s` leads.
+        """Return the travel since the last tick beyond that of `speed_m_per_s`, in m.
 
-        A change of speed that is sent late or not at all leaves the tip elsewhere than was meant.
+        It differs from 0 where a change of speed was sent late or not at all.
         """
         before_m, self._travel_m = self._travel_m, self._drive.travel_m(now_ns)
         if before_m is None:
@@ -128,7 +128,7 @@ class Hardware:
 
         Returns the fault of a withdrawal that failed.
         """
-        # A drive at fault takes no command; how it bounded the last one no longer counts.
+        # After a fault no command is sent, so the bound of the last one is not counted.
         self.at_end.add(self._status.held_back and not faults)
         if not faults:
             self._drive.command(speed_m_per_s)
@@ -138,7 +138,7 @@ class Hardware:
         return f"withdrawal: {outcome.value}" if outcome in _FAILED else None
 
     def finger(self, now_ns: int) -> FingerState:
-        """Return what is measured at the finger now."""
+        """Return the measured state of the finger now."""
         self.read()
         status, newest = self._status, self.feedback.newest
         since_ns = self._began_ns if newest is None else newest[0]
@@ -159,7 +159,7 @@ class Hardware:
         return None if newest is None else newest[1]
 
     def _read_film(self) -> tuple[int, float] | None:
-        """Pass on the film's new samples; return the newest, None where none came."""
+        """Pass on the film's new samples; return the newest one, None without any."""
         samples = self.feedback.samples
         for reading in [] if self._sensor is None else self._sensor.poll():
             for taken_ns, force_n in zip(reading.times_ns, reading.force_n, strict=True):
@@ -185,10 +185,9 @@ class Hardware:
         return [] if self._sensor is None else self._sensor.faults()
 
     def withdraw(self) -> None:
-        """Take the tip off the finger and wait until it is, 1.5 s at most.
+        """Withdraw the tip from the finger, and wait until it is off, 1.5 s at most.
 
-        Call it right after the last tick: without commands the drive would withdraw by itself, at
-        a fault.
+        Call it right after the last tick: a later one would be preceded by the watchdog's fault.
         """
         self._drive.withdraw("ended")
         deadline_s = time.monotonic() + WITHDRAWN_WITHIN_S

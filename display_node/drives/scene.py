@@ -17,14 +17,14 @@ Scale = Annotated[float, Field(gt=0, le=1e9)]
 class DriveScene(Section):
     """Keys of all kinds of drive.
 
-    interface, channel, bitrate: a CAN bus as python-can names it; options: further settings of the
-    interface. velocity_scale: the drive's velocity units in one microstep a second. inverted: its
-    positive direction leads away from the finger.
+    interface, channel, bitrate: a CAN bus in python-can's terms. options: further settings of the
+    interface. velocity_scale: the drive's velocity units in one microstep a second. inverted: the
+    drive's positive direction leads away from the finger.
 
-    homing: "switch" runs away from the finger to a limit switch; "none" takes the present position
-    for home. homing_method: the drive's own number of a homing method, instead. touch: from home to
-    where the tip first touches the finger. furthest: the greatest depth past that, by default where
-    the contact law gives the force limit.
+    homing: "switch" moves away from the finger to a limit switch; "none" takes the present position
+    as home. homing_method: number of a homing method of the drive, which replaces `homing`. touch:
+    distance from home to first touch of the finger. furthest: greatest depth beyond that, by
+    default where the contact law gives the force limit.
 
     period: greatest time between two commands. watchdog: time without a command after which the
     drive stops by itself, and without an answer after which it has failed.
@@ -81,9 +81,9 @@ class TmclScene(DriveScene):
 class Cia402Scene(DriveScene):
     """The `drive` table of kind "cia402": a CANopen drive of profile CiA 402.
 
-    node: its id; host: the id of the heartbeat this side sends. mode: cyclic synchronous
-    velocity, profile velocity, or "auto": the first of them the drive has. position_scale: the
-    drive's position units in one microstep.
+    node: the drive's node id. host: node id of this side's heartbeat. mode: cyclic synchronous
+    velocity, profile velocity, or "auto", the first of them that the drive supports.
+    position_scale: the drive's position units in one microstep.
     """
 
     kind: Literal["cia402"]
@@ -109,7 +109,7 @@ def open_bus(scene: DriveScene) -> "can.BusABC":
             bitrate=round(scene.bitrate_bit_per_s),
             **scene.options,  # type: ignore[arg-type]
         )
-    # Interfaces come from many makers, and each fails in its own way.
+    # Interfaces come from many makers, and raise errors of many kinds.
     except Exception as error:
         raise DriveError(
             "unplugged", f"CAN bus {scene.interface} {scene.channel} cannot be opened: {error}"
@@ -117,13 +117,13 @@ def open_bus(scene: DriveScene) -> "can.BusABC":
 
 
 def is_noise(error: Exception) -> bool:
-    """Return whether a bus could not decode a frame, rather than being gone."""
+    """Return whether an error means that a frame could not be decoded, and not a lost bus."""
     # Some interfaces wrap the cause in an error of python-can.
     cause = error.__cause__ or error
     return isinstance(cause, ValueError | IndexError) and not isinstance(cause, OSError)
 
 
 def discard_spoilt_line(bus: Any) -> None:
-    """Discard a line that noise has spoilt: an slcan interface keeps it, and fails at it again."""
+    """Discard a corrupted line, which an slcan interface would keep and fail at again."""
     if hasattr(bus, "flush"):
         bus.flush()

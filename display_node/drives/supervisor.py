@@ -1,8 +1,8 @@
 """Supervision of one drive: commands within its limits, its faults, and the withdrawal after them.
 
-Whatever goes wrong, the tip withdraws as long as the drive obeys. The decision is here, once for
-all kinds of drive, so that it depends neither on the kind nor on which thread of the process runs
-first (decision 29). Pure: times come in, in ns on the monotonic clock; the caller serialises the
+After any fault, the tip is withdrawn as long as the drive accepts commands. One class decides this
+for all kinds of drive, so that it depends neither on the kind nor on the order in which threads run
+(decision 29). Pure: times are arguments in ns on the monotonic clock. The caller serialises the
 calls by a `TimeoutLock`.
 """
 
@@ -15,7 +15,7 @@ from display_node.drives.axis import Axis
 from display_node.drives.following_error import CommandedPosition, FollowingError
 from display_node.drives.withdrawal import Withdrawal, WithdrawalOutcome
 
-# The loop holds the lock for microseconds, or while a full bus takes its command: 50 ms at most.
+# The loop holds the lock for microseconds, or while a full bus accepts a command: 50 ms at most.
 PATIENCE_S = 0.05
 # A TMCL module's position is read every 40 ms where commands keep its line busy: five of these.
 POSITION_WITHIN_NS = 200_000_000
@@ -24,15 +24,16 @@ POSITION_WITHIN_NS = 200_000_000
 class TimeoutLock:
     """Lock of a drive's commands, between the loop's thread and the drive's own.
 
-    The loop's thread holds it by `with lock`. A loop that stalls while it holds the lock must not
-    keep the drive's thread from withdrawing the tip: that thread uses
-    `with lock.acquire_or_proceed()`, which proceeds without the lock after a timeout. Data that
-    both may then use at once is replaced in one step, and times may be older than the last.
+    The loop's thread uses `with lock`. A loop that stalls while it holds the lock must not prevent
+    the drive's thread from withdrawing the tip. So that thread uses
+    `with lock.acquire_or_proceed()`, which proceeds without the lock after a timeout. Both threads
+    may then use the data at once: it is replaced in one step, and a time may be older than the last
+    one.
 
     Parameters
     ----------
     lock
-        A lock that others hold as well; a new one by default.
+        A lock that other code shares; a new one by default.
     """
 
     def __init__(self, lock: "threading.Lock | None" = None) -> None:
@@ -49,8 +50,8 @@ class TimeoutLock:
     def acquire_or_proceed(self) -> Iterator[None]:
         """Acquire the lock with a timeout of `PATIENCE_S`, and proceed without it after that.
 
-        Until it is released, the next calls do not wait: a withdrawal needs a command every few
-        milliseconds.
+        Until the lock is free again, further calls do not wait, because a withdrawal requires a
+        command every few milliseconds.
         """
         held = self._lock.acquire(timeout=0.0 if self._timed_out else PATIENCE_S)
         self._timed_out = not held
@@ -70,14 +71,14 @@ class DriveStatus:
     position_m
         Tip position in m from first touch, positive into the finger.
     fault
-        Fault that ended the following of commands until `Drive.start` is called again, or None.
+        Fault since which commands are ignored, until `Drive.start` is called again; or None.
     moving
         The drive reports a speed.
     received_ns
         Time of the position on the monotonic clock; 0 before any.
     withdrawal
-        State of the withdrawal since the fault; None without a fault, and where the drive was not
-        moving by commands.
+        State of the withdrawal since the fault; None without a fault, or if the direction of the
+        drive was not verified.
     answered_ns
         Time of the drive's last answer of any kind.
     held_back
@@ -104,8 +105,8 @@ class Supervisor:
     withdrawal
         The withdrawal since the fault.
     verified
-        The motor turns in the commanded direction. Without, a fault leaves the drive at rest, as a
-        withdrawal might go towards the finger.
+        The motor turns in the commanded direction. Until that is known, a fault leaves the drive at
+        rest, because a withdrawal might move towards the finger.
     position_m, position_ns
         Last reported position in m from first touch, and its time.
     answered_ns
@@ -117,7 +118,7 @@ class Supervisor:
         self._watchdog_ns = watchdog_ns
         self._commanded = CommandedPosition()
         self._following = FollowingError(axis.max_acceleration_m_per_s2)
-        # The loop's speed and its time; 0 before the first.
+        # The loop's last speed, and its time; 0 before the first.
         self._command = (0.0, 0)
         self._stepped_ns = 0
         self._held_back = False
@@ -141,7 +142,7 @@ class Supervisor:
         self.pause()
 
     def pause(self) -> None:
-        """Rest, and expect no command before the loop's first one."""
+        """Rest; the watchdog starts with the loop's first command."""
         self._command = (0.0, 0)
 
     def command(self, speed_m_per_s: float, now_ns: int) -> None:
@@ -150,7 +151,8 @@ class Supervisor:
 
     def add_position(self, position_m: float, now_ns: int) -> None:
         """Take a position that the drive reported, in m from first touch."""
-        # A host that stalled must not blame the drive, whose own watchdog has stopped it.
+        # If the host has stalled, the drive's own watchdog stopped the drive; that is no following
+        # error of the drive.
         self.check_silence(now_ns)
         self.position_m = position_m
         self.position_ns = self.answered_ns = now_ns
@@ -185,19 +187,19 @@ class Supervisor:
                 self._axis.clear_m,
                 trusted=not self._following.failed,
             )
-        # Last: a thread that stalls before this leaves no fault without its withdrawal.
+        # Set last, so that no other thread sees a fault without its withdrawal.
         self.fault = fault
 
     def mark_unsent(self, now_ns: int) -> None:
-        """Note that a command may not have reached the drive: its travel does not count."""
+        """Note that a command may not have reached the drive, so its travel does not count."""
         if self.withdrawal is not None:
             self.withdrawal.restart(now_ns, self.travel_m(now_ns))
 
     def check_silence(self, now_ns: int, silence: str = "no answer") -> None:
-        """Fail where no command or no answer has come for the watchdog's time, or no position.
+        """Latch a fault if no command, no answer or no position has come for its time.
 
-        Call it often. A pause between its own calls is the host's: no command was sent in it, and
-        no answer could be received. silence: name of the fault without answers.
+        Call it often. A pause between calls is a stall of the host, in which no command was sent
+        and no answer received. silence: name of the fault without answers.
         """
         stalled_ns = now_ns - self._stepped_ns
         self._stepped_ns = max(now_ns, self._stepped_ns)
@@ -243,14 +245,14 @@ class Supervisor:
         )
 
     def travel_m(self, now_ns: int) -> float:
-        """Return the travel in m that was commanded until a time, from any origin."""
+        """Return the commanded travel in m until a time, from an arbitrary origin."""
         return self._commanded.travel_m(now_ns)
 
     def _within_limits(self, speed_m_per_s: float, now_ns: int) -> float:
         axis, limit = self._axis, self._axis.max_speed_m_per_s
         wanted = min(max(speed_m_per_s, -limit), limit)
         bounded = axis.bounded(wanted, self.position_m, (now_ns - self.position_ns) * 1e-9)
-        # Where a report is wrong, the commands alone do not lead beyond the limits either.
+        # The commanded position is bounded too, in case the reported one is wrong.
         commanded_m = self._following.position_m(now_ns)
         # NaN before the first report.
         if commanded_m == commanded_m:

@@ -1,37 +1,37 @@
 """Withdrawal of the tip from the finger, and the sentence that describes the finger's state.
 
 A withdrawal is slow until position or film confirms that the tip leaves the finger, then fast. A
-position or a force that goes the other way stops it at once. Where nothing confirms it, it ends
-after a commanded travel. Pure: times come in, in ns on the monotonic clock.
+position or a force that changes in the wrong direction stops it at once. Without a confirmation it
+ends after a commanded travel. Pure: times are arguments in ns on the monotonic clock.
 """
 
 from dataclasses import dataclass
 from enum import Enum
 
-# Away from the finger: unconfirmed, and confirmed. The second leaves a usual pulse in some 30 ms.
+# Speeds before and after the confirmation. The second ends a usual pulse in some 30 ms.
 SLOW_M_PER_S = 10e-3
 FAST_M_PER_S = 20e-3
-# A motion towards the finger at the beginning may take so long to turn, by reports that are late.
+# At the start, delayed reports may show a motion towards the finger for this time.
 TURN_NS = 30_000_000
-# The same by the film, whose readings are older.
+# The film's readings are older, and may show it for longer.
 FILM_TURN_NS = 50_000_000
 CONFIRMED_M = 30e-6
 WRONG_WAY_M = 100e-6
 CONFIRMED_N = 0.02
 WRONG_WAY_N = 0.05
-# Of the highest reading; beyond the fixed part, as noise grows with the sensor's range.
+# Added to these limits as a share of the highest reading, as noise grows with the sensor's range.
 SHARE = 0.1
-# Reports or readings in a row: one alone may be wrong.
+# Number of consecutive reports or readings that are needed, as a single one may be wrong.
 IN_A_ROW = 3
-# Where nothing is sent for so long, the host has stalled: the drive goes on by its last command
-# until its own watchdog ends it, and must turn again.
+# A longer pause between commands is a stall of the host. The drive keeps its last command until its
+# own watchdog stops it, and must then reverse again.
 PAUSE_NS = 30_000_000
-# Without a confirmation for so long, the commanded travel ends it, with this margin.
+# Wait for a confirmation, after which the commanded travel decides; and margin of that travel.
 PATIENCE_NS = 150_000_000
 MARGIN_M = 0.5e-3
-# Without a report for so long the drive was not reached.
+# After a longer time without a report, commands may not have reached the drive.
 SILENT_NS = 50_000_000
-# A film that reads more than this after the commanded travel is still pressed.
+# Above this reading after the commanded travel, the film is still pressed.
 PRESSED_N = 0.05
 # Below this a finger feels nothing, and a film's noise is no press.
 TOUCH_N = 0.01
@@ -92,7 +92,7 @@ class Withdrawal:
         silent_ns, self._received_ns = received_ns - self._received_ns, received_ns
         self._last_m = position_m
         if self.outcome is WithdrawalOutcome.UNCONFIRMED and silent_ns > SILENT_NS:
-            # The drive answers again, and may not have received what was commanded meanwhile.
+            # The drive answers again, and may have missed the commands of the silence.
             self.restart(received_ns, self._travel_m)
         wrong_way = self.outcome is WithdrawalOutcome.WRONG_WAY
         if wrong_way or not self._trusted or received_ns <= self._began_ns:
@@ -126,7 +126,7 @@ class Withdrawal:
         self.confirmed |= self._relieved
 
     def restart(self, now_ns: int, travel_m: float) -> None:
-        """Count time and travel anew: the commands until now may not have moved the motor."""
+        """Count time and travel from now on, as earlier commands may not have moved the motor."""
         self._counted_ns, self._began_m = now_ns, travel_m
         if self.outcome is WithdrawalOutcome.UNCONFIRMED:
             self.outcome = WithdrawalOutcome.UNDER_WAY
@@ -135,13 +135,13 @@ class Withdrawal:
         """Return the speed to command now, negative or 0, for the travel commanded until now."""
         self._travel_m = travel_m
         if now_ns - self._sent_ns > PAUSE_NS:
-            # The drive's watchdog has ended the last command, so the counted travel is too long.
+            # The drive's watchdog has ended the last command, so the counted travel is too large.
             self._turning_ns = now_ns
             self.restart(now_ns, travel_m)
         self._sent_ns = now_ns
         travelled = self._began_m - travel_m >= self._unconfirmed_m
         if self.outcome is WithdrawalOutcome.UNDER_WAY and travelled:
-            # Until a position can be expected, and as long as positions come after that.
+            # Wait until a position can be expected, and after a confirmation while positions come.
             since_ns = max(self._counted_ns, self._received_ns if self.confirmed else 0)
             if not self._trusted or now_ns - since_ns >= PATIENCE_NS:
                 relieved = self._relieved and self._last_n <= PRESSED_N
@@ -155,7 +155,7 @@ class Withdrawal:
         return -SLOW_M_PER_S if pressed else 0.0
 
     def _may_turn(self, taken_ns: int, within_ns: int) -> bool:
-        """Return whether an older command explains a motion towards the finger at that time."""
+        """Return whether an older command explains a motion towards the finger at a time."""
         return taken_ns - self._turning_ns < within_ns or taken_ns - self._sent_ns > PAUSE_NS
 
 
@@ -170,7 +170,7 @@ class FingerState:
     unknown_s
         Time in s without a measurement.
     measured_by
-        Empty for the film, else the source that stands for it.
+        Source of the force; empty for the film.
     outcome
         State of the drive's withdrawal; None where there is none.
     answers
@@ -207,7 +207,7 @@ def describe_finger(state: FingerState) -> str:
         return f"{force}, the drive does not answer"
     if state.outcome is not WithdrawalOutcome.WITHDRAWN:
         return force if state.outcome is None else f"{force}, {_DURING[state.outcome]}"
-    # By the drive's position; the film may contradict it.
+    # The drive's position shows the withdrawal; the film may contradict it.
     if force_n is None:
         return f"withdrawn by the drive's position, {force}"
     return f"{force}, although the drive reports the tip withdrawn" if pressed else "withdrawn"

@@ -1,7 +1,7 @@
-"""Concealment: the force where no sample has arrived, without jumps, and when to rely on it.
+"""Concealment: the force where no sample has arrived, without jumps, and the predictor's trust.
 
-`auto` plays at the delay that the link can carry, and at E = 0 while the predictor is trusted.
-Pure: frames, errors and times come in.
+With `compensation = "auto"`, E is the delay that the link requires; while the predictor is trusted,
+E is up to 400 ms smaller. Pure: frames, errors and times are arguments.
 """
 
 import math
@@ -11,30 +11,30 @@ from collections import deque
 from display_node.prediction import WITHOUT_ERROR_ESTIMATE, PredictorName, build_predictor
 from protocol.wire.messages import Frame
 
-# The decay's time constant over the horizon that the old prediction had to span: the further it
-# looked, the larger its corrections are, and the less a later one costs.
+# Time constant of the decay, as a share of the horizon of the old prediction: corrections of a
+# longer prediction are larger, and may take longer.
 DECAY_OVER_HORIZON = 0.2
 NEGLIGIBLE_N = 1e-6
 
 
 class Blend:
-    """Continuation of each tick's path of predicted force from the last one's.
+    """Continuous transition from each tick's path of predicted force to the next tick's.
 
-    A frame carries more than was predicted, so the prediction for the present instant jumps. The
-    jump is taken off again, as an offset that decays.
+    A new frame corrects the prediction, so the force for the present instant jumps. The jump is
+    removed by an offset that decays.
 
     Attributes
     ----------
     busy
-        Whether the last path was predicted, or an offset is still felt.
+        Whether the last path was predicted, or an offset is still in effect.
     """
 
     def __init__(self, tick_ns: int) -> None:
         self._tick_ns = tick_ns
         self._path_n: list[float] = []
         self._instant_ns = self._newest_ns = 0
-        # The horizon behind the offset; it falls by half a frame, so that a short one that
-        # follows a long one does not let go of a large offset at once.
+        # Horizon of the prediction that caused the offset. It at most halves with each frame, so
+        # that a short horizon after a long one does not drop a large offset at once.
         self._spanned_ns = 0
         self._kept = self._offset_n = 0.0
         self.busy = False
@@ -45,8 +45,8 @@ class Blend:
         Parameters
         ----------
         path_n
-            Force in N at `instant_ns` and a tick apart after it, some of it predicted; or any path
-            while it is `busy`.
+            Force in N at `instant_ns` and at the ticks after it. Some of it is predicted, unless
+            `busy`.
         newest_ns
             Time of the newest sample in ns.
         """
@@ -69,10 +69,10 @@ class Blend:
         return joined_n
 
     def _offset_at(self, force_n: float, instant_ns: int) -> float:
-        """Return what is left of the offset, plus the jump to this force from the last path."""
+        """Return the rest of the offset, plus the jump from the last path to this force."""
         path_n = self._path_n
         ticks = (instant_ns - self._instant_ns) / self._tick_ns
-        # After missed ticks or a jump of the playout there is nothing to join.
+        # After missed ticks or a jump of the playout, the paths do not overlap.
         if not 0 < ticks < len(path_n):
             return 0.0
         before = min(int(ticks), len(path_n) - 2)
@@ -82,7 +82,7 @@ class Blend:
         return offset_n if math.isfinite(offset_n) else 0.0
 
 
-# A window holds a whole beat down to 30 a minute; an artefact spoils one window or two.
+# A window contains a whole beat down to 30 beats a minute; an artefact affects one or two windows.
 WINDOW_NS = 2_000_000_000
 WINDOWS = 5
 
@@ -114,22 +114,23 @@ class PulseSize:
         self._begun_ns, self._low, self._high = t_ns, low, high
 
 
-# Of the pulse's height; a finger notices differences from 7 to 10 % on, 2.5 times the RMSE.
+# Bounds of the RMSE as a share of the pulse's height. A finger notices differences from 7 to 10 %
+# on, and peak errors are 2.5 times the RMSE.
 LOST_ABOVE, GAINED_BELOW = 0.04, 0.025
 DWELL_NS = 10_000_000_000
 MEMORY_NS = 1_500_000_000
-# An error as large as this is as bad as any; so it is soon forgotten.
+# Larger errors count as this share, so that they are soon forgotten.
 WORST = 0.3
-# What trust takes off E at most: the playout jumps by more than 0.5 s, and slews below.
+# Greatest reduction of E by trust: above 0.5 s the playout would jump instead of slewing.
 MOST_NS = 400_000_000
 
 
 class Trust:
     """Decision whether the predictor's error would go unnoticed at E = 0.
 
-    What counts is its RMS over the last 1.5 s, over the pulse's height: a stall weighs as long as
-    it lasts, and at each of its instants with the error at that horizon. What is not known counts
-    as three tenths. Lost at once from 4 % on; won below 2.5 %, 10 s later at the earliest.
+    The criterion is the RMS of the expected error over the last 1.5 s, as a share of the pulse's
+    height. Every tick counts, a stall thus by its duration; an unknown error counts as 0.3. Trust
+    is lost at once from 4 % on, and gained below 2.5 %, at the earliest 10 s after a loss.
     """
 
     def __init__(self) -> None:
@@ -154,19 +155,19 @@ class Trust:
 
 
 def auto_delay_ns(carried_ns: int, trusted: bool) -> int:
-    """Return the E that `auto` wants, where the link could carry carried_ns."""
+    """Return E for "auto", from the delay that the link requires."""
     return max(0, carried_ns - MOST_NS) if trusted else carried_ns
 
 
 class Concealment:
-    """One session's predictor, with its jumps smoothed and its error judged. Pure.
+    """One session's predictor, with smoothed jumps and a decision on its trust. Pure.
 
-    Forces are at the wrist, in N; times are the sensing clock's but for now_ns.
+    Forces are those at the wrist, in N. Times are on the sensing clock, except now_ns.
 
     Parameters
     ----------
     auto
-        Whether the perceived delay follows the link, so that trust may take the delay off it.
+        Whether the perceived delay follows the link, so that trust may reduce it.
     """
 
     def __init__(self, predictor: PredictorName, channel: int, tick_ns: int, auto: bool) -> None:
@@ -181,7 +182,7 @@ class Concealment:
 
     @property
     def trusted(self) -> bool | None:
-        """Whether it is trusted with all of the delay; None where the scene leaves it no say."""
+        """Whether the predictor is trusted with all of the delay; None where trust is not used."""
         return None if self._trust is None else self._trust.trusted
 
     def observe(self, frame: Frame) -> None:
@@ -194,19 +195,19 @@ class Concealment:
             self._size.observe(first_ns, values)
 
     def judge(self, now_ns: int, horizon_ns: int) -> None:
-        """Judge how well it predicts all of the delay: horizon_ns after the newest sample."""
+        """Update the trust by the expected error `horizon_ns` after the newest sample."""
         if self._trust is not None:
             self._trust.judge(now_ns, self.error_n(horizon_ns), self._size.size)
 
     def complete(
         self, path_n: list[float], count: int, instant_ns: int, newest_ns: int
     ) -> list[float]:
-        """Return the force at `count` instants a tick apart, the first instant_ns, without a jump.
+        """Return the force at `count` instants a tick apart from instant_ns on, without a jump.
 
         Parameters
         ----------
         path_n
-            Force in N at the first of them, as received; it is completed in place.
+            Received force in N at the first of these instants; it is completed in place.
         newest_ns
             Time of the newest sample.
         """

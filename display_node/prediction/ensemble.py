@@ -1,7 +1,7 @@
-"""Experts and their stack as one predictor, its work cut into pieces for a real-time loop.
+"""Experts and their stack as one predictor, whose work is divided among ticks.
 
-Samples → grid → history → experts → stack → a path over the next 250 ms, which `predict` reads
-between its points.
+Samples → grid → history → experts → stack → a path over the next 250 ms, which `predict`
+interpolates.
 """
 
 import math
@@ -31,31 +31,31 @@ HORIZON = np.arange(HORIZONS)
 
 
 class Stack:
-    """Combination of n trajectories, weighted for every horizon as would have been best.
+    """Combination of n trajectories, with least-squares weights for every horizon.
 
-    Recursive least squares on what was predicted, when its truth arrives.
+    The weights are updated by recursive least squares when the predicted value arrives.
 
     Parameters
     ----------
     trust
-        Shape (n,): the weights to start with.
+        Shape (n,): the initial weights.
     """
 
     def __init__(self, trust: Floats) -> None:
         count = len(trust)
         self._trust = trust
-        # By horizon: the covariance, and the weights as one more column of it.
+        # For each horizon, the covariance, with the weights as a further column.
         start = np.vstack([np.eye(count) / RIDGE, trust]).T
         self._state = np.tile(start, (HORIZONS, 1, 1))
         self._covariances, self._weights = self._state[:, :, :-1], self._state[:, :, -1]
-        # What was predicted at the last steps, by step and horizon: inputs, output and origin.
+        # Predictions of the last steps, by step and horizon: inputs, output and origin.
         self._made = np.zeros((FURTHEST + 1, HORIZONS, count + 2))
         self._steps = 0
         self._power = np.zeros(HORIZONS)
         self._truths = 0
 
     def rms(self, horizon: int) -> float | None:
-        """Return the RMSE of the last 2 s or so for a horizon from 0; None before any truth."""
+        """Return the RMSE at a horizon (index from 0) over some 2 s; None before any result."""
         truths = self._truths - int(AHEAD[horizon])
         if truths <= 0:
             return None
@@ -72,7 +72,7 @@ class Stack:
         return np.asarray(output)
 
     def learn(self, newest: float) -> None:
-        """After `predict`: the newest value is the truth of earlier predictions."""
+        """Update the weights by the newest value, which was predicted earlier. Call it last."""
         made = self._made[(self._steps - 1 - AHEAD) % len(self._made), HORIZON]
         inputs, outputs, origins = made[:, :-2], made[:, -2], made[:, -1]
         truths = newest - origins
@@ -85,7 +85,7 @@ class Stack:
         power = FORGET + np.einsum("hi,hi->h", inputs, spread)
         self._correct(spread, power, truths - np.einsum("hi,hi->h", self._weights, inputs))
         self._covariances *= 1 / FORGET
-        # The ridge: one weight a step is observed, at its trust, as often as forgetting demands.
+        # One weight a step is observed as its initial value, which restores the forgotten ridge.
         expert = self._steps % len(self._trust)
         spread = self._covariances[:, :, expert].copy()
         power = 1 / (RIDGE * len(self._trust) * (1 - FORGET)) + spread[:, expert]
@@ -98,17 +98,17 @@ class Stack:
 
 
 CAPACITY = 8_192
-# The signal's level and size are taken from its first 2 s; nothing is predicted before.
+# Steps in the first 2 s, which give the signal's level and size; no prediction before.
 WARM_UP = 400
-# A step is four pieces, and a piece a millisecond leaves one in five to catch up.
+# A step's work has four pieces. One piece a millisecond leaves one in five free to catch up.
 SPACING_NS = SPACING * STEP_NS
 PIECE_NS = 1_000_000
-# Paths stay within what was seen in the last 5 s, and this share of its range beyond.
+# Paths are bounded by the range of the last 5 s, widened on both sides by this share of it.
 RECENT, MARGIN = 1_000, 0.25
 
 
 class Ensemble:
-    """Prediction of a stream of force in N; holds the newest value until it has learnt better.
+    """Predictor of a stream of force in N; it holds the newest value during its warm-up.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ class Ensemble:
     Attributes
     ----------
     names
-        Of the predictions that are weighted, then "stack".
+        Names of the combined trajectories, then "stack".
     """
 
     def __init__(self, kind: str, tick_ns: int) -> None:
@@ -148,7 +148,7 @@ class Ensemble:
         self._warm_up: list[float] = []
         self._level, self._scale = 0.0, 0.0
         self._work: Iterator[None] = iter(())
-        # Cells are numbered by the grid; this one is the history's newest.
+        # Number of the history's newest cell in the grid.
         self._number = -1
         self._middle_ns = 0
         self._rows: Floats | None = None
@@ -161,10 +161,10 @@ class Ensemble:
         self._grid.observe(times_ns, values)
 
     def work(self) -> None:
-        """Do the next piece of the work that waits, or two after a burst; once a tick."""
+        """Do one tick's share of the waiting work, or twice as much after a burst."""
         fresh = self._grid.new_cells
         with np.errstate(all="ignore"):
-            # Samples that were held up come in a burst: it is caught up with in double time.
+            # Delayed samples come in a burst, which is processed at double rate.
             hurry = 2 if len(fresh) > 1 else 1
             for _ in range(hurry * self._pieces_a_tick):
                 if next(self._work, self) is self and fresh:
@@ -188,11 +188,11 @@ class Ensemble:
         return [*(_between(before + row, position) for row in rows), self.predict(instant_ns)]
 
     def error_n(self, horizon_ns: int) -> float | None:
-        """Return the RMSE in N of the last 2 s of predictions so far ahead of the newest sample.
+        """Return the RMSE in N of the last 2 s of predictions `horizon_ns` ahead.
 
-        None before any, and further ahead than is predicted.
+        Returns None before any result, and for a horizon beyond the path.
         """
-        # From the middle of the newest cell.
+        # The path counts from the middle of the newest cell.
         horizon = round((horizon_ns / STEP_NS + 0.5) / SPACING)
         if horizon > HORIZONS:
             return None
@@ -200,14 +200,14 @@ class Ensemble:
         return None if rms is None else self._scale * rms
 
     def _step(self, cell: GridCell) -> Iterator[None]:
-        """Do all that a new cell asks for, piece by piece."""
+        """Do the work for a new cell, piece by piece."""
         if not self._scale:
             self._settle(cell)
             return
         history = self._history
         self._push(cell.value)
         self._number = cell.number
-        # Late samples' cells replace what had been guessed.
+        # Cells that late samples corrected replace the interpolated ones.
         for late in self._grid.corrections:
             mended = (late.value - self._level) / self._scale
             history.rewrite(self._number - late.number, mended)
@@ -226,7 +226,7 @@ class Ensemble:
             expert.learn(history)
 
     def _settle(self, cell: GridCell) -> None:
-        """Collect the warm-up; at its end, learn its level and size and take it in."""
+        """Collect the warm-up; at its end, compute level and size and fill the history."""
         seen = self._warm_up
         seen.append(cell.value)
         if len(seen) < WARM_UP:
@@ -253,7 +253,7 @@ class Ensemble:
         self._bounds = low - margin, high + margin
 
     def _publish(self, cell: GridCell, rows: Floats) -> None:
-        """Make the stack's path in N, within its bounds; begin anew if it is not finite."""
+        """Store the stack's path in N, within bounds; start again if it is not finite."""
         newest = self._history.newest
         low, high = self._bounds
         ahead = np.minimum(np.maximum(newest + self._stack.predict(newest, rows), low), high)
@@ -267,9 +267,9 @@ class Ensemble:
 
 
 def _between(path: list[float], position: float) -> float:
-    """Return a path's value, by the cubic through its neighbours' slopes (Catmull and Rom).
+    """Return a path's value by cubic interpolation (Catmull and Rom).
 
-    path: points a step apart, the second at position 0; it is held beyond its ends.
+    path: points a step apart, the second at position 0; the end values are held beyond its ends.
     """
     last = len(path) - 2
     position = min(max(position, 0.0), last)

@@ -26,14 +26,14 @@ class GridCell(NamedTuple):
 
 
 class Grid:
-    """Means over cells of 5 ms, of samples at any rate, in order or late.
+    """Means over cells of 5 ms of samples at any rate, in order or late.
 
     Attributes
     ----------
     new_cells
-        Cells that are complete and not taken yet.
+        Complete cells that were not taken yet.
     corrections
-        Recomputed values of cells that were taken before.
+        Recomputed cells, of those that were taken.
     """
 
     def __init__(self) -> None:
@@ -45,7 +45,7 @@ class Grid:
         self.corrections: list[GridCell] = []
 
     def observe(self, times_ns: list[int], values: list[float]) -> None:
-        """Take new samples, in order of time within the call; never the same sample twice."""
+        """Take new samples, in order of time within the call. No sample may come twice."""
         samples = self._samples
         if self._end_ns is None:
             self._begin(times_ns[-1])
@@ -62,7 +62,7 @@ class Grid:
             del samples[: bisect_left(samples, (samples[-1][0] - KEEP_NS,))]
 
     def _begin(self, end_ns: int) -> None:
-        # Cells end where frames end, so that a cell is complete when its frame arrives.
+        # Cells end with frames, so that a cell is complete when its frame arrives.
         self._first_ns = self._end_ns = end_ns
         self._first_number = self._count
 
@@ -110,7 +110,7 @@ class Grid:
         return area / STEP_NS
 
     def _interpolate(self, position: int, t_ns: int) -> float:
-        """Return the value at a time between the samples before `position` and at it."""
+        """Return the value at a time between samples `position` − 1 and `position`."""
         after_ns, after = self._samples[min(position, len(self._samples) - 1)]
         before_ns, before = self._samples[max(position - 1, 0)]
         if after_ns == before_ns:
@@ -143,7 +143,7 @@ class History:
         self.count += 1
 
     def rewrite(self, age: int, value: float) -> None:
-        """Replace the value `age` steps before the newest; what is too old is left alone."""
+        """Replace the value `age` steps before the newest; do nothing where it is too old."""
         if age < min(self.count, self._capacity):
             self._values[self._end - 1 - age] = value
 

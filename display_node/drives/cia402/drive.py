@@ -1,9 +1,9 @@
 """A CANopen drive of profile CiA 402, in cyclic synchronous or profile velocity mode.
 
-A command is one RPDO and the SYNC by which it takes effect; neither waits for the drive. Our
-heartbeat is sent with the commands and with nothing else: the drive stops when they stop, whether
-this process has died or only hangs. After a fault a thread withdraws the tip (decisions 19, 29).
-Decision 32 says why canopen's `BaseNode402` does not suffice.
+A command is one RPDO, and the SYNC at which it takes effect; neither waits for the drive. Our
+heartbeat is sent only with commands. So the drive stops when commands stop, whether this process
+has ended or hangs. After a fault a thread withdraws the tip (decisions 19, 29). Decision 32
+explains why canopen's `BaseNode402` does not suffice.
 """
 
 import time
@@ -15,14 +15,14 @@ from display_node.drives.drive import Drive, DriveDevice
 from display_node.drives.scene import Cia402Scene
 from protocol.errors import DriveError
 
-# Heartbeats in the drive's watchdog time.
+# Number of heartbeats in the drive's watchdog time.
 BEATS = 4
 # Object of the digital inputs, and its bits for the limit switches.
 DIGITAL_INPUTS, NEGATIVE_INPUT, POSITIVE_INPUT = 0x60FD, 1, 2
 
 
 class Cia402Drive(Drive):
-    """See `Drive`. counts: as of `Cia402Node`."""
+    """See `Drive`. counts: those of `Cia402Node`."""
 
     step_s = 5e-3
     _node: Cia402Node
@@ -68,7 +68,7 @@ class Cia402Drive(Drive):
             supervisor.fail(f"fault: {state.text}, {node.error}", now_ns)
 
     def _send(self, now_ns: int) -> None:
-        """Send the present velocity; a drive that is not enabled is enabled again first."""
+        """Send the present velocity, or the next step to enable a drive that is not enabled."""
         node, supervisor = self._node, self._supervisor
         enabled = node.state is State.ENABLED
         velocity = supervisor.velocity(now_ns) if enabled else 0
@@ -90,7 +90,7 @@ class Cia402Drive(Drive):
     def _home_switch(self) -> bool | None:
         if self._scene.homing != "switch" or self._scene.homing_method is not None:
             return None
-        # Reading it takes longer than the watchdog allows between two commands.
+        # Reading takes longer than the watchdog permits between two commands.
         self._pause()
         try:
             inputs = self._node.read(DIGITAL_INPUTS)

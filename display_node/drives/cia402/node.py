@@ -32,7 +32,7 @@ from protocol.errors import DriveError
 SYNC = 0x80
 EMERGENCY, TPDO1, TPDO2, RPDO1, HEARTBEAT = 0x80, 0x180, 0x280, 0x200, 0x700
 BY_SYNC, BY_EVENT = 1, 255
-# Greatest time between two TPDOs, to tell a silent drive from one at standstill.
+# Greatest time between two TPDOs, so that a silent drive differs from one at standstill.
 EVENT_MS = 10
 ENABLE_WITHIN_S = 2.0
 SDO_TIMEOUT_S = 0.5
@@ -45,7 +45,7 @@ SPEED_TPDO = struct.Struct("<iH")
 # Reports beyond this multiple of the highest speed or, after homing, of the travel are rejected.
 IMPLAUSIBLE = 10
 
-# Errors are raised or counted here; a program that wants canopen's log can still have it.
+# Errors are raised or counted here, so canopen's log is not shown unless a program requests it.
 logging.getLogger("canopen").addHandler(logging.NullHandler())
 
 
@@ -61,9 +61,9 @@ class Cia402Node:
     received_ns
         Time of the last plausible state report (TPDO1) on the monotonic clock.
     counts
-        "malformed": TPDOs and emergencies. "implausible": TPDOs whose values are not used.
-        "garbled": frames spoilt by a CAN adapter. "not disabled", "not closed": a drive and a bus
-        that could not be shut down, with the kind of error.
+        "malformed": TPDOs and emergencies of wrong length. "implausible": TPDOs whose values are
+        not used. "garbled": frames that a CAN adapter corrupted. "not disabled", with the kind of
+        error, and "not closed": a drive and a bus that could not be shut down.
     """
 
     def __init__(self, scene: Cia402Scene, axis: Axis, counts: Counter[str]) -> None:
@@ -83,12 +83,12 @@ class Cia402Node:
         self.position_m = axis.lowest_m
         self.speed_m_per_s = 0.0
         self.received_ns = self._implausible_ns = 0
-        # Before homing the origin of the position is arbitrary: no position is implausible.
+        # Before homing the origin of the position is arbitrary, so every position is plausible.
         self._implausible_m = math.inf
         self.mode = Mode.CYCLIC_VELOCITY
-        # Error by which the bus cannot be read any more.
+        # Error after which the bus cannot be read any more.
         self._lost: Exception | None = None
-        # Made once: making a message costs a third of sending it.
+        # Created once, since creating a message costs a third of sending it.
         self._command, self._sync, self._heartbeat = (
             can.Message(arbitration_id=identifier, is_extended_id=False, data=data)
             for identifier, data in (
@@ -106,7 +106,7 @@ class Cia402Node:
         self._node = canopen.RemoteNode(scene.node, sheet)
         self._node.sdo.RESPONSE_TIMEOUT = SDO_TIMEOUT_S
         self._network.add_node(self._node)
-        # The library's own listener keeps all emergencies, and fails at a truncated one.
+        # The library's own listener stores all emergencies, and fails at a truncated one.
         self._network.unsubscribe(EMERGENCY + scene.node, self._node.emcy.on_emcy)
         for identifier, take in (
             (TPDO1, self._on_state),
@@ -130,7 +130,7 @@ class Cia402Node:
         return "garbled: no plausible TPDO" if implausible else "no answer"
 
     def configure(self) -> None:
-        """See `DriveDevice.configure`: profile, PDOs, limits, mode; operation is enabled."""
+        """See `DriveDevice.configure`: set profile, PDOs, limits and mode; enable operation."""
         scene = self._scene
         self._node.nmt.state = "PRE-OPERATIONAL"
         profile = self.read(0x1000) & 0xFFFF
@@ -165,7 +165,7 @@ class Cia402Node:
             time.sleep(POLL_S)
 
     def home(self, guard: Callable[[], None]) -> None:
-        """See `DriveDevice.home`; then the drive has its own soft limits."""
+        """See `DriveDevice.home`; then set the drive's own soft limits."""
         scene, axis = self._scene, self._axis
         switch = POSITIVE_SWITCH if scene.inverted else NEGATIVE_SWITCH
         method = scene.homing_method
@@ -223,14 +223,14 @@ class Cia402Node:
         self._send(self._heartbeat)
 
     def close(self) -> None:
-        """See `DriveDevice.close`; where the drive is not reached, its watchdog stops it."""
+        """See `DriveDevice.close`. A drive that cannot be reached is stopped by its watchdog."""
         try:
             self.command(Control.SHUTDOWN, 0)
             self.command(Control.DISABLE_VOLTAGE, 0)
             self.write(0x1016, 1, 0)
         except DriveError as error:
             self.counts[f"not disabled: {error.kind}"] += 1
-        # A bus that is gone already is counted.
+        # Errors of a bus that is already gone are counted.
         for leave in (self._rest, self._network.disconnect):
             try:
                 leave()
@@ -248,7 +248,7 @@ class Cia402Node:
             self._variable(index, subindex).raw = value
 
     def write_optional(self, index: int, subindex: int, value: int) -> None:
-        """Write an object that not every drive has, or allows to be written."""
+        """Write an object that some drives lack, or refuse to have written."""
         try:
             self.write(index, subindex, value)
         except DriveError as error:
@@ -261,7 +261,7 @@ class Cia402Node:
 
     @contextmanager
     def _answering(self, what: str) -> Iterator[None]:
-        """Raise DriveError for what SDOs raise."""
+        """Turn the errors of SDOs into DriveError within a `with`."""
         from canopen import SdoAbortedError, SdoCommunicationError
 
         try:
@@ -282,7 +282,7 @@ class Cia402Node:
         self._node.nmt.state = "PRE-OPERATIONAL"
 
     def _select(self, mode: Mode) -> None:
-        """Set a mode of operation, and check that the drive takes it."""
+        """Set a mode of operation, and check that the drive accepts it."""
         self.write(0x6060, 0, mode)
         deadline_s = time.monotonic() + SDO_TIMEOUT_S
         while self.read(0x6061) != mode:
@@ -291,7 +291,7 @@ class Cia402Node:
             time.sleep(POLL_S)
 
     def _send(self, message: Any) -> None:
-        # Each python-can interface has errors of its own.
+        # python-can interfaces raise errors of many kinds.
         try:
             if self._lost is not None:
                 raise self._lost
@@ -341,7 +341,7 @@ class Cia402Node:
             self.error_code = code
 
     def _on_bus_error(self, exc: Exception) -> None:
-        """Ignore and count a frame that cannot be decoded; keep the error of a bus that is gone."""
+        """Count a frame that cannot be decoded; store the error of a bus that is gone."""
         if is_noise(exc):
             discard_spoilt_line(self._bus)
             self._network.notifier.exception = None  # type: ignore[union-attr]

@@ -50,7 +50,7 @@ class Mode(IntEnum):
 HOMING_ATTAINED = 0x1400
 HOMING_ERROR = 0x2000
 
-# Homing methods (0x6098): to the negative or positive limit switch; the present position.
+# Homing methods (0x6098): negative limit switch, positive limit switch, present position.
 NEGATIVE_SWITCH, POSITIVE_SWITCH, HERE = 17, 18, 35
 
 HEARTBEAT_ERROR = 0x8130
@@ -82,7 +82,7 @@ def state_of(statusword: int) -> State | None:
 def towards_enabled(state: State, last: Control) -> Control:
     """Return the controlword for the transition towards operation enabled.
 
-    last: the controlword before it. A fault is reset by the rising edge of a bit.
+    last: the previous controlword. A fault is reset by the rising edge of a bit.
     """
     control = _NEXT.get(state, Control.DISABLE_VOLTAGE)
     if control == last == Control.RESET_FAULT:

@@ -1,1 +1,1 @@
-"""Stepper modules that speak TMCL."""
+"""TMCL stepper modules."""

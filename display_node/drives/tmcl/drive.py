@@ -1,7 +1,7 @@
-"""A stepper module that speaks TMCL, in velocity mode.
+"""A TMCL stepper module in velocity mode.
 
-TMCL answers every request, which takes 1.6 ms at 115200 baud. So a thread of the drive exchanges
-messages with the module, and the force loop leaves its latest command in a mailbox (decision 19).
+A TMCL request and its answer take 1.6 ms at 115200 baud. So a thread of the drive exchanges
+messages with the module, and the force loop only stores its latest command (decision 19).
 """
 
 import time
@@ -13,8 +13,8 @@ from display_node.drives.scene import TmclScene
 from display_node.drives.tmcl.module import TRANSIENT, Parameter, TmclModule
 from protocol.errors import DriveError
 
-# Axis parameters that are read in turn: at least one read in POLL_NS, and one in each period of the
-# thread in which no new command waits.
+# Axis parameters that are read in turn: one in each period of the thread in which no new command
+# waits, and at least one in POLL_NS.
 POLLED = (
     Parameter.ACTUAL_POSITION,
     Parameter.ERROR_FLAGS,
@@ -24,8 +24,8 @@ POLLED = (
 POLL_NS = 10_000_000
 # Pause between two attempts while the line is disconnected.
 RETRY_S = 0.02
-# An answer carries the number of its command, not the axis parameter. For this long after a missed
-# answer, a position may be the late answer about another parameter, and a withdrawal ignores it.
+# An answer contains the number of its command, not the axis parameter. After a missed answer, a
+# position may be the late answer about another parameter. A withdrawal ignores it for this time.
 AMBIGUOUS_NS = 200_000_000
 
 
@@ -73,8 +73,8 @@ class TmclDrive(Drive):
     def _step(self) -> None:
         module, now_ns = self._module, time.monotonic_ns()
         try:
-            # A rotate command goes between any two reads: an answer that is late by a whole
-            # request then meets a request with another command number, and is ignored.
+            # A rotate command separates any two reads. So an answer that is late by a whole request
+            # meets a request with another command number, and is ignored.
             self._send(now_ns)
             if not self._woken.is_set() or now_ns - self._requested_ns >= POLL_NS:
                 self._requested_ns = now_ns
@@ -101,10 +101,10 @@ class TmclDrive(Drive):
         self._module.rotate(velocity)
 
     def _fail(self, error: DriveError) -> None:
-        """Latch an error, unless it is transient and the module has answered lately.
+        """Latch an error, unless it is transient and the module has answered recently.
 
-        The withdrawal continues in either case: a module that obeys but does not answer still
-        moves to its home switch.
+        The withdrawal continues in either case, as the module may execute commands without
+        answering.
         """
         now_ns = time.monotonic_ns()
         with self._lock.acquire_or_proceed():

@@ -1,8 +1,8 @@
-"""The line of a TMCL module: datagrams on a serial port by URL or on any CAN bus, and their errors.
+"""The line of a TMCL module: datagrams on a serial port or on a CAN bus, and their errors.
 
-The codec is the maker's PyTrinamic. Its interfaces open serial devices by name, and the CAN
-channels can0 to can7 alone. They also format every request and reply for a log, whether one is kept
-or not: that is most of the cost of an exchange (decision 19). So the exchange is here.
+PyTrinamic, by the modules' maker, encodes and decodes. Its interfaces are not used: they open only
+serial devices by name and the CAN channels can0 to can7. They also format every request and reply
+for a log that may not exist, which is most of the cost of an exchange (decision 19).
 """
 
 import math
@@ -18,11 +18,11 @@ from display_node.drives.scene import TmclScene, discard_spoilt_line, is_noise, 
 from protocol.errors import DriveError
 
 DATAGRAM_BYTES = 9
-# More than waits on any line after two failed requests.
+# Upper bounds of what waits on any line after two failed requests.
 DRAIN_BYTES = 4096
 DRAIN_FRAMES = 64
 ELEVEN_BITS = 0x7FF
-# Replies to other requests that are ignored before the right one.
+# Number of replies to other requests that are ignored before the right one.
 MOST_STRAY = 2
 
 
@@ -36,7 +36,7 @@ class SerialLine:
                 scene.baud,
                 timeout=scene.reply_timeout_ns * 1e-9,
                 write_timeout=scene.watchdog_ns * 1e-9,
-                # Two programs that command one drive contradict each other.
+                # No second program may command the same drive.
                 exclusive=True,
             )
         except (OSError, ValueError) as error:
@@ -45,7 +45,7 @@ class SerialLine:
             raise DriveError("unplugged", f"{scene.port} cannot be opened: {reason}") from None
 
     def send(self, data: bytes) -> None:
-        """Send a request; an OSError that is a timeout means that it was not sent."""
+        """Send a request. Raises TimeoutError where it was not sent in time."""
         try:
             self._port.write(data)
         except serial.SerialTimeoutException:
@@ -57,14 +57,14 @@ class SerialLine:
         return data if len(data) == DATAGRAM_BYTES else b""
 
     def discard(self) -> int:
-        """Discard replies that wait unrequested; return their number."""
+        """Discard waiting replies, which no request expects; return their number."""
         waiting: int = self._port.in_waiting
         if waiting:
             self._port.reset_input_buffer()
         return math.ceil(waiting / DATAGRAM_BYTES)
 
     def drain(self) -> None:
-        """Discard what still comes, for as long as a reply may take."""
+        """Discard everything that arrives within a reply's time."""
         self._port.read(DRAIN_BYTES)
         self._port.reset_input_buffer()
 
@@ -87,7 +87,7 @@ class CanLine:
         try:
             self._bus.send(frame, timeout=self._timeout_s)
         except can.CanError as error:
-            # The error of an slcan interface whose port has taken too long.
+            # The cause shows that an slcan interface's port has taken too long.
             if isinstance(error.__cause__, serial.SerialTimeoutException):
                 raise TimeoutError from None
             raise
@@ -128,8 +128,8 @@ class TmclLine:
     carrier
         The serial line or CAN bus.
     counts
-        Replies that were missing ("no answer"), "garbled" (a wrong checksum) or "wrong" (of another
-        module or command), which are ignored.
+        Missing replies ("no answer"), replies with a wrong checksum ("garbled"), and ignored
+        replies of another module or to another command ("wrong").
     """
 
     def __init__(self, scene: TmclScene, counts: Counter[str]) -> None:
@@ -144,10 +144,9 @@ class TmclLine:
     def request(self, command: int, kind: int, motor: int, value: int = 0) -> int:
         """Send a request and return the signed value of its reply.
 
-        Raises DriveError of kind "no answer", "garbled", "wrong" (only answers to something else
-        came), "refused" or "unplugged".
-        After one of the first three, what comes within another reply's time is discarded. A reply
-        that is later still differs from the next one by its command alone.
+        Raises DriveError of kind "no answer", "garbled", "wrong" (only replies to other requests
+        came), "refused" or "unplugged". After the first three, replies within another reply's time
+        are discarded. A still later reply can be recognised by its command number only.
         """
         try:
             reply = self._exchange(TMCLRequest(self._module, command, kind, motor, value))
@@ -172,10 +171,10 @@ class TmclLine:
         return number - (1 << 32) if number >= 1 << 31 else number
 
     def _exchange(self, request: TMCLRequest) -> TMCLReply | None:
-        """Return the reply to a request, else the last reply to something else, else None.
+        """Return the reply to a request, else the last reply to another request, else None.
 
-        What waits already, and a reply to another request, is counted and ignored: the request
-        before may have been answered twice. A reply with a wrong checksum ends the exchange.
+        Waiting replies, and replies to other requests, are counted and ignored: the previous
+        request may have been answered twice. A reply with a wrong checksum ends the exchange.
         """
         reply, stray = None, self.carrier.discard()
         try:
@@ -199,7 +198,7 @@ class TmclLine:
 
     def _miss(self, kind: str, text: str) -> int:
         """Count an error and wait until the line is silent. Raises DriveError."""
-        if kind != "wrong":  # each of those is counted already
+        if kind != "wrong":  # the exchange has counted those
             self.counts[kind] += 1
         try:
             self.carrier.drain()

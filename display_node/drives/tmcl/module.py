@@ -1,6 +1,6 @@
 """A TMCL module and one of its motors: configuration, homing, commands and reports, by requests.
 
-Instructions and parameters are numbered as in the firmware manuals.
+The numbers of instructions and parameters are those of the firmware manuals.
 """
 
 import math
@@ -15,12 +15,12 @@ from display_node.drives.scene import TmclScene
 from protocol.errors import DriveError
 
 TRIES = 3
-# As long as a CANopen drive has for an answer before it moves.
+# Time for repeating a request; a CANopen drive has the same time for an answer.
 RETRY_FOR_S = 0.5
-# Kinds of DriveError that may be over at the next request.
+# Kinds of DriveError that the next request may not meet again.
 TRANSIENT = ("no answer", "garbled", "wrong")
 SEARCH_POLL_S = 0.01
-# Polls of a motor that comes to rest: more than it takes at any line's rate.
+# Polls of a motor that comes to rest, enough at any line's bit rate.
 REST_POLLS = 100
 
 
@@ -56,7 +56,7 @@ class Parameter(IntEnum):
 
 
 class Global(IntEnum):
-    """Global parameters of bank 0: ms without a request after which the motor is stopped."""
+    """Global parameters of bank 0: time without a request, in ms, until the motor is stopped."""
 
     SERIAL_HEARTBEAT = 68
     CAN_HEARTBEAT = 82
@@ -70,7 +70,7 @@ class Search(IntEnum):
     STATUS = 2
 
 
-# Reference search: the left switch alone; the right one instead of the left.
+# Modes of the reference search: to the left switch alone, and to the right one instead.
 LEFT_SWITCH, RIGHT_SWITCH = 1, 65
 
 
@@ -99,9 +99,9 @@ class TmclModule:
     received_ns
         Time of the module's last answer.
     switch, switch_closed, switch_ns
-        Axis parameter of the home switch, its last value and the time of that.
+        Axis parameter of the home switch, its last value, and the time of that value.
     switch_requested
-        The home switch shall be read.
+        True while the home switch is to be read.
     """
 
     def __init__(self, scene: TmclScene, axis: Axis, counts: Counter[str]) -> None:
@@ -133,7 +133,7 @@ class TmclModule:
         self._set(Parameter.MAX_SPEED, abs(axis.units.velocity(axis.max_speed_m_per_s)))
         self._set(Parameter.MAX_ACCELERATION, round(acceleration * scene.acceleration_scale))
         self._set(Parameter.MICROSTEPS, round(math.log2(axis.microsteps)))
-        # Reading clears the flags of an earlier run; those of a present error come back.
+        # Reading clears the flags of an earlier run; those of a present error appear again.
         self._retry(Command.GET_AXIS, Parameter.ERROR_FLAGS)
         self.read(Parameter.ERROR_FLAGS)
         self.read(Parameter.DRIVER_FLAGS)
@@ -150,7 +150,7 @@ class TmclModule:
             self._set(Parameter.SEARCH_MODE, scene.homing_method or switch)
             self._set(Parameter.SEARCH_SPEED, speed)
             self._set(Parameter.SWITCH_SPEED, max(1, speed // 4))
-            # Before it moves: the travel of the search counts from here.
+            # Read before the search, whose travel counts from here.
             self.read(Parameter.ACTUAL_POSITION)
             self._retry(Command.REFERENCE_SEARCH, Search.START)
             try:
@@ -190,7 +190,7 @@ class TmclModule:
         self.received_ns = time.monotonic_ns()
 
     def read(self, parameter: Parameter) -> None:
-        """Read an axis parameter. DriveError of kind "fault" names what has stopped the motor."""
+        """Read an axis parameter. A DriveError of kind "fault" names the cause of a stop."""
         number = self._line.request(Command.GET_AXIS, parameter, self._scene.motor)
         self.received_ns = time.monotonic_ns()
         match parameter:
@@ -208,9 +208,9 @@ class TmclModule:
                     raise DriveError("fault", ", ".join(names).lower().replace("_", " "))
 
     def end_search(self) -> None:
-        """Stop the motor as well as the line allows, and read its position. Never raises.
+        """Stop the motor as well as the line permits, and read its position. Never raises.
 
-        Where requests do not reach it, its heartbeat stops it.
+        If requests do not reach the module, its heartbeat stops the motor.
         """
         missed = 0
         for _ in range(REST_POLLS):
