@@ -196,7 +196,7 @@ class Supervisor:
             self.withdrawal.restart(now_ns, self.travel_m(now_ns))
 
     def check_silence(self, now_ns: int, silence: str = "no answer") -> None:
-        """Latch a fault if no command, no answer or no position has come for its time.
+        """Latch a fault if no command, answer or position has come for too long.
 
         Call it often. A pause between calls is a stall of the host, in which no command was sent
         and no answer received. silence: name of the fault without answers.

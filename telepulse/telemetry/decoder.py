@@ -89,7 +89,9 @@ class TelemetryDecoder:
 
     def _captured(self, captured: telemetry.CapturedMessages) -> Iterator[Entry]:
         self._now_ns = captured.now_ns
-        published = Counter({"traces": captured.traces_published, "statuses": captured.statuses_published})
+        published = Counter(
+            {"traces": captured.traces_published, "statuses": captured.statuses_published}
+        )
         published["captured messages"] = captured.before
         if captured.run != self._run:
             text = "another run of the display" if self.started else "the recording"
