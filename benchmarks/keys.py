@@ -31,7 +31,7 @@ class Reader:
 
     def read(self) -> None:
         """Receive all numbers that have arrived."""
-        for message in sockets.receive_each(self.socket):
+        for message in sockets.receive_parts(self.socket):
             self.heard.append(int(message))
             self.last_s = time.perf_counter()
 

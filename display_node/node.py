@@ -166,7 +166,7 @@ class DisplayNode:
                 now_ns = time.monotonic_ns()
                 tick = pacer.begin(now_ns)
                 if tick is None:
-                    sockets.wait_drained(self._connection.descriptors, pacer.due_ns - now_ns)
+                    sockets.wait_on_descriptors(self._connection.descriptors, pacer.due_ns - now_ns)
                     continue
                 self._late_us.add(tick.late_ns * 1e-3)
                 self._deadlines.add(now_ns, tick.elapsed_ticks)

@@ -16,8 +16,8 @@ from protocol.tactile import ElasticLayer
 from protocol.wire.messages import ClockReply, Frame, Welcome, encode_control, encode_frame
 from protocol.wire.stream import Channel, StreamDescription
 from protocol.wire.telemetry import (
+    CAPTURE,
     CONTROL,
-    HEARD,
     STATUS,
     SUBSCRIBED,
     TRACE,
@@ -129,7 +129,7 @@ def preamble() -> list[Message]:
         t1_ns = number * 25 * MS
         reply = ClockReply(SESSION, t1_ns, t1_ns + AHEAD_NS, t1_ns + AHEAD_NS)
         heard.add(t1_ns, CONTROL, encode_control(reply))
-    messages = [(HEARD, part) for part in heard.take(200 * MS, WALL_NS + 200 * MS)]
+    messages = [(CAPTURE, part) for part in heard.take(200 * MS, WALL_NS + 200 * MS)]
     return [*messages, status_message("playing")]
 
 
@@ -160,7 +160,7 @@ def heard_message(
     heard.follow(SUBSCRIBED)
     heard.add(arrived_ns, 0, encode_frame(frame))
     (part,) = heard.take(now_ns, wall_ns)
-    return HEARD, part
+    return CAPTURE, part
 
 
 def _refuse_constant(name: str) -> None:

@@ -26,14 +26,14 @@ _OPTIONS: dict[int, int] = {
     zmq.LINGER: LINGER_MS,
     zmq.SNDHWM: HIGH_WATER_FRAMES,
     zmq.RCVHWM: HIGH_WATER_FRAMES,
-    # The kernel probes a silent peer. ZeroMQ's own heartbeats end the whole process when a peer
-    # goes that had filled our queue (libzmq 4.3.5, its issues 3937 and 4364).
+    # The kernel probes silent peers. ZeroMQ's heartbeats would end the whole process when a peer
+    # that has filled our queue disconnects (libzmq 4.3.5, its issues 3937 and 4364).
     zmq.TCP_KEEPALIVE: 1,
     zmq.TCP_KEEPALIVE_IDLE: 2,
     zmq.TCP_KEEPALIVE_INTVL: 2,
     zmq.TCP_KEEPALIVE_CNT: 4,
-    # A peer that acknowledges nothing, or has no room, for so long has stopped reading. Longer than
-    # a display waits on a silent connection.
+    # A peer that acknowledges nothing for 5 s, or has no room, has stopped reading. This is longer
+    # than the 2 s after which a display replaces a silent connection.
     zmq.TCP_MAXRT: 5_000,
     zmq.RECONNECT_IVL: RECONNECT_MS,
     # Above the decoders' limit, so that an oversized message is counted, not only cut off.
@@ -41,14 +41,14 @@ _OPTIONS: dict[int, int] = {
 }
 # A publisher receives subscriptions only (protocol/security/budgets.py).
 _FOR_SUBSCRIPTIONS: dict[int, int] = {
-    # Every subscription is reported: otherwise one peer's topics hide behind another's.
+    # Report every subscription, also to a topic that another peer has subscribed to.
     zmq.XPUB_VERBOSE: 1,
-    # While some wait, ZeroMQ reads no more of that connection, and the kernel holds its peer up.
-    # With 1 no peer with a key can connect.
+    # While 2 subscriptions wait to be read, ZeroMQ reads no more of that connection, and TCP stops
+    # its peer from sending. With a limit of 1, CURVE's handshake does not complete.
     zmq.RCVHWM: 2,
-    # ZeroMQ still reads what the kernel holds of a connection that is cut; Linux doubles it.
+    # ZeroMQ reads the kernel's buffer to its end even after a connection is cut. Linux doubles it.
     zmq.RCVBUF: 2_048,
-    # Every letter is stored. A key exchange takes a few hundred bytes.
+    # ZeroMQ stores every byte of a topic. CURVE's handshake needs a few hundred bytes.
     zmq.MAXMSGSIZE: 1_024,
 }
 MAX_PORT = 65_535
@@ -137,7 +137,8 @@ def connect(
 ) -> Socket:
     """Return a socket of `kind` that connects to `address`, now or when it appears.
 
-    With `security` (`ClientKeys`) it talks, encrypted, to their peer alone. Raises AddressError.
+    With `security` (`ClientKeys`) the connection is encrypted, and only the holder of the peer's
+    key can answer. Raises AddressError.
     """
     socket = _socket_for(context, kind, address, security)
     try:
@@ -159,8 +160,9 @@ def unconnected(context: Context, kind: int, security: LinkSecurity | None = Non
 
 
 def reconnect(socket: Socket, old: str | None, new: str, answer_ns: int = 0) -> None:
-    """Connect a socket of `unconnected` to `new` instead of `old` (None at first), or the same.
+    """Connect a socket from `unconnected` to `new`, and disconnect it from `old`, if given.
 
+    Both may be the same address.
     ZeroMQ reconnects by itself, but not after a peer broke the protocol, for example by a message
     above the size limit. A request to connect that is not answered within `answer_ns` is repeated;
     0: as the kernel does.
@@ -183,7 +185,7 @@ def has_message(socket: Socket) -> bool:
     return bool(cast(int, socket.getsockopt(zmq.EVENTS)) & _POLLIN)
 
 
-def receive_all(socket: Socket, most: int = MAX_MESSAGES) -> Iterator[list[bytes]]:
+def receive_multipart(socket: Socket, most: int = MAX_MESSAGES) -> Iterator[list[bytes]]:
     """Yield up to `most` waiting messages without blocking; a message is its list of parts.
 
     Bounded, so that a flood cannot keep a loop from its ticks.
@@ -195,10 +197,10 @@ def receive_all(socket: Socket, most: int = MAX_MESSAGES) -> Iterator[list[bytes
         yield socket.recv_multipart(zmq.NOBLOCK)
 
 
-def receive_each(socket: Socket) -> Iterator[bytes]:
-    """Yield waiting messages of one part; each part of a longer one counts as a message.
+def receive_parts(socket: Socket) -> Iterator[bytes]:
+    """Yield the parts of waiting messages, one after the other.
 
-    The quickest way to a frame: one call for each message.
+    Frames have one part: this is the quickest way to receive them, with one call for each.
     """
     for _ in range(MAX_MESSAGES):
         try:
@@ -226,10 +228,10 @@ def wait_readable(sockets: Sequence[Socket], timeout_ns: int) -> None:
     edge-triggered, and sending uses the edge up too: so each socket is checked first.
     """
     if timeout_ns > 0 and not any(has_message(socket) for socket in sockets):
-        wait_drained(descriptors(sockets), timeout_ns)
+        wait_on_descriptors(descriptors(sockets), timeout_ns)
 
 
-def wait_drained(numbers: Sequence[int], timeout_ns: int) -> None:
+def wait_on_descriptors(numbers: Sequence[int], timeout_ns: int) -> None:
     """Wait as `wait_readable` does, for `descriptors` of sockets that are known to be drained.
 
     All must have been read to their end since the last send: a message that was left waits for

@@ -19,7 +19,7 @@ from sensing_node.feeds import LiveSource, SampleSource
 from sensing_node.sources.recorded import RecordedSource
 from sensing_node.sources.synthetic import PRESETS
 
-# The delay is the paper's pulse's: next to nothing of it is above this.
+# The chain's delay is computed for the paper's pulse, which has next to no energy above 40 Hz.
 DELAY_BAND_HZ, DELAY_STEP_HZ = 40.0, 0.05
 
 
@@ -60,13 +60,13 @@ class ConditioningScene(SensitivityTable):
             )
         return self
 
-    def without_losses(self) -> "ConditioningScene":
+    def ideal_film(self) -> "ConditioningScene":
         """Return the chain of an ideal film: the charge amplifier and the hold-down force alone."""
         return self.model_copy(update={"mains_hz": None, "anti_alias_hz": None, "adc_bits": None})
 
 
 class Conditioned:
-    """A source behind the chain, which starts settled at the source's first sample.
+    """A source with the chain applied; the filters start settled at the source's first sample.
 
     With a charge amplifier the first sample is hold_down, and the mean approaches it within a
     few time constants.
@@ -154,9 +154,10 @@ def limits_of(source: object) -> Limits:
 def pulse_delay_s(sections: NDArray[np.float64], rate_hz: float) -> float:
     """Return the time by which second-order sections H delay the paper's pulse, in s.
 
-    The mean of the phase delay −φ/ω over the pulse's spectrum S, weighted by ω² |S|² |H|: the
-    shift that makes the RMSE between their input and output least, where the phase left over is
-    small. S is one beat of 75 /min; the delay of other pulses differs as it varies over theirs.
+    The mean of the phase delay −φ/ω over the pulse's spectrum S, weighted by ω² |S|² |H|. Shifting
+    the output by this mean minimises its RMSE against the input, as long as the remaining phase
+    is small. S is the spectrum of one beat at 75 /min; pulses with another spectrum are delayed a
+    little differently.
     """
     if not len(sections):
         return 0.0

@@ -191,7 +191,7 @@ class SensingNode:
         self._authenticator.poll(time.monotonic_ns())
         if self._requests.held_for_ns(self._clock()):
             return
-        for number, (*envelope, data) in enumerate(sockets.receive_all(self._control)):
+        for number, (*envelope, data) in enumerate(sockets.receive_multipart(self._control)):
             self._answer(tuple(envelope), data)
             now_ns = self._clock()
             if not self._requests.spend(now_ns):

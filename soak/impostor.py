@@ -44,7 +44,7 @@ def main(arguments: list[str]) -> None:
     data = sockets.bind(context, zmq.PUB, address)
     first, due_ns = 0, time.monotonic_ns()
     while os.getppid() == parent:
-        for *envelope, message in sockets.receive_all(control):
+        for *envelope, message in sockets.receive_multipart(control):
             now_ns = time.monotonic_ns()
             reply = server.answer(tuple(envelope), message, now_ns, first)
             if reply is not None:

@@ -54,9 +54,9 @@ def follow(address: str, skew_ppm: str, origin_ns: str, seconds: str) -> None:
     began_ns: int | None = None
     next_ns = time.monotonic_ns()
     while began_ns is None or next_ns < began_ns + float(seconds) * 1e9:
-        for parts in sockets.receive_all(control):
+        for parts in sockets.receive_multipart(control):
             receiver.on_control(b"".join(parts), time.monotonic_ns())
-        for parts in sockets.receive_all(data):
+        for parts in sockets.receive_multipart(data):
             receiver.on_frame(b"".join(parts), time.monotonic_ns())
         for request in receiver.requests(time.monotonic_ns()):
             sockets.send(control, encode_control(request))

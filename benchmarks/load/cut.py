@@ -41,9 +41,9 @@ def main() -> None:
         rows = []
         for cut_s in CUTS_S:
             display.live(SETTLED_S)
-            link.change(parse_link(CUT), number=0)
+            link.change(parse_link(CUT), link_index=0)
             display.live(cut_s)
-            link.change(parse_link(LINK), number=0)
+            link.change(parse_link(LINK), link_index=0)
             rows.append((f"{cut_s:g}", f"{display.await_frame():.2f}"))
     show("A relay's link, cut", ("for s", "frames again after s"), rows)
 
@@ -62,7 +62,7 @@ class Display:
         while time.monotonic() < end_s:
             self._ask()
             time.sleep(ASK_EVERY_S)
-            for _ in sockets.receive_each(self._data):
+            for _ in sockets.receive_parts(self._data):
                 pass
 
     def await_frame(self) -> float:
@@ -80,6 +80,6 @@ class Display:
         self._control.close(0)
 
     def _ask(self) -> None:
-        for _ in sockets.receive_each(self._control):
+        for _ in sockets.receive_parts(self._control):
             pass
         sockets.send(self._control, encode_control(ClockRequest(time.monotonic_ns())))

@@ -113,7 +113,7 @@ class ManyDisplays:
         while (now_ns := time.monotonic_ns()) < end_ns:
             self._ask(now_ns)
             self._hear()
-            sockets.wait_drained(descriptors, SLOT_NS)
+            sockets.wait_on_descriptors(descriptors, SLOT_NS)
 
     def _hear(self) -> None:
         frames, receive = self._frames, self._data.recv
@@ -146,7 +146,7 @@ class ManyDisplays:
         self._slot = slot
 
     def _drain(self, control: sockets.Socket) -> None:
-        for _ in sockets.receive_each(control):
+        for _ in sockets.receive_parts(control):
             pass
 
 

@@ -21,7 +21,7 @@ def subscribe(wire: Wire) -> Iterator[Arrival]:
     data.subscribe(b"")
     descriptors = sockets.descriptors((data,))
     while True:
-        for message in sockets.receive_each(data):
+        for message in sockets.receive_parts(data):
             frame = decode_frame(message)
             yield Arrival(frame.first_sample, frame.t_first_ns, time.monotonic_ns())
-        sockets.wait_drained(descriptors, ours.WAIT_NS)
+        sockets.wait_on_descriptors(descriptors, ours.WAIT_NS)

@@ -34,7 +34,7 @@ def publish(wire: Wire, numbers: Iterable[int]) -> None:
     desk = ControlServer(DESCRIPTION, SESSION)
     values = np.full((1, 1), VALUE, np.float32)
     for sequence in numbers:
-        for *sender, message in sockets.receive_all(control):
+        for *sender, message in sockets.receive_multipart(control):
             reply = desk.answer(tuple(sender), message, time.monotonic_ns(), sequence)
             if reply is not None:
                 sockets.send(control, *sender, encode_control(reply))
@@ -64,11 +64,11 @@ def subscribe(wire: Wire) -> Iterator[Arrival]:
     buffer = StampedBuffer(channel=0)
     descriptors = sockets.descriptors((control, data))
     while True:
-        for message in sockets.receive_each(data):
+        for message in sockets.receive_parts(data):
             frame = receiver.on_frame(message, time.monotonic_ns())
             if frame is not None:
                 yield Arrival(frame.first_sample, frame.t_first_ns, buffer.put_ns)
-        for message in sockets.receive_each(control):
+        for message in sockets.receive_parts(control):
             receiver.on_control(message, time.monotonic_ns())
         if receiver.accepts_frames and receiver.buffer is not buffer:
             receiver.buffer = buffer
@@ -77,7 +77,7 @@ def subscribe(wire: Wire) -> Iterator[Arrival]:
         for request in requests:
             sockets.send(control, encode_control(request))
         if not requests:
-            sockets.wait_drained(descriptors, WAIT_NS)
+            sockets.wait_on_descriptors(descriptors, WAIT_NS)
 
 
 def data_address(wire: Wire) -> str:

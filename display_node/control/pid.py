@@ -56,7 +56,7 @@ class Pid:
     def step(
         self,
         error: float,
-        error_per_output: float = 0.0,
+        error_drop_per_output: float = 0.0,
         feed_forward: float = 0.0,
         lower: float = -math.inf,
         upper: float = math.inf,
@@ -68,7 +68,7 @@ class Pid:
         error
             Error at the tick's end if the output is 0. NaN or infinity returns −limit, which
             retracts the tip.
-        error_per_output
+        error_drop_per_output
             Decrease of that error per unit of output; 0, if unknown, makes the law explicit.
         feed_forward
             Feed-forward, added to the output before the bounds.
@@ -77,12 +77,14 @@ class Pid:
         """
         if not math.isfinite(error):
             return -self._limit
-        unfed = error - error_per_output * feed_forward
-        if -self._dead_band <= unfed <= self._dead_band:
-            error, unfed = error_per_output * feed_forward, 0.0
+        fed_error = error - error_drop_per_output * feed_forward
+        if -self._dead_band <= fed_error <= self._dead_band:
+            error, fed_error = error_drop_per_output * feed_forward, 0.0
         last = error if self._last_error is None else self._last_error
         past = self._integral + self._keep * self._derivative - self._kd_tick * last
-        wanted = feed_forward + (self._gain * unfed + past) / (1 + error_per_output * self._gain)
+        wanted = feed_forward + (self._gain * fed_error + past) / (
+            1 + error_drop_per_output * self._gain
+        )
         limit = self._limit
         highest = limit if limit < upper else upper
         lowest = -limit if -limit > lower else lower
@@ -91,7 +93,7 @@ class Pid:
         else:
             output = highest if wanted > highest else lowest
             free = (error > 0) != (wanted > output)
-        remaining = error - error_per_output * output
+        remaining = error - error_drop_per_output * output
         if free:
             self._integral += self._ki_tick * remaining
         if self._kd_tick:

@@ -64,7 +64,7 @@ def run_ticks(
         now_ns = time.monotonic_ns()
         tick = pacer.begin(now_ns)
         if tick is None:
-            sockets.wait_drained(descriptors, pacer.due_ns - now_ns)
+            sockets.wait_on_descriptors(descriptors, pacer.due_ns - now_ns)
             continue
         ticks.late_us.add(tick.late_ns * 1e-3)
         work(tick.due_ns, tick.elapsed_ticks)
@@ -136,7 +136,7 @@ def measure(
 
 @dataclass(frozen=True, slots=True)
 class HostVerdict:
-    """status: ok, look or fail; reason: a line; advice: lines, the most effective first."""
+    """status: ok, warn or fail; reason: a line; advice: lines, the most effective first."""
 
     status: str
     reason: str
@@ -149,7 +149,7 @@ def judge(host: Host, findings: HostFindings) -> HostVerdict:
     best = findings.ticks.get((TOGETHER, LOADED), bare)
     share = best.missed / best.due if best.due else 1.0
     latest_ms = (best.late_us.maximum or 0.0) * 1e-3
-    status = "ok" if share <= OK_MISSED else "look" if share <= ALARM_SHARE else "fail"
+    status = "ok" if share <= OK_MISSED else "warn" if share <= ALARM_SHARE else "fail"
     how = f"with --realtime {findings.option}" if best is not bare else "with no measure"
     reason = f"beside a load, {how}, {best.missed} of {best.due} ticks were missed"
     if best is not bare:

@@ -1,8 +1,8 @@
-"""The display's sockets to its sensing node: look-up, connection, reconnection.
+"""The display's connection to its sensing node: discovery, host names, sockets, reconnection.
 
-ZeroMQ resolves names in the thread that moves all its messages, and a slow name server blocks that
-thread for seconds. So a short-lived thread here resolves each name, and ZeroMQ is given numeric
-addresses.
+ZeroMQ would look host names up in the thread that moves all its messages, and a slow name server
+delays that thread by seconds. So each look-up runs in a thread of its own (decision 6), and ZeroMQ
+receives IP addresses only.
 """
 
 import itertools
@@ -27,7 +27,7 @@ from protocol.summary_tables import Reconnections
 
 logger = logging.getLogger(__name__)
 
-# Wait after the first matching node, in case a second one matches too.
+# Time for further matches after the first one: several are refused as ambiguous.
 GATHER_S = 2.0
 # A search that takes longer is logged once.
 LOG_AFTER_S = 5.0
@@ -55,7 +55,7 @@ def discovered(name: str | None, peer: Path | None, seconds: float | None) -> li
     KeyFileError
         The file is no key file.
     """
-    # Imported here because it needs zeroconf, an optional library.
+    # Imported here: only this function needs the zeroconf library.
     from protocol.discovery.browser import Browser
 
     known = None if peer is None else fingerprint(read_public(peer).key)
@@ -87,16 +87,16 @@ def discovered(name: str | None, peer: Path | None, seconds: float | None) -> li
 
 def _others(found: list[Announcement]) -> str:
     if not found:
-        return "no sensing node has announced itself (there: sensing-node --announce)"
+        return "no sensing node has announced itself: start it with --announce"
     names = ", ".join(repr(one.name) for one in found)
-    return f"only others have announced themselves, of another name or key than wanted: {names}"
+    return f"no announced sensing node has the requested name and key; announced are: {names}"
 
 
 LOOK_UP_AGAIN_S = 2.0
 
 
 class Lookup:
-    """The look-up of an address's name in a thread beside the loop."""
+    """Look-up of the IP address of an address's host name, in a thread beside the loop."""
 
     def __init__(self, address: str) -> None:
         self._address = address
@@ -111,17 +111,17 @@ class Lookup:
         return self._thread is not None and self._thread.is_alive()
 
     def start(self) -> None:
-        """Start a look-up; its result is available when `running` becomes False."""
-        # A daemon thread, so that a silent name server does not delay the program's end.
+        """Start a look-up; `take` returns its result once `running` is False."""
+        # A daemon: a name server that does not answer must not hold up the program's end.
         self._thread = threading.Thread(target=self._run, daemon=True)
         try:
             self._thread.start()
         except RuntimeError:
-            # The loop continues without the thread, and tries again.
+            # The system refuses another thread: the loop continues and tries again.
             self._warn(f"{self._address} cannot be looked up: no thread can be started; trying on")
 
     def take(self) -> str | None:
-        """Return the numeric address that a look-up has found, once; None without a new one."""
+        """Return the address with an IP address as its host, once for each successful look-up."""
         found, self._found = self._found, None
         return found
 
@@ -136,11 +136,11 @@ class Lookup:
             self._warn(f"{host} is not found: {error.strerror}; trying on")
             time.sleep(LOOK_UP_AGAIN_S)
             return
-        # A name may have several addresses, not all reachable; they are used in turn.
-        numbers = sorted({(family != socket.AF_INET, name[0]) for family, *_, name in found})
-        is_ipv6, number = numbers[self._lookups % len(numbers)]
+        # A name may have several IP addresses, not all of them reachable: they are tried in turn.
+        ips = sorted({(family != socket.AF_INET, name[0]) for family, *_, name in found})
+        is_ipv6, ip = ips[self._lookups % len(ips)]
         self._lookups += 1
-        self._found = f"tcp://[{number}]:{port}" if is_ipv6 else f"tcp://{number}:{port}"
+        self._found = f"tcp://[{ip}]:{port}" if is_ipv6 else f"tcp://{ip}:{port}"
 
     def _warn(self, text: str) -> None:
         if text != self._logged:
@@ -154,7 +154,7 @@ class Route:
     Attributes
     ----------
     lookup
-        Look-up of the address's name.
+        Look-up of the address's host name.
     won
         Number of frames whose first copy came over this address.
     """
@@ -174,27 +174,28 @@ class Route:
             yield from path.messages()
 
     def poll(self, now_ns: int) -> None:
-        """Look the address up while it is silent, and connect to the address that is found."""
+        """Look the host name up while a path needs it, and connect to the IP address found."""
         found = None if self.lookup.running else self.lookup.take()
         wanted = [path.poll(now_ns, found) for path in self.paths]
         if any(wanted) and found is None and not self.lookup.running:
             self.lookup.start()
 
 
-# A request to connect is repeated after this many round trips, at least `ANSWER_NS`; the kernel
-# would repeat it only after 1 s.
+# Round trips to wait for the answer to a connection request, at least `ANSWER_NS`, before it is
+# repeated: the kernel would repeat it only after 1 s.
 ANSWER_ROUND_TRIPS = 3
-# After a silence of all lines for this time, control is connected anew as well.
+# When all endpoints together are silent for this time, data and control are connected anew.
 CUT_NS = 500_000_000
-# After a stall of this process for this time, the first messages may be old ones from a queue.
+# After a pause of this process of at least this time, the first messages may only have queued.
 STOOD_STILL_NS = 250_000_000
 
 
 class Connection:
     """Control and data sockets of one stream, over one address or several.
 
-    A path is a data socket with its own TCP connection; the paths are divided among the addresses.
-    Control uses one address at a time, and moves to the next when nothing is received.
+    A path is a data connection, with a second socket in reserve; paths are distributed over the
+    addresses. Control uses one address at a time, and moves to the next when nothing is received.
+    An endpoint is one socket, of control or of a path.
 
     Parameters
     ----------
@@ -224,7 +225,7 @@ class Connection:
             for number, address in enumerate(addresses)
         ]
         self._turns = itertools.cycle(self.routes)
-        # Frame time and answer time of the last `subscribe`.
+        # Time of a frame, and time allowed for the answer to a connection request.
         self._times_ns: tuple[int, int] | None = None
         self._received_ns: int | None = None
         self._polled_ns: int | None = None
@@ -232,18 +233,21 @@ class Connection:
         self._controls = 0
         self.control = Endpoint(sockets.unconnected(context, zmq.DEALER, keys))
         self._paths = [path for route in self.routes for path in route.paths]
-        self._lines = [self.control, *(line for path in self._paths for line in path.lines)]
-        self.descriptors = sockets.descriptors([line.socket for line in self._lines])
+        self._endpoints = [
+            self.control,
+            *(endpoint for path in self._paths for endpoint in path.endpoints),
+        ]
+        self.descriptors = sockets.descriptors([endpoint.socket for endpoint in self._endpoints])
         self._handshakes = HandshakeMonitor(context, keys)
-        for line in self._lines:
-            self._handshakes.watch(line.socket)
+        for endpoint in self._endpoints:
+            self._handshakes.watch(endpoint.socket)
         self.rejected = self._handshakes.rejected
-        # Names of lines whose flood has been logged; each is logged once.
+        # Names of the endpoints whose flood was reported.
         self._flooded: set[str] = set()
 
     @property
     def reconnections(self) -> Reconnections:
-        """Counts of connections opened beside, or in place of, silent ones."""
+        """Counts of connections opened beside silent ones, or in place of them."""
         opened = sum(path.failover.opened for path in self._paths)
         kept = sum(path.failover.kept for path in self._paths)
         return Reconnections(opened, kept, self._controls)
@@ -257,23 +261,23 @@ class Connection:
         if times_ns == self._times_ns:
             return
         first, self._times_ns = self._times_ns is None, times_ns
-        for line in self._lines:
-            line.answer_ns = times_ns[1]
+        for endpoint in self._endpoints:
+            endpoint.answer_ns = times_ns[1]
         for path in self._paths:
             path.failover.set_timeouts(*times_ns)
-            for line in path.lines:
-                line.expect(1e9 / frame_ns)
+            for endpoint in path.endpoints:
+                endpoint.expect(1e9 / frame_ns)
             if first:
                 path.subscribe(now_ns)
 
     def poll(self, now_ns: int) -> bool:
-        """Connect silent sockets whose address is known; call each tick.
+        """Reconnect silent endpoints whose address is known; call each tick.
 
-        Returns whether control has a new connection, over which the display must introduce itself.
+        Returns whether control has a new connection, over which the display must send a hello.
         """
         answered, control = self._handshakes.poll(now_ns), self.control
-        for line in self._lines if answered else ():
-            line.take_answer(answered)
+        for endpoint in self._endpoints if answered else ():
+            endpoint.take_answer(answered)
         self._close_floods(now_ns)
         cut = self._cut(now_ns)
         for path in self._paths if cut else ():
@@ -286,13 +290,13 @@ class Connection:
         return introduce or (control.silent(now_ns) and self._move_control(now_ns))
 
     def _close_floods(self, now_ns: int) -> None:
-        """Close for a while each connection that sends more than any stream does."""
+        """Close the endpoints that receive more than any stream sends, for a few seconds."""
         named: list[tuple[DataPath | Endpoint, str]] = [(self.control, "control")]
         named += [(path, route.address) for route in self.routes for path in route.paths]
-        for line, name in named:
-            if not line.flooded(now_ns):
+        for endpoint, name in named:
+            if not endpoint.flooded(now_ns):
                 continue
-            self.rejected["flood"] += max(1, line.close(now_ns + FLOODED_NS))
+            self.rejected["flood"] += max(1, endpoint.close(now_ns + FLOODED_NS))
             if name not in self._flooded:
                 self._flooded.add(name)
                 logger.warning(
@@ -300,10 +304,10 @@ class Connection:
                 )
 
     def _ask_again(self, now_ns: int) -> bool:
-        """Replace a connection whose request was lost, once the other one's is answered.
+        """Connect again where a request went unanswered, once the other socket's is answered.
 
-        If only one of control and data is answered, the other's request was sent while the network
-        was cut, and is not waited for. Return whether control has a new connection.
+        The unanswered request, control's or data's, was lost while the network was cut; the kernel
+        would repeat it late (decision 27). Return whether control has a new connection.
         """
         control = self.control
         for path in self._paths:
@@ -315,19 +319,19 @@ class Connection:
                 continue
             if sockets.control_address(data.address) != control.address:
                 continue
-            # No fast retry: it may have come too early for this network.
+            # A repetition may come too early for a slow network: this request gets unlimited time.
             if waits is control:
                 return self._connect_control(control.address, now_ns, fast_retry=False)
             data.connect(data.address, now_ns, fast_retry=False)
         return False
 
     def _cut(self, now_ns: int) -> bool:
-        """Return whether all lines have been silent for too long; True once in each silence."""
+        """Return True once in each silence of all endpoints that has lasted for too long."""
         stood_still = self._polled_ns is not None and now_ns - self._polled_ns >= STOOD_STILL_NS
         self._polled_ns = now_ns
         for path in self._paths if stood_still else ():
             path.failover.mark_suspect(now_ns)
-        # A sum, because every path must be polled; `any` would stop at the first.
+        # `take_received` resets its count: one call for each path.
         received = sum(path.take_received(now_ns) for path in self._paths)
         if received + self.control.received(now_ns):
             self._received_ns = now_ns

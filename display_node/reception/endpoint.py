@@ -48,7 +48,7 @@ class Endpoint:
 
     def messages(self) -> Iterator[bytes]:
         """Yield the messages that wait."""
-        for message in sockets.receive_each(self.socket):
+        for message in sockets.receive_parts(self.socket):
             self._received += 1
             self._spent += 1 + len(message) // BYTES_PER_TOKEN
             yield message
@@ -111,4 +111,4 @@ class Endpoint:
 
     def drop(self) -> int:
         """Drop queued messages, and let ZeroMQ finish closing; return how many were dropped."""
-        return sum(1 for _ in sockets.receive_each(self.socket))
+        return sum(1 for _ in sockets.receive_parts(self.socket))

@@ -214,8 +214,8 @@ class DataPath:
     """
 
     def __init__(self, context: sockets.Context, keys: ClientKeys | None) -> None:
-        self.lines = [Endpoint(sockets.unconnected(context, zmq.SUB, keys)) for _ in range(2)]
-        self.first, self._second = self.lines
+        self.endpoints = [Endpoint(sockets.unconnected(context, zmq.SUB, keys)) for _ in range(2)]
+        self.first, self._second = self.endpoints
         self.failover = Failover()
         self._subscribed = False
         self._found: str | None = None
@@ -229,14 +229,14 @@ class DataPath:
                 if not self._before or hash(message) not in self._before:
                     yield message
             return
-        for line, own, other in (
+        for endpoint, own, other in (
             (self.first, self._of_first, self._of_second),
             (self._second, self._of_second, self._of_first),
         ):
-            for message in line.messages():
+            for message in endpoint.messages():
                 number = hash(message)
                 if number in other:
-                    self._had.add(line)
+                    self._had.add(endpoint)
                     continue
                 if number in self._before:
                     continue
@@ -248,8 +248,8 @@ class DataPath:
         """Subscribe to everything that is published."""
         self._subscribed = True
         self.failover.start(now_ns)
-        for line in self.lines:
-            line.socket.subscribe(b"")
+        for endpoint in self.endpoints:
+            endpoint.socket.subscribe(b"")
 
     def unsubscribe(self) -> None:
         """Cancel the subscription and expect nothing; the first connection stays."""
@@ -257,8 +257,8 @@ class DataPath:
         self.failover.abandon()
         self._second.disconnect()
         self._forget()
-        for line in self.lines:
-            line.socket.unsubscribe(b"")
+        for endpoint in self.endpoints:
+            endpoint.socket.unsubscribe(b"")
 
     def take_received(self, now_ns: int) -> bool:
         """Return whether any frame has come since the last call; close an unneeded connection."""
@@ -310,14 +310,14 @@ class DataPath:
 
     def flooded(self, now_ns: int) -> bool:
         """Return whether either connection has sent more than is permitted; call each tick."""
-        first, second = self.lines
+        first, second = self.endpoints
         return first.flooded(now_ns) | second.flooded(now_ns)
 
     def close(self, until_ns: int) -> int:
         """Close both connections until a time; return how many messages were dropped."""
         self.failover.abandon()
         self._forget()
-        return sum(line.close(until_ns) for line in self.lines)
+        return sum(endpoint.close(until_ns) for endpoint in self.endpoints)
 
     def _forget(self, before: Iterable[int] = ()) -> None:
         """Forget which connection delivered what; `before` are hashes of messages to drop."""

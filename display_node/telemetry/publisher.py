@@ -9,7 +9,7 @@ from protocol.provenance import PROVENANCE
 from protocol.security.authenticator import Authenticator
 from protocol.security.budgets import SubscriptionBudget
 from protocol.wire.telemetry import (
-    HEARD,
+    CAPTURE,
     STATUS,
     STATUS_TRACES,
     TRACE,
@@ -37,7 +37,7 @@ class Publisher:
     ) -> None:
         self._socket = socket
         self._authenticator = authenticator
-        self._subscriptions = SubscriptionBudget(socket, (TRACE, STATUS, HEARD, PROVENANCE))
+        self._subscriptions = SubscriptionBudget(socket, (TRACE, STATUS, CAPTURE, PROVENANCE))
         self._provenance = provenance
         self.rejected = self._subscriptions.rejected
         self._trace = TraceWriter()
@@ -82,7 +82,7 @@ class Publisher:
         self._serve_readers()
         if self.captured.wanted:
             for message in self.captured.take(time.monotonic_ns(), time.time_ns()):
-                sockets.send(self._socket, HEARD, message)
+                sockets.send(self._socket, CAPTURE, message)
 
     def _serve_readers(self) -> None:
         if self._authenticator is not None:

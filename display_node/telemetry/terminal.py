@@ -309,7 +309,7 @@ def watch(
     try:
         while keep_watching():
             sockets.wait_readable([socket], 1_000_000_000 // FRAMES_PER_S)
-            messages = list(sockets.receive_all(socket))
+            messages = list(sockets.receive_multipart(socket))
             for message in messages:
                 trace = screen.take(message, time.monotonic_ns())
                 if trace is not None and on_trace is not None:

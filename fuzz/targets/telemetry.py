@@ -7,7 +7,7 @@ from fuzz.refusals import refusals
 from fuzz.telemetry_readers import TelemetryReaders, preamble
 from protocol.run_summary import Summary
 from protocol.wire.telemetry import (
-    HEARD,
+    CAPTURE,
     STATUS,
     TRACE,
     TRACE_TICKS,
@@ -49,6 +49,6 @@ def try_one(data: bytes) -> None:
     readers = TelemetryReaders()
     for message in preamble():
         readers.take(*message)
-    for topic in (TRACE, STATUS, HEARD):
+    for topic in (TRACE, STATUS, CAPTURE):
         readers.take(topic, data)
     readers.draw()

@@ -134,7 +134,7 @@ class Authenticator:
             self._refuse(TOO_MANY, address)
         if self._keys is not None:
             self._cut_revoked(now_ns)
-            for envelope, empty, *request in sockets.receive_all(self._zap, MAX_ANSWERS):
+            for envelope, empty, *request in sockets.receive_multipart(self._zap, MAX_ANSWERS):
                 user = self._user_of(self._keys.own.public, request)
                 sockets.send(self._zap, envelope, empty, *encode_zap_reply(request, user))
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import zmq
 
 from protocol.security.keys import ClientKeys
-from protocol.sockets import Context, Socket, receive_all
+from protocol.sockets import Context, Socket, receive_multipart
 
 logger = logging.getLogger(__name__)
 
@@ -55,7 +55,7 @@ class SocketMonitor:
 
         Bounded: a peer that connects as fast as it can would otherwise keep a loop here for good.
         """
-        for head, endpoint in receive_all(self.socket, most):
+        for head, endpoint in receive_multipart(self.socket, most):
             event, value = _EVENT.unpack(head)
             yield event, value, endpoint.decode("utf-8", "replace")
 

@@ -208,7 +208,7 @@ def read_trace(data: bytes) -> Trace:
     return Trace(now_ns, instant_ns, target_n, known_n, flags[0], error_n, flags[1])
 
 
-HEARD = b"heard"
+CAPTURE = b"heard"
 CONTROL = -1
 # Overhead of a message beside its bytes.
 OVERHEAD_BYTES = 64
@@ -217,7 +217,7 @@ MAX_PART_BYTES = 2 * MAX_FRAME_BYTES
 MAX_PART_MESSAGES = MAX_PART_BYTES // OVERHEAD_BYTES + 1
 # Most bytes between two traces; further messages of a flood are only counted.
 MAX_KEPT_BYTES = 64 * MAX_FRAME_BYTES
-SUBSCRIBED, UNSUBSCRIBED = b"\1" + HEARD, b"\0" + HEARD
+SUBSCRIBED, UNSUBSCRIBED = b"\1" + CAPTURE, b"\0" + CAPTURE
 
 
 class CapturedMessage(NamedTuple):

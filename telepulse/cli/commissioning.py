@@ -29,12 +29,12 @@ from telepulse.cli.options import (
 from telepulse.commissioning.calibration import (
     LoadUnit,
     ReadingUnit,
+    calibration_keys,
     fit_line,
+    measure_loads,
     parse_loads,
     read_loads,
     report_calibration,
-    scene_lines,
-    take_loads,
 )
 from telepulse.reports.document import Report, print_tables, write_json
 from telepulse.scene import DEFAULT_SCENE, load_scene
@@ -168,13 +168,13 @@ def calibrate(
     def fit() -> Report:
         if scene is not None:
             path, loads_n = find_scene(scene), parse_loads(loads)
-            name, taken = scene, take_loads(_sensor(path, at), path.parent, loads_n, _ask_for)
+            name, taken = scene, measure_loads(_sensor(path, at), path.parent, loads_n, _ask_for)
         elif table is not None:
             name, taken = table.stem, read_loads(table, load_unit, reading_unit)
         else:
             raise SceneError("what shall be calibrated? Give a file of loads, or --scene")
         line = fit_line(taken.load_n, taken.reading)
-        found.append(scene_lines(taken, line))
+        found.append(calibration_keys(taken, line))
         return report_calibration(name, taken, line)
 
     publish(fit, out, json)

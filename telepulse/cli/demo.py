@@ -240,7 +240,7 @@ class _Scorer:
 
     def add_sent(self) -> None:
         """Add the frames that the sensing node has sent."""
-        for (message,) in sockets.receive_all(self._data):
+        for (message,) in sockets.receive_multipart(self._data):
             true_frame = self._truth.of(decode_frame(message))
             self.tracking_error.add_reference(true_frame, self._channel, self._ratio)
 

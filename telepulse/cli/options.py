@@ -20,7 +20,7 @@ from telepulse.reports.document import (
 )
 
 PROGRAM = "telepulse"
-# Exit status of a recorder or an outlet that lacks something.
+# Exit status of a recorder or an outlet that missed telemetry.
 NOT_WHOLE = 1
 
 SceneArgument = Annotated[
@@ -40,14 +40,14 @@ LinkOption = Annotated[
     str | None,
     typer.Option(
         metavar="'delay=40ms,jitter=10ms,loss=1%'",
-        help="What the link between the nodes does; overrides the scene's [link]. Its keys, such"
-        " as burst_loss, rate, cut.from and transport, are in docs/scenes.md.",
+        help="Impairments of the link between the nodes, in place of the scene's [link]. The keys,"
+        " such as burst_loss, rate, cut.from and transport, are in docs/scenes.md.",
     ),
 ]
-SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the link's chances.")]
+SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the link's random impairments.")]
 SilenceOption = Annotated[
     float | None,
-    typer.Option(min=0.1, metavar="SECONDS", help="End too when nothing came for so long."),
+    typer.Option(min=0.1, metavar="SECONDS", help="End also when nothing has come for this time."),
 ]
 FolderOption = Annotated[Path, typer.Option(metavar="FOLDER", help="Write the report here.")]
 TablesOption = Annotated[
@@ -59,15 +59,15 @@ TablesOption = Annotated[
 def publish(build: Callable[[], Report], out: Path | None, json: Path | None) -> None:
     """Build a report, write its page into `out` and its tables to `json`, and print them.
 
-    Without `out` there is no page, and nothing to draw it is needed. What cannot be written is
-    refused before the work.
+    Without `out` no page is written, and matplotlib is not needed. Paths that cannot be written
+    are refused before the report is computed.
     """
     console = plain_console(json=json)
     with one_line_errors(PROGRAM):
         check_writable(json)
         if out is not None:
             check_can_report(out)
-        # Once, before the work: the start is the command's.
+        # Before the report is computed: the provenance has the time at which the command started.
         provenance = collect()
         report = build()
         if report.provenance is None:

@@ -38,10 +38,15 @@ def view(
     address: AddressArgument,
     port: Annotated[
         int | None,
-        typer.Option(min=1, max=65_535, help="Serve the page here; else 5006, or what is free."),
+        typer.Option(
+            min=1,
+            max=65_535,
+            help="Port of the page; default: 5006, or a free one if that is taken.",
+        ),
     ] = None,
     host: Annotated[
-        str, typer.Option(help="This machine's address to serve on; beyond it: --insecure.")
+        str,
+        typer.Option(help="IP address to serve the page on; one beyond loopback needs --insecure."),
     ] = "127.0.0.1",
     seconds: StopAfterOption = None,
     quiet: QuietOption = False,
@@ -52,11 +57,11 @@ def view(
 ) -> None:
     """Show a display live in a browser: forces, strains, errors, delays, clocks, alarms.
 
-    A process of its own that reads the display's telemetry, as a recorder does; the display's
-    loop does not notice. The first line is the page's address. The display may start later,
-    end and come back.
+    A process of its own reads the display's telemetry, as a recorder does, and does not disturb
+    the display's loop. The first line is the page's address. The display may start later, end
+    and start again.
 
-    With --key alone, the key is the display's own.
+    Give the display's own key as --key; with another key, give --peer as well.
 
     Exit status: 0 when stopped, 2 when it cannot begin; the reason is one line on stderr.
     """
@@ -69,7 +74,7 @@ def view(
         from telepulse.view.server import PageServer
 
         page = PageServer(address, host, port, keys)
-    # Takes a second, in which no page should stand still.
+    # The first import takes a second, during which an open page would not be updated.
     import scipy.signal  # noqa: F401
 
     if hasattr(os, "nice"):
@@ -108,7 +113,7 @@ def lsl(
 
     Three streams: "telepulse wrist", the force of each channel as it came; "telepulse finger",
     target and felt force of each tick; "telepulse events", events as markers. Ends with the
-    display. With --key alone, the key is the display's own.
+    display. Give the display's own key as --key; with another key, give --peer as well.
 
     Exit status: 0, 1 when telemetry was missed, which it prints, 2 when it cannot begin.
     """

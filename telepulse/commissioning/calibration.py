@@ -43,7 +43,7 @@ LEAST_LOADS = 3
 AVERAGE_S = 2.0
 SETTLE_S = 0.5
 TRIES = 3
-# The film under the finger in Table 1.
+# Radius of the film under the finger in Table 1 of the paper (docs/explanation/paper.md).
 RADIUS_M = 9e-3
 
 
@@ -136,10 +136,10 @@ def parse_loads(text: str) -> list[float]:
         raise SceneError(f"--loads: {text!r} must be numbers with commas between them") from None
 
 
-def take_loads(
+def measure_loads(
     scene: SensorScene, folder: Path, loads_n: list[float], ask: Callable[[float], None]
 ) -> LoadReadings:
-    """Average the sensor under each load; `ask` returns once that load is on.
+    """Average the sensor's reading under each load; `ask` returns once that load is on.
 
     Raises SourceError when the sensor is not there, and BenchError when it sends nothing or its
     reading does not settle.
@@ -185,9 +185,9 @@ class CalibrationLine:
 
     slope_error, offset_error: standard errors. residual_n: residual of each reading as a force,
     in the order of the loads; rms_n: their RMS, for the two degrees of freedom of the line.
-    hysteresis_n: largest difference between the means of rising and falling loads.
-    repeatability_n: standard deviation of readings at the same load, reached the same way. Both
-    are None where no load came so.
+    hysteresis_n: largest difference, at one load, between readings reached from below and from
+    above; None if no load was reached from both sides. repeatability_n: standard deviation of
+    readings at the same load, reached from the same side; None if no load was repeated so.
     """
 
     slope: float
@@ -234,7 +234,7 @@ def fit_line(load_n: Array, reading: Array) -> CalibrationLine:
 
 
 def _rising(load_n: Array) -> NDArray[np.bool_]:
-    """Return whether each load was reached from below; a load put on again keeps its way."""
+    """Return for each load whether it was reached from below; a repeated load keeps its side."""
     rising, result = True, []
     for before, after in zip([0.0, *load_n[:-1].tolist()], load_n.tolist(), strict=True):
         if after != before:
@@ -264,8 +264,8 @@ def _repeatability_n(load_n: Array, off_n: Array) -> float | None:
     return float(np.sqrt(np.sum((off_n - means_n[groups]) ** 2) / freedom))
 
 
-def scene_lines(loads: LoadReadings, line: CalibrationLine) -> str:
-    """Return the keys of the line for a live sensor's table.
+def calibration_keys(loads: LoadReadings, line: CalibrationLine) -> str:
+    """Return the calibration as keys for a live sensor's table in a scene.
 
     Raises BenchError for volts that fall under load: a scene's sensitivity is positive.
     """
@@ -288,7 +288,7 @@ def report_calibration(name: str, loads: LoadReadings, line: CalibrationLine) ->
     table = Table(f"loads of {name}", ("load", f"reading, {unit}", "line", "residual"), rows)
 
     def milli(value_n: float | None) -> str:
-        return "no load came twice so" if value_n is None else f"{value_n * 1e3:.2f} mN"
+        return "needs a repeated load" if value_n is None else f"{value_n * 1e3:.2f} mN"
 
     figures = (
         ("slope", f"{line.slope * scale:.5g} ± {line.slope_error * scale:.2g} {unit}/N"),
@@ -302,8 +302,8 @@ def report_calibration(name: str, loads: LoadReadings, line: CalibrationLine) ->
     note = "±: standard errors"
     if loads.unit == "V":
         note += (
-            f"; Fig. 4 has {FIG_4_VOLTS_PER_NEWTON * 1e3:.0f} mV/N, eq 21 gives a 9 mm film"
-            f" {Film(RADIUS_M).volts_per_newton * 1e3:.0f} mV/N without an amplifier"
+            f"; the paper's Fig. 4 has {FIG_4_VOLTS_PER_NEWTON * 1e3:.0f} mV/N, and its eq 21 gives"
+            f" a 9 mm film {Film(RADIUS_M).volts_per_newton * 1e3:.0f} mV/N without an amplifier"
         )
     tables = (table, Table("line", ("", ""), figures, note=note))
 

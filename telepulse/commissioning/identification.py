@@ -2,9 +2,9 @@
 
 The exact response to the recorded command is fitted by scipy's trust-region least squares, with
 the film's zero as a fifth unknown. Starting points come from a grid of resonance, damping and
-latency, on which gain and zero are linear. The intervals are those of the Jacobian, with the
-covariance of autocorrelated residuals (Newey and West, Econometrica 55, 1987): noise behind a
-film's filter is not white.
+latency; at each of its points, gain and zero follow by linear least squares. The intervals are
+those of the Jacobian, with the covariance of autocorrelated residuals (Newey and West,
+Econometrica 55, 1987), since a film's filter makes its noise correlated.
 """
 
 import math
@@ -29,7 +29,8 @@ START_READINGS = 2_000
 STARTS = 3
 MAX_EVALUATIONS = 50
 TINY = 1e-300
-LAGS = 3
+# Lags of the residuals' autocorrelation: this times the cube root of the number of readings.
+LAGS_PER_CUBE_ROOT = 3
 DELAYS_PER_TICK = 20
 # An inertia below this share of the starting point's makes no difference between two ticks.
 LEAST_INERTIA = 1e-3
@@ -158,7 +159,7 @@ class IdentifiedModel:
 
     half_widths: 95 % intervals of `values`, to either side. zero_n: reading of the film without
     force. nrmse: RMS of the residuals over the standard deviation of the force. undetermined:
-    parameters that the record does not determine. delay_s: of slow changes, latency and c/k
+    parameters that the record does not determine. delay_s: delay of slow changes, latency and c/k
     together.
     """
 
@@ -204,7 +205,7 @@ def identify(
     scale, found, jacobian, residual = min(fits, key=lambda fit: float(fit[3] @ fit[3]))
     values: Array = found * scale
     half_widths = DEVIATIONS_95 * (_deviations(jacobian, residual) * scale)[:4]
-    # A resonance above half the tick rate lies between two ticks: any inertia fits it.
+    # With a resonance above half the tick rate, the inertia has no effect at the ticks.
     heavy = values[2] / values[0] < (math.pi / command.tick_s) ** 2
     limits = MAX_HALF_WIDTH * np.array([values[0] * heavy, *values[1:3], 2 * command.tick_s])
     undetermined = tuple(
@@ -295,7 +296,7 @@ def _deviations(jacobian: Array, residual: Array) -> Array:
     n, unknowns = jacobian.shape
     inverse = np.linalg.pinv(jacobian.T @ jacobian)
     score = jacobian * residual[:, None]
-    lags = round(LAGS * n ** (1 / 3))
+    lags = round(LAGS_PER_CUBE_ROOT * n ** (1 / 3))
     middle = score.T @ score
     for lag in range(1, lags + 1):
         pair = score[lag:].T @ score[:-lag]

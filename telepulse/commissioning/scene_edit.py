@@ -34,14 +34,18 @@ def set_keys(text: str, changes: Changes) -> str:
 
 
 def check_editable(path: Path, target: Path | None) -> None:
-    """Check before a press that its results can be set in the scene, and written to `target`.
+    """Check, before the bench check presses the film, that its results can be written.
 
-    Raises SceneError, also where the copy would extend another file than the scene does.
+    They are set in a copy of the scene at `target`. Raises SceneError, also where the scene extends
+    a file by a relative path and `target` is in another folder.
     """
     parent = load_toml(path, "scene file").get(EXTENDS)
     moves = target is not None and target.parent.resolve() != path.parent.resolve()
     if moves and parent and parent not in scene_names() and not Path(parent).is_absolute():
-        raise SceneError(f"{target}: {path} extends a file by its path: write it beside that one")
+        raise SceneError(
+            f"{target}: the copy would not find {parent!r}, which {path} extends by a relative"
+            f" path; write the copy to the folder {path.parent}"
+        )
     latency = {"latency": '"1 ms"'}
     try:
         set_keys(
@@ -75,7 +79,7 @@ def as_toml(changes: Changes) -> str:
 def _not_editable(path: Path) -> SceneError:
     return SceneError(
         f"{path}: [display.actuator] and [display.film] must each be a table of its own:"
-        " otherwise the results of a press can only be set by hand"
+        " otherwise the results of the bench check can only be set by hand"
     )
 
 

@@ -86,10 +86,16 @@ class DriveRun:
         after_s: float | None,
         seconds: float | None,
     ) -> None:
-        """Poll the drive until stopped, or for `seconds`.
+        """Poll the drive until stopped, or for `seconds`, and begin the fault named `fault`.
 
-        The fault begins after_s after the first press of the tip; None: at the start. begin_fault
-        begins one of the drive's line; `injected` is one that nothing reports.
+        Parameters
+        ----------
+        begin_fault
+            Begins a fault of the bus or serial line, by name.
+        injected
+            The fault as `FaultInjector` applies it, if it is one that the drive does not report.
+        after_s
+            Time from the tip's first press to the fault; None: the fault begins at the start.
         """
         stopped = threading.Event()
         stop_on_signals(stopped.set)

@@ -126,7 +126,7 @@ def draw_interval(
         scene=replace(scene, sensing=scene.sensing.model_copy(update={"source": source})),
         on_link=on_link,
         link_seed=random.getrandbits(31),
-        foreperiod_ns=session.joined_ns + session.settle_ns + random.randrange(FOREPERIOD_NS),
+        foreperiod_ns=session.joining_ns + session.settle_ns + random.randrange(FOREPERIOD_NS),
         felt_ns=scene.display.safety.ramp_ns + session.interval_ns,
     )
 

@@ -42,9 +42,10 @@ class Condition(Section):
 class SessionTable(Section):
     """One subject's session.
 
-    trials: number for each condition. catch: further trials without a link. interval: time at
-    full strength; settle: time of playing before, unfelt. replays: limit of playings for each
-    letter of a trial. seed: without one, each run draws its own.
+    trials: number for each condition. catch: number of further trials without a link. interval:
+    time at full strength; settle: time that the stream plays before it is felt. replays: how often
+    each letter of a trial may be felt, the first time included. seed: without one, each run draws
+    its own.
     """
 
     scene: str
@@ -67,10 +68,10 @@ class SessionTable(Section):
         return self
 
     @property
-    def joined_ns(self) -> int:
-        """Time from which a display plays the stream over any of the links, in ns.
+    def joining_ns(self) -> int:
+        """Time in ns within which a display has joined the stream over any of the links.
 
-        0.8 s without a link, which adds multiples of its delay and jitter.
+        It is 0.8 s without a link. A link adds 4 times its delay and 6 times its jitter.
         """
         links = [condition.link for condition in self.conditions]
         return 800_000_000 + max(4 * link.delay_ns + 6 * link.jitter_ns for link in links)

@@ -1,6 +1,6 @@
-"""The subjects of a session, and its run: a person at the bench, and a simulated observer.
+"""The subjects of a session, a person at the bench or a simulated observer, and the session's run.
 
-A person has the dialogue of a trial by keys, and feels intervals in real time.
+A person feels intervals in real time and answers by keys.
 """
 
 import os
@@ -64,7 +64,10 @@ class Action(NamedTuple):
 
 
 class Dialogue:
-    """The dialogue of one trial: keys in, actions out. Pure, and blind: it has no trial."""
+    """The dialogue of one trial: keys in, actions out. Pure.
+
+    It has no access to the trial, so nothing it prints can depend on what A, B and X are.
+    """
 
     def __init__(self, kind: Kind, replays: int | None) -> None:
         self._kind = kind
@@ -121,11 +124,12 @@ class Keyboard:
 
     def __exit__(self, *_: object) -> None:
         if self._is_terminal:
-            # At once: a terminal that is stopped (Ctrl-S) never takes its output.
+            # TCSANOW: the other modes wait for pending output, for ever on a terminal that is
+            # stopped by Ctrl-S.
             self._termios.tcsetattr(self._descriptor, self._termios.TCSANOW, self._before)
 
     def key(self, wait_s: float = 0.0) -> str | None:
-        """Return the next key in lower case; None where none comes in time, q at the end."""
+        """Return the next key in lower case; None if none comes in time; q at the input's end."""
         if not self._typed:
             self._read(wait_s)
         return self._typed.popleft() if self._typed else None

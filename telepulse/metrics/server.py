@@ -233,7 +233,7 @@ class MetricsServer(Collector):
         view, age = TerminalView(), StatusAge(local=not sockets.beyond_loopback(address))
         while True:
             sockets.wait_readable([socket], WAIT_NS)
-            for message in sockets.receive_all(socket):
+            for message in sockets.receive_multipart(socket):
                 try:
                     self._take(view, age, *message)
                 except (WireError, TypeError):

@@ -13,7 +13,7 @@ from typing import IO
 from protocol.errors import ProcessError
 from protocol.host.child_process import ChildProcess
 from protocol.run_summary import Summary
-from telepulse.netem.forwarder import DROP, ForwarderCounts, PacketFilter, write_filters
+from telepulse.netem.forwarder import DROP, ForwarderCounts, PacketFilter, filters_to_text
 from telepulse.netem.namespace import EmulatorError, Namespace
 from telepulse.processes import NodeProcess
 from telepulse.simulation.link_model import LinkScene
@@ -32,7 +32,7 @@ ENDS_WITHIN_S = 20.0
 class EmulatedLink:
     """One link or several between two namespaces, which have an address on each.
 
-    began_ns: begin of the links' time, on this machine's monotonic clock. commands: input of the
+    began_ns: start of the links' time, on this machine's monotonic clock. commands: input of the
     forwarder. carried: the counts of all links, once they have ended.
     """
 
@@ -42,14 +42,14 @@ class EmulatedLink:
     commands: IO[str]
     carried: ForwarderCounts | None = None
 
-    def change(self, scene: LinkScene, number: int = 0) -> None:
-        """Change one of the links from now on; packets under way arrive."""
-        self.commands.write(f"{number} {scene.text()}\n")
+    def change(self, scene: LinkScene, link_index: int = 0) -> None:
+        """Change one of the links from now on; packets in transit still arrive."""
+        self.commands.write(f"{link_index} {scene.text()}\n")
         self.commands.flush()
 
-    def drop(self, *filters: PacketFilter, number: int = 0) -> None:
-        """Drop the packets of these filters on one of the links, and no others."""
-        self.commands.write(f"{number} {DROP}{write_filters(filters)}\n")
+    def drop(self, *filters: PacketFilter, link_index: int = 0) -> None:
+        """Drop the packets that match these filters on a link, in place of earlier filters."""
+        self.commands.write(f"{link_index} {DROP}{filters_to_text(filters)}\n")
         self.commands.flush()
 
 

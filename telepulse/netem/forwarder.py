@@ -1,9 +1,9 @@
 """The forwarder of an emulated link: writes each packet at the time given by its link's model.
 
-It runs as a process of its own, so that no garbage collector delays packets. It prints the begin
-of the links, and its counts once its standard input is closed, as by the end of its parent. A
-line on standard input is the number of a link with its new impairments, or with "drop" and its
-new packet filters.
+It runs as a process of its own, so that the parent's garbage collector delays no packet. It prints
+the start time of the links. When its standard input closes, also because its parent ended, it
+prints its counts and ends. A line on standard input is the index of a link with its new
+impairments, or with "drop" and its new packet filters.
 """
 
 import heapq
@@ -38,8 +38,9 @@ DROP = "drop "
 class PacketFilter:
     """A rule that drops TCP packets of one link by their header, as a firewall would.
 
-    port: the sensing node's; None: any. towards: the node that does not receive them; None: both.
-    syn_only: drop connection requests and their answers only; established connections continue.
+    port: the sensing node's; None: any. towards: packets to this node are dropped; None: packets
+    to both. syn_only: drop connection requests and their answers only; established connections
+    continue.
     """
 
     port: int | None = None
@@ -59,13 +60,13 @@ class PacketFilter:
         return not self.syn_only or bool(packet[header + 13] & SYN)
 
 
-def write_filters(filters: Iterable[PacketFilter]) -> str:
-    """Return filters as one line of text."""
+def filters_to_text(filters: Iterable[PacketFilter]) -> str:
+    """Return filters as one line of text, for `filters_from_text`."""
     return json.dumps([asdict(one) for one in filters])
 
 
-def read_filters(text: str) -> tuple[PacketFilter, ...]:
-    """Return the filters in a line that `write_filters` wrote."""
+def filters_from_text(text: str) -> tuple[PacketFilter, ...]:
+    """Return the filters of a line from `filters_to_text`."""
     return tuple(PacketFilter(**fields) for fields in json.loads(text))
 
 
@@ -130,12 +131,12 @@ class Forwarder:
         if not text.startswith(DROP):
             self._change(int(number), text)
             return
-        filters = read_filters(text.removeprefix(DROP))
+        filters = filters_from_text(text.removeprefix(DROP))
         for tun, towards in zip(self._pairs[int(number)], ("display", "sensing"), strict=True):
             self._filters[tun] = towards, filters
 
     def _change(self, number: int, text: str) -> None:
-        """Change a link from now on; packets under way arrive."""
+        """Change a link from now on; packets in transit still arrive."""
         link, seed, (near, far) = parse_link(text), self._seed + 2 * number, self._pairs[number]
         for tun, other, offset in ((near, far, 0), (far, near, 1)):
             if tun in self._paths:

@@ -75,7 +75,7 @@ class LinkProxy:
             (self._control_in, self._control_out, self._down.control_arrival_ns),
             (self._control_out, self._control_in, self._up.control_arrival_ns),
         ):
-            for parts in sockets.receive_all(from_):
+            for parts in sockets.receive_multipart(from_):
                 due_ns = arrival_ns(time.monotonic_ns(), sum(map(len, parts)))
                 if due_ns is not None:
                     heapq.heappush(self._waiting, (due_ns, next(self._order), onto, parts))

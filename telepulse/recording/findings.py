@@ -20,7 +20,7 @@ from telepulse.telemetry.decoder import Entry, PassiveReceiver
 from telepulse.telemetry.schema import EVENT, STATUS, STREAM, TICK
 
 MAX_EVENTS = 500
-# Values of a trend are added by so many.
+# Values are added to a trend in batches of this size.
 BATCH = 1_000
 VALUES = (
     *("one_way_ms", "playout_ms", "offset_ms", "uncertainty_ms", "skew_ppm", "round_trip_ms"),
@@ -37,12 +37,12 @@ class RunFindings:
     ----------
     gaps, provenance
         As of `RecordingReader`.
-    own : Summary or None
-        The display's own summary of its last status.
-    own_final : bool
-        Whether that was its final status.
+    display_summary : Summary or None
+        The summary in the display's last recorded status.
+    is_final_summary : bool
+        Whether that status was the display's final one.
     trends : dict of Trend
-        Over the time of the recording, in the units of their names.
+        Values over the time of the recording, in the units of their names.
     forces : ForceHistory
         Forces at wrist and finger.
     events : list
@@ -55,8 +55,8 @@ class RunFindings:
         self.begin_ns: int | None = None
         self.end_ns = self.ticks = self.runs = self.more_events = 0
         self.streams: list[str] = []
-        self.own: Summary | None = None
-        self.own_final = False
+        self.display_summary: Summary | None = None
+        self.is_final_summary = False
         self.trends = {name: Trend() for name in VALUES}
         self.trends |= {name: Trend(COUNT_WIDTH_S) for name in COUNTS}
         self.forces = ForceHistory()
@@ -89,7 +89,7 @@ class RunFindings:
             counts = (self._scored, self._misses, self._played)
             felt, missed, played = (count / ticks for count in counts)
             seconds = ticks * self._tick_ns * 1e-9
-            # The other shares need the display's own count.
+            # The other shares are not in a recording: only the display counts them.
             availability = Availability(seconds, felt, missed=missed, played=played)
         summary = replace(
             self._receiver.summary(self._last_now_ns or 0),
@@ -178,7 +178,11 @@ class RunFindings:
             self._stale_after_ns = int(playing["stale_after_ns"])
             channel, ratio = int(playing["channel"]), float(playing["force_ratio"])
             self.forces.alignment.set_playback(channel, ratio)
-        last, self.own, self.own_final = self.own or Summary(), new, fields["final"]
+        last, self.display_summary, self.is_final_summary = (
+            self.display_summary or Summary(),
+            new,
+            fields["final"],
+        )
         for name, now, before in (
             ("late", new.samples.late, last.samples.late),
             ("lost", new.samples.lost, last.samples.lost),

@@ -79,7 +79,7 @@ def _paragraphs(findings: RunFindings) -> Iterable[str]:
         yield f"The recording: {line}."
     if findings.runs > 1:
         yield f"The display was started {findings.runs} times; its own figures are of the last run."
-    own_ticks = None if findings.own is None else findings.own.loop.ticks
+    own_ticks = None if findings.display_summary is None else findings.display_summary.loop.ticks
     if findings.runs == 1 and own_ticks is not None and own_ticks > findings.ticks:
         yield (
             f"The display's own figures count {count_text(own_ticks - findings.ticks, 'tick')} more"
@@ -90,14 +90,16 @@ def _paragraphs(findings: RunFindings) -> Iterable[str]:
 def _summary(findings: RunFindings) -> Table:
     recorded, own = (
         REGISTRY.cells(summary.to_dict(), Surface.REPORT)
-        for summary in (findings.summary(), findings.own or Summary())
+        for summary in (findings.summary(), findings.display_summary or Summary())
     )
     rows = [(name, recorded[name] or NONE, own[name] or NONE) for name in recorded]
     for place, name in enumerate(("wrist", "finger")):
         rates = [rate for _, *both in findings.forces.heart if (rate := both[place]) is not None]
         shown = f"{median(rates):.1f} /min" if rates else NONE
         rows.append((f"heart rate at the {name}, median", shown, NONE))
-    last = "its final status" if findings.own_final else "its last status, since it never ended"
+    last = (
+        "its final status" if findings.is_final_summary else "its last status, since it never ended"
+    )
     return Table(
         "the run",
         ("", "from the recording", "the display's own"),

@@ -51,7 +51,7 @@ class ReferenceForce:
         if isinstance(source, SyntheticScene):
             source = source.model_copy(update={"hum_n": 0.0})
         if conditioning is not None:
-            conditioning = conditioning.without_losses()
+            conditioning = conditioning.ideal_film()
         true_scene = scene.model_copy(update={"source": source, "conditioning": conditioning})
         self._source = None if true_scene == scene else build_source(true_scene, folder)
         self._taken = 0

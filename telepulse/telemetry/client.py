@@ -12,7 +12,7 @@ from protocol import sockets
 from protocol.provenance import PROVENANCE
 from protocol.security.keys import ClientKeys
 from protocol.security.socket_monitor import HandshakeMonitor
-from protocol.wire.telemetry import HEARD, STATUS, TRACE
+from protocol.wire.telemetry import CAPTURE, STATUS, TRACE
 from telepulse.telemetry.decoder import Entry, TelemetryDecoder
 
 logger = logging.getLogger(__name__)
@@ -49,12 +49,12 @@ class TelemetryClient:
 
     def subscribe(self) -> None:
         """Subscribe to all topics; a display that waits for its recorder begins then."""
-        for topic in (PROVENANCE, TRACE, STATUS, HEARD):
+        for topic in (PROVENANCE, TRACE, STATUS, CAPTURE):
             self._socket.subscribe(topic)
 
     def messages(self) -> Iterator[list[Entry]]:
         """Yield the entries of each waiting message; an empty list for one without any."""
-        for message in sockets.receive_all(self._socket):
+        for message in sockets.receive_multipart(self._socket):
             self._reconnect_ns = None
             yield self.decoder.decode(*message) if len(message) == 2 else []
 
@@ -83,12 +83,12 @@ class TelemetryClient:
         name : str
             Names the reader in the warning that it ended for silence.
         seconds : float or None
-            Longest time.
+            Time after which to end.
         silence_s : float or None
-            Time without a message that ends it.
+            Time without a message after which to end.
         display_pid : int or None
-            The display's process, where that started this one. Until its first message, which
-            comes when its drive has found home, silence counts only once the display has ended.
+            Process of the display, if it started this process. Its first message comes only after
+            its drive has homed: before that, silence counts only once the display has ended.
         """
         begin_ns = received_ns = time.monotonic_ns()
         longest_ns, silent_ns = (

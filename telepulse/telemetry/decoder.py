@@ -34,10 +34,10 @@ class Entry(NamedTuple):
 
 
 class TelemetryDecoder:
-    """Decoder that follows one display, from run to run.
+    """Decoder of the telemetry of one display, over any number of its runs.
 
-    missed: messages of each kind that the display published and that did not arrive. ended: the
-    display has sent its last status. provenance: of the display's run; None until it arrived.
+    missed: counts, by kind, of messages that the display published and that did not arrive. ended:
+    the display has sent its last status. provenance: of the display's run; None before it arrives.
     """
 
     def __init__(self) -> None:
@@ -57,14 +57,15 @@ class TelemetryDecoder:
         return self._run is not None
 
     def decode(self, topic: bytes, data: bytes) -> list[Entry]:
-        """Return the entries of a telemetry message; traces and statuses count from a run's begin.
+        """Return the entries of a telemetry message.
 
-        A message that cannot be read is counted in `missed`.
+        Traces and statuses are ignored until the first captured messages have announced a run. A
+        message that cannot be read is counted in `missed`.
         """
         try:
             if topic == PROVENANCE:
                 self.provenance = read_provenance(data)
-            if topic == telemetry.HEARD:
+            if topic == telemetry.CAPTURE:
                 return list(self._captured(telemetry.read_capture(data)))
             if topic == telemetry.TRACE:
                 self._arrived["traces"] += 1

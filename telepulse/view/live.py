@@ -17,12 +17,15 @@ from telepulse.telemetry.schema import EVENT, FRAME, STATUS, STREAM, TICK
 
 Times = NDArray[np.int64]
 Floats = NDArray[np.float64]
-# A gap in a thinned curve is one where so many of its buckets would be empty.
+# A thinned curve is interrupted where at least this many consecutive buckets would be empty.
 EMPTY_BUCKETS = 3
 
 
 class TableSlice(NamedTuple):
-    """Rows in order of time; first: number of rows before them; values: shape (rows, columns)."""
+    """Rows in order of time; first: number of earlier rows, dropped ones included.
+
+    values: shape (rows, columns).
+    """
 
     first: int
     t_ns: Times
@@ -113,10 +116,10 @@ def thin(first: int, t_ns: Times, values: Floats, points: int, gap_ns: int) -> t
 
 
 MS = 1_000_000
-# Rows: a minute and two at 1 kHz.
+# Rows of the tables of ticks and samples, 65 s at 1 kHz, and of the table of statuses.
 FAST_ROWS, SLOW_ROWS = 1 << 16, 1 << 11
 EVENTS = 12
-# Losses are of so many statuses, one second.
+# Shares of lost and late samples are taken over this many statuses: one second.
 LOSS_STATUSES = 5
 
 
@@ -133,8 +136,12 @@ class LiveState:
     wrist, delays : RollingTable
         Force in N of samples; one-way delay in ms of frames.
     statuses : RollingTable
-        Clock offset and its uncertainty in ms, skew in ppm, samples lost and late in %, and so far:
-        deadline misses, refused messages, seconds at any limit.
+        Clock offset and its uncertainty in ms, skew in ppm, samples lost and late in %; then,
+        since the run's start: deadline misses, refused messages, seconds at any limit.
+    stream_ended, display_ended : bool
+        The sensing node has ended the stream; the display has sent its final status.
+    stepped_ns, telemetry_missed_ns : float
+        Unix time of the last clock step, and of the last telemetry that was missed; −∞ before any.
     """
 
     def __init__(self) -> None:
@@ -154,10 +161,10 @@ class LiveState:
         self.playing: Fields = {}
         self._session: int | None = None
         self.now_ns = self.frame_ns = 0
-        self.stepped_ns = self.missed_ns = -math.inf
+        self.stepped_ns = self.telemetry_missed_ns = -math.inf
         self.state, self.stream = "", ""
         self.summary: Fields = {}
-        self.over = self.final = False
+        self.stream_ended = self.display_ended = False
 
     def take(self, entry: Entry) -> None:
         """Process a message of the display, or an event."""
@@ -180,7 +187,7 @@ class LiveState:
         fields, offset_ns = entry.fields, self._offset_ns
         if fields["session"] != self._session:
             return
-        self.frame_ns, self.over = entry.t_ns, False
+        self.frame_ns, self.stream_ended = entry.t_ns, False
         if offset_ns is None or not self.playing:
             return
         values = fields["force_n"][self.playing["channel"] :: fields["channels"]]
@@ -201,7 +208,7 @@ class LiveState:
     def _status(self, entry: Entry) -> None:
         fields = entry.fields
         self.state, self.stream = fields["state"], fields["stream"]
-        self.final, self.summary = fields["final"], fields["summary"]
+        self.display_ended, self.summary = fields["final"], fields["summary"]
         clock = self.summary["clock"]
         if "offset_ms" in clock:
             self._offset_ns = round(clock["offset_ms"] * MS)
@@ -228,7 +235,7 @@ class LiveState:
 
     def _stream(self, entry: Entry) -> None:
         fields = entry.fields
-        self._session, self.over = fields["session"], False
+        self._session, self.stream_ended = fields["session"], False
         self._group_delay_ns = fields["group_delay_ns"]
 
     def _event(self, entry: Entry) -> None:
@@ -236,11 +243,11 @@ class LiveState:
         if name == "begin":
             self._begin()
         elif name == "end of stream":
-            self.over = True
+            self.stream_ended = True
         elif name == "clock step":
             self.stepped_ns = entry.t_ns
         elif name == "missed":
-            self.missed_ns = entry.t_ns
+            self.telemetry_missed_ns = entry.t_ns
         # The texts are those of recordings.
         text = entry.fields["message"]
         text = text.replace("the recorder", "this page").replace("the recording", "this page")

@@ -26,7 +26,7 @@ REDRAW_MS = 200
 WINDOWS_S = (5, 10, 30, 60)
 WINDOW_S = 10
 SECOND_NS = 1_000_000_000
-# Runs in the browser when the connection to the server is lost: the last state stays.
+# Runs in the browser when the connection to the server is lost: the page keeps the last state.
 SERVER_LOST = """
 document.getElementById("state").textContent = "ended";
 document.getElementById("state").dataset.state = "ended";

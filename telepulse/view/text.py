@@ -60,7 +60,7 @@ class PageFigure(NamedTuple):
 
 def age(live: LiveState, silent_ns: int) -> str:
     """Return the age of the figures; empty while they are current."""
-    current = live.final or not live.state or silent_ns < CURRENT_NS
+    current = live.display_ended or not live.state or silent_ns < CURRENT_NS
     return "" if current else f"{silent_ns * 1e-9:.1f} s ago"
 
 
@@ -71,10 +71,10 @@ def state(live: LiveState, silent_ns: int = 0) -> tuple[str, str]:
     """
     word = live.state or "waiting"
     old = age(live, silent_ns)
-    note = old or STATES.get("final" if live.final else live.state, "")
-    if not old and (word not in ("playing", "starting") or live.final):
+    note = old or STATES.get("final" if live.display_ended else live.state, "")
+    if not old and (word not in ("playing", "starting") or live.display_ended):
         note += finger_note(live.summary)
-    return ("ended" if live.final and word != "fault" else word), note
+    return ("ended" if live.display_ended and word != "fault" else word), note
 
 
 def figures(live: LiveState, picture: Picture, silent_ns: int = 0) -> dict[str, PageFigure]:
@@ -137,10 +137,10 @@ def alarms(live: LiveState, silent_ns: int) -> list[Alert]:
     """Return the alarms of now; silent_ns: for how long nothing came from the display."""
     if not live.state:
         return []
-    found = alerts(live.state, live.summary, live.final, silent_ns)
-    if live.final or silent_ns > SILENT_AFTER_NS:
+    found = alerts(live.state, live.summary, live.display_ended, silent_ns)
+    if live.display_ended or silent_ns > SILENT_AFTER_NS:
         return found
-    if live.frame_ns and not live.over and live.now_ns - live.frame_ns > CUT_AFTER_NS:
+    if live.frame_ns and not live.stream_ended and live.now_ns - live.frame_ns > CUT_AFTER_NS:
         found.append(Alert(CUT, "no frame comes from the sensing node"))
     return found + _counted(live)
 
@@ -160,6 +160,6 @@ def _counted(live: LiveState) -> list[Alert]:
             found.append(Alert("loss", f"{missing:.0f} % of the samples are lost or late"))
     if live.now_ns - live.stepped_ns < SHOWN_NS:
         found.append(Alert("clock step", "a clock has jumped; it is estimated afresh"))
-    if live.now_ns - live.missed_ns < SHOWN_NS:
+    if live.now_ns - live.telemetry_missed_ns < SHOWN_NS:
         found.append(Alert("missed", "this page is too slow for the display's telemetry"))
     return found

@@ -34,9 +34,9 @@ class Listener:
     def poll(self, now_ns: int) -> None:
         """Process what has arrived, and send due requests."""
         receiver = self.receiver
-        for message in sockets.receive_each(self.control):
+        for message in sockets.receive_parts(self.control):
             receiver.on_control(message, time.monotonic_ns())
-        for message in sockets.receive_each(self.data):
+        for message in sockets.receive_parts(self.data):
             receiver.on_frame(message, time.monotonic_ns())
         for request in receiver.requests(now_ns):
             sockets.send(self.control, encode_control(request))

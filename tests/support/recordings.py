@@ -11,8 +11,8 @@ from protocol.tactile import ElasticLayer
 from protocol.wire.messages import ClockReply, Frame, Welcome, encode_control, encode_frame
 from protocol.wire.stream import Channel, StreamDescription
 from protocol.wire.telemetry import (
+    CAPTURE,
     CONTROL,
-    HEARD,
     STATUS,
     SUBSCRIBED,
     TRACE,
@@ -60,7 +60,7 @@ def _telemetry(force_n: Samples, lost: Container[int]) -> Iterator[tuple[bytes, 
         trace = traces.add(_felt(tick, force_n))
         if trace is not None:
             for message in capture.take(now_ns, UNIX_NS + now_ns):
-                yield HEARD, message
+                yield CAPTURE, message
             yield TRACE, trace
             capture.traces_published += 1
         if tick % STATUS_TICKS == STATUS_TICKS - 1:

@@ -16,8 +16,8 @@ from protocol.security.authenticator import Authenticator
 from protocol.security.keys import ServerKeys
 from protocol.wire.messages import Bye, ClockReply, Frame, Welcome, encode_control, encode_frame
 from protocol.wire.telemetry import (
+    CAPTURE,
     CONTROL,
-    HEARD,
     STATUS,
     SUBSCRIBED,
     TRACE,
@@ -147,7 +147,7 @@ class HandmadeTelemetry:
         return [
             entry
             for part in self.capture.take(at_ns, at_ns + self.ahead_ns)
-            for entry in self.decoder.decode(HEARD, part)
+            for entry in self.decoder.decode(CAPTURE, part)
         ]
 
     def status(self, state: str, final: bool = False, **changes: object) -> list[Entry]:

@@ -1,9 +1,9 @@
 """The chapter on numerical stability: the paper's gains over tick rates, and the hard cases.
 
-Of the paper's gains, a textbook's explicit PID runs beside the shipped one. It acts on the error at
-a tick's beginning, with a backward difference; its poles are computed here. The poles and margins
-of the shipped loop are those of `control/linear_loop.py`. Each hard case is stable, or refused with
-a reason.
+With the paper's gains, a textbook's explicit PID runs beside the shipped one. The explicit PID acts
+on the error at the beginning of a tick, with a backward difference; its poles are computed here.
+`control/linear_loop.py` computes poles and margins of the shipped loop. Each hard case is stable,
+or refused with a reason.
 """
 
 import math
@@ -55,8 +55,9 @@ def spectral_radius(
 ) -> float:
     """Return the largest magnitude of the explicit loop's poles; below 1 it is stable.
 
-    Error in mV by eq 21; eq 22 by the exact zero-order hold, sampled at each tick's beginning;
-    integral and derivative by backward Euler.
+    The plant is the paper's actuator (eq 22) under an exact zero-order hold, sampled at each
+    tick's beginning. The error is in mV by eq 21; integral and derivative are discretised by
+    backward Euler.
 
     Parameters
     ----------
@@ -65,7 +66,7 @@ def spectral_radius(
     filter_rad_per_s
         N of the derivative's first-order filter N / (s + N); None for a pure difference.
     delay_ticks
-        Extra samples between measuring and acting.
+        Additional delay in ticks from reading the film to the command.
     """
     plant, tick_s = published.ACTUATOR, 1 / rate_hz
     continuous = np.array([1.0]), np.array([plant.m, plant.c, plant.k])
@@ -102,8 +103,9 @@ class RateResult(NamedTuple):
 
     explicit_radius and shipped_radius are the largest poles, stable below 1. explicit_n,
     shipped_n and late_n are the force RMSE in N of the explicit loop, of the shipped one and of
-    the shipped one whose film is read a tick late; infinite where the loop diverged. delay_ticks
-    is the shipped loop's delay margin. refused is the display's reason not to run it, or None.
+    the shipped one whose film is read a tick late; infinite where the loop diverged.
+    margin_ticks is the shipped loop's delay margin. refused is the display's reason not to run it,
+    or None.
     """
 
     gains: str
@@ -114,7 +116,7 @@ class RateResult(NamedTuple):
     explicit_n: float
     shipped_n: float
     late_n: float
-    delay_ticks: float
+    margin_ticks: float
     refused: str | None
 
 
@@ -128,7 +130,8 @@ def measure() -> list[RateResult]:
 
 def _run(name: str, filter_hz: float, rate_hz: float) -> RateResult:
     gains, tick_s = GAINS[name], 1 / rate_hz
-    # From the pulse's foot at rest, or the slow mode of a small ki outlasts the run.
+    # The pulse begins at 0 N: a step at the start would excite a small ki's slow mode, which lasts
+    # longer than the run.
     shape = beats("paper", rate_hz, SECONDS)
     wanted_n = PEAK_TO_PEAK_N * (shape - shape[0])
     setup = paper_setup(gains, filter_hz, tick_s)
@@ -193,8 +196,8 @@ def _rates_summary(rates: Sequence[RateResult]) -> str:
     broken = [each for each in rates if math.isinf(each.shipped_n)]
     nothing_n = PEAK_TO_PEAK_N * deviation_n("paper")
     lost = [each for each in rates if each.late_n > nothing_n]
-    most = max((each.delay_ticks for each in lost), default=0.0)
-    least = min((each.delay_ticks for each in rates if each not in lost), default=math.inf)
+    most = max((each.margin_ticks for each in lost), default=0.0)
+    least = min((each.margin_ticks for each in rates if each not in lost), default=math.inf)
     fastest_hz = {
         name: max((each.rate_hz for each in diverged if each.gains == name), default=0.0)
         for name in GAINS
@@ -203,15 +206,16 @@ def _rates_summary(rates: Sequence[RateResult]) -> str:
         f"{rate_hz:g} Hz with the gains of the {name}" for name, rate_hz in fastest_hz.items()
     )
     return (
-        "The paper's gains act on the error in mV by eq 21, over eq 22, on the paper's pulse. The"
-        " explicit PID takes the error at the tick's beginning and a backward difference. It"
-        f" diverges up to {up_to} ({len(diverged)} of {len(rates)} loops). The shipped PID acts on"
-        " the error at the tick's end, which the actuator's model predicts:"
+        "The paper's gains act on the error in mV by eq 21. They drive the paper's actuator, eq 22,"
+        " on the paper's pulse. The explicit PID uses the error at the tick's beginning and a"
+        f" backward difference. It diverges up to {up_to} ({len(diverged)} of {len(rates)} loops)."
+        " The shipped PID uses the error at the tick's end, which the actuator's model predicts:"
         f" {len(broken)} of {len(rates)} loops diverge or are refused, and the RMSE is at most"
         f" {force_text(max(each.shipped_n for each in rates))}. It depends on that model's timing:"
         f" with the film read a tick late, {len(lost)} of them are worse than doing nothing. A"
-        " scene cannot describe such a delay, so none is refused. The delay margin predicts it:"
-        f" theirs are at most {most:.2f} ticks, the others' at least {least:.2f}."
+        " scene cannot describe such a delay, so the display refuses none of them. The delay"
+        f" margin predicts it: it is at most {most:.2f} ticks in these loops, and at least"
+        f" {least:.2f} in the others."
     )
 
 
@@ -233,7 +237,7 @@ def _rates_table(rates: Sequence[RateResult], summary: str) -> Table:
                 "explicit": rmse(each.explicit_n),
                 "shipped, pole": pole(each.shipped_radius),
                 "shipped": each.refused or rmse(each.shipped_n),
-                "delay margin": f"{each.delay_ticks:.2f}",
+                "delay margin": f"{each.margin_ticks:.2f}",
                 "a tick late": each.refused or rmse(each.late_n),
             }
         )
@@ -241,9 +245,10 @@ def _rates_table(rates: Sequence[RateResult], summary: str) -> Table:
         "The paper's gains over tick rates: explicit against shipped",
         rows,
         f"Force RMSE on a pulse of {PEAK_TO_PEAK_N:g} N from peak to peak, from {SETTLING_S:g} to"
-        f" {SECONDS:g} s. Pole: the largest, stable below 1. Diverges: beyond {BOUND_N:g} N."
-        f" Margin in ticks. No filter: one of {NO_FILTER_HZ / 1e3:g} kHz.",
-        f"{summary} All {len(rates)} are on the page.",
+        f" {SECONDS:g} s. Pole: the largest magnitude; the loop is stable below 1. Diverges: the"
+        f" force exceeds {BOUND_N:g} N. Delay margin in ticks. No filter: a corner of"
+        f" {NO_FILTER_HZ / 1e3:g} kHz.",
+        f"{summary} All {len(rates)} loops are in the page written to --out.",
     )
 
 
@@ -296,16 +301,17 @@ def chapter() -> Chapter:
         "Hard cases",
         ("case", "what was run", "verdict", "figure", "why"),
         [(one.case, one.run, str(one.verdict), one.figure, one.reason) for one in results],
-        summary=f"{summary} All are on the page.",
+        summary=f"{summary} All are in the page written to --out.",
     )
     method = (
-        "Every case runs the display's own code: the force loop that it builds, between Safety and"
-        " the film, or its models. A verdict is computed from the run. Stable: felt force finite,"
-        f" never beyond {BOUND_N:g} N, and in the end within a microstep (on eq 22, 1 %) of the"
-        " wanted force, plus the error of the scene's film. Refused: an error with a reason, or a"
-        " fault that brings the finger to rest for good. Limit cycle: more than one microstep from"
-        " peak to peak round a constant force. Fails with a named reason: an error or a fault"
-        " without a usable message, or without coming to rest. Silently wrong: everything else."
+        "Every case runs the display's own code: the force loop between Safety and the film, or"
+        " its models. A verdict is computed from the run. Stable: the felt force is finite, never"
+        f" beyond {BOUND_N:g} N, and in the end within a microstep (with the paper's actuator, eq"
+        " 22: 1 %) of the target force, plus the error of the scene's film. Refused: an error with"
+        " a reason, or a latched fault that brings the finger to rest. Limit cycle: more than one"
+        " microstep from peak to peak round a constant force. Fails with a named reason: an"
+        " error or a fault without a usable message, or without coming to rest. Silently wrong:"
+        " everything else."
     )
     caption = (
         "The paper's gains in mV by eq 21 over the tick rate, derivative without a filter. The"

@@ -98,11 +98,11 @@ class IntegratorPoint(NamedTuple):
 
 
 class IntegratorScores(NamedTuple):
-    """A point a method on the paper's loop, and the rotors' errors by damping, method and tick.
+    """One point for each method on the paper's loop; rotors' errors by damping, method and tick.
 
     Errors are over the pulse's peak to peak. digits_error compares the loop's reference with the
-    same in more digits, method_error with RK4 in as many digits. whole_us is the cost in µs a tick
-    of one lsim call for all the voltages, without a loop.
+    same in more digits, method_error with RK4 in as many digits. whole_us is the cost in µs per
+    tick of one lsim call for all voltages, without a loop.
     """
 
     points: list[IntegratorPoint]
@@ -113,7 +113,7 @@ class IntegratorScores(NamedTuple):
 
 
 def score_integrators(effort: IntegratorEffort) -> IntegratorScores:
-    """Score every integrator on both. Raises SceneError."""
+    """Score every integrator on the paper's loop and on the rotors. Raises SceneError."""
     path = find_scene("paper")
     scene = load_section(path, "sensing", SensingScene).source
     if not isinstance(scene, SyntheticScene):
@@ -156,10 +156,10 @@ def score_integrators(effort: IntegratorEffort) -> IntegratorScores:
 
 
 def methods(substeps: Sequence[int], solvers: Sequence[tuple[Solver, float]]) -> list[Method]:
-    """Return the default first, then the others; python-control's only where it is installed.
+    """Return the default method, then the others; python-control's only where it is installed.
 
-    `substeps` are those of the written-out methods in a tick, `solvers` the methods of solve_ivp
-    and their rtol.
+    substeps: numbers of sub-steps in a tick for the methods that are written out here. solvers:
+    methods of solve_ivp, each with its rtol.
     """
     found = [Method(DEFAULT, DEFAULT, integrators.shipped)]
     for family, stepper in (
@@ -362,7 +362,7 @@ def verdict(default: IntegratorPoint, points: Sequence[IntegratorPoint]) -> str:
 
 
 def _draw(figure: "Figure", points: Sequence[IntegratorPoint]) -> None:
-    """Draw error against cost, a line a family; the default is a star, libraries are hollow."""
+    """Draw error against cost, one line for each family; the default is a star."""
     from matplotlib import rcParams
 
     default, axes = points[0], figure.add_subplot()

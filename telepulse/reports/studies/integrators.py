@@ -224,12 +224,15 @@ def pulse_from_rest(scene: SyntheticScene, seconds: float, tick_s: float) -> lis
 
 
 class DiscretePid(NamedTuple, Generic[Number]):
-    """A discrete PID's gains a tick, from an error in N to a voltage in V."""
+    """A discrete PID's gains per tick, from an error in N to a voltage in V.
+
+    derivative_decay: factor of the filtered derivative from tick to tick.
+    """
 
     proportional: Number
     integral: Number
     derivative: Number
-    keep: Number
+    derivative_decay: Number
 
 
 def paper_pid(tick_s: float) -> DiscretePid[float]:
@@ -252,7 +255,7 @@ def pid_step(
     """Advance the PID by one tick, and return the voltage and its new state."""
     integral, derivative, last_n = state
     integral = integral + pid.integral * error_n
-    derivative = pid.keep * derivative + pid.derivative * (error_n - last_n)
+    derivative = pid.derivative_decay * derivative + pid.derivative * (error_n - last_n)
     volts = pid.proportional * error_n + integral + derivative
     return volts, (integral, derivative, error_n)
 

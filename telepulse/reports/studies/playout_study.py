@@ -1,6 +1,7 @@
 """The study of playout: every rule on every link, beside the optima.
 
-Mean delay at 1 % late, targets, rules at their defaults, and delay against the share late.
+It reports mean delays at 1 % late, targets, rules at their defaults, and curves of delay against
+the late share.
 """
 
 import itertools
@@ -48,7 +49,7 @@ if TYPE_CHECKING:
 
 MS = 1e6
 FRAME_MS = FRAME_NS / MS
-# Prices of a late share, in ms, for the optimum's curve.
+# Weights of lateness in the optimum's cost: ms of mean delay per unit of late share.
 PRICES_MS = (10.0, 30.0, 100.0, 300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0)
 
 
@@ -78,7 +79,7 @@ RULES: dict[str, TunedRule] = {
     "fixed": TunedRule(_fixed, "reserve in ms", 600.0, 1.0, 40.0),
 }
 CONSTANT, MOVING = "best constant", "best moving, 5 %"
-# Required at most: mean delay at 1 % late over an optimum's.
+# Greatest permitted ratio of our mean delay to the optimum's, both at 1 % late.
 TARGETS = (
     (GAUSSIAN, CONSTANT, 1.05),
     (SPIKES, CONSTANT, 1.05),
@@ -101,22 +102,27 @@ STYLES = ("o-", "s--", "^-", "v--", "P-", "x:", "D-")
 
 @dataclass(frozen=True, slots=True)
 class PlayoutEffort:
-    """Amount of computing: settings over a parameter's whole range, then bisections."""
+    """Amount of computing.
+
+    scan: settings tried over a parameter's whole range; bisections: further ones after them.
+    permitted_late: share of late frames for which rules and optima are tuned.
+    """
 
     seconds: float = SECONDS
     scan: int = 4
     bisections: int = 5
     links: tuple[str, ...] = tuple(LINKS)
     curves: tuple[str, ...] = ()
-    late: float = LATE_TARGET
+    permitted_late: float = LATE_TARGET
 
 
 class RuleScore(NamedTuple):
     """One rule on one link.
 
-    `tuned` has the least delay with at most the share late if that was `reached`,
-    and otherwise the fewest late frames. `default` is at the rule's default, `warped` the same as
-    the display would play it. `tried` holds every setting that was played, by its late share.
+    `tuned` has the least delay within the permitted late share if that was `reached`, and
+    otherwise the fewest late frames. `default` is played at the rule's default setting, `warped`
+    at the same setting with the display's slew limit. `tried` holds every setting that was
+    played, in order of its late share.
     """
 
     tuned: PlayedTrace
@@ -129,8 +135,8 @@ class RuleScore(NamedTuple):
 class LinkScore(NamedTuple):
     """A link's smallest delay and both optima in ms, from the whole trace.
 
-    moving_ms is a bound, found_ms the mean of the path that was found. `curve` holds the moving
-    optimum at several prices of lateness.
+    moving_ms is a lower bound of the moving optimum, found_ms the mean delay of the best path that
+    was found. `curve` holds the moving optimum for several weights of lateness.
     """
 
     smallest_ms: float
@@ -172,40 +178,40 @@ def score_playout(effort: PlayoutEffort, scheduler: str | None = None) -> Playou
 def score_link(link: str, effort: PlayoutEffort) -> LinkScore:
     """Compute the optima of a link."""
     delay_ms = make_trace(link, effort.seconds).delay_ns / MS
-    optimum = best_moving(delay_ms, effort.late, FRAME_MS)
+    optimum = best_moving(delay_ms, effort.permitted_late, FRAME_MS)
     prices_ms = PRICES_MS if link in effort.curves else ()
     paths = [cheapest(delay_ms, price_ms, FRAME_MS) for price_ms in prices_ms]
     curve = [PlayedTrace(path.delay_ms, path.late) for path in paths]
     return LinkScore(
         float(delay_ms.min()),
-        best_constant_ms(delay_ms, effort.late),
+        best_constant_ms(delay_ms, effort.permitted_late),
         optimum.bound_ms,
         optimum.best.delay_ms,
-        (PlayedTrace(optimum.bound_ms, effort.late), *curve),
+        (PlayedTrace(optimum.bound_ms, effort.permitted_late), *curve),
     )
 
 
 def score_rule(case: RuleOnLink, effort: PlayoutEffort) -> RuleScore:
     """Tune a rule on a link, and play it at its default.
 
-    Settings are tried evenly over the parameter's logarithm, then by bisection to the permitted
-    share.
+    Settings are tried evenly over the parameter's logarithm, then by bisection towards the
+    permitted late share.
     """
     rule, trace = RULES[case.rule], make_trace(case.link, effort.seconds)
     few, many = math.log(rule.fewest), math.log(rule.most)
     scanned = [few + (many - few) * step / (effort.scan - 1) for step in range(effort.scan)]
     tried = [play(rule.make(math.exp(setting)), trace) for setting in scanned]
-    over = [number for number, played in enumerate(tried) if played.late > effort.late]
+    over = [number for number, played in enumerate(tried) if played.late > effort.permitted_late]
     if over and over[0] > 0:
         few, many = scanned[over[0] - 1], scanned[over[0]]
         for _ in range(effort.bisections):
             middle = (few + many) / 2
             tried.append(play(rule.make(math.exp(middle)), trace))
-            if tried[-1].late <= effort.late:
+            if tried[-1].late <= effort.permitted_late:
                 few = middle
             else:
                 many = middle
-    within = [played for played in tried if played.late <= effort.late]
+    within = [played for played in tried if played.late <= effort.permitted_late]
     if within:
         tuned = min(within, key=lambda played: played.delay_ms)
     else:
@@ -227,13 +233,13 @@ def report_playout(scores: PlayoutScores, effort: PlayoutEffort) -> Report:
     plots = [
         Plot(
             f"playout-{number}",
-            f"{link}: mean delay against the share late, a point a setting of each rule."
-            " Lower left is better. The line without marks is the best moving delay.",
+            f"{link}: mean delay against the late share, one point for each setting of a"
+            " rule. Lower left is better. The line without marks is the best moving delay.",
             partial(_draw, scores=scores, link=link),
         )
         for number, link in enumerate(drawn, 1)
     ]
-    curves = Chapter("Delay against the share late", plots=plots)
+    curves = Chapter("Delay against the late share", plots=plots)
     chapters = (_frontier_chapter(scores, effort), _default_chapter(scores), curves)
     return Report("Playout: delay against late frames", chapters)
 
@@ -252,7 +258,7 @@ def _optimum_ms(score: LinkScore, optimum: str) -> float:
 
 
 def _ratio(scores: PlayoutScores, link: str, optimum: str, least_ms: float = 0.0) -> float:
-    """Return our mean delay over the optimum's, both without a least delay in ms."""
+    """Return our mean delay over the optimum's, after subtracting `least_ms` from both."""
     ours_ms = scores.rules[link][OURS].tuned.delay_ms
     return (ours_ms - least_ms) / (_optimum_ms(scores.links[link], optimum) - least_ms)
 
@@ -276,27 +282,30 @@ def _frontier_chapter(scores: PlayoutScores, effort: PlayoutEffort) -> Chapter:
     paragraphs = (
         met + "; ".join(missed) + "." if missed else f"All {len(judged)} targets are met.",
         f"Each link is a trace of {effort.seconds:g} s with a frame every 5 ms; every rule"
-        " sees the same delays. An instant is played once, when it is first the delay in use"
-        " ago: a delay that grows because a frame came late cannot save that frame. Here a"
-        " delay may change at once, as the published rules have it. Each rule's own parameter"
-        " is set for the least mean delay with at most the share late.",
-        "Both optima are computed from the whole trace. The moving one may change by 5 % of"
-        " time; its row is a lower bound of all such paths (the paths that were found are at"
-        f" most {max(gaps):.1%} above it).",
+        " gets the same delays. Each instant is played once, as soon as its age reaches the"
+        " delay then in use. A delay that grows because a frame came late therefore cannot save"
+        " that frame. Here a delay may change at once, as in the published rules. Each rule's"
+        " own parameter is set for the least mean delay within the permitted late share.",
+        "Both optima are computed from the whole trace. The moving one may change by at most"
+        " 50 ms per second; its row is a lower bound of all such paths (the paths that were"
+        f" found are at most {max(gaps):.1%} above it).",
     )
     rows = {optimum: partial(best, optimum) for optimum in (CONSTANT, MOVING)} | {
         name: partial(tuned, name) for name in RULES
     }
     title = "Mean delay in ms (over the best moving delay)"
-    note = "Tuned to the share late. Where no setting is within it, the share late is given."
+    note = (
+        "Tuned to the permitted late share. Where no setting is within it, the least late share"
+        " follows the delay."
+    )
     tables = (*_tables(title, scores.links, rows, note), _targets_table(scores))
-    return Chapter(f"At {effort.late:.0%} late", paragraphs, tables)
+    return Chapter(f"At {effort.permitted_late:.0%} late", paragraphs, tables)
 
 
 def _tables(
     title: str, links: Container[str], rows: Mapping[str, Callable[[str], str]], note: str = ""
 ) -> list[Table]:
-    """Return a table for each group of links, with a row a rule and a column a link."""
+    """Return a table for each group of links: one row for each rule, one column for each link."""
     present = {kind: [link for link in group if link in links] for kind, group in GROUPS.items()}
     return [
         Table(
@@ -327,8 +336,9 @@ def _targets_table(scores: PlayoutScores) -> Table:
         "Targets",
         ("link / optimum", "bar", "ratio", "verdict", "over smallest"),
         rows,
-        "Bar: the target. Ratio: our mean delay over the optimum's. Over smallest: the same without"
-        " the trace's smallest delay in both, which no rule can avoid; it has no target.",
+        "Bar: the target. Ratio: our mean delay over the optimum's. Over smallest: the same after"
+        " subtracting the trace's smallest delay, which no rule can avoid, from both; it has no"
+        " target.",
     )
 
 
@@ -338,14 +348,15 @@ def _default_chapter(scores: PlayoutScores) -> Chapter:
         return f"{played.delay_ms:.1f} {played.late:.1%}"
 
     tables = []
-    for way, how in (("default", "changed at once"), ("warped", "as a display plays it")):
+    for way, how in (("default", "changed at once"), ("warped", "with a display's slew limit")):
         rows = {name: partial(cell, name, way) for name in RULES}
-        tables += _tables(f"Mean delay in ms and share late, {how}", scores.links, rows)
+        tables += _tables(f"Mean delay in ms and late share, {how}", scores.links, rows)
     defaults = [f"{name} {rule.parameter} {rule.default:g}" for name, rule in RULES.items()]
     paragraphs = (
         f"Defaults: {', '.join(defaults)}.",
-        "A display warps its time by 2 % at most, so its delay rises by at most 20 ms a second. Our"
-        " estimator gets this limit and covers bursts that it would be too slow to follow.",
+        "A display changes its playing speed by 2 % at most, so its delay rises by at most 20 ms"
+        " per second. Our estimator gets this limit, and covers bursts that it would be too slow"
+        " to follow.",
     )
     return Chapter("At default settings", paragraphs, tables)
 

@@ -1,8 +1,8 @@
 """Pulses on which predictors are compared: synthetic rhythms, and recordings.
 
-A rhythm is a list of beats; a pulse is Gaussians over each of them, as in `sources/synthetic.py`,
-which has neither a ramp nor fibrillation. All pass the same causal chain of
-0.4 to 20 Hz, and then get white noise of 1 % of their standard deviation.
+A rhythm is a list of beats; a pulse is a sum of Gaussians over each beat, as in
+`sources/synthetic.py`, which has neither a ramp nor fibrillation. All pulses pass the same causal
+filters of 0.4 to 20 Hz; then white noise of 1 % of their standard deviation is added.
 """
 
 import math
@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 RATE_HZ = 1000
 HIGH_PASS_HZ, LOW_PASS_HZ = 0.4, 20.0
 NOISE = 0.01
-# Errors count from here on, and the standard deviation is taken from here on.
+# Errors and standard deviation are computed from this time on: before it, predictors learn.
 SCORED_FROM_S = 20.0
 BREATHS_HZ = 0.25
 # RMS of respiration over that of the pulse, where there is any.
@@ -150,7 +150,7 @@ def synthetic_pulses(seconds: float, seed: int, predictive_shape: bool = True) -
     }
 
 
-SILENT = ("variability", "ramp", "ectopic", "fibrillation")
+WITHOUT_SHAPE_CUE = ("variability", "ramp", "ectopic", "fibrillation")
 RECORDED = {
     "heartpy data": RecordedStretch("data.csv", 0, 100.0, 0.0),
     "heartpy data2": RecordedStretch("data2.csv", 1, 117.0, 45.0),
@@ -193,10 +193,10 @@ def pulses(seconds: float, seed: int) -> list[Pulse]:
     return _sensed(synthetic_pulses(seconds, seed) | recorded_pulses(seconds), seed)
 
 
-def silent_pulses(seconds: float, seed: int) -> list[Pulse]:
-    """Return the sets that have a prize or an oracle, with shapes that predict no interval."""
+def pulses_without_shape_cue(seconds: float, seed: int) -> list[Pulse]:
+    """Return the sets with a stretch goal or an oracle, with shapes that predict no interval."""
     raw = synthetic_pulses(seconds, seed, predictive_shape=False)
-    return _sensed({name: raw[name] for name in SILENT}, seed)
+    return _sensed({name: raw[name] for name in WITHOUT_SHAPE_CUE}, seed)
 
 
 def _sensed(raw: dict[str, Floats], seed: int) -> list[Pulse]:

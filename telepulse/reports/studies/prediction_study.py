@@ -23,7 +23,7 @@ from telepulse.reports.studies.prediction_pulses import (
     Floats,
     Pulse,
     pulses,
-    silent_pulses,
+    pulses_without_shape_cue,
 )
 from telepulse.reports.studies.sweep import in_one_thread, sweep
 
@@ -64,11 +64,11 @@ class PredictorCost(NamedTuple):
 class PredictionScores:
     """NRMSE at each horizon by set and predictor, and costs by the predictor's name in a scene.
 
-    silent_errors holds the same errors where a beat's shape does not predict its interval.
+    errors_without_shape_cue holds the errors on pulses whose beats' shapes predict no interval.
     """
 
     errors: dict[str, Errors]
-    silent_errors: dict[str, Errors]
+    errors_without_shape_cue: dict[str, Errors]
     costs: dict[str, PredictorCost]
 
     @property
@@ -87,12 +87,14 @@ def score_predictors(effort: PredictionEffort, scheduler: str | None = None) -> 
     Raises SourceError or SweepError.
     """
     sets = pulses(effort.seconds, effort.seed)
-    silent = silent_pulses(effort.seconds, effort.seed)
+    silent = pulses_without_shape_cue(effort.seconds, effort.seed)
     found = iter(sweep(score, sets + silent, scheduler))
-    errors, silent_errors = ({each.name: next(found) for each in part} for part in (sets, silent))
+    errors, errors_without_shape_cue = (
+        {each.name: next(found) for each in part} for part in (sets, silent)
+    )
     # Alone on the machine, after the others have ended.
     costs = in_one_thread(all_costs, sets[1].sensed[: round(effort.cost_seconds * RATE_HZ)])
-    return PredictionScores(errors, silent_errors, costs)
+    return PredictionScores(errors, errors_without_shape_cue, costs)
 
 
 def all_costs(sensed: Floats) -> dict[str, PredictorCost]:
@@ -103,8 +105,9 @@ def all_costs(sensed: Floats) -> dict[str, PredictorCost]:
 def score(pulse: Pulse) -> Errors:
     """Return the NRMSE of hold, linear, the stack and each of its experts, after `SCORED_FROM_S`.
 
-    The RMSE is against the pulse without noise, over its standard deviation. Each frame is
-    predicted from once, at each horizon after its newest sample, at its five ticks in turn.
+    The RMSE is against the pulse without noise, over its standard deviation. After each frame,
+    one prediction is made for each horizon, counted from the newest sample. It is made at the
+    first to the fifth tick after the frame in turn.
     """
     stack = Ensemble("stack", TICK_NS)
     cheap = [build_predictor(name, TICK_NS) for name in CHEAP]
@@ -161,16 +164,20 @@ def _instant_ns(sample: int) -> int:
 # A target is reached up to this share above the prototype's figure.
 ALLOWANCE = 0.05
 MEDIAN = "median of the sets"
-# The short memory, the best at most horizons, stands for the analogues.
+# Of the three analogues, only the one with the shortest memory is reported: it has the least error
+# at most horizons.
 ANALOGUE = "analogue 0.05 s"
 
 
 class PredictionTarget(NamedTuple):
-    """The prototype's NRMSE of a predictor on a set, one a horizon; None: no target."""
+    """The NRMSE to reach with a predictor on a set, at each horizon; None: no target.
+
+    source: "prototype", "its oracle", which knew the next interval, or "stretch goal".
+    """
 
     where: str
     predictor: str
-    whose: str
+    source: str
     figures: tuple[float | None, ...]
     allowance: float = ALLOWANCE
 
@@ -197,10 +204,10 @@ TARGETS = (
     PredictionTarget(MEDIAN, "hold", "prototype", (0.307, 0.715, 1.21, 1.54)),
     PredictionTarget("variability", "stack", "prototype", (0.027, 0.078, 0.214, 0.295)),
     PredictionTarget("variability", "stack", "its oracle", (0.021, 0.064, 0.142, 0.167), 0.0),
-    PredictionTarget("variability", "stack", "prize", (None, None, 0.18, None), 0.0),
+    PredictionTarget("variability", "stack", "stretch goal", (None, None, 0.18, None), 0.0),
     PredictionTarget("ramp", "stack", "prototype", (0.036, 0.099, 0.192, 0.218)),
     PredictionTarget("ramp", "stack", "its oracle", (0.009, 0.025, 0.050, 0.059), 0.0),
-    PredictionTarget("ramp", "stack", "prize", (None, None, 0.12, None), 0.0),
+    PredictionTarget("ramp", "stack", "stretch goal", (None, None, 0.12, None), 0.0),
     PredictionTarget("ectopic", "stack", "prototype", (0.033, 0.093, 0.254, 0.341)),
     PredictionTarget("ectopic", "stack", "its oracle", (0.021, 0.065, 0.167, 0.249), 0.0),
     PredictionTarget("fibrillation", "stack", "prototype", (0.045, 0.159, 0.505, 0.776)),
@@ -209,7 +216,7 @@ TARGETS = (
 
 
 def compare_targets(errors: dict[str, Errors], medians: Errors) -> list[TargetResult]:
-    """Compare the targets on the sets with errors; without medians, none on the median."""
+    """Compare errors with the targets on these sets, and on the median if `medians` is given."""
     where = {MEDIAN: medians, **errors} if medians else errors
     return [
         TargetResult(target, where[target.where][target.predictor])
@@ -232,7 +239,7 @@ def missing_sets(scores: PredictionScores) -> str:
         return ""
     return (
         f" The {len(RECORDED)} recordings are missing, so that medians are over"
-        f" {len(scores.errors)} sets: pip install 'telepulse[test]' brings heartpy with them."
+        f" {len(scores.errors)} sets: pip install 'telepulse[test]' adds heartpy, which has them."
     )
 
 
@@ -268,15 +275,15 @@ def _errors_chapter(scores: PredictionScores, effort: PredictionEffort) -> Chapt
 
 def _targets_chapter(scores: PredictionScores) -> Chapter:
     results = compare_targets(scores.errors, scores.medians)
-    silent = compare_targets(scores.silent_errors, {})
+    silent = compare_targets(scores.errors_without_shape_cue, {})
     paragraphs = (
         f"{_reached(results)} of {len(results)} rows are reached. The prototype's figures were"
-        " printed by its authors; its sets are not here. Ours have the same names, but rates,"
-        " shares and noise within them are our choice, and the recordings are others: this alone"
-        " may explain a difference of a tenth. Its oracles had its generator, not ours.",
-        "In our source a beat's systole scales with its own interval: its shape predicts the"
-        " next beat, so that a predictor can be below an oracle. In the second table systoles"
-        " scale with the interval before, and only the rhythm predicts the next beat:"
+        " printed by its authors; its sets are not available. Our sets have the same names, but"
+        " other rates, shares, noise and recordings, which alone may explain a difference of a"
+        " tenth. An oracle knew the next interval of the prototype's generator, not of ours.",
+        "In our source a beat's systole scales with its own interval, so its shape predicts the"
+        " next beat, and a predictor can have less error than an oracle. In the second table a"
+        " systole scales with the interval before, and only the rhythm predicts the next beat:"
         f" {_reached(silent)} of {len(silent)} rows are reached there.",
     )
     tables = (
@@ -293,20 +300,20 @@ def _reached(results: list[TargetResult]) -> int:
 def _targets_table(title: str, results: list[TargetResult]) -> Table:
     rows = []
     for result in results:
-        where, predictor, whose, figures, _ = result.target
+        where, predictor, source, figures, _ = result.target
         cells = [
             f"{ours:.3f} / " + ("–" if figure is None else f"{figure:.3f}")
             for ours, figure in zip(result.ours, figures, strict=True)
         ]
         misses = ", ".join(f"{column} +{excess:.0%}" for column, excess in result.misses().items())
         verdict = f"missed: {misses}" if misses else "reached"
-        rows.append((where, predictor, whose, *cells, verdict))
+        rows.append((where, predictor, source, *cells, verdict))
     return Table(
         title,
-        ("set", "predictor", "whose", *HORIZON_COLUMNS, "verdict"),
+        ("set", "predictor", "target", *HORIZON_COLUMNS, "verdict"),
         rows,
-        f"Reached: at every horizon at most {ALLOWANCE:.0%} above the prototype, or at or below"
-        " the prize and the oracle.",
+        "Each cell: ours / the target. Reached: at every horizon at most"
+        f" {ALLOWANCE:.0%} above the prototype, or at or below the stretch goal and the oracle.",
     )
 
 

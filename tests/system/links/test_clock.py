@@ -70,9 +70,9 @@ def follow(control: sockets.Socket, data: sockets.Socket) -> tuple[Receiver, lis
     began_ns: int | None = None
     seen: list[tuple[int, int]] = []
     while began_ns is None or time.monotonic_ns() < began_ns + FOLLOWED_S * 1e9:
-        for parts in sockets.receive_all(control):
+        for parts in sockets.receive_multipart(control):
             receiver.on_control(b"".join(parts), time.monotonic_ns())
-        for parts in sockets.receive_all(data):
+        for parts in sockets.receive_multipart(data):
             receiver.on_frame(b"".join(parts), time.monotonic_ns())
         now_ns = time.monotonic_ns()
         for request in receiver.requests(now_ns):

@@ -381,7 +381,7 @@ def test_what_the_closed_connection_had_brought_is_dropped_from_the_kept_one(
     context: Context, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = DataPath(context, None)
-    first, second = path.lines
+    first, second = path.endpoints
 
     def receive(from_first: list[bytes], from_second: list[bytes]) -> list[bytes]:
         for line, messages in ((first, from_first), (second, from_second)):

@@ -20,7 +20,7 @@ context = zmq.Context()
 node = sockets.bind(context, zmq.ROUTER, sys.argv[1])
 print("bound", flush=True)
 sys.stdin.readline()
-print(sum(1 for _ in range(100) for _ in sockets.receive_all(node)))
+print(sum(1 for _ in range(100) for _ in sockets.receive_multipart(node)))
 context.destroy(0)
 """
 HEARTBEATS_S = 4.5

@@ -5,8 +5,8 @@ from display_node.telemetry.publisher import Publisher
 from protocol import sockets
 from protocol.sockets import Context
 from protocol.wire.telemetry import (
+    CAPTURE,
     CONTROL,
-    HEARD,
     STATUS,
     STATUS_TRACES,
     TRACE,
@@ -61,7 +61,7 @@ def test_each_recorder_receives_the_stream_description_however_late_it_comes(
     publisher.captured.welcome(1, b"welcome")
     for _ in range(2):
         reader = context.socket(zmq.SUB)
-        reader.subscribe(HEARD)
+        reader.subscribe(CAPTURE)
         reader.connect(publisher.address)
 
         def arrived(reader: zmq.Socket = reader) -> bool:
@@ -76,7 +76,7 @@ def test_each_recorder_receives_the_stream_description_however_late_it_comes(
 def test_the_last_ticks_and_messages_come_before_the_last_status(
     publisher: Publisher, everything: zmq.Socket
 ) -> None:
-    everything.subscribe(HEARD)
+    everything.subscribe(CAPTURE)
     assert publisher.await_recorder(PATIENCE_S)
     ticks(publisher, TRACE_TICKS + 3)
     publisher.captured.add(5, 0, b"last")
@@ -84,7 +84,7 @@ def test_the_last_ticks_and_messages_come_before_the_last_status(
     messages = received(everything)
     traces = [read_trace(data) for topic, data in messages if topic == TRACE]
     assert [len(trace.now_ns) for trace in traces] == [TRACE_TICKS, 3]
-    captured = [read_capture(data) for topic, data in messages if topic == HEARD]
+    captured = [read_capture(data) for topic, data in messages if topic == CAPTURE]
     assert [m for part in captured for m in part.messages] == [CapturedMessage(5, 0, b"last")]
     assert captured[-1].traces_published == 2
     assert messages[-1] == (STATUS, b"status")

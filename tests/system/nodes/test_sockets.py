@@ -35,47 +35,47 @@ def assert_delivers(one: Socket, other: Socket) -> None:
     while not sockets.send(one, b"x"):
         sockets.wait_readable([one], 1_000_000)
     sockets.wait_readable([other], FOREVER_NS)
-    assert list(sockets.receive_all(other)) == [[b"x"]]
+    assert list(sockets.receive_multipart(other)) == [[b"x"]]
 
 
 def meet(publisher: Socket, subscriber: Socket) -> None:
     """Publish until the subscriber receives it, and drain the subscriber."""
-    while not list(sockets.receive_all(subscriber)):
+    while not list(sockets.receive_multipart(subscriber)):
         sockets.send(publisher, b"hello?")
         sockets.wait_readable([subscriber], 1_000_000)
     sockets.send(publisher, b"hello!")
     while True:
         sockets.wait_readable([subscriber], FOREVER_NS)
-        if [b"hello!"] in sockets.receive_all(subscriber):
+        if [b"hello!"] in sockets.receive_multipart(subscriber):
             return
 
 
 def test_a_message_keeps_its_parts(context: Context) -> None:
     one, other = pair(context)
-    assert list(sockets.receive_all(one)) == list(sockets.receive_all(other)) == []
+    assert list(sockets.receive_multipart(one)) == list(sockets.receive_multipart(other)) == []
     assert sockets.send(one, b"first", b"", b"third")
     assert sockets.send(one, b"alone")
-    assert list(sockets.receive_all(other)) == [[b"first", b"", b"third"], [b"alone"]]
+    assert list(sockets.receive_multipart(other)) == [[b"first", b"", b"third"], [b"alone"]]
 
 
-def test_receive_each_yields_each_part_as_a_message(context: Context) -> None:
+def test_receive_parts_yields_each_part_as_a_message(context: Context) -> None:
     one, other = pair(context)
-    assert list(sockets.receive_each(other)) == []
+    assert list(sockets.receive_parts(other)) == []
     assert sockets.send(one, b"first", b"", b"third")
     assert sockets.send(one, b"alone")
-    assert list(sockets.receive_each(other)) == [b"first", b"", b"third", b"alone"]
+    assert list(sockets.receive_parts(other)) == [b"first", b"", b"third", b"alone"]
     assert all(sockets.send(one, b"x") for _ in range(MAX_MESSAGES + 5))
-    assert [len(list(sockets.receive_each(other))) for _ in range(3)] == [MAX_MESSAGES, 5, 0]
+    assert [len(list(sockets.receive_parts(other))) for _ in range(3)] == [MAX_MESSAGES, 5, 0]
 
 
-def test_wait_drained_sees_each_message_of_a_drained_socket(context: Context) -> None:
+def test_wait_on_descriptors_sees_each_message_of_a_drained_socket(context: Context) -> None:
     one, other = pair(context, LOOPBACK)
     waited_for = sockets.descriptors([other])
     for number in range(200):
         while not sockets.send(one, b"%d" % number):
             sockets.wait_readable([one], 1_000_000)
-        while not (received := list(sockets.receive_each(other))):
-            sockets.wait_drained(waited_for, FOREVER_NS)
+        while not (received := list(sockets.receive_parts(other))):
+            sockets.wait_on_descriptors(waited_for, FOREVER_NS)
         assert received == [b"%d" % number]
 
 
@@ -83,7 +83,7 @@ def test_one_call_takes_a_bounded_number_of_messages(context: Context) -> None:
     one, other = pair(context)
     numbers = [b"%d" % i for i in range(2 * MAX_MESSAGES + 5)]
     assert all(sockets.send(one, number) for number in numbers)
-    calls = [[data for (data,) in sockets.receive_all(other)] for _ in range(4)]
+    calls = [[data for (data,) in sockets.receive_multipart(other)] for _ in range(4)]
     assert [len(call) for call in calls] == [MAX_MESSAGES, MAX_MESSAGES, 5, 0]
     assert [*itertools.chain(*calls)] == numbers
 
@@ -97,7 +97,7 @@ def test_many_messages_all_come_in_their_order(context: Context, address: str) -
         while sent < count and sockets.send(one, b"%d" % sent):
             sent += 1
         sockets.wait_readable([other], 1_000_000 if sent < count else FOREVER_NS)
-        received += [int(data) for (data,) in sockets.receive_all(other)]
+        received += [int(data) for (data,) in sockets.receive_multipart(other)]
     assert received == list(range(count))
 
 
@@ -113,7 +113,7 @@ def test_a_published_message_reaches_every_subscriber(context: Context) -> None:
         received: list[bytes] = []
         while b"499" not in received:
             sockets.wait_readable([subscriber], FOREVER_NS)
-            received += [data for (data,) in sockets.receive_all(subscriber)]
+            received += [data for (data,) in sockets.receive_multipart(subscriber)]
         # The first subscribers also received the greetings of the others.
         assert [data for data in received if data.isdigit()] == [b"%d" % i for i in range(500)]
 
@@ -124,27 +124,27 @@ def test_waiting_sees_a_message_on_any_socket(context: Context) -> None:
     for one, other in pairs:
         sockets.send(one, b"x")
         sockets.wait_readable(readable, FOREVER_NS)
-        assert list(sockets.receive_all(other)) == [[b"x"]]
+        assert list(sockets.receive_multipart(other)) == [[b"x"]]
 
 
 def test_waiting_sees_what_a_bounded_read_has_left(context: Context) -> None:
     one, other = pair(context)
     for _ in range(MAX_MESSAGES + 1):
         sockets.send(one, b"x")
-    assert len(list(sockets.receive_all(other))) == MAX_MESSAGES
+    assert len(list(sockets.receive_multipart(other))) == MAX_MESSAGES
     sockets.wait_readable([other], FOREVER_NS)
-    assert len(list(sockets.receive_all(other))) == 1
+    assert len(list(sockets.receive_multipart(other))) == 1
 
 
 def test_waiting_sees_what_came_before_something_was_sent(context: Context) -> None:
     one, other = pair(context)
     sockets.send(other, b"open")
-    assert list(sockets.receive_all(one)) == [[b"open"]]
+    assert list(sockets.receive_multipart(one)) == [[b"open"]]
     sockets.send(one, b"x")
     # Sending handles what has come too: the descriptor shows nothing new after it.
     sockets.send(other, b"y")
     sockets.wait_readable([other], FOREVER_NS)
-    assert list(sockets.receive_all(other)) == [[b"x"]]
+    assert list(sockets.receive_multipart(other)) == [[b"x"]]
 
 
 @pytest.mark.parametrize("timeout_ns", [-1_000_000_000, 0, 1, 100_000])
@@ -179,7 +179,7 @@ def test_the_last_message_of_a_peer_is_received_after_it_has_gone(context: Conte
     # Nothing was read before the connection was gone.
     monitored = listener.get_monitor_socket(zmq.EVENT_CONNECT_RETRIED)
     assert monitored.poll(10_000)
-    assert list(sockets.receive_all(listener)) == [[b"bye"]]
+    assert list(sockets.receive_multipart(listener)) == [[b"bye"]]
 
 
 def test_both_addresses_of_a_stream_over_ipc_deliver(context: Context, tmp_path: Path) -> None:
@@ -207,11 +207,11 @@ def test_a_peer_that_exceeded_the_size_limit_is_received_again_after_reconnect(
     largest = bytes(4 * MAX_FRAME_BYTES)
     sockets.send(publisher, largest)
     sockets.wait_readable([subscriber], FOREVER_NS)
-    assert list(sockets.receive_all(subscriber)) == [[largest]]
+    assert list(sockets.receive_multipart(subscriber)) == [[largest]]
     monitor = subscriber.get_monitor_socket(zmq.EVENT_DISCONNECTED)
     sockets.send(publisher, largest + b"\0")
     assert monitor.poll(10_000)
-    assert list(sockets.receive_all(subscriber)) == []
+    assert list(sockets.receive_multipart(subscriber)) == []
     sockets.reconnect(subscriber, endpoint(publisher), endpoint(publisher))
     meet(publisher, subscriber)
 

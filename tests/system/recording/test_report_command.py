@@ -47,9 +47,9 @@ def test_the_figures_are_the_displays_own(tmp_path: Path) -> None:
     made = own.pop("provenance")
     findings = read_findings(path)
     found = findings.summary().to_dict()
-    assert findings.own is not None
-    assert findings.own_final
-    assert findings.own.to_dict() == own
+    assert findings.display_summary is not None
+    assert findings.is_final_summary
+    assert findings.display_summary.to_dict() == own
     assert findings.provenance[0]["version"] == made["version"]
     for part in ("frames", "one_way_delay_ms", "clock"):
         assert found[part] == own[part], part
@@ -133,8 +133,8 @@ def test_a_limit_that_was_reached_is_an_event_and_a_row(tmp_path: Path) -> None:
         writer.add(entry)
     assert writer.close() is None
     findings = read_findings(path)
-    assert findings.own is not None
-    assert findings.own.limited == limited
+    assert findings.display_summary is not None
+    assert findings.display_summary.limited == limited
     named = [(name, text) for _, _, name, text in findings.events]
     assert named.count(("limited", "force limit reached")) == 1
     rows = {row[0]: row[2] for row in build_recording_report(path).chapters[0].tables[0].rows}

@@ -46,16 +46,16 @@ def test_a_tuned_rule_is_within_the_share_and_no_better_than_the_bound(
 ) -> None:
     for link, rules in scores.rules.items():
         for score in rules.values():
-            assert not score.reached or score.tuned.late <= LITTLE.late
+            assert not score.reached or score.tuned.late <= LITTLE.permitted_late
             assert score.tuned.delay_ms >= scores.links[link].moving_ms
             assert score.tuned in score.tried
-            within = [one.delay_ms for one in score.tried if one.late <= LITTLE.late]
+            within = [one.delay_ms for one in score.tried if one.late <= LITTLE.permitted_late]
             assert score.tuned.delay_ms == min(within)
-    assert scores.rules[GAUSSIAN][OURS].tuned.late > 0.5 * LITTLE.late
+    assert scores.rules[GAUSSIAN][OURS].tuned.late > 0.5 * LITTLE.permitted_late
 
 
 def test_a_share_that_no_setting_reaches_is_reported(scores: PlayoutScores, report: Report) -> None:
-    strict = PlayoutEffort(seconds=20, scan=2, bisections=1, links=(TCP,), late=0.0)
+    strict = PlayoutEffort(seconds=20, scan=2, bisections=1, links=(TCP,), permitted_late=0.0)
     score = score_rule(RuleOnLink("Moon percentile", TCP), strict)
     assert not score.reached
     missed = PlayoutScores({TCP: scores.links[TCP]}, {TCP: dict.fromkeys(RULES, score)})

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from telepulse.reports.studies.prediction_pulses import RECORDED, SILENT, Pulse
+from telepulse.reports.studies.prediction_pulses import RECORDED, WITHOUT_SHAPE_CUE, Pulse
 from telepulse.reports.studies.prediction_study import (
     HORIZONS_MS,
     MEDIAN,
@@ -32,7 +32,7 @@ def made_up(error: float = 0.1) -> PredictionScores:
         for name in ("hold", "linear", "fir", "analogue", "harmonic", "stack")
     }
     return PredictionScores(
-        dict.fromkeys((*SETS, *RECORDED), errors), dict.fromkeys(SILENT, errors), costs
+        dict.fromkeys((*SETS, *RECORDED), errors), dict.fromkeys(WITHOUT_SHAPE_CUE, errors), costs
     )
 
 
@@ -75,7 +75,9 @@ def test_every_target_is_judged_on_its_own_set() -> None:
     assert [result.target for result in verdicts] == list(TARGETS)
     for result in verdicts:
         assert result.ours[0] == (9.0 if result.target.where == "ramp" else 0.1)
-    without_medians = [result.target for result in compare_targets(scores.silent_errors, {})]
+    without_medians = [
+        result.target for result in compare_targets(scores.errors_without_shape_cue, {})
+    ]
     assert without_medians == [target for target in TARGETS if target.where != MEDIAN]
 
 
@@ -83,8 +85,8 @@ def test_the_report_counts_reached_targets_and_gives_the_excess_of_others() -> N
     chapter = report_prediction(made_up(), PredictionEffort()).chapters[1]
     rows = chapter.tables[0].rows
     assert len(rows) == len(TARGETS)
-    prize = next(row for row in rows if row[0] == "variability" and row[2] == "prize")
-    assert prize[3:] == ("0.100 / –", "0.100 / –", "0.100 / 0.180", "0.100 / –", "reached")
+    goal = next(row for row in rows if row[0] == "variability" and row[2] == "stretch goal")
+    assert goal[3:] == ("0.100 / –", "0.100 / –", "0.100 / 0.180", "0.100 / –", "reached")
     stack = next(row for row in rows if row[:2] == (MEDIAN, "stack"))
     assert stack[-1] == "missed: 20 ms +122%"
     reached = sum(row[-1] == "reached" for row in rows)

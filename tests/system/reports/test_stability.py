@@ -103,7 +103,7 @@ def test_the_delay_margin_predicts_the_effect_of_a_tick_of_delay(rates: list[Rat
     lost = {(each.gains, each.rate_hz) for each in rates if each.late_n > nothing_n}
     assert lost == {("simulation", 100), ("experiment", 100), ("experiment", 200)}
     for each in rates:
-        assert (each.delay_ticks < 1.025) == (each.late_n > nothing_n)
+        assert (each.margin_ticks < 1.025) == (each.late_n > nothing_n)
 
 
 # Every other case.

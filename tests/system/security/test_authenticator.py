@@ -36,7 +36,7 @@ class Subscriber:
         self.received: list[int] = []
 
     def receive(self) -> None:
-        self.received += [int(message) for message in sockets.receive_each(self.socket)]
+        self.received += [int(message) for message in sockets.receive_parts(self.socket)]
 
 
 class Publisher:

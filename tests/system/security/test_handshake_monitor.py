@@ -81,7 +81,7 @@ def test_a_key_that_was_accepted_and_is_refused_later_is_reported_as_revoked(
 
     def both_receive() -> bool:
         sockets.send(socket, b"a frame")
-        waiting[:] = [each for each in waiting if not list(sockets.receive_all(each))]
+        waiting[:] = [each for each in waiting if not list(sockets.receive_multipart(each))]
         return not waiting
 
     display.poll_until(both_receive, authenticator)

@@ -39,8 +39,8 @@ def test_a_link_has_keys_on_both_sides(context: Context, keyring: Keyring, tmp_p
             assert time.monotonic() < end_s
             for (control, data), (answers, frames) in zip(sockets_of, received, strict=True):
                 sockets.send(control, encode_control(Hello("raw")))
-                answers += sockets.receive_each(control)
-                frames += sockets.receive_each(data)
+                answers += sockets.receive_parts(control)
+                frames += sockets.receive_parts(data)
             time.sleep(0.02)
     assert isinstance(decode_control(received[0][0][0]), Welcome)
     assert received[1] == ([], [])

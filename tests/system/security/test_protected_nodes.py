@@ -67,7 +67,7 @@ class RawDisplay:
     def request(self) -> None:
         sockets.send(self.control, encode_control(Hello("who")))
         for socket in (self.control, self.data):
-            self.received += sockets.receive_each(socket)
+            self.received += sockets.receive_parts(socket)
 
 
 def test_a_peer_that_is_not_allowed_gets_no_frame_and_no_answer(

@@ -152,7 +152,7 @@ def test_a_message_altered_on_its_way_to_the_bound_socket_is_refused(
     def poll() -> None:
         authenticator.poll(time.monotonic_ns())
         sockets.send(peer, bytes(MESSAGE_BYTES))
-        received.extend(message for _, message in sockets.receive_all(bound_socket))
+        received.extend(message for _, message in sockets.receive_multipart(bound_socket))
 
     with middleman(port_of(address), port_of(bound)) as between:
         peer = sockets.connect(context, zmq.DEALER, address, keyring.client("finger"))

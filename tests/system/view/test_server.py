@@ -16,7 +16,7 @@ from display_node.fault_advice import advise
 from protocol.run_summary import Summary
 from protocol.sockets import Context
 from protocol.wire.telemetry import (
-    HEARD,
+    CAPTURE,
     STATUS,
     TRACE,
     CaptureWriter,
@@ -174,7 +174,7 @@ def test_telemetry_that_has_queued_is_as_old_as_it_is(
         capture.wanted = True
         trace.add(TickState(now_ns=sent_ns, felt_n=0.356, scored=True))
         for message in capture.take(sent_ns, time.time_ns() - 5 * 10**9):
-            display.send_multipart((HEARD, message))
+            display.send_multipart((CAPTURE, message))
         display.send_multipart((TRACE, trace.rest() or b""))
         display.send_multipart((STATUS, pack_status("playing", "pulse", Summary(), final=False)))
 

@@ -45,7 +45,7 @@ def verdict(
     ("bare", "status"),
     [
         *((ticks(1000 - missed, missed), "ok") for missed in (0, 1)),
-        *((ticks(1000 - missed, missed), "look") for missed in (2, 10)),
+        *((ticks(1000 - missed, missed), "warn") for missed in (2, 10)),
         (ticks(988, 12), "fail"),
         (Ticks(), "fail"),
         # A gap longer than the watchdog of a drive fails whatever the share.

@@ -60,7 +60,7 @@ def test_a_scene_that_extends_a_file_beside_it_is_written_beside_it(tmp_path: Pa
     child = tmp_path / "child.toml"
     child.write_text('extends = "parent.toml"\n', encoding="utf-8")
     changes: Changes = {"display.film": {"latency": '"8 ms"'}}
-    with pytest.raises(SceneError, match="extends a file by its path: write it beside that one"):
+    with pytest.raises(SceneError, match="by a relative path; write the copy to the folder"):
         check_editable(child, tmp_path / "far" / "found.toml")
     check_editable(child, tmp_path / "found.toml")
     write_scene(child, tmp_path / "found.toml", changes)

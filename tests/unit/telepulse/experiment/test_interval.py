@@ -63,7 +63,7 @@ def test_playing_again_is_drawn_anew_and_begins_anywhere_in_a_beat(tmp_path: Pat
     trial = draw_trials(found.session, 1)[0]
     drawn = [draw_interval(found, 1, 0, trial, "X", nth) for nth in range(100)]
     assert len({interval.link_seed for interval in drawn}) == 100
-    waits_ns = [interval.foreperiod_ns - found.session.joined_ns for interval in drawn]
+    waits_ns = [interval.foreperiod_ns - found.session.joining_ns for interval in drawn]
     assert 0 <= min(waits_ns) < 0.1 * FOREPERIOD_NS
     assert 0.9 * FOREPERIOD_NS < max(waits_ns) < FOREPERIOD_NS
 

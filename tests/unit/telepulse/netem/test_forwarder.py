@@ -2,7 +2,7 @@ import struct
 
 import pytest
 
-from telepulse.netem.forwarder import PacketFilter, read_filters, write_filters
+from telepulse.netem.forwarder import PacketFilter, filters_from_text, filters_to_text
 
 SYN, ACK = 0x02, 0x10
 DATA, CONTROL, DISPLAY = 5555, 5556, 40_000
@@ -39,4 +39,4 @@ def test_other_packets_than_tcp_pass() -> None:
 
 def test_filters_come_back_from_their_text() -> None:
     filters = (PacketFilter(), PacketFilter(port=DATA, towards="display", syn_only=True))
-    assert read_filters(write_filters(filters)) == filters
+    assert filters_from_text(filters_to_text(filters)) == filters

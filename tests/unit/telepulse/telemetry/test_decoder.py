@@ -16,7 +16,7 @@ from protocol.errors import CAUSE_MEANINGS
 from protocol.run_summary import Summary
 from protocol.summary_tables import Clock, Compensation, Deadlines, Loop, SampleCounts
 from protocol.wire.messages import Hello, encode_control, encode_frame
-from protocol.wire.telemetry import CONTROL, HEARD, TRACE, TickState
+from protocol.wire.telemetry import CAPTURE, CONTROL, TRACE, TickState
 from protocol.wire.telemetry import STATUS as STATUS_TOPIC
 from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import CLOCK, EVENT, FRAME, REFUSED, SCHEMAS, STREAM
@@ -230,7 +230,7 @@ summaries = st.dictionaries(st.sampled_from([*Summary().to_dict()]), plain)
 @given(
     st.lists(
         st.tuples(
-            st.sampled_from([HEARD, TRACE, STATUS_TOPIC, b"else"]),
+            st.sampled_from([CAPTURE, TRACE, STATUS_TOPIC, b"else"]),
             st.binary(max_size=40)
             | plain.map(msgpack.packb)
             | st.tuples(

@@ -151,7 +151,7 @@ def test_another_run_of_the_display_begins_afresh(display: SimulatedDisplay) -> 
     display.status("ended", final=True)
     display.event("begin", "another run of the display")
     assert display.live.state == ""
-    assert not display.live.final
+    assert not display.live.display_ended
     assert len(display.live.ticks) == len(display.live.wrist) == 0
 
 
