@@ -47,7 +47,8 @@ class JitterBuffer:
     Attributes
     ----------
     frames, reordered
-        Number of frames taken, and of those that came after a newer one.
+        Number of frames taken, and of those that came after a newer one; a receiver adds those of
+        the buffers before.
     ended
         Whether the session's end is known.
     """

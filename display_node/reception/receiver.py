@@ -13,17 +13,7 @@ from protocol.errors import WireError
 from protocol.histogram import Histogram
 from protocol.run_summary import Summary
 from protocol.summary_tables import Clock, FrameCounts, OneWayDelay, SampleCounts
-from protocol.wire.messages import (
-    Bye,
-    ClockReply,
-    ClockRequest,
-    Control,
-    Frame,
-    Hello,
-    Welcome,
-    decode_control,
-    decode_frame,
-)
+from protocol.wire import messages as wire
 from protocol.wire.stream import StreamDescription
 
 HELLO_EVERY_NS = 250_000_000
@@ -60,6 +50,8 @@ class Receiver:
     beginnings
         Number of sessions, and of clock steps within them. At each, everything learnt from earlier
         samples is discarded.
+    clock_steps
+        Number of clock steps in all sessions so far.
     ready
         True when playing can start: the stream, its clock and its usual delay are known.
     one_way_delay_ms
@@ -70,30 +62,28 @@ class Receiver:
         self._name, self._paths = name, paths
         self._channel, self._late_target = channel, late_target
         self._closed = SampleAccount()
-        self._frames_closed = self._reordered_closed = 0
         self._next_hello_ns = self._next_clock_ns = 0
         self._in_doubt = False
         self._clock_requests = 0
         # Times of sending of the requests that may still be answered, oldest first.
         self._asked_ns: deque[int] = deque(maxlen=MAX_ASKED)
-        self._steps_closed = 0
         self._received_ns = 0
         self.copies = 0
         self.rejected: Counter[str] = Counter()
         self.one_way_delay_ms = Histogram(0.1, 20_000)
-        self.sessions = self.beginnings = 0
+        self.sessions = self.beginnings = self.clock_steps = 0
         self.session: int | None = None
         self.ready = False
         self.description: StreamDescription | None = None
         self.clock = ClockEstimator()
         self.delay = DelayEstimator(late_target)
         self.buffer = JitterBuffer(channel)
-        self._farewell: Bye | None = None
+        self._farewell: wire.Bye | None = None
 
-    def on_frame(self, data: bytes, now_ns: int) -> Frame | None:
+    def on_frame(self, data: bytes, now_ns: int) -> wire.Frame | None:
         """Take a data message; return the frame if it is new and valid."""
         try:
-            frame = decode_frame(data)
+            frame = wire.decode_frame(data)
             self._accept(frame, now_ns)
         except WireError as error:
             if error.cause == "duplicate" and self._paths > 1:
@@ -106,7 +96,7 @@ class Receiver:
     def on_control(self, data: bytes, now_ns: int) -> None:
         """Take a control message."""
         try:
-            message = decode_control(data)
+            message = wire.decode_control(data)
             self._take(message, now_ns)
         except WireError as error:
             self.rejected[error.cause] += 1
@@ -125,47 +115,35 @@ class Receiver:
         self._in_doubt = True
         self._next_hello_ns = 0
 
-    def requests(self, now_ns: int) -> list[Control]:
+    def requests(self, now_ns: int) -> list[wire.Control]:
         """Return the messages to send to the sensing node now: hello, clock request, final bye."""
-        wanted: list[Control] = []
+        wanted: list[wire.Control] = []
         silent = self.silent(now_ns)
         lost = self.session is None or silent or self._in_doubt
         if lost and now_ns >= self._next_hello_ns:
             self._next_hello_ns = now_ns + HELLO_EVERY_NS
             self._in_doubt = False
-            wanted.append(Hello(self._name))
+            wanted.append(wire.Hello(self._name))
         if self.session is not None and not silent and now_ns >= self._next_clock_ns:
             fast = self._clock_requests < CLOCK_FAST_COUNT
             self._clock_requests += 1
             if self._clock_requests >= READY_AFTER:
                 self._next_clock_ns = now_ns + (CLOCK_FAST_NS if fast else CLOCK_EVERY_NS)
-            self.expect_reply(now_ns)
-            wanted.append(ClockRequest(now_ns))
+            self._asked_ns.append(now_ns)
+            wanted.append(wire.ClockRequest(now_ns))
         if self._farewell is not None and self.buffer.complete:
             wanted.append(self._farewell)
             self._farewell = None
         return wanted
-
-    def expect_reply(self, t1_ns: int) -> None:
-        """Accept one reply to a clock request that was sent at `t1_ns`."""
-        self._asked_ns.append(t1_ns)
 
     def account(self) -> SampleAccount:
         """Return the account of all samples of all sessions so far."""
         return self._closed + self.buffer.account()
 
     @property
-    def clock_steps(self) -> int:
-        """Number of clock steps in all sessions so far."""
-        return self._steps_closed + self.clock.steps
-
-    @property
     def frames(self) -> tuple[int, int]:
         """Frames received, and how many of them came after a newer one."""
-        return (
-            self._frames_closed + self.buffer.frames,
-            self._reordered_closed + self.buffer.reordered,
-        )
+        return self.buffer.frames, self.buffer.reordered
 
     def summary(self, now_ns: int) -> Summary:
         """Return the summary's figures of what was received: samples, frames, delay and clock."""
@@ -198,7 +176,7 @@ class Receiver:
         grace_ns = GRACE_NS if self.buffer.complete else LAST_GRACE_NS
         return self.clock.remote_ns(now_ns) > end_ns + playout_delay_ns + grace_ns
 
-    def _accept(self, frame: Frame, now_ns: int) -> None:
+    def _accept(self, frame: wire.Frame, now_ns: int) -> None:
         """Check a frame against its session and put it into the buffer. Raises WireError."""
         description = self.description
         if description is None:
@@ -228,25 +206,30 @@ class Receiver:
         self.ready = self.ready or self.delay.settled
         self.one_way_delay_ms.add((sensing_now_ns - last_ns) * 1e-6)
 
-    def _take(self, message: Control, now_ns: int) -> None:
+    def _take(self, message: wire.Control, now_ns: int) -> None:
         match message:
-            case Welcome(session=session, description=description):
+            case wire.Welcome(session=session, description=description):
                 self._received_ns = now_ns
                 if session != self.session:
-                    self._begin(session, description)
-            case ClockReply() if message.session != self.session:
+                    # Its samples, times and clock are unrelated to the last one's.
+                    self._restart(JitterBuffer(self._channel))
+                    self.session, self.description = session, description
+                    self.sessions += 1
+                    self._clock_requests = self._next_clock_ns = 0
+                    self.clock, self._farewell = ClockEstimator(), None
+            case wire.ClockReply() if message.session != self.session:
                 self._in_doubt = True
                 raise WireError("session", "a clock reply of another session")
-            case ClockReply(t1_ns=t1_ns, t2_ns=t2_ns, t3_ns=t3_ns):
+            case wire.ClockReply(t1_ns=t1_ns, t2_ns=t2_ns, t3_ns=t3_ns):
                 self._follow_clock(ClockExchange(t1_ns, t2_ns, t3_ns, now_ns))
-            case Bye() if message.session != self.session:
+            case wire.Bye() if message.session != self.session:
                 raise WireError("session", "the end of another session")
-            case Bye(samples_sent=samples_sent):
+            case wire.Bye(samples_sent=samples_sent):
                 sensing_now_ns = self.clock.remote_ns(now_ns) if self.clock.ready else None
                 self.buffer.end(samples_sent, sensing_now_ns)
                 self._farewell = message
                 # A stream that is too short for a good delay estimate is played as well.
-                self.ready = self.ready or self.buffer.frames > 0
+                self.ready = self.ready or self.buffer.newest_ns is not None
             case _:
                 raise WireError("unexpected", "a message that only displays send")
 
@@ -260,31 +243,17 @@ class Receiver:
         if not clock.add(exchange):
             raise WireError("implausible", "a clock reply before its request")
         if clock.steps != steps:
+            self.clock_steps += clock.steps - steps
             self._clock_requests = 0
-            if abs(clock.remote_ns(now_ns) - expected_ns) > JUMP_NS:
-                self._begin_anew()
-
-    def _begin_anew(self) -> None:
-        """Let the playout jump with a clock that has jumped.
-
-        Times before and after the jump are not comparable, so waiting samples are dropped.
-        """
-        if not self.buffer.ended:
-            self._restart(self.buffer.successor())
+            jumped = abs(clock.remote_ns(now_ns) - expected_ns) > JUMP_NS
+            if jumped and not self.buffer.ended:
+                # Let the playout jump as well. Times before and after the jump are not comparable,
+                # so waiting samples are dropped.
+                self._restart(self.buffer.successor())
 
     def _restart(self, buffer: JitterBuffer) -> None:
         self._closed = self.account()
-        self._frames_closed, self._reordered_closed = self.frames
+        buffer.frames, buffer.reordered = self.frames
         self.buffer, self.delay = buffer, DelayEstimator(self._late_target)
         self.beginnings += 1
         self.ready = False
-
-    def _begin(self, session: int, description: StreamDescription) -> None:
-        """Begin a new session, whose samples, times and clock are unrelated to the last one's."""
-        self._restart(JitterBuffer(self._channel))
-        self.session, self.description = session, description
-        self.sessions += 1
-        self._clock_requests = self._next_clock_ns = 0
-        self._steps_closed = self.clock_steps
-        self.clock = ClockEstimator()
-        self._farewell = None
