@@ -1,5 +1,6 @@
 import errno
 import os
+from itertools import count
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ from protocol.security.allow_list import AllowList, allow, read_allowed, revoke
 from protocol.security.keys import PublicKey
 
 WRIST, FINGER = PublicKey("wrist", b"\x01" * 32), PublicKey("finger", b"\x02" * 32)
+SECONDS_NS = count(0, 1_000_000_000)
 
 
 @pytest.fixture
@@ -16,13 +18,10 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "allowed"
 
 
-def test_no_key_is_allowed_without_a_list(path: Path) -> None:
+def test_keys_are_added_and_taken_out(path: Path) -> None:
     assert read_allowed(path) == {}
     path.write_text("")
     assert read_allowed(path) == {}
-
-
-def test_keys_are_added_and_taken_out(path: Path) -> None:
     allow(path, WRIST)
     allow(path, FINGER)
     assert read_allowed(path) == {WRIST.key: WRIST, FINGER.key: FINGER}
@@ -32,8 +31,10 @@ def test_keys_are_added_and_taken_out(path: Path) -> None:
     assert read_allowed(path) == {}
 
 
-def test_what_else_is_written_there_stays(path: Path) -> None:
-    path.write_text(f"# the ward\n\n{WRIST.line}\n  # spare\n")
+def test_every_key_of_a_name_is_taken_out_and_what_else_is_written_there_stays(path: Path) -> None:
+    second = PublicKey("wrist", b"\x03" * 32)
+    path.write_text(f"# the ward\n\n{WRIST.line}\n  # spare\n{second.line}\n")
+    assert list(read_allowed(path).values()) == [WRIST, second]
     allow(path, FINGER)
     revoke(path, "wrist")
     assert path.read_text() == f"# the ward\n\n  # spare\n{FINGER.line}\n"
@@ -54,20 +55,6 @@ def test_a_name_has_one_key_and_a_key_one_name(path: Path, public: PublicKey, re
     assert read_allowed(path) == {WRIST.key: WRIST}
 
 
-def test_a_key_that_is_listed_twice_is_refused(path: Path) -> None:
-    path.write_text(f"{WRIST.line}\n{PublicKey('other', WRIST.key).line}\n")
-    with pytest.raises(KeyFileError, match="line 2: this key stands there already"):
-        read_allowed(path)
-
-
-def test_the_list_is_public_key_files_and_every_key_of_a_name_is_taken_out(path: Path) -> None:
-    path.write_text("".join(f"{public.line}\n" for public in (WRIST, FINGER)))
-    assert list(read_allowed(path).values()) == [WRIST, FINGER]
-    path.write_text(f"{WRIST.line}\n{PublicKey('wrist', FINGER.key).line}\n")
-    revoke(path, "wrist")
-    assert read_allowed(path) == {}
-
-
 def test_a_name_that_is_not_listed_cannot_be_revoked(path: Path) -> None:
     with pytest.raises(KeyFileError, match="it allows nobody"):
         revoke(path, "wrist")
@@ -84,6 +71,7 @@ def test_a_name_that_is_not_listed_cannot_be_revoked(path: Path) -> None:
         (WRIST.line + " more", "line 2: it is not"),
         (WRIST.line.replace("public", "secret"), "line 2: a secret key, which never leaves"),
         ("\x00", "line 2: it is not"),
+        (PublicKey("other", FINGER.key).line, "line 2: this key stands there already"),
         ("ö", "is not a file of keys"),
         ("#" * 2_000_000, "is not a file of keys"),
     ],
@@ -118,52 +106,44 @@ def test_two_commands_do_not_undo_each_other(path: Path) -> None:
     assert list(path.parent.iterdir()) == [path]
 
 
-class PolledList:
-    """A list of a running node, polled once a second of virtual time."""
-
-    def __init__(self, path: Path) -> None:
-        self.list = AllowList(path)
-        self.now_s = 0
-
-    def run(self, seconds: int) -> list[bytes]:
-        gone = []
-        for _ in range(seconds):
-            gone += self.list.poll(self.now_s * 1_000_000_000)
-            self.now_s += 1
-        return gone
-
-
 @pytest.fixture
-def polled(path: Path) -> PolledList:
+def polled(path: Path) -> AllowList:
     allow(path, WRIST)
     allow(path, FINGER)
-    return PolledList(path)
+    return AllowList(path)
 
 
-def test_a_change_is_read_once(path: Path, polled: PolledList, logged: list[str]) -> None:
-    assert polled.run(3) == []
+def run(polled: AllowList, seconds: int) -> list[bytes]:
+    """Poll once a second of virtual time."""
+    return [key for _ in range(seconds) for key in polled.poll(next(SECONDS_NS))]
+
+
+def test_a_change_is_read_once(path: Path, polled: AllowList, logged: list[str]) -> None:
+    assert run(polled, 3) == []
     revoke(path, "wrist")
-    assert polled.run(3) == [WRIST.key]
-    assert list(polled.list.allowed) == [FINGER.key]
+    assert run(polled, 3) == [WRIST.key]
+    assert list(polled.allowed) == [FINGER.key]
     assert logged == ["wrist is allowed no more"]
 
 
-def test_a_list_is_read_until_it_can_be(path: Path, polled: PolledList, logged: list[str]) -> None:
-    path.write_text(f"{FINGER.line}\n")
+def test_a_list_is_read_until_it_can_be(path: Path, polled: AllowList, logged: list[str]) -> None:
     path.chmod(0o664)
-    assert polled.run(5) == []
-    assert not polled.list.readable
-    assert len(polled.list.allowed) == 2
+    assert run(polled, 1) == []
+    assert not polled.readable
+    path.write_text(f"{FINGER.line}\n")
+    assert run(polled, 5) == []
+    assert not polled.readable
+    assert len(polled.allowed) == 2
     path.chmod(0o644)
-    assert polled.run(1) == [WRIST.key]
-    assert polled.list.readable
+    assert run(polled, 1) == [WRIST.key]
+    assert polled.readable
     assert len(logged) == 3
     assert "until it can be read no new peer may connect" in logged[0]
     assert logged[1:] == [f"{path} is read again", "wrist is allowed no more"]
 
 
 def test_a_list_that_cannot_be_opened_just_then_is_read_later(
-    path: Path, polled: PolledList, monkeypatch: pytest.MonkeyPatch, logged: list[str]
+    path: Path, polled: AllowList, monkeypatch: pytest.MonkeyPatch, logged: list[str]
 ) -> None:
     def no_descriptor(*_: object) -> None:
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
@@ -171,27 +151,21 @@ def test_a_list_that_cannot_be_opened_just_then_is_read_later(
     revoke(path, "wrist")
     with monkeypatch.context() as patch:
         patch.setattr(Path, "open", no_descriptor)
-        assert polled.run(2) == []
+        assert run(polled, 2) == []
     assert "Too many open files" in logged[0]
-    assert polled.run(1) == [WRIST.key]
+    assert run(polled, 1) == [WRIST.key]
 
 
 def test_after_10_s_without_a_list_no_key_is_allowed(
-    path: Path, polled: PolledList, logged: list[str]
+    path: Path, polled: AllowList, logged: list[str]
 ) -> None:
     text = path.read_text()
     path.write_text("nonsense\n")
-    assert polled.run(10) == []
-    assert set(polled.run(1)) == {WRIST.key, FINGER.key}
-    assert polled.run(20) == []
-    assert polled.list.allowed == {}
+    assert run(polled, 10) == []
+    assert set(run(polled, 1)) == {WRIST.key, FINGER.key}
+    assert run(polled, 20) == []
+    assert polled.allowed == {}
     assert logged[1:] == [f"{path} could not be read for 10 s: all peers are cut off"]
     path.write_text(text)
-    assert polled.run(1) == []
-    assert len(polled.list.allowed) == 2
-
-
-def test_a_mode_that_lets_others_write_is_a_change(path: Path, polled: PolledList) -> None:
-    path.chmod(0o666)
-    polled.run(1)
-    assert not polled.list.readable
+    assert run(polled, 1) == []
+    assert len(polled.allowed) == 2
