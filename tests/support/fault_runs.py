@@ -1,7 +1,7 @@
 """Runs of one injected fault of a drive or a film, on a bench in virtual time."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from display_node.scene import DisplayScene
 from display_node.telemetry.alerts import STIFFNESS, alerts
@@ -25,12 +25,8 @@ PLAYED_MS = 1_500
 AFTER_MS = 3_000
 # A tip that is off for so long stays off.
 OFF_MS = 250
-# Felt beyond what is felt without the fault: a smaller excess need not be reported.
-HARMLESS_N = 0.25
 # Below it the tip is off the finger.
 TOUCH_N = 0.01
-# The hostile stream's jumps, and half its period.
-HOSTILE_N, HOSTILE_MS = 1_000.0, 300
 # A drive that turns the wrong way, or not at all, cannot be withdrawn by commands.
 DISOBEDIENT = (FaultKind.REVERSED, FaultKind.REVERSED_ENCODER, FaultKind.NO_RETRACTION)
 
@@ -75,7 +71,8 @@ class FaultOutcome:
         faultless_error_n: `error_n` without a fault. A fault that changes nothing at the finger
         need not be reported, and a drive that does not obey need not leave the finger.
         """
-        harmless = not self.named and self.error_n <= faultless_error_n + HARMLESS_N
+        # Nor need an excess of less than 0.25 N over what is felt without the fault.
+        harmless = not self.named and self.error_n <= faultless_error_n + 0.25
         off = self.off_ms is not None and self.off_ms <= BAR_OFF_MS
         bars = {
             "force": self.most_n <= BAR_FORCE_N,
@@ -95,8 +92,8 @@ def paper_pulse() -> Callable[[int], float]:
 
 
 def hostile_stream(ms: int) -> float:
-    """Return forces that jump between zero and far beyond the limit."""
-    return HOSTILE_N if ms // HOSTILE_MS % 2 else 0.0
+    """Return forces that jump between zero and far beyond the limit, every 300 ms."""
+    return 1_000.0 if ms // 300 % 2 else 0.0
 
 
 def bench_scene(kind: str) -> DisplayScene:
@@ -119,63 +116,54 @@ def run_fault(
     with ThreadedBench(bench_scene(kind), force_n, with_film, felt.append, finger) as bench:
         target_n: dict[int, float] = {}
         bench.on_tick = lambda now_ns, force_n: target_n.setdefault(now_ns // MS, force_n)
-        began_ns = bench.world.now_ns
-        fault = None if case is None else parse_fault(case.kind, case.size)
-        if fault is not None and case is not None and case.from_start:
-            bench.motor.injector.begin(fault, began_ns)
-            try:
-                bench.start()
-            except TelepulseError as error:
-                fault_ns = bench.world.now_ns
-                bench.run(AFTER_MS)
-                return _outcome(felt, target_n, began_ns, fault_ns, f"not started: {error}")
-        else:
+        from_start = case is not None and case.from_start
+        if not from_start:
             bench.start()
             bench.run(PLAYED_MS)
             assert not bench.faults, bench.faults
-            began_ns = bench.world.now_ns
-            if fault is not None:
-                bench.motor.injector.begin(fault, began_ns)
-        for _ in range(AFTER_MS // OFF_MS):
-            bench.run(OFF_MS)
-            if bench.faults and all(moment.force_n <= TOUCH_N for moment in felt[-OFF_MS:]):
-                break
-        outcome = _outcome(felt, target_n, began_ns, bench.fault_ns, "; ".join(bench.faults))
-        summary = bench.display.summary()
-        warned = [a for a in alerts(bench.display.state, summary.to_dict()) if a.name == STIFFNESS]
-        return replace(
-            outcome,
-            warned="; ".join(f"{alert.name} {alert.text}" for alert in warned),
-            stiffness=summary.finger_stiffness if with_film else None,
-        )
-
-
-def _outcome(
-    felt: list[MotorState],
-    target_n: dict[int, float],
-    began_ns: int,
-    fault_ns: int | None,
-    named: str,
-) -> FaultOutcome:
-    pressing = [moment.time_ns for moment in felt if moment.force_n > TOUCH_N]
-    last_ns, end_ns = max(pressing, default=0), felt[-1].time_ns
+        began_ns = bench.world.now_ns
+        if case is not None:
+            bench.motor.injector.begin(parse_fault(case.kind, case.size), began_ns)
+        warned, stiffness = "", None
+        try:
+            if from_start:
+                bench.start()
+        except TelepulseError as error:
+            named, bench.fault_ns = f"not started: {error}", bench.world.now_ns
+            bench.run(AFTER_MS)
+        else:
+            for _ in range(AFTER_MS // OFF_MS):
+                bench.run(OFF_MS)
+                if bench.faults and all(moment.force_n <= TOUCH_N for moment in felt[-OFF_MS:]):
+                    break
+            named, summary = "; ".join(bench.faults), bench.display.summary()
+            shown = alerts(bench.display.state, summary.to_dict())
+            warned = "; ".join(f"{x.name} {x.text}" for x in shown if x.name == STIFFNESS)
+            stiffness = summary.finger_stiffness if with_film else None
+    fault_ns, end_ns = bench.fault_ns, felt[-1].time_ns
+    last_ns = max((moment.time_ns for moment in felt if moment.force_n > TOUCH_N), default=0)
+    scored = [moment for moment in felt if began_ns <= moment.time_ns <= (fault_ns or end_ns)]
     off_ms = None
     if fault_ns is not None and end_ns - last_ns > 100 * MS:
         off_ms = max(0, last_ns - fault_ns) // MS
-    error_n = 0.0
-    for moment in felt:
-        if moment.time_ns < began_ns or (fault_ns is not None and moment.time_ns > fault_ns):
-            continue
-        # The target is felt within some ms.
-        ms = moment.time_ns // MS
-        near = [target_n[there] for there in range(ms - 20, ms + 21) if there in target_n]
-        if near:
-            error_n = max(error_n, moment.force_n - max(near), min(near) - moment.force_n)
     return FaultOutcome(
         most_n=max(moment.force_n for moment in felt),
         above_ms=sum(moment.force_n > LIMIT_AND_STEP_N for moment in felt),
         named=named,
         named_ms=None if fault_ns is None else (fault_ns - began_ns) // MS,
         off_ms=off_ms,
-        error_n=error_n,
+        error_n=_greatest_error(scored, target_n),
+        warned=warned,
+        stiffness=stiffness,
     )
+
+
+def _greatest_error(felt: list[MotorState], target_n: dict[int, float]) -> float:
+    error_n = 0.0
+    for moment in felt:
+        # The target is felt within some ms.
+        ms = moment.time_ns // MS
+        near = [target_n[there] for there in range(ms - 20, ms + 21) if there in target_n]
+        if near:
+            error_n = max(error_n, moment.force_n - max(near), min(near) - moment.force_n)
+    return error_n

@@ -3,6 +3,7 @@ import os
 import re
 import stat
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -12,23 +13,20 @@ from protocol.host.output import check_writable, configure_logging, write_whole
 ours, library = logging.getLogger("sensing_node.node"), logging.getLogger("zeroconf")
 
 
-def test_any_record_is_one_line_with_time_and_level(capsys: pytest.CaptureFixture[str]) -> None:
+def test_any_record_is_one_line_with_time_and_level_and_names_its_exception(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     configure_logging()
     ours.warning("anna\n12:00:00.000 ERROR \x1b[31mfault joined, 100 %")
-    line = capsys.readouterr().err
-    assert re.fullmatch(
-        r"\d\d:\d\d:\d\d\.\d{3} WARNING anna\\n12:.*\\x1b\[31mfault.* 100 %\n", line
-    )
-
-
-def test_an_exception_is_named_in_the_same_line(capsys: pytest.CaptureFixture[str]) -> None:
-    configure_logging()
     try:
         raise ValueError("no\nsuch")
     except ValueError:
         library.exception("failed")
-    line = capsys.readouterr().err
-    assert re.search(r" ERROR failed: ValueError: no\\nsuch \(.*test_output.py:\d+\)\n$", line)
+    record, named = capsys.readouterr().err.splitlines()
+    at = r"\d\d:\d\d:\d\d\.\d{3}"
+    assert re.fullmatch(rf"{at} WARNING anna\\n12:.*\\x1b\[31mfault.* 100 %", record)
+    source = r"\(.*test_output.py:\d+\)"
+    assert re.fullmatch(rf"{at} ERROR failed: ValueError: no\\nsuch {source}", named)
 
 
 @pytest.mark.parametrize(
@@ -66,10 +64,7 @@ def test_a_write_that_fails_half_way_leaves_the_old_file_and_no_draft(
 ) -> None:
     path = tmp_path / "out.json"
     path.write_text("old", encoding="utf-8")
-
-    def full(_: int) -> None:
-        raise OSError(28, "No space left on device")
-
+    full = Mock(side_effect=OSError(28, "No space left on device"))
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(OutputError, match="No space left"):
         write_whole(path, "new" * 1_000_000)
