@@ -76,8 +76,7 @@ def busy_processes(count: int) -> Iterator[None]:
     """Run `count` processes that compute without a pause, within a `with`."""
     with ExitStack() as stack:
         for _ in range(count):
-            arguments = ("-S", "-c", BUSY, str(os.getpid()))
-            stack.enter_context(ChildProcess("busy process", *arguments))
+            stack.enter_context(ChildProcess("busy process", "-S", "-c", BUSY, str(os.getpid())))
         yield
 
 
@@ -112,7 +111,8 @@ def measure(
     rounds = min(max(round(each_s / LEAST_SLOT_S), 1), MAX_ROUNDS)
     ticks = {(name, beside): Ticks() for beside in (IDLE, LOADED) for name in wanted}
     context: sockets.Context = zmq.Context()
-    try:
+    with ExitStack() as stack:
+        stack.callback(context.destroy, linger=0)
         silent = sockets.unconnected(context, zmq.SUB)
         descriptors = sockets.descriptors([silent])
         stolen_before, all_before = stolen()
@@ -123,15 +123,9 @@ def measure(
                         slot = ticks[name, beside]
                         run_ticks(slot, tick_ns, each_s / rounds, descriptors, work)
         stolen_after, all_after = stolen()
-    finally:
-        context.destroy(linger=0)
-    return HostFindings(
-        tick_ns=tick_ns,
-        ticks=ticks,
-        option=",".join(chosen) or None,
-        refusals=[str(refusal) for refusal in held.refused],
-        stolen=(stolen_after - stolen_before) / max(1, all_after - all_before),
-    )
+    taken = (stolen_after - stolen_before) / max(1, all_after - all_before)
+    refusals = [str(refusal) for refusal in held.refused]
+    return HostFindings(tick_ns, ticks, ",".join(chosen) or None, refusals, taken)
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,11 +152,11 @@ def judge(host: Host, findings: HostFindings) -> HostVerdict:
     if latest_ms * 1e6 > GAP_NS:
         status = "fail"
         reason += f": longer than the watchdog of a drive ({GAP_NS * 1e-6:.0f} ms)"
-    advice = [*advice_on(host), *findings.refusals]
+    advice = []
     if findings.stolen > STOLEN:
-        advice.insert(
-            0,
+        advice.append(
             f"the hypervisor gave {findings.stolen:.1%} of the time to others: nothing set here"
-            " helps against that; take a machine of its own, or pin its processors",
+            " helps against that; take a machine of its own, or pin its processors"
         )
+    advice += [*advice_on(host), *findings.refusals]
     return HostVerdict(status, reason, advice)
