@@ -37,18 +37,19 @@ class LineTimes:
     period is estimated.
     """
 
-    def __init__(self, period_ns: int, quantum_ns: int) -> None:
+    def __init__(self, period_ns: int, unit: TimeUnit) -> None:
         self._period_ns = float(period_ns)
-        self._quantum_ns = quantum_ns
+        self._unit_us, self._quantum_ns = _UNITS[unit]
         self._time = DeviceTime()
         self._suspect: DeviceTime | None = None
 
-    def take(self, now_us: int, unreadable: int) -> tuple[int, int, bool]:
+    def take(self, time: float, unreadable: int) -> tuple[int, int, bool]:
         """Return a line's `device_ns`, `missing` and `restarted`, as in `SampleBlock`.
 
         unreadable: count of rejected lines directly before it. Raises WireError for a time that is
         not accepted yet.
         """
+        now_us = round(time * self._unit_us)
         passed_ns = self._time.since_last_ns(now_us)
         if self._time.last_us is not None and not self._follows(passed_ns, unreadable):
             suspect, self._suspect = self._suspect, DeviceTime()
@@ -99,9 +100,7 @@ class TextDecoder:
         self._skipping = self._synchronised = False
         # Rejected lines since the last accepted one.
         self._unreadable = 0
-        self._times: LineTimes | None = None
-        if self._unit is not None:
-            self._times = LineTimes(self._period_ns, _UNITS[self._unit][1])
+        self._times = LineTimes(self._period_ns, self._unit) if self._unit else None
 
     def feed(self, data: bytes) -> list[SampleBlock]:
         """Return the blocks that these bytes complete.
@@ -142,15 +141,14 @@ class TextDecoder:
     def _decode(self, line: bytes) -> tuple[float, int | None, int, bool]:
         """Return a line's value, time, missing and restarted. Raises WireError with the cause."""
         fields = [field.rpartition(b":")[2] for field in _BETWEEN.split(line.strip())]
-        now_us = 0
-        if self._unit is not None:
-            now_us = round(_number(fields.pop(0)) * _UNITS[self._unit][0])
-        if self._column >= len(fields):
+        # A time comes first.
+        column = self._column + (self._times is not None)
+        if column >= len(fields):
             raise WireError("not_a_number", f"{line[:40]!r} has no column {self._column}")
-        value = _number(fields[self._column])
+        value = _number(fields[column])
         if self._times is None:
             return value, None, self._unreadable, False
-        return value, *self._times.take(now_us, self._unreadable)
+        return value, *self._times.take(_number(fields[0]), self._unreadable)
 
 
 def _number(field: bytes) -> float:
