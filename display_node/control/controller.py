@@ -1,7 +1,7 @@
 """Controllers: from the reference's next samples and the film's reading to an output.
 
-The output is a signed speed in m/s for a stepper and a voltage in V for the paper's second-order
-actuator.
+The output is a signed speed in m/s for a stepper, and a voltage in V for the second-order actuator
+of Dargahi et al. (2008), the paper.
 """
 
 import math
@@ -25,12 +25,13 @@ from protocol.config.scene import Section
 class ControllerScene(Section):
     """The `controller` table.
 
-    error: of the PID. "force" in N; "millivolts" of the film by eq 21, the reading of the paper's
-    gains that follows a pulse; "position" in m through the inverse contact law, which makes the
-    loop's gain the same at every force. feed_forward: drive the reference's own motion without
-    waiting for an error (stepper only). observer: estimate the felt force by a model of actuator
-    and film (stepper only, error "position"). derivative_filter: corner of the derivative's
-    low-pass. dead_band: an error within ±this counts as none, in the error's unit.
+    error: quantity of the PID's error. "force" is in N. "millivolts" is the film's voltage by
+    eq 21, the unit in which the paper's gains follow a pulse. "position" is in m through the
+    inverse contact law, with which the loop's gain is the same at every force. feed_forward: drive
+    the reference's own motion without waiting for an error (stepper only). observer: estimate the
+    felt force by a model of actuator and film (stepper only, error "position").
+    derivative_filter: corner of the derivative's low-pass. dead_band: an error within ±dead_band,
+    in the error's unit, counts as 0.
     """
 
     kp: Annotated[float, Field(ge=0, le=1e12)]
@@ -54,33 +55,32 @@ class ControllerScene(Section):
         return Pid(self.kp, self.ki, self.kd, filter_hz, tick_s, limit, dead_band)
 
 
-# Time constants by which the usual holding time, and the worst stall and the force's peak, decay.
+# Time constants of decay: of the usual holding time, and of the worst stall and the peak force.
 USUAL_S = 0.1
 WORST_S = 10.0
-# Force during a stall, as a multiple of the highest force that was wanted lately.
+# Bound of the force during a stall, as a multiple of the recent peak of the reference.
 HEADROOM = 1.25
 
 
 class StallGuard:
-    """Memory of recent stalls and forces: how long a command lasts, and how fast it may press.
+    """Memory of recent stalls and forces, which limits each command for the next stall.
 
-    A drive keeps its last command until the next. A command for one tick that is held for many
-    leads too far: a loop whose gain is designed for a tick swings up, and a correction for one tick
-    overshoots. So each command is computed for the usual holding time of late, and must not press
-    too hard if it is held for the worst of them (decision 25).
+    A drive keeps its last command until the next one. If a command for one tick is held for many,
+    it moves too far: corrections overshoot, and a loop designed for one tick oscillates. So each
+    command is computed for the recent usual holding time, and must not press too hard if it is held
+    for the longest recent one (decision 25).
 
     Parameters
     ----------
     half_backlash_m
-        Travel of the screw in m beyond the tip's, to take up its backlash.
+        Travel of the screw in m beyond the tip's, which takes up the backlash.
 
     Attributes
     ----------
     peak_n
-        Highest force in N that was wanted lately.
+        Recent peak of the reference force in N.
     held_s
-        Mean holding time in s of the commands that recent instants have met; a tick where the host
-        keeps its time.
+        Recent mean holding time of commands in s, weighted by time; one tick without stalls.
     """
 
     def __init__(self, law: ContactLaw, tick_s: float, half_backlash_m: float) -> None:
@@ -89,14 +89,14 @@ class StallGuard:
         self._half_backlash_m = half_backlash_m
         self._usual = math.exp(-tick_s / USUAL_S)
         self._worst = math.exp(-tick_s / WORST_S)
-        # Sums of the holds and of their squares, in ticks, of which old ones count less.
+        # Exponentially weighted sums of the holding times and of their squares, in ticks.
         self._holds = self._squares = 1 / (1 - self._usual)
         self._longest_s = 0.0
         self.peak_n = 0.0
         self.held_s = tick_s
 
     def tick(self, missed_ticks: int, wanted_n: float) -> None:
-        """Advance one tick, after missed ones, towards a wanted force in N."""
+        """Advance one tick after missed ones; `wanted_n` is the reference force in N."""
         self.peak_n = max(wanted_n, self._worst * self.peak_n)
         if not (missed_ticks or self._longest_s):
             return
@@ -110,7 +110,7 @@ class StallGuard:
 
     @property
     def limiting(self) -> bool:
-        """True where the host has stalled lately, so that the speed is limited."""
+        """True while the speed is limited, because the host has stalled recently."""
         return self._longest_s >= 2 * self._tick_s
 
     def fastest(self, screw_m: float) -> float:
@@ -125,18 +125,18 @@ class StepperController:
     Parameters
     ----------
     law
-        Contact law of its tip, whose finger an observer may learn.
+        Contact law of its tip; an observer may learn the finger's compliance in it.
     force_limit_n
-        Greatest force of the twin, in N.
+        Greatest force of the observer's model of the actuator, in N.
     slew_limit_n_per_s
         Greatest slope of the force that is commanded.
     observer_gains
-        Fixed gains of an observer whose twin is linear, for the loop's linear model.
+        Fixed gains of an observer with a linear model, for the loop's linear model.
 
     Attributes
     ----------
     horizon
-        How many ticks after the present one the reference must reach.
+        Number of ticks after the present one that the reference must cover.
     """
 
     STATE: ClassVar = ("_pid", "_observer")
@@ -192,7 +192,7 @@ class StepperController:
         reference_n
             Reference force now and in each of the next `horizon` ticks, in N.
         reading_n
-            The film's reading in N; NaN where it is none or cannot be true.
+            The film's reading in N; NaN where it is missing or implausible.
         """
         path, observer, guard = self._path, self._observer, self._guard
         guard.tick(self._missed_ticks, reference_n[0])
@@ -204,14 +204,14 @@ class StepperController:
         else:
             if reading_n == reading_n:
                 self._last_reading_n = reading_n
-            # A reading is compared with the reference of the time when its command was given.
+            # A reading is compared with the reference at the time of the command that caused it.
             self._wanted_n = reference_n[1]
             wanted_n = self._wanted_n if self._late is None else self._late.step(self._wanted_n)
             error, response = self._error(wanted_n, self._last_reading_n)
         if path is not None and path.further_m:
             error += response / guard.held_s * path.further_m
-        # While a lag is made up for, too, the force keeps its slew limit. Where more is felt than
-        # wanted, the finger is stiffer; a reading may be above all that was ever wanted.
+        # The slew limit also holds while the loop catches up. A reading above the reference may
+        # mean a stiffer contact, so it counts, but at most up to the recent peak.
         stiffest_n = max(reference_n[0], min(reading_n, guard.peak_n))
         fastest = self._slew_limit_n_per_s / (self._law.stiffness(stiffest_n) or 1e-9)
         pressing = fastest
@@ -229,7 +229,7 @@ class StepperController:
         return None if self._observer is None else self._observer.finger_stiffness
 
     def skip(self, speed_m_per_s: float) -> None:
-        """Account for a missed tick, in which the drive went on at a speed."""
+        """Account for a missed tick, in which the drive kept its speed."""
         self._missed_ticks += 1
         if self._path is not None:
             self._path.shift(speed_m_per_s * self._tick_s)
@@ -248,7 +248,7 @@ class StepperController:
 
 
 class VoltageController:
-    """The voltage of the paper's actuator in V, once a tick, with a twin of that actuator."""
+    """The voltage of the second-order actuator in V, once a tick, with a model of that actuator."""
 
     STATE: ClassVar = ("_pid", "_twin")
     horizon, finger_stiffness = 1, None
@@ -263,7 +263,7 @@ class VoltageController:
     def output(self, reference_n: list[float], reading_n: float) -> float:
         """Return the voltage for this tick in V; see `StepperController.output`."""
         twin, unit = self._twin, self._unit
-        # Without a reading the twin's own force takes its place.
+        # Without a reading, the model's own force is used.
         if reading_n == reading_n:
             twin.force_n = reading_n
         error = unit * (reference_n[1] - twin.force_n - twin.drift())

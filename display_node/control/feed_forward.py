@@ -1,8 +1,8 @@
-"""Feed-forward: the screw's position by which the tip follows a reference known in advance.
+"""Feed-forward: the screw's path with which the tip follows a reference known in advance.
 
-The inverse of the contact law, of the rotor's resonance and of the backlash (decision 9). The
-playout buffer holds the reference's next samples, so derivatives need no filter, and the gap of the
-backlash is crossed where the reference turns, not after.
+It inverts the contact law, the rotor's resonance and the backlash (decision 9). The playout buffer
+holds the reference's next samples. So derivatives need no filter, and the gap of the backlash is
+crossed where the reference turns, not after.
 """
 
 import math
@@ -11,7 +11,7 @@ from collections import deque
 from display_node.plant.contact import ContactLaw
 from display_node.plant.stepper import StepperScene
 
-# A turn smaller than this share of the backlash is not worth crossing the gap twice.
+# For a turn smaller than this share of the backlash, the gap is not crossed.
 TURN_SHARE = 0.25
 
 
@@ -21,11 +21,11 @@ class ScrewPath:
     Attributes
     ----------
     horizon
-        How many ticks after the present one the reference must reach.
+        Number of ticks after the present one that the reference must cover.
     tip_m, screw_m
         Positions of tip and screw in m at the present tick's end.
     further_m
-        Further travel of the screw in m while the speed is held beyond the tick.
+        Further travel of the screw in m if the speed is held beyond the tick.
     """
 
     def __init__(self, scene: StepperScene, law: ContactLaw, tick_s: float) -> None:
@@ -52,12 +52,12 @@ class ScrewPath:
         reference_n
             Reference force now and in each of the next `horizon` ticks, in N.
         held_s
-            Time in s for which the speed will be held, where that is longer than a tick.
+            Expected holding time of the speed in s, if longer than a tick.
         """
         position = self._law.position
         self.tip_m = screw_m = position(reference_n[1])
         if self._rotor is not None:
-            # Exact in continuous time, as the rotor has no zeros: x + (2ζ/ω) x' + x''/ω².
+            # The inverse x + (2ζ/ω) x' + x''/ω² is exact in continuous time, without zeros.
             slope, bend = self._rotor
             before_m, after_m = position(reference_n[0]), position(reference_n[2])
             screw_m += slope * (after_m - before_m) + bend * (after_m - 2 * screw_m + before_m)
@@ -68,7 +68,7 @@ class ScrewPath:
         self.screw_m = screw_m
         self.further_m = 0.0
         if held_s > self._tick_s:
-            # Beyond a tick more, a pulse's slope predicts nothing.
+            # A pulse's slope is no prediction for more than one further tick.
             slope_m_per_s = (self.tip_m - position(reference_n[0])) / self._tick_s
             self.further_m = slope_m_per_s * min(held_s - self._tick_s, self._tick_s)
         speed_m_per_s = (screw_m + self.further_m - self._fed_m) / max(held_s, self._tick_s)
@@ -84,8 +84,8 @@ class ScrewPath:
 class Gap:
     """Offset of the screw to the flank of the backlash that drives the tip.
 
-    The change of flank is a zero-vibration input shape (Singer and Seering 1990): two steps
-    half a period of the rotor apart, which leave it at rest.
+    The change of flank is a zero-vibration input shape (Singer and Seering 1990): two steps, half a
+    period of the rotor apart, after which the rotor is at rest.
     """
 
     def __init__(self, scene: StepperScene, tick_s: float) -> None:
@@ -94,7 +94,7 @@ class Gap:
         self._extreme_m = -math.inf
         self._direction = 1
         self._shares: tuple[float, float, float] | None = None
-        # The two steps begin this many ticks before the turn, so that it lies between them.
+        # The steps begin this many ticks before the turn, so that the turn lies between them.
         self.lead = 0
         damping, delay = scene.rotor_damping, 0
         if scene.rotor_resonance_hz is not None and damping < 1:
@@ -108,7 +108,7 @@ class Gap:
         self._past: deque[int] = deque([self._direction] * (delay + 2), delay + 2)
 
     def cross(self, tip_m: list[float]) -> float:
-        """Return the screw's offset in m for the next tick; tip_m: the positions from it on."""
+        """Return the screw's offset in m for the next tick; tip_m: positions from that tick on."""
         self._turn(tip_m[self.lead :])
         past = self._past
         past.append(self._direction)

@@ -1,6 +1,6 @@
 """The local force loop: film → controller → actuator, once a tick.
 
-It closes here and nowhere else, so the network's delay cannot destabilise it.
+The loop closes inside the display node only, so the network's delay cannot destabilise it.
 """
 
 import math
@@ -16,7 +16,7 @@ from protocol.counters import LimitCounter
 from protocol.errors import SceneError
 from protocol.tactile import ElasticLayer
 
-# As a drive's by default.
+# Default watchdog of a drive; the modelled actuator stops after the same time without a command.
 WATCHDOG_S = 0.05
 
 
@@ -26,18 +26,18 @@ class ForceLoop:
     Parameters
     ----------
     actuator
-        Runs the actuator for a tick under an output; returns the felt force in N.
+        Function that runs the actuator for a tick under an output, and returns the felt force in N.
     overforce_n
-        A reading beyond this in N, to either side, counts as none.
+        Readings beyond ±overforce_n are ignored.
     lead_ns
-        How much later than now the reference begins, for an actuator with that latency.
+        Latency of the actuator in ns: the reference begins this much later than now.
     at_end
-        Counter of the ticks at the end of the travel; None for an actuator that has none.
+        Counter of the ticks at the end of the travel; None for an actuator without an end.
 
     Attributes
     ----------
     horizon
-        How many ticks after the present one the reference must reach.
+        Number of ticks after the present one that the reference must cover.
     output
         The controller's output at the last tick: m/s of a stepper, V of eq 22.
     felt_n
@@ -108,7 +108,7 @@ class ForceLoop:
         return self.felt_n
 
     def shift(self, travel_m: float) -> None:
-        """Add a travel of the screw in m, by this tick, that the outputs did not include."""
+        """Add a travel of the screw in m that the outputs until this tick did not include."""
         if isinstance(self._controller, StepperController):
             self._controller.shift(travel_m)
 
@@ -129,15 +129,15 @@ def build_force_loop(
     Parameters
     ----------
     controller, actuator, layer, film
-        The parts, as the controller takes them to be.
+        The parts, as the controller models them.
     force_limit_n
         Greatest force at rest, in N.
     actual
-        The actuator as it really is, where that differs.
+        The simulated actuator, if it differs from the controller's model.
     slew_limit_n_per_s
         Greatest slope of the commanded force.
     overforce
-        Readings beyond so many times the force limit count as none.
+        Readings beyond this multiple of the force limit are ignored.
 
     Raises
     ------
@@ -162,7 +162,7 @@ def build_force_loop(
     speed = StepperController(
         controller, actuator, law, film, force_limit_n, tick_s, slew_limit_n_per_s
     )
-    # Of the scene's actuator, whatever the actual one makes of that rate.
+    # The rate is that of the scene's actuator; the actual one may move differently at it.
     rate_hz = actuator.step_rate().rate_hz
 
     def move(speed_m_per_s: float) -> float:

@@ -1,8 +1,8 @@
 """The force loop as a linear system: poles, margins, and its response to noise.
 
-The loop's own objects are put into each of their states in turn and run for one tick; the result
-is a column of the system's matrices. What is not linear is left out: microsteps, backlash, limits,
-the film's noise and converter, the curve of the contact law. An observer has its stationary gains.
+Each state variable of the loop's own objects is set in turn, and the loop is run for one tick; the
+result is a column of the system's matrices. Nonlinear parts are left out: microsteps, backlash,
+limits, the film's noise and ADC, the curve of the contact law. An observer has stationary gains.
 """
 
 import math
@@ -23,8 +23,8 @@ from protocol.errors import SceneError
 from protocol.tactile import ElasticLayer
 
 Array = NDArray[np.float64]
-# Size of each state and input in turn. A power of two scales without rounding; so small, no bound
-# of an observer's states is met.
+# Value to which states and inputs are set. A power of two scales without rounding, and one this
+# small stays within the bounds of an observer's states.
 PROBE = 2.0**-40
 
 
@@ -37,19 +37,18 @@ class LinearLoop:
     Attributes
     ----------
     a, b
-        Shapes (n, n) and (n,): the next state, from the state and from an input to the plant.
+        Shapes (n, n) and (n,): next state per state, and per input to the plant.
     c, through
-        Shape (n,) and a number: the controller's output, from the state and from an error of the
-        reading.
+        Shape (n,) and a number: controller's output per state, and per error of the reading.
     noise
-        Shape (n,): the next state, from an error of the reading.
+        Shape (n,): next state per error of the reading.
     tip
-        Shape (n,): the tip, from the state.
+        Shape (n,): tip position per state.
     displaced
-        Shape (n,): the state in which the finger has just moved by 1 against the tip.
+        Shape (n,): state in which the finger has just moved by 1 against the tip.
     counts
-        Number of positions that the controller counts by itself beside the plant's. Each makes a
-        pole at 1, the constant that plant and count differ by, which the loop rejects.
+        Number of positions that the controller counts besides the plant's. Each makes a pole at 1,
+        for a constant difference of plant and count, which the loop rejects.
     """
 
     tick_s: float
@@ -86,7 +85,7 @@ def linear_loop(
     tick_s: float,
     force_n: float,
 ) -> LinearLoop:
-    """Return the loop that `build_force_loop` builds, linear round a force in N."""
+    """Return the loop that `build_force_loop` builds, linearised at a force in N."""
     reading = FeedbackFilm(film.model_copy(update={"noise_n": 0.0, "adc_bits": None}), tick_s)
     gains = controller.model_copy(update={"dead_band": 0.0})
     if isinstance(actuator, SecondOrderScene):
@@ -119,14 +118,14 @@ def _linear(
     hz_per_output: float = 1.0,
     counts: int = 0,
 ) -> LinearLoop:
-    """Return the linear loop of parts that are put into one state after the other."""
+    """Return the linear loop of these parts; their states are set one after the other."""
     parts, reference_n = (plant, film, controller), [0.0] * (controller.horizon + 1)
 
     def tip() -> float:
         return plant.tip_m if isinstance(plant, Stepper) else plant.force_n
 
     def tick(push: float = 0.0, noise: float = 0.0) -> float:
-        """Run a tick of the loop cut, the plant under a push alone; return the output."""
+        """Run a tick with the loop cut and `push` as the plant's input; return the output."""
         reading_n = film.read(stiffness_n * tip()) + stiffness_n * noise
         output = controller.output(reference_n, reading_n)
         plant.step(push * hz_per_output)
@@ -145,7 +144,7 @@ def _linear(
         output = tick(PROBE * push, PROBE * noise)
         return states() / PROBE, output / PROBE
 
-    # The first tick makes states of what begins as None.
+    # The first tick initialises the states that begin as None.
     tick()
     at_rest = np.zeros(len(states()))
     tips = []
@@ -162,8 +161,8 @@ def _linear(
     return LinearLoop(tick_s, a, pushed, c, noise, through, np.array(tips), states(), counts)
 
 
-# A part's `STATE` names the attributes that one tick hands on to the next: numbers, sequences of
-# numbers, or parts with states of their own; None is no state.
+# A part's `STATE` names its state variables: numbers, sequences of numbers, or parts with a `STATE`
+# of their own. None is no state.
 def _states(part: Any) -> Iterator[float]:
     for name in part.STATE:
         value = getattr(part, name)
@@ -191,11 +190,11 @@ def _set_states(part: Any, values: Iterator[float]) -> None:
                 value[index] = next(values)
 
 
-# Forces at which a loop is judged, as shares of the force limit: hardly touching, a pulse's
-# usual mean (0.3 of 2.5 N), pressing with all that is allowed.
+# Forces at which a loop is checked, as shares of the force limit: slight touch, a pulse's usual
+# mean (0.3 of 2.5 N), and the limit itself.
 FORCE_SHARES = (0.008, 0.12, 1.0)
 RESPONSE_S = 4.0
-# Ms above this: a tenth more gain or a little more delay, and the loop is unstable.
+# Greatest Ms. Above it, a tenth more gain or a little more delay makes the loop unstable.
 FRAGILE = 10.0
 # Poles this close to the circle are rounding, or the slow integral of a small ki.
 ROUNDING = 1e-9
@@ -203,10 +202,10 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Margins:
-    """Stability of a loop. A margin is infinite where nothing of that kind destabilises it.
+    """Stability of a loop. A margin is infinite if no change of that kind destabilises the loop.
 
-    The classical margins are taken where the output enters the drive: a step too long or too
-    short, or a drive that answers late, acts there.
+    The classical margins are those at the drive's input, where a wrong step length or a late drive
+    acts.
 
     Attributes
     ----------
@@ -217,7 +216,7 @@ class Margins:
     phase_deg
         Phase margin in degrees.
     delay_s
-        Further delay in s that the loop bears.
+        Further delay in s at which the loop becomes unstable.
     peak_sensitivity
         Ms: 1 over the Nyquist curve's distance from −1.
     """
@@ -235,7 +234,7 @@ class Margins:
 
     @property
     def unfit(self) -> str | None:
-        """Reason to put no finger on this loop; None where it may."""
+        """Reason not to use this loop with a finger; None if it is stable enough."""
         if not self.stable:
             return f"is not stable (largest pole {self.pole_radius:.4g}, must be below 1)"
         if self.peak_sensitivity > FRAGILE:
@@ -245,7 +244,7 @@ class Margins:
 
 
 def margins(loop: LinearLoop, frequencies: int = 2_000) -> Margins:
-    """Return a loop's margins, by its response at so many frequencies up to half the tick rate."""
+    """Return a loop's margins, from its response at `frequencies` up to half the tick rate."""
     nyquist = math.pi / loop.tick_s
     w = np.geomspace(nyquist * 1e-5, nyquist, frequencies)
     # The cut loop's response, negative feedback counted positive.
@@ -284,12 +283,12 @@ def _between(values: Array, at: int, at_values: Array, level: float) -> float:
 
 
 def felt_noise(loop: LinearLoop, wander: float, noise: float) -> float:
-    """Return the RMS of the tip's motion by a wandering finger and a noisy film.
+    """Return the RMS of the tip's motion caused by a moving finger and a noisy film.
 
     Parameters
     ----------
     loop
-        The loop, whose unit all three have: m or N.
+        The loop; its unit, m or N, is that of the other parameters and of the result.
     wander
         RMS change of the finger's place in 1 s.
     noise

@@ -1,10 +1,9 @@
 """Observer of the present force, from a film that is slow, noisy and coarse.
 
-A twin of the actuator makes every commanded step and gives the tip's position; a model of the
-film's filter gives the reading to expect. The difference to the actual reading shows where the
-finger is and how soft. So the film's lag is undone by its model, an extended Kalman filter weighs
-its noise, and a finger softer or stiffer than the scene's is learnt within a few beats
-(decision 8).
+A model of the actuator (the twin) receives every command and gives the tip's position; a model of
+the film's filter gives the expected reading. An extended Kalman filter estimates the finger's place
+and compliance from the difference to the actual reading. So the film's lag is compensated, and a
+finger softer or stiffer than the scene's is learnt within a few beats (decision 8).
 """
 
 import math
@@ -22,24 +21,25 @@ from protocol.config.scene import Section
 
 # The force at which the gains are designed: a pulse's usual mean.
 DESIGN_FORCE_N = 0.3
-# A finger further away than this is another finger.
+# Bound of the finger's estimated offset.
 MAX_OFFSET_M = 1e-3
-# Uncertainty of the finger's place and compliance before the first reading, RMS; the greatest.
+# RMS uncertainty of the finger's place and compliance before the first reading; it never exceeds
+# this.
 FIRST_OFFSET_M = 1e-4
 FIRST_SOFTNESS = 0.3
 SOFTNESS_RANGE = (0.2, 5.0)
-# The compliance is learnt where its error is down to this share of the first guess's.
+# The compliance counts as learnt when its error has fallen to this share of the first one.
 LEARNT = 0.5
 LEAST_FORCE_N = 0.01
-# An innovation beyond so many standard deviations counts as this many.
+# Innovations are clipped to this number of standard deviations.
 OUTLIER = 8.0
 
 
 class ObserverScene(Section):
     """The `observer` table.
 
-    wander: the finger's motion under the tip in 1 s, RMS. softening: the share by which its
-    compliance changes in 1 s, RMS (0: it is the scene's).
+    wander: RMS motion of the finger under the tip in 1 s. softening: RMS change of its compliance
+    in 1 s, as a share; 0 keeps the scene's compliance.
     """
 
     wander_m: Annotated[Metres, Field(gt=0, le=0.1)]
@@ -49,10 +49,10 @@ class ObserverScene(Section):
 def observer_gains(
     film: FilmTable, wander_n: float, least_noise_n: float, tick_s: float
 ) -> tuple[float, list[float]]:
-    """Return the gains that the observer settles to on a finger of known compliance.
+    """Return the observer's stationary gains for a finger of known compliance.
 
-    Solves the discrete algebraic Riccati equation of x = (offset, filter states), the offset a
-    random walk.
+    Solves the discrete algebraic Riccati equation for the states (offset, filter states), where the
+    offset is a random walk.
 
     Parameters
     ----------
@@ -86,10 +86,10 @@ def observer_gains(
 
 
 class Observer:
-    """A Kalman filter of the finger under an actuator that is known by its commands.
+    """A Kalman filter of the finger's state under an actuator whose commands are known.
 
-    Its states: offset of the finger in m, its compliance in m/N (which is the contact law's own),
-    and those of the film's filter.
+    Its states are the finger's offset in m, its compliance in m/N (stored in the contact law), and
+    the states of the film's filter.
 
     Parameters
     ----------
@@ -199,13 +199,13 @@ class Observer:
 
     @property
     def _delayed_force_n(self) -> float:
-        """The force that the film should read now: of the delayed tip, on the present finger."""
+        """Expected reading before the filter: from the delayed tip and the present finger."""
         if self._late is None:
             return self.force_n
         return self._law.force(self._delayed_tip_m + self._offset_m)
 
     def _changes(self, error_n: float, force_n: float) -> list[float]:
-        """Return one Kalman step's changes of the states, linear round the expected force."""
+        """Return one Kalman step's changes of the states, linearised at the expected force."""
         a, c, spread = self._a, self._c, self._spread
         force_n = max(force_n, LEAST_FORCE_N)
         stiffness = self._law.stiffness(force_n)
@@ -219,7 +219,7 @@ class Observer:
         variance = float(c @ covariance) + self._noise
         spread = a @ (spread - np.outer(covariance, covariance) / variance) @ a.T
         self._spread = spread = (spread + spread.T) / 2
-        # Unobserved, the spread grows, but never beyond what it was at first.
+        # Without information the uncertainty grows, but never beyond the initial one.
         for state in (0, 1):
             if spread[state, state] < self._first[state]:
                 spread[state, state] += self._growth[state]

@@ -1,9 +1,9 @@
 """PID with a filtered derivative and anti-windup, stable at any tick length.
 
-The law is integrated by backward Euler and solved together with the next step of the actuator: it
-uses the error at the end of the tick, which the actuator's model predicts as an affine function of
-the output. The paper's gains diverge at 1 kHz with a backward-difference derivative; here they are
-stable at every rate (decision 7).
+The law is integrated by backward Euler and solved together with the actuator's next step. It uses
+the error at the end of the tick, which the actuator's model predicts as an affine function of the
+output. With a backward-difference derivative, the gains of Dargahi et al. (2008) diverge at 1 kHz;
+here they are stable at every rate (decision 7).
 """
 
 import math
@@ -18,7 +18,7 @@ class Pid:
     Parameters
     ----------
     kp, ki, kd
-        Gains: output for each unit of the error, of its integral over s, of its slope per s.
+        Gains: output per unit of the error, of its integral in s, and of its slope in 1/s.
     derivative_filter_hz
         Corner of the derivative's low-pass in Hz.
     tick_s
@@ -26,7 +26,7 @@ class Pid:
     limit
         Greatest magnitude of the output.
     dead_band
-        An error within ±this counts as none.
+        An error within ±dead_band counts as 0.
     """
 
     def __init__(

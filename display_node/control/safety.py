@@ -1,8 +1,8 @@
-"""Safety: bounds of what reaches the actuator, whatever the peer sends.
+"""Safety: bounds of the force target, independent of what the peer sends.
 
-Force limit and slew limit of the target; a gain that falls to 0 when the stream is stale or the
-loop stalls, and comes back by a ramp; a latch that holds the target at 0 N after a fault. What is
-felt after a fault is measured: see `drives/withdrawal.py`.
+The target has a force limit and a slew limit. A gain falls to 0 when the stream is stale or the
+loop stalls, and returns by a ramp. After a fault, a latch holds the target at 0 N; the drive then
+withdraws the tip (`drives/withdrawal.py`).
 """
 
 from typing import Annotated
@@ -19,10 +19,10 @@ NEGLIGIBLE_N = 1e-3
 
 
 class SafetyScene(Section):
-    """The `safety` table: default force limit is the calibrated range of the paper's Fig. 4.
+    """The `safety` table; the default force limit is the range of Fig. 4 of Dargahi et al. (2008).
 
-    overforce: felt force, as a multiple of the limit, that counts as a fault. feedback_within: a
-    real film without a sample for so long is lost.
+    overforce: felt force, as a multiple of the limit, above which it is a fault. feedback_within:
+    longest time without a sample of a real film; then the film counts as lost.
     """
 
     force_limit_n: Annotated[Newtons, Field(gt=0, le=100)] = 2.5
@@ -44,8 +44,8 @@ class Safety:
     faults
         Latched faults, the first one first.
     at_force_limit, below_zero, at_slew_limit
-        How often and for how long each bound held. A slew that is bounded while the pulse ramps up
-        or fades out is meant to be, and is not counted.
+        How often and for how long each bound was in effect. The slew limit is not counted in ramps
+        and fades, where it is intended.
     """
 
     def __init__(self, scene: SafetyScene, tick_ns: int) -> None:
@@ -56,7 +56,7 @@ class Safety:
         self._stale_ticks = scene.stale_after_ns // tick_ns
         self._overforce_n = scene.force_limit_n * scene.overforce
         self._last_n = 0.0
-        # Whether a bound changed the last tick's force: an ordinary tick has nothing to count.
+        # Whether a bound changed the last tick's force; without one, ticks need no counting.
         self._differed = False
         self.gain = 0.0
         self.faults: list[str] = []
@@ -64,15 +64,15 @@ class Safety:
         self.at_slew_limit = LimitCounter()
 
     def watch(self, feedback_n: float) -> None:
-        """Check a reading of the felt force in N; one that cannot be true is a fault."""
+        """Check a reading of the felt force in N; latch a fault if it is implausible."""
         if (fault := refuse_reading(feedback_n, self._overforce_n)) is not None:
             self.fault(fault)
 
     def skip(self, elapsed_ticks: int) -> None:
         """Fade for missed ticks; call it before `bound` of the tick that ends a stall.
 
-        To the finger a loop that stalls is a stream without samples: the last force stays. So from
-        the same time on, the gain falls by as much, and the pulse comes back by a ramp.
+        During a stall the finger feels a constant force, as with a stream without samples. So the
+        gain falls after the same time and at the same rate, and the pulse returns by a ramp.
 
         Parameters
         ----------
@@ -87,9 +87,9 @@ class Safety:
         Parameters
         ----------
         reference_n
-            Wanted force now and in the next ticks, in N.
+            Reference force now and in the next ticks, in N.
         alive
-            False where the stream is stale; the gain then falls to 0, as it does at a fault.
+            False where the stream is stale; the gain then falls to 0, as after a fault.
         """
         if not alive or self.faults:
             self.gain = max(0.0, self.gain - self._fade)
@@ -125,6 +125,6 @@ class Safety:
         self.at_slew_limit.add(self.gain == 1.0 and bounded_n != within_n)
 
     def fault(self, name: str) -> None:
-        """Latch a fault: the target falls to 0 N, and only a new start lifts it."""
+        """Latch a fault: the target falls to 0 N until a new start."""
         if name not in self.faults:
             self.faults.append(name)

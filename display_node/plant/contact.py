@@ -49,8 +49,8 @@ class ContactLaw:
         if position_m <= 0:
             return 0.0
         rubber, finger = self._rubber, self.finger_m_per_n
-        # In the cube root u of the force: finger u³ + rubber u² = x, convex for u > 0. Without
-        # either term, u is above the root; from there Newton decreases monotonically to it.
+        # With u the cube root of the force: finger u³ + rubber u² = x, convex for u > 0. The start
+        # omits one term, so it is above the root; Newton's method then decreases monotonically.
         u = math.sqrt(position_m / rubber)
         if finger and u:
             u = min(u, math.cbrt(position_m / finger))
@@ -65,7 +65,7 @@ class ContactLaw:
 
 
 class LinearContact(ContactLaw):
-    """Contact of constant stiffness in N/m, for negative forces too; for a loop's linear model."""
+    """Contact of constant stiffness in N/m, also for negative forces, for linear models."""
 
     def __init__(self, stiffness_n_per_m: float) -> None:
         self._stiffness_n_per_m = stiffness_n_per_m

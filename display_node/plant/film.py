@@ -1,6 +1,6 @@
 """Model of the feedback film under the finger, from the felt force to a reading.
 
-Force → volts → noise → low-pass → ADC → newtons. Each part is there when the scene names it.
+Force → volts → noise → low-pass → ADC → newtons. Parts that the scene does not name are left out.
 """
 
 import math
@@ -20,11 +20,11 @@ NOISE_BLOCK = 1024
 
 
 class FilmTable(Section):
-    """The `film` table: the PVDF film under the finger (Table 1: r_pv2 = 9 mm).
+    """The `film` table: the PVDF film under the finger (Table 1 of Dargahi et al. 2008: 9 mm).
 
-    sensitivity: of the film with its amplifier, as Fig. 4's 44 mV/N; without, eq 21 gives it
-    from the radius. filter: corner of the low-pass of `filter_order` poles behind the film.
-    noise: RMS, before the filter. adc_bits: resolution over ±adc_range. latency: age of a
+    sensitivity: that of the film with its amplifier, such as 44 mV/N in Fig. 4; by default eq 21
+    gives it from the radius. filter: corner of the low-pass of `filter_order` poles behind the
+    film. noise: RMS before the filter. adc_bits: resolution over ±adc_range. latency: age of a
     reading when it is read.
     """
 
@@ -46,7 +46,7 @@ class FilmTable(Section):
 
     @property
     def millivolts_per_newton(self) -> float:
-        """Scale of the paper's gains in mV/N: by eq 21, whatever the amplifier does."""
+        """Scale of the paper's gains in mV/N: that of eq 21, without the amplifier."""
         return 1e3 * Film(self.radius_m).volts_per_newton
 
     @property
@@ -68,8 +68,7 @@ class FeedbackFilm:
     Attributes
     ----------
     at_range
-        How often and for how many ticks the ADC's range has bounded the reading; None without
-        an ADC.
+        Counter of the ticks in which the ADC's range has bounded the reading; None without an ADC.
     """
 
     STATE: ClassVar = ("_late", "_low_pass")
@@ -85,7 +84,7 @@ class FeedbackFilm:
     def read(self, force_n: float) -> float:
         """Return this tick's reading in N for the felt force in N. Call it once a tick.
 
-        A force that is no number is returned unchanged, so that safety detects it.
+        NaN and infinity are returned unchanged, so that safety detects them.
         """
         if not math.isfinite(force_n):
             return force_n

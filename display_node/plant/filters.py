@@ -9,13 +9,13 @@ from typing import Any, ClassVar
 class DelayLine:
     """Delay of a sampled value; the output is 0 until the first value has passed.
 
-    Between two ticks the value runs straight. That is exact for the integral of a speed that is
-    held for a tick.
+    Between two ticks the value is interpolated linearly, which is exact for the integral of a speed
+    that is held for a tick.
 
     Parameters
     ----------
     ticks
-        Delay in ticks, at least 0; need not be whole.
+        Delay in ticks, at least 0, not necessarily whole.
     """
 
     STATE: ClassVar = ("_past",)
@@ -37,7 +37,7 @@ class DelayLine:
 
 
 class LowPass:
-    """Butterworth low-pass, exact for a signal that runs straight from tick to tick.
+    """Butterworth low-pass, exact for a signal that is linear between ticks.
 
     The output at a tick depends on the input at that tick, so `output` and `advance` are two
     calls. The matrices a, b, c and d are those of the first-order hold.

@@ -1,6 +1,6 @@
-"""The paper's actuator model: g(s) = 1/(m s² + c s + k), from voltage to force (eq 22).
+"""The actuator model of Dargahi et al. (2008): g(s) = 1/(m s² + c s + k), voltage to force (eq 22).
 
-Integrated by the exact zero-order hold, a matrix exponential computed once.
+It is integrated exactly for a held voltage, by a matrix exponential that is computed once.
 """
 
 from typing import Annotated, ClassVar, Literal
@@ -14,8 +14,8 @@ from protocol.config.scene import Section
 class SecondOrderScene(Section):
     """The `actuator` table of kind "second_order"; defaults are the paper's Table 4.
 
-    The paper gives m in kg, c in N·s/m and k in N/m; with a force as output these cannot be
-    its units, so they are plain numbers here. `voltage_limit` is not from the paper.
+    The paper gives m in kg, c in N·s/m and k in N/m. These cannot be the units where the output is
+    a force, so they are plain numbers here. `voltage_limit` is not from the paper.
     """
 
     kind: Literal["second_order"]
@@ -53,11 +53,11 @@ class SecondOrder:
         return self._b1
 
     def place(self, force_n: float) -> None:
-        """Start from a force in N whose rate is 0."""
+        """Set the state to a force in N, at rest."""
         self.force_n, self._rate = force_n, 0.0
 
     def drift(self) -> float:
-        """Return the force's change in N in the next tick under no voltage."""
+        """Return the force's change in N in the next tick without a voltage."""
         return (self._a11 - 1) * self.force_n + self._a12 * self._rate
 
     def step(self, volts: float) -> float:

@@ -1,7 +1,8 @@
 """A physical stepper: microsteps on a lead screw, pressing through rubber on a fingertip.
 
-From the controller's output to the tip: step rate (the paper's VCO) and direction logic, screw,
-rotor, backlash. Defaults: the paper's Tables 2A and 2B (1.8° motor, 0.1 m stroke, 0.4 m/s, 100 N).
+It models the path from the controller's output to the tip: step rate (VCO) and direction logic,
+screw, rotor, backlash. Defaults are those of Dargahi et al. (2008), Tables 2A and 2B: 1.8° motor,
+0.1 m stroke, 0.4 m/s, 100 N.
 """
 
 import math
@@ -30,8 +31,8 @@ from protocol.tactile import ElasticLayer
 class Rotor:
     """A stepper's rotor, held to the commanded position by a springy magnetic field.
 
-    Second order. Exact for a position commanded straight from tick to tick. Not modelled: the
-    spring's softening near a lost step.
+    A second-order system, exact for a commanded position that is linear between ticks. The spring's
+    softening near a lost step is not modelled.
 
     Parameters
     ----------
@@ -74,9 +75,9 @@ class Rotor:
 
 
 class Backlash:
-    """A gap of width_m in m: the driven side moves only when one flank of the gap meets it.
+    """A gap of width_m in m: the driven side moves only when a flank of the gap touches it.
 
-    The worst case, in which nothing presses the nut to one flank of the thread.
+    This is the worst case, in which no force presses the nut to one flank of the thread.
     """
 
     def __init__(self, width_m: float) -> None:
@@ -94,14 +95,14 @@ class Backlash:
 
 
 class StepRate:
-    """The paper's VCO and direction logic: a speed becomes a signed step rate.
+    """Conversion of a speed to a signed step rate: the paper's VCO and direction logic.
 
     The rate's magnitude is the VCO's frequency in steps a second; its sign is the direction line.
 
     Parameters
     ----------
     hz_per_unit
-        Steps for each unit of the controller's output, in 1/m for a speed in m/s.
+        Steps per unit of the controller's output, in 1/m for a speed in m/s.
     max_rate_hz
         Greatest magnitude of the rate.
     """
@@ -119,8 +120,8 @@ class StepRate:
 class StepperScene(Section):
     """The `actuator` table of kind "stepper".
 
-    rotor_resonance and its damping ratio ζ: without them the rotor is at the commanded microstep.
-    backlash: of the screw. latency: from a command to its motion.
+    rotor_resonance, rotor_damping (ζ): without a resonance, the rotor follows the commanded
+    microstep exactly. backlash: that of the screw. latency: time from a command to its motion.
     """
 
     kind: Literal["stepper"]
@@ -144,7 +145,7 @@ class StepperScene(Section):
         return self.lead_m * self.step_angle_rad / (2 * math.pi) / self.microsteps
 
     def step_rate(self) -> StepRate:
-        """Return the conversion of a speed in m/s into this drive's steps, up to its fastest."""
+        """Return the conversion of a speed in m/s into steps, up to the highest speed."""
         return StepRate(1 / self.step_m, self.max_speed_m_per_s / self.step_m)
 
     def contact(self, layer: ElasticLayer) -> ContactLaw:
@@ -156,10 +157,10 @@ class StepperScene(Section):
 class Stepper:
     """A stepper that counts microsteps and presses with its tip.
 
-    A soft stop holds the screw where the tip would press with the force limit. A rotor that rings
-    swings past it, and backlash may keep the tip where it swung to: safety's fault on the felt
-    force is the bound of that. Not modelled: lost steps below the thrust limit, the screw's own
-    springiness.
+    A soft stop holds the screw where the tip would press with the force limit. A rotor that
+    oscillates moves the tip beyond it, and backlash may keep the tip there; safety's fault on the
+    felt force bounds that. Lost steps below the thrust limit and the screw's elasticity are not
+    modelled.
 
     Parameters
     ----------
@@ -175,7 +176,7 @@ class Stepper:
     force_n
         Force in N at the last tick's end.
     at_end
-        How often and for how many ticks the soft stop has held the screw.
+        Counter of the ticks in which the soft stop has held the screw.
     """
 
     STATE: ClassVar = ("_phase", "_late", "_rotor", "tip_m")
@@ -200,8 +201,8 @@ class Stepper:
             self._whole = float
             self._max_rate_hz = self._max_change_hz = math.inf
         else:
-            # The backlash is on top of the soft stop, and below the home position, or it could
-            # not be taken up there.
+            # The screw may move by the backlash beyond the soft stop and below home, so that the
+            # backlash can be taken up there.
             furthest_m = min(scene.stroke_m, law.position(min(scene.thrust_n, force_limit_n)))
             self._first_step = -math.ceil(scene.backlash_m / scene.step_m)
             self._last_step = math.floor((furthest_m + scene.backlash_m / 2) / scene.step_m)
@@ -210,7 +211,7 @@ class Stepper:
         if scene.rotor_resonance_hz is not None:
             self._rotor = Rotor(scene.rotor_resonance_hz, scene.rotor_damping, tick_s)
         self._late = DelayLine(scene.latency_ns * 1e-9 / tick_s) if scene.latency_ns else None
-        # On whole microsteps the tip comes to the same places again and again.
+        # Cache: on whole microsteps, the tip returns to the same positions.
         self._forces_n: dict[float, float] = {}
         self._phase = 0.0
         self._rate_hz = 0.0
@@ -220,7 +221,7 @@ class Stepper:
 
     @property
     def screw_m(self) -> float:
-        """Commanded travel in m from first touch, between microsteps too."""
+        """Commanded travel in m from first touch, including fractions of a microstep."""
         return self._phase * self._step_m
 
     def step(self, rate_hz: float) -> float:
